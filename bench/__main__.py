@@ -24,8 +24,8 @@ SUFFIX = "_bench"
 
 def names() -> list[str]:
     """The measurements there are: modules of this package that end in ``_bench``."""
-    found = (module.name for module in pkgutil.iter_modules([str(Path(__file__).parent)]))
-    return sorted(name.removesuffix(SUFFIX) for name in found if name.endswith(SUFFIX))
+    result = (module.name for module in pkgutil.iter_modules([str(Path(__file__).parent)]))
+    return sorted(name.removesuffix(SUFFIX) for name in result if name.endswith(SUFFIX))
 
 
 def main(arguments: list[str]) -> int:

@@ -1,7 +1,7 @@
 """Batches: throughput of 64 small problems on 1 and 2 workers, on this machine's processes and on Dask.
 
-Start-up is apart: each team first plans one problem a worker. What a second worker adds is compared with
-what the machine can give: two processes that only count, against one.
+Start-up is excluded: each team first plans one problem per worker. The gain of a second worker is compared
+with what the machine can give: two processes that only count, against one.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from bench.proc import below
+from bench.proc import child_processes
 from planner import pipeline
-from planner.batch.cluster import Cluster
-from planner.batch.job import Finished, Job
-from planner.batch.run import bundled_job
-from planner.batch.workers import Workers
+from planner.batch.cluster import ClusterPlanners
+from planner.batch.job import BatchJob, JobFinished
+from planner.batch.run import make_bundled_job
+from planner.batch.workers import BatchWorkers
 from tests import small_problem
 
 JOBS = int(os.environ.get("BATCH_BENCH_JOBS", "64"))
@@ -36,10 +36,10 @@ def run() -> list[dict[str, Any]]:
     machine = _machine()
     rows = []
     for name, team in (("processes", _processes), ("dask", _dask)):
-        one, one_mb = _batch(team, 1)
+        item, one_mb = _batch(team, 1)
         two, two_mb = _batch(team, 2)
-        efficiency = one / (2.0 * two)
-        for count, seconds, peak in ((1, one, one_mb), (2, two, two_mb)):
+        efficiency = item / (2.0 * two)
+        for count, seconds, peak in ((1, item, one_mb), (2, two, two_mb)):
             note = f"{3600 * JOBS / seconds:.0f} problems an hour, at most {peak:.0f} MB a worker"
             if count == 2:
                 note += f"; efficiency {efficiency:.2f}, that of the machine {machine:.2f}"
@@ -55,14 +55,14 @@ def run() -> list[dict[str, Any]]:
 
 
 @contextmanager
-def _processes(count: int) -> Iterator[Workers]:
-    with Workers(count) as team:
+def _processes(count: int) -> Iterator[BatchWorkers]:
+    with BatchWorkers(count) as team:
         yield team
 
 
 @contextmanager
-def _dask(count: int) -> Iterator[Cluster]:
-    with Cluster("local", count) as team:
+def _dask(count: int) -> Iterator[ClusterPlanners]:
+    with ClusterPlanners("local", count) as team:
         yield team
 
 
@@ -70,24 +70,24 @@ def _batch(make: Callable[[int], Any], count: int) -> tuple[float, float]:
     """Wall time [s] of all jobs when the workers have started, and the most memory [MB] of one of them."""
     with tempfile.TemporaryDirectory() as folder:
         jobs = _jobs(Path(folder), JOBS)
-        with make(count) as team, _watched() as peak:
+        with make(count) as team, _watch_memory() as peak:
             _plan(team, [dataclasses.replace(jobs[i], name=f"warm-{i}") for i in range(count)], Path(folder))
             start = time.perf_counter()
             _plan(team, jobs, Path(folder))
             return time.perf_counter() - start, peak[0]
 
 
-def _jobs(folder: Path, count: int) -> list[Job]:
+def _jobs(folder: Path, count: int) -> list[BatchJob]:
     """So many problems of one cell, each with its own poses."""
     out = []
     for i in range(count):
         rows = [f"450,{y + 0.1 * i:.1f},500,0.5,-0.5,0.5,0.5,20" for y in range(-50, 51, 20)]
         path = small_problem.write(folder, table="\n".join([small_problem.COLUMNS, *rows]))
-        out.append(bundled_job(f"job-{i:02d}", pipeline.load(path)))
+        out.append(make_bundled_job(f"job-{i:02d}", pipeline.load(path)))
     return out
 
 
-def _plan(team: Any, jobs: list[Job], folder: Path) -> None:
+def _plan(team: Any, jobs: list[BatchJob], folder: Path) -> None:
     waiting, ended = list(jobs[::-1]), 0
     under_way = 0
     while ended < len(jobs):
@@ -96,22 +96,22 @@ def _plan(team: Any, jobs: list[Job], folder: Path) -> None:
             team.start(one, folder / "out" / one.name)
             under_way += 1
         for event in team.events(1.0):
-            if isinstance(event, Finished):
+            if isinstance(event, JobFinished):
                 ended, under_way = ended + 1, under_way - 1
                 if event.done.state != "verified":
                     raise RuntimeError(f"{event.name}: {event.done.state} {event.done.issues}")
 
 
 @contextmanager
-def _watched() -> Iterator[list[float]]:
-    """The most memory [MB] that one process below this one held, looked at ten times a second."""
+def _watch_memory() -> Iterator[list[float]]:
+    """Record the peak memory [MB] of a single child process, sampled ten times a second."""
     peak, stop = [0.0], threading.Event()
 
-    def look() -> None:
+    def sample_memory() -> None:
         while not stop.wait(0.1):
-            peak[0] = max([peak[0], *(_memory_mb(pid) for pid in below(os.getpid()))])
+            peak[0] = max([peak[0], *(_memory_mb(pid) for pid in child_processes(os.getpid()))])
 
-    thread = threading.Thread(target=look, daemon=True)
+    thread = threading.Thread(target=sample_memory, daemon=True)
     thread.start()
     try:
         yield peak
@@ -128,7 +128,7 @@ def _memory_mb(pid: int) -> float:
 
 
 def _machine() -> float:
-    """What two busy processes do in the time of one, halved: 1 on two free processors."""
+    """Return half of the work that two busy processes do in the time of one: 1 on two free processors."""
     context = multiprocessing.get_context("spawn")
     times = []
     for count in (1, 2):

@@ -21,30 +21,32 @@ from typing import Literal
 import numpy as np
 
 from planner.geometry.arrays import FloatArray, IntArray, lengths
-from planner.shell.element import Membrane, Sheet
+from planner.shell.element import Membrane, ShellSheet
 from planner.shell.mesh import mesh_sheet
 from planner.shell.newton import clamped, curve
 
 TABLE = Path(__file__).parents[1] / "tests" / "shell" / "calculix.json"
 MESHES = (6, 10, 14)
-"""Elements along each side of the clamp, half as many as of a flat sheet; even: there is a node at the
-middle."""
+"""Elements along each side of the clamp, half of those of a flat sheet.
+
+Even, so that there is a node at the middle.
+"""
 FINER = (6, 10, 14, 20)
-"""The same of a steep wall and of a fast border, of which S8R says less by coarse meshes."""
+"""Meshes of a steep wall and of a fast border, where coarse meshes of S8R are less accurate."""
 FITTED = 3
-"""How many of these, the finest ones, the line goes through; the first is what a test runs again."""
+"""Number of the finest meshes that the line goes through; a test runs the first of them again."""
 CORE = 0.5
 """Half side of the square core over the floor's half width."""
 LOAD_WIDTH = 1e-4
-"""So narrow that one node has the load, as in the decks [m]."""
+"""Width [m] of the load; so narrow that one node carries it, as in the decks."""
 TRIANGLES = 4000
-"""Triangles of ours that are held against it."""
+"""Triangles of Tandem's mesh for the comparison."""
 SECONDS = 1200
-"""After which a run is given up, by the wall clock."""
+"""Wall time limit [s] of a run."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Shape:
+class PlateShape:
     """A clamped sheet with a load: lengths [mm], angles [deg], forces [N], modulus [MPa].
 
     ``half``: half the window; ``top``: half width of the top edge, 0 of a plate; ``corner``: its radius (the
@@ -71,7 +73,7 @@ class Shape:
         return self.depth / np.tan(np.radians(self.angle)) if self.top else 0.0
 
     @property
-    def place(self) -> FloatArray:
+    def load_point(self) -> FloatArray:
         """x, y of the load [mm]."""
         if self.at == "centre":
             return np.zeros(2)
@@ -82,15 +84,15 @@ class Shape:
 
 
 SHAPES = (
-    Shape("plate", forces=(100.0, 400.0)),
-    Shape("plate, immovable", (90.0, 70.0), thickness=0.8, border="immovable", forces=(100.0, 300.0)),
-    Shape("cone 50", top=50.0, corner=50.0, depth=20.0, at="edge"),
-    Shape("cone 40", top=40.0, corner=40.0, depth=20.0, at="edge"),
-    Shape("cone 50, centre", top=50.0, corner=50.0, depth=20.0),
-    Shape("cone 60, 30 deg", top=60.0, corner=60.0, angle=30.0, depth=15.0, thickness=1.5, at="edge"),
-    Shape("cone 45, 60 deg", top=45.0, corner=45.0, angle=60.0, depth=25.0, at="edge", meshes=FINER),
-    Shape("cone 50, shallow", top=50.0, corner=50.0, depth=8.0, at="edge"),
-    Shape(
+    PlateShape("plate", forces=(100.0, 400.0)),
+    PlateShape("plate, immovable", (90.0, 70.0), thickness=0.8, border="immovable", forces=(100.0, 300.0)),
+    PlateShape("cone 50", top=50.0, corner=50.0, depth=20.0, at="edge"),
+    PlateShape("cone 40", top=40.0, corner=40.0, depth=20.0, at="edge"),
+    PlateShape("cone 50, centre", top=50.0, corner=50.0, depth=20.0),
+    PlateShape("cone 60, 30 deg", top=60.0, corner=60.0, angle=30.0, depth=15.0, thickness=1.5, at="edge"),
+    PlateShape("cone 45, 60 deg", top=45.0, corner=45.0, angle=60.0, depth=25.0, at="edge", meshes=FINER),
+    PlateShape("cone 50, shallow", top=50.0, corner=50.0, depth=8.0, at="edge"),
+    PlateShape(
         "cone 50, immovable",
         (100.0, 80.0),
         50.0,
@@ -100,17 +102,21 @@ SHAPES = (
         at="edge",
         meshes=FINER,
     ),
-    Shape("cone 40, steel", (100.0, 100.0), 40.0, 40.0, depth=15.0, thickness=0.7, modulus=205e3, at="edge"),
-    Shape("pyramid, wall", top=40.0, corner=25.0, depth=20.0, at="edge"),
-    Shape("pyramid, corner", top=40.0, corner=25.0, depth=20.0, at="corner"),
+    PlateShape(
+        "cone 40, steel", (100.0, 100.0), 40.0, 40.0, depth=15.0, thickness=0.7, modulus=205e3, at="edge"
+    ),
+    PlateShape("pyramid, wall", top=40.0, corner=25.0, depth=20.0, at="edge"),
+    PlateShape("pyramid, corner", top=40.0, corner=25.0, depth=20.0, at="corner"),
 )
 
 
-def contour(shape: Shape, share: FloatArray, inwards: float, depth: float) -> FloatArray:
-    """Points (k, 3) [mm] of a contour at shares of its way, from the diagonal (+, -) counterclockwise; each
-    quarter has one side of the window beside it."""
+def contour(shape: PlateShape, parameter: FloatArray, inwards: float, depth: float) -> FloatArray:
+    """Return points (k, 3) [mm] of a contour at parameters, from the diagonal (+, -) counterclockwise.
+
+    Each quarter lies beside one side of the window.
+    """
     straight, radius = shape.top - shape.corner, shape.corner - inwards
-    quarter, rest = np.divmod(4.0 * share, 1.0)
+    quarter, rest = np.divmod(4.0 * parameter, 1.0)
     arc = 0.25 * np.pi * radius
     along = rest * (2.0 * arc + 2.0 * straight)
     turn = np.where(along < arc, along / radius - 0.25 * np.pi, 0.0)
@@ -118,31 +124,31 @@ def contour(shape: Shape, share: FloatArray, inwards: float, depth: float) -> Fl
     side = np.clip(along - arc - straight, -straight, straight)
     x, y = straight + radius * np.cos(turn), side + radius * np.sin(turn)
     c, s = np.cos(0.5 * np.pi * quarter), np.sin(0.5 * np.pi * quarter)
-    return np.column_stack([c * x - s * y, s * x + c * y, np.full(len(share), -depth)])
+    return np.column_stack([c * x - s * y, s * x + c * y, np.full(len(parameter), -depth)])
 
 
-def quadrilaterals(shape: Shape, count: int) -> tuple[FloatArray, IntArray, FloatArray]:
+def quadrilaterals(shape: PlateShape, count: int) -> tuple[FloatArray, IntArray, FloatArray]:
     """Nodes (n, 3) [mm], elements (e, 8) and thicknesses (e,) [mm] with ``count`` elements a side."""
     fine = 2 * count * (1 if shape.top else 2)
     line = np.linspace(-1.0, 1.0, fine + 1)
     if not shape.top:
         x, y = np.meshgrid(shape.half[0] * line, shape.half[1] * line, indexing="ij")
         grid = np.stack([x, y, np.zeros_like(x)], axis=-1)
-        return _joined([(grid, shape.thickness)])
-    share = np.arange(4 * fine + 1) / (4 * fine)
+        return _join_grids([(grid, shape.thickness)])
+    fraction = np.arange(4 * fine + 1) / (4 * fine)
     edge = np.concatenate(
         [np.column_stack([np.ones(fine), line[:-1]]), np.column_stack([-line[:-1], np.ones(fine)])]
     )
     edge = np.concatenate([edge, -edge, edge[:1]])
-    top = contour(shape, share % 1.0, 0.0, 0.0)
-    low = contour(shape, share % 1.0, shape.inwards, shape.depth)
+    top = contour(shape, fraction % 1.0, 0.0, 0.0)
+    low = contour(shape, fraction % 1.0, shape.inwards, shape.depth)
     window = np.column_stack([edge * shape.half, np.zeros(len(edge))])
     size = CORE * (shape.top - shape.inwards)
     core = np.column_stack([size * edge, np.full(len(edge), -shape.depth)])
     rows = np.linspace(0.0, 1.0, count + 1)[:, None, None]
     x, y = np.meshgrid(size * line, size * line, indexing="ij")
     wall = shape.thickness * np.cos(np.radians(shape.angle))
-    return _joined(
+    return _join_grids(
         [
             ((1.0 - rows**0.8) * window + rows**0.8 * top, shape.thickness),
             ((1.0 - rows) * top + rows * low, wall),
@@ -152,7 +158,7 @@ def quadrilaterals(shape: Shape, count: int) -> tuple[FloatArray, IntArray, Floa
     )
 
 
-def _joined(grids: list[tuple[FloatArray, float]]) -> tuple[FloatArray, IntArray, FloatArray]:
+def _join_grids(grids: list[tuple[FloatArray, float]]) -> tuple[FloatArray, IntArray, FloatArray]:
     """Elements of grids of nodes (2 a + 1, 2 b + 1, 3) whose rims are the same."""
     points, cells, thickness = [], [], []
     start = 0
@@ -184,7 +190,7 @@ def _joined(grids: list[tuple[FloatArray, float]]) -> tuple[FloatArray, IntArray
     return nodes, elements, np.concatenate(thickness)
 
 
-def deck(shape: Shape, count: int) -> tuple[str, int]:
+def deck(shape: PlateShape, count: int) -> tuple[str, int]:
     """The text of a deck, and which node has the load."""
     nodes, elements, thickness = quadrilaterals(shape, count)
     rows = ["*NODE, NSET=ALL"]
@@ -196,8 +202,8 @@ def deck(shape: Shape, count: int) -> tuple[str, int]:
     rows += ["*MATERIAL, NAME=METAL", "*ELASTIC", f"{shape.modulus:.9g}, {shape.poisson:.9g}"]
     for number, thick in enumerate(np.unique(thickness)):
         rows += [f"*SHELL SECTION, ELSET=E{number}, MATERIAL=METAL", f"{thick:.9g}"]
-    off = np.abs(nodes[:, :2]) - shape.half
-    border = np.flatnonzero(off.max(axis=1) > -1e-6)
+    deviation = np.abs(nodes[:, :2]) - shape.half
+    border = np.flatnonzero(deviation.max(axis=1) > -1e-6)
     corner = [
         int(np.argmin(lengths(nodes[:, :2] - np.multiply(shape.half, sign)))) + 1
         for sign in ((-1, -1), (1, -1))
@@ -207,8 +213,8 @@ def deck(shape: Shape, count: int) -> tuple[str, int]:
         rows += ["BORDER, 1, 5"]
     else:
         rows += ["BORDER, 3, 5", f"{corner[0]}, 1, 2", f"{corner[1]}, 2, 2"]
-    loaded = int(np.argmin(lengths(nodes[:, :2] - shape.place)))
-    if lengths(nodes[loaded, :2] - shape.place) > 1e-6:
+    loaded = int(np.argmin(lengths(nodes[:, :2] - shape.load_point)))
+    if lengths(nodes[loaded, :2] - shape.load_point) > 1e-6:
         raise ValueError(f"{shape.name}: no node at the load")
     rows += ["*NSET, NSET=LOADED", f"{loaded + 1},"]
     for force in shape.forces:
@@ -223,7 +229,7 @@ def deck(shape: Shape, count: int) -> tuple[str, int]:
     return "\n".join(rows) + "\n", len(elements)
 
 
-def calculix(shape: Shape, count: int) -> dict[str, object]:
+def calculix(shape: PlateShape, count: int) -> dict[str, object]:
     """Displacements down [mm] under both forces by CalculiX, with elements and processor seconds."""
     text, elements = deck(shape, count)
     one = {**os.environ, "OMP_NUM_THREADS": "1"}
@@ -240,18 +246,18 @@ def calculix(shape: Shape, count: int) -> dict[str, object]:
             check=False,
         )
         took = os.times().children_user - start.children_user
-        found = []
+        result = []
         out = Path(folder) / "shape.dat"
         for line in out.read_text().splitlines() if out.exists() else []:
             words = line.split()
             if len(words) == 4 and words[0].isdigit():
-                found.append(-float(words[3]))
-    if done.returncode or len(found) != len(shape.forces):
-        raise RuntimeError(f"{shape.name}, {count}: ccx ended with {found}\n{done.stdout[-2000:]}")
-    return {"elements": elements, "mm": found, "seconds": round(took, 1)}
+                result.append(-float(words[3]))
+    if done.returncode or len(result) != len(shape.forces):
+        raise RuntimeError(f"{shape.name}, {count}: ccx ended with {result}\n{done.stdout[-2000:]}")
+    return {"elements": elements, "mm": result, "seconds": round(took, 1)}
 
 
-def extrapolated(meshes: dict[int, list[float]]) -> list[float]:
+def extrapolate(meshes: dict[int, list[float]]) -> list[float]:
     """Displacements at size zero: of the line over 1 / count through the finest meshes (least squares)."""
     finest = sorted(meshes)[-FITTED:]
     size = 1.0 / np.array(finest, dtype=np.float64)
@@ -259,26 +265,26 @@ def extrapolated(meshes: dict[int, list[float]]) -> list[float]:
     return [float(np.polyfit(size, column, 1)[1]) for column in values.T]
 
 
-def ours(shape: Shape, triangles: int, membrane: Membrane = "optimal") -> FloatArray:
+def ours(shape: PlateShape, triangles: int, membrane: Membrane = "optimal") -> FloatArray:
     """Displacements down [mm] under both forces by ``planner.shell``."""
     rings = []
     if shape.top:
-        share = np.arange(400) / 400.0
-        rings = [contour(shape, share, 0.0, 0.0), contour(shape, share, shape.inwards, shape.depth)]
+        fraction = np.arange(400) / 400.0
+        rings = [contour(shape, fraction, 0.0, 0.0), contour(shape, fraction, shape.inwards, shape.depth)]
     window = 1e-3 * np.array([np.negative(shape.half), shape.half])
-    place = 1e-3 * shape.place
+    place = 1e-3 * shape.load_point
     mesh = mesh_sheet([1e-3 * ring for ring in rings], window, triangles, place[None])
     corners = mesh.nodes[mesh.triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     thickness = 1e-3 * shape.thickness * normal[:, 2] / lengths(normal)
-    sheet = Sheet(mesh.nodes, mesh.triangles, thickness, 1e6 * shape.modulus, shape.poisson, membrane)
+    sheet = ShellSheet(mesh.nodes, mesh.triangles, thickness, 1e6 * shape.modulus, shape.poisson, membrane)
     loads = np.zeros((len(shape.forces), 3))
     loads[:, 2] = np.negative(shape.forces)
     return -1e3 * curve(sheet, clamped(sheet, shape.border), place, loads, LOAD_WIDTH)[:, 2]
 
 
 def main(names: list[str]) -> int:
-    """Run what the table does not have of the shapes named, all by default, and write it into the table."""
+    """Run the cases missing in the table, of the named shapes or of all, and write them into the table."""
     table = json.loads(TABLE.read_text()) if TABLE.exists() else {}
     for shape in SHAPES:
         if names and shape.name not in names:
@@ -287,18 +293,19 @@ def main(names: list[str]) -> int:
         for count in shape.meshes:
             if str(count) not in meshes:
                 meshes[str(count)] = calculix(shape, count)
-        found = extrapolated({int(count): one["mm"] for count, one in meshes.items()})
+        result = extrapolate({int(count): item["mm"] for count, item in meshes.items()})
         table[shape.name] = {
             "forces_n": list(shape.forces),
             "meshes": meshes,
-            "extrapolated_mm": [round(value, 5) for value in found],
+            "extrapolated_mm": [round(value, 5) for value in result],
         }
         mine = ours(shape, TRIANGLES)
-        off = 100.0 * (mine / found - 1.0)
+        deviation = 100.0 * (mine / result - 1.0)
         print(
-            f"{shape.name}: {np.round(found, 3)} mm, ours {mine.round(3)}, {off.round(2)} % off", flush=True
+            f"{shape.name}: {np.round(result, 3)} mm, ours {mine.round(3)}, {deviation.round(2)} % off",
+            flush=True,
         )
-        ordered = {one.name: table[one.name] for one in SHAPES if one.name in table}
+        ordered = {item.name: table[item.name] for item in SHAPES if item.name in table}
         TABLE.write_text(json.dumps(ordered, indent=1) + "\n")
     return 0
 

@@ -1,5 +1,4 @@
-"""The cell: clearance of two arms with tools, stock and floor, per configuration, beside Drake's own
-checker."""
+"""The cell: clearance of two arms with tools, stock and floor, per configuration, against Drake's checker."""
 
 from __future__ import annotations
 
@@ -12,7 +11,7 @@ import yaml
 
 from planner.catalogue import robots
 from planner.cell import clearance, plant
-from planner.cell.kinematics import forward
+from planner.cell.kinematics import forward_kinematics
 from planner.geometry.arrays import FloatArray, from_rpy
 from planner.problem import Stock
 from planner.reading import cell as cell_file
@@ -27,41 +26,53 @@ def run() -> list[dict[str, Any]]:
     configuration."""
     path = robots.data_dir("problems") / "cells" / "two_irb140_facing.yaml"
     spec = cell_file.CellFile.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
-    cell = cell_file.build(spec, path.parent)
-    place = from_rpy((0.0, 0.0, 0.55), (0.0, 0.0, 0.0))
-    rows = [_row("build of a cell", _times(lambda: plant.build(cell, BLOCK, place), 5, 1), None, "")]
-    model = plant.build(cell, BLOCK, place)
+    cell = cell_file.build_cell(spec, path.parent)
+    stock_pose = from_rpy((0.0, 0.0, 0.55), (0.0, 0.0, 0.0))
+    rows = [
+        _row(
+            "build of a cell", _times(lambda: plant.build_cell_model(cell, BLOCK, stock_pose), 5, 1), None, ""
+        )
+    ]
+    model = plant.build_cell_model(cell, BLOCK, stock_pose)
     robot = model.robots["left"]
     rows.append(
         _row(
             "forward kinematics",
-            _times(lambda: forward(robot, _wide(model, 1.0)["left"]), 5, COUNT),
+            _times(lambda: forward_kinematics(robot, _wide(model, 1.0)["left"]), 5, COUNT),
             None,
             "",
         )
     )
     for name, width in (("near home", 0.4), ("anywhere", 2.0)):
         q = _wide(model, width)
-        share = clearance.free(model, q, 0.010).mean()
-        ours = _times(lambda q=q: clearance.free(model, q, 0.010), 5, COUNT)
+        fraction = clearance.is_free(model, q, 0.010).mean()
+        ours = _times(lambda q=q: clearance.is_free(model, q, 0.010), 5, COUNT)
         peer = _times(lambda q=q: _drake(model, q), 3, COUNT)
-        note = f"10 mm, {share:.0%} free, peer: Drake's checker alone on the same"
+        note = f"10 mm, {fraction:.0%} free, peer: Drake's checker alone on the same"
         rows.append(_row(f"free, two arms {name}", ours, peer, note))
     q = {arm: v[:437] for arm, v in _wide(model, 0.4).items()}
     rows.append(
-        _row("least distance within 0.1 m", _times(lambda: clearance.least(model, q, 0.1), 5, 437), None, "")
+        _row(
+            "least distance within 0.1 m",
+            _times(lambda: clearance.min_clearance(model, q, 0.1), 5, 437),
+            None,
+            "",
+        )
     )
-    rows.append(
-        _row("least distance within 20 mm", _times(lambda: clearance.least(model, q, 0.02), 5, 437), None, "")
-    )
-    row = model.stack(q)
-    each = _times(lambda: [clearance.gradients(model, r, 0.03) for r in row[:50]], 5, 50)
-    rows.append(_row("distances and gradients within 30 mm", each, None, ""))
-    wire = _wire(model, q)
     rows.append(
         _row(
-            "edge of 40 points", _times(lambda: clearance.edge(model, q, wire, 1e-3, 0.03), 5, 437), None, ""
+            "least distance within 20 mm",
+            _times(lambda: clearance.min_clearance(model, q, 0.02), 5, 437),
+            None,
+            "",
         )
+    )
+    row = model.stack_rows(q)
+    each = _times(lambda: [clearance.distance_gradients(model, r, 0.03) for r in row[:50]], 5, 50)
+    rows.append(_row("distances and gradients within 30 mm", each, None, ""))
+    edge = clearance.FlexibleEdge(_wire(model, q), radius=1e-3, skip_ends=0.03)
+    rows.append(
+        _row("edge of 40 points", _times(lambda: clearance.edge_clearance(model, q, edge), 5, 437), None, "")
     )
     poses = [from_rpy((0.0, 0.0, 0.5 + 1e-4 * i), (0.0, 0.0, 0.0)) for i in range(50)]
     moved = _times(lambda: [model.with_stock(p).checker for p in poses], 5, 50)
@@ -78,7 +89,7 @@ def _drake(model: plant.CellModel, q: Mapping[str, FloatArray]) -> None:
     checker = model.checker
     checker.SetPaddingAllRobotRobotPairs(0.010)
     checker.SetPaddingAllRobotEnvironmentPairs(0.010)
-    checker.CheckConfigsCollisionFree(list(model.stack(q)), parallelize=False)
+    checker.CheckConfigsCollisionFree(list(model.stack_rows(q)), parallelize=False)
     checker.SetPaddingAllRobotRobotPairs(0.0)
     checker.SetPaddingAllRobotEnvironmentPairs(0.0)
 

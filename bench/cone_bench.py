@@ -1,6 +1,8 @@
-"""The 60 degree cone, with one controller and with two: the whole command by the wall, with the memory of
-both its processes; processor time and peak memory of each stage from mesh to verified programs on one core;
-and the proof's clearance beside one that measures every look.
+"""The 60 degree cone, with one controller and with two.
+
+Wall time of the whole command, with the memory of both its processes; processor time and peak memory of each
+stage from mesh to verified programs on one core; and the proof's clearance compared with one that measures
+every sample.
 """
 
 from __future__ import annotations
@@ -17,25 +19,27 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from bench.proc import ONE_THREAD, memory, planned
+from bench.proc import ONE_THREAD, memory, run_plan
 from planner import pipeline
 from planner.cell import clearance
 from planner.languages.writing import write
 from planner.motion import solve
 from planner.processes import registry
-from planner.proof.clearance.samples import clearance_rows
+from planner.proof.clearance.samples import clearance_samples
 from planner.proof.context import Context
 from planner.proof.models import MODELS
 from planner.proof.prove import Prover
-from planner.proof.rules.clearance import MEASURED_REACH
+from planner.proof.rules.clearance import MIN_QUERY_RANGE_M
 
 JOBS = ("cone_dpif_l", "cone_dpif_p")
 GOAL_S, GOAL_MB = {"cone_dpif_l": 60.0, "cone_dpif_p": 90.0}, 1000.0
-"""Wanted wall time [s] of whole commands on two cores, by the job, and peak memory [MB] of the larger of a
-command's processes."""
-LOOKS = 4000
-"""Looks, spread over the job, at which bounds and measured distances are compared."""
-_Made = TypeVar("_Made")
+"""Target wall time [s] of whole commands on two cores, by the job, and peak memory [MB].
+
+The memory is that of the larger of a command's processes.
+"""
+MAX_PEER_SAMPLES = 4000
+"""Samples, spread over the job, at which bounds and measured distances are compared."""
+_Result = TypeVar("_Result")
 
 
 def run() -> list[dict[str, Any]]:
@@ -54,13 +58,13 @@ def run() -> list[dict[str, Any]]:
 def whole(name: str) -> dict[str, Any]:
     """A row of ``tandem plan``, cold, with its second process."""
     with tempfile.TemporaryDirectory() as folder:
-        ran = planned(name, f"{folder}/out")
-    told = f"{ran.told}; ratio is to the goal of {GOAL_S[name]:g} s, {GOAL_MB:g} MB are wanted"
+        ran = run_plan(name, f"{folder}/out")
+    note = f"{ran.note}; ratio is to the goal of {GOAL_S[name]:g} s, {GOAL_MB:g} MB are wanted"
     return {
         "name": f"{name}: whole command",
         "median_s": ran.wall,
         "ratio": ran.wall / GOAL_S[name],
-        "note": told,
+        "note": note,
     }
 
 
@@ -68,7 +72,7 @@ def stages(name: str) -> list[dict[str, Any]]:
     """Rows of one job, run in this process."""
     rows: list[dict[str, Any]] = []
 
-    def timed(what: str, work: Callable[[], _Made]) -> _Made:
+    def time_stage(what: str, work: Callable[[], _Result]) -> _Result:
         _forget_peak()
         start = time.process_time()
         made = work()
@@ -79,12 +83,12 @@ def stages(name: str) -> list[dict[str, Any]]:
         return made
 
     problem = pipeline.load(name)
-    targets = timed("targets", lambda: [registry.job(problem, 0).targets()])
-    plan = timed("motion", lambda: solve.solve(problem, targets, lambda stage, share: None))
-    programs = timed("programs", lambda: write.programs(plan, problem))
+    targets = time_stage("targets", lambda: [registry.job(problem, 0).targets()])
+    plan = time_stage("motion", lambda: solve.solve(problem, targets, lambda stage, fraction: None))
+    programs = time_stage("programs", lambda: write.program_files(plan, problem))
     claims = registry.claims(problem)
     prover = Prover(problem, claims)
-    proof = timed("proof", lambda: prover.prove(programs))
+    proof = time_stage("proof", lambda: prover.prove(programs))
     took, most = sum(row["median_s"] for row in rows), max(row["peak_mb"] for row in rows)
     told = f"{targets[0].count} targets, {'proven' if proof.ok else 'NOT proven'}, {most:.0f} MB"
     total = {"name": f"{name}: mesh to programs, one core", "median_s": took, "note": told}
@@ -93,16 +97,16 @@ def stages(name: str) -> list[dict[str, Any]]:
 
 def _against_all(name: str, context: Context) -> dict[str, Any]:
     """Bounds of some looks, with the time of measuring all of them as the peer."""
-    rows = clearance_rows(context, 0)
-    rows = rows[np.linspace(0, len(rows) - 1, LOOKS).astype(np.int64)]
+    rows = clearance_samples(context, 0)
+    rows = rows[np.linspace(0, len(rows) - 1, MAX_PEER_SAMPLES).astype(np.int64)]
     model, q = context.get(MODELS)(0), {arm: q[rows] for arm, q in context.motion.q.items()}
     start = time.process_time()
-    clearance.at_least(model, q, MEASURED_REACH)
+    clearance.distance_lower_bound(model, q, MIN_QUERY_RANGE_M)
     middle = time.process_time()
-    clearance.least(model, q, MEASURED_REACH)
+    clearance.min_clearance(model, q, MIN_QUERY_RANGE_M)
     end = time.process_time()
     took, peer = middle - start, end - middle
-    note = f"{LOOKS} looks; all of them measured: {peer:.2f} s"
+    note = f"{MAX_PEER_SAMPLES} looks; all of them measured: {peer:.2f} s"
     return {"name": f"{name}: clearance by bounds", "median_s": took, "ratio": took / peer, "note": note}
 
 

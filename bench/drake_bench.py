@@ -1,8 +1,8 @@
-"""What Drake's own tools do with the bundled jobs of two arms, beside what planning does.
+"""Drake's own tools on the bundled jobs of two arms, compared with planning.
 
 A witness: Drake's inverse kinematics, both arms in one plant, at a hundred targets of each job. Plain
 nonlinear programs over a whole path, without bodies that could be in the way: they end at the limit of
-iterations, and their work grows with the square of the targets and more. Drake's spline of the joints.
+iterations, and their work grows at least with the square of the targets. Drake's spline of the joints.
 Drake's forward kinematics beside the batched chain. Times are processor time; programs are bounded by their
 iterations.
 """
@@ -31,32 +31,32 @@ from pydrake.solvers import (
 )
 from pydrake.trajectories import BsplineTrajectory
 
-from bench.drake_witness import Joined, Witness, constraints, of_plan
+from bench.drake_witness import PoseConstraint, Witness, constraints, make_witness
 from planner import load
 from planner.catalogue import robots
-from planner.cell.kinematics import forward
-from planner.cell.plant import rigid
+from planner.cell.kinematics import forward_kinematics
+from planner.cell.plant import rigid_transform
 from planner.geometry.arrays import FloatArray, IndexArray
 from planner.motion.solve import solve
 from planner.plans import OperationPlan, Plan
 from planner.problem import Problem
 from planner.processes import registry
 
-ASKED = 100
-"""Targets of each job that the witness is asked."""
+QUERIES = 100
+"""Number of targets of each job at which the witness is solved."""
 POSITION, ANGLE = 1e-6, 1e-4
-"""How far [m], [rad] a pose may be off that counts as met."""
+"""Tolerances [m], [rad] within which a pose counts as reached."""
 WIRE_JOB = "column_capital/faces.yaml"
 COUNTS = (24, 96)
 """Targets of a whole path in one program."""
 LONG = 256
-"""Targets of the one that takes most of a minute: half as many as the job has."""
+"""Number of targets of the program that takes most of a minute: half as many as the job has."""
 SPLINE = 24
-"""Targets of a spline, neighbours."""
+"""Number of consecutive targets of a spline."""
 ITERATIONS = 200
-"""Major iterations of such a program at most."""
+"""Maximum number of major iterations of such a program."""
 SPAN = 20.0
-"""Bound [rad, m] of positions that have none in the plant, for solvers that ask for one."""
+"""Bound [rad, m] of positions that are unbounded in the plant, for solvers that require one."""
 POSTURES = 10_000
 
 
@@ -80,7 +80,7 @@ def run() -> list[dict[str, Any]]:
         problem = load(name)
         plan = solve(problem, [job.targets() for job in registry.jobs(problem)])
         rows += [program_row(name, operation) for operation in plan.operations]
-        witness = witness_of(problem, plan)
+        witness = build_witness(problem, plan)
         kinds = (True, False) if witness.targets.coupled else (False,)
         rows += [witness_row(name, witness, spin) for spin in kinds]
         if name == WIRE_JOB:
@@ -88,23 +88,25 @@ def run() -> list[dict[str, Any]]:
     return [*rows, kinematics()]
 
 
-def planned(name: str) -> Witness:
+def plan_witness(name: str) -> Witness:
     """The witness of a bundled job, planned here."""
     problem = load(name)
-    return witness_of(problem, solve(problem, [job.targets() for job in registry.jobs(problem)]))
+    return build_witness(problem, solve(problem, [job.targets() for job in registry.jobs(problem)]))
 
 
-def witness_of(problem: Problem, plan: Plan) -> Witness:
+def build_witness(problem: Problem, plan: Plan) -> Witness:
     """The witness of a plan's operation with two arms: the first one with a wire, if any."""
     both = [k for k, own in enumerate(plan.operations) if len(own.targets.arms) == 2]
     chosen = max(both, key=lambda k: (plan.operations[k].targets.coupled, -k))
     k = next(k for k, own in enumerate(problem.setups) if chosen in own.operations)
-    return of_plan(problem.setups[k].cell, plan.bases, plan.places[k], plan.operations[chosen])
+    return make_witness(problem.setups[k].cell, plan.bases, plan.stock_poses[k], plan.operations[chosen])
 
 
 def program_row(name: str, operation: OperationPlan) -> dict[str, Any]:
-    """Drake's program over the freedoms of all targets, after the banded form: its time with the clock of its
-    path, beside that of the banded form. Wall time, of one run."""
+    """Time Drake's program over the freedoms of all targets, after the banded form.
+
+    The time, including the clock of its path, is compared with that of the banded form. Wall time of one run.
+    """
     told, stages = operation.metrics, operation.metrics["stages"]
     note = f"not taken: {told.get('program_reason')}"
     if told["program_used"]:
@@ -131,19 +133,20 @@ def program_row(name: str, operation: OperationPlan) -> dict[str, Any]:
 
 def witness_row(name: str, witness: Witness, spin: bool) -> dict[str, Any]:
     """Drake's inverse kinematics at targets all along the way, each from the joints of the target before."""
-    rows = np.unique(np.linspace(1, witness.targets.count - 1, ASKED).round().astype(np.intp))
-    found = [witness.solve(int(i), witness.q[i - 1], spin) for i in rows]
-    solved = sum(s.success and s.polished[0] <= POSITION and s.polished[1] <= ANGLE for s in found)
+    rows = np.unique(np.linspace(1, witness.targets.count - 1, QUERIES).round().astype(np.intp))
+    result = [witness.solve(int(i), witness.q[i - 1], spin) for i in rows]
+    solved = sum(s.success and s.polished[0] <= POSITION and s.polished[1] <= ANGLE for s in result)
     own = np.concatenate(list(witness.joints.values()))
-    off = np.rad2deg(
-        max(float(np.abs(s.q - witness.q[i])[own].max()) for s, i in zip(found, rows, strict=True))
+    deviation = np.rad2deg(
+        max(float(np.abs(s.q - witness.q[i])[own].max()) for s, i in zip(result, rows, strict=True))
     )
-    raw, polished = (np.max([getattr(s, kind) for s in found], axis=0) for kind in ("raw", "polished"))
-    seconds = np.array([s.seconds for s in found])
+    raw, polished = (np.max([getattr(s, kind) for s in result], axis=0) for kind in ("raw", "polished"))
+    seconds = np.array([s.seconds for s in result])
     kind = "the wire, its spin free" if spin else "both poses, spin fixed"
     note = (
         f"{solved} of {len(rows)} solved; off {raw[0]:.1e} m, {raw[1]:.1e} rad, "
-        f"polished {polished[0]:.1e} m, {polished[1]:.1e} rad; joints to the plan's within {off:.2g} deg"
+        f"polished {polished[0]:.1e} m, {polished[1]:.1e} rad; "
+        f"joints to the plan's within {deviation:.2g} deg"
     )
     return {
         "name": f"Drake IK, {name}: {kind}",
@@ -176,14 +179,14 @@ def whole_path(witness: Witness) -> list[dict[str, Any]]:
     return [*out, _path_row(name, witness, near, q, end, seconds)]
 
 
-def angles(plant: MultibodyPlant, context: object, pose: Joined, index: int) -> list[Constraint]:
+def angles(plant: MultibodyPlant, context: object, pose: PoseConstraint, index: int) -> list[Constraint]:
     """A pose as Drake's users write it: the origin, and a bound of the angle between the frames. A tighter
     bound than this vanishes in the solvers' tolerance, for what is bounded is its cosine."""
-    wanted, none = rigid(pose.wanted[index]), np.full(3, POSITION)
+    expected, none = rigid_transform(pose.target_pose[index]), np.full(3, POSITION)
     still = RotationMatrix()
     return [
-        PositionConstraint(plant, pose.of, wanted, -none, none, pose.end, np.zeros(3), context),
-        OrientationConstraint(plant, pose.of, wanted.rotation(), pose.end, still, 10.0 * ANGLE, context),
+        PositionConstraint(plant, pose.of, expected, -none, none, pose.end, np.zeros(3), context),
+        OrientationConstraint(plant, pose.of, expected.rotation(), pose.end, still, 10.0 * ANGLE, context),
     ]
 
 
@@ -192,11 +195,13 @@ def nonlinear(
     rows: IndexArray,
     start: FloatArray,
     solver: type[SnoptSolver] | type[IpoptSolver],
-    asked: Callable[..., Sequence[Constraint]],
+    make_constraints: Callable[..., Sequence[Constraint]],
 ) -> tuple[FloatArray, str, float]:
-    """Joints (P, n) at targets ``rows`` (P,) by one program from ``start`` (P, n): least squares of steps,
-    with limits and poses as constraints, which ``asked`` makes; how the solver ended, and its processor time
-    [s]."""
+    """Solve joints (P, n) at targets ``rows`` (P,) by one program from ``start`` (P, n).
+
+    It minimises the squares of steps, with limits and poses as constraints, which ``make_constraints``
+    builds. Returns also how the solver ended, and its processor time [s].
+    """
     plant, context = witness.plant, witness.plant.CreateDefaultContext()
     program = MathematicalProgram()
     q = program.NewContinuousVariables(len(rows), plant.num_positions(), "q")
@@ -206,7 +211,7 @@ def nonlinear(
         for pair in witness.shared:
             program.AddLinearEqualityConstraint(np.array([1.0, -1.0]), 0.0, own[list(pair)])
         for pose in witness.poses:
-            for constraint in asked(plant, context, pose, int(i)):
+            for constraint in make_constraints(plant, context, pose, int(i)):
                 program.AddConstraint(constraint, own)
     one = np.eye(plant.num_positions())
     for a, b in itertools.pairwise(q):
@@ -216,10 +221,10 @@ def nonlinear(
     options = SolverOptions()
     options.SetOption(SnoptSolver.id(), "Major iterations limit", ITERATIONS)
     options.SetOption(IpoptSolver.id(), "max_iter", ITERATIONS)
-    begin = time.process_time()
+    start_s = time.process_time()
     with _silent():
-        found = solver().Solve(program, None, options)
-    return np.array(found.GetSolution(q)), found.get_solution_result().name, time.process_time() - begin
+        result = solver().Solve(program, None, options)
+    return np.array(result.GetSolution(q)), result.get_solution_result().name, time.process_time() - start_s
 
 
 def spline(witness: Witness, rows: IndexArray) -> tuple[FloatArray, str, float]:
@@ -227,9 +232,9 @@ def spline(witness: Witness, rows: IndexArray) -> tuple[FloatArray, str, float]:
     targets, seeded by the plan's; how the solver ended, and its processor time [s]."""
     plant, context = witness.plant, witness.plant.CreateDefaultContext()
     count = plant.num_positions()
-    share = np.linspace(0.0, 1.0, len(rows))
+    fraction = np.linspace(0.0, 1.0, len(rows))
     program = KinematicTrajectoryOptimization(count, len(rows) + 2, 4)
-    for s, i in zip(share, rows, strict=True):
+    for s, i in zip(fraction, rows, strict=True):
         for pose in witness.poses:
             for constraint in constraints(plant, context, pose, int(i)):
                 program.AddPathPositionConstraint(constraint, s)
@@ -243,34 +248,34 @@ def spline(witness: Witness, rows: IndexArray) -> tuple[FloatArray, str, float]:
     program.AddPathLengthCost(1.0)
     knots = np.array(program.basis().knots())
     middle = [knots[k + 1 : k + 4].mean() for k in range(len(rows) + 2)]
-    control = np.array([np.interp(middle, share, column) for column in witness.q[rows].T])
+    control = np.array([np.interp(middle, fraction, column) for column in witness.q[rows].T])
     program.SetInitialGuess(BsplineTrajectory(program.basis(), control))
     options = SolverOptions()
     options.SetOption(SnoptSolver.id(), "Major iterations limit", ITERATIONS // 4)
-    begin = time.process_time()
-    found = SnoptSolver().Solve(program.prog(), None, options)
-    seconds = time.process_time() - begin
-    path = program.ReconstructTrajectory(found)
-    return np.array([path.value(s).ravel() for s in share]), found.get_solution_result().name, seconds
+    start_s = time.process_time()
+    result = SnoptSolver().Solve(program.prog(), None, options)
+    seconds = time.process_time() - start_s
+    path = program.ReconstructTrajectory(result)
+    return np.array([path.value(s).ravel() for s in fraction]), result.get_solution_result().name, seconds
 
 
 def _path_row(
     name: str, witness: Witness, rows: IndexArray, q: FloatArray, end: str, seconds: float
 ) -> dict[str, Any]:
     context = witness.plant.CreateDefaultContext()
-    off = np.array([witness.errors(context, int(i), own) for i, own in zip(rows, q, strict=True)])
-    met = int(np.sum((off[:, 0] <= POSITION) & (off[:, 1] <= ANGLE)))
+    deviation = np.array([witness.errors(context, int(i), own) for i, own in zip(rows, q, strict=True)])
+    met = int(np.sum((deviation[:, 0] <= POSITION) & (deviation[:, 1] <= ANGLE)))
     steps, ours = (float(np.sum(np.diff(path, axis=0) ** 2)) for path in (q, witness.q[rows]))
     note = (
-        f"{end}; {met} of {len(rows)} poses met, off by up to {off[:, 0].max():.1e} m, "
-        f"{off[:, 1].max():.1e} rad; sum of squared steps {steps:.4g}, the plan's {ours:.4g}"
+        f"{end}; {met} of {len(rows)} poses met, off by up to {deviation[:, 0].max():.1e} m, "
+        f"{deviation[:, 1].max():.1e} rad; sum of squared steps {steps:.4g}, the plan's {ours:.4g}"
     )
     return {"name": name, "median_s": seconds, "note": note, "solved": met / len(rows)}
 
 
 def kinematics() -> dict[str, Any]:
     """TCP poses of both arms of the wire's job in 10,000 postures: the batched chain, and Drake's plant."""
-    witness = planned(WIRE_JOB)
+    witness = plan_witness(WIRE_JOB)
     cell = load(WIRE_JOB).cell
     rng = np.random.default_rng(3)
     data = {arm: robots.robot(cell.arm(arm).robot) for arm in witness.targets.arms}
@@ -290,14 +295,14 @@ def kinematics() -> dict[str, Any]:
     def ours() -> dict[str, FloatArray]:
         chains = ((arm, cell.arm(arm)) for arm in witness.tcps)
         return {
-            name: arm.base @ forward(data[name], q[:, witness.joints[name]]) @ arm.tool.tcp
+            name: arm.base @ forward_kinematics(data[name], q[:, witness.joints[name]]) @ arm.tool.tcp
             for name, arm in chains
         }
 
-    own, poses = _timed(ours)
-    peer, theirs = _timed(by_drake)
-    off = max(float(np.abs(poses[arm] - theirs[arm]).max()) for arm in poses)
-    note = f"Drake, one posture after another in Python, {peer:.3f} s; poses equal to {off:.1e}"
+    own, poses = _time_work(ours)
+    peer, theirs = _time_work(by_drake)
+    deviation = max(float(np.abs(poses[arm] - theirs[arm]).max()) for arm in poses)
+    note = f"Drake, one posture after another in Python, {peer:.3f} s; poses equal to {deviation:.1e}"
     return {
         "name": f"FK, two arms, {POSTURES:,} postures",
         "median_s": own,
@@ -306,8 +311,8 @@ def kinematics() -> dict[str, Any]:
     }
 
 
-def _timed(work: Callable[[], Any], repeats: int = 5) -> tuple[float, Any]:
-    """Median processor time [s] of ``work`` and what it gives."""
+def _time_work(work: Callable[[], Any], repeats: int = 5) -> tuple[float, Any]:
+    """Return the median processor time [s] of ``work`` and its result."""
     times = []
     for _ in range(repeats):
         start = time.process_time()
@@ -318,7 +323,7 @@ def _timed(work: Callable[[], Any], repeats: int = 5) -> tuple[float, Any]:
 
 @contextlib.contextmanager
 def _silent() -> Iterator[None]:
-    """Without what solvers say of iteration limits, which the rows tell."""
+    """Suppress the solvers' warnings about iteration limits, which the rows report."""
     logger = logging.getLogger("drake")
     level = logger.level
     logger.setLevel(logging.ERROR)

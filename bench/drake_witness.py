@@ -39,38 +39,43 @@ from pydrake.solvers import SnoptSolver, SolverOptions
 from scipy.spatial.transform import Rotation
 
 from planner.catalogue import robots
-from planner.cell.plant import rigid
+from planner.cell.plant import rigid_transform
 from planner.geometry.arrays import FloatArray, IndexArray, inverse
-from planner.motion.planning_scene import holders
+from planner.motion.planning_scene import frame_holders
 from planner.plans import OperationPlan
 from planner.problem import Cell
 from planner.targets import ScrewFreedom, Targets
 
 LEVER = 0.3
-"""How far [m] from its origin points stand that say how a frame is turned: about a tool's length."""
+"""Distance [m] from the origin of the points that define the rotation of a frame: about a tool's length."""
 TOLERANCE = 1e-9
-"""How far [m] points may be off in the program: below what the solver keeps, well above rounding."""
+"""Tolerance [m] of points in the program: below what the solver keeps, well above rounding."""
 FEASIBILITY = 1e-7
-"""The solver's own tolerance of constraints [m], a tenth of its default. A hundredth is too fine for arms of
-3 m: a tenth of the targets then ends without success, though as exact as the others."""
+"""The solver's own tolerance of constraints [m], a tenth of its default.
+
+A hundredth is too fine for arms of 3 m: a tenth of the targets then ends without success, though they are as
+exact as the others.
+"""
 NEWTON_STEPS = 2
-"""Steps on the plant's Jacobian behind the solver."""
+"""Number of steps on the plant's Jacobian after the solver."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Joined:
-    """A pose ``wanted`` (N, 4, 4) of the frame ``end`` in the frame ``of``, at each target."""
+class PoseConstraint:
+    """A target pose ``target_pose`` (N, 4, 4) of the frame ``end`` in the frame ``of``, at each target."""
 
     end: Frame
     of: Frame
-    wanted: FloatArray
+    target_pose: FloatArray
 
 
 @dataclasses.dataclass(frozen=True)
 class Solution:
-    """What Drake found at one target: ``q`` (n,) of the plant [rad, m], whether its solver ended with
-    ``success``, largest errors of the poses [m], [rad] behind the solver and behind the Newton steps,
-    processor time ``seconds``."""
+    """Drake's solution at one target.
+
+    ``q`` (n,) are positions of the plant [rad, m], ``success`` is the solver's status. Largest errors of the
+    poses [m], [rad] are given after the solver and after the Newton steps. ``seconds`` is processor time.
+    """
 
     q: FloatArray
     success: bool
@@ -81,16 +86,16 @@ class Solution:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Witness:
-    """The plant of an operation's arms with the poses that its targets ask at the values of a plan.
+    """The plant of an operation's arms with the poses that its targets require at the values of a plan.
 
-    ``joints`` {arm: (6,)} says which positions of the plant are an arm's axes, ``spins`` (arm, freedom,
-    position) which are screw freedoms; ``shared`` are pairs of positions that are equal. ``q`` (N, n) are the
+    ``joints`` {arm: (6,)} are the positions of the plant that are an arm's axes, ``spins`` (arm, freedom,
+    position) those that are screw freedoms; ``shared`` are pairs of equal positions. ``q`` (N, n) are the
     positions in the plan.
     """
 
     plant: MultibodyPlant
     targets: Targets
-    poses: tuple[Joined, ...]
+    poses: tuple[PoseConstraint, ...]
     tcps: Mapping[str, Frame]
     joints: Mapping[str, IndexArray]
     spins: tuple[tuple[str, int, int], ...]
@@ -122,18 +127,18 @@ class Witness:
             first[[k for *_, k in self.spins]] = self.q[index, [k for *_, k in self.spins]]
         options = SolverOptions()
         options.SetOption(SnoptSolver.id(), "Major feasibility tolerance", FEASIBILITY)
-        found = SnoptSolver().Solve(program, first, options)
-        rows = np.array(found.GetSolution(q))
+        result = SnoptSolver().Solve(program, first, options)
+        rows = np.array(result.GetSolution(q))
         raw = self.errors(context, index, rows)
         for _ in range(NEWTON_STEPS):
             rows = self._newton(context, index, rows, spin)
         after = self.errors(context, index, rows)
-        return Solution(rows, found.is_success(), raw, after, time.process_time() - start)
+        return Solution(rows, result.is_success(), raw, after, time.process_time() - start)
 
     def errors(self, context: object, index: int, q: FloatArray) -> tuple[float, float]:
         """Largest errors [m], [rad] of all poses at target ``index``, for the plant at ``q`` (n,)."""
         self.plant.SetPositions(context, q)
-        away = [_away(self.plant, context, pose, index) for pose in self.poses]
+        away = [_pose_error(self.plant, context, pose, index) for pose in self.poses]
         return max(float(np.linalg.norm(e[3:])) for e in away), max(
             float(np.linalg.norm(e[:3])) for e in away
         )
@@ -145,8 +150,10 @@ class Witness:
         return {arm: f.CalcPoseInWorld(context).GetAsMatrix4() for arm, f in self.tcps.items()}
 
     def _newton(self, context: object, index: int, q: FloatArray, spin: bool) -> FloatArray:
-        """``q`` after the shortest step of the free positions that takes all poses where they are wanted, to
-        first order."""
+        """Return ``q`` after the shortest step of the free positions that reaches all poses.
+
+        Valid to first order.
+        """
         self.plant.SetPositions(context, q)
         count = self.plant.num_positions()
         rows, away = [], []
@@ -156,7 +163,7 @@ class Witness:
                     context, JacobianWrtVariable.kQDot, pose.end, np.zeros(3), pose.of, pose.of
                 )
             )
-            away.append(_away(self.plant, context, pose, index))
+            away.append(_pose_error(self.plant, context, pose, index))
         tie = np.zeros((len(self.shared), count))
         for row, (a, b) in enumerate(self.shared):
             tie[row, [a, b]] = 1.0, -1.0
@@ -169,14 +176,16 @@ class Witness:
         return q + step
 
 
-def of_plan(cell: Cell, bases: Mapping[str, FloatArray], stock: FloatArray, made: OperationPlan) -> Witness:
+def make_witness(
+    cell: Cell, bases: Mapping[str, FloatArray], stock: FloatArray, operation_plan: OperationPlan
+) -> Witness:
     """The witness of one operation's plan, with arms at ``bases`` {arm: (4, 4)} and the stock at ``stock``
     (4, 4) in the world.
 
     Raises ``ValueError`` for a screw freedom that is neither a turn about an axis through the TCP nor a
     slide.
     """
-    targets = made.targets
+    targets = operation_plan.targets
     plant = MultibodyPlant(0.0)
     tcps, ends, instances, spins = {}, {}, {}, []
     for name in targets.arms:
@@ -185,9 +194,9 @@ def of_plan(cell: Cell, bases: Mapping[str, FloatArray], stock: FloatArray, made
         (instance,) = parser.AddModels(str(robots.urdf_path(arm.robot)))
         instances[name] = instance
         base = plant.GetFrameByName("base_link", instance)
-        plant.WeldFrames(plant.world_frame(), base, rigid(np.asarray(bases[name])))
+        plant.WeldFrames(plant.world_frame(), base, rigid_transform(np.asarray(bases[name])))
         flange = plant.GetFrameByName("tool0", instance)
-        tcps[name] = plant.AddFrame(FixedOffsetFrame(f"{name}_tcp", flange, rigid(arm.tool.tcp)))
+        tcps[name] = plant.AddFrame(FixedOffsetFrame(f"{name}_tcp", flange, rigid_transform(arm.tool.tcp)))
     for name in targets.arms:
         ends[name], own = _with_freedoms(plant, targets, name, tcps[name])
         spins += own
@@ -200,10 +209,10 @@ def of_plan(cell: Cell, bases: Mapping[str, FloatArray], stock: FloatArray, made
     shared = tuple((k, own[0]) for own in by_freedom.values() for k in own[1:])
     q = np.zeros((targets.count, plant.num_positions()))
     for name, columns in joints.items():
-        q[:, columns] = made.q[name]
+        q[:, columns] = operation_plan.q[name]
     for _, j, k in numbered:
-        q[:, k] = made.values[:, j]
-    poses = tuple(_wanted(targets, made.values, stock, plant.world_frame(), tcps, ends))
+        q[:, k] = operation_plan.values[:, j]
+    poses = tuple(_pose_constraints(targets, operation_plan.values, stock, plant.world_frame(), tcps, ends))
     return Witness(plant, targets, poses, tcps, joints, numbered, shared, q)
 
 
@@ -216,9 +225,9 @@ def _positions(plant: MultibodyPlant, instance: ModelInstanceIndex) -> IndexArra
 def _with_freedoms(
     plant: MultibodyPlant, targets: Targets, arm: str, tcp: Frame
 ) -> tuple[Frame, list[tuple[str, int, RevoluteJoint | PrismaticJoint]]]:
-    """The end of what the tool holds, and the joints (arm, freedom, joint) between the TCP and it.
+    """Return the end of what the tool holds, and the joints (arm, freedom, joint) between the TCP and it.
 
-    A TCP stands at ``end @ exp(v1 a1) @ exp(v2 a2)``, so from the TCP the last freedom comes first, and
+    A TCP is at ``end @ exp(v1 a1) @ exp(v2 a2)``, so from the TCP the last freedom comes first, and
     backwards.
     """
     end, joints = tcp, []
@@ -245,57 +254,61 @@ def _with_freedoms(
     return end, joints
 
 
-def _wanted(
+def _pose_constraints(
     targets: Targets,
     values: FloatArray,
     stock: FloatArray,
     world: Frame,
     tcps: Mapping[str, Frame],
     ends: Mapping[str, Frame],
-) -> list[Joined]:
+) -> list[PoseConstraint]:
     """Poses that the targets ask, tables at the plan's values, screws left out: the plant has those."""
     still = np.array(values)
     for j, freedom in enumerate(targets.freedoms):
         if isinstance(freedom, ScrewFreedom):
             still[:, j] = 0.0
     poses = targets.poses(still)
-    out: list[Joined] = []
+    out: list[PoseConstraint] = []
     placed: dict[str, FloatArray] = {}
-    for arm, holder in holders(targets):
+    for arm, holder in frame_holders(targets):
         if holder is not None:
-            out.append(Joined(ends[arm], tcps[holder], poses[arm]))
+            out.append(PoseConstraint(ends[arm], tcps[holder], poses[arm]))
             continue
         placed[arm] = poses[arm] if targets.frame.get(arm) == "world" else stock @ poses[arm]
         first = next(iter(placed))
         if targets.coupled and arm != first:
-            out.append(Joined(ends[arm], ends[first], inverse(placed[first]) @ placed[arm]))
+            out.append(PoseConstraint(ends[arm], ends[first], inverse(placed[first]) @ placed[arm]))
         else:
-            out.append(Joined(ends[arm], world, placed[arm]))
+            out.append(PoseConstraint(ends[arm], world, placed[arm]))
     return out
 
 
-def constraints(plant: MultibodyPlant, context: object, pose: Joined, index: int) -> list[PositionConstraint]:
-    """That ``pose.end`` stands where target ``index`` wants it: three, two and one coordinates of three
-    points of the end, in the wanted frame. The other coordinates say no more than on which side, far off."""
+def constraints(
+    plant: MultibodyPlant, context: object, pose: PoseConstraint, index: int
+) -> list[PositionConstraint]:
+    """Constrain ``pose.end`` to its pose at target ``index``.
+
+    Three, two and one coordinates of three points of the end are given in the target frame. The other
+    coordinates only determine the side, with wide bounds.
+    """
     wide, none = 2.0 * LEVER, TOLERANCE
     points = (
         ((0.0, 0.0, 0.0), (-none, -none, -none), (none, none, none)),
         ((LEVER, 0.0, 0.0), (0.0, -none, -none), (wide, none, none)),
         ((0.0, LEVER, 0.0), (-wide, 0.0, -none), (wide, wide, none)),
     )
-    wanted = rigid(pose.wanted[index])
+    expected = rigid_transform(pose.target_pose[index])
     return [
         PositionConstraint(
-            plant, pose.of, wanted, np.array(lower), np.array(upper), pose.end, np.array(point), context
+            plant, pose.of, expected, np.array(lower), np.array(upper), pose.end, np.array(point), context
         )
         for point, lower, upper in points
     ]
 
 
-def _away(plant: MultibodyPlant, context: object, pose: Joined, index: int) -> FloatArray:
-    """How far ``pose.end`` is from where it is wanted, in ``pose.of``: a turn (3,) [rad], then a way (3,)
-    [m]."""
+def _pose_error(plant: MultibodyPlant, context: object, pose: PoseConstraint, index: int) -> FloatArray:
+    """Return the error of ``pose.end`` in ``pose.of``: a rotation (3,) [rad], then a translation (3,) [m]."""
     now = pose.end.CalcPose(context, pose.of).GetAsMatrix4()
-    wanted = pose.wanted[index]
-    turn = Rotation.from_matrix(wanted[:3, :3] @ now[:3, :3].T).as_rotvec()
-    return np.concatenate([turn, wanted[:3, 3] - now[:3, 3]])
+    expected = pose.target_pose[index]
+    turn = Rotation.from_matrix(expected[:3, :3] @ now[:3, :3].T).as_rotvec()
+    return np.concatenate([turn, expected[:3, 3] - now[:3, 3]])

@@ -1,4 +1,4 @@
-"""The elastic wire: fits and clamped solutions per curve in batch, beside plain SciPy."""
+"""The elastic wire: fits and clamped solutions per curve in batch, compared with plain SciPy."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def run() -> list[dict[str, Any]]:
     rows.append(_row("fit with weight, per curve", per, None, "30 batches of 20"))
 
     fitted = heavy.fit(panel, wires, weight).shape
-    section = weightless.strip(10.0, 0.3)
+    section = weightless.strip_section(10.0, 0.3)
     rows.append(_row("stability in plane, 200 wires", _times(lambda: fitted.margin_in_plane, 7, 1), None, ""))
     rows.append(
         _row(

@@ -1,10 +1,11 @@
-"""Building elements divided: the shells of 267 and of 2,000 planar panels by the whole command, and the wavy
-wall for the bent wire in three cases.
+"""Division of building elements: the shells of 267 and of 2,000 planar panels, and the wavy wall.
 
-Shells: processor time and peak memory of a process of its own, start and files included. `problems/dome_267`
-is the first; the second is the same dome, so much larger that its panels are as large. Wall: the division of
-`tests/element/walls.py` from its table of misfits to its panels, beside the best division by strips and by
-lines that go through all of it.
+The shells use the whole command; the wall is for the bent wire in three cases.
+
+Shells: processor time and peak memory of a separate process, start and files included. `problems/dome_267`
+is the first; the second is the same dome, enlarged so that its panels are as large. Wall: the division of
+`tests/element/walls.py` from its table of misfits to its panels, compared with the best division by strips
+and by lines that go through all of it.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ import numpy as np
 import yaml
 
 from planner.element import elastic
-from planner.element.elastic_panel import joints
+from planner.element.elastic_panel import find_joints
 from planner.element.panel_faces import CutWire
-from planner.element.surface import stand
+from planner.element.surface import to_element_frame
 from planner.geometry.arrays import BoolArray
 from planner.geometry.units import MM
 from planner.processes.hotwire.plan import wire
@@ -40,7 +41,7 @@ CASES: Final = (
     (700.0, (600.0, 600.0, 120.0), 16, 85),
     (1400.0, (1200.0, 1200.0, 300.0), 16, 16),
 )
-"""Length of the wire, block [mm], cells along either side, panels asked at most."""
+"""Length of the wire, block [mm], cells along either side, maximum number of panels."""
 GOAL_DIVISION_S, GOAL_TO_GRID = 15.0, 0.85
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
@@ -73,7 +74,7 @@ def _scaled(line: str, by: float) -> str:
 
 
 def _command(name: str, file: Path, goal: float, goals: str) -> dict[str, Any]:
-    """``tandem element`` of a file in a process of its own, with one thread."""
+    """Run ``tandem element`` of a file in a separate process with one thread."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out"
         command = [sys.executable, "-m", "planner", "element", str(file), "-o", str(out)]
@@ -94,15 +95,17 @@ def _command(name: str, file: Path, goal: float, goals: str) -> dict[str, Any]:
 def walls() -> Iterator[dict[str, Any]]:
     """The wall of 4 x 3 m in the cases that were measured when this kind was thought out."""
     for length, block, cells, most in CASES:
-        own = wire.make("spring_steel", diameter_mm=2.0, temperature_c=300.0)
+        own = wire.make_wire("spring_steel", diameter_mm=2.0, temperature_c=300.0)
         cut = CutWire(own, length * MM, OUTSIDE, 0.05e-3, 0.6e-3)
-        rules = elastic.Rules((cut,), (np.array(block) * MM,), 0.0, 0.0, TOLERANCE, 100.0, JOINT)
+        rules = elastic.ElasticRules((cut,), (np.array(block) * MM,), 0.0, 0.0, TOLERANCE, 100.0, JOINT)
         start = time.process_time()
-        made = elastic.search(stand(wall(4.0, 3.0, 0.02), THICKNESS), (cells, cells), rules)
+        made = elastic.prepare_division(
+            to_element_frame(wall(4.0, 3.0, 0.02), THICKNESS), (cells, cells), rules
+        )
         panels = elastic.divide_elastic(made)
         took = time.process_time() - start
-        may = np.isfinite(elastic.table(made).best(TOLERANCE))
-        steps = np.array([joint.step for joint in joints(panels)]) / MM
+        may = np.isfinite(elastic.feasibility_table(made).best(TOLERANCE))
+        steps = np.array([joint.step for joint in find_joints(panels)]) / MM
         grid, strips = through(may), min(in_strips(may), in_strips(may.transpose(1, 0, 3, 2)))
         note = (
             f"{len(panels)} panels, asked {most} at most; {strips} in strips, {grid} by lines through all "
@@ -135,8 +138,10 @@ def in_strips(may: BoolArray) -> int:
 
 
 def through(may: BoolArray) -> int:
-    """The same by lines that all go through the whole grid: branch and bound over the rows, with the columns
-    that all rows so far allow as bits."""
+    """Divide by lines that all go through the whole grid.
+
+    Branch and bound over the rows, with the columns that all rows so far allow as bits.
+    """
     nx, ny = may.shape[:2]
     width = nx + 1
     allowed = {
@@ -158,14 +163,14 @@ def through(may: BoolArray) -> int:
                     best[end] = min(best[end], best[x] + 1.0)
         return best[nx]
 
-    least = float(nx * ny)
+    minimum = float(nx * ny)
     todo = [(0, 0, -1)]  # line, rows so far, columns that they allow
     known: dict[int, float] = {}
     while todo:
         low, rows, bits = todo.pop()
         count = known.setdefault(bits, columns(bits))
         if low == ny:
-            least = min(least, rows * count)
-        elif (rows + 1) * count < least:
+            minimum = min(minimum, rows * count)
+        elif (rows + 1) * count < minimum:
             todo += [(high, rows + 1, bits & allowed[low, high]) for high in range(low + 1, ny + 1)]
-    return int(least)
+    return int(minimum)

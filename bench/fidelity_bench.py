@@ -1,5 +1,8 @@
-"""Post fidelity: 100,000 random targets of every robot, selected by confdata or by status and turn, and read
-back from the text; the inverse kinematics is py-opw-kinematics."""
+"""Postprocessor fidelity: 100,000 random targets of every robot.
+
+They are selected by confdata or by status and turn, and read back from the text; the inverse kinematics is
+py-opw-kinematics.
+"""
 
 from __future__ import annotations
 

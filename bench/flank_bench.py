@@ -1,7 +1,7 @@
-"""The flank job of about 1,000 targets: from file to verified programs in a fresh process on one core, by
-stages, and its gouge check beside one that holds all places of a face against all places of the path.
+"""The flank job of about 1,000 targets: from file to verified programs in a fresh process on one core.
 
-The package's byte code is there before the clock starts, as pip leaves it.
+Time by stages, and its gouge check compared with one that checks all places of a face against all places of
+the path. The package's byte code exists before the clock starts, as pip leaves it.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ import planner
 
 GOAL_S = 10.0
 STEP_MM = 5.1
-"""Distance of targets at which the four walls of the bundled job take about 1,000."""
+"""Distance [mm] of targets at which the four walls of the bundled job need about 1,000 targets."""
 PROBLEM = Path(__file__).parent.parent / "problems" / "flank_wall" / "problem.yaml"
 LIBRARIES = "pydrake.planning, pydrake.multibody.parsing, scipy.optimize, scipy.ndimage, trimesh, shapely"
-"""What every part of the start that is not our own loads."""
+"""Third-party libraries that every part of the start loads."""
 SAMPLE = 60
-"""One in so many places of a face is held against all of the path."""
+"""One in this many places of a face is compared with the whole path."""
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-_Made = TypeVar("_Made")
+_Result = TypeVar("_Result")
 
 
 def run() -> list[dict[str, Any]]:
-    """Rows of processor time [s]: the whole command, and each stage with what it is beside."""
+    """Return rows of processor time [s]: the whole command, and each stage with its peer."""
     compileall.compile_dir(str(Path(planner.__file__).parent), quiet=1)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -73,7 +73,7 @@ def stages(path: str, folder: str) -> list[dict[str, Any]]:
     """Rows of processor time of each stage, run in this process, which has imported nothing of it before."""
     rows: list[dict[str, Any]] = []
 
-    def timed(what: str, work: Callable[[], _Made]) -> _Made:
+    def time_stage(what: str, work: Callable[[], _Result]) -> _Result:
         start = time.process_time()
         made = work()
         rows.append({"name": f"flank job: {what}", "median_s": time.process_time() - start})
@@ -82,50 +82,52 @@ def stages(path: str, folder: str) -> list[dict[str, Any]]:
     def load() -> None:
         from planner import pipeline  # noqa: F401
 
-    timed("start-up", load)
+    time_stage("start-up", load)
     from planner import pipeline
     from planner.languages.writing import write
     from planner.motion import solve
     from planner.processes import registry
-    from planner.processes.milling.plan.process_plan import work
+    from planner.processes.milling.plan.process_plan import plan_milling
 
-    problem = timed("problem file", lambda: pipeline.load(path))
-    targets = timed("targets", lambda: [registry.job(problem, 0).targets()])
-    plan = timed("motion", lambda: solve.solve(problem, targets, lambda stage, share: None))
-    programs = timed("programs", lambda: write.programs(plan, problem))
-    proof = timed("proof", lambda: pipeline.verify(problem, programs))
+    problem = time_stage("problem file", lambda: pipeline.load(path))
+    targets = time_stage("targets", lambda: [registry.job(problem, 0).targets()])
+    plan = time_stage("motion", lambda: solve.solve(problem, targets, lambda stage, fraction: None))
+    programs = time_stage("programs", lambda: write.program_files(plan, problem))
+    proof = time_stage("proof", lambda: pipeline.verify(problem, programs))
     took = time.process_time()
     note = f"all of these in one process; ratio is to the goal of {GOAL_S:g} s"
     whole = {"name": "flank job: file to proven programs, cold", "median_s": took, "ratio": took / GOAL_S}
     rows.append({**whole, "note": note})
     outcome = pipeline.Outcome(problem, plan, proof, programs)
-    timed("report, replay and files", lambda: outcome.save(folder))
-    made = work(problem.operations[0], problem.setup_of(0), problem.part)
+    time_stage("report, replay and files", lambda: outcome.save(folder))
+    made = plan_milling(problem.operations[0], problem.setup_of(0), problem.part)
     return [*rows, _against_all(made)]
 
 
-def _against_all(made: Any) -> dict[str, Any]:
+def _against_all(plan: Any) -> dict[str, Any]:
     """The cutter along the last pass of the first wall, against places of the wall."""
-    from planner.geometry.mesh import small_pieces
+    from planner.geometry.mesh import bisect_triangles
     from planner.processes.milling.plan import check as milling_check
 
-    face, path = made.faces[0].mesh, made.cuts[0].runs[-1].path
-    points = small_pieces(face.vertices[face.faces], 2e-3, 200_000)[0].mean(axis=1)
-    section = milling_check.sections(made.cutter)[0]
+    face, path = plan.faces[0].mesh, plan.cuts[0].runs[-1].path
+    points = bisect_triangles(face.vertices[face.faces], 2e-3, 200_000)[0].mean(axis=1)
+    section = milling_check.sections(plan.cutter)[0]
     start = time.process_time()
-    found, _ = milling_check.distance_off(points, path.tip, path.axis, section)
+    result, _ = milling_check.path_distance(points, path.tip, path.axis, section)
     took = time.process_time() - start
     start = time.process_time()
-    tips, axes, _ = milling_check.between(
-        path.tip, path.axis, section.end, milling_check.PATH_SPACING * section.radius
+    tips, axes, _ = milling_check.subdivide_moves(
+        path.tip, path.axis, section.end, milling_check.PATH_SPACING_FACTOR * section.radius
     )
     worst = 0.0
     for i in range(0, len(points), SAMPLE):
         rest = points[i] - tips
         back = np.einsum("nd,nd->n", rest, axes)
         beside = np.linalg.norm(rest - back[:, None] * axes, axis=1)
-        all_of_them = min(float(section.off(back, beside).min()), milling_check.SIGHT_DISTANCE)
-        worst = max(worst, abs(all_of_them - float(found[i])))
+        all_of_them = min(
+            float(section.signed_distance(back, beside).min()), milling_check.MAX_QUERY_DISTANCE_M
+        )
+        worst = max(worst, abs(all_of_them - float(result[i])))
     peer = (time.process_time() - start) * SAMPLE
     note = f"{len(points)} places; against all {len(tips)} places of the path: {peer:.1f} s (one in {SAMPLE} "
     note += f"held), {1e6 * worst:.3f} um apart"

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from planner.geometry.arrays import Mesh
-from planner.processes.forming.plan.features.tree import build
+from planner.processes.forming.plan.features.tree import build_feature_tree
 
 HALF, SPACING = 0.1, 1e-3
 ROUNDS = 5
@@ -22,7 +22,7 @@ def run() -> list[dict[str, Any]]:
         times = []
         for _ in range(ROUNDS):
             started = time.perf_counter()
-            tree = build(mesh, step)
+            tree = build_feature_tree(mesh, step)
             times.append(time.perf_counter() - started)
         contours = sum(len(feature.contours) for feature in tree.features)
         rows.append(

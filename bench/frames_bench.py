@@ -1,8 +1,8 @@
-"""Frames of the cell in 3D: what the page draws of each bundled problem's cell, in a browser without a head.
+"""Frames of the cell in 3D: what the page draws of each bundled problem's cell, in a headless browser.
 
-Drawn in software, 600 x 430 pixels, as the page has it; the view turns a little with each frame, and a pixel
-is read back, so that nothing is left to be drawn. Wall time: run it where nothing else does. The note has the
-processor time of all of the browser for a frame, which other work on the machine changes little.
+Software rendering, 600 x 430 pixels, as on the page. The view turns a little with each frame, and a pixel is
+read back, so that drawing is complete. Wall time: run it on an idle machine. The note has the processor time
+of the whole browser for a frame, which other work on the machine changes little.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 
 import planner
-from bench.proc import below, processor_time
+from bench.proc import child_processes, processor_time
 from planner.catalogue import robots
 from planner.report import view3d
-from planner.service import app, cell_view
+from planner.service import app, cell_drawing
 
 GOAL_S = 0.03
-"""Wanted time [s] of a frame."""
+"""Target time [s] of a frame."""
 SIZE = (600, 430)
 FRAMES = 40
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
@@ -60,7 +60,7 @@ def run() -> list[dict[str, Any]]:
     with sync_playwright() as driver:
         shown = driver.chromium.launch(executable_path=browser, args=FLAGS)
         for name in sorted(path.parent.name for path in folder.glob("*/problem.yaml")):
-            data, _ = cell_view.view(planner.load(name))
+            data, _ = cell_drawing.view(planner.load(name))
             tab = shown.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
             tab.set_content(page(data))
             tab.evaluate("frames_ms(5)")
@@ -84,9 +84,9 @@ def run() -> list[dict[str, Any]]:
 
 
 def _spent_s() -> float:
-    """Processor time [s] so far of the processes below this one."""
+    """Return the processor time [s] so far of the child processes."""
     spent = 0.0
-    for pid in below(os.getpid()):
+    for pid in child_processes(os.getpid()):
         with contextlib.suppress(OSError):  # it has ended
             spent += processor_time(pid)
     return spent
@@ -99,8 +99,8 @@ def page(data: dict[str, Any]) -> str:
     return (
         f"<!doctype html><style>{_text(view3d.FOLDER / 'theme.css')} body {{ margin: 0 }} "
         "canvas { width: 600px; height: 430px }</style><div></div><canvas></canvas>"
-        f"<script type='application/json' id='data'>{packed}</script><script>{view3d.three()}</script>"
-        f"<script>{view3d.script(own, view3d.THREE_MODULES)}</script>"
+        f"<script type='application/json' id='data'>{packed}</script><script>{view3d.three_js()}</script>"
+        f"<script>{view3d.bundle_script(own, view3d.THREE_MODULES)}</script>"
     )
 
 

@@ -1,5 +1,8 @@
-"""G-code in: a million lines read, beside a plain loop over them, and 100,000 lines planned and proven: of a
-smooth face, which need few targets, and of fine waves at a tight tolerance, which all are targets."""
+"""G-code: reading a million lines, compared with a plain loop, and 100,000 lines planned and proven.
+
+The planned lines are a smooth face, which needs few targets, and fine waves at a tight tolerance, which are
+all targets.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.proc import planned
+from bench.proc import run_plan
 from planner.processes.milling.plan.gcode import reader
 from planner.processes.milling.plan.operation import GCodeFile
 
@@ -19,8 +22,7 @@ LINES = 1_000_000
 PLANNED = 332
 """Lines of the raster that is planned, each of 301 places: 100,000 lines of the file."""
 GOAL_S, GOAL_MB = 150.0, 1500.0
-"""Wanted wall time [s] of the whole command on two cores, and peak memory [MB] of the larger of its
-processes."""
+"""Target wall time [s] of the whole command on two cores, and peak memory [MB] of its larger process."""
 END = "G0 Z30\nM5\nM30\n"
 PROBLEM = """\
 tandem: 1
@@ -52,8 +54,10 @@ def run() -> list[dict[str, Any]]:
 
 
 def raster(rows: int, height: float = 3.0, wave: float = 25.0) -> list[str]:
-    """Lines of a zigzag over a face wavy by ``height`` [mm], each wave 2 pi ``wave`` [mm] long, the tool
-    along its normals, places 1 mm apart."""
+    """Return lines of a zigzag over a wavy face, the tool along its normals, points 1 mm apart.
+
+    The waves are ``height`` [mm] high and 2 pi ``wave`` [mm] long.
+    """
     across = np.linspace(-150.0, 150.0, 301)
     out = []
     for number, y in enumerate(np.linspace(-110.0, 110.0, rows)):
@@ -86,7 +90,7 @@ def _read(path: Path) -> dict[str, Any]:
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     start = time.perf_counter()
     spec = GCodeFile.model_validate({"file": path, "origin": {}, "tool_axis": "ijk"})
-    count = sum(len(block.path) for block in reader.blocks(spec.dialect("gcode")))
+    count = sum(len(block.path) for block in reader.read_blocks(spec.dialect("gcode")))
     span = time.perf_counter() - start
     grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024.0
     start = time.perf_counter()
@@ -104,9 +108,9 @@ def _plan(folder: Path, name: str, lines: list[str], tolerance: float) -> dict[s
     (folder / "job.nc").write_text(program(lines))
     cell = Path(__file__).parent.parent / "problems" / "cells" / "irb6640_mill.yaml"
     (folder / "problem.yaml").write_text(PROBLEM.format(cell=cell, tolerance=tolerance))
-    ran = planned(folder / "problem.yaml", folder / "out")
+    ran = run_plan(folder / "problem.yaml", folder / "out")
     count = [line for line in ran.output.splitlines() if "targets" in line]
-    told = f"{ran.told}; {count[-1] if count else 'no plan'}; "
+    told = f"{ran.note}; {count[-1] if count else 'no plan'}; "
     told += f"ratio is to the goal of {GOAL_S:g} s, {GOAL_MB:g} MB"
     return {
         "name": f"G-code, {name}",

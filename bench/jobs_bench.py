@@ -40,21 +40,21 @@ GOAL = {
     "shell_piece_held/small.yaml": 20.0,
     "shell_piece_held": 20.0,
 }
-"""Wanted wall time [s] on two cores."""
+"""Target wall time [s] on two cores."""
 FIRST_MOMENTS = {
     "start to first message": (0.4, ("-m", "planner", "plan", "wing", "-o")),
     "tandem robots": (0.4, ("-m", "planner", "robots")),
     "planner.load('wing')": (1.0, ("-c", "import planner; planner.load('wing')")),
 }
-"""Wanted wall time [s] and arguments of what a command does before it plans."""
+"""Target wall time [s] and arguments of commands before they plan."""
 BASELINE = os.environ.get("BENCH_BASELINE")
-"""Another version's tree, to compare with."""
+"""Tree of another version for comparison."""
 
 
 def run() -> list[dict[str, Any]]:
     """Rows of median wall time [s], its spread, and a note with processor time, memory, targets and proof."""
-    some = os.environ.get("BENCH_JOBS")
-    jobs = JOBS if some is None else [name.strip() for name in some.split(",") if name.strip()]
+    subset = os.environ.get("BENCH_JOBS")
+    jobs = JOBS if subset is None else [name.strip() for name in subset.split(",") if name.strip()]
     return [*(_first_moment(name) for name in FIRST_MOMENTS), *(_row(name) for name in jobs)]
 
 
@@ -69,12 +69,14 @@ def _first_moment(name: str) -> dict[str, Any]:
             walls.append(wall)
             processors.append(processor)
             before += [_moment(command, BASELINE)[0]] if BASELINE else []
-    return _measured(name, walls, before, goal, f"processor {statistics.median(processors):.2f} s")
+    return _measured_row(name, walls, before, goal, f"processor {statistics.median(processors):.2f} s")
 
 
 def _moment(arguments: list[str], tree: str | None = None) -> tuple[float, float]:
-    """Wall seconds until a process ends, or where it plans until it says something to a terminal, and the
-    processor seconds of it all."""
+    """Return the wall time [s] until a process ends, or, if it plans, until its first output to a terminal.
+
+    Also returns the processor time [s] of the whole process.
+    """
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     ours, theirs = pty.openpty()
     start = time.perf_counter()
@@ -100,15 +102,15 @@ def _environment(tree: str | None) -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": str(Path(tree).resolve() if tree else Path(__file__).parents[1])}
 
 
-def _measured(
-    name: str, walls: list[float], before: list[float], goal: float | None, note: str
+def _measured_row(
+    name: str, walls: list[float], baseline: list[float], goal: float | None, note: str
 ) -> dict[str, Any]:
-    """A row of the table; the ratio is to the baseline where there is one, else to the goal."""
+    """Return a row of the table; the ratio is to the baseline if there is one, else to the goal."""
     median = statistics.median(walls)
     note += "" if goal is None else f"; wanted {goal:g} s"
     peer = goal
-    if before:
-        peer = statistics.median(before)
+    if baseline:
+        peer = statistics.median(baseline)
         note += f"; ratio is to {peer:.2f} s of the baseline"
     row = {"name": f"{name}, cold", "median_s": median, "spread": max(walls) - min(walls), "note": note}
     return {**row, "ratio": None if peer is None else median / peer}
@@ -132,7 +134,7 @@ def _row(name: str) -> dict[str, Any]:
         f"{len(proof.get('rules', []))} rules, {'proven' if proven else 'NOT proven'}, "
         f"load {os.getloadavg()[0]:.1f}"
     )
-    return _measured(name, walls, before, GOAL.get(name), note)
+    return _measured_row(name, walls, before, GOAL.get(name), note)
 
 
 def _cold(name: str, out: Path, tree: str | None = None) -> tuple[float, float, float]:

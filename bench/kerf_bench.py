@@ -1,7 +1,7 @@
 """Kerf: errors of each model in cells it has not seen, and the time of 100 000 points.
 
-Held-out cells take no part in anything that is fitted for them: neither in chi, offset and shares of
-radiation, nor in the prior of the measured model.
+Held-out cells are not used in anything that is fitted for them: neither chi, offset and radiation fractions,
+nor the prior of the measured model.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 from planner.catalogue import materials
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import MM
-from planner.processes.hotwire.plan.kerf import calibration, models, test_cuts, width
-from planner.processes.hotwire.plan.kerf.test_cuts import Cuts, CutTable
+from planner.processes.hotwire.plan.kerf import calibration, cut_measurements, models, width
+from planner.processes.hotwire.plan.kerf.cut_measurements import CutMeasurements, CutTable
 
 Masks = dict[str, NDArray[np.bool_]]
 Predictor = Callable[[Masks, str], FloatArray]
-"""From the cells (foam to mask) that may be used, the kerfs [m] of all cells of one foam."""
+"""Function of the usable cells (foam to mask) that returns the kerfs [m] of all cells of one foam."""
 SEED = 3
 POINTS = 100_000
 
-TABLES: dict[str, CutTable] = test_cuts.dissertation_tables()
+TABLES: dict[str, CutTable] = cut_measurements.dissertation_tables()
 
 
 def run() -> list[dict[str, Any]]:
@@ -40,12 +40,12 @@ def run() -> list[dict[str, Any]]:
                 f"{scores['voltage_out']:.3f}, one foam out {scores['foam_out']:.3f} mm"
             )
             rows.append({"name": f"{name}, {title}", "note": note, **scores})
-    share = coverage({n: t.valid for n, t in TABLES.items()})
+    fraction = coverage({n: t.valid for n, t in TABLES.items()})
     rows.append(
         {
             "name": "energy's interval, one voltage out",
-            "note": f"holds {100 * share:.0f} % of 86 cells, meant for 90 %",
-            "share": share,
+            "note": f"holds {100 * fraction:.0f} % of 86 cells, meant for 90 %",
+            "share": fraction,
         }
     )
     speeds = np.random.default_rng(SEED).uniform(2e-3, 10e-3, POINTS)
@@ -92,8 +92,8 @@ def coverage(cells: Masks) -> float:
         for voltage in np.unique(table.voltage):
             held = cells[name] & (table.voltage == voltage)
             fit = _line([name], _without_voltage(cells, voltage))
-            off = np.abs(table.cuts.width - (fit.chi * ideal - fit.offset))
-            inside.append((off <= models.margin(fit, ideal))[held])
+            deviation = np.abs(table.cuts.width - (fit.chi * ideal - fit.offset))
+            inside.append((deviation <= models.interval_half_width(fit, ideal))[held])
     return float(np.mean(np.concatenate(inside)))
 
 
@@ -116,11 +116,13 @@ def _dissertation(cells: Masks, name: str) -> FloatArray:
 
     def best(foam: str) -> float:
         shares = np.linspace(0.0, 1.0, 11)
-        kerfs = [_with_share(foam, share)[cells[foam]] for share in shares]
+        kerfs = [_foam_with_radiation(foam, fraction)[cells[foam]] for fraction in shares]
         errors = [np.mean(np.abs(k - TABLES[foam].cuts.width[cells[foam]])) for k in kerfs]
         return float(shares[int(np.argmin(errors))])
 
-    return _with_share(name, best(name) if name in cells else float(np.mean([best(n) for n in cells])))
+    return _foam_with_radiation(
+        name, best(name) if name in cells else float(np.mean([best(n) for n in cells]))
+    )
 
 
 def _energy(cells: Masks, name: str) -> FloatArray:
@@ -131,18 +133,18 @@ def _energy(cells: Masks, name: str) -> FloatArray:
 def _general(cells: Masks, name: str) -> FloatArray:
     chi, chi_lambda = models.fit_general(cells)
     foam, cuts = materials.foam(name), TABLES[name].cuts
-    return chi * _ideal(name) - chi_lambda * models.conducted(foam, cuts.speed)
+    return chi * _ideal(name) - chi_lambda * models.conducted_width(foam, cuts.speed)
 
 
 def _measured(cells: Masks, name: str) -> FloatArray:
     if name not in cells:
         return _energy(cells, name)
     sets = {
-        n: (TABLES[n].cuts.only(cells[n]), (TABLES[n].cuts.width - _energy(cells, n))[cells[n]])
+        n: (TABLES[n].cuts.select(cells[n]), (TABLES[n].cuts.width - _energy(cells, n))[cells[n]])
         for n in cells
     }
     cuts, residuals = sets[name]
-    field = models.process(cuts, residuals, models.likeliest(list(sets.values())))
+    field = models.fit_process(cuts, residuals, models.max_likelihood_prior(list(sets.values())))
     every = TABLES[name].cuts
     return _energy(cells, name) + field.at(every.power_per_length, every.speed)[0]
 
@@ -161,24 +163,26 @@ def _line(names: list[str], cells: Masks) -> materials.KerfFit:
     """The energy model's line over the cells of some foams. In all foams the ideal width is the abscissa, so
     a foam of the right heat for each set of cuts is stood in for by cuts in the first."""
     first = materials.foam(names[0])
-    parts = [TABLES[n].cuts.only(cells[n]) for n in names]
+    parts = [TABLES[n].cuts.select(cells[n]) for n in names]
     scaled = [
-        p.power_per_length * models.heat(first) / models.heat(materials.foam(n))
+        p.power_per_length * models.heat_per_volume(first) / models.heat_per_volume(materials.foam(n))
         for n, p in zip(names, parts, strict=True)
     ]
     speeds, widths = (np.concatenate([getattr(p, key) for p in parts]) for key in ("speed", "width"))
-    return calibration.least_squares(first, Cuts(np.concatenate(scaled), speeds, widths), 0.05, 0.0004)
+    return calibration.fit_least_squares(
+        first, CutMeasurements(np.concatenate(scaled), speeds, widths), 0.05, 0.0004
+    )
 
 
-def _with_share(name: str, share: float) -> FloatArray:
-    foam = dataclasses.replace(materials.foam(name), radiation=share)
+def _foam_with_radiation(name: str, radiation_fraction: float) -> FloatArray:
+    foam = dataclasses.replace(materials.foam(name), radiation=radiation_fraction)
     table = TABLES[name]
     return width.width(foam, width.TEST_WIRE, table.power, table.cuts.speed, 0.05, "dissertation").width
 
 
 def _ideal(name: str) -> FloatArray:
     cuts = TABLES[name].cuts
-    return models.ideal(materials.foam(name), cuts.power_per_length, cuts.speed)
+    return models.ideal_width(materials.foam(name), cuts.power_per_length, cuts.speed)
 
 
 def _power_over_speed(name: str) -> FloatArray:

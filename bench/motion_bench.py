@@ -22,11 +22,12 @@ from bench import motion_bows
 from bench.motion_jobs import arc_wire, block, box, s_curve, spiral_pair, two_arms
 from planner.catalogue.robots import robot
 from planner.cell import plant
-from planner.cell.kinematics import flange_poses, forward
+from planner.cell.kinematics import flange_poses, forward_kinematics
 from planner.geometry.arrays import from_parts
 from planner.motion import planning_scene
 from planner.motion.operation import plan_operation
-from planner.motion.placement import Search
+from planner.motion.placement import PlacementJob, PlacementSearch
+from planner.motion.planning_scene import Scene
 from planner.motion.solve import solve
 from planner.problem import Obstacle, Problem, Settings
 from tests.urdf_text import PANDA_FORM, UR10E
@@ -37,7 +38,7 @@ HIGH = from_parts(np.eye(3), np.array([0.0, 0.0, 0.5]))
 SIZE = (0.16, 0.7, 0.1)
 
 
-def timed(work: Callable[[], Any], repeats: int = REPEATS) -> tuple[dict[str, Any], Any]:
+def time_work(work: Callable[[], Any], repeats: int = REPEATS) -> tuple[dict[str, Any], Any]:
     """Median and spread (largest less smallest) of processor time, and the last result."""
     out = work()
     cpu, wall = [], []
@@ -70,13 +71,13 @@ def inverse() -> dict[str, Any]:
     """All eight branches of 10,000 poses of an IRB 140, against py-opw-kinematics."""
     data = robot("irb140")
     q = np.random.default_rng(0).uniform(data.lower, data.upper, (10_000, 6))
-    flange = forward(data, q)
-    ours, _ = timed(lambda: planning_scene.inverse_kinematics(data.opw, flange))
+    flange = forward_kinematics(data, q)
+    ours, _ = time_work(lambda: planning_scene.inverse_kinematics(data.opw, flange))
     p = data.opw
     model = KinematicModel(p.a1, p.a2, p.b, p.c1, p.c2, p.c3, p.c4, tuple(p.offsets), (False,) * 6)
     peer = Robot(model, degrees=False)
     poses = RigidTransform.from_matrix(flange)
-    theirs, _ = timed(lambda: peer.reach(poses, [(-20.0, 20.0)] * 6))
+    theirs, _ = time_work(lambda: peer.reach(poses, [(-20.0, 20.0)] * 6))
     rate = 10_000 / ours["median_s"]
     note = f"{rate:,.0f} poses/s; peer py-opw-kinematics reach (with its margins) {theirs['median_s']:.3f} s"
     return {
@@ -90,8 +91,8 @@ def inverse() -> dict[str, Any]:
 def inverse_three_parallel() -> dict[str, Any]:
     """All eight branches of 10,000 poses of a UR10e; EAIK is the peer of ``bench peers``."""
     q = np.random.default_rng(0).uniform(-np.pi, np.pi, (10_000, 6))
-    flange = forward(UR10E, q)
-    row, _ = timed(lambda: planning_scene.inverse_kinematics(UR10E.form, flange))
+    flange = forward_kinematics(UR10E, q)
+    row, _ = time_work(lambda: planning_scene.inverse_kinematics(UR10E.form, flange))
     note = f"{10_000 / row['median_s']:,.0f} poses/s"
     return {"name": "IK, 8 branches, 10,000 poses, UR10e", **row, "note": note}
 
@@ -100,8 +101,8 @@ def inverse_offset_wrist() -> dict[str, Any]:
     """All branches of 1,000 poses of a GoFa; ssik is the peer of ``bench peers``."""
     data = robot("crb15000_5_95")
     q = np.random.default_rng(0).uniform(-np.pi, np.pi, (1000, 6))
-    flange = forward(data, q)
-    row, found = timed(lambda: planning_scene.inverse_kinematics(data.form, flange))
+    flange = forward_kinematics(data, q)
+    row, found = time_work(lambda: planning_scene.inverse_kinematics(data.form, flange))
     count = int(np.sum(~np.isnan(found[..., 0])))
     note = f"{1000 / row['median_s']:,.0f} poses/s, {count:,} solutions"
     return {"name": "IK, up to 16 solutions, 1,000 poses, GoFa", **row, "note": note}
@@ -112,7 +113,7 @@ def inverse_seven_axes() -> dict[str, Any]:
     as many (`tests/motion/test_seven_axes.py`)."""
     q = np.random.default_rng(0).uniform(-np.pi, np.pi, (10_000, 7))
     flange = flange_poses(PANDA_FORM, q)
-    row, _ = timed(lambda: planning_scene.inverse_kinematics(PANDA_FORM, flange, last=q[:, 6]))
+    row, _ = time_work(lambda: planning_scene.inverse_kinematics(PANDA_FORM, flange, last_joint=q[:, 6]))
     note = f"{10_000 / row['median_s']:,.0f} poses/s"
     return {"name": "IK, 8 branches, 10,000 poses, Panda", **row, "note": note}
 
@@ -123,15 +124,16 @@ def jobs() -> list[dict[str, Any]]:
     out = []
     for name, beams in (("open", ()), ("beams", beams_in_the_way())):
         cell, targets = two_arms(obstacles=beams), arc_wire()
-        model = plant.build(cell, block(SIZE, HIGH), HIGH)
+        model = plant.build_cell_model(cell, block(SIZE, HIGH), HIGH)
         stages: list[float] = []
 
         def work(cell=cell, targets=targets, model=model, stages=stages) -> Any:  # type: ignore[no-untyped-def]
-            plan = plan_operation("job", cell, targets, Settings(), HIGH, model)
+            scene = Scene.of(cell, targets.arms, HIGH, Settings(), model)
+            plan = plan_operation("job", scene, targets, cell.controller)
             stages.append(sum(plan.metrics["stages"][key] for key in CORE))
             return plan
 
-        row, plan = timed(work)
+        row, plan = time_work(work)
         metrics = plan.metrics
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         spins = np.rad2deg(np.ptp(plan.values[:, 0]))
@@ -148,10 +150,11 @@ def jobs() -> list[dict[str, Any]]:
 def beams_in_the_way() -> tuple[Obstacle, ...]:
     """A beam where the left hand would pass with the spin that suits the rest."""
     cell, targets = two_arms(), arc_wire()
-    plan = plan_operation("job", cell, targets, Settings(), HIGH)
+    scene = Scene.of(cell, targets.arms, HIGH, Settings())
+    plan = plan_operation("job", scene, targets, cell.controller)
     beams = []
     for k, (arm, row) in enumerate((("left", 140), ("right", 300))):
-        x, y, z = (cell.arm(arm).base @ forward(robot("irb140"), plan.q[arm][row]))[:3, 3]
+        x, y, z = (cell.arm(arm).base @ forward_kinematics(robot("irb140"), plan.q[arm][row]))[:3, 3]
         beams.append(Obstacle(f"beam_{k}", (box((0.03, 0.04, 0.03), (x, y, z + 0.09)),)))
     return tuple(beams)
 
@@ -160,15 +163,16 @@ def one_arm(count: int) -> dict[str, Any]:
     """Poses on an S-curve with free spin at 10 degrees and collisions."""
     cell, targets = s_curve(count)
     place = from_parts(np.eye(3), np.array([0.5, 0.0, 0.0]))
-    model = plant.build(cell, block((0.6, 0.8, 0.1), place), place)
+    model = plant.build_cell_model(cell, block((0.6, 0.8, 0.1), place), place)
     stages: list[float] = []
 
     def work() -> Any:
-        plan = plan_operation("s", cell, targets, Settings(), place, model)
+        scene = Scene.of(cell, targets.arms, place, Settings(), model)
+        plan = plan_operation("s", scene, targets, cell.controller)
         stages.append(sum(plan.metrics["stages"][key] for key in CORE))
         return plan
 
-    row, plan = timed(work)
+    row, plan = time_work(work)
     checks = plan.metrics["collision_checks"]
     row["note"] += f"; reach to timing {np.median(stages[1:]):.3f} s wall; {checks} checks"
     return {"name": f"one arm, {count:,} poses, 36 spins, whole", **row}
@@ -178,13 +182,14 @@ def many_targets() -> dict[str, Any]:
     """25,000 targets of two arms with balls on both sides of a spiral, a free spin for each."""
     cell, targets = spiral_pair(25_000, loops=156)
     away = from_parts(np.eye(3), np.array([0.0, 3.0, 0.0]))
-    model = plant.build(cell, block((0.01, 0.01, 0.01), away), away)
+    model = plant.build_cell_model(cell, block((0.01, 0.01, 0.01), away), away)
     settings = Settings(clearance=0.0005)
 
     def work() -> Any:
-        return plan_operation("spiral", cell, targets, settings, away, model)
+        scene = Scene.of(cell, targets.arms, away, settings, model)
+        return plan_operation("spiral", scene, targets, cell.controller)
 
-    row, plan = timed(work, repeats=1)
+    row, plan = time_work(work, repeats=1)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     stages = ", ".join(f"{name} {took:.1f}" for name, took in plan.metrics["stages"].items())
     row["note"] += f"; {stages} s wall; peak {peak:.2f} GB; {plan.metrics['collision_checks']} checks"
@@ -196,13 +201,13 @@ def bows() -> list[dict[str, Any]]:
     the ways home."""
     out = []
     for name, make in (
-        ("one arm, bow", motion_bows.standing),
-        ("two arms, bow and held block", motion_bows.held),
+        ("one arm, bow", motion_bows.standing_block),
+        ("two arms, bow and held block", motion_bows.held_block),
     ):
         cell, stock, targets = make(400)
         operation = SimpleNamespace(name="side", process="", arms=targets.arms, leaves=lambda block: block)
         problem = Problem("bows", cell, stock, None, (operation,), Settings(), Path(), "")
-        row, plan = timed(lambda problem=problem, targets=targets: solve(problem, [targets]), 3)  # type: ignore[misc]
+        row, plan = time_work(lambda problem=problem, targets=targets: solve(problem, [targets]), 3)  # type: ignore[misc]
         stages = {**plan.metrics["stages"], **plan.operations[0].metrics["stages"]}
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         each = ", ".join(f"{key} {value:.2f}" for key, value in stages.items() if value > 0.005)
@@ -217,14 +222,13 @@ def placement() -> dict[str, Any]:
     stock = block(SIZE, None)
     start = np.array([5.0, 5.0, 5.0, 1.0])
     seeds = iter(range(1, 100))
-    found: list[bool] = []
+    result: list[bool] = []
 
     def work() -> None:
-        search = Search(
-            cell, dataclasses.replace(stock), [targets], Settings(), start=start, seed=next(seeds)
-        )
-        found.append(bool(search.run()[0]))
+        settings, jobs = Settings(seed=next(seeds)), [PlacementJob(cell, targets)]
+        search = PlacementSearch(dataclasses.replace(stock), jobs, settings, start=start)
+        result.append(bool(search.run()[0]))
 
-    row, _ = timed(work, 10)
-    row["note"] += f"; found {sum(found)} of {len(found)}"
+    row, _ = time_work(work, 10)
+    row["note"] += f"; found {sum(result)} of {len(result)}"
     return {"name": "placement search without collisions", **row}

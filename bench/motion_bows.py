@@ -20,12 +20,12 @@ from planner.tooling import bow, gripper_plate
 
 HOME = np.deg2rad([0.0, -30.0, 20.0, 0.0, 45.0, 0.0])
 ASIDE = np.deg2rad([60.0, -30.0, 20.0, 0.0, 45.0, 0.0])
-"""Home of arms that face each other with long tools."""
+"""Home of facing arms with long tools."""
 
 SPIN = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 SLIDE = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
 AIR = 0.04
-"""How far [m] outside the block the cuts begin and end."""
+"""Distance [m] outside the block at which the cuts begin and end."""
 
 
 def polygon(corners: int, across: float) -> FloatArray:
@@ -35,7 +35,7 @@ def polygon(corners: int, across: float) -> FloatArray:
 
 
 def outline(stock: Stock, corners: FloatArray, count: int) -> tuple[FloatArray, tuple[str, ...]]:
-    """Places (N, 2) of the wire around a polygon (C, 2), and labels; the way in leads along x."""
+    """Return points (N, 2) of the wire around a polygon (C, 2), and labels; the lead-in is along x."""
     inside = np.array([stock.lower[0], 0.5 * (corners[0, 1] + corners[-1, 1])])
     closed = np.concatenate([[[corners[:, 0].min(), inside[1]]], _from_left(corners)])
     start = inside - [AIR, 0.0]
@@ -65,7 +65,12 @@ def _from_left(corners: FloatArray) -> FloatArray:
 
 
 def cut(
-    stock: Stock, corners: FloatArray, count: int, cutter: str, slide: float = 0.05, turned: bool = False
+    stock: Stock,
+    corners: FloatArray,
+    count: int,
+    cutter: str,
+    slide: float = 0.05,
+    follow_outline: bool = False,
 ) -> Targets:
     """Targets of a bow that cuts a prism with its wire along the stock's z axis.
 
@@ -77,7 +82,7 @@ def cut(
     frame = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]) * [1.0, -1.0, 1.0]
     pose = from_parts(np.broadcast_to(frame, (rows, 3, 3)), np.column_stack([places, np.full(rows, middle)]))
     step = np.linalg.norm(np.diff(places, axis=0), axis=1)
-    if turned:
+    if follow_outline:
         way = np.arctan2(*np.diff(places, axis=0).T[::-1])
         spin = np.zeros((rows, 3))
         spin[1:, 0] = way
@@ -110,22 +115,22 @@ def _turns(spin: FloatArray) -> FloatArray:
     return from_parts(exp_rotation(spin), np.zeros_like(spin))
 
 
-def standing(
-    count: int = 400, place: FloatArray | None = None, obstacles: tuple[Obstacle, ...] = ()
+def standing_block(
+    count: int = 400, stock_pose: FloatArray | None = None, obstacles: tuple[Obstacle, ...] = ()
 ) -> tuple[Cell, Stock, Targets]:
     """One IRB 140 with a bow of 400 mm, cutting a square of 180 mm out of a standing block."""
     cell = Cell("bow", (Arm("left", "irb140", np.eye(4), bow(), HOME),), obstacles, Controller())
-    stock = Stock(np.array([0.22, 0.22, 0.2]), place, np.eye(3), any_attitude=place is None)
+    stock = Stock(np.array([0.22, 0.22, 0.2]), stock_pose, np.eye(3), any_attitude=stock_pose is None)
     return cell, stock, cut(stock, polygon(4, 0.18), count, "left")
 
 
-def held(
+def held_block(
     count: int = 400,
     distance: float = 1.5,
     freedoms: tuple[str, ...] = ("spin", "slide", "x", "y", "z", "tilt_x", "tilt_y", "turn"),
-    turned: bool = False,
+    follow_outline: bool = False,
     robot: str = "irb140",
-    place: FloatArray | None = None,
+    stock_pose: FloatArray | None = None,
 ) -> tuple[Cell, Stock, Targets]:
     """Two arms that face each other: the right one holds a block of 300 x 300 x 200 mm by a plate, the left
     one cuts a hexagon around it with a bow of 400 mm. ``freedoms``: those that are free."""
@@ -137,16 +142,16 @@ def held(
     )
     stock = Stock(
         np.array([0.3, 0.3, 0.2]),
-        place,
+        stock_pose,
         np.eye(3),
-        any_attitude=place is None,
+        any_attitude=stock_pose is None,
         foam=foam("eps"),
         held_by="right",
     )
     return (
         Cell("held", arms, (), Controller()),
         stock,
-        hold(cut(stock, polygon(6, 0.26), count, "left", turned=turned), stock, freedoms),
+        hold(cut(stock, polygon(6, 0.26), count, "left", follow_outline=follow_outline), stock, freedoms),
     )
 
 
@@ -155,22 +160,22 @@ def hold(targets: Targets, stock: Stock, freedoms: tuple[str, ...]) -> Targets:
     cutter, holder = targets.arms[0], str(stock.held_by)
     rows = targets.count
     centre = (stock.grip @ np.append(0.5 * (stock.lower + stock.upper), 1.0))[:3]
-    found = {f.name: f for f in targets.freedoms}
+    result = {f.name: f for f in targets.freedoms}
     for k, axis in enumerate("xyz"):
         twist = np.zeros(6)
         twist[3:] = stock.grip[:3, k]
         wide = np.full(rows, 0.2)
-        found[axis] = ScrewFreedom(f"block_{axis}", {holder: twist}, -wide, wide)
+        result[axis] = ScrewFreedom(f"block_{axis}", {holder: twist}, -wide, wide)
     for k, name in enumerate(("tilt_x", "tilt_y", "turn")):
         turn = stock.grip[:3, k]
         twist = np.concatenate([turn, np.cross(centre, turn)])
         wide = np.full(rows, np.pi if name == "turn" else np.deg2rad(40.0))
-        found[name] = ScrewFreedom(f"block_{name}", {holder: twist}, -wide, wide, periodic=name == "turn")
+        result[name] = ScrewFreedom(f"block_{name}", {holder: twist}, -wide, wide, periodic=name == "turn")
     still = np.broadcast_to(inverse(stock.grip), (rows, 4, 4))
     return dataclasses.replace(
         targets,
         arms=(cutter, holder),
         pose={cutter: stock.grip @ targets.pose[cutter], holder: still},
         frame={cutter: f"held:{holder}", holder: "stock"},
-        freedoms=tuple(found[name] for name in freedoms),
+        freedoms=tuple(result[name] for name in freedoms),
     )

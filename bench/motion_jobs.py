@@ -7,7 +7,7 @@ import numpy as np
 from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, Shape, from_parts, from_rpy
 from planner.problem import Arm, Cell, Controller, Obstacle, Stock
-from planner.targets import Edge, ScrewFreedom, Targets
+from planner.targets import FlexibleTool, ScrewFreedom, Targets
 from planner.tooling import PlainTool, wire_holder
 
 HOME = np.deg2rad([0.0, -10.0, 10.0, 0.0, 60.0, 0.0])
@@ -29,9 +29,9 @@ def two_arms(distance: float = 1.6, obstacles: tuple[Obstacle, ...] = ()) -> Cel
     return Cell("bench", arms, obstacles, Controller())
 
 
-def block(size: tuple[float, float, float], place: FloatArray | None) -> Stock:
+def block(size: tuple[float, float, float], stock_pose: FloatArray | None) -> Stock:
     """A block of stock."""
-    return Stock(np.array(size), place, np.eye(3))
+    return Stock(np.array(size), stock_pose, np.eye(3))
 
 
 def arc_wire(count: int = 437, length: float = 0.56, spin: bool = True) -> Targets:
@@ -80,7 +80,7 @@ def arc_wire(count: int = 437, length: float = 0.56, spin: bool = True) -> Targe
         stop=stop,
         segment=tuple(map(Segment.read, segment)),
         coupled=True,
-        edge=Edge(points, 0.0005),
+        flexible_tool=FlexibleTool(points, 0.0005),
         may_join=True,
     )
 
@@ -96,8 +96,8 @@ def s_curve(count: int = 400) -> tuple[Cell, Targets]:
     )
     cell = Cell("one", (Arm("arm", "irb140", np.eye(4), tool, HOME),), (), Controller())
     t = np.linspace(-1.0, 1.0, count)
-    place = np.stack([0.5 + 0.1 * np.sin(np.pi * t), 0.3 * t, np.full(count, 0.3)], axis=1)
-    pose = from_parts(np.broadcast_to(np.diag([1.0, -1.0, -1.0]), (count, 3, 3)), place)
+    points = np.stack([0.5 + 0.1 * np.sin(np.pi * t), 0.3 * t, np.full(count, 0.3)], axis=1)
+    pose = from_parts(np.broadcast_to(np.diag([1.0, -1.0, -1.0]), (count, 3, 3)), points)
     full = np.full(count, np.pi)
     stop = np.zeros(count, dtype=bool)
     stop[[0, -1]] = True
@@ -108,7 +108,7 @@ def s_curve(count: int = 400) -> tuple[Cell, Targets]:
         freedoms=(ScrewFreedom("spin", {"arm": np.array([0.0, 0, 1, 0, 0, 0])}, -full, full, periodic=True),),
         feed=np.full(count, 0.1),
         feed_min=np.zeros(count),
-        travel=np.append(0.0, np.linalg.norm(np.diff(place, axis=0), axis=1)),
+        travel=np.append(0.0, np.linalg.norm(np.diff(points, axis=0), axis=1)),
         stop=stop,
         segment=(Segment("path"),) * count,
         may_stop=True,
@@ -123,24 +123,24 @@ def spiral_pair(
     """Two IRB 140 with balls of 5 mm radius on both sides of a spiral in the plane x = 0, each free to spin.
 
     The balls' centres are 12 mm apart, the loops shrink from 80 to 40 mm. Tools are bent by 45 degrees; their
-    axes lean by ``tilt`` [rad] to the spiral's outside and turn with it. The first and the last target are 40
-    mm off the plane.
+    axes tilt by ``tilt`` [rad] to the spiral's outside and turn with it. The first and the last target are 40
+    mm from the plane.
     """
     lean = from_rpy((0.0, 0.0, 0.02), (0.0, np.deg2rad(45.0), 0.0))
     ball = Shape("capsule", (0.005, 0.1), lean @ from_parts(np.eye(3), np.array([0.0, 0.0, 0.06])))
     tcp = lean @ from_parts(np.eye(3), np.array([0.0, 0.0, 0.11]))
     tool = PlainTool("ball", tcp, 0.5, np.array([0.04, 0.0, 0.06]), (ball,))
     arms = tuple(Arm(a.name, a.robot, a.base, tool, a.home) for a in two_arms(1.3).arms)
-    share = np.linspace(0.0, 1.0, count - 2)
-    angle, radius = 2.0 * np.pi * loops * share, 0.08 - 0.04 * share
+    fraction = np.linspace(0.0, 1.0, count - 2)
+    angle, radius = 2.0 * np.pi * loops * fraction, 0.08 - 0.04 * fraction
     out = np.stack([np.zeros(count - 2), np.cos(angle), np.sin(angle)], axis=1)
     tangent = np.stack([np.zeros(count - 2), -np.sin(angle), np.cos(angle)], axis=1)
     poses = {}
     for name, side in (("left", -1.0), ("right", 1.0)):
         z = np.array([-side * np.cos(tilt), 0.0, 0.0]) + np.sin(tilt) * out
-        place = np.array([side * 0.006, 0.0, 0.55]) + radius[:, None] * out
+        points = np.array([side * 0.006, 0.0, 0.55]) + radius[:, None] * out
         turn = np.stack([tangent, np.cross(z, tangent), z], axis=-1)
-        pose = from_parts(turn, place)[np.r_[0, 0 : count - 2, count - 3]]
+        pose = from_parts(turn, points)[np.r_[0, 0 : count - 2, count - 3]]
         pose[[0, -1], 0, 3] += side * 0.04
         poses[name] = pose
     full = np.full(count, np.pi)

@@ -15,8 +15,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.peers import installed
-from planner.geometry.nesting import Block, Box, Nest, Rules, least_blocks, nest
+from bench.peers import installed_version
+from planner.geometry.nesting import BoxNest, NestBlock, NestBox, NestRules, min_blocks, nest_boxes
 from planner.geometry.units import MM
 
 KERF_MM: Final = 2.0
@@ -24,9 +24,9 @@ THICK_MM: Final = 200.0
 SIZES_MM: Final = ((2400, 1200), (3000, 1250), (2500, 600), (1250, 600))
 GOALS: Final = (35, 27, 33, 67)
 GOAL_SHARE, GOAL_S = 1.08, 5.0
-"""Blocks to the bound by areas where a block holds 7 boxes; processor time."""
+"""Ratio of blocks to the bound by areas if a block holds 7 boxes; processor time [s]."""
 RANDOM: Final = 6
-"""Sets of random boxes."""
+"""Number of sets of random boxes."""
 
 
 def run() -> list[dict[str, Any]]:
@@ -39,8 +39,8 @@ def dome() -> Iterator[dict[str, Any]]:
     with (Path(__file__).parent / "panel_boxes.csv").open(newline="") as file:
         sides = [(float(row["long_mm"]), float(row["short_mm"])) for row in csv.DictReader(file)]
     for size, goal in zip(SIZES_MM, GOALS, strict=True):
-        some = [side for side in sides if side[0] <= size[0] and side[1] <= size[1]]
-        yield _row(f"dome, {len(some)} boxes into {size[0]} x {size[1]}", some, size, goal)
+        subset = [side for side in sides if side[0] <= size[0] and side[1] <= size[1]]
+        yield _row(f"dome, {len(subset)} boxes into {size[0]} x {size[1]}", subset, size, goal)
 
 
 def at_random() -> Iterator[dict[str, Any]]:
@@ -55,23 +55,23 @@ def at_random() -> Iterator[dict[str, Any]]:
 def _row(
     name: str, sides: Sequence[Sequence[float]], size: tuple[int, int], goal: int | None
 ) -> dict[str, Any]:
-    boxes = [Box(a * MM, b * MM, THICK_MM * MM) for a, b in sides]
-    block = Block(size[0] * MM, size[1] * MM, THICK_MM * MM)
+    boxes = [NestBox(a * MM, b * MM, THICK_MM * MM) for a, b in sides]
+    block = NestBlock(size[0] * MM, size[1] * MM, THICK_MM * MM)
     start = time.process_time()
-    found: Nest = nest(boxes, [block], Rules(KERF_MM * MM))
+    result: BoxNest = nest_boxes(boxes, [block], NestRules(KERF_MM * MM))
     took = time.process_time() - start
-    bound, count = least_blocks(boxes, block, KERF_MM * MM), len(found.blocks)
+    bound, count = min_blocks(boxes, block, KERF_MM * MM), len(result.blocks)
     note = f"{count} blocks, bound {bound} ({count / bound:.3f}); "
     peer: float | None = None
     try:
         start = time.process_time()
         theirs = peers_best(sides, size)
         peer = time.process_time() - start
-        note += f"{installed('rectpack')}, best of all rules: {theirs}"
+        note += f"{installed_version('rectpack')}, best of all rules: {theirs}"
     except ImportError as error:
         note += f"rectpack skipped: {error}"
     note += f"; goal {goal}" if goal is not None else ""
-    note += f"; nothing fewer: {found.least}" if found.least else ""
+    note += f"; nothing fewer: {result.optimality}" if result.optimality else ""
     return {"name": name, "median_s": took, "ratio": None if peer is None else peer / took, "note": note}
 
 
@@ -80,11 +80,11 @@ def peers_best(sides: Sequence[Sequence[float]], size: tuple[int, int]) -> int:
     import rectpack
     from rectpack import guillotine
 
-    rules = [getattr(guillotine, one) for one in dir(guillotine) if one.startswith("Guillotine")]
+    rules = [getattr(guillotine, item) for item in dir(guillotine) if item.startswith("Guillotine")]
     rules = [
         rule for rule in rules if rule.__name__[10:13] in ("Bss", "Bls", "Baf") and len(rule.__name__) > 14
     ]
-    orders = [getattr(rectpack, one) for one in dir(rectpack) if one.startswith("SORT_")]
+    orders = [getattr(rectpack, item) for item in dir(rectpack) if item.startswith("SORT_")]
     bins = (rectpack.PackingBin.BNF, rectpack.PackingBin.BFF, rectpack.PackingBin.BBF)
     best = len(sides)
     for rule, order, choice in itertools.product(rules, orders, bins):
@@ -95,6 +95,6 @@ def peers_best(sides: Sequence[Sequence[float]], size: tuple[int, int]) -> int:
             packer.add_rect(*(round(10.0 * (v + KERF_MM)) for v in side), number)
         packer.add_bin(*(round(10.0 * (v + KERF_MM)) for v in size), count=len(sides))
         packer.pack()
-        if sum(len(one) for one in packer) == len(sides):
+        if sum(len(item) for item in packer) == len(sides):
             best = min(best, len(packer))
     return best

@@ -28,20 +28,20 @@ from toppra.interpolator import SplineInterpolator
 from bench import drake_bench, tesseract_bench, timing_bench
 from bench.machine import machine
 from planner.catalogue.robots import RobotData, robot, urdf_path
-from planner.cell.kinematics import forward, joint_axes, link_frames
+from planner.cell.kinematics import forward_kinematics, joint_axes, link_frames
 from planner.geometry.arrays import FloatArray
 from planner.motion.planning_scene import inverse_kinematics
-from planner.motion.trajectory.timing import parameterise, solve_once
+from planner.motion.trajectory.timing import compute_profile, solve_drake
 from tests.urdf_text import UR10E
 
 PAGE = Path(__file__).parents[1] / "docs" / "benchmarks.md"
-BEGIN = "<!-- written by python -m bench peers --write -->"
-END = "<!-- end of what bench peers writes -->"
+START_MARK = "<!-- written by python -m bench peers --write -->"
+END_MARK = "<!-- end of what bench peers writes -->"
 PACKAGES = ("drake", "numpy", "scipy", "toppra", "coal")
 RUNS = 5
 POSES = 10_000
 FEW = 200
-"""Poses for a peer that takes them one at a time and long."""
+"""Number of poses for a slow peer that takes them one at a time."""
 GRID = 400
 PATHS = 20
 SPEED, STRENGTH = 3.0, 9.0
@@ -50,7 +50,7 @@ SPEED, STRENGTH = 3.0, 9.0
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """One piece of work: median processor seconds of ours and of the ``peer``, None where there is none."""
+    """One piece of work: median processor seconds of Tandem and of the ``peer``, None if there is none."""
 
     work: str
     peer: str
@@ -64,7 +64,7 @@ class Row:
         return None if not self.ours or self.theirs is None else self.theirs / self.ours
 
 
-def installed(package: str) -> str:
+def installed_version(package: str) -> str:
     """Name and version of a package, or its name alone."""
     try:
         return f"{package} {version(package)}"
@@ -101,23 +101,23 @@ def inverse() -> Iterator[Row]:
         (gofa, "ssik", _ssik, FEW),  # which prepares itself for a minute or two when asked first
     ):
         q = np.random.default_rng(0).uniform(data.lower, data.upper, (POSES, 6))
-        flange = forward(data, q)
+        flange = forward_kinematics(data, q)
         work = f"inverse kinematics, all branches, {count:,} poses of {arm}"
         try:
             prepare, solve, counted = make(data)
         except ImportError as error:
-            yield Row(work, installed(package), None, None, f"skipped: {error}")
+            yield Row(work, installed_version(package), None, None, f"skipped: {error}")
             continue
-        some = flange[:count]
-        asked = prepare(some)
-        own, peer = medians(partial(inverse_kinematics, data.form, some), partial(solve, asked))
-        branches = int(np.sum(~np.isnan(inverse_kinematics(data.form, some)[..., 0])))
+        subset = flange[:count]
+        asked = prepare(subset)
+        own, peer = medians(partial(inverse_kinematics, data.form, subset), partial(solve, asked))
+        branches = int(np.sum(~np.isnan(inverse_kinematics(data.form, subset)[..., 0])))
         note = f"solutions: {branches:,}, {counted(solve(asked)):,} by the peer"
-        yield Row(work, installed(package), own, peer, note)
+        yield Row(work, installed_version(package), own, peer, note)
 
 
 Solver = tuple[Callable[[FloatArray], Any], Callable[[Any], Any], Callable[[Any], int]]
-"""Poses (N, 4, 4) of the flange as the peer wants them; its call; how many solutions that gives."""
+"""Poses (N, 4, 4) of the flange in the peer's format, its call, and the number of solutions."""
 
 
 def _opw(data: RobotData) -> Solver:
@@ -173,29 +173,29 @@ def timing() -> Iterator[Row]:
     work = f"clock of {PATHS} paths, 12 joints, grid {GRID}"
 
     def ours() -> list[FloatArray | None]:
-        return [parameterise(path, grid, bound, speed, strength)[0] for path in paths]
+        return [compute_profile(path, grid, bound, speed, strength)[0] for path in paths]
 
     for name in ("ParametrizeConstAccel", "ParametrizeSpline"):
 
         def retime(name: str = name) -> list[Any]:
-            return [_retimed(path(np.linspace(0.0, 1.0, 7)), grid, name) for path in paths]
+            return [_retime(path(np.linspace(0.0, 1.0, 7)), grid, name) for path in paths]
 
         own, peer = medians(ours, retime)
         done = [trajectory for trajectory in retime() if trajectory is not None]
-        share = max((_share(trajectory) for trajectory in done), default=np.nan)
-        note = f"{len(done)} timed; accelerations up to {share:.3f} of the bound between grid points"
-        yield Row(f"{work}, with a trajectory", f"{installed('toppra')} {name}", own, peer, note)
+        fraction = max((_acceleration_ratio(trajectory) for trajectory in done), default=np.nan)
+        note = f"{len(done)} timed; accelerations up to {fraction:.3f} of the bound between grid points"
+        yield Row(f"{work}, with a trajectory", f"{installed_version('toppra')} {name}", own, peer, note)
 
     def by_drake() -> list[FloatArray | None]:
         limits = [np.min(speed / np.abs(path(grid, 1)), axis=1) for path in paths]
-        return [solve_once(p, grid, limit, strength) for p, limit in zip(paths, limits, strict=True)]
+        return [solve_drake(p, grid, limit, strength) for p, limit in zip(paths, limits, strict=True)]
 
     own, peer = medians(ours, by_drake)
     done = sum(found is not None for found in by_drake())
-    yield Row(work, f"{installed('drake')} Toppra", own, peer, f"{done} of {PATHS} timed by the peer")
+    yield Row(work, f"{installed_version('drake')} Toppra", own, peer, f"{done} of {PATHS} timed by the peer")
 
 
-def _retimed(points: FloatArray, grid: FloatArray, parametrizer: str) -> Any:
+def _retime(points: FloatArray, grid: FloatArray, parametrizer: str) -> Any:
     """A trajectory by toppra alone, as its tutorial does it; None where it finds none."""
     path = SplineInterpolator(np.linspace(0.0, 1.0, len(points)), points)
     bounds = np.stack([-np.ones(12), np.ones(12)], axis=1)
@@ -207,15 +207,15 @@ def _retimed(points: FloatArray, grid: FloatArray, parametrizer: str) -> Any:
     return solver.compute_trajectory(0.0, 0.0)
 
 
-def _share(trajectory: Any) -> float:
+def _acceleration_ratio(trajectory: Any) -> float:
     at = np.linspace(0.0, trajectory.duration, 4 * GRID + 1)
     return float(np.abs(trajectory(at, 2)).max() / STRENGTH)
 
 
 def drake() -> Iterator[Row]:
     """Drake's own tools on the faces of a column capital, cut by a wire between two arms."""
-    name, peer = drake_bench.WIRE_JOB, installed("drake")
-    witness = drake_bench.planned(name)
+    name, peer = drake_bench.WIRE_JOB, installed_version("drake")
+    witness = drake_bench.plan_witness(name)
     for spin, work in ((True, "the wire, its spin free"), (False, "both poses")):
         found = drake_bench.witness_row(name, witness, spin)
         yield Row(f"Drake IK at a target, {work}", peer, None, found["median_s"], found["note"])
@@ -238,14 +238,14 @@ def tesseract() -> Iterator[Row]:
         yield Row(work, peer, ours.get("median_s"), theirs.get("median_s"), note)
 
 
-def markdown(found: Sequence[Row], machine: str) -> str:
+def markdown(results: Sequence[Row], machine: str) -> str:
     """The table of the page."""
     lines = [f"Measured on: {machine}.", "", "| work | peer | ours, s | peer's, s | peer / ours | |"]
     lines.append("|---|---|---|---|---|---|")
     lines += [
         f"| {row.work} | {row.peer} | {_figure(row.ours)} | {_figure(row.theirs)} | {_figure(row.ratio)} "
         f"| {row.note.replace('|', '/')} |"
-        for row in found
+        for row in results
     ]
     return "\n".join(lines)
 
@@ -256,30 +256,30 @@ def _figure(value: float | None) -> str:
 
 def with_table(page: str, table: str) -> str:
     """A page with ``table`` between its marks; raises ``ValueError`` for a page without them."""
-    head, begin, rest = page.partition(BEGIN)
-    _, end, tail = rest.partition(END)
+    head, begin, rest = page.partition(START_MARK)
+    _, end, tail = rest.partition(END_MARK)
     if not begin or not end:
-        raise ValueError(f"{PAGE} has no marks {BEGIN!r} ... {END!r}")
-    return f"{head}{BEGIN}\n\n{table}\n\n{END}{tail}"
+        raise ValueError(f"{PAGE} has no marks {START_MARK!r} ... {END_MARK!r}")
+    return f"{head}{START_MARK}\n\n{table}\n\n{END_MARK}{tail}"
 
 
 def main(arguments: list[str]) -> int:
     """Measure, print and, with ``--write``, write the page."""
     parser = argparse.ArgumentParser(prog="python -m bench peers", description=__doc__)
     parser.add_argument("--write", action="store_true", help="write the table into docs/benchmarks.md")
-    wanted = parser.parse_args(arguments)
-    found = rows()
+    expected = parser.parse_args(arguments)
+    result = rows()
     table = Table("work", "peer", "ours, s", "peer's, s", "peer / ours", "note")
-    for row in found:
+    for row in result:
         table.add_row(
             row.work, row.peer, _figure(row.ours), _figure(row.theirs), _figure(row.ratio), escape(row.note)
         )
     Console(width=180).print(table)
-    if wanted.write:
+    if expected.write:
         facts = machine()
         system = f"{facts['cpu']}, one core, processor time; {os.confstr('CS_GNU_LIBC_VERSION')}, "
-        system += f"Python {facts['python']}, {', '.join(map(installed, PACKAGES))}"
+        system += f"Python {facts['python']}, {', '.join(map(installed_version, PACKAGES))}"
         PAGE.write_text(
-            with_table(PAGE.read_text(encoding="utf-8"), markdown(found, system)), encoding="utf-8"
+            with_table(PAGE.read_text(encoding="utf-8"), markdown(result, system)), encoding="utf-8"
         )
     return 0

@@ -19,9 +19,9 @@ import shapely
 
 from planner.geometry.arrays import FloatArray, lengths
 from planner.geometry.units import MM
-from planner.shell.element import Sheet
+from planner.shell.element import ShellSheet
 from planner.shell.mesh import mesh_sheet
-from planner.shell.newton import Loading, clamped, column
+from planner.shell.newton import Loading, clamped, column_weights
 
 TABLE = Path(__file__).parents[1] / "planner" / "data" / "loop_plant.json"
 WINDOW = 0.125 * np.array([[-1.0, -1.0], [1.0, 1.0]])
@@ -35,13 +35,13 @@ SPRINGS = (0.0, 15.0, 60.0)
 """Stiffness of the clamp in the sheet's plane [N/mm for each mm of its length]."""
 LOADS = (25.0, 75.0, 175.0, 325.0, 500.0, 700.0, 950.0)
 FINE, COARSE = 5000, 1500
-"""Triangles of what is true, and of what a loop believes."""
+"""Triangles of the true sheet, and of the one in the loop's model."""
 COLUMN = 3.0 * MM
 OUTLINES = {"cone": shapely.Point(0.0, 0.0), "pyramid": shapely.box(-0.015, -0.015, 0.015, 0.015)}
-"""What contours are around, at these distances [m] on the flat: those of walls that rise at 45 degrees."""
+"""Outlines of the contours, at these distances [m] on the flat: those of walls that rise at 45 degrees."""
 TOPS = {"cone": 0.050, "pyramid": 0.025}
-PLACES = {"cone": {"wall": 0.0}, "pyramid": {"wall": 0.0, "corner": 45.0}}
-"""Where the floor's edge is loaded: seen from the middle at so many degrees."""
+PROBE_ANGLES_DEG = {"cone": {"wall": 0.0}, "pyramid": {"wall": 0.0, "corner": 45.0}}
+"""Angles [deg], seen from the middle, at which the floor's edge is loaded."""
 
 
 def ring(name: str, depth: float) -> FloatArray:
@@ -51,47 +51,60 @@ def ring(name: str, depth: float) -> FloatArray:
     return np.column_stack([points, np.full(len(points), -depth)])
 
 
-def place(name: str, depth: float, degrees: float) -> FloatArray:
-    """The place (2,) [m] of a contour that is seen from the middle at so many degrees."""
+def contour_point(name: str, depth: float, degrees: float) -> FloatArray:
+    """Return the point (2,) [m] of a contour in the given direction [deg] from the middle."""
     turn = np.radians(degrees)
     ray = shapely.LineString([(0.0, 0.0), (0.2 * np.cos(turn), 0.2 * np.sin(turn))])
     ends = shapely.Polygon(ring(name, depth)[:, :2]).exterior.intersection(ray)
     return np.array([ends.x, ends.y])
 
 
-def moved(name: str, depth: float, degrees: float, share: float, spring: float, size: int) -> FloatArray:
+def displacements(
+    name: str, depth: float, degrees: float, thickness_fraction: float, spring: float, size: int
+) -> FloatArray:
     """Displacements (L,) [mm] under `LOADS`."""
-    at = place(name, depth, degrees)
+    at = contour_point(name, depth, degrees)
     mesh = mesh_sheet([ring(name, 0.0), ring(name, depth)], WINDOW, size, at[None])
     corner = mesh.nodes[mesh.triangles]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    thick = share * THICKNESS * normal[:, 2] / lengths(normal)
-    sheet = Sheet(mesh.nodes, mesh.triangles, thick, YOUNG, POISSON)
+    thick = thickness_fraction * THICKNESS * normal[:, 2] / lengths(normal)
+    sheet = ShellSheet(mesh.nodes, mesh.triangles, thick, YOUNG, POISSON)
     loading = Loading(sheet, clamped(sheet, spring / MM**2 if spring else "sliding"))
     loads = np.column_stack([np.zeros((len(LOADS), 2)), -np.array(LOADS)])
-    return -loading.curve(column(sheet, at, COLUMN), loads)[:, 2] / MM
+    return -loading.curve(column_weights(sheet, at, COLUMN), loads)[:, 2] / MM
 
 
 def shape(name: str) -> dict[str, Any]:
     """One shape of the table."""
-    begin = time.process_time()
+    start_s = time.process_time()
     true = [
         [
             [
-                [np.round(moved(name, d * MM, turn, share, spring, FINE), 4).tolist() for spring in SPRINGS]
-                for share in SHARES
+                [
+                    np.round(displacements(name, d * MM, turn, fraction, spring, FINE), 4).tolist()
+                    for spring in SPRINGS
+                ]
+                for fraction in SHARES
             ]
-            for turn in PLACES[name].values()
+            for turn in PROBE_ANGLES_DEG[name].values()
         ]
         for d in DEPTHS
     ]
     believed = [
-        [np.round(moved(name, d * MM, turn, 1.0, 0.0, COARSE), 4).tolist() for turn in PLACES[name].values()]
+        [
+            np.round(displacements(name, d * MM, turn, 1.0, 0.0, COARSE), 4).tolist()
+            for turn in PROBE_ANGLES_DEG[name].values()
+        ]
         for d in DEPTHS
     ]
-    print(f"{name}: {time.process_time() - begin:.0f} s")
+    print(f"{name}: {time.process_time() - start_s:.0f} s")
     rings = {"around_mm": 1e3 * (TOPS[name]), "core_mm": 0.0 if name == "cone" else 15.0}
-    return {"places_deg": list(PLACES[name].values()), **rings, "true_mm": true, "believed_mm": believed}
+    return {
+        "places_deg": list(PROBE_ANGLES_DEG[name].values()),
+        **rings,
+        "true_mm": true,
+        "believed_mm": believed,
+    }
 
 
 def main() -> None:

@@ -1,5 +1,7 @@
-"""Writing of programs: 100,000 moves by RAPID for each of two robots, and for one by RAPID and by KRL, beside
-plain formatting of numbers."""
+"""Writing of programs, compared with plain formatting of numbers.
+
+100,000 moves by RAPID for each of two robots, and for one by RAPID and by KRL.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.languages.writing.write import programs
+from planner.languages.writing.write import program_files
 from planner.plans import Plan
 from planner.problem import Problem
 from tests.languages.writing import krl_job, synthetic
@@ -41,7 +43,7 @@ def _row(language: str, plan: Plan, problem: Problem, goal: str) -> dict[str, An
     spans, peers = [], []
     for _ in range(REPEATS):
         start = time.perf_counter()
-        files = programs(plan, problem)
+        files = program_files(plan, problem)
         spans.append(time.perf_counter() - start)
         start = time.perf_counter()
         for row in rows:

@@ -1,5 +1,7 @@
-"""Processes below one, as Linux tells of them (proc(5)): which there are, and what they have used; and
-whole commands, with the time and memory of each of their processes."""
+"""Processes below one, as Linux reports them (proc(5)): which exist, and what they have used.
+
+Also whole commands, with the time and memory of each of their processes.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +17,12 @@ from pathlib import Path
 from typing import Final
 
 ONE_THREAD: Final = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-"""What keeps libraries of linear algebra to one thread, as part of an environment."""
-_LOOK_AT_MEMORY_S: Final = 0.05
-"""Time [s] between looks at the memory of a command's processes."""
+"""Environment variables that limit linear algebra libraries to one thread."""
+_MEMORY_SAMPLE_S: Final = 0.05
+"""Interval [s] between memory samples of a command's processes."""
 
 
-def below(pid: int) -> Iterator[int]:
+def child_processes(pid: int) -> Iterator[int]:
     """All that a process has started and what these have, parents first; none of what has ended."""
     for path in Path(f"/proc/{pid}/task").glob("*/children"):
         try:
@@ -29,12 +31,15 @@ def below(pid: int) -> Iterator[int]:
             continue
         for child in children:
             yield child
-            yield from below(child)
+            yield from child_processes(child)
 
 
 def processor_time(pid: int) -> float:
-    """User and system time [s] of a process so far (stat, fields 14 and 15); raises ``OSError`` for one that
-    has ended."""
+    """Return user and system time [s] of a process so far (stat, fields 14 and 15).
+
+    Raises:
+        OSError: The process has ended.
+    """
     fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
@@ -46,7 +51,7 @@ def memory(what: str, pid: int | str = "self") -> float:
 
 
 @dataclasses.dataclass(frozen=True)
-class Ran:
+class ProcessRun:
     """A command that has ended: its wall time [s], and of each of its processes, the first one first, the
     processor time [s] and the peak of memory [MB]; the most of all together; the load before; its output."""
 
@@ -59,7 +64,7 @@ class Ran:
     output: str
 
     @property
-    def told(self) -> str:
+    def note(self) -> str:
         """As part of a note."""
         proven = "proven" if self.code == 0 else "NOT proven"
         processor = " + ".join(f"{value:.1f}" for value in self.times)
@@ -70,7 +75,7 @@ class Ran:
         return f"{what}, load before {self.load:.1f}"
 
 
-def planned(problem: str | Path, folder: str | Path) -> Ran:
+def run_plan(problem: str | Path, folder: str | Path) -> ProcessRun:
     """``tandem plan`` of a problem into a folder, cold, with its second process."""
     environment = {**os.environ, **ONE_THREAD, "PYTHONPATH": str(Path(__file__).parents[1])}
     command = [sys.executable, "-P", "-m", "planner", "plan", str(problem), "-o", str(folder)]
@@ -81,15 +86,15 @@ def planned(problem: str | Path, folder: str | Path) -> Ran:
         process = subprocess.Popen(command, stdout=said, stderr=subprocess.DEVNULL, env=environment)
         while process.poll() is None:
             now = 0.0
-            for pid in (process.pid, *below(process.pid)):
+            for pid in (process.pid, *child_processes(process.pid)):
                 with contextlib.suppress(OSError, StopIteration):  # one that has just ended
                     time_of[pid] = processor_time(pid)
                     peak_of[pid] = memory("VmHWM", pid)
                     now += memory("VmRSS", pid)
             together = max(together, now)
-            time.sleep(_LOOK_AT_MEMORY_S)
+            time.sleep(_MEMORY_SAMPLE_S)
         wall = time.perf_counter() - start
         said.seek(0)
         output = said.read()
     spans, peaks = tuple(time_of.values()), tuple(peak_of.values())
-    return Ran(wall, process.returncode, spans, peaks, together, load, output)
+    return ProcessRun(wall, process.returncode, spans, peaks, together, load, output)

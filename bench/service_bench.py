@@ -1,6 +1,6 @@
-"""The service's store with many jobs: processor time of the lists and searches that the page asks for.
+"""The service's store with many jobs: processor time of the lists and searches that the page requests.
 
-On SQLite in a folder of its own, through the whole service, in its process.
+On SQLite in its own folder, through the whole service, in its process.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 from sqlalchemy import insert
 
 JOBS = 10_000
-ASKED = {
+QUERIES = {
     "newest 50": "",
     "200 of them": "limit=200",
     "by title": "sort=title",
@@ -25,9 +25,9 @@ ASKED = {
     "a word that none has": "search=zzzzzz",
     "a tag": "tag=lot%2017",
 }
-"""What is asked for, by what it is."""
+"""Queries by name."""
 GOAL_S = 0.1
-"""Wanted processor time [s] of one list."""
+"""Target processor time [s] of one list."""
 RUNS = 9
 
 
@@ -37,7 +37,7 @@ def run() -> list[dict[str, Any]]:
 
     from planner.files import THUMBNAIL
     from planner.service.app import create_app
-    from planner.service.finding import described
+    from planner.service.job_search import description_columns
     from planner.service.models import FILES
     from planner.service.models import JOBS as TABLE
     from planner.service.security import LOCAL
@@ -50,7 +50,7 @@ def run() -> list[dict[str, Any]]:
         for number in range(JOBS):
             tags = [f"lot {given.randrange(100)}", given.choice(["Ost", "West"])]
             title = f"{given.choice(['Gewölbe', 'Kuppel', 'Wand'])} {number}"
-            words = described(f"panel_{number}", title, tags, "cut and glued, see the list " * 4)
+            words = description_columns(f"panel_{number}", title, tags, "cut and glued, see the list " * 4)
             rows.append(
                 {
                     "id": f"{number:032x}", "owner": LOCAL, "name": f"panel_{number}", "digest": "0" * 64,
@@ -63,7 +63,7 @@ def run() -> list[dict[str, Any]]:
             named = [(row["id"], name) for row in rows for name in ("report.html", THUMBNAIL)]
             db.execute(insert(FILES), [{"job": j, "name": n, "sha": "0" * 64, "size": 1} for j, n in named])
         client = TestClient(create_app(service), base_url="http://127.0.0.1")
-        out = [_row(client, name, query) for name, query in ASKED.items()]
+        out = [_row(client, name, query) for name, query in QUERIES.items()]
         service.close()
     return out
 
@@ -75,9 +75,9 @@ class _Nobody:
 def _row(client: Any, name: str, query: str) -> dict[str, Any]:
     times = []
     for _ in range(RUNS):
-        begin = time.process_time()
+        start_s = time.process_time()
         answer = client.get(f"/v1/jobs?{query}")
-        times.append(time.process_time() - begin)
+        times.append(time.process_time() - start_s)
         if answer.status_code != 200:
             raise RuntimeError(answer.text)
     count = len(answer.json()["jobs"])

@@ -27,31 +27,33 @@ from typing import Any
 
 import httpx
 
-from bench.proc import below
-from planner.service import bundled
+from bench.proc import child_processes
+from planner.service import bundled_examples
 from tests import small_problem
 from tests.service.support import Process
 
 MINUTES = "TANDEM_SOAK_MINUTES"
 WARM_SHARE = 0.25
-"""Share of the time after which processes, pools and caches are taken as warm."""
-LOOK_S = 5.0
-"""How often [s] what processes hold is looked at from then on: medians of the first and the last third."""
+"""Fraction of the time after which processes, pools and caches count as warm."""
+SAMPLE_S = 5.0
+"""Interval [s] of the resource samples from then on: medians of the first and the last third."""
 KEPT = 60
-"""Jobs that are kept: what is older is deleted, as in a workshop that runs for long."""
-MOST_QUEUED = 20
-"""Jobs that wait, from which on nobody sends more: a busy machine plans fewer, and all have to end."""
+"""Number of jobs that are kept; older ones are deleted, as in a workshop that runs for long."""
+MAX_QUEUED = 20
+"""Maximum number of waiting jobs at which clients still send.
+
+A busy machine plans fewer, and all must end.
+"""
 LATE = 0
-"""Stands for the status of what had no answer within the client's time, 120 s."""
+"""Status of requests without an answer within the client's time limit, 120 s."""
 CELLS = ("wing", "column_capital", "flank_wall", "shell_piece_held")
-"""Bundled problems whose cells and first looks are asked for."""
+"""Bundled problems whose cells and quick checks are requested."""
 Files = list[tuple[str, tuple[str, bytes]]]
 
 
 @dataclass(frozen=True)
-class Held:
-    """What the processes of a service hold: memory [MB], of a page that they share its part each, open
-    files and threads."""
+class ProcessUsage:
+    """Resources of a service's processes: memory [MB], shared pages divided, open files and threads."""
 
     memory_mb: float
     files: int
@@ -60,28 +62,31 @@ class Held:
 
 
 def run() -> list[dict[str, Any]]:
-    """Rows of median and 99th percentile [s] of each kind of request, and one of what is held; raises
-    RuntimeError where a job was lost or the service failed."""
+    """Return rows of median and 99th percentile [s] of each kind of request, and one of the resources.
+
+    Raises:
+        RuntimeError: A job was lost or the service failed.
+    """
     minutes = float(os.environ.get(MINUTES, "2"))
-    with tempfile.TemporaryDirectory() as folder, _served(Path(folder)) as (pid, url):
+    with tempfile.TemporaryDirectory() as folder, _serve(Path(folder)) as (pid, url):
         soak = _Soak(url, Path(folder))
         try:
-            soak.begin()
+            soak.start()
             time.sleep(60.0 * minutes * WARM_SHARE)
             end = time.monotonic() + 60.0 * minutes * (1.0 - WARM_SHARE)
-            seen = [_held(pid)]
+            seen = [_process_usage(pid)]
             while time.monotonic() < end:
-                time.sleep(LOOK_S)
-                seen.append(_held(pid))
+                time.sleep(SAMPLE_S)
+                seen.append(_process_usage(pid))
         finally:
             soak.end()
-        states = soak.settled()
+        states = soak.outcome_counts()
     third = -(-len(seen) // 3)
     return [*soak.rows(), _row(minutes, _middle(seen[:third]), _middle(seen[-third:]), states, soak)]
 
 
 @contextlib.contextmanager
-def _served(folder: Path) -> Iterator[tuple[int, str]]:
+def _serve(folder: Path) -> Iterator[tuple[int, str]]:
     process = Process(folder / "data", "--requests-per-s", "1000").wait()
     try:
         yield process.pid, process.url
@@ -91,32 +96,32 @@ def _served(folder: Path) -> Iterator[tuple[int, str]]:
         raise RuntimeError(f"the service failed: {said[-2000:]}")
 
 
-def _held(pid: int) -> Held:
+def _process_usage(pid: int) -> ProcessUsage:
     """Of a process and all that it started."""
-    family = [pid, *below(pid)]
+    family = [pid, *child_processes(pid)]
     memory, files, threads = 0.0, 0, 0
-    for one in family:
+    for item in family:
         with contextlib.suppress(OSError):
-            at = Path(f"/proc/{one}")
+            at = Path(f"/proc/{item}")
             said = dict(line.split(":") for line in (at / "smaps_rollup").read_text().splitlines()[1:])
             memory += int(said["Pss"].split()[0]) * 1.024e-3
             files += len(list((at / "fd").iterdir()))
             threads += len(list((at / "task").iterdir()))
-    return Held(memory, files, threads, len(family))
+    return ProcessUsage(memory, files, threads, len(family))
 
 
-def _middle(seen: list[Held]) -> Held:
+def _middle(seen: list[ProcessUsage]) -> ProcessUsage:
     """The median of each: a worker that plans holds a few hundred MB more for a while."""
-    return Held(
-        statistics.median(one.memory_mb for one in seen),
-        statistics.median_low([one.files for one in seen]),
-        statistics.median_low([one.threads for one in seen]),
-        statistics.median_low([one.processes for one in seen]),
+    return ProcessUsage(
+        statistics.median(item.memory_mb for item in seen),
+        statistics.median_low([item.files for item in seen]),
+        statistics.median_low([item.threads for item in seen]),
+        statistics.median_low([item.processes for item in seen]),
     )
 
 
 class _Soak:
-    """Clients of a service, until they are told to end."""
+    """Clients of a service that run until they are stopped."""
 
     def __init__(self, url: str, folder: Path) -> None:
         self._url = url
@@ -131,14 +136,14 @@ class _Soak:
             threading.Thread(target=self._go, args=(seed, what, pause), daemon=True)
             for seed, (what, pause) in enumerate(
                 [
-                    (self._submit, 4.0), (self._follow, 1.0), (self._look, 3.0), (self._cell, 6.0),
+                    (self._submit, 4.0), (self._follow, 1.0), (self._quick_check, 3.0), (self._cell, 6.0),
                     (self._list, 0.2), (self._read, 0.3), (self._wrong, 1.0), (self._tidy, 2.0),
                     (self._draft, 1.0), (self._many, 20.0),
                 ]
             )
         ]  # fmt: skip
 
-    def begin(self) -> None:
+    def start(self) -> None:
         for client in self._clients:
             client.start()
 
@@ -147,7 +152,7 @@ class _Soak:
         for client in self._clients:
             client.join(120.0)
 
-    def settled(self) -> Counter[str]:
+    def outcome_counts(self) -> Counter[str]:
         """How many of the jobs that were accepted and not deleted ended how."""
         kept = [job for job in self._jobs if job not in self._gone]
         with httpx.Client(base_url=self._url, timeout=60.0) as client:
@@ -175,14 +180,14 @@ class _Soak:
                     self.answers[what.__name__.strip("_"), LATE] += 1
 
     def _ask(self, client: httpx.Client, kind: str, method: str, path: str, **more: Any) -> httpx.Response:
-        begin = time.perf_counter()
+        start_s = time.perf_counter()
         answer = client.request(method, path, **more)
-        self._times[kind].append(time.perf_counter() - begin)
+        self._times[kind].append(time.perf_counter() - start_s)
         self.answers[kind, answer.status_code] += 1
         return answer
 
     def _upload(self, problems: int = 1) -> Files:
-        """So many problems that nobody has planned, with their table."""
+        """Return the given number of new problems with their table."""
         rows = "\n".join([small_problem.COLUMNS, *small_problem.ROWS]).encode()
         texts = [
             small_problem.PROBLEM.replace("name: small", f"name: soak{next(self._numbers)}")
@@ -192,7 +197,7 @@ class _Soak:
         return [*parts, ("files", ("targets.csv", rows))]
 
     def _full(self, client: httpx.Client) -> bool:
-        return int(self._ask(client, "health", "GET", "/v1/health").json()["queued"]) > MOST_QUEUED
+        return int(self._ask(client, "health", "GET", "/v1/health").json()["queued"]) > MAX_QUEUED
 
     def _submit(self, client: httpx.Client, given: random.Random) -> None:
         if self._full(client):
@@ -205,7 +210,7 @@ class _Soak:
             self._ask(client, "cancel", "POST", f"/v1/jobs/{self._jobs[-1]}/cancel")
 
     def _many(self, client: httpx.Client, given: random.Random) -> None:
-        """A batch, or a sweep, of which one problem cannot be read now and then."""
+        """Send a batch or a sweep; now and then one of its problems cannot be read."""
         if self._full(client):
             return
         files, path = self._upload(3), "/v1/batches"
@@ -216,7 +221,7 @@ class _Soak:
             path = "/v1/sweeps?field=operations.0.feed_mm_s&value=20&value=30"
         answer = self._ask(client, "many", "POST", path, files=files)
         if answer.status_code == 201:
-            self._jobs += [one["id"] for one in answer.json()["jobs"]]
+            self._jobs += [job["id"] for job in answer.json()["jobs"]]
 
     def _draft(self, client: httpx.Client, given: random.Random) -> None:
         """A draft that is kept, saved by two, listed, and deleted."""
@@ -240,7 +245,7 @@ class _Soak:
                 if leave or self._over.is_set():
                     break
 
-    def _look(self, client: httpx.Client, given: random.Random) -> None:
+    def _quick_check(self, client: httpx.Client, given: random.Random) -> None:
         files = self._bundles[given.choice(CELLS)]
         self._ask(client, "check without reach", "POST", "/v1/check?reach=false", files=files)
 
@@ -259,7 +264,7 @@ class _Soak:
         self._ask(client, "file" if "files" in kind else kind, "GET", path)
 
     def _wrong(self, client: httpx.Client, given: random.Random) -> None:
-        """What is refused, too long, or broken off."""
+        """Send requests that are refused, too long, or broken off."""
         kind = given.randrange(4)
         if kind == 0:
             text = small_problem.PROBLEM.replace("robot:", "robo:").encode()
@@ -277,7 +282,7 @@ class _Soak:
             self._ask(client, "refused", "POST", "/v1/jobs", files=files)
 
     def _tidy(self, client: httpx.Client, given: random.Random) -> None:
-        """Release and withdraw now and then; delete what is old."""
+        """Release and withdraw now and then; delete old jobs."""
         if len(self._jobs) > 2 and given.random() < 0.3:
             job = given.choice(self._jobs[-KEPT:])
             said = {"note": "soak", "name": "A. Tester"}
@@ -292,12 +297,14 @@ class _Soak:
 
 def _bundle(name: str) -> Files:
     """A bundled problem with its files, as an upload."""
-    known = bundled.problem(name)
-    files = [("files", (one, bundled.file(name, one).read_bytes())) for one in known["files"]]
+    known = bundled_examples.problem(name)
+    files = [("files", (file, bundled_examples.file(name, file).read_bytes())) for file in known["files"]]
     return [("problem", ("problem.json", json.dumps(known["problem"]).encode())), *files]
 
 
-def _row(minutes: float, warm: Held, last: Held, states: Counter[str], soak: _Soak) -> dict[str, Any]:
+def _row(
+    minutes: float, warm: ProcessUsage, last: ProcessUsage, states: Counter[str], soak: _Soak
+) -> dict[str, Any]:
     failed = {kind: count for kind, count in soak.answers.items() if kind[1] >= 500 and kind[1] != 503}
     if failed or states["lost"] or states["crashed"]:
         raise RuntimeError(f"answers {dict(soak.answers)}, jobs {dict(states)}")

@@ -1,6 +1,9 @@
-"""Springback of a rounded pyramid from its mesh: control points of its path, their curves as `tandem
-springback` solves them, and how far S between them is from S that is solved there. Then bundled jobs that are
-compensated, from file to proof, and how far their released parts are off by shells of another mesh."""
+"""Springback of a rounded pyramid from its mesh, and bundled jobs with compensation.
+
+Control points of its path, their curves as `tandem springback` solves them, and the difference between the
+interpolated S and the S that is solved at the point. Then bundled jobs that are compensated, from file to
+proof, and the deviation of their released parts by shells of another mesh.
+"""
 
 from __future__ import annotations
 
@@ -18,27 +21,27 @@ import yaml
 
 import planner
 from planner import pipeline
-from planner.cli.forming import Springback, run_springback
+from planner.cli.forming import SpringbackCommand, run_springback
 from planner.geometry.arrays import lengths
 from planner.geometry.units import MM
 from planner.processes import registry
 from planner.processes.forming.claims import FormsPart
 from planner.processes.forming.plan.job import FormingJob
-from planner.processes.forming.plan.process_plan import lay_all, work
+from planner.processes.forming.plan.process_plan import make_tool_paths, prepare_work
 from planner.processes.forming.plan.springback import forecast
-from planner.processes.forming.plan.springback.curves import Point, forces, solved
-from planner.processes.forming.proof import elastic, springback_file
-from planner.processes.forming.proof.shapes import PartShapes, in_order
+from planner.processes.forming.plan.springback.curves import SpringbackPoint, sheet_forces, solve_curve
+from planner.processes.forming.proof import elastic_sheet, springback_file
+from planner.processes.forming.proof.formed_shapes import PartShapes, ordered_passes
 from tests import small_forming
 from tests.processes.forming.plan.shapes import pit
 
 GOAL_CONTROL_S, GOAL_POINTS_S, GOAL_SHARE = 2.0, 180.0, 0.03
-PLACES = 20
-"""Places of the path at which S is solved as well."""
+CHECK_POINTS = 20
+"""Number of path points at which S is solved as well."""
 JOBS = ("cone_spif", "pyramid_steep")
 """Bundled jobs that are compensated from file to proof."""
 RELEASED = 8
-"""Places of each pass of these at which what is left is worked out, behind its first loop."""
+"""Number of points of each pass at which the remaining error is computed, after the first loop."""
 
 
 def run() -> list[dict[str, Any]]:
@@ -47,50 +50,52 @@ def run() -> list[dict[str, Any]]:
     data = small_forming.problem("spif", stepdown_mm=0.2, longest_mm=2.0)
     data["sheet"] |= {"size_mm": [320, 320], "metal": "aa5754_o", "opening_mm": [250, 250]}
     with tempfile.TemporaryDirectory() as folder:
-        found = pipeline.load(small_forming.write(Path(folder), data, pit(outline, 45.0, 0.015)))
-        made = work(found.operations[0], found.setups[0], found.part)  # type: ignore[arg-type]
-        laid = lay_all(made)
-    begin = time.process_time()
-    control = forecast.points(made, laid)
-    chosen = time.process_time() - begin
+        result = pipeline.load(small_forming.write(Path(folder), data, pit(outline, 45.0, 0.015)))
+        made = prepare_work(result.operations[0], result.setups[0], result.part)  # type: ignore[arg-type]
+        laid = make_tool_paths(made)
+    start_s = time.process_time()
+    control = forecast.forecast_points(made, laid)
+    chosen = time.process_time() - start_s
     points = control[0][1]
-    begin = time.process_time()
-    curves = list(forecast.curves(made, points))
-    spent = time.process_time() - begin
-    whole = forecast.forecast(laid, control, curves)[0]
+    start_s = time.process_time()
+    curves = list(forecast.solve_curves(made, points))
+    spent = time.process_time() - start_s
+    whole = forecast.make_forecast(laid, control, curves)[0]
     path = laid[0][1].contact
     deep = np.flatnonzero(path.point[:, 2] < -1.0 * MM)
-    rows = np.random.default_rng(2026).choice(deep, PLACES, replace=False)
-    off = []
+    rows = np.random.default_rng(2026).choice(deep, CHECK_POINTS, replace=False)
+    deviations = []
     for row in rows:
-        force = float(forces(made, laid[0][0], path.point[row : row + 1], path.angle[row : row + 1])[0])
-        alone = float(solved(made, Point(0, path.point[row], force)).at(force))
-        off.append((abs(float(whole.at(path.point[row : row + 1], np.array([force]))[0]) - alone), alone))
-    worst = max(gap / alone for gap, alone in off)
+        force = float(sheet_forces(made, laid[0][0], path.point[row : row + 1], path.angle[row : row + 1])[0])
+        alone = float(solve_curve(made, SpringbackPoint(0, path.point[row], force)).at(force))
+        deviations.append(
+            (abs(float(whole.at(path.point[row : row + 1], np.array([force]))[0]) - alone), alone)
+        )
+    worst = max(gap / alone for gap, alone in deviations)
     many = np.median(control[0][0].clusters)
-    told = f"{len(path.point)} targets, {len(points)} control points, {many:g} a loop"
+    note = f"{len(path.point)} targets, {len(points)} control points, {many:g} a loop"
     table = [
-        _row("control points of a pyramid's path", chosen, GOAL_CONTROL_S, told),
+        _row("control points of a pyramid's path", chosen, GOAL_CONTROL_S, note),
         _row(f"{len(points)} curves of five loads", spent, GOAL_POINTS_S, "at most 4,000 triangles each"),
         _row(
-            f"S between control points, {PLACES} places",
+            f"S between control points, {CHECK_POINTS} places",
             worst,
             GOAL_SHARE,
-            f"largest share of S off, and {max(gap for gap, _ in off) / MM:.3f} mm",
+            f"largest share of S off, and {max(gap for gap, _ in deviations) / MM:.3f} mm",
         ),
     ]
-    return [*table, *(row for name in JOBS for row in _compensated(name))]
+    return [*table, *(row for name in JOBS for row in _compensation_rows(name))]
 
 
-def _compensated(name: str) -> Iterator[dict[str, Any]]:
+def _compensation_rows(name: str) -> Iterator[dict[str, Any]]:
     """Rows of a job with its springback file: processor time of all processes [s], errors [mm]."""
     bundled = Path(__file__).parent.parent / "problems"
     with tempfile.TemporaryDirectory() as folder:
-        for one in (name, "cells"):
-            shutil.copytree(bundled / one, Path(folder) / one)
+        for item in (name, "cells"):
+            shutil.copytree(bundled / item, Path(folder) / item)
         path = Path(folder) / name / "problem.yaml"
         begin = _spent()
-        run_springback(Springback(path, write=path.with_name("back.json")), planner.load(path))
+        run_springback(SpringbackCommand(path, write=path.with_name("back.json")), planner.load(path))
         written = _spent() - begin
         data = yaml.safe_load(path.read_text())
         data["operations"][0]["springback"] = {"file": "back.json"}
@@ -100,7 +105,7 @@ def _compensated(name: str) -> Iterator[dict[str, Any]]:
         begin = _spent()
         outcome = planner.plan(planner.load(path))
         planned = _spent() - begin
-        before, after = _released(outcome.problem, path.with_name("back.json"))
+        before, after = _deviations_with_and_without(outcome.problem, path.with_name("back.json"))
     said = "proven" if outcome.verified else "NOT proven"
     yield {"name": f"{name}: springback --write", "median_s": written, "note": "processor time"}
     yield {"name": f"{name}: plan and proof with the file", "median_s": planned, "note": said}
@@ -115,35 +120,41 @@ def _compensated(name: str) -> Iterator[dict[str, Any]]:
 
 def _spent() -> float:
     both = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return sum(one.ru_utime + one.ru_stime for one in both)
+    return sum(item.ru_utime + item.ru_stime for item in both)
 
 
-def _released(problem: Any, path: Path) -> tuple[Any, Any]:
-    """What places of a part are off [mm] without the shifts of a file and with them, by the proof's own
-    shells of many points."""
-    job = next(one for one in registry.jobs(problem) if isinstance(one, FormingJob))
+def _deviations_with_and_without(problem: Any, path: Path) -> tuple[Any, Any]:
+    """Return deviations [mm] of points of a part without and with the shifts of a file.
+
+    They are computed by the proof's own shells of many points.
+    """
+    job = next(item for item in registry.jobs(problem) if isinstance(item, FormingJob))
     made, claims, stock = job.planned, job.claims(), job.setup.stock
-    shapes = PartShapes(next(one for one in claims if isinstance(one, FormsPart)), in_order(claims))
+    shapes = PartShapes(next(item for item in claims if isinstance(item, FormsPart)), ordered_passes(claims))
     metal = made.sheet.metal
-    held = elastic.Clamped(
+    held = elastic_sheet.ClampedSheet(
         float(stock.size[2]), metal.young, metal.poisson, made.sheet.opening, made.sheet.border
     )
-    ways, off = springback_file.read(path).ways, []
+    ways, off = springback_file.read_springback_data(path).paths, []
     random = np.random.default_rng(2026)
-    for one, laid in lay_all(made):
+    for item, laid in make_tool_paths(made):
         feature, number = next(
             (k, n)
             for k, feature in enumerate(shapes.features)
             for n, shape in enumerate(feature.shapes)
-            if one.name in [claim.segment.name for claim in shape.claims]
+            if item.name in [claim.segment.name for claim in shape.claims]
         )
-        contact, way = laid.contact, ways[one.name]
-        force = forces(made, one, contact.point, contact.angle)
+        contact, way = laid.contact, ways[item.name]
+        force = sheet_forces(made, item, contact.point, contact.angle)
         for row in random.choice(np.flatnonzero(contact.loop > contact.loop[0]), RELEASED, replace=False):
-            formed = elastic.Formed(shapes, feature, number, abs(float(contact.point[row, 2]) - one.start))
+            formed = elastic_sheet.PartlyFormedSheet(
+                shapes, feature, number, abs(float(contact.point[row, 2]) - item.start)
+            )
             place = contact.point[row, :2]
-            comes, _ = elastic.comes_back(formed, held, place, float(force[row]), elastic.MANY_POINTS)
-            shift = way.shift[lengths(way.point - laid.former[row]).argmin()]
+            comes, _ = elastic_sheet.springback_at(
+                formed, held, place, float(force[row]), elastic_sheet.MAX_POINTS_FINER
+            )
+            shift = way.shift[lengths(way.point - laid.forming_centre[row]).argmin()]
             off.append((comes / MM, abs(comes - shift) / MM))
     both = np.array([pair for pair in off if np.isfinite(pair).all()])
     return both[:, 0], both[:, 1]

@@ -13,7 +13,7 @@ import numpy as np
 from planner.catalogue.robots import data_dir
 
 REPEATS = 15
-"""Runs of each start; they take turns, so that a busy machine slows all of them."""
+"""Runs of each start; they alternate, so that a busy machine slows all of them."""
 
 
 def run() -> list[dict[str, Any]]:

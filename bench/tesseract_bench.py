@@ -32,6 +32,7 @@ from planner.cell.bodies import Solid
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import FloatArray, Shape, from_parts
 from planner.motion.operation import plan_operation
+from planner.motion.planning_scene import Scene
 from planner.problem import Settings
 
 PYTHON = "TANDEM_TESSERACT_PYTHON"
@@ -40,13 +41,13 @@ WHEEL = "tesseract-robotics-nanobind"
 PEER = Path(__file__).with_name("tesseract_peer.py")
 NAMESPACE = "https://github.com/tesseract-robotics/tesseract"
 COUNTS = (400, 800)
-"""Poses. At 4,000 Tesseract came to no result in 11 GB."""
+"""Numbers of poses. At 4,000 Tesseract gave no result within 11 GB."""
 RUNS = 3
 SPIN = np.deg2rad(10.0)
-PLACE = from_parts(np.eye(3), np.array([0.5, 0.0, 0.0]))
+STOCK_POSE = from_parts(np.eye(3), np.array([0.5, 0.0, 0.0]))
 SIZE = (0.6, 0.8, 0.1)
-MOST_SECONDS = 600
-"""A run of either takes at most so long [s], for a machine that begins to swap."""
+MAX_PEER_TIME_S = 600
+"""Time limit [s] of a run of either planner, for a machine that begins to swap."""
 
 
 def interpreter() -> str:
@@ -99,7 +100,7 @@ def compare(count: int, missing: str | None) -> list[dict[str, Any]]:
 
 
 def _run(command: list[str], folder: Path) -> dict[str, Any]:
-    """What a planner's process found, or why it ended."""
+    """Return the result of a planner's process, or why it ended."""
     found = folder / "found.json"
     found.unlink(missing_ok=True)
     root = str(Path(__file__).resolve().parents[1])
@@ -107,10 +108,10 @@ def _run(command: list[str], folder: Path) -> dict[str, Any]:
     environment = {**os.environ, "PYTHONPATH": paths}
     try:
         ended = subprocess.run(
-            command, capture_output=True, text=True, timeout=MOST_SECONDS, check=False, env=environment
+            command, capture_output=True, text=True, timeout=MAX_PEER_TIME_S, check=False, env=environment
         )
     except subprocess.TimeoutExpired:
-        return {"q": None, "message": f"no result within {MOST_SECONDS} s"}
+        return {"q": None, "message": f"no result within {MAX_PEER_TIME_S} s"}
     if not found.exists():
         said = ended.stderr.strip().splitlines()
         return {"q": None, "message": f"exit code {ended.returncode}: {said[-1] if said else 'no word'}"}
@@ -125,7 +126,7 @@ def _row(name: str, runs: list[dict[str, Any]], model: CellModel) -> dict[str, A
     seconds = [own["seconds"] for own in runs]
     q = np.array(runs[-1]["q"])
     squared = float(np.sum(np.diff(q, axis=0) ** 2))
-    off, lean = _off(model, q)
+    off, tilt = _max_pose_error(model, q)
     near = least_by_coal(model, q)
     said = "coal is not installed" if near is None else f"least distance by coal {near * 1e3:.2f} mm"
     memory = float(np.median([own["memory_mb"] for own in runs]))
@@ -138,25 +139,25 @@ def _row(name: str, runs: list[dict[str, Any]], model: CellModel) -> dict[str, A
         "least_m": near,
         "version": runs[-1].get("version", ""),
         "note": f"{memory:.0f} MB, sum of squared joint steps {squared:.4f} rad^2, {said}, "
-        f"tools off by {off:.0e} m, {lean:.0e} rad",
+        f"tools off by {off:.0e} m, {tilt:.0e} rad",
     }
 
 
-def _off(model: CellModel, q: FloatArray) -> tuple[float, float]:
+def _max_pose_error(model: CellModel, q: FloatArray) -> tuple[float, float]:
     """How far the TCP [m] and the tool's axis [rad] are off the poses at most, for joints (N, 6)."""
     _, targets = s_curve(len(q))
-    ((arm, wanted),) = targets.pose.items()
-    found = model.tcp({arm: q})[arm]
-    lean = np.linalg.norm(np.cross(found[:, :3, 2], wanted[:, :3, 2]), axis=1)
-    facing = np.sum(found[:, :3, 2] * wanted[:, :3, 2], axis=1)
-    way = np.linalg.norm(found[:, :3, 3] - wanted[:, :3, 3], axis=1)
-    return float(way.max()), float(np.arctan2(lean, facing).max())
+    ((arm, expected),) = targets.pose.items()
+    result = model.tcp({arm: q})[arm]
+    tilt = np.linalg.norm(np.cross(result[:, :3, 2], expected[:, :3, 2]), axis=1)
+    facing = np.sum(result[:, :3, 2] * expected[:, :3, 2], axis=1)
+    way = np.linalg.norm(result[:, :3, 3] - expected[:, :3, 3], axis=1)
+    return float(way.max()), float(np.arctan2(tilt, facing).max())
 
 
 def write_job(folder: Path, count: int) -> CellModel:
     """Write the job for Tesseract into ``folder``; the cell's model."""
     cell, targets = s_curve(count)
-    model = plant.build(cell, block(SIZE, PLACE), PLACE)
+    model = plant.build_cell_model(cell, block(SIZE, STOCK_POSE), STOCK_POSE)
     (arm,) = cell.arms
     data = robots.robot(arm.robot)
     (folder / "cell.urdf").write_text(urdf(model))
@@ -201,11 +202,11 @@ def urdf(model: CellModel) -> str:
     for link, (parent, pose) in own.items():
         body = f"{arm.name}/tool" if link == "tool" else link
         shapes = "".join(_collision(s) for s in model.solids if s.body == body)
-        text += f'<link name="{link}">{shapes}</link>{_fixed(link, parent, pose)}'
-    return f'{text}<link name="tcp"/>{_fixed("tcp", "tool0", arm.tool.tcp)}</robot>\n'
+        text += f'<link name="{link}">{shapes}</link>{_fixed_joint(link, parent, pose)}'
+    return f'{text}<link name="tcp"/>{_fixed_joint("tcp", "tool0", arm.tool.tcp)}</robot>\n'
 
 
-def _fixed(link: str, parent: str, pose: FloatArray) -> str:
+def _fixed_joint(link: str, parent: str, pose: FloatArray) -> str:
     ends = f'<parent link="{parent}"/><child link="{link}"/>'
     return f'<joint name="{link}_joint" type="fixed">{_origin(pose)}{ends}</joint>'
 
@@ -225,18 +226,18 @@ def _collision(solid: Solid) -> str:
         what = f'<{tag} radius="{shape.size[0]!r}" length="{shape.size[1]!r}"/>'
     else:
         raise ValueError(
-            f"the job has a {shape.kind}; only boxes, cylinders and capsules are told to Tesseract"
+            f"the job has a {shape.kind}; only boxes, cylinders and capsules are exported to Tesseract"
         )
     return f"<collision>{_origin(shape.pose)}<geometry>{what}</geometry></collision>"
 
 
 def srdf(model: CellModel, folder: Path) -> str:
-    """The arm as a group, the plugins and the pairs that are not held apart."""
+    """Return the arm as a group, the plugins, and the pairs that are not checked."""
     (arm,) = model.cell.arms
     pairs = "".join(
         f'<disable_collisions link1="{a.removeprefix(arm.name + "/")}" '
         f'link2="{b.removeprefix(arm.name + "/")}" reason="Never"/>'
-        for a, b, _ in model.pairs_filtered
+        for a, b, _ in model.filtered_pairs
     )
     return (
         f'<robot name="{arm.robot}"><group name="manipulator"><chain base_link="base_link" tip_link="tool0"/>'
@@ -246,30 +247,36 @@ def srdf(model: CellModel, folder: Path) -> str:
 
 
 def least_by_coal(model: CellModel, q: FloatArray) -> float | None:
-    """The least distance [m] of all pairs that are held apart, at joints ``q`` (N, 6), by the library coal;
-    None where that is not installed."""
+    """Return the minimum distance [m] of all checked pairs at joints ``q`` (N, 6) by the library coal.
+
+    None if coal is not installed.
+    """
     try:
         import coal
     except ImportError:
         return None
     (arm,) = model.arms
     poses = model.poses({arm: q})
-    shaped = [(solid, _coal_shape(coal, solid.shape)) for solid in model.bounds.given]
-    apart = {frozenset(pair[:2]) for pair in model.pairs_filtered} - set(model.held_in_part)
-    least = np.inf
+    shaped = [(solid, _coal_shape(coal, solid.shape)) for solid in model.bounds.all_solids]
+    apart = {frozenset(pair[:2]) for pair in model.filtered_pairs} - set(model.partially_checked)
+    minimum = np.inf
     request, answer = coal.DistanceRequest(), coal.DistanceResult()
-    for i, (one, own) in enumerate(shaped):
+    for i, (item, own) in enumerate(shaped):
         for j, (other, its) in enumerate(shaped[i + 1 :], start=i + 1):
-            bodies = frozenset((one.body, other.body))
-            if len(bodies) == 1 or bodies in apart or (i, j) not in model.held_in_part.get(bodies, [(i, j)]):
+            bodies = frozenset((item.body, other.body))
+            if (
+                len(bodies) == 1
+                or bodies in apart
+                or (i, j) not in model.partially_checked.get(bodies, [(i, j)])
+            ):
                 continue
-            first = np.broadcast_to(poses[one.body] @ one.shape.pose, (len(q), 4, 4))
+            first = np.broadcast_to(poses[item.body] @ item.shape.pose, (len(q), 4, 4))
             second = np.broadcast_to(poses[other.body] @ other.shape.pose, (len(q), 4, 4))
             for a, b in zip(first, second, strict=True):
                 answer.clear()
                 at = [coal.Transform3s(pose[:3, :3], pose[:3, 3]) for pose in (a, b)]
-                least = min(least, coal.distance(own, at[0], its, at[1], request, answer))
-    return float(least)
+                minimum = min(minimum, coal.distance(own, at[0], its, at[1], request, answer))
+    return float(minimum)
 
 
 def _coal_shape(coal: Any, shape: Shape) -> Any:
@@ -281,11 +288,12 @@ def ours(count: int) -> dict[str, Any]:
     """Tandem on the same job: joints at the targets, processor time [s], peak memory [MB]."""
     cell, targets = s_curve(count)
     targets = dataclasses.replace(targets, may_join=False)  # joints at every pose, as the peer gives them
-    model = plant.build(cell, block(SIZE, PLACE), PLACE)
+    model = plant.build_cell_model(cell, block(SIZE, STOCK_POSE), STOCK_POSE)
     start = time.process_time()
-    made = plan_operation("s", cell, targets, Settings(), PLACE, model)
+    scene = Scene.of(cell, targets.arms, STOCK_POSE, Settings(), model)
+    operation_plan = plan_operation("s", scene, targets, cell.controller)
     seconds = time.process_time() - start
-    (q,) = made.q.values()
+    (q,) = operation_plan.q.values()
     return {"q": q.tolist(), "seconds": seconds, "memory_mb": peak_memory(), "message": ""}
 
 

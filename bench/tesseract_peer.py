@@ -84,7 +84,10 @@ def plan(folder: Path) -> dict[str, Any]:
 
 
 def peak_memory() -> float:
-    """Peak memory [MB] of this process alone; what ``getrusage`` says begins with the parent's."""
+    """Return the peak memory [MB] of this process alone.
+
+    The value of ``getrusage`` begins with the parent's.
+    """
     for line in Path("/proc/self/status").read_text().splitlines():
         if line.startswith("VmHWM:"):
             return int(line.split()[1]) / 1024

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from planner.motion.trajectory.timing import parameterise, solve_once
+from planner.motion.trajectory.timing import compute_profile, solve_drake
 
 PATHS = 100
 DRAKE_PATHS = 20
@@ -34,14 +34,14 @@ def _grid(count: int) -> dict[str, Any]:
     for seed in range(PATHS):
         spline = smooth_path(seed)
         start = time.process_time()
-        found, used = parameterise(spline, grid, bound, speed, strength)
+        result, used = compute_profile(spline, grid, bound, speed, strength)
         ours.append(time.process_time() - start)
-        done += found is not None
+        done += result is not None
         solvers.append(used)
         if seed < DRAKE_PATHS:
             limit = np.minimum(bound, np.min(speed / np.abs(spline(grid, 1)), axis=1))
             start = time.process_time()
-            drake_done += solve_once(spline, grid, limit, strength) is not None
+            drake_done += solve_drake(spline, grid, limit, strength) is not None
             theirs.append(time.process_time() - start)
     note = (
         f"timed {done} of {PATHS} (toppra {solvers.count('toppra')}); "

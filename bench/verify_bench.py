@@ -1,4 +1,4 @@
-"""How long a proof takes: a small job, its parts, and refusing a faulty program."""
+"""Duration of a proof: a small job, its parts, and refusal of a faulty program."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from planner.catalogue.robots import robot
-from planner.cell.kinematics import forward
-from planner.processes.hotwire.proof.wire_motion import follow_wire, mounted
+from planner.cell.kinematics import forward_kinematics
+from planner.processes.hotwire.proof.wire_motion import follow_wire, mounted_phases
 from planner.proof.context import Context
 from planner.proof.kinematics import arm_model
 from planner.proof.prove import Prover
@@ -24,9 +24,9 @@ from tests.proof.mutants import MUTATORS
 TARGETS = 220
 """Targets of each face: with entry, link and exit about 460 in all."""
 BOW_TARGETS = 100
-"""Targets of each of two ruled faces; ways in and out make it about 400 in all."""
+"""Targets of each of two ruled faces; lead-ins and lead-outs make it about 400 in all."""
 POSES = 100_000
-"""Postures of each of two arms of which the flange is worked out."""
+"""Number of postures of each of two arms whose flange pose is computed."""
 
 
 def run() -> list[dict[str, Any]]:
@@ -45,7 +45,7 @@ def run() -> list[dict[str, Any]]:
         Context(problem, claims, programs).motion  # noqa: B018
 
     def wire() -> None:
-        follow_wire(context, *mounted(context)[0])
+        follow_wire(context, *mounted_phases(context)[0])
 
     _ = context.motion
     bows = []
@@ -68,7 +68,7 @@ def run() -> list[dict[str, Any]]:
         _row(
             "verify: follow the wire",
             wire,
-            f"{len(follow_wire(context, *mounted(context)[0]).sample)} shapes",
+            f"{len(follow_wire(context, *mounted_phases(context)[0]).sample)} shapes",
         ),
         _row(
             "verify: refuse a wrong time",
@@ -80,7 +80,7 @@ def run() -> list[dict[str, Any]]:
 
 def _poses() -> dict[str, Any]:
     """The flanges of two arms by the chains of their URDFs; the peer is the planner's own chain."""
-    arms = [arm_model.machine_of(robot(name)) for name in ("irb140", "kr210_r2700")]
+    arms = [arm_model.robot_machine(robot(name)) for name in ("irb140", "kr210_r2700")]
     rng = np.random.default_rng(4)
     q = [rng.uniform(arm.data.lower, arm.data.upper, (POSES, 6)) for arm in arms]
 
@@ -90,7 +90,7 @@ def _poses() -> dict[str, Any]:
 
     def planners() -> None:
         for arm, rows in zip(arms, q, strict=True):
-            forward(arm.data, rows)
+            forward_kinematics(arm.data, rows)
 
     row = _row("verify: poses by URDF, 100,000 x 2", ours, "two arms; peer: the planner's own chain")
     return row | {"ratio": _row("", planners, "")["median_s"] / row["median_s"]}

@@ -1,7 +1,6 @@
-"""Writes tables from the code into ``docs/``: fields of problem and batch files, rules of the proof, codes.
+"""Write tables from the code into ``docs/``: fields of problem and batch files, rules of the proof, codes.
 
-Run ``python docs/make_reference.py`` after a change of a schema; a test compares the file with what this
-writes.
+Run ``python docs/make_reference.py`` after a change of a schema. A test compares the files with its output.
 """
 
 from __future__ import annotations
@@ -22,32 +21,32 @@ from planner.processes.poses.plan import job
 from planner.processes.trim.plan import operation as trim_operation
 from planner.proof import rule_table
 from planner.reading import (
-    axes,
     cell,
     controller,
     drawing_file,
-    loads,
     part_ruled,
     part_surfaces,
     problem,
-    rails,
+    process_forces,
+    rail_axes,
     rhino,
     robot_file,
+    rotary_axes,
     sheet,
     step,
     stock,
 )
 from planner.reading import part as part_file
 
-HERE = Path(__file__).parent
-PACKAGE = HERE.parent / "planner"
+DOCS_FOLDER = Path(__file__).parent
+PACKAGE = DOCS_FOLDER.parent / "planner"
 START, END = "<!-- written by make_reference.py -->", "<!-- end of what make_reference.py writes -->"
 
 CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("The whole file", "", problem.ProblemFile),
     ("`stock`", "", stock.StockFile),
     ("`setup` of an operation", "setup", stock.SetupFile),
-    ("`forces` of an operation, by arm", "forces", loads.ForceFile),
+    ("`forces` of an operation, by arm", "forces", process_forces.ForceFile),
     ("`foam` of `stock`, a file", "", stock.FoamReference),
     ("`sheet`", "", sheet.SheetFile),
     ("`sheet.clamp`", "", sheet.ClampFile),
@@ -110,12 +109,12 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("`free` of `targets`, each", "", job.FreeAxis),
     ("`cell`, or the file that it names", "cell", cell.CellFile),
     ("`cell.arms`, each", "", cell.ArmFile),
-    ("`track` of an arm", "", rails.TrackFile),
-    ("`axes` of an arm, of a gantry", "", rails.GantryAxisFile),
-    ("`turntable` of a cell", "", axes.TurntableFile),
-    ("`positioner` of a cell", "", axes.PositionerFile),
-    ("`tilt` of a positioner", "", axes.TiltFile),
-    ("`plate` of a turntable", "", axes.TurntablePlateFile),
+    ("`track` of an arm", "", rail_axes.TrackFile),
+    ("`axes` of an arm, of a gantry", "", rail_axes.GantryAxisFile),
+    ("`turntable` of a cell", "", rotary_axes.TurntableFile),
+    ("`positioner` of a cell", "", rotary_axes.PositionerFile),
+    ("`tilt` of a positioner", "", rotary_axes.TiltFile),
+    ("`plate` of a turntable", "", rotary_axes.TurntablePlateFile),
     ("`robot` of an arm, one of your own", "", robot_file.OwnRobotFile),
     ("`meshes` of `robot`, each", "", robot_file.LinkMeshFile),
     ("`stiffness` of an arm", "", cell.StiffnessFile),
@@ -151,23 +150,23 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
 
 
 def fields() -> str:
-    """The tables of all chapters as Markdown."""
+    """Return the tables of all chapters as Markdown."""
     return "\n".join(_chapter(title, anchor, model) for title, anchor, model in CHAPTERS)
 
 
 def rules() -> str:
-    """The table of the proof's rules."""
+    """Return the table of the rules of the proof."""
     rows = [f"| `{code}` | {rule.title} |" for code, rule in rule_table.built_in().items()]
     return "\n".join(["| rule | what it asks |", "|---|---|", *rows, ""])
 
 
 def batch_fields() -> str:
-    """The tables of a batch file."""
+    """Return the tables of a batch file."""
     return "\n".join([_table(batch_file.BatchFile), "A range of `vary`:", "", _table(batch_file.RangeFile)])
 
 
 def code_index() -> str:
-    """The files of all rules and issue codes, as two tables."""
+    """Return the files of all rules and issue codes, as two tables."""
     texts = {path.relative_to(PACKAGE).as_posix(): path.read_text("utf-8") for path in PACKAGE.rglob("*.py")}
     return "\n".join(
         [
@@ -189,9 +188,9 @@ def _rule_index(texts: dict[str, str]) -> str:
     """Rules by file."""
     rows = []
     for file, text in sorted(texts.items()):
-        found = re.findall(r'^@rule\(\s*"verify\.([\w.]+)"', text, re.MULTILINE)
-        if found:
-            rows.append(f"| `{file}` | {', '.join(found)} |")
+        codes = re.findall(r'^@rule\(\s*"verify\.([\w.]+)"', text, re.MULTILINE)
+        if codes:
+            rows.append(f"| `{file}` | {', '.join(codes)} |")
     return "\n".join(["| file | rules |", "|---|---|", *rows, ""])
 
 
@@ -201,7 +200,7 @@ def _issue_index(texts: dict[str, str]) -> str:
     for code in sorted(code for code in CODES if not code.startswith("verify.")):
         subject, _, name = code.partition(".")
         for file, text in sorted(texts.items()):
-            if f'"{code}"' in text and not file.endswith("issue_codes.py"):
+            if f'"{code}"' in text and "/issue_codes/" not in file:
                 rows.setdefault(subject, {}).setdefault(file, []).append(name)
     lines = [f"| `{subject}` | {_by_file(files)} |" for subject, files in rows.items()]
     return "\n".join(["| code | files |", "|---|---|", *lines, ""])
@@ -220,10 +219,10 @@ PAGES: dict[str, Callable[[], str]] = {
 
 
 def page(name: str, old: str) -> str:
-    """The page with its tables replaced."""
-    before, rest = old.split(START)
+    """Return the page with its tables replaced."""
+    head, rest = old.split(START)
     _, after = rest.split(END)
-    return f"{before}{START}\n\n{PAGES[name]()}\n{END}{after}"
+    return f"{head}{START}\n\n{PAGES[name]()}\n{END}{after}"
 
 
 def _chapter(title: str, anchor: str, model: type[BaseModel]) -> str:
@@ -292,5 +291,5 @@ def _plain(value: Any) -> str:
 
 if __name__ == "__main__":
     for name in PAGES:
-        path = HERE / name
+        path = DOCS_FOLDER / name
         path.write_text(page(name, path.read_text("utf-8")), "utf-8")

@@ -1,4 +1,4 @@
-"""Tandem: plans two robots that share one job, writes their programs and proves them from their own text.
+"""Tandem plans two robots that share one job, writes their programs and proves them from the program text.
 
 >>> import planner
 >>> problem = planner.load("problems/column_capital/problem.yaml")
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from planner.pipeline import verify as prove
     from planner.service.client import Client
 
-_HOME = {
+_EXPORTS = {
     "Client": ("planner.service.client", "Client"),
     "Issue": ("planner.issues", "Issue"),
     "TandemError": ("planner.issues", "TandemError"),
@@ -43,7 +43,7 @@ _HOME = {
     "check": ("planner.pipeline", "check"),
     "load": ("planner.pipeline", "load"),
     "plan": ("planner.pipeline", "plan"),
-    "prove": ("planner.pipeline", "verify"),  # planner.proof is the package of the proof
+    "prove": ("planner.pipeline", "verify"),  # not "proof": planner.proof is a package
     "read_partly": ("planner.pipeline", "read_partly"),
     "read_programs": ("planner.pipeline", "read_programs"),
     "save": ("planner.pipeline", "save"),
@@ -51,15 +51,15 @@ _HOME = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import on first use: ``import planner`` alone must not load Drake."""
-    if name not in _HOME:
+    """Import an exported name on first use, so that ``import planner`` alone does not load Drake."""
+    if name not in _EXPORTS:
         raise AttributeError(f"module 'planner' has no attribute {name!r}")
     from importlib import import_module
 
-    module, own = _HOME[name]
-    return getattr(import_module(module), own)
+    module, attribute = _EXPORTS[name]
+    return getattr(import_module(module), attribute)
 
 
 def __dir__() -> list[str]:
-    """What :func:`__getattr__` imports is there for ``dir`` and completion, too."""
+    """List the lazily imported names too, for ``dir`` and completion."""
     return sorted({*globals(), *__all__})

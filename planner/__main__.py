@@ -1,16 +1,16 @@
-"""``python -m planner`` is the command ``tandem``."""
+"""Entry point for ``python -m planner``, which is the command ``tandem``."""
 
 import sys
 
 
 def main() -> None:
-    """Entry point of the command; a Ctrl-C while modules are still read is no fault either."""
+    """Run the command line. Ctrl-C during the imports exits with code 130 instead of a traceback."""
     try:
         from planner.files import deferred_sigint
         from planner.runtime.memory import gc_frozen, mark_own_process
 
         mark_own_process()
-        with deferred_sigint(), gc_frozen():  # an import that is interrupted may swallow it
+        with deferred_sigint(), gc_frozen():  # an interrupted import may lose the signal
             from planner.cli.command_line import main as command
     except KeyboardInterrupt:
         sys.exit(130)

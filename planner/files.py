@@ -1,8 +1,7 @@
-"""Files and folders, asked for without surprises, written whole or not at all; versions of packages.
+"""Atomic writing of files and folders, file queries that do not raise, and versions of dependencies.
 
-A file is written under a temporary name and renamed; a folder is staged in a hidden one inside of
-it, which is locked while its run lives and swept by the next run where that was killed. `versions`
-are those of what plans depend on.
+A file is written under a temporary name and renamed. A folder is staged in a hidden folder inside it. A run
+locks its staging folder for as long as it lives; the next run removes what a killed run left behind.
 """
 
 import csv
@@ -22,17 +21,17 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final
 
-from planner.issues import TandemError, refusal
+from planner.issues import TandemError, issue_error
 
 STAGING = ".tandem-"
-"""How the names of unfinished folders begin."""
+"""Prefix of the names of staging folders."""
 STATEMENT, SIGNATURE = "statement.json", "statement.json.sig"
-"""What is signed of a result, and its signature."""
+"""File of a result that is signed, and file of its signature."""
 RELEASE = "release.json"
-"""What a service says of who released the programs of a result, in its folder or beside the programs."""
+"""File in which a service states who released the programs, in the result folder or next to the programs."""
 THUMBNAIL = "thumbnail.png"
-"""The small picture of the cell that a service shows in its lists, taken from the report."""
-RESULT = (
+"""Small picture of the cell from the report, which a service shows in its lists."""
+RESULT_ENTRIES = (
     "programs",
     "problem",
     "plan.npz",
@@ -47,63 +46,68 @@ RESULT = (
     STATEMENT,
     SIGNATURE,
 )
-"""What a result folder holds; anything else in the folder is left alone."""
+"""Entries of a result folder that a run owns. Anything else in the folder is left alone."""
 
 
 PAGES = ("report.html", "replay.html")
-"""What of a result folder people look at, and can be made of the rest."""
+"""Pages of a result folder for people. They can be made from the other files."""
 
 FILE_KEYS: Final = ("file", "urdf")
-"""Keys of problem files whose text is the name of a file."""
+"""Keys of problem files whose value is a file name."""
 
 
-DISK_FULL: Final = (errno.ENOSPC, errno.EDQUOT)
-"""Errors of the system when a disk, or what a user may have of it, is full."""
+DISK_FULL_ERRNOS: Final = (errno.ENOSPC, errno.EDQUOT)
+"""System errors for a full disk or an exceeded user quota."""
 
 
 def is_disk_full(error: BaseException | None) -> bool:
-    """Whether an error is, or comes from, a disk that is full."""
+    """Whether an error is a full disk, or was caused by one."""
     while error is not None:
-        if isinstance(error, OSError) and error.errno in DISK_FULL:
+        if isinstance(error, OSError) and error.errno in DISK_FULL_ERRNOS:
             return True
         error = error.__cause__ or error.__context__
     return False
 
 
 def is_file(path: Path) -> bool:
-    """Whether ``path`` is a file; False also for names that no file can have and folders that are closed."""
+    """Whether ``path`` is a file. False also for invalid names and for folders without access."""
     try:
         return path.is_file()
     except (OSError, ValueError):
         return False
 
 
-def no_file(path: Path) -> str:
-    """What is wrong with ``path``, of which :func:`is_file` says no, for a message."""
+def missing_file_reason(path: Path) -> str:
+    """Return why ``path`` is not a file, as a phrase for a message. Call it if :func:`is_file` is False."""
     try:
         return "is a folder, not a file" if path.is_dir() else "no such file"
     except (OSError, ValueError):
         return "no such file"
 
 
-def not_by_commas(header: str) -> str | None:
-    """What to say of a CSV whose first line has no commas but another separator, else None."""
+def separator_hint(header: str) -> str | None:
+    """Return a message if the header of a CSV file has another separator instead of commas, else None."""
     for mark, name in ((";", "';'"), ("\t", "tabs")):
         if mark in header and "," not in header:
             return f"columns are separated by {name}; separate them by commas, and write decimals with points"
     return None
 
 
-def csv_text(rows: Iterable[Iterable[object]]) -> str:
+def format_csv(rows: Iterable[Iterable[object]]) -> str:
     """Format rows as CSV with line ends of one character."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue()
 
 
-def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file through a temporary name in its folder, then rename: readers see the old file or the new
-    one.
+def write_atomic(path: Path, content: str | bytes) -> None:
+    """Write a file atomically: readers see either the old file or the new one.
+
+    The content goes to a temporary file in the same folder, which is then renamed.
+
+    Args:
+        path: File to write. Its folder is created if it is missing.
+        content: Text, written as UTF-8, or bytes.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     data = content.encode("utf-8") if isinstance(content, str) else content
@@ -120,45 +124,58 @@ def write_whole(path: Path, content: str | bytes) -> None:
         raise
 
 
-def claim_folder(folder: Path, owned: tuple[str, ...], keep: Path | None = None) -> None:
-    """Make ``folder`` if it is missing, see that it can be written, and clear what killed runs left there.
+def prepare_folder(folder: Path, owned: tuple[str, ...], keep: Path | None = None) -> None:
+    """Create ``folder`` if it is missing, check that it is writable, and remove what killed runs left there.
 
-    ``keep`` is a file that must not be among the ``owned`` entries, because those are replaced. Raises
-    ``TandemError`` with ``output.folder``.
+    Args:
+        folder: Output folder.
+        owned: Names of entries in ``folder`` that a run replaces.
+        keep: File that must not lie inside the ``owned`` entries.
+
+    Raises:
+        TandemError: ``output.folder``.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        _sweep(folder)
+        _remove_abandoned_staging(folder)
         with staging(folder):
             pass
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise _refuse(folder, f"cannot be written ({reason}); choose a folder of your own") from error
+        raise _folder_error(folder, f"cannot be written ({reason}); choose another folder") from error
     if keep is not None:
         for name in owned:
             if keep.resolve().is_relative_to((folder / name).resolve()):
-                raise _refuse(
+                raise _folder_error(
                     folder,
-                    f"the problem file {keep} lies in its '{name}', which a run replaces; choose another",
+                    f"the problem file {keep} is in its '{name}', which a run replaces; choose another",
                 )
 
 
 def write_folder(folder: Path, files: Mapping[str, str | bytes], owned: tuple[str, ...]) -> None:
-    """Make ``folder`` hold exactly ``files`` among the names ``owned`` (files or subfolders at its top).
+    """Make ``folder`` hold exactly ``files`` among the names ``owned``.
 
-    Everything is first written to a hidden folder inside ``folder``; only then are the old owned entries
-    replaced, one rename each. The first of ``owned`` goes first and comes last: while it is there, all that
-    stands beside it belongs to it, at whatever moment a run is killed. Ctrl-C waits for the renames. Other
-    people's files in the folder stay. Raises ``TandemError`` with ``output.folder``.
+    Everything is first written to a staging folder inside ``folder``. Then the old owned entries are
+    replaced, one rename each. The first entry of ``owned`` is removed first and renamed last: while it
+    exists, all owned entries belong to it, even if a run is killed at any moment. Ctrl-C is deferred during
+    the renames. Other files in the folder stay.
+
+    Args:
+        folder: Output folder.
+        files: Content by path relative to ``folder``.
+        owned: Names of files or subfolders at the top of ``folder`` that are replaced.
+
+    Raises:
+        TandemError: ``output.folder``.
     """
-    claim_folder(folder, owned)
+    prepare_folder(folder, owned)
     try:
         with staging(folder) as hidden:
             new, old = hidden / "new", hidden / "old"
             for side in (new, old):
                 side.mkdir()
             for name, content in files.items():
-                write_whole(new / name, content)
+                write_atomic(new / name, content)
             with deferred_sigint():
                 for name in owned:
                     if os.path.lexists(folder / name):
@@ -167,15 +184,16 @@ def write_folder(folder: Path, files: Mapping[str, str | bytes], owned: tuple[st
                     if (new / name).exists():
                         (new / name).replace(folder / name)
     except OSError as error:
-        what = f"cannot be written ({error.strerror or error}); see to the disk and run again"
-        raise _refuse(folder, what) from error
+        what = f"cannot be written ({error.strerror or error}); check the disk and run again"
+        raise _folder_error(folder, what) from error
 
 
 @contextmanager
 def staging(folder: Path) -> Iterator[Path]:
-    """A hidden folder in ``folder`` that is gone at the end; what is whole may be renamed out of it.
+    """Yield a hidden folder in ``folder`` that is removed at the end.
 
-    Its lock ends with the process, however that ends, and :func:`claim_folder` clears what nobody locks.
+    Finished files may be renamed out of it. Its lock ends with the process, however that ends.
+    :func:`prepare_folder` removes folders without a lock.
     """
     path, handle = None, None
     try:
@@ -192,8 +210,8 @@ def staging(folder: Path) -> Iterator[Path]:
                 os.close(handle)
 
 
-def _sweep(folder: Path) -> None:
-    """Remove the hidden folders that nobody holds locked: their runs were killed."""
+def _remove_abandoned_staging(folder: Path) -> None:
+    """Remove staging folders that nobody holds locked, because their runs were killed."""
     for path in folder.glob(f"{STAGING}*"):
         with suppress(OSError):
             handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
@@ -206,36 +224,39 @@ def _sweep(folder: Path) -> None:
 
 @contextmanager
 def deferred_sigint() -> Iterator[None]:
-    """Defer Ctrl-C to the end of the block. Does nothing outside the main thread, which alone gets it."""
+    """Defer Ctrl-C to the end of the block.
+
+    Does nothing outside the main thread, because only the main thread receives the signal.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     pending = False
 
-    def remember(number: int, frame: FrameType | None) -> None:
+    def note_signal(number: int, frame: FrameType | None) -> None:
         nonlocal pending
         pending = True
 
-    usual = signal.signal(signal.SIGINT, remember)
+    previous_handler = signal.signal(signal.SIGINT, note_signal)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, usual)
+        signal.signal(signal.SIGINT, previous_handler)
     if pending:
         raise KeyboardInterrupt
 
 
-def _refuse(folder: Path, what: str) -> TandemError:
-    return refusal("output.folder", f"output folder {folder}: {what}", file=str(folder))
+def _folder_error(folder: Path, what: str) -> TandemError:
+    return issue_error("output.folder", f"output folder {folder}: {what}", file=str(folder))
 
 
 REPORTED_PACKAGES: Final = ("tandem-planner", "drake", "numpy", "scipy", "toppra")
-"""Distributions whose versions results state."""
+"""Distributions whose versions are stated in results."""
 
 
 def versions() -> dict[str, str]:
-    """Versions of what the plan depends on."""
-    import importlib.metadata  # where they are used: the command begins by importing this module
+    """Return the versions of Python and of the packages that a plan depends on."""
+    import importlib.metadata  # lazy: the command line imports this module first
     import platform
 
     out = {"python": platform.python_version()}
@@ -247,46 +268,53 @@ def versions() -> dict[str, str]:
     return out
 
 
-MOST_CARRIED: Final = 60
-"""Characters of a user's name that a file keeps in a bundle."""
+MAX_BUNDLED_STEM_LENGTH: Final = 60
+"""Maximum number of characters of the user's file name that is kept in a bundled name."""
 
 
-def carried_name(name: str, sha: str) -> str:
-    """What a file of that name and SHA-256 (in hex) is called where it is carried with its problem: as the
-    user called it, by plain letters, with its hash. A name of this kind stays as it is."""
-    own = base_name(name)
-    stem, dot, suffix = own.rpartition(".") if "." in own[1:] else (own, "", "")
+def bundled_name(name: str, sha: str) -> str:
+    """Return the name under which a file is bundled with its problem.
+
+    The name is the user's name in plain characters, followed by the first 16 digits of the hash. A bundled
+    name is returned unchanged.
+
+    Args:
+        name: File name as the user gave it.
+        sha: SHA-256 of the file, in hex.
+    """
+    base = base_name(name)
+    stem, dot, suffix = base.rpartition(".") if "." in base[1:] else (base, "", "")
     stem = "" if stem == sha[:16] else stem.removesuffix(f"-{sha[:16]}")
-    plain = re.sub(r"[^A-Za-z0-9_-]+", "-", stem)[:MOST_CARRIED].strip("-")
+    plain = re.sub(r"[^A-Za-z0-9_-]+", "-", stem)[:MAX_BUNDLED_STEM_LENGTH].strip("-")
     return f"{plain}{'-' if plain else ''}{sha[:16]}{dot}{re.sub('[^a-z0-9]', '', suffix.lower())[:8]}"
 
 
-def each_file(data: Any, change: Callable[[Path], str]) -> Any:
-    """A copy of plain data with every value of a key ``file`` or ``urdf`` changed."""
+def map_file_names(data: Any, change: Callable[[Path], str]) -> Any:
+    """Return a copy of plain data with ``change`` applied to every value of a key ``file`` or ``urdf``."""
     if isinstance(data, Mapping):
         return {
-            k: change(Path(v)) if k in FILE_KEYS and isinstance(v, str) else each_file(v, change)
+            k: change(Path(v)) if k in FILE_KEYS and isinstance(v, str) else map_file_names(v, change)
             for k, v in data.items()
         }
     if isinstance(data, list):
-        return [each_file(v, change) for v in data]
+        return [map_file_names(v, change) for v in data]
     return data
 
 
-def named_files(source: Mapping[str, Any]) -> dict[str, str]:
-    """SHA-256 in hex of the files that a problem's values name, by the names that they are carried under."""
-    found: dict[str, str] = {}
+def referenced_file_hashes(source: Mapping[str, Any]) -> dict[str, str]:
+    """Return the SHA-256 (hex) of the existing files that a problem refers to, by their bundled names."""
+    hashes: dict[str, str] = {}
 
-    def note(path: Path) -> str:
+    def record_file(path: Path) -> str:
         if is_file(path):
             sha = hashlib.sha256(path.read_bytes()).hexdigest()
-            found[carried_name(path.name, sha)] = sha
+            hashes[bundled_name(path.name, sha)] = sha
         return str(path)
 
-    each_file(source, note)
-    return found
+    map_file_names(source, record_file)
+    return hashes
 
 
 def base_name(name: str) -> str:
-    """The last step of a file name, whatever system wrote it."""
+    """Return the last component of a file name, with separators of any operating system."""
     return re.split(r"[/\\]", name)[-1]

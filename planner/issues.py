@@ -1,8 +1,8 @@
-"""One type for everything that is wrong, the error that carries it, and whose fault a refusal is.
+"""Issues, the error that carries them, and the classification of refusals.
 
-An :class:`Issue` is data. Programs compare its ``code``; people read its ``message``, which says
-the subject, what was got, what is allowed and what to do. `given_wrong` tells faults of what was
-given (exit code 2) from what cannot be planned (exit code 3).
+An :class:`Issue` is data. Programs compare its ``code``; people read its ``message``, which states the
+subject, the value, the allowed range and the remedy. :func:`is_input_error` separates faults of the input
+(exit code 2) from problems that cannot be planned (exit code 3).
 """
 
 import dataclasses
@@ -10,11 +10,11 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from enum import StrEnum
 from typing import Any, Final, Literal, ParamSpec
 
-from planner.issue_codes import row
+from planner.issue_codes import lookup_code
 
 
 class Severity(StrEnum):
-    """How bad an issue is. Only an ``ERROR`` stops a program from being written."""
+    """Severity of an issue. Only an ``ERROR`` prevents a program from being written."""
 
     ERROR = "error"
     WARNING = "warning"
@@ -23,10 +23,17 @@ class Severity(StrEnum):
 
 @dataclasses.dataclass(frozen=True)
 class Remedy:
-    """A change that was tried and helps: ``move_mm`` in the world of an obstacle, the stock or the base of an
-    arm, ``home_deg``, an arm's posture at home, ``size_mm`` of a block, or ``clearance_mm`` and
-    ``own_clearance_mm``, one of them or both; ``name`` is the obstacle's or the arm's, else that of the
-    field."""
+    """A change of the problem that was tried and removes an issue.
+
+    Attributes:
+        what: What to change.
+        name: Name of the obstacle or arm, else that of the field.
+        move_mm: Translation in the world of an obstacle, the stock or the base of an arm [mm].
+        home_deg: Joint values of an arm at home [deg].
+        size_mm: Size of the stock [mm].
+        clearance_mm: Clearance [mm]; stated alone or together with ``own_clearance_mm``.
+        own_clearance_mm: Clearance between links and tool of one arm [mm].
+    """
 
     what: Literal["obstacle", "stock", "base", "home", "size", "clearance"]
     name: str
@@ -41,12 +48,30 @@ class Remedy:
 class Issue:
     """One finding.
 
-    ``value`` and ``limit`` are in ``unit`` (mm, deg, s ... as a person reads them). ``index`` is the
-    target's index, ``time`` is in seconds on the job's clock, ``bodies`` names a joint or a pair of bodies.
-    ``remedy`` is what the hint says as data, where a change was tried.
-    ``accepted`` is of what is an error unless the problem accepts it by name: False until that is looked at
-    (:func:`judged`), True where the problem does.
-    Raises ``KeyError`` when ``code`` is not in the table of codes (:func:`planner.issue_codes.row`).
+    Attributes:
+        code: Code in the table of issue codes (:func:`planner.issue_codes.lookup_code`).
+        message: Text for people.
+        severity: Severity.
+        file: File at fault.
+        line: Line in the file.
+        field: Path of the field in the problem.
+        arm: Name of the arm.
+        index: Index of the target.
+        target: Name of the target.
+        time: Time on the clock of the job [s].
+        bodies: Joint, or pair of bodies.
+        value: Value found, in ``unit``.
+        limit: Allowed limit, in ``unit``.
+        unit: Unit as people read it (mm, deg, s, ...).
+        hint: Remedy as text.
+        count: Number of merged issues.
+        remedy: The hint as data, if a change was tried.
+        accepted: None for ordinary issues. False for an error that the problem may accept and that has not
+            been compared with its list of acceptances (:func:`apply_acceptances`). True if the problem
+            accepts it.
+
+    Raises:
+        KeyError: If ``code`` is not in the table of codes.
     """
 
     code: str
@@ -69,17 +94,17 @@ class Issue:
     accepted: bool | None = None
 
     def __post_init__(self) -> None:
-        row(self.code)
+        lookup_code(self.code)
 
     def to_dict(self) -> dict[str, Any]:
-        """The issue as plain data for JSON, without the fields that are unset."""
+        """Return the issue as plain data for JSON, without unset fields."""
         data = dataclasses.asdict(self)
         plain = {k: float(v) if isinstance(v, float) else v for k, v in data.items()}  # NumPy's floats too
         return {k: v for k, v in plain.items() if v is not None and v != () and not (k == "count" and v == 1)}
 
     @staticmethod
     def from_dict(data: dict[str, Any]) -> "Issue":
-        """The inverse of :meth:`to_dict`."""
+        """Create an issue from the data of :meth:`to_dict`."""
         known = dict(data)
         known["severity"] = Severity(known.get("severity", "error"))
         known["bodies"] = tuple(known.get("bodies", ()))
@@ -89,20 +114,25 @@ class Issue:
         return Issue(**known)
 
     def __str__(self) -> str:
-        where = [self.file] if self.file else []
+        location_parts = [self.file] if self.file else []
         if self.line is not None:
-            where.append(f"line {self.line}")
+            location_parts.append(f"line {self.line}")
         if self.field:
-            where.append(self.field)
-        place = f"{', '.join(where)}: " if where else ""
-        many = f" ({self.count} times)" if self.count > 1 else ""
+            location_parts.append(self.field)
+        location = f"{', '.join(location_parts)}: " if location_parts else ""
+        repeats = f" ({self.count} times)" if self.count > 1 else ""
         hint = f"; {self.hint}" if self.hint else ""
         accepted = " accepted by the problem:" if self.accepted else ""
-        return f"{self.severity.value} [{self.code}]{accepted} {place}{self.message}{many}{hint}"
+        return f"{self.severity.value} [{self.code}]{accepted} {location}{self.message}{repeats}{hint}"
 
 
 class TandemError(Exception):
-    """Work that cannot go on: the issues that say why, and what was reached before, if anything."""
+    """Work cannot continue.
+
+    Attributes:
+        issues: The reasons.
+        partial: What was computed before, if anything.
+    """
 
     def __init__(self, issues: Issue | Sequence[Issue], partial: object | None = None) -> None:
         self.issues: tuple[Issue, ...] = (issues,) if isinstance(issues, Issue) else tuple(issues)
@@ -113,15 +143,15 @@ class TandemError(Exception):
 _Fields = ParamSpec("_Fields")
 
 
-def _error_of(issue: Callable[_Fields, Issue]) -> Callable[_Fields, TandemError]:
+def _make_error_factory(issue: Callable[_Fields, Issue]) -> Callable[_Fields, TandemError]:
     def error(*fields: _Fields.args, **named: _Fields.kwargs) -> TandemError:
         return TandemError(issue(*fields, **named))
 
     return error
 
 
-refusal: Final = _error_of(Issue)
-"""Creates the error of one issue. Takes the fields of an :class:`Issue`, with their types."""
+issue_error: Final = _make_error_factory(Issue)
+"""Creates a ``TandemError`` with one issue. Takes the fields of an :class:`Issue`, with their types."""
 
 
 def has_errors(issues: Iterable[Issue]) -> bool:
@@ -129,35 +159,44 @@ def has_errors(issues: Iterable[Issue]) -> bool:
     return any(issue.severity is Severity.ERROR for issue in issues)
 
 
-def judged(issues: Iterable[Issue], accept: Collection[str]) -> tuple[Issue, ...]:
-    """The issues; those that are errors unless accepted are errors now, with how to accept them, or accepted
-    where ``accept`` has their codes. Raises ``ValueError`` for one that nobody may accept."""
-    return tuple(_judge(issue, accept) for issue in issues)
+def apply_acceptances(issues: Iterable[Issue], accept: Collection[str]) -> tuple[Issue, ...]:
+    """Compare acceptable errors with the acceptances of a problem.
+
+    Issues with ``accepted=False`` become accepted warnings if ``accept`` has their code. Otherwise they
+    become errors whose hint says how to accept them. Other issues are returned unchanged.
+
+    Args:
+        issues: Issues to compare.
+        accept: Codes that the problem accepts.
+
+    Raises:
+        ValueError: If an issue has a code that no problem may accept.
+    """
+    return tuple(_apply_acceptance(issue, accept) for issue in issues)
 
 
-def _judge(issue: Issue, accept: Collection[str]) -> Issue:
+def _apply_acceptance(issue: Issue, accept: Collection[str]) -> Issue:
     if issue.accepted is None:
         return issue
-    if not row(issue.code).accepts:
+    if not lookup_code(issue.code).acceptance:
         raise ValueError(f"{issue.code} is not in the table of what a problem may accept")
     if issue.code in accept:
         return dataclasses.replace(issue, severity=Severity.WARNING, accepted=True)
-    how = f"where it is known and wanted, accept it in the problem: accept: [{issue.code}]"
+    how = f"if this is known and intended, accept it in the problem: accept: [{issue.code}]"
     hint = f"{issue.hint}; {how}" if issue.hint else how
     return dataclasses.replace(issue, severity=Severity.ERROR, accepted=None, hint=hint)
 
 
-def accepted(issues: Iterable[Issue]) -> tuple[str, ...]:
-    """Codes of the issues that a problem accepts, in order of the alphabet."""
+def accepted_codes(issues: Iterable[Issue]) -> tuple[str, ...]:
+    """Return the codes of the issues that a problem accepts, in alphabetical order."""
     return tuple(sorted({issue.code for issue in issues if issue.accepted}))
 
 
 def aggregate(issues: Iterable[Issue]) -> tuple[Issue, ...]:
-    """Issues of the same code, severity, arm, field, file and bodies as one, which counts them and keeps the
-    worst.
+    """Merge issues of equal code, severity, arm, field, file and bodies into one that counts them.
 
-    The kept issue is the first one (its index, time and message), unless a later one has a value farther
-    beyond the limit. Order of first appearance is kept.
+    The merged issue is the first of its group (its index, time and message), unless a later one exceeds its
+    limit by more. Groups keep the order of first appearance.
     """
     groups: dict[tuple[object, ...], list[Issue]] = {}
     for issue in issues:
@@ -171,25 +210,25 @@ def _merge(group: list[Issue]) -> Issue:
     first = group[0]
     if len(group) == 1:
         return first
-    worst = max(group, key=_excess)
+    worst = max(group, key=_limit_excess)
     message = worst.message
     if first.index is not None:
         message += f" [{count} targets, first at {first.index}]"
     return dataclasses.replace(worst, message=message, count=count)
 
 
-def _excess(issue: Issue) -> float:
+def _limit_excess(issue: Issue) -> float:
     if issue.value is None or issue.limit is None:
         return 0.0
     return abs(issue.value - issue.limit)
 
 
-def given_wrong(issues: Iterable[Issue]) -> bool:
-    """Whether all errors are faults of what was given (exit code 2), not of what is feasible (3)."""
-    return all(row(issue.code).given for issue in issues if issue.severity is Severity.ERROR)
+def is_input_error(issues: Iterable[Issue]) -> bool:
+    """Whether all errors are faults of the input (exit code 2) rather than of feasibility (exit code 3)."""
+    return all(lookup_code(issue.code).is_input_error for issue in issues if issue.severity is Severity.ERROR)
 
 
 def with_remedy(issue: Issue) -> Issue:
-    """The issue with what its code says to do, where it does not say so itself."""
-    remedy = row(issue.code).remedy
+    """Return the issue with the remedy of its code as hint, if it has no hint of its own."""
+    remedy = lookup_code(issue.code).remedy
     return issue if issue.hint or remedy is None else dataclasses.replace(issue, hint=remedy)

@@ -1,7 +1,6 @@
-"""The whole way through: problem -> targets -> plan -> programs -> proof -> files. This file is the house in
-one page.
+"""The end-to-end pipeline: problem -> targets -> plan -> programs -> proof -> output files.
 
-Who only reads a problem waits for no Drake: what motion, proof and report need is imported where they begin.
+Heavy dependencies (Drake) are imported lazily, so that loading a problem stays fast.
 """
 
 from __future__ import annotations
@@ -18,8 +17,26 @@ from types import FunctionType
 from typing import TYPE_CHECKING, Any, Final
 
 from planner import spec
-from planner.files import RELEASE, RESULT, claim_folder, deferred_sigint, is_file, write_folder, write_whole
-from planner.issues import Issue, Severity, TandemError, accepted, aggregate, has_errors, judged, refusal
+from planner.files import (
+    RELEASE,
+    RESULT_ENTRIES,
+    deferred_sigint,
+    is_file,
+    prepare_folder,
+    write_atomic,
+    write_folder,
+)
+from planner.issue_codes import format_message
+from planner.issues import (
+    Issue,
+    Severity,
+    TandemError,
+    accepted_codes,
+    aggregate,
+    apply_acceptances,
+    has_errors,
+    issue_error,
+)
 from planner.problem import Cell, Problem
 from planner.processes import registry as processes
 from planner.reading import problem as problem_file
@@ -31,9 +48,9 @@ from planner.runtime.plugins import Language, Process
 
 if TYPE_CHECKING:
     from planner.geometry.arrays import FloatArray
-    from planner.motion.former import Former
+    from planner.motion.reference_plan import ReferencePlan
     from planner.plans import Plan
-    from planner.proof.partial import Partial
+    from planner.proof.partial import PartialProof
     from planner.proof.verdict import Proof
     from planner.report.cell_picture import Picture
     from planner.report.replay import Viewer
@@ -42,12 +59,15 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, float], None]
 MAX_PROGRAM_BYTES = 20_000_000
-"""Programs are read up to this size."""
+"""Maximum size of a program file that is read [bytes]. Larger than any module that a controller loads."""
 
 
-def ready() -> None:
-    """Import what planning, proof and report need, Drake among it: a second of work, which a process that is
-    to plan later may do early. Ctrl-C waits for its end: an import that is interrupted may swallow it."""
+def import_dependencies() -> None:
+    """Import what planning, proof and report need, including Drake.
+
+    Takes about one second. A process that will plan later may call it early. Ctrl-C is deferred until the
+    imports finish, because an interrupted import may lose the signal.
+    """
     with deferred_sigint(), gc_frozen():
         from planner import plans  # noqa: F401
         from planner.languages.writing import write  # noqa: F401
@@ -58,18 +78,25 @@ def ready() -> None:
 
 def warm_up() -> None:
     """Import what planning needs in a process that is about to plan, and hide Drake's informational log."""
-    ready()
+    import_dependencies()
     logging.getLogger("drake").setLevel(logging.WARNING)
 
 
 WARM_UP: Final = "planner.pipeline:warm_up"
-"""The function above, as a second process gets it."""
+"""Reference to :func:`warm_up`, in the form that a second process takes."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """A plan, its programs and their proof. ``programs`` is empty unless the proof holds; ``pictures`` of the
-    report are there where a second process has drawn them."""
+    """A plan, its programs and their proof.
+
+    Attributes:
+        problem: Problem that was planned, with the stations of the plan.
+        plan: Motion of all arms.
+        proof: Verdict on the programs.
+        programs: Program text by file name; empty unless the proof holds.
+        pictures: Pictures of the report, if a second process has drawn them.
+    """
 
     problem: Problem
     plan: Plan
@@ -80,9 +107,9 @@ class Outcome:
     )
 
     def __repr__(self) -> str:
-        held, asked, _ = self.proof.tally
+        held, checked, _ = self.proof.rule_counts
         verdict = "verified" if self.verified else "not verified"
-        rules = f"{held} of {asked} rules"
+        rules = f"{held} of {checked} rules"
         return f"<Outcome of {self.problem.name}: {verdict}, {rules}, {self.plan.duration:.1f} s>"
 
     @property
@@ -92,35 +119,47 @@ class Outcome:
 
     @property
     def issues(self) -> tuple[Issue, ...]:
-        """All issues of part, planning and proof, repeats counted."""
-        return aggregate((*_notes(self.problem), *self.plan.issues, *self.proof.issues))
+        """All issues of part, planning and proof, with repeated ones merged and counted."""
+        return aggregate((*_input_notes(self.problem), *self.plan.issues, *self.proof.issues))
 
     @property
     def accepted(self) -> tuple[str, ...]:
-        """Codes of errors that the problem accepts and that are there: they stand beside the verdict."""
-        return accepted(self.plan.issues)
+        """Codes of errors that occur and that the problem accepts. They are shown next to the verdict."""
+        return accepted_codes(self.plan.issues)
 
     def save(self, folder: str | Path, progress: Progress | None = None, pages: bool = True) -> None:
-        """Write the result folder: programs only if verified, plan, motion, report, replay, simulated part.
-        Without ``pages`` neither report nor replay, which :func:`planner.cli.results.write_pages` makes."""
+        """Write the result folder: plan, motion, report, replay, simulated part, and programs if verified.
+
+        Args:
+            folder: Result folder.
+            progress: Called with the stage and its fraction done.
+            pages: Whether to write report and replay. :func:`planner.cli.results.write_pages` makes them
+                later.
+        """
         from planner import plans
         from planner.report import motion_file, output
 
-        tell = progress or _silent
-        tell("report", 0.0)
+        report_progress = progress or _ignore_progress
+        report_progress("report", 0.0)
         files: dict[str, str | bytes] = dict(output.proof_files(self.plan, self.proof, self.programs))
         if pages:
             files |= output.pages(self.problem, self.plan, self.proof, self.pictures)
         files |= plans.dump(self.plan)
-        files["motion.json"] = motion_file.text(self.problem, self.plan)
+        files["motion.json"] = motion_file.motion_json(self.problem, self.plan)
         files |= {f"problem/{name}": text for name, text in problem_file.bundle(self.problem).items()}
         files |= {f"programs/{name}": text for name, text in self.programs.items()}
-        write_folder(Path(folder), files, RESULT)
-        tell("report", 1.0)
+        write_folder(Path(folder), files, RESULT_ENTRIES)
+        report_progress("report", 1.0)
 
     def show(self, browser: bool | None = None) -> Viewer:
-        """The replay. A notebook shows what this returns in its cell, with the time bar, and keeps it; else
-        it is served on this machine, and a tab of the browser opens, unless ``browser`` says otherwise."""
+        """Return the replay.
+
+        A notebook shows the returned viewer in its cell, with the time bar, and stores it. Outside a notebook
+        the replay is served on this machine and a browser tab opens.
+
+        Args:
+            browser: Whether to open a browser tab; None for only outside a notebook.
+        """
         from planner.report import output, replay
 
         viewer = output.show(self.problem, self.plan, self.proof)
@@ -132,346 +171,459 @@ class Outcome:
 def load(path: str | Path) -> Problem:
     """Read a problem file, or a bundled problem by its name, such as ``column_capital``.
 
-    Raises ``TandemError`` with every fault found.
+    Raises:
+        TandemError: With all faults found.
     """
-    return _read(strict_yaml.read(problem_file.find(Path(path))))
+    return _build_document(strict_yaml.read(problem_file.find_problem(Path(path))))
 
 
 def build(problem: spec.Problem) -> Problem:
-    """The problem that is said in Python. Raises ``TandemError`` with every fault found, as :func:`load` of
-    a file that says the same would."""
+    """Build a problem that is stated in Python.
+
+    Raises:
+        TandemError: With all faults found, as :func:`load` reports them for an equivalent file.
+        TypeError: If ``problem`` is not a :class:`planner.spec.Problem`.
+    """
     if not isinstance(problem, spec.Problem):
-        raise TypeError(f"got a {type(problem).__name__}, wanted is a planner.spec.Problem")
-    return _read(problem.document())
+        raise TypeError(f"problem must be a planner.spec.Problem, got a {type(problem).__name__}")
+    return _build_document(problem.document())
 
 
-def _read(document: Document) -> Problem:
+def _build_document(document: Document) -> Problem:
     try:
-        return problem_file.build(document, processes.readers())
+        return problem_file.build_problem(document, processes.readers())
     except TandemError as error:
-        wider = functools.partial(_wider, document)
-        raise TandemError(size_advice.advised(document, error.issues, _changed, wider)) from None
+        required_widening = functools.partial(_required_widening_mm, document)
+        raise TandemError(
+            size_advice.add_size_advice(document, error.issues, _check_changed, required_widening)
+        ) from None
 
 
-def _wider(document: Document, depth: float, rounded: bool) -> float:
-    """By how much [mm] an opening must be wider for tools that reach ``depth`` [mm] into its clamp: the most
-    that a process states."""
-    named = {operation["process"] for operation in document.data["operations"]}
+def _required_widening_mm(document: Document, depth: float, rounded: bool) -> float:
+    """Return how much [mm] wider an opening must be for tools that reach ``depth`` [mm] into its clamp.
+
+    The result is the maximum over the processes that the document uses and the built-in ones.
+    """
+    used_processes = {operation["process"] for operation in document.data["operations"]}
     known = plugins.loadable(Process, "wider", FunctionType).items()
-    found = (one for name, one in known if name in named or plugins.is_built_in(Process, name))
-    return max((float(one(depth, rounded)) for one in found), default=0.0)
+    functions = (
+        function for name, function in known if name in used_processes or plugins.is_built_in(Process, name)
+    )
+    return max((float(function(depth, rounded)) for function in functions), default=0.0)
 
 
-def built(problem: Problem | spec.Problem) -> Problem:
-    """A problem as it is planned: built where it is said in Python. Raises as :func:`build`."""
+def ensure_problem(problem: Problem | spec.Problem) -> Problem:
+    """Return a problem ready for planning; a problem stated in Python is built first.
+
+    Raises:
+        TandemError: As :func:`build`.
+        TypeError: If ``problem`` is no problem.
+    """
     if not isinstance(problem, Problem | spec.Problem):
-        what = f"got a {type(problem).__name__}, wanted is what planner.load or planner.spec.Problem gives"
+        what = f"problem must come from planner.load or planner.spec.Problem, got a {type(problem).__name__}"
         raise TypeError(what)
     return build(problem) if isinstance(problem, spec.Problem) else problem
 
 
 def save(problem: Problem | spec.Problem, path: str | Path, overwrite: bool = False) -> Path:
-    """Write a problem as a file that says the same, with its cell inside and what it names beside it in
-    ``files/``; the file's path. Where ``path`` does not end in ``.yaml`` or ``.yml`` it is a folder.
+    """Write a problem to a file, with its cell inlined.
 
-    Raises ``TandemError``: ``output.folder`` where another file is in the way and is not to be overwritten,
-    ``problem.missing_file`` where what the problem names is gone.
+    Files that the problem names are copied into ``files/`` next to it.
+
+    Args:
+        problem: Problem to write.
+        path: File, or folder if the name does not end in ``.yaml`` or ``.yml``.
+        overwrite: Whether an existing file with other content may be replaced.
+
+    Returns:
+        Path of the written problem file.
+
+    Raises:
+        TandemError: ``output.folder`` if another file exists and must not be overwritten, or writing fails;
+            ``problem.missing_file`` if a file that the problem names is gone.
     """
     given = Path(path)
     target = given if given.suffix.lower() in (".yaml", ".yml") else given / "problem.yaml"
-    own = built(problem)
+    built_problem = ensure_problem(problem)
     try:
-        files = problem_file.bundle(own)
+        files = problem_file.bundle(built_problem)
     except (OSError, ValueError) as error:
         name = getattr(error, "filename", None)
-        what = f"{name or error}: what the problem names cannot be read; load or build it again"
-        raise refusal("problem.missing_file", what, file=name) from error
+        what = f"{name or error}: a file that the problem names cannot be read; load or build it again"
+        raise issue_error("problem.missing_file", what, file=name) from error
     try:
         if is_file(target) and not overwrite and target.read_bytes() != files["problem.yaml"]:
-            what = f"{target}: there is another file; give another name, or overwrite=True"
-            raise refusal("output.folder", what, file=str(target))
+            what = f"{target}: another file exists; give another name, or overwrite=True"
+            raise issue_error("output.folder", what, file=str(target))
         for name, content in reversed(files.items()):  # what the problem names before the problem
-            write_whole(target if name == "problem.yaml" else target.parent / name, content)
+            write_atomic(target if name == "problem.yaml" else target.parent / name, content)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        what = f"{target} cannot be written ({reason}); choose a folder of your own"
-        raise refusal("output.folder", what, file=str(target)) from error
+        what = f"{target} cannot be written ({reason}); choose another folder"
+        raise issue_error("output.folder", what, file=str(target)) from error
     return target
 
 
-def _changed(document: Document, far: bool) -> list[Issue]:
-    """Issues of a changed problem before motion, and with ``far`` of a first look at that too."""
+def _check_changed(document: Document, include_motion: bool) -> list[Issue]:
+    """Check a changed problem before motion, and with ``include_motion`` the reach of its targets too."""
     from planner.motion import solve
 
-    problem = problem_file.build(document, processes.readers())
-    targets = targets_of(problem, processes.jobs(problem, advise=False))
-    found = [*_stands(problem), *(issue for item in targets for issue in item.issues)]
-    return [*found, *(solve.check(problem, targets, advise=False) if far else [])]
+    problem = problem_file.build_problem(document, processes.readers())
+    targets = create_targets(problem, processes.jobs(problem, advise=False))
+    issues = [*_support_issues(problem), *(issue for item in targets for issue in item.issues)]
+    return [*issues, *(solve.check(problem, targets, with_remedies=False) if include_motion else [])]
 
 
 @contextlib.contextmanager
-def _contained() -> Iterator[None]:
-    """Drake tells of conditions of its own that fail by ``SystemExit``: which is to end no process."""
+def _contain_system_exit() -> Iterator[None]:
+    """Convert ``SystemExit`` into ``RuntimeError``.
+
+    Drake raises it for failed conditions, which must not end the process.
+    """
     try:
         yield
     except SystemExit as error:
-        raise RuntimeError(f"a library gave up: {error}") from error
+        raise RuntimeError(f"a library aborted: {error}") from error
 
 
-@_contained()
+@_contain_system_exit()
 def plan(
     problem: Problem | spec.Problem,
     progress: Progress | None = None,
     processes: int = 1,
-    like: Former | str | Path | None = None,
+    reference: ReferencePlan | str | Path | None = None,
 ) -> Outcome:
-    """Plan, write the programs' text and prove it. Raises ``TandemError`` where no plan is feasible.
+    """Plan, write the text of the programs and prove it.
 
-    ``like``: the result folder of a problem like this one, or what :func:`former` reads of it. Place, paths
-    and ways are taken over from its plan where they hold; notes (``motion.like``) tell which.
+    Args:
+        problem: Problem to plan.
+        progress: Called with the stage and its fraction done.
+        processes: 2 for a second process, which plans later setups and approaches, draws the pictures of the
+            report and checks rules of the proof in parallel. It needs 300 to 550 MB of memory. The result is
+            identical.
+        reference: Result folder of a similar problem, or what :func:`load_reference_plan` reads from it.
+            Placement, joint paths, approaches and retreats are taken from its plan if they hold;
+            ``motion.like`` notes say which.
 
-    With ``processes=2`` a second process plans later setups and ways home, draws the report's pictures and
-    looks at rules of the proof beside this one, with 300 to 550 MB of memory of its own; what comes out is
-    the same byte by byte.
+    Raises:
+        TandemError: If no plan is feasible.
     """
-    problem, tell = built(problem), progress or _silent
-    before = former(like) if isinstance(like, str | Path) else like
+    problem, report_progress = ensure_problem(problem), progress or _ignore_progress
+    reference_plan = load_reference_plan(reference) if isinstance(reference, str | Path) else reference
     with second_process.open_executor(processes, WARM_UP) as executor:
-        return _planned(problem, tell, executor, processes > 1, before)
+        return _plan_and_prove(problem, report_progress, executor, processes > 1, reference_plan)
 
 
-def former(folder: str | Path) -> Former:
-    """The plan in a result folder, which another one may be planned like. Raises ``TandemError``
-    (``plan.missing_file``, ``plan.damaged``, ``plan.schema``, or what is wrong with the problem in it)."""
-    from planner.motion.former import Former
+def load_reference_plan(folder: str | Path) -> ReferencePlan:
+    """Read the plan of a result folder as the reference plan of a similar problem.
 
-    problem, made = planned_result(folder)
-    return Former(made, problem)
+    Raises:
+        TandemError: ``plan.missing_file``, ``plan.damaged``, ``plan.schema``, or the faults of the problem in
+            it.
+    """
+    from planner.motion.reference_plan import ReferencePlan
+
+    problem, motion_plan = load_planned_result(folder)
+    return ReferencePlan(motion_plan, problem)
 
 
-def _planned(
-    problem: Problem, tell: Progress, executor: Executor, draw: bool, before: Former | None
+def _plan_and_prove(
+    problem: Problem,
+    report_progress: Progress,
+    executor: Executor,
+    draw: bool,
+    reference: ReferencePlan | None,
 ) -> Outcome:
-    """What :func:`plan` gives; ``executor`` runs independent work, with ``draw`` the pictures too;
-    ``before``: what it is planned like."""
-    tell("targets", 0.0)
-    ready()
+    """Implement :func:`plan`.
+
+    Args:
+        problem: Built problem.
+        report_progress: Called with the stage and its fraction done.
+        executor: Runs independent work.
+        draw: Whether ``executor`` draws the pictures too.
+        reference: Reference plan.
+    """
+    report_progress("targets", 0.0)
+    import_dependencies()
     from planner.languages.writing import write
     from planner.motion import sag, solve
     from planner.proof import prove
-    from planner.report import contribution, output
+    from planner.report import output, plugin_contributions
 
-    contribution.of_processes(problem)  # refuse packages that cannot report before any work
-    contribution.by_language(problem.cell.arms)
+    plugin_contributions.process_reports(problem)  # refuse packages without a report before any work
+    plugin_contributions.reports_by_language(problem.cell.arms)
     jobs = processes.jobs(problem)
-    targets = targets_of(problem, jobs)
+    targets = create_targets(problem, jobs)
     claims = processes.claims(problem, jobs)
-    refused = [*write.refusals(problem, targets), *prove.unproven(claims, problem)]
-    if refused:
-        raise TandemError(refused)
-    made = solve.solve(problem, targets, tell, executor, before)
-    problem = problem.stationed(made.stations)
-    _as_driven(jobs, made, dict.fromkeys(range(len(jobs))))
-    drawn = executor.submit(output.pictures, problem, made) if draw else None
-    issues = (*_stands(problem), *made.issues)
-    made = dataclasses.replace(made, issues=aggregate([*issues, *_unused(problem, issues)]))
-    tell("programs", 0.0)
-    commanded, sagging = sag.commanded(problem, made)
-    made = sag.noted(made, commanded)
-    made = dataclasses.replace(made, issues=(*made.issues, *sagging, *write.notes(commanded, problem)))
-    files = write.written(commanded, problem)
+    refusals = [*write.refusals(problem, targets), *prove.unproven_claims(claims, problem)]
+    if refusals:
+        raise TandemError(refusals)
+    # motion
+    motion_plan = solve.solve(problem, targets, report_progress, executor, reference)
+    problem = problem.with_stations(motion_plan.stations)
+    _check_executed_timing(jobs, motion_plan, dict.fromkeys(range(len(jobs))))
+    pictures = executor.submit(output.pictures, problem, motion_plan) if draw else None
+    issues = (*_support_issues(problem), *motion_plan.issues)
+    motion_plan = dataclasses.replace(
+        motion_plan, issues=aggregate([*issues, *_unused_acceptances(problem, issues)])
+    )
+    # programs: corrected for sag, and checked with the clock that they execute
+    report_progress("programs", 0.0)
+    commanded, sag_issues = sag.commanded_plan(problem, motion_plan)
+    motion_plan = sag.with_commanded_joints(motion_plan, commanded)
+    motion_plan = dataclasses.replace(
+        motion_plan, issues=(*motion_plan.issues, *sag_issues, *write.program_notes(commanded, problem))
+    )
+    files = write.write_programs(commanded, problem)
     programs = files.files
-    _as_driven(jobs, made, files.clocks)
-    tell("proof", 0.0)
-    del jobs, targets, files  # what the proof has no need of
+    _check_executed_timing(jobs, motion_plan, files.clocks)
+    # proof: the planning of a long job leaves more than 100 MB, which would add to the peak of the proof
+    report_progress("proof", 0.0)
+    del jobs, targets, files
     gc.collect()
-    release_memory()  # of a long job motion leaves more than 100 MB, beside which the proof would count
+    release_memory()
     proof = prove.prove(problem, claims, programs, executor)
-    tell("proof", 1.0)
-    final = _with_margins(commanded, problem, programs, proof) if proof.ok else {}
-    return Outcome(problem, made, proof, final, pictures=None if drawn is None else tuple(drawn))
+    report_progress("proof", 1.0)
+    final = _with_margin_headers(commanded, problem, programs, proof) if proof.ok else {}
+    return Outcome(problem, motion_plan, proof, final, pictures=None if pictures is None else tuple(pictures))
 
 
-def _as_driven(jobs: Sequence[Job[Any]], made: Plan, clocks: Mapping[int, FloatArray | None]) -> None:
-    """Raise what processes say of the motion of operations {index: clock}: by the clock of its programs, or,
-    for None, by its own."""
-    slow: list[Issue] = []
+def _check_executed_timing(
+    jobs: Sequence[Job[Any]], motion_plan: Plan, clocks: Mapping[int, FloatArray | None]
+) -> None:
+    """Raise the issues that processes find in the executed timing of their operations.
+
+    ``clocks`` {index of an operation: clock of its program}; None means the clock of the plan.
+    """
+    issues: list[Issue] = []
     for index, clock in clocks.items():
-        motion = made.operations[index]
-        slow += jobs[index].driven(motion.targets, motion.time, clock)
-    if has_errors(slow):
-        raise TandemError(slow)
+        motion = motion_plan.operations[index]
+        issues += jobs[index].check_timing(motion.targets, motion.time, clock)
+    if has_errors(issues):
+        raise TandemError(issues)
 
 
-Make = Callable[[int, "Job[Any]"], "Targets"]
-"""What makes the targets of an operation, by its index; it may know those of an operation like it."""
-FIRST_TARGETS = 40
-"""Targets that a first look is at."""
+TargetFactory = Callable[[int, "Job[Any]"], "Targets"]
+"""Creates the targets of an operation from its index and job. It may reuse those of a similar operation."""
+QUICK_CHECK_TARGETS = 40
+"""Default number of targets that a quick check samples. Chosen: few, because it runs while a user edits."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Looked:
-    """What a check found, and at how many ``targets`` of all of them it looked; none of none where they
-    cannot be made. ``placed``: whether a first look has a place for the block, which a whole one searches
-    longer; ``thinned``: whether it was made of fewer targets than the plan will have."""
+class CheckResult:
+    """Result of a check.
+
+    Attributes:
+        issues: Issues found.
+        checked: Number of targets checked.
+        total: Number of all targets; 0 if they cannot be created.
+        is_placed: Whether a quick check found a placement of the stock. A full check searches longer.
+        is_subsampled: Whether there were fewer targets than the plan will have.
+    """
 
     issues: tuple[Issue, ...]
-    targets: int
-    of: int
-    placed: bool = True
-    thinned: bool = False
+    checked: int
+    total: int
+    is_placed: bool = True
+    is_subsampled: bool = False
 
 
-@_contained()
+@_contain_system_exit()
 def check(problem: Problem | spec.Problem, advise: bool = True) -> tuple[Issue, ...]:
-    """Validate and test reach without planning: the issues found, errors included. ``advise``: where there is
-    no path, changes that may help are tried."""
-    return _checked(problem, advise, None, None).issues
+    """Validate a problem and test reach, without planning.
+
+    Args:
+        problem: Problem to check.
+        advise: Whether to try changes that may help if there is no path.
+
+    Returns:
+        All issues found, errors included.
+    """
+    return _check(problem, advise, None, None).issues
 
 
-@_contained()
-def looked_over(
-    problem: Problem | spec.Problem, most: int | None = FIRST_TARGETS, make: Make | None = None
-) -> Looked:
-    """As :func:`check`, at about ``most`` targets alone, evenly spread over all operations: whether
-    each has a posture with all margins that is free, and whether one of the first places will do for a
-    block whose place is searched. None of it says that there is a path, or that the process does what it
-    should; with ``most`` None it is the whole check."""
-    return _checked(problem, most is None, most, make)
+@_contain_system_exit()
+def quick_check(
+    problem: Problem | spec.Problem,
+    max_targets: int | None = QUICK_CHECK_TARGETS,
+    make: TargetFactory | None = None,
+) -> CheckResult:
+    """Check a problem as :func:`check`, but only at about ``max_targets`` targets.
+
+    The targets are spread evenly over all operations. The check tests whether each target has a
+    collision-free posture with all margins, and whether one of the first placements suits a stock whose
+    placement is searched. It does not show that a path exists or that the process achieves its purpose.
+
+    Args:
+        problem: Problem to check.
+        max_targets: Number of targets; None for the full check.
+        make: Creates the targets of an operation.
+    """
+    return _check(problem, max_targets is None, max_targets, make)
 
 
-def _checked(problem: Problem | spec.Problem, advise: bool, most: int | None, make: Make | None) -> Looked:
+def _check(
+    problem: Problem | spec.Problem, advise: bool, max_targets: int | None, make: TargetFactory | None
+) -> CheckResult:
     try:
-        problem = built(problem)
+        problem = ensure_problem(problem)
     except TandemError as error:
-        return Looked(error.issues, 0, 0)
-    ready()
+        return CheckResult(error.issues, 0, 0)
+    import_dependencies()
     from planner.languages.writing import write
     from planner.motion import solve
-    from planner.motion.first_look import FirstLook
+    from planner.motion.quick_check import QuickCheck
 
-    notes = _notes(problem)
-    looked, of = 0, 0
+    notes = _input_notes(problem)
+    checked, total = 0, 0
     try:
-        targets = targets_of(problem, processes.jobs(problem, brief=most is not None), make)
-        of = sum(item.count for item in targets)
-        first = None if most is None else FirstLook(tuple(item.count for item in targets), most)
-        found = [*notes, *_stands(problem), *(issue for item in targets for issue in item.issues)]
-        found += [*write.refusals(problem, targets), *solve.check(problem, targets, advise, first)]
-        looked = of if first is None else sum(first.looked.values())
-        placed = first is None or first.placed
-        if first is None:  # what a first look does not judge may be there all the same
-            found += _unused(problem, found)
-        return Looked(aggregate(found), looked, of, placed, any(item.thinned for item in targets))
+        targets = create_targets(problem, processes.jobs(problem, brief=max_targets is not None), make)
+        total = sum(item.count for item in targets)
+        first_look = (
+            None if max_targets is None else QuickCheck(tuple(item.count for item in targets), max_targets)
+        )
+        issues = [*notes, *_support_issues(problem), *(issue for item in targets for issue in item.issues)]
+        issues += [*write.refusals(problem, targets), *solve.check(problem, targets, advise, first_look)]
+        checked = total if first_look is None else sum(first_look.checked.values())
+        is_placed = first_look is None or first_look.is_stock_placed
+        if first_look is None:  # a quick check does not cover all issues, so an acceptance may be needed
+            issues += _unused_acceptances(problem, issues)
+        return CheckResult(
+            aggregate(issues), checked, total, is_placed, any(item.is_subsampled for item in targets)
+        )
     except TandemError as error:
-        return Looked((*notes, *error.issues), looked, of)
+        return CheckResult((*notes, *error.issues), checked, total)
 
 
-def targets_of(problem: Problem, jobs: Sequence[Job[Any]], make: Make | None = None) -> list[Targets]:
-    """The targets of all jobs, with what the problem accepts of their issues; ``make`` makes them where it is
-    given. Raises ``TandemError`` with the errors of all of them."""
+def create_targets(
+    problem: Problem, jobs: Sequence[Job[Any]], make: TargetFactory | None = None
+) -> list[Targets]:
+    """Create the targets of all jobs, with the acceptances of the problem applied to their issues.
+
+    Args:
+        problem: Built problem.
+        jobs: Jobs of its operations.
+        make: Creates the targets of an operation; None for the job itself.
+
+    Raises:
+        TandemError: With the errors of all jobs.
+    """
     out: list[Targets] = []
-    told = _stands(problem)
+    issues = _support_issues(problem)
     for index, job in enumerate(jobs):
         try:
-            made = job.targets() if make is None else make(index, job)
+            targets = job.targets() if make is None else make(index, job)
         except TandemError as error:
-            told += error.issues
+            issues += error.issues
         else:
-            out.append(dataclasses.replace(made, issues=judged(made.issues, problem.accept)))
-            told += out[-1].issues
-    if len(out) < len(jobs) or has_errors(told):
-        raise TandemError(aggregate(told))
+            out.append(dataclasses.replace(targets, issues=apply_acceptances(targets.issues, problem.accept)))
+            issues += out[-1].issues
+    if len(out) < len(jobs) or has_errors(issues):
+        raise TandemError(aggregate(issues))
     return out
 
 
-def _stands(problem: Problem) -> list[Issue]:
-    """What is to be told of what the blocks stand on."""
+def _support_issues(problem: Problem) -> list[Issue]:
+    """Return issues of the supports of the stock."""
     from planner.cell import support
 
-    return list(judged(support.issues(problem), problem.accept))
+    return list(apply_acceptances(support.support_issues(problem), problem.accept))
 
 
-def _unused(problem: Problem, found: Sequence[Issue]) -> list[Issue]:
-    """Notes of what the problem accepts and nobody has found."""
+def _unused_acceptances(problem: Problem, issues: Sequence[Issue]) -> list[Issue]:
+    """Return notes on acceptances whose issue does not occur."""
     return [
         Issue(
             "problem.accepted",
-            f"accept: {code} does not occur; take it out, lest it hides one that comes later",
+            format_message("problem.accepted", accepted_code=code),
             Severity.NOTE,
             field=f"accept.{number}",
         )
         for number, code in enumerate(problem.accept)
-        if code not in accepted(found)
+        if code not in accepted_codes(issues)
     ]
 
 
-def _notes(problem: Problem) -> tuple[Issue, ...]:
-    """What was put right, or is to be known, on the way from the file to the part."""
+def _input_notes(problem: Problem) -> tuple[Issue, ...]:
+    """Return notes from reading the problem: what was corrected, chosen or is worth knowing."""
     part = problem.part.notes if problem.part is not None else ()
-    return (*part, *problem.notes, *_unseen(problem.cell))
+    return (*part, *problem.notes, *_missing_visuals_notes(problem.cell))
 
 
-def _unseen(cell: Cell) -> Iterator[Issue]:
-    """A note for each robot of the user's own of which not all is seen as its maker drew it."""
-    told: set[tuple[str, ...]] = set()
+def _missing_visuals_notes(cell: Cell) -> Iterator[Issue]:
+    """Yield a note for each custom robot some of whose links have no readable visual mesh."""
+    reported: set[tuple[str, ...]] = set()
     for number, arm in enumerate(cell.arms):
-        unseen = arm.data.file.unseen if arm.data.file is not None else ()
-        if not unseen or unseen in told:
+        links = arm.data.file.unseen if arm.data.file is not None else ()
+        if not links or links in reported:
             continue
-        told.add(unseen)
-        more = f" and {len(unseen) - 7} more" if len(unseen) > 7 else ""
-        what = f"of {len(unseen)} links of {arm.robot} the bodies for collision are shown, for what the URDF "
-        what += f"has to be seen cannot be read: {', '.join(unseen[:7])}{more}"
+        reported.add(links)
+        more = f" and {len(links) - 7} more" if len(links) > 7 else ""
+        what = f"{len(links)} links of {arm.robot} are shown by their collision bodies, because their "
+        what += f"visual meshes cannot be read: {', '.join(links[:7])}{more}"
         field = f"cell.arms.{number}.robot.urdf"
-        hint = "lay them beside the URDF or state them under visuals. Nothing but "
-        yield Issue("robot.unseen", what, Severity.NOTE, field=field, hint=f"{hint}pictures depends on it")
+        hint = "put the files next to the URDF or state them under visuals. Only "
+        yield Issue("robot.unseen", what, Severity.NOTE, field=field, hint=f"{hint}pictures depend on them")
 
 
-@_contained()
+@_contain_system_exit()
 def verify(problem: Problem | spec.Problem, programs: Mapping[str, str], processes: int = 1) -> Proof:
-    """Prove programs from their text and the problem alone; ``processes`` as for :func:`plan`."""
-    problem = built(problem)
+    """Prove programs from their text and the problem alone.
+
+    Args:
+        problem: Problem that the programs solve.
+        programs: Program text by file name.
+        processes: As for :func:`plan`.
+    """
+    problem = ensure_problem(problem)
     with second_process.open_executor(processes, WARM_UP) as executor:
-        return _proven(problem, programs, executor)
+        return _prove(problem, programs, executor)
 
 
-def _proven(problem: Problem, programs: Mapping[str, str], executor: Executor) -> Proof:
-    ready()
+def _prove(problem: Problem, programs: Mapping[str, str], executor: Executor) -> Proof:
+    import_dependencies()
     from planner.proof import prove
 
     return prove.prove(problem, processes.claims(problem), programs, executor)
 
 
-def read_partly(problem: Problem | spec.Problem, programs: Mapping[str, str]) -> Partial:
-    """How much of programs of any origin is read and proven, for the cell of ``problem``."""
-    problem = built(problem)
-    ready()
+def read_partly(problem: Problem | spec.Problem, programs: Mapping[str, str]) -> PartialProof:
+    """Report how much of programs of any origin can be read and proven for the cell of ``problem``."""
+    problem = ensure_problem(problem)
+    import_dependencies()
     from planner.proof import partial
 
-    return partial.read_partly(problem, programs)
+    return partial.prove_partly(problem, programs)
 
 
 def read_programs(folder: str | Path, bare: bool = False) -> dict[str, str]:
-    """The texts in ``folder/programs``, by relative name; ``bare``: those of robot programs in ``folder``
-    itself where it has no such folder, such as somebody else's. Raises ``TandemError`` if there are none."""
+    """Read the program texts in ``folder/programs``, by relative name.
+
+    Args:
+        folder: Result folder.
+        bare: If there is no folder ``programs``, read the robot programs in ``folder`` itself, for example
+            those of another tool.
+
+    Raises:
+        TandemError: ``verify.no_programs`` if there are none, ``verify.files`` if one cannot be read.
+    """
     root = Path(folder) / "programs"
-    alone = bare and not root.is_dir()
-    root = Path(folder) if alone else root
-    endings = {ending for one in plugins.usable(Language).values() for ending in one.file_endings}
+    is_bare_folder = bare and not root.is_dir()
+    root = Path(folder) if is_bare_folder else root
+    endings = {ending for language in plugins.usable(Language).values() for ending in language.file_endings}
     texts = {
-        p.relative_to(root).as_posix(): _text(p)
+        p.relative_to(root).as_posix(): _read_program_text(p)
         for p in sorted(root.rglob("*"))
-        if p.is_file() and p != root / RELEASE and (not alone or p.suffix.lower() in endings)
+        if p.is_file() and p != root / RELEASE and (not is_bare_folder or p.suffix.lower() in endings)
     }
     if not texts:
-        raise refusal(
-            "verify.no_programs", f"{root}: no programs there; plan the problem first", file=str(root)
+        raise issue_error(
+            "verify.no_programs", format_message("verify.no_programs", folder=root), file=str(root)
         )
     return texts
 
 
-def _text(path: Path) -> str:
+def _read_program_text(path: Path) -> str:
     from planner.programs import text as program_text
 
     try:
@@ -479,67 +631,68 @@ def _text(path: Path) -> str:
             text = program_text.decode(path.read_bytes(), path.name)
             if "\0" not in text:
                 return text
-            what = "is no text (it holds the byte 0)"
+            what = "is not text (it contains the byte 0)"
         else:
-            what = f"is over {MAX_PROGRAM_BYTES // 1_000_000} MB, which no module of a controller is"
+            what = f"is over {MAX_PROGRAM_BYTES // 1_000_000} MB, more than any module of a controller"
     except OSError as error:
         what = f"cannot be read ({error})"
     except UnicodeDecodeError as error:
-        what = f"is not text in UTF-8 ({error})"
-    raise refusal("verify.files", f"{path} {what}; take it away or plan again", file=str(path))
+        what = f"is not UTF-8 text ({error})"
+    raise issue_error("verify.files", f"{path} {what}; remove it or plan again", file=str(path))
 
 
 def load_result(folder: str | Path) -> Problem:
-    """The problem that a result folder was made for, from the copy that it carries."""
+    """Load the problem of a result folder from the copy that it carries."""
     return load(Path(folder) / "problem" / "problem.yaml")
 
 
-def planned_result(folder: str | Path) -> tuple[Problem, Plan]:
-    """Problem and plan of a result folder, arms on tracks at the plan's stations."""
+def load_planned_result(folder: str | Path) -> tuple[Problem, Plan]:
+    """Load problem and plan of a result folder, with external axes at the stations of the plan."""
     from planner import plans
 
-    made = plans.load(folder)  # first: what a folder that is no plan lacks is the plan
-    return load_result(folder).stationed(made.stations), made
+    motion_plan = plans.load(
+        folder
+    )  # first, so that a folder that is no result lacks its plan, not its problem
+    return load_result(folder).with_stations(motion_plan.stations), motion_plan
 
 
-def claim_output(folder: str | Path, problem: str | Path) -> None:
-    """See before any work that results can be written to ``folder`` without harm to the problem file.
+def prepare_output(folder: str | Path, problem: str | Path) -> None:
+    """Check before any work that results can be written to ``folder`` without harm to the problem file.
 
-    Raises ``TandemError`` with ``output.folder``.
+    Raises:
+        TandemError: ``output.folder``.
     """
-    claim_folder(Path(folder), RESULT, problem_file.find(Path(problem)))
+    prepare_folder(Path(folder), RESULT_ENTRIES, problem_file.find_problem(Path(problem)))
 
 
 def save_failure(problem: Problem | None, issues: tuple[Issue, ...], folder: str | Path) -> None:
-    """Write the report alone, for a problem that was refused or has no plan; removes what an older run
-    left.
-    """
-    ready()
+    """Write only the report, for a problem that was refused or has no plan; remove older results."""
+    import_dependencies()
     from planner.report import output
 
-    write_folder(Path(folder), {"report.html": output.failure(problem, issues)}, RESULT)
+    write_folder(Path(folder), {"report.html": output.failure_report(problem, issues)}, RESULT_ENTRIES)
 
 
 def exit_code(outcome: Outcome) -> int:
-    """0 for done and verified, 4 for planned but not proven."""
+    """Return 0 for planned and verified, 4 for planned but not proven."""
     return 4 if not outcome.verified or has_errors(outcome.issues) else 0
 
 
-def _with_margins(
-    made: Plan, problem: Problem, programs: Mapping[str, str], proof: Proof
+def _with_margin_headers(
+    motion_plan: Plan, problem: Problem, programs: Mapping[str, str], proof: Proof
 ) -> Mapping[str, str]:
-    """The proven programs with the proof's margins in their headers, which must change comments alone."""
+    """Return the proven programs with the margins of the proof in their headers; only comments may change."""
     from planner.languages.writing import write
     from planner.proof import verdict
-    from planner.proof.same_program import same_program
+    from planner.proof.same_program import is_same_program
 
-    final = write.programs(made, problem, verdict.text(proof))
-    if not same_program(programs, final):
-        raise refusal(
-            "internal.error", "the header changed more than comments of the proven programs; report this"
+    final = write.program_files(motion_plan, problem, verdict.shown_results(proof))
+    if not is_same_program(programs, final):
+        raise issue_error(
+            "internal.error", "the header changed more than comments of the proven programs. Report this"
         )
     return final
 
 
-def _silent(stage: str, fraction: float) -> None:
+def _ignore_progress(stage: str, fraction: float) -> None:
     del stage, fraction

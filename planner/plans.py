@@ -1,10 +1,15 @@
-"""Plans: joint paths on one clock, with what programs and reports need; saved and loaded whole.
+"""Plans: joint paths on one clock, with what programs and reports need. Plans are saved and loaded whole.
 
-``plan.npz`` holds the arrays, ``plan.json`` everything else. Plain JSON arrays are tuples;
-``{"$list": [...]}`` is a list, ``{"$array": key}`` an array of ``plan.npz``, ``{"$type": name,
-...}`` one of the value classes that a plan holds, ``{"$float": "nan"}`` a number that JSON lacks
-and ``{"$map": [[key, value], ...]}`` a mapping whose keys are not plain strings. Segments stand as
-their labels, files (``{"$file": name}``) as their names, for a result's folder carries them.
+``plan.npz`` holds the arrays, ``plan.json`` everything else, in this encoding:
+
+- a plain JSON array is a tuple, ``{"$list": [...]}`` a list;
+- ``{"$array": key}`` is an array of ``plan.npz``;
+- ``{"$type": name, ...}`` is one of the value classes that a plan holds;
+- ``{"$float": "nan"}`` is a number that JSON lacks;
+- ``{"$map": [[key, value], ...]}`` is a mapping whose keys are not plain strings;
+- a segment is its label;
+- ``{"$file": name}`` is the name of a file that the result folder carries.
+
 Nothing is pickled.
 """
 
@@ -26,9 +31,10 @@ from numpy.typing import NDArray
 
 from planner.claims import claim
 from planner.claims.segments import Segment
-from planner.files import write_whole
+from planner.files import write_atomic
 from planner.geometry.arrays import FloatArray, IntArray
-from planner.issues import Issue, TandemError, refusal
+from planner.issue_codes import format_message
+from planner.issues import Issue, TandemError, issue_error
 from planner.runtime import plugins
 from planner.runtime.plugins import Process
 from planner.targets import Targets
@@ -37,16 +43,24 @@ from planner.tooling import Cutter
 
 @dataclasses.dataclass(frozen=True)
 class OperationPlan:
-    """The motion of one operation.
+    """Motion of one operation.
 
-    ``targets`` include the transit moves that motion added. ``q`` {arm: (N, 6)} serial joint angles [rad],
-    ``values`` (N, F) of the freedoms, ``time`` (N,) [s] from the first target. ``entry`` and ``exit`` {arm:
-    (M, 6)} are joint waypoints from home to the first target and from the last one back home; arms run them
-    one after the other in the order ``order`` (entry) and its reverse (exit), each with the others standing
-    still, but for those that ``together`` names ("entry", "exit"): there all arms go at once, in as many
-    synchronised moves. ``metrics``: figures by name (costs, margins, clearances, stage times), for reports.
-    ``commanded`` {arm: (N, 6)} [rad] are the joints that controllers are sent to, of arms whose sag is made
-    up for: where these stand then is ``q``.
+    Attributes:
+        name: Name of the operation.
+        targets: Targets, including those of the links that motion added; N targets.
+        q: {arm: (N, 6)} serial joint angles [rad].
+        values: Values of the freedoms (N, F).
+        time: Time from the first target (N,) [s].
+        approach: {arm: (M, 6)} joint waypoints from home to the first target [rad].
+        retreat: {arm: (M, 6)} joint waypoints from the last target to home [rad].
+        arm_order: Order in which arms run their approach, one after the other while the others stand still.
+            The retreat uses the reverse order.
+        metrics: Figures by name (costs, margins, clearances, stage times), for reports.
+        issues: Issues of the motion.
+        synchronised: "entry" and "exit" for an approach or retreat in which all arms move at once, in as many
+            synchronised moves.
+        commanded: {arm: (N, 6)} [rad] joint angles that the controller is sent to, for arms with sag
+            compensation. The sagged arm is then at ``q``.
     """
 
     name: str
@@ -54,19 +68,26 @@ class OperationPlan:
     q: Mapping[str, FloatArray] = dataclasses.field(repr=False)
     values: FloatArray = dataclasses.field(repr=False)
     time: FloatArray = dataclasses.field(repr=False)
-    entry: Mapping[str, FloatArray] = dataclasses.field(repr=False)
-    exit: Mapping[str, FloatArray] = dataclasses.field(repr=False)
-    order: tuple[str, ...]
+    approach: Mapping[str, FloatArray] = dataclasses.field(repr=False)
+    retreat: Mapping[str, FloatArray] = dataclasses.field(repr=False)
+    arm_order: tuple[str, ...]
     metrics: Mapping[str, Any] = dataclasses.field(repr=False)
     issues: tuple[Issue, ...] = ()
-    together: tuple[str, ...] = ()
+    synchronised: tuple[str, ...] = ()
     commanded: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict, repr=False)
 
 
 @dataclasses.dataclass(frozen=True)
-class Frame:
-    """Where the arms are at ``time`` [s] of a plan: on the way to target ``target`` of the operation of that
-    name; ``q`` {arm: (6,)} [rad] of the arms that take part in it."""
+class PlanFrame:
+    """State of the arms at one time of a plan.
+
+    Attributes:
+        time: Time [s].
+        operation: Name of the operation.
+        target: Index of the target that the arms move to.
+        segment: Segment of that move.
+        q: {arm: (6,)} joint angles [rad] of the arms that take part.
+    """
 
     time: float
     operation: str
@@ -76,9 +97,15 @@ class Frame:
 
 
 @dataclasses.dataclass(frozen=True)
-class Samples:
-    """A plan at K equal steps of ``time`` (K,) [s]: index of the ``operation`` (K,), index of the ``target``
-    (K,) that the arms move to, and ``q`` {arm: (K, 6)} [rad], NaN while an arm takes no part."""
+class PlanSamples:
+    """A plan at K equal time steps.
+
+    Attributes:
+        time: Time (K,) [s].
+        operation: Index of the operation (K,).
+        target: Index of the target that the arms move to (K,).
+        q: {arm: (K, 6)} joint angles [rad], NaN while an arm takes no part.
+    """
 
     time: FloatArray
     operation: IntArray
@@ -86,21 +113,31 @@ class Samples:
     q: Mapping[str, FloatArray]
 
 
-MOST_SAMPLES: Final = 10_000_000
-"""Samples of one plan at most: more are a slip of the unit of the step."""
+MAX_SAMPLES: Final = 10_000_000
+"""Maximum number of samples of one plan. More indicate a wrong unit of the time step."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """Plans of all operations of a problem. ``places``: the stock's pose (4, 4) in the world in each setup,
-    for a held block the pose about which its holder moves it; ``bases`` {arm: (4, 4)} are in the world, of
-    arms that stand on no track; ``stations`` as :attr:`planner.problem.Problem.stations` has them.
+    """Plans of all operations of a problem.
+
+    Attributes:
+        problem_name: Name of the problem.
+        digest: SHA-256 of the problem.
+        versions: Versions of the packages that the plan depends on.
+        stock_poses: Pose (4, 4) of the stock in the world in each setup. For a held stock: the pose about
+            which its holder moves it.
+        bases: {arm: (4, 4)} base poses in the world, of arms without linear axes.
+        operations: Plans of the operations.
+        metrics: Figures by name, for reports.
+        issues: Issues of planning.
+        stations: Values of the external axes, as :attr:`planner.problem.Problem.stations`.
     """
 
     problem_name: str
     digest: str
     versions: Mapping[str, str] = dataclasses.field(repr=False)
-    places: tuple[FloatArray, ...]
+    stock_poses: tuple[FloatArray, ...]
     bases: Mapping[str, FloatArray]
     operations: tuple[OperationPlan, ...]
     metrics: Mapping[str, Any] = dataclasses.field(repr=False)
@@ -109,93 +146,115 @@ class Plan:
 
     @property
     def stock_pose(self) -> FloatArray:
-        """The stock's pose (4, 4) in the first setup."""
-        return self.places[0]
+        """Pose (4, 4) of the stock in the first setup."""
+        return self.stock_poses[0]
 
     @property
     def duration(self) -> float:
-        """Time [s] of all operations, one after the other, each from its first target to its last; the ways
-        from and to home, setups and waits have no clock in a plan."""
+        """Total time of all operations [s], each from its first target to its last.
+
+        Approaches, retreats, setups and waits have no clock in a plan and are not included.
+        """
         return float(sum(operation.time[-1] - operation.time[0] for operation in self.operations))
 
-    def frame(self, t: float) -> Frame:
-        """Where the arms are at time ``t`` [s], from 0 to :attr:`duration`.
+    def frame(self, t: float) -> PlanFrame:
+        """Return the state of the arms at a time.
 
-        Joint angles are taken linearly between two targets, as the replay shows them; what the programs' text
-        makes of them is in the proof. Raises ``ValueError`` for times outside.
+        Joint angles are interpolated linearly between targets, as in the replay. The proof contains the
+        motion that follows from the text of the programs.
+
+        Args:
+            t: Time [s], from 0 to :attr:`duration`.
+
+        Raises:
+            ValueError: If ``t`` is outside.
         """
         if not 0.0 <= t <= self.duration or not self.operations:
-            raise ValueError(f"t is {t:g} s, the plan goes from 0 to {self.duration:g} s")
-        at = self._at(np.array([t]))
-        own = self.operations[at.operation[0]]
-        q = {arm: at.q[arm][0] for arm in own.q}
-        target = int(at.target[0])
-        return Frame(float(t), own.name, target, own.targets.segment[target], q)
+            raise ValueError(f"t must be from 0 to {self.duration:g} s, got {t:g} s")
+        sample = self._sample_times(np.array([t]))
+        operation = self.operations[sample.operation[0]]
+        q = {arm: sample.q[arm][0] for arm in operation.q}
+        target = int(sample.target[0])
+        return PlanFrame(float(t), operation.name, target, operation.targets.segment[target], q)
 
-    def sample(self, dt: float) -> Samples:
-        """The whole plan every ``dt`` [s], its end included; else as :meth:`frame`. Raises ``ValueError`` for
-        a step that is not above 0, or of which there would be over :data:`MOST_SAMPLES`."""
-        if not (dt > 0.0 and self.duration / dt < MOST_SAMPLES):
-            least = self.duration / MOST_SAMPLES
-            raise ValueError(f"dt is {dt:g} s, a step is above {max(least, 0.0):.3g} s")
+    def sample(self, dt: float) -> PlanSamples:
+        """Sample the whole plan every ``dt`` [s], including its end, as :meth:`frame`.
+
+        Raises:
+            ValueError: If the step is not positive or gives more than :data:`MAX_SAMPLES` samples.
+        """
+        if not (dt > 0.0 and self.duration / dt < MAX_SAMPLES):
+            min_step = self.duration / MAX_SAMPLES
+            raise ValueError(f"dt must be above {max(min_step, 0.0):.3g} s, got {dt:g} s")
         steps = np.arange(0.0, self.duration, dt)
-        return self._at(np.append(steps, self.duration) if self.operations else steps)
+        return self._sample_times(np.append(steps, self.duration) if self.operations else steps)
 
-    def _at(self, time: FloatArray) -> Samples:
-        """The plan at times (K,) [s], ascending, within its duration."""
+    def _sample_times(self, time: FloatArray) -> PlanSamples:
+        """Sample the plan at times (K,) [s], ascending, within its duration."""
+        # operations follow one another without a gap on the clock of the plan
         lengths = [operation.time[-1] - operation.time[0] for operation in self.operations]
         ends = np.cumsum(lengths)
         operation = np.minimum(np.searchsorted(ends, time, side="left"), max(len(lengths) - 1, 0))
         target = np.zeros(len(time), dtype=np.int64)
-        joints = {arm: path.shape[1] for own in self.operations for arm, path in own.q.items()}
+        joints = {
+            arm: path.shape[1] for operation_plan in self.operations for arm, path in operation_plan.q.items()
+        }
         q = {arm: np.full((len(time), count), np.nan) for arm, count in joints.items()}
-        for number, own in enumerate(self.operations):
-            here = operation == number
-            clock = time[here] - (ends[number] - lengths[number]) + own.time[0]
-            target[here] = np.clip(np.searchsorted(own.time, clock, side="left"), 0, len(own.time) - 1)
-            for arm, path in own.q.items():
-                q[arm][here] = np.stack([np.interp(clock, own.time, joint) for joint in path.T], axis=1)
-        return Samples(time, operation, target, q)
+        for number, operation_plan in enumerate(self.operations):
+            rows = operation == number
+            clock = time[rows] - (ends[number] - lengths[number]) + operation_plan.time[0]
+            target[rows] = np.clip(
+                np.searchsorted(operation_plan.time, clock, side="left"), 0, len(operation_plan.time) - 1
+            )
+            for arm, path in operation_plan.q.items():
+                q[arm][rows] = np.stack(
+                    [np.interp(clock, operation_plan.time, joint) for joint in path.T], axis=1
+                )
+        return PlanSamples(time, operation, target, q)
 
 
 FORMAT: Final = "tandem-plan"
 """Name of the format at the head of a plan file."""
-SCHEMA: Final = 1
-"""Version of the format; another one is refused."""
+SCHEMA: Final = 2
+"""Version of the format. Files of another version are refused."""
 ARRAYS_FILE: Final = "plan.npz"
-"""File of a plan with its arrays."""
+"""Name of the file with the arrays of a plan."""
 DATA_FILE: Final = "plan.json"
-"""File of a plan with all else."""
+"""Name of the file with everything else of a plan."""
 
 
-def _held(kinds: Iterable[Any], known: dict[str, type]) -> dict[str, type]:
-    """All dataclasses among types and in the fields of these, by name, but for what is written otherwise."""
+def _collect_dataclasses(kinds: Iterable[Any], known: dict[str, type]) -> dict[str, type]:
+    """Collect the dataclasses among ``kinds`` and the types of their fields, by name.
+
+    Issues and segments are left out, because they have an encoding of their own.
+    """
     for kind in kinds:
         if dataclasses.is_dataclass(kind) and isinstance(kind, type) and kind not in (Issue, Segment):
             if known.get(kind.__name__) is not kind:
                 known[kind.__name__] = kind
-                _held(get_type_hints(kind).values(), known)
+                _collect_dataclasses(get_type_hints(kind).values(), known)
         else:
-            _held(get_args(kind), known)
+            _collect_dataclasses(get_args(kind), known)
     return known
 
 
-def _values() -> dict[str, type]:
+def _value_classes() -> dict[str, type]:
     """Return the classes of values that plans hold, by name.
 
-    Claims are those of all installed processes. Cutters are in exhibits, whose fields have no types.
+    Claims are those of all installed processes. Cutters are listed because the fields of exhibits are
+    untyped.
     """
     plugins.loadable(Process, "claims", tuple)  # imports them
-    return _values_with(claim.kinds())
+    return _value_classes_with(claim.kinds())
 
 
 @functools.cache
-def _values_with(kinds: tuple[type[claim.Claim], ...]) -> dict[str, type]:
-    return _held((Plan, Cutter, *kinds), {})
+def _value_classes_with(kinds: tuple[type[claim.Claim], ...]) -> dict[str, type]:
+    return _collect_dataclasses((Plan, Cutter, *kinds), {})
 
 
-_SEGMENTS: Final = {"segment", "segments"}
-"""Fields of those classes that hold segments."""
+_SEGMENT_FIELDS: Final = {"segment", "segments"}
+"""Fields of the value classes that hold segments."""
 _DAMAGED_FILE_ERRORS: Final = (
     ValueError,
     KeyError,
@@ -206,26 +265,29 @@ _DAMAGED_FILE_ERRORS: Final = (
     OSError,
     zipfile.BadZipFile,
 )
-"""What decoding a damaged file may raise."""
+"""Errors that the decoding of a damaged file may raise."""
 
 Arrays = dict[str, NDArray[Any]]
 
 
 def save(plan: Plan, folder: str | os.PathLike[str]) -> None:
-    """Writes ``plan.npz`` and ``plan.json`` into ``folder``, which is made if missing; see :func:`dump`."""
+    """Write ``plan.npz`` and ``plan.json`` into ``folder``, which is created if missing; see :func:`dump`."""
     for name, content in dump(plan).items():
-        write_whole(Path(folder) / name, content)
+        write_atomic(Path(folder) / name, content)
 
 
 def dump(plan: Plan) -> dict[str, bytes]:
-    """The content of ``plan.npz`` and ``plan.json``; the same plan gives the same bytes, so the wall-clock
-    times of the planning (``stages`` in the metrics) are left out.
+    """Return the content of ``plan.npz`` and ``plan.json``.
 
-    ``plan.json`` comes last and carries the hash of ``plan.npz``, so a pair torn apart by a kill is found.
-    Raises :class:`TandemError` (``plan.not_saveable``) for a value that is neither an array nor plain data.
+    Equal plans give equal bytes. For this the wall-clock times of planning (``stages`` in the metrics) are
+    left out. ``plan.json`` is last and carries the hash of ``plan.npz``, so that :func:`load` detects a pair
+    that was separated by a kill.
+
+    Raises:
+        TandemError: ``plan.not_saveable`` for a value that is neither an array nor plain data.
     """
     arrays: Arrays = {}
-    tree = _encode(_timeless(plan), "", arrays)
+    tree = _encode(_without_stage_times(plan), "", arrays)
     packed = _pack(arrays)
     header = {"format": FORMAT, "schema": SCHEMA, "arrays": hashlib.sha256(packed).hexdigest(), "plan": tree}
     text = json.dumps(header, indent=1, ensure_ascii=False, allow_nan=False)
@@ -233,37 +295,37 @@ def dump(plan: Plan) -> dict[str, bytes]:
 
 
 def load(folder: str | os.PathLike[str]) -> Plan:
-    """The plan that :func:`save` wrote into ``folder``.
+    """Load the plan that :func:`save` wrote into ``folder``.
 
-    Raises :class:`TandemError`: ``plan.missing_file``, ``plan.schema`` (made by another format or version) or
-    ``plan.damaged``.
+    Raises:
+        TandemError: ``plan.missing_file``, ``plan.schema`` (another format or version) or ``plan.damaged``.
     """
     source = Path(folder)
-    header = _header(source / DATA_FILE)
-    packed = _bytes(source / ARRAYS_FILE)
+    header = _read_header(source / DATA_FILE)
+    packed = _read_bytes(source / ARRAYS_FILE)
     if hashlib.sha256(packed).hexdigest() != header.get("arrays"):
-        raise _damaged(source / ARRAYS_FILE, "its hash is not the one that plan.json states")
+        raise _damaged_error(source / ARRAYS_FILE, "its hash is not the one that plan.json states")
     try:
         plan = _decode(header["plan"], _unpack(packed))
     except _DAMAGED_FILE_ERRORS as error:
-        raise _damaged(source / DATA_FILE, f"{type(error).__name__}: {error}") from error
+        raise _damaged_error(source / DATA_FILE, f"{type(error).__name__}: {error}") from error
     if not isinstance(plan, Plan):
-        raise _damaged(source / DATA_FILE, f"it holds a {type(plan).__name__}, not a plan")
+        raise _damaged_error(source / DATA_FILE, f"it holds a {type(plan).__name__}, not a plan")
     return plan
 
 
-def _timeless(plan: Plan) -> Plan:
-    def kept(metrics: Mapping[str, Any]) -> dict[str, Any]:
+def _without_stage_times(plan: Plan) -> Plan:
+    def without_stages(metrics: Mapping[str, Any]) -> dict[str, Any]:
         return {name: value for name, value in metrics.items() if name != "stages"}
 
-    operations = tuple(dataclasses.replace(op, metrics=kept(op.metrics)) for op in plan.operations)
-    return dataclasses.replace(plan, operations=operations, metrics=kept(plan.metrics))
+    operations = tuple(dataclasses.replace(op, metrics=without_stages(op.metrics)) for op in plan.operations)
+    return dataclasses.replace(plan, operations=operations, metrics=without_stages(plan.metrics))
 
 
 def _encode(value: Any, key: str, arrays: Arrays) -> Any:
     if isinstance(value, np.ndarray):
         if value.dtype.hasobject:
-            raise _not_saveable(key, "an array of Python objects")
+            raise _not_saveable_error(key, "an array of Python objects")
         arrays[key] = value
         return {"$array": key}
     if isinstance(value, np.generic):
@@ -280,7 +342,7 @@ def _encode(value: Any, key: str, arrays: Arrays) -> Any:
         return value if math.isfinite(value) else {"$float": repr(value)}
     if isinstance(value, Issue):
         return {"$type": "Issue", **{k: _encode(v, f"{key}/{k}", arrays) for k, v in value.to_dict().items()}}
-    if dataclasses.is_dataclass(value) and type(value) in _values().values():
+    if dataclasses.is_dataclass(value) and type(value) in _value_classes().values():
         fields = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
         return {"$type": type(value).__name__, **_encode_items(fields, key, arrays)}
     if isinstance(value, Mapping):
@@ -294,7 +356,7 @@ def _encode(value: Any, key: str, arrays: Arrays) -> Any:
     if isinstance(value, tuple | list):
         items = [_encode(item, f"{key}/{i}", arrays) for i, item in enumerate(value)]
         return items if isinstance(value, tuple) else {"$list": items}
-    raise _not_saveable(key, f"a {type(value).__name__}")
+    raise _not_saveable_error(key, f"a {type(value).__name__}")
 
 
 def _encode_items(items: Mapping[str, Any], key: str, arrays: Arrays) -> dict[str, Any]:
@@ -324,15 +386,17 @@ def _decode(value: Any, arrays: Arrays) -> Any:
         return fields
     if value["$type"] == "Issue":
         return Issue.from_dict(fields)
-    for name in _SEGMENTS & set(fields):
-        own = fields[name]
-        if own is not None:
-            fields[name] = tuple(map(Segment.read, own)) if isinstance(own, tuple) else Segment.read(own)
-    return _values()[value["$type"]](**fields)
+    for name in _SEGMENT_FIELDS & set(fields):
+        labels = fields[name]
+        if labels is not None:
+            fields[name] = (
+                tuple(map(Segment.read, labels)) if isinstance(labels, tuple) else Segment.read(labels)
+            )
+    return _value_classes()[value["$type"]](**fields)
 
 
 def _pack(arrays: Arrays) -> bytes:
-    """The bytes of an npz file with fixed dates, so that equal arrays give equal bytes."""
+    """Return the bytes of an npz file with fixed dates, so that equal arrays give equal bytes."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for key, array in arrays.items():
@@ -346,11 +410,11 @@ def _unpack(packed: bytes) -> Arrays:
         return {f"/{key}": archive[key] for key in archive.files}
 
 
-def _bytes(path: Path) -> bytes:
+def _read_bytes(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise refusal(
+        raise issue_error(
             "plan.missing_file",
             f"{path.name} cannot be read: {error.strerror}; "
             f"a plan is {DATA_FILE} and {ARRAYS_FILE} in one folder",
@@ -359,34 +423,33 @@ def _bytes(path: Path) -> bytes:
         ) from error
 
 
-def _header(path: Path) -> dict[str, Any]:
+def _read_header(path: Path) -> dict[str, Any]:
     try:
-        header = json.loads(_bytes(path))
+        header = json.loads(_read_bytes(path))
     except (ValueError, RecursionError) as error:
-        raise _damaged(path, f"not JSON: {error}") from error
+        raise _damaged_error(path, f"not JSON: {error}") from error
     if not isinstance(header, dict) or header.get("format") != FORMAT:
-        raise _foreign(path, f"{path.name} is not a plan of Tandem (no format {FORMAT!r})")
+        raise _schema_error(path, f"{path.name} is not a plan of Tandem (no format {FORMAT!r})")
     if header.get("schema") != SCHEMA:
-        raise _foreign(
+        raise _schema_error(
             path, f"{path.name} has schema version {header.get('schema')!r}; this version reads {SCHEMA}"
         )
     return header
 
 
-def _damaged(path: Path, why: str) -> TandemError:
-    return refusal(
+def _damaged_error(path: Path, why: str) -> TandemError:
+    return issue_error(
         "plan.damaged", f"{path.name} is damaged: {why}", file=str(path), hint="plan the problem again"
     )
 
 
-def _foreign(path: Path, message: str) -> TandemError:
-    return refusal("plan.schema", message, file=str(path), hint="plan the problem again")
+def _schema_error(path: Path, message: str) -> TandemError:
+    return issue_error("plan.schema", message, file=str(path), hint="plan the problem again")
 
 
-def _not_saveable(key: str, what: str) -> TandemError:
-    return refusal(
+def _not_saveable_error(key: str, what: str) -> TandemError:
+    return issue_error(
         "plan.not_saveable",
-        f"the plan's value {key[1:] or 'itself'} is {what}; a plan holds arrays, tuples, lists, "
-        "mappings, text, numbers and Tandem's own values",
+        format_message("plan.not_saveable", field=key[1:] or "itself", kind=what),
         field=key[1:],
     )

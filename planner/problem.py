@@ -1,7 +1,7 @@
-"""What is to be planned, as values in SI units: cell, stock, part, operations.
+"""The problem to plan, as values in SI units: cell, stock, part, operations.
 
-:mod:`planner.reading.problem` reads these from YAML. A process defines its own operation class; all that the
-rest of the house needs of one is :class:`Operation`.
+:mod:`planner.reading.problem` reads these from YAML. Each process defines its own operation class; the
+protocol :class:`Operation` states what the rest of the package requires of it.
 """
 
 import dataclasses
@@ -11,19 +11,19 @@ from typing import Any, Final, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from planner.catalogue.materials import Foam, SheetMetal
+from planner.catalogue.materials import FoamMaterial, SheetMetal
 from planner.catalogue.robots import JointStiffness, RobotData, robot
 from planner.claims.claim import ForceFrame
 from planner.claims.handshake import Handshake
 from planner.claims.sentences import (
-    CLOSED,
     KEEP_OFF,
+    KEEP_OFF_COORDINATED,
     KEEP_OFF_GANTRY,
     KEEP_OFF_POSITIONER,
-    KEEP_OFF_RIDING,
     KEEP_OFF_TABLE,
+    WORK_DONE,
 )
-from planner.geometry.arrays import FloatArray, Mesh, Ruled, Shape, exp_rotation
+from planner.geometry.arrays import FloatArray, Mesh, RuledSurface, Shape, exp_rotation
 from planner.geometry.units import DEG
 from planner.issues import Issue
 from planner.tooling import Gripper, Tool
@@ -34,39 +34,59 @@ KrlPath = Literal["slin", "spline"]
 
 @dataclasses.dataclass(frozen=True)
 class SagCompensation:
-    """An arm's targets are commanded so that the sagged arm stands where it is wanted, by up to ``most`` [m]
-    at its TCP. ``load``: its tool's weight, and that of a block that it holds, bend it; not where its
-    controller makes up for them itself."""
+    """Compensation of the sag of an arm: the sagged arm reaches the nominal pose of its target.
+
+    Attributes:
+        load: Whether the weight of the tool and of a held stock bends the arm. False if the controller
+            compensates for them itself.
+        max_correction: Maximum correction [m] at the TCP.
+    """
 
     load: bool
-    most: float
+    max_correction: float
 
 
 @dataclasses.dataclass(frozen=True)
 class Force:
-    """What the work exerts on a tool at its TCP while it works: ``vectors`` (K, 3) [N] where the TCP is at
-    ``height`` (K,) [m] in the stock's frame, ascending, one of each for a force that is the same everywhere;
-    in ``frame``, that of the stock, of the TCP or of the feed, as :class:`planner.claims.claim.ArmSags` has
-    it."""
+    """Force of the process on a tool at its TCP while it works.
+
+    Attributes:
+        vectors: Forces (K, 3) [N].
+        height: Heights (K,) [m] of the TCP in the stock frame, ascending; K = 1 for a constant force.
+        frame: Frame of the vectors: stock, TCP or feed, as :class:`planner.claims.claim.ArmSags` defines
+            them.
+    """
 
     vectors: FloatArray
     height: FloatArray
     frame: ForceFrame
 
 
-BLIND_SPEED: Final = 0.25
-"""Highest speed [m/s] of an arm on the way to its first target, which begins at a place that is not known, of
-a track, and of what a turntable carries, on the way to a station."""
+MAX_BLIND_SPEED_M_S: Final = 0.25
+"""Maximum speed [m/s] of motion that starts at an unknown position or goes to a station.
+
+It limits an arm on its way to the first target, a track, and what a turntable carries.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
 class LinearAxis:
-    """A linear axis under an arm: with its value v [m] what it takes along is moved by v times ``axis`` (3,),
-    a unit vector of the world. ``low`` to ``high`` [m] is its range, ``speed`` [m/s] and ``acceleration``
-    [m/s2] are its own; ``unit`` is its mechanical unit's name, ``home`` [m] where it stands before a program
-    begins. ``follow``: the share of the tool's way along it that it goes along while the arm works, None
-    where it stands then. ``column`` [from 0] is its number among external axes; ``word`` tells the axes of a
-    gantry apart, empty for a track; ``carries``: bodies of the cell that stand on it, where they are at 0."""
+    """A linear axis under an arm. At value v [m] it moves what it carries by v times ``axis``.
+
+    Attributes:
+        axis: Unit vector (3,) in the world.
+        low: Lower end of the range [m].
+        high: Upper end of the range [m].
+        speed: Maximum speed [m/s].
+        acceleration: Maximum acceleration [m/s^2].
+        unit: Name of the mechanical unit.
+        home: Position [m] before a program starts.
+        follow_fraction: Fraction of the tool's motion along the axis that the axis follows while the arm
+            works; None if it stands still then.
+        column: Index among the external axes, from 0.
+        axis_name: Name of the axis within a gantry; empty for a track.
+        carries: Bodies of the cell that are mounted on the axis, placed at its value 0.
+    """
 
     axis: FloatArray
     low: float
@@ -75,60 +95,84 @@ class LinearAxis:
     acceleration: float
     unit: str
     home: float
-    follow: float | None = None
+    follow_fraction: float | None = None
     column: int = 0
-    word: str = ""
+    axis_name: str = ""
     carries: tuple[str, ...] = ()
 
     @property
     def label(self) -> str:
-        """The axis' name in texts: its unit's, and which axis of it."""
-        return f"{self.unit} {self.word}".strip()
+        """Name of the axis for texts: its mechanical unit, and the axis of that unit."""
+        return f"{self.unit} {self.axis_name}".strip()
 
-    def moved(self, pose: FloatArray, value: float) -> FloatArray:
-        """A pose (4, 4) of value 0, or of any other from which it is moved, moved by a value [m]."""
+    def translate(self, pose: FloatArray, value: float) -> FloatArray:
+        """Translate a pose (4, 4) by ``value`` [m] along the axis."""
         out = np.array(pose, dtype=np.float64)
         out[:3, 3] += value * self.axis
         return out
 
 
-def in_turn(
-    axes: Mapping[str, LinearAxis], here: Mapping[str, float], there: Mapping[str, float]
+def motion_order(
+    axes: Mapping[str, LinearAxis], start: Mapping[str, float], goal: Mapping[str, float]
 ) -> tuple[str, ...]:
-    """Names of linear axes under one arm, given from the floor up, in the order in which they go from their
-    values ``here`` [m] to those ``there``, one after the other: first those that come nearer to their homes,
-    from the arm down, then the others, from the floor up. So a column is raised before the bridge goes."""
-    names = [name for name in axes if there[name] != here[name]]
-    off = {name: [abs(at[name] - axes[name].home) for at in (there, here)] for name in names}
-    nearer = [name for name in names if off[name][1] - off[name][0] > SAME_VALUE]
-    return (*reversed(nearer), *(name for name in names if name not in nearer))
+    """Return the names of linear axes under one arm in the order in which they move, one after the other.
+
+    First move the axes that come closer to their homes, from the arm down. Then the others move, from the
+    floor up. So a column is raised before the bridge moves.
+
+    Args:
+        axes: Axes by name, from the floor up.
+        start: Values [m] before the motion.
+        goal: Values [m] after the motion.
+    """
+    names = [name for name in axes if goal[name] != start[name]]
+    home_distances = {
+        name: [abs(values[name] - axes[name].home) for values in (goal, start)] for name in names
+    }
+    homing = [
+        name
+        for name in names
+        if home_distances[name][1] - home_distances[name][0] > HOME_DISTANCE_TOLERANCE_M
+    ]
+    return (*reversed(homing), *(name for name in names if name not in homing))
 
 
-STOCK: Final = "stock"
-"""What a turntable carries, by the name that it has among stations: no arm can be called so."""
-TILT: Final = "stock/tilt"
-"""The value of a positioner's tilt axis among stations: no arm can be called so."""
-END: Final = "//end"
-"""Behind an arm's name among stations: the value of its track behind an operation in which it goes along. No
-axis of a gantry, whose name is behind one such sign, can be called so."""
-PLATE: Final = "turntable"
+STOCK_AXIS: Final = "stock"
+"""Name of a turntable's value among the stations. No arm can have this name."""
+TILT_AXIS: Final = "stock/tilt"
+"""Name of the value of a positioner's tilt axis among the stations. No arm can have this name."""
+END_SUFFIX: Final = "//end"
+"""Suffix of an arm's name among the stations: the value of its coordinated track after an operation.
+
+No axis of a gantry can have this name, because its name follows a single slash.
+"""
+TURNTABLE_BODY: Final = "turntable"
 """Name of the body of the cell that is a turntable's plate."""
-SAME_VALUE: Final = 1e-6
-"""Distances [m] of values of linear axes from home that differ by no more are one."""
-OUTER_DECIMALS: Final = 4
-"""Decimals [mm, deg] with which programs write values of external axes."""
-AXES_WRITTEN: Final = ("ABB", "KUKA")
-"""Families of arms in whose language tracks, turntables and positioners are written."""
+HOME_DISTANCE_TOLERANCE_M: Final = 1e-6
+"""Distances [m] of linear axes from home that differ by less are equal."""
+EXTERNAL_AXIS_DECIMALS: Final = 4
+"""Decimals with which programs write values of external axes [mm, deg]."""
+EXTERNAL_AXIS_FAMILIES: Final = ("ABB", "KUKA")
+"""Families of arms for whose languages tracks, turntables and positioners are supported."""
 
 
 @dataclasses.dataclass(frozen=True)
 class RotaryAxis:
-    """An axis that turns the block: with its value v [rad] what it carries is turned by v, by the right hand,
-    about the unit vector ``axis`` (3,) through ``centre`` (3,) [m] of the world. ``low`` to ``high`` [rad] is
-    its range, ``speed`` [rad/s] and ``acceleration`` [rad/s2] are its own, infinite where none is stated;
-    ``unit`` is its mechanical unit's name, moved by the program of ``arm`` as external axis number ``column``
-    [from 0]; ``home`` [rad] where it stands before a program begins. ``word`` tells two axes of one unit
-    apart."""
+    """An axis that rotates the stock: by its value v [rad], right-handed, about ``axis`` through ``centre``.
+
+    Attributes:
+        arm: Arm whose program moves the axis.
+        unit: Name of the mechanical unit.
+        column: Index among the external axes of that program, from 0.
+        centre: Point (3,) [m] on the axis, in the world.
+        axis: Unit vector (3,) in the world.
+        low: Lower end of the range [rad].
+        high: Upper end of the range [rad].
+        speed: Maximum speed [rad/s].
+        home: Value [rad] before a program starts.
+        acceleration: Maximum acceleration [rad/s^2]; infinite if not stated.
+        axis_name: Name of the axis, if its unit has two.
+    """
 
     arm: str
     unit: str
@@ -140,30 +184,35 @@ class RotaryAxis:
     speed: float
     home: float
     acceleration: float = float("inf")
-    word: str = ""
+    axis_name: str = ""
 
     @property
     def label(self) -> str:
-        """The axis' name in texts: its unit's, and which axis of it."""
-        return f"{self.unit} {self.word}".strip()
+        """Name of the axis for texts: its mechanical unit, and the axis of that unit."""
+        return f"{self.unit} {self.axis_name}".strip()
 
-    def turned(self, place: FloatArray, value: float | FloatArray) -> FloatArray:
-        """Poses (..., 4, 4) of value 0, or of any other from which they are turned, turned by values (...,)
-        [rad]."""
-        turn = exp_rotation(np.asarray(value)[..., None] * self.axis)
-        count = np.broadcast_shapes(turn.shape[:-2], place.shape[:-2])
-        out = np.array(np.broadcast_to(place, (*count, 4, 4)), dtype=np.float64)
-        out[..., :3, :3] = turn @ out[..., :3, :3]
-        out[..., :3, 3] = self.centre + (turn @ (out[..., :3, 3] - self.centre)[..., None])[..., 0]
+    def rotate(self, pose: FloatArray, value: float | FloatArray) -> FloatArray:
+        """Rotate poses (..., 4, 4) by values (...,) [rad] about the axis."""
+        rotation = exp_rotation(np.asarray(value)[..., None] * self.axis)
+        count = np.broadcast_shapes(rotation.shape[:-2], pose.shape[:-2])
+        out = np.array(np.broadcast_to(pose, (*count, 4, 4)), dtype=np.float64)
+        out[..., :3, :3] = rotation @ out[..., :3, :3]
+        out[..., :3, 3] = self.centre + (rotation @ (out[..., :3, 3] - self.centre)[..., None])[..., 0]
         return out
 
 
 @dataclasses.dataclass(frozen=True)
 class Turntable(RotaryAxis):
-    """What the block, and what is clamped under it, stand on: a rotary axis, vertical with all values 0,
-    whose plate, round about it, is the body :data:`PLATE` of the cell. A positioner has a ``tilt`` axis, too,
-    fixed in the world, which tilts the turn axis, the plate and the bodies ``bracket`` of the cell. ``load``
-    [kg] is the most that it carries, None where none is stated."""
+    """Rotary axis that carries the stock and what is clamped under it; vertical with all values 0.
+
+    Its plate, round about the axis, is the body :data:`TURNTABLE_BODY` of the cell.
+
+    Attributes:
+        tilt: Tilt axis of a positioner, fixed in the world, which tilts the rotary axis, the plate and the
+            bracket; None for a plain turntable.
+        bracket: Bodies of the cell that tilt with a positioner.
+        load: Maximum payload [kg], None if not stated.
+    """
 
     tilt: RotaryAxis | None = None
     bracket: tuple[str, ...] = ()
@@ -171,54 +220,65 @@ class Turntable(RotaryAxis):
 
     @property
     def kind(self) -> str:
-        """What it is called in texts."""
+        """Name of the device for texts."""
         return "turntable" if self.tilt is None else "positioner"
 
     @property
     def axes(self) -> dict[str, RotaryAxis]:
-        """The axes by the names of their values among stations, in the order in which they move."""
-        return {STOCK: self} if self.tilt is None else {STOCK: self, TILT: self.tilt}
+        """Axes by the names of their values among the stations, in the order in which they move."""
+        return {STOCK_AXIS: self} if self.tilt is None else {STOCK_AXIS: self, TILT_AXIS: self.tilt}
 
     @property
     def tilted_bodies(self) -> tuple[str, ...]:
-        """Bodies of the cell that go along with the tilt axis."""
-        return () if self.tilt is None else (PLATE, *self.bracket)
+        """Bodies of the cell that move with the tilt axis."""
+        return () if self.tilt is None else (TURNTABLE_BODY, *self.bracket)
 
-    def pivot(self, name: str, tilt: float) -> RotaryAxis:
-        """The axis of a name of :attr:`axes` where it lies in the world at a value ``tilt`` [rad]."""
-        if name == TILT or self.tilt is None:
+    def axis_at_tilt(self, name: str, tilt: float) -> RotaryAxis:
+        """Return the axis of a name of :attr:`axes` as it lies in the world at tilt value ``tilt`` [rad]."""
+        if name == TILT_AXIS or self.tilt is None:
             return self.axes[name]
-        seat = np.eye(4)
-        seat[:3, 3] = self.centre
-        seat = self.tilt.turned(seat, tilt)
-        return dataclasses.replace(self, centre=seat[:3, 3], axis=seat[:3, :3] @ self.axis)
+        pose = np.eye(4)
+        pose[:3, 3] = self.centre
+        pose = self.tilt.rotate(pose, tilt)
+        return dataclasses.replace(self, centre=pose[:3, 3], axis=pose[:3, :3] @ self.axis)
 
-    def placed(
+    def move_pose(
         self,
-        place: FloatArray,
-        there: Mapping[str, float | FloatArray],
-        here: Mapping[str, float] | None = None,
+        pose: FloatArray,
+        values: Mapping[str, float | FloatArray],
+        reference: Mapping[str, float] | None = None,
     ) -> FloatArray:
-        """A pose (4, 4), of the values ``here`` by the names of :attr:`axes`, of 0 unless stated, where the
-        values are ``there``, of one each or of as many as poses are wanted: Rot(tilt axis) Rot(turn axis)
-        pose."""
-        here = here or {}
+        """Move a pose (4, 4) with the turntable: Rot(tilt axis) Rot(rotary axis) pose.
+
+        Args:
+            pose: Pose at the values ``reference``.
+            values: Values [rad] by the names of :attr:`axes`, one each or arrays for several poses.
+            reference: Values [rad] at which ``pose`` is given; 0 for each that is not stated.
+        """
+        reference = reference or {}
         if self.tilt is not None:
-            place = self.tilt.turned(place, -here.get(TILT, 0.0))
-        place = self.turned(place, there.get(STOCK, 0.0) - here.get(STOCK, 0.0))
-        return place if self.tilt is None else self.tilt.turned(place, there.get(TILT, 0.0))
+            pose = self.tilt.rotate(pose, -reference.get(TILT_AXIS, 0.0))
+        pose = self.rotate(pose, values.get(STOCK_AXIS, 0.0) - reference.get(STOCK_AXIS, 0.0))
+        return pose if self.tilt is None else self.tilt.rotate(pose, values.get(TILT_AXIS, 0.0))
 
 
 @dataclasses.dataclass(frozen=True)
 class Arm:
-    """One robot of a cell: catalogue name, base pose (4, 4) in the world, tool, home joints (6,) [rad].
+    """One robot of a cell.
 
-    ``base_auto``: the base may be moved by the placement search. ``stiffness``: of its joints, as its file
-    states them, else as the catalogue has them, None for neither; ``sag``: how what that makes is
-    compensated, None where it is not. ``given``: the robot's data where a file of the user's own has it,
-    which ``robot`` then names, None for one of the catalogue. ``axes``: what its base rides on, from the
-    floor up: one is a track, two or three are a gantry. An arm of a cell has the ``base`` of values 0, one of
-    a setup that of the values ``stood`` [m] of its axes where it stands."""
+    Attributes:
+        name: Name of the arm.
+        robot: Name in the catalogue, or name of ``custom_data``.
+        base: Base pose (4, 4) in the world. In a cell: at axis values 0; in a setup: at ``axis_positions``.
+        tool: Tool on the flange.
+        home: Joint values at home (6,) [rad].
+        base_auto: Whether the placement search may move the base.
+        stiffness: Joint stiffness from the robot's file, else from the catalogue; None for neither.
+        sag: Sag compensation, None for none.
+        custom_data: Data of a robot from a file of the user; None for one of the catalogue.
+        linear_axes: Axes that carry the base, from the floor up: one is a track, two or three are a gantry.
+        axis_positions: Values [m] of these axes in a setup; empty in a cell.
+    """
 
     name: str
     robot: str
@@ -228,48 +288,59 @@ class Arm:
     base_auto: bool = False
     stiffness: JointStiffness | None = None
     sag: SagCompensation | None = None
-    given: RobotData | None = None
-    axes: tuple[LinearAxis, ...] = ()
-    stood: tuple[float, ...] = ()
+    custom_data: RobotData | None = None
+    linear_axes: tuple[LinearAxis, ...] = ()
+    axis_positions: tuple[float, ...] = ()
 
     @property
-    def rails(self) -> dict[str, LinearAxis]:
-        """The axes under it by the names of their values among stations, from the floor up: that of a track
-        is the arm's, those of a gantry have the axis' behind it."""
-        return {f"{self.name}/{one.word}" if one.word else self.name: one for one in self.axes}
+    def axes_by_name(self) -> dict[str, LinearAxis]:
+        """Axes under the arm by the names of their values among the stations, from the floor up.
+
+        The name of a track is that of the arm. The names of gantry axes have the name of the axis as a
+        suffix.
+        """
+        return {
+            f"{self.name}/{axis.axis_name}" if axis.axis_name else self.name: axis
+            for axis in self.linear_axes
+        }
 
     @property
-    def stands(self) -> dict[str, float]:
-        """The values [m] of these by their names, none for an arm of a cell."""
-        return dict(zip(self.rails, self.stood, strict=True)) if self.stood else {}
+    def axis_values(self) -> dict[str, float]:
+        """Values [m] of the linear axes by name; empty for an arm of a cell."""
+        return dict(zip(self.axes_by_name, self.axis_positions, strict=True)) if self.axis_positions else {}
 
     @property
     def track(self) -> LinearAxis | None:
-        """The axis of an arm on a track; None for one that stands, or is on a gantry."""
-        return self.axes[0] if len(self.axes) == 1 else None
+        """Axis of an arm on a track; None for a fixed arm and for one on a gantry."""
+        return self.linear_axes[0] if len(self.linear_axes) == 1 else None
 
     @property
-    def station(self) -> float | None:
-        """The value [m] of its track where it stands."""
-        return self.stood[0] if len(self.stood) == 1 else None
+    def track_position(self) -> float | None:
+        """Value [m] of the arm's track; None if there is none or it is not set."""
+        return self.axis_positions[0] if len(self.axis_positions) == 1 else None
 
     @property
-    def follows(self) -> bool:
-        """Whether its track goes along while it works."""
-        return self.track is not None and self.track.follow is not None
+    def has_coordinated_track(self) -> bool:
+        """Whether the arm has a coordinated track, which moves while the arm works."""
+        return self.track is not None and self.track.follow_fraction is not None
 
     def at_stations(self, values: Mapping[str, float]) -> "Arm":
-        """The arm where its axes have these values [m], by their names; raises ``KeyError`` where one is
-        missing."""
-        base, stands = self.base, self.stands
-        for name, axis in self.rails.items():
-            base = axis.moved(base, values[name] - stands.get(name, 0.0))
-        return dataclasses.replace(self, base=base, stood=tuple(values[name] for name in self.rails))
+        """Return the arm with its axes at these values [m], by name.
+
+        Raises:
+            KeyError: If the value of an axis is missing.
+        """
+        base, current = self.base, self.axis_values
+        for name, axis in self.axes_by_name.items():
+            base = axis.translate(base, values[name] - current.get(name, 0.0))
+        return dataclasses.replace(
+            self, base=base, axis_positions=tuple(values[name] for name in self.axes_by_name)
+        )
 
     @property
     def data(self) -> RobotData:
-        """The robot's data; raises as :func:`planner.catalogue.robots.robot`."""
-        return robot(self.robot) if self.given is None else self.given
+        """Data of the robot. Raises as :func:`planner.catalogue.robots.robot`."""
+        return robot(self.robot) if self.custom_data is None else self.custom_data
 
 
 @dataclasses.dataclass(frozen=True)
@@ -279,15 +350,15 @@ class Obstacle:
     name: str
     shapes: tuple[Shape, ...]
 
-    def moved(self, motion: FloatArray) -> "Obstacle":
-        """The body moved by a motion (4, 4) of the world."""
-        shapes = tuple(dataclasses.replace(one, pose=motion @ one.pose) for one in self.shapes)
+    def transform(self, motion: FloatArray) -> "Obstacle":
+        """Return the body transformed by ``motion`` (4, 4) in the world."""
+        shapes = tuple(dataclasses.replace(shape, pose=motion @ shape.pose) for shape in self.shapes)
         return dataclasses.replace(self, shapes=shapes)
 
 
 @dataclasses.dataclass(frozen=True)
 class BentWire:
-    """A wire or strip at hand in a cell.
+    """A bent wire or strip that is available in a cell.
 
     Attributes:
         material: Name in the table of materials.
@@ -306,10 +377,17 @@ class BentWire:
 
 @dataclasses.dataclass(frozen=True)
 class Cell:
-    """Arms and obstacles; ``task`` names of the controller and the signal names are in ``controller``.
-    ``grippers`` lie ready, from which one is chosen for a block that an arm holds, and ``wires`` are the bent
-    wires at hand, from which one is chosen where an operation states none. ``turntable``: what the block
-    stands on, None where it stands still."""
+    """Robots with what surrounds them.
+
+    Attributes:
+        name: Name of the cell.
+        arms: Arms.
+        obstacles: Fixed bodies.
+        controller: Names of tasks and signals, and limits of the controllers.
+        grippers: Available grippers, of which one is chosen for a stock that an arm holds.
+        wires: Available bent wires, of which one is chosen if an operation states none.
+        turntable: Turntable under the stock; None if the stock stands still.
+    """
 
     name: str
     arms: tuple[Arm, ...]
@@ -320,58 +398,83 @@ class Cell:
     turntable: Turntable | None = None
 
     def arm(self, name: str) -> Arm:
-        """The arm of that name; raises ``KeyError``."""
+        """Return the arm of that name.
+
+        Raises:
+            KeyError: If there is none.
+        """
         for arm in self.arms:
             if arm.name == name:
                 return arm
         raise KeyError(name)
 
-    def rail(self, name: str) -> tuple[Arm, LinearAxis]:
-        """The arm and the linear axis under it whose value has a name among stations; raises ``KeyError``."""
+    def linear_axis(self, name: str) -> tuple[Arm, LinearAxis]:
+        """Return the linear axis whose value has this name among the stations, and its arm.
+
+        Raises:
+            KeyError: If there is none.
+        """
         for arm in self.arms:
-            if name in arm.rails:
-                return arm, arm.rails[name]
+            if name in arm.axes_by_name:
+                return arm, arm.axes_by_name[name]
         raise KeyError(name)
 
     @property
-    def riders(self) -> dict[str, tuple[str, ...]]:
-        """Bodies of the cell that stand on an axis, by the name of its value among stations: of a
-        positioner's tilt, and of those of gantries. Axes without any are left out."""
-        out = {name: axis.carries for arm in self.arms for name, axis in arm.rails.items()}
-        out[TILT] = () if self.turntable is None else self.turntable.tilted_bodies
+    def carried_bodies(self) -> dict[str, tuple[str, ...]]:
+        """Bodies of the cell that are mounted on an axis, by the name of its value among the stations.
+
+        The axes are the tilt axis of a positioner and those of gantries. Axes without bodies are left out.
+        """
+        out = {name: axis.carries for arm in self.arms for name, axis in arm.axes_by_name.items()}
+        out[TILT_AXIS] = () if self.turntable is None else self.turntable.tilted_bodies
         return {name: bodies for name, bodies in out.items() if bodies}
 
-    def going(self, there: Mapping[str, float], here: Mapping[str, float]) -> dict[str, FloatArray]:
-        """Motions (4, 4) of the world of what stands on axes, by the names of :attr:`riders`, as all axes go
-        from values ``here`` [m, rad] to those ``there``; one that is in neither stays."""
+    def carried_motions(self, goal: Mapping[str, float], start: Mapping[str, float]) -> dict[str, FloatArray]:
+        """Return the motions (4, 4) in the world of bodies on axes, by the names of :attr:`carried_bodies`.
+
+        Args:
+            goal: Axis values [m, rad] after the motion.
+            start: Axis values before it. An axis in neither mapping stays.
+        """
         out, table = {}, self.turntable
         for arm in self.arms:
-            goes = np.eye(4)
-            for name, axis in arm.rails.items():  # those below it take it along
-                goes = axis.moved(goes, there.get(name, 0.0) - here.get(name, 0.0))
-                out[name] = goes
+            motion = np.eye(4)
+            for name, axis in arm.axes_by_name.items():  # an axis is carried by those below it
+                motion = axis.translate(motion, goal.get(name, 0.0) - start.get(name, 0.0))
+                out[name] = motion
         if table is not None and table.tilt is not None:
-            out[TILT] = table.tilt.turned(np.eye(4), there.get(TILT, 0.0) - here.get(TILT, 0.0))
-        return {name: out[name] for name in self.riders}
+            out[TILT_AXIS] = table.tilt.rotate(
+                np.eye(4), goal.get(TILT_AXIS, 0.0) - start.get(TILT_AXIS, 0.0)
+            )
+        return {name: out[name] for name in self.carried_bodies}
 
-    def gone(self, there: Mapping[str, float], here: Mapping[str, float]) -> "Cell":
-        """The cell with the bodies that stand on axes where these take them from values ``here`` [m, rad] to
-        those ``there``."""
-        goes = self.going(there, here)
-        moved = {body: goes[name] for name, bodies in self.riders.items() for body in bodies}
-        bodies = tuple(one.moved(moved[one.name]) if one.name in moved else one for one in self.obstacles)
-        return dataclasses.replace(self, obstacles=bodies) if moved and there != here else self
+    def with_moved_bodies(self, goal: Mapping[str, float], start: Mapping[str, float]) -> "Cell":
+        """Return the cell with the bodies on axes moved from axis values ``start`` to ``goal`` [m, rad]."""
+        motions = self.carried_motions(goal, start)
+        motion_of_body = {
+            body: motions[name] for name, bodies in self.carried_bodies.items() for body in bodies
+        }
+        bodies = tuple(
+            obstacle.transform(motion_of_body[obstacle.name]) if obstacle.name in motion_of_body else obstacle
+            for obstacle in self.obstacles
+        )
+        return dataclasses.replace(self, obstacles=bodies) if motion_of_body and goal != start else self
 
 
-def output_of(request: str) -> str:
-    """The name of the output that a request drives, where no other is stated."""
+def default_output_name(request: str) -> str:
+    """Return the default name of the output that a request drives."""
     return f"{request}Out"
 
 
 @dataclasses.dataclass(frozen=True)
 class PowerOutput:
-    """What a request of the program drives: the output ``signal``, bit ``bit`` of ``device`` on an ABB
-    controller; without a device nothing is wired to it."""
+    """Output that a request of the program drives.
+
+    Attributes:
+        signal: Name of the output.
+        device: Device of an ABB controller; empty if the output is not wired.
+        bit: Bit of the device.
+    """
 
     signal: str
     device: str = ""
@@ -379,8 +482,13 @@ class PowerOutput:
 
 
 @dataclasses.dataclass(frozen=True)
-class DevicePlace:
-    """Where a signal of an ABB controller is wired: bit ``bit`` of ``device``."""
+class DeviceBit:
+    """Wiring of a signal of an ABB controller.
+
+    Attributes:
+        device: Name of the device.
+        bit: Bit of the device.
+    """
 
     device: str
     bit: int = 0
@@ -388,42 +496,56 @@ class DevicePlace:
 
 @dataclasses.dataclass(frozen=True)
 class Interlock:
-    """What power hangs on besides the program: ``outputs`` by the signal that the program sets, which is a
-    request, and the system outputs of an ABB controller that say that a program runs and motors are on.
-    ``places`` {arm: {signal: place}} of signals that power nothing, at ABB controllers."""
+    """Conditions of power besides the program.
+
+    Attributes:
+        outputs: Output by the signal that the program sets, which is a request.
+        cycle: System output of an ABB controller that is high while a program runs.
+        motors: System output of an ABB controller that is high while motors are on.
+        device_bits: {arm: {signal: wiring}} of signals that power nothing, at ABB controllers.
+    """
 
     outputs: Mapping[str, PowerOutput] = dataclasses.field(default_factory=dict)
     cycle: str = "soCycleOn"
     motors: str = "soMotorsOn"
-    places: Mapping[str, Mapping[str, DevicePlace]] = dataclasses.field(default_factory=dict)
+    device_bits: Mapping[str, Mapping[str, DeviceBit]] = dataclasses.field(default_factory=dict)
 
-    def of(self, request: str) -> PowerOutput:
-        """The output that a request drives; unless stated, one with the request's name and ``Out``."""
-        found = {name.lower(): output for name, output in self.outputs.items()}
-        return found.get(request.lower(), PowerOutput(output_of(request)))
+    def power_output(self, request: str) -> PowerOutput:
+        """Return the output that a request drives; by default the name of the request with suffix ``Out``."""
+        outputs = {name.lower(): output for name, output in self.outputs.items()}
+        return outputs.get(request.lower(), PowerOutput(default_output_name(request)))
 
-    def place(self, arm: str, signal: str) -> DevicePlace | None:
-        """Where a signal that powers nothing is wired at the controller of an arm; None if the cell states
-        it not."""
-        found = {name.lower(): place for name, place in self.places.get(arm, {}).items()}
-        return found.get(signal.lower())
+    def device_bit(self, arm: str, signal: str) -> DeviceBit | None:
+        """Return the wiring of a signal that powers nothing; None if the cell does not state it."""
+        bits = {name.lower(): device_bit for name, device_bit in self.device_bits.get(arm, {}).items()}
+        return bits.get(signal.lower())
 
 
 @dataclasses.dataclass(frozen=True)
 class Controller:
-    """How the programs address the controller: task and mechanical unit per arm, signals, limits of a module.
+    """Addresses of the controller in programs: tasks, mechanical units, signals, and limits of a module.
 
-    ``sync``: one MultiMove controller for all arms, or one for each arm that meet by ``handshake``; tasks and
-    units of two controllers may have the same names. ``dialect``: the KRL of KUKA arms; ``path``: how they go
-    from target to target, straight one by one or in spline blocks. ``io``: {arm: {signal: number}} of the
-    inputs and outputs of KUKA and UR controllers, which know no names. ``robotware``: main version of ABB's
-    controllers. ``robots``: names of the robots in their configuration, the units' unless stated. ``options``
-    that are installed, None where the cell does not say.
-
-    ``language``: what all arms are programmed in, "own" for that of each arm's family, "ros" for joint
-    trajectories; of these ``joint_prefix`` {arm: what stands before the names of its joints},
-    ``path_tolerance`` and ``goal_tolerance`` [rad] of each joint, and ``goal_time`` [s] by which a goal may
-    be late."""
+    Attributes:
+        tasks: Name of the task of each arm. Tasks of two controllers may have the same name.
+        units: Name of the mechanical unit of each arm. Units of two controllers may have the same name.
+        wire_signal: Signal that powers the wire.
+        max_moves: Maximum number of moves of a module.
+        max_bytes: Maximum size of a module [bytes].
+        sync: "multimove" for one controller with all arms; "handshake" for one controller per arm.
+        handshake: Signals with which controllers meet.
+        dialect: KRL dialect of KUKA arms.
+        io: {arm: {signal: number}} of the inputs and outputs of KUKA and UR controllers, which have no names.
+        path: Motion of KUKA arms between targets: single linear moves or spline blocks.
+        robotware: Main version of ABB controllers.
+        interlock: Conditions of power besides the program.
+        robots: Names of the robots in the configuration of ABB controllers; the units' unless stated.
+        options: Installed options; None if the cell does not state them.
+        language: Language of all arms: "own" for that of each arm's family, "ros" for joint trajectories.
+        joint_prefix: {arm: prefix of the names of its joints}, for joint trajectories.
+        path_tolerance: Tolerance [rad] of each joint on the path, for joint trajectories.
+        goal_tolerance: Tolerance [rad] of each joint at the goal, for joint trajectories.
+        goal_time: Time [s] by which a goal may be late, for joint trajectories.
+    """
 
     tasks: tuple[str, ...] = ("T_ROB1", "T_ROB2")
     units: tuple[str, ...] = ("ROB_1", "ROB_2")
@@ -445,130 +567,168 @@ class Controller:
     goal_tolerance: float = 0.2 * DEG
     goal_time: float = 2.0
 
-    def robot(self, place: int) -> str:
-        """The name under ``/MOC/ROBOT`` of the robot of the cell's arm number ``place`` [from 0]."""
-        return self.robots[place] if self.robots else self.units[place]
+    def robot_name(self, arm_index: int) -> str:
+        """Return the name under ``/MOC/ROBOT`` of the robot of the cell's arm ``arm_index`` (from 0)."""
+        return self.robots[arm_index] if self.robots else self.units[arm_index]
 
-    def number(self, arm: str, signal: str) -> int | None:
-        """The number of a signal on the controller of a KUKA or UR arm; None if the cell states none."""
+    def signal_number(self, arm: str, signal: str) -> int | None:
+        """Return the number of a signal of a KUKA or UR arm; None if the cell does not state it."""
         numbers = {name.lower(): value for name, value in self.io.get(arm, {}).items()}
         return numbers.get(signal.lower())
 
 
 @dataclasses.dataclass(frozen=True)
-class Formed:
-    """A part to be formed out of the sheet: ``mesh`` is its lower face in the stock frame, with normals up.
+class FormedPart:
+    """A part to be formed from the sheet.
 
-    By the sine law, t = t0 cos(a), a sheet that is formed in one pass is as thick along z everywhere as at
-    first, so that one face is the other one moved along z.
+    By the sine law t = t0 cos(a), a sheet formed in one pass has the same thickness along z everywhere as at
+    first. So one face is the other face translated along z.
 
-    ``given``: the mesh of the file in that frame, where ``mesh`` is the face that is meant by it within its
-    ``tolerance`` [m], 0 for a mesh without noise; None where both are the same. ``stated`` [m]: the tolerance
-    that the user states, None where it was found.
+    Attributes:
+        mesh: Lower face of the part in the stock frame, with normals up.
+        file_mesh: Mesh of the file in that frame, if ``mesh`` is the face recovered from it within
+            ``tolerance``; None if both are the same.
+        tolerance: Tolerance [m] of ``mesh``; 0 for a mesh without noise.
+        stated_tolerance: Tolerance [m] that the user states; None if it was estimated.
     """
 
     mesh: Mesh
-    given: Mesh | None = None
+    file_mesh: Mesh | None = None
     tolerance: float = 0.0
-    stated: float | None = None
+    stated_tolerance: float | None = None
 
     @property
     def source(self) -> Mesh:
-        """The mesh as it was given."""
-        return self.mesh if self.given is None else self.given
+        """Mesh as it was given."""
+        return self.mesh if self.file_mesh is None else self.file_mesh
 
 
 @dataclasses.dataclass(frozen=True)
 class Part:
-    """The wanted part in the stock frame: ``front`` and ``back`` face as open meshes with normals away from
-    the part, and its ruled surfaces by name, among them the ``edges`` that join front and back; or a sheet
-    that is ``formed``.
+    """The part to make, in the stock frame: an open front and back face, or a formed sheet.
 
-    ``notes``: what was found on the way from the file to these surfaces (deviations, kinks), for the user.
+    Attributes:
+        front: Front face as an open mesh with normals away from the part.
+        back: Back face as an open mesh with normals away from the part.
+        ruled: Ruled surfaces by name, including the ``edges`` that join front and back.
+        notes: Findings of the reader for the user (deviations, kinks).
+        formed: Part formed from a sheet.
     """
 
     front: Mesh | None = None
     back: Mesh | None = None
-    ruled: tuple[Ruled, ...] = ()
+    ruled: tuple[RuledSurface, ...] = ()
     notes: tuple[Issue, ...] = ()
-    formed: Formed | None = None
+    formed: FormedPart | None = None
 
 
 @dataclasses.dataclass(frozen=True)
-class Hole:
-    """A closed curve ``ring`` (K, 2) [m] in plan along which an operation has cut a sheet: what lies
-    ``inside`` of it drops, or all that is outside. On the sheet's other face the cut may be farther out, or
-    in, by ``across`` [m] in plan."""
+class SheetHole:
+    """A closed curve along which an operation has cut a sheet.
+
+    Attributes:
+        name: Name of the curve.
+        ring: Curve in plan (K, 2) [m].
+        inside: Whether the sheet inside the curve drops; otherwise all that is outside.
+        face_offset: Offset [m] in plan, outward or inward, by which the cut may deviate on the other face of
+            the sheet.
+    """
 
     name: str
     ring: FloatArray
     inside: bool = True
-    across: float = 0.0
+    face_offset: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
-class Stages:
-    """The operations that form a sheet ``before`` and ``after`` another one, in order, each with its name and
-    the numbers of the features that it forms, None for all; those of single levels are left out. ``stays``:
-    the sheet stays clamped behind it."""
+class FormingStages:
+    """Operations that form a sheet before and after another operation, each with its features.
 
-    before: tuple[tuple[str, tuple[int, ...] | None], ...] = ()
-    after: tuple[tuple[str, tuple[int, ...] | None], ...] = ()
-    stays: bool = False
+    Operations of single levels are left out.
+
+    Attributes:
+        previous: (name, numbers of the features that it forms; None for all), in order.
+        following: (name, numbers of the features) of the operations after it.
+        stays_clamped: Whether the sheet stays clamped after the operation.
+    """
+
+    previous: tuple[tuple[str, tuple[int, ...] | None], ...] = ()
+    following: tuple[tuple[str, tuple[int, ...] | None], ...] = ()
+    stays_clamped: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
 class Sheet:
-    """What a stock that is a clamped sheet has besides its size: ``metal``, and the ``opening`` (K, 2) [m] of
-    its clamp, a closed convex outline in the sheet's plane about the stock frame's origin. ``border`` [N/m^2]
-    is the stiffness of the clamp's grip in plane, by its length: 0 where the sheet slides, infinite where it
-    does not move.
+    """Properties of a stock that is a clamped sheet, besides its size.
 
-    ``formed`` are the convex solids, in the stock frame, that hold what stands out of the flat sheet once the
-    part is formed, or at any time before; bodies of the cell keep clear of them from the beginning.
-    ``holes``: along which curves earlier operations have cut it. ``stages``: which others form it, as one
-    operation finds it; None where nothing says so, and where none does. ``die``: an operation has one behind
-    it, of which nothing says that it is ever taken away.
+    Attributes:
+        metal: Material.
+        opening: Opening of the clamp (K, 2) [m], a closed convex outline in the sheet plane about the origin
+            of the stock frame.
+        border: Stiffness of the clamp's grip in plane per length [N/m^2]: 0 if the sheet slides, infinite if
+            it is rigidly clamped.
+        formed: Convex solids in the stock frame that enclose what stands out of the flat sheet once the part
+            is formed, or at any earlier time. Bodies of the cell keep clear of them from the start.
+        holes: Curves along which earlier operations have cut it.
+        stages: Other operations that form it, as one operation finds it; None if not stated or if there are
+            none.
+        die: Whether an operation has a die under the sheet; nothing states that it is ever removed.
     """
 
     metal: SheetMetal
     opening: FloatArray
     border: float = 0.0
     formed: tuple[Shape, ...] = ()
-    holes: tuple[Hole, ...] = ()
-    stages: Stages | None = None
+    holes: tuple[SheetHole, ...] = ()
+    stages: FormingStages | None = None
     die: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
 class Pedestal:
-    """What Tandem is to make for a block to stand on: ``kind`` of it, its ``sides`` and ``heights`` [m] in
-    stock, and the ``share`` of the block's sides that it may be wide, or ``beyond`` them by which it is wider
-    [m]."""
+    """Support that Tandem designs for a block.
+
+    Attributes:
+        kind: Table or pedestal.
+        sides: Available side lengths [m].
+        heights: Available heights [m].
+        width_fraction: Fraction of the block's sides that the support may be wide.
+        overhang: Width [m] by which the support extends beyond the block.
+    """
 
     kind: Literal["table", "pedestal"]
     sides: tuple[float, ...]
     heights: tuple[float, ...]
-    share: float
-    beyond: float = 0.0
+    width_fraction: float
+    overhang: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
 class Stock:
-    """The block: ``size`` (3,) [m] of the datum block; frame at the centre of its bottom face, z up through
-    the block.
+    """The stock: a block or a clamped sheet.
 
-    ``oversize`` (2, 3) [m]: how far the block, as an operation finds it, stands out of the datum block on the
-    lower and on the upper side along x, y and z. ``place`` (4, 4) is the stock frame's pose in the world, or
-    None where the placement search is to find it, with ``attitude`` (3, 3), its rotation up to a yaw about
-    the world's vertical, which ``any_attitude`` leaves open for a block that is held. ``support``: shapes
-    in the stock frame that stand under the block and move with it (a pedestal). ``held_by``: the arm whose
-    tool holds the block, with the stock frame at ``grip`` (4, 4) in its TCP frame, which may be chosen;
-    ``place`` is then the pose about which the holder moves the block. ``sheet``: the block is a sheet,
-    clamped along its rim; z runs through its thickness, and ``support`` is its clamp. ``pedestal``: what
-    stands under the block is made, as high as its place wants it (``planner.cell.support``), in place of
-    ``support``. On a turntable the stock of a problem has the ``place`` of value 0, one of a setup that of
-    the ``station`` [rad] where it stands, and of the ``tilt`` [rad] of a positioner.
+    The stock frame is at the centre of the bottom face of the datum block, with z up through the block
+    (through the thickness of a sheet).
+
+    Attributes:
+        size: Size of the datum block (3,) [m].
+        place: Pose (4, 4) of the stock frame in the world; None if the placement search determines it. For a
+            held block: the pose about which the holder moves it. On a turntable: at value 0 in a problem, at
+            ``station`` and ``tilt`` in a setup.
+        attitude: Rotation (3, 3) of the stock frame, up to a yaw about the world's vertical.
+        support: Shapes in the stock frame under the block that move with it (pedestal); the clamp of a sheet.
+        any_attitude: Whether ``attitude`` is free; for a held block.
+        oversize: Oversize (2, 3) [m] beyond the datum block on the lower and the upper side along x, y and z,
+            as an operation finds it.
+        foam: Foam of the block.
+        held_by: Arm whose tool holds the block.
+        grip: Pose (4, 4) of the stock frame in the TCP frame of that arm.
+        grip_chosen: Whether Tandem chooses the grip.
+        pedestal: Support to be designed, as high as the placement requires (``planner.cell.support``), in
+            place of ``support``.
+        sheet: Properties of a sheet clamped along its rim; None for a block.
+        station: Value [rad] of the turntable in a setup.
+        tilt: Value [rad] of a positioner's tilt axis in a setup.
     """
 
     size: FloatArray
@@ -577,7 +737,7 @@ class Stock:
     support: tuple[Shape, ...] = ()
     any_attitude: bool = False
     oversize: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((2, 3)))
-    foam: Foam | None = None
+    foam: FoamMaterial | None = None
     held_by: str | None = None
     grip: FloatArray = dataclasses.field(default_factory=lambda: np.eye(4))
     grip_chosen: bool = False
@@ -587,104 +747,125 @@ class Stock:
     tilt: float | None = None
 
     @property
-    def stands(self) -> dict[str, float]:
-        """The values [rad] of the axes of its turntable by their names among stations, none where it stands
-        on none."""
-        both = {STOCK: self.station, TILT: self.tilt}
+    def axis_values(self) -> dict[str, float]:
+        """Values [rad] of the turntable's axes by their names among the stations; empty without one."""
+        both = {STOCK_AXIS: self.station, TILT_AXIS: self.tilt}
         return {name: value for name, value in both.items() if value is not None}
 
     def at_station(self, table: Turntable, values: Mapping[str, float]) -> "Stock":
-        """The block where its turntable has these values [rad], by the names of its axes; raises
-        ``ValueError`` for one whose place is not known."""
+        """Return the stock with the axes of its turntable at these values [rad], by name.
+
+        Raises:
+            ValueError: If the pose of the stock is unknown.
+        """
         if self.place is None:
             raise ValueError("the place of a block on a turntable is not known")
-        place = table.placed(self.place, values, self.stands)
-        own = (values[STOCK], values.get(TILT))
-        return dataclasses.replace(self, place=place, attitude=place[:3, :3], station=own[0], tilt=own[1])
+        pose = table.move_pose(self.place, values, self.axis_values)
+        axis_values = (values[STOCK_AXIS], values.get(TILT_AXIS))
+        return dataclasses.replace(
+            self, place=pose, attitude=pose[:3, :3], station=axis_values[0], tilt=axis_values[1]
+        )
 
     @property
     def lower(self) -> FloatArray:
-        """Lowest corner (3,) [m] of the block as found, in the stock frame."""
+        """Lowest corner (3,) [m] of the block with its oversize, in the stock frame."""
         return np.asarray(np.array([-0.5, -0.5, 0.0]) * self.size - self.oversize[0])
 
     @property
     def upper(self) -> FloatArray:
-        """Highest corner (3,) [m] of the block as found, in the stock frame."""
+        """Highest corner (3,) [m] of the block with its oversize, in the stock frame."""
         return np.asarray(np.array([0.5, 0.5, 1.0]) * self.size + self.oversize[1])
 
     @property
     def box(self) -> FloatArray:
-        """Both corners (2, 3) [m] of the block as found, in the stock frame."""
+        """Both corners (2, 3) [m] of the block with its oversize, in the stock frame."""
         return np.stack([self.lower, self.upper])
 
     @property
     def mass(self) -> float | None:
-        """Mass [kg] of the block as found, None without a foam."""
+        """Mass [kg] of the block with its oversize; None without a foam."""
         return None if self.foam is None else float(np.prod(self.upper - self.lower)) * self.foam.density
 
     @property
-    def leans_freely(self) -> bool:
-        """Whether the search may give the block any attitude: only a block that is held has no bottom."""
+    def is_attitude_free(self) -> bool:
+        """Whether the search may give the block any attitude. Only a held block has no fixed bottom."""
         return self.any_attitude and self.held_by is not None and self.place is None
 
     @property
     def gravity(self) -> FloatArray:
-        """Unit vector (3,) of gravity in the stock frame; the same for every yaw of the block."""
+        """Unit vector (3,) of gravity in the stock frame, equal for all yaw angles of the block."""
         return -self.attitude[2, :]
 
 
 @runtime_checkable
 class Operation(Protocol):
-    """What every process's operation has."""
+    """What the operation of every process has."""
 
     name: str
     process: str
     arms: tuple[str, ...]
 
     def leaves(self, stock: Stock) -> Stock:
-        """The block as the next operation finds it."""
+        """Return the stock as the next operation finds it."""
 
 
-def any_lean(operation: Operation) -> bool:
-    """Whether targets and claims of an operation are the same however the block leans: only where its process
-    says so (``any_lean = True`` of its schema)."""
+def allows_any_attitude(operation: Operation) -> bool:
+    """Whether targets and claims of an operation do not depend on the attitude of the block.
+
+    Only if its process declares it (``any_lean = True`` in its schema).
+    """
     return bool(getattr(operation, "any_lean", False))
 
 
-def any_base(operation: Operation) -> bool:
-    """Whether the base of its arm may ride along while an operation is worked at: only where its process says
-    so (``any_base = True`` of its schema)."""
+def allows_moving_base(operation: Operation) -> bool:
+    """Whether the base of its arm may move while an operation is executed.
+
+    Only if its process declares it (``any_base = True`` in its schema).
+    """
     return bool(getattr(operation, "any_base", False))
 
 
 def lights_torch(operation: Operation) -> bool:
-    """Whether the signal of an operation lights a torch: that of one that trims by a torch."""
+    """Whether the signal of an operation lights a torch, which is so for trimming with a torch."""
     return operation.process == "trim" and getattr(getattr(operation, "by", None), "kind", "torch") == "torch"
 
 
 def torch_signals(operations: Sequence[Operation]) -> frozenset[str]:
-    """The signals that light the torches of operations."""
-    own = (getattr(one, "signal", None) for one in operations if lights_torch(one))
-    return frozenset(signal for signal in own if isinstance(signal, str))
+    """Return the signals that light the torches of operations."""
+    signals = (getattr(operation, "signal", None) for operation in operations if lights_torch(operation))
+    return frozenset(signal for signal in signals if isinstance(signal, str))
 
 
 @runtime_checkable
-class Fixed(Protocol):
-    """An operation that brings fixtures of its own, or shapes of the stock that others do not know."""
+class HasFixtures(Protocol):
+    """An operation with fixtures of its own, or with shapes of the stock that others do not know."""
 
-    def with_fixtures(self, stock: Stock, part: Part | None, before: Sequence[Operation]) -> Stock:
-        """The stock with bodies of fixtures, by which bodies of the cell keep clear; ``before``: the
-        operations before this one."""
+    def with_fixtures(
+        self, stock: Stock, part: Part | None, previous_operations: Sequence[Operation]
+    ) -> Stock:
+        """Return the stock with the bodies of fixtures that bodies of the cell keep clear of.
+
+        Args:
+            stock: Stock as the operation finds it.
+            part: Part, or None.
+            previous_operations: Operations before this one.
+        """
 
 
 FORMING: Final = "forming"
-"""The process that forms sheets; fields of others may have the same names."""
+"""Process that forms sheets. Operations of other processes may have fields of the same names."""
 
 
 @runtime_checkable
-class Forms(Protocol):
-    """An operation that forms a sheet, of the process :data:`FORMING`: the ``features`` of its part with
-    these numbers, None for all; or of one pass a ``level`` alone, if not None."""
+class FormingOperation(Protocol):
+    """An operation of the process :data:`FORMING`.
+
+    Attributes:
+        name: Name of the operation.
+        process: Name of the process.
+        features: Numbers of the features of its part that it forms; None for all.
+        level: Level that a one-pass operation forms alone; None for all.
+    """
 
     name: str
     process: str
@@ -692,18 +873,28 @@ class Forms(Protocol):
     level: object
 
 
-OWN_CLEARANCE: Final = 0.005
-"""What the links and the tool of one arm keep off each other [m] where nothing is said and
-``Settings.clearance`` is more: they follow from the arm's own axes and the tool's calibration alone (decision
-0031)."""
+DEFAULT_SELF_CLEARANCE_M: Final = 0.005
+"""Default clearance [m] between links and tool of one arm, if ``Settings.clearance`` is larger.
+
+Smaller than other clearances because it depends only on the arm's own axes and the calibration of its tool
+(decision 0031).
+"""
 
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """Limits that motion and proof share: clearances [m], fractions of joint speed and acceleration, margins
-    [rad]. These are the defaults of problem files as well.
+    """Limits that motion and proof share. The defaults are those of problem files.
 
-    ``own_clearance`` is stated for links and tool of one arm; :attr:`of_one_arm` is what counts.
+    Attributes:
+        clearance: Clearance [m] between bodies.
+        own_clearance: Stated clearance [m] of links and tool of one arm; :attr:`self_clearance` is the
+            effective one.
+        speed_fraction: Fraction of the joint speed limits.
+        acceleration_fraction: Fraction of the joint acceleration limits.
+        joint_margin: Margin [rad] to joint limits.
+        singularity_margin: Margin [rad] to singularities.
+        tcp_speed: Maximum speed of the TCP [m/s].
+        seed: Seed of random numbers.
     """
 
     clearance: float = 0.010
@@ -716,19 +907,28 @@ class Settings:
     seed: int = 0
 
     @property
-    def of_one_arm(self) -> float:
-        """The clearance [m] of links and tool of one arm to each other: never more than that of all else."""
-        return min(self.clearance, OWN_CLEARANCE if self.own_clearance is None else self.own_clearance)
+    def self_clearance(self) -> float:
+        """Clearance [m] between links and tool of one arm; at most the clearance between other bodies."""
+        return min(
+            self.clearance, DEFAULT_SELF_CLEARANCE_M if self.own_clearance is None else self.own_clearance
+        )
 
-    def wider(self, by: float) -> "Settings":
-        """The same with both clearances wider by a distance [m]."""
-        return dataclasses.replace(self, clearance=self.clearance + by, own_clearance=self.of_one_arm + by)
+    def widen_clearances(self, by: float) -> "Settings":
+        """Return the settings with both clearances increased by a distance [m]."""
+        return dataclasses.replace(
+            self, clearance=self.clearance + by, own_clearance=self.self_clearance + by
+        )
 
 
 @dataclasses.dataclass(frozen=True)
-class Change:
-    """What is changed before an operation: ``tools`` by arm, ``stock`` fields of :class:`Stock` by name, and
-    ``steps``, what the operator does, a sentence each."""
+class SetupChange:
+    """Change of the cell before an operation.
+
+    Attributes:
+        tools: New tools by arm.
+        stock: New values of fields of :class:`Stock` by name.
+        steps: Instructions for the operator, one sentence each.
+    """
 
     tools: Mapping[str, Tool] = dataclasses.field(default_factory=dict)
     stock: Mapping[str, Any] = dataclasses.field(default_factory=dict)
@@ -737,11 +937,15 @@ class Change:
 
 @dataclasses.dataclass(frozen=True)
 class Setup:
-    """How the cell stands for some operations in a row: the cell with the tools that are mounted, the block
-    as found and clamped.
+    """State of the cell for consecutive operations: mounted tools, and the stock as found and clamped.
 
-    ``operations``: indices of the problem's operations, none for the end of a program. ``steps``: what the
-    operator does before them, a sentence each; where there are any, the programs ask for a confirmation.
+    Attributes:
+        number: Number of the setup, from 1.
+        cell: Cell with the mounted tools.
+        stock: Stock.
+        operations: Indices of the operations of the problem; empty for the end of a program.
+        steps: Instructions for the operator before them, one sentence each. If there are any, programs ask
+            for a confirmation.
     """
 
     number: int
@@ -752,41 +956,55 @@ class Setup:
 
     @property
     def confirmation(self) -> str:
-        """What the operator confirms before anything moves in this setup."""
+        """Question that the operator confirms before anything moves in this setup."""
         if not self.operations:
-            return CLOSED
-        return f"Setup {self.number} done as told, nobody in the cell?"
+            return WORK_DONE
+        return f"Setup {self.number} done as instructed, nobody in the cell?"
 
     @property
-    def stands(self) -> dict[str, float]:
-        """Values [m, rad] of the axes under arms and under the block, by their names among stations."""
-        return {**{k: v for arm in self.cell.arms for k, v in arm.stands.items()}, **self.stock.stands}
+    def axis_values(self) -> dict[str, float]:
+        """Values [m, rad] of the axes under arms and stock, by their names among the stations."""
+        return {
+            **{k: v for arm in self.cell.arms for k, v in arm.axis_values.items()},
+            **self.stock.axis_values,
+        }
 
     @property
-    def upright(self) -> "Setup":
-        """The same with a positioner's tilt at 0, where the block stands on its plate."""
+    def with_zero_tilt(self) -> "Setup":
+        """The setup with the tilt of a positioner at 0, with the stock upright on its plate."""
         table, tilt = self.cell.turntable, self.stock.tilt
         if table is None or not tilt:
             return self
-        stock = self.stock.at_station(table, {**self.stock.stands, TILT: 0.0})
-        cell = self.cell.gone({TILT: 0.0}, {TILT: tilt})
+        stock = self.stock.at_station(table, {**self.stock.axis_values, TILT_AXIS: 0.0})
+        cell = self.cell.with_moved_bodies({TILT_AXIS: 0.0}, {TILT_AXIS: tilt})
         return dataclasses.replace(self, cell=cell, stock=stock)
 
 
 @dataclasses.dataclass(frozen=True)
 class Problem:
-    """A whole problem: ``path`` is the file it came from, ``digest`` the SHA-256 over its values and files.
+    """A whole problem.
 
-    ``cell`` and ``stock`` are as the first operation finds them; ``changes`` {index of an operation: change}
-    are made before later ones; :attr:`setups` are what each operation finds. ``source`` is what the file
-    said, with the cell inside and file names made absolute, so that it can be carried along. ``accept``:
-    codes of errors that the user takes upon himself. ``notes``: what was chosen on the way from the file.
-    ``forces`` {index of an operation: {arm: force}}: what the work exerts on tools; those of operations of
-    one setup are alike. ``stations`` {index of an operation: {name as :attr:`Arm.rails` has it: value [m] of
-    that axis, :data:`STOCK`: value [rad] of the turntable, :data:`TILT`: of its tilt}}: where arms on tracks
-    and gantries and the block stand in it; where nothing is said they stay, at first at home. A track that
-    goes along stands there before the first target, and behind the last one where its arm's name with
-    :data:`END` says."""
+    Attributes:
+        name: Name of the problem.
+        cell: Cell as the first operation finds it.
+        stock: Stock as the first operation finds it.
+        part: Part, or None.
+        operations: Operations in order.
+        settings: Limits.
+        path: File that the problem was read from.
+        digest: SHA-256 of the values and files of the problem.
+        source: Content of the file, with the cell inlined and absolute file names, so that it can be bundled.
+        changes: {index of an operation: change before it}, for operations after the first. :attr:`setups` has
+            the results.
+        accept: Codes of errors that the user accepts.
+        notes: Choices made while the file was read.
+        forces: {index of an operation: {arm: force of the process on its tool}}; equal for operations of one
+            setup.
+        stations: {index of an operation: {name of an axis: value}}. Names are those of
+            :attr:`Arm.axes_by_name` [m], :data:`STOCK_AXIS` for the turntable and :data:`TILT_AXIS` for its
+            tilt [rad]. Axes without a value stay, at first at home. A coordinated track is there before the
+            first target; after the last target it is at the value of the arm's name with :data:`END_SUFFIX`.
+    """
 
     name: str
     cell: Cell
@@ -797,132 +1015,154 @@ class Problem:
     path: Path
     digest: str
     source: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    changes: Mapping[int, Change] = dataclasses.field(default_factory=dict)
+    changes: Mapping[int, SetupChange] = dataclasses.field(default_factory=dict)
     accept: tuple[str, ...] = ()
     notes: tuple[Issue, ...] = ()
     forces: Mapping[int, Mapping[str, Force]] = dataclasses.field(default_factory=dict)
     stations: Mapping[int, Mapping[str, float]] = dataclasses.field(default_factory=dict)
 
-    def stationed(self, stations: Mapping[int, Mapping[str, float]]) -> "Problem":
-        """The same with arms on tracks and the block at stations, as :attr:`stations` has them."""
+    def with_stations(self, stations: Mapping[int, Mapping[str, float]]) -> "Problem":
+        """Return the problem with external axes at ``stations``, as :attr:`stations` defines them."""
         return dataclasses.replace(self, stations=stations) if stations else self
 
     @property
-    def homes(self) -> dict[str, float]:
-        """Values [m, rad] of the axes under arms and under the block before anything moves, by their names as
-        :attr:`stations` has them."""
-        out = {name: axis.home for arm in self.cell.arms for name, axis in arm.rails.items()}
+    def axis_homes(self) -> dict[str, float]:
+        """Values [m, rad] of the external axes before anything moves, by their names among the stations."""
+        out = {name: axis.home for arm in self.cell.arms for name, axis in arm.axes_by_name.items()}
         table = self.cell.turntable
         return out | ({} if table is None else {name: axis.home for name, axis in table.axes.items()})
 
-    def force_on(self, arm: str, setup: Setup) -> Force | None:
-        """What the work of a setup exerts on the tool of an arm, None where nothing is stated."""
+    def tool_force(self, arm: str, setup: Setup) -> Force | None:
+        """Return the force of the process on the tool of an arm in a setup; None if none is stated."""
         stated = (self.forces.get(index, {}).get(arm) for index in setup.operations)
         return next((force for force in stated if force is not None), None)
 
     @property
     def setups(self) -> tuple[Setup, ...]:
-        """How the cell stands for the operations, in order; a change starts a new setup.
+        """State of the cell for the operations, in order. A change starts a new setup.
 
-        Where an arm stands on a track, or the block on a turntable, each operation is a setup, and the
-        operator keeps off them: so setups do not hang on where they stand.
+        With a track, gantry or turntable each operation is a setup, and the operator keeps away from the
+        axes. So the setups do not depend on the stations.
         """
-        tracked, table = self.homes, self.cell.turntable
-        cell, stock, left = self.cell, self.stock, self.stock
+        axis_values, table = self.axis_homes, self.cell.turntable
+        cell, stock, stock_left = self.cell, self.stock, self.stock
         out: list[Setup] = []
         for index, operation in enumerate(self.operations):
             change = self.changes.get(index)
             if change is not None:
                 arms = tuple(dataclasses.replace(a, tool=change.tools.get(a.name, a.tool)) for a in cell.arms)
-                cell, left = dataclasses.replace(cell, arms=arms), dataclasses.replace(left, **change.stock)
-            if not out or change is not None or tracked:
-                stock, steps = left, change.steps if change else ()
-                tracked |= self.stations.get(index, {})
-                stands = dataclasses.replace(cell, arms=tuple(_standing(arm, tracked) for arm in cell.arms))
-                stands = stands.gone(tracked, {})
-                on = [arm for arm in stands.arms if arm.axes]
-                steps += tuple(_keep_off(arm, arm.follows and arm.name in operation.arms) for arm in on)
+                cell, stock_left = (
+                    dataclasses.replace(cell, arms=arms),
+                    dataclasses.replace(stock_left, **change.stock),
+                )
+            if not out or change is not None or axis_values:
+                stock, steps = stock_left, change.steps if change else ()
+                axis_values |= self.stations.get(index, {})
+                setup_cell = dataclasses.replace(
+                    cell, arms=tuple(_arm_at_stations(arm, axis_values) for arm in cell.arms)
+                )
+                setup_cell = setup_cell.with_moved_bodies(axis_values, {})
+                arms_on_axes = [arm for arm in setup_cell.arms if arm.linear_axes]
+                steps += tuple(
+                    _keep_off_instruction(arm, arm.has_coordinated_track and arm.name in operation.arms)
+                    for arm in arms_on_axes
+                )
                 if table is not None and stock.place is not None:
-                    stock = stock.at_station(table, {name: tracked[name] for name in table.axes})
-                    steps += (_keep_off_table(table, stock.stands),)
-                out.append(Setup(len(out) + 1, stands, stock, (index,), steps))
+                    stock = stock.at_station(table, {name: axis_values[name] for name in table.axes})
+                    steps += (_keep_off_turntable_instruction(table, stock.axis_values),)
+                out.append(Setup(len(out) + 1, setup_cell, stock, (index,), steps))
             else:
                 out[-1] = dataclasses.replace(out[-1], operations=(*out[-1].operations, index))
-            left = operation.leaves(left)
-            gone = [name for name in tracked if name.endswith(END)]
-            tracked |= {name.removesuffix(END): tracked.pop(name) for name in gone}
+            stock_left = operation.leaves(stock_left)
+            end_names = [name for name in axis_values if name.endswith(END_SUFFIX)]
+            axis_values |= {name.removesuffix(END_SUFFIX): axis_values.pop(name) for name in end_names}
         return tuple(out)
 
     @property
-    def closing(self) -> Setup | None:
-        """How the cell stands behind the last operation, where tracks or the turntable go home again, so that
-        the next run finds them there; None without such axes."""
-        if not self.homes or not self.operations:
+    def closing_setup(self) -> Setup | None:
+        """Setup after the last operation, in which external axes return to home for the next run.
+
+        None without external axes.
+        """
+        if not self.axis_homes or not self.operations:
             return None
         last = self.setups[-1]
-        arms = tuple(_standing(arm, self.homes) for arm in last.cell.arms)
-        steps = tuple(_keep_off(arm) for arm in arms if arm.axes)
+        arms = tuple(_arm_at_stations(arm, self.axis_homes) for arm in last.cell.arms)
+        steps = tuple(_keep_off_instruction(arm) for arm in arms if arm.linear_axes)
         stock, table = last.stock, self.cell.turntable
         if table is not None and stock.place is not None:
             homes = {name: axis.home for name, axis in table.axes.items()}
             stock = stock.at_station(table, homes)
-            steps += (_keep_off_table(table, homes),)
-        cell = dataclasses.replace(last.cell.gone(self.homes, last.stands), arms=arms)
+            steps += (_keep_off_turntable_instruction(table, homes),)
+        cell = dataclasses.replace(last.cell.with_moved_bodies(self.axis_homes, last.axis_values), arms=arms)
         return Setup(last.number + 1, cell, stock, (), steps)
 
     def setup_of(self, index: int) -> Setup:
-        """The setup of an operation, by its index."""
+        """Return the setup of the operation of an index."""
         return next(setup for setup in self.setups if index in setup.operations)
 
-    def found_by(self, index: int) -> Setup:
-        """The setup of an operation, by its index, with a sheet as this operation finds it: what those before
-        it in the same setup have left, and which others form it."""
+    def setup_on_arrival(self, index: int) -> Setup:
+        """Return the setup of the operation of an index, with a sheet as this operation finds it.
+
+        The sheet has what earlier operations of the setup leave, and the other operations that form it.
+        """
         setup = self.setup_of(index)
         stock = setup.stock
-        for before in setup.operations[: setup.operations.index(index)]:
-            stock = self.operations[before].leaves(stock)
+        for previous in setup.operations[: setup.operations.index(index)]:
+            stock = self.operations[previous].leaves(stock)
         if stock.sheet is None or setup.stock.sheet is None:
             return setup
-        forms = [
-            (k, op) for k, op in enumerate(self.operations) if isinstance(op, Forms) and op.process == FORMING
+        forming_operations = [
+            (k, op)
+            for k, op in enumerate(self.operations)
+            if isinstance(op, FormingOperation) and op.process == FORMING
         ]
         # operations of one level each form the same features, level by level
-        whole = [(k, (op.name, op.features)) for k, op in forms if op.level is None]
-        moved = self.changes.get(index + 1, Change()).stock.keys() & {"place", "support"}
-        stages = Stages(
-            tuple(one for k, one in whole if k < index),
-            tuple(one for k, one in whole if k > index),
+        whole = [(k, (op.name, op.features)) for k, op in forming_operations if op.level is None]
+        moved = self.changes.get(index + 1, SetupChange()).stock.keys() & {"place", "support"}
+        stages = FormingStages(
+            tuple(operation_features for k, operation_features in whole if k < index),
+            tuple(operation_features for k, operation_features in whole if k > index),
             index + 1 < len(self.operations) and not moved,
         )
-        sheet = dataclasses.replace(stock.sheet, stages=stages if forms else None)
+        sheet = dataclasses.replace(stock.sheet, stages=stages if forming_operations else None)
         return dataclasses.replace(setup, stock=dataclasses.replace(setup.stock, sheet=sheet))
 
 
-def _standing(arm: Arm, stations: Mapping[str, float]) -> Arm:
-    return arm.at_stations(stations) if arm.axes else arm
+def _arm_at_stations(arm: Arm, stations: Mapping[str, float]) -> Arm:
+    return arm.at_stations(stations) if arm.linear_axes else arm
 
 
-def _keep_off(arm: Arm, rides: bool = False) -> str:
-    """What the operator does before the axes under an arm go to a station, and a track perhaps ``rides``
-    along from there."""
-    # as written: noise settles no half, and 0 has no sign
-    values = {name: f"{round(1e3 * value, OUTER_DECIMALS) + 0.0:.3f}" for name, value in arm.stands.items()}
+def _keep_off_instruction(arm: Arm, is_coordinated: bool = False) -> str:
+    """Return the instruction to keep away before the axes under an arm move to a station.
+
+    ``is_coordinated``: the track also moves while the arm works.
+    """
+    # rounded as in programs first: noise must not decide a half, and 0 must have no sign
+    values = {
+        name: f"{round(1e3 * value, EXTERNAL_AXIS_DECIMALS) + 0.0:.3f}"
+        for name, value in arm.axis_values.items()
+    }
     if arm.track is None:
-        units = " and ".join(dict.fromkeys(axis.unit for axis in arm.axes))
-        ways = ", ".join(f"{axis.word} at {values[name]} mm" for name, axis in arm.rails.items())
-        return KEEP_OFF_GANTRY.filled(unit=units, arm=arm.name, values=ways)
-    said = KEEP_OFF_RIDING if rides else KEEP_OFF
-    return said.filled(arm=arm.name, unit=arm.track.unit, value=values[arm.name])
+        units = " and ".join(dict.fromkeys(axis.unit for axis in arm.linear_axes))
+        positions = ", ".join(
+            f"{axis.axis_name} at {values[name]} mm" for name, axis in arm.axes_by_name.items()
+        )
+        return KEEP_OFF_GANTRY.format(unit=units, arm=arm.name, values=positions)
+    sentence = KEEP_OFF_COORDINATED if is_coordinated else KEEP_OFF
+    return sentence.format(arm=arm.name, unit=arm.track.unit, value=values[arm.name])
 
 
-def _keep_off_table(table: Turntable, values: Mapping[str, float]) -> str:
-    """What the operator does before a turntable or positioner goes to a station."""
-    turn, tilt = (f"{round(float(np.rad2deg(values.get(name, 0.0))), 4) + 0.0:.4f}" for name in (STOCK, TILT))
+def _keep_off_turntable_instruction(table: Turntable, values: Mapping[str, float]) -> str:
+    """Return the instruction to keep away before a turntable or positioner moves to a station."""
+    rotation, tilt = (
+        f"{round(float(np.rad2deg(values.get(name, 0.0))), 4) + 0.0:.4f}" for name in (STOCK_AXIS, TILT_AXIS)
+    )
     if table.tilt is None:
-        return KEEP_OFF_TABLE.filled(unit=table.unit, value=turn)
-    return KEEP_OFF_POSITIONER.filled(unit=table.unit, turn=turn, tilt=tilt)
+        return KEEP_OFF_TABLE.format(unit=table.unit, value=rotation)
+    return KEEP_OFF_POSITIONER.format(unit=table.unit, turn=rotation, tilt=tilt)
 
 
-def setups_of(problem: Problem) -> tuple[Setup, ...]:
-    """How the cell stands, setup by setup, and at last, without operations, with all axes home again."""
-    return problem.setups if problem.closing is None else (*problem.setups, problem.closing)
+def all_setups(problem: Problem) -> tuple[Setup, ...]:
+    """Return all setups, with the closing one, without operations, in which all axes are at home again."""
+    return problem.setups if problem.closing_setup is None else (*problem.setups, problem.closing_setup)

@@ -1,7 +1,8 @@
-"""Synchronised tool poses and the freedom that each one leaves: the border between processes and motion.
+"""Synchronised tool poses with the freedom of each pose: the interface between processes and motion.
 
-A process turns a part into :class:`Targets` without knowing a robot; ``motion/`` turns them into joint
-paths without knowing a process. Poses are (..., 4, 4) float64, in metres, in the arm's work frame.
+A process turns a part into :class:`Targets` without knowledge of a robot. ``motion/`` turns targets into
+joint paths without knowledge of a process. Poses are (..., 4, 4) float64, in metres, in the work frame of the
+arm.
 """
 
 import abc
@@ -23,33 +24,40 @@ from planner.geometry.arrays import (
     from_parts,
     log_pose,
 )
-from planner.geometry.corner_rounding import CORNER_DEVIATION_MM, TURNING_LEVER_MM
+from planner.geometry.corner_rounding import CORNER_DEVIATION_MM, ROTATION_LEVER_MM
 from planner.geometry.units import MM
 from planner.issues import Issue
 from planner.problem import Part, Setup
 from planner.tooling import Tool, working_solid
 
 ActionKind = Literal["message", "confirm", "on", "off", "wait", "input"]
-FEED_SHARE: Final = 0.97
-"""Share of the feeds at which clocks go where nothing else binds; the rest covers what controllers do in
-ramps and corners. Slots, which follow from the speed, are those of this share."""
-PREFERENCE_COST: Final = 0.5
-"""What a path pays that stays at the far end of the range of a freedom with a preferred value [s]."""
+FEED_FRACTION: Final = 0.97
+"""Fraction of the feed at which clocks run if nothing else binds.
+
+The rest covers what controllers do in ramps and corners. Kerf widths, which depend on speed, are those at
+this fraction.
+"""
+PREFERENCE_COST_S: Final = 0.5
+"""Cost [s] of a path that stays at the far end of the range of a freedom with a preferred value."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Aim:
-    """What a spin would like a tool to do: turn the unit vector ``ray`` (3,) of its frame, which lies across
-    the spin's axis, toward the base of ``arm``, or toward ``at`` (3,) [m] in the arm's work frame.
+    """Preferred direction of a tool that is free to spin.
 
-    ``wanted``: motion prefers it, as far as a path pays ``weight`` [s] that aims the other way all along;
-    otherwise it only tells what aiming would be worth.
+    Attributes:
+        arm: Arm toward whose base the tool turns, or in whose work frame ``point`` is.
+        ray: Unit vector (3,) in the tool frame, perpendicular to the spin axis, that is turned toward the
+            aim.
+        point: Point (3,) [m] in the work frame of ``arm``; None for the base of ``arm``.
+        is_preferred: Whether motion prefers the aim. Otherwise motion only reports what aiming would gain.
+        weight: Cost [s] of a path that aims the opposite way throughout.
     """
 
     arm: str
     ray: FloatArray
-    at: FloatArray | None = None
-    wanted: bool = True
+    point: FloatArray | None = None
+    is_preferred: bool = True
     weight: float = 5.0
 
 
@@ -57,12 +65,16 @@ class Aim:
 class ScrewFreedom:
     """Moves a tool along a screw: ``pose @ exp(value * axis)``.
 
-    ``axis`` maps an arm to a twist (6,) in its tool frame, angular part first [-] then linear part [m per
-    unit of value]; an arm that is not named stays. More than one arm means that both share one value.
-    ``lower``, ``upper`` are (N,) bounds of the value, which is in rad for a spin and in m for a slide.
-    ``prefer`` is a wanted value (N,), or None, and ``weight`` [s] what a path pays that stays at the far end
-    of the range. ``periodic`` says that the value wraps at 2 pi, whatever the bounds. ``aim``: a point to
-    turn the tool to, from which motion, which knows where robots stand, finds the wanted values.
+    Attributes:
+        name: Name of the freedom.
+        axis: {arm: (6,)} twist in the tool frame, angular part [-] first, then linear part [m per unit of
+            value]. Arms that are not named stay. Several arms share one value.
+        lower: Lower bounds (N,) of the value, in rad for a spin and in m for a slide.
+        upper: Upper bounds (N,).
+        prefer: Preferred value (N,), or None.
+        periodic: Whether the value wraps at 2 pi, whatever the bounds.
+        aim: Aim from which motion, which knows the robots' positions, derives preferred values.
+        weight: Cost [s] of a path that stays at the far end of the range.
     """
 
     name: str
@@ -72,17 +84,25 @@ class ScrewFreedom:
     prefer: FloatArray | None = None
     periodic: bool = False
     aim: Aim | None = None
-    weight: float = PREFERENCE_COST
+    weight: float = PREFERENCE_COST_S
 
 
 @dataclasses.dataclass(frozen=True)
 class TableFreedom:
-    """Replaces the nominal poses by those of a table over one value that all its arms share.
+    """Replaces nominal poses by those of a table over one value that all its arms share.
 
-    ``nodes`` is (K,), ascending; ``pose`` maps an arm to (N, K, 4, 4). Between nodes the pose is the
-    polynomial through all nodes in the logarithm of the pose relative to the middle node, in Lagrange form.
-    That polynomial IS the freedom, so a pose "at a value" is exact, not approximate. ``lower``, ``upper`` are
-    (N,) bounds of the value.
+    Between nodes the pose is the polynomial through all nodes in the logarithm of the pose relative to the
+    middle node, in Lagrange form: pose(v) = middle exp(sum_k L_k(v) twist_k). That polynomial defines the
+    freedom, so a pose at a value is exact.
+
+    Attributes:
+        name: Name of the freedom.
+        nodes: Values of the table (K,), ascending.
+        pose: {arm: (N, K, 4, 4)} poses at the nodes.
+        lower: Lower bounds (N,) of the value.
+        upper: Upper bounds (N,) of the value.
+        prefer: Preferred value (N,), or None.
+        weight: Cost [s] of a path that stays at the far end of the range.
     """
 
     name: str
@@ -91,13 +111,11 @@ class TableFreedom:
     lower: FloatArray
     upper: FloatArray
     prefer: FloatArray | None = None
-    weight: float = PREFERENCE_COST
+    weight: float = PREFERENCE_COST_S
 
     @functools.cached_property
     def twists(self) -> dict[str, tuple[FloatArray, FloatArray]]:
-        """{arm: (middle nodes (N, 4, 4), twists (N, K, 6) of all nodes relative to them)}, worked out
-        once.
-        """
+        """{arm: (middle nodes (N, 4, 4), twists (N, K, 6) of all nodes relative to them)}, computed once."""
         out = {}
         for arm, table in self.pose.items():
             middle = table[:, len(self.nodes) // 2]
@@ -107,126 +125,166 @@ class TableFreedom:
 
 @dataclasses.dataclass(frozen=True)
 class JointFreedom:
-    """The last joint of an ``arm`` that has one more than a pose asks for, as a freedom: its value [rad],
-    within ``lower`` and ``upper`` (N,), moves no tool. Motion adds it, which knows arms; no process has it.
+    """Last joint of an arm with one joint more than a pose requires, as a freedom that moves no tool.
 
-    ``alone``: nothing else turns at these targets, so it is sampled as densely as what turns tools is.
+    Motion adds it, because motion knows the arms. No process has it.
+
+    Attributes:
+        name: Name of the freedom.
+        arm: Name of the arm.
+        lower: Lower bounds (N,) [rad].
+        upper: Upper bounds (N,) [rad].
+        is_sole_rotation: Whether nothing else rotates at these targets. The joint is then sampled as densely
+            as freedoms that rotate tools.
+        prefer: Preferred value (N,) [rad], or None.
+        weight: Cost [s] of a path that stays at the far end of the range.
     """
 
     name: str
     arm: str
     lower: FloatArray
     upper: FloatArray
-    alone: bool = False
+    is_sole_rotation: bool = False
     prefer: FloatArray | None = None
-    weight: float = PREFERENCE_COST
+    weight: float = PREFERENCE_COST_S
 
 
 Freedom = ScrewFreedom | TableFreedom | JointFreedom
 
 
 @dataclasses.dataclass(frozen=True)
-class Action:
-    """Something that happens at a stop at target ``at``, in the order given.
+class TargetAction:
+    """Action at a stop. Actions of one stop are executed in the order given.
 
-    ``message`` shows text, ``confirm`` shows text and waits for the operator, ``on`` and ``off`` switch the
-    signal ``signal``, ``wait`` waits ``seconds``, ``input`` waits until the input ``signal`` is 1, for
-    ``seconds`` at most, behind which the program breaks off. ``powers``: the signal powers something, which
-    the controller switches off where a program breaks off; a pulse that asks for one step does not.
-    ``stands``: of what is switched on and must not stay in one place, how long [s] the tool may be there; 0
-    for what may.
+    Attributes:
+        target: Index of the target at which the motion stops.
+        kind: ``message`` shows text; ``confirm`` shows text and waits for the operator; ``on`` and ``off``
+            switch ``signal``; ``wait`` waits ``seconds``; ``input`` waits until the input ``signal`` is 1,
+            for at most ``seconds``, and then aborts the program.
+        text: Text to show.
+        signal: Name of the signal.
+        seconds: Duration [s].
+        switches_power: Whether the signal powers something that the controller switches off if a program
+            aborts. A pulse that requests one step does not.
+        max_dwell: Longest time [s] that the tool may stay in one place after it is switched on; 0 if
+            unlimited.
     """
 
-    at: int
+    target: int
     kind: ActionKind
     text: str = ""
     signal: str = ""
     seconds: float = 0.0
-    powers: bool = True
-    stands: float = 0.0
+    switches_power: bool = True
+    max_dwell: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
-class Edge:
-    """The tool's flexible edge at every target, for clearance and for pictures.
+class FlexibleTool:
+    """Flexible tool (wire) at every target, for clearance and for pictures.
 
-    ``points`` is (N, P, 3) [m] in the work frame of ``arms[0]``, from the first arm's TCP to the second's;
-    ``radius`` [m] is the half thickness that must stay clear of everything but the stock in cut segments.
+    Attributes:
+        points: Points (N, P, 3) [m] in the work frame of ``arms[0]``, from the TCP of the first arm to that
+            of the second.
+        radius: Half thickness [m] that must keep clear of everything but the stock in cutting segments.
     """
 
     points: FloatArray
     radius: float
 
 
-def lever(tool: Tool) -> float:
-    """How far [m] from its TCP a tool works: to the far end of its working solid's axis, or
-    :data:`planner.geometry.corner_rounding.TURNING_LEVER_MM`, also for a solid with corners."""
-    solid, least = working_solid(tool), TURNING_LEVER_MM * MM
+def tool_reach(tool: Tool) -> float:
+    """Return the distance [m] from its TCP at which a tool still works.
+
+    It is the distance to the far end of the axis of its working solid, and at least
+    :data:`planner.geometry.corner_rounding.ROTATION_LEVER_MM`, which also applies to a solid with corners.
+    """
+    solid, min_reach = working_solid(tool), ROTATION_LEVER_MM * MM
     if solid is None or solid.vertices is not None:
-        return least
-    off = axis_ends(solid) - tool.tcp[:3, 3]
-    return max(least, float(np.linalg.norm(off, axis=1).max()))
+        return min_reach
+    offsets = axis_ends(solid) - tool.tcp[:3, 3]
+    return max(min_reach, float(np.linalg.norm(offsets, axis=1).max()))
 
 
 @dataclasses.dataclass(frozen=True)
-class Rounding:
-    """How far the way may leave straight moves through the targets: at corners, and on curves through them.
+class CornerRounding:
+    """Allowed deviation of the path from straight moves through the targets, at corners and on splines.
 
-    A corner may pass its target by ``work`` [m] behind moves that work (:attr:`Segment.works`), by ``entry``
-    [m] behind a move that one follows that works, else by ``air`` [m]. ``levers`` {arm: (3,)} [m/rad]: what
-    turning about the tool's axes x, y, z counts as there; for other arms as :func:`lever`
-    says. ``curves`` {arm: ((lever [m], off [m]), ...)}: how far the curve of a spline block may be off
-    straight moves, at points so far from the TCP, where that is less than blocks keep to anyway.
+    Attributes:
+        work: Corner deviation [m] after a move that works (:attr:`Segment.works`).
+        approach: Corner deviation [m] after a move that precedes a move that works.
+        air: Corner deviation [m] after any other move.
+        rotation_levers: {arm: (3,)} [m/rad] distance that a rotation about the tool's x, y, z axis counts as;
+            :func:`tool_reach` for other arms.
+        spline_deviations: {arm: ((distance from the TCP [m], deviation [m]), ...)} allowed deviation of a
+            spline block from straight moves, at points of the tool, if it is less than blocks keep to anyway.
     """
 
     work: float = CORNER_DEVIATION_MM * MM
-    entry: float = CORNER_DEVIATION_MM * MM
+    approach: float = CORNER_DEVIATION_MM * MM
     air: float = CORNER_DEVIATION_MM * MM
-    levers: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
-    curves: Mapping[str, tuple[tuple[float, float], ...]] = dataclasses.field(default_factory=dict)
+    rotation_levers: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
+    spline_deviations: Mapping[str, tuple[tuple[float, float], ...]] = dataclasses.field(default_factory=dict)
 
     def deviations(self, segments: Sequence[Segment]) -> FloatArray:
-        """How far (M,) [m] corners at the ends of M moves, which belong to ``segments``, may pass their
-        targets."""
+        """Return the allowed deviation (M,) [m] at the corner that ends each of M moves.
+
+        Args:
+            segments: Segment of each move.
+        """
         works = np.array([segment.works for segment in segments], dtype=np.bool_)
         follows = np.append(works[1:], False)
-        return np.where(works, self.work, np.where(follows, self.entry, self.air))
+        return np.where(works, self.work, np.where(follows, self.approach, self.air))
 
-    def turning(self, arm: str, tool: Tool) -> FloatArray:
-        """What turning about the axes (3,) of the tool of ``arm`` counts as [m/rad]."""
-        own = self.levers.get(arm)
-        return np.full(3, lever(tool)) if own is None else own
+    def rotation_lever(self, arm: str, tool: Tool) -> FloatArray:
+        """Return the distance (3,) [m/rad] that a rotation about each tool axis of ``arm`` counts as."""
+        levers = self.rotation_levers.get(arm)
+        return np.full(3, tool_reach(tool)) if levers is None else levers
 
 
 @dataclasses.dataclass(frozen=True)
 class Targets:
     """N synchronised targets of one or two arms.
 
-    ``pose``: {arm: (N, 4, 4)} nominal TCP pose in the arm's work ``frame``: "stock", "world" or "held:<arm>".
-    ``freedoms``: value j of a target belongs to ``freedoms[j]``; tables apply first, then screws in order.
-    ``feed`` (N,) m/s: upper limit of the speed of the fastest guarded point on the way TO target i, 0-th
-    unused; ``feed_min`` (N,) m/s: its lower limit, 0 for none. ``travel`` (N,) m: how far that point moves on
-    the way to target i (travel[0] = 0); the speed is travel / time. ``stop`` (N,): the motion stops there
-    (fine point). ``run_up`` [m]: over this way from and to stops the point comes up to ``feed_min``, which is
-    then required; None: where it is not kept users are told. ``coupled``: the TCPs are joined (a mounted
-    wire), so no arm may move alone and every move keeps the relation that the targets prescribe; transit
-    moves keep the relative pose of the TCPs fixed. ``apart`` [m]: by how much two TCPs may stand to each
-    other otherwise where they pass by targets at which they need not stand, 0 where they have to stand at
-    each. ``ahead`` [m]: by how much the distance of two TCPs may be another than at either end of a move
-    with one of them at its end already and the other still at its start, where they do not go by one clock.
-    ``segment`` (N,): the segment that the move to target i belongs to.
-    ``exhibits`` is named data for the report, by kind of picture. ``thinned``: fewer than a plan would have,
-    for a first look.
+    The attributes from ``rounding`` to ``may_join`` say what motion may change about the path. Their defaults
+    are the conservative choice.
 
-    What motion may do to the way, each the careful answer where a process says nothing: ``rounding``, how far
-    corners may be rounded off; ``may_stop``, whether a single arm may stop at further targets, where it is
-    asked for no least feed and a sharp corner takes longer than a stop; ``may_join``, whether targets on one
-    line may be left out, and moves slowed, where moves are shorter than controllers like.
-    ``ride`` {arm: (N,)} [m]: the values of tracks that go along, at each target; between targets they change
-    as evenly as the tool goes. Arms that are not named stand.
-    ``feed_throughout``: the feeds bind at every instant, not only each move as a whole. ``feed_source``: what
-    the feed of each place is read from ("the G-code file"), of which no curve can keep more than one in a
-    segment; empty where nothing is.
+    Attributes:
+        arms: Names of the arms.
+        pose: {arm: (N, 4, 4)} nominal TCP pose in the work frame of the arm.
+        frame: {arm: "stock", "world" or "held:<arm>"} work frame.
+        freedoms: Freedoms of the poses. Column j of the values belongs to ``freedoms[j]``; tables apply
+            first, then screws in order.
+        feed: Maximum speed (N,) [m/s] of the fastest guarded point during the move to target i; entry 0 is
+            unused.
+        feed_min: Minimum speed (N,) [m/s] of that point; 0 for none.
+        travel: Distance (N,) [m] that the point moves to target i; travel[0] = 0. Speed is travel / time.
+        stop: Whether the motion stops at the target (N,) (fine point).
+        segment: Segment (N,) of the move to target i.
+        coupled: Whether the TCPs are joined (mounted wire). No arm may then move alone, every move keeps the
+            relation that the targets prescribe, and links keep the relative pose of the TCPs fixed.
+        flexible_tool: Wire between the arms.
+        actions: Actions at stops.
+        claims: Claims of the motion.
+        exhibits: Named data for the report, by kind of picture.
+        is_subsampled: Whether there are fewer targets than a plan would have, for a quick check.
+        issues: Issues of the targets.
+        max_tcp_distance_error: Allowed change [m] of the relative position of two TCPs at targets where they
+            need not stop; 0 if they must stop at each.
+        max_lead_lag: Allowed change [m] of the TCP distance, relative to both ends of a move, if one arm has
+            finished the move while the other has not started it (controllers without a common clock).
+        run_up: Distance [m] before and after stops within which the point reaches ``feed_min``, which is then
+            required. None: a note says if the minimum is not kept.
+        rounding: Allowed corner deviations.
+        may_stop: Whether a single arm may stop at further targets, if no minimum feed is required and a sharp
+            corner takes longer than a stop.
+        may_join: Whether targets on one line may be dropped, and moves slowed, if moves are shorter than
+            controllers handle well.
+        feed_throughout: Whether the feed limits every instant, not only each move as a whole.
+        feed_source: Origin of a feed that varies along the path ("the G-code file"), of which a spline keeps
+            only one per segment; empty if there is none.
+        track_positions: {arm: (N,)} [m] positions of coordinated tracks at each target. Between targets they
+            change in proportion to the path of the tool. Tracks of other arms stand still.
     """
 
     arms: tuple[str, ...]
@@ -239,21 +297,21 @@ class Targets:
     stop: BoolArray
     segment: tuple[Segment, ...]
     coupled: bool = False
-    edge: Edge | None = None
-    actions: tuple[Action, ...] = ()
+    flexible_tool: FlexibleTool | None = None
+    actions: tuple[TargetAction, ...] = ()
     claims: tuple[Claim, ...] = ()
     exhibits: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    thinned: bool = False
+    is_subsampled: bool = False
     issues: tuple[Issue, ...] = ()
-    apart: float = 0.0
-    ahead: float = np.inf
+    max_tcp_distance_error: float = 0.0
+    max_lead_lag: float = np.inf
     run_up: float | None = None
-    rounding: Rounding = Rounding()
+    rounding: CornerRounding = CornerRounding()
     may_stop: bool = False
     may_join: bool = False
     feed_throughout: bool = True
     feed_source: str = ""
-    ride: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
+    track_positions: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
 
     @property
     def count(self) -> int:
@@ -261,23 +319,25 @@ class Targets:
         return len(self.segment)
 
     def name(self, index: int) -> str:
-        """Readable name of a target: its segment and its number within the segment, from 1."""
-        own = self.segment[index]
+        """Return the readable name of a target: its segment and its number in the segment, from 1."""
+        segment = self.segment[index]
         first = index
-        while first > 0 and self.segment[first - 1] == own:
+        while first > 0 and self.segment[first - 1] == segment:
             first -= 1
-        return f"{own}/{index - first + 1}"
+        return f"{segment}/{index - first + 1}"
 
-    def last(self, arm: str, values: FloatArray) -> FloatArray | None:
-        """The angle (...,) [rad] of an arm's last joint at freedom values (..., F); None where it is none of
-        the freedoms."""
+    def last_joint_angle(self, arm: str, values: FloatArray) -> FloatArray | None:
+        """Return the angle (...,) [rad] of the last joint of an arm at freedom values (..., F).
+
+        None if that joint is not a freedom.
+        """
         for j, freedom in enumerate(self.freedoms):
             if isinstance(freedom, JointFreedom) and freedom.arm == arm:
                 return np.asarray(values[..., j])
         return None
 
-    def neutral(self) -> FloatArray:
-        """Values (N, F) of the freedoms nearest to zero within their bounds, or the preferred ones."""
+    def neutral_values(self) -> FloatArray:
+        """Return freedom values (N, F): the preferred ones, else zero, clipped to the bounds."""
         columns = [
             np.clip(np.zeros(self.count) if f.prefer is None else f.prefer, f.lower, f.upper)
             for f in self.freedoms
@@ -285,23 +345,29 @@ class Targets:
         return np.stack(columns, axis=1) if columns else np.zeros((self.count, 0))
 
     def poses(self, values: FloatArray, index: IndexArray | None = None) -> dict[str, FloatArray]:
-        """Exact TCP poses {arm: (..., 4, 4)} in the work frames for freedom values (..., F).
+        """Return exact TCP poses {arm: (..., 4, 4)} in the work frames.
 
-        Without ``index`` the leading axis of ``values`` is the N targets; with it, ``index`` (...,) says
-        which target each row of values belongs to, so that many samples of one target go through one call.
+        Args:
+            values: Freedom values (..., F). Without ``index`` the leading axis is the N targets.
+            index: Target (...,) of each row of ``values``, so that many samples of one target need one call.
         """
         rows = np.arange(self.count) if index is None else index
         return {arm: self._pose(arm, values, rows) for arm in self.arms}
 
-    def poses_beside(
+    def perturbed_poses(
         self, values: FloatArray, step: float
     ) -> Iterator[tuple[dict[str, FloatArray], dict[str, FloatArray]]]:
-        """For each freedom what :meth:`poses` gives of values (N, F) with that one larger by ``step``, then
-        smaller."""
+        """Yield :meth:`poses` for each freedom with its values increased, and decreased, by ``step``.
+
+        Args:
+            values: Freedom values (N, F).
+            step: Increment, in the unit of the freedom.
+        """
+        # the screws of unchanged freedoms are computed once, not for each perturbed one
         rows = np.arange(self.count)
-        known = {
+        screw_transforms = {
             arm: {
-                j: _screw(freedom.axis[arm], values[:, j])
+                j: _screw_transform(freedom.axis[arm], values[:, j])
                 for j, freedom in enumerate(self.freedoms)
                 if isinstance(freedom, ScrewFreedom) and arm in freedom.axis
             }
@@ -310,32 +376,45 @@ class Targets:
         for j in range(len(self.freedoms)):
             shift = np.zeros(len(self.freedoms))
             shift[j] = step
-            others = {arm: {k: pose for k, pose in known[arm].items() if k != j} for arm in self.arms}
-            ahead, behind = (
-                {arm: self._pose(arm, moved, rows, others[arm]) for arm in self.arms}
-                for moved in (values + shift, values - shift)
+            others = {
+                arm: {k: pose for k, pose in screw_transforms[arm].items() if k != j} for arm in self.arms
+            }
+            increased, decreased = (
+                {arm: self._pose(arm, perturbed, rows, others[arm]) for arm in self.arms}
+                for perturbed in (values + shift, values - shift)
             )
-            yield ahead, behind
+            yield increased, decreased
 
     def _pose(
-        self, arm: str, values: FloatArray, rows: IndexArray, known: Mapping[int, FloatArray] | None = None
+        self,
+        arm: str,
+        values: FloatArray,
+        rows: IndexArray,
+        screw_transforms: Mapping[int, FloatArray] | None = None,
     ) -> FloatArray:
-        """TCP poses of an arm; ``known``: what some screws come to, by their freedoms."""
+        """Return TCP poses of an arm.
+
+        ``screw_transforms`` has transforms of screws, by index of the freedom.
+        """
+        # tables first, because they replace the nominal pose: pose = middle exp(sum_k L_k(v) twist_k)
         pose = self.pose[arm][rows]
         for j, freedom in enumerate(self.freedoms):
             if isinstance(freedom, TableFreedom) and arm in freedom.pose:
                 middle, twists = freedom.twists[arm]
-                weights = lagrange(freedom.nodes, values[..., j])
+                weights = lagrange_weights(freedom.nodes, values[..., j])
                 pose = middle[rows] @ exp_twist(np.einsum("...k,...kc->...c", weights, twists[rows]))
+        # then screws in order, in the tool frame: pose exp(v axis)
         for j, freedom in enumerate(self.freedoms):
             if isinstance(freedom, ScrewFreedom) and arm in freedom.axis:
-                moved = None if known is None else known.get(j)
-                pose = pose @ (_screw(freedom.axis[arm], values[..., j]) if moved is None else moved)
+                transform = None if screw_transforms is None else screw_transforms.get(j)
+                pose = pose @ (
+                    _screw_transform(freedom.axis[arm], values[..., j]) if transform is None else transform
+                )
         return pose
 
 
-def _screw(axis: FloatArray, value: FloatArray) -> FloatArray:
-    """Poses (..., 4, 4) of a screw ``axis`` (6,), angular part first, at values (...,)."""
+def _screw_transform(axis: FloatArray, value: FloatArray) -> FloatArray:
+    """Return poses (..., 4, 4) of a screw ``axis`` (6,), angular part first, at values (...,)."""
     twist = value[..., None] * axis
     return exp_twist(twist) if axis[:3].any() else from_parts(np.eye(3), twist[..., 3:])
 
@@ -345,48 +424,68 @@ _Operation = TypeVar("_Operation")
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Job(abc.ABC, Generic[_Operation]):
-    """One operation as a process sees it, with the cell, tools and block that it finds. Targets and claims
-    come from these same inputs, which nobody writes into; no claim is made of targets."""
+    """One operation as its process sees it, with the cell, tools and stock at that time.
+
+    Targets and claims are derived from the same inputs, which are never modified. Claims never depend on
+    targets.
+
+    Attributes:
+        operation: Operation of the process.
+        setup: Cell, tools and stock at the operation.
+        part: Part, or None.
+    """
 
     operation: _Operation
     setup: Setup
     part: Part | None
     advise: bool = dataclasses.field(default=True, init=False)
-    """Whether what would help is looked for where the process cannot make the part."""
-    brief: bool = dataclasses.field(default=False, init=False)
-    """Whether targets are for a first look at reach and clearance of some: without claims and exhibits, and
-    without what judges the part and its ways but shapes none, which a whole check tells; of many like ways
-    some may be left out."""
+    """Whether to search for remedies if the process cannot make the part."""
+    is_brief: bool = dataclasses.field(default=False, init=False)
+    """Whether the targets are for a quick check of reach and clearance.
+
+    Such targets have no claims and exhibits. Checks of the part and the paths that do not change the targets
+    are left to the full check. Similar paths may be dropped.
+    """
 
     @abc.abstractmethod
     def targets(self) -> Targets:
-        """What is to be moved; raises ``TandemError`` where the process cannot make the part."""
+        """Create the targets.
 
-    def driven(
-        self, targets: Targets, time: FloatArray, passed: FloatArray | None = None
+        Raises:
+            TandemError: If the process cannot make the part.
+        """
+
+    def check_timing(
+        self, targets: Targets, time: FloatArray, program_clock: FloatArray | None = None
     ) -> tuple[Issue, ...]:
-        """What is wrong with the motion as the arms can drive it, ``time`` (N,) [s] being the clock of
-        ``targets``; most processes mind their feeds alone, which the clock keeps. ``passed`` (2, K): where
-        programs have a clock of their own, places between targets, 3.5 being half way from target 3 to target
-        4, and when [s] they are passed."""
-        del targets, time, passed
+        """Return issues of the executed timing.
+
+        Most processes depend on their feeds alone, which the clock keeps; they return nothing.
+
+        Args:
+            targets: Targets of the operation.
+            time: Clock (N,) [s] of the targets.
+            program_clock: (2, K), if programs have a clock of their own: positions between targets (3.5 is
+                halfway between targets 3 and 4), and times [s] at which they are passed.
+        """
+        del targets, time, program_clock
         return ()
 
     @abc.abstractmethod
-    def stated(self) -> tuple[Claim, ...]:
-        """What must hold of the motion, worked out from the problem alone."""
+    def make_claims(self) -> tuple[Claim, ...]:
+        """Create the claims of the motion from the problem alone."""
 
     def claims(self) -> tuple[Claim, ...]:
-        """What must hold of the motion: as :meth:`stated`, which is asked once."""
+        """Return the claims of the motion; :meth:`make_claims` is called once."""
         return self._claims
 
     @functools.cached_property
     def _claims(self) -> tuple[Claim, ...]:
-        return self.stated()
+        return self.make_claims()
 
 
-def lagrange(nodes: FloatArray, value: FloatArray) -> FloatArray:
-    """Lagrange weights (..., K) of the nodes (K,) at values (...,)."""
+def lagrange_weights(nodes: FloatArray, value: FloatArray) -> FloatArray:
+    """Return Lagrange weights (..., K) of the nodes (K,) at values (...,)."""
     count = len(nodes)
     weights = np.ones((*np.shape(value), count))
     for k in range(count):

@@ -1,5 +1,7 @@
-"""A small job of an arm whose track goes along: a row of poses four times as long as the arm reaches, and a
-shorter one on the way back."""
+"""A small job of an arm with a coordinated track.
+
+It has a row of poses four times as long as the arm reaches, and a shorter row on the way back.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,7 @@ import yaml
 
 import planner
 from planner.catalogue.robots import robot
-from planner.cell.kinematics import forward
+from planner.cell.kinematics import forward_kinematics
 from planner.geometry.arrays import to_quaternion
 from planner.pipeline import Outcome
 from tests.track_job import ARM, COLUMNS, KUKA, TRACK
@@ -37,7 +39,7 @@ def problem(
 ) -> planner.Problem:
     """Poses at 200 mm/s along y, so deep [mm] before the track, which sway a little."""
     one = {**ARM, "track": FOLLOWING if track is None else track, **arm}
-    turn = to_quaternion(forward(robot("irb140"), np.array([POSTURE]))[0, :3, :3])
+    turn = to_quaternion(forward_kinematics(robot("irb140"), np.array([POSTURE]))[0, :3, :3])
     for name, ends, number in (("row", (-SIDE_MM, SIDE_MM), count), ("back", (1000.0, 400.0), 11)):
         rows = [COLUMNS]
         for y in np.linspace(*ends, number):
@@ -68,15 +70,14 @@ FOLDER = tempfile.TemporaryDirectory()
 
 
 @functools.cache
-def planned() -> Outcome:
+def planned_job() -> Outcome:
     """The job, planned and proven."""
     return planner.plan(problem(Path(FOLDER.name)))
 
 
 @functools.cache
-def planned_krl(**controller: str) -> Outcome:
-    """The job for a KUKA arm that stands askew to its track, planned and proven; ``controller`` of its
-    cell."""
+def planned_krl_job(**controller: str) -> Outcome:
+    """The job for a KUKA arm that is askew to its track, planned and proven; ``controller`` of its cell."""
     folder = Path(FOLDER.name) / "-".join(["krl", *controller.values()])
     folder.mkdir()
     return planner.plan(problem(folder, depth=1000.0, controller=controller or None, **KUKA))

@@ -1,5 +1,7 @@
-"""A small job of an arm on a gantry, a bridge and a lift on it: two operations that no one value of either
-reaches."""
+"""A small job of an arm on a gantry, a bridge with a lift.
+
+It has two operations that no single value of either axis reaches.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,7 @@ import numpy as np
 
 import planner
 from planner.pipeline import Outcome
-from tests.track_job import posed
+from tests.track_job import write_posed_job
 
 BRIDGE: dict[str, Any] = {
     "name": "bridge",
@@ -71,14 +73,14 @@ def problem(
         name: np.stack([np.full(5, 500.0), side + 40.0 * k, 1350.0 + up + 20.0 * np.sin(k)], axis=1)
         for name, side, up in (("a", -1200.0, 0.0), ("b", 1200.0, rise))
     }
-    return posed(folder, cell, places, str(one["robot"]))
+    return write_posed_job(folder, cell, places, str(one["robot"]))
 
 
 KUKA: dict[str, Any] = {"robot": "kr6_r900", "base": {"xyz_mm": [0, 0, 1000], "rpy_deg": [0, 0, 30]}}
 """An arm that stands askew to its axes."""
 
 
-def made(folder: Path, **arm: Any) -> Path:
+def write_problem(folder: Path, **arm: Any) -> Path:
     """The problem's file."""
     problem(folder, **arm)
     return folder / "problem.yaml"
@@ -89,13 +91,13 @@ FOLDER = tempfile.TemporaryDirectory()
 
 
 @functools.cache
-def planned() -> Outcome:
+def planned_job() -> Outcome:
     """The job, planned and proven."""
     return planner.plan(problem(Path(FOLDER.name)))
 
 
 @functools.cache
-def planned_krl(**controller: str) -> Outcome:
+def planned_krl_job(**controller: str) -> Outcome:
     """The job for a KUKA arm, planned and proven; ``controller`` of its cell."""
     folder = Path(FOLDER.name) / "-".join(["krl", *controller.values()])
     folder.mkdir()

@@ -1,4 +1,4 @@
-"""Programs with the line ends that tests search and change texts by."""
+"""Programs with the line ends that tests use to search and change texts."""
 
 from __future__ import annotations
 

@@ -1,5 +1,8 @@
-"""A small job of a block on a tilt-turn positioner: poses over its near end, and against the underside of its
-far end, which no turn alone brings in reach."""
+"""A small job of a block on a tilt-turn positioner.
+
+It has poses over the near end of the block, and against the underside of its far end, which no turn alone
+brings within reach.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 import planner
 from planner.cell import plant
-from planner.cell.kinematics import forward
+from planner.cell.kinematics import forward_kinematics
 from planner.geometry.arrays import FloatArray, inverse, to_quaternion
 from planner.pipeline import Outcome
 from planner.proof.context import Context
@@ -103,7 +106,7 @@ FOLDER = tempfile.TemporaryDirectory()
 
 
 @functools.cache
-def planned() -> Outcome:
+def planned_job() -> Outcome:
     """The job, planned and proven."""
     return planner.plan(problem(Path(FOLDER.name)))
 
@@ -120,7 +123,7 @@ KUKA: dict[str, Any] = {
 
 
 @functools.cache
-def planned_krl(robot: str = "kr6_r900", **controller: str) -> Outcome:
+def planned_krl_job(robot: str = "kr6_r900", **controller: str) -> Outcome:
     """The job for the KUKA arm, planned and proven; ``controller`` of its cell."""
     folder = Path(FOLDER.name) / "-".join(["krl", *controller.values()])
     folder.mkdir()
@@ -128,23 +131,25 @@ def planned_krl(robot: str = "kr6_r900", **controller: str) -> Outcome:
     return planner.plan(problem(folder, KRL_POSITIONER, arms=arms, controller=controller))
 
 
-def require_text_is_planned(out: Outcome, prover: Prover, turn: float, lean: FloatArray, off: float) -> None:
+def require_text_is_planned(
+    out: Outcome, prover: Prover, turn: float, tilt_vector: FloatArray, tolerance_m: float
+) -> None:
     """The text alone has the block, at the second station, where scipy's turns have it: by ``turn`` [deg]
     about the plate's middle, then by ``lean`` (3,) [rad] about the tilt axis, which passes 30 mm below it,
     ``off`` [m] at most; and the tool within a micrometre of the plan in both operations."""
-    context = external_axes.standing(Context(prover.problem, prover.claims, out.programs))
-    place, stated = context.places[1], prover.problem.stock.place
+    context = external_axes.with_text_stations(Context(prover.problem, prover.claims, out.programs))
+    place, stated = context.stock_frames[1], prover.problem.stock.place
     assert place is not None and stated is not None
     about = Rotation.from_euler("z", turn, degrees=True).as_matrix()
-    over = Rotation.from_rotvec(lean).as_matrix()
+    over = Rotation.from_rotvec(tilt_vector).as_matrix()
     middle, below = np.array([0.9, 0.0, 0.5]), np.array([0.9, 0.0, 0.47])
     turned = middle + about @ (stated[:3, 3] - middle)
     np.testing.assert_allclose(place[:3, :3], over @ about @ stated[:3, :3], atol=5e-8)
-    np.testing.assert_allclose(place[:3, 3], below + over @ (turned - below), atol=off)
+    np.testing.assert_allclose(place[:3, 3], below + over @ (turned - below), atol=tolerance_m)
     for index, setup in enumerate(out.problem.setups):
         made, planned_arm = out.plan.operations[index], setup.cell.arm("left")
-        tcp = planned_arm.base @ forward(planned_arm.data, made.q["left"]) @ planned_arm.tool.tcp
-        seen = (inverse(np.asarray(context.places[index])) @ tcp)[:, :3, 3]
+        tcp = planned_arm.base @ forward_kinematics(planned_arm.data, made.q["left"]) @ planned_arm.tool.tcp
+        seen = (inverse(np.asarray(context.stock_frames[index])) @ tcp)[:, :3, 3]
         assert np.linalg.norm(seen - made.targets.pose["left"][:, :3, 3], axis=1).max() < 1e-6
         nodes = context.spans.of_stage[context.motion.node_stage] == index
         text = context.motion.node_tcp["left"][nodes][:, :3, 3]
@@ -153,6 +158,6 @@ def require_text_is_planned(out: Outcome, prover: Prover, turn: float, lean: Flo
 
 def model() -> plant.CellModel:
     """The cell as the first setup of the planned job has it."""
-    setup = planned().problem.setups[0]
+    setup = planned_job().problem.setups[0]
     assert setup.stock.place is not None
-    return plant.build(setup.cell, setup.stock, setup.stock.place)
+    return plant.build_cell_model(setup.cell, setup.stock, setup.stock.place)

@@ -1,4 +1,4 @@
-"""What the tests of bad input share: good problems, one changed field, the issues of a refusal."""
+"""Helpers shared by the tests of bad input: good problems, one changed field, and the issues of a refusal."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ OPERATION = "operations.0."
 HYPAR = data_dir("problems") / "hypar_panel" / "hypar.obj"
 
 
-def refused(path: Path) -> tuple[Issue, ...]:
-    """The issues that loading gives, each with a place and all of them bad input."""
+def expect_refusal(path: Path) -> tuple[Issue, ...]:
+    """Return the issues of loading a problem; each must have a location and be bad input."""
     with pytest.raises(TandemError) as caught:
         pipeline.load(path)
     assert caught.value.issues

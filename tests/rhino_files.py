@@ -1,4 +1,4 @@
-"""Rhino files (3DM) for tests, written by rhino3dm, whose values of curves and surfaces are the referee."""
+"""Rhino files (3DM) for tests, written by rhino3dm, whose values of curves and surfaces are the reference."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def at(surface: Any, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     return np.array([(p.X, p.Y, p.Z) for p in (surface.PointAt(a, b) for a, b in zip(u, v, strict=True))])
 
 
-def along(one: Any, count: int) -> np.ndarray:
+def sample_curve(curve: Any, count: int) -> np.ndarray:
     """Points (N, 3) of a curve by rhino3dm."""
-    t = np.linspace(one.Domain.T0, one.Domain.T1, count)
-    return np.array([(p.X, p.Y, p.Z) for p in (one.PointAt(x) for x in t)])
+    t = np.linspace(curve.Domain.T0, curve.Domain.T1, count)
+    return np.array([(p.X, p.Y, p.Z) for p in (curve.PointAt(x) for x in t)])

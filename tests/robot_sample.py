@@ -1,6 +1,8 @@
-"""Robots of the catalogue for tests of code, which need none of each: small and large ones of both makers,
-with a parallel rod, and with the wrist above, below and in line with the elbow. What holds of figures is
-tested of all."""
+"""Sample of the catalogue's robots for tests that need not run on every robot.
+
+It has small and large robots of both makers, with a parallel rod, and with the wrist above, below and in line
+with the elbow. Figures are tested for all robots.
+"""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def dish(
     top = [(radius - fillet * np.sin(t) + tangent, fillet * (np.cos(t) - 1.0)) for t in turn]
     low = [(radius - foot - tangent + fillet * np.sin(t), fillet * (1.0 - np.cos(t)) - depth) for t in turn]
     steps = [tuple((1.0 - s) * np.array(top[-1]) + s * np.array(low[-1])) for s in np.linspace(0, 1, 8)[1:-1]]
-    floor = [(share * low[0][0], -depth) for share in (0.75, 0.5, 0.25, 0.0)]
+    floor = [(fraction * low[0][0], -depth) for fraction in (0.75, 0.5, 0.25, 0.0)]
     profile = [(radius + tangent + 4.0, 0.0), *top, *steps, *low[::-1], *floor]
     return revolved([(float(r) * MM, float(z) * MM) for r, z in profile], around)
 
@@ -83,8 +83,8 @@ def upside_down(mesh: Mesh) -> Mesh:
 def die(folder: Path, part: Mesh, kind: str, full: bool) -> dict[str, Any]:
     """A die for a dish or dome (`dish`) as a problem file states it, its mesh written into ``folder``: the
     part's lower face a little lower, whole, or only its rim (female) or top (male)."""
-    far = np.linalg.norm(part.vertices[part.faces].mean(axis=1)[:, :2], axis=1) > 22.0 * MM
-    kept = part.faces if full else part.faces[far if kind == "female" else ~far]
+    distance = np.linalg.norm(part.vertices[part.faces].mean(axis=1)[:, :2], axis=1) > 22.0 * MM
+    kept = part.faces if full else part.faces[distance if kind == "female" else ~distance]
     lower = part.vertices / MM - [0.0, 0.0, 0.02]
     trimesh.Trimesh(lower, kept, process=False).export(folder / "die.ply")
     spec: dict[str, Any] = {"file": "die.ply", "unit": "mm", "kind": kind, "full": full}
@@ -108,7 +108,7 @@ def dish_with_a_dome(around: int = 180) -> Mesh:
             profile.append(centre + mixed)
     profile.append(np.array(corners[-1], dtype=float))
     dense = [profile[0]]
-    for one, two in itertools.pairwise(profile):
-        count = max(1, int(np.ceil(np.linalg.norm(two - one) / 1.5)))
-        dense += [one + (two - one) * k / count for k in range(1, count + 1)]
+    for item, two in itertools.pairwise(profile):
+        count = max(1, int(np.ceil(np.linalg.norm(two - item) / 1.5)))
+        dense += [item + (two - item) * k / count for k in range(1, count + 1)]
     return revolved([(float(r) * MM, float(z) * MM) for r, z in dense], around)

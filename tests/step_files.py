@@ -1,4 +1,4 @@
-"""STEP and IGES files for tests, written by Open CASCADE, whose values of surfaces are the referee."""
+"""STEP and IGES files for tests, written by Open CASCADE, whose values of surfaces are the reference."""
 
 from __future__ import annotations
 
@@ -49,15 +49,15 @@ def write(path: Path, shapes: Sequence[Any], unit: str = "MM") -> Path:
     """A file of these shapes, its lengths in ``unit``."""
     if path.suffix in (".igs", ".iges"):
         iges = IGESControl_Writer({"MM": "MM", "M": "M", "INCH": "IN"}[unit], 1)
-        for one in shapes:
-            iges.AddShape(one)
+        for shape in shapes:
+            iges.AddShape(shape)
         iges.ComputeModel()
         assert iges.Write(str(path))
         return path
     step = STEPControl_Writer()
     Interface_Static.SetCVal_s("write.step.unit", unit)
-    for one in shapes:
-        step.Transfer(one, STEPControl_AsIs)
+    for shape in shapes:
+        step.Transfer(shape, STEPControl_AsIs)
     step.Write(str(path))
     Interface_Static.SetCVal_s("write.step.unit", "MM")
     return path

@@ -1,4 +1,4 @@
-"""A small job of a block on a turntable: two operations on sides of it that no one angle brings in reach."""
+"""A small job of a block on a turntable: two operations on sides that no single angle brings within reach."""
 
 from __future__ import annotations
 
@@ -75,13 +75,13 @@ FOLDER = tempfile.TemporaryDirectory()
 
 
 @functools.cache
-def planned() -> Outcome:
+def planned_job() -> Outcome:
     """The job, planned and proven."""
     return planner.plan(problem(Path(FOLDER.name)))
 
 
 @functools.cache
-def planned_krl() -> Outcome:
+def planned_krl_job() -> Outcome:
     """The job for a KUKA arm, its table the second external axis, planned and proven."""
     folder = Path(FOLDER.name) / "krl"
     folder.mkdir()

@@ -1,4 +1,4 @@
-"""Errors that a problem may accept by name: told unless they are, and beside every verdict if they are."""
+"""Errors that a problem may accept by name: reported if not accepted, else shown beside every verdict."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from planner.cli import command_line
 from planner.cli.batch import Batch
 from planner.cli.batch import run_batch as batch
 from planner.issue_codes import CODES
-from planner.issues import Issue, Severity, TandemError, accepted, judged
+from planner.issues import Issue, Severity, TandemError, accepted_codes, apply_acceptances
 from planner.processes import registry
 from tests import small_forming
 
@@ -30,22 +30,22 @@ def problem(folder: Path, **more: Any) -> Path:
     return small_forming.write(folder, {**data, **more})
 
 
-def looked(path: Path) -> tuple[Issue, ...]:
-    """What is found before motion."""
+def issues_before_motion(path: Path) -> tuple[Issue, ...]:
+    """Return the issues found before motion."""
     problem = pipeline.load(path)
     try:
-        targets = pipeline.targets_of(problem, registry.jobs(problem))
+        targets = pipeline.create_targets(problem, registry.jobs(problem))
     except TandemError as error:
         return error.issues
-    found = [issue for item in targets for issue in item.issues]
-    return (*found, *pipeline._unused(problem, found))
+    result = [issue for item in targets for issue in item.issues]
+    return (*result, *pipeline._unused_acceptances(problem, result))
 
 
 def test_only_codes_of_the_table_can_be_accepted() -> None:
-    rooms = {code.split(".")[0] for code, row in CODES.items() if row.accepts}
+    rooms = {code.split(".")[0] for code, row in CODES.items() if row.acceptance}
     assert not rooms & {"motion", "verify", "wire", "kerf", "post", "internal", "milling"}
     with pytest.raises(ValueError, match=r"motion\.collision"):
-        judged([Issue("motion.collision", "m", accepted=False)], ["motion.collision"])
+        apply_acceptances([Issue("motion.collision", "m", accepted=False)], ["motion.collision"])
 
 
 @pytest.mark.parametrize(
@@ -66,7 +66,7 @@ def test_what_cannot_be_accepted_is_refused_by_field(tmp_path: Path, given: obje
 
 def test_an_error_says_how_it_is_accepted_and_following_that_works(tmp_path: Path) -> None:
     path = problem(tmp_path)
-    refused = {i.code: i for i in looked(path) if i.severity is Severity.ERROR}
+    refused = {i.code: i for i in issues_before_motion(path) if i.severity is Severity.ERROR}
     assert list(refused) == [FORCE]
     assert refused[FORCE].value is not None and refused[FORCE].limit is not None
     assert refused[FORCE].value > 2.0 * refused[FORCE].limit
@@ -76,28 +76,28 @@ def test_an_error_says_how_it_is_accepted_and_following_that_works(tmp_path: Pat
     advice = re.search(r"accept: \[.*?\]", str(refused[FORCE]))
     assert advice is not None
     path = problem(tmp_path, **yaml.safe_load(advice[0]))
-    found = pipeline.check(pipeline.load(path))
-    assert not [i for i in found if i.severity is Severity.ERROR]
-    (taken,) = [i for i in found if i.code == FORCE]
+    issues = pipeline.check(pipeline.load(path))
+    assert not [i for i in issues if i.severity is Severity.ERROR]
+    (taken,) = [i for i in issues if i.code == FORCE]
     assert taken.accepted and taken.severity is Severity.WARNING
     assert str(taken).startswith(f"warning [{FORCE}] accepted by the problem:")
     assert Issue.from_dict(taken.to_dict()) == taken
 
 
 def test_a_force_a_little_beyond_the_payload_stays_a_warning(tmp_path: Path) -> None:
-    free = next(i for i in looked(problem(tmp_path)) if i.code == FORCE).limit
+    free = next(i for i in issues_before_motion(problem(tmp_path)) if i.code == FORCE).limit
     assert free is not None
     for factor, severity in ((1.9, Severity.WARNING), (2.1, Severity.ERROR)):
         data = yaml.safe_load(problem(tmp_path).read_text())
         data["operations"][0]["force_n"] = factor * free
         (tmp_path / "problem.yaml").write_text(yaml.safe_dump(data))
-        found = [i for i in looked(tmp_path / "problem.yaml") if i.code == FORCE]
-        assert [i.severity for i in found] == [severity]
+        result = [i for i in issues_before_motion(tmp_path / "problem.yaml") if i.code == FORCE]
+        assert [i.severity for i in result] == [severity]
 
 
 def test_what_does_not_occur_is_a_note(tmp_path: Path) -> None:
     path = problem(tmp_path, accept=[FORCE, "straight.drop"])
-    notes = [i for i in looked(path) if i.code == "problem.accepted"]
+    notes = [i for i in issues_before_motion(path) if i.code == "problem.accepted"]
     assert [(n.severity, n.field) for n in notes] == [(Severity.NOTE, "accept.1")]
     assert "straight.drop" in notes[0].message
 
@@ -133,6 +133,6 @@ def test_bundled_problems_accept_what_they_must_and_no_more() -> None:
     }
     assert taking == {"cone_spif", "dome_tpif"}
     path = data_dir("problems") / "cone_spif" / "problem.yaml"
-    found = looked(path)
-    assert accepted(found) == (FORCE,)
-    assert not [i for i in found if i.code == "problem.accepted" or i.severity is Severity.ERROR]
+    result = issues_before_motion(path)
+    assert accepted_codes(result) == (FORCE,)
+    assert not [i for i in result if i.code == "problem.accepted" or i.severity is Severity.ERROR]

@@ -1,4 +1,4 @@
-"""The bench beside other tools: what Tesseract is told, what is said where it cannot be loaded, the page."""
+"""The benchmarks against other tools: input of Tesseract, messages where it cannot be loaded, the page."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_tesseract_is_told_the_same_cell(tmp_path: Path) -> None:
     solids = [solid.body for solid in model.solids]
     assert len(told.findall(".//collision")) == len(solids)
     pairs = ET.parse(tmp_path / "cell.srdf").getroot().findall("disable_collisions")
-    apart = {frozenset(body.rpartition("/")[2] for body in pair[:2]) for pair in model.pairs_filtered}
+    apart = {frozenset(body.rpartition("/")[2] for body in pair[:2]) for pair in model.filtered_pairs}
     assert {frozenset((pair.attrib["link1"], pair.attrib["link2"])) for pair in pairs} == apart
     job = json.loads((tmp_path / "job.json").read_text())
     low, high = job["spin"]
@@ -62,17 +62,19 @@ def test_a_skipped_peer_stands_in_the_table_with_its_reason(monkeypatch: pytest.
 def test_least_distance_by_coal_is_the_clearance() -> None:
     pytest.importorskip("coal")
     cell, _ = tesseract_bench.s_curve(12)
-    place = tesseract_bench.PLACE
-    model = tesseract_bench.plant.build(cell, tesseract_bench.block(tesseract_bench.SIZE, place), place)
+    place = tesseract_bench.STOCK_POSE
+    model = tesseract_bench.plant.build_cell_model(
+        cell, tesseract_bench.block(tesseract_bench.SIZE, place), place
+    )
     q = cell.arms[0].home + np.random.default_rng(4).uniform(-0.3, 0.3, (6, 6))
-    ours = clearance.least(model, {"arm": q}, 1.0).distance.min()
+    ours = clearance.min_clearance(model, {"arm": q}, 1.0).distance.min()
     assert tesseract_bench.least_by_coal(model, q) == pytest.approx(ours, abs=1e-6)
 
 
 def test_the_page_keeps_its_words_around_the_table() -> None:
     page = peers.PAGE.read_text(encoding="utf-8")
     written = peers.with_table(page, "| a table |")
-    assert written.startswith(page.partition(peers.BEGIN)[0])
+    assert written.startswith(page.partition(peers.START_MARK)[0])
     assert "| a table |" in written
     assert peers.with_table(written, "| a table |") == written
     with pytest.raises(ValueError, match="no marks"):

@@ -1,4 +1,4 @@
-"""What `python -m bench scan` measures, at a size that tests can afford: same parts, fields, bounds."""
+"""The measurements of `python -m bench scan`, at a size that tests can afford: same parts, fields, bounds."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from bench import scan_bench
 from planner.geometry.units import DEG, MM
 from planner.shopfloor.scan import freedoms
-from tests.shopfloor.scan.made_scan import MadeScan
+from tests.shopfloor.scan.synthetic_scan import SyntheticScan
 
 COUNT = 20_000
 
@@ -20,37 +20,37 @@ COUNT = 20_000
 def test_small_scans_meet_the_bounds_of_large_ones(name: str, seed: int) -> None:
     job = scan_bench.jobs()[name]
     made = scan_bench.scan(job, COUNT, seed)
-    pose, found = scan_bench.fitted(job, made, marks=True)
-    off = scan_bench.error(job, made, pose.matrix, found)
-    assert off.field < 0.05 * MM
-    assert off.way < 0.05 * MM
-    assert off.turn < 0.05 * DEG
-    assert off.known > 0.9
+    pose, found = scan_bench.fit_scan(job, made, marks=True)
+    deviation = scan_bench.fit_error(job, made, pose.matrix, found)
+    assert deviation.field < 0.05 * MM
+    assert deviation.displacement < 0.05 * MM
+    assert deviation.rotation < 0.05 * DEG
+    assert deviation.known > 0.9
     assert len(found.holes) >= 1
-    # the bound that is told holds
-    assert off.way < 3.0 * pose.beside
-    assert off.turn < 3.0 * pose.turned
+    # the reported bound holds
+    assert deviation.displacement < 3.0 * pose.position_sigma
+    assert deviation.rotation < 3.0 * pose.rotation_sigma
 
 
 def test_without_marks_height_and_tilt_hold_and_a_place_beside_the_part_is_told() -> None:
     job = scan_bench.jobs()["pit"]
     made = scan_bench.scan(job, COUNT, 4)
-    right = scan_bench.unplaced(made, (0.0, 0.0), 0.0)
-    pose, found = scan_bench.fitted(job, right, marks=False)
-    off = scan_bench.error(job, right, pose.matrix, found)
-    assert off.field < 0.05 * MM
-    assert off.height < 0.05 * MM
-    assert off.tilt < 0.05 * DEG
-    assert not freedoms.sideways(found).beside
-    wrong = scan_bench.unplaced(made, scan_bench.BESIDE, scan_bench.TURNED)
-    pose, found = scan_bench.fitted(job, wrong, marks=False)
-    told = freedoms.sideways(found)
-    assert scan_bench.error(job, wrong, pose.matrix, found).field > 0.2 * MM
-    assert told.beside
-    np.testing.assert_allclose(told.move, -np.array(scan_bench.BESIDE), atol=0.3 * MM)
+    right = scan_bench.displace_scan(made, (0.0, 0.0), 0.0)
+    pose, found = scan_bench.fit_scan(job, right, marks=False)
+    deviation = scan_bench.fit_error(job, right, pose.matrix, found)
+    assert deviation.field < 0.05 * MM
+    assert deviation.height < 0.05 * MM
+    assert deviation.tilt < 0.05 * DEG
+    assert not freedoms.in_plane_motion(found).is_offset
+    wrong = scan_bench.displace_scan(made, scan_bench.LATERAL_OFFSET_M, scan_bench.ROTATION_RAD)
+    pose, found = scan_bench.fit_scan(job, wrong, marks=False)
+    told = freedoms.in_plane_motion(found)
+    assert scan_bench.fit_error(job, wrong, pose.matrix, found).field > 0.2 * MM
+    assert told.is_offset
+    np.testing.assert_allclose(told.move, -np.array(scan_bench.LATERAL_OFFSET_M), atol=0.3 * MM)
 
 
-def small(name: str) -> tuple[scan_bench.Job, MadeScan]:
+def small(name: str) -> tuple[scan_bench.ScanJob, SyntheticScan]:
     job = scan_bench.jobs()[name]
     return job, scan_bench.scan(job, COUNT, 5)
 
@@ -59,7 +59,7 @@ def test_a_fit_to_the_formed_part_takes_what_came_back_for_a_pose(monkeypatch: p
     monkeypatch.setattr(scan_bench, "PLAIN_POINTS", 3000)
     monkeypatch.setattr(scan_bench, "PEER_POINTS", 50_000)
     job, made = small("dish")
-    row = scan_bench.beside("a plain fit", job, made, scan_bench.plain, 1.0)
+    row = scan_bench.peer_row("a plain fit", job, made, scan_bench.plain_icp, 1.0)
     place, field = map(float, re.findall(r"(?:place|field) ([0-9.]+) mm", row["note"]))
     assert place > 0.1
     assert field > 0.1
@@ -68,7 +68,7 @@ def test_a_fit_to_the_formed_part_takes_what_came_back_for_a_pose(monkeypatch: p
 def test_a_peer_that_is_not_there_is_skipped_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "small_gicp", None)
     job, made = small("dish")
-    row = scan_bench.beside("small_gicp", job, made, scan_bench.by_small_gicp, 1.0)
+    row = scan_bench.peer_row("small_gicp", job, made, scan_bench.by_small_gicp, 1.0)
     assert row["note"].startswith("skipped: ")
     assert "small_gicp" in row["note"]
     assert "median_s" not in row

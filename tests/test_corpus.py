@@ -1,4 +1,4 @@
-"""The corpus of ordinary jobs: its generators, and what becomes of a sample of its jobs."""
+"""The corpus of ordinary jobs: its generators, and the results of a sample of its jobs."""
 
 from __future__ import annotations
 
@@ -84,14 +84,14 @@ def test_a_job_is_the_same_whenever_it_is_made(name: str) -> None:
 
 
 def test_every_file_that_a_problem_names_is_there(jobs: tuple[Job, ...]) -> None:
-    def named(value: Any) -> list[str]:
+    def file_names(value: Any) -> list[str]:
         if isinstance(value, dict):
             own = [value["file"]] if isinstance(value.get("file"), str) else []
-            return own + [name for each in value.values() for name in named(each)]
-        return [name for each in value for name in named(each)] if isinstance(value, list) else []
+            return own + [name for each in value.values() for name in file_names(each)]
+        return [name for each in value for name in file_names(each)] if isinstance(value, list) else []
 
     for job in jobs:
-        missing = [name for name in named(problem(job)) if name not in job.files]
+        missing = [name for name in file_names(problem(job)) if name not in job.files]
         assert not missing or job.codes & {"problem.missing_file", "targets.file"}
 
 
@@ -116,16 +116,16 @@ def test_jobs_are_valid_problem_files(tmp_path: Path) -> None:
 def test_all_jobs_are_valid_problem_files(jobs: tuple[Job, ...], tmp_path: Path) -> None:
     """Nothing is wrong with a problem file itself that the generator did not want."""
     for job in jobs:
-        found = set(unread(job, tmp_path)) - job.codes
-        assert not {code for code in found if code.startswith("problem.")}, job.name
+        result = set(unread(job, tmp_path)) - job.codes
+        assert not {code for code in result if code.startswith("problem.")}, job.name
 
 
 def test_airfoils_are_those_of_the_tables() -> None:
     """NACA 0012 and 2412 of Abbott and von Doenhoff's tables: thickness and camber at 30 and 40 %."""
-    plain = airfoils.four_digits(0.0, 0.4, 0.12, 201, False)
+    plain = airfoils.naca_four_digits(0.0, 0.4, 0.12, 201, False)
     upper = plain[:201][::-1]
     assert abs(2.0 * float(height_at(0.3, upper)) - 0.12003) < 2e-4
-    cambered = airfoils.four_digits(0.02, 0.4, 0.12, 201, False)
+    cambered = airfoils.naca_four_digits(0.02, 0.4, 0.12, 201, False)
     middle = 0.5 * (height_at(0.4, cambered[:201][::-1]) + height_at(0.4, cambered[200:]))
     assert abs(middle - 0.02) < 1e-4
     cusp = airfoils.karman_trefftz(0.1, 0.0, 0.0, 400)
@@ -141,7 +141,7 @@ def test_profiles_have_the_depth_angle_and_radii_that_are_asked() -> None:
     assert abs(line[-1, 1] + 20.0) < 1e-3
     slope = np.degrees(np.arctan2(-np.diff(line[:, 1]), np.diff(line[:, 0])))
     assert abs(slope.max() - 50.0) < 1e-6
-    points, faces = meshes.revolved(np.array([[30.0, 0.0], [20.0, -5.0], [0.0, -5.0]]), 360)
+    points, faces = meshes.revolve(np.array([[30.0, 0.0], [20.0, -5.0], [0.0, -5.0]]), 360)
     normal = np.cross(points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]])
     assert (normal[:, 2] > 0.0).all()
     area = 0.5 * np.linalg.norm(normal, axis=1).sum()
@@ -163,7 +163,7 @@ def test_what_became_of_a_job_is_told_by_its_cause() -> None:
     assert result(good, 4, "verify.surface").verdict == run.UNPROVEN
     assert result(bad, 3, code).verdict == run.TRUE
     assert result(bad, 3, other, code).verdict == run.OTHER
-    assert result(bad, 0).verdict == run.MADE
+    assert result(bad, 0).verdict == run.PLANNED_ANYWAY
     assert result(bad, 1).verdict == run.CRASH
     text = table.markdown([result(good, 0), result(good, 3, other), result(bad, 3, code)])
     assert "1 of 2 (50 %)" in text
@@ -182,14 +182,14 @@ def test_a_process_over_its_processor_time_is_told_and_not_run_again(tmp_path: P
 
 def test_a_remedy_with_a_number_is_done_to_the_problem() -> None:
     job = corpus.find("wing_02")  # a block that is too thin
-    text = "the part stands out of the block of 1 x 2 x 3 mm by 4.5 mm in z; use a larger block"
+    text = "the part extends beyond the block of 1 x 2 x 3 mm by 4.5 mm in z; use a larger block"
     issue = {"code": "part.stock_too_small", "severity": "error", "message": text, "value": 20.5}
-    changed = remedies.followed(job, [issue])
+    changed = remedies.follow_remedies(job, [issue])
     assert changed is not None
     old, new = problem(job)["stock"]["size_mm"], problem(changed[0])["stock"]["size_mm"]
     assert new[:2] == old[:2]
     assert abs(new[2] - old[2] - 4.6) < 1e-9
-    assert remedies.followed(job, [{**issue, "message": "use a larger block"}]) is None
+    assert remedies.follow_remedies(job, [{**issue, "message": "use a larger block"}]) is None
 
 
 @pytest.mark.long
@@ -202,4 +202,4 @@ def test_a_sample_of_the_corpus_ends_as_it_should(tmp_path: Path) -> None:
     count = Counter(r.verdict for r in results)
     assert count[run.UNPROVEN] == count[run.CRASH] == count[run.OVER] == 0, told
     assert count[run.FALSE] <= 1, told
-    assert count[run.OTHER] + count[run.MADE] <= 1, told
+    assert count[run.OTHER] + count[run.PLANNED_ANYWAY] <= 1, told

@@ -1,6 +1,4 @@
-"""README and docs do what they say: commands and code blocks run, links lead somewhere, tables match the
-code.
-"""
+"""README and docs are correct: commands and code blocks run, links resolve, and tables match the code."""
 
 from __future__ import annotations
 
@@ -43,7 +41,7 @@ def reference() -> ModuleType:
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What ``pip install .`` puts into site-packages, apart from the dependencies that are there already."""
+    """The files that ``pip install .`` puts into site-packages, without dependencies that exist already."""
     folder = tmp_path_factory.mktemp("installed")
     command = [
         sys.executable,
@@ -76,8 +74,8 @@ FIRST = "tandem plan column_capital -o out"
 `tests/test_whole_job.py`."""
 
 
-@pytest.mark.parametrize("quick", [True, pytest.param(False, marks=pytest.mark.long)], ids=["quick", "all"])
-def test_the_commands_of_the_readme_run_from_any_folder(site: Path, tmp_path: Path, quick: bool) -> None:
+@pytest.mark.parametrize("is_fast", [True, pytest.param(False, marks=pytest.mark.long)], ids=["quick", "all"])
+def test_the_commands_of_the_readme_run_from_any_folder(site: Path, tmp_path: Path, is_fast: bool) -> None:
     """In make test a smaller bundled problem is planned into ``out``, and checked; the README's own is read
     by its name in `tests/motion/test_toppra_import.py`."""
     where = run([sys.executable, "-c", "import planner; print(planner.__file__)"], site, tmp_path)
@@ -85,12 +83,12 @@ def test_the_commands_of_the_readme_run_from_any_folder(site: Path, tmp_path: Pa
     lines = [line for name, text in blocks("sh") if name == "README.md" for line in text.splitlines()]
     assert lines[:2] == ["pip install .", FIRST]
     assert all(any(line.startswith(f"tandem {dear}") for line in lines) for dear in DEAR)
-    if quick:
+    if is_fast:
         lines[1:2] = [FIRST.replace("column_capital", "kerf_test"), "tandem check kerf_test"]
     for line in lines[1:]:
         words = shlex.split(line)
         assert words[0] == "tandem"
-        if quick and " ".join(words[1:]).startswith(DEAR):
+        if is_fast and " ".join(words[1:]).startswith(DEAR):
             continue
         done = run([sys.executable, "-m", "planner", *words[1:]], site, tmp_path)
         assert done.returncode == 0, f"{line}: {done.stdout}{done.stderr}"

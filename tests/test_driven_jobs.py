@@ -1,5 +1,8 @@
-"""Jobs by joint trajectories, end to end: poses with a Panda and an iiwa, a wing cut by a bow on an iiwa, a
-bent wire between two Fanuc; what the language does not do is refused in words."""
+"""Jobs as joint trajectories, end to end.
+
+Poses with a Panda and an iiwa, a wing cut by a bow on an iiwa, and a bent wire between two Fanuc robots. What
+the language cannot express is refused with a message.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from planner import pipeline
 from planner.catalogue.robots import data_dir, robot
 from planner.geometry.arrays import inverse, log_rotation
 from planner.issues import TandemError
-from planner.languages.trajectories.writer import clocks, curves, program, straight_ways
+from planner.languages.trajectories.writer import clocks, curves, program, straight_segments
 from planner.languages.writing import write
 from planner.reading.urdf import read_chain
 from planner.report import setup_sheet
@@ -29,32 +32,32 @@ PROBLEMS = data_dir("problems")
 TIP = ("base_link", "tool0")
 
 
-def driven(source, **more):
+def write_driven_job(source, **more):
     source["cell"]["controller"] = {"language": "ros", **more}
     return source
 
 
 def row(tmp_path, name, turns=0.1):
     source, table = seven.row_of_poses(turns)
-    return seven.laid(tmp_path, name, driven(source), table)
+    return seven.write_job(tmp_path, name, write_driven_job(source), table)
 
 
 def wing(tmp_path):
-    source = driven(test_ur_jobs.wing())
-    return seven.laid(tmp_path, "iiwa", source)
+    source = write_driven_job(test_ur_jobs.wing())
+    return seven.write_job(tmp_path, "iiwa", source)
 
 
 def facing(**more):
-    """The cell of two Fanuc that stand face to face, with the wall that is cut by a bent wire."""
+    """Return the cell of two facing Fanuc robots, with the wall that is cut by a bent wire."""
     source = yaml.safe_load((PROBLEMS / "wave_wall" / "problem.yaml").read_text("utf-8"))
     source["cell"] = yaml.safe_load((PROBLEMS / "cells" / "two_irb140_facing.yaml").read_text("utf-8"))
     for arm in source["cell"]["arms"]:
         arm["robot"] = "crx10ia_l"
         del arm["home_deg"]
-    return driven(source, **more)
+    return write_driven_job(source, **more)
 
 
-def loaded(tmp_path, source):
+def load_problem(tmp_path, source):
     (tmp_path / "problem.yaml").write_text(yaml.safe_dump(source), "utf-8")
     return pipeline.load(tmp_path / "problem.yaml")
 
@@ -75,23 +78,23 @@ def points(text):
 
 def test_seven_joints_are_driven_along_poses_and_proven(tmp_path):
     problem = row(tmp_path, "panda")
-    made = pipeline.plan(problem)
-    assert made.proof.ok, [str(issue) for issue in made.proof.issues]
-    ((name, text),) = made.programs.items()
+    outcome = pipeline.plan(problem)
+    assert outcome.proof.ok, [str(issue) for issue in outcome.proof.issues]
+    ((name, text),) = outcome.programs.items()
     assert name == "small.trajectory.jsonl"
     t, q, v = points(text)
     assert q.shape[1] == 7 and (np.diff(t) > 0.0).all() and not v[-1].any()
     # the tool on the cubics of the text goes straight from pose to pose, by the URDF alone
     chain, arm = read_chain(seven.TEXTS["panda"], *TIP), problem.cell.arms[0]
-    here = made.plan.operations[0].q["left"]
-    ends = chain.tip(here) @ arm.tool.tcp
+    joints = outcome.plan.operations[0].q["left"]
+    ends = chain.tip(joints) @ arm.tool.tcp
     span = np.diff(t)[:, None]
-    for share in (0.2, 0.5, 0.8):
-        h = share**2 * (3.0 - 2.0 * share)
+    for fraction in (0.2, 0.5, 0.8):
+        h = fraction**2 * (3.0 - 2.0 * fraction)
         middle = (
             (1.0 - h) * q[:-1]
             + h * q[1:]
-            + share * (1.0 - share) * span * ((1.0 - share) * v[:-1] - share * v[1:])
+            + fraction * (1.0 - fraction) * span * ((1.0 - fraction) * v[:-1] - fraction * v[1:])
         )
         pose = chain.tip(middle) @ arm.tool.tcp
         away = pose[:, None, :3, 3] - ends[None, :-1, :3, 3]
@@ -99,29 +102,31 @@ def test_seven_joints_are_driven_along_poses_and_proven(tmp_path):
         along = np.clip((away * way).sum(axis=2) / (way**2).sum(axis=1), 0.0, 1.0)
         assert np.linalg.norm(away - along[..., None] * way, axis=2).min(axis=1).max() < 0.1e-3
     for pose in ends:  # and passes each
-        off = inverse(pose) @ chain.tip(np.concatenate([here[:1], q])) @ arm.tool.tcp
-        error = np.linalg.norm(off[:, :3, 3], axis=1) + np.linalg.norm(log_rotation(off[:, :3, :3]), axis=1)
+        deviation = inverse(pose) @ chain.tip(np.concatenate([joints[:1], q])) @ arm.tool.tcp
+        error = np.linalg.norm(deviation[:, :3, 3], axis=1) + np.linalg.norm(
+            log_rotation(deviation[:, :3, :3]), axis=1
+        )
         assert error.min() < 1e-6
 
 
 def test_the_sheet_says_what_the_controller_must_have_and_nothing_is_uploaded(tmp_path):
     problem = row(tmp_path, "iiwa")
-    made = pipeline.plan(problem)
-    assert made.proof.ok
-    table = setup_sheet.controller_checks(made.problem, made.plan)
+    outcome = pipeline.plan(problem)
+    assert outcome.proof.ok
+    table = setup_sheet.controller_checks(outcome.problem, outcome.plan)
     assert "joint_trajectory_controller" in str(table) and "j1, j2, j3, j4, j5, j6, j7" in str(table)
     assert "RAPID" not in str(table)
     assert "interpolate_from_desired_state" in str(table) and "4.12" in str(table)
-    made.save(tmp_path / "out")
+    outcome.save(tmp_path / "out")
     assert pipeline.verify(problem, pipeline.read_programs(tmp_path / "out")).ok
     with pytest.raises(TandemError, match="runner"):
-        proven.chosen(proven.Proven(made.problem, {}), None)
+        proven.select_programs(proven.Proven(outcome.problem, {}), None)
 
 
 def test_a_wing_is_cut_by_a_bow_on_seven_axes(tmp_path):
-    made = pipeline.plan(wing(tmp_path))
-    assert made.proof.ok, [str(issue) for issue in made.proof.issues]
-    (text,) = made.programs.values()
+    outcome = pipeline.plan(wing(tmp_path))
+    assert outcome.proof.ok, [str(issue) for issue in outcome.proof.issues]
+    (text,) = outcome.programs.values()
     hot = [json.loads(line) for line in text.split("\r\n")[:-1] if '"on_failure":["doWirePower"]' in line]
     assert [next(iter(line)) for line in hot] == ["dwell", "at", "move"]
 
@@ -129,13 +134,13 @@ def test_a_wing_is_cut_by_a_bow_on_seven_axes(tmp_path):
 @pytest.mark.long
 def test_a_wall_is_cut_by_a_bent_wire_between_two_fanuc(tmp_path):
     prefix = {"left": "left_", "right": "right_"}
-    made = pipeline.plan(loaded(tmp_path, facing(joint_prefix=prefix)))
-    assert made.proof.ok, [str(issue) for issue in made.proof.issues]
-    (text,) = made.programs.values()
+    outcome = pipeline.plan(load_problem(tmp_path, facing(joint_prefix=prefix)))
+    assert outcome.proof.ok, [str(issue) for issue in outcome.proof.issues]
+    (text,) = outcome.programs.values()
     assert points(text)[1].shape[1] == 12
 
 
-def refused(problem):
+def expect_refusal(problem):
     with pytest.raises(TandemError) as caught:
         pipeline.plan(problem)
     return caught.value.issues
@@ -146,26 +151,26 @@ def test_joints_of_one_name_are_refused_and_the_prefix_that_is_told_helps():
     controller = dataclasses.replace(problem.cell.controller, joint_prefix={})
     alike = dataclasses.replace(problem, cell=dataclasses.replace(problem.cell, controller=controller))
     with pytest.raises(TandemError) as caught:
-        write.programs(plan, alike)
+        write.program_files(plan, alike)
     (issue,) = caught.value.issues
     assert issue.code == "post.name" and "joint_1" in issue.message
     told = yaml.safe_load(issue.hint.partition("controller: ")[2].partition(", as")[0])
     controller = dataclasses.replace(controller, **told)
     cell = dataclasses.replace(problem.cell, controller=controller)
-    assert write.programs(plan, dataclasses.replace(problem, cell=cell)) == driven_job.bent_programs()
+    assert write.program_files(plan, dataclasses.replace(problem, cell=cell)) == driven_job.bent_programs()
 
 
 def test_joints_that_rows_cannot_name_are_refused_before_anything_is_planned(tmp_path):
     problem = row(tmp_path, "panda")
     (arm,) = problem.cell.arms
     file = dataclasses.replace(arm.data.file, joints=("1st joint", *arm.data.file.joints[1:]))
-    arm = dataclasses.replace(arm, given=dataclasses.replace(arm.data, file=file))
+    arm = dataclasses.replace(arm, custom_data=dataclasses.replace(arm.data, file=file))
     odd = dataclasses.replace(problem, cell=dataclasses.replace(problem.cell, arms=(arm,)))
     (issue,) = pipeline.check(odd)
     assert issue.code == "post.name" and "'1st joint'" in issue.message
 
 
-def of_planner_job(tmp_path, name):
+def job_points(tmp_path, name):
     """A job of the proof's tests whose arms trajectories drive."""
     path = planner_jobs.JOBS[name](tmp_path)
     source = yaml.safe_load(path.read_text("utf-8"))
@@ -176,19 +181,19 @@ def of_planner_job(tmp_path, name):
 
 
 def test_arms_that_bend_are_commanded_where_they_then_stand(tmp_path):
-    made = pipeline.plan(of_planner_job(tmp_path, "posed_sag"))
-    assert made.proof.ok, [str(issue) for issue in made.proof.issues]
-    (rule,) = (rule for rule in made.proof.rules if rule.code == "verify.sag")
+    outcome = pipeline.plan(job_points(tmp_path, "posed_sag"))
+    assert outcome.proof.ok, [str(issue) for issue in outcome.proof.issues]
+    (rule,) = (rule for rule in outcome.proof.rules if rule.code == "verify.sag")
     assert rule.worst > 0.1
 
 
 def test_a_wire_keeps_its_feed_round_the_corners_of_a_hole(tmp_path):
-    made = pipeline.plan(of_planner_job(tmp_path, "plate"))
-    assert made.proof.ok, [str(issue) for issue in made.proof.issues]
+    outcome = pipeline.plan(job_points(tmp_path, "plate"))
+    assert outcome.proof.ok, [str(issue) for issue in outcome.proof.issues]
 
 
 def test_a_torch_is_refused(tmp_path):
-    (issue,) = refused(of_planner_job(tmp_path, "trim"))
+    (issue,) = expect_refusal(job_points(tmp_path, "trim"))
     assert issue.code == "post.controller" and "torch" in issue.message and "mill" in issue.hint
 
 
@@ -203,38 +208,40 @@ def test_a_torch_is_refused(tmp_path):
 )
 def test_what_does_not_fit_in_a_cell_is_told(tmp_path, change, words):
     with pytest.raises(TandemError, match=words):
-        loaded(tmp_path, facing(**change))
+        load_problem(tmp_path, facing(**change))
 
 
 def test_tracks_are_refused(tmp_path):
     source = facing()
     source["cell"]["arms"][0]["track"] = {"axis": [1, 0, 0], "range_mm": [0, 1000]}
     with pytest.raises(TandemError, match="track"):
-        loaded(tmp_path, source)
+        load_problem(tmp_path, source)
 
 
 def test_a_way_that_no_points_keep_is_told_and_a_stop_there_helps(monkeypatch):
     arm = driven_job.bow_problem().cell.arms[0]
-    one = straight_ways.Driven(arm.data, arm.base, arm.tool.tcp, slice(0, 6))
+    one = straight_segments.TrajectoryArm(arm.data, arm.base, arm.tool.tcp, slice(0, 6))
     q = straight_job.plan(12).operations[0].q["left"][:3].copy()
     q[2] = q[0] + 1e-3  # back again
     none = np.zeros(2, dtype=bool)
     feeds = np.full((1, 2), np.inf), np.zeros((1, 2))
-    wanted = curves.Wanted(np.array([0.3, 0.3]), 0.25, *feeds, np.zeros(2), none, none)
+    expected = curves.SegmentRequirements(np.array([0.3, 0.3]), 0.25, *feeds, np.zeros(2), none, none)
     with monkeypatch.context() as patched:
-        patched.setattr(curves, "_ROUNDS", 2)
-        with pytest.raises(straight_ways.NotKeptError, match="points do not keep the way"):
-            curves.curve([one], q, np.array([False, True]), wanted)
-        made = curves.curve([one], q, np.array([True, True]), wanted)
+        patched.setattr(curves, "_MAX_INSERTION_ROUNDS", 2)
+        with pytest.raises(straight_segments.PathNotKeptError, match="points do not keep the path"):
+            curves.fit_curve([one], q, np.array([False, True]), expected)
+        made = curves.fit_curve([one], q, np.array([True, True]), expected)
     assert np.count_nonzero(~made.v.any(axis=1)) == 3
     with monkeypatch.context() as patched:  # by itself, where it may
-        patched.setattr(curves, "_ROUNDS", 2)
-        made = curves.curve([one], q, np.array([False, True]), dataclasses.replace(wanted, may_stop=~none))
+        patched.setattr(curves, "_MAX_INSERTION_ROUNDS", 2)
+        made = curves.fit_curve(
+            [one], q, np.array([False, True]), dataclasses.replace(expected, may_stop=~none)
+        )
     assert np.count_nonzero(~made.v.any(axis=1)) == 3
     with monkeypatch.context() as patched:
-        patched.setattr(curves, "KEPT", 1e-12)
+        patched.setattr(curves, "MAX_DEVIATION_M", 1e-12)
         with pytest.raises(TandemError) as caught:
-            write.programs(straight_job.plan(12), driven_job.bow_problem())
+            write.program_files(straight_job.plan(12), driven_job.bow_problem())
     (issue,) = caught.value.issues
     assert issue.code == "post.trajectory" and "top" in issue.message and "stop" in issue.hint
 
@@ -249,11 +256,11 @@ ENDS_SLOWLY = (
 
 def test_no_point_is_set_on_the_end_of_a_slow_way():
     """In the middle of its time the cubic swings beyond the end: a move went nowhere, which is not proven."""
-    one = straight_ways.Driven(robot("hc10dtp"), np.eye(4), np.eye(4), slice(0, 6))
+    one = straight_segments.TrajectoryArm(robot("hc10dtp"), np.eye(4), np.eye(4), slice(0, 6))
     q = np.array(ENDS_SLOWLY)
     none, feeds = np.zeros(2, dtype=bool), (np.ones((1, 2)), np.zeros((1, 2)))
-    wanted = curves.Wanted(np.array([0.1505, 0.6384]), 1.0, *feeds, np.zeros(2), none, none)
-    made = curves.curve([one], q, np.array([False, True]), wanted)
+    expected = curves.SegmentRequirements(np.array([0.1505, 0.6384]), 1.0, *feeds, np.zeros(2), none, none)
+    made = curves.fit_curve([one], q, np.array([False, True]), expected)
     assert np.abs(np.diff(made.q, axis=0)).max(axis=1).min() > 1e-4
 
 
@@ -269,16 +276,16 @@ FAST = {"feed_mm_s": 26.2, "feed_min_mm_s": 0.4, "power_w": 220.2}
 
 def thick_wing(tmp_path, **op):
     """A wing with a blunt trailing edge, whose bow an iiwa drives."""
-    source = driven(test_ur_jobs.wing())
+    source = write_driven_job(test_ur_jobs.wing())
     source["operations"][0].update(op)
     wing = source["part"]["wing"]
     wing["root"]["chord_mm"], wing["tip"]["chord_mm"], wing["trailing_edge_mm"] = 196, 158, 4
-    return seven.laid(tmp_path, "iiwa", source)
+    return seven.write_job(tmp_path, "iiwa", source)
 
 
 def test_a_feed_that_no_arm_keeps_at_a_corner_is_refused_with_one_that_it_keeps(tmp_path):
     """The proof would refuse the program: the clock itself is slower than the least feed."""
-    (issue, *_) = refused(thick_wing(tmp_path, **{**FAST, "feed_min_mm_s": 18.0}))
+    (issue, *_) = expect_refusal(thick_wing(tmp_path, **{**FAST, "feed_min_mm_s": 18.0}))
     assert issue.code == "motion.feed_min" and issue.severity == "error"
     assert issue.value < issue.limit == pytest.approx(18.0)
     held = float(issue.hint.partition("feed_min_mm_s: ")[2].partition(",")[0])
@@ -289,22 +296,22 @@ def test_the_process_judges_slots_by_the_clock_that_points_have(tmp_path, monkey
     """A tool slows down before a corner and behind it: what melts there is wider than by the plan's clock,
     and the proof sees it."""
     problem = thick_wing(tmp_path, **FAST)
-    (issue, *_) = refused(problem)
+    (issue, *_) = expect_refusal(problem)
     assert issue.code == "straight.uneven"
-    monkeypatch.setattr(program, "spliced", lambda time, runs: np.stack([np.arange(len(time)), time]))
+    monkeypatch.setattr(program, "splice_clocks", lambda time, runs: np.stack([np.arange(len(time)), time]))
     assert not pipeline.plan(problem).proof.ok
 
 
 def test_clocks_of_curves_tell_when_places_between_targets_are_passed():
     arm = driven_job.bow_problem().cell.arms[0]
-    one = straight_ways.Driven(arm.data, arm.base, arm.tool.tcp, slice(0, 6))
+    one = straight_segments.TrajectoryArm(arm.data, arm.base, arm.tool.tcp, slice(0, 6))
     q = straight_job.plan(12).operations[0].q["left"][:4]
     t = np.array([0.0, 1.0, 3.0, 3.5])
-    still = curves.Curve(t, q, np.zeros_like(q), np.array([-1, 0, 1, 2]))
-    place, when = clocks.passed(one, q, still)
+    still = curves.TrajectoryPoints(t, q, np.zeros_like(q), np.array([-1, 0, 1, 2]))
+    place, when = clocks.passing_times(one, q, still)
     np.testing.assert_allclose(np.interp(t, when, place), np.arange(4.0), atol=1e-3)
     assert (np.diff(place) >= 0.0).all() and np.interp(1.2, when, place) < 1.1  # slow from rest
-    whole = clocks.spliced(np.arange(8.0), [(np.array([3, 4, 6]), np.stack([np.arange(4.0), t]))])
+    whole = clocks.splice_clocks(np.arange(8.0), [(np.array([3, 4, 6]), np.stack([np.arange(4.0), t]))])
     assert (np.diff(whole, axis=1) >= 0.0).all()
     np.testing.assert_allclose(
         np.interp([0.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0], *whole), [0.0, 2.0, 3.0, 5.0, 5.25, 5.5, 6.5]

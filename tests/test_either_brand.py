@@ -18,7 +18,7 @@ HOME = "      home_deg: [0, 0, 0, 0, 45, 0]\n"
 KINDS = {"ABB": {".mod", ".pgf"}, "KUKA": {".src", ".dat"}}
 
 
-def written(folder: Path, name: str, scale: float) -> Path:
+def write_job(folder: Path, name: str, scale: float) -> Path:
     """The small problem for another robot, block and poses ``scale`` times as far away; no home is stated."""
     assert HOME in small_problem.PROBLEM
     place = "xyz_mm: [450, 0, 0]"
@@ -33,7 +33,7 @@ def written(folder: Path, name: str, scale: float) -> Path:
     ("name", "scale"), [("irb1200_7_70", 1.0), ("kr10_r1100", 1.2), ("kr60_ha", 2.4), ("kr210_r2700", 3.0)]
 )
 def test_poses_go_to_either_brand_by_naming_the_robot(tmp_path: Path, name: str, scale: float) -> None:
-    outcome = planner.plan(planner.load(written(tmp_path, name, scale)))
+    outcome = planner.plan(planner.load(write_job(tmp_path, name, scale)))
     assert outcome.verified, outcome.issues
     kinds = {Path(file).suffix for file in outcome.programs}
     assert kinds == KINDS[robot(name).family]
@@ -43,7 +43,7 @@ def test_poses_go_to_either_brand_by_naming_the_robot(tmp_path: Path, name: str,
 
 
 def test_a_home_in_the_way_names_what_it_is_in_and_what_to_do(tmp_path: Path) -> None:
-    path = written(tmp_path, "kr60_ha", 2.4)
+    path = write_job(tmp_path, "kr60_ha", 2.4)
     data = yaml.safe_load(path.read_text())
     data["stock"]["place"]["xyz_mm"] = [1200, 0, 1760]
     data["accept"] = ["stock.hangs"]

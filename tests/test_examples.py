@@ -1,4 +1,4 @@
-"""The examples in docs/examples: each runs as it stands, is short enough to read at once, and ends well."""
+"""The examples in docs/examples: each runs unchanged, is short enough to read at once, and succeeds."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ EXPECTED: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
             r"verified: True as written, False after the change by hand",
             r"error \[verify\.follows\] .* missed by 5\.0000 mm",
             r"somebody else's: 1 of 3 moves",
-            r"line 6: bodies of the cell come too near",
+            r"line 6: bodies of the cell come too close",
         ),
         RESULT,
     ),
@@ -64,7 +64,7 @@ EXPECTED: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     ),
 }
 """Lines that each prints, in this order, and what it leaves in its folder."""
-QUICK = {"06_own_poses", "08_custom_process"}
+FAST_EXAMPLES = {"06_own_poses", "08_custom_process"}
 """Examples that make test runs. The wing is planned by the README's Python; batches, forming and G-code have
 tests of their own."""
 
@@ -83,7 +83,8 @@ def test_an_example_is_read_at_once(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[] if name in QUICK else [pytest.mark.long]) for name in EXPECTED]
+    "name",
+    [pytest.param(name, marks=[] if name in FAST_EXAMPLES else [pytest.mark.long]) for name in EXPECTED],
 )
 def test_an_example_runs_as_it_stands(name: str, tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg"}
@@ -96,9 +97,9 @@ def test_an_example_runs_as_it_stands(name: str, tmp_path: Path) -> None:
     lines, files = EXPECTED[name]
     at = 0
     for line in lines:
-        found = re.compile(line).search(done.stdout, at)
-        assert found, f"{line!r} is not in {done.stdout[at:]!r}"
-        at = found.end()
+        result = re.compile(line).search(done.stdout, at)
+        assert result, f"{line!r} is not in {done.stdout[at:]!r}"
+        at = result.end()
     missing = [file for file in files if not (tmp_path / "out" / file).exists()]
     assert not missing
 
@@ -107,10 +108,10 @@ POSE = np.eye(4)[None]
 
 
 @pytest.mark.parametrize(
-    ("made", "code", "said"),
+    ("make_slip", "code", "expected_text"),
     [
         (lambda: spec.Cell.read("irb140_bowl"), "problem.missing_file", "irb140_bow, irb140_gauge"),
-        (lambda: spec.FaceMesh(file=np.zeros((3, 4, 3))), "problem.field", "the unit of a mesh"),
+        (lambda: spec.FaceMesh(file=np.zeros((3, 4, 3))), "problem.field", "a mesh with its unit"),
         (
             lambda: spec.Targets(name="a", poses=POSE, unit="mm"),
             "problem.field",
@@ -123,12 +124,14 @@ POSE = np.eye(4)[None]
         ),
     ],
 )
-def test_slips_of_a_first_user_are_named(made: Callable[[], object], code: str, said: str) -> None:
+def test_slips_of_a_first_user_are_named(
+    make_slip: Callable[[], object], code: str, expected_text: str
+) -> None:
     with pytest.raises(TandemError) as caught:
-        made()
+        make_slip()
     (issue,) = caught.value.issues
     assert issue.code == code
-    assert said in issue.message
+    assert expected_text in issue.message
 
 
 def test_the_page_lists_every_example() -> None:

@@ -22,14 +22,14 @@ def test_a_failed_write_leaves_the_old_file_and_no_litter(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "a.txt"
-    files.write_whole(path, "old")
+    files.write_atomic(path, "old")
 
     def fail(_: int) -> None:
         raise OSError("disk full")
 
     monkeypatch.setattr(files.os, "fsync", fail)
     with pytest.raises(OSError, match="disk full"):
-        files.write_whole(path, "new")
+        files.write_atomic(path, "new")
     assert path.read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["a.txt"]
 
@@ -46,13 +46,13 @@ def test_a_folder_is_replaced_as_a_whole_and_foreign_files_stay(tmp_path: Path) 
 def test_an_interrupted_folder_keeps_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     owned = ("programs",)
     files.write_folder(tmp_path, {"programs/x.mod": "old"}, owned)
-    real = files.write_whole
+    real = files.write_atomic
 
-    def interrupted(path: Path, content: str | bytes) -> None:
+    def interrupted_write(path: Path, content: str | bytes) -> None:
         real(path, content)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(files, "write_whole", interrupted)
+    monkeypatch.setattr(files, "write_atomic", interrupted_write)
     with pytest.raises(KeyboardInterrupt):
         files.write_folder(tmp_path, {"programs/x.mod": "new", "programs/y.mod": "new"}, owned)
     assert (tmp_path / "programs" / "x.mod").read_text() == "old"
@@ -60,8 +60,10 @@ def test_an_interrupted_folder_keeps_what_was_there(tmp_path: Path, monkeypatch:
 
 
 READERS: dict[str, Callable[[Path], object]] = {
-    "curves": loop_plan.read_plan,
-    "forces": lambda path: forces_file.read_forces(path, [LoopPlan("f1", "", 1, 0.005, 0.18, ()).asked]),
+    "curves": loop_plan.read_loop_plan,
+    "forces": lambda path: forces_file.read_forces(
+        path, [LoopPlan("f1", "", 1, 0.005, 0.18, ()).expected_forces]
+    ),
     "plant": plant.read_plant,
     "machine": machine.read_machine,
     "plate test": lambda path: clamp_calibration.read_readings(path, 1e-5),
@@ -75,11 +77,14 @@ READERS: dict[str, Callable[[Path], object]] = {
 
 @pytest.mark.parametrize("reader", READERS)
 def test_a_folder_and_no_file_are_told_apart(reader: str, tmp_path: Path) -> None:
-    for path, said in ((tmp_path, "is a folder, not a file"), (tmp_path / "none.csv", "no such file")):
+    for path, expected_text in (
+        (tmp_path, "is a folder, not a file"),
+        (tmp_path / "none.csv", "no such file"),
+    ):
         with pytest.raises(TandemError) as refused:
             READERS[reader](path)
         (issue,) = refused.value.issues
-        assert said in issue.message
+        assert expected_text in issue.message
         assert issue.file == str(path)
 
 
@@ -129,7 +134,7 @@ def test_a_plant_that_is_no_yaml_is_not_called_a_problem(tmp_path: Path) -> None
 )
 def test_carried_files_keep_their_names_and_have_their_hash(name: str, carried: str) -> None:
     sha = "0123456789abcdef" * 4
-    found = files.carried_name(name, sha)
-    assert found == carried.format(sha[:16])
-    assert files.carried_name(found, sha) == found, "a bundle of a bundle"
-    assert files.carried_name(found, "f" * 64) != found
+    result = files.bundled_name(name, sha)
+    assert result == carried.format(sha[:16])
+    assert files.bundled_name(result, sha) == result, "a bundle of a bundle"
+    assert files.bundled_name(result, "f" * 64) != result

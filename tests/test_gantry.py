@@ -1,5 +1,7 @@
-"""Arms on gantries from the problem file to pages: what rides is where it is in each picture, and files prove
-again by themselves."""
+"""Arms on gantries from the problem file to pages.
+
+Carried bodies are in the right position in each picture, and the written files can be proven again.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +17,10 @@ import planner
 from planner.cli.results import write_pages
 from planner.geometry.arrays import FloatArray
 from planner.issues import has_errors
-from planner.pipeline import looked_over, plan, verify
+from planner.pipeline import plan, quick_check, verify
 from planner.report import cell_picture, motion_file, scene, setup_sheet
 from planner.report.output import cell_model
-from planner.service import cell_view
+from planner.service import cell_drawing
 from tests import gantry_job, track_job
 
 PROBLEMS = Path(__file__).parent.parent / "problems" / "long_wall"
@@ -29,9 +31,9 @@ def test_an_arm_that_hangs_from_a_gantry_reaches_all_corners_of_a_panel(file: st
     problem = planner.load(PROBLEMS / file)
     (arm,) = problem.cell.arms
     assert arm.track is None and arm.base[2, 2] < -0.999 and len(problem.operations) == 4
-    assert arm.axes[0].carries == ("bridge",)
-    found = looked_over(problem, 6)
-    assert not has_errors(found.issues) and found.targets >= 4, [str(issue) for issue in found.issues]
+    assert arm.linear_axes[0].carries == ("bridge",)
+    result = quick_check(problem, 6)
+    assert not has_errors(result.issues) and result.checked >= 4, [str(issue) for issue in result.issues]
 
 
 @pytest.mark.long
@@ -61,21 +63,21 @@ def test_a_track_takes_what_it_carries_along(tmp_path: Path) -> None:
     stands = outcome.plan.stations[1]["left"]
     assert stands > 0.3 and last.cell.obstacles[0].shapes[0].pose[1, 3] == pytest.approx(stands)
     shape = {"kind": "box", "size_mm": [60, 60, 1300], "pose": {"xyz_mm": [-600, 300, 650]}}
-    found = planner.check(problem({"name": "post", "shapes": [shape]}))
-    (issue,) = [i for i in found if i.code == "motion.station"]
+    issues = planner.check(problem({"name": "post", "shapes": [shape]}))
+    (issue,) = [i for i in issues if i.code == "motion.station"]
     assert "column and post" in issue.message
 
 
 def test_files_prove_again_and_say_where_each_axis_stands(tmp_path: Path) -> None:
-    outcome = gantry_job.planned()
+    outcome = gantry_job.planned_job()
     outcome.save(tmp_path)
     assert write_pages(tmp_path).ok  # of the files alone
     assert verify(planner.load(tmp_path / "problem" / "problem.yaml"), outcome.programs).ok
-    told = json.loads(motion_file.text(outcome.problem, outcome.plan))["operations"]
-    assert told[1]["stations_mm"] == {"left/bridge": 800.0, "left/lift": 200.0}
+    motion_data = json.loads(motion_file.motion_json(outcome.problem, outcome.plan))["operations"]
+    assert motion_data[1]["stations_mm"] == {"left/bridge": 800.0, "left/lift": 200.0}
     rows: dict[str, Any] = {
-        str(what): str(wanted)
-        for _, what, wanted, _ in setup_sheet.controller_checks(outcome.problem, outcome.plan).rows
+        str(what): str(expected)
+        for _, what, expected, _ in setup_sheet.controller_checks(outcome.problem, outcome.plan).rows
     }
     assert "external axis number 2 (eax_b)" in rows["mechanical unit GANTRY_1 lift"]
     assert rows["ROB_1: base frame moved by"] == "GANTRY_1" and "column" in rows["GANTRY_1 bridge carries"]
@@ -86,27 +88,31 @@ def test_files_prove_again_and_say_where_each_axis_stands(tmp_path: Path) -> Non
 
 
 def test_each_picture_has_what_rides_where_its_setup_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    outcome, seen = gantry_job.planned(), list[dict[str, FloatArray]]()
+    outcome, seen = gantry_job.planned_job(), list[dict[str, FloatArray]]()
 
-    def shown(one: scene.Scene, moment: cell_picture.Moment) -> Any:
-        seen.append(scene.stand(one, moment.setup, moment.place, {k: q[None] for k, q in moment.q.items()}))
+    def record_scene(cell_scene: scene.VisibleScene, moment: cell_picture.PictureState) -> Any:
+        seen.append(
+            scene.scene_poses(
+                cell_scene, moment.setup, moment.stock_pose, {k: q[None] for k, q in moment.q.items()}
+            )
+        )
 
-    monkeypatch.setattr(cell_picture, "picture", shown)
+    monkeypatch.setattr(cell_picture, "picture", record_scene)
     list(
         cell_picture.setup_pictures(cell_model(outcome.problem, outcome.plan), outcome.problem, outcome.plan)
     )
     # the model is that of the first setup, whose console stands at its station
-    wanted = [([0.0, -0.5, 1.0], [0.0, 0.0, 0.0]), ([0.0, 0.8, 1.2], [0.0, 1.3, 0.2])]
-    for poses, (base, console) in zip(seen, wanted, strict=True):
+    expected = [([0.0, -0.5, 1.0], [0.0, 0.0, 0.0]), ([0.0, 0.8, 1.2], [0.0, 1.3, 0.2])]
+    for poses, (base, console) in zip(seen, expected, strict=True):
         np.testing.assert_allclose(poses["left/base_link"][0][:3, 3], base, atol=1e-9)
         np.testing.assert_allclose(poses["console"][0][:3, 3], console, atol=1e-9)
 
 
 def test_the_page_has_what_rides_where_it_is() -> None:
-    problem = gantry_job.planned().problem
-    out, issues = cell_view.view(problem, 1)
+    problem = gantry_job.planned_job().problem
+    out, issues = cell_drawing.view(problem, 1)
     assert not has_errors(issues)
-    bodies = {one["body"]: one for one in out["bodies"]}
+    bodies = {body["body"]: body for body in out["bodies"]}
     low = np.array(bodies["console"]["vertices"]).reshape(-1, 3).min(axis=0)
     np.testing.assert_allclose(low[1:], [800.0 - 150.0, 899.0 + 200.0], atol=0.1)
 
@@ -125,8 +131,8 @@ def test_an_end_stop_on_the_way_is_found_before_planning(tmp_path: Path) -> None
     pose = {"xyz_mm": [-700, 300, 130]}
     stop = {"name": "stop", "shapes": [{"kind": "box", "size_mm": [100, 50, 60], "pose": pose}]}
     bodies = (gantry_job.RAILS, gantry_job.COLUMN, gantry_job.CONSOLE, stop)
-    found = planner.check(gantry_job.problem(tmp_path, obstacles=bodies))
-    (issue,) = [i for i in found if i.code == "motion.station"]
+    issues = planner.check(gantry_job.problem(tmp_path, obstacles=bodies))
+    (issue,) = [i for i in issues if i.code == "motion.station"]
     assert "on the way there" in issue.message and "column" in issue.message and "stop" in issue.message
 
 

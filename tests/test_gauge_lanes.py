@@ -1,4 +1,4 @@
-"""The bundled table of poses: what its script writes, lying where it should, planned and proven."""
+"""The bundled table of poses: its script writes it, it lies at the right position, is planned and proven."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_every_pose_looks_at_the_vault_from_25_mm() -> None:
     to_axis = np.array([0.0, 0.0, 0.080 - 0.300]) - pose[:, :3, 3] * [1.0, 0.0, 1.0]
     np.testing.assert_allclose(np.linalg.norm(to_axis, axis=1), 0.325, atol=1e-6)
     np.testing.assert_allclose(pose[:, :3, 2], to_axis / 0.325, atol=1e-6)
-    assert [str(one) for one in dict.fromkeys(made.segment) if one.kind == "cut"] == [
+    assert [str(item) for item in dict.fromkeys(made.segment) if item.kind == "cut"] == [
         f"cut/lane{number}" for number in (1, 2, 3, 4)
     ]
 
@@ -47,6 +47,6 @@ def test_it_is_planned_and_proven() -> None:
     of_poses, of_wires = outcome.proof.rule("verify.follows"), outcome.proof.rule("verify.wire_length")
     assert of_poses.applies
     assert (of_wires.applies, of_wires.where, of_wires.limit) == (False, "no bent wire", None)
-    held, asked, others = outcome.proof.tally
+    held, asked, others = outcome.proof.rule_counts
     assert held == asked == len(outcome.proof.rules) - others
     assert others > 30  # wires, sheets, cutters, torches

@@ -17,16 +17,16 @@ def rows() -> list[re.Match[str]]:
 
 def words_of_the_code() -> set[str]:
     """Names that the package defines or uses: definitions, attributes, parameters."""
-    found: set[str] = set()
+    result: set[str] = set()
     for path in (ROOT / "planner").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.FunctionDef | ast.ClassDef):
-                found.add(node.name)
+                result.add(node.name)
             elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
-                found.add(node.target.id)
+                result.add(node.target.id)
             elif isinstance(node, ast.arg):
-                found.add(node.arg)
-    return found
+                result.add(node.arg)
+    return result
 
 
 def test_every_row_is_read() -> None:

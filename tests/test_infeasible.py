@@ -1,4 +1,4 @@
-"""The bundled problems that cannot be solved: each is refused, by its code, with something to do about it."""
+"""The bundled problems that cannot be solved: each is refused, by its code, with a remedy."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ EXPECT: dict[str, list[str]] = yaml.safe_load((FOLDER / "expect.yaml").read_text
 def errors(path: Path) -> list[Issue]:
     """Errors of loading, or of checking without planning."""
     try:
-        found = pipeline.check(pipeline.load(path))
+        result = pipeline.check(pipeline.load(path))
     except TandemError as error:
-        found = error.issues
-    return [issue for issue in found if issue.severity is Severity.ERROR]
+        result = error.issues
+    return [issue for issue in result if issue.severity is Severity.ERROR]
 
 
 def test_every_problem_of_the_folder_has_its_codes() -> None:

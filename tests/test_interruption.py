@@ -77,7 +77,7 @@ def test_writing_is_killed_at_many_moments(tmp_path: Path, number: signal.Signal
 
 def test_what_a_running_process_writes_is_left_to_it(tmp_path: Path) -> None:
     with files.staging(tmp_path) as staging:
-        files.claim_folder(tmp_path, OWNED)
+        files.prepare_folder(tmp_path, OWNED)
         assert staging.is_dir()
     assert not litter(tmp_path)
 
@@ -86,12 +86,12 @@ def test_ctrl_c_waits_until_the_new_result_stands(tmp_path: Path, monkeypatch: p
     files.write_folder(tmp_path, {"programs/x": "old", "plan.json": "old"}, OWNED)
     real = Path.replace
 
-    def interrupted(self: Path, target: Path) -> Path:
+    def interrupted_replace(self: Path, target: Path) -> Path:
         if self.name == "programs":
             signal.raise_signal(signal.SIGINT)
         return real(self, target)
 
-    monkeypatch.setattr(Path, "replace", interrupted)
+    monkeypatch.setattr(Path, "replace", interrupted_replace)
     with pytest.raises(KeyboardInterrupt):
         files.write_folder(tmp_path, {"programs/x": "new", "plan.json": "new"}, OWNED)
     assert (tmp_path / "programs" / "x").read_text() == "new"
@@ -137,10 +137,10 @@ def test_an_output_folder_that_cannot_be_is_told_before_planning(tmp_path: Path)
     taken.write_text("mine")
     for folder in (taken, taken / "sub", Path("/proc/out"), tmp_path / ("x" * 300), tmp_path / "a\0b"):
         with pytest.raises(TandemError) as caught:
-            files.claim_folder(folder, OWNED)
+            files.prepare_folder(folder, OWNED)
         assert [issue.code for issue in caught.value.issues] == ["output.folder"]
     assert taken.read_text() == "mine"
-    files.claim_folder(tmp_path / "new" / "deep", OWNED)
+    files.prepare_folder(tmp_path / "new" / "deep", OWNED)
     assert list((tmp_path / "new" / "deep").iterdir()) == []
 
 
@@ -149,7 +149,7 @@ def test_an_output_folder_that_would_swallow_the_problem_is_refused(tmp_path: Pa
     mine.parent.mkdir()
     mine.write_text("tandem: 1")
     with pytest.raises(TandemError, match="choose another"):
-        files.claim_folder(tmp_path, OWNED, keep=mine)
+        files.prepare_folder(tmp_path, OWNED, keep=mine)
     assert mine.read_text() == "tandem: 1"
 
 
@@ -167,7 +167,7 @@ def test_a_full_disk_is_an_issue(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_library_that_gives_up_ends_no_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Drake raises ``SystemExit`` where a condition of its own fails: here by its own function for that."""
+    """Drake raises ``SystemExit`` if one of its assertions fails: here by its own function for that."""
 
     def jobs(problem: Problem, brief: bool = False) -> list[object]:
         trigger_an_assertion_failure()
@@ -178,5 +178,5 @@ def test_a_library_that_gives_up_ends_no_process(tmp_path: Path, monkeypatch: py
         jobs(problem)
     monkeypatch.setattr(pipeline.processes, "jobs", jobs)
     for work in (pipeline.plan, pipeline.check):
-        with pytest.raises(RuntimeError, match="a library gave up"):
+        with pytest.raises(RuntimeError, match="a library aborted"):
             work(problem)

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from planner.issue_codes import CODES
-from planner.issues import Issue, Severity, TandemError, aggregate, has_errors, refusal
+from planner.issues import Issue, Severity, TandemError, aggregate, has_errors, issue_error
 
-HERE = Path(__file__).parent
+FOLDER = Path(__file__).parent
 
 
 def test_an_undeclared_code_is_refused() -> None:
@@ -44,14 +44,14 @@ def test_repeats_are_counted_and_the_worst_is_kept() -> None:
 
 
 def test_other_arms_and_codes_stay_apart() -> None:
-    found = aggregate(
+    result = aggregate(
         [
             Issue("problem.field", "a", arm="left"),
             Issue("problem.field", "b", arm="right"),
             Issue("problem.not_yaml", "c", arm="left"),
         ]
     )
-    assert [issue.message for issue in found] == ["a", "b", "c"]
+    assert [issue.message for issue in result] == ["a", "b", "c"]
 
 
 def test_only_errors_count_as_errors() -> None:
@@ -69,16 +69,16 @@ def test_the_error_carries_issues_and_what_was_reached() -> None:
 
 
 def test_a_refusal_is_the_error_of_one_issue() -> None:
-    error = refusal("problem.field", "stock: got 1", Severity.ERROR, field="stock", value=1.0)
+    error = issue_error("problem.field", "stock: got 1", Severity.ERROR, field="stock", value=1.0)
     assert isinstance(error, TandemError)
     assert error.issues == (Issue("problem.field", "stock: got 1", field="stock", value=1.0),)
     with pytest.raises(KeyError, match=r"no\.such\.code"):
-        refusal("no.such.code", "message")
+        issue_error("no.such.code", "message")
 
 
 def test_every_code_is_named_by_a_test() -> None:
-    text = "\n".join(p.read_text() for p in HERE.rglob("*.py")) + "\n".join(
-        p.read_text() for p in HERE.parent.joinpath("problems").rglob("*.y*ml")
+    text = "\n".join(p.read_text() for p in FOLDER.rglob("*.py")) + "\n".join(
+        p.read_text() for p in FOLDER.parent.joinpath("problems").rglob("*.y*ml")
     )
     missing = sorted(code for code in CODES if code not in text)
     assert not missing, f"no test names these issue codes: {missing}"

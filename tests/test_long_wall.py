@@ -1,4 +1,4 @@
-"""A wall of 6 m, milled by an arm that a track takes from station to station, and told what helps without."""
+"""A wall of 6 m, milled by an arm on a track with stations, and the remedy that is advised without it."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import pytest
 import yaml
 
 import planner
-from planner.batch.rows import figures
+from planner.batch.rows import result_figures
 from planner.cli.results import write_pages
 from planner.geometry.arrays import FloatArray
 from planner.issues import has_errors
-from planner.pipeline import Outcome, looked_over, plan, verify
+from planner.pipeline import Outcome, plan, quick_check, verify
 from planner.processes import registry
 from planner.proof.context import Context
 from planner.report import cad_export, motion_file, scene
@@ -41,16 +41,17 @@ def test_a_kuka_arm_reaches_all_of_the_wall_from_stations_of_its_track() -> None
     problem = planner.load(PROBLEMS / "long_wall" / "kuka.yaml")
     (arm,) = problem.cell.arms
     assert arm.data.family == "KUKA" and arm.track is not None
-    found = looked_over(problem, 8)
-    assert not has_errors(found.issues) and found.targets >= 4
+    result = quick_check(problem, 8)
+    assert not has_errors(result.issues) and result.checked >= 4
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("file", "most"), [("problem.yaml", 2000.0), pytest.param("kuka.yaml", 2500.0, marks=pytest.mark.long)]
+    ("file", "max_travel_mm"),
+    [("problem.yaml", 2000.0), pytest.param("kuka.yaml", 2500.0, marks=pytest.mark.long)],
 )
 def test_without_the_track_the_wall_is_refused_with_the_axis_that_helps(
-    tmp_path: Path, file: str, most: float
+    tmp_path: Path, file: str, max_travel_mm: float
 ) -> None:
     path = PROBLEMS / "long_wall" / file
     data = yaml.safe_load(path.read_text())
@@ -62,18 +63,18 @@ def test_without_the_track_the_wall_is_refused_with_the_axis_that_helps(
     ]
     assert issue.hint is not None and "put arm robot on a track along y" in issue.hint
     low, high = map(float, re.findall(r"range_mm: \[(-?\d+), (-?\d+)\]", issue.hint)[0])
-    assert -most <= low < 0.0 < high <= most
+    assert -max_travel_mm <= low < 0.0 < high <= max_travel_mm
 
 
 def test_report_and_files_show_the_arm_where_it_stands(tmp_path: Path) -> None:
-    outcome = track_job.planned()
+    outcome = track_job.planned_job()
     model = cell_model(outcome.problem, outcome.plan)
-    run = scene.track(outcome.problem, outcome.plan, 200)
-    shown = scene.extract(model)
-    poses = scene.ridden(shown, outcome.problem.setups, run.setup, shown.poses(run.q))
+    run = scene.sample_keyframes(outcome.problem, outcome.plan, 200)
+    shown = scene.extract_scene(model)
+    poses = scene.poses_on_axes(shown, outcome.problem.setups, run.setup, shown.poses(run.q))
     for index, stands in outcome.plan.stations.items():
-        here = poses["left/base_link"][run.setup == index]
-        np.testing.assert_allclose(here[:, 1, 3], stands["left"], atol=1e-9)
+        base_poses = poses["left/base_link"][run.setup == index]
+        np.testing.assert_allclose(base_poses[:, 1, 3], stands["left"], atol=1e-9)
         tool = poses["left/tool"][run.setup == index][:, 1, 3]
         side = -1.2 if index == 0 else 1.2
         assert (np.abs(tool - side) < 0.5).any()
@@ -84,27 +85,27 @@ def test_report_and_files_show_the_arm_where_it_stands(tmp_path: Path) -> None:
 
 
 def test_the_track_takes_its_time_in_proof_replay_and_report(tmp_path: Path) -> None:
-    outcome = track_job.planned()
+    outcome = track_job.planned_job()
     ends = [0.0, *(outcome.plan.stations[i]["left"] for i in range(2)), 0.0]
     # by hand: at 250 mm/s from rest to rest, with ramps at 1 m/s2, home and back
-    wanted = [abs(b - a) / 0.25 + 0.25 for a, b in itertools.pairwise(ends)]
+    expected = [abs(b - a) / 0.25 + 0.25 for a, b in itertools.pairwise(ends)]
     context = Context(outcome.problem, registry.claims(outcome.problem), outcome.programs)
     gaps = np.diff(context.motion.time)
-    np.testing.assert_allclose(gaps[gaps > 1.0], wanted, atol=0.01)
-    run = scene.track(outcome.problem, outcome.plan, 200)
-    assert run.travel == pytest.approx(sum(wanted), abs=1e-6)
-    (values,) = run.stands.values()
+    np.testing.assert_allclose(gaps[gaps > 1.0], expected, atol=0.01)
+    run = scene.sample_keyframes(outcome.problem, outcome.plan, 200)
+    assert run.travel == pytest.approx(sum(expected), abs=1e-6)
+    (values,) = run.axis_values.values()
     assert values[0] == values[-1] == 0.0 and set(ends) <= set(np.round(values, 9))
     moving = np.abs(np.diff(values)) > 1e-9
-    assert np.diff(run.time)[moving].sum() == pytest.approx(sum(wanted), abs=0.05)
-    shown = scene.extract(cell_model(outcome.problem, outcome.plan))
-    poses = scene.ridden(shown, outcome.problem.setups, run.setup, shown.poses(run.q), run.stands)
+    assert np.diff(run.time)[moving].sum() == pytest.approx(sum(expected), abs=0.05)
+    shown = scene.extract_scene(cell_model(outcome.problem, outcome.plan))
+    poses = scene.poses_on_axes(shown, outcome.problem.setups, run.setup, shown.poses(run.q), run.axis_values)
     np.testing.assert_allclose(poses["left/base_link"][:, 1, 3], values, atol=1e-9)
-    assert outcome.plan.metrics["travel_s"] == pytest.approx(sum(wanted), abs=1e-6)
-    assert figures(outcome.plan, ())["travel_s"] == pytest.approx(sum(wanted), abs=1e-6)
+    assert outcome.plan.metrics["travel_s"] == pytest.approx(sum(expected), abs=1e-6)
+    assert result_figures(outcome.plan, ())["travel_s"] == pytest.approx(sum(expected), abs=1e-6)
     outcome.save(tmp_path)
-    total = f"{sum(wanted):.1f}"
-    assert total in (tmp_path / "report.html").read_text().split("from station to station")[0][-200:]
+    total = f"{sum(expected):.1f}"
+    assert total in (tmp_path / "report.html").read_text().split("between stations")[0][-200:]
     assert f"0:{float(total):04.1f} of track or turntable" in (tmp_path / "replay.html").read_text()
 
 
@@ -121,8 +122,8 @@ def test_a_post_beside_the_track_is_found_before_planning(tmp_path: Path) -> Non
         "name": "post",
         "shapes": [{"kind": "box", "size_mm": [100, 50, 700], "pose": {"xyz_mm": [0, 300, 350]}}],
     }
-    found = planner.check(track_job.problem(tmp_path, obstacles=[post]))
-    (issue,) = [i for i in found if i.code == "motion.station"]
+    issues = planner.check(track_job.problem(tmp_path, obstacles=[post]))
+    (issue,) = [i for i in issues if i.code == "motion.station"]
     assert "on the way there" in issue.message and "post" in issue.message
 
 
@@ -131,14 +132,14 @@ def test_a_stop_on_the_rail_is_found_before_planning(tmp_path: Path) -> None:
     rail = {"kind": "box", "size_mm": [500, 7000, 50], "pose": {"xyz_mm": [0, 0, -25]}}
     stop = {"kind": "box", "size_mm": [100, 50, 60], "pose": {"xyz_mm": [0, 250, 30]}}
 
-    def told(shapes: list[dict[str, object]]) -> list[str]:
-        found = planner.check(track_job.problem(tmp_path, obstacles=[{"name": "rail", "shapes": shapes}]))
-        return [i.message for i in found if i.code == "motion.station"]
+    def station_messages(shapes: list[dict[str, object]]) -> list[str]:
+        issues = planner.check(track_job.problem(tmp_path, obstacles=[{"name": "rail", "shapes": shapes}]))
+        return [i.message for i in issues if i.code == "motion.station"]
 
-    assert not told([rail])
-    (message,) = told([rail, stop])
+    assert not station_messages([rail])
+    (message,) = station_messages([rail, stop])
     assert "on the way there left/base_link and rail" in message
-    (message,) = told([{**rail, "pose": {"xyz_mm": [0, 0, 0]}}])  # the base stands in it
+    (message,) = station_messages([{**rail, "pose": {"xyz_mm": [0, 0, 0]}}])  # the base stands in it
     assert "ends below its foot" in message
 
 
@@ -156,9 +157,9 @@ def test_a_place_that_is_searched_and_a_track_are_refused_together(tmp_path: Pat
 def test_one_cut_of_six_metres_is_in_reach_as_the_track_goes_along(file: str) -> None:
     problem = planner.load(PROBLEMS / "long_wall" / file)
     (arm,) = problem.cell.arms
-    assert arm.follows and len(problem.operations) == 1
-    found = looked_over(problem, 6)
-    assert not has_errors(found.issues) and found.targets >= 6
+    assert arm.has_coordinated_track and len(problem.operations) == 1
+    result = quick_check(problem, 6)
+    assert not has_errors(result.issues) and result.checked >= 6
 
 
 @pytest.mark.long
@@ -169,51 +170,53 @@ def test_one_cut_of_six_metres_is_milled_and_proven(tmp_path: Path, file: str, w
     outcome = plan(planner.load(PROBLEMS / "long_wall" / file))
     assert outcome.verified
     (made,) = outcome.plan.operations
-    place = outcome.plan.places[0] @ made.targets.pose["robot"]
+    place = outcome.plan.stock_poses[0] @ made.targets.pose["robot"]
     cut = np.array([segment.works and not segment.phase for segment in made.targets.segment])
     assert np.ptp(place[cut, 1, 3]) > 5.9  # in one run, by an arm that reaches 2.8 m
     assert not made.targets.stop[cut][:-1].any()
     outcome.save(tmp_path)
     page = (tmp_path / "report.html").read_text()
-    assert "while the arm works goes along" in page and words in page
+    assert "moves in coordination while the arm works" in page and words in page
     again = write_pages(tmp_path)  # of the files alone
     assert again.ok
 
 
 @pytest.mark.long
 def test_report_and_files_show_the_arm_where_its_track_takes_it(tmp_path: Path) -> None:
-    outcome = following_job.planned()
+    outcome = following_job.planned_job()
     problem, made = outcome.problem, outcome.plan.operations[0]
-    wanted, values = made.targets.pose["left"][:, :3, 3], made.targets.ride["left"]
-    run = scene.track(problem, outcome.plan, 400)
+    expected, values = made.targets.pose["left"][:, :3, 3], made.targets.track_positions["left"]
+    run = scene.sample_keyframes(problem, outcome.plan, 400)
     model = cell_model(problem, outcome.plan)
-    shown = scene.extract(model)
-    poses = scene.ridden(shown, problem.setups, run.setup, shown.poses(run.q), run.stands)
+    shown = scene.extract_scene(model)
+    poses = scene.poses_on_axes(shown, problem.setups, run.setup, shown.poses(run.q), run.axis_values)
     tip = (poses["left/tool"] @ problem.cell.arms[0].tool.tcp)[:, :3, 3]
     work = np.array([segment.kind == "move" for segment in run.segment]) & (run.operation == 0)
-    near = np.linalg.norm(tip[work][:, None] - wanted, axis=2)
+    near = np.linalg.norm(tip[work][:, None] - expected, axis=2)
     assert near.min(axis=0)[[0, -1]].max() < 0.02 and near.min(axis=1).max() < 0.04
-    assert run.stands["left"][-1] == 0.0 and np.ptp(run.stands["left"]) > 2.5
-    told = json.loads(motion_file.text(problem, outcome.plan))["operations"]
-    np.testing.assert_allclose(told[0]["arms"]["left"]["track_mm"], 1e3 * values, atol=1e-6)
+    assert run.axis_values["left"][-1] == 0.0 and np.ptp(run.axis_values["left"]) > 2.5
+    motion_data = json.loads(motion_file.motion_json(problem, outcome.plan))["operations"]
+    np.testing.assert_allclose(motion_data[0]["arms"]["left"]["track_mm"], 1e3 * values, atol=1e-6)
     np.testing.assert_allclose(
-        np.array(told[0]["arms"]["left"]["tcp"])[:, :3], 1e3 * wanted, rtol=0, atol=1e-5
+        np.array(motion_data[0]["arms"]["left"]["tcp"])[:, :3], 1e3 * expected, rtol=0, atol=1e-5
     )
-    assert told[1]["stations_mm"] == {"left": pytest.approx(1e3 * made_of(outcome, 1)[0], abs=1e-6)}
-    at = cad_export.moment(problem, outcome.plan, float(made.time[30] - made.time[0]))
+    assert motion_data[1]["stations_mm"] == {
+        "left": pytest.approx(1e3 * track_values(outcome, 1)[0], abs=1e-6)
+    }
+    at = cad_export.cell_state(problem, outcome.plan, float(made.time[30] - made.time[0]))
     np.testing.assert_allclose(at.bases["left"][1, 3], values[30], atol=1e-9)
-    (way,) = [line for line in cad_export.lines(problem, outcome.plan, at) if line.layer == WAY]
-    np.testing.assert_allclose(way.points, wanted, atol=1e-6)
+    (way,) = [line for line in cad_export.lines(problem, outcome.plan, at) if line.layer == PATH_LAYER]
+    np.testing.assert_allclose(way.points, expected, atol=1e-6)
     outcome.save(tmp_path)
     assert write_pages(tmp_path).ok  # of the files alone
     again = planner.load(tmp_path / "problem" / "problem.yaml")
     assert verify(again, outcome.programs).ok
 
 
-WAY = "ways::row::left::work"
+PATH_LAYER = "ways::row::left::work"
 """The layer of the tool's way in the first operation."""
 
 
-def made_of(outcome: Outcome, index: int) -> FloatArray:
+def track_values(outcome: Outcome, index: int) -> FloatArray:
     """Values of the track in an operation."""
-    return outcome.plan.operations[index].targets.ride["left"]
+    return outcome.plan.operations[index].targets.track_positions["left"]

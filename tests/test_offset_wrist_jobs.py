@@ -1,5 +1,8 @@
-"""Jobs of a GoFa, whose wrist is offset: poses, and curves milled into a panel, in RAPID without
-configuration data that is proven from its text; texts that are wrong are not."""
+"""Jobs of a GoFa, whose wrist is offset: poses, and curves milled into a panel.
+
+They are written in RAPID without configuration data and are proven from their text. Wrong texts are not
+proven.
+"""
 
 from __future__ import annotations
 
@@ -43,14 +46,14 @@ def poses(folder, robot=GOFA, points=tuple((550, v, 350, *DOWN) for v in range(-
     return pipeline.load(folder / "problem.yaml")
 
 
-def changed(programs, old, new, count=1):
-    """Programs with what the first file that has ``old`` says otherwise."""
+def replace_once(programs, old, new, count=1):
+    """Return the programs with ``old`` replaced in the first file that has it."""
     name = next(n for n, text in programs.items() if re.search(old, text))
     return {**programs, name: re.sub(old, new, programs[name], count=count)}
 
 
-def codes(problem, made, programs):
-    claims = {op.name: op.targets.claims for op in made.plan.operations}
+def codes(problem, outcome, programs):
+    claims = {op.name: op.targets.claims for op in outcome.plan.operations}
     proof = prove(problem, claims, programs)
     assert not proof.ok
     return {issue.code for issue in proof.issues}
@@ -58,24 +61,32 @@ def codes(problem, made, programs):
 
 def test_poses_are_passed_without_configuration_data_and_wrong_texts_are_refused(tmp_path):
     problem = poses(tmp_path)
-    made = pipeline.plan(problem)
-    assert made.proof.ok, [str(issue) for issue in made.proof.issues]
-    texts = "".join(made.programs.values())
+    plan_outcome = pipeline.plan(problem)
+    assert plan_outcome.proof.ok, [str(issue) for issue in plan_outcome.proof.issues]
+    texts = "".join(plan_outcome.programs.values())
     rows = ROBTARGET.findall(texts)
     assert len(rows) >= 6 and {conf for _, conf in rows} == {"0,0,0,0"}
     assert "ConfL\\Off;" in texts and "ConfL\\On;" not in texts and "! Arm with an offset wrist" in texts
-    (q,) = made.plan.operations[0].q.values()
+    (q,) = plan_outcome.plan.operations[0].q.values()
     assert np.abs(np.diff(q, axis=0)).max() < 0.3
-    assert "verify.move_kinds" in codes(problem, made, changed(made.programs, r"ConfL\\Off;", r"ConfL\\On;"))
-    assert codes(problem, made, changed(made.programs, r"MoveL \[\[550\.0000", "MoveL [[560.0000"))
-    far = changed(made.programs, r"MoveL \[\[550\.0000", "MoveL [[1550.0000")
-    assert "verify.reach" in codes(problem, made, far)
+    assert "verify.move_kinds" in codes(
+        problem, plan_outcome, replace_once(plan_outcome.programs, r"ConfL\\Off;", r"ConfL\\On;")
+    )
+    assert codes(
+        problem, plan_outcome, replace_once(plan_outcome.programs, r"MoveL \[\[550\.0000", "MoveL [[560.0000")
+    )
+    far = replace_once(plan_outcome.programs, r"MoveL \[\[550\.0000", "MoveL [[1550.0000")
+    assert "verify.reach" in codes(problem, plan_outcome, far)
     start = re.search(r"j_1_start:=\[\[([-\d.]+),", texts)
-    turned = changed(made.programs, re.escape(start[0]), f"j_1_start:=[[{float(start[1]) + 20.0},")
-    assert codes(problem, made, turned)
-    for one in ("1,0,0,0", "0,0,0,1"):
-        named = changed(made.programs, r"(MoveL \[\[[^\]]+\],\[[^\]]+\],)\[0,0,0,0\]", rf"\1[{one}]")
-        assert codes(problem, made, named) == {"verify.confdata"}
+    turned = replace_once(
+        plan_outcome.programs, re.escape(start[0]), f"j_1_start:=[[{float(start[1]) + 20.0},"
+    )
+    assert codes(problem, plan_outcome, turned)
+    for item in ("1,0,0,0", "0,0,0,1"):
+        named = replace_once(
+            plan_outcome.programs, r"(MoveL \[\[[^\]]+\],\[[^\]]+\],)\[0,0,0,0\]", rf"\1[{item}]"
+        )
+        assert codes(problem, plan_outcome, named) == {"verify.confdata"}
 
 
 SPARSE = (
@@ -87,14 +98,19 @@ SPARSE = (
 
 
 def test_joints_slow_down_to_the_stop_behind_a_straight_move(tmp_path):
-    """Few poses with large turns between them, each a stop. Between stops joints go by one cubic, which asks
-    for 0.9 of what they may at its ends; the last one ends between two samples, where home goes on."""
-    made = pipeline.plan(poses(tmp_path, points=SPARSE))
-    assert made.proof.ok, [str(issue) for issue in made.proof.issues]
-    (rule,) = [rule for rule in made.proof.rules if rule.code == "verify.joint_acceleration"]
+    """Few poses with large rotations between them, each a stop.
+
+    Between stops joints follow one cubic, which uses 0.9 of their limits at its ends. The last one ends
+    between two samples, where the motion home continues.
+    """
+    plan_outcome = pipeline.plan(poses(tmp_path, points=SPARSE))
+    assert plan_outcome.proof.ok, [str(issue) for issue in plan_outcome.proof.issues]
+    (rule,) = [rule for rule in plan_outcome.proof.rules if rule.code == "verify.joint_acceleration"]
     assert 60.0 < rule.worst < 91.0
-    motion = Context(made.problem, registry.claims(made.problem), made.programs).motion
-    goes_on = motion.tcp["left"].place[motion.node_sample[-2] + 1]  # less than a sample behind the stop
+    motion = Context(
+        plan_outcome.problem, registry.claims(plan_outcome.problem), plan_outcome.programs
+    ).motion
+    goes_on = motion.tcp["left"].position[motion.node_sample[-2] + 1]  # less than a sample behind the stop
     assert np.linalg.norm(goes_on - 1e-3 * np.array(SPARSE[-1][:3])) < 2e-7
 
 
@@ -103,11 +119,11 @@ def test_joints_slow_down_to_the_stop_behind_a_straight_move(tmp_path):
     [
         (
             (-444.2, 535.0, -296.7, 0.624526, 0.443219, -0.102714, -0.634802),
-            "its wrist cannot take the tool's direction",
+            "its wrist cannot orient the tool as required",
         ),
         (
             (690.055, 260.616, -116.723, 0.332537, 0.646293, -0.506274, -0.464124),
-            "its wrist would have to be 25 mm beyond",
+            "its wrist would have to be 25 mm outside its reach",
         ),
     ],
 )
@@ -123,11 +139,11 @@ def test_why_a_pose_is_out_of_reach_is_told(tmp_path, point, words):
 
 def test_a_forged_length_of_the_wrist_is_found_in_the_urdf(tmp_path):
     data = poses(tmp_path).cell.arms[0].data
-    assert arm_model.differences(arm_model.machine_of(data)) == []
+    assert arm_model.compare_with_catalogue(arm_model.robot_machine(data)) == []
     for field, words in (("a3", "axis 6 is"), ("c4", "the tip"), ("c2", "axis 3 is"), ("b3", "axis 6 is")):
         form = dataclasses.replace(data.form, **{field: getattr(data.form, field) + 1e-4})
-        machine = arm_model.machine_of(dataclasses.replace(data, form=form))
-        assert any(words in line for line in arm_model.differences(machine)), field
+        machine = arm_model.robot_machine(dataclasses.replace(data, form=form))
+        assert any(words in line for line in arm_model.compare_with_catalogue(machine)), field
 
 
 @pytest.mark.long
@@ -145,9 +161,9 @@ def test_curves_milled_into_a_panel_are_proven(tmp_path):
     }  # fmt: skip
     del source["operations"][0]["cuts"][0]
     (tmp_path / "problem.yaml").write_text(yaml.safe_dump(source), "utf-8")
-    made = pipeline.plan(pipeline.load(tmp_path / "problem.yaml"))
-    assert made.proof.ok and made.proof.issues == ()
-    assert made.plan.operations[0].targets.count > 100
+    plan_outcome = pipeline.plan(pipeline.load(tmp_path / "problem.yaml"))
+    assert plan_outcome.proof.ok and plan_outcome.proof.issues == ()
+    assert plan_outcome.plan.operations[0].targets.count > 100
 
 
 def test_no_krl_is_written_for_such_an_arm(tmp_path):
@@ -157,5 +173,5 @@ def test_no_krl_is_written_for_such_an_arm(tmp_path):
     with pytest.raises(TandemError, match="write ur or generic"):
         poses(tmp_path, stated | {"family": "kuka"})
     robot = poses(tmp_path, stated | {"family": "abb"}).cell.arms[0].data
-    assert robot.unnamed and robot.form.a3 == pytest.approx(-0.08)
+    assert robot.has_unnamed_postures and robot.form.a3 == pytest.approx(-0.08)
     assert np.rad2deg(robot.home) == pytest.approx([0, 0, 0, 0, 90, 0])

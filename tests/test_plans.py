@@ -1,4 +1,4 @@
-"""Saved plans: whole and exact round trip, equal bytes for equal plans, refusal of damaged files."""
+"""Saved plans: complete and exact round trip, equal bytes for equal plans, and refusal of damaged files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from planner.plans import OperationPlan, Plan
 from planner.processes import registry
 from planner.processes.hotwire import claims
 from planner.processes.poses import claims as poses_claims
-from planner.targets import Action, Edge, ScrewFreedom, TableFreedom, Targets
+from planner.targets import FlexibleTool, ScrewFreedom, TableFreedom, TargetAction, Targets
 from tests.proof.planner_jobs import JOBS
 
 RNG = np.random.default_rng(3)
@@ -65,8 +65,11 @@ def _targets(exhibits: dict[str, Any] | None = None) -> Targets:
         stop=np.array([True, False, False, True]),
         segment=tuple(map(Segment.read, ("mount", "cut/front", "cut/front_in", "unmount"))),
         coupled=True,
-        edge=Edge(RNG.normal(size=(n, 5, 3)), 1e-3),
-        actions=(Action(0, "confirm", "Mount the wire – 870,0 mm"), Action(0, "wait", seconds=2.5)),
+        flexible_tool=FlexibleTool(RNG.normal(size=(n, 5, 3)), 1e-3),
+        actions=(
+            TargetAction(0, "confirm", "Mount the wire – 870,0 mm"),
+            TargetAction(0, "wait", seconds=2.5),
+        ),
         claims=held,
         exhibits={"wire": {"kind": "table", "rows": [("length", 0.9), ["mixed", None, True]]}}
         if exhibits is None
@@ -84,9 +87,9 @@ def some_plan(exhibits: dict[str, Any] | None = None, metrics: dict[str, Any] | 
         q={arm: RNG.normal(size=(n, 6)) for arm in targets.arms},
         values=RNG.normal(size=(n, 2)),
         time=np.cumsum(RNG.random(n)),
-        entry={arm: RNG.normal(size=(2, 6)) for arm in targets.arms},
-        exit={arm: np.zeros((0, 6)) for arm in targets.arms},
-        order=("right", "left"),
+        approach={arm: RNG.normal(size=(2, 6)) for arm in targets.arms},
+        retreat={arm: np.zeros((0, 6)) for arm in targets.arms},
+        arm_order=("right", "left"),
         metrics={"cost": np.float64(1.25), "closest": {"a/b": np.array([1, 2]), "a": {"b": np.float32(2)}}},
     )
     return Plan(
@@ -151,17 +154,17 @@ def test_claims_of_every_process_come_back(tmp_path: Path, name: str) -> None:
     operation = dataclasses.replace(operation, targets=dataclasses.replace(operation.targets, claims=own))
     plans.save(dataclasses.replace(plan, operations=(operation,)), tmp_path / "out")
     back = plans.load(tmp_path / "out").operations[0].targets.claims
-    assert _equal(_named(own), back)
+    assert _equal(_replace_files(own), back)
 
 
-def _named(value: Any) -> Any:
+def _replace_files(value: Any) -> Any:
     """The value with its files as their names."""
     if isinstance(value, Path):
         return Path(value.name)
     if isinstance(value, tuple):
-        return tuple(map(_named, value))
+        return tuple(map(_replace_files, value))
     if dataclasses.is_dataclass(value) and not isinstance(value, type | Segment):
-        fields = {f.name: _named(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        fields = {f.name: _replace_files(getattr(value, f.name)) for f in dataclasses.fields(value)}
         return dataclasses.replace(value, **fields)
     return value
 
@@ -180,7 +183,7 @@ def test_arrays_have_path_like_keys_and_no_pickles(tmp_path: Path) -> None:
     with np.load(tmp_path / "plan.npz", allow_pickle=False) as archive:
         assert {
             "operations/0/q/left",
-            "operations/0/targets/edge/points",
+            "operations/0/targets/flexible_tool/points",
             "operations/0/metrics/closest/a~1b",
         } <= set(archive.files)
         for key in archive.files:
@@ -235,7 +238,7 @@ def test_wrong_content_is_damaged(tmp_path: Path, edit: str) -> None:
     elif edit == "field":
         plan["surplus"] = 1
     elif edit == "array":
-        plan["places"] = [{"$array": "/nowhere"}]
+        plan["stock_poses"] = [{"$array": "/nowhere"}]
     elif edit == "missing":
         del plan["digest"]
     else:

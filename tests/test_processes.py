@@ -1,4 +1,4 @@
-"""Processes of installed packages that cannot be used are refused by name, and stop no other problem."""
+"""Processes of installed packages that cannot be used are refused by name and affect no other problem."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ VARIANTS = "ring = tests.toys.variants:"
 
 
 @pytest.fixture(autouse=True)
-def _found_anew() -> Iterator[None]:
+def _rescan_packages() -> Iterator[None]:
     forget()
     yield
     forget()
 
 
-def refused(path: Path) -> str:
+def expect_refusal(path: Path) -> str:
     with pytest.raises(TandemError) as caught:
         pipeline.load(path)
     (issue,) = caught.value.issues
@@ -34,24 +34,30 @@ def refused(path: Path) -> str:
 
 
 @pytest.mark.parametrize(
-    ("point", "said"),
+    ("point", "expected_text"),
     [
         ("ring = no_such_module_at_all:PROCESS", "ModuleNotFoundError"),
         ("ring = tests.toys.gauge:NOTHING", "AttributeError"),
         ("ring = tests.toys.gauge.operation:Ring", "not planner.runtime.plugins.Process"),
         (f"{VARIANTS}UNFINISHED", "has a schema without arms, leaves()"),
-        (f"{VARIANTS}NO_KIND", "NoClaim'> among its claims, which is no dataclass that inherits from Claim"),
+        (
+            f"{VARIANTS}NO_KIND",
+            "NoClaim'> among its claims, which is not a dataclass that inherits from Claim",
+        ),
         (f"{VARIANTS}MISSING_CODES", "the codes of the process 'ring' of package broken-gauge cannot be im"),
-        (f"{VARIANTS}NO_ROWS", "states the issue code 'ring.above' as str, not planner.issue_codes.Code"),
+        (
+            f"{VARIANTS}NO_ROWS",
+            "states the issue code 'ring.above' as str, not planner.issue_codes.IssueCode",
+        ),
         (f"{VARIANTS}TANDEMS_CODE", "states the issue code verify.reach, as Tandem does"),
     ],
 )
 def test_what_cannot_be_used_is_refused_where_a_problem_names_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, point: str, said: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, point: str, expected_text: str
 ) -> None:
     install(monkeypatch, tmp_path, "broken-gauge", point)
-    message = refused(problem(tmp_path))
-    assert said in message and "package broken-gauge" in message and "uninstall" in message
+    message = expect_refusal(problem(tmp_path))
+    assert expected_text in message and "package broken-gauge" in message and "uninstall" in message
     assert "ring" not in registry.schemas()
     assert pipeline.load("gauge_lanes").name == "gauge_lanes"
 
@@ -59,24 +65,24 @@ def test_what_cannot_be_used_is_refused_where_a_problem_names_it(
 def test_a_name_that_is_claimed_twice_is_nobodys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     install(monkeypatch, tmp_path, "one-gauge", GAUGE)
     install(monkeypatch, tmp_path, "two-gauge", GAUGE)
-    message = refused(problem(tmp_path))
+    message = expect_refusal(problem(tmp_path))
     assert "package one-gauge" in message and "package two-gauge" in message
 
 
 def test_an_issue_code_of_two_packages_is_nobodys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     install(monkeypatch, tmp_path, "one-gauge", GAUGE)
-    install(monkeypatch, tmp_path, "two-gauge", "disc = tests.toys.variants:SAME_CODES")
+    install(monkeypatch, tmp_path, "two-gauge", "disc = tests.toys.variants:DUPLICATE_CODES")
     for name, own, other in (("ring", "one", "two"), ("disc", "two", "one")):
         issue = registry.all_processes()[name]
         assert isinstance(issue, Issue)
         what = f"the process '{name}' of package {own}-gauge states the issue code ring.above, as package "
-        assert issue.message == f"{what}{other}-gauge does; mend or uninstall package {own}-gauge"
-    assert "states the issue code ring.above" in refused(problem(tmp_path))
+        assert issue.message == f"{what}{other}-gauge does; repair or uninstall package {own}-gauge"
+    assert "states the issue code ring.above" in expect_refusal(problem(tmp_path))
 
 
 def test_a_name_that_is_built_in_cannot_be_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     install(monkeypatch, tmp_path, "my-targets", "targets = tests.toys.gauge:PROCESS")
-    message = refused(small_problem.write(tmp_path))
+    message = expect_refusal(small_problem.write(tmp_path))
     assert "'targets' is claimed by Tandem and by package my-targets" in message
 
 
@@ -85,8 +91,8 @@ def test_without_the_package_the_name_is_unknown(tmp_path: Path) -> None:
         pipeline.load(problem(tmp_path))
 
 
-def not_planned(path: Path) -> Issue:
-    """What refuses a problem that is read, before motion."""
+def expect_plan_refusal(path: Path) -> Issue:
+    """Return the issue that refuses a readable problem before motion."""
     with pytest.raises(TandemError) as caught:
         pipeline.plan(pipeline.load(path))
     (issue,) = caught.value.issues
@@ -95,13 +101,13 @@ def not_planned(path: Path) -> Issue:
 
 def test_a_claim_without_a_rule_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     install(monkeypatch, tmp_path, "ring-gauge", f"{VARIANTS}UNPROVEN")
-    issue = not_planned(problem(tmp_path))
+    issue = expect_plan_refusal(problem(tmp_path))
     assert issue.code == "claims.unproven"
-    assert "ring: its process claims KeepsAbove, which no rule of the proof looks at" in issue.message
+    assert "ring: its process claims KeepsAbove, which no rule of the proof checks" in issue.message
 
 
 @pytest.mark.parametrize(
-    ("variant", "said"),
+    ("variant", "expected_text"),
     [
         ("NO_PROOF", "the proof of the process 'ring' of package ring-gauge cannot be imported"),
         ("BARE_RULE", "ring.bare of tests.toys.gauge.proof has no row among the issue codes of its package"),
@@ -114,17 +120,17 @@ def test_a_claim_without_a_rule_is_refused(tmp_path: Path, monkeypatch: pytest.M
     ],
 )
 def test_rules_that_cannot_be_used_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variant: str, said: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variant: str, expected_text: str
 ) -> None:
-    """A rule that never runs would leave its claims unproven, and nobody would notice."""
+    """A rule that never runs would leave its claims unproven without notice."""
     install(monkeypatch, tmp_path, "ring-gauge", f"{VARIANTS}{variant}")
-    issue = not_planned(problem(tmp_path))
+    issue = expect_plan_refusal(problem(tmp_path))
     assert issue.code == "problem.process_package"
-    assert said in issue.message and "uninstall" in issue.message
+    assert expected_text in issue.message and "uninstall" in issue.message
 
 
 def test_a_report_that_cannot_be_used_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     install(monkeypatch, tmp_path, "ring-gauge", f"{VARIANTS}NO_REPORT")
-    issue = not_planned(problem(tmp_path))
+    issue = expect_plan_refusal(problem(tmp_path))
     assert issue.code == "problem.process_package"
     assert "the report of the process 'ring' of package ring-gauge is tuple, not planner" in issue.message

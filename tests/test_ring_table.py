@@ -1,4 +1,4 @@
-"""A ring milled from all sides on a turntable, and what is told where it stands still."""
+"""A ring milled from all sides on a turntable, and the remedy if the turntable is fixed."""
 
 from __future__ import annotations
 
@@ -43,23 +43,23 @@ def test_a_ring_is_milled_from_stations_all_round_and_proven(tmp_path: Path) -> 
     assert len(set(stations)) > 2  # no two of them would do
     outcome.save(tmp_path)
     page = (tmp_path / "report.html").read_text()
-    assert "STN_1: sense" in page and "with STN_1 at 0 deg" in page
+    assert "STN_1: direction" in page and "with STN_1 at 0 deg" in page
 
 
 @pytest.mark.long
 def test_without_the_table_the_ring_is_refused_with_the_table_that_helps(tmp_path: Path) -> None:
-    found = planner.check(standing(tmp_path))
-    assert "motion.no_reach" in {issue.code for issue in found}
-    (hint,) = [i.hint for i in found if "put the block on a turntable under its middle" in (i.hint or "")]
+    issues = planner.check(standing(tmp_path))
+    assert "motion.no_reach" in {issue.code for issue in issues}
+    (hint,) = [i.hint for i in issues if "put the stock on a turntable under its centre" in (i.hint or "")]
     assert hint is not None and "centre_mm: [1650, 0, 600]" in hint
 
 
 def test_the_table_that_is_advised_brings_all_in_reach(tmp_path: Path) -> None:
     stands = {"kind": "cylinder", "radius_mm": 250, "length_mm": 200, "pose": {"xyz_mm": [900, 0, 100]}}
     plate = {"name": "plate", "shapes": [stands]}
-    found = planner.check(table_job.problem(tmp_path, None, obstacles=[plate]))
-    (issue,) = [i for i in found if i.code == "motion.no_reach"]
-    assert issue.hint is not None and "put the block on a turntable under its middle" in issue.hint
+    issues = planner.check(table_job.problem(tmp_path, None, obstacles=[plate]))
+    (issue,) = [i for i in issues if i.code == "motion.no_reach"]
+    assert issue.hint is not None and "put the stock on a turntable under its centre" in issue.hint
     (centre,) = re.findall(r"centre_mm: \[(-?\d+), (-?\d+), (-?\d+)\]", issue.hint)
     assert "range_deg: [-180, 180]" in issue.hint
     table: dict[str, Any] = {**table_job.TABLE, "centre_mm": [float(v) for v in centre]}
@@ -67,7 +67,7 @@ def test_the_table_that_is_advised_brings_all_in_reach(tmp_path: Path) -> None:
 
 
 def test_report_and_files_show_the_block_where_it_stands(tmp_path: Path) -> None:
-    outcome = table_job.planned()
+    outcome = table_job.planned_job()
     outcome.save(tmp_path)
     motion = json.loads((tmp_path / "motion.json").read_text())
     assert [own["turntable_deg"] for own in motion["operations"]] == [0.0, 120.0]
@@ -75,20 +75,20 @@ def test_report_and_files_show_the_block_where_it_stands(tmp_path: Path) -> None
     apart = np.linalg.norm(np.array(planes)[:, :2] - [900.0, 0.0], axis=1)
     np.testing.assert_allclose(apart, np.hypot(30.0, 20.0), atol=1e-6)
     page = (tmp_path / "report.html").read_text()
-    assert "place once STN_1 is at 120 deg" in page and "counter-clockwise" in page
+    assert "place with STN_1 at 120 deg" in page and "counter-clockwise" in page
     again = write_pages(tmp_path)  # of the files alone
     assert again.ok
     assert verify(planner.load(tmp_path / "problem" / "problem.yaml"), outcome.programs).ok
 
 
 def test_the_table_takes_its_time_in_proof_and_replay() -> None:
-    outcome = table_job.planned()
+    outcome = table_job.planned_job()
     context = Context(outcome.problem, registry.claims(outcome.problem), outcome.programs)
     gaps = np.diff(context.motion.time)
     np.testing.assert_allclose(gaps[gaps > 1.0], [6.0, 6.0], atol=0.01)  # 120 deg at 20 deg/s, there and back
-    run = scene.track(outcome.problem, outcome.plan, 200)
+    run = scene.sample_keyframes(outcome.problem, outcome.plan, 200)
     assert run.travel == pytest.approx(12.0)
-    turned = np.rad2deg(run.stands["stock"])
+    turned = np.rad2deg(run.axis_values["stock"])
     assert turned[0] == turned[-1] == 0.0 and turned.max() == pytest.approx(120.0)
     # scipy's turn of the stated place about the table's centre, at each keyframe
     stated = np.array([30.0, 20.0, 40.0])

@@ -1,4 +1,4 @@
-"""Whole jobs whose corners are sharp for their speed: they are slowed down there, and proven."""
+"""Whole jobs whose corners are too sharp for their speed: they slow down there, and are proven."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ def test_poses_of_a_zigzag_are_passed_slowly(tmp_path: Path) -> None:
 def test_axes_that_swing_in_waves_are_milled(tmp_path: Path, tolerance: str) -> None:
     """Normals of a face with waves of 25 mm, 1 mm high, swing by 28 degrees at 50 mm/s."""
     x = np.linspace(-60.0, 60.0, 121)
-    lean = 0.25 * np.cos(x / 4.0)
-    axis = np.stack([-lean, 0.0 * x, np.ones_like(x)], axis=1) / np.hypot(lean, 1.0)[:, None]
+    tilt = 0.25 * np.cos(x / 4.0)
+    axis = np.stack([-tilt, 0.0 * x, np.ones_like(x)], axis=1) / np.hypot(tilt, 1.0)[:, None]
     lines = [
         f"X{a:.3f}Y0Z{-5.0 + np.sin(a / 4.0):.3f}I{i:.6f}J{j:.6f}K{k:.6f}"
         for a, (i, j, k) in zip(x, axis, strict=True)

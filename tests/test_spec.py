@@ -1,4 +1,4 @@
-"""Problems said in Python: the same problems as files, the same faults, and what no file can say refused."""
+"""Problems written in Python: the same problems as files, the same faults, and refusal of other values."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from tests import small_problem
 from tests.test_docs import reference
 
 PROBLEMS = Path(__file__).parents[1] / "problems"
-QUICK = ["wing", "gcode", "plate_with_holes", "kerf_test", "engrave", "shell_piece_held", "ruled_wall"]
+FAST_NAMES = ["wing", "gcode", "plate_with_holes", "kerf_test", "engrave", "shell_piece_held", "ruled_wall"]
 
 
 def small(**words: Any) -> spec.Problem:
-    """The small problem, said in Python."""
+    """The small problem, written in Python."""
     turn = Rotation.from_quat([-0.5, 0.5, 0.5, 0.5]).as_matrix()
     poses = np.tile(np.eye(4), (6, 1, 1))
     poses[:, :3, :3] = turn
@@ -65,7 +65,7 @@ def refusal(make: Any) -> planner.Issue:
     return issue
 
 
-@pytest.mark.parametrize("name", QUICK)
+@pytest.mark.parametrize("name", FAST_NAMES)
 def test_a_file_read_as_sections_is_the_same_problem_and_is_saved_as_one(name: str, tmp_path: Path) -> None:
     loaded = planner.load(PROBLEMS / name / "problem.yaml")
     built = planner.build(spec.Problem.read(name))
@@ -181,7 +181,7 @@ FORKED = """
 import os, sys
 from pathlib import Path
 from planner.reading import values
-path = Path(values._stored("v 0 0 0", ".obj"))
+path = Path(values._store("v 0 0 0", ".obj"))
 child = os.fork()
 if child == 0:
     sys.exit()
@@ -203,18 +203,18 @@ FAULTS = {
     "Arm.base: a pose as an array has no unit; write spec.Pose(matrix=..., unit='m')": lambda: spec.Arm(
         name="a", robot="irb140", tool=spec.Bow(), base=np.eye(4)
     ),
-    "Pose.matrix: got the unit None; say mm, cm, m, in, ft": lambda: spec.Pose(matrix=np.eye(4)),
+    "Pose.matrix: got the unit None; give mm, cm, m, in, ft": lambda: spec.Pose(matrix=np.eye(4)),
     "Pose.matrix: got an array of shape (3, 3), a pose is (4, 4)": lambda: spec.Pose(
         matrix=np.eye(3), unit="m"
     ),
-    "Pose.matrix: pose is no right-handed frame": lambda: spec.Pose(
+    "Pose.matrix: pose is not a right-handed frame": lambda: spec.Pose(
         matrix=np.diag([1.0, 1, -1, 1]), unit="m"
     ),
-    "Pose: unit belongs to a matrix": lambda: spec.Pose(xyz_mm=[0, 0, 0], unit="m"),
+    "Pose: unit is for a matrix": lambda: spec.Pose(xyz_mm=[0, 0, 0], unit="m"),
     "Pose.xyz_mm.2: got nan; give a finite number": lambda: spec.Pose(xyz_mm=[1, 2, np.nan]),
     "Pose.xyz_mm: has inf at [1]; give finite numbers": lambda: spec.Pose(xyz_mm=np.array([1, np.inf, 2])),
     "Pose: xyz_mm: entry 2, counted from 0, is missing": lambda: spec.Pose(xyz_mm=np.array([1.0, 2.0])),
-    "Pose.xyz_mm: got a set, which no problem file can say": lambda: spec.Pose(xyz_mm={1, 2, 3}),
+    "Pose.xyz_mm: got a set, which no problem file can state": lambda: spec.Pose(xyz_mm={1, 2, 3}),
     "Pose.xyz_mm: is a masked array": lambda: spec.Pose(xyz_mm=np.ma.masked_less(np.arange(3.0), 1)),
     "Pose.xyz_mm: is an array of complex128": lambda: spec.Pose(xyz_mm=np.array([1j, 2, 3])),
     "Stock.size_mm: nested more than 50 deep": lambda: spec.Stock(size_mm=LOOP),
@@ -225,8 +225,8 @@ FAULTS = {
     "FaceMesh.file: got an array of shape (3, 3), a grid is (N, M, 3)": lambda: spec.FaceMesh(
         file=np.zeros((3, 3)), unit="mm"
     ),
-    "FaceMesh.file: got a ndarray; give the name of a file": lambda: spec.FaceMesh(file=np.zeros((3, 3, 3))),
-    "FaceMesh.file: faces are whole numbers from 0 to 2": lambda: spec.FaceMesh(
+    "FaceMesh.file: got a ndarray; give a file name": lambda: spec.FaceMesh(file=np.zeros((3, 3, 3))),
+    "FaceMesh.file: faces must be vertex indices from 0 to 2": lambda: spec.FaceMesh(
         file=(np.zeros((3, 3)), [[0, 1, 7]]), unit="mm"
     ),
     "FaceMesh.file: got vertices (3, 2) and faces (1, 3), allowed are (V, 3) and (F, 3)": lambda: (
@@ -245,11 +245,11 @@ FAULTS = {
     "Targets.poses: the columns differ in length": lambda: spec.Targets(
         name="p", poses={"l": np.eye(4)[None]}, unit="m", columns={"feed_mm_s": [1, 2]}
     ),
-    "Pose: xyz_mm beside a matrix": lambda: spec.Pose(matrix=np.eye(4), unit="m", xyz_mm=[1, 2, 3]),
+    "Pose: xyz_mm together with a matrix": lambda: spec.Pose(matrix=np.eye(4), unit="m", xyz_mm=[1, 2, 3]),
     "Pose.matrix: is a masked array": lambda: spec.Pose(matrix=np.ma.masked_equal(np.eye(4), 1), unit="m"),
     "Pose.matrix: is an array of complex128": lambda: spec.Pose(matrix=np.eye(4) * (1 + 1j), unit="m"),
-    "Pose.matrix: got the unit ['m']; say mm": lambda: spec.Pose(matrix=np.eye(4), unit=["m"]),  # type: ignore[arg-type]
-    "Pose.xyz_mm.0: is a whole number beyond all": lambda: spec.Pose(xyz_mm=[10**5000, 0, 0]),
+    "Pose.matrix: got the unit ['m']; give mm": lambda: spec.Pose(matrix=np.eye(4), unit=["m"]),  # type: ignore[arg-type]
+    "Pose.xyz_mm.0: is too large a whole number": lambda: spec.Pose(xyz_mm=[10**5000, 0, 0]),
     "FaceMesh.file: is a masked array": lambda: spec.FaceMesh(
         file=(np.ma.masked_equal(np.eye(3), 1), [[0, 1, 2]]), unit="mm"
     ),
@@ -257,16 +257,16 @@ FAULTS = {
         file=(np.eye(3) * 1j, [[0, 1, 2]]), unit="mm"
     ),
     "FaceMesh.file: got a NoneType; give a file": lambda: spec.FaceMesh(file=None, unit="mm"),
-    "FaceMesh.file: got '', which is no name of a file": lambda: spec.FaceMesh(file="", unit="mm"),
+    "FaceMesh.file: got '', which is not a file name": lambda: spec.FaceMesh(file="", unit="mm"),
     "FaceMesh.file: has half a character": lambda: spec.FaceMesh(file="\ud800.obj", unit="mm"),
-    "Targets: file beside poses": lambda: spec.Targets(
+    "Targets: file together with poses": lambda: spec.Targets(
         name="p", poses={"l": np.eye(4)[None]}, unit="m", file="x.csv"
     ),
     "Targets: setup: got a str; give a Setup": lambda: spec.Targets(
         name="p", arms=["l"], file="x.csv", setup="auto"
     ),
     "Problem: operations.0.setup.plase: unknown key": lambda: small().changed("operations.0.setup.plase", 1),
-    "Targets: unit and columns belong to poses": lambda: spec.Targets(
+    "Targets: unit and columns are for poses": lambda: spec.Targets(
         name="p", arms=["l"], file="x.csv", unit="m"
     ),
     "got 'polish', known are elastic_wire": lambda: spec.Operation(name="p", process="polish"),
@@ -295,11 +295,11 @@ def test_a_problem_larger_than_files_may_be_is_refused(monkeypatch: pytest.Monke
     monkeypatch.setattr(strict_yaml, "MAX_YAML_BYTES", 300)
     issue = refusal(lambda: planner.build(small()))
     assert issue.code == "problem.too_large"
-    assert "give points as a mesh or a file of their own" in issue.message
+    assert "give points as a mesh or a separate file" in issue.message
 
 
 def test_other_things_than_problems_are_named() -> None:
-    with pytest.raises(TypeError, match=r"got a dict, wanted is a planner\.spec\.Problem"):
+    with pytest.raises(TypeError, match=r"must be a planner\.spec\.Problem, got a dict"):
         planner.build({"name": "x"})  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="got a str"):
         planner.plan("wing")  # type: ignore[arg-type]
@@ -323,7 +323,7 @@ def test_sections_do_not_change() -> None:
     assert (other["name"], other["stock"]["size_mm"]) == ("wider", [120, 100, 100])
     assert eval(repr(base["cell"]["arms"])) == base["cell"]["arms"]
     assert eval(repr(base), vars(spec)) == base
-    with pytest.raises(AttributeError, match=r"a Problem does not change; replace\(name=...\) gives another"):
+    with pytest.raises(AttributeError, match=r"a Problem is immutable; replace\(name=...\) returns"):
         base.name = "other"
 
 
@@ -364,14 +364,15 @@ def test_the_page_lists_every_section() -> None:
 
 
 def test_every_section_of_the_reference_can_be_said() -> None:
-    """Each schema that the page on problem files has a chapter for, but those of which there are sections
-    that say the same."""
+    """Each schema with a chapter on the page on problem files, except those with equivalent sections."""
     known = {
         kind.model
         for kind in vars(spec).values()
         if isinstance(kind, type) and issubclass(kind, spec.Section)
     }
-    rest = {model.__name__ for _, _, model in reference().CHAPTERS} - {one.__name__ for one in known if one}
+    rest = {model.__name__ for _, _, model in reference().CHAPTERS} - {
+        item.__name__ for item in known if item
+    }
     inner = {
         "DrawingFile",
         "PlaceFile",
@@ -426,13 +427,13 @@ def test_plans_of_several_operations_follow_one_another(outcome: planner.Outcome
 
 @pytest.mark.parametrize("t", [-1.0, 1e6, np.nan])
 def test_times_outside_of_a_plan_are_refused(outcome: planner.Outcome, t: float) -> None:
-    with pytest.raises(ValueError, match="the plan goes from 0 to"):
+    with pytest.raises(ValueError, match="t must be from 0 to"):
         outcome.plan.frame(t)
 
 
 @pytest.mark.parametrize("dt", [0.0, -1.0, 1e-12, np.nan])
 def test_steps_that_are_none_are_refused(outcome: planner.Outcome, dt: float) -> None:
-    with pytest.raises(ValueError, match="a step is above"):
+    with pytest.raises(ValueError, match="dt must be above"):
         outcome.plan.sample(dt)
 
 

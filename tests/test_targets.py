@@ -1,4 +1,4 @@
-"""What motion relies on: poses at values of the freedoms are exact."""
+"""Prerequisites of motion planning: poses at values of the freedoms are exact."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from planner.claims.segments import Segment
 from planner.geometry.arrays import exp_twist, from_parts
-from planner.targets import ScrewFreedom, TableFreedom, Targets, lagrange
+from planner.targets import ScrewFreedom, TableFreedom, Targets, lagrange_weights
 
 
 def arc_pose(s: np.ndarray, curvature: float = 3.0) -> np.ndarray:
@@ -39,7 +39,7 @@ def make(count: int = 4) -> Targets:
 
 def test_neutral_values_give_the_nominal_poses() -> None:
     targets = make()
-    poses = targets.poses(targets.neutral())
+    poses = targets.poses(targets.neutral_values())
     np.testing.assert_allclose(poses["left"], targets.pose["left"], atol=1e-14)
     np.testing.assert_allclose(poses["right"], targets.pose["right"], atol=1e-14)
 
@@ -53,7 +53,7 @@ def test_a_table_between_nodes_follows_the_circle_it_was_sampled_from() -> None:
 
 def test_a_shared_spin_turns_both_tools_about_their_own_x() -> None:
     targets = make()
-    values = targets.neutral() + np.array([0.7, 0.0])
+    values = targets.neutral_values() + np.array([0.7, 0.0])
     turn = from_parts(exp_twist(np.array([0.7, 0, 0, 0, 0, 0]))[:3, :3], np.zeros(3))
     for arm in targets.arms:
         np.testing.assert_allclose(targets.poses(values)[arm], targets.pose[arm] @ turn, atol=1e-14)
@@ -63,17 +63,17 @@ def test_many_samples_of_some_targets_go_through_one_call() -> None:
     targets = make()
     index = np.array([2, 2, 0])
     values = np.array([[0.1, 0.0], [0.2, 0.01], [0.3, 0.02]])
-    some = targets.poses(values, index)["left"]
+    subset = targets.poses(values, index)["left"]
     for row in range(3):
-        full = targets.neutral()
+        full = targets.neutral_values()
         full[index[row]] = values[row]
-        np.testing.assert_allclose(some[row], targets.poses(full)["left"][index[row]], atol=1e-14)
+        np.testing.assert_allclose(subset[row], targets.poses(full)["left"][index[row]], atol=1e-14)
 
 
 def test_poses_beside_are_those_of_one_freedom_larger_and_smaller() -> None:
     targets = make()
     values = 0.1 * np.random.default_rng(4).normal(size=(targets.count, len(targets.freedoms)))
-    sides = list(targets.poses_beside(values, 1e-3))
+    sides = list(targets.perturbed_poses(values, 1e-3))
     assert len(sides) == len(targets.freedoms)
     for j, poses in enumerate(sides):
         for found, step in zip(poses, (1e-3, -1e-3), strict=True):
@@ -86,7 +86,7 @@ def test_poses_beside_are_those_of_one_freedom_larger_and_smaller() -> None:
 def test_lagrange_weights_reproduce_polynomials_and_sum_to_one() -> None:
     nodes = np.array([-1.0, -0.2, 0.5, 1.0])
     at = np.linspace(-1, 1, 9)
-    weights = lagrange(nodes, at)
+    weights = lagrange_weights(nodes, at)
     np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-14)
     np.testing.assert_allclose(weights @ nodes**3, at**3, atol=1e-14)
 

@@ -1,4 +1,4 @@
-"""Imports make no circle, and every folder is documented; for contracts see :mod:`tests.contracts`."""
+"""Imports form no cycle, and every folder is documented; for contracts see :mod:`tests.contracts`."""
 
 from __future__ import annotations
 

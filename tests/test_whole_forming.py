@@ -1,4 +1,4 @@
-"""The whole way through for sheet forming: from a problem file and a mesh to programs that are proven."""
+"""Sheet forming end to end: from a problem file and a mesh to proven programs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import trimesh
 import planner
 from planner import pipeline, plans
 from planner.catalogue.robots import data_dir, robot
-from planner.cell.kinematics import forward
+from planner.cell.kinematics import forward_kinematics
 from planner.geometry.arrays import Mesh, inverse
 from planner.geometry.units import MM
 from planner.pipeline import Outcome
@@ -29,7 +29,7 @@ PROBLEMS = sorted(
 )
 
 
-def planned(folder: Path, mode: str, part: Mesh | None = None, **operation: Any) -> Outcome:
+def plan_forming(folder: Path, mode: str, part: Mesh | None = None, **operation: Any) -> Outcome:
     data = small_forming.problem(mode, **operation)
     if mode != "spif":
         data["sheet"]["place"] = UPRIGHT
@@ -40,21 +40,23 @@ def planned(folder: Path, mode: str, part: Mesh | None = None, **operation: Any)
 
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
-    return planned(tmp_path_factory.mktemp("spif"), "spif", small_forming.dish(around=120))
+    return plan_forming(tmp_path_factory.mktemp("spif"), "spif", small_forming.dish(around=120))
 
 
 @pytest.fixture(scope="module")
 def together(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
-    return planned(tmp_path_factory.mktemp("dsif"), "dsif", small_forming.dish(around=120), tangent_deg=3)
+    return plan_forming(
+        tmp_path_factory.mktemp("dsif"), "dsif", small_forming.dish(around=120), tangent_deg=3
+    )
 
 
 def centres(outcome: Outcome, arm: str, segment: str) -> np.ndarray:
     """Centres (N, 3) [m] of an arm's ball in the sheet's frame, by the planned joints, while it forms."""
     (operation,) = outcome.plan.operations
     mounted = outcome.problem.cell.arm(arm)
-    flange = forward(robot(mounted.robot), operation.q[arm])
+    flange = forward_kinematics(robot(mounted.robot), operation.q[arm])
     tcp = inverse(outcome.plan.stock_pose) @ outcome.plan.bases[arm] @ flange @ mounted.tool.tcp
-    return np.asarray(tcp[[str(one) == segment for one in operation.targets.segment], :3, 3])
+    return np.asarray(tcp[[str(item) == segment for item in operation.targets.segment], :3, 3])
 
 
 @pytest.mark.parametrize("name", ["alone", "together"])
@@ -74,9 +76,9 @@ def test_the_ball_of_one_tool_is_on_the_part(alone: Outcome) -> None:
     lower = alone.problem.part.formed.mesh
     # as thick along z everywhere as at first, so the face that the tool touches is the lower one moved up
     face = trimesh.Trimesh(lower.vertices + np.array([0.0, 0.0, MM]), lower.faces, process=False)
-    off = trimesh.proximity.closest_point(face, centres(alone, "robot", "form/f1"))[1] - 6.0 * MM
-    assert off.min() > -5e-6
-    assert np.quantile(off, 0.9) < 20e-6
+    deviation = trimesh.proximity.closest_point(face, centres(alone, "robot", "form/f1"))[1] - 6.0 * MM
+    assert deviation.min() > -5e-6
+    assert np.quantile(deviation, 0.9) < 20e-6
 
 
 def test_two_tools_hold_the_sheet_between_them(together: Outcome) -> None:
@@ -97,7 +99,7 @@ def test_two_tools_hold_the_sheet_between_them(together: Outcome) -> None:
 def test_tools_keep_to_the_feed_and_stop_only_off_the_sheet(together: Outcome) -> None:
     (operation,) = together.plan.operations
     targets = operation.targets
-    forming = np.array([str(one) == "form/f1" for one in targets.segment])
+    forming = np.array([str(item) == "form/f1" for item in targets.segment])
     way = centres(together, "left", "form/f1")
     speed = np.linalg.norm(np.diff(way, axis=0), axis=1) / np.diff(operation.time[forming])
     assert speed.max() <= 25.0 * MM * (1.0 + 1e-6)
@@ -107,15 +109,21 @@ def test_tools_keep_to_the_feed_and_stop_only_off_the_sheet(together: Outcome) -
 
 @pytest.mark.long
 def test_a_sharp_pit_is_proven_but_for_what_no_ball_reaches(tmp_path: Path) -> None:
-    """Four facets to a tip: a ball stays off; told, proven, and found by the proof where that is too much."""
+    """Four facets meet in a tip that a ball cannot reach.
+
+    This is reported and proven, and found by the proof if it exceeds the limit.
+    """
     depth, wide = 10.0 * MM, 20.0 * MM
     corners = [[-wide, -wide, 0], [wide, -wide, 0], [wide, wide, 0], [-wide, wide, 0], [0, 0, -depth]]
     pit = Mesh(np.array(corners), np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]]))
-    outcome = planned(tmp_path, "spif", pit, stepdown_mm=0.5)
+    outcome = plan_forming(tmp_path, "spif", pit, stepdown_mm=0.5)
     assert outcome.verified, outcome.issues
     (told,) = [issue for issue in outcome.issues if issue.code == "forming.unreached"]
     assert told.value is not None
-    strict = [one.model_copy(update={"unreached_mm": 0.8 * told.value}) for one in outcome.problem.operations]
+    strict = [
+        operation.model_copy(update={"unreached_mm": 0.8 * told.value})
+        for operation in outcome.problem.operations
+    ]
     problem = dataclasses.replace(outcome.problem, operations=tuple(strict))
     proof = pipeline.verify(problem, outcome.programs)
     assert [issue for issue in proof.issues if issue.code == "verify.formed"]
@@ -144,7 +152,7 @@ def test_the_folder_alone_can_be_proven_again(alone: Outcome, tmp_path: Path) ->
 
 
 def test_programs_of_another_depth_are_not_proven(alone: Outcome) -> None:
-    """The mesh tells what is formed, not the plan: the same programs for a sheet twice as thick fail."""
+    """The mesh defines the formed shape, not the plan: the same programs for a sheet twice as thick fail."""
     stock = alone.problem.stock
     thicker = dataclasses.replace(stock, size=stock.size * [1.0, 1.0, 2.0])
     proof = pipeline.verify(dataclasses.replace(alone.problem, stock=thicker), alone.programs)
@@ -164,28 +172,28 @@ def test_a_loop_that_is_left_out_is_told(alone: Outcome, where: float) -> None:
     last = int(np.argmax(np.abs(turn[first:] - turn[first]) >= 2.0 * np.pi)) + first
     kept = [re.sub(r"z\d\w*,", "z0,", line) for k, line in enumerate(lines) if k not in rows[first:last]]
     proof = pipeline.verify(alone.problem, {**alone.programs, name: "\n".join(kept)})
-    told = [issue.message for issue in proof.issues if issue.code == "verify.formed"]
-    assert any("a whole loop is there" in message for message in told), [str(i) for i in proof.issues]
+    messages = [issue.message for issue in proof.issues if issue.code == "verify.formed"]
+    assert any("require a whole loop" in message for message in messages), [str(i) for i in proof.issues]
 
 
 @pytest.mark.long
 def test_a_stepped_path_of_two_tools_is_proven(tmp_path: Path) -> None:
     """Where the ball steps over to the next loop both tools turn sharply."""
-    outcome = planned(tmp_path, "dsif", path="stepped")
+    outcome = plan_forming(tmp_path, "dsif", path="stepped")
     assert outcome.verified, outcome.issues
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("mode", ["dpif_l", "dpif_p"])
 def test_small_jobs_of_other_modes_are_proven(tmp_path: Path, mode: str) -> None:
-    outcome = planned(tmp_path, mode)
+    outcome = plan_forming(tmp_path, mode)
     assert outcome.verified, outcome.issues
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("shift", [10, 30, 40])
 def test_a_support_that_is_shifted_up_to_the_wall_s_angle_is_proven(tmp_path: Path, shift: int) -> None:
-    outcome = planned(tmp_path, "dpif_l", shift_deg=shift)
+    outcome = plan_forming(tmp_path, "dpif_l", shift_deg=shift)
     assert outcome.verified, outcome.issues
     former, support = (centres(outcome, arm, "form/f1") for arm in ("left", "right"))
     line = (former - support) / np.linalg.norm(former - support, axis=1)[:, None]
@@ -202,8 +210,8 @@ def test_a_heat_gun_that_follows_opposite_is_proven(tmp_path: Path, opening: int
     outcome = planner.plan(planner.load(small_forming.write(tmp_path, data, small_forming.dish(around=180))))
     assert outcome.verified, outcome.issues
     (operation,) = outcome.plan.operations
-    lean = np.rad2deg(np.arccos(np.clip(operation.targets.pose["right"][:, 2, 2], -1.0, 1.0))).max()
-    assert lean > 25.0 if opening == 170 else 5.0 < lean < 25.0
+    tilt = np.rad2deg(np.arccos(np.clip(operation.targets.pose["right"][:, 2, 2], -1.0, 1.0))).max()
+    assert tilt > 25.0 if opening == 170 else 5.0 < tilt < 25.0
     assert outcome.save(tmp_path / "out") is None
     assert (tmp_path / "out" / "replay.html").exists()
 
@@ -260,7 +268,7 @@ def test_a_second_stage_on_a_formed_floor_has_that_stage_s_border_supported(tmp_
 @pytest.mark.long
 @pytest.mark.parametrize("kind", ["contour", "alternating", "stepped"])
 def test_small_jobs_of_other_paths_are_proven(tmp_path: Path, kind: str) -> None:
-    outcome = planned(tmp_path, "spif", path=kind)
+    outcome = plan_forming(tmp_path, "spif", path=kind)
     assert outcome.verified, outcome.issues
 
 
@@ -272,7 +280,7 @@ def test_two_tools_hold_small_jobs_of_other_shapes(tmp_path: Path, name: str) ->
         "passes": (small_forming.dish(34.0, 9.0, 60.0, 6.0, 180), {"passes": [40.0]}),
         "alternating": (small_forming.dish(around=180), {"path": "alternating"}),
     }[name]
-    outcome = planned(tmp_path, "dsif", part, **options)
+    outcome = plan_forming(tmp_path, "dsif", part, **options)
     assert outcome.verified, outcome.issues
 
 

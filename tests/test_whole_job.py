@@ -1,4 +1,4 @@
-"""The whole way through on the faces of the bundled capital: what a user may rely on, asked of the result."""
+"""The faces of the bundled capital end to end: the result has everything that a user may rely on."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 import planner
 from planner import pipeline, plans
 from planner.catalogue.robots import data_dir, robot
-from planner.cell.kinematics import forward
+from planner.cell.kinematics import forward_kinematics
 from planner.claims.segments import Segment
 from planner.geometry.arrays import inverse, log_pose
 from planner.pipeline import Outcome
@@ -38,11 +38,11 @@ def test_the_cut_faces_are_within_half_a_millimetre(outcome: Outcome) -> None:
 
 def test_tool_poses_are_exact_at_the_targets(outcome: Outcome) -> None:
     (operation,) = outcome.plan.operations
-    wanted = operation.targets.poses(operation.values)
+    expected = operation.targets.poses(operation.values)
     for arm in outcome.problem.cell.arms:
-        flange = forward(robot(arm.robot), operation.q[arm.name])
+        flange = forward_kinematics(robot(arm.robot), operation.q[arm.name])
         reached = inverse(outcome.plan.stock_pose) @ outcome.plan.bases[arm.name] @ flange @ arm.tool.tcp
-        assert np.abs(log_pose(inverse(wanted[arm.name]) @ reached)).max() < 1e-9
+        assert np.abs(log_pose(inverse(expected[arm.name]) @ reached)).max() < 1e-9
 
 
 def test_optimisation_improves_the_ladder_by_a_fifth(outcome: Outcome) -> None:
@@ -72,7 +72,7 @@ def test_both_arms_share_one_clock_and_never_stop_in_the_foam(outcome: Outcome) 
     ]
     assert times[0] == times[1]
     assert len(times[0]) >= 437
-    edge = operation.targets.edge
+    edge = operation.targets.flexible_tool
     assert edge is not None
     stopped = edge.points[operation.targets.stop]
     size = outcome.problem.stock.size
@@ -87,10 +87,10 @@ def test_both_arms_share_one_clock_and_never_stop_in_the_foam(outcome: Outcome) 
 def test_the_same_problem_gives_the_same_bytes(tmp_path: Path) -> None:
     """Of a smaller panel, cut by an elastic wire too."""
     path = JOBS["elastic"](tmp_path)
-    one, again = (planner.plan(planner.load(path)) for _ in range(2))
-    assert one.verified
-    assert again.programs == one.programs
-    assert plans.dump(again.plan) == plans.dump(one.plan)
+    item, again = (planner.plan(planner.load(path)) for _ in range(2))
+    assert item.verified
+    assert again.programs == item.programs
+    assert plans.dump(again.plan) == plans.dump(item.plan)
 
 
 def test_the_folder_alone_can_be_proven_again(outcome: Outcome, tmp_path: Path) -> None:
@@ -108,18 +108,18 @@ def test_neighbouring_panels_agree_at_their_joints() -> None:
     """Two panels have the joint's curve in common, so what each is off by bounds how far they can differ
     there.
     """
-    off = []
+    deviations = []
     for number in (1, 2, 3):
         result = planner.plan(planner.load(f"problems/column_capital/panel_{number}.yaml"))
         assert result.verified, result.issues
-        off.append({str(face.segment): face.largest for face in result.proof.surfaces})
+        deviations.append({str(face.segment): face.largest for face in result.proof.surfaces})
         for face in result.proof.surfaces:
             assert face.share >= face.wanted_share, face.segment
         edges = next(face for face in result.proof.surfaces if face.segment == Segment.read("cut/edges"))
         assert edges.rms < 0.15e-3
-    for one, other in ((0, 1), (1, 2)):
+    for item, other in ((0, 1), (1, 2)):
         for face in ("cut/front", "cut/back"):
-            assert off[one][face] + off[other][face] <= 0.2e-3
+            assert deviations[item][face] + deviations[other][face] <= 0.2e-3
 
 
 PROBLEMS = sorted(

@@ -1,4 +1,4 @@
-"""The whole way through for KUKA arms: from a problem file to KRL that is proven."""
+"""KUKA arms end to end: from a problem file to proven KRL."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ HOME = [0, -110, 110, 0, 60, 0]
 UPRIGHT = {"xyz_mm": [250, -1030, 900], "rpy_deg": [90, 0, -84.5]}
 
 
-def planned(folder: Path, data: dict[str, Any]) -> Outcome:
+def plan_krl(folder: Path, data: dict[str, Any]) -> Outcome:
     return planner.plan(planner.load(small_forming.write(folder, data, small_forming.dish(around=180))))
 
 
@@ -26,7 +26,7 @@ def test_one_arm_forms_a_dish(tmp_path: Path, dialect: str, word: str) -> None:
     data = small_forming.problem("spif")
     data["cell"]["arms"][0] |= {"robot": "kr10_r1100", "home_deg": HOME}
     data["cell"]["controller"] = {"dialect": dialect}
-    outcome = planned(tmp_path, data)
+    outcome = plan_krl(tmp_path, data)
     assert outcome.verified
     assert sorted(outcome.programs) == ["robot/dish.dat", "robot/dish.src", "robot/dish_1.src"]
     assert f"\r\n{word} {{X " in outcome.programs["robot/dish_1.src"]
@@ -50,7 +50,7 @@ def test_two_arms_of_one_or_two_brands_form_a_dish_by_handshake(tmp_path: Path, 
         "io": {"left": numbers, "right": numbers},
     }
     data["sheet"]["place"] = UPRIGHT
-    outcome = planned(tmp_path, data)
+    outcome = plan_krl(tmp_path, data)
     assert outcome.verified, outcome.issues
     kinds = {
         arm: {Path(n).suffix for n in outcome.programs if n.startswith(arm)} for arm in ("left", "right")

@@ -1,5 +1,7 @@
-"""A part from a mesh file, from its problem to the proof of what was written: the file is read twice, by the
-planner and by the proof, and a copy that is changed later is told."""
+"""A part from a mesh file, from its problem to the proof of the written files.
+
+The file is read twice, by the planner and by the proof. A copy that is changed later is reported.
+"""
 
 from __future__ import annotations
 
@@ -22,16 +24,16 @@ def panel(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def saved(panel, tmp_path_factory):
+def saved_problem(panel, tmp_path_factory):
     folder = tmp_path_factory.mktemp("saved") / "out"
     panel.save(folder)
     return folder
 
 
 @pytest.fixture
-def carried(saved, tmp_path):
+def carried_copy(saved_problem, tmp_path):
     """The result folder, and the copy of the mesh in it."""
-    shutil.copytree(saved, tmp_path / "out")
+    shutil.copytree(saved_problem, tmp_path / "out")
     (mesh,) = (tmp_path / "out" / "problem" / "files").glob("*.obj")
     return tmp_path / "out", mesh
 
@@ -40,12 +42,12 @@ def proven(folder):
     return pipeline.verify(pipeline.load_result(folder), pipeline.read_programs(folder))
 
 
-def test_a_file_that_both_read_alike_is_proven(panel, carried) -> None:
+def test_a_file_that_both_read_alike_is_proven(panel, carried_copy) -> None:
     rule = panel.proof.rule("verify.part_file")
     assert panel.verified
-    assert rule.where == "600 places of face.obj"
+    assert rule.where == "600 points of face.obj"
     assert rule.worst >= 95.0
-    assert proven(carried[0]).ok
+    assert proven(carried_copy[0]).ok
 
 
 @pytest.mark.long
@@ -65,11 +67,11 @@ def test_a_file_that_the_planner_reads_otherwise_is_not_proven(monkeypatch, wron
     assert not outcome.verified
     assert not outcome.programs
     assert [rule.code for rule in outcome.proof.rules if not rule.passed] == ["verify.part_file"]
-    assert "hypar.obj, read once more" in outcome.proof.issues[0].message
+    assert "hypar.obj as read" in outcome.proof.issues[0].message
 
 
-def test_a_copy_that_is_changed_later_is_told_by_its_name(carried) -> None:
-    folder, mesh = carried
+def test_a_copy_that_is_changed_later_is_told_by_its_name(carried_copy) -> None:
+    folder, mesh = carried_copy
     lines = mesh.read_text().splitlines()
     rows = [i for i, line in enumerate(lines) if line.startswith("v ")]
     for i in rows:
@@ -78,16 +80,16 @@ def test_a_copy_that_is_changed_later_is_told_by_its_name(carried) -> None:
     mesh.write_text("\n".join(lines))
     proof = proven(folder)
     assert not proof.ok
-    told = [
+    issues = [
         issue
         for issue in proof.issues
         if issue.code == "verify.digest" and issue.file == f"files/{mesh.name}"
     ]
-    assert "has been changed since" in told[0].message
+    assert "has changed since" in issues[0].message
 
 
-def test_a_copy_that_is_gone_or_broken_is_told_by_its_name(carried) -> None:
-    folder, mesh = carried
+def test_a_copy_that_is_gone_or_broken_is_told_by_its_name(carried_copy) -> None:
+    folder, mesh = carried_copy
     data = mesh.read_bytes()
     mesh.write_bytes(data[: len(data) // 3])
     with pytest.raises(TandemError) as caught:

@@ -1,4 +1,4 @@
-"""A small job of an arm on a track: two operations that no one place of its base reaches."""
+"""A small job of an arm on a track: two operations that no single base position reaches."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import yaml
 
 import planner
 from planner.catalogue.robots import robot
-from planner.cell.kinematics import forward
+from planner.cell.kinematics import forward_kinematics
 from planner.geometry.arrays import FloatArray, to_quaternion
 from planner.pipeline import Outcome
 
@@ -49,20 +49,25 @@ def problem(
         name: np.stack([np.full(count, 500.0), middle + 40.0 * k, 450.0 + 20.0 * np.sin(k)], axis=1)
         for name, middle in (("a", -side), ("b", side))
     }
-    return posed(folder, cell, places, "irb140")
+    return write_posed_job(folder, cell, places, "irb140")
 
 
-def posed(folder: Path, cell: dict[str, Any], places: Mapping[str, FloatArray], kind: str) -> planner.Problem:
-    """A job of arm ``left`` whose operations go through ``places`` (N, 3) [mm] by their names, at 50 mm/s,
-    with the tool as a robot of that ``kind`` has it at home."""
+def write_posed_job(
+    folder: Path, cell: dict[str, Any], points_by_operation: Mapping[str, FloatArray], kind: str
+) -> planner.Problem:
+    """Write a job of arm ``left``.
+
+    Its operations go through ``points_by_operation`` {name: (N, 3) [mm]} at 50 mm/s, with the tool
+    orientation of a robot of that ``kind`` at home.
+    """
     w = at_home(kind)
-    for name, points in places.items():
+    for name, points in points_by_operation.items():
         values = [[str(round(float(v), 9)) for v in (*point, *w, 50.0)] for point in points]
         rows = [COLUMNS, *(",".join(row) + ",move" for row in values)]
         (folder / f"{name}.csv").write_text("\n".join(rows) + "\n")
     operations = [
         {"name": name, "process": "targets", "arms": ["left"], "file": f"{name}.csv", "frame": "world"}
-        for name in places
+        for name in points_by_operation
     ]
     stock = {"size_mm": [100, 100, 50], "place": {"xyz_mm": [0, -4500, 0]}}
     data = {"tandem": 1, "name": cell["name"], "cell": cell, "stock": stock, "operations": operations}
@@ -72,9 +77,9 @@ def posed(folder: Path, cell: dict[str, Any], places: Mapping[str, FloatArray], 
 
 
 def at_home(kind: str) -> tuple[float, ...]:
-    """The quaternion of the flange of a robot of that ``kind`` at home."""
+    """Return the quaternion of the flange of a robot of that ``kind`` at home."""
     arm = robot(kind)
-    pose = forward(arm, np.asarray(arm.home)[None])[0]
+    pose = forward_kinematics(arm, np.asarray(arm.home)[None])[0]
     return tuple(to_quaternion(pose[:3, :3]).tolist())
 
 
@@ -83,7 +88,7 @@ FOLDER = tempfile.TemporaryDirectory()
 
 
 @functools.cache
-def planned() -> Outcome:
+def planned_job() -> Outcome:
     """The job, planned and proven."""
     return planner.plan(problem(Path(FOLDER.name)))
 
@@ -93,7 +98,7 @@ KUKA: dict[str, Any] = {"robot": "kr16_2", "base": {"xyz_mm": [0, 0, 0], "rpy_de
 
 
 @functools.cache
-def planned_krl(count: int = 5, **controller: str) -> Outcome:
+def planned_krl_job(count: int = 5, **controller: str) -> Outcome:
     """The job for a KUKA arm, planned and proven; ``controller`` of its cell, ``count`` targets a side."""
     folder = Path(FOLDER.name) / "-".join(["krl", *controller.values()])
     folder.mkdir()

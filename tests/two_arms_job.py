@@ -1,4 +1,4 @@
-"""A job of two arms that face each other: the left one along its track, the right one about one place."""
+"""A job of two arms that face each other: the left one along its track, the right one about one point."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import yaml
 
 import planner
 from planner.catalogue.robots import robot
-from planner.cell.kinematics import forward
+from planner.cell.kinematics import forward_kinematics
 from planner.geometry.arrays import to_quaternion
 from tests.following_job import FOLLOWING, POSTURE
 from tests.track_job import ARM, COLUMNS
@@ -32,8 +32,11 @@ def problem(
     obstacles: Sequence[dict[str, Any]] = (),
     scale: float = 1.0,
 ) -> planner.Problem:
-    """Poses at 200 mm/s: of the left arm along its track, between the places [mm] of an operation, of the
-    right one round about one place; ``scale``: how much farther arms reach than an IRB 140."""
+    """Return poses at 200 mm/s for two arms.
+
+    The left arm moves along its track between the points [mm] of an operation, the right one around a point.
+    ``scale`` is the reach of the arms relative to an IRB 140.
+    """
     arms = {
         "left": {**ARM, "track": FOLLOWING, **(left or {})},
         "right": {"name": "right", "robot": "irb140", "tool": {"kind": "ball_tool"}, **(right or {})},
@@ -41,7 +44,7 @@ def problem(
     arms["right"]["base"] = {"xyz_mm": [scale * ACROSS_MM, 0, 0], "rpy_deg": [0, 0, 180]}
     turns = {}
     for arm, half in (("left", 1.0), ("right", -1.0)):
-        turn = forward(robot(arms[arm]["robot"]), np.array([POSTURE]))[0, :3, :3]
+        turn = forward_kinematics(robot(arms[arm]["robot"]), np.array([POSTURE]))[0, :3, :3]
         turns[arm] = to_quaternion(np.diag([half, half, 1.0]) @ turn)
     listed = []
     for name, own, ends in operations:

@@ -1,4 +1,4 @@
-"""URDF texts of arms, written by the tests from figures of their own."""
+"""URDF texts of arms, written by the tests from independent figures."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from planner.catalogue.robots import ParallelParameters, RobotData, SevenParameters, robot
 from planner.cell.kinematics import joint_axes, link_frames
 from planner.geometry.arrays import exp_rotation, from_parts, from_rpy, inverse, to_rpy
-from planner.reading.robot_file import OwnRobotFile, robot_of
+from planner.reading.robot_file import OwnRobotFile, build_robot
 
 DRAWN = {
     "box": 'size="{} {} {}"',
@@ -26,9 +26,11 @@ def origin(pose):
     return f'<origin xyz="{words[0]}" rpy="{words[1]}"/>'
 
 
-def drawn(kind, size, pose, file="", tag="collision", inside=""):
-    """A <collision> or, by ``tag``, a <visual>, with what is ``inside`` it too; ``size`` of a mesh: its
-    scale."""
+def geometry_tag(kind, size, pose, file="", tag="collision", inside=""):
+    """Return a <collision> or, by ``tag``, a <visual> element.
+
+    ``inside`` is its further content. ``size`` of a mesh is its scale.
+    """
     scale = f' scale="{" ".join(repr(float(v)) for v in size)}"' if size else ""
     text = f'<mesh filename="{file}"{scale}/>' if kind == "mesh" else f"<{kind} {DRAWN[kind].format(*size)}/>"
     return f"<{tag}>{origin(pose)}<geometry>{text}</geometry>{inside}</{tag}>"
@@ -47,7 +49,7 @@ def arm(
     frames = [np.eye(4), *(from_parts(turns[i], np.asarray(points[i])) for i in range(count))]
     out = ['<robot name="own">']
     for i, link in enumerate(links[:-1]):
-        shapes = "".join(drawn(*body) for body in (bodies or {}).get(i, ()))
+        shapes = "".join(geometry_tag(*body) for body in (bodies or {}).get(i, ()))
         out.append(f'<link name="{link}">{shapes}</link>')
     out.append(f'<link name="{names[1]}"/>')
     for i in range(count):
@@ -65,7 +67,7 @@ def arm(
     return "\n".join(out)
 
 
-def of_robot(robot: RobotData, base=None, tip=None, turns=None, bodies=None):
+def robot_urdf(robot: RobotData, base=None, tip=None, turns=None, bodies=None):
     """The text of a robot of the catalogue, with the links of base and tip at ``base`` (4, 4) in its base and
     at ``tip`` (4, 4) in its flange."""
     base, tip = (np.eye(4) if pose is None else pose for pose in (base, tip))
@@ -122,7 +124,7 @@ def ur10e_data(base=None):
         path = Path(folder) / "ur10e.urdf"
         path.write_text(ur10e(base), encoding="utf-8")
         stated = {"urdf": path.name, "name": "ur10e", "family": "ur", "payload_kg": 12.5}
-        return robot_of(OwnRobotFile.model_validate(stated), path.parent)
+        return build_robot(OwnRobotFile.model_validate(stated), path.parent)
 
 
 def ur10e_flange(q):
@@ -176,7 +178,7 @@ PANDA_FORM = SevenParameters(
 )  # fmt: skip
 IIWA_LIMITS = [[-a, a] for a in np.deg2rad([170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 175.0]).tolist()]
 IIWA_SPEED = np.deg2rad([85.0, 85.0, 100.0, 75.0, 130.0, 135.0, 135.0]).tolist()
-"""The same of an LBR iiwa 14 R820: KUKA, its data sheet."""
+"""Speed limits [rad/s] of an LBR iiwa 14 R820, from KUKA's data sheet."""
 
 
 def _up(length, z):

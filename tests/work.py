@@ -1,4 +1,4 @@
-"""How much a call works, counted and not timed: the same on every machine, however busy."""
+"""Work of a call, counted instead of timed: the same on every machine, however busy."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import Any
 
 
-def counted(function: Callable[..., Any], *given: Any) -> tuple[Any, int]:
-    """What a function gives, and how many functions were entered on the way, of Python and of C."""
+def count_calls(function: Callable[..., Any], *given: Any) -> tuple[Any, int]:
+    """Return the result of a function and the number of Python and C functions that it entered."""
     count = 0
 
     def enter(frame: Any, event: str, what: Any) -> None:

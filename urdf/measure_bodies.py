@@ -23,7 +23,7 @@ from planner.cell.kinematics import link_frames
 from planner.geometry.arrays import FloatArray, exp_rotation, from_parts, from_rpy, inverse, transform
 from planner.geometry.mesh_files import read_mesh
 from planner.geometry.units import MM
-from planner.reading.robot_file import OwnRobotFile, mesh_file, read_urdf, robot_of
+from planner.reading.robot_file import OwnRobotFile, build_robot, find_mesh_file, read_urdf
 from planner.reading.urdf import UrdfChain, read_chain
 
 MOST = 6
@@ -188,7 +188,7 @@ def links(path: Path, tip: str = "tool0") -> list[FloatArray]:
     link 1 has its balancers, at each angle of joint 2."""
     chain = read_chain(read_urdf(path), "base_link", tip)
     spec = _spec(path, chain)
-    frames = link_frames(robot_of(spec, path.parent), np.zeros(6))
+    frames = link_frames(build_robot(spec, path.parent), np.zeros(6))
     upright = np.concatenate([np.eye(4)[None], frames[:6]])
     out: list[list[FloatArray]] = [[] for _ in LINKS]
     for one in chain.shapes:
@@ -204,7 +204,7 @@ def links(path: Path, tip: str = "tool0") -> list[FloatArray]:
 def off_catalogue(name: str, path: Path, tip: str = "tool0") -> FloatArray:
     """How much longer or shorter (7,) [mm] the base and links of a URDF are than those of the arm that is
     built in; link 3 and link 4 together are the forearm."""
-    here = robot_of(_spec(path, read_chain(read_urdf(path), "base_link", tip)), path.parent).form
+    here = build_robot(_spec(path, read_chain(read_urdf(path), "base_link", tip)), path.parent).form
     off = np.linalg.norm(here.steps - robots.robot(name).form.steps, axis=1) / MM
     return np.asarray(off[[0, 1, 2, 3, 3, 5, 6]])
 
@@ -216,7 +216,7 @@ def _spec(path: Path, chain: UrdfChain) -> OwnRobotFile:
         tip=chain.tip_link,
         family="generic",
         payload_kg=1.0,
-        left_out=chain.beside,
+        left_out=chain.other_joints,
     )
 
 
@@ -224,7 +224,7 @@ def _triangles(
     file: str, scale: tuple[float, ...], spec: OwnRobotFile, path: Path, pose: FloatArray
 ) -> FloatArray:
     """Triangles (F, 3, 3) [mm] of a mesh that a URDF names, at ``pose`` (4, 4)."""
-    there = mesh_file(file, spec.meshes, path, path.parent)
+    there = find_mesh_file(file, spec.meshes, path, path.parent)
     if there is None:
         sys.exit(f"{path}: the mesh {file} is not there")
     most = max(abs(v) for v in scale)

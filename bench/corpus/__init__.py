@@ -52,29 +52,37 @@ FAMILIES: Final[dict[str, tuple[int, Any, Any]]] = {
 """Number of jobs, generator and faults by family."""
 
 
-def names(wanted: Collection[str] = ()) -> tuple[str, ...]:
-    """Names of all jobs, or of those of the families and jobs wanted, stratified: any first part of them has
-    jobs of all families, with and without a fault."""
+def names(selection: Collection[str] = ()) -> tuple[str, ...]:
+    """Return names of all jobs, or of those of selected families and jobs.
+
+    The order is stratified: any first part has jobs of all families, with and without a fault.
+    """
     ranked = []
     for order, (name, (count, _, _)) in enumerate(FAMILIES.items()):
         good, bad = ([k for k in range(count) if faulty(k) is wanted] for wanted in (False, True))
-        share = len(good) / len(bad)
+        fraction = len(good) / len(bad)
         mixed = sorted(
             [
                 *((float(k), i) for k, i in enumerate(good)),
-                *((share * (k + 0.3), i) for k, i in enumerate(bad)),
+                *((fraction * (k + 0.3), i) for k, i in enumerate(bad)),
             ]
         )
         ranked += [
             ((rank + 0.5) / count, order, f"{name}_{index:02d}") for rank, (_, index) in enumerate(mixed)
         ]
     every = (name for _, _, name in sorted(ranked))
-    return tuple(name for name in every if not wanted or name in wanted or name.rsplit("_", 1)[0] in wanted)
+    return tuple(
+        name for name in every if not selection or name in selection or name.rsplit("_", 1)[0] in selection
+    )
 
 
 @cache
 def find(name: str) -> Job:
-    """The job of a name. Raises ``KeyError`` where there is none."""
+    """Return the job with a name.
+
+    Raises:
+        KeyError: No job has the name.
+    """
     kind, _, number = name.rpartition("_")
     count, base, faults = FAMILIES[kind]
     if not number.isdigit() or int(number) >= count:
@@ -82,6 +90,6 @@ def find(name: str) -> Job:
     return make(kind, int(number), base, faults)
 
 
-def jobs(wanted: Collection[str] = ()) -> tuple[Job, ...]:
-    """All jobs, or those of the families and jobs wanted, in the order of `names`."""
-    return tuple(find(name) for name in names(wanted))
+def jobs(selection: Collection[str] = ()) -> tuple[Job, ...]:
+    """Return all jobs, or those of selected families and jobs, in the order of `names`."""
+    return tuple(find(name) for name in names(selection))

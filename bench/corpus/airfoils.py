@@ -24,22 +24,30 @@ def half_thickness(x: FloatArray, thick: float, closed: bool) -> FloatArray:
 
 
 def around(x: FloatArray, camber: FloatArray, half: FloatArray) -> FloatArray:
-    """Points (2n-1, 2) from the trailing edge over the top to the trailing edge again: thickness laid
-    across the camber line."""
+    """Return points (2n-1, 2) from the trailing edge over the top to the trailing edge again.
+
+    The thickness is added across the camber line.
+    """
     slope = np.arctan(np.gradient(camber, x, edge_order=2))
     up = np.stack([x - half * np.sin(slope), camber + half * np.cos(slope)], axis=1)
     low = np.stack([x + half * np.sin(slope), camber - half * np.cos(slope)], axis=1)
     return np.concatenate([up[::-1], low[1:]])
 
 
-def four_digits(camber: float, place: float, thick: float, count: int, closed: bool) -> FloatArray:
+def naca_four_digits(
+    camber: float, camber_position: float, thick: float, count: int, closed: bool
+) -> FloatArray:
     """A NACA section of four digits: largest camber and its place, thickness, all over the chord."""
     x = stations(count)
     if camber == 0.0:
         return around(x, np.zeros_like(x), half_thickness(x, thick, closed))
-    front = camber / place**2 * (2.0 * place * x - x**2)
-    rear = camber / (1.0 - place) ** 2 * (1.0 - 2.0 * place + 2.0 * place * x - x**2)
-    return around(x, np.where(x < place, front, rear), half_thickness(x, thick, closed))
+    front = camber / camber_position**2 * (2.0 * camber_position * x - x**2)
+    rear = (
+        camber
+        / (1.0 - camber_position) ** 2
+        * (1.0 - 2.0 * camber_position + 2.0 * camber_position * x - x**2)
+    )
+    return around(x, np.where(x < camber_position, front, rear), half_thickness(x, thick, closed))
 
 
 def blunt(thick: float, edge: float, count: int) -> FloatArray:

@@ -1,6 +1,6 @@
 """Cells as users set them up: robots, tools and controllers that fit one another.
 
-Where arms stand is taken from the ready cells in problems/cells; distances are varied a little.
+Base positions are taken from the ready cells in problems/cells; distances are varied a little.
 """
 
 from __future__ import annotations
@@ -35,25 +35,25 @@ def kuka(robot: str) -> bool:
 
 def controller(robots: list[str], names: list[str], signals: tuple[str, ...], handshake: bool) -> Data:
     """A MultiMove controller, two that share signals, or those of KUKA arms with numbers of signals."""
-    own: Data = {}
+    section: Data = {}
     if handshake:
-        own["sync"] = "handshake"
+        section["sync"] = "handshake"
     if any(kuka(robot) for robot in robots):
         extra = (
             ("doPartner", "diPartner", "doRunning", "diPartnerRunning", "doMoveEnable") if handshake else ()
         )
-        own["dialect"] = "krc4"
-        own["io"] = {
+        section["dialect"] = "krc4"
+        section["io"] = {
             name: {signal: 17 + k for k, signal in enumerate((*signals, *extra))}
             for name, robot in zip(names, robots, strict=True)
             if kuka(robot)
         }
     elif handshake:
-        own |= {"tasks": ["T_ROB1"] * 2, "units": ["ROB_1"] * 2}
+        section |= {"tasks": ["T_ROB1"] * 2, "units": ["ROB_1"] * 2}
     else:
         count = range(1, len(robots) + 1)
-        own |= {"tasks": [f"T_ROB{k}" for k in count], "units": [f"ROB_{k}" for k in count]}
-    return own
+        section |= {"tasks": [f"T_ROB{k}" for k in count], "units": [f"ROB_{k}" for k in count]}
+    return section
 
 
 def alone(robot: str, tool: Data, home: list[float] | None = None, signals: tuple[str, ...] = ()) -> Data:
@@ -77,15 +77,15 @@ def facing(
     handshake: bool = False,
     signals: tuple[str, ...] = (),
 ) -> Data:
-    """Two arms that face each other along x, so far from the origin."""
-    places: list[Data] = [
+    """Return two arms that face each other along x at the given distance from the origin."""
+    bases: list[Data] = [
         {"xyz_mm": [-left_mm, 0, 0], "rpy_deg": [0, 0, 0]},
         {"xyz_mm": [right_mm, 0, 0], "rpy_deg": [0, 0, 180]},
     ]
     arms: list[Any] = []
     for k, name in enumerate(("left", "right")):
         home = HOMES[robots[k]] if homes is None else homes[k]
-        arms.append({"name": name, "robot": robots[k], "base": places[k], "tool": tools[k], "home_deg": home})
+        arms.append({"name": name, "robot": robots[k], "base": bases[k], "tool": tools[k], "home_deg": home})
     return {
         "name": "facing",
         "arms": arms,
@@ -109,7 +109,7 @@ def bow_cell(draw: Draw, small: bool) -> tuple[Data, float]:
 
 
 def stand(width: float, depth: float, height: float) -> list[Data]:
-    """A stand under a block that lies, as high as needed: what is below the floor does not matter."""
+    """Return a stand under a lying block, as high as needed; the part below the floor does not matter."""
     return [
         {
             "kind": "box",

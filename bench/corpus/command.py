@@ -30,7 +30,11 @@ def parser() -> argparse.ArgumentParser:
 
 
 def chosen(only: Sequence[str], count: int | None) -> list[Job]:
-    """The jobs asked for, in the order of the corpus. Raises ``SystemExit`` for unknown names."""
+    """Return the requested jobs in the order of the corpus.
+
+    Raises:
+        SystemExit: A name is unknown.
+    """
     unknown = sorted(set(only) - {*corpus.FAMILIES, *corpus.names()})
     if unknown:
         raise SystemExit(f"unknown: {', '.join(unknown)}; families are {', '.join(corpus.FAMILIES)}")
@@ -40,7 +44,7 @@ def chosen(only: Sequence[str], count: int | None) -> list[Job]:
 def main(arguments: Sequence[str]) -> int:
     """Run the command; 1 where a job crashed or ended not proven."""
     own = parser().parse_args(arguments)
-    jobs = chosen(own.only, own.count)
+    jobs = chosen(own.select, own.count)
     if own.list:
         for job in jobs:
             what = "feasible" if job.feasible else " or ".join(sorted(job.codes))

@@ -12,7 +12,7 @@ from typing import Final
 from bench.corpus import elastic, milling, posed, wings
 from bench.corpus.job import Draft, Draw, Fault
 
-FAR: Final = {
+BASE_YAWS: Final = {
     # [mm] what the arm reaches with a tool of this corpus, at most
     "irb140": 1500.0,
     "irb1200_7_70": 1400.0,
@@ -24,10 +24,10 @@ KINDS: Final = (wings.base, elastic.base, posed.base, milling.flank)
 
 
 def base(draw: Draw) -> Draft:
-    """A job with bodies around that are in nobody's way."""
+    """Add bodies around a job that block no arm."""
     draft = KINDS[draw.index % len(KINDS)](draw)
     arms = draft.cell["arms"]
-    bases = [(arm["base"]["xyz_mm"], FAR[arm["robot"]]) for arm in arms]
+    bases = [(arm["base"]["xyz_mm"], BASE_YAWS[arm["robot"]]) for arm in arms]
     for k in range(draw.whole(1, 4)):
         size = [draw.number(200, 800, 0), draw.number(200, 800, 0), draw.number(600, 2200, 0)]
         half = math.hypot(*size[:2]) / 2
@@ -51,7 +51,7 @@ def base(draw: Draw) -> Draft:
 
 
 def _inside(draft: Draft, draw: Draw) -> None:
-    """A box through the middle of the block, higher than it by 80 mm, that nobody told the planner to cut."""
+    """Add a box through the middle of the block, 80 mm higher than it; the planner may not cut it."""
     stock, arms = draft.problem["stock"], draft.cell["arms"]
     if not isinstance(stock["place"], dict):
         if len(arms) == 2:

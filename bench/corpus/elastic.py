@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from bench.corpus import cells, meshes
-from bench.corpus.foams import FAR
+from bench.corpus.foams import UNREACHABLE
 from bench.corpus.job import Data, Draft, Draw, Fault
 from planner.geometry.arrays import FloatArray
 
@@ -89,7 +89,7 @@ def base(draw: Draw) -> Draft:
     across = draw.pick(["across", "across", "diagonal"])
     tools = tuple({"kind": "wire_holder", "mounting": across, "side": side} for side in ("start", "end"))
     cell = cells.facing(robots, (tools[0], tools[1]), apart, apart, signals=cells.WIRE_SIGNAL)
-    own: Data = {
+    operation: Data = {
         "name": "faces",
         "process": "elastic_wire",
         "arms": ["left", "right"],
@@ -115,7 +115,7 @@ def base(draw: Draw) -> Draft:
             "support": cells.stand(0.4 * width, 0.7 * length, 1500),
         },
         "part": {"front": front, "back": {"offset_mm": thick}, "in_stock": "auto"},
-        "operations": [own],
+        "operations": [operation],
     }
     why = f"a {kind} panel from {source}: every section is a gentle cubic, which a wire takes"
     return Draft(problem, cell, files, {"width": width, "length": length, "height": height}, why)
@@ -127,7 +127,7 @@ def _short(draft: Draft, draw: Draw) -> None:
 
 
 def _thick(draft: Draft, draw: Draw) -> None:
-    """A bar that an arc of the panel bends beyond its limit: strain d / 2R, where steel stands 0.6 %."""
+    """Use a bar that an arc of the panel bends beyond its limit: strain d / 2R, where steel bears 0.6 %."""
     width = 170.0
     draft.operation["wire"].update(diameter_mm=8.0, length_mm=520.0)
     draft.operation["sweep"] = "y"
@@ -187,7 +187,7 @@ def _material(draft: Draft, draw: Draw) -> None:
 def _closed(draft: Draft, draw: Draw) -> None:
     turn = np.linspace(0.0, np.pi, 20)
     profile = np.stack([100.0 * np.sin(turn), 100.0 * np.cos(turn)], axis=1)[::-1]
-    points, faces = meshes.revolved(np.vstack([[[0.01, -100.0]], profile[1:]]), 48)
+    points, faces = meshes.revolve(np.vstack([[[0.01, -100.0]], profile[1:]]), 48)
     centre = len(points)
     cap = np.stack([(np.arange(48) + 1) % 48, np.arange(48), np.full(48, centre)], axis=1)
     mesh = np.vstack([points, [[0.0, 0.0, -100.0]]]), np.vstack([faces, cap])
@@ -227,7 +227,7 @@ FAULTS: Final = [
     Fault("a flat panel needs a straight wire", ("wire.end_error",), _flat),
     Fault("the block is shorter than the panel", ("part.stock_too_small",), _small),
     Fault("the panel is bent more tightly than it is thick", ("part.offset",), _offset),
-    FAR,
+    UNREACHABLE,
     Fault("the back is to be cut and is not there", ("part.missing_face",), _no_back),
     Fault("the wire is hotter than its temper stands", ("wire.temperature",), _hot),
     Fault("a wire material that nobody knows", ("wire.unknown_material",), _material),

@@ -1,4 +1,4 @@
-"""Power, feed and slot of a hot wire in foam: what a user reads off ``tandem kerf``, here by its formula.
+"""Power, feed and slot of a hot wire in foam: the values of ``tandem kerf``, here by its formula.
 
 kerf = chi (P / L) / (rho Cp (Tp - Ta) V) - c, the energy balance of docs/kerf.md; constants of its table.
 """
@@ -16,7 +16,7 @@ FOAMS: Final = {
     "eps_af_plus": (1.1276, 0.40026, 14.0, 1450.0),
 }
 RISE: Final = 260.0
-"""[K] from the room to melting."""
+"""Temperature difference [K] from the room to melting."""
 
 
 def power(foam: str, feed: float, kerf: float, wire: float) -> float:
@@ -29,12 +29,12 @@ def power(foam: str, feed: float, kerf: float, wire: float) -> float:
 def settle(draft: Draft, draw: Draw, wire: float, kerf: tuple[float, float] = (1.2, 1.6)) -> None:
     """Choose foam, feed and power of the first operation for a slot within a range [mm]."""
     foam, feed = draw.pick(["xps_30", "eps_a120", "eps_a120"]), draw.pick([5, 6, 6, 7])
-    wanted = draw.number(*kerf, 2)
+    expected = draw.number(*kerf, 2)
     draft.problem["stock"]["foam"] = foam
     draft.operation.update(
-        power_w=power(foam, feed, wanted, wire), feed_mm_s=feed, feed_min_mm_s=round(0.5 * feed, 1)
+        power_w=power(foam, feed, expected, wire), feed_mm_s=feed, feed_min_mm_s=round(0.5 * feed, 1)
     )
-    draft.facts.update(foam=foam, feed=feed, kerf=wanted, wire=wire)
+    draft.facts.update(foam=foam, feed=feed, kerf=expected, wire=wire)
 
 
 def _powered(kerf: float) -> Fault:
@@ -61,7 +61,7 @@ TOO_COLD: Final = _powered(0.35)
 NO_DATA: Final = Fault("nobody has made test cuts in this foam", ("kerf.no_data",), _foam)
 
 
-def _far(draft: Draft, draw: Draw) -> None:
+def _move_block_away(draft: Draft, draw: Draw) -> None:
     key = "sheet" if "sheet" in draft.problem else "stock"
     draft.problem[key].pop("roll_pitch_deg", None)
     draft.problem[key].pop("support", None)
@@ -70,4 +70,6 @@ def _far(draft: Draft, draw: Draw) -> None:
     draft.problem[key]["place"] = {"xyz_mm": [0, draw.pick([4500, 6000, -5200]), 500]}
 
 
-FAR: Final = Fault("the block stands metres away from all arms", ("motion.no_reach",), _far)
+UNREACHABLE: Final = Fault(
+    "the block stands metres away from all arms", ("motion.no_reach",), _move_block_away
+)

@@ -92,14 +92,14 @@ def shape(draw: Draw, kind: str, ball: float, steep: float, facts: Data, large: 
     line = sheets.profile(sheets.wall(depth, angle, rim, floor))
     around = draw.pick([96, 144, 180])
     if kind == "cone":
-        return sheets.turned(half, line, around)
+        return sheets.turned_surface(half, line, around)
     if kind == "oval":
         facts["half"] = round(1.3 * half, 1)
-        return sheets.turned(half, line, around, 1.3)
+        return sheets.turned_surface(half, line, around, 1.3)
     if kind == "dome":
         radius = max(half, (ball + 4 + rim) * math.sin(math.radians(angle)))
         facts["half"] = radius
-        return sheets.turned(radius, sheets.profile(sheets.bowl(radius, angle, rim)), around)
+        return sheets.turned_surface(radius, sheets.profile(sheets.bowl(radius, angle, rim)), around)
     if kind == "funnel":
         first = max(angle - 20.0, 22.0)
         pieces = [(sheets.FLAT, 0.0, 0.0), (rim * math.radians(first), 0.0, first)]
@@ -107,7 +107,7 @@ def shape(draw: Draw, kind: str, ball: float, steep: float, facts: Data, large: 
         line = sheets.profile(pieces)
         half = float(line[-1, 0] - sheets.FLAT + draw.number(8, 15))
         facts.update(half=half, depth=float(-line[-1, 1]))
-        return sheets.turned(half, line, around)
+        return sheets.turned_surface(half, line, around)
     if kind == "pyramid":
         corner = line[-1, 0] - sheets.FLAT + ball + draw.number(2, 8)
         half = max(half, corner + 4.0)
@@ -116,7 +116,7 @@ def shape(draw: Draw, kind: str, ball: float, steep: float, facts: Data, large: 
     if kind == "sharp":
         angle, depth = min(angle, 50.0), draw.number(22, 30)
         half = depth / math.tan(math.radians(angle)) + draw.number(18, 30)
-        lost = sheets.unreached(ball, angle, depth, half, True)
+        lost = sheets.unreached_fraction(ball, angle, depth, half, True)
         facts.update(angle=angle, depth=depth, half=half, square=True)
         facts["share"] = math.floor(100 * (1 - 2 * lost)) / 100
         line = sheets.profile(sheets.wall(depth, angle, 0.0, 0.0))
@@ -139,15 +139,15 @@ def sheet(draft_facts: Data, draw: Draw, name: str, thick: float, room: float, c
     opening = math.ceil(2 * half / 10) * 10
     # a round opening has to hold the corners of a square part, too
     across = math.ceil(2 * half * math.sqrt(2.0) / 10) * 10 if draft_facts.get("square") else opening
-    own: Data = {
+    section: Data = {
         "size_mm": [opening + 2 * clamp + 10] * 2,
         "thickness_mm": thick,
         "metal": name,
         "opening_mm": draw.pick([across, [opening, opening]]),
     }
-    if own["opening_mm"] == across:
-        own["size_mm"] = [across + 2 * clamp + 10] * 2
-    return own
+    if section["opening_mm"] == across:
+        section["size_mm"] = [across + 2 * clamp + 10] * 2
+    return section
 
 
 def draft(draw: Draw, mode: str, kind: str, large: bool = False) -> Draft:
@@ -185,7 +185,7 @@ def draft(draw: Draw, mode: str, kind: str, large: bool = False) -> Draft:
     else:
         own_sheet["stand"] = "upright"
         own_sheet["clamp"] = {"width_mm": 40, "above_mm": 15, "below_mm": 40}
-    own: Data = {
+    operation: Data = {
         "name": "form",
         "process": "forming",
         "arms": ["robot"] if alone else ["left", "right"],
@@ -193,24 +193,24 @@ def draft(draw: Draw, mode: str, kind: str, large: bool = False) -> Draft:
         "path": draw.pick(["helical", "helical", "contour", "alternating", "stepped"]),
         "feed_mm_s": draw.pick([15, 25, 25, 40]),
     }
-    own |= (
+    operation |= (
         {"scallop_mm": draw.pick([0.02, 0.04])}
         if draw.chance(0.2)
         else {"stepdown_mm": draw.pick([0.8, 1, 1, 1.5])}
     )
     if facts["share"] != 0.95:
-        own["share"] = facts["share"]
+        operation["share"] = facts["share"]
     if mode in ("dsif", "dpif_l") and draw.chance(0.3):
-        own["squeeze"] = draw.pick([0.9, 0.95])
+        operation["squeeze"] = draw.pick([0.9, 0.95])
     if mode == "dpif_l" and draw.chance(0.4):
-        own["shift_deg"] = draw.pick([5, 10, 15])
+        operation["shift_deg"] = draw.pick([5, 10, 15])
     if cell["controller"].get("sync") == "handshake":
-        own |= {"longest_mm": 3.0, "handshake_gap_mm": 0.6}
+        operation |= {"longest_mm": 3.0, "handshake_gap_mm": 0.6}
     problem = {
         "sheet": own_sheet,
         "part": {"sheet_mesh": {"file": file, "unit": unit, "face": draw.pick(["bottom", "bottom", "top"])}},
         "settings": {"clearance_mm": 5},
-        "operations": [own],
+        "operations": [operation],
     }
     scan = f", noise of {noise:g} mm" if noise else ""
     why = f"{mode}: a {kind} of {facts['angle']:g} degrees{scan}, fillets larger than the ball of R {ball:g}"
@@ -248,17 +248,17 @@ def adsif(draw: Draw) -> Draft:
     line = sheets.profile(pieces, 0.75)
     half = float(line[-1, 0] - sheets.FLAT + draw.number(8, 16))
     facts: Data = {"half": half, "mode": "adsif", "ball": 5.0, "angle": last}
-    file, content, unit = meshes.file(sheets.turned(half, line), draw.pick(meshes.FORMATS[:4]))
+    file, content, unit = meshes.file(sheets.turned_surface(half, line), draw.pick(meshes.FORMATS[:4]))
     own_sheet = sheet(facts, draw, "aa5754_o", 1.0, 24.0, 40.0) | {"stand": "upright"}
-    own: Data = {"name": "form", "process": "forming", "arms": ["left", "right"], "mode": "adsif"}
-    own |= {"path": "helical", "stepdown_mm": draw.pick([0.1, 0.15, 0.2]), "feed_mm_s": 25}
+    operation: Data = {"name": "form", "process": "forming", "arms": ["left", "right"], "mode": "adsif"}
+    operation |= {"path": "helical", "stepdown_mm": draw.pick([0.1, 0.15, 0.2]), "feed_mm_s": 25}
     if draw.chance(0.4):
-        own["adsif"] = {"prefer": "gap"}
+        operation["adsif"] = {"prefer": "gap"}
     problem = {
         "sheet": own_sheet,
         "part": {"sheet_mesh": {"file": file, "unit": unit, "face": "bottom"}},
         "settings": {"clearance_mm": 5},
-        "operations": [own],
+        "operations": [operation],
     }
     why = f"adsif: walls of {first:g} to {last:g} degrees, within 16.5 to 37.3 of its table"
     return Draft(problem, cell, {file: content}, facts, why)
@@ -277,7 +277,7 @@ def tpif(draw: Draw) -> Draft:
         line = sheets.profile(sheets.bowl(radius, angle, rim)) * [1.0, -1.0]
         top = 0.5 * math.floor(2.0 * line[-1, 1])
         line[:, 1] *= top / line[-1, 1]  # so that whole steps reach the rim
-        mesh = sheets.turned(radius, line)
+        mesh = sheets.turned_surface(radius, line)
         facts.update(half=radius, angle=angle, depth=top, share=0.95)
     else:
         mesh = shape(draw, draw.pick(["cone", "dome", "oval"]), ball, 55.0, facts)
@@ -297,8 +297,8 @@ def tpif(draw: Draw) -> Draft:
     own_sheet = sheet(facts, draw, name, thick, 14.0, 25.0)
     own_sheet["clamp"] = {"width_mm": 25, "above_mm": 10, "below_mm": 80}
     spec: Data = {"file": "die.ply", "unit": "mm", "kind": "male" if male else "female"}
-    own: Data = {"name": "form", "process": "forming", "arms": ["robot"], "mode": "tpif"}
-    own |= {"stepdown_mm": 0.5 if male else 1.0, "feed_mm_s": draw.pick([15, 25])}
+    operation: Data = {"name": "form", "process": "forming", "arms": ["robot"], "mode": "tpif"}
+    operation |= {"stepdown_mm": 0.5 if male else 1.0, "feed_mm_s": draw.pick([15, 25])}
     if male:
         spec |= {"holder": "sinking", "signal": "doBlankHolder", "step_mm": draw.pick([0.5, 1])}
         if spec["step_mm"] == 1:
@@ -309,7 +309,7 @@ def tpif(draw: Draw) -> Draft:
         "sheet": own_sheet,
         "part": {"sheet_mesh": {"file": "part.ply", "unit": "mm", "face": "bottom"}},
         "settings": {"clearance_mm": 5},
-        "operations": [own | {"die": spec}],
+        "operations": [operation | {"die": spec}],
     }
     why = f"tpif over a {spec['kind']} die of the part's own lower face"
     return Draft(problem, cell, {"part.ply": meshes.ply(mesh), "die.ply": meshes.ply(die)}, facts, why)

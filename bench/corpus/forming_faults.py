@@ -1,4 +1,4 @@
-"""What is wrong on purpose with forming jobs."""
+"""Deliberate faults of forming jobs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from bench.corpus import meshes, sheets
-from bench.corpus.foams import FAR
+from bench.corpus.foams import UNREACHABLE
 from bench.corpus.job import Draft, Draw, Fault
 from planner.geometry.arrays import FloatArray
 
@@ -23,11 +23,11 @@ def _part(draft: Draft, mesh: meshes.Mesh, scale: float = 1.0) -> None:
 
 def _cone(draft: Draft, angle: float, fillet: float, depth: float = 14.0) -> meshes.Mesh:
     line = sheets.profile(sheets.wall(depth, angle, 12.0 if depth >= 14 and angle < 60 else 4.0, fillet))
-    return sheets.turned(max(draft.facts["half"], line[-1, 0] + 4.0), line)
+    return sheets.turned_surface(max(draft.facts["half"], line[-1, 0] + 4.0), line)
 
 
 def _ball(draft: Draft, draw: Draw) -> None:
-    """A floor fillet of 2 mm, which is a radius of its own, under a ball of 8 mm."""
+    """A floor fillet of 2 mm, itself a radius, under a ball of 8 mm."""
     for arm in draft.cell["arms"]:
         if arm["tool"]["kind"] == "ball_tool":
             arm["tool"]["radius_mm"] = 8.0
@@ -36,12 +36,12 @@ def _ball(draft: Draft, draw: Draw) -> None:
 
 
 def _sharp(draft: Draft, draw: Draw) -> None:
-    """A sharp floor under a ball of 9.5 mm: at 55 degrees it stands 1.2 mm off, 9.5 (1 / cos 27.5 - 1)."""
+    """A sharp floor under a ball of 9.5 mm: at 55 degrees its distance is 1.2 mm, 9.5 (1 / cos 27.5 - 1)."""
     for arm in draft.cell["arms"]:
         if arm["tool"]["kind"] == "ball_tool":
             arm["tool"]["radius_mm"] = 9.5
     line = sheets.profile(sheets.wall(15.0, 55.0, 0.0, 0.0))
-    _part(draft, sheets.turned(max(draft.facts["half"], 40.0), line))
+    _part(draft, sheets.turned_surface(max(draft.facts["half"], 40.0), line))
     draft.operation.update(share=0.95, unreached_mm=0.5)
 
 
@@ -50,7 +50,7 @@ def _steep(draft: Draft, draw: Draw) -> None:
     profile = np.array(
         [[_outer(draft), 0.0], [draft.facts["half"], 0.0], [draft.facts["half"] - 0.1, -18.0], [0.0, -18.0]]
     )
-    _part(draft, meshes.revolved(meshes.rounded(profile.tolist(), [0.0, 0.0]), 96))
+    _part(draft, meshes.revolve(meshes.round_corners(profile.tolist(), [0.0, 0.0]), 96))
 
 
 def _outer(draft: Draft) -> float:
@@ -60,12 +60,12 @@ def _outer(draft: Draft) -> float:
 def _undercut(draft: Draft, draw: Draw) -> None:
     h = draft.facts["half"]
     profile = [(h + 8, 0.0), (h, 0.0), (h - 6, -9.0), (h - 2, -14.0), (h - 15, -18.0), (0.0, -18.0)]
-    _part(draft, meshes.revolved(meshes.rounded(profile, [0.0] * 4), 96))
+    _part(draft, meshes.revolve(meshes.round_corners(profile, [0.0] * 4), 96))
 
 
 def _up(draft: Draft, draw: Draw) -> None:
     line = sheets.profile(sheets.wall(14.0, 35.0, 12.0, 12.0)) * [1.0, -1.0]
-    _part(draft, sheets.turned(max(draft.facts["half"], line[-1, 0] + 4.0), line))
+    _part(draft, sheets.turned_surface(max(draft.facts["half"], line[-1, 0] + 4.0), line))
 
 
 def _wide(draft: Draft, draw: Draw) -> None:
@@ -95,9 +95,9 @@ def _inside_out(draft: Draft, draw: Draw) -> None:
 def _rim(draft: Draft, draw: Draw) -> None:
     """A rim that rises by 6 mm to one side: it lies in no flat sheet."""
     points, faces = _cone(draft, 40.0, 12.0)
-    far = np.hypot(points[:, 0], points[:, 1])
-    outer = far > far.max() - 1e-6
-    points[outer, 2] += 3.0 + 3.0 * points[outer, 0] / far.max()
+    distance = np.hypot(points[:, 0], points[:, 1])
+    outer = distance > distance.max() - 1e-6
+    points[outer, 2] += 3.0 + 3.0 * points[outer, 0] / distance.max()
     _part(draft, (points, faces))
 
 
@@ -113,8 +113,8 @@ def _metal(draft: Draft, draw: Draw) -> None:
 def _hole(draft: Draft, draw: Draw) -> None:
     """A hole in the middle of the floor."""
     points, faces = _cone(draft, 40.0, 12.0)
-    far = np.hypot(points[:, 0], points[:, 1])
-    _part(draft, (points, faces[(far[faces] > 5.5).all(axis=1)]))
+    distance = np.hypot(points[:, 0], points[:, 1])
+    _part(draft, (points, faces[(distance[faces] > 5.5).all(axis=1)]))
 
 
 def _no_steps(draft: Draft, draw: Draw) -> None:
@@ -149,7 +149,7 @@ def _no_room(draft: Draft, draw: Draw) -> None:
 
 def _too_steep(draft: Draft, draw: Draw) -> None:
     line = sheets.profile([(sheets.FLAT, 0.0, 0.0), (18.0, 48.0, 48.0)], 0.75)
-    _part(draft, sheets.turned(38.0, line))
+    _part(draft, sheets.turned_surface(38.0, line))
 
 
 def _adsif_metal(draft: Draft, draw: Draw) -> None:
@@ -170,7 +170,7 @@ def _no_die(draft: Draft, draw: Draw) -> None:
 
 
 def _die_high(draft: Draft, draw: Draw) -> None:
-    """The die stands 2 mm in the part."""
+    """The die protrudes 2 mm into the part."""
     die = draft.files["die.ply"].decode().splitlines()
     start = die.index("end_header") + 1
     count = int(next(row for row in die if row.startswith("element vertex")).split()[-1])
@@ -190,7 +190,7 @@ def _holder(draft: Draft, draw: Draw) -> None:
 
 
 def _touching(draft: Draft, draw: Draw) -> None:
-    """Two dishes whose rims overlap by 4 mm: nothing says which of them forms the place between."""
+    """Two dishes whose rims overlap by 4 mm: it is undefined which of them forms the region between."""
 
     def height(x: FloatArray, y: FloatArray) -> FloatArray:
         near = np.minimum(np.hypot(x - 23.0, y), np.hypot(x + 23.0, y))
@@ -213,7 +213,7 @@ SHARP: Final = Fault(
 COMMON: Final = [
     TOOL,
     Fault("a wall of 89.7 degrees", ("forming.wall_angle",), _steep),
-    FAR,
+    UNREACHABLE,
     Fault("the part is wider than the opening", ("part.stock_too_small", "forming.clamp"), _wide),
     SHARP,
     Fault("the wall turns over", ("forming.undercut",), _undercut),
@@ -256,13 +256,13 @@ ADSIF: Final = [
     Fault("a metal that the table does not hold for", ("forming.adsif_conditions",), _adsif_metal),
     Fault("balls that the table does not hold for", ("forming.adsif_conditions",), _adsif_ball),
     Fault("a sheet that the table does not hold for", ("forming.adsif_conditions",), _adsif_sheet),
-    FAR,
+    UNREACHABLE,
 ]
 TPIF: Final = [
     Fault("the mode needs a die", ("problem.field", "forming.holder"), _no_die),
     Fault("the die stands in the part", ("forming.die_gouge",), _die_high),
     Fault("die and holder do not go together", ("forming.holder", "problem.field"), _holder),
-    FAR,
+    UNREACHABLE,
     Fault("a sheet metal that nobody knows", ("forming.unknown_metal",), _metal),
     Fault("two dishes overlap", ("forming.touching", "forming.holder", "forming.die_gouge"), _touching),
 ]

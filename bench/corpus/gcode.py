@@ -10,7 +10,7 @@ import math
 from typing import Final
 
 from bench.corpus import milling
-from bench.corpus.foams import FAR
+from bench.corpus.foams import UNREACHABLE
 from bench.corpus.job import Data, Draft, Draw, Fault
 
 HEAD: Final = ["%", "O1000 (PANEL)", "G21 G90 G17 G94 G40 G49 G80", "T1 M6", "S12000 M3", "G0 X0 Y0 Z30"]
@@ -67,11 +67,11 @@ def _curve(draw: Draw) -> list[str]:
 
 def _axes(draw: Draw) -> list[str]:
     """A circle with the tool's axis leant outwards, as I J K."""
-    r, lean, depth = draw.number(30, 70, 0), math.radians(draw.number(5, 18, 0)), draw.number(1, 4)
+    r, tilt, depth = draw.number(30, 70, 0), math.radians(draw.number(5, 18, 0)), draw.number(1, 4)
     rows = []
     for k in range(91):
         t = math.radians(4 * k)
-        i, j, w = math.sin(lean) * math.cos(t), math.sin(lean) * math.sin(t), math.cos(lean)
+        i, j, w = math.sin(tilt) * math.cos(t), math.sin(tilt) * math.sin(t), math.cos(tilt)
         rows.append(f"X{r * math.cos(t):.4f} Y{r * math.sin(t):.4f} Z{-depth:g} I{i:.8f} J{j:.8f} K{w:.8f}")
     high = rows[0].replace(f"Z{-depth:g}", "Z20")
     return [f"G0 {high}", f"G1 {rows[0]} F900", *(f"G1 {row} F2000" for row in rows[1:])]
@@ -159,6 +159,6 @@ FAULTS: Final = [
         ("gcode.spindle",),
         ["G21 G90 G17 G94", "G0 X0 Y0 Z30", "G1 Z-2 F900", "X40", "G0 Z30", "M30"],
     ),
-    FAR,
+    UNREACHABLE,
     _spoil("a canned cycle", ("gcode.word",), _lines("G81 X20 Y20 Z-5 R2 F300")),
 ]

@@ -57,8 +57,8 @@ def base(draw: Draw) -> Draft:
     if kind == "round":
         for guide in guides.values():
             guide["corners_mm"] = []
-    most = [max(abs(p[k]) for p in [*low, *high]) for k in (0, 1)]
-    size = [2.0 * math.ceil(most[0] + 14), 2.0 * math.ceil(most[1] + 14), height]
+    maximum = [max(abs(p[k]) for p in [*low, *high]) for k in (0, 1)]
+    size = [2.0 * math.ceil(maximum[0] + 14), 2.0 * math.ceil(maximum[1] + 14), height]
     robot, span = ("irb140", 400) if small else ("irb4600_40", 650)
     apart = draw.number(690, 720, 0) if small else draw.number(1760, 1820, 0)
     bow = {"kind": "bow", "span_mm": span, "throat_mm": span, "tilt_deg": 45}
@@ -113,12 +113,12 @@ def _corners(draft: Draft, draw: Draw) -> None:
     }
 
 
-def _apart(draft: Draft, draw: Draw) -> None:
+def _separate_arms(draft: Draft, draw: Draw) -> None:
     for arm, x in zip(draft.cell["arms"], (-4500, 4500), strict=True):
         arm["base"]["xyz_mm"][0] = x
 
 
-def _slips(draft: Draft, draw: Draw) -> None:
+def _let_grip_slip(draft: Draft, draw: Draw) -> None:
     draft.cell["arms"][1]["tool"]["holding_n"] = 0.5
 
 
@@ -129,11 +129,13 @@ def _two_controllers(draft: Draft, draw: Draw) -> None:
 FAULTS: Final = [
     Fault("the gripper's face is larger than the part's bottom", ("stock.footprint",), _grip),
     Fault("the block is heavier than the holder carries", ("stock.too_heavy",), _heavy),
-    Fault("the arms are 9 m apart: they do not meet", ("motion.no_reach", "motion.no_placement"), _apart),
+    Fault(
+        "the arms are 9 m apart: they do not meet", ("motion.no_reach", "motion.no_placement"), _separate_arms
+    ),
     Fault("the arm that is to hold the block has no gripper", ("stock.gripper",), _no_gripper),
     Fault("one guide has three corners, the other one four", ("part.corners",), _corners),
     Fault("the foam of a held block is not named", ("stock.foam_missing",), _no_foam),
-    Fault("the gripper holds with half a newton", ("stock.grip_force",), _slips),
+    Fault("the gripper holds with half a newton", ("stock.grip_force",), _let_grip_slip),
     foams.TOO_HOT,
     Fault(
         "two controllers that meet by signals share one block", ("post.handshake_process",), _two_controllers

@@ -1,4 +1,4 @@
-"""A job of the corpus: a folder as a user has it, and what is to become of it."""
+"""A job of the corpus: a folder like a user's, and its expected result."""
 
 from __future__ import annotations
 
@@ -65,8 +65,8 @@ class Draw:
         """The choices in turn, by the job's number: each of them comes up."""
         return copy.deepcopy(choices[self.index % len(choices)])
 
-    def chance(self, share: float) -> bool:
-        return bool(self.random.random() < share)
+    def chance(self, probability: float) -> bool:
+        return bool(self.random.random() < probability)
 
 
 @dataclasses.dataclass
@@ -83,8 +83,8 @@ class Draft:
     @property
     def operation(self) -> Data:
         """The first operation."""
-        own: Data = self.problem["operations"][0]
-        return own
+        first: Data = self.problem["operations"][0]
+        return first
 
 
 @dataclasses.dataclass(frozen=True)

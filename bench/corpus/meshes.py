@@ -49,7 +49,7 @@ def rings(outlines: FloatArray, centre: FloatArray | None = None) -> Mesh:
     return points, faces
 
 
-def revolved(profile: FloatArray, around: int) -> Mesh:
+def revolve(profile: FloatArray, around: int) -> Mesh:
     """A surface of revolution: radius and height (K, 2) from its rim to its axis."""
     turn = 2.0 * np.pi * np.arange(around) / around
     circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
@@ -71,9 +71,13 @@ def polar(
     return rings(np.stack([x, y, height(x, y)], axis=2), centre)
 
 
-def rounded(corners: Sequence[tuple[float, float]], radii: Sequence[float], step: float = 1.5) -> FloatArray:
-    """A line through ``corners`` (K) with its inner corners rounded by ``radii`` (K - 2), points at most
-    ``step`` apart; 0 keeps a corner sharp."""
+def round_corners(
+    corners: Sequence[tuple[float, float]], radii: Sequence[float], step: float = 1.5
+) -> FloatArray:
+    """Return a line through ``corners`` (K) with its inner corners rounded by ``radii`` (K - 2).
+
+    Points are at most ``step`` apart. Radius 0 keeps a corner sharp.
+    """
     points = np.asarray(corners, dtype=np.float64)
     out = [points[0]]
     for k, radius in enumerate(radii, start=1):
@@ -91,9 +95,9 @@ def rounded(corners: Sequence[tuple[float, float]], radii: Sequence[float], step
             out.append(centre + way)
     out.append(points[-1])
     dense = [out[0]]
-    for one, two in itertools.pairwise(out):
-        count = max(1, int(np.ceil(np.linalg.norm(two - one) / step)))
-        dense += [one + (two - one) * k / count for k in range(1, count + 1)]
+    for item, two in itertools.pairwise(out):
+        count = max(1, int(np.ceil(np.linalg.norm(two - item) / step)))
+        dense += [item + (two - item) * k / count for k in range(1, count + 1)]
     return np.array(dense)
 
 

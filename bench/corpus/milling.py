@@ -11,10 +11,10 @@ from typing import Any, Final
 import numpy as np
 
 from bench.corpus import cells
-from bench.corpus.foams import FAR
+from bench.corpus.foams import UNREACHABLE
 from bench.corpus.job import Data, Draft, Draw, Fault
 
-PLACES: Final = {
+STOCK_PLACES: Final = {
     "irb6640_185": ([1500, 0, 900], 0),
     "irb4600_40": ([1300, 0, 800], 0),
     "kr60_ha": ([1300, 0, 700], 90),
@@ -45,24 +45,24 @@ def cell(robot: str, tool: Data) -> Data:
 
 
 def stock(draw: Draw, robot: str, size: list[float]) -> Data:
-    """A block on a stand that reaches to the floor, where the arm reaches all of it."""
-    place, yaw = PLACES[robot]
+    """Return a block on a stand that reaches to the floor, completely within the arm's reach."""
+    place, yaw = STOCK_PLACES[robot]
     at = [place[0] + draw.pick([-50, 0, 0, 50]), draw.pick([-50, 0, 0, 50]), place[2]]
-    own: Data = {"xyz_mm": at}
+    pose: Data = {"xyz_mm": at}
     if yaw:
-        own["rpy_deg"] = [0, 0, yaw]
+        pose["rpy_deg"] = [0, 0, yaw]
     high = float(at[2] - 20)
-    return {"size_mm": size, "place": own, "support": cells.stand(0.8 * size[0], 0.8 * size[1], high)}
+    return {"size_mm": size, "place": pose, "support": cells.stand(0.8 * size[0], 0.8 * size[1], high)}
 
 
 def _problem(draw: Draw, robot: str, size: list[float], part: Data | None, cuts: list[Data]) -> Data:
-    own: Data = {"name": "mill", "process": "milling", "arms": ["robot"], "cuts": cuts}
-    own["feed_mm_s"] = draw.pick([20, 30, 40])
-    own["spindle_rpm"] = draw.pick([12000, 18000])
+    operation: Data = {"name": "mill", "process": "milling", "arms": ["robot"], "cuts": cuts}
+    operation["feed_mm_s"] = draw.pick([20, 30, 40])
+    operation["spindle_rpm"] = draw.pick([12000, 18000])
     problem: Data = {"stock": stock(draw, robot, size)}
     if part is not None:
         problem["part"] = part
-    return problem | {"settings": {"clearance_mm": draw.pick([5, 8])}, "operations": [own]}
+    return problem | {"settings": {"clearance_mm": draw.pick([5, 8])}, "operations": [operation]}
 
 
 def flank(draw: Draw) -> Draft:
@@ -79,8 +79,8 @@ def flank(draw: Draw) -> Draft:
         guides: Data = {}
         for side, z in (("start", 20.0), ("end", 20.0 + height)):
             x = np.linspace(-length / 2, length / 2, 5)
-            off = [0.0, *(draw.number(-wave, wave) for _ in range(3)), 0.0]
-            guides[side] = {"bspline_mm": [[float(u), y + v, z] for u, v in zip(x, off, strict=True)]}
+            deviations = [0.0, *(draw.number(-wave, wave) for _ in range(3)), 0.0]
+            guides[side] = {"bspline_mm": [[float(u), y + v, z] for u, v in zip(x, deviations, strict=True)]}
         ruled.append({"name": f"wall_{'abc'[k]}", **guides})
     size = [length, 100.0 * count + 20, 20.0 + height]
     cuts: list[Data] = [{"flank": wall["name"]} for wall in ruled]
@@ -223,7 +223,7 @@ def _thick(draft: Draft, draw: Draw) -> None:
     draft.problem["part"] = {"front": {"loft": {"sections": sections}}, "in_stock": {}}
 
 
-def _off(draft: Draft, draw: Draw) -> None:
+def _exceed_panel(draft: Draft, draw: Draw) -> None:
     x = 0.5 * draft.facts["size"][0] + 30
     draft.operation["cuts"][0]["engrave"] = [{"polyline_mm": [[-x, 0, 0], [x, 0, 0]]}]
 
@@ -236,7 +236,7 @@ BLOCKED: Final = ("motion.collision", "motion.no_path", "motion.entry")
 FLANKS: Final = [
     Fault("the flute is half as long as the wall is high", ("milling.flute",), _flute),
     Fault("an inner corner", ("milling.corner",), _inner),
-    FAR,
+    UNREACHABLE,
     Fault("a groove narrower than the cutter", ("milling.tool_radius",), _tight),
     Fault("a slab is where the spindle has to be", BLOCKED, _lid),
     Fault("rulings that turn by a right angle", ("milling.twist",), _twist),
@@ -246,12 +246,15 @@ FLANKS: Final = [
 ]
 PANELS: Final = [
     Fault("a trough tighter than the ball", ("milling.tool_radius", "milling.gouge"), _thick),
-    FAR,
+    UNREACHABLE,
     Fault("the block is shorter than the panel", ("part.stock_too_small",), _small_block),
     Fault("a slab is where the spindle has to be", BLOCKED, _lid),
     Fault("the arm carries no cutter", ("milling.tool",), _no_mill),
 ]
-PATTERNS: Final = [Fault("a curve goes beyond the panel", ("milling.off_surface",), _off), *PANELS[1:]]
+PATTERNS: Final = [
+    Fault("a curve goes beyond the panel", ("milling.off_surface",), _exceed_panel),
+    *PANELS[1:],
+]
 
 
 def all_kinds() -> dict[str, Any]:

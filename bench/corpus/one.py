@@ -16,7 +16,7 @@ from typing import Any
 from bench.corpus.job import PROBLEM
 
 
-def used() -> float:
+def processor_seconds() -> float:
     """Processor seconds (user and system) of this process."""
     own = resource.getrusage(resource.RUSAGE_SELF)
     return own.ru_utime + own.ru_stime
@@ -28,13 +28,13 @@ def run(command: str, folder: Path) -> dict[str, Any]:
     from planner.cli import command_line as cli
     from planner.issues import Severity, TandemError, has_errors
 
-    def refused(error: TandemError, code: int) -> dict[str, Any]:
+    def record_refusal(error: TandemError, code: int) -> dict[str, Any]:
         return {"exit": code, "issues": [issue.to_dict() for issue in error.issues]}
 
     try:
         problem = pipeline.load(folder / PROBLEM)
     except TandemError as error:
-        return refused(error, cli.BAD_INPUT)
+        return record_refusal(error, cli.BAD_INPUT)
     if command == "check":
         issues = pipeline.check(problem)
         errors = [issue for issue in issues if issue.severity is Severity.ERROR]
@@ -45,7 +45,7 @@ def run(command: str, folder: Path) -> dict[str, Any]:
     try:
         outcome = pipeline.plan(problem)
     except TandemError as error:
-        return refused(error, cli._infeasible_code(error))
+        return record_refusal(error, cli._infeasible_code(error))
     rules = {rule.code: rule.passed for rule in outcome.proof.rules}
     return {
         "exit": pipeline.exit_code(outcome),
@@ -64,7 +64,7 @@ def main(arguments: list[str]) -> int:
         found = run(command, Path(folder))
     except (Exception, SystemExit) as error:  # Drake ends the process where it demands something
         found = {"exit": 1, "issues": [], "crash": f"{error!r}\n{traceback.format_exc()}"}
-    found["seconds"] = round(used(), 2)
+    found["seconds"] = round(processor_seconds(), 2)
     target = Path(result)
     partial = target.with_suffix(".part")
     partial.write_text(json.dumps(found, indent=1) + "\n")

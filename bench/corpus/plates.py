@@ -74,7 +74,7 @@ def dovetail(size: float, draw: Draw) -> list[Point]:
     ]
 
 
-def rounded(size: float, draw: Draw) -> list[Point]:
+def rounded_square(size: float, draw: Draw) -> list[Point]:
     """A square whose corners are round."""
     radius = draw.number(0.15, 0.5, 2) * size
     out = []
@@ -89,7 +89,7 @@ def octagon(size: float, draw: Draw) -> list[Point]:
     return [_polar(size, 45.0 * k + 22.5) for k in range(8)]
 
 
-SHAPES: Final = (triangle, star, ell, tab, dovetail, rounded, octagon)
+SHAPES: Final = (triangle, star, ell, tab, dovetail, rounded_square, octagon)
 CIRCLE_HOLE, SQUARE_HOLE, SLOT_HOLE = "circle", "square", "slot"
 
 
@@ -223,7 +223,7 @@ def _twice(draft: Draft, draw: Draw) -> None:
 
 
 def _narrow(draft: Draft, draw: Draw) -> None:
-    """Two squares 0.6 mm apart, where the slot is at least 1.2 mm wide."""
+    """Two squares at a distance of 0.6 mm, where the slot is at least 1.2 mm wide."""
     s = 0.45 * draft.facts["size"]
     square = [(-s, -s), (s, -s), (s, s), (-s, s)]
     _points(draft, [[(x - s - 0.3, y) for x, y in square], [(x + s + 0.3, y) for x, y in square]])
@@ -278,7 +278,7 @@ FAULTS: Final = [
     Fault("a hole is smaller than the slot", ("straight.corner",), _pin_hole),
     Fault("the block is thicker than the bow's wire with its margins", ("bow.span",), _thick),
     Fault("an outline is given twice", ("part.outline_duplicate",), _twice),
-    foams.FAR,
+    foams.UNREACHABLE,
     Fault("the drawing has no such layer", ("part.dxf",), _layer),
     Fault("a hole is deeper in the plate than the bow's throat on every side", ("bow.throat",), _deep),
     foams.TOO_COLD,

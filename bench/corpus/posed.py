@@ -34,7 +34,7 @@ Row = dict[str, Any]
 
 
 def lanes(draw: Draw, name: str, height: float, x0: float, half: float, lane_ys: list[float]) -> list[Row]:
-    """Lanes along x over a vault, half circles between them; the tool's z looks at the vault's axis."""
+    """Return lanes along x over a vault, half circles between them; the tool's z points at its axis."""
     # the vault falls by 20 mm at most at the lanes' ends, which is the gauge's least height over the block
     radius = max(draw.number(350, 600, 0), math.ceil(half * half / 40.0))
     rows: list[Row] = []
@@ -54,10 +54,10 @@ def lanes(draw: Draw, name: str, height: float, x0: float, half: float, lane_ys:
         if number + 1 < len(lane_ys):
             gap = (lane_ys[number + 1] - y) / 2
             for k in range(1, 24):
-                share = math.pi * k / 24
+                angle = math.pi * k / 24
                 pose(
-                    x0 + way * (half + gap * math.sin(share)),
-                    y + gap * (1 - math.cos(share)),
+                    x0 + way * (half + gap * math.sin(angle)),
+                    y + gap * (1 - math.cos(angle)),
                     f"link/turn{number + 1}",
                 )
     return rows
@@ -86,8 +86,8 @@ def base(draw: Draw) -> Draft:
         draw.random.bit_generator.state = state
         other = lanes(draw, "right", height + gap, 120.0, 40.0, ys)
         rows = [
-            {**one, **{k: v for k, v in two_.items() if k != "segment"}}
-            for one, two_ in zip(rows, other, strict=True)
+            {**row, **{k: v for k, v in two_.items() if k != "segment"}}
+            for row, two_ in zip(rows, other, strict=True)
         ]
         arms, place, size = ["left", "right"], [0.0, 0.0, 220.0], [400, 160, height]
     else:
@@ -103,15 +103,15 @@ def base(draw: Draw) -> Draft:
         arms, place, size = ["robot"], [far, draw.number(-60, 60, 0), level], [2 * half + 40, 180, height]
     feed = draw.pick([20, 40, 60])
     columns = [f"{arm}.{c}" for arm in arms for c in COLUMNS] + ["segment"]
-    own: Data = {
+    operation: Data = {
         "name": "gauge",
         "process": "targets",
         "arms": arms,
         "file": f"poses.{form}",
         "frame": "stock",
     }
-    own["feed_mm_s"] = feed
-    own["free"] = [
+    operation["feed_mm_s"] = feed
+    operation["free"] = [
         {"name": f"spin_{arm}", "arms": [arm], "axis": "z", "turn_deg": [-180, 180]} for arm in arms
     ]
     problem = {
@@ -121,7 +121,7 @@ def base(draw: Draw) -> Draft:
             "support": cells.stand(0.8 * size[0], 120, place[2] - 20),
         },
         "settings": {"clearance_mm": draw.pick([5, 10])},
-        "operations": [own],
+        "operations": [operation],
     }
     why = f"{len(rows)} poses of {'two arms' if two else 'one arm'} {gap:g} mm above a block in reach"
     draft = Draft(problem, cell, {}, {"rows": rows, "columns": columns, "form": form, "arms": arms}, why)
@@ -152,7 +152,7 @@ def _column(draft: Draft, draw: Draw) -> None:
     _write(draft)
 
 
-def _far(draft: Draft, draw: Draw) -> None:
+def _move_poses_away(draft: Draft, draw: Draw) -> None:
     for row in draft.facts["rows"]:
         row[f"{draft.facts['arms'][0]}.y_mm"] += 4500.0
     _write(draft)
@@ -196,7 +196,7 @@ def _number(draft: Draft, draw: Draw) -> None:
 
 FAULTS: Final = [
     Fault("a column of the table is missing", ("targets.file",), _column),
-    Fault("poses metres away", ("motion.no_reach",), _far),
+    Fault("poses metres away", ("motion.no_reach",), _move_poses_away),
     Fault("a free axis turns and slides", ("targets.freedom",), _both),
     Fault("a box stands in the gauge's way", ("motion.collision", "motion.no_path"), _box),
     Fault("the least feed is beyond the arm in its turns", ("motion.feed_min",), _fast),

@@ -1,8 +1,8 @@
-"""Remedies followed: what a refusal advises by number is done to the problem, which is then planned again.
+"""Remedies followed: the number that a refusal advises is applied to the problem, which is planned again.
 
-Issues have no field for a remedy: the number stands in ``value``, ``limit``, or in the words. The table here
-says for each code where it stands and which field it is for, as a person would read it; a code that is not
-in it, or a message without its number, counts as one without a number.
+Issues have no field for a remedy: the number is in ``value``, ``limit``, or the message. The table here says
+for each code where it is and to which field it applies, as a person would read it. A code that is not in it,
+or a message without its number, counts as one without a number.
 """
 
 from __future__ import annotations
@@ -20,13 +20,15 @@ from bench.corpus.run import FALSE, LIMIT, VERIFIED, Result, single
 
 NUMBER: Final = r"(-?\d+(?:\.\d+)?)"
 Follow = Callable[[Data, Data, Data, str], str | None]
-"""Issue, problem, cell and the issue's words: changes problem or cell and says what was done; None where the
-issue names no number."""
+"""Function of issue, problem, cell and the issue's text that changes problem or cell.
+
+Returns what was done, or None if the issue names no number.
+"""
 
 
 def _number(pattern: str, text: str) -> float | None:
-    found = re.search(pattern.replace("#", NUMBER), text)
-    return None if found is None else float(found.group(1))
+    match = re.search(pattern.replace("#", NUMBER), text)
+    return None if match is None else float(match.group(1))
 
 
 def _tools(cell: Data, kind: str) -> list[Data]:
@@ -41,15 +43,15 @@ def _down(value: float, step: float = 0.01) -> float:
     return round(math.floor(value / step + 1e-9) * step, 6)
 
 
-def _block(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
-    size = re.search(r"size_mm: \[([^]]*)\]", told)
+def _block(issue: Data, problem: Data, cell: Data, advice: str) -> str | None:
+    size = re.search(r"size_mm: \[([^]]*)\]", advice)
     if "sheet" in problem:
-        return _sheet(problem, size, told) or _opening(problem, 2.0 * float(issue["value"]))
+        return _sheet(problem, size, advice) or _opening(problem, 2.0 * float(issue["value"]))
     if size is not None:
         problem["stock"]["size_mm"] = [float(value) for value in size[1].split(",")]
-        then = _wire(issue, problem, cell, told) if "wire" in problem["operations"][0] else None
+        then = _wire(issue, problem, cell, advice) if "wire" in problem["operations"][0] else None
         return ", ".join(filter(None, (f"block of {problem['stock']['size_mm']} mm", then)))
-    short = re.findall(rf"{NUMBER} mm in ([xyz])", told)
+    short = re.findall(rf"{NUMBER} mm in ([xyz])", advice)
     for value, axis in short:
         k = "xyz".index(axis)
         size = problem["stock"]["size_mm"]
@@ -57,9 +59,9 @@ def _block(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
     return f"block of {problem['stock']['size_mm']} mm" if short else None
 
 
-def _sheet(problem: Data, size: re.Match[str] | None, told: str) -> str | None:
+def _sheet(problem: Data, size: re.Match[str] | None, advice: str) -> str | None:
     """A sheet and opening as they are named."""
-    opening = re.search(rf"opening_mm: (?:{NUMBER}|\[([^]]*)\])", told)
+    opening = re.search(rf"opening_mm: (?:{NUMBER}|\[([^]]*)\])", advice)
     if size is None or opening is None:
         return None
     problem["sheet"]["size_mm"] = [float(value) for value in size[1].split(",")]
@@ -77,12 +79,12 @@ def _opening(problem: Data, more: float) -> str:
     return f"opening of {sheet['opening_mm']} mm"
 
 
-def _clamp(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
-    wider = _number("opening # mm wider", told)
+def _clamp(issue: Data, problem: Data, cell: Data, advice: str) -> str | None:
+    wider = _number("opening # mm wider", advice)
     if wider is None:
         return None
     clear = (
-        problem.get("settings", {}).get("clearance_mm", 10.0) if "twice settings.clearance" in told else 0.0
+        problem.get("settings", {}).get("clearance_mm", 10.0) if "twice settings.clearance" in advice else 0.0
     )
     return _opening(problem, wider + 2.0 * clear)
 
@@ -90,8 +92,8 @@ def _clamp(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
 def _tool(kind: str, key: str, pattern: str, factor: float = 1.0, down: bool = False) -> Follow:
     """A figure of the tool from the words."""
 
-    def follow(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
-        value = _number(pattern, told)
+    def follow(issue: Data, problem: Data, cell: Data, advice: str) -> str | None:
+        value = _number(pattern, advice)
         tools = _tools(cell, kind)
         if value is None or not tools:
             return None
@@ -105,8 +107,8 @@ def _tool(kind: str, key: str, pattern: str, factor: float = 1.0, down: bool = F
 def _operation(key: str, pattern: str, down: bool = False, inner: str | None = None) -> Follow:
     """A figure of the operation, or of a mapping in it, from the words."""
 
-    def follow(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
-        value = _number(pattern, told)
+    def follow(issue: Data, problem: Data, cell: Data, advice: str) -> str | None:
+        value = _number(pattern, advice)
         if value is None:
             return None
         own = problem["operations"][0] if inner is None else problem["operations"][0][inner]
@@ -116,9 +118,9 @@ def _operation(key: str, pattern: str, down: bool = False, inner: str | None = N
     return follow
 
 
-def _smaller(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
-    """A gripper that no longer stands out of the block's bottom."""
-    out = _number("stands # mm out", told)
+def _smaller(issue: Data, problem: Data, cell: Data, advice: str) -> str | None:
+    """A gripper that no longer extends beyond the block's bottom."""
+    out = _number("extends # mm beyond", advice)
     plates = _tools(cell, "gripper_plate")
     if out is None or not plates:
         return None
@@ -128,18 +130,18 @@ def _smaller(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
     return f"gripper of {plates[0]['width_mm']:g} x {plates[0]['depth_mm']:g} mm"
 
 
-def _flute(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
+def _flute(issue: Data, problem: Data, cell: Data, advice: str) -> str | None:
     for tool in _tools(cell, "mill"):
         tool["flute_mm"] = max(tool["flute_mm"], _up(float(issue["value"])))
         tool["overhang_mm"] = max(tool["overhang_mm"], tool["flute_mm"])
     return f"flute of {float(issue['value']):.1f}"
 
 
-def _heat(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
-    """Another power or feed, where one is named beside what the wire has."""
+def _heat(issue: Data, problem: Data, cell: Data, message: str) -> str | None:
+    """Use another power or feed, if the issue names one."""
     own = problem["operations"][0]
-    advice = str(issue.get("hint") or told.rpartition(";")[2])
-    if "no power and no feed" in advice:
+    advice = str(issue.get("hint") or message.rpartition(";")[2])
+    if "no power or feed" in advice:
         return None
     power = _number("# W", advice)
     if power is not None:
@@ -153,41 +155,41 @@ def _heat(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
     return f"{feed:g} mm/s"
 
 
-def _moved(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
-    """A stock that is moved by so much."""
+def _move_stock(issue: Data, problem: Data, cell: Data, advice: str) -> str | None:
+    """Move the stock by the advised vector."""
     place = problem.get("stock", problem.get("sheet", {})).get("place")
-    found = re.search(rf"move the (?:stock|block|sheet) by \(?{NUMBER}, {NUMBER}, {NUMBER}\)? mm", told)
-    if found is None or not isinstance(place, dict):
+    match = re.search(rf"move the (?:stock|block|sheet) by \(?{NUMBER}, {NUMBER}, {NUMBER}\)? mm", advice)
+    if match is None or not isinstance(place, dict):
         return None
-    place["xyz_mm"] = [a + float(b) for a, b in zip(place["xyz_mm"], found.groups(), strict=True)]
+    place["xyz_mm"] = [a + float(b) for a, b in zip(place["xyz_mm"], match.groups(), strict=True)]
     return f"stock at {place['xyz_mm']}"
 
 
-def _wire(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
+def _wire(issue: Data, problem: Data, cell: Data, advice: str) -> str | None:
     """Length, diameter and sweep of the wire that does, or else the tolerance that it keeps."""
     own, done = problem["operations"][0], []
     for key in ("diameter_mm", "length_mm"):
-        value = _number(f"{key}: #", told)
+        value = _number(f"{key}: #", advice)
         if value is not None:
             own["wire"][key] = value
             done.append(f"{key} of {value:g}")
-    sweep = re.search(r"sweep: (x|y|-?[0-9.]*[0-9])", told)
+    sweep = re.search(r"sweep: (x|y|-?[0-9.]*[0-9])", advice)
     if sweep is not None:
         own["sweep"] = sweep[1] if sweep[1] in "xy" else float(sweep[1])
         done.append(f"sweep {sweep[1]}")
-    looser = _number("shape_tol_mm: #", told)
+    looser = _number("shape_tol_mm: #", advice)
     if not done and looser is not None:
         own["shape_tol_mm"] = looser
         done.append(f"shape_tol_mm of {looser:g}")
     return ", ".join(done) or None
 
 
-def _plate(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
-    """The plate that fits, as wide and deep as said, where Tandem finds its place."""
-    width, depth = _number("has width_mm: #", told), _number("depth_mm: #", told)
+def _plate(issue: Data, problem: Data, cell: Data, advice: str) -> str | None:
+    """Use the advised width and depth of the plate; Tandem chooses its position."""
+    width, depth = _number("has width_mm: #", advice), _number("depth_mm: #", advice)
     plates = _tools(cell, "gripper_plate")
     if width is None or depth is None or not plates:
-        return _smaller(issue, problem, cell, told)
+        return _smaller(issue, problem, cell, advice)
     for plate in plates:
         plate.update(width_mm=width, depth_mm=depth)
     problem["stock"].pop("grip", None)
@@ -217,8 +219,8 @@ REMEDIES: Final[dict[str, Follow]] = {
     "forming.shift": _operation("shift_deg", "(?:at most|allowed is 0 to) #", down=True),
     "kerf.too_hot": _heat,
     "kerf.too_cold": _heat,
-    "motion.no_reach": _moved,
-    "motion.collision": _moved,
+    "motion.no_reach": _move_stock,
+    "motion.collision": _move_stock,
 }
 
 
@@ -227,9 +229,11 @@ def words(issue: Data) -> str:
     return f"{issue['message']}; {issue.get('hint') or ''}"
 
 
-def followed(job: Job, issues: Sequence[Data]) -> tuple[Job, str] | None:
-    """The job with the first remedy of each code among ``issues`` done to it, and what was done; None where
-    none of them names a number."""
+def follow_remedies(job: Job, issues: Sequence[Data]) -> tuple[Job, str] | None:
+    """Apply the first remedy of each code among ``issues`` to a job.
+
+    Returns the job and what was done, or None if no issue names a number.
+    """
     problem: Any = yaml.safe_load(job.files[PROBLEM])
     cell: Any = yaml.safe_load(job.files["cell.yaml"])
     done: dict[str, str] = {}
@@ -246,8 +250,8 @@ def followed(job: Job, issues: Sequence[Data]) -> tuple[Job, str] | None:
 
 
 def follow(result: Result, folder: Path, limit: int = LIMIT) -> tuple[str, Result] | None:
-    """Do what a refusal advises, and plan again; None where it names no number."""
-    changed = followed(result.job, result.plan["issues"])
+    """Apply the advice of a refusal and plan again; None if it names no number."""
+    changed = follow_remedies(result.job, result.plan["issues"])
     if changed is None:
         return None
     job, what = changed
@@ -258,9 +262,9 @@ def markdown(rows: Sequence[tuple[Result, tuple[str, Result] | None]]) -> str:
     """The share of remedies with a number that led to a proven program, and each of them."""
     named = [(result, *pair) for result, pair in rows if pair is not None]
     good = sum(after.verdict == VERIFIED for _, _, after in named)
-    share = f"{100.0 * good / len(named):.0f} %" if named else "-"
+    fraction = f"{100.0 * good / len(named):.0f} %" if named else "-"
     out = [
-        f"- of {len(rows)} refused jobs {len(named)} name a number; followed, {good} verify ({share})",
+        f"- of {len(rows)} refused jobs {len(named)} name a number; followed, {good} verify ({fraction})",
         "",
         "| job | refused by | remedy | then |",
         "| --- | --- | --- | --- |",

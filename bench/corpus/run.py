@@ -1,4 +1,4 @@
-"""Runs jobs of the corpus, each command in a process of its own, and goes on where it was stopped."""
+"""Runs jobs of the corpus, each command in its own process, and resumes where it was stopped."""
 
 from __future__ import annotations
 
@@ -15,18 +15,23 @@ from typing import Any, Final
 from bench.corpus.job import Job
 
 LIMIT: Final = 300
-"""Processor seconds that a job's plan may take."""
+"""Processor time limit [s] of the plan of a job."""
 CHECK_LIMIT: Final = 90
-"""And its check."""
+"""Processor time limit [s] of the check of a job."""
 
-VERIFIED, TRUE, OTHER, MADE = "verified", "refused, true cause", "refused, other cause", "made in spite of it"
+VERIFIED, TRUE, OTHER, PLANNED_ANYWAY = (
+    "verified",
+    "refused, true cause",
+    "refused, other cause",
+    "made in spite of it",
+)
 FALSE, UNPROVEN, CRASH, OVER = "refused falsely", "exit 4", "crash", "over time"
-CLASSES: Final = (VERIFIED, FALSE, TRUE, OTHER, MADE, UNPROVEN, CRASH, OVER)
+CLASSES: Final = (VERIFIED, FALSE, TRUE, OTHER, PLANNED_ANYWAY, UNPROVEN, CRASH, OVER)
 
 
 @dataclasses.dataclass(frozen=True)
 class Result:
-    """What became of a job: of its check and of its plan, as `bench.corpus.one` writes them."""
+    """Result of a job: of its check and of its plan, as `bench.corpus.one` writes them."""
 
     job: Job
     check: dict[str, Any]
@@ -35,8 +40,8 @@ class Result:
     @property
     def codes(self) -> tuple[str, ...]:
         """Codes of the errors that the plan ended with."""
-        found = (issue["code"] for issue in self.plan["issues"] if issue["severity"] == "error")
-        return tuple(dict.fromkeys(found))
+        result = (issue["code"] for issue in self.plan["issues"] if issue["severity"] == "error")
+        return tuple(dict.fromkeys(result))
 
     @property
     def verdict(self) -> str:
@@ -49,14 +54,14 @@ class Result:
         if code not in (0, 2, 3):
             return CRASH
         if code == 0:
-            return VERIFIED if self.job.feasible else MADE
+            return VERIFIED if self.job.feasible else PLANNED_ANYWAY
         if self.job.feasible:
             return FALSE
         return TRUE if self.codes and self.codes[0] in self.job.codes else OTHER
 
     @property
     def found_early(self) -> bool:
-        """Whether the check refused already what the plan refused."""
+        """Whether the check already refused what the plan refused."""
         return self.check.get("exit") in (2, 3)
 
 
@@ -66,7 +71,7 @@ def run(
     """Check and plan jobs; results are kept in ``folder`` and not made again."""
     folder.mkdir(parents=True, exist_ok=True)
 
-    def one(job: Job) -> Result:
+    def run_job(job: Job) -> Result:
         result = single(job, folder, limit)
         if tell:
             print(
@@ -76,7 +81,7 @@ def run(
         return result
 
     with ThreadPoolExecutor(processes) as pool:
-        return list(pool.map(one, jobs))
+        return list(pool.map(run_job, jobs))
 
 
 def single(job: Job, folder: Path, limit: int = LIMIT) -> Result:
@@ -99,10 +104,10 @@ def done(jobs: Iterable[Job], folder: Path) -> list[Result]:
     return out
 
 
-def _command(command: str, own: Path, limit: int) -> dict[str, Any]:
-    result = own / f"{command}.json"
+def _command(command: str, folder: Path, limit: int) -> dict[str, Any]:
+    result = folder / f"{command}.json"
     if not result.is_file():
-        arguments = [sys.executable, "-m", "bench.corpus.one", command, str(own), str(result), str(limit)]
+        arguments = [sys.executable, "-m", "bench.corpus.one", command, str(folder), str(result), str(limit)]
         root = str(Path(__file__).resolve().parents[2])
         paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
@@ -110,8 +115,8 @@ def _command(command: str, own: Path, limit: int) -> dict[str, Any]:
         ended = subprocess.run(arguments, env=environment, capture_output=True, text=True, check=False)
         if not result.is_file():
             _write_ended(result, ended, limit)
-    found: dict[str, Any] = json.loads(result.read_text())
-    return found
+    data: dict[str, Any] = json.loads(result.read_text())
+    return data
 
 
 def _write_ended(result: Path, ended: subprocess.CompletedProcess[str], limit: int) -> None:

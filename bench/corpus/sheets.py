@@ -17,7 +17,7 @@ from planner.geometry.arrays import FloatArray
 Piece = tuple[float, float, float]
 """Length [mm], slope at its beginning and end [deg]."""
 FLAT = 8.0
-"""Width [mm] of the flat that a part's mesh has around it."""
+"""Width [mm] of the flat margin around the mesh of a part."""
 
 
 def profile(pieces: Sequence[Piece], step: float = 1.2) -> FloatArray:
@@ -53,7 +53,7 @@ def bowl(radius: float, angle: float, rim: float) -> list[Piece]:
     return [(FLAT, 0.0, 0.0), (rim * a, 0.0, angle), ((radius / math.sin(a) - rim) * a, angle, 0.0)]
 
 
-def turned(radius: float, line: FloatArray, around: int = 144, oval: float = 1.0) -> meshes.Mesh:
+def turned_surface(radius: float, line: FloatArray, around: int = 144, oval: float = 1.0) -> meshes.Mesh:
     """A surface of revolution: a profile inwards from ``FLAT`` outside of ``radius``, with a floor; with
     ``oval`` its x is stretched."""
     far = radius + FLAT - line[:, 0]
@@ -64,7 +64,7 @@ def turned(radius: float, line: FloatArray, around: int = 144, oval: float = 1.0
     else:
         high = line[:, 1]
         far = np.concatenate([far[:-1], [0.0]])
-    points, faces = meshes.revolved(np.stack([far, high], axis=1), around)
+    points, faces = meshes.revolve(np.stack([far, high], axis=1), around)
     return points * [oval, 1.0, 1.0], faces
 
 
@@ -86,8 +86,8 @@ def pyramid(half: float, corner: float, line: FloatArray, side: int = 24) -> mes
             quarter = np.stack([-quarter[:, 1], quarter[:, 0]], axis=1)
         flat = np.concatenate(ring)
         out.append(np.column_stack([flat, np.full(len(flat), high)]))
-    for share in np.linspace(1.0, 0.0, 6)[1:-1]:
-        out.append(out[len(line) - 1] * [share, share, 1.0])
+    for fraction in np.linspace(1.0, 0.0, 6)[1:-1]:
+        out.append(out[len(line) - 1] * [fraction, fraction, 1.0])
     return meshes.rings(np.array(out), np.array([[0.0, 0.0, line[-1, 1]]]))
 
 
@@ -96,8 +96,8 @@ def nest(radius: float, line: FloatArray, bumps: Sequence[tuple[float, float, fl
     outer = radius + FLAT
 
     def height(x: FloatArray, y: FloatArray) -> FloatArray:
-        far = np.hypot(x, y)
-        out = np.interp(outer - far, line[:, 0], line[:, 1])
+        distance = np.hypot(x, y)
+        out = np.interp(outer - distance, line[:, 0], line[:, 1])
         for bx, by, size, rise in bumps:
             inside = np.clip(np.hypot(x - bx, y - by) / size, 0.0, 1.0)
             out = out + rise * 0.5 * (1.0 + np.cos(np.pi * inside))
@@ -106,16 +106,19 @@ def nest(radius: float, line: FloatArray, bumps: Sequence[tuple[float, float, fl
     return meshes.polar(outer, height, round(outer / 1.1), 180)
 
 
-def unreached(ball: float, angle: float, depth: float, half: float, sharp_edges: bool) -> float:
-    """Share of the walls of a pyramid (or cone) that a ball cannot touch: beside a sharp crease whose faces
-    turn by b, a band of ball * tan(b / 2) on each. ``half``: half side or radius at the rim."""
+def unreached_fraction(ball: float, angle: float, depth: float, half: float, sharp_edges: bool) -> float:
+    """Return the fraction of the walls of a pyramid (or cone) that a ball cannot touch.
+
+    Beside a sharp crease whose faces turn by b, this is a band of ball * tan(b / 2) on each face.
+    ``half``: half side or radius at the rim.
+    """
     a = math.radians(angle)
     slant = depth / math.sin(a)
-    share = ball * math.tan(a / 2.0) / slant
+    fraction = ball * math.tan(a / 2.0) / slant
     if sharp_edges:
         low = half - depth / math.tan(a)
         area = 4.0 * (half + low) * slant
         between = math.acos(math.cos(a) ** 2)
         edge = math.hypot(slant, half - low)
-        share += 8.0 * ball * math.tan(between / 2.0) * edge / area
-    return share
+        fraction += 8.0 * ball * math.tan(between / 2.0) * edge / area
+    return fraction

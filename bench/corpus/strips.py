@@ -141,7 +141,7 @@ FAULTS: Final = [
     Fault("a part of a ball is no ruled surface within half a millimetre", ("part.not_ruled",), _not_ruled),
     foams.TOO_HOT,
     Fault("two strips do not keep 0.05 mm of a ball", ("part.strips",), _two_strips),
-    foams.FAR,
+    foams.UNREACHABLE,
     Fault("a round mesh has no four corners", ("part.patch",), _round),
     Fault("the mesh is in metres and said to be in mm", ("mesh.unit",), _unit),
     Fault("the ninth of four strips", ("part.strips",), _beyond),

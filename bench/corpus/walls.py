@@ -137,7 +137,7 @@ FAULTS: Final = [
     Fault("the wall is wider than the bow's wire with its margins", ("bow.span",), _span),
     foams.TOO_HOT,
     Fault("one guide has a corner, the other has none", ("part.corners",), _corners),
-    foams.FAR,
+    foams.UNREACHABLE,
     Fault("the walls stand out of the block", ("part.stock_too_small",), _above),
     Fault(
         "the walls are nearer to each other than a slot is wide",

@@ -17,7 +17,7 @@ from bench.corpus.job import Draft, Draw, Fault
 from planner.geometry.arrays import FloatArray
 
 ROUND: Final = 14.0
-"""Foam around the panel [mm] on each side."""
+"""Foam [mm] around the panel on each side."""
 
 
 def _section(draw: Draw, kind: str) -> tuple[FloatArray, float]:
@@ -30,14 +30,18 @@ def _section(draw: Draw, kind: str) -> tuple[FloatArray, float]:
         camber = draw.number(0.0, 0.06, 3)
         return airfoils.karman_trefftz(draw.number(0.07, 0.10, 3), camber, angle, draw.whole(30, 80)), 0.0
     if kind == "thick":
-        return airfoils.four_digits(0.02, 0.4, draw.number(0.18, 0.22, 3), draw.whole(30, 60), False), 0.0042
+        return airfoils.naca_four_digits(
+            0.02, 0.4, draw.number(0.18, 0.22, 3), draw.whole(30, 60), False
+        ), 0.0042
     if kind == "reflexed":
         return airfoils.reflexed(
             draw.number(0.09, 0.12, 3), draw.number(0.03, 0.06, 3), draw.whole(30, 60)
         ), 0.0
     if kind == "flat":
         return airfoils.flat_bottom(draw.number(0.10, 0.13, 3), draw.whole(30, 50)), 0.0
-    return airfoils.four_digits(draw.number(0.01, 0.04, 3), 0.4, draw.number(0.10, 0.13, 3), 13, True), 0.0
+    return airfoils.naca_four_digits(
+        draw.number(0.01, 0.04, 3), 0.4, draw.number(0.10, 0.13, 3), 13, True
+    ), 0.0
 
 
 KINDS: Final = ("blunt", "sharp", "thick", "reflexed", "coarse", "flat")
@@ -64,7 +68,7 @@ def base(draw: Draw) -> Draft:
         edges.append(edge * chord)
     if draw.chance(0.3):
         specs[0] = {"naca": draw.pick(["2412", "0012", "4415", "23112"]), "chord_mm": root}
-        boxes[0] = root * airfoils.four_digits(0.04, 0.4, 0.15, 20, False)
+        boxes[0] = root * airfoils.naca_four_digits(0.04, 0.4, 0.15, 20, False)
         del files[f"root_{kinds[0]}.dat"]
         edges[0] = 0.0025 * root
     wing = {"root": specs[0], "tip": specs[1], "span_mm": span}
@@ -133,7 +137,7 @@ def _file(points: FloatArray, name: str) -> Fault:
 
 
 def _walls(draft: Draft, draw: Draw) -> None:
-    """Walls 5 mm beside both ends of the rulings, where the wire's ends and clamps have to be."""
+    """Add walls 5 mm beside both ends of the rulings, where the wire's ends and clamps have to be."""
     size = draft.problem["stock"]["size_mm"]
     reach = 470 if draft.facts["wire"] == 400 else 1300
     height = 450 if reach == 470 else 900
@@ -168,13 +172,13 @@ def _arm(draft: Draft, draw: Draw) -> None:
     draft.operation["arms"] = ["right"]
 
 
-_GOOD: Final = airfoils.four_digits(0.02, 0.4, 0.12, 30, True)
+_GOOD: Final = airfoils.naca_four_digits(0.02, 0.4, 0.12, 30, True)
 FAULTS: Final = [
     Fault("the block is 16 mm high, thinner than the panel", ("part.stock_too_small",), _small),
     foams.TOO_HOT,
     Fault("the panel is wider than the bow's wire", ("bow.span",), _long),
     _file(_GOOD[np.argsort(np.sin(7.0 * np.arange(len(_GOOD))))], "order"),
-    foams.FAR,
+    foams.UNREACHABLE,
     foams.TOO_COLD,
     Fault(
         "walls stand where the wire's ends and clamps must be",

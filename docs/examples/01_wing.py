@@ -1,4 +1,4 @@
-"""A wing panel between two airfoils, cut out of a block of foam by a robot with a bow."""
+"""Cut a wing panel between two airfoils out of a foam block, with a bow on one robot."""
 
 import sys
 
@@ -24,7 +24,7 @@ problem = spec.Problem(
         spec.StraightWire(
             name="cut",
             arms=["robot"],
-            power_w=46,  # over the 400 mm of wire; foam, power and speed give the width of the slot
+            power_w=46,  # over 400 mm of wire; foam, power and speed determine the slot width
             feed_mm_s=6,
             feed_min_mm_s=3,
             shape_tol_mm=0.3,

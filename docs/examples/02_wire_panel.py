@@ -1,6 +1,6 @@
-"""A panel with two curved faces, cut by an elastic wire between two robots; its front is a surface in numpy.
+"""Cut a panel with two curved faces with an elastic wire between two robots; its front is a numpy surface.
 
-The wire keeps its length, and bends to the shape that each line across the panel asks for.
+The wire keeps its length, and bends to the required shape of each line across the panel.
 """
 
 import sys

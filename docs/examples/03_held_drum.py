@@ -1,4 +1,4 @@
-"""A drum, wider at its foot: one robot holds and turns the block, the other one cuts round it with a bow."""
+"""Cut a drum that is wider at its foot: one robot holds and rotates the block, the other cuts with a bow."""
 
 import sys
 

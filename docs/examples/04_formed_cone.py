@@ -1,4 +1,4 @@
-"""A cone, formed out of a clamped sheet of aluminium by a robot with a ball; the part is a trimesh."""
+"""Form a cone out of a clamped aluminium sheet, with a ball tool on one robot; the part is a trimesh."""
 
 import sys
 
@@ -8,7 +8,7 @@ import trimesh
 import planner
 from planner import spec
 
-# heights of a cone over its radius; the mean of shifted ones has edges that are rounded, for the ball
+# cone height over the radius; the mean of shifted cones has rounded edges that the ball can reach
 radius = np.linspace(52, 0, 105)
 height = np.mean([np.interp(radius + shift, [26, 40], [-12, 0]) for shift in np.linspace(-5, 5, 41)], axis=0)
 cone = trimesh.creation.revolve(np.stack([radius, height], axis=1), sections=120)

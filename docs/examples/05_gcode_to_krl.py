@@ -1,4 +1,4 @@
-"""G-code to KRL: a frame is milled round a panel from an .nc file, by a KUKA robot with a spindle."""
+"""Convert G-code to KRL: a KUKA robot with a spindle mills a frame around a panel from an .nc file."""
 
 import sys
 from pathlib import Path
@@ -22,7 +22,7 @@ M30
 """
 )
 cutter = spec.Mill(diameter_mm=10, flute_mm=40, overhang_mm=60, tilt_deg=90)
-code = spec.GCode(file="frame.nc", origin=spec.Pose(xyz_mm=[0, 0, 40]))  # its zero: in the middle of the top
+code = spec.GCode(file="frame.nc", origin=spec.Pose(xyz_mm=[0, 0, 40]))  # its zero: centre of the top
 problem = spec.Problem(
     name="panel_rim",
     cell=spec.Cell.read("kr60_mill").changed("arms.robot.tool", cutter),

@@ -1,7 +1,7 @@
-"""Poses of one's own: two robots measure the thickness of an upright panel, one gauge on each side.
+"""Use your own poses: two robots measure the thickness of an upright panel, with one gauge on each side.
 
-A pose is that of a robot's TCP in the frame of the block: x and y along its edges from its middle, z up from
-its bottom. The z axes of the gauges look at the panel; how far they turn about them is left to the planner.
+A pose is a TCP pose in the frame of the block: x and y along its edges from its centre, z up from its bottom.
+The z axes of the gauges point at the panel; the planner chooses the rotation about them.
 """
 
 import sys

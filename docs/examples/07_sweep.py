@@ -1,4 +1,4 @@
-"""A sweep: how far from the robot should the block stand? Each place is planned, its margins are drawn."""
+"""Sweep a value: how far from the robot should the block stand? Plans each distance and draws the margins."""
 
 import sys
 from pathlib import Path
@@ -10,7 +10,7 @@ import planner
 from planner import spec
 
 lanes = [[x, y, 120] for y, turn in ((-60, 1), (0, -1), (60, 1)) for x in (-80 * turn, 80 * turn)]
-poses = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (len(lanes), 1, 1))  # looks down
+poses = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (len(lanes), 1, 1))  # points down
 poses[:, :3, 3] = lanes
 scan = spec.Targets(
     name="scan",

@@ -1,8 +1,8 @@
-"""A process of one's own from a package of one's own, used like those that are built in.
+"""Use a process from your own package like a built-in one.
 
 The package is the folder scan_ring: scan_ring.py, and a pyproject.toml whose entry point names the process.
-Where it is installed (pip install ./scan_ring) this file begins at "scan", problem files may say
-`process: scan_ring`, too, and nothing of Tandem is touched.
+If it is installed (pip install ./scan_ring), this script starts at "scan", and problem files may state
+`process: scan_ring`, too. Tandem itself is not changed.
 """
 
 import sys
@@ -10,7 +10,7 @@ import tempfile
 import tomllib
 from pathlib import Path
 
-package = Path(__file__).parent / "scan_ring"  # what pip does, for this run alone: the module and who it is
+package = Path(__file__).parent / "scan_ring"  # replaces pip for this run: module and metadata
 made = tomllib.loads((package / "pyproject.toml").read_text())["project"]
 info = Path(tempfile.mkdtemp()) / "scan_ring-1.0.dist-info"
 info.mkdir()

@@ -1,4 +1,4 @@
-"""Checking programs: a place that was changed by hand, and a module that somebody else has written."""
+"""Check programs: a position that was changed by hand, and a third-party module."""
 
 import sys
 from pathlib import Path
@@ -8,7 +8,7 @@ import numpy as np
 import planner
 from planner import spec
 
-poses = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (3, 1, 1))  # the gauge looks down
+poses = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (3, 1, 1))  # the gauge points down
 poses[:, :3, 3] = [[-60, -60, 120], [60, -60, 120], [60, 60, 120]]
 scan = spec.Targets(name="scan", poses={"robot": poses}, unit="mm", feed_mm_s=50)
 stock = spec.Stock(size_mm=[200, 200, 80], place={"xyz_mm": [500, 0, 250]}, support="pedestal")
@@ -32,5 +32,5 @@ foreign = """MODULE Hand
 ENDMODULE
 """
 partial = planner.read_partly(outcome.problem, {"T_ROB1/Hand.mod": foreign})
-print(f"somebody else's: {partial.share}")
+print(f"somebody else's: {partial.proven}")
 print(*(f"  {issue}" for issue in partial.issues), sep="\n")

@@ -1,4 +1,4 @@
-"""A batch: one scan over blocks of several heights, planned by two processes side by side."""
+"""Run a batch: one scan over blocks of several heights, planned by two processes in parallel."""
 
 import sys
 
@@ -7,12 +7,12 @@ import numpy as np
 from planner import spec
 from planner.batch.run import plan_all
 
-poses = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (3, 1, 1))  # the gauge looks down
+poses = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (3, 1, 1))  # the gauge points down
 poses[:, :3, 3] = [[-60, -60, 0], [60, -60, 0], [60, 60, 0]]
 
 
 def scan(height: float) -> spec.Problem:
-    """A block of that height [mm] on a pedestal, scanned 40 mm above its top."""
+    """Return a problem with a block of this height [mm] on a pedestal, scanned 40 mm above its top."""
     above = poses.copy()
     above[:, 2, 3] = height + 40
     return spec.Problem(

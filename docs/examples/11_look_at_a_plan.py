@@ -1,4 +1,4 @@
-"""Looking at a plan: where the arms are at a time, joint paths, figures, rules of the proof, a 3D view."""
+"""Inspect a plan: poses at a time, joint paths, figures, rules of the proof, a 3D view."""
 
 import sys
 from pathlib import Path
@@ -8,7 +8,7 @@ import numpy as np
 import planner
 from planner import spec
 
-poses = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (3, 1, 1))  # the gauge looks down
+poses = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (3, 1, 1))  # the gauge points down
 poses[:, :3, 3] = [[-60, -60, 120], [60, -60, 120], [60, 60, 120]]
 scan = spec.Targets(name="scan", poses={"robot": poses}, unit="mm", feed_mm_s=50)
 stock = spec.Stock(size_mm=[200, 200, 80], place={"xyz_mm": [500, 0, 250]}, support="pedestal")
@@ -32,6 +32,6 @@ print(f"verified: {outcome.verified}")
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "out_look")
 outcome.save(folder)
-planner.save(problem, folder.with_suffix(".yaml"))  # the same problem for the command line
-viewer = outcome.show(browser=False)  # True: a tab of the browser opens; in a notebook the last line shows it
+planner.save(problem, folder.with_suffix(".yaml"))  # this problem for the command line
+viewer = outcome.show(browser=False)  # True opens a browser tab; in a notebook the last line shows it
 print(f"3D view at {viewer.url} while Python runs, and in {folder / 'replay.html'} for good")

@@ -1,5 +1,5 @@
 #! python 3
-"""Tandem Connect: a service.
+"""Tandem Connect: connects to a service.
 
 In: url (str), token (str). Out: client, version.
 """

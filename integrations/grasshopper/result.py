@@ -1,5 +1,5 @@
 #! python 3
-"""Tandem Result: what became of a job.
+"""Tandem Result: the results of a job.
 
 In: client, job (str), folder (str), refresh (bool).
 Out: state, issues, planes, joints, names, times, targets, blocks, part, programs, report, replay.

@@ -1,9 +1,9 @@
-"""What Tandem's script components for Grasshopper (Rhino 8, Python 3) do.
+"""Functions of Tandem's script components for Grasshopper (Rhino 8, Python 3).
 
-Whatever asks the service runs in a thread of its own, which touches nothing of Rhino; what it found is kept
-in ``scriptcontext.sticky`` by component. A solution only looks there, so that the canvas never waits, and the
-document is asked to solve the component again while its thread is at work. Lengths go out in mm and come
-back in the document's unit.
+Requests to the service run in threads that do not touch Rhino. Their results are kept in
+``scriptcontext.sticky`` by component. A solution only reads them, so that the canvas never blocks, and the
+document solves the component again while its thread is running. Lengths are sent in mm and returned in the
+unit of the document.
 """
 
 from __future__ import annotations
@@ -21,24 +21,29 @@ import scriptcontext
 import tandem_client
 
 POLL_MS: Final = 400
-"""After so long a component is solved again while its thread is at work."""
+"""Time [ms] after which a component with a running thread is solved again."""
 CURVE_TOL_MM: Final = 0.002
-"""How far polylines may be off the curves that they stand for."""
+"""Maximum deviation [mm] of polylines from the curves that they approximate."""
 NO_UNIT: Final = ("None", "Unset", "CustomUnits")
-"""Units of documents by which nothing can be measured."""
+"""Document units without a length."""
 LEVELS: Final = {"error": "Error", "warning": "Warning"}
-"""How Grasshopper calls the severities of issues; it calls others remarks."""
+"""Grasshopper's names of severities. Other severities are remarks."""
 
 
 class Task:
-    """Work in a thread of its own. ``value`` is what it gave, ``issues`` why it did not; ``left``: nobody
-    waits for it any more."""
+    """Work in a thread of its own.
+
+    Attributes:
+        value: Result.
+        issues: Why there is no result.
+        left: Nobody waits for it any more.
+    """
 
     def __init__(self, key: Any, work: Callable[[Task], Any]) -> None:
         self.key, self.stage, self.fraction = key, "", 0.0
         self.job, self.value, self.issues = "", None, ()
         self.done = self.left = self.cancelled = False
-        self.shown: Any = None  # what was made of the value for Grasshopper
+        self.shown: Any = None  # the value as Grasshopper data
         threading.Thread(target=self._run, args=(work,), daemon=True).start()
 
     def _run(self, work: Callable[[Task], Any]) -> None:
@@ -46,19 +51,18 @@ class Task:
             self.value = work(self)
         except tandem_client.TandemError as error:
             self.issues = error.issues
-        except Exception as error:  # a thread has nobody else to tell
+        except Exception as error:  # otherwise lost with the thread
             self.issues = (tandem_client.Issue("desk", f"{type(error).__name__}: {error}"),)
         finally:
             self.done = True
 
 
-class _LeftError(Exception):
-    """Nobody waits for what a thread does."""
+class _AbandonedError(Exception):
+    """Nobody waits for the result of a thread."""
 
 
 class Pressed:
-    """A component that works when a button is pressed: what the buttons were, the last task, or why there is
-    none."""
+    """State of a component with buttons: their last values, the last task, or why there is none."""
 
     def __init__(self) -> None:
         self.was: tuple[bool, ...] = ()
@@ -67,19 +71,24 @@ class Pressed:
 
 
 def connect(ghenv: Any, url: str | None, token: str | None = None) -> tuple[Any, str]:
-    """A client of the service at ``url``, and its version. Without ``token`` the environment's
-    ``TANDEM_TOKEN`` is taken."""
-    asked = (url or "http://127.0.0.1:8000", token or os.environ.get("TANDEM_TOKEN"))
+    """Return a client of the service, and its version.
+
+    Args:
+        ghenv: Environment of the component.
+        url: Address of the service, by default this machine.
+        token: API token, by default the environment variable ``TANDEM_TOKEN``.
+    """
+    key = (url or "http://127.0.0.1:8000", token or os.environ.get("TANDEM_TOKEN"))
     clients = scriptcontext.sticky.setdefault("tandem clients", {})
     try:
-        if asked not in clients:
-            clients[asked] = tandem_client.Client(*asked)
+        if key not in clients:
+            clients[key] = tandem_client.Client(*key)
     except tandem_client.TandemError as error:
-        _tell(ghenv, error.issues)
+        _show_issues(ghenv, error.issues)
         return None, ""
-    client = clients[asked]
-    task = _task(ghenv, asked, lambda task: client.service())
-    _tell(ghenv, task.issues)
+    client = clients[key]
+    task = _task(ghenv, key, lambda task: client.service())
+    _show_issues(ghenv, task.issues)
     if task.issues:
         _drop(ghenv)  # so that the next solution asks again
     return client, "" if task.value is None else str(task.value["version"])
@@ -96,25 +105,38 @@ def job(
     run: bool | None = False,
     cancel: bool | None = False,
 ) -> tuple[str, str, list[str]]:
-    """Checks a problem when ``check`` goes to true, plans it when ``run`` does: id of the job, its state,
-    issues. ``mesh`` becomes the part's front, ``curves`` in pairs its ruled surfaces. ``cancel`` ends a job
-    that was begun here."""
+    """Check a problem when ``check`` becomes true, plan it when ``run`` does.
+
+    Args:
+        ghenv: Environment of the component.
+        client: Client.
+        problem: Problem.
+        mesh: Mesh that becomes the front of the part.
+        curves: Pairs of curves that become its ruled surfaces.
+        files: Paths of files that the problem uses.
+        check: Check button.
+        run: Plan button.
+        cancel: Cancel the job that was started here.
+
+    Returns:
+        Id of the job, its state, issues.
+    """
 
     def prepared() -> tuple[Any, dict[str, Any]]:
-        return _with_part(_said(problem), mesh, list(curves or ()), _sent(files))
+        return _with_part(_parse_problem(problem), mesh, list(curves or ()), _files_by_name(files))
 
-    def checked(task: Task, said: Any, sent: Mapping[str, Any]) -> dict[str, Any]:
-        return {"state": "checked", "issues": [one.data for one in client.check(said, files=sent)]}
+    def checked(task: Task, content: Any, sent: Mapping[str, Any]) -> dict[str, Any]:
+        return {"state": "checked", "issues": [issue.data for issue in client.check(content, files=sent)]}
 
-    def planned(task: Task, said: Any, sent: Mapping[str, Any]) -> dict[str, Any]:
-        task.job = client.submit(said, files=sent)
+    def planned(task: Task, content: Any, sent: Mapping[str, Any]) -> dict[str, Any]:
+        task.job = client.submit(content, files=sent)
         if task.cancelled:  # while it was sent
             client.cancel(task.job)
-        return _followed(client, task)
+        return _wait_for_job(client, task)
 
     if cancel and client is not None:
         _cancel(ghenv, client.cancel)
-    return _buttons(ghenv, client, problem, prepared, ((check, checked), (run, planned)))
+    return _handle_buttons(ghenv, client, problem, prepared, ((check, checked), (run, planned)))
 
 
 def divide(
@@ -126,127 +148,156 @@ def divide(
     run: bool | None = False,
     cancel: bool | None = False,
 ) -> tuple[str, str, list[str]]:
-    """Divides a building element when ``run`` goes to true: its id, state, issues. ``mesh`` becomes its
-    surface. ``cancel`` ends a division that was begun here."""
+    """Divide a building element when ``run`` becomes true.
+
+    Args:
+        ghenv: Environment of the component.
+        client: Client.
+        element: Element.
+        mesh: Mesh that becomes its surface.
+        files: Paths of files that the element uses.
+        run: Divide button.
+        cancel: Cancel the division that was started here.
+
+    Returns:
+        Id of the element, its state, issues.
+    """
 
     def prepared() -> tuple[Any, dict[str, Any]]:
-        said, sent = _said(element), _sent(files)
-        if mesh is not None and isinstance(said, dict):
-            said["surface"] = {"mesh": _mesh(mesh)}
+        content, uploads = _parse_problem(element), _files_by_name(files)
+        if mesh is not None and isinstance(content, dict):
+            content["surface"] = {"mesh": _problem_mesh(mesh)}
         elif mesh is not None:
-            sent["mesh.obj"] = _mesh(mesh)["file"]
-        return said, sent
+            uploads["mesh.obj"] = _problem_mesh(mesh)["file"]
+        return content, uploads
 
-    def divided(task: Task, said: Any, sent: Mapping[str, Any]) -> dict[str, Any]:
-        task.job = client.divide(said, files=sent)
+    def divided(task: Task, content: Any, sent: Mapping[str, Any]) -> dict[str, Any]:
+        task.job = client.divide(content, files=sent)
         if task.cancelled:  # while it was sent
             client.cancel_element(task.job)
-        return _followed(client, task)
+        return _wait_for_job(client, task)
 
     if cancel and client is not None:
         _cancel(ghenv, client.cancel_element)
-    return _buttons(ghenv, client, element, prepared, ((run, divided),))
+    return _handle_buttons(ghenv, client, element, prepared, ((run, divided),))
 
 
 def result(
     ghenv: Any, client: Any, job: str | None, folder: str | None = None, refresh: bool | None = False
 ) -> tuple[Any, ...]:
-    """What became of a job: state, issues, planes at the TCPs, joints [deg], their names, times [s], names of
-    targets, planes of the block, the simulated part, programs in ``folder``, links to report and replay.
-    ``refresh`` asks anew: a job that was tried again, links that are over.
+    """Return the results of a job.
 
     Trees have the branches {operation; arm}, joints {operation; arm; joint}, times, targets and blocks
     {operation}.
+
+    Args:
+        ghenv: Environment of the component.
+        client: Client.
+        job: Id of the job.
+        folder: Folder for programs.
+        refresh: Query again, for a job that was retried or links that have expired.
+
+    Returns:
+        State, issues, planes at the TCPs, joints [deg], their names, times [s], names of targets, planes of
+        the block, the simulated part, programs in ``folder``, links to report and replay.
     """
     if client is None or not job:
-        ghenv.Component.Message = "waits for a client and a job"
+        ghenv.Component.Message = "connect a client and a job"
         return ("", [], *[None] * 10)
-    _refreshed(ghenv, refresh)
-    task = _task(ghenv, ("result", client, job, folder), lambda task: _fetched(client, task, job, folder))
+    _apply_refresh(ghenv, refresh)
+    task = _task(
+        ghenv, ("result", client, job, folder), lambda task: _fetch_results(client, task, job, folder)
+    )
     if task.value is None:
         if task.issues:
             _drop(ghenv)
-        _tell(ghenv, task.issues)
-        return (task.stage, _lines(task.issues), *[None] * 10)
-    found = task.value
-    issues = _issues(found["job"])
-    _tell(ghenv, issues)
-    ghenv.Component.Message = found["job"]["state"]
-    scale, unmeasured = _scale_or_why()
+        _show_issues(ghenv, task.issues)
+        return (task.stage, _issue_lines(task.issues), *[None] * 10)
+    results = task.value
+    issues = _job_issues(results["job"])
+    _show_issues(ghenv, issues)
+    ghenv.Component.Message = results["job"]["state"]
+    scale, unmeasured = _unit_or_issues()
     if scale is None:
-        _tell(ghenv, unmeasured)
-        return (found["job"]["state"], _lines((*issues, *unmeasured)), *[None] * 10)
+        _show_issues(ghenv, unmeasured)
+        return (results["job"]["state"], _issue_lines((*issues, *unmeasured)), *[None] * 10)
     if task.shown is None or task.shown[0] != scale:
-        task.shown = scale, _shown(found, scale)
-    links = (found["programs"], found["report"], found["replay"])
-    return (found["job"]["state"], _lines(issues), *task.shown[1], *links)
+        task.shown = scale, _result_values(results, scale)
+    links = (results["programs"], results["report"], results["replay"])
+    return (results["job"]["state"], _issue_lines(issues), *task.shown[1], *links)
 
 
 def panels(ghenv: Any, client: Any, element: str | None, refresh: bool | None = False) -> tuple[Any, ...]:
-    """Panels of an element: their ids, meshes, orders, states, ids of their jobs. ``refresh`` asks for
-    their states anew."""
+    """Return the panels of an element: ids, meshes, orders, states, ids of their jobs.
+
+    Args:
+        ghenv: Environment of the component.
+        client: Client.
+        element: Id of the element.
+        refresh: Query their states again.
+    """
     if client is None or not element:
-        ghenv.Component.Message = "waits for a client and an element"
+        ghenv.Component.Message = "connect a client and an element"
         return [], [], [], [], []
-    _refreshed(ghenv, refresh)
+    _apply_refresh(ghenv, refresh)
 
     def fetched(task: Task) -> dict[str, Any]:
         task.job = element
-        _followed(client, task)
+        _wait_for_job(client, task)
         return {"element": client.element(element), "meshes": client.meshes(element, "element.obj")}
 
     task = _task(ghenv, ("panels", client, element), fetched)
-    _tell(ghenv, task.issues)
+    _show_issues(ghenv, task.issues)
     if task.value is None:
         if task.issues:
             _drop(ghenv)
         return [], [], [], [], []
-    found = task.value["element"]
-    scale, unmeasured = _scale_or_why()
+    element_data = task.value["element"]
+    scale, unmeasured = _unit_or_issues()
     if scale is None:
-        _tell(ghenv, unmeasured)
+        _show_issues(ghenv, unmeasured)
         return [], [], [], [], []
     if task.shown is None or task.shown[0] != scale:
-        meshes = {name: _rhino_mesh(one, scale) for name, one in task.value["meshes"].items()}
+        meshes = {name: _rhino_mesh(row, scale) for name, row in task.value["meshes"].items()}
         task.shown = scale, meshes
-    rows = found.get("panels", [])
+    rows = element_data.get("panels", [])
     ghenv.Component.Message = f"{len(rows)} panels"
-    columns = [[one.get(key) for one in rows] for key in ("id", "order", "state", "job")]
+    columns = [[row.get(key) for row in rows] for key in ("id", "order", "state", "job")]
     return columns[0], [task.shown[1].get(name) for name in columns[0]], *columns[1:]
 
 
-def _refreshed(ghenv: Any, refresh: bool | None) -> None:
-    """Forget what a component has fetched when ``refresh`` goes to true."""
-    state = scriptcontext.sticky.setdefault(f"{_name(ghenv)} button", Pressed())
+def _apply_refresh(ghenv: Any, refresh: bool | None) -> None:
+    """Drop the results of a component when ``refresh`` becomes true."""
+    state = scriptcontext.sticky.setdefault(f"{_storage_key(ghenv)} button", Pressed())
     if (bool(refresh),) != state.was and refresh:
         _drop(ghenv)
     state.was = (bool(refresh),)
 
 
-def _name(ghenv: Any) -> str:
-    """Where a component keeps what it has; one that runs for several items keeps each."""
+def _storage_key(ghenv: Any) -> str:
+    """Return the storage key of a component. One that runs for several items has a key for each."""
     return f"tandem {ghenv.Component.InstanceGuid} {ghenv.Component.RunCount}"
 
 
 def _drop(ghenv: Any) -> None:
-    """Forget a component's task."""
-    held = scriptcontext.sticky.pop(_name(ghenv), None)
+    """Drop the task of a component."""
+    held = scriptcontext.sticky.pop(_storage_key(ghenv), None)
     if held is not None:
         held.left = True
 
 
 def _task(ghenv: Any, key: Any, work: Callable[[Task], Any]) -> Task:
-    """The task of a component for what is asked, begun where something else was asked before."""
-    held: Task | None = scriptcontext.sticky.get(_name(ghenv))
+    """Return the task of a component for a request. A different request starts a new task."""
+    held: Task | None = scriptcontext.sticky.get(_storage_key(ghenv))
     if held is None or held.key != key:
         _drop(ghenv)
-        held = scriptcontext.sticky[_name(ghenv)] = Task(key, work)
-    _watch(ghenv, held)
+        held = scriptcontext.sticky[_storage_key(ghenv)] = Task(key, work)
+    _show_progress(ghenv, held)
     return held
 
 
-def _watch(ghenv: Any, task: Task) -> None:
-    """Show how far a task is; while it is at work the component is solved again."""
+def _show_progress(ghenv: Any, task: Task) -> None:
+    """Show the progress of a task, and solve the component again while it is running."""
     component = ghenv.Component
     component.Message = f"{task.stage} {task.fraction:.0%}" if task.stage else "..."
     if task.done:
@@ -261,24 +312,24 @@ def _watch(ghenv: Any, task: Task) -> None:
         document.ScheduleSolution(POLL_MS, Grasshopper.Kernel.GH_Document.GH_ScheduleDelegate(expire))
 
 
-def _buttons(
+def _handle_buttons(
     ghenv: Any,
     client: Any,
     what: Any,
     prepared: Callable[[], tuple[Any, dict[str, Any]]],
     buttons: Iterable[tuple[bool | None, Callable[..., Any]]],
 ) -> tuple[str, str, list[str]]:
-    """Begin the work of a button that was pressed; id, state and issues of what was begun last.
+    """Start the work of a button that was pressed. Return id, state and issues of the last started work.
 
-    What is sent is read of Rhino here, in its own thread, once for each press. A switch that is on when the
-    component is solved for the first time, as a document opens, is no press.
+    Input is read from Rhino here, in Rhino's thread, once for each press. A switch that is on when the
+    component is solved for the first time, as when a document opens, is not a press.
     """
-    state = scriptcontext.sticky.setdefault(f"{_name(ghenv)} button", Pressed())
+    state = scriptcontext.sticky.setdefault(f"{_storage_key(ghenv)} button", Pressed())
     pressed = tuple(bool(button) for button, _ in buttons)
-    before, state.was = state.was or pressed, pressed
+    previous, state.was = state.was or pressed, pressed
     ready = client is not None and what is not None
-    for now, then, (_, work) in zip(pressed, before, buttons):
-        if now and not then and ready:
+    for is_on, was_on, (_, work) in zip(pressed, previous, buttons):
+        if is_on and not was_on and ready:
             if state.task is not None:
                 state.task.left = True
             state.task, state.issues = None, ()
@@ -289,28 +340,28 @@ def _buttons(
                 state.issues = (tandem_client.Issue("desk", str(error)),)
     task = state.task
     if task is None:
-        ghenv.Component.Message = "press the button" if ready else "waits for a client and a problem"
-        _tell(ghenv, state.issues)
-        return "", "", _lines(state.issues)
-    _watch(ghenv, task)
-    found = task.issues
+        ghenv.Component.Message = "press the button" if ready else "connect a client and a problem"
+        _show_issues(ghenv, state.issues)
+        return "", "", _issue_lines(state.issues)
+    _show_progress(ghenv, task)
+    issues = task.issues
     ended = ""
     if task.value is not None:
         ended = ghenv.Component.Message = task.value["state"]
-        found = _issues(task.value)
-    _tell(ghenv, found)
-    return task.job, ended or task.stage, _lines(found)
+        issues = _job_issues(task.value)
+    _show_issues(ghenv, issues)
+    return task.job, ended or task.stage, _issue_lines(issues)
 
 
 def _cancel(ghenv: Any, cancel: Callable[[str], Any]) -> None:
-    """Cancel the job that a component has begun, once, by what cancels one of its id."""
-    state = scriptcontext.sticky.get(f"{_name(ghenv)} button")
+    """Cancel, once, the job that a component has started."""
+    state = scriptcontext.sticky.get(f"{_storage_key(ghenv)} button")
     task = None if state is None else state.task
     if task is None or task.done or task.cancelled:
         return
     task.cancelled = True
     if not task.job:
-        return  # who sends it cancels it then
+        return  # the sending thread cancels it
 
     def ask() -> None:
         try:
@@ -321,35 +372,35 @@ def _cancel(ghenv: Any, cancel: Callable[[str], Any]) -> None:
     threading.Thread(target=ask, daemon=True).start()
 
 
-def _followed(client: Any, task: Task) -> dict[str, Any]:
-    """A job when it has ended; how far it is meanwhile is told to the task."""
+def _wait_for_job(client: Any, task: Task) -> dict[str, Any]:
+    """Return a job when it has ended. Meanwhile the task gets its progress."""
 
     def progress(stage: str, fraction: float) -> None:
         if task.left:
-            raise _LeftError
+            raise _AbandonedError
         task.stage, task.fraction = stage, fraction
 
-    found: dict[str, Any] = client.wait(task.job, progress)
-    return found
+    finished: dict[str, Any] = client.wait(task.job, progress)
+    return finished
 
 
-def _fetched(client: Any, task: Task, job: str, folder: str | None) -> dict[str, Any]:
-    """All of a job that has ended."""
+def _fetch_results(client: Any, task: Task, job: str, folder: str | None) -> dict[str, Any]:
+    """Return all results of a job that has ended."""
     task.job = job
-    found: dict[str, Any] = {"job": _followed(client, task), "motion": None, "part": {}, "programs": []}
-    state = found["job"]["state"]
+    results: dict[str, Any] = {"job": _wait_for_job(client, task), "motion": None, "part": {}, "programs": []}
+    state = results["job"]["state"]
     if state in tandem_client.PLANNED:
-        found["motion"] = client.motion(job)
-        found["part"] = _there(lambda: client.meshes(job)) or {}
+        results["motion"] = client.motion(job)
+        results["part"] = _result_or_none(lambda: client.meshes(job)) or {}
     if state == "verified" and folder:
-        found["programs"] = save(client.programs(job), Path(folder) / f"{found['job']['name']}-{job[:8]}")
-    found["report"] = _there(lambda: client.report_url(job))
-    found["replay"] = _there(lambda: client.replay_url(job))
-    return found
+        results["programs"] = save(client.programs(job), Path(folder) / f"{results['job']['name']}-{job[:8]}")
+    results["report"] = _result_or_none(lambda: client.report_url(job))
+    results["replay"] = _result_or_none(lambda: client.replay_url(job))
+    return results
 
 
-def _there(ask: Callable[[], Any]) -> Any:
-    """What a job has, or None: what follows poses leaves no part, what was cancelled has no report."""
+def _result_or_none(ask: Callable[[], Any]) -> Any:
+    """Return a result of a job, or None: given poses leave no part, and a cancelled job has no report."""
     try:
         return ask()
     except tandem_client.TandemError as error:
@@ -359,164 +410,186 @@ def _there(ask: Callable[[], Any]) -> Any:
 
 
 def save(programs: Mapping[str, str], folder: Path) -> list[str]:
-    """Write programs into a folder; their paths. Raises ``ValueError`` for a name that leads out of it."""
+    """Write programs into a folder.
+
+    Args:
+        programs: Programs by name.
+        folder: Folder.
+
+    Returns:
+        Paths.
+
+    Raises:
+        ValueError: A name leads out of the folder.
+    """
     paths = []
     for name, text in programs.items():
         parts = PurePosixPath(name).parts
-        if not parts or any(one in ("..", "/") or set(one) & set('\\:*?"<>|') for one in parts):
-            raise ValueError(f"the service names a program {name!r}, which is no name of a file here")
+        if not parts or any(part in ("..", "/") or set(part) & set('\\:*?"<>|') for part in parts):
+            raise ValueError(f"the service sent a program {name!r}, which is not a valid file name here.")
         path = folder.joinpath(*parts)
         path.parent.mkdir(parents=True, exist_ok=True)
-        beside = path.with_name(path.name + ".part")
-        beside.write_bytes(text.encode("utf-8"))
-        os.replace(beside, path)  # noqa: PTH105
+        temporary = path.with_name(path.name + ".part")
+        temporary.write_bytes(text.encode("utf-8"))
+        os.replace(temporary, path)  # noqa: PTH105
         paths.append(str(path))
     return paths
 
 
-def _said(problem: Any) -> Any:
-    """A problem as a dict of one's own, out of a dict or JSON; else the path of a file. Raises ``ValueError``
-    for other text."""
+def _parse_problem(problem: Any) -> Any:
+    """Return a copy of a problem as a dict, from a dict or JSON, else the path of a file.
+
+    Raises:
+        ValueError: Any other text.
+    """
     if isinstance(problem, Mapping):
         return dict(problem)
     text = str(problem).strip()
     if text.startswith("{"):
         try:
-            found = json.loads(text)
+            data = json.loads(text)
         except ValueError as error:
-            raise ValueError(f"problem: is no JSON ({error}); correct it, or give a dict or a path") from None
-        return dict(found)
+            raise ValueError(f"problem: invalid JSON ({error}). Give valid JSON, a dict or a path.") from None
+        return dict(data)
     if "\n" in text or not Path(text).is_file():
-        raise ValueError(f"problem: {text[:80]!r} is no file; give the path of one, a dict, or JSON")
+        raise ValueError(f"problem: {text[:80]!r} is not a file. Give the path of one, a dict, or JSON.")
     return Path(text)
 
 
-def _sent(files: Sequence[str] | None) -> dict[str, Any]:
-    """Files by the names that a problem has for them."""
-    sent: dict[str, Any] = {}
+def _files_by_name(files: Sequence[str] | None) -> dict[str, Any]:
+    """Return files by the names that a problem uses."""
+    uploads: dict[str, Any] = {}
     for path in map(Path, files or ()):
-        if sent.setdefault(path.name, path) != path:
-            raise ValueError(f"files: two are called {path.name}, {sent[path.name]} and {path}; rename one")
-    return sent
+        if uploads.setdefault(path.name, path) != path:
+            raise ValueError(
+                f"files: two are named {path.name}: {uploads[path.name]} and {path}. Rename one."
+            )
+    return uploads
 
 
 def _with_part(
-    said: Any, mesh: Any, curves: Sequence[Any], sent: dict[str, Any]
+    content: Any, mesh: Any, curves: Sequence[Any], uploads: dict[str, Any]
 ) -> tuple[Any, dict[str, Any]]:
-    """A problem with a mesh as its front and pairs of curves as its ruled surfaces, and the files that go
-    along. A file's part is its own: it finds the mesh as ``mesh.obj``, in mm."""
-    if not isinstance(said, dict):
+    """Add a mesh as front and pairs of curves as ruled surfaces to a problem. Return it with its files.
+
+    The part of a problem file is not changed: it refers to the mesh as ``mesh.obj``, in mm.
+    """
+    if not isinstance(content, dict):
         if curves:
-            raise ValueError("curves go with a problem that is a dict or JSON; a file has its own guides")
+            raise ValueError("curves require a problem that is a dict or JSON. A file has its own guides.")
         if mesh is not None:
-            sent["mesh.obj"] = _mesh(mesh)["file"]
-        return said, sent
-    part = dict(said.get("part") or {})
+            uploads["mesh.obj"] = _problem_mesh(mesh)["file"]
+        return content, uploads
+    part = dict(content.get("part") or {})
     if mesh is not None:
-        part["front"] = {**(part.get("front") or {}), "mesh": _mesh(mesh)}
+        part["front"] = {**(part.get("front") or {}), "mesh": _problem_mesh(mesh)}
     if len(curves) % 2:
-        raise ValueError(f"curves: got {len(curves)}; give two for each surface, its start and its end")
+        raise ValueError(f"curves: got {len(curves)}. Give two for each surface, its start and its end.")
     if curves:
-        known = list(part.get("ruled") or [])
-        known += [{"name": f"surface_{k + 1}"} for k in range(len(known), len(curves) // 2)]
+        surfaces = list(part.get("ruled") or [])
+        surfaces += [{"name": f"surface_{k + 1}"} for k in range(len(surfaces), len(curves) // 2)]
         part["ruled"] = [
-            {**own, "start": _guide(start), "end": _guide(end)}
-            for own, start, end in zip(known, curves[::2], curves[1::2])
+            {**surface, "start": _problem_guide(start), "end": _problem_guide(end)}
+            for surface, start, end in zip(surfaces, curves[::2], curves[1::2])
         ]
-    return ({**said, "part": part} if part else said), sent
+    return ({**content, "part": part} if part else content), uploads
 
 
-def _scale() -> float:
-    """Length [mm] of the document's unit. Raises ``ValueError`` for a document without one."""
+def _document_unit_mm() -> float:
+    """Return the length [mm] of the document's unit.
+
+    Raises:
+        ValueError: The document has no unit.
+    """
     unit = Rhino.RhinoDoc.ActiveDoc.ModelUnitSystem
     if str(unit).rpartition(".")[2] in NO_UNIT:
-        raise ValueError(f"the document's unit is {unit}; set one, such as millimetres, by _Units")
+        raise ValueError(f"the document's unit is {unit}. Set one, such as millimetres, by _Units.")
     return float(Rhino.RhinoMath.UnitScale(unit, Rhino.UnitSystem.Millimeters))
 
 
-def _scale_or_why() -> tuple[float | None, tuple[Any, ...]]:
-    """As :func:`_scale`, or None and an issue."""
+def _unit_or_issues() -> tuple[float | None, tuple[Any, ...]]:
+    """Return the result of :func:`_document_unit_mm`, or None and an issue."""
     try:
-        return _scale(), ()
+        return _document_unit_mm(), ()
     except ValueError as error:
         return None, (tandem_client.Issue("desk", str(error)),)
 
 
-def _mesh(mesh: Any) -> dict[str, Any]:
-    """A mesh of Rhino as a problem has it."""
-    scale = _scale()
-    points = [(scale * one.X, scale * one.Y, scale * one.Z) for one in mesh.Vertices.ToPoint3dArray()]
-    corners = [int(one) for one in mesh.Faces.ToIntArray(True)]
+def _problem_mesh(mesh: Any) -> dict[str, Any]:
+    """Convert a mesh of Rhino to the form of problems."""
+    scale = _document_unit_mm()
+    points = [(scale * value.X, scale * value.Y, scale * value.Z) for value in mesh.Vertices.ToPoint3dArray()]
+    corners = [int(value) for value in mesh.Faces.ToIntArray(True)]
     return {"file": (points, list(zip(corners[::3], corners[1::3], corners[2::3]))), "unit": "mm"}
 
 
-def _guide(curve: Any) -> dict[str, Any]:
-    """A curve of Rhino as a guide."""
-    scale = _scale()
-    found = curve.ToPolyline(CURVE_TOL_MM / scale, 0.0, 0.0, 0.0)
-    if found is None:
-        raise ValueError("a curve cannot be made a polyline; see that it is valid by _What")
-    points = found.ToPolyline()
-    return {"polyline_mm": [[scale * one.X, scale * one.Y, scale * one.Z] for one in points]}
+def _problem_guide(curve: Any) -> dict[str, Any]:
+    """Convert a curve of Rhino to a guide."""
+    scale = _document_unit_mm()
+    polyline_curve = curve.ToPolyline(CURVE_TOL_MM / scale, 0.0, 0.0, 0.0)
+    if polyline_curve is None:
+        raise ValueError("a curve cannot be converted to a polyline. Check by _What that it is valid.")
+    points = polyline_curve.ToPolyline()
+    return {"polyline_mm": [[scale * point.X, scale * point.Y, scale * point.Z] for point in points]}
 
 
-def _shown(found: Mapping[str, Any], scale: float) -> tuple[Any, ...]:
-    """Trees of planes, joints, names, times, targets and blocks, and the part's meshes."""
+def _result_values(results: Mapping[str, Any], scale: float) -> tuple[Any, ...]:
+    """Return trees of planes, joints, names, times, targets and blocks, and the meshes of the part."""
     trees = [Grasshopper.DataTree[object]() for _ in range(6)]
     planes, joints, names, times, targets, blocks = trees
-    motion = found["motion"] or {"operations": [], "arms": {}}
+    motion = results["motion"] or {"operations": [], "arms": {}}
     arms = list(motion["arms"])
-    for i, own in enumerate(motion["operations"]):
-        for name, way in own["arms"].items():
+    for i, operation in enumerate(motion["operations"]):
+        for name, path in operation["arms"].items():
             j = arms.index(name)
-            _add(planes, (_plane(one, scale) for one in way["tcp"]), i, j)
-            _add(names, motion["arms"][name]["joints"], i, j)
-            for k, column in enumerate(zip(*way["joints_deg"])):
-                _add(joints, column, i, j, k)
-        _add(times, own["time_s"], i)
-        _add(targets, own["names"], i)
-        if "plane" in own["block"]:
-            _add(blocks, [_plane(own["block"]["plane"], scale)], i)
-    return (*trees, [_rhino_mesh(one, scale) for one in found["part"].values()])
+            _add_branch(planes, (_plane(item, scale) for item in path["tcp"]), i, j)
+            _add_branch(names, motion["arms"][name]["joints"], i, j)
+            for k, column in enumerate(zip(*path["joints_deg"])):
+                _add_branch(joints, column, i, j, k)
+        _add_branch(times, operation["time_s"], i)
+        _add_branch(targets, operation["names"], i)
+        if "plane" in operation["block"]:
+            _add_branch(blocks, [_plane(operation["block"]["plane"], scale)], i)
+    return (*trees, [_rhino_mesh(item, scale) for item in results["part"].values()])
 
 
-def _add(tree: Any, values: Iterable[Any], *branch: int) -> None:
+def _add_branch(tree: Any, values: Iterable[Any], *branch: int) -> None:
     path = Grasshopper.Kernel.Data.GH_Path(*branch)
     for value in values:
         tree.Add(value, path)
 
 
-def _plane(nine: Sequence[float], scale: float) -> Any:
-    x, y, z = (one / scale for one in nine[:3])
+def _plane(values: Sequence[float], scale: float) -> Any:
+    x, y, z = (value / scale for value in values[:3])
     geometry = Rhino.Geometry
     return geometry.Plane(
-        geometry.Point3d(x, y, z), geometry.Vector3d(*nine[3:6]), geometry.Vector3d(*nine[6:9])
+        geometry.Point3d(x, y, z), geometry.Vector3d(*values[3:6]), geometry.Vector3d(*values[6:9])
     )
 
 
-def _rhino_mesh(found: tuple[Any, Any], scale: float) -> Any:
-    points, faces = found
+def _rhino_mesh(mesh_data: tuple[Any, Any], scale: float) -> Any:
+    points, faces = mesh_data
     mesh = Rhino.Geometry.Mesh()
     for x, y, z in points:
         mesh.Vertices.Add(x / scale, y / scale, z / scale)
     for face in faces:
-        for b, c in zip(face[1:], face[2:]):  # Rhino's faces have four corners at most
+        for b, c in zip(face[1:], face[2:]):  # Rhino's faces have at most four corners
             mesh.Faces.AddFace(face[0], b, c)
     mesh.Normals.ComputeNormals()
     return mesh
 
 
-def _issues(job: Mapping[str, Any]) -> tuple[Any, ...]:
-    return tuple(tandem_client.Issue.from_dict(one) for one in job["issues"])
+def _job_issues(job: Mapping[str, Any]) -> tuple[Any, ...]:
+    return tuple(tandem_client.Issue.from_dict(data) for data in job["issues"])
 
 
-def _lines(issues: Iterable[Any]) -> list[str]:
-    return [str(one) for one in issues]
+def _issue_lines(issues: Iterable[Any]) -> list[str]:
+    return [str(issue) for issue in issues]
 
 
-def _tell(ghenv: Any, issues: Iterable[Any]) -> None:
+def _show_issues(ghenv: Any, issues: Iterable[Any]) -> None:
     """Show issues at the component."""
     levels = Grasshopper.Kernel.GH_RuntimeMessageLevel
-    for one in issues:
-        level = getattr(levels, LEVELS.get(one.severity, "Remark"))
-        ghenv.Component.AddRuntimeMessage(level, str(one))
+    for issue in issues:
+        level = getattr(levels, LEVELS.get(issue.severity, "Remark"))
+        ghenv.Component.AddRuntimeMessage(level, str(issue))

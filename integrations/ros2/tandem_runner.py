@@ -1,16 +1,18 @@
 #!/usr/bin/env python3
-"""Goes through a proven file of trajectories, step by step, on a controller of ROS 2.
+"""Run a proven trajectory file, step by step, on a controller of ROS 2.
 
 python3 tandem_runner.py out --controller /joint_trajectory_controller
 
-``out`` is a result folder: its ``proof.json`` has to say that the proof holds, and to name this very file by
-its SHA-256. Outputs are services ``/tandem/NAME`` (std_srvs/SetBool) that answer once the output has the
-value, inputs topics ``/tandem/NAME`` (std_msgs/Bool). While it runs it publishes ``/tandem/alive``
-(std_msgs/Empty) ten times a second; what switches power takes it back by itself where that ends.
+``out`` is a result folder. Its ``proof.json`` must state that the proof holds, and contain the SHA-256 of
+the file. Outputs are services ``/tandem/NAME`` (std_srvs/SetBool) that answer once the output has the
+value. Inputs are topics ``/tandem/NAME`` (std_msgs/Bool). While it runs it publishes ``/tandem/alive``
+(std_msgs/Empty) ten times per second. Whatever switches power must switch it off by itself when these
+messages stop.
 
-Whatever fails, and on Ctrl-C, the goal is cancelled, all outputs that are on go off, and nothing more is
-done. It never goes on in the middle: begin again from the start. No ROS has run it yet; it is tested with
-stand-ins for the names that it uses."""
+On any failure, and on Ctrl-C, the goal is cancelled, all outputs that are on are switched off, and nothing
+more is done. The runner never continues in the middle: restart from the beginning. It has not been run on
+ROS yet. It is tested with stand-ins for the names that it uses.
+"""
 
 from __future__ import annotations
 
@@ -27,121 +29,144 @@ from pathlib import Path
 from typing import Any, Protocol
 
 VERSION = 2
-"""The form of the file that is run."""
+"""Supported version of the trajectory file."""
 FRESH_S = 0.5
-"""Joints that were heard of longer ago count for nothing, also while they move."""
+"""Maximum age [s] of joint states, also during motion."""
 LOOK_S = 0.1
-"""How often it looks, while something lasts, whether they are heard of."""
+"""Interval [s] of checks of joint states while something lasts."""
 ANSWER_S = 5.0
-"""How long a service or an action may take to answer."""
+"""Maximum time [s] of an answer of a service or an action."""
 ALIVE_HZ = 10.0
-"""How often it says that it runs."""
+"""Rate [1/s] of alive messages."""
 SUCCEEDED = 4
 """action_msgs/GoalStatus: the goal was reached."""
 ENDED = (SUCCEEDED, 5, 6)
-"""The same, or it was cancelled or aborted: nothing moves for it."""
+"""action_msgs/GoalStatus: the goal was reached, cancelled or aborted, so it causes no more motion."""
 
 Row = dict[str, Any]
 
 
 class StoppedError(Exception):
-    """A step did not end as it has to: nothing more is done."""
+    """A step did not end as required. Nothing more is done."""
 
 
 class Cell(Protocol):
-    """What a file needs of a cell. Each call raises ``StoppedError`` where it does not end as it has to."""
+    """Interface of a cell to the runner.
+
+    Each call raises ``StoppedError`` if it does not end as required.
+    """
 
     def check(self, joints: Sequence[str], outputs: Sequence[str], inputs: Sequence[str]) -> None:
-        """Everything that the file names is there."""
+        """Check that everything that the file uses is present."""
 
     def posture(self, joints: Sequence[str]) -> list[float]:
-        """Where joints stand now [rad]."""
+        """Return the present joint values [rad]."""
 
     def follow(self, joints: Sequence[str], move: Row, points: Sequence[Row]) -> None:
-        """A goal, to its end."""
+        """Execute a goal to its end."""
 
     def cancel(self) -> None:
-        """Cancel what moves, without waiting."""
+        """Cancel the present goal, without waiting."""
 
     def rests(self) -> bool:
-        """Whether what was cancelled has said that it ended; waits for it."""
+        """Wait for the end of what was cancelled. Return whether it has ended."""
 
     def switch(self, name: str, on: bool) -> None:
-        """Switch an output, and be sure of it."""
+        """Switch an output, and verify its value."""
 
     def wait_for(self, name: str, value: bool, seconds: float) -> None:
-        """Wait for an input."""
+        """Wait for a value of an input."""
 
     def ask(self, text: str) -> None:
-        """Ask the operator, who says yes."""
+        """Ask the operator, who must answer yes."""
 
     def tell(self, text: str) -> None:
-        """Tell the operator."""
+        """Show a text to the operator."""
 
     def sleep(self, seconds: float) -> None:
         """Wait."""
 
 
 def proven(folder: Path) -> list[Row]:
-    """The rows of the one file of a result folder. Raises ``StoppedError`` for one that is not proven, or
-    that is not the file that was."""
+    """Return the rows of the single file of a result folder.
+
+    Args:
+        folder: Result folder.
+
+    Raises:
+        StoppedError: The file is not proven, or not the file that was proven.
+    """
     try:
         proof = json.loads((folder / "proof.json").read_text("utf-8"))
-        named = dict(proof["programs"])
+        program_hashes = dict(proof["programs"])
         holds = proof["ok"] is True
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise StoppedError(f"{folder}: no proof is there ({type(error).__name__}: {error})") from error
+        raise StoppedError(f"{folder}: no proof found ({type(error).__name__}: {error})") from error
     if not holds:
         raise StoppedError(f"{folder}: the proof does not hold")
-    files = [name for name in named if name.endswith(".trajectory.jsonl")]
-    if len(files) != 1 or len(named) != 1:
-        raise StoppedError(f"{folder}: the proof names {', '.join(named) or 'nothing'}; one file is run")
+    files = [name for name in program_hashes if name.endswith(".trajectory.jsonl")]
+    if len(files) != 1 or len(program_hashes) != 1:
+        raise StoppedError(
+            f"{folder}: the proof names {', '.join(program_hashes) or 'nothing'}, required is one "
+            "trajectory file"
+        )
     content = (folder / "programs" / files[0]).read_bytes()
-    if hashlib.sha256(content).hexdigest() != named[files[0]]:
-        raise StoppedError(f"{files[0]} is not the file that was proven; prove it again: tandem verify")
+    if hashlib.sha256(content).hexdigest() != program_hashes[files[0]]:
+        raise StoppedError(f"{files[0]} is not the file that was proven. Verify it again: tandem verify")
     rows = rows_of(content)
     if rows[0].get("problem_digest") != proof.get("problem_digest"):
-        raise StoppedError(f"{files[0]} was written for another problem than the proof is of")
-    _not_withdrawn(folder, proof.get("problem_digest"), named)
+        raise StoppedError(f"{files[0]} and the proof belong to different problems")
+    _check_release(folder, proof.get("problem_digest"), program_hashes)
     return rows
 
 
-def _not_withdrawn(folder: Path, digest: Any, named: dict[str, Any]) -> None:
-    """Raise ``StoppedError`` where a service says, in a ``release.json`` that came with the result, that its
-    release was withdrawn, or where that is of other programs."""
+def _check_release(folder: Path, digest: Any, named: dict[str, Any]) -> None:
+    """Check a ``release.json`` of a service.
+
+    The release must not be withdrawn, and must belong to these programs.
+
+    Raises:
+        StoppedError: It was withdrawn, or belongs to other programs.
+    """
     for path in (folder / "release.json", folder / "programs" / "release.json"):
         if not path.is_file():
             continue
         try:
             data = json.loads(path.read_text("utf-8"))
-            same = data["digest"] == digest and dict(data["programs"]) == named
-            good = data["release"] is None or data["released"] is True
-            says = "".join(one for one in str(data["says"]) if one.isprintable())
+            matches = data["digest"] == digest and dict(data["programs"]) == named
+            valid = data["release"] is None or data["released"] is True
+            status_text = "".join(char for char in str(data["says"]) if char.isprintable())
         except (ValueError, KeyError, TypeError) as error:
-            raise StoppedError(f"{path}: no release ({type(error).__name__}: {error})") from error
-        if not same:
-            raise StoppedError(f"{path} is of other programs: {says}")
-        if not good:
-            raise StoppedError(f"{path}: {says}")
+            raise StoppedError(f"{path}: not a valid release ({type(error).__name__}: {error})") from error
+        if not matches:
+            raise StoppedError(f"{path} belongs to other programs: {status_text}")
+        if not valid:
+            raise StoppedError(f"{path}: {status_text}")
 
 
 def rows_of(content: bytes) -> list[Row]:
-    """The rows of a file, whose last one counts and seals them. Raises ``StoppedError``."""
+    """Return the rows of a file, after checking its last row, which contains their number and SHA-256.
+
+    Raises:
+        StoppedError: The file is incomplete, changed or of another version.
+    """
     lines = content.decode("ascii").replace("\r\n", "\n").split("\n")
     if lines.pop() != "":
-        raise StoppedError("the file was cut off")
+        raise StoppedError("the file is incomplete")
     rows: list[Row] = [json.loads(line) for line in lines]
-    head, end = rows[0], rows[-1]
-    if head.get("tandem_trajectory") != VERSION:
-        raise StoppedError(f"form {head.get('tandem_trajectory')} of the file; {VERSION} is run here")
-    sealed = hashlib.sha256("".join(f"{line}\n" for line in lines[:-1]).encode("ascii")).hexdigest()
-    if end.get("end") != len(rows) or end.get("sha256") != sealed:
-        raise StoppedError("the rows are not those that the file was closed with")
+    header, footer = rows[0], rows[-1]
+    if header.get("tandem_trajectory") != VERSION:
+        raise StoppedError(
+            f"the file has format version {header.get('tandem_trajectory')}, this runner supports {VERSION}"
+        )
+    checksum = hashlib.sha256("".join(f"{line}\n" for line in lines[:-1]).encode("ascii")).hexdigest()
+    if footer.get("end") != len(rows) or footer.get("sha256") != checksum:
+        raise StoppedError("the rows do not match the number and checksum in the last row")
     return rows[:-1]
 
 
 def steps(rows: Sequence[Row]) -> Iterator[tuple[Row, list[Row]]]:
-    """Each step, a move with its points."""
+    """Yield each step, a move together with its points."""
     move: Row | None = None
     points: list[Row] = []
     for row in rows[1:]:
@@ -158,8 +183,16 @@ def steps(rows: Sequence[Row]) -> Iterator[tuple[Row, list[Row]]]:
 
 
 def run(rows: Sequence[Row], cell: Cell) -> None:
-    """Go through a file. Raises ``StoppedError`` where it came to no end; then all outputs that were on are
-    off and the goal has ended, or the message says what is not so."""
+    """Run a file.
+
+    Args:
+        rows: Rows of the file.
+        cell: Cell.
+
+    Raises:
+        StoppedError: It did not reach its end. All outputs that were on are off and the goal has ended, or
+            the message states what is not.
+    """
     joints = [name for row in rows if "arm" in row and "joints" in row for name in row["joints"]]
     outputs = list(dict.fromkeys(row["set"] for row in rows if "set" in row))
     inputs = list(dict.fromkeys(row["await"] for row in rows if "await" in row))
@@ -168,19 +201,23 @@ def run(rows: Sequence[Row], cell: Cell) -> None:
     try:
         cell.check(joints, outputs, inputs)
         for row, points in steps(rows):
-            _step(row, points, joints, cell, on)
+            _run_step(row, points, joints, cell, on)
     except BaseException as error:
-        left, rests = _fallen(cell, list(dict.fromkeys([*on, *row.get("on_failure", [])])))
-        what = str(error) or type(error).__name__
-        what += f"; NOT SWITCHED OFF: {', '.join(left)}: take the power at once" if left else ""
-        what += "" if rests else "; THE ARMS MAY STILL MOVE: nothing says that the goal was cancelled"
-        raise StoppedError(what) from error
+        not_off, stopped = _stop_safely(cell, list(dict.fromkeys([*on, *row.get("on_failure", [])])))
+        message = str(error) or type(error).__name__
+        message += (
+            f"; NOT SWITCHED OFF: {', '.join(not_off)}: switch off the power at once" if not_off else ""
+        )
+        message += (
+            "" if stopped else "; THE ARMS MAY STILL MOVE: it is not confirmed that the goal was cancelled"
+        )
+        raise StoppedError(message) from error
     if on:
-        _fallen(cell, on)
-        raise StoppedError(f"{', '.join(on)} was on at the end")
+        _stop_safely(cell, on)
+        raise StoppedError(f"{', '.join(on)} was still on at the end")
 
 
-def _step(row: Row, points: Sequence[Row], joints: Sequence[str], cell: Cell, on: list[str]) -> None:
+def _run_step(row: Row, points: Sequence[Row], joints: Sequence[str], cell: Cell, on: list[str]) -> None:
     key = next(iter(row))
     if key == "tell":
         cell.tell(row["tell"])
@@ -188,7 +225,7 @@ def _step(row: Row, points: Sequence[Row], joints: Sequence[str], cell: Cell, on
         cell.ask(row["ask"])
     elif key == "set":
         if row["to"]:
-            on.append(row["set"])  # before: what fails half way is taken back, too
+            on.append(row["set"])  # before switching: a switch that fails may still be on
         cell.switch(row["set"], bool(row["to"]))
         if not row["to"] and row["set"] in on:
             on.remove(row["set"])
@@ -197,61 +234,65 @@ def _step(row: Row, points: Sequence[Row], joints: Sequence[str], cell: Cell, on
     elif key == "dwell":
         cell.sleep(row["dwell"])
     elif key == "at":
-        _look(row, joints, cell)
+        _check_start(row, joints, cell)
     elif key == "move":
         cell.follow(joints, row, points)
     elif key == "operation":
         held = f", the block is held by arm {row['held_by']}" if row["held_by"] else ""
         cell.tell(f"Operation {row['operation']}, setup {row['setup']}{held}.")
     elif key == "carry":
-        cell.ask(_load(row))
+        cell.ask(_load_question(row))
     elif key == "tool":
         cell.tell(f"Arm {row['arm']} has {row['tool']}, {row['mass']:g} kg.")
     elif key != "arm":
-        raise StoppedError(f"a row {key!r} is not known here")
+        raise StoppedError(f"unknown row {key!r}")
 
 
-def _load(row: Row) -> str:
-    """What is asked where an arm takes the block, or lets it go."""
+def _load_question(row: Row) -> str:
+    """Return the question for the operator when an arm takes or releases the block."""
     if not row["mass"]:
-        return f"Arm {row['carry']} holds no block any more: does its controller count with none?"
+        return f"Arm {row['carry']} no longer holds a block: is its controller set to no load?"
     centre = ", ".join(f"{1000.0 * value:.1f}" for value in row["centre"])
     return (
-        f"Arm {row['carry']} holds a block of {row['mass']:g} kg, its centre at {centre} mm in the frame of "
-        "the TCP: does its controller know?"
+        f"Arm {row['carry']} holds a block of {row['mass']:g} kg, its centre of mass at {centre} mm in the "
+        "frame of the TCP: is its controller set to this load?"
     )
 
 
-def _look(row: Row, joints: Sequence[str], cell: Cell) -> None:
-    here = cell.posture(joints)
-    for name, got, wanted in zip(joints, here, row["at"]):
-        if not abs(got - wanted) <= row["within"]:  # NaN is no posture either
+def _check_start(row: Row, joints: Sequence[str], cell: Cell) -> None:
+    positions = cell.posture(joints)
+    for name, actual, required in zip(joints, positions, row["at"]):
+        if not abs(actual - required) <= row["within"]:  # NaN fails too
             raise StoppedError(
-                f"{name} stands at {got:.5f} rad; {wanted:.5f} within {row['within']:g} is wanted: arms home "
-                "by hand, begin again"
+                f"{name} is at {actual:.5f} rad, required is {required:.5f} within {row['within']:g}: move "
+                "the arms home by hand and restart from the beginning"
             )
 
 
-def _fallen(cell: Cell, names: Sequence[str]) -> tuple[list[str], bool]:
-    """Cancel what moves and switch off; the outputs of which that is not sure, and whether the arms rest."""
-    left, rests = [], False
-    with contextlib.suppress(BaseException):  # outputs have to fall all the same
+def _stop_safely(cell: Cell, names: Sequence[str]) -> tuple[list[str], bool]:
+    """Cancel the motion and switch outputs off.
+
+    Returns:
+        Outputs that may still be on, and whether the arms have stopped.
+    """
+    not_off, stopped = [], False
+    with contextlib.suppress(BaseException):  # outputs must be switched off in any case
         cell.cancel()
     for name in names:
         try:
             cell.switch(name, False)
-        except BaseException:  # the next one has to fall all the same
-            left.append(name)
-    with contextlib.suppress(BaseException):  # behind the outputs: power does not wait for it
-        rests = cell.rests()
-    return left, rests
+        except BaseException:  # the others must be switched off in any case
+            not_off.append(name)
+    with contextlib.suppress(BaseException):  # after the outputs: these must not wait for it
+        stopped = cell.rests()
+    return not_off, stopped
 
 
 # ---- ROS 2 ----
 
 
 class RosCell:
-    """A cell by the names of ROS 2: one action of a joint_trajectory_controller, services, topics."""
+    """A cell in ROS 2: one action of a joint_trajectory_controller, services and topics."""
 
     def __init__(self, node: Any, controller: str, prefix: str = "/tandem") -> None:
         from control_msgs.action import FollowJointTrajectory
@@ -270,72 +311,76 @@ class RosCell:
         self.cancelled: Any = None
         self.stopped = False
         self.joints: Sequence[str] = ()
-        node.create_subscription(JointState, "/joint_states", self._heard, 10)
+        node.create_subscription(JointState, "/joint_states", self._on_joint_state, 10)
         alive = node.create_publisher(Empty, f"{prefix}/alive", 1)
         node.create_timer(1.0 / ALIVE_HZ, lambda: alive.publish(Empty()))
 
-    def _heard(self, message: Any) -> None:
+    def _on_joint_state(self, message: Any) -> None:
         now = time.monotonic()
-        self.states.update({name: (now, at) for name, at in zip(message.name, message.position)})
+        self.states.update({name: (now, position) for name, position in zip(message.name, message.position)})
 
     def check(self, joints: Sequence[str], outputs: Sequence[str], inputs: Sequence[str]) -> None:
-        """Action, services and topics are there, joints of all names are heard of, and no other runner is at
-        work."""
+        """Check that all names exist, all joints are published, and no other runner is active."""
         from std_msgs.msg import Bool
         from std_srvs.srv import SetBool
 
         if not self.action.wait_for_server(timeout_sec=ANSWER_S):
-            raise StoppedError("the controller's action is not there")
+            raise StoppedError("the controller's action is not available")
         for name in outputs:
             service = self.node.create_client(SetBool, f"{self.prefix}/{name}")
             if not service.wait_for_service(timeout_sec=ANSWER_S):
-                raise StoppedError(f"the service {self.prefix}/{name} is not there")
+                raise StoppedError(f"the service {self.prefix}/{name} is not available")
             self.services[name] = service
         for name in inputs:
             self.node.create_subscription(
-                Bool, f"{self.prefix}/{name}", lambda told, own=name: self.inputs.update({own: told.data}), 1
+                Bool,
+                f"{self.prefix}/{name}",
+                lambda message, input_name=name: self.inputs.update({input_name: message.data}),
+                1,
             )
         end = time.monotonic() + ANSWER_S
         while not all(name in self.states for name in joints):
             if time.monotonic() > end:
-                lost = ", ".join(name for name in joints if name not in self.states)
-                raise StoppedError(f"nothing is heard of the joints {lost}")
+                missing = ", ".join(name for name in joints if name not in self.states)
+                raise StoppedError(f"no states received of the joints {missing}")
             time.sleep(0.05)
         if self.node.count_publishers(f"{self.prefix}/alive") > 1:
-            raise StoppedError(f"another runner is at work: somebody else says {self.prefix}/alive")
+            raise StoppedError(f"another runner is active: {self.prefix}/alive has another publisher")
         self.joints = joints
 
     def posture(self, joints: Sequence[str]) -> list[float]:
-        """Joints by name, heard of just now."""
-        self._hears(joints)
+        """Return present joint values by name."""
+        self._check_fresh(joints)
         return [self.states[name][1] for name in joints]
 
-    def _hears(self, joints: Sequence[str]) -> None:
-        """Joints of all these names were heard of just now."""
+    def _check_fresh(self, joints: Sequence[str]) -> None:
+        """Check that the states of joints are fresh."""
         now = time.monotonic()
-        old = [name for name in joints if now - self.states[name][0] > FRESH_S]
-        if old:
-            raise StoppedError(f"nothing new is heard of the joints {', '.join(old)}")
+        stale = [name for name in joints if now - self.states[name][0] > FRESH_S]
+        if stale:
+            raise StoppedError(f"no new states received of the joints {', '.join(stale)}")
 
     def follow(self, joints: Sequence[str], move: Row, points: Sequence[Row]) -> None:
-        """Send a goal, and wait for its end: a driver or controller that dies on the way says nothing, but
-        nothing more is heard of its joints."""
+        """Send a goal and wait for its end.
+
+        A driver or controller that fails on the way reports nothing, but its joint states stop.
+        """
         self.sent = self.action.send_goal_async(goal_of(joints, move, points))
-        self.sent.add_done_callback(self._answered)
+        self.sent.add_done_callback(self._on_goal_response)
         handle = self._done(self.sent, ANSWER_S)
         if not handle.accepted:
             self.sent = None
-            raise StoppedError("the controller refuses the goal")
+            raise StoppedError("the controller rejected the goal")
         self.handle, self.ends = handle, handle.get_result_async()
-        ended = self._done(self.ends, points[-1]["t"] + move["goal_time"] + ANSWER_S, self.joints)
-        if ended.status != SUCCEEDED or ended.result.error_code != 0:
-            code, said = ended.result.error_code, ended.result.error_string
-            raise StoppedError(f"the move did not end: status {ended.status}, error {code} {said}")
+        result = self._done(self.ends, points[-1]["t"] + move["goal_time"] + ANSWER_S, self.joints)
+        if result.status != SUCCEEDED or result.result.error_code != 0:
+            code, text = result.result.error_code, result.result.error_string
+            raise StoppedError(f"the move failed: status {result.status}, error {code} {text}")
         self.sent = self.handle = self.ends = None
 
-    def _answered(self, sent: Any) -> None:
-        """Keep a goal that is accepted; one that is accepted behind a stop is cancelled."""
-        with contextlib.suppress(Exception):  # else the thread ends that outputs are switched off by
+    def _on_goal_response(self, sent: Any) -> None:
+        """Keep an accepted goal. A goal that is accepted after a stop is cancelled."""
+        with contextlib.suppress(Exception):  # or this thread ends, which switches outputs off
             handle = sent.result()
             if handle.accepted and self.sent is sent:
                 self.handle = handle
@@ -343,13 +388,13 @@ class RosCell:
                     self.cancelled = handle.cancel_goal_async()
 
     def cancel(self) -> None:
-        """Cancel the goal, if there is one, and any that is accepted yet."""
+        """Cancel the goal, if there is one, and any that is accepted later."""
         self.stopped = True
         if self.handle is not None:
             self.cancelled = self.handle.cancel_goal_async()
 
     def rests(self) -> bool:
-        """Whether no goal is under way, by the controller's own answers."""
+        """Report whether no goal is active, by the controller's own answers."""
         if self.sent is None:
             return True
         handle = self._done(self.sent, ANSWER_S)
@@ -367,47 +412,50 @@ class RosCell:
             raise StoppedError(f"{name} was not switched: {answer.message}")
 
     def wait_for(self, name: str, value: bool, seconds: float) -> None:
-        """Wait for an input's topic."""
+        """Wait for a value on the topic of an input."""
         end = time.monotonic() + seconds
         while self.inputs.get(name) is not value:
             if time.monotonic() > end:
-                raise StoppedError(f"{name} was not {int(value)} within {seconds:g} s")
+                raise StoppedError(f"{name} did not become {int(value)} within {seconds:g} s")
             time.sleep(0.01)
 
     def ask(self, text: str) -> None:
-        """Ask at the terminal: what was typed before counts for nothing."""
+        """Ask at the terminal. Anything typed before the question is discarded."""
         with contextlib.suppress(Exception):  # no terminal, or another system
             import termios
 
             termios.tcflush(sys.stdin, termios.TCIFLUSH)
         if input(f"{text} (yes) ").strip().lower() != "yes":
-            raise StoppedError(f"no yes to: {text}")
+            raise StoppedError(f"not answered with yes: {text}")
 
     def tell(self, text: str) -> None:
-        """Tell at the terminal."""
+        """Print a text at the terminal."""
         print(text)
 
     def sleep(self, seconds: float) -> None:
         """Wait."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0.0:
-            self._hears(self.joints)
+            self._check_fresh(self.joints)
             time.sleep(min(left, LOOK_S))
 
     def _done(self, future: Any, seconds: float, joints: Sequence[str] = ()) -> Any:
-        """What a future gives, which another thread works on, while ``joints`` are heard of."""
+        """Wait for the result of a future that another thread completes.
+
+        Meanwhile check that the states of ``joints`` are fresh.
+        """
         done = threading.Event()
         future.add_done_callback(lambda _: done.set())
         end = time.monotonic() + seconds
         while not done.wait(min(LOOK_S, max(end - time.monotonic(), 0.0))):
-            self._hears(joints)
+            self._check_fresh(joints)
             if time.monotonic() >= end:
                 raise StoppedError(f"no answer within {seconds:g} s")
         return future.result()
 
 
 def goal_of(joints: Sequence[str], move: Row, points: Sequence[Row]) -> Any:
-    """The goal of a move."""
+    """Return the goal of a move."""
     from builtin_interfaces.msg import Duration
     from control_msgs.action import FollowJointTrajectory
     from control_msgs.msg import JointTolerance
@@ -421,7 +469,7 @@ def goal_of(joints: Sequence[str], move: Row, points: Sequence[Row]) -> Any:
     goal.trajectory.joint_names = list(joints)
     goal.trajectory.points = [
         JointTrajectoryPoint(
-            positions=list(map(float, row["q"])),  # whole numbers of JSON are none of ROS
+            positions=list(map(float, row["q"])),  # JSON may have integers, ROS requires floats
             velocities=list(map(float, row["v"])),
             time_from_start=duration(row["t"]),
         )
@@ -434,24 +482,24 @@ def goal_of(joints: Sequence[str], move: Row, points: Sequence[Row]) -> Any:
 
 
 STOPS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-"""A terminal that is closed, or lost, is a stop too."""
+"""Signals that stop the run. Closing or losing the terminal is a stop too."""
 
 
 def stop(number: int, frame: Any) -> None:
-    """What a signal does: it stops the run, once; a second one would keep outputs from being switched off."""
-    for one in STOPS:
-        signal.signal(one, signal.SIG_IGN)
+    """Stop the run once. A second signal would prevent outputs from being switched off."""
+    for signal_number in STOPS:
+        signal.signal(signal_number, signal.SIG_IGN)
     raise KeyboardInterrupt
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command: 0 where the file came to its end."""
+    """Run the command. Return 0 if the file reached its end."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else "")
     parser.add_argument("folder", type=Path, help="result folder of tandem plan")
     parser.add_argument("--controller", default="/joint_trajectory_controller")
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     try:
-        rows = proven(given.folder)
+        rows = proven(options.folder)
     except (StoppedError, OSError, ValueError) as error:
         print(f"nothing was done: {error}", file=sys.stderr)
         return 2
@@ -459,7 +507,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from rclpy.executors import MultiThreadedExecutor
     from rclpy.signals import SignalHandlerOptions
 
-    # its own handlers would end the services on Ctrl-C, before outputs are switched off
+    # the handlers of rclpy would end the services on Ctrl-C, before outputs are switched off
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     for number in STOPS:
         signal.signal(number, stop)
@@ -468,7 +516,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     executor.add_node(node)
     threading.Thread(target=executor.spin, daemon=True).start()
     try:
-        run(rows, RosCell(node, given.controller))
+        run(rows, RosCell(node, options.controller))
     except StoppedError as error:
         print(f"STOPPED: {error}", file=sys.stderr)
         return 1

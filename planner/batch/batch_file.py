@@ -1,7 +1,7 @@
 """A batch file: one problem, and the fields of it that vary from job to job.
 
 Fields are named by dotted paths: ``settings.clearance_mm``, ``operations.0.feed_mm_s``,
-``cell.arms.left.tool.radius_mm``; an entry of a list by its number or its name.
+``cell.arms.left.tool.radius_mm``. An entry of a list is named by its number or its name.
 """
 
 import csv
@@ -17,58 +17,65 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from planner import pipeline
-from planner.batch.job import PROBLEM
-from planner.catalogue.robots import bundled
+from planner.batch.job import PROBLEM_FILE
+from planner.catalogue.robots import bundled_path
 from planner.files import is_file
-from planner.issues import Issue, TandemError, refusal
+from planner.issues import Issue, TandemError, issue_error
 from planner.problem import Problem
 from planner.reading import problem as problem_file
 from planner.reading import strict_yaml
-from planner.reading.strict_yaml import Document, FileName, changed_field
+from planner.reading.strict_yaml import Document, FileName, set_field
 
-BATCH: Final = "batch"
-"""The key that every batch file begins with."""
+BATCH_KEY: Final = "batch"
+"""Key that every batch file starts with."""
 MAX_JOBS: Final = 100_000
-"""Jobs that one batch file may make, and values that one range may have."""
+"""Maximum number of jobs of a batch file, and of values of a range."""
 MAX_CSV_BYTES = 20_000_000
-"""Bytes that a table of varied values may have."""
+"""Maximum size of a table of varied values [bytes]."""
 
-Plain = str | float | int | bool | None
-Value = Plain | list[Any] | dict[str, Any]
+PlainValue = str | float | int | bool | None
+FieldValue = PlainValue | list[Any] | dict[str, Any]
 
 
 class RangeFile(BaseModel):
-    """Numbers evenly spaced from ``from`` to ``to``, both included: so many (``count``) or every ``step``."""
+    """Numbers evenly spaced from ``from`` to ``to``, both included.
+
+    There are ``count`` of them, or one every ``step``.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     start: Annotated[float, Field(alias="from", description="first value")]
-    to: Annotated[float, Field(description="last value, or beyond it where a step does not divide the range")]
-    count: Annotated[int | None, Field(ge=2, le=MAX_JOBS, description="so many values, or")] = None
-    step: Annotated[float | None, Field(gt=0, description="one every so much; give one of the two")] = None
+    to: Annotated[float, Field(description="last value, or beyond it if the step does not divide the range")]
+    count: Annotated[int | None, Field(ge=2, le=MAX_JOBS, description="number of values")] = None
+    step: Annotated[float | None, Field(gt=0, description="spacing; give either count or step")] = None
 
     @model_validator(mode="after")
     def _one_spacing(self) -> Self:
         if (self.count is None) == (self.step is None):
-            raise ValueError("a range has a count or a step, one of them")
+            raise ValueError("a range has either a count or a step")
         if self.step is not None and abs(self.to - self.start) / self.step > MAX_JOBS:
-            raise ValueError(f"a range of over {MAX_JOBS} values; make the step larger")
+            raise ValueError(f"a range of more than {MAX_JOBS} values; use a larger step")
         return self
 
     def values(self) -> list[float]:
-        """The numbers; a step that does not divide the range stops short of its end."""
+        """Return the numbers. A step that does not divide the range stops short of its end."""
         if self.count is not None:
-            share = (self.to - self.start) / (self.count - 1)
-            return [_plain(self.start + i * share) for i in range(self.count - 1)] + [_plain(self.to)]
+            step_size = (self.to - self.start) / (self.count - 1)
+            return [_tidy_number(self.start + i * step_size) for i in range(self.count - 1)] + [
+                _tidy_number(self.to)
+            ]
         step = (self.step or 1.0) * (1.0 if self.to >= self.start else -1.0)
         steps = int((self.to - self.start) / step * (1.0 + 1e-12) + 1e-9)
-        return [_plain(self.start + i * step) for i in range(steps + 1)]
+        return [_tidy_number(self.start + i * step) for i in range(steps + 1)]
 
 
 class BatchFile(BaseModel):
-    """A whole batch file, version 1. ``vary``: values of fields, each a list or a range, by the field's
-    dotted path in the problem; ``combine`` them all with each other, or the first ones, the second ones, ...
-    ``csv``: a table with a heading of paths, one job a line; each is combined with what ``vary`` says.
+    """A whole batch file, version 1.
+
+    ``vary``: values of fields, each a list or a range, by the field's dotted path in the problem. ``combine``
+    takes all combinations, or the first ones, the second ones, and so on. ``csv``: a table with a heading of
+    paths, one job per line; each line is combined with the values of ``vary``.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -76,40 +83,47 @@ class BatchFile(BaseModel):
     batch: Annotated[Literal[1], Field(description="version of this format")]
     problem: Annotated[FileName, Field(description="problem file or bundled problem")]
     vary: Annotated[
-        dict[str, Annotated[list[Value], Field(min_length=1)] | RangeFile],
+        dict[str, Annotated[list[FieldValue], Field(min_length=1)] | RangeFile],
         Field(description="values by path: each a list, or a range (see below)"),
     ] = {}
     combine: Annotated[
         Literal["product", "zip"],
-        Field(description="all values with each other, or the first of each, the second of each, ..."),
+        Field(description="all combinations of values, or the first of each, the second of each, ..."),
     ] = "product"
     csv: Annotated[FileName | None, Field(description="table of problems; a column name names them")] = None
 
     @model_validator(mode="after")
     def _something_varies(self) -> Self:
         if not self.vary and self.csv is None:
-            raise ValueError("nothing varies: give vary or csv, or plan the problem itself")
-        counts = {path: len(self.listed(path)) for path in self.vary}
+            raise ValueError("nothing varies; give vary or csv, or plan the problem itself")
+        counts = {path: len(self.values_of(path)) for path in self.vary}
         if self.combine == "zip" and len(set(counts.values())) > 1:
             found = ", ".join(f"{path} has {count}" for path, count in counts.items())
-            raise ValueError(f"combine: zip takes as many values of each field; {found}")
+            raise ValueError(f"combine: zip needs the same number of values for each field; {found}")
         return self
 
-    def listed(self, path: str) -> list[Any]:
-        """The values of one varied field."""
+    def values_of(self, path: str) -> list[Any]:
+        """Return the values of one varied field."""
         values = self.vary[path]
         return values.values() if isinstance(values, RangeFile) else list(values)
 
     def rows(self) -> list[dict[str, Any]]:
-        """Values by path, of each combination that ``vary`` asks for."""
-        columns = [self.listed(path) for path in self.vary]
+        """Return the values by path, for each combination that ``vary`` requires."""
+        columns = [self.values_of(path) for path in self.vary]
         mixed = zip(*columns, strict=True) if self.combine == "zip" else itertools.product(*columns)
         return [dict(zip(self.vary, row, strict=True)) for row in mixed] if columns else [{}]
 
 
 @dataclasses.dataclass(frozen=True)
-class Variant:
-    """One job of a batch file: its ``name``, the ``values`` of its varied fields by path."""
+class BatchVariant:
+    """One job of a batch file.
+
+    Attributes:
+        name: Name of the job.
+        values: Values of its varied fields by path.
+        base: The problem file.
+        document: The batch file.
+    """
 
     name: str
     values: Mapping[str, Any]
@@ -117,104 +131,116 @@ class Variant:
     document: Document
 
     def read(self) -> Problem:
-        """The problem with the values in it; raises ``TandemError`` with every fault, each named by the batch
-        file's line where a varied field is at fault, else by the problem file's."""
-        source = problem_file.resolved(self.base.data, self.base.path.parent.resolve())
+        """Return the problem with the values in it.
+
+        Raises:
+            TandemError: Every error, with the batch file's line if a varied field is at fault, else the
+                problem file's.
+        """
+        source = problem_file.resolve_files(self.base.data, self.base.path.parent.resolve())
         issues = []
         for path, value in self.values.items():
             try:
-                changed_field(source, path, value, self.document.path.parent)
+                set_field(source, path, value, self.document.path.parent)
             except ValueError as error:
-                issues.append(self._issue(path, str(error)))
+                issues.append(self._field_issue(path, str(error)))
         if issues:
             raise TandemError(issues)
         with tempfile.TemporaryDirectory(prefix="tandem-") as folder:
-            file = Path(folder) / PROBLEM
+            file = Path(folder) / PROBLEM_FILE
             file.write_text(yaml.safe_dump(source, sort_keys=False, allow_unicode=True))
             try:
                 problem: Problem = pipeline.load(file)
             except TandemError as error:
-                raise TandemError([self._placed(issue, file) for issue in error.issues]) from error
+                raise TandemError([self._relocated(issue, file) for issue in error.issues]) from error
         return dataclasses.replace(problem, path=self.base.path)
 
-    def _issue(self, path: str, what: str) -> Issue:
-        place = self.document.line(("vary", path)) if path in self.document.data.get("vary", {}) else None
+    def _field_issue(self, path: str, what: str) -> Issue:
+        line = self.document.line(("vary", path)) if path in self.document.data.get("vary", {}) else None
         file = str(self.document.path)
-        return Issue("batch.field", f"{self.name}: {path}: {what}", file=file, line=place, field=path)
+        return Issue("batch.field", f"{self.name}: {path}: {what}", file=file, line=line, field=path)
 
-    def _placed(self, issue: Issue, file: Path) -> Issue:
+    def _relocated(self, issue: Issue, file: Path) -> Issue:
         if issue.file != str(file):
             return issue
         field = issue.field or ""
-        varied = next((p for p in self.values if field == p or field.startswith(f"{p}.")), None)
-        if varied is None:
+        varied_field = next((p for p in self.values if field == p or field.startswith(f"{p}.")), None)
+        if varied_field is None:
             steps = tuple(int(s) if s.isdigit() else s for s in field.split("."))
             return dataclasses.replace(issue, file=str(self.base.path), line=self.base.line(steps))
-        line = self.document.line(("vary", varied))
+        line = self.document.line(("vary", varied_field))
         message = f"{self.name}: {issue.message}"
         return dataclasses.replace(issue, file=str(self.document.path), line=line, message=message)
 
 
-def read_batch(path: Path) -> list[Variant]:
-    """The jobs of a batch file, in order; raises ``TandemError`` with every fault and its line
-    (``batch.field``, ``batch.csv``, and those of a file that is no YAML)."""
+def read_batch(path: Path) -> list[BatchVariant]:
+    """Return the jobs of a batch file, in order.
+
+    Raises:
+        TandemError: Every error with its line (``batch.field``, ``batch.csv``, and those of invalid YAML).
+    """
     document = strict_yaml.read(path)
     try:
-        spec = BatchFile.model_validate(document.data, strict=False)
+        batch_file = BatchFile.model_validate(document.data, strict=False)
     except ValidationError as error:
-        raise TandemError([_fault(dict(e), document) for e in error.errors()]) from error
+        raise TandemError([_validation_issue(dict(e), document) for e in error.errors()]) from error
     issues: list[Issue] = []
     base: Document | None = None
     table: list[dict[str, Any]] = [{}]
     try:
-        base = _base(spec, document)
+        base = _base_document(batch_file, document)
     except TandemError as error:
         issues += error.issues
     try:
-        table = _table(path.parent / spec.csv, document) if spec.csv is not None else table
+        table = _read_table(path.parent / batch_file.csv, document) if batch_file.csv is not None else table
     except TandemError as error:
         issues += error.issues
     if base is None or issues:
         raise TandemError(issues)
-    rows = [(line, row) for line in table for row in spec.rows()]
+    rows = [(line, row) for line in table for row in batch_file.rows()]
     if len(rows) > MAX_JOBS:
-        what = f"vary: {len(rows)} jobs, at most {MAX_JOBS} are taken; vary less, or in several batch files"
-        raise refusal("batch.field", what, file=str(path), line=document.line(("vary",)))
+        what = f"vary: got {len(rows)} jobs, allowed {MAX_JOBS}; vary less, or use several batch files"
+        raise issue_error("batch.field", what, file=str(path), line=document.line(("vary",)))
     width = max(3, len(str(len(rows))))
     out = []
     for number, (line, row) in enumerate(rows, 1):
         values = {k: v for k, v in line.items() if k != "name"} | row
-        named = str(line.get("name") or "")
-        single = named and len(spec.rows()) == 1
-        name = named if single else f"{named}-{number:0{width}d}" if named else f"{number:0{width}d}"
-        out.append(Variant(name, values, base, document))
+        row_name = str(line.get("name") or "")
+        single = row_name and len(batch_file.rows()) == 1
+        name = row_name if single else f"{row_name}-{number:0{width}d}" if row_name else f"{number:0{width}d}"
+        out.append(BatchVariant(name, values, base, document))
     return out
 
 
-def _base(spec: BatchFile, document: Document) -> Document:
+def _base_document(spec: BatchFile, document: Document) -> Document:
     given = Path(spec.problem)
-    beside = document.path.parent / given
-    for file in (beside, beside / PROBLEM, bundled(given), bundled(given / PROBLEM)):
+    relative_file = document.path.parent / given
+    for file in (
+        relative_file,
+        relative_file / PROBLEM_FILE,
+        bundled_path(given),
+        bundled_path(given / PROBLEM_FILE),
+    ):
         if is_file(file):
             return strict_yaml.read(file)
-    what = f"problem: no file {beside} and no bundled problem of that name; check the path"
+    what = f"problem: no file {relative_file} and no bundled problem of that name; check the path"
     line = document.line(("problem",))
-    raise refusal("batch.field", what, file=str(document.path), line=line, field="problem")
+    raise issue_error("batch.field", what, file=str(document.path), line=line, field="problem")
 
 
-def _table(path: Path, document: Document) -> list[dict[str, Any]]:
-    """Rows of a CSV file, values read as YAML reads them, empty cells left out."""
+def _read_table(path: Path, document: Document) -> list[dict[str, Any]]:
+    """Return the rows of a CSV file. Values are read as YAML, empty cells are left out."""
     try:
         if path.stat().st_size > MAX_CSV_BYTES:
-            raise _bad_table(path, f"is over {MAX_CSV_BYTES // 1_000_000} MB; split it", document)
+            raise _table_error(path, f"is larger than {MAX_CSV_BYTES // 1_000_000} MB; split it", document)
         text = path.read_text("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise _bad_table(path, f"cannot be read ({error}); check the path", document) from error
+        raise _table_error(path, f"cannot be read ({error}); check the path", document) from error
     lines = list(csv.reader(io.StringIO(text)))
     heads = [head.strip() for head in lines[0]] if lines else []
     if not heads or any(not head for head in heads) or len(set(heads)) < len(heads):
-        what = "has no heading; write one path in each column of its first line, none twice"
-        raise _bad_table(path, what, document)
+        what = "has no valid heading; write one path in each column of its first line, none twice"
+        raise _table_error(path, what, document)
     issues = []
     rows = []
     for number, cells in enumerate(lines[1:], 2):
@@ -225,21 +251,21 @@ def _table(path: Path, document: Document) -> list[dict[str, Any]]:
             issues.append(Issue("batch.csv", what, file=str(path), line=number))
             continue
         pairs = zip(heads, cells, strict=True)
-        rows.append({head: _scalar(cell) for head, cell in pairs if cell.strip()})
+        rows.append({head: _parse_cell(cell) for head, cell in pairs if cell.strip()})
     if issues:
         raise TandemError(issues)
     if not rows:
-        raise _bad_table(path, "has no lines below its heading; give a line for each job", document)
+        raise _table_error(path, "has no lines below its heading; add a line for each job", document)
     return rows
 
 
-def _bad_table(path: Path, what: str, document: Document) -> TandemError:
+def _table_error(path: Path, what: str, document: Document) -> TandemError:
     line = document.line(("csv",))
-    return refusal("batch.csv", f"{path} {what}", file=str(document.path), line=line, field="csv")
+    return issue_error("batch.csv", f"{path} {what}", file=str(document.path), line=line, field="csv")
 
 
-def _scalar(cell: str) -> Any:
-    """A cell as YAML reads it, where that is plain; else its text."""
+def _parse_cell(cell: str) -> Any:
+    """Return a cell as YAML reads it if that is plain data, else its text."""
     try:
         value = yaml.safe_load(cell)
     except yaml.YAMLError:
@@ -247,13 +273,13 @@ def _scalar(cell: str) -> Any:
     return value if isinstance(value, str | int | float | bool | list) else cell.strip()
 
 
-def _plain(value: float) -> float:
-    """A number without the noise of its sum, and whole where it is: fields that count take no 3.0."""
+def _tidy_number(value: float) -> float:
+    """Return a number without rounding noise, and as an integer if possible: count fields accept no 3.0."""
     tidy = float(f"{value:.12g}")
     return int(tidy) if tidy.is_integer() and abs(tidy) < 1e15 else tidy
 
 
-def _fault(error: Mapping[str, Any], document: Document) -> Issue:
+def _validation_issue(error: Mapping[str, Any], document: Document) -> Issue:
     location = tuple(s for s in error["loc"] if s not in ("RangeFile",) and not str(s).startswith("list["))
     field = ".".join(str(step) for step in location)
     what = "unknown key; remove it or correct its spelling"

@@ -1,8 +1,8 @@
-"""Two plans, or two batches, side by side, and the summary of one batch.
+"""Comparison of two plans or batches, and the summary of one batch.
 
-Compared are figures, changed segments, issues that came and went. A result folder is read as it was
-saved: the plan, what the proof said of it, and its figures. Rows of the summary serve the table at
-the command line, ``summary.csv`` and one HTML file with thumbnails and a link to each report.
+Figures, changed segments and issues that appeared or disappeared are compared. A result folder is read as it
+was saved: the plan, the proof of it, and its figures. Rows of the summary serve the table on the command
+line, ``summary.csv`` and one HTML file with thumbnails and a link to each report.
 """
 
 import base64
@@ -19,10 +19,10 @@ from typing import Final
 import numpy as np
 
 from planner import plans
-from planner.batch.job import Done, Record
-from planner.batch.rows import RECORDS, Row, figures
+from planner.batch.job import JobRecord, JobResult
+from planner.batch.rows import RECORDS_FOLDER, BatchRow, result_figures
 from planner.geometry.units import MM
-from planner.issues import Issue, Severity, TandemError, accepted, aggregate, refusal
+from planner.issues import Issue, Severity, TandemError, accepted_codes, aggregate, issue_error
 from planner.plans import OperationPlan, Plan
 from planner.proof.verdict import RuleResult
 from planner.report import markup
@@ -31,8 +31,17 @@ from planner.report.thumbnail import thumbnail
 
 
 @dataclasses.dataclass(frozen=True)
-class Saved:
-    """A saved plan. ``ok``: its programs were proven; None where the folder has no proof."""
+class SavedResult:
+    """A saved plan.
+
+    Attributes:
+        folder: Result folder.
+        plan: The plan.
+        ok: Whether its programs were proven, None without a proof.
+        rules: Results of the rules.
+        issues: Issues of plan and proof.
+        figures: Figures by name.
+    """
 
     folder: Path
     plan: Plan
@@ -42,14 +51,17 @@ class Saved:
     figures: Mapping[str, float]
 
 
-def read_result(folder: Path) -> Saved:
-    """The result in a folder. Raises ``TandemError`` (``plan.missing_file``, ``plan.damaged``,
-    ``plan.schema``)."""
+def read_result(folder: Path) -> SavedResult:
+    """Read the result in a folder.
+
+    Raises:
+        TandemError: ``plan.missing_file``, ``plan.damaged``, ``plan.schema``.
+    """
     plan = plans.load(folder)
     path = folder / "proof.json"
     ok, rules, issues = _proof(path) if path.is_file() else (None, (), ())
-    found = [*plan.issues, *(issue for op in plan.operations for issue in op.issues), *issues]
-    return Saved(folder, plan, ok, rules, aggregate(found), figures(plan, rules))
+    all_issues = [*plan.issues, *(issue for op in plan.operations for issue in op.issues), *issues]
+    return SavedResult(folder, plan, ok, rules, aggregate(all_issues), result_figures(plan, rules))
 
 
 def _proof(path: Path) -> tuple[bool | None, tuple[RuleResult, ...], tuple[Issue, ...]]:
@@ -59,16 +71,22 @@ def _proof(path: Path) -> tuple[bool | None, tuple[RuleResult, ...], tuple[Issue
         return bool(data["ok"]), rules, tuple(Issue.from_dict(issue) for issue in data["issues"])
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         what = f"{path.name} is damaged: {type(error).__name__}: {error}"
-        raise refusal("plan.damaged", what, file=str(path), hint="plan the problem again") from error
+        raise issue_error("plan.damaged", what, file=str(path), hint="plan the problem again") from error
 
 
-EQUAL_WITHIN = 1e-9
-"""Times that differ by less [s] are the same; so are angles [rad] and lengths [m]."""
+EQUALITY_TOLERANCE = 1e-9
+"""Tolerance of equal times [s], angles [rad] and lengths [m]."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Pair:
-    """A figure of both sides; None where a side does not know it."""
+class FigurePair:
+    """A figure of two results, None where it is unknown.
+
+    Attributes:
+        name: Name of the figure.
+        first: Value of the first.
+        second: Value of the second.
+    """
 
     name: str
     first: float | None
@@ -76,17 +94,21 @@ class Pair:
 
     @property
     def change(self) -> float | None:
-        """Second less first."""
+        """Second minus first."""
         return None if self.first is None or self.second is None else self.second - self.first
 
 
 @dataclasses.dataclass(frozen=True)
 class SegmentChange:
-    """A run of targets of one label that is not the same on both sides.
+    """A run of targets of one label that differs.
 
-    ``targets`` and ``seconds`` [s] of each side, None where it does not have the segment. ``joints_deg`` and
-    ``poses_mm``: greatest difference of joint angles and of tool positions, target by target, where both
-    have as many targets.
+    Attributes:
+        operation: Name of the operation.
+        segment: Label of the segment.
+        targets: Number of targets in each plan, None without this segment.
+        seconds: Duration in each plan [s], None without this segment.
+        joints_deg: Largest difference of joint angles, target by target, if the numbers of targets are equal.
+        poses_mm: Largest difference of tool positions, target by target, if the numbers of targets are equal.
     """
 
     operation: str
@@ -98,39 +120,57 @@ class SegmentChange:
 
 
 @dataclasses.dataclass(frozen=True)
-class Plans:
-    """Two plans side by side. ``issues``: {code: (count in the first, in the second)} where they differ."""
+class PlanComparison:
+    """Comparison of two plans.
 
-    first: Saved
-    second: Saved
-    figures: tuple[Pair, ...]
+    Attributes:
+        first: The first plan.
+        second: The second plan.
+        figures: Figures of both.
+        segments: Segments that differ.
+        issues: Counts in both plans by code, where they differ.
+    """
+
+    first: SavedResult
+    second: SavedResult
+    figures: tuple[FigurePair, ...]
     segments: tuple[SegmentChange, ...]
     issues: Mapping[str, tuple[int, int]]
 
 
 @dataclasses.dataclass(frozen=True)
 class JobPair:
-    """A job that both batches have, or one of them."""
+    """A job that both batches have, or one of them.
+
+    Attributes:
+        name: Name of the job.
+        first: Result in the first batch.
+        second: Result in the second batch.
+    """
 
     name: str
-    first: Done | None
-    second: Done | None
+    first: JobResult | None
+    second: JobResult | None
 
-    def figure(self, name: str) -> Pair:
-        """One figure of both; ``planning_s`` is the time of planning."""
-        sides = [None if done is None else _done_figure(done, name) for done in (self.first, self.second)]
-        return Pair(name, *sides)
+    def figure(self, name: str) -> FigurePair:
+        """Return one figure of both. ``planning_s`` is the time of planning."""
+        sides = [None if done is None else _figure_of(done, name) for done in (self.first, self.second)]
+        return FigurePair(name, *sides)
 
     @property
     def issues(self) -> Mapping[str, tuple[int, int]]:
-        """Codes whose counts differ."""
-        found = [() if done is None else done.issues for done in (self.first, self.second)]
-        return differing(*found)
+        """Counts of issue codes that differ."""
+        issue_lists = [() if done is None else done.issues for done in (self.first, self.second)]
+        return differing_counts(*issue_lists)
 
 
-def compare_plans(first: Path, second: Path) -> Plans:
-    """Two result folders side by side; raises ``TandemError`` with what cannot be read of both."""
-    sides: list[Saved] = []
+def compare_plans(first: Path, second: Path) -> PlanComparison:
+    """Compare two result folders.
+
+    Raises:
+        TandemError: What cannot be read of both.
+    """
+    sides: list[SavedResult] = []
     issues: list[Issue] = []
     for folder in (first, second):
         try:
@@ -139,107 +179,126 @@ def compare_plans(first: Path, second: Path) -> Plans:
             issues += error.issues
     if issues:
         raise TandemError(issues)
-    one, other = sides
-    names = dict.fromkeys((*one.figures, *other.figures))
-    return Plans(
-        one,
-        other,
-        tuple(Pair(name, one.figures.get(name), other.figures.get(name)) for name in names),
-        tuple(_segments(one.plan.operations, other.plan.operations)),
-        differing(one.issues, other.issues),
+    first_result, second_result = sides
+    names = dict.fromkeys((*first_result.figures, *second_result.figures))
+    return PlanComparison(
+        first_result,
+        second_result,
+        tuple(
+            FigurePair(name, first_result.figures.get(name), second_result.figures.get(name))
+            for name in names
+        ),
+        tuple(_segment_changes(first_result.plan.operations, second_result.plan.operations)),
+        differing_counts(first_result.issues, second_result.issues),
     )
 
 
 def is_batch(folder: Path) -> bool:
-    """Whether a folder holds results of a batch."""
-    return (folder / RECORDS).is_dir()
+    """Return whether a folder contains results of a batch."""
+    return (folder / RECORDS_FOLDER).is_dir()
 
 
 def compare_batches(first: Path, second: Path) -> list[JobPair]:
-    """The jobs of two batches by name, those of the first in their order, then what only the second has.
+    """Return the jobs of two batches by name: those of the first in order, then those of the second only.
 
-    Raises ``TandemError`` (``plan.missing_file``) for a folder that holds no batch.
+    Raises:
+        TandemError: ``plan.missing_file``, for a folder without a batch.
     """
     issues = [
         Issue(
-            "plan.missing_file", f"{folder}: no batch has ended a job there; give what `tandem batch` wrote"
+            "plan.missing_file", f"{folder}: no results of a batch; give the output folder of `tandem batch`"
         )
         for folder in (first, second)
         if not is_batch(folder)
     ]
     if issues:
         raise TandemError(issues)
-    one, other = ({d.name: d for d in _records(folder)} for folder in (first, second))
-    return [JobPair(name, one.get(name), other.get(name)) for name in dict.fromkeys((*one, *other))]
+    first_jobs, second_jobs = ({d.name: d for d in _records(folder)} for folder in (first, second))
+    return [
+        JobPair(name, first_jobs.get(name), second_jobs.get(name))
+        for name in dict.fromkeys((*first_jobs, *second_jobs))
+    ]
 
 
-def differing(first: Iterable[Issue], second: Iterable[Issue]) -> dict[str, tuple[int, int]]:
-    """{code: (count, count)} of codes whose counts differ, by code."""
-    one, other = (
+def differing_counts(first: Iterable[Issue], second: Iterable[Issue]) -> dict[str, tuple[int, int]]:
+    """Return counts by code {code: (count, count)} that differ, sorted by code."""
+    first_counts, second_counts = (
         sum((Counter({i.code: i.count}) for i in found), Counter[str]()) for found in (first, second)
     )
-    return {code: (one[code], other[code]) for code in sorted({*one, *other}) if one[code] != other[code]}
+    return {
+        code: (first_counts[code], second_counts[code])
+        for code in sorted({*first_counts, *second_counts})
+        if first_counts[code] != second_counts[code]
+    }
 
 
-def _records(folder: Path) -> Iterator[Done]:
-    for path in sorted((folder / RECORDS).glob("*.json")):
-        read_one = Record.read(path)
-        if read_one is not None:
-            yield read_one[0]
+def _records(folder: Path) -> Iterator[JobResult]:
+    for path in sorted((folder / RECORDS_FOLDER).glob("*.json")):
+        record = JobRecord.read(path)
+        if record is not None:
+            yield record[0]
 
 
-def _done_figure(done: Done, name: str) -> float | None:
+def _figure_of(done: JobResult, name: str) -> float | None:
     return done.seconds if name == "planning_s" else done.metrics.get(name)
 
 
-def _segments(first: tuple[OperationPlan, ...], second: tuple[OperationPlan, ...]) -> Iterator[SegmentChange]:
-    one, other = ({op.name: op for op in side} for side in (first, second))
-    for name in dict.fromkeys((*one, *other)):
-        runs = [_runs(side[name]) if name in side else {} for side in (one, other)]
+def _segment_changes(
+    first: tuple[OperationPlan, ...], second: tuple[OperationPlan, ...]
+) -> Iterator[SegmentChange]:
+    first_operations, second_operations = ({op.name: op for op in side} for side in (first, second))
+    for name in dict.fromkeys((*first_operations, *second_operations)):
+        runs = [
+            _label_runs(side[name]) if name in side else {} for side in (first_operations, second_operations)
+        ]
         for label in dict.fromkeys((*runs[0], *runs[1])):
             pieces = [side.get(label) for side in runs]
-            changed = _change(name, label, pieces[0], pieces[1], one.get(name), other.get(name))
+            changed = _segment_change(
+                name, label, pieces[0], pieces[1], first_operations.get(name), second_operations.get(name)
+            )
             if changed is not None:
                 yield changed
 
 
-def _runs(operation: OperationPlan) -> dict[str, slice]:
-    """Targets of one label that follow each other, by label: ``cut``, and ``cut (2)`` when it comes again."""
+def _label_runs(operation: OperationPlan) -> dict[str, slice]:
+    """Return consecutive targets of one label, by label: ``cut``, and ``cut (2)`` if it occurs again."""
     labels = [str(segment) for segment in operation.targets.segment]
     starts = [i for i, label in enumerate(labels) if i == 0 or labels[i - 1] != label]
     seen: Counter[str] = Counter()
     out = {}
     for start, end in zip(starts, [*starts[1:], len(labels)], strict=True):
         seen[labels[start]] += 1
-        again = seen[labels[start]]
-        out[labels[start] if again == 1 else f"{labels[start]} ({again})"] = slice(start, end)
+        occurrence = seen[labels[start]]
+        out[labels[start] if occurrence == 1 else f"{labels[start]} ({occurrence})"] = slice(start, end)
     return out
 
 
-def _change(
+def _segment_change(
     name: str,
     label: str,
-    one: slice | None,
-    other: slice | None,
+    first_run: slice | None,
+    second_run: slice | None,
     first: OperationPlan | None,
     second: OperationPlan | None,
 ) -> SegmentChange | None:
-    seconds = _seconds(first, one), _seconds(second, other)
-    counts = _count(one), _count(other)
-    if first is None or second is None or one is None or other is None or counts[0] != counts[1]:
+    seconds = _seconds(first, first_run), _seconds(second, second_run)
+    counts = _count(first_run), _count(second_run)
+    if first is None or second is None or first_run is None or second_run is None or counts[0] != counts[1]:
         return SegmentChange(name, label, counts, seconds)
     arms = [arm for arm in first.q if arm in second.q]
-    joints = max((_largest(first.q[arm][one] - second.q[arm][other]) for arm in arms), default=0.0)
+    joints = max((_max_abs(first.q[arm][first_run] - second.q[arm][second_run]) for arm in arms), default=0.0)
     poses = max(
         (
-            _largest(first.targets.pose[arm][one][:, :3, 3] - second.targets.pose[arm][other][:, :3, 3])
+            _max_abs(
+                first.targets.pose[arm][first_run][:, :3, 3] - second.targets.pose[arm][second_run][:, :3, 3]
+            )
             for arm in arms
             if arm in first.targets.pose and arm in second.targets.pose
         ),
         default=0.0,
     )
-    later = abs((seconds[0] or 0.0) - (seconds[1] or 0.0))
-    if max(joints, poses, later) <= EQUAL_WITHIN and set(first.q) == set(second.q):
+    time_difference = abs((seconds[0] or 0.0) - (seconds[1] or 0.0))
+    if max(joints, poses, time_difference) <= EQUALITY_TOLERANCE and set(first.q) == set(second.q):
         return None
     return SegmentChange(name, label, counts, seconds, float(np.rad2deg(joints)), poses / MM)
 
@@ -249,17 +308,17 @@ def _count(run: slice | None) -> int | None:
 
 
 def _seconds(operation: OperationPlan | None, run: slice | None) -> float | None:
-    """The time [s] from the target before a run to its last one."""
+    """Return the time [s] from the target before a run to its last one."""
     if operation is None or run is None:
         return None
     return float(operation.time[run.stop - 1] - operation.time[max(run.start - 1, 0)])
 
 
-def _largest(values: np.ndarray) -> float:
+def _max_abs(values: np.ndarray) -> float:
     return float(np.max(np.abs(values))) if values.size else 0.0
 
 
-FIGURES: Final[dict[str, str]] = {
+FIGURE_HEADINGS: Final[dict[str, str]] = {
     "targets": "targets",
     "cycle_s": "cycle s",
     "clearance_mm": "clearance mm",
@@ -270,8 +329,8 @@ FIGURES: Final[dict[str, str]] = {
     "surface_percent": "surface %",
     "path_cost": "path cost",
 }
-"""Figures of a job that every summary shows, and what they are called."""
-STATES: Final[dict[str, str]] = {
+"""Figures of a job that every summary shows, with their headings."""
+STATE_LABELS: Final[dict[str, str]] = {
     "verified": "verified",
     "done": "done",
     "unproven": "not proven",
@@ -282,21 +341,21 @@ STATES: Final[dict[str, str]] = {
     "memory": "memory",
     "cancelled": "cancelled",
 }
-"""What the states of jobs are called, in the order in which they are counted."""
+"""Labels of the states of jobs, in the order in which they are counted."""
 
 
-def varied_fields(rows: Iterable[Row]) -> list[str]:
-    """Paths of all fields that batch files varied, in order of first appearance."""
+def varied_fields(rows: Iterable[BatchRow]) -> list[str]:
+    """Return the paths of all fields that batch files vary, in order of first appearance."""
     return list(dict.fromkeys(path for row in rows for path in row.item.varied))
 
 
 def value_text(value: object) -> str:
-    """A varied value as short text."""
+    """Return a varied value as short text."""
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 
-def gravest_issue(done: Done) -> Issue | None:
-    """The issue that says most about a job: the first error, else the first warning."""
+def most_severe_issue(done: JobResult) -> Issue | None:
+    """Return the most severe issue of a job: the first error, else the first warning."""
     for severity in (Severity.ERROR, Severity.WARNING):
         for issue in done.issues:
             if issue.severity is severity:
@@ -304,53 +363,66 @@ def gravest_issue(done: Done) -> Issue | None:
     return None
 
 
-def issue_counts(row: Row) -> str:
-    """How many errors, warnings and notes a job has (``1 error, 2 warnings``), and what its problem
-    accepts."""
+def issue_counts(row: BatchRow) -> str:
+    """Return the numbers of errors, warnings and notes (``1 error, 2 warnings``), and accepted issues."""
     parts = []
     for severity in Severity:
         count = sum(issue.severity is severity for issue in row.done.issues)
         if count:
             parts.append(f"{count} {severity.value}{'s' if count > 1 else ''}")
-    taken = accepted(row.done.issues)
+    taken = accepted_codes(row.done.issues)
     parts += [f"accepted: {' '.join(taken)}"] if taken else []
     return ", ".join(parts)
 
 
 def figure_text(name: str, value: float | None) -> str:
-    """A figure as people read it; nothing where it is not known."""
+    """Return a figure as text, empty if it is unknown."""
     if value is None:
         return ""
     return f"{value:.0f}" if name == "targets" else f"{value:.4g}"
 
 
-def csv_table(rows: Sequence[Row]) -> str:
-    """The summary as CSV (RFC 4180), figures in full: name, origin, state, issue codes with that of the
-    message first, those that the problem accepts, varied fields, figures, planning time [s], first error or
-    warning."""
+def csv_table(rows: Sequence[BatchRow]) -> str:
+    """Return the summary as CSV (RFC 4180), with figures in full precision.
+
+    Columns: name, origin, state, issue codes with that of the message first, accepted issues, varied fields,
+    figures, planning time [s], first error or warning.
+    """
     paths = varied_fields(rows)
     stream = io.StringIO()
     writer = csv.writer(stream)
-    heads = ["name", "origin", "state", "issues", "accepted", *paths, *FIGURES, "planning_s", "message"]
+    heads = [
+        "name",
+        "origin",
+        "state",
+        "issues",
+        "accepted",
+        *paths,
+        *FIGURE_HEADINGS,
+        "planning_s",
+        "message",
+    ]
     writer.writerow(heads)
     for row in rows:
-        said = gravest_issue(row.done)
-        codes = " ".join(dict.fromkeys(i.code for i in (*((said,) if said else ()), *row.done.issues)))
+        main_issue = most_severe_issue(row.done)
+        codes = " ".join(
+            dict.fromkeys(i.code for i in (*((main_issue,) if main_issue else ()), *row.done.issues))
+        )
         values = [value_text(row.item.varied[p]) if p in row.item.varied else "" for p in paths]
-        figures = [_full(row.done.metrics.get(name)) for name in FIGURES]
-        message = said.message if said is not None else ""
-        taken = " ".join(accepted(row.done.issues))
+        figures = [_full_precision(row.done.metrics.get(name)) for name in FIGURE_HEADINGS]
+        message = main_issue.message if main_issue is not None else ""
+        taken = " ".join(accepted_codes(row.done.issues))
         cells = [row.item.name, row.item.origin, row.done.state, codes, taken, *values, *figures]
-        writer.writerow([_harmless(cell) for cell in (*cells, f"{row.done.seconds:.3f}", message)])
+        writer.writerow([_escape_formula(cell) for cell in (*cells, f"{row.done.seconds:.3f}", message)])
     return stream.getvalue()
 
 
-def _full(value: float | None) -> str:
+def _full_precision(value: float | None) -> str:
     return "" if value is None else str(int(value)) if value.is_integer() else repr(value)
 
 
-def _harmless(cell: str) -> str:
-    """A cell that no spreadsheet takes for a formula; numbers stay as they are."""
+def _escape_formula(cell: str) -> str:
+    """Return a cell that no spreadsheet takes for a formula. Numbers are unchanged."""
     try:
         float(cell)
     except ValueError:
@@ -365,30 +437,36 @@ SUMMARY_CSS: Final = (
     "td a{color:var(--accent)}td:first-child{width:140px}td .soft{font-size:12px;overflow-wrap:anywhere}"
     "tr.has>td{border-bottom:0}tr.said>td{padding-top:0}"
 )
-"""Style of the summary besides that of every page."""
+"""Style of the summary in addition to that of every page."""
 
 
-def summary_page(title: str, rows: Sequence[Row], out: Path, seconds: float) -> str:
-    """The page; ``out`` is the folder of the results, which links and thumbnails come from, and ``seconds``
-    [s] what the whole batch took this time."""
+def summary_page(title: str, rows: Sequence[BatchRow], out: Path, seconds: float) -> str:
+    """Return the summary page.
+
+    Args:
+        title: Title of the page.
+        rows: Rows of the batch.
+        out: Folder of the results, for links and thumbnails.
+        seconds: Duration of this run [s].
+    """
     paths = varied_fields(rows)
-    known = [name for name in FIGURES if any(name in row.done.metrics for row in rows)]
+    shown_figures = [name for name in FIGURE_HEADINGS if any(name in row.done.metrics for row in rows)]
     varied_heads = [html.escape(path).replace(".", ".<wbr>") for path in paths]
-    figure_heads = [html.escape(FIGURES[name]) for name in known]
+    figure_heads = [html.escape(FIGURE_HEADINGS[name]) for name in shown_figures]
     heads = ["", "name", "status", *varied_heads, *figure_heads, "planned in s"]
-    body = "".join(_lines(row, paths, known, out, len(heads)) for row in rows)
+    body = "".join(_job_rows(row, paths, shown_figures, out, len(heads)) for row in rows)
     counts: Counter[str] = Counter(row.done.state for row in rows)
     tiles = "".join(
         _tile(str(counts[state]), name, state != "verified")
-        for state, name in STATES.items()
+        for state, name in STATE_LABELS.items()
         if counts[state]
     )
-    kept = sum(row.kept for row in rows)
+    kept = sum(row.is_kept for row in rows)
     summary = f"{len(rows)} problems in {seconds:.0f} s" + (
         f", {kept} kept from earlier runs" if kept else ""
     )
     head = f"<header><h1>{html.escape(title)}</h1></header><p class='soft'>{summary}</p>"
-    results = markup.section(markup.Section("jobs", "Results", (_table(heads, body),)))
+    results = markup.section_html(markup.PageSection("jobs", "Results", (_table(heads, body),)))
     inner = f'{head}<div class="tiles">{tiles}</div>{results}'
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>'
@@ -398,31 +476,33 @@ def summary_page(title: str, rows: Sequence[Row], out: Path, seconds: float) -> 
     )
 
 
-def _lines(row: Row, paths: Sequence[str], known: Sequence[str], out: Path, width: int) -> str:
-    """A job's row of the table, and one more for its issues where it has any."""
+def _job_rows(
+    row: BatchRow, paths: Sequence[str], shown_figures: Sequence[str], out: Path, width: int
+) -> str:
+    """Return a job's row of the table, and another one for its issues if it has any."""
     report = f"{row.item.name}/report.html"
-    small = thumbnail(out / report)
+    thumbnail_bytes = thumbnail(out / report)
     shown = ""
-    if small is not None:
-        data = base64.b64encode(small).decode()
+    if thumbnail_bytes is not None:
+        data = base64.b64encode(thumbnail_bytes).decode()
         shown = f'<a href="{report}"><img alt="" src="data:image/png;base64,{data}"></a>'
     state = row.done.state
-    tag = markup.text(markup.Tag(TAG_OF_STATE.get(state, "bad"), STATES[state]))
+    tag = markup.phrase_html(markup.TagPhrase(TAG_OF_STATE.get(state, "bad"), STATE_LABELS[state]))
     linked = (out / report).is_file()
     name = f'<a href="{report}">{row.item.name}</a>' if linked else row.item.name
     name += f'<br><span class="soft">{html.escape(row.item.origin)}</span>'
     values = [value_text(row.item.varied[path]) if path in row.item.varied else "" for path in paths]
-    figures = [_figure_cell(figure, row.done.metrics.get(figure)) for figure in known]
+    figures = [_figure_cell(figure, row.done.metrics.get(figure)) for figure in shown_figures]
     marked = "".join(f"<td>{cell}</td>" for cell in (shown, name, tag))
     cells = "".join(_cell(cell) for cell in (*values, *figures, row.done.seconds))
     kind = ' class="has"' if row.done.issues else ""
     line = f"<tr{kind}>{marked}{cells}</tr>"
-    said = gravest_issue(row.done)
+    main_issue = most_severe_issue(row.done)
     if not row.done.issues:
         return line
     text = html.escape(issue_counts(row))
-    if said is not None:
-        text += f": <code>{said.code}</code> {html.escape(said.message)}"
+    if main_issue is not None:
+        text += f": <code>{main_issue.code}</code> {html.escape(main_issue.message)}"
     return f'{line}<tr class="said"><td></td><td colspan="{width - 1}">{text}</td></tr>'
 
 
@@ -432,11 +512,14 @@ def _figure_cell(name: str, value: float | None) -> object:
 
 def _cell(cell: object) -> str:
     kind = ' class="n"' if isinstance(cell, int | float) else ""
-    return f"<td{kind}>{markup.text(cell)}</td>"
+    return f"<td{kind}>{markup.phrase_html(cell)}</td>"
 
 
 def _table(heads: Sequence[str], body: str) -> markup.Drawing:
-    """The table of ``heads`` and rows, both HTML: its rows have pictures, links and a line for issues."""
+    """Return the table of ``heads`` and rows, both HTML.
+
+    Its rows have pictures, links and a line for issues.
+    """
     head = "".join(f"<th>{name}</th>" for name in heads)
     inner = f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody>"
     return markup.Drawing(f'<div class="scroll"><table>{inner}</table></div>')

@@ -1,5 +1,7 @@
-"""A building element from its file to the files of its folder, and to those that tell what became of its
-panels; as `tandem element` and the workers of the service make them."""
+"""Division of a building element into files, and the report on its panels.
+
+`tandem element` and the workers of the service use it.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,8 @@ from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
-from planner.batch.job import ELEMENT, PLANNED, Done
-from planner.batch.rows import Item, Row
+from planner.batch.job import ELEMENT_FILE, PLANNED_FILE, JobResult
+from planner.batch.rows import BatchItem, BatchRow
 from planner.element import (
     elastic,
     element_file,
@@ -29,12 +31,12 @@ from planner.element import (
     wall_files,
     walls,
 )
-from planner.element.elastic import Judge
-from planner.element.elastic_panel import JOINT_SHARE, ElasticPanel, joints
+from planner.element.elastic import PanelCheck
+from planner.element.elastic_panel import JOINT_PERCENTILE, ElasticPanel, find_joints
 from planner.element.element_file import ElasticElement, HexagonElement, StripsElement, WallElement
 from planner.element.jobs import panel_files
 from planner.element.run_report import ElementRun
-from planner.files import each_file, is_file, write_folder, write_whole
+from planner.files import is_file, map_file_names, write_atomic, write_folder
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity, TandemError
 from planner.report import rhino_file
@@ -43,132 +45,154 @@ if TYPE_CHECKING:
     from planner.pipeline import Progress
     from planner.problem import Problem
 
-REPORT: Final = ("element.html", "report.csv", "joints.csv")
-"""What a report on an element holds."""
-FROM_PANELS: Final = "../problem/"
-"""The way from ``panels/`` to the files that the job was given."""
+REPORT_FILES: Final = ("element.html", "report.csv", "joints.csv")
+"""Files of a report on an element."""
+PANELS_TO_PROBLEM: Final = "../problem/"
+"""Relative path from ``panels/`` to the files that the job was given."""
 AnyElement = TypeVar("AnyElement", bound=element_file.Element)
-AnyTemplate = TypeVar("AnyTemplate", bound=element_file.Template)
-Made = tuple[dict[str, str], tuple[Issue, ...], str]
+AnyTemplate = TypeVar("AnyTemplate", bound=element_file.JobTemplate)
+DividedFiles = tuple[dict[str, str], tuple[Issue, ...], str]
 
 
 @dataclasses.dataclass(frozen=True)
-class Divided:
-    """``files`` of an element's folder by their names, what is to be said, and what it came out as."""
+class DividedElement:
+    """A divided element.
+
+    Attributes:
+        files: Files of its folder by name.
+        issues: Issues to report.
+        summary: Summary text.
+    """
 
     files: Mapping[str, str | bytes]
     issues: tuple[Issue, ...]
-    said: str
+    summary: str
 
 
-def divide(element: element_file.Element, on_progress: Progress, folder: Path | None = None) -> Divided:
-    """All files of an element. Where it lies in the ``folder`` of a job, panels name the files of their
-    templates from ``panels/`` on, by way of ``../problem/``, as the result of that job holds them.
+def divide_element(
+    element: element_file.Element, on_progress: Progress, folder: Path | None = None
+) -> DividedElement:
+    """Return all files of an element.
 
-    Raises ``TandemError`` as the divisions do.
+    Args:
+        element: The element.
+        on_progress: Receives the progress.
+        folder: Folder of a job that contains the element. Panels then refer to the files of their templates
+            from ``panels/``, by ``../problem/``, as the result of that job holds them.
+
+    Raises:
+        TandemError: As the divisions do.
     """
     on_progress("division", 0.0)
     if isinstance(element, element_file.HexagonElement):
-        files, told, said = _hexagons(element, folder)
+        files, issues, summary = _divide_hexagons(element, folder)
     elif isinstance(element, element_file.WallElement):
-        files, told, said = _wall(element, folder)
+        files, issues, summary = _divide_wall(element, folder)
     elif isinstance(element, element_file.StripsElement):
-        files, told, said = _strips(element, folder)
+        files, issues, summary = _divide_strips(element, folder)
     elif isinstance(element, element_file.ElasticElement):
-        files, told, said = _elastic(element, folder)
+        files, issues, summary = _divide_elastic(element, folder)
     else:
-        raise TypeError(f"an element of no kind, {type(element).__name__}")
+        raise TypeError(f"unknown kind of element {type(element).__name__}")
     on_progress("page", 0.0)
     data = json.loads(files["element.json"])
-    files["element.html"] = element_page.element_page(run_report.unplanned(data), files.get("blocks.svg"))
+    files["element.html"] = element_page.element_page(run_report.unplanned_run(data), files.get("blocks.svg"))
     files["labels.svg"] = labels.label_sheets(data)
-    files["labels.pdf"] = labels_pdf.label_document(files["labels.svg"])
+    files["labels.pdf"] = labels_pdf.labels_pdf(files["labels.svg"])
     cad = (
-        {"element.3dm": rhino_panels.panels_3dm(data, files["element.obj"])} if rhino_file.installed() else {}
+        {"element.3dm": rhino_panels.panels_3dm(data, files["element.obj"])}
+        if rhino_file.is_available()
+        else {}
     )
-    return Divided({**files, **cad}, told, said)
+    return DividedElement({**files, **cad}, issues, summary)
 
 
-def _written(element: AnyElement, folder: Path | None) -> AnyElement:
-    """The element with file names of its templates from ``panels/`` on, where they are in the ``folder`` of a
-    job."""
+def _with_relative_templates(element: AnyElement, folder: Path | None) -> AnyElement:
+    """Return the element with template file names relative to ``panels/``.
+
+    Names are unchanged if the element is not in the ``folder`` of a job.
+    """
     if folder is None:
         return element
 
-    def carried(path: Path) -> str:
-        return FROM_PANELS + path.relative_to(folder).as_posix()
+    def relative_name(path: Path) -> str:
+        return PANELS_TO_PROBLEM + path.relative_to(folder).as_posix()
 
-    def named(template: AnyTemplate) -> AnyTemplate:
-        return dataclasses.replace(template, data=each_file(template.data, carried))
+    def with_names(template: AnyTemplate) -> AnyTemplate:
+        return dataclasses.replace(template, data=map_file_names(template.data, relative_name))
 
-    saw = None if element.saw is None else named(element.saw)
-    return dataclasses.replace(element, templates=tuple(map(named, element.templates)), saw=saw)
+    saw = None if element.saw is None else with_names(element.saw)
+    return dataclasses.replace(element, templates=tuple(map(with_names, element.templates)), saw=saw)
 
 
-def _elastic(element: ElasticElement, folder: Path | None) -> Made:
-    """All files of elastic panels, what is to be said, and what they came out as."""
-    made = elastic.search(element.surface, element.cells, element.rules)
-    judge = _judge(element) if element.judged else None
-    panels = elastic.divide_elastic(made, judge, held=element.wanted.check != "none")
-    files, told = output.folder(_written(element, folder), panels)
-    steps = np.concatenate([joint.steps.ravel() for joint in joints(panels)] or [np.zeros(1)]) / MM
-    off = max(panel.misfit for panel in panels) / MM
-    said = (
-        f"{len(panels)} panels, at most {off:.2f} mm off the surface; "
-        f"steps at joints {np.percentile(steps, JOINT_SHARE):.2f} mm at "
-        f"{JOINT_SHARE:g} %, {steps.max():.2f} mm at most"
+def _divide_elastic(element: ElasticElement, folder: Path | None) -> DividedFiles:
+    """Return all files of elastic panels, their issues, and the summary."""
+    cells = elastic.prepare_division(element.surface, element.cells, element.rules)
+    judge = _panel_check(element) if element.are_panels_checked else None
+    panels = elastic.divide_elastic(cells, judge, held=element.options.check != "none")
+    files, issues = output.elastic_folder(_with_relative_templates(element, folder), panels)
+    steps = np.concatenate([joint.steps.ravel() for joint in find_joints(panels)] or [np.zeros(1)]) / MM
+    max_deviation = max(panel.misfit for panel in panels) / MM
+    summary = (
+        f"{len(panels)} panels, at most {max_deviation:.2f} mm from the surface; "
+        f"steps at joints {np.percentile(steps, JOINT_PERCENTILE):.2f} mm for "
+        f"{JOINT_PERCENTILE:g} %, at most {steps.max():.2f} mm"
     )
-    return files, told, said
+    return files, issues, summary
 
 
-def _hexagons(element: HexagonElement, folder: Path | None) -> Made:
-    """All files of planar panels, what is to be said, and what they came out as."""
+def _divide_hexagons(element: HexagonElement, folder: Path | None) -> DividedFiles:
+    """Return all files of planar panels, their issues, and the summary."""
     panels = hexagons.divide_hexagons(element)
-    files, told = hexagon_files.folder(_written(element, folder), panels)
-    off = max(panel.off for panel in panels) / MM
-    lean = max(panel.lean for panel in panels) / DEG
-    said = (
-        f"{len(panels)} panels, at most {off:.1f} mm off the surface; edges from face to face lean "
-        f"{lean:.1f} degrees at most"
+    files, issues = hexagon_files.hexagon_folder(_with_relative_templates(element, folder), panels)
+    max_deviation = max(panel.deviation for panel in panels) / MM
+    max_tilt = max(panel.tilt for panel in panels) / DEG
+    summary = (
+        f"{len(panels)} panels, at most {max_deviation:.1f} mm from the surface; edges between the faces "
+        f"are tilted by at most {max_tilt:.1f} degrees"
     )
-    return files, told, said
+    return files, issues, summary
 
 
-def _wall(element: WallElement, folder: Path | None) -> Made:
-    """All files of a ruled wall, what is to be said, and what it came out as."""
+def _divide_wall(element: WallElement, folder: Path | None) -> DividedFiles:
+    """Return all files of a ruled wall, their issues, and the summary."""
     panels = walls.divide_wall(element)
-    files, told = wall_files.folder(_written(element, folder), panels)
+    files, issues = wall_files.wall_folder(_with_relative_templates(element, folder), panels)
     heights = np.array([panel.box[1] for panel in panels]) / MM
-    off = max(panel.off for panel in panels) / MM
-    said = (
-        f"{len(panels)} panels, {heights.min():.0f} to {heights.max():.0f} mm high; backs at most {off:.2f} "
-        "mm off one thickness behind the front"
+    max_deviation = max(panel.deviation for panel in panels) / MM
+    summary = (
+        f"{len(panels)} panels, {heights.min():.0f} to {heights.max():.0f} mm high; backs deviate at most "
+        f"{max_deviation:.2f} mm from one thickness behind the front"
     )
-    return files, told, said
+    return files, issues, summary
 
 
-def _strips(element: StripsElement, folder: Path | None) -> Made:
-    """All files of a surface in ruled strips, what is to be said, and what it came out as."""
-    found = strips.divide_strips(element)
-    files, told = wall_files.strips_folder(_written(element, folder), found)
-    tried = "; ".join(f"across {one}: {p} in {s} strips" for one, (s, p) in found.tried.items())
-    said = (
-        f"{len(found.panels)} panels in {len(found.cuts) - 1} ruled strips across {found.across} ({tried}), "
-        f"at most {found.off.max() / MM:.2f} mm off the surface; kinks of at most "
-        f"{found.kinks.max(initial=0.0) / DEG:.1f} degrees between neighbours"
+def _divide_strips(element: StripsElement, folder: Path | None) -> DividedFiles:
+    """Return all files of a surface in ruled strips, their issues, and the summary."""
+    division = strips.divide_strips(element)
+    files, issues = wall_files.strips_folder(_with_relative_templates(element, folder), division)
+    alternatives = "; ".join(
+        f"across {direction}: {p} in {s} strips" for direction, (s, p) in division.tried.items()
     )
-    return files, told, said
+    summary = (
+        f"{len(division.panels)} panels in {len(division.cuts) - 1} ruled strips across {division.across} "
+        f"({alternatives}), at most {division.deviation.max() / MM:.2f} mm from the surface; kinks of at "
+        f"most {division.kinks.max(initial=0.0) / DEG:.1f} degrees between neighbours"
+    )
+    return files, issues, summary
 
 
-def _judge(element: ElasticElement) -> Judge:
-    """The check of a panel's problem as it will be written; what no template is for is told with its id at
-    the end."""
+def _panel_check(element: ElasticElement) -> PanelCheck:
+    """Return the check of a panel's problem as it will be written.
+
+    Panels without a template are reported with their ids at the end.
+    """
     from planner import pipeline
     from planner.processes import registry  # loads Drake
 
-    whole = element.wanted.check == "all"
+    checks_all = element.options.check == "all"
 
-    def refusal(panel: ElasticPanel) -> Issue | None:
+    def check_panel(panel: ElasticPanel) -> Issue | None:
         try:
             files = panel_files(element, (panel,), ("panel",))
         except TandemError:
@@ -178,50 +202,80 @@ def _judge(element: ElasticElement) -> Judge:
                 path = Path(folder) / name
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_text(text)
-            found: list[Issue] = []
+            panel_issues: list[Issue] = []
             try:
                 problem = pipeline.load(Path(folder) / "panels" / "panel.yaml")
-                if whole:
-                    found += pipeline.check(problem, advise=False)
+                if checks_all:
+                    panel_issues += pipeline.check(problem, advise=False)
                 else:
-                    found += [issue for job in registry.jobs(problem) for issue in job.targets().issues]
+                    panel_issues += [
+                        issue for job in registry.jobs(problem) for issue in job.targets().issues
+                    ]
             except TandemError as error:
-                found += error.issues
-        return next((issue for issue in found if issue.severity is Severity.ERROR), None)
+                panel_issues += error.issues
+        return next((issue for issue in panel_issues if issue.severity is Severity.ERROR), None)
 
-    return refusal
+    return check_panel
 
 
-def report_files(found: ElementRun, out: Path) -> dict[str, str]:
-    """What `REPORT` names, of an element whose folder is ``out``."""
+def report_files(element_run: ElementRun, out: Path) -> dict[str, str]:
+    """Return the files of `REPORT_FILES` for an element.
+
+    Args:
+        element_run: The element with the results of its panels.
+        out: Folder of the element.
+    """
     blocks = out / "blocks.svg"
-    drawn = blocks.read_text("utf-8") if is_file(blocks) else None
-    made = element_page.element_page(found, drawn), run_report.panel_rows(found), run_report.joint_rows(found)
-    return dict(zip(REPORT, made, strict=True))
+    drawing = blocks.read_text("utf-8") if is_file(blocks) else None
+    contents = (
+        element_page.element_page(element_run, drawing),
+        run_report.panels_csv(element_run),
+        run_report.joints_csv(element_run),
+    )
+    return dict(zip(REPORT_FILES, contents, strict=True))
 
 
 def solve_division(source: Path, result: Path, on_progress: Progress) -> tuple[Issue, ...]:
-    """Divide the element among the files of a job, into ``result``; what is to be said. Raises
-    ``TandemError``."""
+    """Divide the element among the files of a job.
+
+    Args:
+        source: Folder with the files of the job.
+        result: Result folder.
+        on_progress: Receives the progress.
+
+    Raises:
+        TandemError: As :func:`divide_element`.
+    """
     on_progress("surface", 0.0)
-    made = divide(element_file.read(source / ELEMENT), on_progress, source)
-    write_folder(result, made.files, output.OWNED)
-    return made.issues
+    divided = divide_element(element_file.read_element(source / ELEMENT_FILE), on_progress, source)
+    write_folder(result, divided.files, output.OWNED_ENTRIES)
+    return divided.issues
 
 
 def solve_report(source: Path, result: Path, on_progress: Progress) -> tuple[Issue, ...]:
-    """Write the report on an element from the files of a job into ``result``; what is to be said. Raises
-    ``TandemError``."""
+    """Write the report on an element from the files of a job.
+
+    Args:
+        source: Folder with the files of the job.
+        result: Result folder.
+        on_progress: Receives the progress.
+
+    Raises:
+        TandemError: If a file cannot be read.
+    """
     from planner.batch.compare import csv_table
 
     on_progress("joints", 0.0)
-    ended = [Done.from_dict(one) for one in json.loads((source / PLANNED).read_text("utf-8"))]
-    rows = [Row(Item(done.name, done.name, _never), done) for done in ended]
-    write_whole(source / "run" / "summary.csv", csv_table(rows))
-    found = run_report.read_run(source / "element", source / "run")
-    write_folder(result, report_files(found, source / "element"), REPORT)
-    return found.issues()
+    results = [
+        JobResult.from_dict(result_data)
+        for result_data in json.loads((source / PLANNED_FILE).read_text("utf-8"))
+    ]
+    rows = [BatchRow(BatchItem(done.name, done.name, _refuse_reading), done) for done in results]
+    write_atomic(source / "run" / "summary.csv", csv_table(rows))
+    element_run = run_report.read_run(source / "element", source / "run")
+    write_folder(result, report_files(element_run, source / "element"), REPORT_FILES)
+    return element_run.issues()
 
 
-def _never() -> Problem:
-    raise ValueError("a panel that has ended is not read again")
+def _refuse_reading() -> Problem:
+    raise ValueError("a finished panel is not read again")

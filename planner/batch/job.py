@@ -1,7 +1,7 @@
-"""One problem of many as values, and where its result goes.
+"""One problem of many as values, and its result folder.
 
-What is to be planned, what came out, what is heard of it meanwhile. A result is planned in a hidden
-folder beside its own, which is renamed when it is whole.
+The job, its result, and events meanwhile. A result is planned in a hidden folder next to its own, which is
+renamed when it is complete.
 """
 
 import contextlib
@@ -13,41 +13,60 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal, get_args
 
-from planner.files import RESULT, deferred_sigint, is_disk_full, is_file, staging, versions, write_whole
-from planner.issues import Issue, TandemError, refusal
+from planner.files import (
+    RESULT_ENTRIES,
+    deferred_sigint,
+    is_disk_full,
+    is_file,
+    staging,
+    versions,
+    write_atomic,
+)
+from planner.issue_codes import format_message
+from planner.issues import Issue, TandemError, issue_error
 from planner.runtime.version import __version__
 
-State = Literal[
+JobState = Literal[
     "verified", "done", "infeasible", "bad_input", "unproven", "crashed", "timeout", "memory", "cancelled"
 ]
-STATES: tuple[State, ...] = get_args(State)
-"""How a job may end; ``done``: an element is divided, or the report on it written."""
+JOB_STATES: tuple[JobState, ...] = get_args(JobState)
+"""Final states of a job. ``done``: an element is divided, or the report on it is written."""
 Reports = Literal["all", "failed"]
 """Which jobs get report and replay: all, or those that are not verified."""
-PROBLEM = "problem.yaml"
+PROBLEM_FILE = "problem.yaml"
 """The problem file among a job's files."""
-ELEMENT = "element.yaml"
-"""In its place, the file of a building element that the job divides; what it names stands beside it."""
-PLANNED = "planned.json"
-"""In its place, how the panels of an element ended, as a list of plain data, where the job reports on it. The
-element's folder is ``element/`` there; results of panels are in ``run/``, under their ids."""
-LIKE = "like"
-"""The folder, among a job's files, of the result that it is planned like."""
-MAX_NAME = 100
-"""Characters that the name of a job may have."""
+ELEMENT_FILE = "element.yaml"
+"""The file of a building element that the job divides, instead of a problem file.
+
+Files that it names are next to it.
+"""
+PLANNED_FILE = "planned.json"
+"""Results of the panels of an element as a list of plain data, for a report on the element.
+
+It replaces the problem file. The element's folder is ``element/`` there. Results of panels are in ``run/``,
+by id.
+"""
+REFERENCE_FOLDER = "like"
+"""Folder, among a job's files, of the result with the reference plan."""
+MAX_NAME_LENGTH = 100
+"""Maximum number of characters of a job's name."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Job:
-    """A problem that stands alone; or an element to divide, or one to report on.
+class BatchJob:
+    """A self-contained problem, or an element to divide or to report on.
 
-    ``name`` is a safe folder name. ``files``: the problem by relative names, as
-    :func:`planner.reading.problem.bundle` makes it. A job is stopped after ``timeout_s`` [s] of planning, and
-    when its worker holds more than ``memory_mb`` [MB]; None is no limit. ``origins``: what people call a
-    file, by its name in ``files``; issues name files so, and by their names in ``files`` where nothing is
-    given. ``reports``: whether it gets a report and a replay where it is verified.
+    Attributes:
+        name: A safe folder name.
+        files: The problem by relative names, as :func:`planner.reading.problem.bundle` makes it.
+        timeout_s: Maximum planning time [s], None for no limit.
+        memory_mb: Maximum memory of its worker [MB], None for no limit.
+        origins: The user's name of a file, by its name in ``files``. Issues use it. Files without one keep
+            their name.
+        reports: Whether a verified job gets a report and a replay.
 
-    Raises ``ValueError`` for names that are not safe and where the problem file is missing.
+    Raises:
+        ValueError: For unsafe names, and if the problem file is missing.
     """
 
     name: str
@@ -58,38 +77,67 @@ class Job:
     reports: Reports = "all"
 
     def __post_init__(self) -> None:
-        if not safe_name(self.name):
-            raise ValueError(f"{self.name!r} is no safe folder name; see planner.batch.job.safe_name")
-        if not self.files.keys() & {PROBLEM, ELEMENT, PLANNED}:
-            raise ValueError(f"job {self.name}: its files lack {PROBLEM}")
+        if not is_safe_name(self.name):
+            raise ValueError(f"{self.name!r} is not a safe folder name; see planner.batch.job.is_safe_name")
+        if not self.files.keys() & {PROBLEM_FILE, ELEMENT_FILE, PLANNED_FILE}:
+            raise ValueError(f"job {self.name}: its files lack {PROBLEM_FILE}")
         for file in self.files:
             path = PurePosixPath(file)
             if path.is_absolute() or ".." in path.parts or "\0" in file or str(path) != file:
-                raise ValueError(f"job {self.name}: {file!r} is no relative name of a file")
+                raise ValueError(f"job {self.name}: {file!r} is not a relative file name")
         for limit in (self.timeout_s, self.memory_mb):
             if limit is not None and not limit > 0.0:
                 raise ValueError(f"job {self.name}: a limit is {limit!r}; give a number above 0, or None")
 
     def identity(self, versions: Mapping[str, str]) -> str:
-        """SHA-256 of the files and of the versions that plan them: equal jobs have equal results."""
+        """Return the SHA-256 of the files and of the versions that plan them.
+
+        Equal jobs have equal results.
+        """
         rows = [f"{name} {hashlib.sha256(self.files[name]).hexdigest()}" for name in sorted(self.files)]
         rows += [f"{name} {versions[name]}" for name in sorted(versions)]
         return hashlib.sha256("\n".join(rows).encode()).hexdigest()
 
 
 @dataclasses.dataclass(frozen=True)
-class Done:
-    """How a job ended. ``metrics``: figures by name, their unit last in it (``cycle_s``); ``seconds`` [s] of
-    planning."""
+class JobOrder:
+    """Order to plan a job whose files are written.
+
+    Attributes:
+        name: Name of the job.
+        source: Folder with the files of the job.
+        result: Result folder.
+        origins: As in :class:`BatchJob`.
+        reports: As in :class:`BatchJob`.
+    """
 
     name: str
-    state: State
+    source: Path
+    result: Path
+    origins: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    reports: Reports = "all"
+
+
+@dataclasses.dataclass(frozen=True)
+class JobResult:
+    """Result of a job.
+
+    Attributes:
+        name: Name of the job.
+        state: Final state.
+        issues: Issues.
+        metrics: Figures by name, which ends with the unit (``cycle_s``).
+        seconds: Planning time [s].
+    """
+
+    name: str
+    state: JobState
     issues: tuple[Issue, ...] = ()
     metrics: Mapping[str, float] = dataclasses.field(default_factory=dict)
     seconds: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
-        """As plain data for JSON."""
+        """Return plain data for JSON."""
         return {
             "name": self.name,
             "state": self.state,
@@ -99,19 +147,28 @@ class Done:
         }
 
     @staticmethod
-    def from_dict(data: Mapping[str, Any]) -> "Done":
-        """The inverse of :meth:`to_dict`; raises ``KeyError``, ``TypeError`` or ``ValueError`` for other
-        data."""
-        if data["state"] not in STATES:
-            raise ValueError(f"state {data['state']!r} is not known; there are {', '.join(STATES)}")
+    def from_dict(data: Mapping[str, Any]) -> "JobResult":
+        """Return the inverse of :meth:`to_dict`.
+
+        Raises:
+            KeyError, TypeError, ValueError: For other data.
+        """
+        if data["state"] not in JOB_STATES:
+            raise ValueError(f"state: got {data['state']!r}, allowed {', '.join(JOB_STATES)}")
         issues = tuple(Issue.from_dict(issue) for issue in data["issues"])
         metrics = {str(name): float(value) for name, value in data["metrics"].items()}
-        return Done(str(data["name"]), data["state"], issues, metrics, float(data["seconds"]))
+        return JobResult(str(data["name"]), data["state"], issues, metrics, float(data["seconds"]))
 
 
 @dataclasses.dataclass(frozen=True)
-class Progress:
-    """A job has come so far: ``fraction`` in 0..1 of ``stage``."""
+class JobProgress:
+    """Progress of a job.
+
+    Attributes:
+        name: Name of the job.
+        stage: Present stage.
+        fraction: Completed fraction of the stage, in 0..1.
+    """
 
     name: str
     stage: str
@@ -119,129 +176,158 @@ class Progress:
 
 
 @dataclasses.dataclass(frozen=True)
-class Found:
-    """Issues of a job that is under way; :class:`Done` has them all again."""
+class JobIssues:
+    """Issues of a running job. :class:`JobResult` repeats them.
+
+    Attributes:
+        name: Name of the job.
+        issues: The issues.
+    """
 
     name: str
     issues: tuple[Issue, ...]
 
 
 @dataclasses.dataclass(frozen=True)
-class Finished:
-    """A job has ended, and its result folder is there if it has one."""
+class JobFinished:
+    """A job has ended, and its result folder exists if it has one.
+
+    Attributes:
+        name: Name of the job.
+        done: The result.
+    """
 
     name: str
-    done: Done
+    done: JobResult
 
 
-Event = Progress | Found | Finished
+JobEvent = JobProgress | JobIssues | JobFinished
 
 
 def all_versions() -> dict[str, str]:
-    """Versions of all that a result depends on."""
+    """Return the versions of everything that a result depends on."""
     return {"tandem": __version__, **versions()}
 
 
-def cancelled(name: str) -> Issue:
-    """Of a job that was told to end."""
-    return Issue("batch.cancelled", f"{name}: planning was cancelled; start it again if wanted")
+def cancelled_issue(name: str) -> Issue:
+    """Return the issue of a cancelled job."""
+    return Issue("batch.cancelled", format_message("batch.cancelled", job=name))
 
 
-def disk_full() -> Issue:
-    """Of a job that ended because of it."""
-    what = "the disk that results are written to is full, so nothing was; make room on it and plan again"
-    return Issue("output.disk_full", what)
+def disk_full_issue() -> Issue:
+    """Return the issue of a job that ended because the disk is full."""
+    return Issue("output.disk_full", format_message("output.disk_full"))
 
 
-def safe_name(name: str) -> bool:
-    """Whether a name may name a folder anywhere: letters, digits, ``-``, ``_`` and ``.``, no dot first."""
+def is_safe_name(name: str) -> bool:
+    """Return whether a name can name a folder on any system.
+
+    Allowed are letters, digits, ``-``, ``_`` and ``.``, without a leading dot.
+    """
     plain = all(c.isascii() and (c.isalnum() or c in "-_.") for c in name)
-    return plain and 0 < len(name) <= MAX_NAME and not name.startswith(".")
+    return plain and 0 < len(name) <= MAX_NAME_LENGTH and not name.startswith(".")
 
 
-def safe_names(wanted: Iterable[str]) -> list[str]:
-    """Safe names, all different even where case does not count, near the wanted ones: ``a``, ``a-2``, ..."""
+def make_safe_names(names: Iterable[str]) -> list[str]:
+    """Return safe names similar to the given ones, all different even ignoring case: ``a``, ``a-2``, ..."""
     taken: set[str] = set()
     out = []
-    for name in wanted:
-        plain = "".join(c if c.isascii() and (c.isalnum() or c in "-_.") else "-" for c in name)
-        base = plain.strip(".-")[: MAX_NAME - 8] or "problem"
-        chosen, count = base, 1
-        while chosen.lower() in taken:
+    for name in names:
+        cleaned = "".join(c if c.isascii() and (c.isalnum() or c in "-_.") else "-" for c in name)
+        base = cleaned.strip(".-")[: MAX_NAME_LENGTH - 8] or "problem"
+        unique, count = base, 1
+        while unique.lower() in taken:
             count += 1
-            chosen = f"{base}-{count}"
-        taken.add(chosen.lower())
-        out.append(chosen)
+            unique = f"{base}-{count}"
+        taken.add(unique.lower())
+        out.append(unique)
     return out
 
 
 @dataclasses.dataclass(frozen=True)
-class Record:
-    """What a batch remembers of a job, as JSON in the file ``path``: its :class:`Done`, and ``more``."""
+class JobRecord:
+    """A batch's record of a job, a JSON file.
+
+    Attributes:
+        path: The file.
+        more: Additional data besides :class:`JobResult`.
+    """
 
     path: Path
     more: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
-    def write(self, done: Done) -> None:
-        """Write it, whole or not at all; raises ``OSError``."""
-        write_whole(self.path, json.dumps({**self.more, **done.to_dict()}, indent=1, allow_nan=False))
+    def write(self, done: JobResult) -> None:
+        """Write the record, completely or not at all.
+
+        Raises:
+            OSError: If the disk refuses.
+        """
+        write_atomic(self.path, json.dumps({**self.more, **done.to_dict()}, indent=1, allow_nan=False))
 
     @staticmethod
-    def read(path: Path) -> tuple[Done, dict[str, Any]] | None:
-        """The record in a file and all that it says; None where there is none, or it is no record."""
+    def read(path: Path) -> tuple[JobResult, dict[str, Any]] | None:
+        """Return the result and all data of a record file, or None if there is no valid record."""
         try:
             data = json.loads(path.read_text("utf-8"))
-            return Done.from_dict(data), data
+            return JobResult.from_dict(data), data
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             return None
 
 
-class Place:
-    """The result folder of one job and, while it is planned, the hidden folder that it is planned in."""
+class ResultFolder:
+    """Result folder of one job and, while it is planned, the hidden folder in which it is planned."""
 
-    def __init__(self, folder: Path, record: Record | None) -> None:
+    def __init__(self, folder: Path, record: JobRecord | None) -> None:
         self.folder, self.record = folder, record
-        self._open = contextlib.ExitStack()
-        self._hidden: Path | None = None
+        self._resources = contextlib.ExitStack()
+        self._staging_folder: Path | None = None
 
     @staticmethod
-    def claim(folder: Path, record: Record | None) -> "Place":
-        """The place, if ``folder`` can be one: missing, or a result. Raises ``TandemError``
-        (``output.folder``)."""
+    def claim(folder: Path, record: JobRecord | None) -> "ResultFolder":
+        """Return the place if ``folder`` is missing or a result.
+
+        Raises:
+            TandemError: ``output.folder``.
+        """
         if os.path.lexists(folder):
             foreign = (
-                sorted(p.name for p in folder.iterdir() if p.name not in RESULT) if folder.is_dir() else []
+                sorted(p.name for p in folder.iterdir() if p.name not in RESULT_ENTRIES)
+                if folder.is_dir()
+                else []
             )
             if foreign or folder.is_symlink() or not folder.is_dir():
-                got = f"holds {', '.join(foreign[:3])}" if foreign else "is no folder"
-                what = f"output folder {folder}: it {got}, and a result would replace it; choose another"
-                raise refusal("output.folder", what, file=str(folder))
-        return Place(folder, record)
+                reason = f"contains {', '.join(foreign[:3])}" if foreign else "is not a folder"
+                what = f"output folder {folder}: it {reason}, which a result would replace; choose another"
+                raise issue_error("output.folder", what, file=str(folder))
+        return ResultFolder(folder, record)
 
     def prepare(self, files: Mapping[str, bytes]) -> tuple[Path, Path]:
-        """Write the job's files; where they lie, and where its result is to be written. Raises
-        ``TandemError`` (``output.folder``, ``output.disk_full``)."""
+        """Write the job's files. Returns their folder, and the folder for the result.
+
+        Raises:
+            TandemError: ``output.folder``, ``output.disk_full``.
+        """
         try:
             self.folder.parent.mkdir(parents=True, exist_ok=True)
-            self._hidden = self._open.enter_context(staging(self.folder.parent)).resolve()
-            source = self._hidden / "problem"
+            self._staging_folder = self._resources.enter_context(staging(self.folder.parent)).resolve()
+            source = self._staging_folder / "problem"
             for name, content in files.items():
                 path = source / name
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(content)
         except OSError as error:
-            self.leave()
-            raise TandemError(self._refusal(error)) from error
-        return source, self._hidden / "result"
+            self.release()
+            raise TandemError(self._write_issue(error)) from error
+        return source, self._staging_folder / "result"
 
-    def publish(self, done: Done) -> Done:
-        """Let the result appear under its name, with its record; a job that wrote none gets the report alone.
+    def publish(self, done: JobResult) -> JobResult:
+        """Publish the result under its name, with its record. A job without a result gets only the report.
 
-        What is given back has ``output.folder`` or ``output.disk_full`` as one more issue where the disk
+        The returned value has ``output.folder`` or ``output.disk_full`` as an additional issue if the disk
         refuses.
         """
         try:
-            hidden = self._hidden or self.prepare({})[1].parent
+            hidden = self._staging_folder or self.prepare({})[1].parent
             result = hidden / "result"
             if done.state not in ("verified", "done") and not is_file(result / "report.html"):
                 from planner.batch.results import write_failure
@@ -254,30 +340,30 @@ class Place:
                     self.record.write(done)
                 result.rename(self.folder)
         except OSError as error:
-            done = _also(done, (self._refusal(error),))
+            done = _with_write_error(done, (self._write_issue(error),))
         except TandemError as error:
-            done = _also(done, error.issues)
+            done = _with_write_error(done, error.issues)
         finally:
-            self.leave()
+            self.release()
         return done
 
-    def _refusal(self, error: OSError) -> Issue:
+    def _write_issue(self, error: OSError) -> Issue:
         if is_disk_full(error):
-            return disk_full()
+            return disk_full_issue()
         what = f"output folder {self.folder}: cannot be written ({error.strerror or error})"
         return Issue(
             "output.folder",
             what,
             file=str(self.folder),
-            hint="see to the disk, or choose another folder, and run again",
+            hint="check the disk, or choose another folder, and run again",
         )
 
-    def leave(self) -> None:
-        """Remove the hidden folder; the place can be prepared anew."""
-        self._open.close()
-        self._hidden = None
+    def release(self) -> None:
+        """Remove the hidden folder. The place can be prepared again."""
+        self._resources.close()
+        self._staging_folder = None
 
 
-def _also(done: Done, issues: tuple[Issue, ...]) -> Done:
-    """An end whose result could not be written."""
+def _with_write_error(done: JobResult, issues: tuple[Issue, ...]) -> JobResult:
+    """Return a result that could not be written."""
     return dataclasses.replace(done, state="crashed", issues=(*done.issues, *issues))

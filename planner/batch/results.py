@@ -4,15 +4,17 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from planner import pipeline
-from planner.files import RESULT, write_folder
+from planner.files import RESULT_ENTRIES, write_folder
 from planner.issues import Issue
 
 
 def write_failure(folder: Path, issues: Sequence[Issue]) -> None:
-    """A result folder with the report alone, for a job whose planning was stopped."""
+    """Write a result folder with only the report, for a job whose planning was stopped."""
     pipeline.save_failure(None, tuple(issues), folder)
 
 
 def write_result(folder: Path, files: Mapping[str, bytes]) -> None:
-    """A result folder of files that were planned elsewhere, whole or not at all."""
-    write_folder(folder, files, tuple(dict.fromkeys((*RESULT, *(name.split("/")[0] for name in files)))))
+    """Write a result folder of files that were planned elsewhere, completely or not at all."""
+    write_folder(
+        folder, files, tuple(dict.fromkeys((*RESULT_ENTRIES, *(name.split("/")[0] for name in files))))
+    )

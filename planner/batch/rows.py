@@ -10,37 +10,49 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Final
 
-from planner.batch.job import Done
+from planner.batch.job import JobResult
 
 if TYPE_CHECKING:
     from planner.plans import Plan
     from planner.problem import Problem
     from planner.proof.verdict import RuleResult
 
-RECORDS: Final = ".records"
-"""The folder, beside the results, of what a batch remembers of its jobs."""
+RECORDS_FOLDER: Final = ".records"
+"""Folder of the batch's records of its jobs, next to the results."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Item:
-    """One problem of a batch: its ``name`` among the results, where it comes from, how to read it (raises
-    ``TandemError``), and the values that a batch file gave it. ``like``: the item whose plan its own begins
-    with."""
+class BatchItem:
+    """One problem of a batch.
+
+    Attributes:
+        name: Name of its result.
+        origin: Where it comes from.
+        read: Reads the problem, raises ``TandemError``.
+        varied: Values that a batch file gives it.
+        reference: Item from whose plan planning starts.
+    """
 
     name: str
     origin: str
     read: Callable[[], Problem]
     varied: Mapping[str, object] = dataclasses.field(default_factory=dict)
-    like: str | None = None
+    reference: str | None = None
 
 
 @dataclasses.dataclass(frozen=True)
-class Row:
-    """One item of a batch and how it ended; ``kept``: in an earlier run."""
+class BatchRow:
+    """One item of a batch and its result.
 
-    item: Item
-    done: Done
-    kept: bool = False
+    Attributes:
+        item: The item.
+        done: The result.
+        is_kept: Whether the result is from an earlier run.
+    """
+
+    item: BatchItem
+    done: JobResult
+    is_kept: bool = False
 
 
 FIGURE_OF_RULE: Final[dict[str, str]] = {
@@ -51,15 +63,19 @@ FIGURE_OF_RULE: Final[dict[str, str]] = {
     "verify.singularity": "singularity_deg",
     "verify.surface": "surface_percent",
 }
-"""Rules of the proof whose worst values are figures: least distance, least distance to a limit, greatest
-share of a limit, least distance to a singularity, share of the cut faces within tolerance."""
+"""Rules of the proof whose worst values are figures.
+
+Smallest distance, smallest distance to a limit, largest fraction of a limit, smallest distance to a
+singularity, fraction of the cut faces within tolerance.
+"""
 
 
-def figures(plan: Plan, rules: Iterable[RuleResult]) -> dict[str, float]:
-    """``targets``, ``cycle_s`` [s] from first to last target, ``travel_s`` [s] of tracks and turntables where
-    there are any, ``path_cost``, and the worst values of `FIGURE_OF_RULE`.
+def result_figures(plan: Plan, rules: Iterable[RuleResult]) -> dict[str, float]:
+    """Return the figures of a result.
 
-    What a plan or proof does not know, or is not finite, is left out.
+    ``targets``, ``cycle_s`` [s] from first to last target, ``travel_s`` [s] of tracks and turntables if there
+    are any, ``path_cost``, and the worst values of `FIGURE_OF_RULE`. Unknown and infinite values are left
+    out.
     """
     out: dict[str, float] = {
         "targets": float(sum(operation.targets.count for operation in plan.operations)),
@@ -68,9 +84,9 @@ def figures(plan: Plan, rules: Iterable[RuleResult]) -> dict[str, float]:
     if "travel_s" in plan.metrics:
         out["travel_s"] = float(plan.metrics["travel_s"])
     costs = [operation.metrics.get("trajopt_cost") for operation in plan.operations]
-    known = [float(cost) for cost in costs if isinstance(cost, int | float)]
-    if known and len(known) == len(costs):
-        out["path_cost"] = sum(known)
+    known_costs = [float(cost) for cost in costs if isinstance(cost, int | float)]
+    if known_costs and len(known_costs) == len(costs):
+        out["path_cost"] = sum(known_costs)
     for rule in rules:
         if rule.code in FIGURE_OF_RULE and rule.worst is not None:
             out[FIGURE_OF_RULE[rule.code]] = float(rule.worst)

@@ -1,7 +1,7 @@
-"""Plan one job in this process, from its files to its result folder, as ``tandem plan`` does.
+"""Planning of one job in this process, from its files to its result folder, as ``tandem plan`` does.
 
 A job may also divide a building element, or report on one. Issues name files as the user does
-(:class:`Names`).
+(:class:`UserFileNames`).
 """
 
 import dataclasses
@@ -12,94 +12,104 @@ from pathlib import Path
 
 from planner import pipeline
 from planner.batch.division import solve_division, solve_report
-from planner.batch.job import ELEMENT, LIKE, PLANNED, PROBLEM, Done, Reports, State, disk_full
-from planner.batch.rows import figures
+from planner.batch.job import (
+    ELEMENT_FILE,
+    PLANNED_FILE,
+    PROBLEM_FILE,
+    REFERENCE_FOLDER,
+    JobOrder,
+    JobResult,
+    JobState,
+    disk_full_issue,
+)
+from planner.batch.rows import result_figures
 from planner.files import is_disk_full, is_file
-from planner.issues import Issue, TandemError, given_wrong
+from planner.issues import Issue, TandemError, is_input_error
 from planner.pipeline import Outcome
 from planner.plans import DATA_FILE
 
 OnIssues = Callable[[Sequence[Issue]], None]
 
 
-def solve(
-    name: str,
-    source: Path,
-    result: Path,
-    origins: Mapping[str, str],
-    on_progress: pipeline.Progress,
-    on_issues: OnIssues,
-    reports: Reports = "all",
-) -> Done:
-    """Plan the bundle in ``source``, or divide or report on the element there, and write its result folder to
-    ``result``, which is there for every state but ``crashed``.
+def solve_job(order: JobOrder, on_progress: pipeline.Progress, on_issues: OnIssues) -> JobResult:
+    """Plan the bundle in ``order.source``, or divide or report on the element there.
 
-    ``origins`` and ``reports`` as in :class:`planner.batch.job.Job`; ``on_issues`` gets issues as they are
-    known.
+    The result folder exists afterwards for every state except ``crashed``.
+
+    Args:
+        order: The job, its files and its result folder.
+        on_progress: Receives the progress.
+        on_issues: Receives issues as soon as they are known.
     """
     start = time.perf_counter()
-    called = Names(source, origins)
+    names = UserFileNames(order.source, order.origins)
     try:
-        state, issues, metrics = _solved(source, result, called, on_progress, on_issues, reports)
-    except Exception as error:  # what planning should never do; the job's state says so
+        state, issues, metrics = _solve_problem(order, names, on_progress, on_issues)
+    except Exception as error:  # unexpected: reported as the job's state
         what = f"{type(error).__name__}: {error}; nothing was written, please report this"
         last = traceback.extract_tb(error.__traceback__)[-1]
         where = f"{Path(last.filename).name}, line {last.lineno}"
-        crash = disk_full() if is_disk_full(error) else Issue("internal.error", called.text(what), hint=where)
+        crash = (
+            disk_full_issue()
+            if is_disk_full(error)
+            else Issue("internal.error", names.text(what), hint=where)
+        )
         state, issues, metrics = "crashed", (crash,), {}
-    return Done(name, state, issues, metrics, time.perf_counter() - start)
+    return JobResult(order.name, state, issues, metrics, time.perf_counter() - start)
 
 
-def _solved(
-    source: Path,
-    result: Path,
-    called: "Names",
-    on_progress: pipeline.Progress,
-    on_issues: OnIssues,
-    reports: Reports,
-) -> tuple[State, tuple[Issue, ...], Mapping[str, float]]:
-    """How it ends, with its issues and figures; raises what planning never should, and what a full disk
-    does."""
+def _solve_problem(
+    order: JobOrder, names: "UserFileNames", on_progress: pipeline.Progress, on_issues: OnIssues
+) -> tuple[JobState, tuple[Issue, ...], Mapping[str, float]]:
+    """Return state, issues and figures. Raises unexpected errors, and those of a full disk."""
+    source, result = order.source, order.result
     problem = None
     try:
-        for file, other in ((ELEMENT, solve_division), (PLANNED, solve_report)):
+        for file, solver in ((ELEMENT_FILE, solve_division), (PLANNED_FILE, solve_report)):
             if is_file(source / file):
-                return "done", called.issues(other(source, result, on_progress)), {}
-        problem = pipeline.load(source / PROBLEM)
-        on_issues(called.issues((*(problem.part.notes if problem.part is not None else ()), *problem.notes)))
-        like = source / LIKE
-        before = pipeline.former(like) if is_file(like / DATA_FILE) else None
-        outcome = called.outcome(pipeline.plan(problem, on_progress, like=before))
+                return "done", names.issues(solver(source, result, on_progress)), {}
+        problem = pipeline.load(source / PROBLEM_FILE)
+        on_issues(names.issues((*(problem.part.notes if problem.part is not None else ()), *problem.notes)))
+        reference_folder = source / REFERENCE_FOLDER
+        reference_plan = (
+            pipeline.load_reference_plan(reference_folder) if is_file(reference_folder / DATA_FILE) else None
+        )
+        outcome = names.outcome(pipeline.plan(problem, on_progress, reference=reference_plan))
         on_issues(outcome.issues)
-        state: State = "verified" if pipeline.exit_code(outcome) == 0 else "unproven"
-        outcome.save(result, on_progress, pages=reports == "all" or state != "verified")
+        state: JobState = "verified" if pipeline.exit_code(outcome) == 0 else "unproven"
+        outcome.save(result, on_progress, pages=order.reports == "all" or state != "verified")
     except TandemError as error:
-        if is_disk_full(error):  # no fault of the problem
+        if is_disk_full(error):  # not an error of the problem
             raise
-        issues = called.issues(error.issues)
+        issues = names.issues(error.issues)
         on_issues(issues)
         pipeline.save_failure(problem, issues, result)
-        return "bad_input" if problem is None or given_wrong(issues) else "infeasible", issues, {}
-    return state, outcome.issues, figures(outcome.plan, outcome.proof.rules)
+        return "bad_input" if problem is None or is_input_error(issues) else "infeasible", issues, {}
+    return state, outcome.issues, result_figures(outcome.plan, outcome.proof.rules)
 
 
-class Names:
-    """What people call the files of a job that lie in ``source`` for its planning."""
+class UserFileNames:
+    """The user's names of the files of a job in ``source``.
+
+    Args:
+        source: Folder with the files of the job.
+        origins: User's names by name in the job.
+    """
 
     def __init__(self, source: Path, origins: Mapping[str, str]) -> None:
         names = [p.relative_to(source).as_posix() for p in source.rglob("*") if p.is_file()]
-        # the longest first: a name may be the beginning of another
+        # longest first, because a name may be a prefix of another
         pairs = [(str(source / name), origins.get(name, name)) for name in sorted(names, key=len)[::-1]]
         self._pairs = (*pairs, (str(source), "the problem's folder"))
 
     def text(self, text: str) -> str:
-        """The text with files called as people do."""
+        """Return the text with the user's file names."""
         for path, name in self._pairs:
             text = text.replace(path, name)
         return text
 
     def issue(self, issue: Issue) -> Issue:
-        """The issue with files called as people do."""
+        """Return the issue with the user's file names."""
         changes = {
             field: self.text(value)
             for field in ("file", "message", "hint", "target")
@@ -108,11 +118,11 @@ class Names:
         return dataclasses.replace(issue, **changes)  # type: ignore[arg-type]
 
     def issues(self, issues: Sequence[Issue]) -> tuple[Issue, ...]:
-        """All of them."""
+        """Return the issues with the user's file names."""
         return tuple(self.issue(issue) for issue in issues)
 
     def outcome(self, outcome: Outcome) -> Outcome:
-        """An outcome whose issues call files as people do."""
+        """Return an outcome whose issues have the user's file names."""
         plan, proof = outcome.plan, outcome.proof
         operations = tuple(
             dataclasses.replace(

@@ -1,4 +1,4 @@
-"""A worker process: ``python -m planner.batch.worker PARENT`` plans jobs, one after the other.
+"""A worker process: ``python -m planner.batch.worker PARENT`` plans jobs, one after another.
 
 It reads orders from standard input and writes answers to standard output, one JSON object per line. Output of
 libraries goes to standard error instead. The process ends with its parent, however the parent ends.
@@ -10,7 +10,7 @@ import gc
 import json
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -18,66 +18,74 @@ from planner.runtime.memory import gc_frozen, mark_own_process, release_memory
 from planner.runtime.second_process import exit_with_parent
 
 if TYPE_CHECKING:
-    from planner.batch.job import Done, Reports
+    from planner.batch.job import JobOrder, JobResult
     from planner.issues import Issue
 
     OnProgress = Callable[[str, float], None]
     OnIssues = Callable[[Sequence[Issue]], None]
-    Solve = Callable[[str, Path, Path, Mapping[str, str], OnProgress, OnIssues, Reports], Done]
+    Solve = Callable[[JobOrder, OnProgress, OnIssues], JobResult]
 
 
-def main(arguments: Sequence[str], get: Callable[[], Solve] | None = None) -> int:
-    """Serve until standard input ends; ``get`` gives what solves a job, by default the real thing."""
+def main(arguments: Sequence[str], get_solver: Callable[[], Solve] | None = None) -> int:
+    """Serve until standard input ends.
+
+    Args:
+        arguments: Process id of the parent.
+        get_solver: Returns the function that solves a job, by default the real one.
+    """
     exit_with_parent(int(arguments[0]))
     mark_own_process()
     with os.fdopen(os.dup(1), "w", encoding="utf-8") as answers:
         os.dup2(2, 1)
-        solve = (get or _planning)()
-        _answer(answers, "ready", True)
+        solve = (get_solver or _load_planner)()
+        _send_answer(answers, "ready", True)
         for line in sys.stdin:
-            _work(json.loads(line), answers, solve)
-            _tidy()
+            _run_order(json.loads(line), answers, solve)
+            _release_memory()
     return 0
 
 
-def _work(order: dict[str, Any], answers: TextIO, solve: Solve) -> None:
+def _run_order(order: dict[str, Any], answers: TextIO, solve: Solve) -> None:
+    from planner.batch.job import JobOrder
+
     def on_progress(stage: str, fraction: float) -> None:
-        _answer(answers, "progress", [stage, float(fraction)])
+        _send_answer(answers, "progress", [stage, float(fraction)])
 
     def on_issues(issues: Sequence[Issue]) -> None:
         if issues:
-            _answer(answers, "found", [issue.to_dict() for issue in issues])
+            _send_answer(answers, "found", [issue.to_dict() for issue in issues])
 
     source, result = Path(order["source"]), Path(order["result"])
-    done = solve(order["name"], source, result, order["origins"], on_progress, on_issues, order["reports"])
-    _answer(answers, "done", done.to_dict())
+    job_order = JobOrder(order["name"], source, result, order["origins"], order["reports"])
+    done = solve(job_order, on_progress, on_issues)
+    _send_answer(answers, "done", done.to_dict())
 
 
-def _answer(answers: TextIO, kind: str, content: object) -> None:
+def _send_answer(answers: TextIO, kind: str, content: object) -> None:
     answers.write(json.dumps({kind: content}) + "\n")
     answers.flush()
 
 
-def _planning() -> Solve:
-    """All that planning needs; importing it takes longer than many a job."""
+def _load_planner() -> Solve:
+    """Import everything that planning needs, which takes longer than many jobs."""
     with gc_frozen():
         from planner import pipeline
-        from planner.batch.solve import solve
+        from planner.batch.solve import solve_job
         from planner.cell import plant
 
         pipeline.warm_up()
 
-    models = plant.keep_models()
+    models = plant.ModelCache[plant.CellModel]()
 
-    def with_kept_models(*order: Any) -> Done:
-        models.next_job()
-        return solve(*order)
+    def solve_with_cached_models(order: JobOrder, on_progress: OnProgress, on_issues: OnIssues) -> JobResult:
+        with models.job():
+            return solve_job(order, on_progress, on_issues)
 
-    return with_kept_models
+    return solve_with_cached_models
 
 
-def _tidy() -> None:
-    """Give memory of the last job back, so that it is not counted as the next one's."""
+def _release_memory() -> None:
+    """Release memory of the last job, so that it is not counted as the next one's."""
     gc.collect()
     release_memory()
 

@@ -1,9 +1,9 @@
-"""Worker processes that plan jobs: a crash, a time-out or too much memory ends that job alone.
+"""Worker processes that plan jobs: a crash, a timeout or too much memory ends only that job.
 
-Memory is watched from outside. A limit of the address space (``RLIMIT_AS``) would count what Drake
-maps and never touches, and a failed allocation ends its C++ without a word, so that nobody could
-tell it from a crash. A worker process is known here as its parent sees it: orders in, answers out,
-memory, end (:mod:`planner.batch.worker` is the other side).
+Memory is monitored from outside. A limit of the address space (``RLIMIT_AS``) would count what Drake maps and
+never uses, and a failed allocation ends its C++ code without a message, which looks like a crash. This module
+has the parent's view of a worker process: orders, answers, memory, end. :mod:`planner.batch.worker` is the
+other side.
 """
 
 import collections
@@ -23,56 +23,75 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
-from planner.batch.job import Done, Event, Finished, Found, Job, Place, Progress, Record, State, cancelled
-from planner.issues import Issue, TandemError, refusal
+from planner.batch.job import (
+    BatchJob,
+    JobEvent,
+    JobFinished,
+    JobIssues,
+    JobProgress,
+    JobRecord,
+    JobResult,
+    JobState,
+    ResultFolder,
+    cancelled_issue,
+)
+from planner.issue_codes import format_message
+from planner.issues import Issue, TandemError, issue_error
 from planner.runtime.second_process import module_path
 
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Threads of the linear algebra: one of each, as for ``tandem plan``, unless the environment says more."""
-MODULE = "planner.batch.worker"
-"""What a worker process runs."""
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Thread variables of linear algebra libraries.
+
+One thread each, as in ``tandem plan``, unless the environment sets more.
+"""
+WORKER_MODULE = "planner.batch.worker"
+"""Module that a worker process runs."""
 CHUNK_BYTES = 1 << 16
-"""Bytes of a worker's words that are read at once."""
+"""Number of bytes of a worker's output that are read at once."""
 PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
-"""Bytes of a page of memory."""
-LAST_WORDS_BYTES = 4000
-"""Bytes at the end of a worker's error output that are looked at when it died."""
+"""Size of a page of memory [bytes]."""
+MAX_ERROR_TAIL_BYTES = 4000
+"""Number of bytes at the end of a worker's error output that are examined when it died."""
 
 
-class Process:
-    """One worker, running ``module``; ``jobs`` counts what it has begun. It does not inherit the variables
-    ``unset`` of the environment.
+class WorkerProcess:
+    """One worker process.
 
-    To be made by a thread that lives as long as the worker shall: the kernel ends it with that thread.
+    It must be created by a thread that lives as long as the worker: the kernel ends the worker with that
+    thread. ``jobs`` counts the jobs that it has started.
+
+    Args:
+        module: Module that it runs.
+        unset: Environment variables that it does not inherit.
     """
 
-    def __init__(self, module: str = MODULE, unset: Collection[str] = ()) -> None:
+    def __init__(self, module: str = WORKER_MODULE, unset: Collection[str] = ()) -> None:
         self.jobs = 0
-        self._rest = b""
-        self._words = tempfile.TemporaryFile()  # noqa: SIM115 (closed by `end`)
+        self._partial_line = b""
+        self._error_output = tempfile.TemporaryFile()  # noqa: SIM115 (closed by `end`)
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", module, str(os.getpid())],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=self._words,
+            stderr=self._error_output,
             env=_environment(unset),
-            process_group=0,  # Ctrl-C is for the parent, which ends its workers
+            process_group=0,  # Ctrl-C goes to the parent, which ends its workers
         )
         os.set_blocking(self.fileno(), False)
 
     @property
     def pid(self) -> int:
-        """The process's id."""
+        """Process id."""
         return self._process.pid
 
     def fileno(self) -> int:
-        """The descriptor that is readable when there are answers, or the process has ended."""
+        """Return the descriptor that is readable if there are answers, or the process has ended."""
         if self._process.stdout is None:
             raise RuntimeError("a worker without a pipe")
         return self._process.stdout.fileno()
 
-    def order(self, order: Mapping[str, Any]) -> None:
-        """Tell it what to do; a worker that has just died is found by :meth:`answers`."""
+    def send_order(self, order: Mapping[str, Any]) -> None:
+        """Send an order. A worker that has just died is detected by :meth:`read_answers`."""
         if self._process.stdin is None:
             raise RuntimeError("a worker without a pipe")
         self.jobs += 1
@@ -80,45 +99,45 @@ class Process:
             self._process.stdin.write(json.dumps(order).encode() + b"\n")
             self._process.stdin.flush()
 
-    def answers(self) -> tuple[list[dict[str, Any]], bool]:
-        """What it has said since, and whether it has ended."""
+    def read_answers(self) -> tuple[list[dict[str, Any]], bool]:
+        """Return new answers, and whether the process has ended."""
         ended = False
         try:
             while chunk := os.read(self.fileno(), CHUNK_BYTES):
-                self._rest += chunk
+                self._partial_line += chunk
             ended = True
         except BlockingIOError:
             pass
-        *lines, self._rest = self._rest.split(b"\n")
+        *lines, self._partial_line = self._partial_line.split(b"\n")
         return [json.loads(line) for line in lines], ended
 
     def memory_mb(self) -> float:
-        """Memory that it holds now [MB]; 0 when it has ended."""
+        """Return the present memory [MB], 0 if the process has ended."""
         try:
             return int(Path(f"/proc/{self.pid}/statm").read_text().split()[1]) * PAGE_BYTES / 1e6
         except (OSError, IndexError):
             return 0.0
 
     def end(self) -> str:
-        """End it now, if it has not ended; how it ended, and its last words, as people read them."""
+        """End the process if it still runs. Returns how it ended and its last error output, as text."""
         self._process.kill()
         code = self._process.wait()
-        how = f"ended with code {code}" if code >= 0 else f"was ended by {_signal_name(-code)}"
-        words = self._last_words()
+        outcome = f"ended with code {code}" if code >= 0 else f"was ended by {_signal_name(-code)}"
+        words = self._last_error_line()
         self._close()
-        return f"{how} ({words})" if words else how
+        return f"{outcome} ({words})" if words else outcome
 
-    def _last_words(self) -> str:
-        size = self._words.seek(0, os.SEEK_END)
-        self._words.seek(max(0, size - LAST_WORDS_BYTES))
-        lines = [line.strip() for line in self._words.read().decode("utf-8", "replace").splitlines()]
-        said = [line for line in lines if line]
-        return said[-1][:200] if said else ""
+    def _last_error_line(self) -> str:
+        size = self._error_output.seek(0, os.SEEK_END)
+        self._error_output.seek(max(0, size - MAX_ERROR_TAIL_BYTES))
+        lines = [line.strip() for line in self._error_output.read().decode("utf-8", "replace").splitlines()]
+        nonempty = [line for line in lines if line]
+        return nonempty[-1][:200] if nonempty else ""
 
     def _close(self) -> None:
-        for stream in (self._process.stdin, self._process.stdout, self._words):
+        for stream in (self._process.stdin, self._process.stdout, self._error_output):
             if stream is not None:
-                with suppress(OSError):  # what is still in the pipe to a dead worker
+                with suppress(OSError):  # data left in the pipe to a dead worker
                     stream.close()
 
 
@@ -131,47 +150,52 @@ def _signal_name(number: int) -> str:
 
 def _environment(unset: Collection[str]) -> dict[str, str]:
     kept = {name: value for name, value in os.environ.items() if name not in unset}
-    return {**dict.fromkeys(THREADS, "1"), **kept, "PYTHONPATH": module_path()}
+    return {**dict.fromkeys(THREAD_VARIABLES, "1"), **kept, "PYTHONPATH": module_path()}
 
 
-AHEAD = 2
-"""Jobs at hand for each worker."""
-WATCH = 0.1
-"""Time-outs and memory are looked at so often [s]."""
-STARTS = 3
-"""So many workers in a row may die while they start."""
+JOBS_PER_WORKER = 2
+"""Number of submitted jobs for each worker."""
+WATCH_INTERVAL_S = 0.1
+"""Interval of checks of timeouts and memory [s]."""
+MAX_FAILED_STARTS = 3
+"""Maximum number of consecutive workers that may die while they start."""
 
 
 @dataclasses.dataclass(frozen=True)
-class _Order:
-    job: Job
-    place: Place
+class _QueuedJob:
+    job: BatchJob
+    result_folder: ResultFolder
     fresh: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
-class _Running:
-    order: _Order
-    process: Process
-    since: float
-    first: bool
-    """whether it is the worker's first job, whose memory is the job's own"""
+class _RunningJob:
+    order: _QueuedJob
+    process: WorkerProcess
+    start_time: float
+    is_first_job: bool
+    """Whether it is the worker's first job, so that all memory belongs to the job."""
 
 
-class Workers:
-    """``count`` worker processes, each planning one job at a time; a context manager.
+class BatchWorkers:
+    """Worker processes that plan one job at a time each. A context manager.
 
-    All methods belong to one thread. Time-outs, memory and results are looked after while :meth:`events` is
-    asked, so ask it all the time. ``memory_mb`` is the limit of jobs that have none of their own, ``module``
-    what the workers run, ``unset`` variables of the environment that they do not inherit. Without ``reports``
-    a job that was stopped gets no result folder.
+    All methods must be called from one thread. Timeouts, memory and results are handled inside
+    :meth:`events`, so call it continuously.
+
+    Args:
+        count: Number of workers.
+        memory_mb: Memory limit of jobs that have none [MB].
+        module: Module that the workers run.
+        reports: Whether a stopped job gets a result folder.
+        unset: Environment variables that the workers do not inherit.
     """
 
     def __init__(
         self,
         count: int,
         memory_mb: float | None = None,
-        module: str = MODULE,
+        module: str = WORKER_MODULE,
         reports: bool = True,
         unset: Collection[str] = (),
     ) -> None:
@@ -179,19 +203,19 @@ class Workers:
             raise ValueError(f"workers: got {count}; give at least 1")
         self._count, self._limit_mb = count, memory_mb
         self._module, self._reports, self._unset = module, reports, unset
-        self._idle: list[Process] = []
-        self._starting: list[Process] = []
-        self._running: dict[str, _Running] = {}
-        self._queue: collections.deque[_Order] = collections.deque()
-        self._events: collections.deque[Event] = collections.deque()
-        self._dead_starts = 0
+        self._idle: list[WorkerProcess] = []
+        self._starting: list[WorkerProcess] = []
+        self._running: dict[str, _RunningJob] = {}
+        self._queue: collections.deque[_QueuedJob] = collections.deque()
+        self._events: collections.deque[JobEvent] = collections.deque()
+        self._failed_starts = 0
         self._selector = selectors.DefaultSelector()
-        # the kernel ends a worker with the thread that made it, so one thread makes them all and stays
-        self._maker = ThreadPoolExecutor(1, "tandem-workers")
-        self._watched = 0.0
+        # the kernel ends a worker with the thread that created it, so one permanent thread creates all
+        self._spawner = ThreadPoolExecutor(1, "tandem-workers")
+        self._last_watch = 0.0
 
     def __enter__(self) -> Self:
-        self._fill()
+        self._start_missing()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -199,65 +223,73 @@ class Workers:
 
     @property
     def busy(self) -> bool:
-        """Whether any job is queued or under way, or something of one has not been told."""
+        """Whether any job is queued or running, or any event has not been delivered."""
         return bool(self._queue or self._running or self._events)
 
     @property
     def ahead(self) -> int:
-        """So many jobs at hand keep all workers busy."""
-        return AHEAD * self._count
+        """Number of submitted jobs that keeps all workers busy."""
+        return JOBS_PER_WORKER * self._count
 
     @property
     def ready(self) -> int:
-        """How many workers have started: they plan or wait for jobs."""
+        """Number of workers that have started: they plan or wait for jobs."""
         return len(self._idle) + len(self._running)
 
     @property
     def pids(self) -> tuple[int, ...]:
-        """Ids of the worker processes that there are."""
+        """Ids of the worker processes."""
         return tuple(process.pid for process in self._processes())
 
     def memory_mb(self) -> float:
-        """Memory [MB] that the largest worker holds now."""
+        """Return the present memory [MB] of the largest worker."""
         return max((process.memory_mb() for process in self._processes()), default=0.0)
 
-    def start(self, job: Job, folder: Path, record: Record | None = None) -> None:
-        """Plan a job, as soon as a worker is free, into the result folder ``folder``, which appears whole or
-        not at all; an older result there is replaced then.
+    def start(self, job: BatchJob, folder: Path, record: JobRecord | None = None) -> None:
+        """Plan a job into a result folder as soon as a worker is free.
 
-        ``record``: what is written of the :class:`Done` just before the folder appears. Raises
-        ``ValueError`` for the name of a job that has not ended, and ``TandemError`` (``output.folder``) where
-        ``folder`` holds what is no result.
+        The folder appears completely or not at all. It replaces an older result.
+
+        Args:
+            job: The job.
+            folder: Result folder.
+            record: Record that is written just before the folder appears.
+
+        Raises:
+            ValueError: If a job of this name has not ended.
+            TandemError: ``output.folder``, if ``folder`` contains something else than a result.
         """
         if job.name in self._running or any(order.job.name == job.name for order in self._queue):
-            raise ValueError(f"a job {job.name!r} is under way; wait for its end or name this one otherwise")
-        self._queue.append(_Order(job, Place.claim(folder, record)))
+            raise ValueError(f"a job {job.name!r} is running; wait for its end or use another name")
+        self._queue.append(_QueuedJob(job, ResultFolder.claim(folder, record)))
 
     def cancel(self, name: str) -> bool:
-        """End a job, queued or under way, without a result; whether there was one of that name."""
+        """Cancel a queued or running job, without a result. Returns whether there was one of that name."""
         order = next((order for order in self._queue if order.job.name == name), None)
         if order is not None:
             self._queue.remove(order)
-            self._report_end(order, self._issue("cancelled", order), 0.0)
+            self._report_end(order, self._end_issue("cancelled", order), 0.0)
             return True
         if name not in self._running:
             return False
-        self._end(self._running[name], "cancelled")
+        self._end_job(self._running[name], "cancelled")
         return True
 
-    def events(self, timeout_s: float) -> Iterator[Event]:
-        """What happens, as it happens. Ends when nothing more is at hand after something was, or when nothing
-        happened for ``timeout_s`` [s].
+    def events(self, timeout_s: float) -> Iterator[JobEvent]:
+        """Yield events as they happen.
 
-        Raises ``TandemError`` (``batch.worker``) where workers do not start.
+        Ends if no more are available after some were, or if nothing happens for ``timeout_s`` [s].
+
+        Raises:
+            TandemError: ``batch.worker``, if workers do not start.
         """
         until = time.monotonic() + timeout_s
         while True:
-            self._fill()
+            self._start_missing()
             self._dispatch()
             if not self._events:
-                self._listen(max(0.0, min(WATCH, until - time.monotonic())))
-                self._watch()
+                self._listen(max(0.0, min(WATCH_INTERVAL_S, until - time.monotonic())))
+                self._check_limits()
             yielded = bool(self._events)
             while self._events:
                 yield self._events.popleft()
@@ -265,24 +297,24 @@ class Workers:
                 return
 
     def close(self) -> None:
-        """End all workers and what they do; results that are there stay."""
+        """End all workers and their jobs. Existing results stay."""
         for process in self._processes():
             with contextlib.suppress(KeyError):
                 self._selector.unregister(process)
             process.end()
         for running in self._running.values():
-            running.order.place.leave()
+            running.order.result_folder.release()
         self._idle, self._starting, self._running = [], [], {}
         self._queue.clear()
         self._selector.close()
-        self._maker.shutdown()
+        self._spawner.shutdown()
 
-    def _processes(self) -> tuple[Process, ...]:
+    def _processes(self) -> tuple[WorkerProcess, ...]:
         return (*self._starting, *self._idle, *(running.process for running in self._running.values()))
 
-    def _fill(self) -> None:
+    def _start_missing(self) -> None:
         for _ in range(self._count - len(self._processes())):
-            process = self._maker.submit(Process, self._module, self._unset).result()
+            process = self._spawner.submit(WorkerProcess, self._module, self._unset).result()
             self._starting.append(process)
             self._selector.register(process, selectors.EVENT_READ)
 
@@ -290,23 +322,25 @@ class Workers:
         for order in tuple(self._queue):
             fit = [p for p in self._idle if p.jobs == 0 or not order.fresh]
             if order.fresh and not fit and self._idle:
-                self._drop(self._idle[0])  # its place is filled by a fresh one
+                self._remove_process(self._idle[0])  # it is replaced by a fresh one
             if fit:
                 self._queue.remove(order)
-                self._begin(order, fit[0])
+                self._start_job(order, fit[0])
             if not self._idle:
                 return
 
-    def _begin(self, order: _Order, process: Process) -> None:
+    def _start_job(self, order: _QueuedJob, process: WorkerProcess) -> None:
         try:
-            source, result = order.place.prepare(order.job.files)
+            source, result = order.result_folder.prepare(order.job.files)
         except TandemError as error:
-            self._events.append(Finished(order.job.name, Done(order.job.name, "crashed", error.issues)))
+            self._events.append(
+                JobFinished(order.job.name, JobResult(order.job.name, "crashed", error.issues))
+            )
             return
         self._idle.remove(process)
         first = process.jobs == 0
-        self._running[order.job.name] = _Running(order, process, time.monotonic(), first)
-        process.order(
+        self._running[order.job.name] = _RunningJob(order, process, time.monotonic(), first)
+        process.send_order(
             {
                 "name": order.job.name,
                 "source": str(source),
@@ -319,17 +353,17 @@ class Workers:
     def _listen(self, timeout_s: float) -> None:
         for key, _ in self._selector.select(timeout_s):
             process = key.fileobj
-            if not isinstance(process, Process):
+            if not isinstance(process, WorkerProcess):
                 raise TypeError(f"expected a worker, got {type(process).__name__}")
-            answers, ended = process.answers()
+            answers, ended = process.read_answers()
             for answer in answers:
                 self._take_answer(process, answer)
             if ended:
-                self._lost(process)
+                self._handle_exit(process)
 
-    def _take_answer(self, process: Process, answer: dict[str, Any]) -> None:
+    def _take_answer(self, process: WorkerProcess, answer: dict[str, Any]) -> None:
         if "ready" in answer:
-            self._dead_starts = 0
+            self._failed_starts = 0
             self._starting.remove(process)
             self._idle.append(process)
             return
@@ -337,90 +371,92 @@ class Workers:
         name = running.order.job.name
         if "progress" in answer:
             stage, fraction = answer["progress"]
-            self._events.append(Progress(name, stage, fraction))
+            self._events.append(JobProgress(name, stage, fraction))
         elif "found" in answer:
-            self._events.append(Found(name, tuple(Issue.from_dict(issue) for issue in answer["found"])))
+            self._events.append(JobIssues(name, tuple(Issue.from_dict(issue) for issue in answer["found"])))
         else:
-            done = Done.from_dict(answer["done"])
+            done = JobResult.from_dict(answer["done"])
             del self._running[name]
             self._idle.append(process)
-            self._events.append(Finished(name, running.order.place.publish(done)))
+            self._events.append(JobFinished(name, running.order.result_folder.publish(done)))
 
-    def _lost(self, process: Process) -> None:
-        """A worker has ended by itself."""
+    def _handle_exit(self, process: WorkerProcess) -> None:
+        """Handle a worker that has ended by itself."""
         running = next((r for r in self._running.values() if r.process is process), None)
         if running is not None:
-            self._end(running, "crashed")
+            self._end_job(running, "crashed")
             return
         starting = process in self._starting
-        how = self._drop(process)
-        self._dead_starts += starting
-        if self._dead_starts >= STARTS:
-            self._dead_starts = 0
-            what = f"{STARTS} worker processes in a row did not start: the last one {how}"
-            raise refusal("batch.worker", what, hint="see to memory and the installation")
+        how = self._remove_process(process)
+        self._failed_starts += starting
+        if self._failed_starts >= MAX_FAILED_STARTS:
+            self._failed_starts = 0
+            what = format_message("batch.worker", failed_start_count=MAX_FAILED_STARTS, exit_reason=how)
+            raise issue_error("batch.worker", what, hint="check memory and the installation")
 
-    def _watch(self) -> None:
-        if time.monotonic() - self._watched < WATCH:
+    def _check_limits(self) -> None:
+        if time.monotonic() - self._last_watch < WATCH_INTERVAL_S:
             return
-        self._watched = time.monotonic()
+        self._last_watch = time.monotonic()
         for running in tuple(self._running.values()):
             limit = self._limit(running.order.job)
             timeout_s = running.order.job.timeout_s
-            if timeout_s is not None and self._watched - running.since > timeout_s:
-                self._end(running, "timeout")
+            if timeout_s is not None and self._last_watch - running.start_time > timeout_s:
+                self._end_job(running, "timeout")
             elif limit is not None and running.process.memory_mb() > limit:
-                if running.first:
-                    self._end(running, "memory")
-                else:  # what earlier jobs left may be in it: tried again where nothing was before
+                if running.is_first_job:
+                    self._end_job(running, "memory")
+                else:  # memory of earlier jobs may be included: try again in a fresh worker
                     self._stop(running)
                     self._queue.appendleft(dataclasses.replace(running.order, fresh=True))
 
-    def _limit(self, job: Job) -> float | None:
+    def _limit(self, job: BatchJob) -> float | None:
         return job.memory_mb if job.memory_mb is not None else self._limit_mb
 
-    def _end(self, running: _Running, state: State) -> None:
+    def _end_job(self, running: _RunningJob, state: JobState) -> None:
         """End a running job with a failure."""
-        seconds = time.monotonic() - running.since
+        seconds = time.monotonic() - running.start_time
         how = self._stop(running)
-        self._report_end(running.order, self._issue(state, running.order, how), seconds, state)
+        self._report_end(running.order, self._end_issue(state, running.order, how), seconds, state)
 
-    def _stop(self, running: _Running) -> str:
+    def _stop(self, running: _RunningJob) -> str:
         del self._running[running.order.job.name]
         self._idle.append(running.process)
-        how = self._drop(running.process)
-        running.order.place.leave()
+        how = self._remove_process(running.process)
+        running.order.result_folder.release()
         return how
 
-    def _drop(self, process: Process) -> str:
+    def _remove_process(self, process: WorkerProcess) -> str:
         self._selector.unregister(process)
-        for group in (self._idle, self._starting):
-            if process in group:
-                group.remove(process)
+        for processes in (self._idle, self._starting):
+            if process in processes:
+                processes.remove(process)
         return process.end()
 
-    def _report_end(self, order: _Order, issue: Issue, seconds: float, state: State = "cancelled") -> None:
-        done = Done(order.job.name, state, (issue,), {}, seconds)
+    def _report_end(
+        self, order: _QueuedJob, issue: Issue, seconds: float, state: JobState = "cancelled"
+    ) -> None:
+        done = JobResult(order.job.name, state, (issue,), {}, seconds)
         if state != "cancelled" and self._reports:
-            done = order.place.publish(done)
-        self._events.append(Found(order.job.name, done.issues))
-        self._events.append(Finished(order.job.name, done))
+            done = order.result_folder.publish(done)
+        self._events.append(JobIssues(order.job.name, done.issues))
+        self._events.append(JobFinished(order.job.name, done))
 
-    def _issue(self, state: State, order: _Order, how: str = "") -> Issue:
+    def _end_issue(self, state: JobState, order: _QueuedJob, how: str = "") -> Issue:
         job = order.job
         if state == "timeout":
-            what = f"{job.name}: planning was stopped after {job.timeout_s:g} s, which is all it was allowed"
-            hint = "give it more time, or plan a smaller problem"
+            what = f"{job.name}: planning was stopped at its time limit of {job.timeout_s:g} s"
+            hint = "allow more time, or plan a smaller problem"
             return Issue("batch.timeout", what, limit=job.timeout_s, unit="s", hint=hint)
         if state == "memory":
             limit = self._limit(job)
-            what = f"{job.name}: planning was stopped at {limit:g} MB of memory, which is all it was allowed"
+            what = f"{job.name}: planning was stopped at its memory limit of {limit:g} MB"
             hint = "allow more, or plan a smaller problem: fewer targets, coarser meshes"
             return Issue("batch.memory", what, limit=limit, unit="MB", hint=hint)
         if state == "cancelled":
-            return cancelled(job.name)
-        what = f"{job.name}: the process that planned it {how}; other jobs go on"
+            return cancelled_issue(job.name)
+        what = f"{job.name}: the process that planned it {how}; other jobs continue"
         hint = (
-            "plan it again; if that fails too, report it; after SIGKILL look whether the machine lacks memory"
+            "plan it again; if that fails too, report it; after SIGKILL check whether memory is insufficient"
         )
         return Issue("batch.crashed", what, hint=hint)

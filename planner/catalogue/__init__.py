@@ -1,1 +1,1 @@
-"""What is built in: robots, materials, codes of issues."""
+"""Built-in robots and materials."""

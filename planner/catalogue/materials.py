@@ -1,7 +1,7 @@
 """Materials of wires, foams and sheets, from data files: figures with their sources, in SI units.
 
-Wires and blocks are in ``data/materials.yaml``, metals of sheets in ``data/sheets.yaml``.
-Temperatures are in degrees Celsius.
+Wires and blocks are in ``data/materials.yaml``, metals of sheets in ``data/sheets.yaml``. Temperatures are
+in degrees Celsius.
 """
 
 import dataclasses
@@ -13,13 +13,14 @@ import numpy as np
 import yaml
 
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, Severity, refusal
+from planner.issue_codes import format_message
+from planner.issues import Issue, Severity, issue_error
 
 _MATERIALS_FILE: Final = Path(__file__).resolve().parents[1] / "data" / "materials.yaml"
-"""Foams and wires that are built in."""
-ROOM_TEMPERATURE: Final = 20.0
+"""Data file of the built-in foams and wires."""
+ROOM_TEMPERATURE_C: Final = 20.0
 """Temperature [C] of the air and of a block before the cut."""
-REFERENCE_TEMPERATURE: Final = 20.0
+REFERENCE_TEMPERATURE_C: Final = 20.0
 """Temperature [C] at which cold lengths and sections are measured."""
 
 Table = tuple[tuple[float, float], ...]
@@ -28,11 +29,21 @@ _Kind = TypeVar("_Kind")
 
 @dataclasses.dataclass(frozen=True)
 class WireMaterial:
-    """A wire's material. Tables are pairs (temperature [C], value); ``sources`` names the source of each
-    figure.
+    """A wire's material. Tables are pairs (temperature [C], value).
 
-    ``density`` [kg/m^3], ``yield_stress`` [Pa] at 20 C, ``resistivity`` [ohm m] at 20 C,
-    ``limit_temperature`` [C]."""
+    Attributes:
+        name: Name in problem files.
+        title: Name for people.
+        density: Density [kg/m^3].
+        poisson: Poisson's ratio.
+        yield_stress: Yield stress [Pa] at 20 C.
+        resistivity: Resistivity [ohm m] at 20 C.
+        limit_temperature: Maximum temperature [C].
+        young_table: Young's modulus [Pa].
+        expansion_table: Mean thermal expansion [1/K] from 20 C.
+        resistance_table: Resistivity relative to that at 20 C.
+        sources: Source of each figure.
+    """
 
     name: str
     title: str
@@ -47,31 +58,37 @@ class WireMaterial:
     sources: dict[str, str]
 
     def young(self, temperature: float) -> float:
-        """Young's modulus [Pa] at a temperature [C]; constant beyond the ends of the table."""
-        return _look_up(self.young_table, temperature)
+        """Return Young's modulus [Pa] at a temperature [C], constant beyond the ends of the table."""
+        return _interpolate(self.young_table, temperature)
 
     def thermal_strain(self, temperature: float) -> float:
-        """Elongation per length between 20 C and the temperature [C]."""
-        return _look_up(self.expansion_table, temperature) * (temperature - REFERENCE_TEMPERATURE)
+        """Return the elongation per length between 20 C and a temperature [C]."""
+        return _interpolate(self.expansion_table, temperature) * (temperature - REFERENCE_TEMPERATURE_C)
 
     def resistivity_at(self, temperature: float) -> float:
-        """Resistivity [ohm m] at a temperature [C]."""
-        return self.resistivity * _look_up(self.resistance_table, temperature)
+        """Return the resistivity [ohm m] at a temperature [C]."""
+        return self.resistivity * _interpolate(self.resistance_table, temperature)
 
     @property
     def elastic_strain(self) -> float:
-        """Largest strain without lasting bend: yield over modulus, both at 20 C.
+        """Largest strain without permanent bend: yield stress over modulus, both at 20 C.
 
-        Taken for hot wires too, because both fall with heat and the yield stress has no table.
+        It is used for hot wires, too, because both fall with heat and the yield stress has no table.
         """
-        return self.yield_stress / self.young(REFERENCE_TEMPERATURE)
+        return self.yield_stress / self.young(REFERENCE_TEMPERATURE_C)
 
 
 @dataclasses.dataclass(frozen=True)
 class KerfTests:
-    """What test cuts tried: ``power_per_length`` [W/m] and ``speed`` [m/s], each from lowest to highest, in
-    foam of ``thickness`` [m] with a round wire of ``wire_diameter`` [m]; up to ``burnt_speed`` [m/s] the
-    faces were burnt (None: nowhere)."""
+    """Conditions of test cuts.
+
+    Attributes:
+        power_per_length: Lowest and highest power per length [W/m].
+        speed: Lowest and highest speed [m/s].
+        thickness: Thickness [m] of the foam.
+        wire_diameter: Diameter [m] of the round wire.
+        burnt_speed: Speed [m/s] up to which faces were burnt, None if they never were.
+    """
 
     power_per_length: tuple[float, float]
     speed: tuple[float, float]
@@ -82,11 +99,19 @@ class KerfTests:
 
 @dataclasses.dataclass(frozen=True)
 class KerfFit:
-    """What test cuts of a foam say of the slot that a hot wire melts in it.
+    """Fit of test cuts of a foam: the slot that a hot wire melts in it.
 
-    Kerf = ``chi`` * ideal - ``offset`` [m], where the ideal is the width whose foam the wire's whole power
-    would just heat to melting. ``spread`` [m] is the residuals' standard deviation over ``count`` cuts whose
-    ideals have the mean ``mean_ideal`` [m] and the sum of squares ``scatter`` [m^2] about it.
+    Kerf = ``chi`` * ideal - ``offset``, where the ideal is the width of foam that the wire's whole power
+    would just heat to melting.
+
+    Attributes:
+        chi: Slope of the fit.
+        offset: Offset [m] of the fit.
+        spread: Standard deviation [m] of the residuals.
+        count: Number of cuts.
+        mean_ideal: Mean [m] of the ideals.
+        scatter: Sum of squares [m^2] of the ideals about their mean.
+        tests: Conditions of the cuts.
     """
 
     chi: float
@@ -99,13 +124,22 @@ class KerfFit:
 
 
 @dataclasses.dataclass(frozen=True)
-class Foam:
-    """A block's material: ``density`` [kg/m^3], ``specific_heat`` [J/(kg K)], ``melt_temperature`` [C] that
-    cutting takes, ``conductivity`` [W/(m K)]; None where unknown.
+class FoamMaterial:
+    """A block's material. Figures are None if unknown.
 
-    ``kerf`` is None without test cuts. ``radiation`` is the share of the wire's radiation that the
-    dissertation's kerf formula counts, ``wire_rise`` its wire temperature above the room's: pairs (power per
-    length [W/m], rise [K])."""
+    Attributes:
+        name: Name in problem files.
+        title: Name for people.
+        density: Density [kg/m^3].
+        sources: Source of each figure.
+        specific_heat: Specific heat [J/(kg K)].
+        melt_temperature: Temperature [C] that cutting requires.
+        conductivity: Thermal conductivity [W/(m K)].
+        kerf: Fit of test cuts, None without test cuts.
+        radiation: Fraction of the wire's radiation that the dissertation's kerf formula counts.
+        wire_rise: Wire temperature above room temperature in that formula: pairs (power per length [W/m],
+            rise [K]).
+    """
 
     name: str
     title: str
@@ -121,37 +155,45 @@ class Foam:
 
 @functools.lru_cache(maxsize=1)
 def wire_materials() -> dict[str, WireMaterial]:
-    """All wire materials by name."""
+    """Return all wire materials by name."""
     return {name: _wire_material(name, entry) for name, entry in _read()["wires"].items()}
 
 
 @functools.lru_cache(maxsize=1)
-def foams() -> dict[str, Foam]:
-    """All foams by name."""
+def foams() -> dict[str, FoamMaterial]:
+    """Return all foams by name."""
     return {name: _foam(name, entry) for name, entry in _read()["foams"].items()}
 
 
-def foam(name: str) -> Foam:
-    """The foam of that name; raises `TandemError` (kerf.unknown_foam)."""
-    hint = "take a foam that is built in, or fit your own test cuts: tandem kerf fit"
-    return _named(name, foams(), "foam", "kerf.unknown_foam", hint)
+def foam(name: str) -> FoamMaterial:
+    """Return the foam of that name.
+
+    Raises:
+        TandemError: The name is unknown (``kerf.unknown_foam``).
+    """
+    hint = "use a built-in foam, or fit your own test cuts: tandem kerf fit"
+    return _find(name, foams(), "foam", "kerf.unknown_foam", hint)
 
 
 def wire_material(name: str) -> WireMaterial:
-    """The wire material of that name; raises `TandemError` (wire.unknown_material)."""
-    hint = "take a material that is built in"
-    return _named(name, wire_materials(), "wire material", "wire.unknown_material", hint)
+    """Return the wire material of that name.
+
+    Raises:
+        TandemError: The name is unknown (``wire.unknown_material``).
+    """
+    hint = "use a built-in material"
+    return _find(name, wire_materials(), "wire material", "wire.unknown_material", hint)
 
 
-def _named(name: str, known: dict[str, _Kind], what: str, code: str, hint: str) -> _Kind:
+def _find(name: str, known: dict[str, _Kind], what: str, code: str, hint: str) -> _Kind:
     if name not in known:
         text = f"{what}: got {name!r}, allowed {', '.join(sorted(known))}"
-        raise refusal(code, text, hint=hint)
+        raise issue_error(code, text, hint=hint)
     return known[name]
 
 
 def figures() -> list[tuple[str, str, str, str, str]]:
-    """All figures as people read them: material's name and title, figure, value with its unit, source."""
+    """Return all figures for people: material's name and title, figure, value with its unit, source."""
     data = _read()
     return [
         (name, str(entry["title"]), key, figure_text(value), str(value["source"]))
@@ -163,7 +205,7 @@ def figures() -> list[tuple[str, str, str, str, str]]:
 
 
 def figure_text(entry: dict[str, Any]) -> str:
-    """A figure's value, range, table or fit, as the data file has it, with its unit."""
+    """Format a figure's value, range, table or fit, as the data file has it, with its unit."""
     if "chi" in entry:
         tests = (
             f"{_span(entry['power_per_length_w_m'])} W/m at {_span(entry['speed_mm_s'])} mm/s, "
@@ -183,7 +225,7 @@ def figure_text(entry: dict[str, Any]) -> str:
     if table:
         over = "W/m" if unit.endswith("over W/m") else "C"
         unit = unit.removesuffix(" over W/m")
-        pairs = ", ".join(f"{one} at {float(row[0]):.4g}" for row, one in zip(table, shown, strict=True))
+        pairs = ", ".join(f"{text} at {float(row[0]):.4g}" for row, text in zip(table, shown, strict=True))
         return f"{pairs} {over}{'' if unit == '1' else f', in {prefix}{unit}'}"
     return f"{' to '.join(shown)}{'' if unit == '1' else f' {prefix}{unit}'}"
 
@@ -224,12 +266,12 @@ def _wire_material(name: str, entry: dict[str, Any]) -> WireMaterial:
     )
 
 
-def _foam(name: str, entry: dict[str, Any]) -> Foam:
+def _foam(name: str, entry: dict[str, Any]) -> FoamMaterial:
     def number(key: str) -> float | None:
         return float(entry[key]["value"]) if key in entry else None
 
     rise = entry["wire_rise"]["table"] if "wire_rise" in entry else None
-    return Foam(
+    return FoamMaterial(
         name=name,
         title=str(entry["title"]),
         density=float(entry["density"]["value"]),
@@ -244,7 +286,7 @@ def _foam(name: str, entry: dict[str, Any]) -> Foam:
 
 
 def _kerf_fit(entry: dict[str, Any]) -> KerfFit:
-    (least, most), (slowest, fastest) = entry["power_per_length_w_m"], entry["speed_mm_s"]
+    (min_power, max_power), (slowest, fastest) = entry["power_per_length_w_m"], entry["speed_mm_s"]
     burnt = entry.get("burnt_speed_mm_s")
     return KerfFit(
         chi=float(entry["chi"]),
@@ -254,7 +296,7 @@ def _kerf_fit(entry: dict[str, Any]) -> KerfFit:
         mean_ideal=float(entry["mean_ideal_mm"]) * MM,
         scatter=float(entry["scatter_mm2"]) * MM * MM,
         tests=KerfTests(
-            power_per_length=(float(least), float(most)),
+            power_per_length=(float(min_power), float(max_power)),
             speed=(float(slowest) * MM, float(fastest) * MM),
             thickness=float(entry["thickness_mm"]) * MM,
             wire_diameter=float(entry["wire_diameter_mm"]) * MM,
@@ -263,24 +305,33 @@ def _kerf_fit(entry: dict[str, Any]) -> KerfFit:
     )
 
 
-def _look_up(table: Table, temperature: float) -> float:
-    places, values = zip(*table, strict=True)
-    return float(np.interp(temperature, places, values))
+def _interpolate(table: Table, temperature: float) -> float:
+    temperatures, values = zip(*table, strict=True)
+    return float(np.interp(temperature, temperatures, values))
 
 
 _SHEETS_FILE: Final = Path(__file__).resolve().parents[1] / "data" / "sheets.yaml"
-"""Sheet metals that are built in."""
+"""Data file of the built-in sheet metals."""
 
 
 @dataclasses.dataclass(frozen=True)
 class SheetMetal:
-    """A sheet's metal; ``sources`` names the source of each figure.
+    """A sheet's metal. Stresses, Young's modulus and density are at room temperature.
 
-    ``young`` [Pa], ``yield_stress`` [Pa] and ``density`` [kg/m^3] are at room temperature. The tensile
-    strength is ``tensile_stress`` [Pa], the middle of ``tensile_range`` [Pa]. Steeper walls than
-    ``wall_angle_single`` [rad] tear in one pass; ``wall_angle_supported`` [rad] is the same with a tool
-    opposite. ``thickness_range`` [m] is what forming tests are known of. Metals of one ``family`` are
-    compared with the same trials.
+    Attributes:
+        name: Name in problem files.
+        title: Name for people.
+        family: Family. Metals of one family are compared with the same trials.
+        young: Young's modulus [Pa].
+        poisson: Poisson's ratio.
+        yield_stress: Yield stress [Pa].
+        tensile_stress: Tensile strength [Pa], the middle of ``tensile_range``.
+        tensile_range: Range [Pa] of the tensile strength.
+        density: Density [kg/m^3].
+        wall_angle_single: Wall angle [rad] above which walls tear in one pass.
+        wall_angle_supported: Wall angle [rad] above which walls tear in one pass with a tool opposite.
+        thickness_range: Thickness range [m] of known forming tests.
+        sources: Source of each figure.
     """
 
     name: str
@@ -298,57 +349,72 @@ class SheetMetal:
     sources: dict[str, str]
 
     def wall_angle_limit(self, supported: bool) -> float:
-        """Steepest wall [rad] of one pass, with a tool opposite or without."""
+        """Return the maximum wall angle [rad] of one pass, with or without a tool opposite."""
         return self.wall_angle_supported if supported else self.wall_angle_single
 
 
 @functools.lru_cache(maxsize=1)
 def sheet_metals() -> dict[str, SheetMetal]:
-    """All sheet metals by name."""
+    """Return all sheet metals by name."""
     return {name: _sheet_metal(name, *entry) for name, entry in _sheets().items()}
 
 
 def sheet_metal_figures() -> list[tuple[str, str, str, str, str]]:
-    """All figures as people read them: metal's name and title, figure, value with its unit, source."""
+    """Return all figures for people: metal's name and title, figure, value with its unit, source."""
     return [
         (name, str(entry["title"]), key, figure_text(value), str(value["source"]))
-        for name, (entry, own) in _sheets().items()
-        for key, value in own.items()
+        for name, (entry, metal_figures) in _sheets().items()
+        for key, value in metal_figures.items()
     ]
 
 
 def _sheets() -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
-    """The entry of each metal, and its figures with those of its wall angles."""
+    """Return the entry of each metal, and its figures with those of its wall angles."""
     data = _read(_SHEETS_FILE)
     out = {}
     for name, entry in data["sheets"].items():
         angles = entry["wall_angle"]
         angles = data["limits"][angles] if isinstance(angles, str) else angles
-        own = {key: value for key, value in entry.items() if isinstance(value, dict) and "source" in value}
-        out[name] = entry, own | {f"wall_angle_{key}": value for key, value in angles.items()}
+        metal_figures = {
+            key: value for key, value in entry.items() if isinstance(value, dict) and "source" in value
+        }
+        out[name] = entry, metal_figures | {f"wall_angle_{key}": value for key, value in angles.items()}
     return out
 
 
 def sheet_metal(name: str) -> SheetMetal:
-    """The sheet metal of that name; raises `TandemError` (forming.unknown_metal)."""
-    hint = "take the nearest one and state your own figures"
-    return _named(name, sheet_metals(), "sheet metal", "forming.unknown_metal", hint)
+    """Return the sheet metal of that name.
+
+    Raises:
+        TandemError: The name is unknown (``forming.unknown_metal``).
+    """
+    hint = "use the nearest one and state your own figures"
+    return _find(name, sheet_metals(), "sheet metal", "forming.unknown_metal", hint)
 
 
-def thickness_doubt(metal: SheetMetal, thickness: float) -> Issue | None:
-    """A warning where no forming test of the metal in that ``thickness`` [m] is known
-    (forming.thickness_untested)."""
-    least, most = metal.thickness_range
-    if least * (1.0 - 1e-9) <= thickness <= most * (1.0 + 1e-9):
+def untested_thickness_warning(metal: SheetMetal, thickness: float) -> Issue | None:
+    """Return ``forming.thickness_untested`` if no forming test of the metal in that thickness is known.
+
+    Args:
+        metal: Metal of the sheet.
+        thickness: Thickness [m] of the sheet.
+    """
+    min_thickness, max_thickness = metal.thickness_range
+    if min_thickness * (1.0 - 1e-9) <= thickness <= max_thickness * (1.0 + 1e-9):
         return None
-    allowed = f"{least / MM:g} mm" if least == most else f"{least / MM:g} to {most / MM:g} mm"
+    allowed = (
+        f"{min_thickness / MM:g} mm"
+        if min_thickness == max_thickness
+        else f"{min_thickness / MM:g} to {max_thickness / MM:g} mm"
+    )
     return Issue(
         "forming.thickness_untested",
-        f"thickness: got {thickness / MM:g} mm, tests of {metal.title} are known for {allowed}; "
-        "its wall angle limit and forces are guesses beyond that",
+        format_message(
+            "forming.thickness_untested", thickness_mm=thickness / MM, metal=metal.title, tested_range=allowed
+        ),
         Severity.WARNING,
         value=thickness / MM,
-        limit=(most if thickness > most else least) / MM,
+        limit=(max_thickness if thickness > max_thickness else min_thickness) / MM,
         unit="mm",
         hint="form a test cone first, and state the wall angle and force that you found",
     )

@@ -1,6 +1,4 @@
-"""The robots that are built in: dimensions, limits and speeds with their sources, from
-``urdf/robots.yaml``.
-"""
+"""Built-in robots: dimensions, limits and speeds with their sources, from ``urdf/robots.yaml``."""
 
 import dataclasses
 import functools
@@ -15,27 +13,35 @@ import yaml
 from planner.files import is_file
 from planner.geometry.arrays import FloatArray, Shape, inverse
 from planner.geometry.units import DEG
-from planner.issues import TandemError, refusal
+from planner.issue_codes import format_message
+from planner.issues import TandemError, issue_error
 
 Family = str
-"""Whose controller an arm has, which is what its programs are written for: "ABB", "KUKA", "UR", "ROS",
-"generic", or a family of an installed language."""
+"""Controller of an arm, for which its programs are written.
+"ABB", "KUKA", "UR", "ROS", "generic", or a family of an installed language.
+"""
 DataKind = Literal["urdf", "problems"]
 
 JOINTS: Final = tuple(f"joint_{number}" for number in range(1, 7))
-"""Names of the joints in the URDFs that are built in."""
+"""Names of the joints in the built-in URDFs."""
 _PACKAGE: Final = Path(__file__).resolve().parents[1]
 """Folder of the package."""
 
 
 class ArmForm:
-    """What the closed forms of arms have in common: where each of their J axes is, and what stands before and
-    behind. ``offsets`` (J,) [rad] and ``signs`` (J,): theta_i = signs_i * q_i - offsets_i.
+    """Common properties of the closed forms of arms with J axes: theta_i = signs_i * q_i - offsets_i.
 
-    An arm from a file whose links of base and tip stand otherwise than those of the form has that between
-    ``left`` and ``right`` (4, 4), None where they are the form's own. ``axes``: the axes x, y or z of their
-    links about which theta_1 to theta_J turn. ``singular``: joints, from 0, that make postures singular.
-    ``b`` [m]: how far the wrist stands beside the plane of axis 1. ``branches``: numbers of solutions.
+    Attributes:
+        branches: Number of solutions.
+        axes: Axes x, y or z of the links about which theta_1 to theta_J turn.
+        singular: Joints, from 0, that make postures singular.
+        b: Distance [m] of the wrist from the plane of axis 1.
+        offsets: Joint offsets (J,) [rad].
+        signs: Joint signs (J,).
+        left: Transform (4, 4) of an arm from a file whose base link differs from the form's base, else
+            None.
+        right: Transform (4, 4) of an arm from a file whose tip link differs from the form's flange, else
+            None.
     """
 
     branches: ClassVar[int] = 8
@@ -48,7 +54,14 @@ class ArmForm:
     right: FloatArray | None
 
     def inner(self, flange: FloatArray) -> FloatArray:
-        """Poses (..., 4, 4) of the form's own flange in its own base, of flange poses (..., 4, 4)."""
+        """Return poses of the form's own flange in its own base.
+
+        Args:
+            flange: Flange poses (..., 4, 4).
+
+        Returns:
+            Poses (..., 4, 4).
+        """
         if self.left is not None:
             flange = inverse(self.left) @ flange
         return flange if self.right is None else flange @ inverse(self.right)
@@ -60,27 +73,30 @@ class ArmForm:
 
     @property
     def steps(self) -> FloatArray:
-        """Ways (J + 1, 3) [m] from each link to the next one at theta zero, from the base to the flange."""
+        """Translations (J + 1, 3) [m] between successive links at theta zero, from the base to the flange."""
         raise NotImplementedError
 
     @property
-    def turned(self) -> FloatArray:
-        """How (3, 3) the flange stands on the last link."""
+    def flange_rotation(self) -> FloatArray:
+        """Rotation (3, 3) of the flange on the last link."""
         return np.eye(3)
 
     @property
     def hand(self) -> float:
-        """From the origin of link 4 or the wrist's centre, where this is one, to the flange at most [m]."""
+        """Maximum distance [m] of the flange from the wrist's centre.
+
+        Without a wrist centre, the distance is from the origin of link 4.
+        """
         raise NotImplementedError
 
     @property
     def stretched(self) -> float:
-        """From axis 1 to where the hand begins, at most [m], in the plane of the arm."""
+        """Maximum distance [m] from axis 1 to where the hand starts, in the plane of the arm."""
         raise NotImplementedError
 
     @property
     def shoulder(self) -> float:
-        """From axis 1 to the origin of link 2 [m], across the axis; 0 where axes 1 and 2 meet."""
+        """Distance [m] of the origin of link 2 from axis 1, 0 if axes 1 and 2 meet."""
         return 0.0
 
     @property
@@ -89,8 +105,10 @@ class ArmForm:
 
 
 class OrthoParallel(ArmForm):
-    """What ortho-parallel arms share up to the point where axes 4 and 5 meet: lengths [m] as of
-    :class:`OpwParameters`."""
+    """Common properties of ortho-parallel arms up to the point where axes 4 and 5 meet.
+
+    Lengths [m] are those of :class:`OpwParameters`.
+    """
 
     axes: ClassVar[str] = "zyyzyz"
     a1: float
@@ -100,21 +118,23 @@ class OrthoParallel(ArmForm):
 
     @property
     def stretched(self) -> float:
-        """From axis 1 to where axes 4 and 5 meet, at most [m], in the plane of the arm."""
+        """Maximum distance [m] from axis 1 to where axes 4 and 5 meet, in the plane of the arm."""
         return float(abs(self.a1) + self.c2 + np.hypot(self.a2, self.c3))
 
     @property
     def shoulder(self) -> float:
-        """From axis 1 to the origin of link 2 [m]."""
+        """Distance [m] of the origin of link 2 from axis 1."""
         return float(np.hypot(self.a1, self.b))
 
 
 @dataclasses.dataclass(frozen=True)
 class OpwParameters(OrthoParallel):
-    """Geometry of an ortho-parallel arm with a spherical wrist (Brandstoetter, Angerer, Hofbaur 2014).
+    """Geometry of an ortho-parallel arm with a spherical wrist. Lengths [m].
 
-    Lengths [m]. Flange pose in the base: Rz(t1) T(a1, b, c1) Ry(t2) T(0, 0, c2) Ry(t3) T(a2, 0, c3) Rz(t4)
-    Ry(t5) Rz(t6) T(0, 0, c4).
+    Flange pose in the base: Rz(t1) T(a1, b, c1) Ry(t2) T(0, 0, c2) Ry(t3) T(a2, 0, c3) Rz(t4) Ry(t5) Rz(t6)
+    T(0, 0, c4).
+
+    Source: Brandstoetter, Angerer, Hofbaur (2014).
     """
 
     singular: ClassVar[tuple[int, ...]] = (1, 2, 4)
@@ -132,7 +152,7 @@ class OpwParameters(OrthoParallel):
 
     @property
     def steps(self) -> FloatArray:
-        """As :attr:`ArmForm.steps`; the wrist's three axes meet."""
+        """Like :attr:`ArmForm.steps`. The wrist's three axes meet."""
         ahead = (0.0, self.a1, 0.0, self.a2, 0.0, 0.0, 0.0)
         across = (0.0, self.b, 0.0, 0.0, 0.0, 0.0, 0.0)
         up = (0.0, self.c1, self.c2, self.c3, 0.0, 0.0, self.c4)
@@ -140,19 +160,18 @@ class OpwParameters(OrthoParallel):
 
     @property
     def hand(self) -> float:
-        """From the wrist's centre to the flange at most [m]."""
+        """Maximum distance [m] of the flange from the wrist's centre."""
         return abs(self.c4) + self._beyond
 
 
 @dataclasses.dataclass(frozen=True)
 class OffsetParameters(OrthoParallel):
-    """Geometry of an ortho-parallel arm with an offset wrist: axes 4 and 5 meet, axis 6 passes beside that
-    point, as those of ABB's GoFa and Fanuc's CRX.
+    """Geometry of an ortho-parallel arm with an offset wrist. Lengths [m] as of :class:`OpwParameters`.
 
-    Lengths [m], as of :class:`OpwParameters`; ``a3`` and ``b3``: how far axis 6 is off the point where axes 4
-    and 5 meet, across axis 5 and along it; ``c4`` reaches from the foot there to the flange. Flange pose in
-    the base: Rz(t1) T(a1, 0, c1) Ry(t2) T(0, 0, c2) Ry(t3) T(a2, 0, c3) Rz(t4) Ry(t5) T(a3, b3, 0) Rz(t6)
-    T(0, 0, c4).
+    Axes 4 and 5 meet, and axis 6 passes beside that point, as in ABB's GoFa and Fanuc's CRX. ``a3`` and
+    ``b3`` are the distances of axis 6 from the point where axes 4 and 5 meet, across axis 5 and along it;
+    ``c4`` reaches from the foot there to the flange. Flange pose in the base: Rz(t1) T(a1, 0, c1) Ry(t2)
+    T(0, 0, c2) Ry(t3) T(a2, 0, c3) Rz(t4) Ry(t5) T(a3, b3, 0) Rz(t6) T(0, 0, c4).
     """
 
     branches: ClassVar[int] = 24
@@ -173,7 +192,7 @@ class OffsetParameters(OrthoParallel):
 
     @property
     def steps(self) -> FloatArray:
-        """As :attr:`ArmForm.steps`; axes 4 and 5 meet."""
+        """Like :attr:`ArmForm.steps`. Axes 4 and 5 meet."""
         ahead = (0.0, self.a1, 0.0, self.a2, 0.0, self.a3, 0.0)
         across = (0.0, 0.0, 0.0, 0.0, 0.0, self.b3, 0.0)
         up = (0.0, self.c1, self.c2, self.c3, 0.0, 0.0, self.c4)
@@ -181,18 +200,18 @@ class OffsetParameters(OrthoParallel):
 
     @property
     def hand(self) -> float:
-        """From where axes 4 and 5 meet to the flange at most [m]."""
+        """Maximum distance [m] of the flange from where axes 4 and 5 meet."""
         return float(np.linalg.norm([self.a3, self.b3, self.c4])) + self._beyond
 
 
 @dataclasses.dataclass(frozen=True)
 class ParallelParameters(ArmForm):
-    """Geometry of an arm whose axes 2, 3 and 4 are parallel, as those of UR: 1 meets 2, 5 meets 4 and 6, and
-    each of 1-2, 4-5 and 5-6 is square.
+    """Geometry of an arm whose axes 2, 3 and 4 are parallel, as in UR arms. Lengths [m], ``b`` >= 0.
 
-    Lengths [m], ``b`` >= 0. Flange pose in the base: Rz(t1) T(0, 0, c1) Ry(t2) T(0, 0, c2) Ry(t3) T(0, 0, c3)
-    Ry(t4) T(0, b, c4) Rz(t5) Ry(t6) T(0, c5, 0) Rx(-90 deg). Of a maker's Denavit-Hartenberg table c1 is d1,
-    c2 and c3 are the sizes of a2 and a3, b, c4 and c5 are d4, d5 and d6.
+    Axis 1 meets 2, 5 meets 4 and 6, and each of 1-2, 4-5 and 5-6 is square. Flange pose in the base: Rz(t1)
+    T(0, 0, c1) Ry(t2) T(0, 0, c2) Ry(t3) T(0, 0, c3) Ry(t4) T(0, b, c4) Rz(t5) Ry(t6) T(0, c5, 0) Rx(-90
+    deg). In a maker's Denavit-Hartenberg table c1 is d1, c2 and c3 are the sizes of a2 and a3, and b, c4
+    and c5 are d4, d5 and d6.
     """
 
     axes: ClassVar[str] = "zyyyzy"
@@ -210,35 +229,36 @@ class ParallelParameters(ArmForm):
 
     @property
     def steps(self) -> FloatArray:
-        """As :attr:`ArmForm.steps`; axes 5 and 6 meet."""
+        """Like :attr:`ArmForm.steps`. Axes 5 and 6 meet."""
         up = (0.0, self.c1, self.c2, self.c3, self.c4, 0.0, 0.0)
         across = (0.0, 0.0, 0.0, 0.0, self.b, 0.0, self.c5)
         return np.stack([np.zeros(7), across, up], axis=1)
 
     @property
-    def turned(self) -> FloatArray:
+    def flange_rotation(self) -> FloatArray:
         """Rx(-90 deg): z of the flange is along axis 6, out of the arm."""
         return np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
     @property
     def hand(self) -> float:
-        """From axis 4 in the plane of the arm to the flange at most [m]."""
+        """Maximum distance [m] of the flange from axis 4 in the plane of the arm."""
         return float(np.hypot(self.b, self.c4)) + abs(self.c5) + self._beyond
 
     @property
     def stretched(self) -> float:
-        """From axis 1 to axis 4, at most [m]."""
+        """Maximum distance [m] from axis 1 to axis 4."""
         return self.c2 + self.c3
 
 
 @dataclasses.dataclass(frozen=True)
 class SevenParameters(ArmForm):
-    """Geometry of an arm with seven axes, each square to the one before: 1, 2 and 3 meet in its shoulder, 5
-    and 6 meet, and 7 passes beside that point or through it, as those of Franka's Panda and KUKA's iiwa.
+    """Geometry of an arm with seven axes, each square to the one before. Lengths [m].
 
-    Lengths [m]; ``a2`` and ``a3``: how far the elbow stands before the upper arm, and the forearm before the
-    elbow; ``a4``: axis 7 before axis 6. Flange pose in the base: Rz(t1) T(0, 0, c1) Ry(t2) Rz(t3) T(a2, 0,
-    c2) Ry(t4) T(a3, 0, c3) Rz(t5) Ry(t6) T(a4, 0, 0) Rz(t7) T(0, 0, c4).
+    Axes 1, 2 and 3 meet in its shoulder, 5 and 6 meet, and 7 passes beside that point or through it, as in
+    Franka's Panda and KUKA's iiwa. ``a2`` and ``a3`` are the distances by which the elbow is ahead of the
+    upper arm, and the forearm ahead of the elbow; ``a4`` that by which axis 7 is ahead of axis 6. Flange
+    pose in the base: Rz(t1) T(0, 0, c1) Ry(t2) Rz(t3) T(a2, 0, c2) Ry(t4) T(a3, 0, c3) Rz(t5) Ry(t6) T(a4,
+    0, 0) Rz(t7) T(0, 0, c4).
     """
 
     axes: ClassVar[str] = "zyzyzyz"
@@ -258,44 +278,47 @@ class SevenParameters(ArmForm):
 
     @property
     def steps(self) -> FloatArray:
-        """As :attr:`ArmForm.steps`; axes 2 and 3 meet, and 5 and 6."""
+        """Like :attr:`ArmForm.steps`. Axes 2 and 3 meet, and 5 and 6."""
         ahead = (0.0, 0.0, 0.0, self.a2, self.a3, 0.0, self.a4, 0.0)
         up = (0.0, self.c1, 0.0, self.c2, self.c3, 0.0, 0.0, self.c4)
         return np.stack([ahead, np.zeros(8), up], axis=1)
 
     @property
     def upper(self) -> float:
-        """From the shoulder to axis 4 [m]."""
+        """Distance [m] from the shoulder to axis 4."""
         return float(np.hypot(self.a2, self.c2))
 
     @property
     def fore(self) -> float:
-        """From axis 4 to where axes 5 and 6 meet [m]."""
+        """Distance [m] from axis 4 to where axes 5 and 6 meet."""
         return float(np.hypot(self.a3, self.c3))
 
     @property
     def straight(self) -> float:
-        """Theta 4 at which the arm is stretched [rad]."""
+        """Theta 4 [rad] at which the arm is stretched."""
         return float(np.arctan2(self.a2, self.c2) - np.arctan2(self.a3, self.c3))
 
     @property
     def hand(self) -> float:
-        """From where axes 5 and 6 meet to the flange at most [m]."""
+        """Maximum distance [m] of the flange from where axes 5 and 6 meet."""
         return float(np.hypot(self.a4, self.c4)) + self._beyond
 
     @property
     def stretched(self) -> float:
-        """From axis 1 to where axes 5 and 6 meet, at most [m]."""
+        """Maximum distance [m] from axis 1 to where axes 5 and 6 meet."""
         return self.upper + self.fore
 
 
 @dataclasses.dataclass(frozen=True)
 class RodCoupling:
-    """A parallel rod: motor 3 turns the upper arm against the base, so the controller's axis 3 is serial q3
-    + q2.
+    """A parallel rod: motor 3 turns the upper arm against the base.
 
-    ``axis3_lower``, ``axis3_upper`` [rad] bound that sum; the robot's own limits bound the serial q3. Both
-    hold.
+    The controller's axis 3 is therefore serial q3 + q2. The robot's own limits bound the serial q3. Both
+    limits hold.
+
+    Attributes:
+        axis3_lower: Lower limit [rad] of the sum.
+        axis3_upper: Upper limit [rad] of the sum.
     """
 
     axis3_lower: float
@@ -304,17 +327,25 @@ class RodCoupling:
 
 @dataclasses.dataclass(frozen=True)
 class JointStiffness:
-    """How stiff the drives of an arm's axes are: ``joints`` (6,) [N m/rad] about the axes as the controller
-    counts them, links taken as rigid. ``source``: who identified them, where and how."""
+    """Stiffness of the drives of an arm's axes, with links taken as rigid.
+
+    Attributes:
+        joints: Stiffness (6,) [N m/rad] about the axes as the controller counts them.
+        source: Who identified it, where and how.
+    """
 
     joints: FloatArray
     source: str
 
 
 @dataclasses.dataclass(frozen=True)
-class Look:
-    """What is seen of a link: a shape in the link's frame, in a colour (red, green, blue in 0..1) where it is
-    not that of shapes for collision."""
+class VisualShape:
+    """Visual shape of a link.
+
+    Attributes:
+        shape: Shape in the link's frame.
+        color: Colour (red, green, blue in 0..1), None for that of collision shapes.
+    """
 
     shape: Shape
     color: tuple[float, ...] | None = None
@@ -322,13 +353,20 @@ class Look:
 
 @dataclasses.dataclass(frozen=True)
 class RobotFile:
-    """What a robot of the user's own has of its URDF: its ``text``, and the links ``base`` and ``tip`` in it.
+    """What a robot of the user has of its URDF.
 
-    ``zero`` (J + 2, 4, 4): frames of the base, of the links that the joints turn and of the tip, in the base
-    with all joints at zero; ``axis`` (J, 3): unit vectors of the axes in the base, through the origins of the
-    links. ``shapes``: what is held apart, of the base and of links 1 to J, in their frames. ``joints``: names
-    of the joints. ``looks``: what is seen of the same links in place of ``shapes``, which are seen where
-    there are none; no distance knows of them. ``unseen``: what of the URDF's is not seen, and why.
+    Attributes:
+        text: Text of the URDF.
+        base: Name of the base link.
+        tip: Name of the tip link.
+        zero: Frames (J + 2, 4, 4) of the base, of the links that the joints turn and of the tip, in the base
+            with all joints at zero.
+        axis: Unit vectors (J, 3) of the axes in the base, through the origins of the links.
+        shapes: Collision shapes of the base and of links 1 to J, in their frames.
+        joints: Names of the joints.
+        visuals: Visual shapes of the same links, which replace ``shapes`` in pictures. No distance uses
+            them.
+        unseen: What of the URDF is not shown, and why.
     """
 
     text: str
@@ -338,19 +376,33 @@ class RobotFile:
     axis: FloatArray
     shapes: tuple[tuple[Shape, ...], ...]
     joints: tuple[str, ...]
-    looks: tuple[tuple[Look, ...], ...] = ()
+    visuals: tuple[tuple[VisualShape, ...], ...] = ()
     unseen: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
 class RobotData:
-    """One robot of J axes. Joint angles are serial angles (J,) [rad]; velocity [rad/s], acceleration
-    [rad/s^2].
+    """One robot of J axes. Joint angles are serial angles (J,) [rad].
 
-    ``home`` (J,) [rad] is the posture of cells that state none. ``sources`` say where figures come from,
-    ``assumed`` which ones do not come from a source, and on what ground they were set. ``stiffness`` is None
-    where nobody has published any that is certain: then nothing is claimed of how far the arm gives way.
-    ``file`` is None for robots of the catalogue, whose URDF is :func:`urdf_path`.
+    Attributes:
+        name: Name in problem files.
+        title: Name for people.
+        family: Controller family.
+        controller: Name of the controller.
+        form: Geometry.
+        lower: Lower joint limits (J,) [rad].
+        upper: Upper joint limits (J,) [rad].
+        velocity: Maximum joint speeds (J,) [rad/s].
+        acceleration: Maximum joint accelerations (J,) [rad/s^2].
+        payload: Payload [kg].
+        reach: Reach [m].
+        coupling: Parallel rod, if any.
+        home: Default posture (J,) [rad] of cells that state none.
+        sources: Sources of the figures.
+        assumed: Figures without a source, and on what ground they were chosen.
+        stiffness: Stiffness of the drives, None if nobody has published a reliable one. Then nothing is
+            claimed of the arm's deflection.
+        file: The user's URDF, None for robots of the catalogue, whose URDF is :func:`urdf_path`.
     """
 
     name: str
@@ -383,24 +435,30 @@ class RobotData:
 
     @property
     def opw(self) -> OpwParameters:
-        """The form of an arm with a spherical wrist, whose solutions ABB and KUKA name; other arms have none:
-        raises ``TypeError``."""
+        """Geometry of an arm with a spherical wrist, whose solutions ABB and KUKA name.
+
+        Raises:
+            TypeError: The arm has no spherical wrist.
+        """
         if not isinstance(self.form, OpwParameters):
             raise TypeError(f"{self.name} has no spherical wrist")
         return self.form
 
     @property
-    def unnamed(self) -> bool:
-        """Whether it is not settled how ABB's confdata name the arm's postures: parallel rods, offset wrists.
-        Such arms run with ConfL off: straight moves go on from the posture before them."""
+    def has_unnamed_postures(self) -> bool:
+        """Whether it is uncertain how ABB's confdata name the arm's postures.
+
+        This applies to arms with parallel rods or offset wrists. They run with ConfL off: straight moves
+        continue from the previous posture.
+        """
         return self.coupling is not None or isinstance(self.form, OffsetParameters)
 
     def to_controller(self, q: FloatArray) -> FloatArray:
-        """The controller's joint values (..., J) [rad] of serial angles (..., J)."""
+        """Return the controller's joint values (..., J) [rad] of serial angles (..., J)."""
         return self._couple(q, 1.0)
 
     def from_controller(self, values: FloatArray) -> FloatArray:
-        """Serial angles (..., J) [rad] of the controller's joint values (..., J)."""
+        """Return the serial angles (..., J) [rad] of the controller's joint values (..., J)."""
         return self._couple(values, -1.0)
 
     def _couple(self, q: FloatArray, sign: float) -> FloatArray:
@@ -410,8 +468,10 @@ class RobotData:
         return out
 
     def limit_margin(self, q: FloatArray) -> FloatArray:
-        """Least distance (...,) [rad] of serial angles (..., J) to any limit; negative outside, NaN for
-        NaN."""
+        """Return the smallest distance (...,) [rad] of serial angles (..., J) to any limit.
+
+        It is negative outside of the limits, and NaN for NaN.
+        """
         q = np.asarray(q, dtype=np.float64)
         margin = np.minimum(q - self.lower, self.upper - q).min(axis=-1)
         if self.coupling is not None:
@@ -421,16 +481,17 @@ class RobotData:
         return np.asarray(margin)
 
 
-def columns_of(robots: Mapping[str, RobotData]) -> dict[str, slice]:
-    """Where the joints of each of some robots are among those of all of them, one after the other."""
+def joint_columns(robots: Mapping[str, RobotData]) -> dict[str, slice]:
+    """Return the columns of each robot's joints among those of all robots, one after the other."""
     ends = [0, *itertools.accumulate(robot.axes for robot in robots.values())]
     return {name: slice(ends[k], ends[k + 1]) for k, name in enumerate(robots)}
 
 
 def data_dir(kind: DataKind) -> Path:
-    """Folder of the data that travels with the package, in an installed package or in a checkout.
+    """Return the folder of the data that comes with the package, in an installed package or in a checkout.
 
-    Raises :class:`TandemError` (``catalogue.missing_data``) when neither has it.
+    Raises:
+        TandemError: Neither has it (``catalogue.missing_data``).
     """
     for folder in (_PACKAGE / "_installed" / kind, _PACKAGE.parent / kind):
         if folder.is_dir():
@@ -438,51 +499,58 @@ def data_dir(kind: DataKind) -> Path:
     raise _missing(_PACKAGE / "_installed" / kind)
 
 
-def bundled(path: Path) -> Path:
-    """The file itself, or the bundled problem's file of that name where there is none; the name may begin
-    with ``problems/``.
+def bundled_path(path: Path) -> Path:
+    """Return the file itself, or the bundled problem's file of that name if it does not exist.
+
+    The name may start with ``problems/``.
     """
     parts = path.parts[1:] if path.parts[:1] == ("problems",) else path.parts
     inside = data_dir("problems").joinpath(*parts)
-    own = is_file(path) or path.is_absolute() or ".." in parts
-    return inside if not own and is_file(inside) else path
+    is_existing = is_file(path) or path.is_absolute() or ".." in parts
+    return inside if not is_existing and is_file(inside) else path
 
 
 def robot_names() -> tuple[str, ...]:
-    """Names of all robots, in the order of the data file."""
+    """Return the names of all robots, in the order of the data file."""
     return tuple(_table())
 
 
 def robot(name: str) -> RobotData:
-    """The robot of that name; raises :class:`TandemError` (``problem.unknown_robot``) naming the known
-    ones."""
+    """Return the robot of that name.
+
+    Raises:
+        TandemError: The name is unknown (``problem.unknown_robot``). The message lists the known ones.
+    """
     table = _table()
     if name not in table:
-        message = f"robot {name!r} is not in the catalogue, which has {', '.join(table)}"
-        raise refusal("problem.unknown_robot", message, hint="choose one of these names")
+        message = format_message("problem.unknown_robot", name=name, known_robots=", ".join(table))
+        raise issue_error("problem.unknown_robot", message, hint="choose one of these names")
     return table[name]
 
 
 def urdf_path(name: str) -> Path:
-    """Path of the robot's URDF file; raises as :func:`robot`, or ``catalogue.missing_data`` without the
-    file."""
+    """Return the path of a robot's URDF file.
+
+    Raises:
+        TandemError: As in :func:`robot`, or the file is missing (``catalogue.missing_data``).
+    """
     path = data_dir("urdf") / f"{robot(name).name}.urdf"
     if not path.is_file():
         raise _missing(path)
     return path
 
 
-def damaged(path: Path, what: str) -> TandemError:
-    """The error (``catalogue.missing_data``) of a file of Tandem that cannot be read: ``what`` says why."""
+def damaged_file_error(path: Path, what: str) -> TandemError:
+    """Return ``catalogue.missing_data`` for a file of Tandem that cannot be read, with the reason."""
     return _error(f"{path} is part of Tandem and cannot be read: {what}")
 
 
 def _missing(path: Path) -> TandemError:
-    return _error(f"{path} is missing, which is part of Tandem")
+    return _error(f"{path}, a part of Tandem, is missing")
 
 
 def _error(message: str) -> TandemError:
-    return refusal(
+    return issue_error(
         "catalogue.missing_data", message, hint="install tandem-planner again, or restore the checkout"
     )
 
@@ -492,7 +560,7 @@ def _table() -> dict[str, RobotData]:
     path = data_dir("urdf") / "robots.yaml"
     if not path.is_file():
         raise _missing(path)
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times faster, where PyYAML has it
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times faster, if PyYAML has it
     data = yaml.load(path.read_text(encoding="utf-8"), Loader=loader)
     return {name: _read(name, entry) for name, entry in data.items()}
 
@@ -513,17 +581,17 @@ def _read(name: str, entry: dict[str, Any]) -> RobotData:
         controller=entry["controller"],
         form=kind(
             **{key: float(value) for key, value in lengths.items()},
-            offsets=_frozen(np.array(entry["offset_deg"], dtype=np.float64) * DEG),
-            signs=_frozen(np.array(entry["sign"], dtype=np.float64)),
+            offsets=_read_only(np.array(entry["offset_deg"], dtype=np.float64) * DEG),
+            signs=_read_only(np.array(entry["sign"], dtype=np.float64)),
         ),
-        lower=_frozen(limits[:, 0]),
-        upper=_frozen(limits[:, 1]),
-        velocity=_frozen(velocity),
-        acceleration=_frozen(velocity / rise),
+        lower=_read_only(limits[:, 0]),
+        upper=_read_only(limits[:, 1]),
+        velocity=_read_only(velocity),
+        acceleration=_read_only(velocity / rise),
         payload=float(entry["payload_kg"]),
         reach=float(entry["reach_m"]),
         coupling=None if coupled is None else RodCoupling(coupled[0] * DEG, coupled[1] * DEG),
-        home=_frozen(np.array(entry.get("home_deg", np.zeros(6)), dtype=np.float64) * DEG),
+        home=_read_only(np.array(entry.get("home_deg", np.zeros(6)), dtype=np.float64) * DEG),
         sources=tuple(entry["sources"]),
         assumed=(acceleration, *entry.get("unverified", ())),
         stiffness=_stiffness(name, entry.get("stiffness")),
@@ -531,18 +599,21 @@ def _read(name: str, entry: dict[str, Any]) -> RobotData:
 
 
 def _stiffness(name: str, entry: dict[str, Any] | None) -> JointStiffness | None:
-    """Raises :class:`TandemError` (``catalogue.missing_data``) for what is no stiffness of six axes with a
-    source."""
+    """Read the stiffness of an entry.
+
+    Raises:
+        TandemError: It is no stiffness of six axes with a source (``catalogue.missing_data``).
+    """
     if entry is None:
         return None
     joints, source = np.array(entry.get("joints_nm_rad", ()), dtype=np.float64), entry.get("source", "")
     if joints.shape != (6,) or not (joints > 0.0).all() or not np.isfinite(joints).all() or not source:
         got = f"{name}: stiffness needs joints_nm_rad of six axes, each above 0, and its source"
-        raise damaged(data_dir("urdf") / "robots.yaml", got)
-    return JointStiffness(_frozen(joints), source)
+        raise damaged_file_error(data_dir("urdf") / "robots.yaml", got)
+    return JointStiffness(_read_only(joints), source)
 
 
-def _frozen(array: FloatArray) -> FloatArray:
+def _read_only(array: FloatArray) -> FloatArray:
     out = array.copy()
     out.flags.writeable = False
     return out

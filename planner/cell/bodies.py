@@ -1,8 +1,8 @@
-"""The solids of a cell's bodies: as Drake holds them, where they are, how far points are from them.
+"""Solids of a cell's bodies: their representation in Drake, their poses, and distances of points from them.
 
-Places and signed distances to convex solids, exact inside and outside, are worked out in NumPy,
-batched. Which pairs of bodies are not held apart, and why, is decided once when a cell is built,
-and shown in the report.
+Poses and signed distances to convex solids, exact inside and outside, are computed in NumPy, batched. Which
+pairs of bodies are not checked for clearance, and why, is decided once when a cell is built, and shown in the
+report.
 """
 
 import dataclasses
@@ -28,10 +28,15 @@ from planner.tooling import working_solid
 
 
 def drake_shape(shape: Shape, solid: bool) -> DrakeShape:
-    """Drake's shape; a mesh becomes its convex hull when ``solid`` (for collision), else the mesh itself
-    (to be seen).
+    """Return Drake's shape.
 
-    Raises ``ValueError`` for a mesh without vertices.
+    Args:
+        shape: The shape.
+        solid: Whether a mesh becomes its convex hull (for collision) instead of the mesh itself (for
+            display).
+
+    Raises:
+        ValueError: For a mesh without vertices.
     """
     if shape.kind == "box":
         return Box(*shape.size)
@@ -55,57 +60,73 @@ def _obj(vertices: np.ndarray, faces: np.ndarray) -> str:
 
 
 @dataclasses.dataclass(frozen=True)
-class LeastClearance:
-    """Least distances ``distance`` (B,) [m], negative inside, and the ``pair`` of bodies of each.
+class MinClearance:
+    """Smallest distances of B configurations.
 
-    Where nothing is within the reach that was asked for, the distance is that reach and the pair is ("", "").
+    Attributes:
+        distance: Distances (B,) [m], negative for overlap. If nothing is within the requested reach, it is
+            that reach.
+        pair: Bodies of each distance (B,), ("", "") if nothing is within reach.
     """
 
     distance: FloatArray
     pair: tuple[tuple[str, str], ...]
 
     def worst(self) -> int:
-        """Index of the least distance."""
+        """Return the index of the smallest distance."""
         return int(np.argmin(self.distance))
 
 
 @dataclasses.dataclass(frozen=True)
-class Easing:
-    """Pairs of bodies that may be nearer to each other than all others by ``by`` [m], at least 0: they count
-    as so much farther apart than they are."""
+class ClearanceEasing:
+    """Pairs of bodies that may be closer to each other than all others.
+
+    Attributes:
+        pairs: The pairs.
+        by: Distance that is added to theirs, at least 0 [m].
+    """
 
     pairs: frozenset[frozenset[str]] = frozenset()
     by: float = 0.0
 
-    def of(self, one: str, other: str) -> float:
-        """How much farther [m] apart two bodies count than they are."""
-        return self.by if frozenset((one, other)) in self.pairs else 0.0
+    def added_distance(self, body: str, other: str) -> float:
+        """Return the distance [m] that is added to that of two bodies."""
+        return self.by if frozenset((body, other)) in self.pairs else 0.0
 
 
-NOT_EASED: Final = Easing()
-"""All pairs count as they are."""
+NO_EASING: Final = ClearanceEasing()
+"""No pair counts as farther apart than it is."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Solid:
-    """A collision solid of a body: ``shape.pose`` is in the body's frame; a mesh stands for its convex
-    hull."""
+    """A collision object: a solid of a body. A mesh represents its convex hull.
+
+    Attributes:
+        body: Name of the body.
+        shape: Shape, with its pose in the body's frame.
+    """
 
     body: str
     shape: Shape
 
     @functools.cached_property
     def hull(self) -> tuple[FloatArray, FloatArray]:
-        """Half spaces (F, 4), normal and offset, and triangles (F, 3, 3) of a mesh's hull in the shape's
-        frame."""
+        """Half spaces (F, 4), normal and offset, and triangles (F, 3, 3) of a mesh's hull.
+
+        They are in the shape's frame.
+        """
         if self.shape.vertices is None:
             raise ValueError(f"a {self.shape.kind} has no hull")
         hull = ConvexHull(self.shape.vertices)
         return hull.equations, hull.points[hull.simplices]
 
 
-def extent(solid: Solid) -> FloatArray:
-    """Edge lengths (3,) [m] of a box about the origin of the shape's frame that holds the solid."""
+def bounding_size(solid: Solid) -> FloatArray:
+    """Return the edge lengths (3,) [m] of a box that contains the solid.
+
+    The box is centred at the origin of the shape's frame.
+    """
     shape = solid.shape
     if shape.vertices is not None:
         return np.asarray(2.0 * np.abs(shape.vertices).max(axis=0))
@@ -116,19 +137,21 @@ def extent(solid: Solid) -> FloatArray:
     return np.array([2.0 * shape.size[0], 2.0 * shape.size[0], long + caps])
 
 
-def corners(solid: Solid) -> FloatArray:
-    """Corners (8, 3) [m] of the box of :func:`extent`."""
+def bounding_corners(solid: Solid) -> FloatArray:
+    """Return the corners (8, 3) [m] of the box of :func:`bounding_size`."""
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
-    return np.asarray(0.5 * extent(solid) * signs)
+    return np.asarray(0.5 * bounding_size(solid) * signs)
 
 
 def hull_points(solid: Solid) -> FloatArray:
-    """Points (P, 3) [m] in the shape's frame whose convex hull holds the solid: it is no larger but for the
-    caps of round ends and 0.5 % of a cylinder's radius."""
+    """Return points (P, 3) [m] in the shape's frame whose convex hull contains the solid.
+
+    The hull is larger than the solid only by the caps of round ends and 0.5 % of a cylinder's radius.
+    """
     if solid.shape.vertices is not None:
         return solid.shape.vertices
     if solid.shape.kind != "cylinder":
-        return corners(solid)
+        return bounding_corners(solid)
     angle = np.linspace(0.0, 2.0 * np.pi, RIM_POINTS, endpoint=False)
     radius, half = solid.shape.size[0] / np.cos(np.pi / RIM_POINTS), 0.5 * solid.shape.size[1]
     rim = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
@@ -136,7 +159,7 @@ def hull_points(solid: Solid) -> FloatArray:
 
 
 def signed_distance(solid: Solid, points: FloatArray) -> FloatArray:
-    """Distances (...,) [m] of points (..., 3) in the shape's frame to its surface, negative inside."""
+    """Return distances (...,) [m] of points (..., 3) in the shape's frame to its surface, negative inside."""
     kind, size = solid.shape.kind, solid.shape.size
     if kind == "sphere":
         return np.asarray(np.linalg.norm(points, axis=-1) - size[0])
@@ -166,8 +189,10 @@ def _hull_distance(solid: Solid, points: FloatArray) -> FloatArray:
 
 
 def _triangle_distance(p: FloatArray, triangle: FloatArray) -> FloatArray:
-    """Distances of points (..., 3) to triangles (..., 3, 3): to the plane where the foot is inside, else to
-    the edges."""
+    """Return distances of points (..., 3) to triangles (..., 3, 3).
+
+    It is the distance to the plane if the projection is inside, else to the edges.
+    """
     a, b, c = triangle[..., 0, :], triangle[..., 1, :], triangle[..., 2, :]
     normal = np.cross(b - a, c - a)
     normal = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
@@ -182,12 +207,12 @@ def _triangle_distance(p: FloatArray, triangle: FloatArray) -> FloatArray:
     return np.asarray(np.where(inside, np.abs(height), edges))
 
 
-def own_shapes(cell: Cell, stock: Stock) -> dict[str, tuple[Shape, ...]]:
-    """Shapes by body, in the body's frame, of everything but links of robots of the catalogue."""
+def shapes_by_body(cell: Cell, stock: Stock) -> dict[str, tuple[Shape, ...]]:
+    """Return the shapes by body, in the body's frame, except those of links of catalogue robots."""
     out = {f"{arm.name}/tool": arm.tool.shapes for arm in cell.arms}
     for arm in cell.arms:
-        if arm.given is not None and arm.given.file is not None:
-            named = zip(link_chain(arm.data.axes), arm.given.file.shapes, strict=False)
+        if arm.custom_data is not None and arm.custom_data.file is not None:
+            named = zip(link_chain(arm.data.axes), arm.custom_data.file.shapes, strict=False)
             out.update({f"{arm.name}/{link}": shapes for link, shapes in named})
     solids = {arm.name: working_solid(arm.tool) for arm in cell.arms}
     out.update({f"{name}/edge": (solid,) for name, solid in solids.items() if solid is not None})
@@ -201,26 +226,34 @@ def own_shapes(cell: Cell, stock: Stock) -> dict[str, tuple[Shape, ...]]:
     return out
 
 
-def collect(
+def collect_solids(
     plant: MultibodyPlant,
     inspector: SceneGraphInspector,
     names: Mapping[int, str],
-    own: Mapping[str, tuple[Shape, ...]],
+    given_shapes: Mapping[str, tuple[Shape, ...]],
 ) -> tuple[Solid, ...]:
-    """All collision solids: those of the catalogue's links as Drake read them from the URDFs, the others as
-    they were given."""
+    """Return all collision solids.
+
+    Solids of catalogue links are as Drake read them from the URDFs, the others as they were given.
+
+    Args:
+        plant: Drake's plant.
+        inspector: Drake's inspector of its scene graph.
+        names: Names of bodies by index.
+        given_shapes: Shapes by body that are not from URDFs.
+    """
     out = []
     for index, name in names.items():
-        if name in own:
-            out += [Solid(name, shape) for shape in own[name]]
+        if name in given_shapes:
+            out += [Solid(name, shape) for shape in given_shapes[name]]
             continue
         for geometry in plant.GetCollisionGeometriesForBody(plant.get_body(BodyIndex(index))):
             pose = inspector.GetPoseInFrame(geometry).GetAsMatrix4()
-            out.append(Solid(name, _ours(inspector.GetShape(geometry), pose)))
+            out.append(Solid(name, _to_shape(inspector.GetShape(geometry), pose)))
     return tuple(out)
 
 
-def _ours(shape: object, pose: FloatArray) -> Shape:
+def _to_shape(shape: object, pose: FloatArray) -> Shape:
     if isinstance(shape, Box):
         return Shape("box", tuple(float(v) for v in shape.size()), pose)
     if isinstance(shape, Capsule):
@@ -228,28 +261,36 @@ def _ours(shape: object, pose: FloatArray) -> Shape:
     if isinstance(shape, Cylinder):
         return Shape("cylinder", (shape.radius(), shape.length()), pose)
     raise TypeError(
-        f"a robot's collision solid is a {type(shape).__name__}; only box, capsule and cylinder are used"
+        f"collision solid of a robot: got {type(shape).__name__}, allowed box, capsule and cylinder"
     )
 
 
 def body_poses(arm: str, robot: RobotData, base: FloatArray, q: FloatArray) -> dict[str, FloatArray]:
-    """World poses (B, 4, 4) of the links and the tool of one arm at serial angles q (B, J); the base's is
-    (1, 4, 4), or (B, 4, 4) where it stands elsewhere in each row.
+    """Return world poses (B, 4, 4) of the links and the tool of one arm.
 
-    A link's frame is that of the URDF: one of the catalogue is parallel to the base at the controller's zero
-    pose; the tool's is the flange.
+    The frame of a link is that of the URDF: one of the catalogue is parallel to the base at the controller's
+    zero pose. That of the tool is the flange.
+
+    Args:
+        arm: Name of the arm.
+        robot: Robot data.
+        base: Pose of the base (4, 4), or (B, 4, 4) if it differs from row to row.
+        q: Serial angles (B, J) [rad].
+
+    Returns:
+        Poses by body. That of the base is (1, 4, 4), or (B, 4, 4) if it differs from row to row.
     """
     count = robot.axes
     links = link_frames(robot, np.concatenate([q, np.zeros((1, count))]))
     upright = np.swapaxes(links[-1, :count, :3, :3], -1, -2)
-    turn = np.zeros((count + 1, 4, 4))
-    turn[:, 3, 3] = 1.0
-    turn[:count, :3, :3] = upright
-    turn[count] = np.eye(4)
+    link_rotation = np.zeros((count + 1, 4, 4))
+    link_rotation[:, 3, 3] = 1.0
+    link_rotation[:count, :3, :3] = upright
+    link_rotation[count] = np.eye(4)
     if robot.file is not None:
-        turn[:count] = inverse(links[-1, :count]) @ robot.file.zero[1:-1]
+        link_rotation[:count] = inverse(links[-1, :count]) @ robot.file.zero[1:-1]
     bases = base.reshape(-1, 4, 4)
-    frames = bases[:, None] @ links[:-1] @ turn
+    frames = bases[:, None] @ links[:-1] @ link_rotation
     out = {f"{arm}/link_{i + 1}": frames[:, i] for i in range(count)}
     out[f"{arm}/tool"] = frames[:, count]
     out[f"{arm}/base_link"] = bases
@@ -261,7 +302,7 @@ FilteredPair = tuple[str, str, str]
 
 @functools.cache
 def link_chain(axes: int) -> tuple[str, ...]:
-    """Bodies of an arm of so many axes from its base to its tool."""
+    """Return the bodies of an arm with a number of axes from its base to its tool."""
     return ("base_link", *(f"link_{i}" for i in range(1, axes + 1)), "tool")
 
 
@@ -270,40 +311,45 @@ EDGE_FILTERED: Final = (
     "the edge is fixed to the flange",
     "kept apart by the robot's own build",
 )
-"""Why an arm's own edge is not held apart from the last bodies of the arm, the tool first."""
+"""Reasons why an arm's own edge is not checked against the last bodies of the arm, the tool first."""
 HELD_FILTERED: Final = (
     "the block is held by the tool",
     "the block is fixed to the flange",
     "of one arm and always near each other",
 )
-"""Why a block that an arm holds is not held apart from the last bodies of the arm, the tool first."""
+"""Reasons why a block that an arm holds is not checked against the last bodies of the arm, the tool first."""
 
 RIM_POINTS: Final = 32
-"""Corners of the polygon that stands for the rim of a cylinder."""
+"""Number of corners of the polygon that represents the rim of a cylinder."""
 
 
 def filter_pairs(
     checker: SceneGraphCollisionChecker, names: Mapping[int, str], holder: str | None = None
 ) -> tuple[FilteredPair, ...]:
-    """Filters pairs of bodies by how arms are built, in the checker, and returns them with reasons, sorted.
+    """Filter pairs of bodies by the structure of arms in the checker, and return them with reasons, sorted.
 
-    Those are neighbours and pairs two joints apart, whose solids, fatter than the real links, would touch,
-    and those of EDGE_FILTERED and HELD_FILTERED; ``holder`` is the arm that holds the stock, if any.
+    These are neighbours and pairs two joints apart, whose solids, fatter than the real links, would touch,
+    and those of EDGE_FILTERED and HELD_FILTERED.
+
+    Args:
+        checker: Drake's collision checker.
+        names: Names of bodies by index.
+        holder: Arm that holds the stock, if any.
     """
     shaped = {index for index in names if _has_solids(checker, index)}
-    chains = chains_of(names.values())
+    chains = link_chains(names.values())
     out: list[FilteredPair] = []
     for a in sorted(shaped):
         for b in sorted(shaped):
-            if a < b and (reason := _structural(names[a], names[b], holder, chains)):
+            if a < b and (reason := _structural_reason(names[a], names[b], holder, chains)):
                 out.append((names[a], names[b], reason))
                 if "fixed to the world" not in reason:
                     checker.SetCollisionFilteredBetween(BodyIndex(a), BodyIndex(b), True)
     return tuple(sorted(out))
 
 
-def chains_of(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
-    """The bodies of each arm from its base to its tool, by the names of all bodies of a cell."""
+def link_chains(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
+    """Return the bodies of each arm from its base to its tool, from the names of all bodies of a cell."""
     out: dict[str, int] = {}
     for name in names:
         arm, _, link = name.partition("/")
@@ -316,29 +362,31 @@ def _has_solids(checker: Any, index: int) -> bool:
     return bool(checker.plant().GetCollisionGeometriesForBody(checker.plant().get_body(BodyIndex(index))))
 
 
-def fixed(name: str, holder: str | None) -> bool:
-    """Whether a body stands in the world; ``holder`` is the arm that holds the stock, if any."""
+def is_fixed(name: str, holder: str | None) -> bool:
+    """Return whether a body is fixed in the world. ``holder`` is the arm that holds the stock, if any."""
     if name == "stock" and holder is not None:
         return False
     return "/" not in name or name.endswith("/base_link")
 
 
-def _structural(a: str, b: str, holder: str | None, chains: Mapping[str, tuple[str, ...]]) -> str | None:
-    if fixed(a, holder) and fixed(b, holder):
+def _structural_reason(
+    a: str, b: str, holder: str | None, chains: Mapping[str, tuple[str, ...]]
+) -> str | None:
+    if is_fixed(a, holder) and is_fixed(b, holder):
         return "both fixed to the world"
     (arm_a, _, link_a), (arm_b, _, link_b) = a.partition("/"), b.partition("/")
     if holder is not None and "stock" in (a, b):
         arm, link = (arm_a, link_a) if b == "stock" else (arm_b, link_b)
-        return _from_tool(HELD_FILTERED, chains[arm], link) if arm == holder else None
+        return _reason_from_tool(HELD_FILTERED, chains[arm], link) if arm == holder else None
     if not link_a or not link_b or arm_a != arm_b:
         return None
     if "edge" in (link_a, link_b):
-        return _from_tool(EDGE_FILTERED, chains[arm_a], link_a if link_b == "edge" else link_b)
+        return _reason_from_tool(EDGE_FILTERED, chains[arm_a], link_a if link_b == "edge" else link_b)
     gap = abs(chains[arm_a].index(link_a) - chains[arm_a].index(link_b))
     if gap == 2:
         return "kept apart by the robot's own build"
     return "neighbours in the chain" if gap == 1 else None
 
 
-def _from_tool(reasons: tuple[str, ...], chain: tuple[str, ...], link: str) -> str | None:
+def _reason_from_tool(reasons: tuple[str, ...], chain: tuple[str, ...], link: str) -> str | None:
     return dict(zip(reversed(chain), reasons, strict=False)).get(link)

@@ -1,8 +1,8 @@
-"""Least distances of a cell's solids: cheap bounds, which settle most configurations, and true ones.
+"""Smallest distances of a cell's solids: cheap bounds, which decide most configurations, and true distances.
 
 Every moving solid has a capsule around it and one inside it, with the same axis. The distance of the outer
 capsules is a lower bound of the true one, that of the inner capsules an upper bound. Fixed boxes (stock,
-table, bases) stay boxes. Pairs that no bound settles are measured (:mod:`planner.cell.distance`).
+table, bases) stay boxes. Pairs that no bound decides are measured (:mod:`planner.cell.distance`).
 """
 
 import dataclasses
@@ -12,10 +12,24 @@ from typing import Final
 
 import numpy as np
 
-from planner.cell.bodies import Easing, Solid, chains_of, extent, hull_points, signed_distance
-from planner.cell.bodies import fixed as is_fixed
-from planner.cell.distance import AGREED_M, Cores, between_segments, cores, distances, nearest_to_box
-from planner.cell.shadows import separation, support
+from planner.cell.bodies import (
+    ClearanceEasing,
+    Solid,
+    bounding_size,
+    hull_points,
+    link_chains,
+    signed_distance,
+)
+from planner.cell.bodies import is_fixed as is_fixed
+from planner.cell.distance import (
+    DISTANCE_TOLERANCE_M,
+    Cores,
+    make_cores,
+    measure_distances,
+    nearest_position_to_box,
+    segment_vectors,
+)
+from planner.cell.projection_bounds import separation, support_sizes
 from planner.geometry.arrays import (
     BoolArray,
     FloatArray,
@@ -28,44 +42,62 @@ from planner.geometry.arrays import (
 )
 
 AXIS_SAMPLES: Final = 5
-"""Points on a capsule's axis whose distances to a box bound that of the whole axis."""
-ROUNDING_M: Final = 1e-9
-"""Balls around bodies are larger by this [m], above errors of rounding."""
-ROWS_AT_ONCE: Final = 32
-"""Rows that are held against a box at once at first."""
+"""Number of points on a capsule's axis whose distances to a box bound that of the whole axis."""
+BALL_MARGIN_M: Final = 1e-9
+"""Amount [m] by which balls around bodies are enlarged, above rounding errors."""
+ROW_GROUP_SIZE: Final = 32
+"""Number of rows that are compared with a box as a group first."""
 FIRST_LIMIT_M: Final = 0.08
-"""Lower bounds are looked for up to this [m] at first, where they are asked for farther."""
-NEAR_DISTANCE: Final = 0.012
-"""Solids of one arm within this distance [m] in nearly all postures tell nothing when they are near."""
-NEAR_SHARE: Final = 0.95
-"""Solids that are near each other in more than this share of postures always are."""
-KEPT_DISTANCE: Final = 0.03
-"""Solids of one arm within this distance [m] in nearly all postures that touch in none are kept apart by the
-arm's build, such as the round end of a wrist and what turns about it: wider clearance cannot be had there."""
+"""Distance [m] up to which lower bounds are computed first, if they are requested farther."""
+MAX_NEAR_DISTANCE_M: Final = 0.012
+"""Distance [m] of solids of one arm that counts as close.
+
+Solids that are within it in nearly all postures give no information when they are close.
+"""
+MIN_NEAR_FRACTION: Final = 0.95
+"""Solids that are close to each other in more than this fraction of postures count as always close."""
+MAX_KEPT_DISTANCE_M: Final = 0.03
+"""Distance [m] of solids of one arm that the arm's build keeps apart.
+
+Such solids are within it in nearly all postures and touch in none, such as the round end of a wrist and what
+rotates about it. A larger clearance is impossible there.
+"""
 
 
 SolidPair = tuple[int, int]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Bounds:
+class ClearanceBounds:
     """Solids as capsules, and by their support.
 
-    Centre (S, 3) and unit axis (S, 3) of the capsules are in their body, which is ``bodies[part]``; half
-    lengths and radii (S,) are outer and inner. ``frame`` (S, 3, 3) are the shapes' axes in their body,
-    ``support`` (S, 5) is what :func:`support` says.
+    S moving solids have capsules in their body, K boxes belong to fixed bodies.
 
-    ``boxes`` (K,) are boxes of fixed bodies, of half size (K, 3), or stand for meshes within them where not
-    ``exact``. ``pairs`` (M, 2) are pairs of capsules,
-    ``box_pairs`` (N, 2) of a capsule and a box, that are held apart. ``given`` (S + K,) are the solids
-    themselves, moving and fixed ones, ``own`` (S + K, 4, 4) their poses in their bodies, and their ``cores``.
-    ``ease`` (S + K, S + K) [m]: how much farther apart two of them count than they are, in all that is said
-    of distances here; 0 but where :meth:`eased` has it.
+    Attributes:
+        solids: Moving solids, meshes as boxes (S,).
+        bodies: Moving bodies (P,).
+        body_index: Index in ``bodies`` of each solid (S,).
+        centre: Centres of the capsules in their body (S, 3) [m].
+        axis: Unit axes of the capsules in their body (S, 3).
+        outer: Half lengths and radii of the outer capsules (S,) [m].
+        inner: Half lengths and radii of the inner capsules (S,) [m].
+        frame: Axes of the shapes in their body (S, 3, 3).
+        support: Result of :func:`support_sizes` (S, 5).
+        boxes: Boxes of fixed bodies (K,).
+        half_sizes: Half sizes of the boxes (K, 3) [m].
+        is_exact: Whether a box is the solid itself, or contains a mesh (K,).
+        pairs: Pairs of capsules that are checked (M, 2).
+        box_pairs: Pairs of a capsule and a box that are checked (N, 2).
+        all_solids: The solids themselves, moving ones, then fixed ones (S + K,).
+        poses_in_body: Poses of ``all_solids`` in their bodies (S + K, 4, 4).
+        cores: Cores of ``all_solids``.
+        ease: Distance that is added to that of two of ``all_solids`` in all results (S + K, S + K) [m]. It is
+            0 unless :meth:`with_easing` sets it.
     """
 
     solids: tuple[Solid, ...]
     bodies: tuple[str, ...]
-    part: IndexArray
+    body_index: IndexArray
     centre: FloatArray
     axis: FloatArray
     outer: tuple[FloatArray, FloatArray]
@@ -73,99 +105,136 @@ class Bounds:
     frame: FloatArray
     support: FloatArray
     boxes: tuple[Solid, ...]
-    half: FloatArray
-    exact: BoolArray
+    half_sizes: FloatArray
+    is_exact: BoolArray
     pairs: IndexArray
     box_pairs: IndexArray
-    given: tuple[Solid, ...]
-    own: FloatArray
+    all_solids: tuple[Solid, ...]
+    poses_in_body: FloatArray
     cores: Cores
     ease: FloatArray
 
-    def eased(self, easing: Easing) -> "Bounds":
-        """The same with pairs of bodies that count as farther apart than they are."""
-        bodies = [solid.body for solid in self.given]
-        ease = np.array([[easing.of(one, other) for other in bodies] for one in bodies])
+    def with_easing(self, easing: ClearanceEasing) -> "ClearanceBounds":
+        """Return bounds in which pairs of bodies count as farther apart than they are."""
+        bodies = [solid.body for solid in self.all_solids]
+        ease = np.array([[easing.added_distance(first, other) for other in bodies] for first in bodies])
         return dataclasses.replace(self, ease=ease.reshape(len(bodies), len(bodies)))
 
-    def among(self, ignore: frozenset[frozenset[str]]) -> "Bounds":
-        """The same without the pairs of bodies in ``ignore``."""
+    def without_bodies(self, ignore: frozenset[frozenset[str]]) -> "ClearanceBounds":
+        """Return bounds without the pairs of bodies in ``ignore``."""
         if not ignore:
             return self
-        if ignore not in self._among:
-            bodies = [solid.body for solid in self.given]
-            self._among[ignore] = self._kept(lambda a, b: frozenset((bodies[a], bodies[b])) not in ignore)
-        return self._among[ignore]
+        if ignore not in self._without_bodies_cache:
+            bodies = [solid.body for solid in self.all_solids]
+            self._without_bodies_cache[ignore] = self._filter_pairs(
+                lambda a, b: frozenset((bodies[a], bodies[b])) not in ignore
+            )
+        return self._without_bodies_cache[ignore]
 
     @functools.cached_property
-    def _among(self) -> "dict[frozenset[frozenset[str]], Bounds]":
+    def _without_bodies_cache(self) -> "dict[frozenset[frozenset[str]], ClearanceBounds]":
         return {}
 
-    def always_near(self, poses: Mapping[str, FloatArray]) -> tuple[SolidPair, ...]:
-        """Pairs of solids of one arm, by their places in ``given``, that its build keeps near each other in
-        body poses (B | 1, 4, 4) that were drawn: within KEPT_DISTANCE, and never touching; or within
-        NEAR_DISTANCE. Of any two bodies the latter are as few as it takes for the others not to be near in
-        more than NEAR_SHARE of the poses.
+    def always_near_pairs(self, poses: Mapping[str, FloatArray]) -> tuple[SolidPair, ...]:
+        """Return pairs of solids of one arm that its build keeps close to each other.
+
+        They are within :data:`MAX_KEPT_DISTANCE_M` and never touch, or within
+        :data:`MAX_NEAR_DISTANCE_M`. Of any two bodies the latter are as few as needed for the others not to
+        be close in more than :data:`MIN_NEAR_FRACTION` of the poses.
+
+        Args:
+            poses: Random body poses (B | 1, 4, 4), by body.
+
+        Returns:
+            Pairs of indices in ``all_solids``.
         """
-        own = self._of_one_arm()
-        row, solids, gap, *_ = own.every(poses, KEPT_DISTANCE)
-        count = own._placed(poses).rows
-        near: dict[frozenset[str], dict[SolidPair, FloatArray]] = {}
-        for at, (a, b), apart in zip(row.tolist(), solids.tolist(), gap.tolist(), strict=True):
-            bodies = near.setdefault(frozenset((self.given[a].body, self.given[b].body)), {})
-            bodies.setdefault((min(a, b), max(a, b)), np.full(count, np.inf))[at] = apart
+        same_arm = self._same_arm_pairs()
+        row, solids, gap, *_ = same_arm.measure_all(poses, MAX_KEPT_DISTANCE_M)
+        count = same_arm._make_placement(poses).rows
+        gaps_by_bodies: dict[frozenset[str], dict[SolidPair, FloatArray]] = {}
+        for at, (a, b), gap_value in zip(row.tolist(), solids.tolist(), gap.tolist(), strict=True):
+            bodies = gaps_by_bodies.setdefault(
+                frozenset((self.all_solids[a].body, self.all_solids[b].body)), {}
+            )
+            bodies.setdefault((min(a, b), max(a, b)), np.full(count, np.inf))[at] = gap_value
         out: list[SolidPair] = []
-        for pairs in near.values():
-            shares = {pair: np.isfinite(apart).mean() for pair, apart in pairs.items()}
-            kept = [pair for pair, apart in pairs.items() if shares[pair] > NEAR_SHARE and apart.min() > 0.0]
+        for pairs in gaps_by_bodies.values():
+            fractions = {pair: np.isfinite(gap_value).mean() for pair, gap_value in pairs.items()}
+            kept = [
+                pair
+                for pair, gap_value in pairs.items()
+                if fractions[pair] > MIN_NEAR_FRACTION and gap_value.min() > 0.0
+            ]
             out += kept
-            left = {pair: apart < NEAR_DISTANCE for pair, apart in pairs.items() if pair not in kept}
-            while left and np.logical_or.reduce(list(left.values())).mean() > NEAR_SHARE:
-                most = max(sorted(left), key=lambda pair: int(left[pair].sum()))
-                del left[most]
-                out.append(most)
+            remaining = {
+                pair: gap_value < MAX_NEAR_DISTANCE_M for pair, gap_value in pairs.items() if pair not in kept
+            }
+            while remaining and np.logical_or.reduce(list(remaining.values())).mean() > MIN_NEAR_FRACTION:
+                most_frequent = max(sorted(remaining), key=lambda pair: int(remaining[pair].sum()))
+                del remaining[most_frequent]
+                out.append(most_frequent)
         return tuple(sorted(out))
 
-    def flange_parts(self, poses: Mapping[str, FloatArray]) -> tuple[SolidPair, ...]:
-        """Pairs of the link before the wrist and of what of a tool is nowhere farther than NEAR_DISTANCE from
-        the flange in body poses (1, 4, 4), such as the plate by which it is mounted: the arm's build keeps
-        these apart as it does the flange itself, mostly by a few millimetres."""
+    def flange_part_pairs(self, poses: Mapping[str, FloatArray]) -> tuple[SolidPair, ...]:
+        """Return pairs of the link before the wrist and of tool parts close to the flange.
+
+        A tool part counts if it is nowhere farther than :data:`MAX_NEAR_DISTANCE_M` from the flange, such as
+        the plate by which it is mounted. The arm's build keeps these apart as it does the flange itself,
+        mostly by a few millimetres.
+
+        Args:
+            poses: Body poses (1, 4, 4), by body.
+        """
         out: list[SolidPair] = []
-        chains = chains_of(solid.body for solid in self.given)
-        for k, solid in enumerate(self.given):
+        chains = link_chains(solid.body for solid in self.all_solids)
+        for k, solid in enumerate(self.all_solids):
             arm, _, link = solid.body.partition("/")
             if link != "tool" or arm not in chains:
                 continue
-            *_, before, _, last, _ = chains[arm]
-            flange = [one for one in self.given if one.body == f"{arm}/{last}"]
+            *_, wrist_link, _, last, _ = chains[arm]
+            flange = [
+                flange_solid for flange_solid in self.all_solids if flange_solid.body == f"{arm}/{last}"
+            ]
             if not flange:
                 continue
             points = transform(poses[solid.body][0] @ solid.shape.pose, hull_points(solid))
-            each = [(one, inverse(poses[one.body][0] @ one.shape.pose)) for one in flange]
-            off = np.min([signed_distance(one, transform(back, points)) for one, back in each], axis=0)
-            if off.max() <= NEAR_DISTANCE:
-                wrist = [i for i, one in enumerate(self.given) if one.body == f"{arm}/{before}"]
+            each = [
+                (flange_solid, inverse(poses[flange_solid.body][0] @ flange_solid.shape.pose))
+                for flange_solid in flange
+            ]
+            distance = np.min(
+                [signed_distance(flange_solid, transform(back, points)) for flange_solid, back in each],
+                axis=0,
+            )
+            if distance.max() <= MAX_NEAR_DISTANCE_M:
+                wrist = [
+                    i
+                    for i, flange_solid in enumerate(self.all_solids)
+                    if flange_solid.body == f"{arm}/{wrist_link}"
+                ]
                 out += [(min(i, k), max(i, k)) for i in wrist]
         return tuple(out)
 
-    def without(self, solids: Collection[SolidPair]) -> "Bounds":
-        """The same without pairs of solids, by their places in ``given``."""
-        return self._kept(lambda a, b: (min(a, b), max(a, b)) not in solids)
+    def without_pairs(self, solids: Collection[SolidPair]) -> "ClearanceBounds":
+        """Return bounds without pairs of solids, by their indices in ``all_solids``."""
+        return self._filter_pairs(lambda a, b: (min(a, b), max(a, b)) not in solids)
 
-    def of_bodies(self, one: str, other: str) -> tuple[SolidPair, ...]:
-        """The pairs of solids of two bodies that are held apart, by their places in ``given``."""
-        asked = {one, other}
-        some = self._kept(lambda a, b: {self.given[a].body, self.given[b].body} == asked)
-        first = [(a, b) for a, b in some.pairs.tolist()]
-        return tuple(first + [(a, b + len(self.solids)) for a, b in some.box_pairs.tolist()])
+    def pairs_of_bodies(self, first_body: str, other: str) -> tuple[SolidPair, ...]:
+        """Return the pairs of solids of two bodies that are checked, by indices in ``all_solids``."""
+        bodies = {first_body, other}
+        selected = self._filter_pairs(
+            lambda a, b: {self.all_solids[a].body, self.all_solids[b].body} == bodies
+        )
+        first = [(a, b) for a, b in selected.pairs.tolist()]
+        return tuple(first + [(a, b + len(self.solids)) for a, b in selected.box_pairs.tolist()])
 
-    def _of_one_arm(self) -> "Bounds":
-        """The same with pairs of bodies of one arm only."""
-        arm = [solid.body.partition("/") for solid in self.given]
-        return self._kept(lambda a, b: arm[a][0] == arm[b][0] and bool(arm[a][1]) and bool(arm[b][1]))
+    def _same_arm_pairs(self) -> "ClearanceBounds":
+        """Return bounds with only pairs of bodies of one arm."""
+        arm = [solid.body.partition("/") for solid in self.all_solids]
+        return self._filter_pairs(lambda a, b: arm[a][0] == arm[b][0] and bool(arm[a][1]) and bool(arm[b][1]))
 
-    def _kept(self, keep: Callable[[int, int], bool]) -> "Bounds":
-        """The same with those pairs only, by their places in ``given``, that ``keep`` says to keep."""
+    def _filter_pairs(self, keep: Callable[[int, int], bool]) -> "ClearanceBounds":
+        """Return bounds with only those pairs of indices in ``all_solids`` that ``keep`` accepts."""
         count = len(self.solids)
         first = np.array([keep(a, b) for a, b in self.pairs.tolist()], dtype=bool)
         second = np.array([keep(a, b + count) for a, b in self.box_pairs.tolist()], dtype=bool)
@@ -173,454 +242,554 @@ class Bounds:
             self, pairs=self.pairs[first.reshape(-1)], box_pairs=self.box_pairs[second.reshape(-1)]
         )
 
-    def least(
+    def min_distance_bounds(
         self, poses: Mapping[str, FloatArray], limit: float, both: bool = True
     ) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper bounds (B,) [m] of the least distance, for body poses (B | 1, 4, 4).
+        """Return lower and upper bounds (B,) [m] of the smallest distance.
 
-        Where bodies overlap the bounds only have the true sign, and no meaning as depths. Distances above
-        ``limit`` are not worked out: both bounds are then infinite or above it. Unless ``both`` are asked
-        for, upper bounds are infinite.
+        If bodies overlap, the bounds only have the true sign and are no depths. Distances above ``limit`` are
+        not computed: both bounds are then infinite or above it.
+
+        Args:
+            poses: Body poses (B | 1, 4, 4), by body.
+            limit: Distance up to which bounds are computed [m].
+            both: Whether upper bounds are requested. Otherwise they are infinite.
         """
-        placed = self._placed(poses)
-        lower, upper = np.full(placed.rows, np.inf), np.full(placed.rows, np.inf)
-        open_ = np.arange(placed.rows)
-        if not both and limit > FIRST_LIMIT_M:  # what is beyond the least of a row need not be looked at
-            lower = self._least_within(placed, FIRST_LIMIT_M)
+        placement = self._make_placement(poses)
+        lower, upper = np.full(placement.rows, np.inf), np.full(placement.rows, np.inf)
+        open_ = np.arange(placement.rows)
+        if not both and limit > FIRST_LIMIT_M:  # solids beyond the smallest distance of a row need no check
+            lower = self._min_lower_bounds(placement, FIRST_LIMIT_M)
             open_ = np.flatnonzero(~(lower < FIRST_LIMIT_M))
         if len(open_):
-            rest = placed if len(open_) == placed.rows else placed.some(open_)
-            lower[open_] = self._least_within(rest, limit, upper if both else None)
+            rest = placement if len(open_) == placement.rows else placement.select(open_)
+            lower[open_] = self._min_lower_bounds(rest, limit, upper if both else None)
         return lower, upper
 
-    def _least_within(self, placed: "_Placed", limit: float, upper: FloatArray | None = None) -> FloatArray:
-        """The lower bounds (B,) of :meth:`least`; takes upper ones into ``upper`` where it is given."""
-        lower = np.full(placed.rows, np.inf)
-        boxes = self._near_boxes(placed, limit)
-        row, a, b = self._near(placed, limit, np.ones(placed.rows, dtype=np.bool_))
+    def _min_lower_bounds(
+        self, placement: "_Placement", limit: float, upper: FloatArray | None = None
+    ) -> FloatArray:
+        """Return the lower bounds (B,) of :meth:`min_distance_bounds`.
+
+        Upper ones are merged into ``upper`` if it is given.
+        """
+        # The inner capsule is inside its solid, the outer one around it: d(outer) <= d <= d(inner).
+        lower = np.full(placement.rows, np.inf)
+        boxes = self._close_boxes(placement, limit)
+        pairs = self._close_capsules(placement, limit, np.ones(placement.rows, dtype=np.bool_))
         if upper is not None:
-            np.minimum.at(upper, boxes.row, self._at_most(boxes) + self._box_ease(boxes))
-            np.minimum.at(upper, row, self._between(placed, row, a, b, self.inner)[1] + self.ease[a, b])
-        self._below_apart(lower, placed, limit, row, a, b)
-        self._below(lower, placed, boxes, limit)
+            np.minimum.at(upper, boxes.row, self._box_upper_bounds(boxes) + self._box_ease(boxes))
+            np.minimum.at(
+                upper,
+                pairs.row,
+                self._capsule_distances(placement, pairs, self.inner)[1]
+                + self.ease[pairs.first, pairs.other],
+            )
+        self._merge_capsule_bounds(lower, placement, limit, pairs)
+        self._merge_box_bounds(lower, placement, boxes, limit)
         return lower
 
-    def nearest(
+    def measure_nearest(
         self, poses: Mapping[str, FloatArray], limit: float
     ) -> tuple[FloatArray, IndexArray, BoolArray]:
-        """Least distances (B,) [m] for finite body poses (B | 1, 4, 4), ``limit`` where none is below it; the
-        places in ``given`` of the two solids (B, 2) of each, -1 where there are none; and whether their cores
-        overlap (B,), so that the depth is only bounded.
+        """Return the smallest distances of finite body poses.
 
-        Distances, but for what ``ease`` adds, are at most 1e-7 m below the truth and never above it.
+        Without the added ``ease`` they are at most 1e-7 m below the truth and never above it.
+
+        Args:
+            poses: Body poses (B | 1, 4, 4), by body.
+            limit: Distance up to which solids are measured [m].
+
+        Returns:
+            Distances (B,) [m], ``limit`` if none is below it.
+            Indices in ``all_solids`` of the two solids (B, 2), -1 if there are none.
+            Whether their cores overlap (B,), so that the depth is only bounded.
         """
-        placed, row, first, second, low = self._near_pairs(poses, limit)
-        best = np.full(placed.rows, limit)
-        pair = np.full((placed.rows, 2), -1, dtype=np.intp)
-        deep = np.zeros(placed.rows, dtype=np.bool_)
+        placement, row, first, second, low = self._close_pairs(poses, limit)
+        best = np.full(placement.rows, limit)
+        pair = np.full((placement.rows, 2), -1, dtype=np.intp)
+        is_overlap = np.zeros(placement.rows, dtype=np.bool_)
         leading = np.flatnonzero(np.diff(row, prepend=-1))
         rest = np.ones(len(row), dtype=np.bool_)
         rest[leading] = False
-        for look in (leading, None):  # what is likely the nearest first: it rules out most of the others
-            some = np.flatnonzero(rest & (low < best[row])) if look is None else look
-            if not len(some):
+        for stage in (leading, None):  # the probably closest pairs first: they rule out most others
+            selected = np.flatnonzero(rest & (low < best[row])) if stage is None else stage
+            if not len(selected):
                 continue
-            at, one, other = row[some], first[some], second[some]
-            gap, way, _ = self._measured(placed, at, one, other)
-            gap = gap + self.ease[one, other]
+            at, first_solid, other = row[selected], first[selected], second[selected]
+            gap, direction, _ = self._measure(placement, at, first_solid, other)
+            gap = gap + self.ease[first_solid, other]
             closest = np.lexsort((gap, at))
             closest = closest[np.diff(at[closest], prepend=-1) != 0]
             closest = closest[gap[closest] < best[at[closest]]]
             best[at[closest]] = gap[closest]
-            pair[at[closest]] = np.stack([one, other], axis=1)[closest]
-            deep[at[closest]] = ~way[closest].any(axis=1)
-        return best, pair, deep
+            pair[at[closest]] = np.stack([first_solid, other], axis=1)[closest]
+            is_overlap[at[closest]] = ~direction[closest].any(axis=1)
+        return best, pair, is_overlap
 
-    def apart(self, poses: Mapping[str, FloatArray], padding: float) -> BoolArray:
-        """Whether all solids are farther apart than ``padding`` [m], as (B,), for finite poses."""
-        placed = self._placed(poses)
-        boxes = self._near_boxes(placed, padding + AGREED_M)
-        out = np.ones(placed.rows, dtype=np.bool_)
-        out[boxes.row[self._at_most(boxes) + self._box_ease(boxes) <= padding]] = False
-        row, first, second, _ = self._pairs_within(placed, boxes, padding + AGREED_M, out)
-        return out & self._all_apart(placed, row, first, second, padding - self.ease[first, second])
+    def is_apart(self, poses: Mapping[str, FloatArray], padding: float) -> BoolArray:
+        """Return whether (B,) all solids are farther apart than ``padding`` [m], for finite poses."""
+        placement = self._make_placement(poses)
+        boxes = self._close_boxes(placement, padding + DISTANCE_TOLERANCE_M)
+        out = np.ones(placement.rows, dtype=np.bool_)
+        out[boxes.row[self._box_upper_bounds(boxes) + self._box_ease(boxes) <= padding]] = False
+        row, first, second, _ = self._pairs_within(placement, boxes, padding + DISTANCE_TOLERANCE_M, out)
+        return out & self._all_apart(placement, row, first, second, padding - self.ease[first, second])
 
-    def stay_apart(
+    def stays_apart(
         self, poses: Mapping[str, FloatArray], padding: float, change: FloatArray, lever: FloatArray
     ) -> BoolArray:
-        """Whether all solids stay farther apart than ``padding`` [m] for sure while joints change by up to
-        ``change`` (B, D) [rad] either way from finite poses, as (B,). ``lever`` (S + K, D) [m/rad]: how far a
-        joint carries any point of a solid of ``given`` at most, 0 for solids that it does not move.
+        """Return whether (B,) all solids certainly stay farther apart than a padding while joints change.
 
-        What moves both solids of a pair brings them no nearer, so each pair has a room of its own to keep.
+        What moves both solids of a pair brings them no closer, so each pair has its own required distance.
+
+        Args:
+            poses: Finite body poses (B | 1, 4, 4), by body.
+            padding: Required distance [m].
+            change: Change of the joints in both directions (B, D) [rad].
+            lever: Largest path of any point of each of ``all_solids`` per joint (S + K, D) [m/rad], 0 if the
+                joint does not move it.
         """
-        placed, count = self._placed(poses), len(self.pairs)
+        # required distance of a pair: padding + sum_j change_j (lever_1j + lever_2j), without common joints
+        placement, count = self._make_placement(poses), len(self.pairs)
         pairs = np.concatenate([self.pairs, self.box_pairs + np.array([0, len(self.solids)])])
-        one, other = lever[pairs[:, 0]], lever[pairs[:, 1]]
-        room = padding - self.ease[tuple(pairs.T)]
-        room = room + change @ np.where((one > 0.0) & (other > 0.0), 0.0, one + other).T
+        first_lever, second_lever = lever[pairs[:, 0]], lever[pairs[:, 1]]
+        required = padding - self.ease[tuple(pairs.T)]
+        required = (
+            required
+            + change @ np.where((first_lever > 0.0) & (second_lever > 0.0), 0.0, first_lever + second_lever).T
+        )
         a, b = self.pairs.T
-        apart = lengths(placed.centre[:, a] - placed.centre[:, b])
-        over = apart - self.inner[1][a] - self.inner[1][b]
-        sure = np.asarray((over > room[:, :count]).all(axis=1))
-        rows = np.flatnonzero(sure)
+        centre_distance = lengths(placement.centre[:, a] - placement.centre[:, b])
+        # d <= |c1 - c2| - r1 - r2 of the balls inside: rows where this is too small are not certain
+        over = centre_distance - self.inner[1][a] - self.inner[1][b]
+        is_certain = np.asarray((over > required[:, :count]).all(axis=1))
+        rows = np.flatnonzero(is_certain)
         if not len(rows):
-            return sure
-        placed, room, reach = placed.some(rows), room[rows], self.outer[0] + self.outer[1]
-        row, pair = np.nonzero(apart[rows] < reach[a] + reach[b] + room[:, :count])
-        boxes = self._near_boxes(placed, float(room[:, count:].max(initial=padding)))
+            return is_certain
+        placement, required, reach = placement.select(rows), required[rows], self.outer[0] + self.outer[1]
+        # d >= |c1 - c2| - reach1 - reach2: only pairs within that are left to check
+        row, pair = np.nonzero(centre_distance[rows] < reach[a] + reach[b] + required[:, :count])
+        boxes = self._close_boxes(placement, float(required[:, count:].max(initial=padding)))
         column = np.zeros((len(self.solids), len(self.boxes)), dtype=np.intp)
         column[tuple(self.box_pairs.T)] = np.arange(count, len(pairs))
-        own = column[boxes.solid, boxes.box]
-        near = np.flatnonzero(boxes.apart < reach[boxes.solid] + room[boxes.row, own])
-        boxes, own = boxes.some(near), own[near]
-        low = self._apart(placed, room[row, pair], row, a[pair], b[pair])
-        low = np.concatenate([low, self._along_axis(boxes)[0]])
-        row, pair = np.append(row, boxes.row), np.append(pair, own)
-        beyond = low - room[row, pair]
-        order = np.flatnonzero(beyond < AGREED_M)
+        box_column = column[boxes.solid, boxes.box]
+        close_boxes = np.flatnonzero(boxes.distance < reach[boxes.solid] + required[boxes.row, box_column])
+        boxes, box_column = boxes.select(close_boxes), box_column[close_boxes]
+        low = self._capsule_lower_bounds(placement, required[row, pair], _PlacedPairs(row, a[pair], b[pair]))
+        low = np.concatenate([low, self._sampled_box_bounds(boxes)[0]])
+        row, pair = np.append(row, boxes.row), np.append(pair, box_column)
+        beyond = low - required[row, pair]
+        order = np.flatnonzero(beyond < DISTANCE_TOLERANCE_M)
         order = order[np.lexsort((beyond[order], row[order]))]
         row, pair = row[order], pair[order]
         first, second = pairs[pair].T
-        sure[rows] = self._all_apart(placed, row, first, second, room[row, pair])
-        return sure
+        is_certain[rows] = self._all_apart(placement, row, first, second, required[row, pair])
+        return is_certain
 
     def _all_apart(
-        self, placed: "_Placed", row: IndexArray, first: IndexArray, second: IndexArray, room: FloatArray
+        self,
+        placement: "_Placement",
+        row: IndexArray,
+        first: IndexArray,
+        second: IndexArray,
+        required: FloatArray,
     ) -> BoolArray:
-        """Whether all pairs (M,), by row, likely the nearest one of each first, are farther apart than
-        ``room`` (M,) [m], as (B,)."""
-        out = np.ones(placed.rows, dtype=np.bool_)
+        """Return whether (B,) all pairs (M,) are farther apart than their required distance (M,) [m].
+
+        Pairs are sorted by row, with the probably closest one of each row first.
+        """
+        out = np.ones(placement.rows, dtype=np.bool_)
         leading = np.diff(row, prepend=-1) != 0
-        for some in (np.flatnonzero(leading), None):
-            look = np.flatnonzero(~leading & out[row]) if some is None else some
-            if len(look):
-                at, one, other = row[look], first[look], second[look]
-                gap = self._measured(placed, at, one, other, room[look])[0]
-                out[at[gap <= room[look]]] = False
+        for stage in (np.flatnonzero(leading), None):
+            selected = np.flatnonzero(~leading & out[row]) if stage is None else stage
+            if len(selected):
+                at, first_solid, other = row[selected], first[selected], second[selected]
+                gap = self._measure(placement, at, first_solid, other, required[selected])[0]
+                out[at[gap <= required[selected]]] = False
         return out
 
-    def every(
+    def measure_all(
         self, poses: Mapping[str, FloatArray], limit: float
     ) -> tuple[IndexArray, IndexArray, FloatArray, FloatArray, FloatArray]:
-        """All pairs of solids nearer than ``limit`` [m]: row (M,), places in ``given`` of both (M, 2),
-        distance (M,) as in :meth:`nearest`, and the line that it lies on, as in :func:`distances`."""
-        placed, row, first, second, _ = self._near_pairs(poses, limit)
-        gap, way, place = self._measured(placed, row, first, second)
-        gap = gap + self.ease[first, second]
-        near = np.flatnonzero(gap < limit)
-        return row[near], np.stack([first, second], axis=1)[near], gap[near], way[near], place[near]
+        """Return all pairs of solids closer than ``limit`` [m].
 
-    def _near_pairs(
+        Returns:
+            Row (M,), indices in ``all_solids`` of both solids (M, 2), distance (M,) as in
+            :meth:`measure_nearest`, and the direction and point of its line, as in :func:`measure_distances`.
+        """
+        placement, row, first, second, _ = self._close_pairs(poses, limit)
+        gap, direction, point = self._measure(placement, row, first, second)
+        gap = gap + self.ease[first, second]
+        is_close = np.flatnonzero(gap < limit)
+        return (
+            row[is_close],
+            np.stack([first, second], axis=1)[is_close],
+            gap[is_close],
+            direction[is_close],
+            point[is_close],
+        )
+
+    def _close_pairs(
         self, poses: Mapping[str, FloatArray], limit: float
-    ) -> "tuple[_Placed, IndexArray, IndexArray, IndexArray, FloatArray]":
-        """The solids as they are placed; row, both solids and lower bound (M,) of pairs that may be nearer
-        than ``limit``, by row, the least bound of each row first."""
-        placed = self._placed(poses)
-        boxes = self._near_boxes(placed, limit)
-        return placed, *self._pairs_within(placed, boxes, limit, np.ones(placed.rows, dtype=np.bool_))
+    ) -> "tuple[_Placement, IndexArray, IndexArray, IndexArray, FloatArray]":
+        """Return the placed solids, and the pairs that may be closer than ``limit``.
+
+        Pairs are given by row, both solids and lower bound (M,), sorted by row, the smallest bound of each
+        row first.
+        """
+        placement = self._make_placement(poses)
+        boxes = self._close_boxes(placement, limit)
+        return placement, *self._pairs_within(
+            placement, boxes, limit, np.ones(placement.rows, dtype=np.bool_)
+        )
 
     def _pairs_within(
-        self, placed: "_Placed", boxes: "_NearBox", limit: float, rows: BoolArray
+        self, placement: "_Placement", boxes: "_CloseBoxes", limit: float, rows: BoolArray
     ) -> tuple[IndexArray, IndexArray, IndexArray, FloatArray]:
-        """The pairs of :meth:`_near_pairs` in the ``rows`` (B,) named."""
-        row, first, second = self._near(placed, limit, rows)
-        boxes = boxes if rows.all() else boxes.some(np.flatnonzero(rows[boxes.row]))
-        from_boxes = self._along_axis(boxes)[0]
+        """Return the pairs of :meth:`_close_pairs` in the selected ``rows`` (B,)."""
+        capsules = self._close_capsules(placement, limit, rows)
+        boxes = boxes if rows.all() else boxes.select(np.flatnonzero(rows[boxes.row]))
+        from_boxes = self._sampled_box_bounds(boxes)[0]
         touch = np.flatnonzero(from_boxes < limit)
-        from_boxes[touch] = np.maximum(from_boxes[touch], self._shadows(placed, boxes.some(touch)))
-        low = np.concatenate([self._apart(placed, limit, row, first, second), from_boxes])
-        row, first = np.concatenate([row, boxes.row]), np.concatenate([first, boxes.solid])
-        second = np.concatenate([second, boxes.box + len(self.solids)])
+        from_boxes[touch] = np.maximum(
+            from_boxes[touch], self._projected_box_bounds(placement, boxes.select(touch))
+        )
+        low = np.concatenate([self._capsule_lower_bounds(placement, limit, capsules), from_boxes])
+        row, first = np.concatenate([capsules.row, boxes.row]), np.concatenate([capsules.first, boxes.solid])
+        second = np.concatenate([capsules.other, boxes.box + len(self.solids)])
         order = np.flatnonzero(low < limit)
         order = order[np.lexsort((low[order], row[order]))]
         return row[order], first[order], second[order], low[order]
 
-    def _measured(
+    def _measure(
         self,
-        placed: "_Placed",
+        placement: "_Placement",
         row: IndexArray,
-        one: IndexArray,
+        first_solid: IndexArray,
         other: IndexArray,
         settled: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Distances (M,) of solids in rows (M,), and their lines, as :func:`distances` has them."""
-        first, second = (self._solid_poses(placed, row, which) for which in (one, other))
-        return distances(self.cores, one, other, first, second, settled)
+        """Return distances (M,) of solids in rows (M,), and their lines, as :func:`measure_distances`."""
+        first, second = (self._solid_poses(placement, row, which) for which in (first_solid, other))
+        return measure_distances(self.cores, first_solid, other, first, second, settled)
 
-    def _placed(self, poses: Mapping[str, FloatArray]) -> "_Placed":
+    def _make_placement(self, poses: Mapping[str, FloatArray]) -> "_Placement":
         rows = max(len(pose) for pose in poses.values())
         both = np.empty((rows, 3, len(self.bodies), 4))
         for k, body in enumerate(self.bodies):
             both[:, :, k] = poses[body][:, :3]
-        found = (both.reshape(3 * rows, -1) @ self._columns).reshape(rows, 3, -1)
-        if not np.isfinite(found).all():  # of a pose that is not finite only what is in its own body is lost
-            lost: BoolArray = np.asarray(~np.isfinite(both).all(axis=(1, 3)))
-            known = np.where(lost[:, None, :, None], 0.0, both)
-            found = (known.reshape(3 * rows, -1) @ self._columns).reshape(rows, 3, -1)
-            own = np.concatenate([self.part, self.part, np.arange(len(self.bodies))])
-            np.copyto(found, np.nan, where=lost[:, None, own])
+        transformed = (both.reshape(3 * rows, -1) @ self._pose_matrix).reshape(rows, 3, -1)
+        if not np.isfinite(transformed).all():  # a pose that is not finite only invalidates its own body
+            is_invalid: BoolArray = np.asarray(~np.isfinite(both).all(axis=(1, 3)))
+            known = np.where(is_invalid[:, None, :, None], 0.0, both)
+            transformed = (known.reshape(3 * rows, -1) @ self._pose_matrix).reshape(rows, 3, -1)
+            column_body = np.concatenate([self.body_index, self.body_index, np.arange(len(self.bodies))])
+            np.copyto(transformed, np.nan, where=is_invalid[:, None, column_body])
         ends = [len(self.solids), 2 * len(self.solids)]
-        parts = np.split(np.swapaxes(found, 1, 2), ends, axis=1)
+        parts = np.split(np.swapaxes(transformed, 1, 2), ends, axis=1)
         centre, axis, ball = map(np.ascontiguousarray, parts)
         fixed = np.array([poses[box.body][0] for box in self.boxes]).reshape(-1, 4, 4)
-        turns, places = np.moveaxis(both[..., :3], 1, 2), np.moveaxis(both[..., 3], 1, 2)
-        return _Placed(turns, places, centre, axis, ball, fixed)
+        rotations, positions = np.moveaxis(both[..., :3], 1, 2), np.moveaxis(both[..., 3], 1, 2)
+        return _Placement(rotations, positions, centre, axis, ball, fixed)
 
     @functools.cached_property
-    def _columns(self) -> FloatArray:
-        """(4 P, 2 S + P) by which rows of the poses of all bodies, side by side, are multiplied for
-        centres and axes of capsules and for the centres of the bodies' balls."""
+    def _pose_matrix(self) -> FloatArray:
+        """Matrix (4 P, 2 S + P) from body poses to centres and axes of capsules and centres of balls.
+
+        It is multiplied by rows of the poses of all bodies, side by side.
+        """
         solids, bodies = len(self.solids), len(self.bodies)
         out = np.zeros((bodies, 4, 2 * solids + bodies))
         at = np.arange(solids)
-        out[self.part, :3, at], out[self.part, 3, at] = self.centre, 1.0
-        out[self.part, :3, solids + at] = self.axis
+        out[self.body_index, :3, at], out[self.body_index, 3, at] = self.centre, 1.0
+        out[self.body_index, :3, solids + at] = self.axis
         at = np.arange(bodies)
-        out[at, :3, 2 * solids + at], out[at, 3, 2 * solids + at] = self._balls[0], 1.0
+        out[at, :3, 2 * solids + at], out[at, 3, 2 * solids + at] = self._bounding_balls[0], 1.0
         return out.reshape(4 * bodies, -1)
 
-    def _solid_poses(self, placed: "_Placed", row: IndexArray, which: IndexArray) -> FloatArray:
-        """World poses (M, 4, 4) of solids of ``given`` in rows (M,)."""
+    def _solid_poses(self, placement: "_Placement", row: IndexArray, which: IndexArray) -> FloatArray:
+        """Return world poses (M, 4, 4) of some of ``all_solids`` in rows (M,)."""
         body = np.zeros((len(row), 4, 4))
         body[:, 3, 3] = 1.0
         moving = which < len(self.solids)
-        at = row[moving], self.part[which[moving]]
-        body[moving, :3, :3], body[moving, :3, 3] = placed.turns[at], placed.places[at]
-        body[~moving] = placed.fixed[which[~moving] - len(self.solids)]
-        return np.asarray(body @ self.own[which])
+        at = row[moving], self.body_index[which[moving]]
+        body[moving, :3, :3], body[moving, :3, 3] = placement.rotations[at], placement.positions[at]
+        body[~moving] = placement.fixed[which[~moving] - len(self.solids)]
+        return np.asarray(body @ self.poses_in_body[which])
 
-    def _between(
-        self,
-        placed: "_Placed",
-        row: IndexArray,
-        a: IndexArray,
-        b: IndexArray,
-        size: tuple[FloatArray, FloatArray],
+    def _capsule_distances(
+        self, placement: "_Placement", pairs: "_PlacedPairs", size: tuple[FloatArray, FloatArray]
     ) -> tuple[FloatArray, FloatArray]:
-        """Ways (M, 3) between the axes of capsules whose half lengths and radii are ``size``, and their
-        distances (M,)."""
-        w = placed.centre[row, a] - placed.centre[row, b]
-        way, _ = between_segments(w, placed.axis[row, a], placed.axis[row, b], size[0][a], size[0][b])
-        return way, lengths(way) - size[1][a] - size[1][b]
+        """Return vectors (M, 3) between the axes of capsules, and the distances (M,) of the capsules.
 
-    def _apart(
-        self, placed: "_Placed", limit: float | FloatArray, row: IndexArray, a: IndexArray, b: IndexArray
+        ``size`` are the half lengths and radii.
+        """
+        row, a, b = pairs.row, pairs.first, pairs.other
+        w = placement.centre[row, a] - placement.centre[row, b]
+        # distance of capsules: that of their axes, minus both radii
+        vector, _ = segment_vectors(w, placement.axis[row, a], placement.axis[row, b], size[0][a], size[0][b])
+        return vector, lengths(vector) - size[1][a] - size[1][b]
+
+    def _capsule_lower_bounds(
+        self, placement: "_Placement", limit: float | FloatArray, pairs: "_PlacedPairs"
     ) -> FloatArray:
-        """Lower bounds (M,) of the distances of moving solids: of their outer capsules, and where these are
-        nearer than ``limit``, of all or of each (M,), of their shadows."""
-        way, gap = self._between(placed, row, a, b, self.outer)
+        """Return lower bounds (M,) of the distances of moving solids.
+
+        These are the distances of their outer capsules. If they are below ``limit``, projections may raise
+        them. ``limit`` is one value or (M,).
+        """
+        vector, gap = self._capsule_distances(placement, pairs, self.outer)
         touch = np.flatnonzero(gap < limit)
-        gap[touch] = self._shadowed(placed, gap, way, row, a, b, touch)
+        gap[touch] = self._projected_bounds(placement, pairs.select(touch), vector[touch], gap[touch])
         return gap
 
-    def _shadowed(
-        self,
-        placed: "_Placed",
-        gap: FloatArray,
-        way: FloatArray,
-        row: IndexArray,
-        a: IndexArray,
-        b: IndexArray,
-        some: IndexArray,
+    def _projected_bounds(
+        self, placement: "_Placement", pairs: "_PlacedPairs", vector: FloatArray, gap: FloatArray
     ) -> FloatArray:
-        """Lower bounds of ``some`` (K,) of the pairs, by their capsules' distances (M,) and their shadows."""
-        at, first, second = row[some], a[some], b[some]
-        one, two = (
-            (placed.turns[at, self.part[k]] @ self.frame[k], self.support[k]) for k in (first, second)
-        )
-        w = placed.centre[at, first] - placed.centre[at, second]
-        return np.maximum(gap[some], separation(w, way[some], one, two))
+        """Return lower bounds (M,) of pairs from their capsules' distances and projections.
 
-    def _below_apart(
-        self,
-        lower: FloatArray,
-        placed: "_Placed",
-        limit: float,
-        row: IndexArray,
-        a: IndexArray,
-        b: IndexArray,
+        ``vector`` (M, 3) and ``gap`` (M,) are the result of :meth:`_capsule_distances`.
+        """
+        at, first, second = pairs.row, pairs.first, pairs.other
+        first_solid, second_solid = (
+            (placement.rotations[at, self.body_index[k]] @ self.frame[k], self.support[k])
+            for k in (first, second)
+        )
+        w = placement.centre[at, first] - placement.centre[at, second]
+        return np.maximum(gap, separation(w, vector, first_solid, second_solid))
+
+    def _merge_capsule_bounds(
+        self, lower: FloatArray, placement: "_Placement", limit: float, pairs: "_PlacedPairs"
     ) -> None:
-        """Takes the lower bounds of :meth:`_apart`, as they count, into ``lower`` (B,). Shadows only raise
-        bounds: those of a row's least bound first, then of what is still below what that leaves."""
-        way, gap = self._between(placed, row, a, b, self.outer)
-        ease = self.ease[a, b]
+        """Merge the lower bounds of :meth:`_capsule_lower_bounds`, with ease, into ``lower`` (B,).
+
+        Projections only raise bounds. The smallest bound of each row is refined first, then those that are
+        still below it.
+        """
+        row = pairs.row
+        vector, gap = self._capsule_distances(placement, pairs, self.outer)
+        ease = self.ease[pairs.first, pairs.other]
         value, open_ = gap + ease, gap < limit
         order = np.lexsort((value, row))
         leading = order[np.diff(row[order], prepend=-1) != 0]
-        for look in (leading, None):
-            some = leading if look is not None else np.flatnonzero(open_ & (value < lower[row]))
-            some = some[open_[some]]
-            if len(some):
-                value[some] = self._shadowed(placed, gap, way, row, a, b, some) + ease[some]
-            open_[some] = False
-            settled = leading if look is not None else np.arange(len(row))
+        for stage in (leading, None):
+            selected = leading if stage is not None else np.flatnonzero(open_ & (value < lower[row]))
+            selected = selected[open_[selected]]
+            if len(selected):
+                bounds = self._projected_bounds(
+                    placement, pairs.select(selected), vector[selected], gap[selected]
+                )
+                value[selected] = bounds + ease[selected]
+            open_[selected] = False
+            settled = leading if stage is not None else np.arange(len(row))
             np.minimum.at(lower, row[settled], value[settled])
 
-    def _near(
-        self, placed: "_Placed", limit: float, rows: BoolArray
-    ) -> tuple[IndexArray, IndexArray, IndexArray]:
-        """Row and both capsules of the pairs whose bounding spheres come within ``limit``, in the rows
-        named: of bodies whose own spheres do, which lie around those of their capsules."""
+    def _close_capsules(self, placement: "_Placement", limit: float, rows: BoolArray) -> "_PlacedPairs":
+        """Return the pairs of capsules whose bounding spheres come within ``limit``.
+
+        Only selected rows count. Spheres around bodies are tested first.
+        """
         which = np.flatnonzero(rows)
-        near = self._body_pairs
-        ball, centre = placed.ball[which], placed.centre[which]
-        apart = ball[:, near.one] - ball[:, near.other]
-        row, both = np.nonzero(dots(apart, apart) < (near.reach + limit) ** 2)
-        count = near.count[both]
+        body_pairs = self._body_pairs
+        ball, centre = placement.ball[which], placement.centre[which]
+        offset = ball[:, body_pairs.first] - ball[:, body_pairs.other]
+        # balls: d >= |c1 - c2| - R1 - R2, first of whole bodies, then of capsules
+        row, both = np.nonzero(dots(offset, offset) < (body_pairs.reach + limit) ** 2)
+        count = body_pairs.count[both]
         row = np.repeat(row, count)
-        pair = np.arange(len(row)) + np.repeat(near.start[both] - np.cumsum(count) + count, count)
-        pair = near.pair[pair]
+        pair = np.arange(len(row)) + np.repeat(body_pairs.start[both] - np.cumsum(count) + count, count)
+        pair = body_pairs.pair[pair]
         reach = self.outer[0] + self.outer[1]
         first, second = self.pairs[pair, 0], self.pairs[pair, 1]
-        apart = centre[row, first] - centre[row, second]
-        some = np.flatnonzero(dots(apart, apart) < (reach[first] + reach[second] + limit) ** 2)
-        some = some[np.argsort(row[some] * len(self.pairs) + pair[some])]
-        return which[row[some]], first[some], second[some]
+        offset = centre[row, first] - centre[row, second]
+        selected = np.flatnonzero(dots(offset, offset) < (reach[first] + reach[second] + limit) ** 2)
+        selected = selected[np.argsort(row[selected] * len(self.pairs) + pair[selected])]
+        return _PlacedPairs(which[row[selected]], first[selected], second[selected])
 
     @functools.cached_property
-    def _balls(self) -> tuple[FloatArray, FloatArray]:
+    def _bounding_balls(self) -> tuple[FloatArray, FloatArray]:
         """Spheres around those of the capsules of each of ``bodies``: centres (P, 3) in it and radii (P,)."""
         middle, radius = np.zeros((len(self.bodies), 3)), np.zeros(len(self.bodies))
         for k in range(len(self.bodies)):
-            own = np.flatnonzero(self.part == k)
-            reach = (self.outer[0] + self.outer[1])[own]
+            solids = np.flatnonzero(self.body_index == k)
+            reach = (self.outer[0] + self.outer[1])[solids]
+            # a capsule lies within its reach, half length + radius, of its centre
             low, high = (
-                (self.centre[own] - reach[:, None]).min(axis=0),
-                (self.centre[own] + reach[:, None]).max(axis=0),
+                (self.centre[solids] - reach[:, None]).min(axis=0),
+                (self.centre[solids] + reach[:, None]).max(axis=0),
             )
             middle[k] = 0.5 * (low + high)
-            radius[k] = (lengths(self.centre[own] - middle[k]) + reach).max()
+            radius[k] = (lengths(self.centre[solids] - middle[k]) + reach).max()
         return middle, radius
 
     @functools.cached_property
     def _body_pairs(self) -> "_BodyPairs":
-        body = self.part[self.pairs]
+        body = self.body_index[self.pairs]
         code = body[:, 0] * len(self.bodies) + body[:, 1]
         order = np.argsort(code, kind="stable")
         codes, start, count = np.unique(code[order], return_index=True, return_counts=True)
-        one, other = np.divmod(codes, max(len(self.bodies), 1))
-        radius = self._balls[1] + ROUNDING_M
-        return _BodyPairs(one, other, radius[one] + radius[other], start, count, order)
+        first_body, other = np.divmod(codes, max(len(self.bodies), 1))
+        radius = self._bounding_balls[1] + BALL_MARGIN_M
+        return _BodyPairs(first_body, other, radius[first_body] + radius[other], start, count, order)
 
-    def _near_boxes(self, placed: "_Placed", limit: float) -> "_NearBox":
-        """Pairs of capsules and boxes that come within ``limit`` by the capsules' spheres: first of rows that
-        follow each other, which are mostly near each other, then of each."""
+    def _close_boxes(self, placement: "_Placement", limit: float) -> "_CloseBoxes":
+        """Return pairs of capsules and boxes that come within ``limit`` by the capsules' spheres.
+
+        Groups of consecutive rows, which are mostly close to each other, are tested first, then single rows.
+        """
         count = len(self.boxes)
         if not count or not len(self.box_pairs):
             none, nowhere = np.zeros(0, dtype=np.intp), np.zeros((0, 3))
-            return _NearBox(none, none, none, nowhere, nowhere, nowhere, np.zeros(0))
-        centre, axis = placed.centre, placed.axis
-        pose = placed.fixed @ np.array([box.shape.pose for box in self.boxes])
-        place, turn = pose[:, :3, 3], pose[:, :3, :3]
+            return _CloseBoxes(none, none, none, nowhere, nowhere, nowhere, np.zeros(0))
+        centre, axis = placement.centre, placement.axis
+        pose = placement.fixed @ np.array([box.shape.pose for box in self.boxes])
+        position, rotation = pose[:, :3, 3], pose[:, :3, :3]
         reach = self.outer[0] + self.outer[1]
-        held = np.zeros((len(reach), count), dtype=bool)
-        held[self.box_pairs[:, 0], self.box_pairs[:, 1]] = True
-        first = np.arange(0, len(centre), ROWS_AT_ONCE)
+        is_checked = np.zeros((len(reach), count), dtype=bool)
+        is_checked[self.box_pairs[:, 0], self.box_pairs[:, 1]] = True
+        first = np.arange(0, len(centre), ROW_GROUP_SIZE)
         low, high = (end.reduceat(centre, first, axis=0) for end in (np.minimum, np.maximum))
         middle = (0.5 * (low + high)).reshape(-1, 3)
-        apart = _box((middle - place[:, None]) @ turn, self.half[:, None]).T.reshape(*low.shape[:2], count)
-        room = reach + 0.5 * np.linalg.norm(high - low, axis=2) + limit
-        # a group with a row that is not finite has no distances, and may be near everything
-        group, solid, box = np.nonzero(held & ~(apart >= room[..., None]))
-        row = (first[group][:, None] + np.arange(ROWS_AT_ONCE)).ravel()
-        solid, box = np.repeat(solid, ROWS_AT_ONCE), np.repeat(box, ROWS_AT_ONCE)
-        there = row < len(centre)
-        row, solid, box = row[there], solid[there], box[there]
-        local = np.einsum("mc,mcd->md", centre[row, solid] - place[box], turn[box])
-        apart = _box(local, self.half[box])
-        kept = np.flatnonzero(apart < reach[solid] + limit)
+        distance = _box_distance((middle - position[:, None]) @ rotation, self.half_sizes[:, None]).T.reshape(
+            *low.shape[:2], count
+        )
+        # centres of a group are within half a diagonal of its middle m: d(c) >= d(m) - |high - low| / 2
+        max_distance = reach + 0.5 * np.linalg.norm(high - low, axis=2) + limit
+        # a group with a row that is not finite has no distances and may be close to everything
+        group, solid, box = np.nonzero(is_checked & ~(distance >= max_distance[..., None]))
+        row = (first[group][:, None] + np.arange(ROW_GROUP_SIZE)).ravel()
+        solid, box = np.repeat(solid, ROW_GROUP_SIZE), np.repeat(box, ROW_GROUP_SIZE)
+        exists = row < len(centre)
+        row, solid, box = row[exists], solid[exists], box[exists]
+        local = np.einsum("mc,mcd->md", centre[row, solid] - position[box], rotation[box])
+        distance = _box_distance(local, self.half_sizes[box])
+        kept = np.flatnonzero(distance < reach[solid] + limit)
         row, solid, box = row[kept], solid[kept], box[kept]
-        along = np.einsum("mc,mcd->md", axis[row, solid], turn[box])
-        return _NearBox(row, solid, box, local[kept], along, self.half[box], apart[kept])
+        along = np.einsum("mc,mcd->md", axis[row, solid], rotation[box])
+        return _CloseBoxes(row, solid, box, local[kept], along, self.half_sizes[box], distance[kept])
 
-    def _shadows(self, placed: "_Placed", near: "_NearBox") -> FloatArray:
-        """Lower bounds (M,) of distances of solids to boxes, as :func:`separation` has them: of a flat disc
-        above a floor, where its capsule is a ball that reaches far into it."""
-        pose = placed.fixed @ np.array([box.shape.pose for box in self.boxes]).reshape(-1, 4, 4)
-        turn = pose[near.box][:, :3, :3]
-        one = placed.turns[near.row, self.part[near.solid]] @ self.frame[near.solid]
-        half = np.concatenate([near.half, np.zeros((len(near.half), 2))], axis=1)
-        off = near.place - np.clip(near.place, -near.half, near.half)
-        w, gap = (np.einsum("mab,mb->ma", turn, v) for v in (near.place, off))
-        return separation(w, gap, (one, self.support[near.solid]), (turn, half))
+    def _projected_box_bounds(self, placement: "_Placement", close_boxes: "_CloseBoxes") -> FloatArray:
+        """Return lower bounds (M,) of distances of solids to boxes, as :func:`separation`.
 
-    def _below(self, lower: FloatArray, placed: "_Placed", near: "_NearBox", limit: float) -> None:
-        """Takes lower bounds of the distances of solids to the boxes into ``lower`` (B,).
-
-        Bounds are worked out as far as it takes to know the least of each row below ``limit``: of the capsule
-        whose ball is nearest, then of what a few points of its axis do not show to be farther than that,
-        again the likely nearest first.
+        They help for a flat disc above a floor, whose capsule is a ball that reaches far into it.
         """
-        ease = self._box_ease(near)
-        low = near.apart - self.outer[0][near.solid] - self.outer[1][near.solid] + ease
+        pose = placement.fixed @ np.array([box.shape.pose for box in self.boxes]).reshape(-1, 4, 4)
+        turn = pose[close_boxes.box][:, :3, :3]
+        solid_axes = (
+            placement.rotations[close_boxes.row, self.body_index[close_boxes.solid]]
+            @ self.frame[close_boxes.solid]
+        )
+        half = np.concatenate([close_boxes.half, np.zeros((len(close_boxes.half), 2))], axis=1)
+        offset = close_boxes.position - np.clip(close_boxes.position, -close_boxes.half, close_boxes.half)
+        w, gap = (np.einsum("mab,mb->ma", turn, v) for v in (close_boxes.position, offset))
+        return separation(w, gap, (solid_axes, self.support[close_boxes.solid]), (turn, half))
+
+    def _merge_box_bounds(
+        self, lower: FloatArray, placement: "_Placement", close_boxes: "_CloseBoxes", limit: float
+    ) -> None:
+        """Merge lower bounds of the distances of solids to the boxes into ``lower`` (B,).
+
+        Bounds are computed as far as needed to find the smallest of each row below ``limit``: of the capsule
+        whose ball is closest, then of those that a few points of their axis do not show to be farther, again
+        the probably closest first.
+        """
+        ease = self._box_ease(close_boxes)
+        # d >= d(centre) - half length - radius, then tighter bounds for the rest
+        low = (
+            close_boxes.distance - self.outer[0][close_boxes.solid] - self.outer[1][close_boxes.solid] + ease
+        )
         for stage in range(3):
-            near, low, ease = self._still_open(lower, near, low, ease, limit)
+            close_boxes, low, ease = self._still_open(lower, close_boxes, low, ease, limit)
             if stage == 1:
-                low = self._along_axis(near)[0] + ease
-                near, low, ease = self._still_open(lower, near, low, ease, limit)
+                low = self._sampled_box_bounds(close_boxes)[0] + ease
+                close_boxes, low, ease = self._still_open(lower, close_boxes, low, ease, limit)
             if not len(low):
                 return
-            least = np.full(len(lower), np.inf)
-            np.minimum.at(least, near.row, low)
-            first = low == least[near.row] if stage < 2 else np.ones(len(low), dtype=np.bool_)
-            some, own = near.some(np.flatnonzero(first)), ease[first]
-            value = self._to_box(some) + own
-            touch = np.flatnonzero(value < np.minimum(lower, limit)[some.row])  # shadows only raise it
-            value[touch] = np.maximum(value[touch], self._shadows(placed, some.some(touch)) + own[touch])
-            np.minimum.at(lower, some.row, value)
-            near, low, ease = near.some(np.flatnonzero(~first)), low[~first], ease[~first]
+            row_min = np.full(len(lower), np.inf)
+            np.minimum.at(row_min, close_boxes.row, low)
+            first = low == row_min[close_boxes.row] if stage < 2 else np.ones(len(low), dtype=np.bool_)
+            selected, selected_ease = close_boxes.select(np.flatnonzero(first)), ease[first]
+            value = self._capsule_box_distances(selected) + selected_ease
+            touch = np.flatnonzero(
+                value < np.minimum(lower, limit)[selected.row]
+            )  # projections only raise it
+            value[touch] = np.maximum(
+                value[touch],
+                self._projected_box_bounds(placement, selected.select(touch)) + selected_ease[touch],
+            )
+            np.minimum.at(lower, selected.row, value)
+            close_boxes, low, ease = close_boxes.select(np.flatnonzero(~first)), low[~first], ease[~first]
 
     @staticmethod
     def _still_open(
-        lower: FloatArray, near: "_NearBox", low: FloatArray, ease: FloatArray, limit: float
-    ) -> "tuple[_NearBox, FloatArray, FloatArray]":
-        """Pairs, with their bounds ``low`` and ``ease`` (M,), that may yet be the least of their row."""
-        some = np.flatnonzero(low < np.minimum(lower, limit)[near.row])
-        return near.some(some), low[some], ease[some]
+        lower: FloatArray, close_boxes: "_CloseBoxes", low: FloatArray, ease: FloatArray, limit: float
+    ) -> "tuple[_CloseBoxes, FloatArray, FloatArray]":
+        """Return the pairs that may still be the smallest of their row, with their bounds and ease (M,)."""
+        selected = np.flatnonzero(low < np.minimum(lower, limit)[close_boxes.row])
+        return close_boxes.select(selected), low[selected], ease[selected]
 
-    def _box_ease(self, near: "_NearBox") -> FloatArray:
-        """How much farther (M,) [m] from their boxes solids count than they are."""
-        return self.ease[near.solid, near.box + len(self.solids)]
+    def _box_ease(self, close_boxes: "_CloseBoxes") -> FloatArray:
+        """Return the distance (M,) [m] that is added to that of solids from their boxes."""
+        return self.ease[close_boxes.solid, close_boxes.box + len(self.solids)]
 
-    def _at_most(self, near: "_NearBox") -> FloatArray:
-        """Upper bounds (M,) of distances to boxes, of inner capsules; infinite to what only lies in a box."""
-        out = np.full(len(near.row), np.inf)
-        exact = np.flatnonzero(self.exact[near.box])
-        some = near.some(exact)
-        out[exact] = self._on_axis(some, self.inner[0]).min(axis=1) - self.inner[1][some.solid]
+    def _box_upper_bounds(self, close_boxes: "_CloseBoxes") -> FloatArray:
+        """Return upper bounds (M,) of distances of inner capsules to boxes.
+
+        They are infinite for boxes that contain a mesh.
+        """
+        out = np.full(len(close_boxes.row), np.inf)
+        exact = np.flatnonzero(self.is_exact[close_boxes.box])
+        selected = close_boxes.select(exact)
+        out[exact] = (
+            self._axis_sample_distances(selected, self.inner[0]).min(axis=1) - self.inner[1][selected.solid]
+        )
         return out
 
-    def _to_box(self, near: "_NearBox") -> FloatArray:
-        """Distances (M,) of outer capsules to boxes; only the sign tells of those that overlap."""
-        nearest = nearest_to_box(near.place, near.along, self.outer[0][near.solid], near.half)
-        value = _box(near.place + nearest[:, None] * near.along, near.half)
-        return np.asarray(value - self.outer[1][near.solid])
+    def _capsule_box_distances(self, close_boxes: "_CloseBoxes") -> FloatArray:
+        """Return distances (M,) of outer capsules to boxes. Only the sign is valid if they overlap."""
+        nearest = nearest_position_to_box(
+            close_boxes.position, close_boxes.along, self.outer[0][close_boxes.solid], close_boxes.half
+        )
+        value = _box_distance(close_boxes.position + nearest[:, None] * close_boxes.along, close_boxes.half)
+        return np.asarray(value - self.outer[1][close_boxes.solid])
 
-    def _along_axis(self, near: "_NearBox") -> tuple[FloatArray, FloatArray]:
-        """Lower and upper bounds (M,) of the distances of outer capsules to boxes by a few points of their
-        axes: distance changes by the way at most."""
-        value = self._on_axis(near, self.outer[0])
-        step = 2.0 * self.outer[0][near.solid] / (AXIS_SAMPLES - 1)
+    def _sampled_box_bounds(self, close_boxes: "_CloseBoxes") -> tuple[FloatArray, FloatArray]:
+        """Return lower and upper bounds (M,) of the distances of outer capsules to boxes.
+
+        They follow from a few points of the axes. The distance changes by at most the path along the axis.
+        """
+        # |d(s) - d(t)| <= |s - t|, so between two samples d >= (d1 + d2 - step) / 2
+        value = self._axis_sample_distances(close_boxes, self.outer[0])
+        step = 2.0 * self.outer[0][close_boxes.solid] / (AXIS_SAMPLES - 1)
         between = 0.5 * (value[:, 1:] + value[:, :-1] - step[:, None])
-        radius = self.outer[1][near.solid]
+        radius = self.outer[1][close_boxes.solid]
         return between.min(axis=1) - radius, value.min(axis=1) - radius
 
-    def _on_axis(self, near: "_NearBox", length: FloatArray) -> FloatArray:
-        """Distances (M, SAMPLES) to the boxes of points along the axes, out to the half lengths ``length``
-        (S,)."""
-        t = length[near.solid][:, None] * np.linspace(-1.0, 1.0, AXIS_SAMPLES)
-        return _box(near.place[:, None] + t[..., None] * near.along[:, None], near.half[:, None])
+    def _axis_sample_distances(self, close_boxes: "_CloseBoxes", length: FloatArray) -> FloatArray:
+        """Return distances (M, AXIS_SAMPLES) to the boxes of points on the axes, out to half lengths (S,)."""
+        t = length[close_boxes.solid][:, None] * np.linspace(-1.0, 1.0, AXIS_SAMPLES)
+        return _box_distance(
+            close_boxes.position[:, None] + t[..., None] * close_boxes.along[:, None],
+            close_boxes.half[:, None],
+        )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _Placed:
-    """Solids in B rows: rotations (B, P, 3, 3) and places (B, P, 3) of moving bodies, centres and axes
-    (B, S, 3) of their capsules, centres (B, P, 3) of the balls around bodies, poses (K, 4, 4) of the bodies
-    of fixed boxes."""
+class _Placement:
+    """Solids in B rows.
 
-    turns: FloatArray
-    places: FloatArray
+    Attributes:
+        rotations: Rotations of moving bodies (B, P, 3, 3).
+        positions: Positions of moving bodies (B, P, 3).
+        centre: Centres of the capsules (B, S, 3).
+        axis: Axes of the capsules (B, S, 3).
+        ball: Centres of the balls around bodies (B, P, 3).
+        fixed: Poses of the bodies of fixed boxes (K, 4, 4).
+    """
+
+    rotations: FloatArray
+    positions: FloatArray
     centre: FloatArray
     axis: FloatArray
     ball: FloatArray
@@ -629,23 +798,30 @@ class _Placed:
     @property
     def rows(self) -> int:
         """Number of rows."""
-        return len(self.turns)
+        return len(self.rotations)
 
-    def some(self, rows: IndexArray) -> "_Placed":
-        """Some of the rows."""
-        turns, places, centre, axis, ball = (
-            array[rows] for array in (self.turns, self.places, self.centre, self.axis, self.ball)
+    def select(self, rows: IndexArray) -> "_Placement":
+        """Return a subset of the rows."""
+        rotations, positions, centre, axis, ball = (
+            array[rows] for array in (self.rotations, self.positions, self.centre, self.axis, self.ball)
         )
-        return _Placed(turns, places, centre, axis, ball, self.fixed)
+        return _Placement(rotations, positions, centre, axis, ball, self.fixed)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _BodyPairs:
-    """Pairs of moving bodies: ``one`` and ``other`` (N,), the sum of their balls' radii ``reach`` (N,), and
-    where the places (M,) in ``Bounds.pairs`` of their capsules ``start`` in ``pair``, and how many there are
-    (N,)."""
+    """Pairs of moving bodies.
 
-    one: IndexArray
+    Attributes:
+        first: First bodies (N,).
+        other: Second bodies (N,).
+        reach: Sum of the radii of their balls (N,) [m].
+        start: First index in ``pair`` of the pairs of their capsules (N,).
+        count: Number of these pairs (N,).
+        pair: Indices in ``ClearanceBounds.pairs`` (M,).
+    """
+
+    first: IndexArray
     other: IndexArray
     reach: FloatArray
     start: IndexArray
@@ -654,76 +830,113 @@ class _BodyPairs:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _NearBox:
-    """Capsules near boxes: row, solid and box (M,), centre and axis (M, 3) in the box's frame, its half size
-    (M, 3), and the distance (M,) of the centre."""
+class _PlacedPairs:
+    """Pairs of moving solids, each in one row of a placement.
+
+    Attributes:
+        row: Row (M,).
+        first: First solid (M,).
+        other: Second solid (M,).
+    """
+
+    row: IndexArray
+    first: IndexArray
+    other: IndexArray
+
+    def select(self, selected: IndexArray) -> "_PlacedPairs":
+        """Return a subset."""
+        return _PlacedPairs(self.row[selected], self.first[selected], self.other[selected])
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _CloseBoxes:
+    """Capsules near boxes.
+
+    Attributes:
+        row: Row (M,).
+        solid: Solid (M,).
+        box: Box (M,).
+        position: Centre in the box's frame (M, 3) [m].
+        along: Axis in the box's frame (M, 3).
+        half: Half size of the box (M, 3) [m].
+        distance: Distance of the centre (M,) [m].
+    """
 
     row: IndexArray
     solid: IndexArray
     box: IndexArray
-    place: FloatArray
+    position: FloatArray
     along: FloatArray
     half: FloatArray
-    apart: FloatArray
+    distance: FloatArray
 
-    def some(self, chosen: IndexArray) -> "_NearBox":
-        """Some of them."""
-        return _NearBox(*(getattr(self, field.name)[chosen] for field in dataclasses.fields(self)))
+    def select(self, selected: IndexArray) -> "_CloseBoxes":
+        """Return a subset."""
+        return _CloseBoxes(*(getattr(self, field.name)[selected] for field in dataclasses.fields(self)))
 
 
-def prepare(
+def make_bounds(
     solids: Sequence[Solid],
     filtered: Sequence[tuple[str, str, str]],
     holder: str | None = None,
-    riding: Collection[str] = (),
-) -> Bounds:
-    """The bounds of a cell's solids; ``filtered`` are pairs of bodies that are not held apart, ``holder`` is
-    the arm that holds the stock, if any, and ``riding`` are bodies that stand elsewhere from row to row."""
+    moving_bases: Collection[str] = (),
+) -> ClearanceBounds:
+    """Return the bounds of a cell's solids.
+
+    Args:
+        solids: All collision solids.
+        filtered: Pairs of bodies that are not checked, with reasons.
+        holder: Arm that holds the stock, if any.
+        moving_bases: Bodies whose pose differs from row to row.
+    """
     skip = {frozenset(pair[:2]) for pair in filtered}
-    still = [is_fixed(s.body, holder) and s.body not in riding for s in solids]
-    boxed = [own and s.shape.kind in ("box", "mesh") for own, s in zip(still, solids, strict=True)]
-    boxes = [s for s, fixed in zip(solids, boxed, strict=True) if fixed]
-    rows = [_capsule(s) for s, fixed in zip(solids, boxed, strict=True) if not fixed]
-    capsules = tuple(_as_box(s) for s, fixed in zip(solids, boxed, strict=True) if not fixed)
+    is_stationary = [is_fixed(s.body, holder) and s.body not in moving_bases for s in solids]
+    is_box = [
+        is_still and s.shape.kind in ("box", "mesh")
+        for is_still, s in zip(is_stationary, solids, strict=True)
+    ]
+    boxes = [s for s, fixed in zip(solids, is_box, strict=True) if fixed]
+    rows = [_enclosing_capsules(s) for s, fixed in zip(solids, is_box, strict=True) if not fixed]
+    capsules = tuple(_as_box(s) for s, fixed in zip(solids, is_box, strict=True) if not fixed)
     pairs = [
         (a, b)
-        for a, one in enumerate(capsules)
+        for a, capsule in enumerate(capsules)
         for b, other in enumerate(capsules[a + 1 :], start=a + 1)
-        if one.body != other.body and frozenset((one.body, other.body)) not in skip
+        if capsule.body != other.body and frozenset((capsule.body, other.body)) not in skip
     ]
     box_pairs = [
         (a, b)
-        for a, one in enumerate(capsules)
+        for a, capsule in enumerate(capsules)
         for b, other in enumerate(boxes)
-        if one.body != other.body and frozenset((one.body, other.body)) not in skip
+        if capsule.body != other.body and frozenset((capsule.body, other.body)) not in skip
     ]
     bodies = tuple(dict.fromkeys(s.body for s in capsules))
     ready = [_as_box(s) for s in boxes]
-    given = [s for s, fixed in zip(solids, boxed, strict=True) if not fixed] + boxes
-    return Bounds(
-        given=tuple(given),
-        own=np.array([solid.shape.pose for solid in given]).reshape(-1, 4, 4),
-        cores=cores(given),
+    given = [s for s, fixed in zip(solids, is_box, strict=True) if not fixed] + boxes
+    return ClearanceBounds(
+        all_solids=tuple(given),
+        poses_in_body=np.array([solid.shape.pose for solid in given]).reshape(-1, 4, 4),
+        cores=make_cores(given),
         ease=np.zeros((len(given), len(given))),
         solids=capsules,
         bodies=bodies,
-        part=np.array([bodies.index(s.body) for s in capsules], dtype=np.intp),
+        body_index=np.array([bodies.index(s.body) for s in capsules], dtype=np.intp),
         centre=np.array([s.shape.pose[:3, 3] for s in capsules]),
         axis=np.array([s.shape.pose[:3, :3] @ row[0] for s, row in zip(capsules, rows, strict=True)]),
         outer=(np.array([r[1] for r in rows]), np.array([r[2] for r in rows])),
         inner=(np.array([r[3] for r in rows]), np.array([r[4] for r in rows])),
         frame=np.array([s.shape.pose[:3, :3] for s in capsules]),
-        support=np.array([support(s) for s in capsules]),
+        support=np.array([support_sizes(s) for s in capsules]),
         boxes=tuple(ready),
-        exact=np.array([s.shape.kind == "box" for s in boxes], dtype=bool),
-        half=np.array([0.5 * np.asarray(s.shape.size) for s in ready]).reshape(-1, 3),
+        is_exact=np.array([s.shape.kind == "box" for s in boxes], dtype=bool),
+        half_sizes=np.array([0.5 * np.asarray(s.shape.size) for s in ready]).reshape(-1, 3),
         pairs=np.array(pairs, dtype=np.intp).reshape(-1, 2),
         box_pairs=np.array(box_pairs, dtype=np.intp).reshape(-1, 2),
     )
 
 
 def _as_box(solid: Solid) -> Solid:
-    """A mesh as the box around it, in the axes of its own frame; other solids as they are."""
+    """Return a mesh as the box around it, in the axes of its own frame; other solids unchanged."""
     if solid.shape.vertices is None:
         return solid
     low, high = solid.shape.vertices.min(axis=0), solid.shape.vertices.max(axis=0)
@@ -734,11 +947,10 @@ def _as_box(solid: Solid) -> Solid:
     )
 
 
-def _capsule(solid: Solid) -> tuple[FloatArray, float, float, float, float]:
-    """Axis (3,) in the shape's frame; half length and radius of the capsule around a solid, then of the one
-    inside.
+def _enclosing_capsules(solid: Solid) -> tuple[FloatArray, float, float, float, float]:
+    """Return axis (3,), and half length and radius of the capsule around a solid and of the one inside.
 
-    The inner radius is -inf for a mesh, whose inside is not known.
+    The axis is in the shape's frame. The inner radius is -inf for a mesh, whose inside is unknown.
     """
     kind = solid.shape.kind
     if kind in ("sphere", "capsule"):
@@ -748,17 +960,19 @@ def _capsule(solid: Solid) -> tuple[FloatArray, float, float, float, float]:
         radius, half = solid.shape.size[0], 0.5 * solid.shape.size[1]
         axis, thin = np.array([0.0, 0.0, 1.0]), min(radius, half)
     else:
-        size = 0.5 * extent(_as_box(solid))
+        size = 0.5 * bounding_size(_as_box(solid))
         order = np.argsort(size)
         axis = np.eye(3)[order[2]]
         half, radius = float(size[order[2]]), float(np.hypot(size[order[0]], size[order[1]]))
         thin = float(size[order[0]]) if kind == "box" else -np.inf
+    # Around: the rim of a body of half length h and radius r is hypot(r, h - a) from the end of an axis of
+    # half length a. Inside: a capsule of the smallest half size, as long as the body.
     around = max(0.0, half - 0.4 * radius)
     return axis, around, float(np.hypot(radius, half - around)), max(0.0, half - max(thin, 0.0)), thin
 
 
-def _box(points: FloatArray, half: FloatArray) -> FloatArray:
-    """Signed distances (...,) of points (..., 3) to boxes about the origin of half sizes (..., 3)."""
+def _box_distance(points: FloatArray, half: FloatArray) -> FloatArray:
+    """Return signed distances (...,) of points (..., 3) to boxes about the origin of half sizes (..., 3)."""
     x, y, z = (np.abs(points[..., i]) - half[..., i] for i in range(3))
     inside = np.minimum(np.maximum(np.maximum(x, y), z), 0.0)
     x, y, z = np.maximum(x, 0.0), np.maximum(y, 0.0), np.maximum(z, 0.0)

@@ -1,9 +1,10 @@
-"""How far an arm gives way: compliance of its TCP by the stiffness of its joints, and what loads make of it.
+"""Deflection of an arm under load: compliance of its TCP by the stiffness of its joints.
 
-Links count as rigid, drives as springs about the axes as the controller counts them: where a parallel rod
-drives axis 3, its spring acts between the upper arm's carrier and the forearm (`RodCoupling`). With J the
-Jacobian over the controller's axes, C = J diag(1 / k) J^T (Salisbury 1980, Active stiffness control of a
-manipulator, equation of stiffness, inverted).
+Links count as rigid, drives as springs about the axes as the controller counts them. If a parallel rod drives
+axis 3, its spring acts between the upper arm's carrier and the forearm (`RodCoupling`). With J the Jacobian
+over the controller's axes, C = J diag(1 / k) J^T.
+
+Source: Salisbury 1980, Active stiffness control of a manipulator, equation of stiffness, inverted.
 """
 
 import dataclasses
@@ -17,7 +18,12 @@ from planner.geometry.arrays import FloatArray
 
 @dataclasses.dataclass(frozen=True)
 class PointLoad:
-    """A force (..., 3) [N] on the hand, at a ``point`` (..., 3) [m], both in the frame of the arm's base."""
+    """A force on the hand, in the frame of the arm's base.
+
+    Attributes:
+        point: Point of application (..., 3) [m].
+        force: Force (..., 3) [N].
+    """
 
     point: FloatArray
     force: FloatArray
@@ -26,34 +32,48 @@ class PointLoad:
 def tcp_compliance(
     robot: RobotData, stiffness: JointStiffness, q: FloatArray, tcp: FloatArray, base: FloatArray
 ) -> FloatArray:
-    """Compliance (..., 6, 6) of the TCP in the world at serial joint angles ``q`` (..., 6) [rad], for a
-    ``tcp`` (4, 4) in the flange and an arm on ``base`` (4, 4) in the world.
+    """Return the compliance (..., 6, 6) of the TCP in the world.
 
-    It leads from a wrench, moment [N m] before force [N] at the TCP, to a small motion, turn [rad] before way
-    [m] of the TCP; all along the axes of the world. Symmetric, singular where the Jacobian is."""
+    It maps a wrench, moment [N m] before force [N] at the TCP, to a small motion, rotation [rad] before
+    translation [m] of the TCP, all along the axes of the world. It is symmetric, and singular where the
+    Jacobian is.
+
+    Args:
+        robot: Robot data.
+        stiffness: Stiffness of the joints.
+        q: Serial joint angles (..., 6) [rad].
+        tcp: TCP in the flange (4, 4).
+        base: Base in the world (4, 4).
+    """
     frames = base @ link_frames(robot, q)
     axes = joint_axes(robot, frames)
-    place = (frames[..., -1, :, :] @ tcp)[..., None, :3, 3]
-    columns = np.concatenate([axes, np.cross(axes, place - frames[..., :-1, :3, 3])], axis=-1)
-    by_drive = columns.swapaxes(-1, -2) @ from_drives(robot)
+    tcp_position = (frames[..., -1, :, :] @ tcp)[..., None, :3, 3]
+    columns = np.concatenate([axes, np.cross(axes, tcp_position - frames[..., :-1, :3, 3])], axis=-1)
+    by_drive = columns.swapaxes(-1, -2) @ drive_to_serial(robot)
     return np.asarray((by_drive / stiffness.joints) @ by_drive.swapaxes(-1, -2))
 
 
-def given_way(
+def joint_deflection(
     robot: RobotData, stiffness: JointStiffness, q: FloatArray, loads: tuple[PointLoad, ...]
 ) -> FloatArray:
-    """By how much (..., 6) [rad] the joints stand farther on under ``loads`` than their drives do, at serial
-    angles ``q`` (..., 6) [rad] of the loaded arm."""
+    """Return the deflection (..., 6) [rad] of the joints under loads, beyond their drives.
+
+    Args:
+        robot: Robot data.
+        stiffness: Stiffness of the joints.
+        q: Serial angles of the loaded arm (..., 6) [rad].
+        loads: The loads.
+    """
     frames = link_frames(robot, q)
     axes, origin = joint_axes(robot, frames), frames[..., :-1, :3, 3]
     torque = np.zeros(np.shape(q))
     for load in loads:
         moment = np.cross(load.point[..., None, :] - origin, load.force[..., None, :])
         torque += np.sum(axes * moment, axis=-1)
-    turns = from_drives(robot)
-    return np.asarray(((torque @ turns) / stiffness.joints) @ turns.T)
+    drive_matrix = drive_to_serial(robot)
+    return np.asarray(((torque @ drive_matrix) / stiffness.joints) @ drive_matrix.T)
 
 
-def from_drives(robot: RobotData) -> FloatArray:
-    """Serial angles of the controller's angles, as a matrix (J, J)."""
+def drive_to_serial(robot: RobotData) -> FloatArray:
+    """Return the matrix (J, J) from the controller's angles to serial angles."""
     return np.asarray(robot.from_controller(np.eye(robot.axes)).T)

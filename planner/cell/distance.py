@@ -1,13 +1,12 @@
-"""Distances of convex solids in batches: closed forms where there are some, else GJK with a certificate.
+"""Distances of convex solids in batches: closed forms where they exist, else GJK with a certificate.
 
-A solid is a core, moved out by a rounding: a sphere's core is its centre, a capsule's its axis; boxes,
-cylinders and convex meshes are their own. Two segments have Ericson's closed form (Real-Time Collision
-Detection, 2005, section 5.1.9). Of a segment and a box the squared distance is quadratic between the places
-where the segment crosses a face's plane, so that its slope, which is linear there, gives the least one
-exactly. All others go through the algorithm of Gilbert, Johnson and Keerthi (IEEE J. Robotics and Automation,
-1988) on the difference of the cores: with v its point nearest to the origin so far, and w the support against
-v, v.w / |v| is a lower bound of the distance by convexity, |v| an upper one. The lower one is returned, once
-both agree.
+A solid is a core, enlarged by a rounding: a sphere's core is its centre, a capsule's its axis. Boxes,
+cylinders and convex meshes are their own cores. Two segments have Ericson's closed form (Real-Time Collision
+Detection, 2005, section 5.1.9). For a segment and a box the squared distance is quadratic between the points
+where the segment crosses a face's plane. Its slope is linear there and gives the minimum exactly. All others
+use the algorithm of Gilbert, Johnson and Keerthi (IEEE J. Robotics and Automation, 1988) on the difference of
+the cores: with v its point nearest to the origin so far, and w the support against v, v.w / |v| is a lower
+bound of the distance by convexity, and |v| an upper one. The lower one is returned once both agree.
 """
 
 import dataclasses
@@ -20,37 +19,48 @@ import numpy as np
 from planner.cell.bodies import Solid
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, dots, lengths
 
-AGREED_M: Final = 1e-7
-"""Bounds of a distance agree within this [m]."""
-MOST_STEPS: Final = 200
-"""Steps of GJK at most; a pair that has not converged keeps its lower bound."""
-TOUCHING_M: Final = 1e-9
-"""Cores nearer than this [m] overlap."""
+DISTANCE_TOLERANCE_M: Final = 1e-7
+"""Difference [m] at which the bounds of a distance agree."""
+MAX_GJK_STEPS: Final = 200
+"""Maximum number of GJK steps. A pair that has not converged keeps its lower bound."""
+OVERLAP_TOLERANCE_M: Final = 1e-9
+"""Cores closer than this [m] overlap."""
 _EDGES: Final = np.array(list(itertools.combinations(range(4), 2)))
 _TRIANGLES: Final = np.array(list(itertools.combinations(range(4), 3)))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Cores:
-    """Cores of S solids in their shapes' frames: half sizes ``half`` (S, 3), the radius of a disc across z
-    ``disc`` (S,), corners ``mesh`` (S, V, 3) of those that are ``meshed`` (S,), and the ``rounding`` (S,)
-    [m]. ``segment`` and ``box`` (S,) say which cores have closed forms."""
+    """Cores of S solids in their shapes' frames.
+
+    Attributes:
+        half: Half sizes (S, 3) [m].
+        disc: Radius of a disc across z (S,) [m].
+        rounding: Rounding (S,) [m].
+        mesh: Corners of meshes (S, V, 3) [m].
+        is_mesh: Whether the core is a mesh (S,).
+        is_segment: Whether the core is a point or segment (S,). Segments and boxes have closed forms.
+        is_box: Whether the core is a box (S,).
+    """
 
     half: FloatArray
     disc: FloatArray
     rounding: FloatArray
     mesh: FloatArray
-    meshed: BoolArray
-    segment: BoolArray
-    box: BoolArray
+    is_mesh: BoolArray
+    is_segment: BoolArray
+    is_box: BoolArray
 
     def support(self, which: IndexArray, direction: FloatArray) -> FloatArray:
-        """The farthest points (M, 3) of cores ``which`` (M,) along directions (M, 3), in their frames."""
+        """Return the farthest points (M, 3) of cores ``which`` (M,) along directions (M, 3).
+
+        Directions and points are in the frames of the cores.
+        """
         out = np.where(direction < 0.0, -1.0, 1.0) * self.half[which]
         flat = direction[:, :2]
         length = np.sqrt(flat[:, 0] ** 2 + flat[:, 1] ** 2)
         out[:, :2] += (self.disc[which] / np.maximum(length, 1e-300))[:, None] * flat
-        meshed = np.flatnonzero(self.meshed[which])
+        meshed = np.flatnonzero(self.is_mesh[which])
         if len(meshed):
             corners = self.mesh[which[meshed]]
             best = np.einsum("mvc,mc->mv", corners, direction[meshed]).argmax(axis=1)
@@ -58,87 +68,114 @@ class Cores:
         return out
 
 
-def cores(solids: Sequence[Solid]) -> Cores:
-    """The cores of solids."""
+def make_cores(solids: Sequence[Solid]) -> Cores:
+    """Return the cores of solids."""
     count = len(solids)
     half, disc, rounding = np.zeros((count, 3)), np.zeros(count), np.zeros(count)
     kind = [solid.shape.kind for solid in solids]
-    most = max((len(s.shape.vertices) for s in solids if s.shape.vertices is not None), default=1)
-    mesh = np.zeros((count, most, 3)) if "mesh" in kind else np.zeros((count, 0, 3))
+    max_corners = max((len(s.shape.vertices) for s in solids if s.shape.vertices is not None), default=1)
+    mesh = np.zeros((count, max_corners, 3)) if "mesh" in kind else np.zeros((count, 0, 3))
     for k, solid in enumerate(solids):
         size, corners = solid.shape.size, solid.shape.vertices
         if corners is not None:
-            mesh[k] = np.concatenate([corners, np.repeat(corners[:1], most - len(corners), axis=0)])
+            mesh[k] = np.concatenate([corners, np.repeat(corners[:1], max_corners - len(corners), axis=0)])
         elif kind[k] == "box":
             half[k] = 0.5 * np.asarray(size)
         else:
             half[k, 2] = 0.5 * size[1] if len(size) > 1 else 0.0
             (disc if kind[k] == "cylinder" else rounding)[k] = size[0]
-    meshed = np.array([one == "mesh" for one in kind], dtype=np.bool_)
-    segment = np.array([one in ("sphere", "capsule") for one in kind], dtype=np.bool_)
-    box = np.array([one == "box" for one in kind], dtype=np.bool_)
+    meshed = np.array([name == "mesh" for name in kind], dtype=np.bool_)
+    segment = np.array([name in ("sphere", "capsule") for name in kind], dtype=np.bool_)
+    box = np.array([name == "box" for name in kind], dtype=np.bool_)
     return Cores(half, disc, rounding, mesh, meshed, segment, box)
 
 
-def distances(
+def measure_distances(
     cores: Cores,
     first: IndexArray,
     second: IndexArray,
-    one: FloatArray,
-    other: FloatArray,
-    settled: float | FloatArray | None = None,
+    pose: FloatArray,
+    other_pose: FloatArray,
+    threshold: float | FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Distances (M,) [m] of solids ``first`` and ``second`` (M,) at poses (M, 4, 4), unit vectors (M, 3) from
-    the second to the first along which they are, and points (M, 3) on these lines.
+    """Return the distances of pairs of solids and the lines that they lie on.
 
-    At most :data:`AGREED_M` below the truth and never above it; where roundings overlap it is the depth below
-    zero, and where cores do, a bound of it, with no direction. Where one is only to be held against
-    ``settled`` [m], of all or of each (M,), a lower bound above that, or any number below it, will do.
+    Distances are at most :data:`DISTANCE_TOLERANCE_M` below the truth and never above it. If roundings
+    overlap, the distance is minus the depth. If cores overlap, it is a bound of that without a direction.
+
+    Args:
+        cores: Cores of all solids.
+        first: Indices of the first solids (M,).
+        second: Indices of the second solids (M,).
+        pose: Poses of the first solids (M, 4, 4).
+        other_pose: Poses of the second solids (M, 4, 4).
+        threshold: Threshold [m], one or (M,). If given, a lower bound above it, or any value below it, is
+            sufficient.
+
+    Returns:
+        Distances (M,) [m], unit vectors from the second to the first (M, 3), and points on these lines (M, 3)
+        [m].
     """
-    enough = None if settled is None else np.broadcast_to(np.asarray(settled), first.shape)
-    gap, way, place = np.empty(len(first)), np.zeros((len(first), 3)), np.zeros((len(first), 3))
-    segments = cores.segment[first] & cores.segment[second]
-    boxed = cores.box[first] & cores.segment[second] | cores.segment[first] & cores.box[second]
-    for chosen, kernel in ((segments, _segments), (boxed, _segment_box), (~(segments | boxed), _gjk)):
-        at = np.flatnonzero(chosen)
-        if len(at):
-            own = None if enough is None else enough[at]
-            gap[at], way[at], place[at] = kernel(cores, first[at], second[at], one[at], other[at], own)
-    return gap - cores.rounding[first] - cores.rounding[second], way, place
+    enough = None if threshold is None else np.broadcast_to(np.asarray(threshold), first.shape)
+    gap, direction, point = np.empty(len(first)), np.zeros((len(first), 3)), np.zeros((len(first), 3))
+    segments = cores.is_segment[first] & cores.is_segment[second]
+    boxed = cores.is_box[first] & cores.is_segment[second] | cores.is_segment[first] & cores.is_box[second]
+    for selected, kernel in (
+        (segments, _segment_distances),
+        (boxed, _segment_box_distances),
+        (~(segments | boxed), _gjk_distances),
+    ):
+        rows = np.flatnonzero(selected)
+        if len(rows):
+            thresholds = None if enough is None else enough[rows]
+            gap[rows], direction[rows], point[rows] = kernel(
+                cores, first[rows], second[rows], pose[rows], other_pose[rows], thresholds
+            )
+    return gap - cores.rounding[first] - cores.rounding[second], direction, point
 
 
-_Found = tuple[FloatArray, FloatArray, FloatArray]
+_DistanceLines = tuple[FloatArray, FloatArray, FloatArray]
 
 
-def _segments(
+def _segment_distances(
     cores: Cores,
     first: IndexArray,
     second: IndexArray,
-    one: FloatArray,
-    other: FloatArray,
-    settled: FloatArray | None,
-) -> _Found:
-    del settled  # closed forms need no search
-    along = one[:, :3, 2]
+    pose: FloatArray,
+    other_pose: FloatArray,
+    threshold: FloatArray | None,
+) -> _DistanceLines:
+    del threshold  # closed forms need no search
+    along = pose[:, :3, 2]
     half = cores.half[first, 2], cores.half[second, 2]
-    ray, s = between_segments(one[:, :3, 3] - other[:, :3, 3], along, other[:, :3, 2], *half)
-    gap, way = _with_way(ray)
-    return gap, way, one[:, :3, 3] + s[:, None] * along
+    ray, s = segment_vectors(pose[:, :3, 3] - other_pose[:, :3, 3], along, other_pose[:, :3, 2], *half)
+    gap, direction = _normalise(ray)
+    return gap, direction, pose[:, :3, 3] + s[:, None] * along
 
 
-def between_segments(
+def segment_vectors(
     w: FloatArray, along: FloatArray, across: FloatArray, a: FloatArray, b: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Shortest ways (M, 3) from second to first segments, and their places (M,) on the first from its middle.
+    """Return the shortest vectors (M, 3) from second to first segments, and positions (M,) on the first.
 
-    ``w`` (M, 3) leads from middle to middle, ``along`` and ``across`` (M, 3) are the unit axes of the first
-    and the second, ``a`` and ``b`` (M,) their half lengths.
+    Positions count from the middle of the first segment.
+
+    Args:
+        w: Vectors from middle to middle (M, 3) [m].
+        along: Unit axes of the first segments (M, 3).
+        across: Unit axes of the second segments (M, 3).
+        a: Half lengths of the first segments (M,) [m].
+        b: Half lengths of the second segments (M,) [m].
+
+    Source: Ericson, Real-Time Collision Detection, 2005, section 5.1.9.
     """
+    # |w + s u - t v|^2 is least at s = (c v.w - u.w) / (1 - c^2) with c = u.v, for a given t at
+    # s = c t - u.w, for a given s at t = c s + v.w. Candidates with s or t at its end cover all cases.
     cosine, ca, cb = dots(along, across), dots(along, w), dots(across, w)
     sine2 = 1.0 - cosine * cosine
     level = sine2 < 1e-12
     inner = np.clip(np.where(level, -ca, (cosine * cb - ca) / np.where(level, 1.0, sine2)), -a, a)
-    # where segments are nearly level the formula cancels out: ends, then, are as near as anything
+    # for nearly parallel segments the formula cancels out; then the ends are as close as any point
     s = np.stack([inner, a, -a, np.clip(cosine * b - ca, -a, a), np.clip(-cosine * b - ca, -a, a)])
     t = np.clip(cosine * s + cb, -b, b)
     s = np.clip(cosine * t - ca, -a, a)
@@ -148,33 +185,41 @@ def between_segments(
     return np.asarray(w + s[:, None] * along - t[:, None] * across), s
 
 
-def _segment_box(
+def _segment_box_distances(
     cores: Cores,
     first: IndexArray,
     second: IndexArray,
-    one: FloatArray,
-    other: FloatArray,
-    settled: FloatArray | None,
-) -> _Found:
-    del settled  # closed forms need no search
-    swap = cores.box[first]
+    pose: FloatArray,
+    other_pose: FloatArray,
+    threshold: FloatArray | None,
+) -> _DistanceLines:
+    del threshold  # closed forms need no search
+    swap = cores.is_box[first]
     segment, box = np.where(swap, second, first), np.where(swap, first, second)
-    line, frame = (np.where(swap[:, None, None], x, y) for x, y in ((other, one), (one, other)))
+    line, frame = (np.where(swap[:, None, None], x, y) for x, y in ((other_pose, pose), (pose, other_pose)))
     turn = frame[:, :3, :3]
     start = np.einsum("mc,mcd->md", line[:, :3, 3] - frame[:, :3, 3], turn)
     along = np.einsum("mc,mcd->md", line[:, :3, 2], turn)
     half = cores.half[box]
-    best = nearest_to_box(start, along, cores.half[segment, 2], half)
-    place = start + best[:, None] * along
-    ray = np.sign(place) * np.maximum(np.abs(place) - half, 0.0)
-    gap, way = _with_way(np.einsum("md,mcd->mc", ray, turn))
+    best = nearest_position_to_box(start, along, cores.half[segment, 2], half)
+    point = start + best[:, None] * along
+    ray = np.sign(point) * np.maximum(np.abs(point) - half, 0.0)
+    gap, direction = _normalise(np.einsum("md,mcd->mc", ray, turn))
     world = line[:, :3, 3] + best[:, None] * line[:, :3, 2]
-    return gap, np.where(swap[:, None], -way, way), world
+    return gap, np.where(swap[:, None], -direction, direction), world
 
 
-def nearest_to_box(start: FloatArray, along: FloatArray, reach: FloatArray, half: FloatArray) -> FloatArray:
-    """Places (M,) on segments, from their middles ``start`` (M, 3) along unit axes ``along`` (M, 3) as far as
-    ``reach`` (M,) either way, that are nearest to boxes about the origin of half sizes (M, 3)."""
+def nearest_position_to_box(
+    start: FloatArray, along: FloatArray, reach: FloatArray, half: FloatArray
+) -> FloatArray:
+    """Return the positions (M,) on segments that are nearest to boxes about the origin.
+
+    Args:
+        start: Middles of the segments (M, 3) [m].
+        along: Unit axes of the segments (M, 3).
+        reach: Half lengths of the segments (M,) [m].
+        half: Half sizes of the boxes (M, 3) [m].
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
         crossings = np.concatenate([(half - start) / along, (-half - start) / along], axis=1)
     crossings = np.where(np.isfinite(crossings), crossings, 0.0)
@@ -182,63 +227,66 @@ def nearest_to_box(start: FloatArray, along: FloatArray, reach: FloatArray, half
         np.concatenate([crossings, reach[:, None], -reach[:, None]], axis=1), -reach[:, None], reach[:, None]
     )
     t.sort(axis=1)
-    places = start[:, None] + t[..., None] * along[:, None]
-    beyond = np.sign(places) * np.maximum(np.abs(places) - half[:, None], 0.0)
+    points = start[:, None] + t[..., None] * along[:, None]
+    beyond = np.sign(points) * np.maximum(np.abs(points) - half[:, None], 0.0)
+    # half the slope of the squared distance, linear between crossings: its root is the nearest point
     slope = np.einsum("mkc,mc->mk", beyond, along)
-    right = np.clip((slope < 0.0).sum(axis=1), 1, t.shape[1] - 1)  # slopes ascend, as distance is convex
+    right = np.clip((slope < 0.0).sum(axis=1), 1, t.shape[1] - 1)  # slopes ascend: the distance is convex
     rows = np.arange(len(t))
     low, high = slope[rows, right - 1], slope[rows, right]
-    share = np.where(high > low, np.clip(-low / np.where(high > low, high - low, 1.0), 0.0, 1.0), 0.0)
-    return np.asarray(t[rows, right - 1] + share * (t[rows, right] - t[rows, right - 1]))
+    fraction = np.where(high > low, np.clip(-low / np.where(high > low, high - low, 1.0), 0.0, 1.0), 0.0)
+    return np.asarray(t[rows, right - 1] + fraction * (t[rows, right] - t[rows, right - 1]))
 
 
-def _with_way(ray: FloatArray) -> tuple[FloatArray, FloatArray]:
-    gap = lengths(ray)
-    return gap, ray / np.where(gap > TOUCHING_M, gap, np.inf)[:, None]
+def _normalise(ray: FloatArray) -> tuple[FloatArray, FloatArray]:
+    length = lengths(ray)
+    return length, ray / np.where(length > OVERLAP_TOLERANCE_M, length, np.inf)[:, None]
 
 
-def _gjk(
+def _gjk_distances(
     cores: Cores,
     first: IndexArray,
     second: IndexArray,
-    one: FloatArray,
-    other: FloatArray,
-    settled: FloatArray | None,
-) -> _Found:
-    """Lower bounds of the distance of cores, ways, places; 0 where they overlap."""
+    pose: FloatArray,
+    other_pose: FloatArray,
+    threshold: FloatArray | None,
+) -> _DistanceLines:
+    """Return lower bounds of the distance of cores, directions and points; 0 if they overlap."""
     count = len(first)
-    gap, way, place = np.zeros(count), np.zeros((count, 3)), one[:, :3, 3].copy()
-    live = np.arange(count)
-    enough = (0.0 if settled is None else settled) + cores.rounding[first] + cores.rounding[second]
-    nearest = one[:, :3, 3] - other[:, :3, 3]
-    nearest[lengths(nearest) < TOUCHING_M] = [1.0, 0.0, 0.0]
-    corner, own = np.zeros((count, 4, 3)), np.zeros((count, 4, 3))
+    gap, direction, point = np.zeros(count), np.zeros((count, 3)), pose[:, :3, 3].copy()
+    active = np.arange(count)
+    enough = (0.0 if threshold is None else threshold) + cores.rounding[first] + cores.rounding[second]
+    nearest = pose[:, :3, 3] - other_pose[:, :3, 3]
+    nearest[lengths(nearest) < OVERLAP_TOLERANCE_M] = [1.0, 0.0, 0.0]
+    corner, own_corner = np.zeros((count, 4, 3)), np.zeros((count, 4, 3))
     used = np.zeros((count, 4), dtype=np.bool_)
-    for _ in range(MOST_STEPS):
-        v = nearest[live]
+    for _ in range(MAX_GJK_STEPS):
+        # lower bound v.w / |v|, with w the support of the difference of the cores against v
+        v = nearest[active]
         norm = lengths(v)
-        far = _support(cores, first[live], one[live], -v)
-        support = far - _support(cores, second[live], other[live], v)
+        first_support = _support(cores, first[active], pose[active], -v)
+        support = first_support - _support(cores, second[active], other_pose[active], v)
         low = dots(v, support) / norm
-        better = low > gap[live]
-        gap[live[better]], way[live[better]] = low[better], v[better] / norm[better, None]
-        started = used[live].any(axis=1)
-        going = ~(started & (norm - gap[live] < AGREED_M))
-        if settled is not None:
-            going &= ~(started & (norm <= enough[live])) & (gap[live] <= enough[live])
-        live, support, far = live[going], support[going], far[going]
-        if not len(live):
+        better = low > gap[active]
+        gap[active[better]], direction[active[better]] = low[better], v[better] / norm[better, None]
+        started = used[active].any(axis=1)
+        continues = ~(started & (norm - gap[active] < DISTANCE_TOLERANCE_M))
+        if threshold is not None:
+            continues &= ~(started & (norm <= enough[active])) & (gap[active] <= enough[active])
+        active, support, first_support = active[continues], support[continues], first_support[continues]
+        if not len(active):
             break
-        free = used[live].argmin(axis=1)
-        corner[live, free], own[live, free] = support, far
-        used[live, free] = True
-        found, share, inside = _nearest(corner[live], used[live])
-        nearest[live], used[live] = found, share > 0.0
-        place[live] = np.einsum("mk,mkc->mc", share, own[live])
-        gap[live[inside]] = 0.0
-        way[live[inside]] = 0.0
-        live = live[~inside & (lengths(found) > TOUCHING_M)]
-    return gap, way, place
+        # add w to the simplex, and reduce it to the corners around its point nearest to the origin
+        free = used[active].argmin(axis=1)
+        corner[active, free], own_corner[active, free] = support, first_support
+        used[active, free] = True
+        nearest_point, weights, inside = _nearest_on_simplex(corner[active], used[active])
+        nearest[active], used[active] = nearest_point, weights > 0.0
+        point[active] = np.einsum("mk,mkc->mc", weights, own_corner[active])
+        gap[active[inside]] = 0.0
+        direction[active[inside]] = 0.0
+        active = active[~inside & (lengths(nearest_point) > OVERLAP_TOLERANCE_M)]
+    return gap, direction, point
 
 
 def _support(cores: Cores, which: IndexArray, pose: FloatArray, direction: FloatArray) -> FloatArray:
@@ -246,30 +294,37 @@ def _support(cores: Cores, which: IndexArray, pose: FloatArray, direction: Float
     return np.asarray(np.einsum("mcd,md->mc", pose[:, :3, :3], cores.support(which, local)) + pose[:, :3, 3])
 
 
-def _nearest(corner: FloatArray, used: BoolArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Of simplices (M, 4, 3) whose corners ``used`` (M, 4) count: the point nearest to the origin (M, 3), the
-    shares of the corners in it (M, 4), above 0 for those that it lies between, and whether the origin is
-    inside (M,)."""
+def _nearest_on_simplex(corner: FloatArray, used: BoolArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return the points (M, 3) of simplices (M, 4, 3) nearest to the origin.
+
+    Only corners that are ``used`` (M, 4) count.
+
+    Returns:
+        Points (M, 3), barycentric weights of the corners (M, 4), and whether the origin is inside (M,).
+    """
     count = len(corner)
-    share = np.zeros((count, 4))
-    most = int(used.sum(axis=1).max(initial=0))
-    if most < 2:  # as all are in the first step
+    weights = np.zeros((count, 4))
+    max_corners = int(used.sum(axis=1).max(initial=0))
+    if max_corners < 2:  # first step: single corners
         which = used.argmax(axis=1)
-        share[np.arange(count), which] = 1.0
-        return corner[np.arange(count), which], share, np.zeros(count, dtype=np.bool_)
+        weights[np.arange(count), which] = 1.0
+        return corner[np.arange(count), which], weights, np.zeros(count, dtype=np.bool_)
     a, b = corner[:, _EDGES[:, 0]], corner[:, _EDGES[:, 1]]
+    # point of an edge nearest to the origin: a + t (b - a), t = -a.(b - a) / |b - a|^2
     edge = b - a
     square = np.einsum("mkc,mkc->mk", edge, edge)
     t = -np.einsum("mkc,mkc->mk", a, edge) / np.where(square > 0.0, square, 1.0)
     edge_good = used[:, _EDGES].all(axis=2) & (t > 0.0) & (t < 1.0) & (square > 0.0)
     on_edge = a + t[..., None] * edge
-    if most < 3:  # in the second step
+    if max_corners < 3:  # second step: edges
         points, good = np.concatenate([corner, on_edge], axis=1), np.concatenate([used, edge_good], axis=1)
         best = np.where(good, np.einsum("mkc,mkc->mk", points, points), np.inf).argmin(axis=1)
-        _share_edges(share, best, t)
-        return points[np.arange(count), best], share, np.zeros(count, dtype=np.bool_)
+        _write_edge_weights(weights, best, t)
+        return points[np.arange(count), best], weights, np.zeros(count, dtype=np.bool_)
 
     x, y, z = (corner[:, _TRIANGLES[:, k]] for k in range(3))
+    # Corners p, q, r of a face: n = (q - p) x (r - p) = q x r + r x p + p x q. The point of the plane is
+    # n (p.n) / |n|^2, with the weights (q x r).n / |n|^2 at p, and so on.
     opposite = _cross(np.stack([y, z, x]), np.stack([z, x, y]))
     normal = opposite.sum(axis=0)
     area = np.einsum("mkc,mkc->mk", normal, normal)
@@ -281,26 +336,27 @@ def _nearest(corner: FloatArray, used: BoolArray) -> tuple[FloatArray, FloatArra
     points = np.concatenate([corner, on_edge, on_face], axis=1)
     good = np.concatenate([used, edge_good, face_good], axis=1)
     best = np.where(good, np.einsum("mkc,mkc->mk", points, points), np.inf).argmin(axis=1)
-    _share_edges(share, best, t)
+    _write_edge_weights(weights, best, t)
     rows = np.flatnonzero(best >= 10)
     which = best[rows] - 10
-    share[rows[:, None], _TRIANGLES[which]] = across[:, rows, which].T
+    weights[rows[:, None], _TRIANGLES[which]] = across[:, rows, which].T
+    # the origin is inside if its volumes with all four faces have one sign
     volumes = np.einsum("mkc,mkc->mk", opposite[2], z) * np.array([1.0, -1.0, 1.0, -1.0])
     inside = used.all(axis=1) & ((volumes > 0.0).all(axis=1) | (volumes < 0.0).all(axis=1))
-    return points[np.arange(count), best], share, inside
+    return points[np.arange(count), best], weights, inside
 
 
-def _share_edges(share: FloatArray, best: IndexArray, t: FloatArray) -> None:
-    """Writes the shares of corners where these or edges, at ``t`` (M, 6) of them, are ``best`` (M,)."""
+def _write_edge_weights(weights: FloatArray, best: IndexArray, t: FloatArray) -> None:
+    """Write the weights of corners if corners or edges, at ``t`` (M, 6) of them, are ``best`` (M,)."""
     rows = np.flatnonzero(best < 4)
-    share[rows, best[rows]] = 1.0
+    weights[rows, best[rows]] = 1.0
     rows = np.flatnonzero((best >= 4) & (best < 10))
     which = best[rows] - 4
-    share[rows[:, None], _EDGES[which]] = np.stack([1.0 - t[rows, which], t[rows, which]], axis=1)
+    weights[rows[:, None], _EDGES[which]] = np.stack([1.0 - t[rows, which], t[rows, which]], axis=1)
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Cross products (..., 3); NumPy's own takes several times as long for small arrays."""
+    """Return cross products (..., 3). NumPy's own takes several times as long for small arrays."""
     out = np.empty_like(a)
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3

@@ -1,9 +1,8 @@
-"""One Drake diagram of a cell: robots, tools, stock, support, obstacles, and which pairs keep apart.
+"""Drake diagram of a cell: robots, tools, stock, support, obstacles, and the pairs that are checked.
 
-A process can keep its models from one problem to the next, while cell and stock stay the same. Off
-unless :func:`keep_models` is called, as worker processes do. Within a job nothing is shared:
-planner, proof and report have models of their own, as ever; the next job finds each where the last
-one left it.
+A process can keep its models from one problem to the next while cell and stock stay the same. Caching is
+opt-in: run each job inside :meth:`ModelCache.job`, as worker processes do. Within a job nothing is shared:
+planner, proof and report have separate models. The next job finds each as the previous one left it.
 """
 
 import contextlib
@@ -11,8 +10,10 @@ import dataclasses
 import functools
 import hashlib
 import logging
+import weakref
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextvars import ContextVar
 from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
@@ -34,47 +35,63 @@ from planner.catalogue import robots as catalogue
 from planner.catalogue.robots import RobotData, RobotFile
 from planner.cell import support
 from planner.cell.bodies import (
-    NOT_EASED,
-    Easing,
+    NO_EASING,
+    ClearanceEasing,
     FilteredPair,
     Solid,
     body_poses,
-    collect,
+    collect_solids,
     drake_shape,
     filter_pairs,
     link_chain,
-    own_shapes,
+    shapes_by_body,
 )
-from planner.cell.bounds import Bounds, SolidPair, prepare
-from planner.cell.kinematics import forward
+from planner.cell.bounds import ClearanceBounds, SolidPair, make_bounds
+from planner.cell.kinematics import forward_kinematics
 from planner.geometry.arrays import FloatArray, IndexArray, Shape, inverse
+from planner.issue_codes import format_message
 from planner.issues import Issue, TandemError
 from planner.problem import Arm, Cell, Stock
 from planner.tooling import working_solid
 
 Model = TypeVar("Model")
-MOST_MODELS: Final = 8
-"""Models of cells that are kept at most, those last used."""
+MAX_MODELS: Final = 8
+"""Maximum number of cell models that are kept, the most recently used ones."""
 
 
 class ModelCache(Generic[Model]):
-    """At most ``count`` models by the content of what they were built from."""
+    """Cache of at most ``count`` models by the content that they were built from.
 
-    def __init__(self, count: int = MOST_MODELS) -> None:
+    Args:
+        count: Maximum number of models.
+    """
+
+    def __init__(self, count: int = MAX_MODELS) -> None:
         self._count = count
         self._models: OrderedDict[tuple[str, int], Model] = OrderedDict()
-        self._asked: dict[str, int] = {}
+        self._requested: dict[str, int] = {}
         self.reused = 0
 
-    def next_job(self) -> None:
-        """What was handed out is free again."""
-        self._asked.clear()
+    @contextlib.contextmanager
+    def job(self) -> Iterator[None]:
+        """Serve the models of one job inside the block: all are available again at its beginning."""
+        self._requested.clear()
+        token = _JOB_MODELS.set(self)
+        try:
+            yield
+        finally:
+            _JOB_MODELS.reset(token)
 
     def get(self, content: object, make: Callable[[], Model]) -> Model:
-        """A model of ``content`` that this job does not have yet: one that is kept, or a new one."""
+        """Return a model that this job does not have yet: a kept one, or a new one.
+
+        Args:
+            content: Content that the model is built from.
+            make: Builds the model.
+        """
         key = content_digest(content)
-        number = self._asked.get(key, 0)
-        self._asked[key] = number + 1
+        number = self._requested.get(key, 0)
+        self._requested[key] = number + 1
         model = self._models.pop((key, number), None)
         self.reused += model is not None
         if model is None:
@@ -85,32 +102,25 @@ class ModelCache(Generic[Model]):
         return model
 
 
-_kept: ModelCache[Any] | None = None
+_JOB_MODELS: Final[ContextVar[ModelCache[Any] | None]] = ContextVar("job_models", default=None)
+"""Cache of the job that runs in this context."""
 
 
-def keep_models(count: int = MOST_MODELS) -> ModelCache[Any]:
-    """From now on models are kept in this process; call ``next_job`` of what comes back between jobs."""
-    global _kept
-    _kept = ModelCache(count)
-    return _kept
-
-
-def forget_models() -> None:
-    """From now on every model is built anew."""
-    global _kept
-    _kept = None
-
-
-def kept_model(content: object, make: Callable[[], Model]) -> Model:
-    """A kept model of ``content``, or a new one where none is kept."""
-    if _kept is None:
+def cached_model(content: object, make: Callable[[], Model]) -> Model:
+    """Return a model of ``content``: from the cache of the job that runs, or a new one outside jobs."""
+    models = _JOB_MODELS.get()
+    if models is None:
         return make()
-    model: Model = _kept.get(content, make)
+    model: Model = models.get(content, make)
     return model
 
 
 def content_digest(value: object) -> str:
-    """SHA-256 of plain values, arrays and dataclasses of them; raises ``TypeError`` for anything else."""
+    """Return the SHA-256 of plain values, arrays and dataclasses of them.
+
+    Raises:
+        TypeError: For any other value.
+    """
     state = hashlib.sha256()
     _feed(state, value)
     return state.hexdigest()
@@ -139,17 +149,19 @@ def _feed(state: Any, value: object) -> None:
         for item in value:
             _feed(state, item)
     else:
-        raise TypeError(f"a {type(value).__name__} has no digest; give plain values, arrays and dataclasses")
+        raise TypeError(f"a {type(value).__name__} has no digest; use plain values, arrays and dataclasses")
 
 
-NEAR: Final = "of one arm and always near each other"
-"""Why pairs of solids are not held apart that :meth:`Bounds.always_near` names."""
+ALWAYS_NEAR_REASON: Final = "of one arm and always near each other"
+"""Reason why pairs of solids that :meth:`ClearanceBounds.always_near_pairs` returns are not checked."""
 RANDOM_POSTURES: Final = 200
-"""Postures that are drawn, from a fixed seed, to find solids of one arm that are always near each other."""
+"""Number of random postures, from a fixed seed, that find solids of one arm that are always close."""
 
 STOCK_COLOUR = np.array([0.93, 0.95, 0.90, 0.55])
-"""Colours of stock, support, obstacles, tools, robots from files and edges: red, green, blue and opacity,
-each from 0 to 1."""
+"""Colours of stock, support, obstacles, tools, robots from files and edges.
+
+Red, green, blue and opacity, each from 0 to 1.
+"""
 SUPPORT_COLOUR = np.array([0.45, 0.47, 0.50, 1.0])
 OBSTACLE_COLOUR = np.array([0.60, 0.62, 0.66, 1.0])
 TOOL_COLOUR = np.array([0.20, 0.30, 0.42, 1.0])
@@ -158,8 +170,8 @@ EDGE_COLOUR = np.array([0.85, 0.30, 0.10, 1.0])
 
 
 @dataclasses.dataclass
-class _Shared:
-    """What all placements of one cell share; ``placed`` is the placement that the contexts hold now."""
+class _SharedModel:
+    """State that all placements of one cell share. ``placed`` is the placement that the contexts hold now."""
 
     plant: MultibodyPlant
     diagram: Any
@@ -168,29 +180,37 @@ class _Shared:
     names: Mapping[int, str]
     filtered: tuple[FilteredPair, ...]
     solids: tuple[Solid, ...]
-    bounds: Bounds
-    parts: dict[frozenset[str], tuple[SolidPair, ...]] = dataclasses.field(default_factory=dict)
-    placed: object | None = None
-    heights: "dict[float, CellModel]" = dataclasses.field(default_factory=dict)
-    eased: dict[Easing, Bounds] = dataclasses.field(default_factory=dict)
+    bounds: ClearanceBounds
+    checked_parts: dict[frozenset[str], tuple[SolidPair, ...]] = dataclasses.field(default_factory=dict)
+    current_placement: object | None = None
+    models_by_height: "dict[float, CellModel]" = dataclasses.field(default_factory=dict)
+    eased_bounds: dict[ClearanceEasing, ClearanceBounds] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class CellModel:
     """A cell in Drake, with the stock and the bases at one placement.
 
-    Models made by :meth:`with_stock` and :meth:`with_bases` share one diagram, whose contexts are set to a
-    model's placement when that model is asked; a model is therefore not for use by several threads at once.
-    What stands on axes is as the cell has it, moved by ``moved`` {name as :attr:`planner.problem.Cell.riders`
-    has it: (4, 4)}.
+    Models made by :meth:`with_stock` and :meth:`with_bases` share one diagram. Its contexts are set to a
+    model's placement when that model is used. A model must therefore not be used by several threads at once.
+
     q is the concatenation of the serial joint angles [rad] of all arms, in the order of ``cell.arms``. Bodies
     are named "<arm>/base_link", "<arm>/link_1" ... "<arm>/link_J", "<arm>/tool", "<arm>/edge" (a tool's own
-    edge, if it has one), "stock", "support", "<obstacle>". A held stock moves with its holder;
-    ``stock_pose`` is then only remembered. What is said of distances between bodies counts pairs of
-    ``easing`` as farther apart than they are; there are none unless :meth:`with_easing` states them.
+    edge, if it has one), "stock", "support", "<obstacle>".
 
-    A base whose track follows the work may stand elsewhere in each row of what is asked: it is (B, 4, 4) in
-    ``bases`` then, and :meth:`at_rows` gives the model of some rows. Drake is asked row by row.
+    A base whose track follows the work may differ from row to row. It is (B, 4, 4) in ``bases`` then, and
+    :meth:`at_rows` gives the model of some rows. Drake is called row by row.
+
+    Attributes:
+        cell: The cell.
+        stock: The stock. A held stock moves with its holder.
+        stock_pose: Pose of the stock in the world (4, 4). It is only stored if the stock is held.
+        bases: Pose of each base (4, 4).
+        robots: Robot data by arm.
+        easing: Pairs of bodies that count as farther apart in all distances. None unless :meth:`with_easing`
+            sets them.
+        axis_motions: Motion of what is mounted on axes, from where the cell has it (4, 4), by name as in
+            :attr:`planner.problem.Cell.carried_bodies`.
     """
 
     cell: Cell
@@ -198,19 +218,19 @@ class CellModel:
     stock_pose: FloatArray
     bases: Mapping[str, FloatArray]
     robots: Mapping[str, RobotData]
-    _shared: _Shared
-    easing: Easing = NOT_EASED
-    moved: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
+    _shared: _SharedModel
+    easing: ClearanceEasing = NO_EASING
+    axis_motions: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """For another process, which builds it again: Drake's part of it does not travel."""
-        return _again, (
+        """Pickle for another process, which builds the model again. Drake objects are not transferred."""
+        return _rebuild, (
             self.cell,
             self.stock,
             self.stock_pose,
             dict(self.bases),
             self.easing,
-            dict(self.moved),
+            dict(self.axis_motions),
         )
 
     @property
@@ -220,16 +240,16 @@ class CellModel:
 
     @functools.cached_property
     def columns(self) -> dict[str, slice]:
-        """Where each arm's joints are in q."""
-        return catalogue.columns_of(self.robots)
+        """Columns of each arm's joints in q."""
+        return catalogue.joint_columns(self.robots)
 
-    def split(self, rows: FloatArray) -> dict[str, FloatArray]:
-        """Joints {arm: (B, J)} of configurations (B, nq)."""
+    def split_by_arm(self, rows: FloatArray) -> dict[str, FloatArray]:
+        """Return joints by arm (B, J) of configurations (B, nq)."""
         return {arm: rows[:, part] for arm, part in self.columns.items()}
 
     @property
     def diagram(self) -> Any:
-        """The Drake ``RobotDiagram``; its default context has the placement that it was built with."""
+        """The Drake ``RobotDiagram``. Its default context has the placement that it was built with."""
         return self._shared.diagram
 
     @property
@@ -239,75 +259,89 @@ class CellModel:
 
     @property
     def checker(self) -> SceneGraphCollisionChecker:
-        """The collision checker, its contexts set to this placement. Pass ``parallelize=False`` to its
-        batches."""
-        self.place()
+        """The collision checker, with its contexts set to this placement.
+
+        Pass ``parallelize=False`` to its batches.
+        """
+        self.apply_placement()
         return self._shared.checker
 
     @property
-    def pairs_filtered(self) -> tuple[FilteredPair, ...]:
-        """Pairs of bodies that are not held apart, or of which some solids are not, each with the reason."""
+    def filtered_pairs(self) -> tuple[FilteredPair, ...]:
+        """Pairs of bodies of which no or not all solids are checked, each with the reason."""
         return self._shared.filtered
 
     @property
-    def held_in_part(self) -> Mapping[frozenset[str], tuple[SolidPair, ...]]:
-        """Pairs of bodies of which some solids are always near each other, with the pairs of solids that are
-        held apart, by their places in ``bounds.given``."""
-        return self._shared.parts
+    def partially_checked(self) -> Mapping[frozenset[str], tuple[SolidPair, ...]]:
+        """Pairs of bodies of which some solids are always close, with the pairs of solids that are checked.
+
+        Solids are indices in ``bounds.given``.
+        """
+        return self._shared.checked_parts
 
     @property
     def solids(self) -> tuple[Solid, ...]:
-        """The collision solids of all bodies."""
+        """Collision solids of all bodies."""
         return self._shared.solids
 
     @property
-    def bounds(self) -> Bounds:
-        """Capsules and boxes that bound the least distance."""
+    def bounds(self) -> ClearanceBounds:
+        """Capsules and boxes that bound the smallest distance."""
         if not self.easing.by:
             return self._shared.bounds
-        known = self._shared.eased
+        known = self._shared.eased_bounds
         if self.easing not in known:
-            known[self.easing] = self._shared.bounds.eased(self.easing)
+            known[self.easing] = self._shared.bounds.with_easing(self.easing)
         return known[self.easing]
 
     @property
     def home(self) -> FloatArray:
-        """All arms at home, (nq,)."""
+        """Configuration with all arms at home (nq,)."""
         return np.concatenate([arm.home for arm in self.cell.arms])
 
     def body_name(self, index: int) -> str:
-        """Our name of the Drake body with that index."""
+        """Return the name of the Drake body with an index."""
         return self._shared.names[index]
 
     def body(self, name: str) -> RigidBody:
-        """The Drake body of that name; raises ``KeyError``."""
+        """Return the Drake body of a name.
+
+        Raises:
+            KeyError: If there is none.
+        """
         for index, known in self._shared.names.items():
             if known == name:
                 return self.plant.get_body(BodyIndex(index))
         raise KeyError(name)
 
     def geometry(self, solid: int) -> Any:
-        """Drake's id of a solid, by its place in ``bounds.given``."""
-        given = self.bounds.given[solid]
-        own = [one for one in self.solids if one.body == given.body]
-        place = next(k for k, one in enumerate(own) if one is given)
-        return self.plant.GetCollisionGeometriesForBody(self.body(given.body))[place]
+        """Return Drake's id of a solid, given its index in ``bounds.given``."""
+        given = self.bounds.all_solids[solid]
+        body_solids = [candidate for candidate in self.solids if candidate.body == given.body]
+        index = next(k for k, candidate in enumerate(body_solids) if candidate is given)
+        return self.plant.GetCollisionGeometriesForBody(self.body(given.body))[index]
 
     def carrier(self, body: str) -> str | None:
-        """The arm that a body belongs to or is held by, None for bodies of no arm."""
+        """Return the arm that a body belongs to or is held by, None for bodies of no arm."""
         owner = self.stock.held_by if body == "stock" else body.partition("/")[0]
         return owner if owner in self.arms else None
 
     def joints_of(self, arm: str, body: str) -> int:
-        """How many joints of an arm move a body, from the base on: 0 for bodies that are not its own, all for
-        its tool and what it holds."""
+        """Return how many joints of an arm move a body, counted from the base.
+
+        0 for bodies that do not belong to it, all for its tool and what it holds.
+        """
         link = body.partition("/")[2]
         if self.carrier(body) != arm or link == "base_link":
             return 0
         return int(link.removeprefix("link_")) if link.startswith("link_") else self.robots[arm].axes
 
-    def stack(self, q: Mapping[str, FloatArray]) -> FloatArray:
-        """Configurations (B, nq) from {arm: (B, J)}; arms that are not named stay at home."""
+    def stack_rows(self, q: Mapping[str, FloatArray]) -> FloatArray:
+        """Return configurations (B, nq) from joints by arm (B, J). Other arms stay at home.
+
+        Raises:
+            ValueError: For unknown arms or different numbers of rows.
+        """
         count = {len(np.atleast_2d(rows)) for rows in q.values()}
         if len(count) > 1 or set(q) - set(self.arms):
             raise ValueError(f"q has arms {sorted(q)} with {sorted(count)} rows; the cell has {self.arms}")
@@ -318,38 +352,46 @@ class CellModel:
         return np.concatenate(columns, axis=1)
 
     def tcp(self, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-        """TCP poses {arm: (B, 4, 4)} in the world for {arm: (B, J)}, bases as they stand in each row."""
+        """Return TCP poses in the world by arm (B, 4, 4), for joints by arm (B, J).
+
+        Bases are as in each row.
+        """
         return {
-            arm: self.bases[arm] @ forward(self.robots[arm], rows) @ self.cell.arm(arm).tool.tcp
+            arm: self.bases[arm] @ forward_kinematics(self.robots[arm], rows) @ self.cell.arm(arm).tool.tcp
             for arm, rows in q.items()
         }
 
     def jacobians(self, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-        """Jacobians {arm: (B, 6, J)} of the TCPs in the world, rows angular [-], then linear [m/rad], of
-        joints {arm: (B, J)}, by Drake's plant; :meth:`poses` of the same is closed form."""
-        world, rows = self.plant.world_frame(), self.stack(q)
+        """Return Jacobians of the TCPs in the world by arm (B, 6, J), for joints by arm (B, J).
+
+        Rows are angular [-], then linear [m/rad]. They come from Drake's plant, while :meth:`poses` is closed
+        form.
+        """
+        world, rows = self.plant.world_frame(), self.stack_rows(q)
         ends = {arm: self._flange(arm) for arm in q}
         out = {arm: np.empty((len(rows), 6, self.robots[arm].axes)) for arm in q}
-        checker = self.at_rows(0).checker  # where a base stands changes no Jacobian in the world's axes
+        checker = self.at_rows(0).checker  # the position of a base does not change Jacobians in world axes
         for i, row in enumerate(rows):
             context = checker.UpdatePositions(row)
-            for arm, (frame, place, columns) in ends.items():
+            for arm, (frame, tcp_position, columns) in ends.items():
                 out[arm][i] = self.plant.CalcJacobianSpatialVelocity(
-                    context, JacobianWrtVariable.kQDot, frame, place, world, world
+                    context, JacobianWrtVariable.kQDot, frame, tcp_position, world, world
                 )[:, columns]
         return out
 
     def _flange(self, arm: str) -> tuple[Any, FloatArray, slice]:
-        """Drake's frame of an arm's flange, the TCP (3,) [m] in it, and the arm's columns."""
+        """Return Drake's frame of an arm's flange, the TCP (3,) [m] in it, and the arm's columns."""
         flange = self.plant.GetFrameByName("tool0", self.body(f"{arm}/link_1").model_instance())
         return flange, self.cell.arm(arm).tool.tcp[:3, 3], self.columns[arm]
 
     def poses(self, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-        """World poses of all bodies by name: (B, 4, 4) of moving bodies of named arms, (1, 4, 4) of all
-        others."""
+        """Return world poses of all bodies by name.
+
+        (B, 4, 4) for moving bodies of named arms, (1, 4, 4) for all others.
+        """
         out = {obstacle.name: np.eye(4)[None] for obstacle in self.cell.obstacles}
-        riders = self.cell.riders.items()
-        out.update((body, self.motion(name)[None]) for name, bodies in riders for body in bodies)
+        riders = self.cell.carried_bodies.items()
+        out.update((body, self.axis_motion(name)[None]) for name, bodies in riders for body in bodies)
         out["stock"] = out["support"] = self.stock_pose[None]
         for arm in self.cell.arms:
             rows = np.atleast_2d(q.get(arm.name, arm.home))
@@ -362,101 +404,118 @@ class CellModel:
         return out
 
     def with_stock(self, pose: FloatArray) -> "CellModel":
-        """The same cell with the stock (and its support) at another pose (4, 4) in the world; nothing is
-        rebuilt but a pedestal of another height. A held stock stays in its holder's tool."""
+        """Return the same cell with the stock and its support at another pose (4, 4) in the world.
+
+        Nothing is rebuilt except a pedestal of another height. A held stock stays in its holder's tool.
+        """
         pose = np.array(pose, dtype=np.float64)
         if self.stock.pedestal is None or self.stock.held_by is not None:
             return dataclasses.replace(self, stock_pose=pose)
-        known = self._shared.heights  # of what is made for the block: one model for each
-        known.setdefault(_height(self.stock_pose), self)
-        if _height(pose) not in known:
-            made = build(self.cell, self.stock, pose, self.bases)
-            made._shared.heights = known
-            known[_height(pose)] = made
-        there = known[_height(pose)]
-        return dataclasses.replace(there, stock_pose=pose, bases=self.bases, easing=self.easing)
+        known = self._shared.models_by_height  # one model for each height of the pedestal
+        known.setdefault(_pose_height(self.stock_pose), self)
+        if _pose_height(pose) not in known:
+            built = build_cell_model(self.cell, self.stock, pose, self.bases)
+            built._shared.models_by_height = known
+            known[_pose_height(pose)] = built
+        known_model = known[_pose_height(pose)]
+        return dataclasses.replace(known_model, stock_pose=pose, bases=self.bases, easing=self.easing)
 
     def with_bases(self, bases: Mapping[str, FloatArray]) -> "CellModel":
-        """The same cell with the named arms' bases at other poses (4, 4) in the world; nothing is rebuilt."""
+        """Return the same cell with bases by arm at other poses (4, 4) in the world. Nothing is rebuilt."""
         return dataclasses.replace(self, bases={**self.bases, **bases})
 
     @property
-    def rides(self) -> bool:
-        """Whether a base stands elsewhere from row to row."""
+    def has_moving_base(self) -> bool:
+        """Whether a base differs from row to row."""
         return any(base.ndim > 2 for base in self.bases.values())
 
     def at_rows(self, rows: IndexArray | int) -> "CellModel":
-        """The model of some rows (K,) of what is asked, or of one alone, bases where they stand in these;
-        itself where they stand in one place."""
-        if not self.rides:
+        """Return the model of some rows (K,) or of one row, with bases as in these rows.
+
+        Returns itself if all bases are constant.
+        """
+        if not self.has_moving_base:
             return self
-        some = {arm: base[rows] if base.ndim > 2 else base for arm, base in self.bases.items()}
-        return dataclasses.replace(self, bases=some)
+        row_bases = {arm: base[rows] if base.ndim > 2 else base for arm, base in self.bases.items()}
+        return dataclasses.replace(self, bases=row_bases)
 
-    def motion(self, name: str) -> FloatArray:
-        """How (4, 4) what stands on an axis, by its name among stations, is moved from where the cell has
-        it."""
-        return self.moved.get(name, np.eye(4))
+    def axis_motion(self, name: str) -> FloatArray:
+        """Return the motion (4, 4) of what is mounted on an axis, by the axis' name.
 
-    def with_moved(self, motions: Mapping[str, FloatArray]) -> "CellModel":
-        """The same cell with what stands on the named axes moved by motions (4, 4) from where the cell has
-        it; nothing is rebuilt."""
-        return dataclasses.replace(self, moved={**self.moved, **motions})
+        It counts from where the cell has the bodies.
+        """
+        return self.axis_motions.get(name, np.eye(4))
 
-    def with_easing(self, easing: Easing) -> "CellModel":
-        """The same cell, in which pairs of bodies count as farther apart than they are."""
+    def with_axis_motions(self, motions: Mapping[str, FloatArray]) -> "CellModel":
+        """Return the same cell with what is mounted on axes moved by motions (4, 4), by axis.
+
+        Motions count from where the cell has the bodies. Nothing is rebuilt.
+        """
+        return dataclasses.replace(self, axis_motions={**self.axis_motions, **motions})
+
+    def with_easing(self, easing: ClearanceEasing) -> "CellModel":
+        """Return the same cell, in which pairs of bodies count as farther apart than they are."""
         return dataclasses.replace(self, easing=easing)
 
-    def place(self) -> None:
-        """Sets the checker's contexts to this placement, unless they are there."""
-        if self._shared.placed is self:
+    def apply_placement(self) -> None:
+        """Set the checker's contexts to this placement, unless they are already."""
+        if self._shared.current_placement is self:
             return
 
-        def write(_model: object, context: Any) -> None:
+        def set_context(_model: object, context: Any) -> None:
             plant_context = context.plant_context()
             for name, frame in self._shared.mounts.items():
-                own = {"stock": self.stock_pose, **self.bases}
-                on = name.removesuffix(_ON_AXIS)
-                pose = own[name] if name in own else self.motion(on)
-                frame.SetPoseInParentFrame(plant_context, rigid(pose))
+                poses = {"stock": self.stock_pose, **self.bases}
+                axis_name = name.removesuffix(_ON_AXIS)
+                pose = poses[name] if name in poses else self.axis_motion(axis_name)
+                frame.SetPoseInParentFrame(plant_context, rigid_transform(pose))
 
-        self._shared.checker.PerformOperationAgainstAllModelContexts(write)
-        self._shared.placed = self
+        self._shared.checker.PerformOperationAgainstAllModelContexts(set_context)
+        self._shared.current_placement = self
 
 
-def build(
+def build_cell_model(
     cell: Cell,
     stock: Stock,
     stock_pose: FloatArray,
     bases: Mapping[str, FloatArray] | None = None,
     meshcat: Any = None,
 ) -> CellModel:
-    """The model of a cell, with the stock at ``stock_pose`` (4, 4) in the world and arms at ``bases`` or
-    their own.
+    """Return the model of a cell.
 
-    A held stock is fixed to its holder's tool. With ``meshcat`` a visualizer of the visible shapes is part of
-    the diagram. Raises :class:`TandemError` for an unknown robot and for names of bodies that clash
-    (``cell.body_name``), ``KeyError`` for an unknown holder, ``ValueError`` for a held stock on a support.
-    Worker processes get one that an earlier job left (`planner.cell.plant`).
+    A held stock is fixed to its holder's tool. Worker processes get a model that an earlier job left
+    (:meth:`ModelCache.job`).
+
+    Args:
+        cell: The cell.
+        stock: The stock.
+        stock_pose: Pose of the stock in the world (4, 4).
+        bases: Poses of bases by arm (4, 4), by default those of the cell.
+        meshcat: If given, a visualizer of the visible shapes is part of the diagram.
+
+    Raises:
+        TandemError: For an unknown robot, and for clashing names of bodies (``cell.body_name``).
+        KeyError: For an unknown holder.
+        ValueError: For a held stock on a support.
     """
     if meshcat is not None:
-        return _new(cell, stock, stock_pose, bases, meshcat)
+        return _build_new(cell, stock, stock_pose, bases, meshcat)
     content = (cell, stock, np.asarray(stock_pose, dtype=np.float64), bases)
-    return kept_model(content, lambda: _new(cell, stock, stock_pose, bases, None))
+    return cached_model(content, lambda: _build_new(cell, stock, stock_pose, bases, None))
 
 
-def _again(
+def _rebuild(
     cell: Cell,
     stock: Stock,
     stock_pose: FloatArray,
     bases: Mapping[str, FloatArray],
-    easing: Easing,
+    easing: ClearanceEasing,
     moved: Mapping[str, FloatArray],
 ) -> CellModel:
-    return build(cell, stock, stock_pose, bases).with_easing(easing).with_moved(moved)
+    return build_cell_model(cell, stock, stock_pose, bases).with_easing(easing).with_axis_motions(moved)
 
 
-def _new(
+def _build_new(
     cell: Cell, stock: Stock, stock_pose: FloatArray, bases: Mapping[str, FloatArray] | None, meshcat: Any
 ) -> CellModel:
     _check_names(cell)
@@ -468,88 +527,115 @@ def _new(
     builder = RobotDiagramBuilder(time_step=0.0)
     plant = builder.plant()
     mounts: dict[str, FixedOffsetFrame] = {}
-    own = own_shapes(cell, stock)
+    shapes = shapes_by_body(cell, stock)
     instances = []
     flanges: dict[str, tuple[Any, Any]] = {}
     for arm in cell.arms:
         file = robots[arm.name].file
         if file is None:
-            instance = _parsed(plant, builder.scene_graph(), arm)
+            instance = _add_catalogue_robot(plant, builder.scene_graph(), arm)
         else:
-            instance = _jointed(plant, arm.name, robots[arm.name], file)
+            instance = _add_user_robot(plant, arm.name, robots[arm.name], file)
         instances.append(instance)
-        mounts[arm.name] = _mount(plant, f"{arm.name}/mount", placed[arm.name])
+        mounts[arm.name] = _add_mount(plant, f"{arm.name}/mount", placed[arm.name])
         plant.WeldFrames(mounts[arm.name], plant.GetFrameByName("base_link", instance))
         flanges[arm.name] = instance, plant.GetFrameByName("tool0", instance)
         for body, colour in ((f"{arm.name}/tool", TOOL_COLOUR), (f"{arm.name}/edge", EDGE_COLOUR)):
-            if body in own:
-                _on_flange(plant, body, flanges[arm.name], np.eye(4), own[body], colour)
+            if body in shapes:
+                _add_flange_body(plant, body, flanges[arm.name], np.eye(4), shapes[body], colour)
     if stock.held_by is not None:
         held = cell.arm(stock.held_by).tool.tcp @ stock.grip
-        _on_flange(plant, "stock", flanges[stock.held_by], held, own["stock"], STOCK_COLOUR)
+        _add_flange_body(plant, "stock", flanges[stock.held_by], held, shapes["stock"], STOCK_COLOUR)
     else:
-        mounts["stock"] = _mount(plant, "stock/mount", np.asarray(stock_pose))
-        _fixed(plant, "stock", mounts["stock"], own["stock"], STOCK_COLOUR)
+        mounts["stock"] = _add_mount(plant, "stock/mount", np.asarray(stock_pose))
+        _add_fixed_body(plant, "stock", mounts["stock"], shapes["stock"], STOCK_COLOUR)
     if stock.support:
-        _fixed(plant, "support", mounts["stock"], own["support"], SUPPORT_COLOUR)
-    on: dict[str, str] = {}
-    for axis, bodies in cell.riders.items():
-        mounts[f"{axis}{_ON_AXIS}"] = _mount(plant, f"{axis}{_ON_AXIS}", np.eye(4))
-        on |= dict.fromkeys(bodies, f"{axis}{_ON_AXIS}")
+        _add_fixed_body(plant, "support", mounts["stock"], shapes["support"], SUPPORT_COLOUR)
+    mount_by_body: dict[str, str] = {}
+    for axis, bodies in cell.carried_bodies.items():
+        mounts[f"{axis}{_ON_AXIS}"] = _add_mount(plant, f"{axis}{_ON_AXIS}", np.eye(4))
+        mount_by_body |= dict.fromkeys(bodies, f"{axis}{_ON_AXIS}")
     for obstacle in cell.obstacles:
-        mount = mounts[on[obstacle.name]] if obstacle.name in on else plant.world_frame()
-        _fixed(plant, obstacle.name, mount, obstacle.shapes, OBSTACLE_COLOUR)
+        mount = (
+            mounts[mount_by_body[obstacle.name]] if obstacle.name in mount_by_body else plant.world_frame()
+        )
+        _add_fixed_body(plant, obstacle.name, mount, obstacle.shapes, OBSTACLE_COLOUR)
     plant.Finalize()
     if meshcat is not None:
         parameters = MeshcatVisualizerParams()
         MeshcatVisualizer.AddToBuilder(builder.builder(), builder.scene_graph(), meshcat, parameters)
-    names = _names(plant, cell, instances)
-    with quiet():
+    names = _body_names(plant, cell, instances)
+    with drake_log_suppressed():
         checker = SceneGraphCollisionChecker(
             model=builder.Build(), robot_model_instances=instances, edge_step_size=0.05
         )
     filtered = filter_pairs(checker, names, stock.held_by)
     inspector = checker.model().scene_graph().model_inspector()
-    solids = collect(plant, inspector, names, own)
-    riding = {f"{arm.name}/base_link" for arm in cell.arms if arm.follows}
-    bounds = prepare(solids, filtered, stock.held_by, riding)
-    shared = _Shared(plant, checker.model(), checker, mounts, names, filtered, solids, bounds)
+    solids = collect_solids(plant, inspector, names, shapes)
+    moving_bases = {f"{arm.name}/base_link" for arm in cell.arms if arm.has_coordinated_track}
+    bounds = make_bounds(solids, filtered, stock.held_by, moving_bases)
+    shared = _SharedModel(plant, checker.model(), checker, mounts, names, filtered, solids, bounds)
     model = CellModel(cell, stock, np.asarray(stock_pose, dtype=np.float64), placed, robots, shared)
-    _leave_out_always_near(model)
+    _filter_always_near(model)
     return model
 
 
-_OwnPair = tuple[tuple[str, int], tuple[str, int]]
-"""Two solids, each by its body and its place among those of that body."""
-_known_near: dict[str, tuple[Sequence[_OwnPair], Sequence[_OwnPair]]] = {}
-"""What :func:`_always_near` found, by the content of the arms: all cells, setups and placements with the same
-arms and tools have it."""
-MOST_KNOWN: Final = 64
-"""Sets of arms of which that is known at most."""
+_NamedSolidPair = tuple[tuple[str, int], tuple[str, int]]
+"""Two solids, each by its body and its index among those of that body."""
+MAX_ALWAYS_NEAR_RESULTS: Final = 64
+"""Maximum number of sets of arms whose always close pairs are kept in memory."""
 
 
-def _always_near(model: CellModel) -> tuple[Sequence[SolidPair], Sequence[SolidPair]]:
-    """Pairs of what is mounted flat on a flange and the link before the wrist, and of solids of one arm that
-    are near each other in nearly all of RANDOM_POSTURES. Wherever the arms stand it is the same: they are
-    looked at with their bases at the origin, so that rounding is the same, too."""
-    arms = [(a.name, a.robot, a.given, a.tool, a.home, a.follows) for a in model.cell.arms]
-    key = content_digest((arms, model.stock.held_by))
-    names = _own_names(model.bounds.given)
-    if key not in _known_near:
-        while len(_known_near) >= MOST_KNOWN:
-            del _known_near[next(iter(_known_near))]
-        flat, near = _found_near(dataclasses.replace(model, bases={arm: np.eye(4) for arm in model.arms}))
-        _known_near[key] = ([(names[a], names[b]) for a, b in flat], [(names[a], names[b]) for a, b in near])
-    place = {name: k for k, name in enumerate(names)}
-    flat, near = (
-        tuple(sorted((min(place[a], place[b]), max(place[a], place[b])) for a, b in pairs))
-        for pairs in _known_near[key]
+@dataclasses.dataclass(frozen=True)
+class _ArmsOfModel:
+    """Arms with tools, as a key: models with the same arms are equal, whatever cell they are in.
+
+    Attributes:
+        digest: Digest of the arms, their tools and the arm that holds the stock.
+        model: A model with these arms. The reference is weak, so that a kept key does not keep the model.
+    """
+
+    digest: str
+    model: "weakref.ReferenceType[CellModel]" = dataclasses.field(compare=False)
+
+
+def _always_near_pairs(model: CellModel) -> tuple[Sequence[SolidPair], Sequence[SolidPair]]:
+    """Return pairs of flange parts with the link before the wrist, and always close pairs of one arm.
+
+    The latter are close in nearly all of RANDOM_POSTURES. The result does not depend on where the arms stand.
+    It is computed with their bases at the origin, so that rounding is the same too.
+    """
+    arms = [
+        (a.name, a.robot, a.custom_data, a.tool, a.home, a.has_coordinated_track) for a in model.cell.arms
+    ]
+    named_pairs = _named_always_near_pairs(
+        _ArmsOfModel(content_digest((arms, model.stock.held_by)), weakref.ref(model))
     )
-    return flat, near
+    index = {name: k for k, name in enumerate(_solid_names(model.bounds.all_solids))}
+    flat, near_pairs = (
+        tuple(sorted((min(index[a], index[b]), max(index[a], index[b])) for a, b in pairs))
+        for pairs in named_pairs
+    )
+    return flat, near_pairs
 
 
-def _own_names(given: Sequence[Solid]) -> list[tuple[str, int]]:
-    """The body of each solid and its place among those of that body."""
+@functools.lru_cache(maxsize=MAX_ALWAYS_NEAR_RESULTS)
+def _named_always_near_pairs(
+    arms: _ArmsOfModel,
+) -> tuple[Sequence[_NamedSolidPair], Sequence[_NamedSolidPair]]:
+    """Return both kinds of pairs. They hold for all cells and placements with the same arms and tools."""
+    model = arms.model()
+    if model is None:
+        raise ReferenceError("the model of a new key exists while its pairs are computed")
+    names = _solid_names(model.bounds.all_solids)
+    flat, near_pairs = _find_always_near(
+        dataclasses.replace(model, bases={arm: np.eye(4) for arm in model.arms})
+    )
+    return [(names[a], names[b]) for a, b in flat], [(names[a], names[b]) for a, b in near_pairs]
+
+
+def _solid_names(given: Sequence[Solid]) -> list[tuple[str, int]]:
+    """Return the body of each solid and its index among those of that body."""
     count: dict[str, int] = {}
     out = []
     for solid in given:
@@ -558,77 +644,92 @@ def _own_names(given: Sequence[Solid]) -> list[tuple[str, int]]:
     return out
 
 
-def _found_near(model: CellModel) -> tuple[Sequence[SolidPair], Sequence[SolidPair]]:
+def _find_always_near(model: CellModel) -> tuple[Sequence[SolidPair], Sequence[SolidPair]]:
     whole = model._shared.bounds
-    flat = whole.flange_parts(model.poses({}))
+    flat = whole.flange_part_pairs(model.poses({}))
     lower = np.concatenate([model.robots[arm].lower for arm in model.arms])
     upper = np.concatenate([model.robots[arm].upper for arm in model.arms])
     q = np.random.default_rng(20).uniform(lower, upper, size=(RANDOM_POSTURES, len(lower)))
-    return flat, whole.without(flat).always_near(model.poses(model.split(q)))
+    return flat, whole.without_pairs(flat).always_near_pairs(model.poses(model.split_by_arm(q)))
 
 
-def _leave_out_always_near(model: CellModel) -> None:
-    """Takes pairs of solids out of what is held apart: of what is mounted flat on a flange and the link
-    before the wrist, and of one arm that are near each other in nearly all of RANDOM_POSTURES. Where those
-    are all pairs of two bodies, they are out of the checker, too."""
+def _filter_always_near(model: CellModel) -> None:
+    """Remove pairs of solids that are always close from the checks.
+
+    These are parts flat on a flange with the link before the wrist, and solids of one arm that are close in
+    nearly all of RANDOM_POSTURES. If these are all pairs of two bodies, they are removed from the checker
+    too.
+    """
     shared, whole = model._shared, model._shared.bounds
-    flat, near = _always_near(model)
-    shared.bounds = whole.without({*flat, *near})
+    flat, near_pairs = _always_near_pairs(model)
+    shared.bounds = whole.without_pairs({*flat, *near_pairs})
     reasons: dict[tuple[str, str], list[str]] = {}
-    for why, solids in (("what is flat on the flange is kept off by its build", flat), (NEAR, near)):
+    for why, solids in (
+        ("parts flat on the flange are kept apart by its build", flat),
+        (ALWAYS_NEAR_REASON, near_pairs),
+    ):
         for a, b in solids:
-            one, other = sorted((whole.given[a].body, whole.given[b].body))
-            reasons.setdefault((one, other), [])
-            if why not in reasons[one, other]:
-                reasons[one, other].append(why)
-    found = list(shared.filtered)
-    for (one, other), told in sorted(reasons.items()):
-        left, count = shared.bounds.of_bodies(one, other), len(whole.of_bodies(one, other))
-        if not left:
-            a, b = (model.body(name).index() for name in (one, other))
+            first_body, other = sorted((whole.all_solids[a].body, whole.all_solids[b].body))
+            reasons.setdefault((first_body, other), [])
+            if why not in reasons[first_body, other]:
+                reasons[first_body, other].append(why)
+    filtered = list(shared.filtered)
+    for (first_body, other), reasons_of_pair in sorted(reasons.items()):
+        remaining, count = (
+            shared.bounds.pairs_of_bodies(first_body, other),
+            len(whole.pairs_of_bodies(first_body, other)),
+        )
+        if not remaining:
+            a, b = (model.body(name).index() for name in (first_body, other))
             shared.checker.SetCollisionFilteredBetween(a, b, True)
-            found.append((one, other, ", ".join(told)))
+            filtered.append((first_body, other, ", ".join(reasons_of_pair)))
             continue
-        shared.parts[frozenset((one, other))] = left
-        share = f"{count - len(left)} of {count} pairs of their solids"
-        found.append((one, other, f"{share}: {', '.join(told)}; the others are held apart"))
-    shared.filtered = tuple(sorted(found))
+        shared.checked_parts[frozenset((first_body, other))] = remaining
+        count_text = f"{count - len(remaining)} of {count} pairs of their solids"
+        filtered.append(
+            (first_body, other, f"{count_text}: {', '.join(reasons_of_pair)}; the others are checked")
+        )
+    shared.filtered = tuple(sorted(filtered))
 
 
-def _parsed(plant: MultibodyPlant, scene_graph: Any, arm: Arm) -> Any:
-    """The model of a robot of the catalogue, by Drake's reader of its URDF."""
+def _add_catalogue_robot(plant: MultibodyPlant, scene_graph: Any, arm: Arm) -> Any:
+    """Add a robot of the catalogue by Drake's URDF parser."""
     path = catalogue.urdf_path(arm.robot)
     try:
         parser = Parser(plant=plant, scene_graph=scene_graph, model_name_prefix=arm.name)
         (instance,) = parser.AddModels(str(path))
     except RuntimeError as error:
-        raise catalogue.damaged(path, str(error)) from None
+        raise catalogue.damaged_file_error(path, str(error)) from None
     return instance
 
 
-def _jointed(plant: MultibodyPlant, name: str, robot: RobotData, file: RobotFile) -> Any:
-    """The model of a robot of the user's own: frames of its URDF, links named as those of the catalogue, the
-    shapes that are held apart."""
+def _add_user_robot(plant: MultibodyPlant, name: str, robot: RobotData, file: RobotFile) -> Any:
+    """Add a robot of the user with its collision shapes.
+
+    Frames are those of its URDF, links are named as in the catalogue.
+    """
     instance = plant.AddModelInstance(name)
     bodies = [
         plant.AddRigidBody(link, instance, SpatialInertia.Zero()) for link in link_chain(robot.axes)[:-1]
     ]
     steps = inverse(file.zero[:-1]) @ file.zero[1:]
     for i in range(robot.axes):
-        before = bodies[i].body_frame()
-        hinge = plant.AddFrame(FixedOffsetFrame(f"hinge_{i + 1}", before, rigid(steps[i]), instance))
+        parent = bodies[i].body_frame()
+        hinge = plant.AddFrame(
+            FixedOffsetFrame(f"hinge_{i + 1}", parent, rigid_transform(steps[i]), instance)
+        )
         axis = file.zero[i + 1, :3, :3].T @ file.axis[i]
         low, high = float(robot.lower[i]), float(robot.upper[i])
         plant.AddJoint(RevoluteJoint(f"joint_{i + 1}", hinge, bodies[i + 1].body_frame(), axis, low, high))
-    plant.AddFrame(FixedOffsetFrame("tool0", bodies[-1].body_frame(), rigid(steps[-1]), instance))
+    plant.AddFrame(FixedOffsetFrame("tool0", bodies[-1].body_frame(), rigid_transform(steps[-1]), instance))
     for body, shapes in zip(bodies, file.shapes, strict=True):
         _add_shapes(plant, body, shapes, ROBOT_COLOUR)
     return instance
 
 
 @contextlib.contextmanager
-def quiet() -> Iterator[None]:
-    """Without what Drake says of itself: contexts of every checker, ports."""
+def drake_log_suppressed() -> Iterator[None]:
+    """Suppress Drake's log messages on contexts of checkers and on ports."""
     logger = logging.getLogger("drake")
     level = logger.level
     logger.setLevel(max(level, logging.WARNING))
@@ -638,8 +739,8 @@ def quiet() -> Iterator[None]:
         logger.setLevel(level)
 
 
-def rigid(pose: FloatArray) -> RigidTransform:
-    """Drake's transform of a pose (4, 4), made orthonormal to rounding."""
+def rigid_transform(pose: FloatArray) -> RigidTransform:
+    """Return Drake's transform of a pose (4, 4), made orthonormal to rounding."""
     return RigidTransform(RotationMatrix.ProjectToRotationMatrix(pose[:3, :3]), pose[:3, 3])
 
 
@@ -650,22 +751,22 @@ def _check_names(cell: Cell) -> None:
     bodies += [("obstacle", f"cell.obstacles.{i}.name", body.name) for i, body in enumerate(cell.obstacles)]
     for kind, field, name in bodies:
         if name in taken or "/" in name:
-            message = f"{kind} {name!r}: the name is taken, reserved or has a '/'"
-            issues.append(Issue("cell.body_name", message, field=field, hint="give it another name"))
+            message = format_message("cell.body_name", kind=kind, name=name)
+            issues.append(Issue("cell.body_name", message, field=field, hint="use another name"))
         taken.append(name)
     if issues:
         raise TandemError(issues)
 
 
-def _mount(plant: MultibodyPlant, name: str, pose: FloatArray) -> FixedOffsetFrame:
-    return plant.AddFrame(FixedOffsetFrame(name, plant.world_frame(), rigid(pose)))
+def _add_mount(plant: MultibodyPlant, name: str, pose: FloatArray) -> FixedOffsetFrame:
+    return plant.AddFrame(FixedOffsetFrame(name, plant.world_frame(), rigid_transform(pose)))
 
 
 _ON_AXIS: Final = "/on"
-"""Behind the name of an axis: its frame in the world, that of what stands on it."""
+"""Suffix of an axis' name for its frame in the world, to which the bodies on it are fixed."""
 
 
-def _fixed(
+def _add_fixed_body(
     plant: MultibodyPlant, name: str, mount: Any, shapes: tuple[Shape, ...], colour: FloatArray
 ) -> None:
     body = plant.AddRigidBody(name, plant.AddModelInstance(name), SpatialInertia.Zero())
@@ -673,7 +774,7 @@ def _fixed(
     _add_shapes(plant, body, shapes, colour)
 
 
-def _on_flange(
+def _add_flange_body(
     plant: MultibodyPlant,
     name: str,
     flange: tuple[Any, Any],
@@ -681,10 +782,10 @@ def _on_flange(
     shapes: tuple[Shape, ...],
     colour: FloatArray,
 ) -> None:
-    """A body of the robot's own model (instance, tool0), fixed at ``pose`` (4, 4) to its flange."""
+    """Add a body to the robot's model (instance, tool0), fixed to its flange at ``pose`` (4, 4)."""
     instance, frame = flange
     body = plant.AddRigidBody(name, instance, SpatialInertia.Zero())
-    plant.WeldFrames(frame, body.body_frame(), rigid(pose))
+    plant.WeldFrames(frame, body.body_frame(), rigid_transform(pose))
     _add_shapes(plant, body, shapes, colour)
 
 
@@ -692,14 +793,14 @@ def _add_shapes(
     plant: MultibodyPlant, body: RigidBody, shapes: tuple[Shape, ...], colour: FloatArray
 ) -> None:
     for i, shape in enumerate(shapes):
-        pose, name = rigid(shape.pose), f"{body.name()}_{i}"
+        pose, name = rigid_transform(shape.pose), f"{body.name()}_{i}"
         plant.RegisterVisualGeometry(body, pose, drake_shape(shape, solid=False), name, colour)
         plant.RegisterCollisionGeometry(
             body, pose, drake_shape(shape, solid=True), name, CoulombFriction(0.5, 0.5)
         )
 
 
-def _names(plant: MultibodyPlant, cell: Cell, instances: list[Any]) -> dict[int, str]:
+def _body_names(plant: MultibodyPlant, cell: Cell, instances: list[Any]) -> dict[int, str]:
     names = {0: "world"}
     for arm, instance in zip(cell.arms, instances, strict=True):
         for index in plant.GetBodyIndices(instance):
@@ -711,5 +812,5 @@ def _names(plant: MultibodyPlant, cell: Cell, instances: list[Any]) -> dict[int,
     return names
 
 
-def _height(pose: FloatArray) -> float:
+def _pose_height(pose: FloatArray) -> float:
     return round(float(pose[2, 3]), 7)

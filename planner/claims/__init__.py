@@ -1,1 +1,1 @@
-"""What must hold of a job, as data, and the words that planner and proof share."""
+"""What must hold of a job, as data, and the sentences that planner and proof share."""

@@ -16,8 +16,13 @@ from planner.geometry.arrays import FloatArray
 
 @dataclasses.dataclass(frozen=True)
 class ToolDistance:
-    """In ``segment`` the distance of the TCPs of ``arms`` may change by ``change`` [m] while one arm is one
-    step ahead of the other."""
+    """Limit of the change of tool distance while one arm is one step ahead of the other.
+
+    Attributes:
+        segment: Segment in which it holds.
+        arms: Names of the arms.
+        change: Maximum change [m] of the distance of their TCPs.
+    """
 
     segment: Segment
     arms: tuple[str, str]
@@ -26,30 +31,30 @@ class ToolDistance:
 
 @dataclasses.dataclass(frozen=True)
 class Allowance:
-    """Deviation of curves from the replay, which a claim has to leave room for.
+    """Deviation of curves from the replay, for which a claim has to leave margin.
 
     Attributes:
-        way: Deviation of the TCP on each segment (N,) [m].
-        turn: Deviation of its orientation on each segment (N,) [rad].
+        position: Deviation of the TCP on each segment (N,) [m].
+        rotation: Deviation of its orientation on each segment (N,) [rad].
         joints: Largest deviation of a joint [rad].
         body: Largest deviation of any body of the arm [m].
-        faster: Factor by which the tool may be faster than on the straight moves.
+        speed_factor: Factor by which the tool may be faster than on the straight moves.
     """
 
-    way: FloatArray
-    turn: FloatArray
+    position: FloatArray
+    rotation: FloatArray
     joints: float
     body: float
-    faster: float
+    speed_factor: float
 
     @property
-    def largest_turn(self) -> float:
+    def max_rotation(self) -> float:
         """Largest deviation of the orientation [rad]."""
-        return float(self.turn.max())
+        return float(self.rotation.max())
 
     def at(self, lever: float) -> float:
         """Return the largest deviation [m] at a distance ``lever`` [m] from the TCP."""
-        return float((self.way + lever * self.turn).max())
+        return float((self.position + lever * self.rotation).max())
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,7 +63,7 @@ class Power:
 
     Attributes:
         signal: Name of the output.
-        burns: Whether it lights a torch, which nobody lights again where it burned at a stop.
+        burns: Whether it lights a torch, which must not be lit again where it burned at a stop.
         pulsed: Whether it is on for a pulse only, so that a stop does not have to switch it off.
     """
 
@@ -90,17 +95,17 @@ class Claim:
 
     @property
     def tool_distance(self) -> ToolDistance | None:
-        """How much the distance of two tools may change while their arms are one step apart."""
+        """Limit of the tool distance while the arms are one step apart, or None."""
         return None
 
     @property
     def longest_stop(self) -> tuple[Segment, float] | None:
-        """A segment in which the tool may stand with its power on, and how long [s]."""
+        """A segment in which the tool may stand with its power on, and how long [s], or None."""
         return None
 
     @property
     def spindle_rule(self) -> tuple[str, str] | None:
-        """An arm, and the kind of its segments in which a rule about this claim judges the spindle."""
+        """Arm and kind of its segments in which a rule about this claim checks the spindle, or None."""
         return None
 
     @property
@@ -118,15 +123,18 @@ class Claim:
         return None
 
     def tightened(self, allowance: Allowance) -> "Claim":
-        """Return the claim with so much less room that it holds on curves if it holds on straight moves."""
+        """Return the claim with its margin reduced by an allowance for curves.
+
+        If the result holds on straight moves, the claim holds on curves.
+        """
         return self
 
     def used_up(self, allowance: Allowance) -> tuple[float, float] | None:
-        """Return deviation and tolerance [m] if curves leave nothing of the tolerance."""
+        """Return deviation and tolerance [m] if curves leave nothing of the tolerance, else None."""
         return None
 
     def uneven_feed(self) -> Segment | None:
-        """Return the segment whose feed changes from place to place."""
+        """Return the segment whose feed varies along the path, or None."""
         return None
 
 
@@ -149,8 +157,14 @@ def kinds() -> tuple[type[Claim], ...]:
 
 @dataclasses.dataclass(frozen=True)
 class HoldsStock(Claim):
-    """The tool of ``arm`` holds the stock, ``grip`` (4, 4) being the stock frame in its TCP frame, and the
-    controller knows the load: ``mass`` [kg], ``cog`` (3,) [m] in the TCP frame."""
+    """The tool of an arm holds the stock, and the controller knows the load.
+
+    Attributes:
+        arm: Name of the arm.
+        grip: Stock frame (4, 4) in the arm's TCP frame.
+        mass: Mass [kg] of the stock.
+        cog: Centre of gravity (3,) [m] in the TCP frame.
+    """
 
     arm: str
     grip: FloatArray
@@ -160,7 +174,13 @@ class HoldsStock(Claim):
 
 @dataclasses.dataclass(frozen=True)
 class ContactOnlyIn(Claim):
-    """The edge (wire) touches the stock only in segments of the kinds ``kinds``, while ``signal`` is on."""
+    """The edge (wire) touches the stock only in segments of some kinds, while its signal is on.
+
+    Attributes:
+        kinds: Kinds of these segments.
+        signal: Output that switches the edge's power.
+        heat_up: Time [s] that heating up takes.
+    """
 
     on_curves: ClassVar[bool] = True
 
@@ -175,16 +195,24 @@ class ContactOnlyIn(Claim):
 
 @dataclasses.dataclass(frozen=True)
 class OneOf(Claim):
-    """The problem leaves open what is mounted: of the groups of claims in ``either`` one whole group must
-    hold, the one whose `OperatorDialogue` begins with what the operator is told to mount."""
+    """One of several groups of claims must hold, because the problem leaves open what is mounted.
+
+    Attributes:
+        either: Groups of claims. One group must hold as a whole: the one whose `OperatorDialogue` starts with
+            the item that the operator mounts.
+    """
 
     either: tuple[tuple[Claim, ...], ...]
 
 
 @dataclasses.dataclass(frozen=True)
 class FeedWindow(Claim):
-    """While the edge is inside the stock its fastest point there moves between ``lower`` and ``upper``
-    [m/s].
+    """While the edge is inside the stock, its fastest point there moves within a speed range.
+
+    Attributes:
+        segment: Segment in which it holds.
+        lower: Minimum speed [m/s].
+        upper: Maximum speed [m/s].
     """
 
     on_curves: ClassVar[bool] = True
@@ -195,33 +223,42 @@ class FeedWindow(Claim):
 
     def tightened(self, allowance: Allowance) -> "FeedWindow":
         """Return the window of the straight moves, on which the tool is slower than on curves."""
-        return dataclasses.replace(self, upper=self.upper / allowance.faster)
+        return dataclasses.replace(self, upper=self.upper / allowance.speed_factor)
 
 
 ForceFrame = Literal["stock", "tool", "feed"]
-"""Along whose axes a force stands: the stock's, the TCP's, or those of the feed."""
-FEED_WAY: Final = 5e-3
-"""Over this way [m] before and behind a place the direction of its feed is taken, and forces turn with it."""
+"""Frame of a force: that of the stock, of the TCP, or of the feed."""
+FEED_PATH_M: Final = 5e-3
+"""Path [m] before and after a point over which the direction of its feed is averaged. Forces turn with
+it.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
 class ArmSags(Claim):
-    """What is claimed of the places of ``arm`` holds of the arm as its loads bend it, by ``joints`` (6,) [N
-    m/rad] about the axes as its controller counts them; nowhere do these move its TCP by more than ``most``
-    [m].
+    """The claimed positions of an arm hold for the arm as its loads deflect it.
 
-    ``mass`` [kg] hangs at ``cog`` (3,) [m, flange] all the time. ``force`` (K, 3) [N] acts at the TCP, in the
-    ``frame`` of the stock, the TCP ("tool") or the feed, while segments work: on the way to the first target
-    of their work proper it rises from nothing, evenly along that way, and on the way off the last one it
-    falls. It is what a table has at the ``height`` (K,) [m], ascending, of the TCP in the stock's frame,
-    evenly between its rows; with one row it is the same everywhere. Where it comes and goes it is that of the
-    target at which it acts in full.
+    The mass acts all the time. The force acts at the TCP while segments work. On the path to the first
+    target of their actual work it rises from zero, linearly along the path, and on the path after the last
+    one it falls. It is interpolated linearly by the height of the TCP in the stock's frame. While it rises
+    or falls, it is that of the target at which it acts in full.
 
-    In the frame of the feed z is the TCP's z axis, x what the feed has across it and y = z x x. The feed is
-    the mean direction of the way from :data:`FEED_WAY` [m] before to as far behind, along the straight moves
-    on which the force acts, so shorter than 1 where these turn: x and y count by the share of the feed that
-    goes across the axis, and a tool that goes along its axis has z alone. On the way off the force is what it
-    was at its beginning, falling.
+    In the frame of the feed, z is the TCP's z axis, x the component of the feed across it, and y = z x x.
+    The feed is the mean direction of the path from :data:`FEED_PATH_M` before to as far after, along the
+    straight moves on which the force acts, so it is shorter than 1 where these turn. x and y count by the
+    component of the feed across the axis, and a tool that moves along its axis has z alone. On the path
+    after the last target the force is what it was at the start of that path, falling.
+
+    Attributes:
+        arm: Name of the arm.
+        joints: Joint stiffness (6,) [N m/rad] about the axes as the controller counts them.
+        mass: Mass [kg] on the flange.
+        cog: Centre of gravity (3,) [m] in the flange frame.
+        force: Forces (K, 3) [N].
+        height: Heights (K,) [m] of the TCP in the stock's frame, ascending. One height: the same force
+            everywhere.
+        frame: Frame of the forces.
+        max_deflection: Maximum deflection [m] of the TCP.
     """
 
     arm: str
@@ -231,9 +268,9 @@ class ArmSags(Claim):
     force: FloatArray
     height: FloatArray
     frame: ForceFrame
-    most: float
+    max_deflection: float
 
 
-def on_straight_moves_alone(claims: Sequence[Claim]) -> tuple[str, ...]:
+def kinds_on_straight_moves(claims: Sequence[Claim]) -> tuple[str, ...]:
     """Return the names of the kinds among ``claims`` that are proven on straight moves only."""
-    return tuple(dict.fromkeys(type(one).__name__ for one in claims if not one.on_curves))
+    return tuple(dict.fromkeys(type(claim).__name__ for claim in claims if not claim.on_curves))

@@ -8,14 +8,24 @@ Numbers = tuple[float, float, float]
 
 @dataclasses.dataclass(frozen=True)
 class DrawnCurve:
-    """A curve as the problem draws it: ``kind`` is ``polyline``, ``bezier``, ``bspline`` (clamped, uniform,
-    cubic), by points or control points [mm]; or ``dxf`` or ``rhino``, the one of a ``file``, in its ``unit``
-    (none of a Rhino file that states its own), of a ``layer`` or all, at the height ``z_mm`` where that is
-    given; of a Rhino file the one that is visible and has the ``name`` and ``colour`` that are given.
+    """A curve as the problem draws it, or all such curves of a file.
 
-    With ``layers`` it stands for all such curves of the file, those of one layer after the other (None: of
-    all at once) in the order of the file. Each is run as the first of the pieces that it is joined of is
-    drawn, and one that is closed begins with it."""
+    With ``layers`` it stands for all curves of the file on these layers, one layer after the other, in the
+    order of the file. Each curve runs in the direction of the first of its joined pieces, and a closed one
+    starts with it.
+
+    Attributes:
+        kind: ``polyline``, ``bezier`` or ``bspline`` (clamped, uniform, cubic) by points; ``dxf`` or
+            ``rhino`` by file.
+        points_mm: Points or control points [mm].
+        file: File with the curve.
+        unit: Unit of the file, empty if a Rhino file states its own.
+        layer: Layer of the curve, None for all layers.
+        z_mm: Height of the curve, None for that of the file.
+        name: Name of the visible curve in a Rhino file, if given.
+        colour: Colour of the visible curve in a Rhino file, if given.
+        layers: Layers of the curves, None for all layers together.
+    """
 
     kind: str
     points_mm: tuple[Numbers, ...] = ()

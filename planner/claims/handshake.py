@@ -9,11 +9,14 @@ HandshakeKind = Literal["four_phase", "toggle"]
 
 @dataclasses.dataclass(frozen=True)
 class PartnerSignals:
-    """Names that one controller has for its output to the other one and for its input from there.
+    """Names of the signals of one controller for the other one.
 
-    ``running``: the output that the controller itself holds at 1 while its program runs with the motors on;
-    ``partner_running``: the input that the other one's drives, which no program switches either;
-    ``move_enable``: of a KUKA controller, the output that is looped to its input for $MOVE_ENABLE.
+    Attributes:
+        output: Output to the other controller.
+        input: Input from the other controller.
+        running: Output that the controller holds at 1 while its program runs with the motors on.
+        partner_running: Input that the other one's ``running`` drives. No program switches it.
+        move_enable: For a KUKA controller, the output that is looped to its input for $MOVE_ENABLE.
     """
 
     output: str = "doPartner"
@@ -23,15 +26,21 @@ class PartnerSignals:
     move_enable: str = "doMoveEnable"
 
     @property
-    def lost(self) -> str:
-        """Of an ABB controller, what ``partner_running`` is not: its rise stops the program."""
+    def lost_input(self) -> str:
+        """For an ABB controller, the inverse of ``partner_running``. Its rise stops the program."""
         return f"{self.partner_running}_lost"
 
 
 @dataclasses.dataclass(frozen=True)
 class SignalWire:
-    """A wire between controllers: the output ``output`` of the arm ``source`` drives the input ``input`` of
-    the arm ``sink``."""
+    """A wire between controllers.
+
+    Attributes:
+        source: Arm whose controller drives the wire.
+        output: Output of that controller.
+        sink: Arm whose controller reads the wire.
+        input: Input of that controller.
+    """
 
     source: str
     output: str
@@ -43,11 +52,14 @@ class SignalWire:
 class Handshake:
     """The handshake of two controllers.
 
-    ``kind``: two signal changes of each side at every meeting, or one. ``every``: they meet at every so many
-    moves. ``signals`` {arm: names}, the defaults for an arm that is not named; ``wires``: what drives what;
-    ``running``: the wires that say that a controller runs.
-    ``timeout`` [s]: how long an arm waits for the other one at a step of joint work; ``patience`` [s]: how
-    long while the other arm moves alone or asks the operator.
+    Attributes:
+        kind: Two signal changes of each side at every meeting (``four_phase``), or one (``toggle``).
+        every: Number of moves between meetings.
+        signals: Names by arm, defaults for an arm that is not named.
+        wires: Wires by which the controllers meet.
+        running: Wires that state that a controller runs.
+        timeout: Maximum time [s] for which an arm waits for the other one at a step of joint work.
+        patience: Maximum time [s] for which it waits while the other one moves alone or asks the operator.
     """
 
     kind: HandshakeKind = "four_phase"
@@ -59,20 +71,25 @@ class Handshake:
     patience: float = 3600.0
 
     def of(self, arm: str) -> PartnerSignals:
-        """The signals of an arm's controller."""
+        """Return the signals of an arm's controller."""
         return self.signals.get(arm, PartnerSignals())
 
-    def wired(self, arms: Sequence[str]) -> tuple[SignalWire, ...]:
-        """The wires between two arms' controllers by which they meet; unless stated, outputs drive the other
-        one's inputs."""
+    def meeting_wires(self, arms: Sequence[str]) -> tuple[SignalWire, ...]:
+        """Return the wires by which two arms' controllers meet.
+
+        By default, each controller's outputs drive the inputs of the other.
+        """
         if self.wires or len(arms) != 2:
             return self.wires
         return tuple(
             SignalWire(a, self.of(a).output, b, self.of(b).input) for a, b in (tuple(arms), tuple(arms)[::-1])
         )
 
-    def wired_running(self, arms: Sequence[str]) -> tuple[SignalWire, ...]:
-        """The wires by which two arms' controllers know that the other one runs; as :meth:`wired`."""
+    def running_wires(self, arms: Sequence[str]) -> tuple[SignalWire, ...]:
+        """Return the wires by which two arms' controllers know that the other one runs.
+
+        By default, each controller's outputs drive the inputs of the other.
+        """
         if self.running or len(arms) != 2:
             return self.running
         return tuple(

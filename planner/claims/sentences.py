@@ -1,4 +1,4 @@
-"""Sentences that programs of any process and language show operators.
+"""Sentences that programs of any process and language show to operators.
 
 Writers use these sentences word for word, and the proof refuses any other. A sentence is plain ASCII and
 has fields for its figures. `OperatorDialogue` claims which sentences an operation shows, with which
@@ -11,29 +11,31 @@ Lines of a message box have at most 55 characters, lines of the panel at most 40
 import dataclasses
 from typing import Final
 
-SPELT: Final = str.maketrans(
+ASCII_REPLACEMENTS: Final = str.maketrans(
     {"ß": "ss", "æ": "ae", "Æ": "Ae", "œ": "oe", "Œ": "Oe", "ø": "o", "Ø": "O", "ł": "l", "Ł": "L", "đ": "d"}
     | {"–": "-", "—": "-", "’": "'", "‘": "'", "“": '"', "”": '"', "„": '"', "°": " deg", "×": "x"}
 )
-"""Letters and signs that do not come apart into ASCII and accents, as panels get them."""
+"""Replacements of characters that do not decompose into ASCII and accents."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Sentence:
-    """Words with named fields as ``str.format`` takes them; the format of a field is how its figure is
-    rounded."""
+    """Words with named fields for ``str.format``.
+
+    The format of a field defines how its figure is rounded.
+    """
 
     words: str
 
-    def filled(self, **figures: float | str) -> str:
-        """The sentence with its figures."""
+    def format(self, **figures: float | str) -> str:
+        """Return the sentence with its figures."""
         return self.words.format(**figures)
 
 
 HEADER: Final = "Tandem"
-"""Above each box that asks something."""
+"""Header of each box with a question."""
 PLAIN: Final = Sentence("{text}")
-"""A sentence of the user's own, in setups."""
+"""A sentence of the user in setups."""
 
 # ---- before anything moves ----
 
@@ -41,12 +43,12 @@ NO_WIRE: Final = Sentence(
     "Is there NO wire between the arms? Each arm now goes home alone, then to its first position, alone or "
     "at once with the other one. Take off what joins them, see that their ways are clear, then press OK."
 )
-"""Where a wire will join the arms."""
+"""Used if a wire will join the arms."""
 READY: Final = Sentence("Is the stock in place and the way of each arm clear? Press OK to start.")
 CLEAR: Final = Sentence(
     "Is the way of each arm to its home clear, and nobody in the cell? Press OK to start."
 )
-"""Where the first setup is told and confirmed afterwards."""
+"""Used if the first setup is described and confirmed afterwards."""
 KRL_READY: Final = Sentence("Is the stock in place and the way of the arm clear?")
 KRL_CLEAR: Final = Sentence("Is the way of the arm to its home clear, and nobody in the cell?")
 
@@ -56,43 +58,43 @@ KEEP_OFF: Final = Sentence(
     "Keep off the track {unit}: it takes arm {arm}, folded at its home, to {value} mm once this is confirmed."
 )
 """Shown before a track moves to a station."""
-KEEP_OFF_RIDING: Final = Sentence(
+KEEP_OFF_COORDINATED: Final = Sentence(
     "Keep off the track {unit}: it takes arm {arm}, folded at its home, to {value} mm once this is "
     "confirmed, and goes along while the arm works."
 )
-"""Shown before a track moves to the place from which it moves along with the work."""
+"""Shown before a coordinated track moves to where its motion with the work starts."""
 KEEP_OFF_GANTRY: Final = Sentence(
     "Keep off the gantry {unit}: once this is confirmed it takes arm {arm}, folded at its home, one "
     "axis after "
     "the other, to where they stand: {values}."
 )
-"""Told before the axes of a gantry go to a station."""
+"""Shown before the axes of a gantry move to a station."""
 KEEP_OFF_TABLE: Final = Sentence(
     "Keep off the turntable {unit} and what stands on it: it turns to {value} deg once this is confirmed."
 )
-"""Told before a turntable goes to a station."""
+"""Shown before a turntable moves to a station."""
 KEEP_OFF_POSITIONER: Final = Sentence(
     "Keep off the positioner {unit} and what stands on it: once this is confirmed it turns to {turn} deg, "
     "then tilts to {tilt} deg."
 )
-"""Told before a positioner goes to a station."""
-CLOSED: Final = "All work done, nobody in the cell?"
-"""Asked before tracks and turntables go home behind the last operation."""
+"""Shown before a positioner moves to a station."""
+WORK_DONE: Final = "All work done, nobody in the cell?"
+"""Asked before tracks and turntables move home after the last operation."""
 
 # ---- two controllers ----
 
-EARLIER: Final = Sentence(
+EARLIER_RUN: Final = Sentence(
     "Does no program of an earlier run go on at the controller of arm {other}? Press OK."
 )
 PARTNER_READY: Final = Sentence(
     "Does the panel of arm {other} say that it is ready to meet arm {arm}? {start}"
 )
-"""Asked by the program that leads, together with its question before the start."""
+"""Asked by the leading program, together with its question before the start."""
 READY_TO_MEET: Final = Sentence("Ready to meet arm {other}.")
 START_PARTNER: Final = Sentence(
     "Start the program of arm {other} now. When its panel says that it is ready, press Start here."
 )
-"""Told by the program that leads, right before it stops."""
+"""Shown by the leading program right before it stops."""
 UNANSWERED: Final = Sentence(
     "Arm {other} did not answer in time, or its running wire is not as it should be."
 )
@@ -101,6 +103,6 @@ UNANSWERED: Final = Sentence(
 # ---- error handlers ----
 
 FAILED: Final = Sentence("Tandem: error in {procedure}, number")
-"""In front of the error's number."""
+"""Precedes the error's number."""
 JOINED: Final = Sentence("The arms may be joined: move neither alone.")
 ALONE: Final = Sentence("Check the arm before it moves.")

@@ -1,1 +1,1 @@
-"""The command ``tandem``: one module for each group of subcommands."""
+"""The command ``tandem``: one module per group of subcommands."""

@@ -1,8 +1,8 @@
-"""``tandem batch`` and ``tandem compare``: many problems, and what came out side by side.
+"""``tandem batch``, ``fit`` and ``compare``: many problems, and results side by side.
 
-``tandem batch PROBLEMS... -o OUT`` plans each one as ``tandem plan`` would. ``tandem compare A B``
-shows two plans or two batches side by side, and in which fields two problems differ, as their files
-state them.
+``tandem batch PROBLEMS... -o OUT`` plans each problem as ``tandem plan`` would. ``tandem fit`` plans one
+problem in several cells. ``tandem compare A B`` shows two plans or two batches side by side. This module also
+lists the fields in which two problems differ, as their files state them.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Column, Table
 
 from planner.files import FILE_KEYS, is_file
-from planner.issues import Issue, TandemError, accepted, refusal
+from planner.issues import Issue, TandemError, accepted_codes, issue_error
 
 if TYPE_CHECKING:
-    from planner.batch.compare import JobPair, Pair, Plans
-    from planner.batch.job import Event
-    from planner.batch.rows import Item, Row
+    from planner.batch.compare import FigurePair, JobPair, PlanComparison
+    from planner.batch.job import JobEvent
+    from planner.batch.rows import BatchItem, BatchRow
     from planner.batch.run import Planners
     from planner.problem import Problem
 
@@ -36,16 +36,16 @@ err = Console(stderr=True)
 STATE_STYLE = {"verified": "green", "infeasible": "yellow", "bad_input": "yellow"}
 """Colours of states in the terminal; red for all others."""
 NEIGHBOUR: Final = "neighbour"
-"""What ``--like`` says where panels are planned like those beside them."""
+"""Value of ``--like`` with which panels are planned like adjacent ones."""
 TABLE_FIGURES = ("targets", "cycle_s", "clearance_mm")
-"""Figures that the table has room for; ``summary.csv`` and ``summary.html`` have them all."""
+"""Figures that fit in the printed table. ``summary.csv`` and ``summary.html`` have all of them."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Batch:
-    """Plan many problems, each into a folder of its own, with a summary; exit 0 only if all are verified.
+    """Plan many problems, each into its own folder, with a summary; exit code 0 only if all are verified.
 
-    A folder stands for every problem file beneath it; a batch file varies fields of one problem.
+    A folder stands for every problem file in it. A batch file varies fields of one problem.
     """
 
     problems: tyro.conf.Positional[tuple[Path, ...]]
@@ -53,142 +53,151 @@ class Batch:
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out")
     """folder for a result folder of each problem, summary.csv and summary.html"""
     workers: int | None = None
-    """worker processes; by default one for each processor, at most one for each problem"""
+    """worker processes; default: one per processor, at most one per problem"""
     resume: bool = False
     """keep what an earlier run finished for the same problems, and plan the rest"""
     timeout: float | None = None
-    """longest planning of one problem, in seconds"""
+    """time limit for planning one problem, in seconds"""
     memory: float | None = None
-    """largest memory of one worker, in MB"""
+    """memory limit of one worker, in MB"""
     cluster: str | None = None
     """plan on a Dask cluster: tcp://HOST:PORT of its scheduler, or local"""
     like: str | None = None
-    """neighbour: plan each panel of an element like one beside it; or the folder of an earlier batch: plan
-    each problem like its result there"""
+    """neighbour: plan each panel of an element like an adjacent one; or the folder of an earlier batch: plan
+    each problem like its result there
+    """
     reports: Literal["all", "failed"] = "all"
-    """failed: only what is not verified gets report and replay; tandem report makes those of the others"""
+    """failed: only results that are not verified get report and replay; tandem report writes those of the
+    others
+    """
 
 
 def usable_cores() -> int:
-    """Cores that this process may run on."""
+    """Number of cores that this process may use."""
     able = getattr(os, "sched_getaffinity", None)  # not on every system
     return len(able(0)) if able is not None else os.cpu_count() or 1
 
 
 def run_batch(request: Batch) -> int:
-    """Plan, print and write the summary; the exit code. Raises `TandemError` for what cannot begin."""
-    from planner.batch import run as batch
-    from planner.batch.run import collect
+    """Plan, print and write the summary; returns the exit code.
 
-    _check(request)
-    done, seconds = _planned(request, lambda: collect(request.problems, request.output))
-    _print(done, request.output, seconds)
+    Raises:
+        TandemError: The batch cannot start.
+    """
+    from planner.batch import run as batch
+    from planner.batch.run import collect_items
+
+    _require_options(request)
+    done, seconds = _plan_items(request, lambda: collect_items(request.problems, request.output))
+    _print_rows(done, request.output, seconds)
     return batch.exit_code(done)
 
 
-def _planned(request: Batch, wanted: Callable[[], list[Item]]) -> tuple[list[Row], float]:
-    """All that is wanted planned, with progress, and the summary written; the rows, and the time [s]."""
+def _plan_items(request: Batch, collect_items: Callable[[], list[BatchItem]]) -> tuple[list[BatchRow], float]:
+    """Plan all items with progress and write the summary. Returns the rows and the duration [s]."""
     from planner.batch import rows as batch_rows
     from planner.batch import run as batch
-    from planner.batch.job import Finished
+    from planner.batch.job import JobFinished
 
     start = time.perf_counter()
-    rows: dict[str, Row] = {}
+    rows: dict[str, BatchRow] = {}
     with batch.claimed_folder(request.output):
-        items = wanted()
+        items = collect_items()
         count = min(request.workers or usable_cores(), len(items))
-        items, former = _like(request, items)
+        items, reference_folder = _with_references(request, items)
         limits = request.timeout, request.memory
-        settings = batch.Settings(*limits, request.resume, former, request.reports)
-        known = {item.name: item for item in items}
-        with _planners(request, count) as planners, _progress(items) as shown:
+        settings = batch.BatchSettings(*limits, request.resume, reference_folder, request.reports)
+        items_by_name = {item.name: item for item in items}
+        with _make_planners(request, count) as planners, _show_progress(items) as display:
 
-            def on_event(event: Event) -> None:
-                if isinstance(event, Finished):
-                    rows[event.name] = batch_rows.Row(known[event.name], event.done)
-                shown.show(event)
+            def on_event(event: JobEvent) -> None:
+                if isinstance(event, JobFinished):
+                    rows[event.name] = batch_rows.BatchRow(items_by_name[event.name], event.done)
+                display.show(event)
 
             try:
-                done = batch.run(items, request.output, planners, settings, on_event)
+                done = batch.run_batch(items, request.output, planners, settings, on_event)
             except BaseException:
                 so_far = [rows[item.name] for item in items if item.name in rows]
-                _write(request, so_far, time.perf_counter() - start)
+                _write_summary(request, so_far, time.perf_counter() - start)
                 raise
-        _write(request, done, time.perf_counter() - start)
+        _write_summary(request, done, time.perf_counter() - start)
     return done, time.perf_counter() - start
 
 
-def _like(request: Batch, items: list[Item]) -> tuple[list[Item], Path | None]:
-    """The items with those that they are planned like, and the folder of an earlier batch. Raises
-    ``TandemError`` (``batch.field``)."""
+def _with_references(request: Batch, items: list[BatchItem]) -> tuple[list[BatchItem], Path | None]:
+    """Items with the items that they are planned like, and the folder of an earlier batch.
+
+    Raises ``TandemError`` (``batch.field``).
+    """
     if request.like is None:
         return items, None
     if request.like == NEIGHBOUR:
-        from planner.batch.neighbours import like_neighbours
+        from planner.batch.reference_neighbours import assign_reference_neighbours
 
-        return like_neighbours(items), None
+        return assign_reference_neighbours(items), None
     from planner.plans import DATA_FILE
 
     folder = Path(request.like)
     new = [item.name for item in items if not is_file(folder / item.name / DATA_FILE)]
     if len(new) == len(items):
         what = f"--like {folder}: it holds no plan of any of these problems"
-        hint = f"name the folder of an earlier batch of them, or say {NEIGHBOUR}"
-        raise refusal("batch.field", what, field="--like", hint=hint)
+        hint = f"name the folder of an earlier batch of them, or use {NEIGHBOUR}"
+        raise issue_error("batch.field", what, field="--like", hint=hint)
     if new:
         err.print(f"{len(new)} of {len(items)} have no plan in {folder}: {', '.join(new[:5])}", markup=False)
     return items, folder
 
 
-def _check(request: Batch) -> None:
+def _require_options(request: Batch) -> None:
     numbers = {"--workers": request.workers, "--timeout": request.timeout, "--memory": request.memory}
     issues = [
-        Issue("batch.field", f"{name}: got {value:g}; give a number above 0", field=name)
+        Issue("batch.field", f"{name}: must be above 0, got {value:g}", field=name)
         for name, value in numbers.items()
         if value is not None and not value > 0
     ]
     if not request.problems:
-        issues.append(Issue("batch.field", "no problems are given; name files, folders or bundled problems"))
+        issues.append(Issue("batch.field", "no problems are stated; name files, folders or bundled problems"))
     if issues:
         raise TandemError(issues)
 
 
 @contextmanager
-def _planners(request: Batch, count: int) -> Iterator[Planners]:
+def _make_planners(request: Batch, count: int) -> Iterator[Planners]:
     if request.cluster is not None:
-        from planner.batch.cluster import Cluster
+        from planner.batch.cluster import ClusterPlanners
 
-        with Cluster(request.cluster, count) as cluster:
+        with ClusterPlanners(request.cluster, count) as cluster:
             yield cluster
     else:
-        from planner.batch.workers import Workers
+        from planner.batch.workers import BatchWorkers
 
-        with Workers(count) as workers:
+        with BatchWorkers(count) as workers:
             yield workers
 
 
-class _Shown:
-    """Progress of the whole batch and of each job that is under way."""
+class _ProgressDisplay:
+    """Progress of the whole batch and of each running job."""
 
     def __init__(self, bar: Progress, count: int) -> None:
         self._bar = bar
         self._all = bar.add_task("all", total=count)
         self._jobs: dict[str, TaskID] = {}
 
-    def show(self, event: Event) -> None:
+    def show(self, event: JobEvent) -> None:
         """Show an event."""
         from planner.batch import compare, job
 
-        if isinstance(event, job.Finished):
+        if isinstance(event, job.JobFinished):
             if event.name in self._jobs:
                 self._bar.remove_task(self._jobs.pop(event.name))
             self._bar.advance(self._all)
             if event.done.state != "verified":
-                issue = compare.gravest_issue(event.done)
-                said = f": {issue}" if issue is not None else ""
-                text = f"{event.name}: {event.done.state}{said}"
+                issue = compare.most_severe_issue(event.done)
+                issue_text = f": {issue}" if issue is not None else ""
+                text = f"{event.name}: {event.done.state}{issue_text}"
                 self._bar.console.print(text, markup=False, highlight=False, soft_wrap=True)
-        elif isinstance(event, job.Progress):
+        elif isinstance(event, job.JobProgress):
             if event.name not in self._jobs:
                 self._jobs[event.name] = self._bar.add_task(event.name, total=1.0)
             text = f"{event.name}: {event.stage}"
@@ -196,7 +205,7 @@ class _Shown:
 
 
 @contextmanager
-def _progress(items: Sequence[Item]) -> Iterator[_Shown]:
+def _show_progress(items: Sequence[BatchItem]) -> Iterator[_ProgressDisplay]:
     columns = (
         TextColumn("{task.description:<32}", markup=False),
         BarColumn(),
@@ -204,30 +213,30 @@ def _progress(items: Sequence[Item]) -> Iterator[_Shown]:
         TimeElapsedColumn(),
     )
     with Progress(*columns, console=err, transient=True) as bar:
-        yield _Shown(bar, len(items))
+        yield _ProgressDisplay(bar, len(items))
 
 
-def _write(request: Batch, rows: Sequence[Row], seconds: float) -> None:
+def _write_summary(request: Batch, rows: Sequence[BatchRow], seconds: float) -> None:
     from planner.batch import compare
-    from planner.files import write_whole
+    from planner.files import write_atomic
 
     title = f"Batch {request.output.resolve().name}"
-    write_whole(request.output / "summary.csv", compare.csv_table(rows))
-    write_whole(request.output / "summary.html", compare.summary_page(title, rows, request.output, seconds))
+    write_atomic(request.output / "summary.csv", compare.csv_table(rows))
+    write_atomic(request.output / "summary.html", compare.summary_page(title, rows, request.output, seconds))
 
 
-def _print(rows: Sequence[Row], folder: Path, seconds: float) -> None:
+def _print_rows(rows: Sequence[BatchRow], folder: Path, seconds: float) -> None:
     from planner.batch import compare
 
     table = Table(
-        "name", "status", *(compare.FIGURES[name] for name in TABLE_FIGURES), "planned in s", "issues"
+        "name", "status", *(compare.FIGURE_HEADINGS[name] for name in TABLE_FIGURES), "planned in s", "issues"
     )
     for row in rows:
-        issue = compare.gravest_issue(row.done)
+        issue = compare.most_severe_issue(row.done)
         remark = " ".join(filter(None, (compare.issue_counts(row), issue.code if issue is not None else "")))
         table.add_row(
             row.item.name,
-            compare.STATES[row.done.state],
+            compare.STATE_LABELS[row.done.state],
             *(compare.figure_text(name, row.done.metrics.get(name)) for name in TABLE_FIGURES),
             f"{row.done.seconds:.1f}",
             remark,
@@ -235,12 +244,12 @@ def _print(rows: Sequence[Row], folder: Path, seconds: float) -> None:
         )
     out.print(table)
     for row in rows:
-        taken = accepted(row.done.issues)
+        taken = accepted_codes(row.done.issues)
         if taken:
             what = f"{row.item.name}: accepted by the problem, not by Tandem: {', '.join(taken)}"
             out.print(what, markup=False, soft_wrap=True)
     verified = sum(row.done.state == "verified" for row in rows)
-    kept = sum(row.kept for row in rows)
+    kept = sum(row.is_kept for row in rows)
     again = f", {kept} of them finished before" if kept else ""
     where = folder / "summary.html"
     out.print(f"{verified} of {len(rows)} verified{again}; {seconds:.1f} s; see {where}", markup=False)
@@ -248,61 +257,65 @@ def _print(rows: Sequence[Row], folder: Path, seconds: float) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class Fit:
-    """Which robots for this part: plan a problem in its own cell and in each cell of a folder, and rank them.
+    """Find robots for a part: plan a problem in its own cell and in each cell of a folder.
 
-    First those that are proven, of these those with ample margins, of these the fastest; of the others why.
+    The cells are ranked. Proven cells come first, then cells with ample margins, then the fastest. For the
+    others the reasons are shown.
     """
 
     problem: tyro.conf.Positional[Path]
     """a problem file, or a bundled problem"""
     cells: Path
-    """folder of cell files (YAML with arms); their arms take the names of the problem's, in their order"""
+    """folder of cell files (YAML with arms); their arms get the names of the problem's arms, in order"""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out")
     """folder for a result folder of each cell, summary.csv and summary.html"""
     workers: int | None = None
-    """worker processes; by default one for each processor"""
+    """worker processes; default: one per processor"""
     resume: bool = False
     """keep what an earlier run finished, and plan the rest"""
     timeout: float | None = None
-    """longest planning in one cell, in seconds"""
+    """time limit for planning in one cell, in seconds"""
 
 
 def run_fit(request: Fit) -> int:
-    """Plan in all cells, print the ranking and write it; the exit code: whether one is proven. Raises
-    `TandemError`."""
+    """Plan in all cells, print the ranking and write it; returns the exit code, 0 if a cell is proven.
+
+    Raises:
+        TandemError: The run cannot start.
+    """
     from planner import pipeline
-    from planner.batch import fit
+    from planner.batch import cell_ranking
     from planner.batch import run as batch
 
     problem = pipeline.load(request.problem)
     about = Batch(
         (request.problem,), request.output, request.workers, request.resume, request.timeout, reports="failed"
     )
-    _check(about)
-    rows, seconds = _planned(about, lambda: fit.items(problem, request.cells))
-    rows = fit.ranked(rows, problem.settings)
-    _write(about, rows, seconds)
-    _print_fit(rows, problem, seconds, request.output)
+    _require_options(about)
+    rows, seconds = _plan_items(about, lambda: cell_ranking.cell_items(problem, request.cells))
+    rows = cell_ranking.rank_cells(rows, problem.settings)
+    _write_summary(about, rows, seconds)
+    _print_ranking(rows, problem, seconds, request.output)
     return 0 if any(row.done.state == "verified" for row in rows) else batch.exit_code(rows)
 
 
-def _print_fit(rows: Sequence[Row], problem: Problem, seconds: float, folder: Path) -> None:
+def _print_ranking(rows: Sequence[BatchRow], problem: Problem, seconds: float, folder: Path) -> None:
     from planner.batch import compare
 
     names = ("cycle_s", "clearance_mm", "joint_limits_deg", "singularity_deg")
     cell = Column("cell", overflow="fold")
-    table = Table("", cell, "status", *(compare.FIGURES[name] for name in names))
+    table = Table("", cell, "status", *(compare.FIGURE_HEADINGS[name] for name in names))
     for number, row in enumerate(rows, 1):
         table.add_row(
             str(number) if row.done.state == "verified" else "",
             row.item.name,
-            compare.STATES[row.done.state],
+            compare.STATE_LABELS[row.done.state],
             *(compare.figure_text(name, row.done.metrics.get(name)) for name in names),
             style=STATE_STYLE.get(row.done.state, "red"),
         )
     out.print(table)
     for row in rows:
-        issue = compare.gravest_issue(row.done)
+        issue = compare.most_severe_issue(row.done)
         if row.done.state != "verified" and issue is not None:
             out.print(f"{row.item.name}: {issue}", markup=False, soft_wrap=True)
     verified = sum(row.done.state == "verified" for row in rows)
@@ -312,7 +325,7 @@ def _print_fit(rows: Sequence[Row], problem: Problem, seconds: float, folder: Pa
 
 
 COMPARED_FIGURES = ("cycle_s", "clearance_mm", "path_cost", "planning_s")
-"""Figures of each job of two batches."""
+"""Figures of each job that are compared between two batches."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -325,78 +338,91 @@ class Compare:
     first: tyro.conf.Positional[Path]
     """a result folder, or the folder of a batch"""
     second: tyro.conf.Positional[Path]
-    """what to compare it with, of the same kind"""
+    """the folder to compare with, of the same kind"""
 
 
 def run_compare(request: Compare) -> None:
-    """Print the comparison. Raises `TandemError` for what cannot be read."""
+    """Print the comparison.
+
+    Raises:
+        TandemError: A folder cannot be read.
+    """
     from planner.batch import compare
 
     if compare.is_batch(request.first) or compare.is_batch(request.second):
-        _batches(compare.compare_batches(request.first, request.second))
+        _print_batches(compare.compare_batches(request.first, request.second))
     else:
-        _plans(compare.compare_plans(request.first, request.second))
+        _print_plans(compare.compare_plans(request.first, request.second))
 
 
-def _plans(found: Plans) -> None:
-    from planner.batch.compare import FIGURES
+def _print_plans(plans: PlanComparison) -> None:
+    from planner.batch.compare import FIGURE_HEADINGS
 
     table = Table("figure", "first", "second", "change")
-    verdicts = [_verdict(side.ok) for side in (found.first, found.second)]
+    verdicts = [_verdict(side.ok) for side in (plans.first, plans.second)]
     table.add_row("proof", *verdicts, "" if verdicts[0] == verdicts[1] else "differs")
-    for pair in found.figures:
-        table.add_row(FIGURES.get(pair.name, pair.name), *_cells(pair))
+    for pair in plans.figures:
+        table.add_row(FIGURE_HEADINGS.get(pair.name, pair.name), *_figure_cells(pair))
     out.print(table)
-    if found.first.plan.digest == found.second.plan.digest:
+    if plans.first.plan.digest == plans.second.plan.digest:
         out.print("both are plans of the same problem")
-    if found.segments:
+    if plans.segments:
         table = Table("changed segment", "targets", "seconds", "joints deg", "poses mm")
-        for s in found.segments:
-            targets = f"{_text(s.targets[0])} to {_text(s.targets[1])}"
-            seconds = f"{_text(s.seconds[0])} to {_text(s.seconds[1])}"
+        for s in plans.segments:
+            targets = f"{_format_value(s.targets[0])} to {_format_value(s.targets[1])}"
+            seconds = f"{_format_value(s.seconds[0])} to {_format_value(s.seconds[1])}"
             table.add_row(
-                f"{s.operation}/{s.segment}", targets, seconds, _text(s.joints_deg), _text(s.poses_mm)
+                f"{s.operation}/{s.segment}",
+                targets,
+                seconds,
+                _format_value(s.joints_deg),
+                _format_value(s.poses_mm),
             )
         out.print(table)
     else:
         out.print("no segment changed")
-    _issues(found.issues)
+    _print_issue_counts(plans.issues)
 
 
-def _batches(found: list[JobPair]) -> None:
-    from planner.batch.compare import FIGURES, STATES
+def _print_batches(jobs: list[JobPair]) -> None:
+    from planner.batch.compare import FIGURE_HEADINGS, STATE_LABELS
 
     table = Table(
-        "job", "status", *(FIGURES.get(name, "planned in s") for name in COMPARED_FIGURES), "issues"
+        "job", "status", *(FIGURE_HEADINGS.get(name, "planned in s") for name in COMPARED_FIGURES), "issues"
     )
-    for job in found:
-        states = [STATES[done.state] if done is not None else "not there" for done in (job.first, job.second)]
+    for job in jobs:
+        states = [
+            STATE_LABELS[done.state] if done is not None else "missing" for done in (job.first, job.second)
+        ]
         status = states[0] if states[0] == states[1] else f"{states[0]} to {states[1]}"
-        codes = "; ".join(f"{code} {one} to {other}" for code, (one, other) in job.issues.items())
-        table.add_row(job.name, status, *(_both(job.figure(name)) for name in COMPARED_FIGURES), codes)
+        codes = "; ".join(f"{code} {first} to {other}" for code, (first, other) in job.issues.items())
+        table.add_row(job.name, status, *(_both_values(job.figure(name)) for name in COMPARED_FIGURES), codes)
     out.print(table)
-    both = [job for job in found if job.first is not None and job.second is not None]
+    both = [job for job in jobs if job.first is not None and job.second is not None]
     for name in COMPARED_FIGURES:
         pairs = [job.figure(name) for job in both]
         known = [(p.first, p.second) for p in pairs if p.first is not None and p.second is not None]
         if known:
-            sums = sum(one for one, _ in known), sum(other for _, other in known)
-            title = FIGURES.get(name, "planned in s")
-            if not name.endswith("_mm"):  # a sum of distances says nothing
-                out.print(f"{title}, sum over {len(known)} jobs: {_text(sums[0])} to {_text(sums[1])}")
+            sums = sum(first for first, _ in known), sum(other for _, other in known)
+            title = FIGURE_HEADINGS.get(name, "planned in s")
+            if not name.endswith("_mm"):  # a sum of distances has no meaning
+                out.print(
+                    f"{title}, sum over {len(known)} jobs: {_format_value(sums[0])} to "
+                    f"{_format_value(sums[1])}"
+                )
     changed = sum(
-        job.first is None or job.second is None or job.first.state != job.second.state for job in found
+        job.first is None or job.second is None or job.first.state != job.second.state for job in jobs
     )
-    out.print(f"{len(found)} jobs, the status of {changed} differs")
+    out.print(f"{len(jobs)} jobs, the status of {changed} differs")
 
 
-def _issues(found: Mapping[str, tuple[int, int]]) -> None:
-    if not found:
+def _print_issue_counts(issue_counts: Mapping[str, tuple[int, int]]) -> None:
+    if not issue_counts:
         out.print("the same issues")
         return
     table = Table("issues", "first", "second")
-    for code, (one, other) in found.items():
-        table.add_row(code, str(one), str(other))
+    for code, (first, second) in issue_counts.items():
+        table.add_row(code, str(first), str(second))
     out.print(table)
 
 
@@ -404,34 +430,34 @@ def _verdict(ok: bool | None) -> str:
     return "no proof" if ok is None else "proven" if ok else "NOT proven"
 
 
-def _cells(pair: Pair) -> tuple[str, str, str]:
+def _figure_cells(pair: FigurePair) -> tuple[str, str, str]:
     change = pair.change
-    said = "" if change is None else "same" if change == 0.0 else f"{change:+.4g}"
+    change_text = "" if change is None else "same" if change == 0.0 else f"{change:+.4g}"
     if change and pair.first:
-        said += f" ({100 * change / abs(pair.first):+.1f} %)"
-    return _text(pair.first), _text(pair.second), said
+        change_text += f" ({100 * change / abs(pair.first):+.1f} %)"
+    return _format_value(pair.first), _format_value(pair.second), change_text
 
 
-def _both(pair: Pair) -> str:
-    one, other = _text(pair.first), _text(pair.second)
-    return one if one == other else f"{one} to {other}"
+def _both_values(pair: FigurePair) -> str:
+    first, second = _format_value(pair.first), _format_value(pair.second)
+    return first if first == second else f"{first} to {second}"
 
 
-def _text(value: float | None) -> str:
+def _format_value(value: float | None) -> str:
     return "-" if value is None else f"{value:.4g}"
 
 
 NOT_GIVEN: Final = "not given"
-"""What is shown for a field that one side does not have."""
-LONGEST_SHOWN: Final = 60
-"""Longer values are cut for display."""
+"""Text for a field that one side does not have."""
+MAX_SHOWN_LENGTH: Final = 60
+"""Maximum length of displayed values. Longer ones are truncated."""
 _ABSENT: Final = object()
-"""Stands for a field that a side does not have; None is a value."""
+"""Stands for a field that a side does not have, because None is a value."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Difference:
-    """A field in which two problems differ, such as ``settings.clearance_mm``, and its values as text."""
+    """A field in which two problems differ, such as ``settings.clearance_mm``, with its values as text."""
 
     field: str
     first: str
@@ -439,41 +465,43 @@ class Difference:
 
 
 def differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> tuple[Difference, ...]:
-    """Where the values of two problems' sources differ, field by field in the order of the files; files that
-    they name count by their contents."""
-    return tuple(_compare("", first, second))
+    """Differences of the values of two problem sources, field by field in the order of the files.
+
+    Files that they name are compared by content.
+    """
+    return tuple(_compare_values("", first, second))
 
 
-def _compare(field: str, a: Any, b: Any) -> Iterator[Difference]:
+def _compare_values(field: str, a: Any, b: Any) -> Iterator[Difference]:
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         for key in dict.fromkeys([*a, *b]):
             name = f"{field}.{key}" if field else str(key)
             if key in FILE_KEYS:
-                yield from _files(name, a.get(key, _ABSENT), b.get(key, _ABSENT))
+                yield from _compare_files(name, a.get(key, _ABSENT), b.get(key, _ABSENT))
             else:
-                yield from _compare(name, a.get(key, _ABSENT), b.get(key, _ABSENT))
+                yield from _compare_values(name, a.get(key, _ABSENT), b.get(key, _ABSENT))
     elif isinstance(a, list) and isinstance(b, list):
         for i in range(max(len(a), len(b))):
-            own, other = (rows[i] if i < len(rows) else _ABSENT for rows in (a, b))
-            yield from _compare(f"{field}[{i}]", own, other)
+            first_item, second_item = (rows[i] if i < len(rows) else _ABSENT for rows in (a, b))
+            yield from _compare_values(f"{field}[{i}]", first_item, second_item)
     elif type(a) is not type(b) or a != b:
-        yield Difference(field, _short_value(a), _short_value(b))
+        yield Difference(field, _format_field(a), _format_field(b))
 
 
-def _files(field: str, a: Any, b: Any) -> Iterator[Difference]:
+def _compare_files(field: str, a: Any, b: Any) -> Iterator[Difference]:
     if not isinstance(a, str) or not isinstance(b, str):
-        yield from _compare(field, a, b)
-    elif (own := _content(a)) != (other := _content(b)):
-        yield Difference(field, f"{Path(a).name}, {own}", f"{Path(b).name}, {other}")
+        yield from _compare_values(field, a, b)
+    elif (first_content := _content_digest(a)) != (second_content := _content_digest(b)):
+        yield Difference(field, f"{Path(a).name}, {first_content}", f"{Path(b).name}, {second_content}")
 
 
-def _content(name: str) -> str:
+def _content_digest(name: str) -> str:
     path = Path(name)
     return f"SHA-256 {hashlib.sha256(path.read_bytes()).hexdigest()}" if is_file(path) else "missing"
 
 
-def _short_value(value: Any) -> str:
+def _format_field(value: Any) -> str:
     if value is _ABSENT:
         return NOT_GIVEN
     text = repr(value) if isinstance(value, str) else str(value)
-    return text if len(text) <= LONGEST_SHOWN else f"{text[: LONGEST_SHOWN - 3]}..."
+    return text if len(text) <= MAX_SHOWN_LENGTH else f"{text[: MAX_SHOWN_LENGTH - 3]}..."

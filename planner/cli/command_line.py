@@ -1,4 +1,4 @@
-"""The command line: each command of ``tandem`` is a function here, and ``main`` is the entry point."""
+"""Command line: each command of ``tandem`` is a function here; ``main`` is the entry point."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from planner.cli import statement
 from planner.cli.console import err, out, print_accepted, print_issues, print_summary, progress_bar
 from planner.cli.verification import compare_with_file, record_proof, sign_folder
 from planner.files import deferred_sigint
-from planner.issues import Issue, Severity, TandemError, accepted, given_wrong, has_errors
+from planner.issues import Issue, Severity, TandemError, accepted_codes, has_errors, is_input_error
 from planner.runtime.memory import gc_frozen
 
 DONE, FAILED, BAD_INPUT, NO_PLAN, NOT_PROVEN, NOT_COMPARED = 0, 1, 2, 3, 4, 5
@@ -41,17 +41,17 @@ P = ParamSpec("P")
 
 
 def _infeasible_code(error: TandemError) -> int:
-    return BAD_INPUT if given_wrong(error.issues) else NO_PLAN
+    return BAD_INPUT if is_input_error(error.issues) else NO_PLAN
 
 
 def _failed_code(error: TandemError) -> int:
-    return BAD_INPUT if given_wrong(error.issues) else FAILED
+    return BAD_INPUT if is_input_error(error.issues) else FAILED
 
 
 def _command(
     code: Callable[[TandemError], int] = lambda _: BAD_INPUT, name: str | None = None
 ) -> Callable[[Callable[P, int | None]], Callable[P, int]]:
-    """Make a function a command of that ``name``, by default its own.
+    """Register a function as a command with that ``name``, by default the function's.
 
     The exit code is what the function returns, `DONE` for None. The issues of a ``TandemError`` are printed,
     and ``code`` gives its exit code.
@@ -63,7 +63,7 @@ def _command(
             try:
                 return function(*args, **kwargs) or DONE
             except TandemError as error:
-                return _refused(error, code(error))
+                return _print_refusal(error, code(error))
 
         app.command(name=name)(run)
         return run
@@ -78,37 +78,37 @@ def plan(
     sign: Path | None = None,
     like: Path | None = None,
 ) -> int:
-    """Plan a problem file, prove the programs and write them with a report; exit 0 only if verified.
+    """Plan a problem file, prove the programs and write them with a report; exit code 0 only if verified.
 
     Args:
         problem: the problem file, YAML.
         output: folder for programs, report, replay and plan.
-        sign: an Ed25519 key of OpenSSH, by which the result is signed if it is verified.
-        like: the result folder of a problem like this one: place, paths and ways are taken over where they
-            hold.
+        sign: an OpenSSH Ed25519 key with which the result is signed if it is verified.
+        like: the result folder of a similar problem: stock pose, path, approach and retreat are taken over
+            where they hold.
     """
     started = time.perf_counter()
     with progress_bar() as progress:
-        progress("reading", 0.0)  # before what is imported for it
-        pipeline = _pipeline()
+        progress("reading", 0.0)  # show progress before the imports
+        pipeline = _import_pipeline()
         try:
             key = None if sign is None else statement.read_private_key(sign)
-            pipeline.claim_output(output, problem)
-            former = None if like is None else pipeline.former(like)
+            pipeline.prepare_output(output, problem)
+            reference = None if like is None else pipeline.load_reference_plan(like)
         except TandemError as error:
-            return _refused(error, BAD_INPUT)
+            return _print_refusal(error, BAD_INPUT)
         try:
             loaded = pipeline.load(problem)
         except TandemError as error:
             pipeline.save_failure(None, error.issues, output)
-            return _refused(error, BAD_INPUT)
+            return _print_refusal(error, BAD_INPUT)
         progress("reading", 1.0)
         try:
-            outcome = pipeline.plan(loaded, progress, _processes(), former)
+            outcome = pipeline.plan(loaded, progress, _process_count(), reference)
             outcome.save(output, progress)
         except TandemError as error:
             pipeline.save_failure(loaded, error.issues, output)
-            return _refused(error, _infeasible_code(error))
+            return _print_refusal(error, _infeasible_code(error))
     print_issues(outcome.issues)
     print_summary(outcome, output, time.perf_counter() - started)
     if key is not None and not sign_folder(output, loaded, outcome.proof, key):
@@ -118,15 +118,15 @@ def plan(
 
 @_command()
 def check(problem: tyro.conf.Positional[Path]) -> int:
-    """Validate a problem file and test reach, without planning."""
-    pipeline = _pipeline()
+    """Validate a problem file and check reach, without planning."""
+    pipeline = _import_pipeline()
     loaded = pipeline.load(problem)
     issues = pipeline.check(loaded)
     print_issues(issues)
     if has_errors(issues):
         return _infeasible_code(TandemError([i for i in issues if i.severity is Severity.ERROR]))
-    out.print(f"{loaded.name}: nothing in the way of a plan was found")
-    print_accepted(accepted(issues))
+    out.print(f"{loaded.name}: no obstacle to a plan was found")
+    print_accepted(accepted_codes(issues))
     return DONE
 
 
@@ -137,18 +137,18 @@ def verify(
     sign: Path | None = None,
     signed_by: Path | None = None,
 ) -> int:
-    """Prove the programs in a result folder again, from their text and the problem alone.
+    """Prove the programs in a result folder again, from their text and the problem only.
 
     Args:
-        folder: a result folder; of it, only programs/ and problem/ are read, and proof.json is written anew.
-            With ``problem``, also a folder of programs that somebody else has written: what of them can be
-            read and proven is told, and nothing is written.
+        folder: a result folder; only its programs/ and problem/ are read, and proof.json is rewritten. With
+            ``problem``, also a folder of programs from another source: what can be read and proven of them is
+            reported, and nothing is written.
         problem: your own problem file, to prove against instead of the copy in the folder, and to compare
             that copy with.
-        sign: an Ed25519 key of OpenSSH, by which the result is signed if it is proven.
+        sign: an OpenSSH Ed25519 key with which the result is signed if it is proven.
         signed_by: a public key, or a file of allowed signers, by which the result must be signed.
     """
-    pipeline = _pipeline()
+    pipeline = _import_pipeline()
     key = None if sign is None else statement.read_private_key(sign)
     loaded = pipeline.load_result(folder) if problem is None else pipeline.load(problem)
     signature = () if signed_by is None else statement.check_signed(folder, loaded, signed_by)
@@ -156,20 +156,18 @@ def verify(
     print_issues(signature)
     programs = pipeline.read_programs(folder, bare=problem is not None)
     try:
-        proof = pipeline.verify(loaded, programs, _processes())
-        foreign = problem is not None and not proof.read
+        proof = pipeline.verify(loaded, programs, _process_count())
+        foreign = problem is not None and not proof.is_read
         partly = pipeline.read_partly(loaded, programs) if foreign else None
     except TandemError as error:
-        return _refused(error, NOT_PROVEN)
+        return _print_refusal(error, NOT_PROVEN)
     if partly is not None:
         print_issues(partly.issues)
-        out.print(f"{loaded.name}: not read as a whole; each on its own, proven are {partly.share}")
+        out.print(f"{loaded.name}: not read as a whole; proven individually: {partly.proven}")
     else:
         print_issues(proof.issues)
-    held, asked, others = proof.tally
-    rules = f"{held} of {asked} rules hold" + (
-        f", {others} ask about what is not done here" if others else ""
-    )
+    passed, total, not_applicable = proof.rule_counts
+    rules = f"{passed} of {total} rules hold" + (f", {not_applicable} do not apply" if not_applicable else "")
     out.print(f"{loaded.name}: {rules}; {'proven' if proof.ok else 'NOT proven'}")
     print_accepted(loaded.accept)
     if problem is None:
@@ -181,22 +179,22 @@ def verify(
 
 @_command()
 def report(folders: tyro.conf.Positional[tuple[Path, ...]], maps: bool = False) -> int:
-    """Write report and replay into result folders, with the proof of their programs made anew.
+    """Write report and replay into result folders, with a new proof of their programs.
 
     Args:
         folders: result folders, such as those that ``tandem batch --reports failed`` left without.
-        maps: show of each freedom, over some of the targets, where each arm is free, what is in its way
-            elsewhere, and how the plan goes through it.
+        maps: show for each freedom, at some of the targets, where each arm is free, what blocks it elsewhere,
+            and the path of the plan.
     """
-    _pipeline()
+    _import_pipeline()
     from planner.cli import results
 
     code = DONE
     for folder in folders:
         try:
-            proof = results.write_pages(folder, _processes(), maps)
+            proof = results.write_pages(folder, _process_count(), maps)
         except TandemError as error:
-            code = max(code, _refused(error, BAD_INPUT))
+            code = max(code, _print_refusal(error, BAD_INPUT))
             continue
         verdict = "proven" if proof.ok else "NOT proven"
         out.print(f"{folder}: {verdict}; see {folder / 'report.html'}", highlight=False, markup=False)
@@ -212,67 +210,72 @@ def export(
     machine: str | None = None,
     reverse: str = "",
 ) -> None:
-    """Write the cell, the part and the ways of a result folder for CAD programs: GLB, or 3DM for Rhino; or
-    what was milled as G-code for a five-axis machine.
+    """Write cell, part and tool paths of a result folder for CAD programs, or G-code of what was milled.
+
+    CAD files are GLB, or 3DM for Rhino. G-code is for a five-axis machine.
 
     Args:
         folder: a result folder of ``tandem plan``.
         output: the file, which ends in ``.glb``, ``.3dm`` or ``.ngc``.
         time: the moment that is shown [s], from the plan's first target.
-        machine: what carries what on the machine that a ``.ngc`` file is for, as ``convention`` says it of
-            G-code files. Nothing is proven of that machine.
-        reverse: letters of its rotary axes that count the other way round, as those of tables do that state
-            the tool's motion against the table (ISO 841).
+        machine: kinematics of the machine that a ``.ngc`` file is for, as the ``convention`` of G-code files
+            states it. Nothing is proven for that machine.
+        reverse: letters of its rotary axes that count in the opposite direction, such as those of tables that
+            state the tool's motion relative to the table (ISO 841).
     """
-    _pipeline()
+    _import_pipeline()
     from planner.cli import results
 
-    written = results.export(folder, output, time, machine, reverse)
+    written = results.export_result(folder, output, time, machine, reverse)
     out.print(f"written to {written}", highlight=False, markup=False)
 
 
 @_command(_failed_code)
 def upload(request: tyro.conf.OmitArgPrefixes[loading_commands.Upload]) -> int:
-    """Send verified programs to a controller, a share or an FTP folder; nothing is loaded or started. Exit 0
-    where all that is read of the controller agreed, 5 where something of it was not looked at."""
-    _pipeline()
+    """Send verified programs to a controller, a share or an FTP folder. Nothing is loaded or started.
+
+    Exit code 0 if all data that is read from the controller agrees, 5 if some of it was not compared.
+    """
+    _import_pipeline()
     sent = loading_commands.run_upload(request)
     return DONE if sent.ready else NOT_COMPARED
 
 
 @_command(_failed_code)
 def download(request: tyro.conf.OmitArgPrefixes[loading_commands.Download]) -> int:
-    """Bring programs back from a controller, name what was touched up there, and prove them again: the exit
-    code is that of the proof."""
-    _pipeline()
-    found, proof = loading_commands.run_download(request)
-    print_issues(loading_commands.shortened(found))
+    """Fetch programs back from a controller, list what was touched up there, and prove them again.
+
+    The exit code is that of the proof.
+    """
+    _import_pipeline()
+    touched_up, proof = loading_commands.run_download(request)
+    print_issues(loading_commands.summarise_issues(touched_up))
     print_issues(proof.issues)
-    sent = f"touched up in {len(found)} places" if found else "as it was sent"
+    sent = f"touched up in {len(touched_up)} places" if touched_up else "unchanged since it was sent"
     out.print(f"{sent}; {'proven' if proof.ok else 'NOT proven'}", highlight=False)
-    out.print("These are the files there; what is loaded was not read: save modules before.", highlight=False)
+    out.print("These are stored files; loaded modules were not read: save them first.", highlight=False)
     return DONE if proof.ok else NOT_PROVEN
 
 
 @_command()
 def robots(name: tyro.conf.Positional[str | None] = None) -> None:
-    """List the robots that are built in, or tell of one of them where its figures come from.
+    """List the built-in robots, or show one of them with the sources of its figures.
 
     Args:
-        name: the robot that is told of.
+        name: the robot to show.
     """
-    robot_commands.show(name)
+    robot_commands.show_robots(name)
 
 
 @_command(name="robots-add")
-def robots_add(request: tyro.conf.OmitArgPrefixes[robot_commands.Add]) -> None:
-    """Check the URDF of an arm of your own and write it down for a cell: `tandem robots add` is the same."""
+def robots_add(request: tyro.conf.OmitArgPrefixes[robot_commands.AddRobot]) -> None:
+    """Check the URDF of your own arm and write it for a cell; `tandem robots add` is the same command."""
     robot_commands.run_add(request)
 
 
 @_command()
 def materials() -> None:
-    """List the materials of wires, foams and sheets: their figures, each with its value and source."""
+    """List the materials of wires, foams and sheets, each figure with its value and source."""
     from planner.catalogue import materials
 
     table = Table("name", "material", "figure", "value", "source")
@@ -282,8 +285,8 @@ def materials() -> None:
 
 
 @_command()
-def kerf(action: preparation_commands.Action) -> None:
-    """Fit a foam of your own from test cuts, or ask for a kerf, a speed or a power."""
+def kerf(action: preparation_commands.KerfAction) -> None:
+    """Fit a foam of your own from test cuts, or compute a kerf, a speed or a power."""
     preparation_commands.run_kerf(action)
 
 
@@ -295,97 +298,100 @@ def align(request: tyro.conf.OmitArgPrefixes[preparation_commands.Align]) -> Non
 
 @_command()
 def features(request: tyro.conf.OmitArgPrefixes[preparation_commands.Features]) -> None:
-    """Show the features of a sheet part as a tree, in the order of forming, and draw them."""
+    """Show the features of a sheet part as a tree, in forming order, and draw them."""
     print_issues(preparation_commands.run_features(request))
 
 
 @_command(_infeasible_code)
-def springback(request: tyro.conf.OmitArgPrefixes[forming_commands.Springback]) -> None:
-    """Foretell how far a formed part comes back when the tools let go, before it is formed."""
-    pipeline = _pipeline()
+def springback(request: tyro.conf.OmitArgPrefixes[forming_commands.SpringbackCommand]) -> None:
+    """Predict the springback of a formed part before it is formed."""
+    pipeline = _import_pipeline()
     print_issues(forming_commands.run_springback(request, pipeline.load(request.problem)))
 
 
 @_command(_infeasible_code)
 def control(request: tyro.conf.OmitArgPrefixes[forming_commands.ControlRequest]) -> None:
-    """Gains of force control and compensation for a machine that you measured, run in time."""
-    pipeline = _pipeline()
+    """Compute gains of force control and compensation for a measured machine, and simulate them."""
+    pipeline = _import_pipeline()
     print_issues(forming_commands.run_control(request, pipeline.load(request.problem)))
 
 
 @_command(_infeasible_code, name="calibrate-clamp")
 def calibrate_clamp(request: tyro.conf.OmitArgPrefixes[clamp_commands.CalibrateClamp]) -> None:
-    """Find what a sheet's clamp does to it, from forces and dial readings on a flat sheet."""
-    pipeline = _pipeline()
+    """Find the effect of a clamp on its sheet, from forces and dial readings on a flat sheet."""
+    pipeline = _import_pipeline()
     print_issues(clamp_commands.run_calibrate_clamp(request, pipeline.load(request.problem)))
 
 
 @_command(_infeasible_code)
 def next_loop(request: tyro.conf.OmitArgPrefixes[loop_commands.NextLoop]) -> None:
     """Correct the next level of a formed part by the forces that were measured on the levels so far."""
-    _pipeline()
+    _import_pipeline()
     print_issues(loop_commands.run_next_loop(request))
 
 
 @_command(_infeasible_code)
 def simulate_loop(request: tyro.conf.OmitArgPrefixes[loop_commands.SimulateLoop]) -> None:
-    """Run the loop that corrects springback against sheets whose truth is known."""
-    _pipeline()
+    """Run the springback correction loop on sheets with known properties."""
+    _import_pipeline()
     print_issues(loop_commands.run_simulate_loop(request))
 
 
 @_command(name="scan-fit")
 def scan_fit(request: tyro.conf.OmitArgPrefixes[scan_commands.ScanFit]) -> None:
-    """Measure a formed part: how far a scan is off the part that a plan was made for."""
-    _pipeline()
+    """Measure a formed part: the deviation of a scan from the planned part."""
+    _import_pipeline()
     print_issues(scan_commands.run_scan_fit(request))
 
 
 @_command(_infeasible_code)
 def adjust(request: tyro.conf.OmitArgPrefixes[scan_commands.Adjust]) -> None:
-    """Form a part again: the problem with each target moved by what a scan of the part has shown."""
-    _pipeline()
+    """Form a part again: write the problem with each target moved by the deviation that a scan shows."""
+    _import_pipeline()
     print_issues(scan_commands.run_adjust(request))
 
 
 @_command(_failed_code)
 def batch(request: tyro.conf.OmitArgPrefixes[batch_commands.Batch]) -> int:
-    """Plan many problems, each into a folder of its own, with a summary; exit 0 only if all are verified."""
-    _pipeline()
+    """Plan many problems, each into its own folder, with a summary; exit code 0 only if all are verified."""
+    _import_pipeline()
     return batch_commands.run_batch(request)
 
 
 @_command(_failed_code)
 def fit(request: tyro.conf.OmitArgPrefixes[batch_commands.Fit]) -> int:
-    """Try a job in several cells, and rank them: which robots for this part."""
-    _pipeline()
+    """Try a job in several cells and rank them, to find robots for a part."""
+    _import_pipeline()
     return batch_commands.run_fit(request)
 
 
 @_command(_infeasible_code)
 def element(request: tyro.conf.OmitArgPrefixes[element_commands.ElementRequest]) -> None:
     """Divide a building element into panels and write a problem for each."""
-    _pipeline()
+    _import_pipeline()
     print_issues(element_commands.run_element(request))
 
 
 @_command(name="element-report")
 def element_report(request: tyro.conf.OmitArgPrefixes[element_commands.ElementReport]) -> None:
-    """Show what became of an element's panels in a batch: `tandem element report OUT RUN` is the same."""
-    _pipeline()
+    """Show the results of an element's panels in a batch.
+
+    `tandem element report OUT RUN` is the same command.
+    """
+    _import_pipeline()
     print_issues(element_commands.run_element_report(request))
 
 
 @_command(name="element-mark")
 def element_mark(request: tyro.conf.OmitArgPrefixes[element_commands.ElementMark]) -> None:
-    """Keep which panels are cut, glued or broken: `tandem element mark OUT ID cut` is the same."""
+    """Record which panels are cut, glued or broken; `tandem element mark OUT ID cut` is the same command."""
     print_issues(element_commands.run_element_mark(request))
 
 
 @_command()
 def compare(request: tyro.conf.OmitArgPrefixes[batch_commands.Compare]) -> None:
     """Show two plans, or two batches, side by side."""
-    _pipeline()
+    _import_pipeline()
     batch_commands.run_compare(request)
 
 
@@ -397,7 +403,7 @@ def serve(request: tyro.conf.OmitArgPrefixes[service_commands.Serve]) -> None:
 
 @_command()
 def token(action: service_commands.Token) -> None:
-    """Make, list or revoke the tokens of a service."""
+    """Create, list or revoke the tokens of a service."""
     service_commands.token(action)
 
 
@@ -409,7 +415,7 @@ def audit(request: tyro.conf.OmitArgPrefixes[service_commands.Audit]) -> None:
 
 @_command()
 def backup(request: tyro.conf.OmitArgPrefixes[service_commands.BackUp]) -> None:
-    """Back up the store of a service, which may run meanwhile."""
+    """Back up the store of a service, which may keep running."""
     service_commands.back_up(request)
 
 
@@ -421,87 +427,86 @@ def restore(request: tyro.conf.OmitArgPrefixes[service_commands.Restore]) -> Non
 
 @_command()
 def issues() -> None:
-    """List every issue code with its meaning, and what a problem may accept."""
+    """List every issue code with its meaning, and which ones a problem may accept."""
     from planner.issue_codes import all_codes
 
     table = Table("code", "meaning")
     for code, row in all_codes().items():
-        may = " (may be accepted)" if row.accepts else ""
+        may = " (may be accepted)" if row.acceptance else ""
         table.add_row(code, row.meaning + may)
     out.print(table)
 
 
 def main() -> None:
     """Entry point of the command ``tandem``."""
-    sys.unraisablehook = _unraisable
+    sys.unraisablehook = _handle_unraisable
     try:
         sys.exit(
             app.cli(
                 prog="tandem",
                 description="Plan two robots that share one job, and prove their programs.",
-                args=_one_word(sys.argv[1:]),
+                args=_join_subcommand(sys.argv[1:]),
             )
         )
     except Exception as error:
-        if _was_stopped(error):
-            _stop()
+        if _is_interrupt(error):
+            _exit_stopped()
         err.print_exception()
         what = f"{type(error).__name__}: {error}; nothing was written, please report this"
         print_issues((Issue("internal.error", what),))
         sys.exit(FAILED)
     except KeyboardInterrupt:
-        _stop()
+        _exit_stopped()
 
 
-def _one_word(given: Sequence[str]) -> Sequence[str]:
-    """Arguments with ``element report``, ``element mark`` and ``robots add`` as the one command that each
-    is."""
-    if tuple(given[:2]) in (("element", "report"), ("element", "mark"), ("robots", "add")):
-        return [f"{given[0]}-{given[1]}", *given[2:]]
-    return given
+def _join_subcommand(arguments: Sequence[str]) -> Sequence[str]:
+    """Join ``element report``, ``element mark`` and ``robots add`` into one command name each."""
+    if tuple(arguments[:2]) in (("element", "report"), ("element", "mark"), ("robots", "add")):
+        return [f"{arguments[0]}-{arguments[1]}", *arguments[2:]]
+    return arguments
 
 
-def _stop() -> NoReturn:
-    err.print("stopped; nothing half-written was left")
+def _exit_stopped() -> NoReturn:
+    err.print("stopped; no partial files were left")
     sys.exit(130)
 
 
-def _was_stopped(error: BaseException | None) -> bool:
-    """Whether a Ctrl-C is at the root of an error that libraries made of it."""
+def _is_interrupt(error: BaseException | None) -> bool:
+    """Whether a Ctrl-C is the root cause of an error that a library raised."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None
 
 
-def _unraisable(unraisable: sys.UnraisableHookArgs) -> None:
-    """A Ctrl-C that meets a callback which cannot raise comes again a moment later."""
+def _handle_unraisable(unraisable: sys.UnraisableHookArgs) -> None:
+    """Raise a Ctrl-C again shortly after it met a callback that cannot raise."""
     if issubclass(unraisable.exc_type, KeyboardInterrupt):
         threading.Timer(0.05, _thread.interrupt_main).start()
     else:
         sys.__unraisablehook__(unraisable)
 
 
-def _pipeline() -> ModuleType:
-    """The pipeline, imported when a command needs it: it takes half a second, and Drake, which it imports
-    for planning, talks unasked.
+def _import_pipeline() -> ModuleType:
+    """Import the pipeline when a command needs it, which takes half a second.
 
-    The arrays are small: threads of the linear algebra only get in each other's way, and their number must
-    not change a plan. NumPy reads these when it is loaded; who sets them keeps what was set.
+    Drake, which it imports, logs without being asked, so its log level is raised. The arrays are small:
+    threads of the linear algebra only slow each other down, and their number must not change a plan. NumPy
+    reads these variables when it is loaded. Values that are set already are kept.
     """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    with deferred_sigint(), gc_frozen():  # an import that is interrupted may swallow it
+    with deferred_sigint(), gc_frozen():  # an interrupted import may lose the signal
         from planner import pipeline
 
     logging.getLogger("drake").setLevel(logging.WARNING)
     return pipeline
 
 
-def _processes() -> int:
-    """Processes for one plan: two where there are two cores for this one."""
+def _process_count() -> int:
+    """Number of processes for one plan: two if this process may use two cores."""
     return min(2, batch_commands.usable_cores())
 
 
-def _refused(error: TandemError, code: int) -> int:
+def _print_refusal(error: TandemError, code: int) -> int:
     print_issues(error.issues)
     return code

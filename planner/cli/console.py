@@ -11,8 +11,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from planner.files import write_whole
-from planner.issues import Issue, Severity, refusal
+from planner.files import write_atomic
+from planner.issues import Issue, Severity, issue_error
 
 if TYPE_CHECKING:
     from planner.plans import Plan
@@ -26,9 +26,9 @@ plain_out = Console(highlight=False, soft_wrap=True)
 err = Console(stderr=True)
 
 
-def print_issues(found: tuple[Issue, ...]) -> None:
+def print_issues(issues: tuple[Issue, ...]) -> None:
     """Print issues to standard error, one per line."""
-    for issue in found:
+    for issue in issues:
         err.print(
             str(issue), style=SEVERITY_STYLE[issue.severity], markup=False, highlight=False, soft_wrap=True
         )
@@ -47,17 +47,17 @@ def require_suffix(path: Path | None, allowed: str, suffixes: Sequence[str], fie
         TandemError: The name has another ending (``output.folder``).
     """
     if path is not None and path.suffix.lower() not in suffixes:
-        what = f"{path.name}: {allowed}; name it so"
-        raise refusal("output.folder", what, field=field)
+        what = f"{path.name}: unsupported suffix; {allowed}"
+        raise issue_error("output.folder", what, field=field)
 
 
 def write_file(path: Path, content: str | bytes) -> None:
     """Write a requested file, whole or not at all. Raises ``TandemError`` (``output.folder``)."""
     try:
-        write_whole(path, content)
+        write_atomic(path, content)
     except OSError as error:
-        what = f"{path}: cannot be written ({error.strerror}); choose another place"
-        raise refusal("output.folder", what, field="output") from error
+        what = f"{path}: cannot be written ({error.strerror}); choose another path"
+        raise issue_error("output.folder", what, field="output") from error
 
 
 def write_output(path: Path, text: str, done: str = "written to") -> None:
@@ -98,14 +98,14 @@ def print_summary(outcome: object, output: Path, seconds: float) -> None:
     verdict = "verified" if outcome.verified else "NOT verified, no programs written"
     out.print(f"{outcome.problem.name}: {moves} targets, {cycle:.1f} s of motion, {verdict}")
     print_accepted(outcome.accepted)
-    stages = ", ".join(f"{name} {lap:.1f}" for name, lap in _laps(outcome.plan).items())
+    stages = ", ".join(f"{name} {lap:.1f}" for name, lap in _stage_times(outcome.plan).items())
     spent = f" ({stages})" if stages else ""
     out.print(
         f"planned in {seconds:.1f} s{spent}; see {output / 'report.html'}", highlight=False, markup=False
     )
 
 
-def _laps(plan: Plan) -> dict[str, float]:
+def _stage_times(plan: Plan) -> dict[str, float]:
     """Return the time [s] of each stage of motion planning, summed over all operations, if it took any."""
     laps: dict[str, float] = {}
     for metrics in (plan.metrics, *(operation.metrics for operation in plan.operations)):

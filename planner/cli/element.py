@@ -1,4 +1,4 @@
-"""``tandem element FILE -o OUT``: one building element into panels, each an ordinary problem of its own."""
+"""``tandem element FILE -o OUT``: divide a building element into panels, each an ordinary problem."""
 
 import dataclasses
 import json
@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from planner.cli.console import plain_out as out
-from planner.files import claim_folder, write_folder, write_whole
+from planner.files import prepare_folder, write_atomic, write_folder
 from planner.issues import Issue
 
 
@@ -17,52 +17,59 @@ from planner.issues import Issue
 class ElementRequest:
     """Divide a building element into panels and write a problem for each, with a table and a drawing.
 
-    What is written is planned by `tandem batch OUT/panels -o RUN`, where cut_blocks is stated with
-    OUT/blocks.
+    `tandem batch OUT/panels -o RUN` plans what is written; with cut_blocks also OUT/blocks.
     """
 
     file: tyro.conf.Positional[Path]
     """the element file"""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out")
     """folder for panels/, panels.csv, panels.svg, element.html, element.obj, element.3dm (with the extra
-    cad), labels.svg, labels.pdf, element.json, and where raw blocks are stated blocks.csv, blocks.svg,
-    stock.csv and, with cut_blocks, blocks/"""
+    cad), labels.svg, labels.pdf, element.json; with raw blocks also blocks.csv, blocks.svg, stock.csv and,
+    with cut_blocks, blocks/
+    """
     resume: bool = False
-    """keep the folder as it is where it holds this very element, its surface moved by 1e-5 mm at most; else
-    say how many problems stayed as they were"""
+    """keep the folder as it is if it holds this very element, with its surface moved by at most 1e-5 mm; else
+    report how many problems are unchanged
+    """
 
 
 def run_element(request: ElementRequest) -> tuple[Issue, ...]:
-    """Divide, write and print; what is to be said. Raises ``TandemError``."""
-    from planner.batch.division import divide
-    from planner.element import element_file, kept, output
+    """Divide, write and print; returns issues.
+
+    Raises:
+        TandemError: The element cannot be divided or written.
+    """
+    from planner.batch.division import divide_element
+    from planner.element import element_file, output, unchanged
 
     start = time.perf_counter()
-    claim_folder(request.output, output.OWNED, keep=request.file)
-    element = element_file.read(request.file)
+    prepare_folder(request.output, output.OWNED_ENTRIES, keep=request.file)
+    element = element_file.read_element(request.file)
     raw = element.file.raw_blocks
     if raw is not None and raw.stock is not None:
-        claim_folder(request.output, output.OWNED, keep=request.file.parent / raw.stock)
-    before = kept.problems_in(request.output) if request.resume else {}
-    if request.resume and kept.holds(request.output, element, request.file):
+        prepare_folder(request.output, output.OWNED_ENTRIES, keep=request.file.parent / raw.stock)
+    previous_problems = unchanged.problems_in(request.output) if request.resume else {}
+    if request.resume and unchanged.is_unchanged(request.output, element, request.file):
         data = json.loads((request.output / "element.json").read_text("utf-8"))
-        out.print(f"{element.file.name}: as before, {len(data['panels'])} panels", markup=False)
-        return tuple(Issue.from_dict(one) for one in data["issues"])
-    made = divide(element, lambda stage, fraction: None)
-    made_from = kept.made_from(element, request.file, made.files)
-    write_folder(request.output, {**made.files, kept.FILE: made_from}, output.OWNED)
-    out.print(f"{element.file.name}: {made.said}", markup=False)
-    if before:
-        same, count = kept.stayed(before, made.files)
-        out.print(f"{same} of {count} problems are as before: tandem batch --resume plans the others")
+        out.print(f"{element.file.name}: unchanged, {len(data['panels'])} panels", markup=False)
+        return tuple(Issue.from_dict(issue) for issue in data["issues"])
+    division = divide_element(element, lambda stage, fraction: None)
+    made_from = unchanged.made_from(element, request.file, division.files)
+    write_folder(
+        request.output, {**division.files, unchanged.MADE_FROM_FILE: made_from}, output.OWNED_ENTRIES
+    )
+    out.print(f"{element.file.name}: {division.summary}", markup=False)
+    if previous_problems:
+        same, count = unchanged.count_unchanged(previous_problems, division.files)
+        out.print(f"{same} of {count} problems are unchanged: tandem batch --resume plans the others")
     seconds = time.perf_counter() - start
     out.print(f"divided in {seconds:.1f} s; see {request.output / 'element.html'}", markup=False)
-    return made.issues
+    return division.issues
 
 
 @dataclasses.dataclass(frozen=True)
 class ElementReport:
-    """Show what became of an element's panels in a batch: verdicts, robot hours, joints of what is cut.
+    """Show the results of an element's panels in a batch: verdicts, robot hours, joints of cut panels.
 
     Writes element.html, report.csv and joints.csv into OUT.
     """
@@ -74,32 +81,39 @@ class ElementReport:
 
 
 def run_element_report(request: ElementReport) -> tuple[Issue, ...]:
-    """Read, measure, write and print; what is to be said. Raises ``TandemError``."""
+    """Read, measure, write and print; returns issues.
+
+    Raises:
+        TandemError: A folder cannot be read.
+    """
     from planner.batch.division import report_files
     from planner.element import run_page, run_report
 
-    found = run_report.read_run(request.element, request.run)
-    for name, text in report_files(found, request.element).items():
-        write_whole(request.element / name, text)
-    proven = sum(panel.proven for panel in found.panels)
-    hours = ", ".join(f"{arm} {s / run_page.HOUR:.2f} h" for arm, s in found.all_seconds().items())
-    blocks_cut = f", {sum(one.proven for one in found.saw)} of {len(found.saw)} jobs of raw blocks"
+    run_result = run_report.read_run(request.element, request.run)
+    for name, text in report_files(run_result, request.element).items():
+        write_atomic(request.element / name, text)
+    proven = sum(panel.proven for panel in run_result.panels)
+    hours = ", ".join(f"{arm} {s / run_page.HOUR_S:.2f} h" for arm, s in run_result.all_seconds().items())
+    blocks_cut = (
+        f", {sum(saw_job.proven for saw_job in run_result.saw)} of {len(run_result.saw)} jobs of raw blocks"
+    )
     out.print(
-        f"{found.data['name']}: {proven} of {len(found.panels)} panels{blocks_cut if found.saw else ''} "
-        f"proven; robots: {hours or 'none'}; "
-        f"{len(found.measured)} of {len(found.joints)} joints measured, "
-        f"{sum(joint.over for joint in found.joints)} over the limit; see {request.element / 'element.html'}",
+        f"{run_result.data['name']}: {proven} of {len(run_result.panels)} "
+        f"panels{blocks_cut if run_result.saw else ''} proven; robots: {hours or 'none'}; "
+        f"{len(run_result.measured)} of {len(run_result.joints)} joints measured, "
+        f"{sum(joint.is_over_limit for joint in run_result.joints)} over the limit; see "
+        f"{request.element / 'element.html'}",
         markup=False,
     )
-    return found.issues()
+    return run_result.issues()
 
 
 @dataclasses.dataclass(frozen=True)
 class ElementMark:
-    """Keep which panels of an element are cut, glued or broken; says what to cut next, and from what a broken
-    one is cut again; open takes a mark away.
+    """Record which panels of an element are cut, glued or broken.
 
-    Written to progress.csv in OUT, which stays where the element is divided again.
+    Prints what to cut next, and from which block a broken panel is cut again. open removes a mark. The marks
+    are written to progress.csv in OUT, which is kept when the element is divided again.
     """
 
     element: tyro.conf.Positional[Path]
@@ -107,16 +121,20 @@ class ElementMark:
     panel: tyro.conf.Positional[str]
     """the id of a panel, or of a job of a raw block, for the panels that it cuts"""
     state: tyro.conf.Positional[Literal["cut", "glued", "broken", "open"]]
-    """what it is now"""
+    """its new state"""
 
 
 def run_element_mark(request: ElementMark) -> tuple[Issue, ...]:
-    """Read, mark, write and print; what is to be said. Raises ``TandemError``."""
+    """Read, mark, write and print; returns issues.
+
+    Raises:
+        TandemError: The folder or the panel is unknown.
+    """
     from planner.element import progress
 
-    found = progress.marked(progress.read(request.element), request.panel, request.state)
-    lines = list(progress.told(found, request.element))
-    write_whole(request.element / progress.FILE, progress.text(found))
+    marks = progress.mark(progress.read_progress(request.element), request.panel, request.state)
+    lines = list(progress.progress_lines(marks, request.element))
+    write_atomic(request.element / progress.PROGRESS_FILE, progress.progress_csv(marks))
     for line in lines:
         out.print(line, markup=False)
-    return progress.issues(found)
+    return progress.progress_issues(marks)

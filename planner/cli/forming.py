@@ -1,7 +1,7 @@
-"""``tandem springback`` and ``control``: what a sheet and a machine give way by, before anything is formed.
+"""``tandem springback`` and ``control``: springback and force control, before anything is formed.
 
-``tandem springback PROBLEM``: how far a formed part comes back when the tools let go.
-``tandem control PROBLEM --machine FILE``: gains of force control and of compensation, and what they keep.
+``tandem springback PROBLEM``: springback of a formed part when it is released from the tools. ``tandem
+control PROBLEM --machine FILE``: gains of force control and of compensation, and their accuracy.
 """
 
 from __future__ import annotations
@@ -20,156 +20,197 @@ from rich.table import Table
 from planner.cli.batch import usable_cores
 from planner.cli.console import plain_out as out
 from planner.cli.console import require_suffix, write_output
-from planner.files import csv_text
+from planner.files import format_csv
 from planner.geometry.units import MM
-from planner.issues import Issue, refusal
+from planner.issues import Issue, issue_error
 
 if TYPE_CHECKING:
     from planner.geometry.arrays import FloatArray
-    from planner.loops.machine import Found, MachineFile
+    from planner.loops.machine import MachineBehaviour, MachineFile
     from planner.problem import Problem
     from planner.processes.forming.plan.job import FormingJob
-    from planner.processes.forming.plan.process_plan import Work
-    from planner.processes.forming.plan.springback.compensation import Way
+    from planner.processes.forming.plan.process_plan import FormingWork
+    from planner.processes.forming.plan.springback.compensation import ShiftedPath
     from planner.processes.forming.plan.springback.control_points import ControlPoints
-    from planner.processes.forming.plan.springback.curves import Curve, PassSpringback, Point
+    from planner.processes.forming.plan.springback.curves import (
+        PassSpringback,
+        SpringbackCurve,
+        SpringbackPoint,
+    )
 
 
-LEAST_TRIANGLES = 300
-"""Triangles of an elastic sheet that say anything at all."""
-LEAST_WRITTEN = 3000
-"""Triangles of the sheets of a springback file at least, and of those that a finer one is held against."""
-FINER = 2.25
-"""Triangles of the finer sheet, over those of the other: edges are two thirds as long."""
-SETTLED = 0.015
-"""Share by which both may differ: half of what the proof takes."""
-MOST_TRIANGLES = 20_000
-"""Triangles of an elastic sheet at most."""
-MOST_ROWS = 24
-"""Rows of a printed table at most."""
+MIN_TRIANGLES = 300
+"""Minimum number of triangles of an elastic sheet for a meaningful result."""
+MIN_WRITTEN_TRIANGLES = 3000
+"""Minimum number of triangles for a springback file, and the first number in the convergence check."""
+REFINEMENT_RATIO = 2.25
+"""Ratio of triangles of the finer sheet in the convergence check: edges are two thirds as long."""
+CONVERGENCE_TOLERANCE = 0.015
+"""Relative difference below which both sheets agree. Chosen: half of what the proof allows."""
+MAX_TRIANGLES = 20_000
+"""Maximum number of triangles of an elastic sheet."""
+MAX_ROWS = 24
+"""Maximum number of rows of a printed table."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Springback:
-    """Foretell how far a formed part comes back when the tools let go: by places, forces and levels.
+class SpringbackCommand:
+    """Predict the springback of a formed part when it is released from the tools.
 
-    The sheet as formed at each place is an elastic shell with large displacements. Forces are those that the
-    operation states (force_n or force_by, less support_force_n), or of a formula for one tool.
+    It is predicted by position, force and level. The sheet as formed at each position is an elastic shell
+    with large displacements. Forces are those that the operation states (force_n or force_by, less
+    support_force_n), or those of a formula for one tool.
     """
 
     problem: tyro.conf.Positional[Path]
     """the problem file; or a bundled problem"""
     operation: str | None = None
-    """which forming operation; else the first"""
+    """name of the forming operation; else the first"""
     most_points: int = 60
-    """control points of a pass at most; at least three levels get some"""
+    """maximum number of control points of a pass; at least three levels get some"""
     triangles: int | None = None
-    """of the elastic sheet at most: 4000, with --write as many as a finer sheet agrees with; 1500 take a
-    quarter of the time and are some 2 percent off"""
+    """maximum number of triangles of the elastic sheet: default 4000, with --write as many as agree with a
+    finer sheet; 1500 take a quarter of the time and deviate by about 2 percent
+    """
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """what to write: .csv (control points with their curves) or .html (map, curves, clusters)"""
+    """file to write: .csv (control points with their curves) or .html (map, curves, clusters)"""
     write: Path | None = None
     """a springback file to write (.json): with `springback: {file: ...}` in the operation, tools go deeper by
-    what it says"""
+    the shifts in it
+    """
     curves: Path | None = None
-    """a .json file of curves at every level of the path to write, for `tandem next-loop`"""
+    """a .json file to write, with curves at every level of the path, for `tandem next-loop`"""
 
 
-def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
-    """Work out, print and write; warnings come back. Raises `TandemError`."""
-    from planner.processes.forming.plan.process_plan import lay_all
-    from planner.processes.forming.plan.springback import forecast, released
-    from planner.processes.forming.plan.springback.curves import TRIANGLES
+def run_springback(request: SpringbackCommand, problem: Problem) -> tuple[Issue, ...]:
+    """Compute, print and write; returns warnings.
+
+    Raises:
+        TandemError: Options or the operation are not suitable.
+    """
+    from planner.processes.forming.plan.process_plan import make_tool_paths
+    from planner.processes.forming.plan.springback import forecast, released_part
+    from planner.processes.forming.plan.springback.curves import MAX_TRIANGLES
 
     require_suffix(request.output, "a page is .html, a table .csv", (".csv", ".html"))
     require_suffix(request.curves, "a file of curves is .json", (".json",), "curves")
-    for name, value, least in (
+    for name, value, min_value in (
         ("most_points", request.most_points, 1),
-        ("triangles", request.triangles, LEAST_TRIANGLES),
+        ("triangles", request.triangles, MIN_TRIANGLES),
     ):
-        if value is not None and value < least:
-            what = f"got {value}, allowed {least} at least"
-            raise refusal("forming.springback_mode", what, field=name, hint="correct it")
-    if request.write is not None and (request.triangles or LEAST_WRITTEN) < LEAST_WRITTEN:
-        what = f"got {request.triangles}, allowed {LEAST_WRITTEN} at least with --write: the proof "
-        what += "works some of a springback file out on finer meshes and takes 3 percent"
-        raise refusal("forming.springback_mode", what, field="triangles", hint="leave it out")
+        if value is not None and value < min_value:
+            what = f"got {value}, allowed at least {min_value}"
+            raise issue_error("forming.springback_mode", what, field=name, hint="correct it")
+    if request.write is not None and (request.triangles or MIN_WRITTEN_TRIANGLES) < MIN_WRITTEN_TRIANGLES:
+        what = f"got {request.triangles}, allowed at least {MIN_WRITTEN_TRIANGLES} with --write: the proof "
+        what += "checks parts of a springback file on finer meshes and allows 3 percent"
+        raise issue_error("forming.springback_mode", what, field="triangles", hint="omit it")
     require_suffix(request.write, "a springback file is .json", (".json",), "write")
     job = forming_job(problem, request.operation)
     work = job.planned
-    forecast.require_mode(work)
+    forecast.require_forecast_mode(work)
     started = time.perf_counter()
-    laid = lay_all(work)
-    control = forecast.points(work, laid, request.most_points)
-    every = [point for _, rows in control for point in rows]
-    triangles = request.triangles or TRIANGLES
+    planned_passes = make_tool_paths(work)
+    control = forecast.forecast_points(work, planned_passes, request.most_points)
+    all_points = [point for _, rows in control for point in rows]
+    triangles = request.triangles or MAX_TRIANGLES
     if request.write is not None and request.triangles is None:
-        triangles = _settled(work, control)
-    found = forecast.forecast(laid, control, _solved(work, every, triangles))
-    _print(work, found, time.perf_counter() - started)
-    finer = [curve.allowed for one in found for curve in one.curves if curve.allowed > triangles]
+        triangles = _converged_triangles(work, control)
+    forecasts = forecast.make_forecast(planned_passes, control, _solve_curves(work, all_points, triangles))
+    _print_forecast(work, forecasts, time.perf_counter() - started)
+    finer = [
+        curve.allowed
+        for pass_forecast in forecasts
+        for curve in pass_forecast.curves
+        if curve.allowed > triangles
+    ]
     if finer:
-        told = f"{triangles} triangles make no mesh of the sheet at {len(finer)} of them"
-        out.print(f"{told}: up to {max(finer)} were allowed there")
-    ways = () if request.write is None else _write_shifts(request.write, problem, job, found, laid)
+        mesh_text = f"{triangles} triangles are too few for a mesh of the sheet at {len(finer)} of them"
+        out.print(f"{mesh_text}: up to {max(finer)} are allowed there")
+    shifted_paths = (
+        () if request.write is None else _write_shifts(request.write, problem, job, forecasts, planned_passes)
+    )
     if request.output is not None:
         page = request.output.suffix.lower() == ".html"
-        shown = {**released.maps(work, laid, found, ways), **forecast.exhibits(found)} if page else {}
-        write_output(request.output, _page(problem, work, shown) if page else _csv(found))
+        shown = (
+            {
+                **released_part.springback_maps(work, planned_passes, forecasts, shifted_paths),
+                **forecast.forecast_exhibits(forecasts),
+            }
+            if page
+            else {}
+        )
+        write_output(
+            request.output, _forecast_page(problem, work, shown) if page else _forecast_csv(forecasts)
+        )
     if request.curves is not None:
-        from planner.processes.forming.plan.springback.levels import file_data
+        from planner.processes.forming.plan.springback.levels import loop_file_data
 
-        data = file_data(problem.name, problem.digest, work, laid, found)
+        data = loop_file_data(problem.name, problem.digest, work, planned_passes, forecasts)
         write_output(request.curves, json.dumps(data, separators=(",", ":")) + "\n")
     stated = job.operation.springback
     if stated is None:
-        return tuple(forecast.issues(found))
+        return tuple(forecast.forecast_issues(forecasts))
     out.print(
-        f"{job.operation.name} goes deeper by {stated.file.name}: the above is without it", markup=False
+        f"{job.operation.name} goes deeper by {stated.file.name}: figures above are without it", markup=False
     )
-    return tuple(issue for issue in forecast.issues(found) if issue.code != "forming.springback")
+    return tuple(issue for issue in forecast.forecast_issues(forecasts) if issue.code != "forming.springback")
 
 
 def _write_shifts(
-    path: Path, problem: Problem, job: FormingJob, found: Sequence[PassSpringback], laid: Sequence[Any]
-) -> tuple[Way, ...]:
-    """Write the springback file; say what the slope leaves of the forecast. The ways with their shifts."""
+    path: Path,
+    problem: Problem,
+    job: FormingJob,
+    forecasts: Sequence[PassSpringback],
+    planned_passes: Sequence[Any],
+) -> tuple[ShiftedPath, ...]:
+    """Write the springback file and print what the slope leaves uncompensated.
+
+    Returns the paths with their shifts.
+    """
     from planner.processes.forming.plan.operation import Springback as Section
     from planner.processes.forming.plan.springback import compensation, compensation_file
 
-    compensation.require_mode(job.planned)
+    compensation.require_compensation_mode(job.planned)
     limits = job.operation.springback or Section(file=path)
-    ways, left = compensation.ways(job.planned, laid, found, limits.slope)
-    for way in ways:
-        most = float(way.shift.max()) / MM
-        if most > limits.most_mm:
+    paths, remainders = compensation.compensated_paths(job.planned, planned_passes, forecasts, limits.slope)
+    for tool_path in paths:
+        max_shift = float(tool_path.shift.max()) / MM
+        if max_shift > limits.most_mm:
             what = (
-                f"pass {way.name}: a shift of {most:.2f} mm is wanted, most_mm allows {limits.most_mm:g} mm"
+                f"pass {tool_path.name}: a shift of {max_shift:.2f} mm is needed, most_mm allows "
+                f"{limits.most_mm:g} mm"
             )
-            hint = "hold the sheet nearer to the part, or allow more: springback: {most_mm: ...}"
-            raise refusal("forming.compensation", what, field="springback.most_mm", hint=hint)
-    identity = compensation_file.belongs_to(job.planned, job.setup.stock, job.part)
-    text = compensation_file.text(problem.name, job.planned, identity, found, ways, limits.slope)
+            hint = "support the sheet closer to the part, or allow more: springback: {most_mm: ...}"
+            raise issue_error("forming.compensation", what, field="springback.most_mm", hint=hint)
+    identity = compensation_file.job_identity(job.planned, job.setup.stock, job.part)
+    text = compensation_file.springback_file_text(
+        problem.name, job.planned, identity, forecasts, paths, limits.slope
+    )
     write_output(path, text, "springback file written to")
-    for line in compensation_file.assumed(job.planned):
+    for line in compensation_file.assumptions(job.planned):
         out.print(f"assumed: {line}", markup=False)
-    for way, rest in zip(ways, left, strict=True):
+    for tool_path, rest in zip(paths, remainders, strict=True):
         out.print(
-            f"pass {way.name}: tools go up to {float(way.shift.max()) / MM:.2f} mm deeper; where the shift "
-            f"grows from 0, by {limits.slope:g} mm/mm at most, up to {rest.max() / MM:.2f} mm are left",
+            f"pass {tool_path.name}: tools go up to {float(tool_path.shift.max()) / MM:.2f} mm deeper; "
+            f"where the shift grows from 0, by at most {limits.slope:g} mm/mm, up to {rest.max() / MM:.2f} "
+            "mm remain",
             markup=False,
         )
     out.print(
-        f"use it: springback: {{file: {path.name}}} in operation {job.operation.name}, with the path as seen "
-        "from the problem file's folder",
+        f"use it: springback: {{file: {path.name}}} in operation {job.operation.name}, path relative "
+        "to the problem file's folder",
         markup=False,
     )
-    return ways
+    return paths
 
 
 def forming_job(problem: Problem, name: str | None) -> FormingJob:
-    """The forming operation of a problem of that name, or the first. Raises ``TandemError``
-    (forming.no_sheet) where there is none."""
+    """Return the forming operation with that name, or the first one.
+
+    Raises:
+        TandemError: ``forming.no_sheet`` if there is none.
+    """
     from planner.processes import registry
     from planner.processes.forming.plan.job import FormingJob
 
@@ -177,64 +218,76 @@ def forming_job(problem: Problem, name: str | None) -> FormingJob:
     chosen = [job for job in jobs if name in (None, job.operation.name)]
     if not chosen:
         have = ", ".join(job.operation.name for job in jobs) or "none"
-        what = f"{problem.name}: got operation {name or 'of forming'}, forming operations are: {have}"
-        raise refusal("forming.no_sheet", what, field="operation")
+        what = f"{problem.name}: got operation {name or 'of forming'}, allowed forming operations: {have}"
+        raise issue_error("forming.no_sheet", what, field="operation")
     return chosen[0]
 
 
-def _settled(work: Work, control: Sequence[tuple[ControlPoints, list[Point]]]) -> int:
-    """Triangles with which some points of each pass, from its first level to its last, come back as with more
-    of them."""
+def _converged_triangles(
+    work: FormingWork, control_points: Sequence[tuple[ControlPoints, list[SpringbackPoint]]]
+) -> int:
+    """Number of triangles with which some points of each pass have converged springback.
+
+    The points of a pass are taken from its first to its last level.
+    """
     from planner.processes.forming.plan.springback import forecast
 
-    asked = forecast.some_points(control)
-    triangles, found = LEAST_WRITTEN, _solved(work, asked, LEAST_WRITTEN, forecast.ESTIMATE_SHARES)
-    while triangles < MOST_TRIANGLES:
-        finer = min(int(FINER * triangles), MOST_TRIANGLES)
-        better = _solved(work, asked, finer, forecast.ESTIMATE_SHARES)
-        off = forecast.apart(asked, found, better)
-        if off <= SETTLED:
+    points = forecast.comparison_points(control_points)
+    triangles, curves = (
+        MIN_WRITTEN_TRIANGLES,
+        _solve_curves(work, points, MIN_WRITTEN_TRIANGLES, forecast.ESTIMATE_LOAD_FACTORS),
+    )
+    while triangles < MAX_TRIANGLES:
+        finer = min(int(REFINEMENT_RATIO * triangles), MAX_TRIANGLES)
+        better = _solve_curves(work, points, finer, forecast.ESTIMATE_LOAD_FACTORS)
+        deviation = forecast.max_relative_difference(points, curves, better)
+        if deviation <= CONVERGENCE_TOLERANCE:
             break
         out.print(
-            f"with {triangles} triangles places come back by up to {100.0 * off:.1f} % other than with "
-            f"{finer}: {finer} are taken"
+            f"with {triangles} triangles the springback differs by up to {100.0 * deviation:.1f} % from "
+            f"that with {finer}: {finer} are used"
         )
-        triangles, found = finer, better
+        triangles, curves = finer, better
     return triangles
 
 
-def _solved(
-    work: Work, points: Sequence[Point], triangles: int, shares: FloatArray | None = None
-) -> list[Curve]:
-    """The curves of all points, on all cores: each process works out every so manieth. At ``shares`` of the
-    expected forces, or at those of a whole curve."""
+def _solve_curves(
+    work: FormingWork, points: Sequence[SpringbackPoint], triangles: int, fractions: FloatArray | None = None
+) -> list[SpringbackCurve]:
+    """Curves of all points, on all cores; each process computes every n-th one.
+
+    They are at ``fractions`` of the expected forces, by default those of a whole curve.
+    """
     from planner.pipeline import WARM_UP
-    from planner.processes.forming.plan.springback.curves import LOAD_SHARES
-    from planner.processes.forming.plan.springback.forecast import curves
+    from planner.processes.forming.plan.springback.curves import LOAD_FACTORS
+    from planner.processes.forming.plan.springback.forecast import solve_curves
     from planner.runtime.second_process import SecondProcess
 
-    loads = LOAD_SHARES if shares is None else shares
+    loads = LOAD_FACTORS if fractions is None else fractions
     count = max(1, min(usable_cores(), len(points)))
     with contextlib.ExitStack() as stack:
         executors = [stack.enter_context(SecondProcess(WARM_UP)) for _ in range(count - 1)]
         others = [
-            executor.submit(curves, work, points[k + 1 :: count], triangles, loads)
+            executor.submit(solve_curves, work, points[k + 1 :: count], triangles, loads)
             for k, executor in enumerate(executors)
         ]
-        parts = [list(curves(work, points[::count], triangles, loads)), *(list(other) for other in others)]
-    found: list[Curve | None] = [None] * len(points)
+        parts = [
+            list(solve_curves(work, points[::count], triangles, loads)),
+            *(list(other) for other in others),
+        ]
+    curves_in_order: list[SpringbackCurve | None] = [None] * len(points)
     for k, part in enumerate(parts):
-        found[k::count] = part
-    return [curve for curve in found if curve is not None]
+        curves_in_order[k::count] = part
+    return [curve for curve in curves_in_order if curve is not None]
 
 
-def _print(work: Work, found: Sequence[PassSpringback], seconds: float) -> None:
-    from planner.processes.forming.plan.springback.forecast import forces_told
+def _print_forecast(work: FormingWork, forecasts: Sequence[PassSpringback], seconds: float) -> None:
+    from planner.processes.forming.plan.springback.forecast import describe_forces
 
-    count = sum(len(one.curves) for one in found)
+    count = sum(len(pass_forecast.curves) for pass_forecast in forecasts)
     table = Table("pass", "z mm", "points", "wall deg", "force N", "springback mm")
-    rows = [row for one in found for row in _levels(one)]
-    step = -(-len(rows) // MOST_ROWS)
+    rows = [row for pass_forecast in forecasts for row in _level_rows(pass_forecast)]
+    step = -(-len(rows) // MAX_ROWS)
     for row in rows[::step] if step > 1 else rows:
         table.add_row(*row)
     out.print(table)
@@ -242,136 +295,140 @@ def _print(work: Work, found: Sequence[PassSpringback], seconds: float) -> None:
     kind = (
         "slides in its plane"
         if border == 0.0
-        else "does not move"
+        else "is immovable"
         if border == float("inf")
-        else (f"gives way by a spring of {border * MM**2:g} N/mm for each mm")
+        else (f"yields with a spring of {border * MM**2:g} N/mm per mm")
     )
-    force = "; ".join(forces_told(work))
+    force = "; ".join(describe_forces(work))
     out.print(f"{count} control points in {seconds:.1f} s; {force}; assumed: the sheet's edge {kind}")
 
 
-def _levels(one: PassSpringback) -> Iterator[tuple[str, ...]]:
+def _level_rows(pass_forecast: PassSpringback) -> Iterator[tuple[str, ...]]:
     import numpy as np
 
     from planner.geometry.units import DEG
 
-    for level in range(len(one.control.rings)):
-        mine = one.control.level == level
+    for level in range(len(pass_forecast.control.rings)):
+        on_level = pass_forecast.control.level == level
         yield (
-            one.one.name,
-            f"{float(one.control.point[mine, 2].mean()) / MM:.2f}",
-            f"{np.count_nonzero(mine)}",
-            _span(one.control.angle[mine] / DEG, 1),
-            _span(one.force[mine], 0),
-            _span(one.springback[mine] / MM, 2),
+            pass_forecast.forming_pass.name,
+            f"{float(pass_forecast.control.point[on_level, 2].mean()) / MM:.2f}",
+            f"{np.count_nonzero(on_level)}",
+            _format_span(pass_forecast.control.angle[on_level] / DEG, 1),
+            _format_span(pass_forecast.force[on_level], 0),
+            _format_span(pass_forecast.springback[on_level] / MM, 2),
         )
 
 
-def _span(values: Any, digits: int) -> str:
+def _format_span(values: Any, digits: int) -> str:
     if (values != values).any():
         return "snaps"
     low, high = f"{values.min():.{digits}f}", f"{values.max():.{digits}f}"
     return low if low == high else f"{low} to {high}"
 
 
-def _csv(found: Sequence[PassSpringback]) -> str:
-    from planner.processes.forming.plan.springback.forecast import rows
+def _forecast_csv(forecasts: Sequence[PassSpringback]) -> str:
+    from planner.processes.forming.plan.springback.forecast import forecast_rows
 
-    data = rows(found)
+    data = forecast_rows(forecasts)
     plain = [[" ".join(map(str, v)) if isinstance(v, list) else v for v in row.values()] for row in data]
-    return csv_text([[*data[0]], *plain])
+    return format_csv([[*data[0]], *plain])
 
 
-def _page(problem: Problem, work: Work, shown: dict[str, Any]) -> str:
+def _forecast_page(problem: Problem, work: FormingWork, shown: dict[str, Any]) -> str:
     import numpy as np
 
     from planner.report import exhibits
 
     block = np.array([[-0.5, -0.5, 0.0], [0.5, 0.5, 1.0]]) * problem.stock.size
     about = (
-        "The sheet as formed so far is an elastic shell, loaded where the tool is; nothing of what happens "
-        "when it is unclamped or trimmed is in this."
+        "The sheet as formed so far is an elastic shell, loaded at the tool. Effects of unclamping and "
+        "trimming are not included."
     )
     title = f"Springback of {work.operation.name}"
     section = ("springback", "Springback")
-    return exhibits.page(title, section, shown, about, block, f"{problem.name}: {title}")
+    return exhibits.exhibits_page(title, section, shown, about, block, f"{problem.name}: {title}")
 
 
 @dataclasses.dataclass(frozen=True)
 class ControlRequest:
-    """Gains of force control of the support and of compensation of the former, for a machine of yours.
+    """Compute gains of force control of the support and of compensation of the forming arm, for your machine.
 
-    What the loops do with them is run in time: a step of the force, and a gap that changes.
+    The control loops are simulated: a step of the force, and a gap that changes.
     """
 
     problem: tyro.conf.Positional[Path]
     """the problem file; or a bundled problem"""
     machine: Path
-    """stiffness, bandwidth and delay of both arms, the sensor, and the wanted force, YAML"""
+    """stiffness, bandwidth and delay of both arms, the sensor, and the required force, YAML"""
     operation: str | None = None
-    """which forming operation; else the first"""
+    """name of the forming operation; else the first"""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """an .html page to write: both responses over time"""
 
 
 def run_control(request: ControlRequest, problem: Problem) -> tuple[Issue, ...]:
-    """Work out, run, print and write; warnings come back. Raises `TandemError`."""
+    """Compute, simulate, print and write; returns warnings.
+
+    Raises:
+        TandemError: The machine file or the operation is not suitable.
+    """
     from planner.loops import machine
 
     require_suffix(request.output, "a page is .html", (".html",))
     file = machine.read_machine(request.machine)
     operation = forming_job(problem, request.operation).operation
     if len(operation.arms) != 2:
-        what = f"{operation.name}: mode {operation.mode} has one arm, force control wants a support beside it"
-        raise refusal("control.machine", what, field="operation", hint="take a mode of two arms")
+        what = f"{operation.name}: mode {operation.mode} has one arm, force control needs a support arm"
+        raise issue_error("control.machine", what, field="operation", hint="use a mode with two arms")
     feed = operation.feed_mm_s * MM
-    found = machine.tried(file, feed)
-    _print_control(file, found, feed)
+    simulation = machine.simulate_machine(file, feed)
+    _print_control(file, simulation, feed)
     if request.output is not None:
-        write_output(request.output, _control_page(operation.name, file, found))
-    return tuple(machine.issues(file, found, feed))
+        write_output(request.output, _control_page(operation.name, file, simulation))
+    return tuple(machine.machine_warnings(file, simulation, feed))
 
 
-def _print_control(file: MachineFile, found: Found, feed: float) -> None:
+def _print_control(file: MachineFile, simulation: MachineBehaviour, feed: float) -> None:
     from planner.loops.machine import INTERFACES
 
     machine = file.value()
-    stiff, late = machine.felt(found.control.share)
+    stiff, late = machine.effective_contact(simulation.control.fraction)
     table = Table("figure", "value")
     for name, value in (
         ("stiffness of the contact", f"{machine.contact * MM:.0f} N/mm"),
-        ("as the support's loop feels it", f"{stiff * MM:.0f} N/mm, lags {late * 1e3:.1f} ms"),
+        ("as seen by the support's loop", f"{stiff * MM:.0f} N/mm, lag {late * 1e3:.1f} ms"),
         (
             "integral gain",
-            f"{found.control.gain * 1e6:.2f} um/(N s), unstable from {found.most_gain * 1e6:.2f}",
+            f"{simulation.control.gain * 1e6:.2f} um/(N s), unstable from {simulation.max_gain * 1e6:.2f}",
         ),
         (
             "loop gain of the compensation",
-            f"{found.control.share * machine.compliance_gain:.2f}, below 1 allowed",
+            f"{simulation.control.fraction * machine.compliance_gain:.2f}, must be below 1",
         ),
-        ("deflection that is left", f"{100.0 * found.left:.0f} % of the former's"),
+        ("remaining deflection", f"{100.0 * simulation.remaining_deflection:.0f} % of the forming arm's"),
         (
             "step: overshoot, to 90 %",
-            f"{100.0 * found.response.overshoot[0]:.1f} %, {found.response.rise[0]:.2f} s",
+            f"{100.0 * simulation.response.overshoot[0]:.1f} %, {simulation.response.rise[0]:.2f} s",
         ),
-        (f"force at {feed / MM:g} mm/s", f"{file.force_n:g} N, off by up to {found.error:.1f} N"),
-        (f"feed for {file.band_n:g} N", f"{found.feed / MM:.3g} mm/s, without noise"),
-        ("correction by compensation", f"{found.correction / MM:.2f} mm"),
+        (f"force at {feed / MM:g} mm/s", f"{file.force_n:g} N, error up to {simulation.error:.1f} N"),
+        (f"feed for {file.band_n:g} N", f"{simulation.feed / MM:.3g} mm/s, without noise"),
+        ("correction by compensation", f"{simulation.correction / MM:.2f} mm"),
     ):
         table.add_row(name, value)
     out.print(table)
     if file.interface is not None:
         out.print(f"{file.interface.upper()}: {INTERFACES[file.interface]}", markup=False)
-    out.print(f"assumed: all of {file.name}'s figures, as its file states them", markup=False)
+    out.print(f"assumed: all figures of {file.name}, as its file states them", markup=False)
 
 
-def _control_page(name: str, file: MachineFile, found: Found) -> str:
+def _control_page(name: str, file: MachineFile, simulation: MachineBehaviour) -> str:
     from planner.report import exhibits
 
     band = [{"name": f"{sign:+g} N", "value": file.force_n + sign} for sign in (-file.band_n, file.band_n)]
     runs = (
-        ("step", "Step of the wanted force", found.step),
-        ("ramp", f"Gap that changes by {found.gap_speed / MM:.3g} mm/s", found.ramp),
+        ("step", "Step of the required force", simulation.step),
+        ("ramp", f"Gap that changes by {simulation.gap_speed / MM:.3g} mm/s", simulation.ramp),
     )
     shown = {
         key: {
@@ -383,7 +440,7 @@ def _control_page(name: str, file: MachineFile, found: Found) -> str:
             "series": (
                 {"name": "as measured", "y": run.measured[0], "colour": 1},
                 {"name": "force", "y": run.force[0], "colour": 0},
-                {"name": "commanded", "y": run.wanted[0], "colour": 2},
+                {"name": "commanded", "y": run.commanded[0], "colour": 2},
             ),
             "limits": band,
         }
@@ -391,17 +448,17 @@ def _control_page(name: str, file: MachineFile, found: Found) -> str:
     } | {
         f"{key}_way": {
             "kind": "curve",
-            "title": f"{title}: what the arms do",
+            "title": f"{title}: motion of the arms",
             "x": run.time,
             "x_label": "time [s]",
-            "y_label": "way [mm]",
+            "y_label": "displacement [mm]",
             "series": (
-                {"name": "support, from where it began", "y": (run.support[0] - run.support[0, 0]) / MM},
-                {"name": "former gives way, uncompensated", "y": run.deflection[0] / MM},
+                {"name": "support, from its start", "y": (run.support[0] - run.support[0, 0]) / MM},
+                {"name": "uncompensated deflection of the forming arm", "y": run.deflection[0] / MM},
             ),
         }
         for key, title, run in runs
     }
-    about = "A simulation with the figures of the machine's file; nothing was measured here."
+    about = "A simulation with the figures of the machine's file, without measurements."
     title = f"Force control of {name} with {file.name}"
-    return exhibits.page(title, ("control", "Force over time"), shown, about)
+    return exhibits.exhibits_page(title, ("control", "Force over time"), shown, about)

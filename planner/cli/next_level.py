@@ -1,11 +1,12 @@
-"""``tandem next-loop --problem FILE``: the next level as a problem of its own, which `tandem plan` plans.
+"""``tandem next-loop --problem FILE``: the next level as its own problem, which `tandem plan` plans.
 
-The problem of the result folder with the level that is next, and the file of its shifts in ``files/``.
+It is the problem of the result folder with the next level, and the file of its shifts in ``files/``.
 """
 
 from __future__ import annotations
 
 import copy
+import dataclasses
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,123 +14,159 @@ from typing import TYPE_CHECKING, Any
 from planner.cli.console import require_suffix
 from planner.files import is_file
 from planner.geometry.units import MM
-from planner.issues import TandemError, refusal
+from planner.issues import TandemError, issue_error
 
 if TYPE_CHECKING:
+    from planner.loops.level_correction import CorrectionLaw, LevelCorrection
     from planner.loops.loop_plan import LoopPlan
-    from planner.loops.next_loop import Law, Offsets
     from planner.problem import Problem
 
 DECIMALS = 4
-"""Digits behind the point of figures in mm."""
+"""Decimals of figures in mm."""
 
 
-def write_level(
-    path: Path,
-    problem: Problem,
-    plan: LoopPlan,
-    number: int,
-    told: Offsets,
-    law: Law,
-    kappa: float,
-    before_mm: float | None,
-) -> Path:
-    """Write the problem of level ``number`` of a planned ``problem`` to ``path``, with its files beside it;
-    the path. A springback file that the problem names is left out: the shifts are from the path without it.
+@dataclasses.dataclass(frozen=True)
+class CorrectedLevel:
+    """A level of a pass with its correction.
 
-    Raises ``TandemError``: ``forming.loop_law`` where nothing says at what shift the level before ended, what
-    the level's operation or path is refused for, ``output.folder``.
+    Attributes:
+        plan: The pass.
+        number: Index of the level.
+        correction: Correction of the level.
+        law: Correction law.
+        kappa: Ratio of the springback of the sheet to that of the model.
+        before_mm: Shift [mm] at which the previous level ended, None if it is not stated.
+    """
+
+    plan: LoopPlan
+    number: int
+    correction: LevelCorrection
+    law: CorrectionLaw
+    kappa: float
+    before_mm: float | None
+
+
+def write_level(path: Path, problem: Problem, corrected: CorrectedLevel) -> Path:
+    """Write the problem of one level, with its files.
+
+    A springback file of the problem is left out, because shifts are relative to the path without it.
+
+    Args:
+        path: File to write.
+        problem: Planned problem.
+        corrected: Level of one of its passes.
+
+    Returns:
+        The path.
+
+    Raises:
+        TandemError: ``forming.loop_law`` if ``before_mm`` is missing, ``output.folder``, and what the
+            operation or path of the level is refused for.
     """
     from planner import pipeline
     from planner.processes import registry
     from planner.processes.forming.plan.job import FormingJob
-    from planner.processes.forming.plan.level import alone, pass_of
+    from planner.processes.forming.plan.level import level_pass, make_level_path
     from planner.processes.forming.plan.springback import compensation_file, level_file
-    from planner.reading.problem import build
+    from planner.reading.problem import build_problem
 
+    plan, number, law = corrected.plan, corrected.number, corrected.law
     require_suffix(path, "a problem is .yaml", (".yaml", ".yml"), "problem")
     require_free(path, problem, "level")
-    if number > 0 and before_mm is None:
-        what = f"got no shift at which level {number - 1} ended"
-        hint = "give --before-mm: the last one of its shifts, or 0 where it had none"
-        raise refusal("forming.loop_law", what, field="before_mm", hint=hint)
+    if number > 0 and corrected.before_mm is None:
+        what = f"the shift at which level {number - 1} ended is missing"
+        hint = "state --before-mm: its last shift, or 0 if it had none"
+        raise issue_error("forming.loop_law", what, field="before_mm", hint=hint)
     stated: dict[str, Any] = {
         "number": number,
         "pass_name": plan.name,
         "slope": law.slope,
-        "most_mm": law.most / MM,
+        "most_mm": law.max_offset / MM,
     }
-    begins = round(before_mm or 0.0, DECIMALS)
-    place = _formed(problem, plan.name)
-    first = build(_document(problem, place, stated), registry.readers())
-    job = registry.job(first, place)
+    start_shift_mm = round(corrected.before_mm or 0.0, DECIMALS)
+    operation_index = _forming_operation_index(problem, plan.name)
+    first = build_problem(_level_document(problem, operation_index, stated), registry.readers())
+    job = registry.job(first, operation_index)
     if not isinstance(job, FormingJob) or job.operation.level is None:
         raise TypeError(f"{job} forms no level")
     work, level = (
         job.planned,
-        job.operation.level.model_copy(update={"plan": problem.digest, "before_mm": begins}),
+        job.operation.level.model_copy(update={"plan": problem.digest, "before_mm": start_shift_mm}),
     )
-    one = pass_of(work, level)
-    loop = alone(work, one, level)
+    one = level_pass(work, level)
+    loop = make_level_path(work, one, level)
     step = (work.operation.stepdown_mm or 0.0) * MM
-    radius = work.heads[work.former(one)].radius
-    way = level_file.way(one, loop, radius, plan.levels[number].path, told.offset, level, step)
-    share = told.force / plan.levels[number].force.clip(min=1.0)
-    why = {
-        "kappa": round(kappa, DECIMALS),
-        "force_over_expected": [round(float(share.min()), 3), round(float(share.max()), 3)],
+    radius = work.heads[work.forming_arm(one)].radius
+    ring = level_file.OffsetRing(point=plan.levels[number].path, offset=corrected.correction.offset)
+    tool_path = level_file.shifted_level_path(one, loop, radius, ring, level, step)
+    force_ratio = corrected.correction.force / plan.levels[number].force.clip(min=1.0)
+    reasons = {
+        "kappa": round(corrected.kappa, DECIMALS),
+        "force_over_expected": [round(float(force_ratio.min()), 3), round(float(force_ratio.max()), 3)],
         "rule": law.rule,
-        "ends_mm": round(float(way.shift[-1]) / MM, DECIMALS),
+        "ends_mm": round(float(tool_path.shift[-1]) / MM, DECIMALS),
     }
-    identity = compensation_file.belongs_to(work, job.setup.stock, job.part)
-    text = level_file.text(problem.name, work.operation.name, identity, level, way, why)
+    identity = compensation_file.job_identity(work, job.setup.stock, job.part)
+    text = level_file.level_file_text(problem.name, work.operation.name, identity, level, tool_path, reasons)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "level.json"
         file.write_text(text, encoding="utf-8")
-        stated |= {"file": str(file), "plan": problem.digest, "before_mm": begins}
-        return pipeline.save(build(_document(problem, place, stated), registry.readers()), path, True)
+        stated |= {"file": str(file), "plan": problem.digest, "before_mm": start_shift_mm}
+        return pipeline.save(
+            build_problem(_level_document(problem, operation_index, stated), registry.readers()), path, True
+        )
 
 
 def require_free(path: Path, problem: Problem, section: str) -> None:
-    """Raise ``TandemError`` (output.folder) where ``path`` is a file of the planned problem's own, or another
-    than one with this ``section`` in an operation, which was written before."""
+    """Require that a path may be written.
+
+    Args:
+        path: File to write.
+        problem: Planned problem, whose own folder is excluded.
+        section: Section of an operation. An existing file must be an earlier problem with this section.
+
+    Raises:
+        TandemError: ``output.folder``.
+    """
     from planner.reading import strict_yaml
 
     what = ""
     if path.resolve().is_relative_to(problem.path.resolve().parent):
-        what = "is where the plan's own problem lies"
+        what = "is in the folder of the plan's own problem"
     elif is_file(path):
         try:
             operations = strict_yaml.read(path).data.get("operations")
         except TandemError:
             operations = None
-        some = operations if isinstance(operations, list) else []
-        if not any(isinstance(one, dict) and section in one for one in some):
-            what = f"is another file, and no problem with a {section}"
+        operation_list = operations if isinstance(operations, list) else []
+        if not any(isinstance(operation, dict) and section in operation for operation in operation_list):
+            what = f"exists and is not a problem with a {section}"
     if what:
-        hint = "give it a name of its own"
-        raise refusal("output.folder", f"{path} {what}", field="problem", hint=hint)
+        hint = "choose another name"
+        raise issue_error("output.folder", f"{path} {what}", field="problem", hint=hint)
 
 
-def _formed(problem: Problem, name: str) -> int:
-    """Which operation forms sheets: the one that curves are of. Raises ``TandemError`` (forming.loop_curves)
-    where there are several."""
-    found = [k for k, one in enumerate(problem.operations) if one.process == "forming"]
-    if len(found) != 1 or len(problem.operations) != 1:
-        what = f"got a problem of {len(problem.operations)} operations, a level of {name} is formed alone in "
+def _forming_operation_index(problem: Problem, name: str) -> int:
+    """Index of the only operation, which forms the sheet.
+
+    Raises ``TandemError`` (forming.loop_curves) if there are several operations.
+    """
+    indices = [k for k, operation in enumerate(problem.operations) if operation.process == "forming"]
+    if len(indices) != 1 or len(problem.operations) != 1:
+        what = f"got a problem of {len(problem.operations)} operations, a level of {name} needs a problem of "
         hint = "plan the forming of the sheet as a problem of its own"
-        raise refusal("forming.loop_curves", what + "one", field="operations", hint=hint)
-    return found[0]
+        raise issue_error("forming.loop_curves", what + "one", field="operations", hint=hint)
+    return indices[0]
 
 
-def _document(problem: Problem, place: int, level: dict[str, Any]) -> Any:
-    """The problem's file with a level in its operation, and no springback file."""
+def _level_document(problem: Problem, operation_index: int, level: dict[str, Any]) -> Any:
+    """The problem's file with a level in its operation, and without a springback file."""
     from planner.reading import strict_yaml
 
     source = copy.deepcopy(dict(problem.source))
-    operation = dict(source["operations"][place])
+    operation = dict(source["operations"][operation_index])
     operation.pop("springback", None)
     source["operations"] = [*source["operations"]]
-    source["operations"][place] = {**operation, "level": level}
-    # file names in what was read start where the process does
+    source["operations"][operation_index] = {**operation, "level": level}
+    # file names in the source are relative to the working directory
     return strict_yaml.Document(Path(problem.path.name), source, None, b"", file=False)

@@ -1,5 +1,6 @@
-"""What is made of a result folder later: report and replay, maps of freedoms, files for CAD programs and for
-other machines.
+"""Outputs from a result folder.
+
+These are report and replay, freedom maps, files for CAD programs and files for other machines.
 """
 
 from __future__ import annotations
@@ -10,126 +11,158 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from planner.cli.console import write_file
-from planner.files import write_whole
+from planner.files import write_atomic
 from planner.geometry.units import MM
-from planner.issues import refusal
-from planner.pipeline import FIRST_TARGETS, planned_result, read_programs, verify
+from planner.issues import issue_error
+from planner.pipeline import QUICK_CHECK_TARGETS, load_planned_result, read_programs, verify
 from planner.problem import Problem
 
 if TYPE_CHECKING:
     from planner.plans import Plan
     from planner.proof.verdict import Proof
-    from planner.report.freedom_map import FreedomMap
+    from planner.report.freedom_map import FreedomMapData
 
-GCODE: Final = ".ngc"
-"""Ending of files for five-axis machines."""
+GCODE_SUFFIX: Final = ".ngc"
+"""Suffix of files for five-axis machines."""
 
 
 def write_pages(folder: str | Path, processes: int = 1, maps: bool = False) -> Proof:
-    """Write report and replay into a result folder, of its problem, its plan and the proof of its programs,
-    which is made anew and given back; ``processes`` as for :func:`planner.pipeline.plan`. With ``maps`` the
-    report has a map of each freedom over some targets. Raises ``TandemError`` for what is missing or damaged
-    there."""
+    """Write report and replay into a result folder, with a new proof of its programs.
+
+    Args:
+        folder: Result folder.
+        processes: As for :func:`planner.pipeline.plan`.
+        maps: Whether the report gets a map of each freedom, over some targets.
+
+    Returns:
+        The proof.
+
+    Raises:
+        TandemError: Something is missing or damaged in the folder.
+    """
     from planner.report import output
 
-    problem, made = planned_result(folder)
+    problem, plan = load_planned_result(folder)
     proof = verify(problem, read_programs(folder), processes)
-    shown = list(maps_of(problem, made)) if maps else []
-    for name, text in output.pages(problem, made, proof, maps=shown).items():
-        write_whole(Path(folder) / name, text)
+    maps_shown = list(freedom_maps(problem, plan)) if maps else []
+    for name, text in output.pages(problem, plan, proof, maps=maps_shown).items():
+        write_atomic(Path(folder) / name, text)
     return proof
 
 
-def maps_of(problem: Problem, made: Plan) -> Iterator[FreedomMap]:
-    """Maps of all freedoms of all operations, over :data:`planner.pipeline.FIRST_TARGETS` targets of each,
-    with the plan's values."""
+def freedom_maps(problem: Problem, plan: Plan) -> Iterator[FreedomMapData]:
+    """Yield maps of all freedoms of all operations, with the plan's values.
+
+    Each map is over :data:`planner.pipeline.QUICK_CHECK_TARGETS` targets of its operation.
+    """
     from planner.geometry.arrays import spread_rows
-    from planner.motion import axis_map
+    from planner.motion import freedom_ranges
     from planner.motion.planning_scene import Scene
-    from planner.motion.search.subsampling import subset
-    from planner.report.freedom_map import FreedomMap
+    from planner.motion.search.subsampling import select_targets
+    from planner.report.freedom_map import FreedomMapData
     from planner.report.output import cell_model
 
-    for index, own in enumerate(made.operations):
+    for index, operation_plan in enumerate(plan.operations):
         setup = problem.setup_of(index)
-        place, model = made.places[setup.number - 1], cell_model(problem, made, setup)
-        scene = Scene.of(setup.cell, own.targets.arms, place, problem.settings, model, made.bases)
-        rows = spread_rows(own.targets.count, FIRST_TARGETS)
-        few, columns = subset(own.targets, rows), [one.name for one in own.targets.freedoms]
-        names = tuple(own.targets.name(row) for row in rows.tolist())
-        for freedom, unit in axis_map.freedoms(own.targets, stated=False).items():
-            found = axis_map.axis_map(scene, few, freedom, own.values[rows])
-            shown, scale = axis_map.SHOWN[unit]
-            yield FreedomMap(
-                operation=own.name,
+        stock_pose, model = plan.stock_poses[setup.number - 1], cell_model(problem, plan, setup)
+        scene = Scene.of(
+            setup.cell, operation_plan.targets.arms, stock_pose, problem.settings, model, plan.bases
+        )
+        rows = spread_rows(operation_plan.targets.count, QUICK_CHECK_TARGETS)
+        subset_targets, columns = (
+            select_targets(operation_plan.targets, rows),
+            [freedom_of_targets.name for freedom_of_targets in operation_plan.targets.freedoms],
+        )
+        names = tuple(operation_plan.targets.name(row) for row in rows.tolist())
+        for freedom, unit in freedom_ranges.freedom_units(
+            operation_plan.targets, has_stock_pose=False
+        ).items():
+            freedom_map = freedom_ranges.compute_freedom_map(
+                scene, subset_targets, freedom, operation_plan.values[rows]
+            )
+            display_unit, scale = freedom_ranges.DISPLAY_UNITS[unit]
+            yield FreedomMapData(
+                operation=operation_plan.name,
                 freedom=freedom,
-                unit=shown,
+                unit=display_unit,
                 names=names,
-                values=found.values / scale,
-                states=found.places.state,
-                causes=("", *axis_map.CAUSES.values()),
-                apart=found.clearance / MM,
+                values=freedom_map.values / scale,
+                states=freedom_map.grid.state,
+                causes=("", *freedom_ranges.CAUSE_TEXTS.values()),
+                distance=freedom_map.clearance / MM,
                 clearance=problem.settings.clearance / MM,
-                path=own.values[rows, columns.index(freedom)] / scale,
+                path=operation_plan.values[rows, columns.index(freedom)] / scale,
             )
 
 
-def export(
+def export_result(
     folder: str | Path, output: Path, seconds: float = 0.0, machine: str | None = None, reverse: str = ""
 ) -> Path:
-    """Write the cell at ``seconds`` after the plan's first target, with wanted and simulated part, ways of
-    tools and wires, for CAD programs: ``output`` is a .glb or .3dm file. A .ngc file has what was milled as
-    G-code for a five-axis ``machine``, by its name in
-    :data:`planner.processes.milling.plan.gcode.state.KINEMATICS`, whose rotary axes in ``reverse`` count
-    the other way round.
+    """Write a result for CAD programs or as G-code.
 
-    Raises ``TandemError``: ``problem.field`` for another ending, a time that the plan does not have or a
-    machine that cannot do it, ``upload.unproven`` for G-code of what is not proven, ``part.extra_missing``,
-    ``output.folder``, and for what is missing or damaged in the folder.
+    A .glb or .3dm file shows the cell at one moment, with nominal and simulated part, tool paths and wires. A
+    .ngc file has what was milled as G-code for a five-axis machine.
+
+    Args:
+        folder: Result folder.
+        output: File to write.
+        seconds: Moment [s] after the plan's first target.
+        machine: Name in :data:`planner.processes.milling.plan.gcode.state.KINEMATICS`, for .ngc files.
+        reverse: Letters of rotary axes of the machine that count in the opposite direction.
+
+    Raises:
+        TandemError: ``problem.field`` for another suffix, a time outside the plan or an unsuitable machine,
+            ``upload.unproven`` for G-code of a result that is not proven, ``part.extra_missing``,
+            ``output.folder``, and for what is missing or damaged in the folder.
     """
     from planner.report import cad_export, rhino_file
     from planner.report.output import cell_model
 
-    kinds = (*cad_export.KINDS, GCODE)
+    kinds = (*cad_export.SUFFIXES, GCODE_SUFFIX)
     if output.suffix.lower() not in kinds:
-        what = f"-o: got {output.name}, allowed are files that end in {' or '.join(kinds)}"
-        raise refusal("problem.field", what, field="output")
-    if (output.suffix.lower() == GCODE) != (machine is not None):
-        what = f"--machine: got {machine}; {GCODE} files need one, other files have none"
-        raise refusal("problem.field", what, field="machine")
-    problem, made = planned_result(folder)
+        what = f"-o: got {output.name}, allowed suffixes: {' or '.join(kinds)}"
+        raise issue_error("problem.field", what, field="output")
+    if (output.suffix.lower() == GCODE_SUFFIX) != (machine is not None):
+        what = f"--machine: got {machine}; it is required for {GCODE_SUFFIX} files and not allowed for others"
+        raise issue_error("problem.field", what, field="machine")
+    problem, plan = load_planned_result(folder)
     if machine is not None:
-        write_file(output, _milled(Path(folder), problem, made, machine, reverse).encode("ascii"))
+        write_file(output, _gcode_text(Path(folder), problem, plan, machine, reverse).encode("ascii"))
         return output
-    at = cad_export.moment(problem, made, seconds)
-    cut = cad_export.simulated(Path(folder) / "simulated_part.obj")
-    shapes = cad_export.shapes(cell_model(problem, made, at.setup), problem, made, at, cut)
+    at = cad_export.cell_state(problem, plan, seconds)
+    cut = cad_export.read_simulated_part(Path(folder) / "simulated_part.obj")
+    shapes = cad_export.shapes(cell_model(problem, plan, at.setup), problem, plan, at, cut)
     if output.suffix.lower() == ".glb":
         write_file(output, cad_export.glb(shapes))
         return output
-    lines, targets = cad_export.lines(problem, made, at), cad_export.targets(problem, made)
-    write_file(output, rhino_file.rhino(itertools.chain(shapes, lines, targets)))
+    lines, targets = cad_export.lines(problem, plan, at), cad_export.targets(problem, plan)
+    write_file(output, rhino_file.rhino_bytes(itertools.chain(shapes, lines, targets)))
     return output
 
 
-def _milled(folder: Path, problem: Problem, made: Plan, machine: str, reverse: str) -> str:
-    """What a proven result mills as G-code."""
+def _gcode_text(folder: Path, problem: Problem, plan: Plan, machine: str, reverse: str) -> str:
+    """G-code of a proven milling result."""
     from planner.processes.milling.plan.gcode import inverse_time, state
     from planner.shopfloor.loading import proven
 
     if machine not in state.KINEMATICS:
-        what = f"--machine: got {machine}, allowed are {', '.join(state.KINEMATICS)}"
-        raise refusal("problem.field", what, field="machine")
+        what = f"--machine: got {machine}, allowed: {', '.join(state.KINEMATICS)}"
+        raise issue_error("problem.field", what, field="machine")
     letters = state.KINEMATICS[machine].letters
     if not set(reverse) <= set(letters) or len(set(reverse)) != len(reverse):
-        what = f"--reverse: got {reverse[:20]!r}, allowed are letters of {letters}, each once"
-        raise refusal("problem.field", what, field="reverse")
-    if made.digest != problem.digest:  # the proof is of the programs, and G-code is written of the plan
+        what = f"--reverse: got {reverse[:20]!r}, allowed: letters of {letters}, each once"
+        raise issue_error("problem.field", what, field="reverse")
+    if plan.digest != problem.digest:  # the proof covers the programs, but G-code is written from the plan
         what = (
-            f"plan.json is of problem {made.digest[:12]}, the folder holds {problem.digest[:12]}; plan again"
+            f"plan.json is of problem {plan.digest[:12]}, the folder holds {problem.digest[:12]}; plan again"
         )
-        raise refusal("upload.unproven", f"{folder}: {what}", file=str(folder))
+        raise issue_error("upload.unproven", f"{folder}: {what}", file=str(folder))
     proven.read(folder, problem)
-    each = zip(problem.operations, made.operations, strict=True)
-    ways = [inverse_time.way_of(own, done.targets, done.values, done.time) for own, done in each]
-    return inverse_time.program(problem.name, ways, state.convention(machine, reverse))
+    each = zip(problem.operations, plan.operations, strict=True)
+    paths = [
+        inverse_time.machine_path(
+            operation, operation_plan.targets, operation_plan.values, operation_plan.time
+        )
+        for operation, operation_plan in each
+    ]
+    return inverse_time.write_program(problem.name, paths, state.find_convention(machine, reverse))

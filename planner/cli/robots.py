@@ -1,5 +1,7 @@
-"""``tandem robots``: what is built in, and where its figures come from; ``tandem robots add URDF``: an arm of
-one's own, checked, as the lines that a cell has of it, and drawn."""
+"""``tandem robots``: built-in robots and the sources of their figures.
+
+``tandem robots add URDF`` adds your own arm. It is checked, written as lines for a cell, and drawn.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ from rich.table import Table
 
 from planner.cli.console import plain_out as out
 from planner.geometry.units import DEG, MM
-from planner.issues import TandemError, refusal
+from planner.issues import TandemError, issue_error
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,61 +27,64 @@ if TYPE_CHECKING:
 
 
 @dataclasses.dataclass(frozen=True)
-class Add:
-    """Read the URDF of an arm, check it, and write the lines that a cell has of it, and a picture.
+class AddRobot:
+    """Read the URDF of an arm, check it, and write its lines for a cell, and a picture.
 
-    What a URDF does not say is stated here or written down as assumed. The lines go under an arm of a
-    cell, in the folder for which they were written.
+    What a URDF does not state is stated here or recorded as assumed. The lines go under an arm of a cell, in
+    the folder for which they were written.
     """
 
     urdf: tyro.conf.Positional[Path]
-    """the URDF; of a xacro: xacro FILE.xacro -o FILE.urdf"""
+    """the URDF; from a xacro file: xacro FILE.xacro -o FILE.urdf"""
     family: str
-    """of its controller: abb for RAPID, kuka for KRL, ur for URScript; generic: for ROS 2 alone"""
+    """controller family: abb for RAPID, kuka for KRL, ur for URScript; generic: for ROS 2 only"""
     payload_kg: float
-    """what the arm may carry, by the data sheet"""
+    """payload by the data sheet"""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """the file of lines, YAML; the picture lies beside it, SVG; else NAME.yaml"""
+    """the file of lines, YAML, with the picture next to it, SVG; else NAME.yaml"""
     name: str | None = None
-    """what the arm is called; else the URDF's name"""
+    """name of the arm; else the URDF's name"""
     base: str = "base_link"
-    """link that stands where the arm's base is"""
+    """link at the arm's base"""
     tip: str | None = None
-    """link that tools are on; else tool0 or flange"""
+    """link that carries tools; else tool0 or flange"""
     title: str | None = None
-    """its name for people"""
+    """displayed name"""
     controller: str | None = None
-    """else IRC5 or KRC4"""
+    """controller; else IRC5 or KRC4"""
     full_speed_after_s: float | None = None
     """time of every axis from rest to full speed; else assumed"""
     coupled_deg: tuple[float, float] | None = None
-    """of a parallel rod: range of axis 2 + axis 3"""
+    """for a parallel rod: range of axis 2 + axis 3"""
     home_deg: tuple[float, ...] | None = None
     """serial joints at home; else the upper arm upright, the forearm level"""
     left_out: tuple[str, ...] = ()
-    """joints beside the chain whose bodies do not count: rods"""
+    """joints outside the chain whose bodies do not count: rods"""
     meshes: Path | None = None
-    """folder where meshes lie that are not found from the URDF"""
+    """folder of meshes that are not found from the URDF"""
     source: str | None = None
     """where the URDF comes from; else shown as without a source"""
 
 
-def show(name: str | None) -> None:
-    """Print all robots that are built in, or one with its sources and what is assumed of it. Raises
-    `TandemError` as :func:`planner.catalogue.robots.robot`."""
+def show_robots(name: str | None) -> None:
+    """Print all built-in robots, or one with its sources and assumptions.
+
+    Raises:
+        TandemError: As :func:`planner.catalogue.robots.robot`.
+    """
     from planner.catalogue.robots import robot, robot_names
 
     names = robot_names() if name is None else (name,)
     table = Table(box=None, pad_edge=False)
     for head in ("name", "robot", "reach mm", "kg", "controller", "assumed"):
         table.add_column(head, no_wrap=True)
-    for one in names:
-        data = robot(one)
+    for robot_name in names:
+        data = robot(robot_name)
         reach, payload = f"{data.reach / MM:.0f}", f"{data.payload:g}"
         table.add_row(data.name, data.title, reach, payload, data.controller, str(len(data.assumed)))
     out.print(table)
     if name is None:
-        out.print("What is assumed or unverified, and the sources: tandem robots NAME")
+        out.print("Assumed or unverified figures, and sources: tandem robots NAME")
         return
     for word, lines in (("assumed or unverified", robot(name).assumed), ("sources", robot(name).sources)):
         out.print(f"{word}:")
@@ -87,61 +92,64 @@ def show(name: str | None) -> None:
             out.print(f"- {line}", markup=False)
 
 
-def run_add(request: Add) -> None:
-    """Check, print, and write lines and picture. Raises `TandemError` as
-    :func:`planner.reading.robot_file.robot_of`, and ``problem.field`` for options."""
+def run_add(request: AddRobot) -> None:
+    """Check, print, and write lines and picture.
+
+    Raises:
+        TandemError: As :func:`planner.reading.robot_file.build_robot`, and ``problem.field`` for options.
+    """
     from planner.catalogue.robots import robot_names
-    from planner.files import write_whole
+    from planner.files import write_atomic
     from planner.reading import strict_yaml
-    from planner.reading.opw import fit, own_chain
+    from planner.reading.arm_identification import fit_arm, read_custom_chain
     from planner.reading.problem import validate
-    from planner.reading.robot_file import OwnRobotFile, read_urdf, robot_of
+    from planner.reading.robot_file import OwnRobotFile, build_robot, read_urdf
     from planner.report import arm_picture
 
     text = read_urdf(request.urdf)
-    name = request.name or _name(text)
+    name = request.name or _default_name(text)
     path = request.output or Path(f"{name}.yaml")
     if name in robot_names():
-        what = f"{name!r} is a robot that is built in; give --name another one"
-        raise refusal("problem.duplicate_name", what, field="name")
-    _require_own(path)
-    chain = own_chain(text, request.base, request.tip)
-    lines = _stated(request, name, chain, path.parent)
+        what = f"{name!r} is a built-in robot; choose another --name"
+        raise issue_error("problem.duplicate_name", what, field="name")
+    _require_writable(path)
+    chain = read_custom_chain(text, request.base, request.tip)
+    lines = _robot_lines(request, name, chain, path.parent)
     document = strict_yaml.Document(path, lines, None, b"", file=False)
     spec, issues = validate(OwnRobotFile, lines, document, ())
     if issues:
         raise TandemError(issues)
-    # by its place, for the folder that is written to may not be there yet
-    robot = robot_of(spec.model_copy(update={"urdf": str(request.urdf.resolve())}), path.parent)
-    _print(robot, chain, fit(chain).off)
+    # by its absolute path, because the output folder may not exist yet
+    robot = build_robot(spec.model_copy(update={"urdf": str(request.urdf.resolve())}), path.parent)
+    _print_robot(robot, chain, fit_arm(chain).deviation)
     picture = path.with_suffix(".svg")
     try:
-        write_whole(picture, arm_picture.drawing(robot))
-        write_whole(path, _written(lines, robot, request))
+        write_atomic(picture, arm_picture.drawing(robot))
+        write_atomic(path, _robot_yaml(lines, robot, request))
     except (OSError, ValueError) as error:
         what = f"{path}: cannot be written ({getattr(error, 'strerror', None) or error})"
-        raise refusal("output.folder", what, hint="choose a place of your own") from error
+        raise issue_error("output.folder", what, hint="choose another path") from error
     out.print(f"written to {path}, for an arm of a cell in {path.parent.resolve()}; drawn in {picture}")
 
 
-def _require_own(path: Path) -> None:
-    """See that a file is new, or lines of an arm, which may be written anew: somebody's cell may not."""
+def _require_writable(path: Path) -> None:
+    """Require that a file is new, or holds lines of an arm, which may be rewritten. A user's cell may not."""
     if path.suffix not in (".yaml", ".yml"):
-        what = f"{path}: the lines are YAML; give a name that ends with .yaml"
-        raise refusal("output.folder", what, field="output")
+        what = f"{path}: unsupported suffix; use .yaml"
+        raise issue_error("output.folder", what, field="output")
     if path.exists() and not (path.is_file() and "\nrobot:\n" in path.read_text("utf-8", "replace")):
-        what = f"{path} is there, and is no file of tandem robots add; choose another name"
-        raise refusal("output.folder", what, field="output")
+        what = f"{path} exists and was not written by tandem robots add; choose another name"
+        raise issue_error("output.folder", what, field="output")
 
 
-def _name(text: str) -> str:
-    found = re.search(r"<robot[^>]*\bname\s*=\s*[\"']([^\"']*)", text)
-    plain = re.sub(r"\W+", "_", found[1] if found else "", flags=re.ASCII).strip("_")
+def _default_name(text: str) -> str:
+    match = re.search(r"<robot[^>]*\bname\s*=\s*[\"']([^\"']*)", text)
+    plain = re.sub(r"\W+", "_", match[1] if match else "", flags=re.ASCII).strip("_")
     return (plain if plain[:1].isalpha() else f"arm_{plain}")[:24].rstrip("_")
 
 
-def _stated(request: Add, name: str, chain: UrdfChain, folder: Path) -> dict[str, Any]:
-    """The lines of the arm, as a problem has them; names of files start at ``folder``."""
+def _robot_lines(request: AddRobot, name: str, chain: UrdfChain, folder: Path) -> dict[str, Any]:
+    """The lines of the arm, as a problem has them; file names are relative to ``folder``."""
     from planner.reading.dae import DAE_SUFFIX
 
     urdf = Path(os.path.relpath(request.urdf.resolve(), folder.resolve())).as_posix()
@@ -152,82 +160,97 @@ def _stated(request: Add, name: str, chain: UrdfChain, folder: Path) -> dict[str
         if value not in (None, ()):
             lines[key] = list(value) if isinstance(value, tuple) else value
     if request.meshes is not None:
-        lines["meshes"] = _meshes(chain.shapes, request.meshes, request.urdf)
-        there = {one["name"] for one in lines["meshes"]}
-        seen = _meshes(chain.visuals, request.meshes, request.urdf, (DAE_SUFFIX,))
-        lines |= {"visuals": own} if (own := [one for one in seen if one["name"] not in there]) else {}
+        lines["meshes"] = _mesh_files(chain.shapes, request.meshes, request.urdf)
+        mesh_names = {mesh["name"] for mesh in lines["meshes"]}
+        visuals = _mesh_files(chain.visuals, request.meshes, request.urdf, (DAE_SUFFIX,))
+        lines |= (
+            {"visuals": visual_meshes}
+            if (visual_meshes := [mesh for mesh in visuals if mesh["name"] not in mesh_names])
+            else {}
+        )
     if request.source is not None:
         lines["sources"] = {"urdf": request.source}
     return lines
 
 
-def _meshes(
-    shapes: Sequence[UrdfShape], folder: Path, urdf: Path, more: tuple[str, ...] = ()
+def _mesh_files(
+    shapes: Sequence[UrdfShape], folder: Path, urdf: Path, extra_suffixes: tuple[str, ...] = ()
 ) -> list[dict[str, str]]:
-    """Where meshes of the URDF lie in a folder, each by as much of its path as is there, else by its name;
-    for one that is not read (DAE of a collision), or is not there, what was converted, of the same name but
-    for its ending. ``more``: endings that are read besides."""
+    """Files of the URDF's meshes in a folder.
+
+    A mesh matches by as much of its path as exists there, else by its name. For a mesh that is not readable
+    (DAE of a collision) or missing, a converted file matches that differs only in its suffix.
+    ``extra_suffixes`` are readable in addition.
+    """
     from planner.geometry.mesh_files import PLAIN_SUFFIXES
 
-    there = [path for path in sorted(folder.rglob("*")) if path.suffix.lower() in (*PLAIN_SUFFIXES, *more)]
-    plain = [path for path in there if path.suffix.lower() in PLAIN_SUFFIXES]
+    files = [
+        path
+        for path in sorted(folder.rglob("*"))
+        if path.suffix.lower() in (*PLAIN_SUFFIXES, *extra_suffixes)
+    ]
+    plain = [path for path in files if path.suffix.lower() in PLAIN_SUFFIXES]
     out = []
-    for name in dict.fromkeys(one.file for one in shapes if one.kind == "mesh"):
-        wanted = Path(name.partition("://")[2] or name)
-        suffix = wanted.suffix.lower()
-        found = _ends(wanted, there) if suffix in (*PLAIN_SUFFIXES, *more) else []
-        if not found and suffix not in PLAIN_SUFFIXES:
-            stems = _ends(wanted.with_suffix(""), [path.with_suffix("") for path in plain])
-            found = [path for path in plain if path.with_suffix("") in stems]
-        if len(found) == 1:
-            beside = os.path.relpath(found[0].resolve(), urdf.resolve().parent)
-            out.append({"name": name, "file": Path(beside).as_posix()})
+    for name in dict.fromkeys(shape.file for shape in shapes if shape.kind == "mesh"):
+        mesh_path = Path(name.partition("://")[2] or name)
+        suffix = mesh_path.suffix.lower()
+        matches = _match_path_end(mesh_path, files) if suffix in (*PLAIN_SUFFIXES, *extra_suffixes) else []
+        if not matches and suffix not in PLAIN_SUFFIXES:
+            stems = _match_path_end(mesh_path.with_suffix(""), [path.with_suffix("") for path in plain])
+            matches = [path for path in plain if path.with_suffix("") in stems]
+        if len(matches) == 1:
+            relative_path = os.path.relpath(matches[0].resolve(), urdf.resolve().parent)
+            out.append({"name": name, "file": Path(relative_path).as_posix()})
     return out
 
 
-def _ends(wanted: Path, there: Sequence[Path]) -> list[Path]:
-    for count in range(len(wanted.parts), 0, -1):
-        found = [path for path in there if path.parts[-count:] == wanted.parts[-count:]]
-        if found:
-            return found
+def _match_path_end(requested_path: Path, candidates: Sequence[Path]) -> list[Path]:
+    for count in range(len(requested_path.parts), 0, -1):
+        matches = [path for path in candidates if path.parts[-count:] == requested_path.parts[-count:]]
+        if matches:
+            return matches
     return []
 
 
-def _written(lines: dict[str, Any], robot: RobotData, request: Add) -> str:
-    """The lines as YAML, and as comments what was assumed."""
-    from planner.reading.robot_file import FULL_SPEED_AFTER, home_words
+def _robot_yaml(lines: dict[str, Any], robot: RobotData, request: AddRobot) -> str:
+    """The lines as YAML, with assumptions as comments."""
+    from planner.reading.robot_file import DEFAULT_FULL_SPEED_TIME_S, home_description
 
     home = ", ".join(f"{v:g}" for v in (robot.home / DEG).round(6) + 0.0)
     usual = {
-        "full_speed_after_s": f"{FULL_SPEED_AFTER:g}  # of every axis from rest, as the largest built in",
-        "home_deg": f"[{home}]  # serial joints: {home_words(robot.form)}",
+        "full_speed_after_s": f"{DEFAULT_FULL_SPEED_TIME_S:g}  # of every axis from rest, as the largest "
+        "built in",
+        "home_deg": f"[{home}]  # serial joints: {home_description(robot.form)}",
         "coupled_deg": "null  # of a parallel rod: the range of axis 2 + axis 3",
     }
     body = [f"  {key}: {json.dumps(value, ensure_ascii=False)}" for key, value in lines.items()]
-    left = [f"  # {key}: {value}; assumed" for key, value in usual.items() if key not in lines]
-    told = [f"# {line}" for line in robot.assumed]
+    defaults = [f"  # {key}: {value}; assumed" for key, value in usual.items() if key not in lines]
+    assumptions = [f"# {line}" for line in robot.assumed]
     head = [f"# {robot.title}, from {request.urdf.name}, for an arm of a cell. Without a source, or assumed:"]
-    return "\n".join([*head, *told, "robot:", *body, *left, ""])
+    return "\n".join([*head, *assumptions, "robot:", *body, *defaults, ""])
 
 
-def _print(robot: RobotData, chain: UrdfChain, off: tuple[float, float]) -> None:
+def _print_robot(robot: RobotData, chain: UrdfChain, deviation: tuple[float, float]) -> None:
     table = Table("axis", "joint", "from deg", "to deg", "deg/s", "bodies")
     shapes = robot.file.shapes if robot.file is not None else ()
     for i, joint in enumerate(chain.joints):
         low, high, speed = (f"{v[i] / DEG:.6g}" for v in (robot.lower, robot.upper, robot.velocity))
-        bodies = ", ".join(sorted("hull" if one.kind == "mesh" else one.kind for one in shapes[i + 1]))
+        bodies = ", ".join(sorted("hull" if shape.kind == "mesh" else shape.kind for shape in shapes[i + 1]))
         table.add_row(str(i + 1), joint, low, high, speed, bodies)
     out.print(table)
     figures = vars(robot.form).items()
     lengths = ", ".join(f"{key} {v / MM:.7g}" for key, v in figures if isinstance(v, float))
     count = "seven axes, the last one free," if robot.axes == 7 else "six axes"
     out.print(f"{count} in closed form: {lengths} mm; it reaches {robot.reach / MM:.0f} mm")
-    out.print(f"at most {off[0] / MM:.2g} mm and {off[1]:.2g} rad beside the URDF on 1000 postures")
+    out.print(
+        f"deviates from the URDF by at most {deviation[0] / MM:.2g} mm and {deviation[1]:.2g} rad in 1000 "
+        "postures"
+    )
     out.print("without a source, or assumed:")
     for line in robot.assumed:
         out.print(f"- {line}", markup=False)
-    unseen = robot.file.unseen if robot.file is not None else ()
-    if unseen:
-        out.print("shown by bodies for collision, for what the URDF has to be seen cannot be read:")
-    for line in unseen:
+    missing_visuals = robot.file.unseen if robot.file is not None else ()
+    if missing_visuals:
+        out.print("shown by collision bodies, because the visuals of the URDF cannot be read:")
+    for line in missing_visuals:
         out.print(f"- {line}", markup=False)

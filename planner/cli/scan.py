@@ -1,7 +1,7 @@
-"""``tandem scan-fit`` and ``adjust``: a formed part measured, and formed again.
+"""``tandem scan-fit`` and ``adjust``: measure a formed part, and form it again.
 
-``tandem scan-fit OUT SCAN``: how far a scan is off the part that a plan was made for.
-``tandem adjust OUT SCAN -o PROBLEM``: the problem again, each target moved by what the scan has shown.
+``tandem scan-fit OUT SCAN``: deviation of a scan from the planned part. ``tandem adjust OUT SCAN -o
+PROBLEM``: the problem again, with each target moved by the deviation in the scan.
 """
 
 from __future__ import annotations
@@ -17,43 +17,44 @@ from rich.table import Table
 
 from planner.cli.console import plain_out as out
 from planner.cli.console import require_suffix, write_output
-from planner.files import csv_text
+from planner.files import format_csv
 from planner.geometry.units import LENGTH_UNITS, MM
-from planner.issues import Issue, refusal
+from planner.issues import Issue, issue_error
 
 if TYPE_CHECKING:
     from planner.geometry.arrays import FloatArray
     from planner.problem import Problem
     from planner.shopfloor.align.probing import ProbedPoints
-    from planner.shopfloor.scan.adjustment import Adjusted
+    from planner.shopfloor.scan.adjustment import AdjustedPass
     from planner.shopfloor.scan.cloud import Cloud
     from planner.shopfloor.scan.deviation import Deviation
-    from planner.shopfloor.scan.registration import Pose
+    from planner.shopfloor.scan.registration import ScanPose
 
-MOST_DRAWN = 40_000
-"""Places of a picture at most."""
+MAX_DRAWN_POINTS = 40_000
+"""Maximum number of points in a picture."""
 
 
 @dataclasses.dataclass(frozen=True)
 class ScanOptions:
-    """What a scan is of."""
+    """Description of a scan."""
 
     unit: Literal["mm", "cm", "m", "in"] = "mm"
-    """of the scan's lengths"""
+    """unit of the lengths in the scan"""
     marks: Path | None = None
-    """CSV of three marks or more, on the clamp or the sheet: name, sheet.x_mm, sheet.y_mm, sheet.z_mm (in the
-    sheet's frame), scan.x_mm, scan.y_mm, scan.z_mm (as the scanner has them); without it the scan lies in the
-    sheet's frame already, but for height and tilt"""
+    """CSV of three or more marks, on the clamp or the sheet: name, sheet.x_mm, sheet.y_mm, sheet.z_mm (in the
+    sheet's frame), scan.x_mm, scan.y_mm, scan.z_mm (as in the scan); without it the scan is in the sheet's
+    frame except for height and tilt
+    """
     face: Literal["top", "bottom"] = "top"
-    """the face of the sheet that the scanner sees"""
+    """the face of the sheet that was scanned"""
 
 
 @dataclasses.dataclass(frozen=True)
 class ScanFit:
-    """How far a scan is off the part that a plan was made for: along the normal, place by place.
+    """Measure the deviation of a scan from the planned part, point by point along the normal.
 
-    The scan is laid on the flat around the part, never on what was formed, which comes back when the tools
-    let go.
+    The scan is aligned with the flat around the part, never with what was formed, which springs back when it
+    is released.
     """
 
     folder: tyro.conf.Positional[Path]
@@ -62,111 +63,117 @@ class ScanFit:
     """points or a mesh: .ply, .xyz, .txt, .stl, .obj"""
     options: tyro.conf.OmitArgPrefixes[ScanOptions]
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """what to write: .csv (places with how far they are off) or .html (the map, how often)"""
+    """file to write: .csv (points with their deviation) or .html (map and histogram)"""
 
 
 @dataclasses.dataclass(frozen=True)
 class Adjust:
-    """The problem of a formed part again, each target moved by what a scan of the part has shown."""
+    """Write the problem of a formed part again with adjusted targets.
+
+    Each target is moved by the deviation in a scan of the part.
+    """
 
     folder: tyro.conf.Positional[Path]
-    """result folder of `tandem plan`, by whose programs the part was formed"""
+    """result folder of `tandem plan`, with whose programs the part was formed"""
     scan: tyro.conf.Positional[Path]
     """points or a mesh of that part: .ply, .xyz, .txt, .stl, .obj"""
     options: tyro.conf.OmitArgPrefixes[ScanOptions]
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """the problem to write, .yaml, with its files beside it"""
+    """the problem to write, .yaml, with its files next to it"""
     gain: float = 1.0
-    """share of what the part is off by that targets are moved by, 0.1 to 1.2"""
+    """fraction of the deviation by which targets are moved, 0.1 to 1.2"""
     operation: str | None = None
-    """which forming operation; else the first"""
+    """name of the forming operation; else the first"""
     page: Path | None = None
-    """an .html page to write: what the part was off by, what is foretold of the next one"""
+    """an .html page to write: deviation of the part, and prediction for the next one"""
 
 
 def run_scan_fit(request: ScanFit) -> tuple[Issue, ...]:
-    """Register, measure, print and write; warnings come back. Raises `TandemError`."""
+    """Register, measure, print and write; returns warnings.
+
+    Raises:
+        TandemError: The folder or the scan is not usable.
+    """
     from planner import pipeline
     from planner.shopfloor.scan import deviation, freedoms
 
     require_suffix(request.output, "a file is .csv or .html", (".csv", ".html"))
     problem = pipeline.load_result(request.folder)
-    cloud, _, pose, found = _measured(problem, request.scan, request.options)
-    _print(cloud, pose, found)
+    cloud, _, pose, deviations = _measure(problem, request.scan, request.options)
+    _print_deviation(cloud, pose, deviations)
     if request.output is not None:
         page = request.output.suffix.lower() == ".html"
-        shown = {"off": _map(found.point, found.off, "How far the scan is off the wanted face")}
+        shown = {
+            "off": _deviation_map(
+                deviations.point, deviations.deviation, "Deviation of the scan from the nominal face"
+            )
+        }
         title = f"Scan of {problem.name}"
-        text = _page(title, problem, cloud, shown) if page else _csv(found)
+        text = _scan_page(title, problem, cloud, shown) if page else _deviation_csv(deviations)
         write_output(request.output, text)
-    return (*freedoms.issues(found, pose, cloud.file), *deviation.issues(found, cloud.file))
+    return (*freedoms.issues(deviations, pose, cloud.file), *deviation.issues(deviations, cloud.file))
 
 
 def run_adjust(request: Adjust) -> tuple[Issue, ...]:
-    """Register, measure, adjust, print and write; warnings come back. Raises `TandemError`."""
+    """Register, measure, adjust, print and write; returns warnings.
+
+    Raises:
+        TandemError: The folder or the scan is not usable.
+    """
     from planner import pipeline
     from planner.cli.forming import forming_job
     from planner.processes.forming.plan.operation import Springback
-    from planner.processes.forming.plan.process_plan import lay_all
-    from planner.processes.forming.plan.springback.compensation_file import belongs_to
+    from planner.processes.forming.plan.process_plan import make_tool_paths
+    from planner.processes.forming.plan.springback.compensation_file import job_identity
     from planner.shopfloor.scan import adjustment, deviation, freedoms
 
     require_suffix(request.output, "a file is .yaml or .yml", (".yaml", ".yml"))
     require_suffix(request.page, "a file is .html", (".html",), "page")
     if not 0.1 <= request.gain <= 1.2:
         what = f"got {request.gain:g}, allowed 0.1 to 1.2"
-        raise refusal("forming.loop_law", what, field="gain", hint="correct it")
+        raise issue_error("forming.loop_law", what, field="gain", hint="correct it")
     problem = pipeline.load_result(request.folder)
     job = forming_job(problem, request.operation)
-    top = request.options.face == "top"
-    cloud, marks, pose, found = _measured(problem, request.scan, request.options)
-    _print(cloud, pose, found)
-    freedoms.require_place(found, pose, cloud.file)
-    given = job.compensated()
+    cloud, marks, pose, deviations = _measure(problem, request.scan, request.options)
+    _print_deviation(cloud, pose, deviations)
+    freedoms.require_place(deviations, pose, cloud.file)
+    compensation = job.read_compensation()
     stated = job.operation.springback
     limits = Springback(file=request.output) if stated is None else stated
-    made = adjustment.adjusted(job.planned, lay_all(job.planned), given, found, top, request.gain, limits)
-    text = adjustment.text(
-        problem.name,
-        job.operation.name,
-        belongs_to(job.planned, job.setup.stock, job.part),
-        cloud,
-        LENGTH_UNITS[request.options.unit],
-        top,
-        pose,
-        marks,
-        request.gain,
-        given,
-        made,
-        limits.slope,
-    )
-    _print_adjusted(made)
-    path = _write(request, problem, job.operation.name, text, limits)
+    scan = adjustment.RegisteredScan(cloud, marks, pose, deviations, top=request.options.face == "top")
+    step = adjustment.AdjustmentStep(compensation, request.gain, limits)
+    adjusted_passes = adjustment.adjusted(job.planned, make_tool_paths(job.planned), scan, step)
+    identity = job_identity(job.planned, job.setup.stock, job.part)
+    text = adjustment.text(problem.name, job.operation.name, identity, scan, step, adjusted_passes)
+    _print_adjusted(adjusted_passes)
+    path = _write_problem(request, problem, job.operation.name, text, limits)
     out.print(f"written to {path}; next: tandem plan {path} -o FOLDER", markup=False)
     if request.page is not None:
-        shown = _rounds(made)
-        write_output(request.page, _page(f"{problem.name} adjusted", problem, cloud, shown))
-    return (*freedoms.issues(found, pose, cloud.file), *deviation.issues(found, cloud.file))
+        shown = _adjustment_exhibits(adjusted_passes)
+        write_output(request.page, _scan_page(f"{problem.name} adjusted", problem, cloud, shown))
+    return (*freedoms.issues(deviations, pose, cloud.file), *deviation.issues(deviations, cloud.file))
 
 
-def _measured(
+def _measure(
     problem: Problem, scan: Path, options: ScanOptions
-) -> tuple[Cloud, ProbedPoints | None, Pose, Deviation]:
+) -> tuple[Cloud, ProbedPoints | None, ScanPose, Deviation]:
     from planner.shopfloor.align import probing
     from planner.shopfloor.scan import cloud, deviation, registration
 
     marks = None if options.marks is None else probing.read(options.marks, registration.NAMES)
     points = cloud.read(scan, LENGTH_UNITS[options.unit])
-    pose, found = deviation.of_part(points, problem.part, problem.stock.size, marks, options.face == "top")
-    return points, marks, pose, found
+    pose, deviations = deviation.of_part(
+        points, problem.part, problem.stock.size, marks, options.face == "top"
+    )
+    return points, marks, pose, deviations
 
 
-def _write(request: Adjust, problem: Problem, operation: str, text: str, limits: Any) -> Path:
+def _write_problem(request: Adjust, problem: Problem, operation: str, text: str, limits: Any) -> Path:
     from planner import pipeline
     from planner.cli.next_level import require_free
     from planner.processes import registry
     from planner.reading import strict_yaml
-    from planner.reading.problem import build
+    from planner.reading.problem import build_problem
 
     require_free(request.output, problem, "springback")
     with tempfile.TemporaryDirectory() as folder:
@@ -180,53 +187,55 @@ def _write(request: Adjust, problem: Problem, operation: str, text: str, limits:
         }
         source = {**problem.source}
         source["operations"] = [
-            {**one, "springback": section} if one.get("name") == operation else one
-            for one in source["operations"]
+            {**operation_source, "springback": section}
+            if operation_source.get("name") == operation
+            else operation_source
+            for operation_source in source["operations"]
         ]
-        # file names in what was read start where the process does
+        # file names in the source are relative to the working directory
         document = strict_yaml.Document(Path(problem.path.name), source, None, b"", file=False)
-        return pipeline.save(build(document, registry.readers()), request.output, True)
+        return pipeline.save(build_problem(document, registry.readers()), request.output, True)
 
 
-def _print(cloud: Cloud, pose: Pose, found: Deviation) -> None:
+def _print_deviation(cloud: Cloud, pose: ScanPose, deviations: Deviation) -> None:
     import numpy as np
 
-    from planner.shopfloor.scan.registration import told
+    from planner.shopfloor.scan.registration import describe_pose
 
-    out.print(f"{cloud.file}: {told(pose)}", markup=False)
-    off = found.off[np.isfinite(found.off)] / MM
-    table = Table("mm along the normal", "least", "5 %", "median", "95 %", "most", "rms")
-    low, p5, middle, p95, high = np.percentile(off, (0, 5, 50, 95, 100))
-    figures = (low, p5, middle, p95, high, float(np.sqrt(np.mean(off**2))))
-    table.add_row("scan less wanted face", *(f"{value:.3f}" for value in figures))
+    out.print(f"{cloud.file}: {describe_pose(pose)}", markup=False)
+    deviations_mm = deviations.deviation[np.isfinite(deviations.deviation)] / MM
+    table = Table("mm along the normal", "min", "5 %", "median", "95 %", "max", "rms")
+    low, p5, middle, p95, high = np.percentile(deviations_mm, (0, 5, 50, 95, 100))
+    figures = (low, p5, middle, p95, high, float(np.sqrt(np.mean(deviations_mm**2))))
+    table.add_row("scan minus nominal face", *(f"{value:.3f}" for value in figures))
     out.print(table)
-    known = 100.0 * len(off) / len(found.off)
+    known = 100.0 * len(deviations_mm) / len(deviations.deviation)
     out.print(
-        f"{len(found.off)} places, {known:.1f} % of them known, from {found.used} points; noise of a point "
-        f"{found.noise / MM:.3f} mm",
+        f"{len(deviations.deviation)} places, {known:.1f} % of them seen, from {deviations.used} points; "
+        f"noise of a point {deviations.noise / MM:.3f} mm",
         markup=False,
     )
 
 
-def _print_adjusted(made: Sequence[Adjusted]) -> None:
+def _print_adjusted(adjusted_passes: Sequence[AdjustedPass]) -> None:
     import numpy as np
 
-    table = Table("pass", "too shallow mm, along z", "foretold mm", "tools deeper mm")
-    for one in made:
-        seen = np.isfinite(one.before)
-        both = [one.before[seen] / MM, one.foretold[seen] / MM] if seen.any() else []
-        spans = [f"{row.min():.2f} to {row.max():.2f}" for row in both] or ["not on the scan", "as it was"]
-        shift = one.way.shift / MM
-        table.add_row(one.way.name, *spans, f"{shift.min():.2f} to {shift.max():.2f}")
+    table = Table("pass", "too shallow mm, along z", "predicted mm", "tools deeper mm")
+    for adjusted_pass in adjusted_passes:
+        seen = np.isfinite(adjusted_pass.shallowness)
+        both = [adjusted_pass.shallowness[seen] / MM, adjusted_pass.foretold[seen] / MM] if seen.any() else []
+        spans = [f"{row.min():.2f} to {row.max():.2f}" for row in both] or ["not on the scan", "unchanged"]
+        shift = adjusted_pass.tool_path.shift / MM
+        table.add_row(adjusted_pass.tool_path.name, *spans, f"{shift.min():.2f} to {shift.max():.2f}")
     out.print(table)
 
 
-def _map(points: FloatArray, off: FloatArray, title: str) -> dict[str, Any]:
+def _deviation_map(points: FloatArray, deviation: FloatArray, title: str) -> dict[str, Any]:
     import numpy as np
 
-    seen = np.flatnonzero(np.isfinite(off))
-    seen = seen[:: max(1, -(-len(seen) // MOST_DRAWN))]
-    value = off[seen] / MM
+    seen = np.flatnonzero(np.isfinite(deviation))
+    seen = seen[:: max(1, -(-len(seen) // MAX_DRAWN_POINTS))]
+    value = deviation[seen] / MM
     limit = max(float(np.percentile(np.abs(value), 98)), 0.01)
     return {
         "kind": "heatmap",
@@ -238,44 +247,48 @@ def _map(points: FloatArray, off: FloatArray, title: str) -> dict[str, Any]:
     }
 
 
-def _rounds(made: Sequence[Adjusted]) -> dict[str, Any]:
-    """What the part was off and what is foretold of the next one, on one scale, and what tools do for it."""
+def _adjustment_exhibits(adjusted_passes: Sequence[AdjustedPass]) -> dict[str, Any]:
+    """Deviation of the part and prediction for the next one, on one scale, and the shifts of the tools."""
     import numpy as np
 
-    from planner.processes.forming.plan.springback.compensation import exhibit
+    from planner.processes.forming.plan.springback.compensation import compensation_exhibit
 
-    points, before, foretold = (
-        np.concatenate([getattr(one, name) for one in made if one.seen])
-        for name in ("point", "before", "foretold")
+    points, deficit, predicted = (
+        np.concatenate(
+            [getattr(adjusted_pass, name) for adjusted_pass in adjusted_passes if adjusted_pass.seen]
+        )
+        for name in ("point", "shallowness", "foretold")
     )
-    first = _map(points, before, "How much too shallow the part was, along z")
-    next_one = _map(points, foretold, "How much too shallow the next one is foretold to be, along z")
-    limit = max(float(np.abs(one["value"]).max()) for one in (first, next_one))
+    first = _deviation_map(points, deficit, "Depth deficit of the part, along z")
+    next_one = _deviation_map(points, predicted, "Predicted depth deficit of the next part, along z")
+    limit = max(float(np.abs(adjusted_pass["value"]).max()) for adjusted_pass in (first, next_one))
     return {
         "before": {**first, "limit": limit},
         "next": {**next_one, "limit": limit},
-        "deeper": exhibit([one.way for one in made]),
+        "deeper": compensation_exhibit([adjusted_pass.tool_path for adjusted_pass in adjusted_passes]),
     }
 
 
-def _csv(found: Deviation) -> str:
+def _deviation_csv(deviations: Deviation) -> str:
     import numpy as np
 
     rows = [["x_mm", "y_mm", "z_mm", "nx", "ny", "nz", "off_mm"]]
-    for point, normal, off in zip(found.point / MM, found.normal, found.off / MM, strict=True):
-        shown = f"{off:.4f}" if np.isfinite(off) else ""
+    for point, normal, deviation in zip(
+        deviations.point / MM, deviations.normal, deviations.deviation / MM, strict=True
+    ):
+        shown = f"{deviation:.4f}" if np.isfinite(deviation) else ""
         rows.append([*(f"{v:.4f}" for v in point), *(f"{v:.5f}" for v in normal), shown])
-    return csv_text(rows)
+    return format_csv(rows)
 
 
-def _page(title: str, problem: Problem, cloud: Cloud, shown: dict[str, Any]) -> str:
+def _scan_page(title: str, problem: Problem, cloud: Cloud, shown: dict[str, Any]) -> str:
     import numpy as np
 
     from planner.report import exhibits
 
     block = np.array([[-0.5, -0.5, 0.0], [0.5, 0.5, 1.0]]) * problem.stock.size
     about = (
-        f"{cloud.file}, SHA-256 {cloud.digest[:16]}, {len(cloud.points)} points, laid on the flat around the "
-        "part. Positive is above the wanted face, or too shallow."
+        f"{cloud.file}, SHA-256 {cloud.digest[:16]}, {len(cloud.points)} points, aligned with the flat "
+        "around the part. Positive is above the nominal face, or too shallow."
     )
-    return exhibits.page(title, ("scan", "Scan"), shown, about, block)
+    return exhibits.exhibits_page(title, ("scan", "Scan"), shown, about, block)

@@ -21,7 +21,7 @@ MAX_FIELDS_SHOWN: Final = 40
 
 
 def compare_with_file(
-    pipeline: ModuleType, folder: Path, own: Problem, file: Path | None
+    pipeline: ModuleType, folder: Path, problem: Problem, file: Path | None
 ) -> tuple[Issue, ...]:
     """Print how the problem stored in a result folder differs from the user's own, read from ``file``.
 
@@ -29,8 +29,8 @@ def compare_with_file(
         A warning if they differ, or if the stored problem cannot be read.
     """
     if file is None:
-        out.print(f"problem in {folder}: {own.digest}", highlight=False, markup=False, soft_wrap=True)
-        out.print("It was not compared with a file of yours: give --problem FILE.", highlight=False)
+        out.print(f"problem in {folder}: {problem.digest}", highlight=False, markup=False, soft_wrap=True)
+        out.print("It was not compared with your own file: use --problem FILE.", highlight=False)
         return ()
     if not (folder / "problem").exists():
         return ()  # a folder of programs alone
@@ -38,26 +38,26 @@ def compare_with_file(
         stored = pipeline.load_result(folder)
     except TandemError as error:
         what = f"the problem in {folder} cannot be read: {error.issues[0].message}"
-        hint = "the proof is against your file; plan it into a folder of its own to have its copy there"
+        hint = "the proof is against your file; plan it into its own folder to have its copy there"
         return (Issue("verify.problem_differs", what, Severity.WARNING, file=str(folder), hint=hint),)
     out.print(f"problem in {folder}: {stored.digest}", highlight=False, markup=False, soft_wrap=True)
-    out.print(f"problem in {file}: {own.digest}", highlight=False, markup=False, soft_wrap=True)
-    if stored.digest == own.digest:
+    out.print(f"problem in {file}: {problem.digest}", highlight=False, markup=False, soft_wrap=True)
+    if stored.digest == problem.digest:
         out.print("They are the same, values and files.", highlight=False)
         return ()
-    found = differences(stored.source, own.source)
-    _print_differences(found, folder, file)
-    what = f"the problem in {folder} is not that of {file}: they differ in {len(found)} fields"
-    hint = f"the proof is against your file; plan {file} yourself, or ask why the folder has another one"
+    differing = differences(stored.source, problem.source)
+    _print_differences(differing, folder, file)
+    what = f"the problem in {folder} differs from {file} in {len(differing)} fields"
+    hint = f"the proof is against your file; plan {file} yourself, or ask why the folder has another problem"
     return (Issue("verify.problem_differs", what, Severity.WARNING, file=str(folder), hint=hint),)
 
 
-def _print_differences(found: tuple[Difference, ...], folder: Path, file: Path) -> None:
-    for item in found[:MAX_FIELDS_SHOWN]:
+def _print_differences(differing: tuple[Difference, ...], folder: Path, file: Path) -> None:
+    for item in differing[:MAX_FIELDS_SHOWN]:
         text = f"  {item.field}: {item.first} in {folder}, {item.second} in {file}"
         out.print(text, highlight=False, markup=False, soft_wrap=True)
-    if len(found) > MAX_FIELDS_SHOWN:
-        out.print(f"  and {len(found) - MAX_FIELDS_SHOWN} more fields", highlight=False)
+    if len(differing) > MAX_FIELDS_SHOWN:
+        out.print(f"  and {len(differing) - MAX_FIELDS_SHOWN} more fields", highlight=False)
 
 
 def record_proof(folder: Path, programs: Mapping[str, str], proof: Proof, signed: bool) -> None:
@@ -66,13 +66,13 @@ def record_proof(folder: Path, programs: Mapping[str, str], proof: Proof, signed
 
     try:
         if not proven.record(folder, programs, proof, signed):
-            out.print("proof.json is signed and stays as it is; --sign writes it anew", highlight=False)
+            out.print("proof.json is signed and stays as it is; --sign rewrites it", highlight=False)
     except (OSError, TandemError) as error:
         out.print(f"proof.json is not written ({error})", highlight=False, markup=False, soft_wrap=True)
 
 
 def sign_folder(folder: Path, problem: Problem, proof: Proof, key: statement.PrivateKey) -> bool:
-    """Sign a result folder and print by whom; False if it cannot be signed."""
+    """Sign a result folder and print the fingerprint; False if it cannot be signed."""
     from planner import pipeline
 
     try:

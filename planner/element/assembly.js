@@ -51,7 +51,7 @@ class Assembly extends Orbit {
       this.all.onchange = () => this.draw();
       this.recolour();
     } else {
-      this.canvas.replaceWith(Object.assign(document.createElement("p"), { textContent: "This browser draws no 3D (WebGL 2); the order stands below all the same." }));
+      this.canvas.replaceWith(Object.assign(document.createElement("p"), { textContent: "This browser cannot show 3D views: it lacks WebGL 2. The order is listed below." }));
       this.all.parentElement.remove();
     }
     addEventListener("hashchange", () => this.asked());

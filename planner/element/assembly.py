@@ -1,7 +1,7 @@
-"""How an element is put up: the order of its panels, the way in of each, and their bodies for page and file.
+"""Assembly of an element: order of its panels, insertion directions, and bodies for page and file.
 
-``order`` counts from 1. ``way_in`` is the direction in which a panel moves as it comes in, in the frame of
-``element.json``; ``jam_mm`` says how deep others are in its way, by which foam has to give.
+``order`` counts from 1. ``way_in`` is the direction in which a panel moves when it is inserted, in the frame
+of ``element.json``. ``jam_mm`` is the depth of interference on that path, by which foam has to give.
 """
 
 import dataclasses
@@ -13,24 +13,30 @@ import numpy as np
 
 from planner.element.jobs import obj_lines
 from planner.geometry.arrays import FloatArray, IntArray, lengths
-from planner.geometry.assembly import NONE, Slab, Step, outline_faces
+from planner.geometry.assembly import NONE, AssemblyStep, Slab, outline_faces
 from planner.geometry.units import MM, measurement
+from planner.issue_codes import format_message
 from planner.issues import Issue, Severity
 
-GIVE: Final = 1e-3
-"""What foam gives way by [m] without a word, where sides are no planes."""
-BESIDE: Final = 1e-5
-"""How far [m] outside of a side the panel beyond is looked for."""
-SHOWN: Final = 1e-3
-"""How far outlines on the page may be off [m]."""
-WAY_DIGITS: Final = 9
-"""Decimals of ways in in ``element.json``."""
+FREE_INTERFERENCE_M: Final = 1e-3
+"""Interference [m] that is not reported, where sides are not planes."""
+NEIGHBOUR_OFFSET_M: Final = 1e-5
+"""Distance [m] outside of a side at which the panel beyond is searched."""
+PAGE_TOLERANCE_M: Final = 1e-3
+"""Maximum deviation [m] of outlines on the page."""
+DIRECTION_DIGITS: Final = 9
+"""Decimals of insertion directions in ``element.json``."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Body:
-    """A panel's id, its body in the frame of ``element.json``, and the same with fewer points for the
-    page."""
+class PanelBody:
+    """Body of a panel in the frame of ``element.json``.
+
+    Attributes:
+        name: Id of the panel.
+        whole: Body.
+        shown: Body with fewer points, for the page.
+    """
 
     name: str
     whole: Slab
@@ -38,32 +44,40 @@ class Body:
 
 
 @dataclasses.dataclass(frozen=True)
-class Assembly:
-    """All bodies of an element by their ids' order, the steps in which they are put up, and the direction
-    ``up`` (3,)."""
+class ElementAssembly:
+    """Assembly sequence of an element.
 
-    bodies: tuple[Body, ...]
-    steps: tuple[Step, ...]
+    Attributes:
+        bodies: Bodies in the order of their ids.
+        steps: Steps in which they are assembled.
+        up: Direction (3,) that is up.
+    """
+
+    bodies: tuple[PanelBody, ...]
+    steps: tuple[AssemblyStep, ...]
     up: FloatArray
 
     def columns(self) -> list[dict[str, Any]]:
-        """What each panel has in the table."""
+        """Return the columns of each panel in the table."""
         out: list[dict[str, Any]] = [{}] * len(self.bodies)
         for number, step in enumerate(self.steps, 1):
-            way = " ".join(f"{v:.4f}" for v in (step.way + 0.0).tolist())
-            out[step.body] = {"order": number, "way_in": way, "jam_mm": round(step.depth / MM, 3) + 0.0}
+            direction = " ".join(f"{v:.4f}" for v in (step.direction + 0.0).tolist())
+            out[step.body] = {"order": number, "way_in": direction, "jam_mm": round(step.depth / MM, 3) + 0.0}
         return out
 
     def data(self) -> list[dict[str, Any]]:
-        """What each panel has in ``element.json`` beside it."""
-        ways = {step.body: step.way for step in self.steps}
+        """Return the further data of each panel in ``element.json``."""
+        directions = {step.body: step.direction for step in self.steps}
         return [
-            {"way_in": (np.round(ways[k], WAY_DIGITS) + 0.0).tolist(), "solid": _solid(body.shown)}
+            {
+                "way_in": (np.round(directions[k], DIRECTION_DIGITS) + 0.0).tolist(),
+                "solid": _solid(body.shown),
+            }
             for k, body in enumerate(self.bodies)
         ]
 
     def obj(self) -> str:
-        """All panels as closed bodies of one OBJ file [mm], an object for each id."""
+        """Return all panels as closed bodies of one OBJ file [mm], one object per id."""
         lines, count = ["# panels in the frame of element.json, mm"], 1
         for body in self.bodies:
             vertices, faces = body.whole.mesh
@@ -71,31 +85,40 @@ class Assembly:
             count += len(vertices)
         return "\n".join(lines) + "\n"
 
-    def issues(self, give: float) -> Iterator[Issue]:
-        """``element.assembly`` for panels that no straight way in is free for."""
-        closing = [step for step in self.steps if step.depth > give]
-        if not closing:
+    def issues(self, max_interference: float) -> Iterator[Issue]:
+        """Yield ``element.assembly`` for panels without a straight insertion path that is free.
+
+        Args:
+            max_interference: Interference [m] that is allowed.
+        """
+        blocked = [step for step in self.steps if step.depth > max_interference]
+        if not blocked:
             return
-        worst = max(closing, key=lambda step: step.depth)
-        names = [f"{self.bodies[step.body].name} ({step.depth / MM:.1f} mm)" for step in closing]
-        what = (
-            f"{len(closing)} of {len(self.bodies)} panels have no straight way in that is free, in any order "
-            f"that was tried; along the best one others are in the way of them by: {', '.join(names)}"
+        worst = max(blocked, key=lambda step: step.depth)
+        names = [f"{self.bodies[step.body].name} ({step.depth / MM:.1f} mm)" for step in blocked]
+        what = format_message(
+            "element.assembly",
+            blocked_count=len(blocked),
+            panel_count=len(self.bodies),
+            panels=", ".join(names),
         )
-        hint = "part these panels in two or take as much off a side, and put them in where order says"
+        hint = "split these panels or trim a side by as much, and insert them in the stated order"
         yield Issue(
             "element.assembly",
             what,
             Severity.WARNING,
             field="panels",
-            **measurement(worst.depth / MM, give / MM, "mm"),
+            **measurement(worst.depth / MM, max_interference / MM, "mm"),
             hint=hint,
         )
 
 
 def _solid(slab: Slab) -> dict[str, str]:
-    """A body as lists of numbers in lines: points [mm] of front and back in pairs, triangles of the front,
-    and the numbers of the points on its outline."""
+    """Return a body as lists of numbers in text.
+
+    The lists have the points [mm] of front and back in pairs, the triangles of the front, and the numbers of
+    the points on its outline.
+    """
 
     def line(values: FloatArray | IntArray) -> str:
         return " ".join(f"{v:g}" for v in values.ravel().tolist())
@@ -105,48 +128,56 @@ def _solid(slab: Slab) -> dict[str, str]:
 
 
 def ring_slab(front: FloatArray, back: FloatArray, plan: FloatArray, beyond: IntArray) -> Slab:
-    """A body between outlines (C, 3) [m], whose front is spanned as its ``plan`` (C, 2) is."""
+    """Create a body between outlines (C, 3) [m], triangulated by the ``plan`` (C, 2) of its front."""
     return Slab(front, back, outline_faces(plan), np.arange(len(front)), beyond)
 
 
-def thinned(slab: Slab, plan: FloatArray, off: float) -> Slab:
-    """The body of outlines with as few corners as it takes to be ``off`` by no more [m] and to tell the
-    bodies beyond apart."""
+def simplify_outlines(slab: Slab, plan: FloatArray, tolerance: float) -> Slab:
+    """Simplify the outlines of a body.
+
+    Corners are kept as needed to deviate by at most ``tolerance`` [m] and to keep the bodies beyond apart.
+    """
     both = np.concatenate([slab.front, slab.back], axis=1)
-    turn = int(np.argmax(lengths(both - both[0])))
+    farthest = int(np.argmax(lengths(both - both[0])))
     ring = np.concatenate([both, both[:1]])
     ends = np.flatnonzero(slab.beyond != np.roll(slab.beyond, 1)).tolist()
-    stops = sorted({0, turn, *ends, len(both)})
-    parts = [_needed(ring, a, b, off) for a, b in itertools.pairwise(stops)]
+    stops = sorted({0, farthest, *ends, len(both)})
+    parts = [_simplified_indices(ring, a, b, tolerance) for a, b in itertools.pairwise(stops)]
     kept = sorted({k % len(both) for part in parts for k in part})
     return ring_slab(slab.front[kept], slab.back[kept], plan[kept], slab.beyond[kept])
 
 
-def _needed(points: FloatArray, first: int, last: int, limit: float) -> list[int]:
-    """The points from first to last that a line through them needs (D. Douglas, T. Peucker, Cartographica 10,
-    1973)."""
+def _simplified_indices(points: FloatArray, first: int, last: int, limit: float) -> list[int]:
+    """Return the points that a polyline within ``limit`` [m] needs, ends included.
+
+    Source: D. Douglas, T. Peucker, Cartographica 10, 1973.
+    """
     a, b = points[first], points[last]
     between = points[first + 1 : last]
     if not len(between):
         return [first, last]
-    long = max(float((b - a) @ (b - a)), 1e-30)
-    share = np.clip((between - a) @ (b - a) / long, 0.0, 1.0)
-    off = lengths(between - a - share[:, None] * (b - a))
-    worst = int(np.argmax(off))
-    if off[worst] <= limit:
+    squared_length = max(float((b - a) @ (b - a)), 1e-30)
+    fraction = np.clip((between - a) @ (b - a) / squared_length, 0.0, 1.0)
+    distance = lengths(between - a - fraction[:, None] * (b - a))
+    worst = int(np.argmax(distance))
+    if distance[worst] <= limit:
         return [first, last]
     middle = first + 1 + worst
-    return _needed(points, first, middle, limit) + _needed(points, middle, last, limit)
+    return _simplified_indices(points, first, middle, limit) + _simplified_indices(
+        points, middle, last, limit
+    )
 
 
-def rests_on(beyond: Sequence[IntArray], row: IntArray) -> list[IntArray]:
-    """The neighbours of each panel in rows before its own."""
+def supporting_panels(beyond: Sequence[IntArray], row: IntArray) -> list[IntArray]:
+    """Return the neighbours of each panel in previous rows."""
     return [
-        np.array([b for b in np.unique(one[one != NONE]).tolist() if row[b] < row[k]], dtype=np.int64)
-        for k, one in enumerate(beyond)
+        np.array(
+            [b for b in np.unique(neighbours[neighbours != NONE]).tolist() if row[b] < row[k]], dtype=np.int64
+        )
+        for k, neighbours in enumerate(beyond)
     ]
 
 
-def in_order(data: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """The panels of ``element.json`` as they are put up, those of a file without an order by their ids."""
+def panels_in_order(data: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Return the panels of ``element.json`` in assembly order; without an order in the file, by ids."""
     return sorted(data["panels"], key=lambda panel: int(panel.get("order", 0)))

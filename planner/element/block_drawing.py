@@ -1,4 +1,4 @@
-"""Cut drawings of nested blocks, as one SVG: panels' ids, cuts with their numbers, what is left over."""
+"""Cut drawings of nested blocks as one SVG: ids of panels, numbered cuts and offcuts."""
 
 from collections.abc import Sequence
 from html import escape
@@ -6,10 +6,17 @@ from typing import Final
 
 import numpy as np
 
-from planner.element.nest import NestedBlock, Nesting, PanelBlock, level_cuts, total_yields, yields
-from planner.element.rows import Row
+from planner.element.block_nesting import (
+    BlockNesting,
+    NestedBlock,
+    PanelBlock,
+    block_yields,
+    level_cuts,
+    total_yields,
+)
+from planner.element.rows import PanelRow
 from planner.geometry.arrays import FloatArray
-from planner.geometry.cut_tree import Cut, Part
+from planner.geometry.cut_tree import BlockPart, ThroughCut
 from planner.geometry.units import MM
 
 _PAGE: Final = 1240.0  # width of the drawing [px]
@@ -20,24 +27,20 @@ _PANEL, _ROW, _LEFT = "#dbe7f1", "#eef2f5", "#f1efe9"
 _BOLD = ' font-weight="600"'
 
 
-def drawing(name: str, nesting: Nesting, panels: Sequence[PanelBlock], kerf: float) -> str:
-    """All blocks in their order, at one scale, x to the right and y up."""
+def draw_blocks(name: str, nesting: BlockNesting, panels: Sequence[PanelBlock], kerf: float) -> str:
+    """Draw all blocks in their order, at one scale, x to the right and y up."""
     column = (_PAGE - _GAP * (_COLUMNS - 1)) / _COLUMNS
     scale = column / max(block.size[0] for block in nesting.blocks)
-    volume, boxes = (100.0 * share for share in total_yields(nesting, panels))
-    sure = {"bound": "the least there is", "two-stage": "no nest of strips takes fewer"}
-    why = f" ({sure[nesting.least]})" if nesting.least else ""
+    volume, boxes = (100.0 * fraction for fraction in total_yields(nesting, panels))
+    reasons = {"bound": "the minimum", "two-stage": "the minimum for strips"}
+    why = f" ({reasons[nesting.proof]})" if nesting.proof else ""
     count = len(nesting.blocks)
     rows = any(block.rows for block in nesting.blocks)
-    round_them = "panels are cut out of light blue parts together, along red outlines; " if rows else ""
+    round_them = "panels in light blue parts are cut together, along red outlines; " if rows else ""
     texts = [
         (28, 34, f"{name}: {count} blocks{why}, at least {nesting.bound} by area"),
-        (18, 64, f"of the foam {volume:.0f} % are panels, {boxes:.0f} % the blocks that they are cut from"),
-        (
-            18,
-            88,
-            "red: cuts in their order, each through one whole part; beige: left over; " + round_them + "mm",
-        ),
+        (18, 64, f"{volume:.0f} % of the foam are panels, {boxes:.0f} % their blocks"),
+        (18, 88, "red: cuts in order, each through one whole part; beige: offcuts; " + round_them + "mm"),
     ]
     out = [
         f'<text x="0" y="{y}" font-size="{size}"{_BOLD if size > 20 else ""}>{escape(line)}</text>'
@@ -47,9 +50,9 @@ def drawing(name: str, nesting: Nesting, panels: Sequence[PanelBlock], kerf: flo
     for start in range(0, count, _COLUMNS):
         row = nesting.blocks[start : start + _COLUMNS]
         high = max(block.size[1] for block in row) * scale
-        for place, block in enumerate(row):
-            left = place * (column + _GAP)
-            out += _block(block, panels, kerf, left, top + _GAP, scale)
+        for column_index, block in enumerate(row):
+            left = column_index * (column + _GAP)
+            out += _draw_block(block, panels, kerf, left, top + _GAP, scale)
         top += high + _GAP + 30.0
     size = f"{_PAGE + 80:.0f} {top + 40:.0f}"
     head = [
@@ -60,13 +63,13 @@ def drawing(name: str, nesting: Nesting, panels: Sequence[PanelBlock], kerf: flo
     return "\n".join([*head, *out, "</svg>"]) + "\n"
 
 
-def _block(
+def _draw_block(
     block: NestedBlock, panels: Sequence[PanelBlock], kerf: float, left: float, top: float, scale: float
 ) -> list[str]:
-    """One block, its upper left corner at (left, top)."""
+    """Draw one block with its upper left corner at (left, top)."""
     size = " x ".join(f"{round(v / MM, 1):g}" for v in block.size)
-    source = f"left over {block.source}" if block.source else "raw block"
-    volume, _ = (100.0 * share for share in yields(block, panels))
+    source = f"offcut {block.source}" if block.source else "raw block"
+    volume, _ = (100.0 * fraction for fraction in block_yields(block, panels))
     high = block.size[1] * scale
     title = f"{source} {size}{', ' + block.foam if block.foam else ''}; {volume:.0f} % panels"
     out = [
@@ -76,26 +79,26 @@ def _block(
     ]
     levels = {i: number for number, i, _ in level_cuts(block, panels, kerf)}
 
-    def box(part: Part) -> tuple[float, float, float, float]:
+    def box(part: BlockPart) -> tuple[float, float, float, float]:
         y = top + high - (part.y + part.width) * scale
         return left + part.x * scale, y, part.length * scale, part.width * scale
 
     for row in block.rows.values():
         out.append(_rectangle(*box(row.part), _ROW))
-        out += [_outline(row, ring, left, top + high, scale) for ring in row.outlines.values()]
-    own = {id(piece) for row in block.rows.values() for piece in row.pieces}
+        out += [_draw_outline(row, ring, left, top + high, scale) for ring in row.outlines.values()]
+    row_pieces = {id(piece) for row in block.rows.values() for piece in row.pieces}
     for part in block.boxes():
         x, y, long, wide = box(part)
         i = block.panel(part.box)
-        if id(part) not in own:
+        if id(part) not in row_pieces:
             out.append(_rectangle(x, y, long, wide, _PANEL))
-        told = [panels[i].name, f"{part.length / MM:.0f} x {part.width / MM:.0f}"]
+        lines = [panels[i].name, f"{part.length / MM:.0f} x {part.width / MM:.0f}"]
         if i in levels:
-            told += [f"{panels[i].thickness / MM:g} thick", f"level cut {levels[i]}"]
-        out += _told(told, x + 0.5 * long, y + 0.5 * wide, long, wide)
+            lines += [f"{panels[i].thickness / MM:g} thick", f"level cut {levels[i]}"]
+        out += _draw_lines(lines, x + 0.5 * long, y + 0.5 * wide, long, wide)
     out += [_rectangle(*box(part), _LEFT) for part in block.tree.offcuts()]
     for number, cut in enumerate(block.tree.cuts(), 1):
-        out += _cut(cut, number, left, top + high, scale, kerf)
+        out += _draw_cut(cut, number, left, top + high, scale, kerf)
     out.append(
         f'<rect x="{left:.1f}" y="{top:.1f}" width="{block.size[0] * scale:.1f}" height="{high:.1f}" '
         f'fill="none" stroke="{_INK}" stroke-width="1.6"/>'
@@ -103,16 +106,16 @@ def _block(
     return out
 
 
-def _outline(row: Row, ring: FloatArray, left: float, bottom: float, scale: float) -> str:
-    """A panel of a row, its front, where the wire goes round it."""
+def _draw_outline(row: PanelRow, ring: FloatArray, left: float, bottom: float, scale: float) -> str:
+    """Draw the front of a panel of a row, along which the wire cuts."""
     middle = np.array([row.part.x + 0.5 * row.part.length, row.part.y + 0.5 * row.part.width])
     points = (ring[1, :, :2] + middle) * [scale, -scale] + [left, bottom]
     where = " ".join(f"{x:.1f},{y:.1f}" for x, y in points.tolist())
     return f'<polygon points="{where}" fill="{_PANEL}" stroke="{_CUT}" stroke-width="1.2"/>'
 
 
-def _told(lines: list[str], x: float, y: float, long: float, wide: float) -> list[str]:
-    """Lines about (x, y), the first large, along the longer side of long x wide."""
+def _draw_lines(lines: list[str], x: float, y: float, long: float, wide: float) -> list[str]:
+    """Write lines around (x, y), the first large, along the longer side of long x wide."""
     room = wide if wide > 1.4 * long else long
     size = min(room * 1.4 / max(len(lines[0]), 0.7 * max(len(line) for line in lines)), 20.0)
     size = min(size, 0.8 * (long + wide - room) / (1.0 + 0.7 * (len(lines) - 1)))
@@ -128,17 +131,19 @@ def _told(lines: list[str], x: float, y: float, long: float, wide: float) -> lis
     return out
 
 
-def _cut(cut: Cut, number: int, left: float, bottom: float, scale: float, kerf: float) -> list[str]:
-    """A cut's slot, and its number at the end where it begins."""
-    middle = (cut.place + 0.5 * kerf) * scale
+def _draw_cut(
+    cut: ThroughCut, number: int, left: float, bottom: float, scale: float, kerf: float
+) -> list[str]:
+    """Draw the slot of a cut, and its number at the end where it starts."""
+    middle = (cut.position + 0.5 * kerf) * scale
     if cut.axis == 0:
         x, y = left + middle, bottom - cut.y * scale
-        ends = x, y, x, y - cut.along * scale
-        at = x, y - min(11.0, 0.5 * cut.along * scale)
+        ends = x, y, x, y - cut.length * scale
+        at = x, y - min(11.0, 0.5 * cut.length * scale)
     else:
         x, y = left + cut.x * scale, bottom - middle
-        ends = x, y, x + cut.along * scale, y
-        at = x + min(11.0, 0.5 * cut.along * scale), y
+        ends = x, y, x + cut.length * scale, y
+        at = x + min(11.0, 0.5 * cut.length * scale), y
     wide = max(kerf * scale, 1.2)
     line = " ".join(f'{k}="{v:.1f}"' for k, v in zip(("x1", "y1", "x2", "y2"), ends, strict=True))
     return [

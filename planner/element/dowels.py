@@ -1,9 +1,10 @@
-"""Dowels that hold neighbouring panels in register: where their holes are, in the joint and in both blocks.
+"""Dowels that align neighbouring panels: positions of their holes in the joint and in both blocks.
 
-A panel comes in along one straight way (``way_in``), so all dowels between it and panels that stand already
-lie along that way, which is chosen square to a side where it can be (``put_up``). It slides along its other
-sides, and joints there get none, as those that have no room for holes. Holes begin half-way between front and
-back, go ``depth`` into either panel, and keep ``cover`` of foam to faces, other sides and other holes.
+A panel is inserted along one straight direction (``way_in``), so all dowels to panels that are already in
+place are parallel to it. The direction is perpendicular to a side if possible. Along its other
+sides the panel slides. Joints there have no dowels, nor do joints without space for holes. Holes start
+halfway between front and back, have ``depth`` in either panel, and keep ``cover`` of foam to faces, other
+sides and other holes.
 """
 
 import dataclasses
@@ -12,68 +13,91 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.element.assembly import Assembly
+from planner.element.assembly import ElementAssembly
 from planner.element.element_file import DowelsFile, Element
 from planner.geometry.arrays import FloatArray, IntArray, inverse, lengths, transform, unit
 from planner.geometry.assembly import NONE, Slab
-from planner.geometry.mesh import closest_on_triangles
+from planner.geometry.mesh import closest_weights
 from planner.geometry.units import DEG, MM
+from planner.issue_codes import format_message
 from planner.issues import Issue, Severity
 
-STEP: Final = 0.01
-"""Places along a joint are tried this far [m] apart."""
-DEEP: Final = np.array([0.25, 0.5, 0.75, 1.0])
-"""Shares of a hole's depth at which the foam around it is measured."""
-STEEPEST: Final = 0.5
-"""A hole is at least this share of its depth away from the side that it begins on: lobes and folds bend a
-side back to it."""
-AT_ONCE: Final = 200_000
-"""So many pairs of points and triangles are measured together."""
-FILE: Final = "dowels.csv"
+POSITION_STEP_M: Final = 0.01
+"""Distance [m] of positions along a joint that are tried."""
+DEPTH_FRACTIONS: Final = np.array([0.25, 0.5, 0.75, 1.0])
+"""Fractions of the depth of a hole at which the foam around it is measured."""
+MIN_SIDE_DISTANCE_RATIO: Final = 0.5
+"""Minimum ratio of the distance from a hole to the side where it starts, to its depth there.
+
+Lobes and folds bend a side back to the hole.
+"""
+BATCH_SIZE: Final = 200_000
+"""Number of pairs of points and triangles that are measured in one batch."""
+DOWELS_FILE: Final = "dowels.csv"
 
 
 @dataclasses.dataclass(frozen=True)
 class Dowel:
-    """A dowel from the panel ``stands`` to the one that ``comes`` later: its ``place`` (3,) [m] on the joint
-    and the ``way`` (3,) on which that one comes, in the frame of ``element.json``; ``along`` [m] the middle
-    of the joint from its end, ``lean`` [rad] off square to it."""
+    """A dowel between two panels.
 
-    stands: str
-    comes: str
-    place: FloatArray
-    way: FloatArray
+    Attributes:
+        placed_panel: Panel that is already in place.
+        inserted_panel: Panel that is inserted later.
+        position: Position (3,) [m] on the joint, in the frame of ``element.json``.
+        direction: Insertion direction (3,) of the later panel.
+        along: Position [m] along the joint.
+        tilt: Angle [rad] to the normal of the joint.
+    """
+
+    placed_panel: str
+    inserted_panel: str
+    position: FloatArray
+    direction: FloatArray
     along: float
-    lean: float
+    tilt: float
 
 
 @dataclasses.dataclass(frozen=True)
-class Without:
-    """A joint that has none: its panels as of :class:`Dowel`, how far [rad] the way in leans, and why."""
+class UndowelledJoint:
+    """A joint without dowels.
 
-    stands: str
-    comes: str
-    lean: float
+    Attributes:
+        placed_panel: Panel that is already in place.
+        inserted_panel: Panel that is inserted later.
+        tilt: Angle [rad] of the insertion direction to the normal of the joint.
+        why: Reason.
+    """
+
+    placed_panel: str
+    inserted_panel: str
+    tilt: float
     why: str
 
 
 @dataclasses.dataclass(frozen=True)
-class Dowels:
-    """All dowels of an element, and the joints that have none."""
+class ElementDowels:
+    """All dowels of an element, and the joints without."""
 
     file: DowelsFile
     dowels: tuple[Dowel, ...]
-    without: tuple[Without, ...]
+    undowelled: tuple[UndowelledJoint, ...]
 
     def rows(self, poses: Mapping[str, FloatArray]) -> list[dict[str, Any]]:
-        """A row for each hole, two for each dowel: where it begins and its direction in the block of its
-        panel, whose ``poses`` (4, 4) [m] are in the frame of ``element.json``."""
+        """Return a row for each hole, two per dowel: its start and its direction in the block of its panel.
+
+        Args:
+            poses: Poses (4, 4) [m] of the blocks in the frame of ``element.json``, by panel.
+        """
         out = []
-        for number, one in enumerate(self.dowels, 1):
-            for panel, other, into in ((one.stands, one.comes, one.way), (one.comes, one.stands, -one.way)):
-                place = transform(inverse(poses[panel]), one.place) / MM
-                way = poses[panel][:3, :3].T @ into
-                at = [round(v, 2) + 0.0 for v in place.tolist()]
-                along = [round(v, 5) + 0.0 for v in way.tolist()]
+        for number, dowel in enumerate(self.dowels, 1):
+            for panel, other, into in (
+                (dowel.placed_panel, dowel.inserted_panel, dowel.direction),
+                (dowel.inserted_panel, dowel.placed_panel, -dowel.direction),
+            ):
+                position = transform(inverse(poses[panel]), dowel.position) / MM
+                direction = poses[panel][:3, :3].T @ into
+                at = [round(v, 2) + 0.0 for v in position.tolist()]
+                along = [round(v, 5) + 0.0 for v in direction.tolist()]
                 out.append(
                     {
                         "dowel": number,
@@ -82,160 +106,182 @@ class Dowels:
                         **dict(zip(("x_mm", "y_mm", "z_mm", "dx", "dy", "dz"), at + along, strict=True)),
                         "diameter_mm": self.file.diameter_mm,
                         "depth_mm": self.file.depth_mm,
-                        "along_joint_mm": round(one.along / MM, 2),
-                        "lean_deg": round(one.lean / DEG, 2),
+                        "along_joint_mm": round(dowel.along / MM, 2),
+                        "lean_deg": round(dowel.tilt / DEG, 2),
                     }
                 )
         return out
 
     def data(self) -> dict[str, Any]:
-        """What ``element.json`` has of them: places [mm] and ways in its frame."""
+        """Return the data in ``element.json``: positions [mm] and directions in its frame."""
         return {
             "diameter_mm": self.file.diameter_mm,
             "depth_mm": self.file.depth_mm,
             "dowels": [
                 {
-                    "panels": [one.stands, one.comes],
-                    "at_mm": (np.round(one.place / MM, 3) + 0.0).tolist(),
-                    "way": (np.round(one.way, 6) + 0.0).tolist(),
+                    "panels": [item.placed_panel, item.inserted_panel],
+                    "at_mm": (np.round(item.position / MM, 3) + 0.0).tolist(),
+                    "way": (np.round(item.direction, 6) + 0.0).tolist(),
                 }
-                for one in self.dowels
+                for item in self.dowels
             ],
-            "without": [{"panels": [one.stands, one.comes], "why": one.why} for one in self.without],
+            "without": [
+                {"panels": [item.placed_panel, item.inserted_panel], "why": item.why}
+                for item in self.undowelled
+            ],
         }
 
     def issues(self) -> tuple[Issue, ...]:
-        """``element.dowels`` where panels come in without any."""
-        held = {one.comes for one in self.dowels}
-        best: dict[str, Without] = {}
-        for one in sorted(self.without, key=lambda one: one.lean):
-            if one.comes not in held:
-                best.setdefault(one.comes, one)
+        """Return ``element.dowels`` if panels are inserted without any dowel."""
+        held = {item.inserted_panel for item in self.dowels}
+        best: dict[str, UndowelledJoint] = {}
+        for item in sorted(self.undowelled, key=lambda item: item.tilt):
+            if item.inserted_panel not in held:
+                best.setdefault(item.inserted_panel, item)
         if not best:
             return ()
         count = len(held) + len(best)
-        named = ", ".join(f"{panel} ({one.why} to {one.stands})" for panel, one in sorted(best.items()))
-        what = f"{len(best)} of {count} panels come in without a dowel, here with their best joint: {named}"
-        hint = "take shorter or thinner dowels, less cover_mm or a larger lean_deg, or hold these otherwise"
+        named = ", ".join(
+            f"{panel} ({item.why} to {item.placed_panel})" for panel, item in sorted(best.items())
+        )
+        what = format_message(
+            "element.dowels", undowelled_count=len(best), inserted_count=count, panels=named
+        )
+        hint = "use shorter or thinner dowels, less cover_mm or a larger lean_deg, or align these otherwise"
         return (Issue("element.dowels", what, Severity.WARNING, field="dowels", hint=hint),)
 
 
-def square(element: Element) -> float | None:
-    """How far [rad] ways in may be off square to sides that dowels go through; None without dowels."""
+def max_dowel_tilt(element: Element) -> float | None:
+    """Return the maximum angle [rad] of dowels to the normal of sides; None without dowels."""
     file = element.file.dowels
     return None if file is None else file.lean_deg * DEG
 
 
-def placed(file: DowelsFile, up: Assembly) -> Dowels:
-    """The dowels of all joints of an element, in the order in which its panels are put up."""
-    names = [body.name for body in up.bodies]
-    slabs = [body.shown for body in up.bodies]
-    order = {step.body: number for number, step in enumerate(up.steps)}
+def place_dowels(file: DowelsFile, assembly: ElementAssembly) -> ElementDowels:
+    """Place the dowels of all joints, in assembly order."""
+    names = [body.name for body in assembly.bodies]
+    slabs = [body.shown for body in assembly.bodies]
+    order = {step.body: number for number, step in enumerate(assembly.steps)}
     holes: list[list[FloatArray]] = [[] for _ in names]
     dowels: list[Dowel] = []
-    without: list[Without] = []
-    for step in up.steps:
-        comes = step.body
-        beside = [k for k in np.unique(slabs[comes].beyond).tolist() if k != NONE]
-        for stands in sorted((k for k in beside if order[k] < order[comes]), key=order.__getitem__):
-            found = _in_joint(file, slabs, (stands, comes), step.way, holes)
-            if isinstance(found, tuple):
-                without.append(Without(names[stands], names[comes], *found))
+    without: list[UndowelledJoint] = []
+    for step in assembly.steps:
+        inserted_body = step.body
+        neighbours = [k for k in np.unique(slabs[inserted_body].beyond).tolist() if k != NONE]
+        for placed_body in sorted(
+            (k for k in neighbours if order[k] < order[inserted_body]), key=order.__getitem__
+        ):
+            result = _place_in_joint(file, slabs, (placed_body, inserted_body), step.direction, holes)
+            if isinstance(result, tuple):
+                without.append(UndowelledJoint(names[placed_body], names[inserted_body], *result))
             else:
-                dowels += [Dowel(names[stands], names[comes], *one) for one in found]
-    return Dowels(file, tuple(dowels), tuple(without))
+                dowels += [Dowel(names[placed_body], names[inserted_body], *dowel) for dowel in result]
+    return ElementDowels(file, tuple(dowels), tuple(without))
 
 
-_Found = tuple[FloatArray, FloatArray, float, float]
+_DowelPosition = tuple[FloatArray, FloatArray, float, float]
 
 
-def _in_joint(
+def _place_in_joint(
     file: DowelsFile,
     slabs: Sequence[Slab],
     pair: tuple[int, int],
-    way: FloatArray,
+    direction: FloatArray,
     holes: list[list[FloatArray]],
-) -> list[_Found] | tuple[float, str]:
-    """Place, way, along and lean of the dowels between two bodies, or how far [rad] the way leans and why
-    there is none; their ``holes`` are added to those of both."""
-    stands, comes = pair
-    edges = np.flatnonzero(slabs[comes].beyond == stands)
-    places, along, normal = _candidates(slabs[comes], edges)
-    lean = np.arccos(np.clip(normal @ way, -1.0, 1.0))
-    leaning = lean <= file.lean_deg * DEG
-    if not leaning.any():
-        return float(lean.min()), f"{lean.min() / DEG:.0f} degrees off square"
+) -> list[_DowelPosition] | tuple[float, str]:
+    """Place the dowels between two bodies, and add their holes to ``holes`` of both.
+
+    Returns:
+        Position, direction, position along the joint and tilt of each dowel; or the tilt [rad] and the reason
+            why there is none.
+    """
+    placed_body, inserted_body = pair
+    edges = np.flatnonzero(slabs[inserted_body].beyond == placed_body)
+    positions, along, normal = _candidates(slabs[inserted_body], edges)
+    tilt = np.arccos(np.clip(normal @ direction, -1.0, 1.0))
+    is_allowed = tilt <= file.lean_deg * DEG
+    if not is_allowed.any():
+        return float(tilt.min()), f"{tilt.min() / DEG:.0f} degrees off perpendicular"
     radius, depth, cover = (0.5 * file.diameter_mm * MM, file.depth_mm * MM, file.cover_mm * MM)
-    keep, free = radius + cover, leaning
-    for body, own, into in (
-        (stands, np.flatnonzero(slabs[stands].beyond == comes), way),
-        (comes, edges, -way),
+    keep, free = radius + cover, is_allowed
+    for body, side_edges, into in (
+        (placed_body, np.flatnonzero(slabs[placed_body].beyond == inserted_body), direction),
+        (inserted_body, edges, -direction),
     ):
-        at = places[:, None] + (depth * DEEP)[:, None] * into
-        here, rest = _parts(slabs[body], own)
-        free = free & (_distance(at, rest).min(axis=1) >= keep)
-        free &= (_distance(at, here) >= np.minimum(keep, STEEPEST * depth * DEEP)).all(axis=1)
+        at = positions[:, None] + (depth * DEPTH_FRACTIONS)[:, None] * into
+        side_triangles, other_triangles = _split_triangles(slabs[body], side_edges)
+        free = free & (_min_distance(at, other_triangles).min(axis=1) >= keep)
+        free &= (
+            _min_distance(at, side_triangles)
+            >= np.minimum(keep, MIN_SIDE_DISTANCE_RATIO * depth * DEPTH_FRACTIONS)
+        ).all(axis=1)
         for other in holes[body]:
             free &= lengths(at[:, :, None] - other).min(axis=(1, 2)) >= 2.0 * radius + cover
     chosen = _spread(np.flatnonzero(free), along, file.count, 2.0 * radius + cover)
     if not len(chosen):
-        return float(lean.min()), "no room"
+        return float(tilt.min()), "no space"
     fine = np.linspace(0.0, depth, max(2, int(np.ceil(depth / radius)) + 1))[:, None]
     for k in chosen.tolist():
-        holes[stands].append(places[k] + fine * way)
-        holes[comes].append(places[k] - fine * way)
-    return [(places[k], way, float(along[k]), float(lean[k])) for k in chosen.tolist()]
+        holes[placed_body].append(positions[k] + fine * direction)
+        holes[inserted_body].append(positions[k] - fine * direction)
+    return [(positions[k], direction, float(along[k]), float(tilt[k])) for k in chosen.tolist()]
 
 
 def _candidates(slab: Slab, edges: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Places (N, 3) [m] half-way between front and back along the sides ``edges`` of a body, one run after
-    the other, how far (N,) each is along them, and the outward normals (N, 3) there."""
-    places, along, normals, begun = [], [], [], 0.0
+    """Return candidate positions along the sides ``edges`` of a body, one after the other.
+
+    Returns:
+        Positions (N, 3) [m] halfway between front and back, distance along the sides (N,) [m], outward
+            normals (N, 3).
+    """
+    positions, along, normals, start = [], [], [], 0.0
     for i in edges.tolist():
         k = (i + 1) % len(slab.rim)
         ends = [0.5 * (slab.front[c] + slab.back[c]) for c in (slab.rim[i], slab.rim[k])]
         long = float(np.linalg.norm(ends[1] - ends[0]))
-        count = max(1, round(long / STEP))
-        share = (np.arange(count) + 0.5) / count
-        places.append(ends[0] + share[:, None] * (ends[1] - ends[0]))
-        along.append(begun + share * long)
+        count = max(1, round(long / POSITION_STEP_M))
+        fraction = (np.arange(count) + 0.5) / count
+        positions.append(ends[0] + fraction[:, None] * (ends[1] - ends[0]))
+        along.append(start + fraction * long)
         normals.append(np.broadcast_to(unit(slab.normals[i].mean(axis=0)), (count, 3)))
-        begun += long
-    return np.concatenate(places), np.concatenate(along), np.concatenate(normals)
+        start += long
+    return np.concatenate(positions), np.concatenate(along), np.concatenate(normals)
 
 
-def _parts(slab: Slab, edges: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Triangles (T, 3, 3) of the sides ``edges`` of a body, and all others."""
+def _split_triangles(slab: Slab, edges: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return the triangles (T, 3, 3) of the sides ``edges`` of a body, and all others."""
     faces, sides = 2 * len(slab.faces), len(slab.rim)
-    own = np.zeros(len(slab.triangles), dtype=np.bool_)
-    own[np.concatenate([faces + edges, faces + sides + edges])] = True
-    return slab.triangles[own], slab.triangles[~own]
+    is_side = np.zeros(len(slab.triangles), dtype=np.bool_)
+    is_side[np.concatenate([faces + edges, faces + sides + edges])] = True
+    return slab.triangles[is_side], slab.triangles[~is_side]
 
 
-def _distance(points: FloatArray, triangles: FloatArray) -> FloatArray:
-    """Least distances (N, K) [m] of points (N, K, 3) to triangles (T, 3, 3)."""
+def _min_distance(points: FloatArray, triangles: FloatArray) -> FloatArray:
+    """Return minimum distances (N, K) [m] of points (N, K, 3) to triangles (T, 3, 3)."""
     count, flat = len(triangles), points.reshape(-1, 3)
     corners = triangles.transpose(1, 0, 2)
     out = []
-    for part in np.array_split(flat, -(-len(flat) * count // AT_ONCE)):
+    for part in np.array_split(flat, -(-len(flat) * count // BATCH_SIZE)):
         many = np.repeat(part, count, axis=0)
         a, b, c = (np.tile(corner, (len(part), 1)) for corner in corners)
-        weights = closest_on_triangles(many, a, b, c)
+        weights = closest_weights(many, a, b, c)
         foot = weights[:, :1] * a + weights[:, 1:2] * b + weights[:, 2:] * c
         out.append(lengths(foot - many).reshape(-1, count).min(axis=1))
     return np.concatenate(out).reshape(points.shape[:2])
 
 
-def _spread(free: IntArray, along: FloatArray, count: int, apart: float) -> IntArray:
-    """Up to ``count`` of the places ``free``, as far apart along the joint as they come, no two nearer than
-    ``apart`` [m]; of one alone that in the middle."""
+def _spread(free: IntArray, along: FloatArray, count: int, min_distance: float) -> IntArray:
+    """Choose up to ``count`` free positions, spread along the joint as far as possible.
+
+    No two are nearer than ``min_distance`` [m]; a single one is in the middle.
+    """
     if not len(free):
         return free
-    own = along[free]
-    for wanted in range(min(count, len(free)), 1, -1):
-        even = np.linspace(own[0], own[-1], wanted)
-        chosen: IntArray = np.unique(np.abs(own[:, None] - even).argmin(axis=0))
-        if len(chosen) == wanted and float(np.diff(own[chosen]).min()) >= apart:
+    positions = along[free]
+    for wanted_count in range(min(count, len(free)), 1, -1):
+        even = np.linspace(positions[0], positions[-1], wanted_count)
+        chosen: IntArray = np.unique(np.abs(positions[:, None] - even).argmin(axis=0))
+        if len(chosen) == wanted_count and float(np.diff(positions[chosen]).min()) >= min_distance:
             return np.asarray(free[chosen])
-    middle = int(np.abs(own - 0.5 * (own[0] + own[-1])).argmin())
+    middle = int(np.abs(positions - 0.5 * (positions[0] + positions[-1])).argmin())
     return np.asarray(free[middle : middle + 1])

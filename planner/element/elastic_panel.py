@@ -1,4 +1,4 @@
-"""A panel for the bent wire, and the joints at which several meet."""
+"""A panel cut by bent wires, and the joints between panels."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -10,20 +10,28 @@ from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.mesh import TriangleMesh
 from planner.issues import Issue
 
-JOINT_SHARE: Final = 95.0
-"""Percent of a joint's points that must be within the step that is allowed."""
+JOINT_PERCENTILE: Final = 95.0
+"""Percentage of the points of a joint that must be within the allowed step."""
 
 
 @dataclasses.dataclass(frozen=True)
 class ElasticPanel:
-    """A panel over the cells ``rectangle`` (x0, x1, y0, y1), its wire along the element's x (``along`` 0) or
-    y (1).
+    """A panel over a rectangle of cells. All lengths are in m.
 
-    ``front``, ``back``: faces as the wire leaves them, in the frame of the block of ``size`` (3,), whose
-    ``pose`` (4, 4) is in the element frame. ``misfit``: how far they are off the surface at most; ``held``:
-    whether the wire is held safely there. ``flat`` (R, 2): where the vertices on its sides are in the
-    element's plane; ``off`` (2, R): how far front and back are off the surface there. ``refused``: why the
-    check of its problem refuses it; none where that was not asked. In m.
+    Attributes:
+        rectangle: Cells (x0, x1, y0, y1).
+        along: Direction of its wire: 0 along the element's x, 1 along y.
+        wire: Index of the wire.
+        block: Index of the kind of block.
+        pose: Pose (4, 4) of its block in the element frame.
+        size: Size (3,) of the block.
+        front: Front face as the wire leaves it, in the block frame.
+        back: Back face as the wire leaves it, in the block frame.
+        misfit: Maximum distance of the faces from the surface.
+        held: Whether the wire is held safely.
+        rim_positions: Positions (R, 2) of the vertices on its sides in the element plane.
+        rim_deviation: Distance (2, R) of front and back from the surface there.
+        refused: Why the check of its problem refuses it; None if it does not or was not run.
     """
 
     rectangle: tuple[int, int, int, int]
@@ -36,17 +44,23 @@ class ElasticPanel:
     back: TriangleMesh
     misfit: float
     held: bool
-    flat: FloatArray
-    off: FloatArray
+    rim_positions: FloatArray
+    rim_deviation: FloatArray
     refused: Issue | None = None
 
 
 @dataclasses.dataclass(frozen=True)
-class Joint:
-    """Where two panels meet: their numbers, ``length`` [m] along the joint, ``steps`` (2, R) [m] of the
-    fronts and of the backs across the surface at its vertices; ``wire_ends``: whether wires of both end
-    there. ``axis``: that of the element across it; ``rows`` (R, 2): its vertices among those on the sides of
-    each."""
+class ElasticJoint:
+    """Joint of two panels.
+
+    Attributes:
+        panels: Indices of the panels.
+        length: Length along the joint [m].
+        steps: Steps (2, R) [m] of the fronts and of the backs across the surface at its vertices.
+        wire_ends: Whether wires of both panels end there.
+        axis: Axis of the element across the joint.
+        rows: Vertices (R, 2) of the joint among those on the sides of each panel.
+    """
 
     panels: tuple[int, int]
     length: float
@@ -57,38 +71,38 @@ class Joint:
 
     @property
     def step(self) -> float:
-        """The step [m] that most of its points keep."""
-        return float(np.percentile(self.steps, JOINT_SHARE))
+        """Step [m] that most of its points keep."""
+        return float(np.percentile(self.steps, JOINT_PERCENTILE))
 
 
-def joints(panels: Sequence[ElasticPanel]) -> tuple[Joint, ...]:
-    """All joints along which neighbours have more than a corner in common."""
+def find_joints(panels: Sequence[ElasticPanel]) -> tuple[ElasticJoint, ...]:
+    """Return all joints along which neighbours share more than a corner."""
     rims = [
-        {(round(x * 1e7), round(y * 1e7)): k for k, (x, y) in enumerate(panel.flat.tolist())}
+        {(round(x * 1e7), round(y * 1e7)): k for k, (x, y) in enumerate(panel.rim_positions.tolist())}
         for panel in panels
     ]
-    found = []
-    for a, one in enumerate(panels):
+    out = []
+    for a, first in enumerate(panels):
         for b in range(a + 1, len(panels)):
-            other = panels[b]
-            axis = _side(one.rectangle, other.rectangle)
+            second = panels[b]
+            axis = _common_side(first.rectangle, second.rectangle)
             if axis is None:
                 continue
             shared = sorted(rims[a].keys() & rims[b].keys())
             rows = np.array([[rims[a][key], rims[b][key]] for key in shared])
-            place = one.flat[rows[:, 0]]
-            steps = np.abs(one.off[:, rows[:, 0]] - other.off[:, rows[:, 1]])
-            ends = one.along == other.along == axis
-            found.append(Joint((a, b), float(np.ptp(place[:, 1 - axis])), steps, ends, axis, rows))
-    return tuple(found)
+            positions = first.rim_positions[rows[:, 0]]
+            steps = np.abs(first.rim_deviation[:, rows[:, 0]] - second.rim_deviation[:, rows[:, 1]])
+            ends = first.along == second.along == axis
+            out.append(ElasticJoint((a, b), float(np.ptp(positions[:, 1 - axis])), steps, ends, axis, rows))
+    return tuple(out)
 
 
-def _side(one: tuple[int, ...], other: tuple[int, ...]) -> int | None:
-    """The axis across the line on which two rectangles meet; None where they share no more than a corner."""
+def _common_side(first: tuple[int, ...], second: tuple[int, ...]) -> int | None:
+    """Return the axis across the common side of two rectangles; None if they share at most a corner."""
     for axis in range(2):
         across, along = slice(2 * axis, 2 * axis + 2), slice(2 - 2 * axis, 4 - 2 * axis)
-        (a0, a1), (b0, b1) = one[across], other[across]
-        (c0, c1), (d0, d1) = one[along], other[along]
+        (a0, a1), (b0, b1) = first[across], second[across]
+        (c0, c1), (d0, d1) = first[along], second[along]
         if (a1 == b0 or b1 == a0) and min(c1, d1) > max(c0, d0):
             return axis
     return None

@@ -1,4 +1,4 @@
-"""Panels as ordinary problem files: ids by rows, a template for each, meshes of its two faces."""
+"""Panels as ordinary problem files: ids by rows, a template for each, meshes of the two faces."""
 
 import copy
 import dataclasses
@@ -8,7 +8,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from planner.element.elastic_panel import ElasticPanel
-from planner.element.element_file import ElasticElement, Element, Template
+from planner.element.element_file import ElasticElement, Element, JobTemplate
 from planner.geometry.arrays import FloatArray, IntArray, lengths
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.units import MM
@@ -16,23 +16,30 @@ from planner.issues import Issue, TandemError
 from planner.reading import strict_yaml
 
 SIZE_STEP_MM: Final = 0.1
-"""Sizes of blocks are rounded up to this."""
+"""Step to which sizes of blocks are rounded up [mm]."""
 DIGITS: Final = 9
 """Decimals of lengths in mm: neighbours agree to a millionth of a millimetre through both of their poses."""
 POSE_DIGITS: Final = 13
-"""Decimals of the axes of poses, for the same reason."""
+"""Decimals of the axes of poses, for agreement of neighbours to a millionth of a millimetre."""
 
 
-def ids(panels: tuple[ElasticPanel, ...]) -> tuple[str, ...]:
-    """A01, A02 ... B01 ...: a letter for each row of panels that begin on the same line, from the lowest, and
-    numbers along it. They follow from cells alone, so they stay while the surface moves a little."""
+def elastic_ids(panels: tuple[ElasticPanel, ...]) -> tuple[str, ...]:
+    """Return ids A01, A02 ...
+
+    B01 ...: a letter for each row of panels, from the lowest, and numbers along it.
+
+    Panels of a row start on the same grid line. The ids follow from cells alone, so they do not change if the
+    surface moves a little.
+    """
     rows = sorted({panel.rectangle[2] for panel in panels})
     return row_names([rows.index(panel.rectangle[2]) for panel in panels])  # by rows already
 
 
 def row_names(rows: Sequence[int]) -> tuple[str, ...]:
-    """Ids of panels by the rows that they are in, counted from 0: a letter, or two, for each row and numbers
-    in the panels' order."""
+    """Return ids of panels by their rows, counted from 0.
+
+    A letter, or two, for each row, and numbers in the order of the panels.
+    """
     digits = max(2, len(str(max(np.bincount(rows)))))
     count: dict[int, int] = {}
     names = []
@@ -43,38 +50,42 @@ def row_names(rows: Sequence[int]) -> tuple[str, ...]:
     return tuple(names)
 
 
-class Panel(Protocol):
-    """What a panel of any kind has: the kind of ``block`` that it is cut from, and ``size`` (3,) [m] of its
-    own."""
+class BlockPanel(Protocol):
+    """Properties of a panel of any kind."""
 
     @property
     def block(self) -> int:
-        """The number of a kind of block in the element file."""
+        """Index of the kind of block in the element file."""
 
     @property
     def size(self) -> FloatArray:
-        """Length, width and height of the piece of it that the job begins with [m]."""
+        """Length, width and height [m] of the piece of the block that the job starts with."""
 
 
-def block_mm(panel: Panel) -> tuple[float, float, float]:
-    """The size of a panel's block [mm], rounded up."""
+def block_mm(panel: BlockPanel) -> tuple[float, float, float]:
+    """Return the size of the block of a panel [mm], rounded up."""
     x, y, z = np.ceil(np.round(panel.size / MM / SIZE_STEP_MM, 6)) * SIZE_STEP_MM
     return round(float(x), 3), round(float(y), 3), round(float(z), 3)
 
 
-def chosen_templates(element: Element, panels: Sequence[Panel], names: Sequence[str]) -> tuple[Template, ...]:
-    """The template of each panel. Raises ``TandemError``: ``element.jobs`` where none or several are
-    meant."""
+def choose_templates(
+    element: Element, panels: Sequence[BlockPanel], names: Sequence[str]
+) -> tuple[JobTemplate, ...]:
+    """Return the template of each panel.
+
+    Raises:
+        TandemError: ``element.jobs`` if none or several match.
+    """
     chosen, issues = [], []
     for panel, name in zip(panels, names, strict=True):
         size = block_mm(panel)
-        found = [t for t in element.templates if t.when.holds(size)]
-        chosen += found[:1]
-        if len(found) != 1:
+        matching = [t for t in element.templates if t.when.matches(size)]
+        chosen += matching[:1]
+        if len(matching) != 1:
             text = " x ".join(f"{v:g}" for v in size)
-            which = " and ".join(t.file for t in found) or "no job"
-            what = f"panel {name} with its block of {text} mm is meant by {which}, exactly one must be"
-            hint = "let the ranges of when (from, below) follow one another without gaps"
+            which = " and ".join(t.file for t in matching) or "no job"
+            what = f"panel {name} with its block of {text} mm is matched by {which}, exactly one must match"
+            hint = "make the ranges of when (from, below) contiguous"
             issues.append(Issue("element.jobs", what, field="jobs", hint=hint))
     if issues:
         first = dataclasses.replace(issues[0], count=len(issues))
@@ -83,60 +94,77 @@ def chosen_templates(element: Element, panels: Sequence[Panel], names: Sequence[
 
 
 def cut_figures(
-    template: Template, way: Callable[[Mapping[str, Any]], float], stops: int = 0
+    template: JobTemplate, length_of: Callable[[Mapping[str, Any]], float], stops: int = 0
 ) -> dict[str, Any]:
-    """What a job takes, estimated: ``cut_min``, minutes that each arm cuts, by its name: the ``way`` [mm] of
-    each operation of a template at its feed; ``cut_m``, all ways together [m]; ``stops`` of the operator: one
-    to bring the foam, and one before each later operation with a setup or a bent wire, which is put in then,
-    unless they are stated. Ways in and out, loading and mounting come on top."""
+    """Estimate the effort of a job, without approaches, retreats, loading and mounting.
+
+    Args:
+        template: Template of the job.
+        length_of: Returns the cut length [mm] of an operation.
+        stops: Number of stops of the operator; 0 to count them: one to bring the foam, and one before each
+            later operation with a setup or a bent wire, which is mounted then.
+
+    Returns:
+        ``cut_min``: cutting time of each arm [min] at the feed; ``cut_m``: total cut length [m]; ``stops``.
+    """
     minutes: dict[str, float] = {}
     metres = 0.0
-    operations = [one for one in template.data["operations"] if isinstance(one, dict)]
+    operations = [
+        operation_data for operation_data in template.data["operations"] if isinstance(operation_data, dict)
+    ]
     for operation in operations:
-        feed, arms, far = operation.get("feed_mm_s"), operation.get("arms"), way(operation)
-        metres += 1e-3 * far
+        feed, arms, length = operation.get("feed_mm_s"), operation.get("arms"), length_of(operation)
+        metres += 1e-3 * length
         if isinstance(feed, int | float) and feed > 0 and isinstance(arms, list):
             for arm in arms:
-                minutes[str(arm)] = minutes.get(str(arm), 0.0) + far / feed / 60.0
+                minutes[str(arm)] = minutes.get(str(arm), 0.0) + length / feed / 60.0
     return {
-        "cut_min": {arm: round(one, 3) for arm, one in minutes.items()},
+        "cut_min": {arm: round(operation_data, 3) for arm, operation_data in minutes.items()},
         "cut_m": round(metres, 4),
-        "stops": stops or 1 + sum(map(_stops, operations[1:])),
+        "stops": stops or 1 + sum(map(_is_stop, operations[1:])),
     }
 
 
-def _stops(operation: Mapping[str, Any]) -> bool:
+def _is_stop(operation: Mapping[str, Any]) -> bool:
     """Whether an operation that is not the first waits for the operator."""
     return "setup" in operation or operation.get("process") == "elastic_wire"
 
 
-def ruled_way(made: Mapping[str, Any], operation: Mapping[str, Any]) -> float:
-    """How far [mm] the wire goes in an operation along ruled surfaces of the problem that is ``made``,
-    half-way between their lines."""
-    shapes = {one["name"]: one for one in made["part"].get("ruled", ())}
+def ruled_cut_length(problem_data: Mapping[str, Any], operation: Mapping[str, Any]) -> float:
+    """Return the length [mm] that the wire cuts along ruled surfaces of a problem in an operation.
+
+    It is the mean over both guides of each surface.
+    """
+    shapes = {surface["name"]: surface for surface in problem_data["part"].get("ruled", ())}
     named = [shapes[cut["surface"]] for cut in operation.get("cuts", ()) if cut.get("surface") in shapes]
     return sum(
-        float(lengths(np.diff(np.array(one[side]["polyline_mm"]), axis=0)).sum()) / 2.0
-        for one in named
+        float(lengths(np.diff(np.array(surface[side]["polyline_mm"]), axis=0)).sum()) / 2.0
+        for surface in named
         for side in ("start", "end")
     )
 
 
-def problem(
-    element: Element, panel: Panel, name: str, template: Template, shape: dict[str, Any]
+def panel_problem(
+    element: Element, panel: BlockPanel, name: str, template: JobTemplate, shape: dict[str, Any]
 ) -> dict[str, Any]:
-    """A panel's problem as a file has it: the template with the panel's block, and its ``shape`` as a part
-    has it in the block's frame."""
+    """Return the problem of a panel as in a file: the template with the block of the panel and its shape."""
     spec = element.file
     stock: dict[str, Any] = {"size_mm": list(block_mm(panel))}
-    return filled(template, f"{spec.name}_{name}", stock, spec.blocks[panel.block].foam, shape)
+    return fill_template(template, f"{spec.name}_{name}", stock, spec.blocks[panel.block].foam, shape)
 
 
-def filled(
-    template: Template, name: str, stock: dict[str, Any], foam: str | None, shape: dict[str, Any]
+def fill_template(
+    template: JobTemplate, name: str, stock: dict[str, Any], foam: str | None, shape: dict[str, Any]
 ) -> dict[str, Any]:
-    """A template as a whole problem: its stock goes on as ``stock`` begins, with the ``foam`` unless it names
-    one, and ``shape`` is its part in the block's frame."""
+    """Complete a template to a whole problem.
+
+    Args:
+        template: Template.
+        name: Name of the problem.
+        stock: First keys of its stock.
+        foam: Foam, unless the template states one.
+        shape: Part in the block frame.
+    """
     data = copy.deepcopy(template.data)
     stock = {**stock, **(data.pop("stock", None) or {})}
     if foam is not None:
@@ -149,12 +177,12 @@ def filled(
 
 
 def problem_text(element: Element, name: str, data: dict[str, Any]) -> str:
-    """A panel's problem as text."""
+    """Return the problem of a panel as text."""
     return f"# Panel {name} of {element.file.name}, written by tandem element.\n" + strict_yaml.dump(data)
 
 
-def ruled(name: str, start: FloatArray, end: FloatArray, **more: bool) -> dict[str, Any]:
-    """A ruled surface between points (N, 3) [m], one to one, as the part of a problem file has it."""
+def ruled_surface(name: str, start: FloatArray, end: FloatArray, **more: bool) -> dict[str, Any]:
+    """Return a ruled surface between points (N, 3) [m], one to one, as in the part of a problem file."""
 
     def guide(points: FloatArray) -> dict[str, Any]:
         return {"polyline_mm": [[round(v, DIGITS) + 0.0 for v in row] for row in (points / MM).tolist()]}
@@ -162,8 +190,8 @@ def ruled(name: str, start: FloatArray, end: FloatArray, **more: bool) -> dict[s
     return {"name": name, **more, "match": "parameter", "start": guide(start), "end": guide(end)}
 
 
-def pose_mm(pose: FloatArray) -> list[list[float]]:
-    """A pose (4, 4) [m] as data, in mm."""
+def pose_to_mm(pose: FloatArray) -> list[list[float]]:
+    """Return a pose (4, 4) [m] as data in mm."""
     out = pose.copy()
     out[:3, 3] /= MM
     out[:3, :3] = np.round(out[:3, :3], POSE_DIGITS)
@@ -172,7 +200,7 @@ def pose_mm(pose: FloatArray) -> list[list[float]]:
 
 
 def block_pose(panel: Mapping[str, Any]) -> FloatArray:
-    """The pose (4, 4) [m] of the block of a panel of ``element.json``."""
+    """Return the pose (4, 4) [m] of the block of a panel of ``element.json``."""
     pose = np.array(panel["block_pose"], dtype=np.float64)
     pose[:3, 3] *= MM
     return pose
@@ -181,33 +209,40 @@ def block_pose(panel: Mapping[str, Any]) -> FloatArray:
 def panel_files(
     element: ElasticElement, panels: tuple[ElasticPanel, ...], names: tuple[str, ...]
 ) -> dict[str, str]:
-    """Problem files and meshes by their places in the folder; wire and sweep where a template leaves them
-    out. Raises ``TandemError`` as `chosen_templates`."""
+    """Return problem files and meshes by their paths in the folder.
+
+    Wire and sweep are added if a template omits them.
+
+    Raises:
+        TandemError: As `choose_templates`.
+    """
     files = {}
-    for panel, name, template in zip(panels, names, chosen_templates(element, panels, names), strict=True):
+    for panel, name, template in zip(panels, names, choose_templates(element, panels, names), strict=True):
         faces = {
             side: {"mesh": {"file": f"meshes/{name}_{side}.obj", "unit": "mm"}} for side in ("front", "back")
         }
-        data = problem(element, panel, name, template, faces)
+        data = panel_problem(element, panel, name, template, faces)
         wire = element.wires[panel.wire].model_dump(exclude_none=True)
         for operation in data["operations"]:
             if isinstance(operation, dict) and operation.get("process") == "elastic_wire":
                 operation.setdefault("wire", wire)
                 operation.setdefault("sweep", "y")
         files[f"panels/{name}.yaml"] = problem_text(element, name, data)
-        files[f"panels/meshes/{name}_front.obj"] = _obj(panel.front, f"front of {name}")
-        files[f"panels/meshes/{name}_back.obj"] = _obj(panel.back, f"back of {name}")
+        files[f"panels/meshes/{name}_front.obj"] = _obj_text(panel.front, f"front of {name}")
+        files[f"panels/meshes/{name}_back.obj"] = _obj_text(panel.back, f"back of {name}")
     return files
 
 
-def _obj(mesh: TriangleMesh, what: str) -> str:
-    """A mesh in the frame of its block, in millimetres."""
+def _obj_text(mesh: TriangleMesh, what: str) -> str:
+    """Return a mesh in the block frame, in millimetres."""
     lines = [f"# {what}, in the frame of its block, mm", *obj_lines(mesh.vertices / MM, mesh.faces)]
     return "\n".join(lines) + "\n"
 
 
 def obj_lines(points: FloatArray, faces: IntArray, first: int = 1) -> list[str]:
-    """Points (V, 3) [mm] and triangles (F, 3) as lines of an OBJ file, in which the first point is number
-    ``first``."""
+    """Return points (V, 3) [mm] and triangles (F, 3) as lines of an OBJ file.
+
+    ``first`` is the number of the first point.
+    """
     lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in points.tolist()]
     return lines + [f"f {a} {b} {c}" for a, b, c in (faces + first).tolist()]

@@ -1,6 +1,6 @@
-"""``labels.pdf``: the labels of `labels.svg` as a document of A4 pages, which prints at 1:1 as it is.
+"""``labels.pdf``: the labels of `labels.svg` as A4 pages that print at 1:1.
 
-Written as ISO 32000-1 has it, with Helvetica, which every reader has, and no compression.
+Written to ISO 32000-1, with Helvetica, which every reader has, and without compression.
 """
 
 import math
@@ -9,43 +9,45 @@ from collections.abc import Iterator
 from typing import Final
 from xml.etree import ElementTree as ET
 
-from planner.element.labels import SHEET
+from planner.element.labels import SHEET_MM
 
-POINTS: Final = 72.0 / 25.4
-"""Points of a document in a millimetre."""
+POINTS_PER_MM: Final = 72.0 / 25.4
+"""PDF points per millimetre."""
 _CAPITALS: Final = (667, 667, 722, 722, 667, 611, 778, 722, 278, 500, 667, 556, 833)
 _CAPITALS_BOLD: Final = (722, 722, 722, 722, 667, 611, 778, 722, 278, 556, 722, 611, 833)
 _FROM_N: Final = (722, 778, 667, 778, 722, 667, 611, 722, 667, 944, 667, 667, 611)  # bold or not
 _LETTERS: Final = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZfront"
-WIDTHS: Final = tuple(
+LETTER_WIDTHS: Final = tuple(
     dict(zip(_LETTERS, (*[556] * 10, *capitals, *_FROM_N, *small), strict=True))
     for capitals, small in (
         (_CAPITALS, (278, 333, 556, 556, 278)),
         (_CAPITALS_BOLD, (333, 389, 611, 611, 333)),
     )
 )
-"""Widths of letters in thousandths of the size of type, of Helvetica and Helvetica-Bold (Adobe's font
-metrics); others count as an average one."""
+"""Widths of letters of Helvetica and Helvetica-Bold in thousandths of the font size (Adobe's font metrics).
+
+Other letters count as average.
+"""
 _AVERAGE: Final = 600
 _KAPPA: Final = 4.0 / 3.0 * (math.sqrt(2.0) - 1.0)  # handles of a quarter of a circle, in radii
 _NUMBER: Final = re.compile(r"-?[\d.]+")
 
 
-def label_document(sheets: str) -> str:
-    """The document, in ASCII, of what :func:`planner.element.labels.label_sheets` gives."""
+def labels_pdf(sheets: str) -> str:
+    """Return the document, in ASCII, for the output of :func:`planner.element.labels.label_sheets`."""
     root = ET.fromstring(sheets)
-    count = round(float(root.attrib["viewBox"].split()[3]) / SHEET[1])
+    count = round(float(root.attrib["viewBox"].split()[3]) / SHEET_MM[1])
     pages: list[list[str]] = [[] for _ in range(count)]
     for group in root.iterfind("{*}g"):
         x, y = map(float, _NUMBER.findall(group.attrib["transform"]))
-        page = int((y + 1e-6) // SHEET[1])
+        page = int((y + 1e-6) // SHEET_MM[1])
         # millimetres to the right and down from the label's corner
-        pages[page].append(f"q 1 0 0 1 {x:.4f} {y - page * SHEET[1]:.4f} cm")
+        pages[page].append(f"q 1 0 0 1 {x:.4f} {y - page * SHEET_MM[1]:.4f} cm")
         for mark in group:
-            pages[page] += _drawn(mark)
+            pages[page] += _draw_element(mark)
         pages[page].append("Q")
-    size = " ".join(f"{v * POINTS:.4f}" for v in SHEET)
-    first = f"{POINTS:.8f} 0 0 {-POINTS:.8f} 0 {SHEET[1] * POINTS:.4f} cm 1 J 1 j"
+    size = " ".join(f"{v * POINTS_PER_MM:.4f}" for v in SHEET_MM)
+    first = f"{POINTS_PER_MM:.8f} 0 0 {-POINTS_PER_MM:.8f} 0 {SHEET_MM[1] * POINTS_PER_MM:.4f} cm 1 J 1 j"
     kids = " ".join(f"{5 + 2 * k} 0 R" for k in range(count))
     bodies = [
         "<< /Type /Catalog /Pages 2 0 R /ViewerPreferences << /PrintScaling /None >> >>",
@@ -64,7 +66,7 @@ def label_document(sheets: str) -> str:
 
 
 def _document(bodies: list[str]) -> str:
-    """Objects, numbered from 1, the first of them the catalogue, with the table of where each begins."""
+    """Return a file of objects, numbered from 1, the first being the catalogue, with their offset table."""
     parts, starts = ["%PDF-1.6\n"], []
     length = len(parts[0])
     for number, body in enumerate(bodies, 1):
@@ -77,37 +79,37 @@ def _document(bodies: list[str]) -> str:
     return "".join(parts)
 
 
-def _drawn(mark: ET.Element) -> Iterator[str]:
-    """What draws an element of a label; raises ``ValueError`` for one that labels do not have."""
-    own, kind = mark.attrib, mark.tag.rpartition("}")[2]
+def _draw_element(mark: ET.Element) -> Iterator[str]:
+    """Yield operators that draw an element of a label; raise ``ValueError`` for an unknown element."""
+    attributes, kind = mark.attrib, mark.tag.rpartition("}")[2]
     if kind == "text":
-        yield _words(mark)
+        yield _draw_text(mark)
         return
-    yield f"{own.get('stroke-width', '0')} w {_grey(own.get('stroke', '#000000'))} G"
-    yield f"{_grey(own.get('fill', '#000000'))} g"
-    stroked, filled = "stroke" in own, own.get("fill") != "none" and kind != "line"
+    yield f"{attributes.get('stroke-width', '0')} w {_grey(attributes.get('stroke', '#000000'))} G"
+    yield f"{_grey(attributes.get('fill', '#000000'))} g"
+    stroked, filled = "stroke" in attributes, attributes.get("fill") != "none" and kind != "line"
     if kind == "rect":
-        yield f"0 0 {own['width']} {own['height']} re"
+        yield f"0 0 {attributes['width']} {attributes['height']} re"
     elif kind == "polygon":
-        yield _way(own["points"].replace(",", " ").split()) + " h"
+        yield _polyline(attributes["points"].replace(",", " ").split()) + " h"
     elif kind == "line":
-        yield _way([own[name] for name in ("x1", "y1", "x2", "y2")])
+        yield _polyline([attributes[name] for name in ("x1", "y1", "x2", "y2")])
     elif kind == "circle":
-        yield _circle(*(float(own[name]) for name in ("cx", "cy", "r")))
+        yield _circle(*(float(attributes[name]) for name in ("cx", "cy", "r")))
     elif kind == "path":
-        yield from _path(own["d"])
+        yield from _path(attributes["d"])
     else:
         raise ValueError(f"labels have no <{kind}>")
     yield {(True, True): "B", (True, False): "S", (False, True): "f"}[stroked, filled]
 
 
 def _grey(colour: str) -> str:
-    """A grey of SVG, #rrggbb with three equal parts, as a share of white."""
+    """Return a grey of SVG, #rrggbb with three equal parts, as a fraction of white."""
     return "0" if colour == "none" else f"{int(colour[1:3], 16) / 255.0:.3f}"
 
 
-def _way(numbers: list[str]) -> str:
-    """Straight lines through points x, y, x, y ..."""
+def _polyline(numbers: list[str]) -> str:
+    """Return straight lines through points x, y, x, y ..."""
     points = [f"{x} {y}" for x, y in zip(numbers[::2], numbers[1::2], strict=True)]
     return " ".join(f"{point} {'l' if k else 'm'}" for k, point in enumerate(points))
 
@@ -119,23 +121,23 @@ def _circle(x: float, y: float, r: float) -> str:
     return f"{x + r:.3f} {y:.3f} m " + " ".join(curves)
 
 
-def _path(way: str) -> Iterator[str]:
+def _path(data: str) -> Iterator[str]:
     x = ""
-    for letter, numbers in re.findall(r"([A-Za-z])([^A-Za-z]*)", way):
-        places = _NUMBER.findall(numbers)
+    for letter, numbers in re.findall(r"([A-Za-z])([^A-Za-z]*)", data):
+        coordinates = _NUMBER.findall(numbers)
         if letter == "V":
-            places = [x, *places]
+            coordinates = [x, *coordinates]
         elif letter not in "ML":
             raise ValueError(f"labels have no {letter} in paths")
-        x = places[0]
-        yield f"{' '.join(places)} {'m' if letter == 'M' else 'l'}"
+        x = coordinates[0]
+        yield f"{' '.join(coordinates)} {'m' if letter == 'M' else 'l'}"
 
 
-def _words(mark: ET.Element) -> str:
-    """Words about their middle; type stands upright, so its axis down is turned up again."""
-    own, words = mark.attrib, mark.text or ""
-    bold, size = int("font-weight" in own), float(own["font-size"])
-    width = sum(WIDTHS[bold].get(letter, _AVERAGE) for letter in words) / 1000.0 * size
-    x, y = float(own["x"]) - 0.5 * width, float(own["y"])
+def _draw_text(mark: ET.Element) -> str:
+    """Return text centred on its position. The text matrix flips y back, because the page has y down."""
+    attributes, words = mark.attrib, mark.text or ""
+    bold, size = int("font-weight" in attributes), float(attributes["font-size"])
+    width = sum(LETTER_WIDTHS[bold].get(letter, _AVERAGE) for letter in words) / 1000.0 * size
+    x, y = float(attributes["x"]) - 0.5 * width, float(attributes["y"])
     safe = re.sub(r"([()\\])", r"\\\1", words.encode("ascii", "replace").decode())
     return f"BT 0 g /F{bold} {size:.3f} Tf 1 0 0 -1 {x:.3f} {y:.3f} Tm ({safe}) Tj ET"

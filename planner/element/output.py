@@ -1,5 +1,4 @@
-"""What a divided element leaves in a folder: problems, a table and a drawing of its panels, and all of it as
-data."""
+"""Output of a divided element: problems, table and drawing of its panels, and all as data."""
 
 import csv
 import dataclasses
@@ -14,22 +13,29 @@ import numpy as np
 import shapely
 
 from planner.catalogue.materials import foam
-from planner.element import dowels, kept
-from planner.element.assembly import BESIDE, GIVE, Assembly, Body, rests_on
-from planner.element.elastic_panel import JOINT_SHARE, ElasticPanel, Joint, joints
-from planner.element.element_file import LEAST_TOLERANCE_MM, ElasticElement, Element
-from planner.element.jobs import block_mm, block_pose, chosen_templates, cut_figures, ids, panel_files
-from planner.element.nest import PanelBlock
-from planner.element.nested_output import AGAIN, nested_folder, rows_in
-from planner.element.surface import RIM
+from planner.element import dowels, unchanged
+from planner.element.assembly import (
+    FREE_INTERFERENCE_M,
+    NEIGHBOUR_OFFSET_M,
+    ElementAssembly,
+    PanelBody,
+    supporting_panels,
+)
+from planner.element.block_nesting import PanelBlock
+from planner.element.elastic_panel import JOINT_PERCENTILE, ElasticJoint, ElasticPanel, find_joints
+from planner.element.element_file import MIN_TOLERANCE_MM, ElasticElement, Element
+from planner.element.jobs import block_mm, block_pose, choose_templates, cut_figures, elastic_ids, panel_files
+from planner.element.nested_output import REPLACEMENT_FOLDER, nested_folder, panels_in_rows
+from planner.element.surface import RIM_INSET_M
 from planner.geometry.arrays import FloatArray, IntArray, transform
-from planner.geometry.assembly import NONE, Slab, bodies_beyond, put_up
+from planner.geometry.assembly import NONE, Slab, assemble, bodies_beyond
 from planner.geometry.mesh import face_areas
-from planner.geometry.rulings import boundaries
+from planner.geometry.rulings import boundary_rings
 from planner.geometry.units import MM, measurement
+from planner.issue_codes import format_message
 from planner.issues import Issue, Severity
 
-OWNED: Final = (
+OWNED_ENTRIES: Final = (
     "element.json",
     "element.3dm",
     "element.html",
@@ -39,149 +45,185 @@ OWNED: Final = (
     "panels",
     "panels.csv",
     "panels.svg",
-    AGAIN,
+    REPLACEMENT_FOLDER,
     "blocks",
     "blocks.csv",
     "blocks.svg",
-    dowels.FILE,
+    dowels.DOWELS_FILE,
     "stock.csv",
-    kept.FILE,
+    unchanged.MADE_FROM_FILE,
 )
-"""What the folder of an element holds; anything else in it is left alone."""
-GRID: Final = 0.0617
-"""Largest distance [m] of points by which the bodies of panels are drawn and put up; an odd number on
-purpose: no size is a multiple of it, so these points move no more than the surface does."""
-INSIDE: Final = 1e-7
-"""Points on the rim are looked for this far [m] inside of it."""
+"""Entries of an element's folder that the command replaces. Anything else is left alone."""
+GRID_STEP_M: Final = 0.0617
+"""Maximum distance [m] of points of panel bodies for drawing and assembly.
+
+Chosen: an odd number, so that no size is a multiple of it and the points move no more than the surface does.
+"""
+INSIDE_OFFSET_M: Final = 1e-7
+"""Distance [m] inside the rim at which points on the rim are evaluated."""
 _PAGE: Final = 1200.0  # width of the drawing [px]
 
 
-def folder(
+def elastic_folder(
     element: ElasticElement, panels: tuple[ElasticPanel, ...]
 ) -> tuple[dict[str, str], tuple[Issue, ...]]:
-    """All files by their names, and what is to be said: ``element.held`` for panels in whose shapes no wire
-    is safe, ``element.joint`` for joints beyond the step asked, ``element.assembly`` for panels without a way
-    in, ``element.cut`` for cuts that no bow reaches.
+    """Return all files by name, and issues.
 
-    Raises ``TandemError``: ``element.jobs``, ``element.raw_block``.
+    Issues are ``element.held`` for panels in whose shapes no wire is held safely, ``element.joint`` for
+    joints beyond the allowed step, ``element.assembly`` for panels without an insertion path, ``element.cut``
+    for cuts that no bow reaches.
+
+    Raises:
+        TandemError: ``element.jobs``, ``element.raw_block``.
     """
-    names = ids(panels)
-    met = joints(panels)
+    names = elastic_ids(panels)
+    found_joints = find_joints(panels)
     files = panel_files(element, panels, names)
-    own = _panel_blocks(element, panels, names)
-    up = assembly(element, panels, names)
-    templates = chosen_templates(element, panels, names)
+    panel_blocks = _panel_blocks(element, panels, names)
+    element_assembly = elastic_assembly(element, panels, names)
+    templates = choose_templates(element, panels, names)
     rows = [
         {**_row(element, panel, block), "job": template.file, **columns}
-        for panel, block, template, columns in zip(panels, own, templates, up.columns(), strict=True)
+        for panel, block, template, columns in zip(
+            panels, panel_blocks, templates, element_assembly.columns(), strict=True
+        )
     ]
     files["panels.csv"] = table(rows)
-    files["panels.svg"] = drawing(element, panels, names)
-    files["element.obj"] = up.obj()
-    data = _data(element, panels, names, met, rows, up)
-    issues = (*_unsteady(element, panels, names), *_told(element, names, met), *up.issues(GIVE))
-    return finished(element, files, data, own, up, issues)
+    files["panels.svg"] = draw_elastic(element, panels, names)
+    files["element.obj"] = element_assembly.obj()
+    data = _data(element, panels, names, found_joints, rows, element_assembly)
+    issues = (
+        *_unheld_issues(element, panels, names),
+        *_joint_issues(element, names, found_joints),
+        *element_assembly.issues(FREE_INTERFERENCE_M),
+    )
+    return complete_output(element, files, data, panel_blocks, element_assembly, issues)
 
 
-def finished(
+def complete_output(
     element: Element,
     files: dict[str, str],
     data: dict[str, Any],
     panels: Sequence[PanelBlock],
-    up: Assembly,
+    up: ElementAssembly,
     issues: Sequence[Issue] = (),
 ) -> tuple[dict[str, str], tuple[Issue, ...]]:
-    """An element's ``files``, those of its nest and of its dowels, and ``element.json`` with its ``data``,
-    nest, dowels and issues; and all that is to be said. Raises ``TandemError``: ``element.raw_block``."""
-    of_blocks, said, blocks = nested_folder(element, panels)
+    """Add nest, dowels and ``element.json`` to the files of an element; return all files and issues.
+
+    Raises:
+        TandemError: ``element.raw_block``.
+    """
+    of_blocks, block_issues, blocks = nested_folder(element, panels)
     files, more = {**files}, {}
-    cut_in = rows_in(blocks)
+    cut_in = panels_in_rows(blocks)
     for panel in data["panels"]:
         name = str(panel["id"])
         if name in cut_in:
-            files[f"{AGAIN}/{name}.yaml"] = files.pop(f"panels/{name}.yaml")
+            files[f"{REPLACEMENT_FOLDER}/{name}.yaml"] = files.pop(f"panels/{name}.yaml")
             panel |= {"cut_in": cut_in[name], "cut_min": {}, "cut_m": 0.0, "stops": 0}
     if element.file.dowels is not None:
-        held = dowels.placed(element.file.dowels, up)
+        element_dowels = dowels.place_dowels(element.file.dowels, up)
         poses = {panel["id"]: block_pose(panel) for panel in data["panels"]}
-        files[dowels.FILE] = table(held.rows(poses))
-        more = {"dowels": held.data()}
-        issues = (*issues, *held.issues())
-    told = (*element.notes, *issues, *said)
-    whole = {**data, **blocks, **more, "issues": [issue.to_dict() for issue in told]}
-    return {**files, "element.json": json.dumps(whole, indent=1) + "\n", **of_blocks}, told
+        files[dowels.DOWELS_FILE] = table(element_dowels.rows(poses))
+        more = {"dowels": element_dowels.data()}
+        issues = (*issues, *element_dowels.issues())
+    all_issues = (*element.notes, *issues, *block_issues)
+    whole = {**data, **blocks, **more, "issues": [issue.to_dict() for issue in all_issues]}
+    return {**files, "element.json": json.dumps(whole, indent=1) + "\n", **of_blocks}, all_issues
 
 
-def assembly(element: ElasticElement, panels: tuple[ElasticPanel, ...], names: Sequence[str]) -> Assembly:
-    """How a free-form element is put up: by its lines, from below in the drawing; a panel rests on those on
-    the line where it begins."""
+def elastic_assembly(
+    element: ElasticElement, panels: tuple[ElasticPanel, ...], names: Sequence[str]
+) -> ElementAssembly:
+    """Return the assembly of a free-form element, by its lines, from below in the drawing.
+
+    A panel rests on those on the line where it starts.
+    """
     bounds = np.array([np.concatenate(_bounds(element, panel)) for panel in panels]) * MM
     x, y = np.unique(bounds[:, :2]), np.unique(bounds[:, 2:])
-    grids = [_grid(panel, own, x, y) for panel, own in zip(panels, bounds, strict=True)]
-    beyond = bodies_beyond([grid.front[grid.rim, :2] for grid in grids], BESIDE)
-    slabs = [dataclasses.replace(grid, beyond=one) for grid, one in zip(grids, beyond, strict=True)]
+    grids = [
+        _grid_slab(panel, panel_bounds, x, y) for panel, panel_bounds in zip(panels, bounds, strict=True)
+    ]
+    beyond = bodies_beyond([grid.front[grid.rim, :2] for grid in grids], NEIGHBOUR_OFFSET_M)
+    slabs = [
+        dataclasses.replace(grid, beyond=neighbours) for grid, neighbours in zip(grids, beyond, strict=True)
+    ]
     begins = np.unique(bounds[:, 2], return_inverse=True)[1]
-    rests = [one[bounds[one, 3] < bounds[k, 2] + BESIDE] for k, one in enumerate(rests_on(beyond, begins))]
+    rests = [
+        neighbours[bounds[neighbours, 3] < bounds[k, 2] + NEIGHBOUR_OFFSET_M]
+        for k, neighbours in enumerate(supporting_panels(beyond, begins))
+    ]
     up = np.array([0.0, 1.0, 0.0])
-    steps = put_up(slabs, np.arange(len(panels)), rests, up, GIVE, dowels.square(element))
-    bodies = (Body(n, _whole(p), s) for n, p, s in zip(names, panels, slabs, strict=True))
-    return Assembly(tuple(bodies), steps, up)
+    steps = assemble(
+        slabs, np.arange(len(panels)), rests, up, FREE_INTERFERENCE_M, dowels.max_dowel_tilt(element)
+    )
+    bodies = (PanelBody(n, _full_slab(p), s) for n, p, s in zip(names, panels, slabs, strict=True))
+    return ElementAssembly(tuple(bodies), steps, up)
 
 
-def _over(flat: FloatArray, faces: IntArray, values: FloatArray, places: FloatArray) -> FloatArray:
-    """Values (V, K) of a mesh over the plane, with vertices ``flat`` (V, 2), at places (N, 2) in it: by its
-    own triangles, which stay the same where it moves a little."""
+def _interpolate(flat: FloatArray, faces: IntArray, values: FloatArray, positions: FloatArray) -> FloatArray:
+    """Interpolate values (V, K) of a mesh over the plane at positions (N, 2).
+
+    The mesh has vertices ``flat`` (V, 2). Its own triangles are used, which stay the same if it moves a
+    little.
+    """
     corners = flat[faces]
-    tree, points = shapely.STRtree(shapely.polygons(corners)), shapely.points(places)
+    tree, points = shapely.STRtree(shapely.polygons(corners)), shapely.points(positions)
     at, face = tree.query(points, predicate="intersects")
     order = np.lexsort((face, at))
     at, first = np.unique(at[order], return_index=True)
-    own = np.full(len(places), NONE)
-    own[at] = face[order][first]
-    bare = np.flatnonzero(own == NONE)
-    found, near = tree.query_nearest(points[bare], max_distance=2.0 * RIM, all_matches=False)
-    if len(found) < len(bare):
+    owner = np.full(len(positions), NONE)
+    owner[at] = face[order][first]
+    bare = np.flatnonzero(owner == NONE)
+    found_rows, nearest = tree.query_nearest(points[bare], max_distance=2.0 * RIM_INSET_M, all_matches=False)
+    if len(found_rows) < len(bare):
         raise ValueError("a panel does not lie over its rectangle")
-    own[bare[found]] = near
-    first_corner, one, two = corners[own].transpose(1, 0, 2)
-    sides = np.stack([one - first_corner, two - first_corner], axis=-1)
-    share = np.linalg.solve(sides, (places - first_corner)[..., None])
-    a, b, c = values[faces[own]].transpose(1, 0, 2)
-    return np.asarray(a + share[:, 0] * (b - a) + share[:, 1] * (c - a))
+    owner[bare[found_rows]] = nearest
+    first_corner, second_corner, two = corners[owner].transpose(1, 0, 2)
+    sides = np.stack([second_corner - first_corner, two - first_corner], axis=-1)
+    weights = np.linalg.solve(sides, (positions - first_corner)[..., None])
+    a, b, c = values[faces[owner]].transpose(1, 0, 2)
+    return np.asarray(a + weights[:, 0] * (b - a) + weights[:, 1] * (c - a))
 
 
-def _whole(panel: ElasticPanel) -> Slab:
-    """A panel with the faces that its wire leaves."""
+def _full_slab(panel: ElasticPanel) -> Slab:
+    """Return a panel with the faces that its wire leaves."""
     front, back = (transform(panel.pose, face.vertices) for face in (panel.front, panel.back))
-    rim = boundaries(panel.front)[0]
+    rim = boundary_rings(panel.front)[0]
     return Slab(front, back, panel.front.faces, rim, np.full(len(rim), NONE))
 
 
-def _grid(panel: ElasticPanel, bounds: FloatArray, x: FloatArray, y: FloatArray) -> Slab:
-    """A panel over x0, x1, y0, y1 of the element's plane [m], its faces between points on a grid, with lines
-    at those of ``x`` and ``y`` on which others begin or end."""
+def _grid_slab(panel: ElasticPanel, bounds: FloatArray, x: FloatArray, y: FloatArray) -> Slab:
+    """Return a panel over x0, x1, y0, y1 [m] with faces sampled on a grid.
+
+    The grid has lines at ``x`` and ``y``, where other panels start or end.
+    """
     lines = []
     for (low, high), cuts in zip(bounds.reshape(2, 2).tolist(), (x, y), strict=True):
-        even = np.linspace(low, high, int(np.ceil((high - low) / GRID)) + 1)
-        cuts = cuts[(cuts > low + BESIDE) & (cuts < high - BESIDE)]
-        even = even[np.abs(even[:, None] - cuts).min(axis=1, initial=np.inf) > 0.1 * GRID]
+        even = np.linspace(low, high, int(np.ceil((high - low) / GRID_STEP_M)) + 1)
+        cuts = cuts[(cuts > low + NEIGHBOUR_OFFSET_M) & (cuts < high - NEIGHBOUR_OFFSET_M)]
+        even = even[np.abs(even[:, None] - cuts).min(axis=1, initial=np.inf) > 0.1 * GRID_STEP_M]
         lines.append(np.union1d(even, cuts))
-    places = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
+    positions = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
     front, back = (transform(panel.pose, face.vertices) for face in (panel.front, panel.back))
-    inside = np.clip(places, bounds[::2] + INSIDE, bounds[1::2] - INSIDE)
-    points = _over(front[:, :2], panel.front.faces, np.concatenate([front[:, 2:], back], axis=1), inside)
-    number = np.arange(len(places)).reshape([len(one) for one in lines])
+    inside = np.clip(positions, bounds[::2] + INSIDE_OFFSET_M, bounds[1::2] - INSIDE_OFFSET_M)
+    points = _interpolate(
+        front[:, :2], panel.front.faces, np.concatenate([front[:, 2:], back], axis=1), inside
+    )
+    number = np.arange(len(positions)).reshape([len(line) for line in lines])
     a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
     faces = np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)]).reshape(-1, 3)
     rim = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])
-    return Slab(np.concatenate([places, points[:, :1]], axis=1), points[:, 1:], faces, rim, rim)
+    return Slab(np.concatenate([positions, points[:, :1]], axis=1), points[:, 1:], faces, rim, rim)
 
 
 def _panel_blocks(
     element: ElasticElement, panels: tuple[ElasticPanel, ...], names: tuple[str, ...]
 ) -> list[PanelBlock]:
-    """The blocks that panels are cut from; a panel's volume is its thickness times the mean of its faces'
-    areas (J. Steiner, 1840, but for a term of the third power of the thickness)."""
+    """Return the blocks of panels. The volume of a panel is its thickness times the mean area of its faces.
+
+    By Steiner's formula (J. Steiner, 1840) the error is a term of the third power of the thickness.
+    """
     out = []
     for panel, name in zip(panels, names, strict=True):
         faces = [float(face_areas(mesh).sum()) for mesh in (panel.front, panel.back)]
@@ -191,12 +233,12 @@ def _panel_blocks(
     return out
 
 
-def _row(element: ElasticElement, panel: ElasticPanel, own: PanelBlock) -> dict[str, Any]:
+def _row(element: ElasticElement, panel: ElasticPanel, panel_block: PanelBlock) -> dict[str, Any]:
     x, y = _bounds(element, panel)
     wire = element.wires[panel.wire]
     block = element.file.blocks[panel.block]
     return {
-        "id": own.name,
+        "id": panel_block.name,
         "from_x_mm": round(x[0], 3),
         "to_x_mm": round(x[1], 3),
         "from_y_mm": round(y[0], 3),
@@ -206,57 +248,60 @@ def _row(element: ElasticElement, panel: ElasticPanel, own: PanelBlock) -> dict[
         **{f"block_{axis}_mm": v for axis, v in zip("xyz", block_mm(panel), strict=True)},
         "raw_block_mm": " x ".join(f"{v:g}" for v in block.size_mm),
         "wire_held": "yes" if panel.held else "no",
-        "check": _checked(element, panel),
+        "check": _check_result(element, panel),
         "off_surface_mm": round(panel.misfit / MM, 3),
-        "volume_l": round(1e3 * own.volume, 4),
-        "weight_kg": weight_kg(own),
+        "volume_l": round(1e3 * panel_block.volume, 4),
+        "weight_kg": weight_kg(panel_block),
     }
 
 
-def weight_kg(own: PanelBlock) -> float | str:
-    """What a panel weighs, nothing where its foam is not named."""
-    return "" if own.foam is None else round(foam(own.foam).density * own.volume, 4)
+def weight_kg(panel_block: PanelBlock) -> float | str:
+    """Return the weight of a panel [kg]; empty if its foam is not stated."""
+    return "" if panel_block.foam is None else round(foam(panel_block.foam).density * panel_block.volume, 4)
 
 
-def outline(
+def rectangle_outline(
     rectangles: Sequence[tuple[float, float, float, float]], names: Sequence[str], k: int
 ) -> tuple[list[tuple[float, float]], list[str | None]]:
-    """The corners of one of the rectangles (x0, x1, y0, y1), counterclockwise, with those of its neighbours
-    on its sides, and the name beyond each edge from corner i to i + 1."""
+    """Return the outline of a rectangle (x0, x1, y0, y1) with the corners of neighbours on its sides.
+
+    Returns:
+        Corners, counterclockwise, and the name of the panel beyond each edge from corner i to i + 1.
+    """
     x0, x1, y0, y1 = rectangles[k]
     corners: list[tuple[float, float]] = []
     beyond: list[str | None] = []
     for axis, at, first, last in ((1, y0, x0, x1), (0, x1, y0, y1), (1, y1, x1, x0), (0, x0, y1, y0)):
-        beside = []
-        for name, one in zip(names, rectangles, strict=True):
-            low, high = one[2 - 2 * axis : 4 - 2 * axis]
+        neighbours = []
+        for name, other in zip(names, rectangles, strict=True):
+            low, high = other[2 - 2 * axis : 4 - 2 * axis]
             low, high = max(low, min(first, last)), min(high, max(first, last))
-            facing = one[2 * axis + int(at == (x0, y0)[axis])]  # where the other one ends, or begins
+            facing = other[2 * axis + int(at == (x0, y0)[axis])]  # where the other one ends, or begins
             if low < high and facing == at:
-                beside.append((low, high, name))
-        stops = sorted({first, last, *(v for b in beside for v in b[:2])}, reverse=first > last)
+                neighbours.append((low, high, name))
+        stops = sorted({first, last, *(v for b in neighbours for v in b[:2])}, reverse=first > last)
         for a, b in itertools.pairwise(stops):
             corners.append((a, at) if axis else (at, a))
-            beyond.append(next((name for low, high, name in beside if low <= min(a, b) < high), None))
+            beyond.append(next((name for low, high, name in neighbours if low <= min(a, b) < high), None))
     return corners, beyond
 
 
-def _checked(element: ElasticElement, panel: ElasticPanel) -> str:
-    """What the check of a panel's problem said: ok, a code, or nothing where it was not asked."""
+def _check_result(element: ElasticElement, panel: ElasticPanel) -> str:
+    """Return the result of the check of a panel's problem: ok, a code, or empty if it was not run."""
     if panel.refused is not None:
         return panel.refused.code
-    return "ok" if element.judged else ""
+    return "ok" if element.are_panels_checked else ""
 
 
 def _bounds(element: ElasticElement, panel: ElasticPanel) -> tuple[tuple[float, float], tuple[float, float]]:
-    """From and to along the element's x and y [mm]."""
+    """Return the range along the element's x and y [mm]."""
     step = element.surface.size / np.array(element.cells) / MM
     x0, x1, y0, y1 = panel.rectangle
     return (x0 * float(step[0]), x1 * float(step[0])), (y0 * float(step[1]), y1 * float(step[1]))
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
-    """Rows as CSV, their names first."""
+    """Return rows as CSV with a header."""
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]) if rows else [], lineterminator="\n")
     writer.writeheader()
@@ -264,8 +309,8 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
     return text.getvalue()
 
 
-def _step(joint: Joint) -> float:
-    """The step [mm] that most of a joint's points keep."""
+def _step_mm(joint: ElasticJoint) -> float:
+    """Return the step [mm] that most points of a joint keep."""
     return joint.step / MM
 
 
@@ -273,12 +318,15 @@ def _data(
     element: ElasticElement,
     panels: tuple[ElasticPanel, ...],
     names: tuple[str, ...],
-    met: tuple[Joint, ...],
+    met: tuple[ElasticJoint, ...],
     rows: list[dict[str, Any]],
-    up: Assembly,
+    up: ElementAssembly,
 ) -> dict[str, Any]:
-    """The element as data; poses are (4, 4) in mm, of the element in the surface's file and of blocks in the
-    element."""
+    """Return the element as data.
+
+    Poses are (4, 4) in mm: that of the element in the surface's file, and those of blocks in the element
+    frame.
+    """
 
     def pose(value: Any) -> list[list[float]]:
         out = np.array(value)
@@ -287,11 +335,11 @@ def _data(
 
     step = element.surface.size / np.array(element.cells) / MM
     rectangles = [panel.rectangle for panel in panels]
-    templates = chosen_templates(element, panels, names)
-    around = [outline(rectangles, names, k) for k in range(len(panels))]
+    templates = choose_templates(element, panels, names)
+    around = [rectangle_outline(rectangles, names, k) for k in range(len(panels))]
 
-    def way(panel: ElasticPanel, operation: Mapping[str, Any]) -> float:
-        """How far the wire goes [mm]: along the block, once for each face."""
+    def cut_length(panel: ElasticPanel, operation: Mapping[str, Any]) -> float:
+        """Return the cut length [mm]: along the block, once for each face."""
         of_wire = operation.get("process") == "elastic_wire"
         return block_mm(panel)[1] * len(operation.get("faces") or ("front", "back")) if of_wire else 0.0
 
@@ -299,7 +347,7 @@ def _data(
         {
             "panels": [names[joint.panels[0]], names[joint.panels[1]]],
             "length_mm": round(joint.length / MM, 3),
-            "step_95_mm": round(_step(joint), 4),
+            "step_95_mm": round(_step_mm(joint), 4),
             "step_largest_mm": round(float(joint.steps.max()) / MM, 4),
             "at_wire_ends": joint.wire_ends,
         }
@@ -312,19 +360,19 @@ def _data(
         "size_mm": [round(float(v) / MM, 3) for v in element.surface.size],
         "up": up.up.tolist(),
         "cells": list(element.cells),
-        "tolerance_mm": element.wanted.tolerance_mm,
-        "joint_mm": element.wanted.joint_mm,
+        "tolerance_mm": element.options.tolerance_mm,
+        "joint_mm": element.options.joint_mm,
         "panels": [
             {
                 **row,
-                **stands,
+                **body_data,
                 "cells": list(panel.rectangle),
                 "neighbours": beyond,
                 "outline_mm": np.round(np.array(ring) * step, 2).tolist(),
-                **cut_figures(template, functools.partial(way, panel)),
+                **cut_figures(template, functools.partial(cut_length, panel)),
                 "block_pose": pose(panel.pose),
             }
-            for row, panel, template, (ring, beyond), stands in zip(
+            for row, panel, template, (ring, beyond), body_data in zip(
                 rows, panels, templates, around, up.data(), strict=True
             )
         ],
@@ -332,63 +380,76 @@ def _data(
     }
 
 
-def _told(element: ElasticElement, names: tuple[str, ...], met: tuple[Joint, ...]) -> Iterator[Issue]:
-    limit = element.wanted.joint_mm
-    over = [joint for joint in met if _step(joint) > limit]
+def _joint_issues(
+    element: ElasticElement, names: tuple[str, ...], met: tuple[ElasticJoint, ...]
+) -> Iterator[Issue]:
+    limit = element.options.joint_mm
+    over = [joint for joint in met if _step_mm(joint) > limit]
     if not over:
         return
-    worst = max(over, key=_step)
+    worst = max(over, key=_step_mm)
     a, b = (names[i] for i in worst.panels)
     what = (
-        f"{len(over)} of {len(met)} joints have a step above {limit:g} mm at {JOINT_SHARE:g} % of their "
-        f"points, the worst is {a} to {b} with {_step(worst):.2f} mm; the others: "
+        f"{len(over)} of {len(met)} joints have a step above {limit:g} mm at {JOINT_PERCENTILE:g} % of their "
+        f"points, the worst is {a} to {b} with {_step_mm(worst):.2f} mm; the others: "
         + (
             ", ".join(f"{names[j.panels[0]]} to {names[j.panels[1]]}" for j in over if j is not worst)
             or "none"
         )
     )
-    hint = f"allow joint_mm: {np.ceil(_step(worst) * 100.0) / 100.0:.2f}"
-    if 0.5 * limit >= LEAST_TOLERANCE_MM:  # a step is no larger than both panels are off the surface
-        hint += f", or ask for tolerance_mm: {0.5 * limit:g}, which takes more panels and may take more cells"
+    hint = f"allow joint_mm: {np.ceil(_step_mm(worst) * 100.0) / 100.0:.2f}"
+    if 0.5 * limit >= MIN_TOLERANCE_MM:  # a step is no larger than both panels are off the surface
+        hint += f", or set tolerance_mm: {0.5 * limit:g}, which needs more panels and may need more cells"
     yield Issue(
         "element.joint",
         what,
         Severity.WARNING,
         field="panels.elastic.joint_mm",
-        **measurement(_step(worst), limit, "mm"),
+        **measurement(_step_mm(worst), limit, "mm"),
         hint=hint,
     )
 
 
-def _unsteady(
+def _unheld_issues(
     element: ElasticElement, panels: tuple[ElasticPanel, ...], names: tuple[str, ...]
 ) -> Iterator[Issue]:
-    """Panels that cannot be cut as they are, named before any foam is: those that the check refuses although
-    nothing else covers their place; where it was not asked, those in whose shapes no wire is held safely."""
-    own = tuple(zip(panels, names, strict=True))
-    if element.judged:
-        found = [f"{name} ({panel.refused.code})" for panel, name in own if panel.refused is not None]
-        what = "are refused by the check of their problems, and no other division avoids them"
+    """Yield issues of panels that cannot be cut as they are, before any foam is cut.
+
+    These are panels that the check refuses although nothing else covers their place; without a check, those
+    in whose shapes no wire is held safely.
+    """
+    named_panels = tuple(zip(panels, names, strict=True))
+    if element.are_panels_checked:
+        names_found = [
+            f"{name} ({panel.refused.code})" for panel, name in named_panels if panel.refused is not None
+        ]
+        what = "are refused by the check of their problems, and no division avoids them"
     else:
-        found = [name for panel, name in own if not panel.held]
-        what = "have shapes in which none of the wires is held safely (it may snap, or errors of its ends "
-        what += "move it too far)"
-    if not found:
+        names_found = [name for panel, name in named_panels if not panel.held]
+        what = "have shapes in which no wire is held safely (it may snap, or errors of its ends may "
+        what += "displace it too far)"
+    if not names_found:
         return
     hint = "give wires of more lengths or thinner ones, or smaller blocks; check these panels first"
-    message = f"{len(found)} of {len(panels)} panels {what}: {', '.join(found)}"
+    message = format_message(
+        "element.held",
+        affected_count=len(names_found),
+        panel_count=len(panels),
+        problem=what,
+        panels=", ".join(names_found),
+    )
     yield Issue("element.held", message, Severity.WARNING, field="wires", hint=hint)
 
 
-def drawing(element: ElasticElement, panels: tuple[ElasticPanel, ...], names: tuple[str, ...]) -> str:
-    """All panels in the element's plane, seen from the front: ids, the wire's direction, how far off."""
+def draw_elastic(element: ElasticElement, panels: tuple[ElasticPanel, ...], names: tuple[str, ...]) -> str:
+    """Draw all panels in the element plane, seen from the front: ids, wire directions, deviations."""
     size = element.surface.size / MM
     scale = _PAGE / float(size[0])
     high = float(size[1]) * scale
-    limit = element.wanted.tolerance_mm
+    limit = element.options.tolerance_mm
     worst = max(panel.misfit for panel in panels) / MM
     title = f"{element.file.name}: {len(panels)} panels"
-    legend = "seen from the front; lines in a panel lie as its wire does; numbers are how far it is off the "
+    legend = "seen from the front; lines show the direction of the wire; numbers are the deviation from the "
     legend += f"surface, at most {worst:.2f} of {limit:g} mm"
     out = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="-70 -90 {_PAGE + 110:.0f} {high + 170:.0f}" '
@@ -400,8 +461,8 @@ def drawing(element: ElasticElement, panels: tuple[ElasticPanel, ...], names: tu
     for panel, name in zip(panels, names, strict=True):
         (x0, x1), (y0, y1) = _bounds(element, panel)
         left, right, top, bottom = x0 * scale, x1 * scale, high - y1 * scale, high - y0 * scale
-        share = min(panel.misfit / MM / limit, 1.0)
-        shade = [round(255 + share * (c - 255)) for c in (122, 170, 214)]
+        fraction = min(panel.misfit / MM / limit, 1.0)
+        shade = [round(255 + fraction * (c - 255)) for c in (122, 170, 214)]
         middle, level = 0.5 * (left + right), 0.5 * (top + bottom)
         out.append(
             f'<rect x="{left:.1f}" y="{top:.1f}" width="{right - left:.1f}" height="{bottom - top:.1f}" '

@@ -1,8 +1,8 @@
-"""One panel's faces: the surface cut off at its joints and moved onto shapes that the wire takes.
+"""Faces of one panel: the surface cut off at its joints and projected onto shapes that the wire takes.
 
-A front and its back have the same vertices in pairs, also those that a cut makes, so that both panels at a
-joint have the same rim and the same side between front and back. What is moved onto the wire is moved along
-the element's z and so stays in the planes of the joints; how far tells the step at the joint.
+A front and its back have the same vertices in pairs, including those that a cut creates, so that both panels
+at a joint have the same rim and the same side between front and back. Vertices move onto the wire along the
+element's z, so they stay in the planes of the joints; the displacement determines the step at the joint.
 """
 
 import dataclasses
@@ -13,80 +13,90 @@ import numpy as np
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.geometry.mesh import TriangleMesh, vertex_normals
 from planner.processes.hotwire.plan.elastic.family import (
+    FamilyExtent,
     FamilyFit,
+    SectionWire,
     cut_sections,
     fit_family,
-    fit_first,
+    fit_single_sections,
     make_spine,
-    section_places,
+    section_positions,
 )
 from planner.processes.hotwire.plan.elastica.fit import CurveFit
 from planner.processes.hotwire.plan.elastica.heavy import HeavyShape, end_sensitivity, from_middle
-from planner.processes.hotwire.plan.wire import Wire
+from planner.processes.hotwire.plan.wire import HeatedWire
 
-ON_A_LINE: Final = 1e-6
-"""A vertex nearer to a cut than this [m] is moved onto it."""
-SECTION_STEP: Final = 0.02
+SNAP_TOLERANCE_M: Final = 1e-6
+"""Distance [m] from a cut within which a vertex is moved onto it."""
+SECTION_STEP_M: Final = 0.02
 """Distance of the sections by which a panel is fitted [m]."""
-LEAST_STABILITY: Final = 0.08
-"""Margin of stability (1: a free wire, 0: it snaps) that a panel's sections must have."""
-TAUT: Final = 0.9997
-"""Share of the wire's length beyond which its ends are too far apart."""
-CLEAR_ENDS: Final = 0.05
-"""How far the wire's ends must be outside of the block [m] for it to be held safely: jobs ask 20 mm of all of
-the path, which comes 15 mm nearer between the sections looked at, and holders stand there."""
-_COLUMNS = 161  # across a face, between which what sections say is linear
-_HELD_EVERY = 3  # sections of which one is looked at for that
-_LEAST_SECTIONS, _MOST_SECTIONS = 8, 100  # steps between the ends of a face, but for those near them
-_KNOT_STEP = 0.045  # m between knots of the family's spline
-_CELLS = 16, 32  # of it
-_BESIDE = 0.04  # m: the wires of a face go on beyond it as far as jobs ask it with their usual margin
+MIN_STABILITY: Final = 0.08
+"""Minimum stability margin (1: a free wire, 0: it snaps) of the sections of a panel."""
+MAX_CHORD_RATIO: Final = 0.9997
+"""Maximum distance of the wire's ends as a fraction of its length."""
+END_CLEARANCE_M: Final = 0.05
+"""Minimum distance [m] of the wire's ends from the block for it to be held safely.
+
+Jobs require 20 mm on the whole path, which comes 15 mm nearer between the checked sections, and holders need
+space.
+"""
+_COLUMNS = 161  # across a face; values are linear between them
+_HELD_STRIDE = 3  # every how many sections are checked for that
+_MIN_SECTIONS, _MAX_SECTIONS = 8, 100  # steps between the ends of a face, without those close to them
+_KNOT_STEP_M = 0.045  # m between knots of the family's spline
+_CELL_RANGE = 16, 32  # of it
+_EXTENSION_M = 0.04  # m: extension of wires beyond a face, as jobs require with their default margin
 
 
 def clip(values: FloatArray, faces: IntArray, axis: int, at: float, keep: int) -> tuple[FloatArray, IntArray]:
-    """What of a mesh lies beyond (``keep`` 1) or before (-1) the plane ``at`` [m] of an ``axis``.
+    """Clip a mesh at a plane.
 
-    ``values`` (V, C): coordinates, and whatever else is linear over a facet; ``faces`` (F, 3).
+    Args:
+        values: Coordinates and other values that are linear over a facet (V, C).
+        faces: Facets (F, 3).
+        axis: Axis across the plane.
+        at: Position of the plane on the axis [m].
+        keep: 1 to keep what is beyond the plane, -1 for what is before it.
     """
-    off = keep * (values[:, axis] - at)
-    near = np.abs(off) < ON_A_LINE
+    distance = keep * (values[:, axis] - at)
+    is_on_plane = np.abs(distance) < SNAP_TOLERANCE_M
     values = values.copy()
-    values[near, axis], off[near] = at, 0.0
-    sign = np.sign(off).astype(np.int64)[faces]
+    values[is_on_plane, axis], distance[is_on_plane] = at, 0.0
+    sign = np.sign(distance).astype(np.int64)[faces]
     has, lacks = (sign > 0).any(axis=1), (sign < 0).any(axis=1)
     cut = faces[has & lacks]
-    own = sign[has & lacks]
-    # each with the vertex that is alone on its side first
-    positive = (own > 0).sum(axis=1)
-    alone = np.where(positive == 2, np.argmax(own < 0, axis=1), np.argmax(own > 0, axis=1))
+    signs = sign[has & lacks]
+    # rotate each facet so that the vertex alone on its side is first
+    positive = (signs > 0).sum(axis=1)
+    alone = np.where(positive == 2, np.argmax(signs < 0, axis=1), np.argmax(signs > 0, axis=1))
     cut = np.take_along_axis(cut, (alone[:, None] + np.arange(3)) % 3, axis=1)
-    own = np.take_along_axis(own, (alone[:, None] + np.arange(3)) % 3, axis=1)
+    signs = np.take_along_axis(signs, (alone[:, None] + np.arange(3)) % 3, axis=1)
     edges = np.concatenate([cut[:, [0, 1]], cut[:, [0, 2]]])
-    crossing = np.concatenate([own[:, 0] * own[:, 1], own[:, 0] * own[:, 2]]) < 0
+    crossing = np.concatenate([signs[:, 0] * signs[:, 1], signs[:, 0] * signs[:, 2]]) < 0
     pairs, inverse = np.unique(np.sort(edges[crossing], axis=1), axis=0, return_inverse=True)
     a, b = pairs.T
-    share = (off[a] / (off[a] - off[b]))[:, None] if len(pairs) else np.zeros((0, 1))
-    made = values[a] * (1.0 - share) + values[b] * share
-    made[:, axis] = at
-    # where the other end lies on the plane, it is the crossing itself
+    fraction = (distance[a] / (distance[a] - distance[b]))[:, None] if len(pairs) else np.zeros((0, 1))
+    new_values = values[a] * (1.0 - fraction) + values[b] * fraction
+    new_values[:, axis] = at
+    # an end on the plane is the crossing itself
     point = edges[:, 1].copy()
     point[crossing] = len(values) + np.reshape(inverse, -1)
     first, second = np.split(point, 2)
     parts = [faces[has & ~lacks]]
-    single = own[:, 0] > 0
+    single = signs[:, 0] > 0
     parts.append(np.stack([cut[single, 0], first[single], second[single]], axis=1))
     pair = ~single
     parts.append(np.stack([first[pair], cut[pair, 1], cut[pair, 2]], axis=1))
     parts.append(np.stack([first[pair], cut[pair, 2], second[pair]], axis=1))
     left = np.concatenate(parts)
     used, index = np.unique(left, return_inverse=True)
-    return np.concatenate([values, made])[used], np.reshape(index, left.shape).astype(np.int64)
+    return np.concatenate([values, new_values])[used], np.reshape(index, left.shape).astype(np.int64)
 
 
 def cut_out(
     front: TriangleMesh, back: TriangleMesh, bounds: tuple[float, float, float, float]
 ) -> tuple[TriangleMesh, TriangleMesh]:
-    """Front and back of the panel over x0, x1, y0, y1 [m], in vertices that belong together."""
+    """Return front and back of the panel over x0, x1, y0, y1 [m], with paired vertices."""
     values, faces = np.concatenate([front.vertices, back.vertices], axis=1), front.faces
     for axis, keep, at in ((0, 1, bounds[0]), (0, -1, bounds[1]), (1, 1, bounds[2]), (1, -1, bounds[3])):
         values, faces = clip(values, faces, axis, at, keep)
@@ -95,120 +105,151 @@ def cut_out(
 
 @dataclasses.dataclass(frozen=True)
 class BentFace:
-    """``shift`` (V,): how far [m] each vertex moves along ``up`` onto a shape of the wire; ``off`` (V,): the
-    same across the surface; ``misfit``: the largest distance of the sections from the wire [m]; ``held``:
-    whether the wire is held safely in these shapes (`holds`) with its ends clear of the block."""
+    """Projection of a face onto shapes of the wire.
+
+    Attributes:
+        shift: Displacement (V,) [m] of each vertex along ``up``.
+        deviation: Displacement (V,) [m] across the surface.
+        misfit: Maximum distance [m] of the sections from the wire.
+        held: Whether the wire is held safely in these shapes (`is_held`) with its ends clear of the block.
+    """
 
     shift: FloatArray
-    off: FloatArray
+    deviation: FloatArray
     misfit: float
     held: bool
 
 
 @dataclasses.dataclass(frozen=True)
 class CutWire:
-    """A wire of one ``length`` [m], of which ``outside`` [m] at least is free of the panel, in all;
-    ``end_error`` [m]: how far its ends may be off, and ``moves`` [m]: how far the wire may move by that."""
+    """A wire of one length.
 
-    wire: Wire
+    Attributes:
+        wire: Wire.
+        length: Length [m].
+        outside: Minimum total length [m] outside of the panel.
+        end_error: Position error [m] of its ends.
+        max_displacement: Maximum displacement [m] of the wire by that error.
+    """
+
+    wire: HeatedWire
     length: float
     outside: float
     end_error: float
-    moves: float
+    max_displacement: float
 
 
-def bend(
+def bend_face(
     face: TriangleMesh, up: FloatArray, cut: CutWire, half_block: float, end_weight: float
 ) -> BentFace | None:
-    """The shapes of a wire that meet a face in its block's frame, wire along x, swept along y; ``up`` (3,) is
-    the element's z there, ``half_block`` [m] half of the block along the wire. None where the wire is too
-    short or a section turns back over itself."""
+    """Fit shapes of a wire to a face in the frame of its block, wire along x, swept along y.
+
+    None if the wire is too short or a section turns back over itself.
+
+    Args:
+        face: Face.
+        up: Direction (3,) of the element's z in the block frame.
+        cut: Wire.
+        half_block: Half of the block along the wire [m].
+        end_weight: Weight of the ends of sections in the fit.
+    """
     spine = make_spine(face, np.array([0.0, 1.0, 0.0]), normal=False)
     low, high = face.vertices[:, 1].min(), face.vertices[:, 1].max()
-    found = cut_sections(
-        face, spine, section_places(low, high, SECTION_STEP, _LEAST_SECTIONS, _MOST_SECTIONS)
+    sections_found = cut_sections(
+        face, spine, section_positions(low, high, SECTION_STEP_M, _MIN_SECTIONS, _MAX_SECTIONS)
     )
-    sections = found.take(np.flatnonzero(found.length > 0.0))
+    sections = sections_found.select(np.flatnonzero(sections_found.length > 0.0))
     if sections.length.max() > cut.length - 0.5 * cut.outside:
         return None
     across = sections.points[..., 0] + spine.across
     if (np.diff(across, axis=1) <= 0.0).any():
         return None
-    load = np.tile([0.0, -cut.wire.load], (len(across), 1))
+    wire = SectionWire(
+        load=np.tile([0.0, -cut.wire.load_over_stiffness], (len(across), 1)), length=cut.length
+    )
     fit = fit_family(
         sections,
-        fit_first(sections, load, cut.length),
-        load,
-        cut.length,
-        low - _BESIDE,
-        high + _BESIDE,
-        -spine.across,
-        int(np.clip(np.ceil((high - low + 2.0 * _BESIDE) / _KNOT_STEP), *_CELLS)),
+        fit_single_sections(sections, wire),
+        wire,
+        FamilyExtent(lower=low - _EXTENSION_M, upper=high + _EXTENSION_M, centre=-spine.across),
+        int(np.clip(np.ceil((high - low + 2.0 * _EXTENSION_M) / _KNOT_STEP_M), *_CELL_RANGE)),
         end_weight,
     )
     if not np.isfinite(fit.residual).all():
         return None
-    residual = _between(sections.p, across, fit.residual, face.vertices[:, :2])
+    residual = _interpolate(sections.p, across, fit.residual, face.vertices[:, :2])
     normal = vertex_normals(face)
-    lean = np.hypot(normal[:, 0], normal[:, 2])  # in the plane of the section the way to the wire is longer
+    normal_fraction = np.hypot(normal[:, 0], normal[:, 2])  # the distance in the section plane is longer
     facing = dots(normal, np.broadcast_to(up, normal.shape))
-    # residuals are along the section's left normal, which looks up as do fronts
-    off = -residual * lean
-    shift = off / np.abs(facing)
-    held = _held_in_block(fit, sections.p, cut, half_block + abs(spine.across))
-    return BentFace(shift, off, float(np.abs(fit.residual).max()), held)
+    # residuals are along the left normal of the section, which points up, as fronts do
+    deviation = -residual * normal_fraction
+    shift = deviation / np.abs(facing)
+    held = _is_held_in_block(fit, sections.p, cut, half_block + abs(spine.across))
+    return BentFace(shift, deviation, float(np.abs(fit.residual).max()), held)
 
 
-def _between(places: FloatArray, across: FloatArray, values: FloatArray, wanted: FloatArray) -> FloatArray:
-    """Values (V,) at points ``wanted`` (V, 2), between those that sections at y ``places`` (K,), rising, have
-    at x ``across`` (K, M), rising.
+def _interpolate(
+    positions: FloatArray, across: FloatArray, values: FloatArray, points: FloatArray
+) -> FloatArray:
+    """Interpolate values (V,) at points (V, 2) between those of sections.
 
-    Beyond the ends of a section they are those of the nearest section that reaches as far: its own end says
-    nothing of the wire there. Beyond the outer sections they are as there."""
+    Beyond the ends of a section the nearest section that reaches as far is used, because the end of a section
+    says nothing about the wire there. Beyond the outer sections their values are used.
+
+    Args:
+        positions: Positions of sections in y (K,), ascending.
+        across: Positions of values in x (K, M), ascending.
+        values: Values (K, M).
+        points: Points (V, 2).
+    """
     x = np.linspace(across.min(), across.max(), _COLUMNS)
-    level = np.stack([np.interp(x, *one) for one in zip(across, values, strict=True)])
+    level = np.stack([np.interp(x, *row_values) for row_values in zip(across, values, strict=True)])
     beyond = 0.5 * (x[1] - x[0])
     inside = (x >= across[:, :1] - beyond) & (x <= across[:, -1:] + beyond)
-    rows = np.arange(len(places))[:, None]
+    rows = np.arange(len(positions))[:, None]
     reaching = np.where(inside, rows, -1)
-    before = np.maximum.accumulate(reaching, axis=0)
-    after = np.minimum.accumulate(np.where(inside, rows, len(places))[::-1], axis=0)[::-1]
-    nearest = np.where(before >= 0, before, np.minimum(after, len(places) - 1))
+    previous = np.maximum.accumulate(reaching, axis=0)
+    following = np.minimum.accumulate(np.where(inside, rows, len(positions))[::-1], axis=0)[::-1]
+    nearest = np.where(previous >= 0, previous, np.minimum(following, len(positions) - 1))
     level = np.take_along_axis(level, nearest, axis=0)
-    share = np.clip((wanted[:, 0] - x[0]) / (x[-1] - x[0]), 0.0, 1.0) * (_COLUMNS - 1)
-    left = np.minimum(share.astype(np.int64), _COLUMNS - 2)
-    first = np.clip(np.searchsorted(places, wanted[:, 1]) - 1, 0, len(places) - 2)
-    up = np.clip((wanted[:, 1] - places[first]) / (places[first + 1] - places[first]), 0.0, 1.0)
-    right = share - left
+    fraction = np.clip((points[:, 0] - x[0]) / (x[-1] - x[0]), 0.0, 1.0) * (_COLUMNS - 1)
+    left = np.minimum(fraction.astype(np.int64), _COLUMNS - 2)
+    first = np.clip(np.searchsorted(positions, points[:, 1]) - 1, 0, len(positions) - 2)
+    up = np.clip((points[:, 1] - positions[first]) / (positions[first + 1] - positions[first]), 0.0, 1.0)
+    right = fraction - left
     lower = level[first, left] * (1.0 - right) + level[first, left + 1] * right
     upper = level[first + 1, left] * (1.0 - right) + level[first + 1, left + 1] * right
     return np.asarray(lower + up * (upper - lower))
 
 
-def holds(fit: CurveFit, cut: CutWire) -> BoolArray:
-    """Whether the wire stays in the shapes (B,) of a fit: well from snapping, elastic, neither taut nor moved
-    by errors of its ends more than is allowed. The planner asks the same of the whole path."""
-    return _stays(_shapes(fit.middle, cut), fit.foot, cut)
+def is_held(fit: CurveFit, cut: CutWire) -> BoolArray:
+    """Whether the wire stays in the shapes (B,) of a fit.
+
+    It must be far from snapping, elastic, not taut, and not displaced by errors of its ends by more than
+    allowed. The planner requires this on the whole path.
+    """
+    return _is_stable(_shapes(fit.middle, cut), fit.foot, cut)
 
 
 def _shapes(middle: FloatArray, cut: CutWire) -> HeavyShape:
     count = len(middle)
-    return from_middle(middle, np.full(count, cut.length), np.tile([0.0, -cut.wire.load], (count, 1)))
+    return from_middle(
+        middle, np.full(count, cut.length), np.tile([0.0, -cut.wire.load_over_stiffness], (count, 1))
+    )
 
 
-def _stays(shape: HeavyShape, foot: FloatArray, cut: CutWire) -> BoolArray:
-    margin = np.minimum(shape.margin_in_plane, shape.margin_out_of_plane(cut.wire.section))
+def _is_stable(shape: HeavyShape, foot: FloatArray, cut: CutWire) -> BoolArray:
+    margin = np.minimum(shape.margin_in_plane, shape.margin_out_of_plane(cut.wire.stiffness_ratios))
     bent = np.abs(shape.curvature).max(axis=1)
-    apart = np.linalg.norm(shape.points[:, -1] - shape.points[:, 0], axis=1) / shape.length
-    feel = end_sensitivity(shape, foot[:, [0, -1]]).ends * cut.end_error
-    good = (margin >= LEAST_STABILITY) & (bent <= cut.wire.max_curvature) & (apart <= TAUT)
-    return np.asarray(good & (feel <= cut.moves))
+    chord_ratio = np.linalg.norm(shape.points[:, -1] - shape.points[:, 0], axis=1) / shape.length
+    displacement = end_sensitivity(shape, foot[:, [0, -1]]).ends * cut.end_error
+    good = (margin >= MIN_STABILITY) & (bent <= cut.wire.max_curvature) & (chord_ratio <= MAX_CHORD_RATIO)
+    return np.asarray(good & (displacement <= cut.max_displacement))
 
 
-def _held_in_block(fit: FamilyFit, places: FloatArray, cut: CutWire, half_block: float) -> bool:
-    """Whether the wire stays in the shapes of a panel's fit at ``places`` (K,) (`holds`), its ends clear of
-    the block."""
-    some = slice(None, None, _HELD_EVERY)
-    shape = _shapes(fit.family.state(places[some]), cut)
+def _is_held_in_block(fit: FamilyFit, positions: FloatArray, cut: CutWire, half_block: float) -> bool:
+    """Whether the wire is held (`is_held`) in shapes of a fit at ``positions`` (K,), clear of the block."""
+    sampled = slice(None, None, _HELD_STRIDE)
+    shape = _shapes(fit.family.state(positions[sampled]), cut)
     ends = min(float(shape.points[:, -1, 0].min()), float(-shape.points[:, 0, 0].max()))
-    return ends >= half_block + CLEAR_ENDS and bool(_stays(shape, fit.foot[some], cut).all())
+    return ends >= half_block + END_CLEARANCE_M and bool(_is_stable(shape, fit.foot[sampled], cut).all())

@@ -1,8 +1,8 @@
-"""Rows: parts of raw blocks out of which several panels are cut together, not each out of a block of its own.
+"""Rows: parts of raw blocks out of which several panels are cut together, without separate blocks.
 
-A straight wire cuts the faces of all panels of a row on one way through it, as they lie in one slab or their
-rulings along one line; then the operator stands the row on edge, and the wire goes round each panel, the
-uppermost first. Here is which parts of a nest are rows, and why the others are none; `row_jobs` writes them.
+A straight wire cuts the faces of all panels of a row in one pass, if they lie in one slab or their rulings
+are in line. Then the operator puts the row on edge, and the wire goes around each panel, the uppermost first.
+This module decides which parts of a nest are rows, and why the others are not; `row_jobs` writes them.
 """
 
 import dataclasses
@@ -13,334 +13,398 @@ from typing import Final
 import numpy as np
 
 from planner.geometry.arrays import FloatArray, transform, unit
-from planner.geometry.cut_tree import Bow, CutTree, Part
+from planner.geometry.cut_tree import BlockPart, BowSize, CutTree
 from planner.geometry.units import DEG, MM
 
-SAME: Final = 5e-5
-"""Thicknesses [m] that differ by no more than this are the same: sizes of blocks are rounded to 0.1 mm."""
-ALONE: Final = "nothing else is cut out of its part of the block"
+THICKNESS_TOLERANCE_M: Final = 5e-5
+"""Maximum difference [m] of equal thicknesses: sizes of blocks are rounded to 0.1 mm."""
+ALONE_REASON: Final = "nothing else is cut out of its part of the block"
 FRONTS, BACKS = "fronts", "backs"
 """Names of surfaces that are faces of all panels of a row."""
-INSIDE: Final = 1e-3
-"""Rulings of faces end so far [m] inside of the row: the wire goes on beyond both."""
-ROOM: Final = 1e-3
-"""Room [m] that is left between the wire and what bears a row beyond the clearance."""
-BEYOND: Final = 3e-3
-"""Outlines go on beyond a front that is cut by this [m], where the foam does."""
-LEAST_OFF: Final = 2e-4
-"""Foam above panels that is thinner than this [m] is not cut off: sides have to cross the plane of fronts."""
-LEAST_BEARER: Final = 0.02
-"""What bears a row is so long [m] at least in each place."""
-SLIP: Final = 1e-6
-"""Lengths [m] below this are rounding."""
-_BESIDE: Final = 0.005  # what is so far [m] beside a way in is out of it
-_WAYS: Final = 9  # of points of a wire that are looked at
-_STEP: Final = 1e-3  # between places that are looked at for what bears a row [m]
+RULING_INSET_M: Final = 1e-3
+"""Distance [m] inside of the row at which rulings of faces end. The wire extends beyond both ends."""
+SUPPORT_CLEARANCE_M: Final = 1e-3
+"""Distance [m] between the wire and the support of a row beyond the clearance."""
+OUTLINE_EXTENSION_M: Final = 3e-3
+"""Extension [m] of outlines beyond a front that is cut, if there is foam."""
+MIN_REMOVED_M: Final = 2e-4
+"""Minimum thickness [m] of foam above panels that is cut off: sides have to cross the plane of fronts."""
+MIN_SUPPORT_M: Final = 0.02
+"""Minimum length [m] of a support."""
+LENGTH_TOLERANCE_M: Final = 1e-6
+"""Lengths [m] below this are rounding errors."""
+_SIDE_DISTANCE_M: Final = 0.005  # [m], bodies farther beside an approach are out of it
+_WIRE_SAMPLES: Final = 9  # number of points of a wire that are checked
+_STEP_M: Final = 1e-3  # [m], step of positions at which supports are checked
 
 
 @dataclasses.dataclass(frozen=True)
-class Shape:
-    """A panel in the frame of its block [m]: ``outline`` (2, C, 3), its corners at the back and in front,
-    counterclockwise; ``faces``, back and front: ends (2, N, 3) of their rulings, which lie along x and follow
-    one another along y, none where they are level: the back at z = 0, the front at the panel's thickness."""
+class PanelShape:
+    """A panel in the frame of its block [m].
+
+    Attributes:
+        outline: Corners (2, C, 3) at the back and in front, counterclockwise.
+        faces: Ends (2, N, 3) of the rulings of back and front, along x and successive along y. None if the
+            faces are level: the back at z = 0, the front at the thickness of the panel.
+    """
 
     outline: FloatArray
     faces: tuple[FloatArray, FloatArray] | None = None
 
-    def lean(self) -> float:
-        """How far [rad] the wire leans at most where it goes round the panel."""
-        way = self.outline[1] - self.outline[0]
-        return float(np.arctan2(np.linalg.norm(way[:, :2], axis=1), way[:, 2]).max())
+    def max_tilt(self) -> float:
+        """Return the maximum tilt [rad] of the wire when it goes around the panel."""
+        rise = self.outline[1] - self.outline[0]
+        return float(np.arctan2(np.linalg.norm(rise[:, :2], axis=1), rise[:, 2]).max())
 
 
 @dataclasses.dataclass(frozen=True)
-class Limits:
-    """What a row must keep: the ``bow``, ``margin`` [m] of foam to the wire's ends and to the beam, ``kept``
-    [m], the least side of what is worth to be kept, and ``room`` [m] between what is cut and what bears it.
+class RowLimits:
+    """Limits of a row.
+
+    Attributes:
+        bow: Bow.
+        margin: Foam [m] to the ends of the wire and to the beam.
+        kept: Minimum side [m] of offcuts that are kept.
+        room: Distance [m] between cuts and supports.
     """
 
-    bow: Bow
+    bow: BowSize
     margin: float
     kept: float
     room: float
 
 
 @dataclasses.dataclass(frozen=True)
-class Piece:
-    """What is asked of a panel's block: the panel's ``name``, its ``thickness`` [m] and ``shape``, none where
-    no straight wire cuts it."""
+class RowPiece:
+    """Requirements on the block of a panel.
+
+    Attributes:
+        name: Id of the panel.
+        thickness: Thickness [m].
+        shape: Shape of the panel; None if no straight wire cuts it.
+    """
 
     name: str
     thickness: float
-    shape: Shape | None
+    shape: PanelShape | None
 
 
-Bearer = tuple[float, float]
-"""What bears a row from and to along it [m], in its frame."""
+SupportRange = tuple[float, float]
+"""Range of a support along a row [m], in the frame of the row."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Row:
-    """A part of a block out of which panels are cut together. What is cut, in its frame, whose origin is the
-    middle of its bottom face [m]: ``faces`` by their names as rulings (2, N, 3), of each panel one behind the
-    other; ``outlines`` (2, C, 3) by ids. ``pieces``: their boxes in the block, and ``places`` (4, 4): where
-    their blocks lie; all of these the uppermost first.
+class PanelRow:
+    """A part of a block out of which panels are cut together.
 
-    For the faces it lies flat on ``beams``, none where there are no faces to cut. For the outlines it stands
-    on edge with its ``axis`` (0: x, 1: y) upright, on ``feet`` along the other one.
+    Cuts are in the frame of the row, with its origin at the centre of the bottom face [m]. Mappings and
+    pieces are ordered, the uppermost panel first.
+
+    Attributes:
+        part: Part of the block.
+        pieces: Boxes of the panels in the block.
+        poses: Poses (4, 4) of the blocks of panels, by id.
+        faces: Rulings (2, N, 3) by surface, one after the other for each panel.
+        outlines: Outlines (2, C, 3) by id.
+        beams: Supports on which it lies flat for the faces; empty if there are no faces to cut.
+        axis: Axis (0: x, 1: y) that is upright when it stands on edge for the outlines.
+        feet: Supports along the other axis on which it stands on edge.
     """
 
-    part: Part
-    pieces: tuple[Part, ...]
-    places: Mapping[str, FloatArray]
+    part: BlockPart
+    pieces: tuple[BlockPart, ...]
+    poses: Mapping[str, FloatArray]
     faces: Mapping[str, Sequence[FloatArray]]
     outlines: Mapping[str, FloatArray]
-    beams: tuple[Bearer, ...]
+    beams: tuple[SupportRange, ...]
     axis: int
-    feet: tuple[Bearer, ...]
+    feet: tuple[SupportRange, ...]
 
-    def from_above(self, name: str) -> bool:
-        """Whether nothing is above a panel on edge, so that the wire comes to it from there."""
-        own = self.outlines[name][..., 1 - self.axis]
-        low, high = float(own.min()), float(own.max())
+    def is_free_above(self, name: str) -> bool:
+        """Whether nothing is above a panel on edge, so that the wire approaches it from above."""
+        across_values = self.outlines[name][..., 1 - self.axis]
+        low, high = float(across_values.min()), float(across_values.max())
         top = float(self.outlines[name][..., self.axis].max())
         return not any(
             ring[..., self.axis].max() > top
-            and ring[..., 1 - self.axis].min() < high + _BESIDE
-            and ring[..., 1 - self.axis].max() > low - _BESIDE
+            and ring[..., 1 - self.axis].min() < high + _SIDE_DISTANCE_M
+            and ring[..., 1 - self.axis].max() > low - _SIDE_DISTANCE_M
             for other, ring in self.outlines.items()
             if other != name
         )
 
     @property
     def along(self) -> int:
-        """The axis (0: x, 1: y) along which beams follow one another: that of the wire's way."""
-        return 0 if self.pieces[0].turned else 1
+        """Axis (0: x, 1: y) along which beams follow one another: that of the wire's motion."""
+        return 0 if self.pieces[0].is_rotated else 1
 
 
-def rows_of(
-    tree: CutTree, pieces: Sequence[Piece], thickness: float, limits: Limits
-) -> tuple[dict[int, Row], dict[int, str]]:
-    """The largest parts of a block ``thickness`` [m] thick that are rows, by their numbers in its tree; and
-    of each box in none of them, by its number, why it is cut by itself. ``pieces`` by the numbers of
-    boxes."""
-    found: dict[int, Row] = {}
+def find_rows(
+    tree: CutTree, pieces: Sequence[RowPiece], thickness: float, limits: RowLimits
+) -> tuple[dict[int, PanelRow], dict[int, str]]:
+    """Find the largest parts of a block that are rows.
+
+    Args:
+        tree: Cuts of the block.
+        pieces: Panels by box number.
+        thickness: Thickness of the block [m].
+        limits: Limits of rows.
+
+    Returns:
+        Rows by index in the tree; and, by box number, why a box in no row is cut alone.
+    """
+    rows: dict[int, PanelRow] = {}
     alone: dict[int, str] = {}
-    waiting = [(0, ALONE)]
+    waiting = [(0, ALONE_REASON)]
     while waiting:
         i, why = waiting.pop()
         part = tree.parts[i]
         if part.box is not None:
             alone[part.box] = why
             continue
-        if sum(tree.parts[k].box is not None for k in tree.below(i)) > 1:
-            row = _row(tree, i, pieces, thickness, limits)
-            if isinstance(row, Row):
-                found[i] = row
+        if sum(tree.parts[k].box is not None for k in tree.descendants(i)) > 1:
+            row = _make_row(tree, i, pieces, thickness, limits)
+            if isinstance(row, PanelRow):
+                rows[i] = row
                 continue
             why = row
         waiting += [(k, why) for k in (part.high, part.low) if k is not None]
-    return found, alone
+    return rows, alone
 
 
-def _row(tree: CutTree, i: int, pieces: Sequence[Piece], thickness: float, limits: Limits) -> Row | str:
-    """A part as a row, or why it is none."""
+def _make_row(
+    tree: CutTree, i: int, pieces: Sequence[RowPiece], thickness: float, limits: RowLimits
+) -> PanelRow | str:
+    """Return a part as a row, or why it is not one."""
     part, bow, margin = tree.parts[i], limits.bow, limits.margin
-    below = [tree.parts[k] for k in tree.below(i)]
-    boxes = [one for one in below if one.box is not None]
-    shapes = [one.shape for one in (pieces[box.box or 0] for box in boxes) if one.shape is not None]
+    below = [tree.parts[k] for k in tree.descendants(i)]
+    boxes = [item for item in below if item.box is not None]
+    shapes = [item.shape for item in (pieces[box.box or 0] for box in boxes) if item.shape is not None]
     if len(shapes) < len(boxes):
         return "a bent wire cuts their faces"
-    for one in below:
-        if one.box is None and one.axis is None and min(one.length, one.width) >= limits.kept - SAME:
-            size = f"{one.length / MM:.0f} x {one.width / MM:.0f} mm"
-            return f"what is left over beside them, {size}, is worth to be kept"
+    for item in below:
+        if (
+            item.box is None
+            and item.axis is None
+            and min(item.length, item.width) >= limits.kept - THICKNESS_TOLERANCE_M
+        ):
+            size = f"{item.length / MM:.0f} x {item.width / MM:.0f} mm"
+            return f"the offcut beside them, {size}, is large enough to be kept"
     sides = (part.length, part.width)
     high = [k for k in (0, 1) if sides[k] + margin <= bow.throat]
     if not high:
-        room = f"throat of {bow.throat / MM:g} mm has room for {(bow.throat - margin) / MM:.0f}"
+        room = f"throat of {bow.throat / MM:g} mm allows {(bow.throat - margin) / MM:.0f}"
         return f"on edge they stand {min(sides) / MM:.0f} mm high, and the bow's {room}"
-    lean = max(shape.lean() for shape in shapes)
-    span = thickness / float(np.cos(lean)) + 2.0 * margin
+    tilt = max(shape.max_tilt() for shape in shapes)
+    span = thickness / float(np.cos(tilt)) + 2.0 * margin
     if span > bow.span:
-        return _spans("round them", span, lean, bow)
+        return _span_reason("around them", span, tilt, bow)
     thick = [pieces[box.box or 0].thickness for box in boxes]
     curved = [shape.faces is not None for shape in shapes]
     if all(curved):
-        why = _in_line(part, boxes, margin, bow)
+        why = _line_reason(part, boxes, margin, bow)
         if why is not None:
             return why
-    elif any(curved) or max(thick) - min(thick) > SAME:
-        return "they are not of one thickness, so their faces are in several planes"
-    elif SAME < thickness - thick[0] < LEAST_OFF - SLIP:
+    elif any(curved) or max(thick) - min(thick) > THICKNESS_TOLERANCE_M:
+        return "they have different thicknesses, so their faces are in several planes"
+    elif THICKNESS_TOLERANCE_M < thickness - thick[0] < MIN_REMOVED_M - LENGTH_TOLERANCE_M:
         over = f"{(thickness - thick[0]) / MM:.2g} mm thicker than they are"
-        return f"the block is {over}: as thick, or {LEAST_OFF / MM:g} mm thicker, it would do"
-    elif thickness - thick[0] > SAME and min(sides) + 2.0 * margin > bow.span:
-        return _spans("across them, to their thickness", min(sides) + 2.0 * margin, 0.0, bow)
-    return _borne(part, boxes, pieces, thickness, sorted(high, key=lambda k: (sides[k], k)), limits)
+        return f"the block is {over}; it must be equally thick, or {MIN_REMOVED_M / MM:g} mm thicker"
+    elif thickness - thick[0] > THICKNESS_TOLERANCE_M and min(sides) + 2.0 * margin > bow.span:
+        return _span_reason("across them, to their thickness", min(sides) + 2.0 * margin, 0.0, bow)
+    return _supported_row(part, boxes, pieces, thickness, sorted(high, key=lambda k: (sides[k], k)), limits)
 
 
-def _spans(what: str, span: float, lean: float, bow: Bow) -> str:
-    leans = f", which leans by {lean / DEG:.0f} degrees," if lean > DEG else ""
-    return f"the wire {what}{leans} takes a span of {span / MM:.0f} mm, and the bow has {bow.span / MM:g}"
+def _span_reason(what: str, span: float, tilt: float, bow: BowSize) -> str:
+    leans = f", which is tilted by {tilt / DEG:.0f} degrees," if tilt > DEG else ""
+    return f"the wire {what}{leans} needs a span of {span / MM:.0f} mm, but the bow has {bow.span / MM:g}"
 
 
-def _in_line(part: Part, boxes: Sequence[Part], margin: float, bow: Bow) -> str | None:
-    """Why faces that are ruled cannot be cut on one way, if they cannot."""
-    turned = boxes[0].turned
-    if any(one.turned != turned for one in boxes):
-        return "the rulings of their faces lie along and across the block"
-    ends = sorted((one.x, one.x + one.length) if turned else (one.y, one.y + one.width) for one in boxes)
-    if any(first[1] > second[0] + SAME for first, second in itertools.pairwise(ends)):
-        return "they lie beside one another along the rulings of their faces"
-    across = (part.width if turned else part.length) + 2.0 * margin
-    return _spans("along their rulings", across, 0.0, bow) if across > bow.span else None
+def _line_reason(part: BlockPart, boxes: Sequence[BlockPart], margin: float, bow: BowSize) -> str | None:
+    """Return why ruled faces cannot be cut in one pass; None if they can."""
+    is_rotated = boxes[0].is_rotated
+    if any(box.is_rotated != is_rotated for box in boxes):
+        return "the rulings of their faces have different directions in the block"
+    ends = sorted((box.x, box.x + box.length) if is_rotated else (box.y, box.y + box.width) for box in boxes)
+    if any(first[1] > second[0] + THICKNESS_TOLERANCE_M for first, second in itertools.pairwise(ends)):
+        return "they are side by side along the rulings of their faces"
+    across = (part.width if is_rotated else part.length) + 2.0 * margin
+    return _span_reason("along their rulings", across, 0.0, bow) if across > bow.span else None
 
 
-def _borne(
-    part: Part,
-    boxes: Sequence[Part],
-    pieces: Sequence[Piece],
+def _supported_row(
+    part: BlockPart,
+    boxes: Sequence[BlockPart],
+    pieces: Sequence[RowPiece],
     thickness: float,
     axes: Sequence[int],
-    limits: Limits,
-) -> Row | str:
+    limits: RowLimits,
+) -> PanelRow | str:
     """The row with what bears it, on edge with one of the ``axes`` upright; or why nothing can."""
-    places = [_place(part, box) for box in boxes]
-    own = [pieces[box.box or 0] for box in boxes]
-    shapes = [one.shape for one in own if one.shape is not None]
-    outlines = [transform(at, shape.outline) for at, shape in zip(places, shapes, strict=True)]
+    poses = [_panel_pose(part, box) for box in boxes]
+    row_pieces = [pieces[box.box or 0] for box in boxes]
+    shapes = [face_points.shape for face_points in row_pieces if face_points.shape is not None]
+    outlines = [transform(at, shape.outline) for at, shape in zip(poses, shapes, strict=True)]
     half = 0.5 * np.array([part.length, part.width])
     faces: dict[str, Sequence[FloatArray]] = {}
-    beams: tuple[Bearer, ...] = ()
-    along = 0 if boxes[0].turned else 1
+    beams: tuple[SupportRange, ...] = ()
+    along = 0 if boxes[0].is_rotated else 1
     if shapes[0].faces is not None:
         for k, name in ((1, FRONTS), (0, BACKS)):
-            each = [one.faces[k] for one in shapes if one.faces is not None]
-            faces[name] = _one_way(each, places, float(half[1 - along]) - INSIDE)
-            ends = [(float(one[..., along].min()), float(one[..., along].max())) for one in faces[name]]
-            if any(a[1] > b[0] - SAME for a, b in itertools.pairwise(sorted(ends))):
-                return "their faces, which go on beyond their sides, lie over one another"
-        backs = _straight_on(np.concatenate(faces[BACKS], axis=1), along, float(half[along]) + limits.room)
-        found = _bearers(_between(backs), along, 2, 0.0, half, limits.room)
-        if isinstance(found, float):
-            return _near("foam_faces_mm", "as they lie", found, limits)
-        beams = found
-    elif thickness - own[0].thickness > SAME:
-        thick = own[0].thickness
-        # surfaces that bound a part together go on beyond one another
-        more = 1.0 + min(BEYOND, thickness - thick) / thick
+            each = [face_points.faces[k] for face_points in shapes if face_points.faces is not None]
+            faces[name] = _faces_in_line(each, poses, float(half[1 - along]) - RULING_INSET_M)
+            ends = [
+                (float(face_points[..., along].min()), float(face_points[..., along].max()))
+                for face_points in faces[name]
+            ]
+            if any(a[1] > b[0] - THICKNESS_TOLERANCE_M for a, b in itertools.pairwise(sorted(ends))):
+                return "their faces, which extend beyond their sides, overlap"
+        backs = _extend_wires(np.concatenate(faces[BACKS], axis=1), along, float(half[along]) + limits.room)
+        beam_ranges = _support_ranges(_wire_paths(backs), along, 2, 0.0, half, limits.room)
+        if isinstance(beam_ranges, float):
+            return _clearance_reason("foam_faces_mm", "when lying flat", beam_ranges, limits)
+        beams = beam_ranges
+    elif thickness - row_pieces[0].thickness > THICKNESS_TOLERANCE_M:
+        thick = row_pieces[0].thickness
+        # surfaces that bound a part together extend beyond one another
+        more = 1.0 + min(OUTLINE_EXTENSION_M, thickness - thick) / thick
         outlines = [np.stack([ring[0], ring[0] + more * (ring[1] - ring[0])]) for ring in outlines]
         out = max(float((np.abs(ring[..., :2]) - half).max()) for ring in outlines)
-        if out > SLIP:
+        if out > LENGTH_TOLERANCE_M:
             more_foam = f"{out / MM:.2g} mm more foam beside them (foam_sides_mm)"
-            return f"their sides, which go on beyond the fronts, come out of the part; {more_foam} would do"
-        faces[FRONTS] = [_level(half, thick)]
+            return f"their sides, extended beyond the fronts, leave the part; {more_foam} would suffice"
+        faces[FRONTS] = [_level_plane(half, thick)]
         beams = ((-float(half[along]), float(half[along])),)
-    least = -np.inf
+    max_height = -np.inf
     for axis in axes:
         rings = [_to_faces(np.concatenate([ring, ring[:, :1]], axis=1), thickness) for ring in outlines]
-        rounds = [way for ring in rings for way in _between(ring)]
-        feet = _bearers(rounds, 1 - axis, axis, -float(half[axis]), half, limits.room)
+        rounds = [path for ring in rings for path in _wire_paths(ring)]
+        feet = _support_ranges(rounds, 1 - axis, axis, -float(half[axis]), half, limits.room)
         if isinstance(feet, float):
-            least = max(least, feet)
+            max_height = max(max_height, feet)
             continue
         top = [-float(ring[..., axis].max()) for ring in outlines]
-        order = sorted(range(len(boxes)), key=lambda k: (round(top[k] / SAME), k))
-        return Row(
+        order = sorted(range(len(boxes)), key=lambda k: (round(top[k] / THICKNESS_TOLERANCE_M), k))
+        return PanelRow(
             part,
             tuple(boxes[k] for k in order),
-            {own[k].name: places[k] for k in order},
+            {row_pieces[k].name: poses[k] for k in order},
             faces,
-            {own[k].name: outlines[k] for k in order},
+            {row_pieces[k].name: outlines[k] for k in order},
             beams,
             axis,
             feet,
         )
-    return _near("foam_sides_mm", "on edge", least, limits)
+    return _clearance_reason("foam_sides_mm", "on edge", max_height, limits)
 
 
-def _near(field: str, how: str, least: float, limits: Limits) -> str:
-    wanted = f"{limits.room / MM:g} mm are its room ({field})"
-    return f"{how} the wire comes within {least / MM:.1f} mm of what bears them, and {wanted}"
+def _clearance_reason(field: str, how: str, height: float, limits: RowLimits) -> str:
+    requirement = f"{limits.room / MM:g} mm are required ({field})"
+    return f"{how} the wire comes within {height / MM:.1f} mm of what bears them, and {requirement}"
 
 
 def _to_faces(ring: FloatArray, thickness: float) -> FloatArray:
-    """Where wires through the ends (2, N, 3) [m] come out of both faces of a row."""
-    way = ring[1] - ring[0]
-    shares = [(high - ring[0][:, 2]) / way[:, 2] for high in (0.0, thickness)]
-    return np.stack([ring[0] + share[:, None] * way for share in shares])
+    """Return where wires through the ends (2, N, 3) [m] intersect both faces of a row."""
+    rise = ring[1] - ring[0]
+    shares = [(high - ring[0][:, 2]) / rise[:, 2] for high in (0.0, thickness)]
+    return np.stack([ring[0] + fraction[:, None] * rise for fraction in shares])
 
 
-def _between(ends: FloatArray) -> list[FloatArray]:
-    """Ways (N, 3) of points of a wire from end to end of it, of ``ends`` (2, N, 3): one that leans may be
-    nearer to what bears a row in between than at both."""
-    return [ends[0] + share * (ends[1] - ends[0]) for share in np.linspace(0.0, 1.0, _WAYS).tolist()]
+def _wire_paths(ends: FloatArray) -> list[FloatArray]:
+    """Return paths (N, 3) of points of a wire between its ``ends`` (2, N, 3).
+
+    An inclined wire may be closer to a support in between than at both ends.
+    """
+    return [
+        ends[0] + fraction * (ends[1] - ends[0]) for fraction in np.linspace(0.0, 1.0, _WIRE_SAMPLES).tolist()
+    ]
 
 
-def _straight_on(ends: FloatArray, along: int, far: float) -> FloatArray:
-    """Wires by their ends (2, N, 3) with those of the ways in and out, which go straight on from a surface,
-    as far as ``far`` [m] from the middle of the row."""
+def _extend_wires(ends: FloatArray, along: int, max_distance: float) -> FloatArray:
+    """Extend wires by their ends (2, N, 3) with lead-in and lead-out, straight on from a surface.
+
+    They extend as far as ``max_distance`` [m] from the centre of the row.
+    """
     out = ends
-    for k, before in ((0, 1), (-1, -2)):
+    for k, inner_index in ((0, 1), (-1, -2)):
         ruling = unit(ends[1, k] - ends[0, k])
-        way = (ends[:, k] - ends[:, before]).sum(axis=0)
-        way = unit(way - (way @ ruling) * ruling)
-        rest = far - np.sign(way[along]) * ends[:, k, along]
-        length = float(np.clip(rest.max() / max(abs(float(way[along])), SLIP), 0.0, 2.0 * far))
-        more = ends[:, [k]] + length * way
+        direction = (ends[:, k] - ends[:, inner_index]).sum(axis=0)
+        direction = unit(direction - (direction @ ruling) * ruling)
+        rest = max_distance - np.sign(direction[along]) * ends[:, k, along]
+        length = float(
+            np.clip(
+                rest.max() / max(abs(float(direction[along])), LENGTH_TOLERANCE_M), 0.0, 2.0 * max_distance
+            )
+        )
+        more = ends[:, [k]] + length * direction
         out = np.concatenate([more, out] if k == 0 else [out, more], axis=1)
     return out
 
 
-def _bearers(
+def _support_ranges(
     lines: Sequence[FloatArray], along: int, up: int, bottom: float, half: FloatArray, room: float
-) -> tuple[Bearer, ...] | float:
-    """Where a row may be borne along an axis from below, at ``bottom`` [m] along ``up``, so that ways of the
-    wire (N, 3) keep their ``room`` [m]; where that is nowhere below its middle and at both sides of it, how
-    high [m] they are at least."""
-    at = np.arange(-half[along], half[along] + 0.5 * _STEP, _STEP)
+) -> tuple[SupportRange, ...] | float:
+    """Return where a row may be supported from below, so that paths of the wire keep their ``room`` [m].
+
+    If that is nowhere below its middle and at both sides of it: the minimum height [m] of the paths.
+
+    Args:
+        lines: Paths (N, 3) of the wire.
+        along: Axis along which supports are.
+        up: Upward axis.
+        bottom: Height of the bottom along ``up`` [m].
+        half: Half size of the row [m].
+        room: Distance to keep [m].
+    """
+    at = np.arange(-half[along], half[along] + 0.5 * _STEP_M, _STEP_M)
     lowest = np.full(len(at), np.inf)
     for line in lines:
         for (a, high), (b, end) in itertools.pairwise(line[:, [along, up]] - [0.0, bottom]):
-            share = np.linspace(0.0, 1.0, int(np.ceil(max(abs(b - a), abs(end - high)) / _STEP)) + 1)
-            places, heights = a + share * (b - a), high + share * (end - high)
+            fraction = np.linspace(0.0, 1.0, int(np.ceil(max(abs(b - a), abs(end - high)) / _STEP_M)) + 1)
+            positions, heights = a + fraction * (b - a), high + fraction * (end - high)
             for k in np.flatnonzero(heights < room):
-                near = slice(*np.searchsorted(at, [places[k] - room, places[k] + room]))
-                lowest[near] = np.minimum(lowest[near], heights[k])
+                window = slice(*np.searchsorted(at, [positions[k] - room, positions[k] + room]))
+                lowest[window] = np.minimum(lowest[window], heights[k])
     free = np.concatenate([[False], lowest >= room, [False]])
     ends = np.flatnonzero(free[1:] != free[:-1]).reshape(-1, 2)
-    found = [(float(at[a]), float(at[b - 1])) for a, b in ends if at[b - 1] - at[a] >= LEAST_BEARER]
-    if not found or found[0][0] > -LEAST_BEARER or found[-1][1] < LEAST_BEARER:
+    ranges = [(float(at[a]), float(at[b - 1])) for a, b in ends if at[b - 1] - at[a] >= MIN_SUPPORT_M]
+    if not ranges or ranges[0][0] > -MIN_SUPPORT_M or ranges[-1][1] < MIN_SUPPORT_M:
         return float(lowest.min())
-    return tuple(found)
+    return tuple(ranges)
 
 
-def _place(part: Part, piece: Part) -> FloatArray:
-    """The pose (4, 4) of a panel's block in the frame of its row."""
+def _panel_pose(part: BlockPart, piece: BlockPart) -> FloatArray:
+    """Return the pose (4, 4) of the block of a panel in the frame of its row."""
     out = np.eye(4)
-    if piece.turned:
+    if piece.is_rotated:
         out[:2, :2] = [[0.0, -1.0], [1.0, 0.0]]
     out[0, 3] = piece.x + 0.5 * piece.length - part.x - 0.5 * part.length
     out[1, 3] = piece.y + 0.5 * piece.width - part.y - 0.5 * part.width
     return out
 
 
-def _one_way(each: Sequence[FloatArray], places: Sequence[FloatArray], far: float) -> list[FloatArray]:
-    """Faces of all panels (2, N, 3) one behind the other, their rulings from ``-far`` to ``far`` [m] across
-    the row."""
-    found = []
-    for (start, end), place in zip(each, places, strict=True):
-        beside, behind = (float(place[:2, k] @ place[:2, 3]) for k in (0, 1))  # of the middle of its block
-        share = (np.array([[-far], [far]]) - beside - start[:, 0]) / (end - start)[:, 0]
-        own = start + share[..., None] * (end - start)
-        found.append((behind * np.sign(own[0, -1, 1] - own[0, 0, 1]), transform(place, own)))
-    return [own for _, own in sorted(found, key=lambda one: one[0])]
+def _faces_in_line(
+    each: Sequence[FloatArray], poses: Sequence[FloatArray], half_width: float
+) -> list[FloatArray]:
+    """Return the faces (2, N, 3) of all panels in line, rulings from -``half_width`` to ``half_width``."""
+    ordered_faces = []
+    for (start, end), pose in zip(each, poses, strict=True):
+        side_offset, line_offset = (
+            float(pose[:2, k] @ pose[:2, 3]) for k in (0, 1)
+        )  # of the middle of its block
+        fraction = (np.array([[-half_width], [half_width]]) - side_offset - start[:, 0]) / (end - start)[:, 0]
+        rulings = start + fraction[..., None] * (end - start)
+        ordered_faces.append(
+            (line_offset * np.sign(rulings[0, -1, 1] - rulings[0, 0, 1]), transform(pose, rulings))
+        )
+    return [rulings for _, rulings in sorted(ordered_faces, key=lambda item: item[0])]
 
 
-def _level(half: FloatArray, height: float) -> FloatArray:
-    """The plane at a height [m] of a row as two rulings (2, 2, 3) that span its shorter side; its normal, the
-    way of the first ends times the rulings, is up: the slot is above the panels."""
+def _level_plane(half: FloatArray, height: float) -> FloatArray:
+    """Return the plane at a height [m] of a row as two rulings (2, 2, 3) that span its shorter side.
+
+    Its normal, the direction between the first ends times the rulings, is up: the slot is above the panels.
+    """
     x, y = half.tolist()
     corners = [[[-x, -y], [x, -y]], [[-x, y], [x, y]]]
     if y > x:

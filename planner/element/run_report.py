@@ -1,8 +1,7 @@
-"""What became of an element's panels in a batch: verdicts, robot minutes and the joints of what was cut, as
-values; `run_page.py` shows them.
+"""Results of an element's panels in a batch: verdicts, robot minutes and joints of the cut panels, as values.
 
-**Robot minutes** are those of the programs' motion, of each arm that a panel takes; loading, heating up and
-turning come on top.
+`run_page.py` shows them. **Robot minutes** are those of the motion of the programs, for each arm that a panel
+takes; loading, heating and turning are additional.
 """
 
 import csv
@@ -18,43 +17,53 @@ import numpy as np
 from planner import plans
 from planner.element.output import table
 from planner.element.row_fronts import CutFront, cut_front
-from planner.element.run_joints import CutFace, CutJoint, cut_faces, cut_joint, job_of
+from planner.element.run_joints import CutJoint, PanelCutFace, cut_faces, cut_joint, job_of
 from planner.element.side_joints import CutSide, cut_sides, side_joint
 from planner.element.wall_joints import cut_surfaces, wall_joint
 from planner.files import is_file
 from planner.geometry.units import MM, measurement
-from planner.issues import Issue, Severity, TandemError, refusal
+from planner.issue_codes import format_message
+from planner.issues import Issue, Severity, TandemError, issue_error
 
-MOST_AT_95: Final = 0.2e-3
-"""Step and gap [m] that 95 % of the points of a joint must keep, where the element states no other."""
-MOST: Final = 0.5e-3
-"""Step and gap [m] that every point of a joint must keep."""
+MAX_STEP_95_M: Final = 0.2e-3
+"""Default limit of step and gap [m] for 95 % of the points of a joint."""
+MAX_STEP_M: Final = 0.5e-3
+"""Limit of step and gap [m] for every point of a joint."""
 PROVEN: Final = "verified"
-"""What the summary of a batch calls a panel whose programs are proven."""
+"""State in the summary of a batch of a panel whose programs are proven."""
 NOT_PLANNED: Final = "not planned"
 """State of a panel that the batch does not have."""
-_MOST_NAMED: Final = 30  # panels that are not planned, in a message
-MINUTE: Final = 60.0
+_MAX_NAMED_PANELS: Final = 30  # panels that are not planned, in a message
+MINUTE_S: Final = 60.0
 """[s]"""
 
 
 @dataclasses.dataclass(frozen=True)
 class PanelRun:
-    """A panel of ``element.json`` and what became of it: its ``state`` in the summary, the ``code`` and
-    ``message`` of what is to be said, ``seconds`` of motion by arm, its ``faces`` as cut; of a planar panel
-    these are its ``sides``, and before them its front where a row is cut to its thickness."""
+    """A panel with its results.
+
+    Attributes:
+        panel: Data in ``element.json``.
+        state: State in the summary.
+        code: Code of its issue.
+        message: Message of its issue.
+        seconds: Motion time [s] by arm.
+        faces: Faces as cut; for a planar panel its sides, and before them its front if a row is cut to its
+            thickness.
+        sides: Sides of a planar panel as cut.
+    """
 
     panel: Mapping[str, Any]
     state: str
     code: str = ""
     message: str = ""
     seconds: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    faces: tuple[CutFace, ...] = ()
+    faces: tuple[PanelCutFace, ...] = ()
     sides: tuple[CutSide, ...] = ()
 
     @property
     def name(self) -> str:
-        """The panel's id."""
+        """Id of the panel."""
         return str(self.panel["id"])
 
     @property
@@ -70,8 +79,16 @@ class PanelRun:
 
 @dataclasses.dataclass(frozen=True)
 class SawRun:
-    """A job that cuts a raw block, as ``element.json`` has it, the id of the ``block``, and what became of
-    it, as of a panel."""
+    """A job that cuts a raw block, with its results.
+
+    Attributes:
+        job: Data in ``element.json``.
+        block: Id of the block.
+        state: State in the summary.
+        code: Code of its issue.
+        message: Message of its issue.
+        seconds: Motion time [s] by arm.
+    """
 
     job: Mapping[str, Any]
     block: str
@@ -82,7 +99,7 @@ class SawRun:
 
     @property
     def name(self) -> str:
-        """The job's id."""
+        """Id of the job."""
         return str(self.job["id"])
 
     @property
@@ -93,7 +110,14 @@ class SawRun:
 
 @dataclasses.dataclass(frozen=True)
 class JointRun:
-    """A joint and its measure where both panels are proven, with the step [m] that 95 % must keep."""
+    """A joint with its measurement.
+
+    Attributes:
+        panels: Ids of the panels.
+        length: Length [m].
+        limit: Limit of step and gap [m] for 95 % of its points.
+        cut: Measurement, if both panels are proven.
+    """
 
     panels: tuple[str, str]
     length: float
@@ -102,20 +126,20 @@ class JointRun:
 
     @property
     def at_95(self) -> float:
-        """The larger one of step and gap at 95 % of its points [m]; NaN where it is not measured."""
+        """Larger of step and gap at 95 % of its points [m]; NaN if it is not measured."""
         if self.cut is None:
             return float("nan")
         return max(float(np.percentile(v, 95.0)) for v in (self.cut.steps, self.cut.gaps))
 
     @property
     def largest(self) -> float:
-        """The largest step or gap [m]; NaN where it is not measured."""
+        """Largest step or gap [m]; NaN if it is not measured."""
         return float("nan") if self.cut is None else float(max(self.cut.steps.max(), self.cut.gaps.max()))
 
     @property
-    def over(self) -> bool:
-        """Whether it is measured and beyond a limit."""
-        return self.at_95 > self.limit or self.largest > MOST
+    def is_over_limit(self) -> bool:
+        """Whether it is measured and exceeds a limit."""
+        return self.at_95 > self.limit or self.largest > MAX_STEP_M
 
 
 @dataclasses.dataclass(frozen=True)
@@ -129,7 +153,7 @@ class ElementRun:
 
     @property
     def measured(self) -> tuple[JointRun, ...]:
-        """Joints of which both panels are proven."""
+        """Joints whose panels are both proven."""
         return tuple(joint for joint in self.joints if joint.cut is not None)
 
     @property
@@ -139,47 +163,50 @@ class ElementRun:
     @functools.cached_property
     def planned(self) -> bool:
         """Whether the batch has any of its panels, or of the jobs of its raw blocks."""
-        return any(one.state != NOT_PLANNED for one in self._all)
+        return any(job.state != NOT_PLANNED for job in self._all)
 
     def arm_seconds(self) -> dict[str, float]:
-        """Seconds of motion of each arm, over the proven panels."""
-        return _summed(self.panels)
+        """Return the motion time [s] of each arm over the proven panels."""
+        return _sum_seconds(self.panels)
 
     def saw_seconds(self) -> dict[str, float]:
-        """The same over the proven jobs of raw blocks."""
-        return _summed(self.saw)
+        """Return the motion time [s] of each arm over the proven jobs of raw blocks."""
+        return _sum_seconds(self.saw)
 
     def all_seconds(self) -> dict[str, float]:
-        """Both together."""
-        return _summed(self._all)
+        """Return the motion time [s] of each arm over proven panels and jobs of raw blocks."""
+        return _sum_seconds(self._all)
 
     def issues(self) -> tuple[Issue, ...]:
-        """``element.joint`` for each joint beyond its limits, ``element.face`` for each face that is cut on
-        its wrong side, and each planar front off its plane, ``element.run`` for panels without proof."""
-        found = [
+        """Return the issues of the batch.
+
+        ``element.joint`` for each joint beyond its limits, ``element.face`` for each face that is cut on its
+        wrong side and each planar front off its plane, ``element.run`` for panels without proof.
+        """
+        out = [
             Issue(
                 "element.joint",
                 f"joint {joint.panels[0]} to {joint.panels[1]} as cut: {joint.at_95 / MM:.3f} mm at 95 % of "
-                f"its points, {joint.largest / MM:.3f} mm at most; allowed are {joint.limit / MM:g} and "
-                f"{MOST / MM:g} mm",
+                f"its points, {joint.largest / MM:.3f} mm at most; allowed: {joint.limit / MM:g} and "
+                f"{MAX_STEP_M / MM:g} mm",
                 Severity.WARNING,
                 field="panels.elastic.joint_mm" if "joint_mm" in self.data else "jobs",
                 **measurement(joint.at_95 / MM, joint.limit / MM, "mm"),
-                hint="ask for a smaller shape_tol_mm in the jobs"
+                hint="set a smaller shape_tol_mm in the jobs"
                 + (", or a smaller tolerance_mm" if "joint_mm" in self.data else ""),
             )
             for joint in self.joints
-            if joint.over
+            if joint.is_over_limit
         ]
-        found += [issue for panel in self.panels for issue in _off_face(panel)]
-        found += _left("panels", self.panels, "see what their reports say, and order no foam for them before")
-        if any(one.state != NOT_PLANNED for one in self.saw):
-            hint = "see what their reports say; cut these by hand otherwise"
-            found += _left("jobs of raw blocks", self.saw, hint)
-        return tuple(found)
+        out += [issue for panel in self.panels for issue in _face_issues(panel)]
+        out += _unproven_issues("panels", self.panels, "read their reports before ordering foam for them")
+        if any(job.state != NOT_PLANNED for job in self.saw):
+            hint = "read their reports; otherwise cut these by hand"
+            out += _unproven_issues("jobs of raw blocks", self.saw, hint)
+        return tuple(out)
 
 
-def _summed(jobs: Sequence[PanelRun | SawRun]) -> dict[str, float]:
+def _sum_seconds(jobs: Sequence[PanelRun | SawRun]) -> dict[str, float]:
     out: dict[str, float] = {}
     for job in jobs:
         for arm, seconds in job.seconds.items():
@@ -187,99 +214,110 @@ def _summed(jobs: Sequence[PanelRun | SawRun]) -> dict[str, float]:
     return out
 
 
-def _off_face(panel: PanelRun) -> Iterator[Issue]:
-    """``element.face`` for a planar front that is cut off its plane, and for any other face whose slot is on
-    the panel's side."""
+def _face_issues(panel: PanelRun) -> Iterator[Issue]:
+    """Yield ``element.face`` for a planar front off its plane, and for a face with a slot in the panel."""
     for face in panel.faces:
         planar = isinstance(face, CutFront)
-        off = np.abs(face.deviation)
-        at_95 = float(np.percentile(off, 95.0))
-        near = at_95 <= MOST_AT_95 and float(off.max()) <= MOST
-        if not face.slot and (near or not planar):
+        deviations = np.abs(face.deviation)
+        at_95 = float(np.percentile(deviations, 95.0))
+        is_within = at_95 <= MAX_STEP_95_M and float(deviations.max()) <= MAX_STEP_M
+        if not face.slot and (is_within or not planar):
             continue
-        where = f"; the slot of {face.slot / MM:.2g} mm is on the panel's side" if face.slot else ""
-        what, wanted = ("front", "its plane") if planar else ("a face", "what is written")
+        where = f"; the slot of {face.slot / MM:.2g} mm is in the panel" if face.slot else ""
+        what, reference = ("front", "its plane") if planar else ("a face", "the face as written")
         yield Issue(
             "element.face",
-            f"{what} of panel {panel.name} as cut: {at_95 / MM:.3f} mm off {wanted} at 95 % of its points, "
-            f"{off.max() / MM:.3f} mm at most{where}; allowed are {MOST_AT_95 / MM:g} and {MOST / MM:g} mm",
+            format_message(
+                "element.face",
+                face=what,
+                panel=panel.name,
+                percentile_95_mm=at_95 / MM,
+                reference=reference,
+                max_deviation_mm=deviations.max() / MM,
+                slot_clause=where,
+                percentile_95_limit_mm=MAX_STEP_95_M / MM,
+                max_deviation_limit_mm=MAX_STEP_M / MM,
+            ),
             Severity.WARNING,
             field="cut_blocks" if planar else "jobs",
-            **measurement(at_95 / MM, MOST_AT_95 / MM, "mm"),
+            **measurement(at_95 / MM, MAX_STEP_95_M / MM, "mm"),
             hint=f"do not cut {job_of(panel.panel)}; divide the element again and plan "
             f"{'its blocks' if planar else 'it'} anew"
             if face.slot
-            else "ask for a smaller shape_tol_mm in cut_blocks.problem",
+            else "set a smaller shape_tol_mm in cut_blocks.problem",
         )
 
 
-def _left(what: str, jobs: Sequence[PanelRun | SawRun], hint: str) -> Iterator[Issue]:
+def _unproven_issues(what: str, jobs: Sequence[PanelRun | SawRun], hint: str) -> Iterator[Issue]:
     left = [job for job in jobs if not job.proven]
     if not left:
         return
     tried = [f"{job.name} ({job.code or job.state})" for job in left if job.state != NOT_PLANNED]
     names = [job.name for job in left if job.state == NOT_PLANNED]
-    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    more = f" and {len(names) - _MAX_NAMED_PANELS} more" if len(names) > _MAX_NAMED_PANELS else ""
     if names:
-        tried.append(f"not planned: {', '.join(names[:_MOST_NAMED])}{more}")
-    said = f"{len(left)} of {len(jobs)} {what} are not proven: {', '.join(tried)}"
-    yield Issue("element.run", said, Severity.WARNING, hint=hint)
+        tried.append(f"not planned: {', '.join(names[:_MAX_NAMED_PANELS])}{more}")
+    message = f"{len(left)} of {len(jobs)} {what} are not proven: {', '.join(tried)}"
+    yield Issue("element.run", message, Severity.WARNING, hint=hint)
 
 
 def read_run(out: Path, run: Path) -> ElementRun:
-    """What the batch in ``run`` made of the element in ``out``.
+    """Read the results of the batch in ``run`` for the element in ``out``.
 
-    Raises ``TandemError``: ``element.run`` where one of them is no such folder, the element was written
-    without joints, or a plan is of another panel.
+    Raises:
+        TandemError: ``element.run`` if one of them is not such a folder, the element was written without
+            joints, or a plan is of another panel.
     """
     if not is_file(out / "element.json"):
-        raise _missing(out / "element.json", "tandem element FILE -o OUT writes it")
+        raise _missing_error(out / "element.json", "tandem element FILE -o OUT writes it")
     if not is_file(run / "summary.csv"):
-        raise _missing(run / "summary.csv", "tandem batch OUT/panels -o RUN writes it")
+        raise _missing_error(run / "summary.csv", "tandem batch OUT/panels -o RUN writes it")
     data = json.loads((out / "element.json").read_text("utf-8"))
     if "joints" not in data or not all("outline_mm" in panel for panel in data["panels"]):
-        what = f"{out} was written without joints or outlines of its panels; puzzle pieces have none"
+        what = f"{out} has no joints or outlines of its panels; puzzle pieces never have"
         hint = (
             f"verdicts are in {run / 'summary.csv'}; divide another element again: tandem element "
             "FILE -o OUT; panels that stay need no new plan"
         )
-        raise refusal("element.run", what, file=str(out / "element.json"), hint=hint)
+        raise issue_error("element.run", what, file=str(out / "element.json"), hint=hint)
     with (run / "summary.csv").open(newline="", encoding="utf-8") as file:
         rows = {row["name"]: row for row in csv.DictReader(file)}
     thickness = float(data.get("thickness_mm", 0.0)) * MM
-    panels = tuple(_panel(out, run, panel, rows.get(job_of(panel)), thickness) for panel in data["panels"])
+    panels = tuple(
+        _panel_run(out, run, panel, rows.get(job_of(panel)), thickness) for panel in data["panels"]
+    )
     known = {panel.name: panel for panel in panels}
-    limit = float(data.get("joint_mm", MOST_AT_95 / MM)) * MM
+    limit = float(data.get("joint_mm", MAX_STEP_95_M / MM)) * MM
     joints = []
     for joint in data["joints"]:
-        one, other = (known[str(name)] for name in joint["panels"])
-        names = one.name, other.name
+        first, second = (known[str(name)] for name in joint["panels"])
+        names = first.name, second.name
         cut = None
-        if one.faces and other.faces and "front_mm" in joint:
-            cut = wall_joint(names, joint, one.faces, other.faces)
-        elif one.faces and other.faces and "sides" in joint:
+        if first.faces and second.faces and "front_mm" in joint:
+            cut = wall_joint(names, joint, first.faces, second.faces)
+        elif first.faces and second.faces and "sides" in joint:
             i, k = joint["sides"]
-            cut = side_joint(names, one.sides[i], other.sides[k])
-        elif one.faces and other.faces:
-            cut = cut_joint(names, one.faces, other.faces)
+            cut = side_joint(names, first.sides[i], second.sides[k])
+        elif first.faces and second.faces:
+            cut = cut_joint(names, first.faces, second.faces)
         joints.append(JointRun(names, float(joint["length_mm"]) * MM, limit, cut))
-    return ElementRun(data, panels, tuple(joints), tuple(_saw(data, run, rows)))
+    return ElementRun(data, panels, tuple(joints), tuple(_saw_runs(data, run, rows)))
 
 
-def unplanned(data: Mapping[str, Any]) -> ElementRun:
-    """An element as it is divided, before any batch."""
+def unplanned_run(data: Mapping[str, Any]) -> ElementRun:
+    """Return an element as divided, before any batch."""
     joints = tuple(
-        JointRun((str(j["panels"][0]), str(j["panels"][1])), float(j["length_mm"]) * MM, MOST_AT_95, None)
+        JointRun((str(j["panels"][0]), str(j["panels"][1])), float(j["length_mm"]) * MM, MAX_STEP_95_M, None)
         for j in data.get("joints", ())
     )
     panels = tuple(PanelRun(panel, NOT_PLANNED) for panel in data["panels"])
-    return ElementRun(data, panels, joints, tuple(_saw(data, None, {})))
+    return ElementRun(data, panels, joints, tuple(_saw_runs(data, None, {})))
 
 
-def _saw(
+def _saw_runs(
     data: Mapping[str, Any], run: Path | None, rows: Mapping[str, Mapping[str, str]]
 ) -> Iterator[SawRun]:
-    """The jobs of raw blocks, by the ``rows`` of the summary in ``run``."""
+    """Yield the jobs of raw blocks, with the ``rows`` of the summary in ``run``."""
     for block in (data.get("blocks") or {}).get("blocks", ()):
         for job in block.get("jobs", ()):
             name, row = str(job["id"]), rows.get(str(job["id"]))
@@ -288,12 +326,12 @@ def _saw(
                 continue
             proven = row["state"] == PROVEN
             code = next(iter(row["issues"].split()), "")
-            seconds = _motion(run / name) if proven else {}
+            seconds = _motion_seconds(run / name) if proven else {}
             yield SawRun(job, block["id"], row["state"], code, row["message"], seconds)
 
 
-def _motion(result: Path) -> dict[str, float]:
-    """Seconds of motion of each arm in a result folder."""
+def _motion_seconds(result: Path) -> dict[str, float]:
+    """Return the motion time [s] of each arm in a result folder."""
     seconds: dict[str, float] = {}
     for operation in plans.load(result).operations:
         for arm in operation.targets.arms:
@@ -301,11 +339,11 @@ def _motion(result: Path) -> dict[str, float]:
     return seconds
 
 
-def _missing(path: Path, who: str) -> TandemError:
-    return refusal("element.run", f"{path}: there is no such file; {who}", file=str(path))
+def _missing_error(path: Path, who: str) -> TandemError:
+    return issue_error("element.run", f"{path}: no such file; {who}", file=str(path))
 
 
-def _panel(
+def _panel_run(
     out: Path, run: Path, panel: Mapping[str, Any], row: Mapping[str, str] | None, thickness: float
 ) -> PanelRun:
     if row is None:
@@ -313,7 +351,9 @@ def _panel(
     code = next(iter(row["issues"].split()), "")
     if row["state"] != PROVEN:
         return PanelRun(panel, row["state"], code, row["message"])
-    seconds = {} if "cut_in" in panel else _motion(run / job_of(panel))  # of rows with those of blocks
+    seconds = (
+        {} if "cut_in" in panel else _motion_seconds(run / job_of(panel))
+    )  # of rows with those of blocks
     if "front_mm" in panel:
         sides = cut_sides(out, run, panel, thickness)
         whole = (*cut_front(run, panel, thickness), *sides)
@@ -322,21 +362,27 @@ def _panel(
     return PanelRun(panel, PROVEN, code, row["message"], seconds, faces)
 
 
-def panel_rows(found: ElementRun) -> str:
-    """``report.csv``: a row for each panel."""
+def panels_csv(run: ElementRun) -> str:
+    """Return ``report.csv``: a row for each panel."""
     rows = []
-    for panel in found.panels:
-        off = np.concatenate([face.deviation for face in panel.faces]) / MM if panel.faces else np.zeros(0)
+    for panel in run.panels:
+        deviations = (
+            np.concatenate([face.deviation for face in panel.faces]) / MM if panel.faces else np.zeros(0)
+        )
         rows.append(
             {
                 "id": panel.name,
                 "state": panel.state,
                 **{
-                    f"{arm}_min": round(panel.seconds[arm] / MINUTE, 3) if arm in panel.seconds else ""
-                    for arm in found.arm_seconds()
+                    f"{arm}_min": round(panel.seconds[arm] / MINUTE_S, 3) if arm in panel.seconds else ""
+                    for arm in run.arm_seconds()
                 },
-                "off_written_95_mm": round(float(np.percentile(np.abs(off), 95.0)), 4) if len(off) else "",
-                "off_written_largest_mm": round(float(np.abs(off).max()), 4) if len(off) else "",
+                "off_written_95_mm": round(float(np.percentile(np.abs(deviations), 95.0)), 4)
+                if len(deviations)
+                else "",
+                "off_written_largest_mm": round(float(np.abs(deviations).max()), 4)
+                if len(deviations)
+                else "",
                 **{name: panel.panel[name] for name in ("backs_apart_mm",) if name in panel.panel},
                 "issue": panel.code,
                 "message": panel.message,
@@ -345,15 +391,15 @@ def panel_rows(found: ElementRun) -> str:
     return table(rows)
 
 
-def joint_rows(found: ElementRun) -> str:
-    """``joints.csv``: a row for each joint; figures are empty where it is not measured."""
+def joints_csv(run: ElementRun) -> str:
+    """Return ``joints.csv``: a row for each joint; values are empty if it is not measured."""
 
     def mm(value: float) -> float | str:
         return "" if np.isnan(value) else round(value / MM, 4)
 
     nothing = np.full(1, np.nan)
     rows = []
-    for joint in found.joints:
+    for joint in run.joints:
         steps, gaps = (nothing, nothing) if joint.cut is None else (joint.cut.steps, joint.cut.gaps)
         rows.append(
             {
@@ -365,7 +411,7 @@ def joint_rows(found: ElementRun) -> str:
                 "step_largest_mm": mm(float(steps.max())),
                 "gap_95_mm": mm(float(np.percentile(gaps, 95.0))),
                 "gap_largest_mm": mm(float(gaps.max())),
-                "over": "" if joint.cut is None else "yes" if joint.over else "no",
+                "over": "" if joint.cut is None else "yes" if joint.is_over_limit else "no",
             }
         )
     return table(rows)

@@ -1,9 +1,8 @@
-"""The surface of an element over its plane: a frame, the lines that may be cut, and what lies over them.
+"""The surface of an element over its plane: a frame, the possible cut lines, and the sections over them.
 
-**Element frame**: z is the surface's mean normal, or the axis of the file's frame that is near it; x and y
-run along the sides of the rectangle over which the surface stands, from its lower corner. Panels are bounded
-by upright planes of this frame, so a joint is a plane curve. The surface must stand over the whole rectangle
-once.
+**Element frame**: z is the mean normal of the surface, or the axis of the file frame close to it; x and y run
+along the sides of the rectangle over which the surface lies, from its lower corner. Panels are bounded by
+upright planes of this frame, so a joint is a plane curve. The surface must cover the whole rectangle once.
 """
 
 import dataclasses
@@ -13,35 +12,41 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import FloatArray, dots, from_parts, inverse, lengths, transform, unit
-from planner.geometry.mesh import TriangleMesh, face_areas, face_normals, offset, vertex_normals
+from planner.geometry.mesh import TriangleMesh, face_areas, face_normals, offset_mesh, vertex_normals
 from planner.geometry.mesh_queries import slice_mesh
-from planner.geometry.rulings import boundaries
+from planner.geometry.rulings import boundary_rings
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity, TandemError
 
-SNAP_ANGLE: Final = 20.0 * DEG
-"""An axis of the file's frame that is nearer to the mean normal than this [rad] is the element's z."""
-STEEPEST: Final = 80.0 * DEG
-"""How far a facet may be turned out of the element's plane [rad]."""
-RIM: Final = 1e-5
-"""How far inside of the rim the outermost sections are cut [m]."""
-LEAST_COVER: Final = 0.998
-"""Share of its rectangle over which a surface must stand."""
-TOUCHING: Final = 1e-3
-"""A rim that runs back along itself nearer than this [m] touches itself."""
-TURNED_BACK: Final = -np.cos(20.0 * DEG)
-"""Dot product of directions, at most, where a rim runs back."""
-SEAM_STEP: Final = 0.02
-"""Length of parts of the rim [m], at most, that are looked at."""
-SHORTEST_SEAM: Final = 0.05
-"""Length [m] over which a rim must touch itself to be told: sharp corners do so over less."""
+SNAP_ANGLE_RAD: Final = 20.0 * DEG
+"""Maximum angle [rad] between the mean normal and an axis of the file frame that becomes the element's z."""
+MAX_TILT_RAD: Final = 80.0 * DEG
+"""Maximum tilt [rad] of a facet to the element plane."""
+RIM_INSET_M: Final = 1e-5
+"""Distance [m] inside of the rim at which the outermost sections are cut."""
+MIN_COVER_FRACTION: Final = 0.998
+"""Minimum fraction of its rectangle that a surface must cover."""
+TOUCH_DISTANCE_M: Final = 1e-3
+"""Maximum distance [m] of a rim that runs back along itself and counts as touching."""
+MAX_REVERSED_DOT: Final = -np.cos(20.0 * DEG)
+"""Maximum dot product of directions of a rim that runs back."""
+SEAM_STEP_M: Final = 0.02
+"""Maximum length [m] of the parts of the rim that are compared."""
+MIN_SEAM_M: Final = 0.05
+"""Minimum length [m] of touching rim that is reported: sharp corners touch over less."""
 
 
 @dataclasses.dataclass(frozen=True)
 class ElementSurface:
-    """``front`` and ``back`` in the element frame [m], the back with the same vertices moved by ``thickness``
-    against their normals; ``pose`` (4, 4): the element frame in the file's frame; ``size`` (2,) [m] of the
-    rectangle."""
+    """Surface of an element in its frame [m].
+
+    Attributes:
+        front: Front.
+        back: Back, with the same vertices offset by ``thickness`` against their normals.
+        thickness: Thickness.
+        pose: Pose (4, 4) of the element frame in the file frame.
+        size: Size (2,) of the rectangle.
+    """
 
     front: TriangleMesh
     back: TriangleMesh
@@ -50,137 +55,160 @@ class ElementSurface:
     size: FloatArray
 
 
-def stand(
+def to_element_frame(
     mesh: TriangleMesh, thickness: float, normal: FloatArray | None = None, along: FloatArray | None = None
 ) -> ElementSurface:
-    """The surface in its element frame, whose z is along ``normal`` (3,) and x along ``along`` (3,).
+    """Transform a surface into its element frame, with z along ``normal`` (3,) and x along ``along`` (3,).
 
-    Raises ``TandemError``: ``element.surface`` where the surface has holes, folds over or fills no rectangle,
-    ``part.offset`` where the thickness does.
+    Raises:
+        TandemError: ``element.surface`` if the surface has holes, folds over or fills no rectangle;
+            ``part.offset`` if the thickness folds over.
     """
-    rotation = axes(mesh, normal, along)
+    rotation = surface_axes(mesh, normal, along)
     local = mesh.vertices @ rotation
     origin = rotation @ np.array([*local[:, :2].min(axis=0), 0.0])
     pose = from_parts(rotation, origin)
-    own = TriangleMesh(transform(inverse(pose), mesh.vertices), mesh.faces)
-    size = np.ptp(own.vertices[:, :2], axis=0)
-    _refuse(own, size)
-    back = offset(own, -thickness, vertex_normals(own))
-    return ElementSurface(own, back, thickness, pose, size)
+    element_mesh = TriangleMesh(transform(inverse(pose), mesh.vertices), mesh.faces)
+    size = np.ptp(element_mesh.vertices[:, :2], axis=0)
+    _require_rectangle(element_mesh, size)
+    back = offset_mesh(element_mesh, -thickness, vertex_normals(element_mesh))
+    return ElementSurface(element_mesh, back, thickness, pose, size)
 
 
-def axes(mesh: TriangleMesh, normal: FloatArray | None = None, along: FloatArray | None = None) -> FloatArray:
-    """The axes of a surface's plane as columns (3, 3): z along ``normal``, else the surface's, x along
-    ``along``. Raises ``TandemError``: ``element.surface`` where both run one way."""
-    z = _axis(mesh) if normal is None else unit(np.asarray(normal, dtype=np.float64))
+def surface_axes(
+    mesh: TriangleMesh, normal: FloatArray | None = None, along: FloatArray | None = None
+) -> FloatArray:
+    """Return the axes of a surface's plane as columns (3, 3).
+
+    z is along ``normal``, else that of the surface; x is along ``along``.
+
+    Raises:
+        TandemError: ``element.surface`` if both are parallel.
+    """
+    z = _mean_axis(mesh) if normal is None else unit(np.asarray(normal, dtype=np.float64))
     if along is None:
-        # level where the element stands upright
+        # level if the element is upright
         along = np.array([1.0, 0.0, 0.0]) if abs(z[2]) > np.cos(45.0 * DEG) else np.cross([0.0, 0.0, 1.0], z)
     x = along - (along @ z) * z
     if np.linalg.norm(x) < 1e-6 * max(float(np.linalg.norm(along)), 1e-12) or not np.any(along):
         raise TandemError(
-            _wrong("plane.along runs along its normal; give a direction in the plane", "surface.plane")
+            _surface_issue(
+                "plane.along is parallel to the normal; give a direction in the plane", "surface.plane"
+            )
         )
     x = unit(x)
     return np.stack([x, np.cross(z, x), z], axis=1)
 
 
-def _axis(mesh: TriangleMesh) -> FloatArray:
+def _mean_axis(mesh: TriangleMesh) -> FloatArray:
     mean = unit((face_areas(mesh)[:, None] * face_normals(mesh)).sum(axis=0))
     axis = np.sign(mean) * np.eye(3)[int(np.argmax(np.abs(mean)))]
-    return axis if mean @ axis > np.cos(SNAP_ANGLE) else mean
+    return axis if mean @ axis > np.cos(SNAP_ANGLE_RAD) else mean
 
 
-def _wrong(what: str, field: str = "surface", hint: str | None = None) -> Issue:
+def _surface_issue(what: str, field: str = "surface", hint: str | None = None) -> Issue:
     return Issue("element.surface", what, field=field, hint=hint)
 
 
-def seam(mesh: TriangleMesh) -> tuple[Issue, ...]:
-    """``element.surface``, a warning, where the rim of a surface [m] runs back along itself, as that of a
-    tube does whose sides touch but are not joined."""
-    ends = [(mesh.vertices[ring], mesh.vertices[np.roll(ring, -1)]) for ring in boundaries(mesh)]
+def seam_issues(mesh: TriangleMesh) -> tuple[Issue, ...]:
+    """Warn with ``element.surface`` if the rim of a surface [m] runs back along itself.
+
+    The rim of a tube does so if its sides touch but are not joined.
+    """
+    ends = [(mesh.vertices[ring], mesh.vertices[np.roll(ring, -1)]) for ring in boundary_rings(mesh)]
     if not ends:
         return ()
     first, last = (np.concatenate(points) for points in zip(*ends, strict=True))
-    parts = np.ceil(lengths(last - first) / SEAM_STEP).astype(np.int64).clip(1)
-    own = np.repeat(np.arange(len(parts)), parts)
-    share = (np.arange(len(own)) - np.repeat(np.cumsum(parts) - parts, parts))[:, None]
-    way = (last - first)[own] / parts[own, None]
-    middle = first[own] + (share + 0.5) * way
-    one, other = cKDTree(middle).query_pairs(SEAM_STEP + TOUCHING, output_type="ndarray").T
-    along, apart = unit(way), middle[one] - middle[other]
-    apart -= dots(apart, along[other])[:, None] * along[other]
-    touch = (dots(along[one], along[other]) < TURNED_BACK) & (lengths(apart) < TOUCHING)
-    near = np.unique(np.concatenate([one[touch], other[touch]]))
-    length = 0.5 * float(lengths(way[near]).sum())
-    if length < SHORTEST_SEAM:
+    parts = np.ceil(lengths(last - first) / SEAM_STEP_M).astype(np.int64).clip(1)
+    edge_index = np.repeat(np.arange(len(parts)), parts)
+    fraction = (np.arange(len(edge_index)) - np.repeat(np.cumsum(parts) - parts, parts))[:, None]
+    steps = (last - first)[edge_index] / parts[edge_index, None]
+    middle = first[edge_index] + (fraction + 0.5) * steps
+    first_index, second_index = (
+        cKDTree(middle).query_pairs(SEAM_STEP_M + TOUCH_DISTANCE_M, output_type="ndarray").T
+    )
+    along, offsets = unit(steps), middle[first_index] - middle[second_index]
+    offsets -= dots(offsets, along[second_index])[:, None] * along[second_index]
+    touch = (dots(along[first_index], along[second_index]) < MAX_REVERSED_DOT) & (
+        lengths(offsets) < TOUCH_DISTANCE_M
+    )
+    touching = np.unique(np.concatenate([first_index[touch], second_index[touch]]))
+    length = 0.5 * float(lengths(steps[touching]).sum())
+    if length < MIN_SEAM_M:
         return ()
-    amid = middle[near][np.argmin(lengths(middle[near] - middle[near].mean(axis=0)))]
-    x, y, z = (np.round(amid / MM) + 0.0).tolist()
+    centre = middle[touching][np.argmin(lengths(middle[touching] - middle[touching].mean(axis=0)))]
+    x, y, z = (np.round(centre / MM) + 0.0).tolist()
     what = (
         f"the rim of the surface touches itself over {length / MM:.0f} mm, near ({x:g}, {y:g}, {z:g}) mm, "
-        "as that of a tube whose sides are not joined: panels on both sides of it are no neighbours, and may "
-        "have no way in"
+        "like that of a tube whose sides are not joined: panels on both sides are not neighbours, and may "
+        "have no insertion path"
     )
-    hint = "join both sides there in the program that the surface is from, or leave a gap"
+    hint = "join both sides in the CAD program of the surface, or leave a gap"
     return (Issue("element.surface", what, Severity.WARNING, field="surface", hint=hint),)
 
 
-def _refuse(own: TriangleMesh, size: FloatArray) -> None:
-    rings = boundaries(own)
+def _require_rectangle(mesh: TriangleMesh, size: FloatArray) -> None:
+    rings = boundary_rings(mesh)
     if len(rings) > 1:
-        at = own.vertices[rings[-1]].mean(axis=0) / MM
+        at = mesh.vertices[rings[-1]].mean(axis=0) / MM
         what = (
-            f"the surface has {len(rings)} rims, 1 is allowed: the smallest is round a hole at "
+            f"the surface has {len(rings)} rims, allowed 1: the smallest is around a hole at "
             f"({at[0]:.0f}, {at[1]:.0f}) mm of the element's plane"
         )
-        raise TandemError(_wrong(what, hint="close the hole, or divide the surface beside it yourself"))
-    lean = face_normals(own)[:, 2]
-    steep = lean < np.cos(STEEPEST)
+        raise TandemError(_surface_issue(what, hint="close the hole, or split the surface at it"))
+    normal_z = face_normals(mesh)[:, 2]
+    steep = normal_z < np.cos(MAX_TILT_RAD)
     if steep.any():
-        at = own.vertices[own.faces[int(np.argmin(lean))]].mean(axis=0) / MM
-        worst = float(np.degrees(np.arccos(np.clip(lean.min(), -1.0, 1.0))))
+        at = mesh.vertices[mesh.faces[int(np.argmin(normal_z))]].mean(axis=0) / MM
+        worst = float(np.degrees(np.arccos(np.clip(normal_z.min(), -1.0, 1.0))))
         what = (
-            f"{int(steep.sum())} of {len(steep)} facets are turned out of the element's plane by more than "
-            f"{STEEPEST / DEG:.0f} degrees, the worst by {worst:.0f}, at ({at[0]:.0f}, {at[1]:.0f}) mm"
+            f"{int(steep.sum())} of {len(steep)} facets are tilted to the element's plane by more than "
+            f"{MAX_TILT_RAD / DEG:.0f} degrees, the worst by {worst:.0f}, at ({at[0]:.0f}, {at[1]:.0f}) mm"
         )
         hint = (
             "unify the normals of the mesh; state another surface.plane; or give parts that do not fold over"
         )
-        raise TandemError(_wrong(what, hint=hint))
-    covered = float((face_areas(own) * lean).sum() / (size[0] * size[1]))
-    if covered < LEAST_COVER:
+        raise TandemError(_surface_issue(what, hint=hint))
+    covered = float((face_areas(mesh) * normal_z).sum() / (size[0] * size[1]))
+    if covered < MIN_COVER_FRACTION:
         what = (
-            f"the surface stands over {100 * covered:.1f} % of its rectangle of {size[0] / MM:.0f} x "
-            f"{size[1] / MM:.0f} mm, at least {100 * LEAST_COVER:.1f} % are wanted"
+            f"the surface covers {100 * covered:.1f} % of its rectangle of {size[0] / MM:.0f} x "
+            f"{size[1] / MM:.0f} mm, required {100 * MIN_COVER_FRACTION:.1f} %"
         )
         hint = "state the plane and the direction of its sides (surface.plane), or extend it to a rectangle"
-        raise TandemError(_wrong(what, hint=hint))
+        raise TandemError(_surface_issue(what, hint=hint))
 
 
 @dataclasses.dataclass(frozen=True)
-class Profile:
-    """Sections of a surface by upright planes at ``at`` (K,) [m] along one axis of the element's plane: one
-    polyline each, ``place`` along the other axis, growing, ``height`` and arc ``length`` so far [m]."""
+class SectionProfiles:
+    """Sections of a surface by upright planes along one axis of the element plane, one polyline each.
+
+    Attributes:
+        at: Positions (K,) [m] of the planes.
+        position: Positions along the other axis, ascending [m].
+        height: Heights [m].
+        length: Arc lengths from the start [m].
+    """
 
     at: FloatArray
-    place: tuple[FloatArray, ...]
+    position: tuple[FloatArray, ...]
     height: tuple[FloatArray, ...]
     length: tuple[FloatArray, ...]
 
 
-def profiles(own: TriangleMesh, size: FloatArray, axis: int, at: FloatArray) -> Profile:
-    """Sections along ``axis`` (0: x, 1: y) at places ``at`` (K,) of the other one.
+def cut_profiles(mesh: TriangleMesh, size: FloatArray, axis: int, at: FloatArray) -> SectionProfiles:
+    """Return sections along ``axis`` (0: x, 1: y) at positions ``at`` (K,) of the other one.
 
-    Raises ``TandemError``: ``element.surface`` where a section has several pieces or runs back.
+    Raises:
+        TandemError: ``element.surface`` if a section has several pieces or runs back.
     """
     other = 1 - axis
     origin = np.zeros((len(at), 3))
-    origin[:, other] = np.clip(at, RIM, size[other] - RIM)
+    origin[:, other] = np.clip(at, RIM_INSET_M, size[other] - RIM_INSET_M)
     normal = np.broadcast_to(np.eye(3)[other], origin.shape)
-    cut = slice_mesh(own, origin, normal)
+    cut = slice_mesh(mesh, origin, normal)
     pieces = np.bincount(cut.plane, minlength=len(at))
-    place, height, length = [], [], []
+    positions, height, length = [], [], []
     first = np.searchsorted(cut.plane, np.arange(len(at)))
     for k in range(len(at)):
         line = cut.polyline(int(first[k])) if pieces[k] else np.zeros((2, 3))
@@ -191,12 +219,14 @@ def profiles(own: TriangleMesh, size: FloatArray, axis: int, at: FloatArray) -> 
             name = "xy"[other]
             what = (
                 f"the section at {name} = {at[k] / MM:.0f} mm of the element's plane has {pieces[k]} pieces "
-                "or runs back; 1 that runs on is wanted"
+                "or runs back; expected 1 piece that does not"
             )
-            raise TandemError(_wrong(what, hint="give a surface that stands over each place once, whole"))
+            raise TandemError(
+                _surface_issue(what, hint="give a surface that covers each point of the plane once")
+            )
         line = line[np.concatenate([[True], step > 1e-9])]
-        place.append(line[:, axis])
+        positions.append(line[:, axis])
         height.append(line[:, 2])
         steps = np.hypot(np.diff(line[:, axis]), np.diff(line[:, 2]))
         length.append(np.concatenate([[0.0], np.cumsum(steps)]))
-    return Profile(at, tuple(place), tuple(height), tuple(length))
+    return SectionProfiles(at, tuple(positions), tuple(height), tuple(length))

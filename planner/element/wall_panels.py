@@ -1,6 +1,6 @@
 """Panels of ruled walls, whatever their outlines: their shapes, the blocks that hold them, their numbers.
 
-A panel is a `Piece` of the wall: a part of its rulings, an outline there, and at each point of that the
+A panel is a `WallPiece` of the wall: a part of its rulings, an outline there, and at each point of that the
 direction in which the wire stands when it cuts the outline. Front and back are ruled over the same part, the
 back between points that are one thickness behind the front's: pieces side by side have both in common.
 
@@ -16,33 +16,45 @@ from typing import Final
 import numpy as np
 import shapely
 
-from planner.element.elastic import FITS
+from planner.element.elastic import FIT_TOLERANCE_M
 from planner.element.element_file import ElementFile
 from planner.element.panel_box import hull_boxes
 from planner.geometry.arrays import FloatArray, dots, from_parts, inverse, lengths, transform, unit
 from planner.geometry.ruled_wall import RuledWall
 from planner.geometry.units import MM
 
-BEYOND: Final = 0.7
-"""Faces and sides go on beyond one another over this share of the foam around a panel: surfaces that cross
-bound a part together."""
-ROUNDS: Final = 4
-"""Each of them leaves of what is wrong the share that the thickness is of the radius of curvature."""
-NEAR: Final = 0.7
-"""Least cosine between the z axis of a block and the middle normal of its panel."""
+EXTENSION_FRACTION: Final = 0.7
+"""Fraction of the foam around a panel over which faces and sides extend beyond one another.
+
+Surfaces that cross bound a part together.
+"""
+ITERATIONS: Final = 4
+"""Number of fixed-point iterations.
+
+Each reduces the error by the ratio of thickness to radius of curvature.
+"""
+MIN_NORMAL_COSINE: Final = 0.7
+"""Minimum cosine between the z axis of a block and the middle normal of its panel."""
 SIDES: Final = ("right", "top", "left", "bottom")
 """Sides of a panel as seen from the front, in the order of its outline."""
-LEAST_ON: Final = 1e-4
-"""[m] by which a side goes on at least."""
-SAME_HEIGHT: Final = 0.0937
-"""Panels are numbered by heights in these steps [mm], an odd number on purpose: no regular wall has panels
-that differ by a whole one."""
+MIN_EXTENSION_M: Final = 1e-4
+"""Minimum extension of a side [m]."""
+HEIGHT_STEP_MM: Final = 0.0937
+"""Step [mm] of heights by which panels are numbered.
+
+Chosen: an odd number, because no regular wall has panels that differ by a multiple of it.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
-class Room:
-    """What a kind of block, by its number in the file, has for panels with no foam beside them: ``size`` (3,)
-    [m] along their rulings, along the wall and up; ``thickness`` [m] of the block itself."""
+class BlockRoom:
+    """Space for panels in a kind of block, without the foam around them.
+
+    Attributes:
+        block: Index of the kind of block in the file.
+        size: Size (3,) [m] along the rulings, along the wall and up.
+        thickness: Thickness of the block itself [m].
+    """
 
     block: int
     size: FloatArray
@@ -50,38 +62,49 @@ class Room:
 
 
 @dataclasses.dataclass(frozen=True)
-class Piece:
-    """A panel on the wall: the strip and the ``place`` in it where it belongs, its part of the wall from and
-    to ``along`` [m] and as shares of the rulings, ``across``.
+class WallPiece:
+    """A panel on the wall.
 
-    ``outline`` (C, 2): places (u, t) of the wall, which may go beyond that part, first up along the wall;
-    ``leads`` (C, 3): from back to front, the way in which it is cut; ``corners``: places of the outline where
-    the sides of ``SIDES`` begin. ``way_in`` (3,): from the front, where there is one way in alone; ``jam``
-    [m]: how far sides are in that way.
+    Attributes:
+        grid_position: Strip, and position in it.
+        along: Range along the wall [m].
+        across: Range across, as fractions of the rulings.
+        outline: Wall parameters (C, 2) (u, t), first up along the wall; may extend beyond the range.
+        cut_directions: Directions (C, 3) from back to front in which it is cut.
+        corners: Indices of the outline where the sides of ``SIDES`` start.
+        way_in: Insertion direction (3,) from the front, if there is only one.
+        interference: Interference [m] of sides on that path.
     """
 
-    place: tuple[int, int]
+    grid_position: tuple[int, int]
     along: tuple[float, float]
     across: tuple[float, float]
     outline: FloatArray
-    leads: FloatArray
+    cut_directions: FloatArray
     corners: tuple[int, ...]
     way_in: FloatArray | None = None
-    jam: float = 0.0
+    interference: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
 class WallPanel:
-    """A piece in its block, whose ``pose`` (4, 4) is in the wall's frame with the origin in the middle of the
-    bottom face; the rest is in the block's frame [m].
+    """A piece in its block; lengths in the block frame [m].
 
-    ``size`` (3,) of the piece of the kind of ``block`` that it is cut from, ``box`` (3,): its own. ``front``,
-    ``back`` (2, N, 3): ends of rulings, beyond the sides; ``sides``, as of ``SIDES``, (2, K, 3) each: beyond
-    both faces and one another; ``ring`` (2, C, 3): all of them as one outline. ``volume`` [m^3]; ``off``: the
-    back's largest distance from the surface one thickness behind.
+    Attributes:
+        piece: Piece.
+        block: Index of the kind of block.
+        size: Size (3,) of the piece of the block that it is cut from.
+        box: Size (3,) of its own box.
+        pose: Pose (4, 4) of the block in the wall frame, with the origin at the centre of the bottom face.
+        front: Ends (2, N, 3) of the rulings of the front, extended beyond the sides.
+        back: Ends (2, N, 3) of the rulings of the back, extended beyond the sides.
+        sides: Sides (2, K, 3) in the order of ``SIDES``, extended beyond both faces and one another.
+        ring: All sides as one outline (2, C, 3).
+        volume: Volume [m^3].
+        deviation: Maximum distance of the back from the surface offset by one thickness.
     """
 
-    piece: Piece
+    piece: WallPiece
     block: int
     size: FloatArray
     box: FloatArray
@@ -91,12 +114,15 @@ class WallPanel:
     sides: tuple[FloatArray, ...]
     ring: FloatArray
     volume: float
-    off: float
+    deviation: float
 
 
-def rooms(file: ElementFile) -> tuple[Room, ...]:
-    """What blocks have for panels, the smallest first. Those that are wider than the span of the bow for raw
-    blocks are parted along their length into as few as it spans, with a kerf between them."""
+def block_rooms(file: ElementFile) -> tuple[BlockRoom, ...]:
+    """Return the space of blocks for panels, the smallest first.
+
+    Blocks wider than the span of the bow for raw blocks are parted along their length into the fewest parts
+    that it spans, with a kerf between them.
+    """
     raw = file.raw_blocks
     kerf, oversize = (0.0, 0.0) if raw is None else (raw.kerf_mm, raw.oversize_mm)
     out = []
@@ -106,28 +132,35 @@ def rooms(file: ElementFile) -> tuple[Room, ...]:
         wide = (wide - (parts - 1) * kerf) / parts
         plan = np.array([wide, long]) * MM - oversize * MM - 2.0 * file.sides
         thick = block.size_mm[2] * MM
-        out.append(Room(number, np.array([*plan, thick - 2.0 * file.faces]), thick))
+        out.append(BlockRoom(number, np.array([*plan, thick - 2.0 * file.faces]), thick))
     return tuple(sorted(out, key=lambda room: (float(room.size.prod()), room.block)))
 
 
-def fitting(box: FloatArray, rooms: Sequence[Room]) -> Room | None:
-    """The first room that holds a box (3,)."""
-    return next((room for room in rooms if (box <= room.size + FITS).all()), None)
+def first_fitting(box: FloatArray, rooms: Sequence[BlockRoom]) -> BlockRoom | None:
+    """Return the first room that holds a box (3,)."""
+    return next((room for room in rooms if (box <= room.size + FIT_TOLERANCE_M).all()), None)
 
 
 def flat_box(
     wall: RuledWall, along: tuple[float, float], across: tuple[float, float], points: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The axes (3, 3), as rows, of the lowest box round points (K, 3) of a part of the wall, with its x along
-    the middle ruling and its z near the normal there; and its size (3,) [m]."""
+    """Return the lowest box around points (K, 3) of a part of the wall.
+
+    Its x is along the middle ruling, and its z close to the normal there.
+
+    Returns:
+        Axes (3, 3) as rows, and size (3,) [m].
+    """
     u, t = (np.array([0.5 * (low + high)]) for low, high in (along, across))
-    way, ruling = (tangent[0] for tangent in wall.tangents(u, t))
-    x, normal = unit(ruling), unit(np.cross(way, ruling))
+    directions, ruling = (tangent[0] for tangent in wall.tangents(u, t))
+    x, normal = unit(ruling), unit(np.cross(directions, ruling))
     plane = np.stack([np.cross(normal, x), normal], axis=1)
-    way, extent = hull_boxes(points @ plane)
-    up = np.concatenate([np.stack([-way[:, 1], way[:, 0]], axis=1), way])  # an edge lies level, or upright
+    directions, extent = hull_boxes(points @ plane)
+    up = np.concatenate(
+        [np.stack([-directions[:, 1], directions[:, 0]], axis=1), directions]
+    )  # an edge is level, or upright
     high = np.concatenate([extent[:, 1], extent[:, 0]])
-    best = int(np.argmin(np.where(np.abs(up[:, 1]) > NEAR, high, np.inf)))
+    best = int(np.argmin(np.where(np.abs(up[:, 1]) > MIN_NORMAL_COSINE, high, np.inf)))
     z = plane @ (up[best] * np.sign(up[best, 1]))
     axes = np.stack([x, np.cross(z, x), z])
     return axes, np.ptp(points @ axes.T, axis=0)
@@ -136,21 +169,23 @@ def flat_box(
 def face_rulings(
     wall: RuledWall, thickness: float, u: FloatArray, across: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray]:
-    """Ends (2, N, 3) [m] of the rulings of a front and of its back over a part of the wall, at ways (N,)."""
+    """Return ends (2, N, 3) [m] of the rulings of a front and its back, at positions (N,) along the wall."""
     u, t = np.broadcast_arrays(u, np.array(across)[:, None])
     front = wall.points(u, t)
     return front, front - thickness * wall.depths(u, t)
 
 
-def in_block(
-    wall: RuledWall, piece: Piece, thickness: float, rooms: Sequence[Room], foam: tuple[float, float]
+def place_in_block(
+    wall: RuledWall, piece: WallPiece, thickness: float, rooms: Sequence[BlockRoom], foam: tuple[float, float]
 ) -> WallPanel | None:
-    """A piece in the first room that holds it, with ``foam`` [m] beside it, and above and below it at least;
-    None where none does."""
-    top, bottom = outline(wall, piece, thickness)
+    """Place a piece in the first room that holds it; None if none does.
+
+    ``foam`` [m] is the minimum beside it, and above and below it.
+    """
+    top, bottom = piece_outline(wall, piece, thickness)
     points = np.concatenate([top, bottom])
     axes, box = flat_box(wall, piece.along, piece.across, points)
-    room = fitting(box, rooms)
+    room = first_fitting(box, rooms)
     if room is None:
         return None
     cloud = points @ axes.T
@@ -158,86 +193,99 @@ def in_block(
     pose = from_parts(axes.T, axes.T @ (middle - [0.0, 0.0, 0.5 * room.thickness]))
     to_block = inverse(pose)
     half = 0.5 * box[:2] + foam[0]
-    go_on = BEYOND * foam[0]
+    go_on = EXTENSION_FRACTION * foam[0]
     front, back = (
-        _to_sides(transform(to_block, face), half[0] - foam[0] + go_on)
-        for face in _faces(wall, piece, thickness, go_on)
+        _extend_rulings(transform(to_block, face), half[0] - foam[0] + go_on)
+        for face in _face_rulings(wall, piece, thickness, go_on)
     )
-    # rulings that fan may go on beyond the foam beside the outline
+    # diverging rulings may extend beyond the foam beside the outline
     half[1] = max(half[1], *(float(np.abs(face[..., 1]).max()) for face in (front, back)))
-    lead = BEYOND * foam[1] * piece.leads
+    lead = EXTENSION_FRACTION * foam[1] * piece.cut_directions
     ring = transform(to_block, np.stack([bottom - lead, top + lead]))
     whole = np.concatenate([ring, ring[:, :1]], axis=1)
     ends = itertools.pairwise((*piece.corners, ring.shape[1]))
-    sides = tuple(_through(whole[:, i : k + 1], half - foam[0] + go_on) for i, k in ends)
+    sides = tuple(_extend_side(whole[:, i : k + 1], half - foam[0] + go_on) for i, k in ends)
     size = np.array([*(2.0 * half), room.thickness])
     measures = _measures(wall, piece, thickness)
     return WallPanel(piece, room.block, size, box, pose, front, back, sides, ring, *measures)
 
 
-def outline(wall: RuledWall, piece: Piece, thickness: float) -> tuple[FloatArray, FloatArray]:
-    """The outline (C, 3) [m] on the front, and on the back."""
+def piece_outline(wall: RuledWall, piece: WallPiece, thickness: float) -> tuple[FloatArray, FloatArray]:
+    """Return the outline (C, 3) [m] on the front, and on the back."""
     u, t = piece.outline.T
     top = wall.points(u, t)
-    deep = thickness / dots(piece.leads, wall.normals(u, t))
-    return top, top - deep[:, None] * piece.leads
+    deep = thickness / dots(piece.cut_directions, wall.normals(u, t))
+    return top, top - deep[:, None] * piece.cut_directions
 
 
-def _faces(wall: RuledWall, piece: Piece, thickness: float, beyond: float) -> list[FloatArray]:
-    """Ends (2, N, 3) [m] of the rulings of a piece's front, and of its back, over as much of the wall as its
-    outline takes there, and ``beyond`` [m] it."""
-    _, bottom = outline(wall, piece, thickness)
+def _face_rulings(wall: RuledWall, piece: WallPiece, thickness: float, beyond: float) -> list[FloatArray]:
+    """Return ends (2, N, 3) [m] of the rulings of the front and back of a piece.
+
+    They cover what its outline takes of the wall there, extended by ``beyond`` [m].
+    """
+    _, bottom = piece_outline(wall, piece, thickness)
     under = piece.outline
-    for _ in range(ROUNDS):  # places behind which the outline's lower points are
+    for _ in range(ITERATIONS):  # wall parameters above the lower points of the outline
         u, t = under.T
-        off = bottom - wall.points(u, t) + thickness * wall.normals(u, t)
+        # Newton step for p(u, t) - thickness n(u, t) = bottom, without the derivative of n
+        offsets = bottom - wall.points(u, t) + thickness * wall.normals(u, t)
         slopes = np.linalg.pinv(np.stack(wall.tangents(u, t), axis=-1))
-        under = under + np.einsum("nij,nj->ni", slopes, off)
-    ways = (wall.between(v.min() - beyond, v.max() + beyond) for v in (piece.outline[:, 0], under[:, 0]))
-    return [face_rulings(wall, thickness, u, piece.across)[k] for k, u in enumerate(ways)]
+        under = under + np.einsum("nij,nj->ni", slopes, offsets)
+    wall_positions = (
+        wall.nodes_between(v.min() - beyond, v.max() + beyond) for v in (piece.outline[:, 0], under[:, 0])
+    )
+    return [face_rulings(wall, thickness, u, piece.across)[k] for k, u in enumerate(wall_positions)]
 
 
-def _to_sides(rulings: FloatArray, far: float) -> FloatArray:
-    """Rulings (2, N, 3) along x from -``far`` to ``far`` [m]."""
+def _extend_rulings(rulings: FloatArray, half_width: float) -> FloatArray:
+    """Return rulings (2, N, 3) along x from -``half_width`` to ``half_width`` [m]."""
     start, end = rulings
-    share = (np.array([[-far], [far]]) - start[:, 0]) / (end - start)[:, 0]
-    return np.asarray(start + share[..., None] * (end - start))
+    fraction = (np.array([[-half_width], [half_width]]) - start[:, 0]) / (end - start)[:, 0]
+    return np.asarray(start + fraction[..., None] * (end - start))
 
 
-def _through(side: FloatArray, half: FloatArray) -> FloatArray:
-    """A side (2, K, 3) that goes straight on from both of its ends, level and in its own plane, to ``half``
-    (2,) [m] from the middle of the block. So each side is a cut of its own: the wire need not turn round the
-    panel's corners, and may come to the next side from elsewhere."""
+def _extend_side(side: FloatArray, half: FloatArray) -> FloatArray:
+    """Extend a side (2, K, 3) straight from both ends, level and in its own plane, to ``half`` (2,) [m].
+
+    So each side is a separate cut: the wire need not turn around the corners of the panel, and may approach
+    the next side from elsewhere.
+    """
     ends = []
-    for at, before in ((0, 1), (-1, -2)):
+    for at, inner_index in ((0, 1), (-1, -2)):
         low, high = side[:, at]
-        way = (side[:, at] - side[:, before]).sum(axis=0)
-        way = unit(way - way[2] / (high[2] - low[2]) * (high - low))
+        direction = (side[:, at] - side[:, inner_index]).sum(axis=0)
+        direction = unit(direction - direction[2] / (high[2] - low[2]) * (high - low))
         with np.errstate(divide="ignore"):
-            left = (half - np.sign(way[:2]) * side[:, at, :2]) / np.abs(way[:2])
-        ends.append(side[:, at] + max(float(left.min()), LEAST_ON) * way)
+            left = (half - np.sign(direction[:2]) * side[:, at, :2]) / np.abs(direction[:2])
+        ends.append(side[:, at] + max(float(left.min()), MIN_EXTENSION_M) * direction)
     return np.concatenate([ends[0][:, None], side, ends[1][:, None]], axis=1)
 
 
-def _measures(wall: RuledWall, piece: Piece, thickness: float) -> tuple[float, float]:
-    """Volume [m^3], the thickness times the mean of the faces' areas as of `output`, and how far the back is
-    off the surface behind the front [m]."""
-    u = wall.between(*piece.along)
+def _measures(wall: RuledWall, piece: WallPiece, thickness: float) -> tuple[float, float]:
+    """Return the volume [m^3] and the deviation of the back from the surface behind the front [m].
+
+    The volume is the thickness times the mean area of the faces, as in `output`.
+    """
+    u = wall.nodes_between(*piece.along)
     front, back = face_rulings(wall, thickness, u, piece.across)
     areas = [0.5 * lengths(np.cross(e[1, 1:] - e[0, :-1], e[0, 1:] - e[1, :-1])).sum() for e in (front, back)]
     part = np.ptp(piece.along) * np.ptp(piece.across)
-    share = shapely.Polygon(piece.outline).area / part
+    fraction = shapely.Polygon(piece.outline).area / part
     t = np.full(len(u), np.mean(piece.across))
-    wanted = wall.points(u, t) - thickness * wall.normals(u, t)
-    return float(thickness * np.mean(areas) * share), float(lengths(back.mean(axis=0) - wanted).max())
+    offset_points = wall.points(u, t) - thickness * wall.normals(u, t)
+    return float(thickness * np.mean(areas) * fraction), float(
+        lengths(back.mean(axis=0) - offset_points).max()
+    )
 
 
-def numbered(panels: Sequence[WallPanel]) -> tuple[WallPanel, ...]:
-    """Panels by the heights of their boxes, the lowest first, then by where they belong."""
-    return tuple(sorted(panels, key=lambda one: (int(one.box[1] / MM / SAME_HEIGHT), one.piece.place)))
+def sort_panels(panels: Sequence[WallPanel]) -> tuple[WallPanel, ...]:
+    """Sort panels by the heights of their boxes, the lowest first, then by grid position."""
+    return tuple(
+        sorted(panels, key=lambda panel: (int(panel.box[1] / MM / HEIGHT_STEP_MM), panel.piece.grid_position))
+    )
 
 
-def numbers(panels: Sequence[WallPanel]) -> tuple[str, ...]:
-    """P00, P01 ... in their order."""
+def panel_ids(panels: Sequence[WallPanel]) -> tuple[str, ...]:
+    """Return P00, P01 ... in their order."""
     digits = max(2, len(str(len(panels) - 1)))
     return tuple(f"P{k:0{digits}d}" for k in range(len(panels)))

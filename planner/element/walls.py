@@ -1,4 +1,4 @@
-"""The kinds ``boxes`` and ``puzzle``: a ruled wall divided, its panels in blocks and numbered, or why not."""
+"""The kinds ``boxes`` and ``puzzle``: division of a ruled wall into numbered panels, or why it fails."""
 
 from collections.abc import Sequence
 
@@ -6,81 +6,96 @@ import numpy as np
 
 from planner.element.boxes import box_piece, divide_boxes, fewest_strips
 from planner.element.element_file import PuzzleFile, WallElement
-from planner.element.puzzle import divide_puzzle, largest_lobe, puzzle_pieces, reach
-from planner.element.wall_panels import Piece, Room, WallPanel, flat_box, in_block, numbered, outline, rooms
+from planner.element.puzzle import divide_puzzle, largest_lobe, lobe_reach, puzzle_pieces
+from planner.element.wall_panels import (
+    BlockRoom,
+    WallPanel,
+    WallPiece,
+    block_rooms,
+    flat_box,
+    piece_outline,
+    place_in_block,
+    sort_panels,
+)
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError, refusal
+from planner.issues import Issue, TandemError, issue_error
 
 
 def divide_wall(element: WallElement) -> tuple[WallPanel, ...]:
-    """All panels of a wall by their numbers.
+    """Compute all panels of a wall by number.
 
-    Raises ``TandemError``: ``element.shape`` for lobes that cells have no room for, ``element.block`` where
-    no block holds a panel, with the thickness that would fit.
+    Raises:
+        TandemError: ``element.shape`` for lobes that do not fit cells, ``element.block`` if no block holds a
+            panel, with a thickness that fits.
     """
-    panels = _divided(element, element.file.thickness_mm)
+    panels = _divide(element, element.file.thickness_mm)
     if panels is None:
         raise TandemError(_too_large(element))
-    if isinstance(element.wanted, PuzzleFile):
-        rows, across = max(panel.piece.place for panel in panels)
-        _refuse_lobes(element, element.wanted, (rows + 1, across + 1))
-    return numbered(panels)
+    if isinstance(element.options, PuzzleFile):
+        rows, across = max(panel.piece.grid_position for panel in panels)
+        _refuse_lobes(element, element.options, (rows + 1, across + 1))
+    return sort_panels(panels)
 
 
-def _divided(element: WallElement, thickness_mm: float) -> tuple[WallPanel, ...] | None:
-    wall, wanted, thickness = element.wall, element.wanted, thickness_mm * MM
-    own, foam = rooms(element.file), (element.file.sides, element.file.faces)
-    if isinstance(wanted, PuzzleFile):
-        pieces = divide_puzzle(wall, thickness, own, wanted.lobe_mm * MM, wanted.cells)
+def _divide(element: WallElement, thickness_mm: float) -> tuple[WallPanel, ...] | None:
+    wall, options, thickness = element.wall, element.options, thickness_mm * MM
+    available, foam = block_rooms(element.file), (element.file.sides, element.file.faces)
+    if isinstance(options, PuzzleFile):
+        pieces = divide_puzzle(wall, thickness, available, options.lobe_mm * MM, options.cells)
     else:
-        pieces = divide_boxes(wall, thickness, own, wanted.least_height_mm * MM)
+        pieces = divide_boxes(wall, thickness, available, options.least_height_mm * MM)
     if pieces is None:
         return None
-    made = [in_block(wall, piece, thickness, own, foam) for piece in pieces]
-    whole = tuple(panel for panel in made if panel is not None)
-    return whole if len(whole) == len(made) else None
+    placed_panels = [place_in_block(wall, piece, thickness, available, foam) for piece in pieces]
+    whole = tuple(panel for panel in placed_panels if panel is not None)
+    return whole if len(whole) == len(placed_panels) else None
 
 
-def _refuse_lobes(element: WallElement, wanted: PuzzleFile, cells: tuple[int, int]) -> None:
-    """Refuse lobes that reach into one another in cells, so many along the wall and across."""
+def _refuse_lobes(element: WallElement, options: PuzzleFile, cells: tuple[int, int]) -> None:
+    """Refuse lobes that overlap in ``cells`` (along the wall, across)."""
     length, width = float(element.wall.nodes[-1]) / cells[0], float(element.wall.widths.min()) / cells[1]
-    most = largest_lobe(length, width) / MM
-    if wanted.lobe_mm <= most:
+    max_radius = largest_lobe(length, width) / MM
+    if options.lobe_mm <= max_radius:
         return
     what = (
-        f"lobes of {wanted.lobe_mm:g} mm have no room in cells of {length / MM:.0f} x {width / MM:.0f} mm, "
-        f"at most {most:.1f} mm have"
+        f"lobes of {options.lobe_mm:g} mm do not fit cells of {length / MM:.0f} x {width / MM:.0f} mm, "
+        f"allowed {max_radius:.1f} mm"
     )
-    hint = f"give lobe_mm: {np.floor(most * 10.0) / 10.0:g}, or fewer cells"
+    hint = f"give lobe_mm: {np.floor(max_radius * 10.0) / 10.0:g}, or fewer cells"
     field = "panels.puzzle.lobe_mm"
-    raise refusal("element.shape", what, field=field, value=wanted.lobe_mm, limit=most, unit="mm", hint=hint)
+    raise issue_error(
+        "element.shape", what, field=field, value=options.lobe_mm, limit=max_radius, unit="mm", hint=hint
+    )
 
 
 def _too_large(element: WallElement) -> Issue:
-    """The lowest panel that no block holds by most, and the thickness that would fit."""
+    """Return the issue of the lowest panel that blocks hold least, and a thickness that fits."""
     file, thickness = element.file, element.file.thickness_mm * MM
-    own = rooms(file)
-    pieces = _lowest(element, own)
+    available = block_rooms(file)
+    pieces = _lowest_pieces(element, available)
     boxes = np.array(
         [
             flat_box(
-                element.wall, one.along, one.across, np.concatenate(outline(element.wall, one, thickness))
+                element.wall,
+                piece.along,
+                piece.across,
+                np.concatenate(piece_outline(element.wall, piece, thickness)),
             )[1]
-            for one in pieces
+            for piece in pieces
         ]
     )
-    over = np.min([(boxes - room.size).max(axis=1) for room in own], axis=0)
+    over = np.min([(boxes - room.size).max(axis=1) for room in available], axis=0)
     worst = int(np.argmax(over))
     around = 2.0 * np.array([file.sides, file.sides, file.faces])
     got, needed, has = (
         " x ".join(f"{v / MM:.0f}" for v in np.ceil(size / MM) * MM)
-        for size in (boxes[worst] + around, boxes.max(axis=0) + around, own[-1].size + around)
+        for size in (boxes[worst] + around, boxes.max(axis=0) + around, available[-1].size + around)
     )
     u, t = (np.mean(v) for v in (pieces[worst].along, pieces[worst].across))
     at = ", ".join(f"{v / MM:.0f}" for v in element.wall.points(np.array([u]), np.array([t]))[0])
     what = (
-        f"no block holds a panel near ({at}) mm, though it is only "
-        f"{np.ptp(pieces[worst].along) / MM:.0f} mm high: with foam beside it, it takes {got} mm, the "
+        f"no block holds a panel near ({at}) mm, although it is only "
+        f"{np.ptp(pieces[worst].along) / MM:.0f} mm high: with foam around it, it needs {got} mm, the "
         f"largest block has {has} mm within the span of the bow"
     )
     thin = _thickness_that_fits(element)
@@ -92,15 +107,18 @@ def _too_large(element: WallElement) -> Issue:
     )
 
 
-def _lowest(element: WallElement, own: Sequence[Room]) -> tuple[Piece, ...]:
-    """Panels as low as they may be, all over the wall."""
-    wall, wanted = element.wall, element.wanted
+def _lowest_pieces(element: WallElement, available: Sequence[BlockRoom]) -> tuple[WallPiece, ...]:
+    """Return panels of the minimum height, all over the wall."""
+    wall, options = element.wall, element.options
     length = float(wall.nodes[-1])
-    if isinstance(wanted, PuzzleFile):
-        radius = wanted.lobe_mm * MM
-        across, rows = wanted.cells or (fewest_strips(wall, own, reach(radius)), int(length / (3.0 * radius)))
+    if isinstance(options, PuzzleFile):
+        radius = options.lobe_mm * MM
+        across, rows = options.cells or (
+            fewest_strips(wall, available, lobe_reach(radius)),
+            int(length / (3.0 * radius)),
+        )
         return puzzle_pieces(wall, element.file.thickness_mm * MM, radius, across, max(1, rows))
-    count, strips = max(1, int(length / (wanted.least_height_mm * MM))), fewest_strips(wall, own)
+    count, strips = max(1, int(length / (options.least_height_mm * MM))), fewest_strips(wall, available)
     u, t = np.linspace(0.0, length, count + 1), np.linspace(0.0, 1.0, strips + 1)
     return tuple(
         box_piece(wall, (k, i), (float(u[i]), float(u[i + 1])), (float(t[k]), float(t[k + 1])))
@@ -109,9 +127,9 @@ def _lowest(element: WallElement, own: Sequence[Room]) -> tuple[Piece, ...]:
 
 
 def _thickness_that_fits(element: WallElement) -> float | None:
-    """The largest thickness in whole millimetres below the wanted one with which all panels fit."""
+    """Return the largest thickness in whole millimetres below the requested one with which all panels fit."""
     low, high = 0, int(np.ceil(element.file.thickness_mm))
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (middle, high) if _divided(element, middle) is not None else (low, middle)
+        low, high = (middle, high) if _divide(element, middle) is not None else (low, middle)
     return float(low) if low else None

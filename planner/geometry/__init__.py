@@ -1,1 +1,1 @@
-"""Curves, surfaces and meshes; knows no robot and no process."""
+"""Curves, surfaces and meshes. Nothing here depends on robots or processes."""

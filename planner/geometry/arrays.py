@@ -1,8 +1,8 @@
-"""Arrays: their types, short vectors, rigid motions as (..., 4, 4), and the rigid shapes they place.
+"""Arrays: types, short vectors, rigid motions as (..., 4, 4), and rigid shapes.
 
-Products, lengths and directions of many short vectors are several times as fast as numpy's sums
-over a short axis. Rigid motions: exponential and logarithm, frames, Euler angles, quaternions.
-Rigid shapes: boxes, round bodies and meshes, of which tools, obstacles and fixtures are made.
+Dot products, lengths and directions of many short vectors are several times faster than numpy's sums over a
+short axis. Rigid motions: exponential and logarithm, frames, Euler angles, quaternions. Rigid shapes: boxes,
+round bodies and meshes, of which tools, obstacles and fixtures consist.
 """
 
 import dataclasses
@@ -21,20 +21,28 @@ BoolArray = NDArray[np.bool_]
 
 @dataclasses.dataclass(frozen=True)
 class Mesh:
-    """Triangles: ``vertices`` (V, 3) [m], ``faces`` (F, 3)."""
+    """A triangle mesh.
+
+    Attributes:
+        vertices: Vertices (V, 3) [m].
+        faces: Triangles (F, 3).
+    """
 
     vertices: FloatArray
     faces: IntArray
 
 
 @dataclasses.dataclass(frozen=True)
-class Ruled:
-    """A ruled surface of the part: ruling i runs straight from ``start[i]`` to ``end[i]`` (M, 3) [m, stock
-    frame].
+class RuledSurface:
+    """A ruled surface of the part. The outward normal, away from the part, is tangent x (end - start).
 
-    The outward normal, away from the part, is tangent x (end - start), with the tangent along growing i.
-    ``closed``: the last ruling is followed by the first. ``corner`` (M,): rulings at which the surface has an
-    edge. ``hole``: the part lies around a closed contour, not in it.
+    Attributes:
+        name: Name of the surface.
+        start: Starts of the rulings (M, 3) [m], in the stock frame. The tangent is along growing indices.
+        end: Ends of the rulings (M, 3) [m].
+        corner: Rulings at which the surface has an edge (M,).
+        closed: Whether the last ruling is followed by the first one.
+        hole: Whether the part is outside of the closed contour, not inside.
     """
 
     name: str
@@ -46,77 +54,96 @@ class Ruled:
 
 
 def dots(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Products (...) of the vectors of two arrays (..., D)."""
-    many = a.shape == b.shape and a.size >= _MANY_NUMBERS and a.shape[-1] == 3
-    if many and a.dtype == b.dtype == np.float64:
+    """Return dot products (...) of the vectors of two arrays (..., D)."""
+    is_large = a.shape == b.shape and a.size >= _COLUMN_SUM_SIZE and a.shape[-1] == 3
+    if is_large and a.dtype == b.dtype == np.float64:
         if a.flags.c_contiguous and b.flags.c_contiguous:
-            return _dots(a.reshape(-1, 3), b.reshape(-1, 3)).reshape(a.shape[:-1])
+            return _dots_by_columns(a.reshape(-1, 3), b.reshape(-1, 3)).reshape(a.shape[:-1])
         if a.ndim == 2 and a.strides[1] == b.strides[1] == a.itemsize:
-            return _dots(a, b)
+            return _dots_by_columns(a, b)
     return np.asarray(np.einsum("...i,...i->...", a, b))
 
 
-_MANY_NUMBERS = 4500
-"""Numbers from which on columns are faster than a sum over each short row."""
-_ROWS_AT_ONCE = 4096
-"""Rows whose columns stay in the cache."""
+_COLUMN_SUM_SIZE = 4500
+"""Array size from which on sums over columns are faster than a sum over each short row."""
+_MAX_ROWS = 4096
+"""Number of rows whose columns stay in the cache."""
 
 
-def _dots(a: FloatArray, b: FloatArray) -> FloatArray:
-    """As :func:`dots` of (M, 3), added up in the order in which numpy adds three numbers side by side, two
-    lanes at once: the same bit by bit."""
+def _dots_by_columns(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return :func:`dots` of (M, 3) arrays.
+
+    The sum has the order in which numpy adds three adjacent numbers with two SIMD lanes, so results are
+    identical bit by bit.
+    """
     out = np.empty(len(a))
-    for begin in range(0, len(a), _ROWS_AT_ONCE):
-        x, y = a[begin : begin + _ROWS_AT_ONCE], b[begin : begin + _ROWS_AT_ONCE]
-        some = out[begin : begin + _ROWS_AT_ONCE]
-        np.multiply(x[:, 0], y[:, 0], out=some)
-        some += x[:, 2] * y[:, 2]
-        some += x[:, 1] * y[:, 1]
-        some += 0.0  # a sum that begins at zero has no negative one
+    for start in range(0, len(a), _MAX_ROWS):
+        x, y = a[start : start + _MAX_ROWS], b[start : start + _MAX_ROWS]
+        chunk = out[start : start + _MAX_ROWS]
+        np.multiply(x[:, 0], y[:, 0], out=chunk)
+        chunk += x[:, 2] * y[:, 2]
+        chunk += x[:, 1] * y[:, 1]
+        chunk += 0.0  # a sum that starts at zero never gives a negative zero
     return out
 
 
 def lengths(a: FloatArray) -> FloatArray:
-    """Lengths (...) of the vectors (..., D), in their unit."""
+    """Return lengths (...) of the vectors (..., D), in their unit."""
     return np.sqrt(dots(a, a))
 
 
 def unit(vectors: FloatArray) -> FloatArray:
-    """The vectors (..., D) as directions of length 1; one without length stays as it is."""
+    """Return the vectors (..., D) with length 1. A zero vector stays as it is."""
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-15))
 
 
-def distinct_rows(rows: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-    """The distinct rows (K, D) of whole numbers (M, D), in their order, the first (K,) of each, and which of
-    them each row (M,) is: as ``numpy.unique``, which compares rows by their bytes and takes several times as
-    long."""
+def unique_rows(rows: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Return the distinct rows of an integer array.
+
+    It is several times faster than ``numpy.unique``, which compares rows by their bytes.
+
+    Args:
+        rows: Integers (M, D).
+
+    Returns:
+        The distinct rows (K, D) in ascending order, the first occurrence (K,) of each, and the index (M,) of
+        the distinct row of each row.
+    """
     low, high = rows.min(axis=0, initial=0), rows.max(axis=0, initial=0)
     span = [b - a + 1 for a, b in zip(low.tolist(), high.tolist(), strict=True)]
     if math.prod(span) >= 2**63:
-        _, first, which = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+        _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     else:
         key = np.ravel_multi_index(tuple((rows - low).T), span)
-        _, first, which = np.unique(key, return_index=True, return_inverse=True)
-    return rows[first], first, np.asarray(which).reshape(-1)
+        _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
+    return rows[first], first, np.asarray(inverse).reshape(-1)
 
 
-def columns(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Products (M,) of columns of two arrays (D, M), which is how many of them are worked out fastest."""
+def column_dots(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return dot products (M,) of the columns of two arrays (D, M), the fastest layout for many vectors."""
     return np.asarray(np.einsum("ij,ij->j", a, b))
 
 
-def spread_rows(count: int, most: int) -> IndexArray:
-    """At most ``most`` rows (K,) of ``count``, evenly spread, the first and the last among them."""
+def spread_rows(count: int, max_count: int) -> IndexArray:
+    """Return evenly spaced row indices, the first and the last one included.
+
+    Args:
+        count: Number of rows.
+        max_count: Maximum number of indices.
+
+    Returns:
+        Indices (K,).
+    """
     if count < 1:
         return np.zeros(0, dtype=np.intp)
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))
+    return np.unique(np.linspace(0, count - 1, min(count, max_count)).round().astype(np.intp))
 
 
 _Value = TypeVar("_Value")
 
 
 def read_only(value: _Value) -> _Value:
-    """The value itself, all arrays in its dataclasses, tuples, lists and mappings made read-only."""
+    """Return the value with all arrays in its dataclasses, tuples, lists and mappings set to read-only."""
     if isinstance(value, np.ndarray):
         value.setflags(write=False)
     elif isinstance(value, tuple | list):
@@ -132,7 +159,7 @@ def read_only(value: _Value) -> _Value:
 
 
 def skew(v: FloatArray) -> FloatArray:
-    """Cross-product matrices (..., 3, 3) of vectors (..., 3)."""
+    """Return cross-product matrices (..., 3, 3) of vectors (..., 3)."""
     out = np.zeros((*v.shape[:-1], 3, 3))
     out[..., 0, 1], out[..., 0, 2] = -v[..., 2], v[..., 1]
     out[..., 1, 0], out[..., 1, 2] = v[..., 2], -v[..., 0]
@@ -141,13 +168,13 @@ def skew(v: FloatArray) -> FloatArray:
 
 
 def exp_rotation(w: FloatArray) -> FloatArray:
-    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad] (Rodrigues)."""
+    """Return rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad] (Rodrigues)."""
     angle, k = np.linalg.norm(w, axis=-1)[..., None, None], skew(w)
-    return _turned(angle, k, k @ k, _cosc(angle))
+    return _rotation_matrices(angle, k, k @ k, _cosc(angle))
 
 
 def log_rotation(r: FloatArray) -> FloatArray:
-    """Rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3), angle in [0, pi]."""
+    """Return rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3), with the angle in [0, pi]."""
     q = to_quaternion(r)
     vector = q[..., 1:]
     norm = np.linalg.norm(vector, axis=-1, keepdims=True)
@@ -158,21 +185,24 @@ def log_rotation(r: FloatArray) -> FloatArray:
 
 
 def exp_twist(xi: FloatArray) -> FloatArray:
-    """Poses (..., 4, 4) of twists (..., 6), angular part first (Murray, Li, Sastry 1994, section 2.3)."""
+    """Return poses (..., 4, 4) of twists (..., 6), angular part first.
+
+    Source: Murray, Li, Sastry, 1994, section 2.3.
+    """
     w, v = xi[..., :3], xi[..., 3:]
     angle, k = np.linalg.norm(w, axis=-1)[..., None, None], skew(w)
     square, cosc = k @ k, _cosc(angle)
     left = np.eye(3) + cosc * k + _sinc3(angle) * square
-    return from_parts(_turned(angle, k, square, cosc), (left @ v[..., None])[..., 0])
+    return from_parts(_rotation_matrices(angle, k, square, cosc), (left @ v[..., None])[..., 0])
 
 
-def _turned(angle: FloatArray, k: FloatArray, square: FloatArray, cosc: FloatArray) -> FloatArray:
-    """Rotations by angles (..., 1, 1) of cross-product matrices and their squares (..., 3, 3)."""
+def _rotation_matrices(angle: FloatArray, k: FloatArray, square: FloatArray, cosc: FloatArray) -> FloatArray:
+    """Return rotations by angles (..., 1, 1) from cross-product matrices and their squares (..., 3, 3)."""
     return np.asarray(np.eye(3) + _sinc(angle) * k + cosc * square)
 
 
 def log_pose(pose: FloatArray) -> FloatArray:
-    """Twists (..., 6), angular part first, of poses (..., 4, 4); rotation angle below pi."""
+    """Return twists (..., 6), angular part first, of poses (..., 4, 4) with a rotation angle below pi."""
     w = log_rotation(pose[..., :3, :3])
     angle = np.linalg.norm(w, axis=-1)[..., None, None]
     k = skew(w)
@@ -182,7 +212,7 @@ def log_pose(pose: FloatArray) -> FloatArray:
 
 
 def from_parts(rotation: FloatArray, position: FloatArray) -> FloatArray:
-    """Poses (..., 4, 4) from rotations (..., 3, 3) and positions (..., 3)."""
+    """Return poses (..., 4, 4) from rotations (..., 3, 3) and positions (..., 3)."""
     shape = np.broadcast_shapes(rotation.shape[:-2], position.shape[:-1])
     pose = np.zeros((*shape, 4, 4))
     pose[..., :3, :3] = rotation
@@ -192,14 +222,17 @@ def from_parts(rotation: FloatArray, position: FloatArray) -> FloatArray:
 
 
 def inverse(pose: FloatArray) -> FloatArray:
-    """Inverses of rigid poses (..., 4, 4), by transposing."""
+    """Return inverses of rigid poses (..., 4, 4), by transposing."""
     rt = np.swapaxes(pose[..., :3, :3], -1, -2)
     return from_parts(rt, -(rt @ pose[..., :3, 3, None])[..., 0])
 
 
 def from_rpy(xyz: ArrayLike, rpy: ArrayLike) -> FloatArray:
-    """Pose (4, 4) from a position [m] and roll, pitch, yaw [rad] about fixed x, then y, then z (as in
-    URDF).
+    """Return a pose (4, 4).
+
+    Args:
+        xyz: Position (3,) [m].
+        rpy: Roll, pitch, yaw (3,) [rad] about fixed x, then y, then z, as in URDF.
     """
     roll, pitch, yaw = np.asarray(rpy, dtype=np.float64)
     rotation = (
@@ -211,9 +244,9 @@ def from_rpy(xyz: ArrayLike, rpy: ArrayLike) -> FloatArray:
 
 
 def to_rpy(rotation: FloatArray) -> FloatArray:
-    """Roll, pitch, yaw (..., 3) [rad] of rotations (..., 3, 3); the inverse of :func:`from_rpy`.
+    """Return roll, pitch, yaw (..., 3) [rad] of rotations (..., 3, 3). It is the inverse of :func:`from_rpy`.
 
-    At a pitch of +-90 degrees, where only the sum of roll and yaw is fixed, yaw is 0.
+    At a pitch of +-90 degrees only the sum of roll and yaw is defined. Then yaw is 0.
     """
     level = np.hypot(rotation[..., 2, 1], rotation[..., 2, 2])
     pitch = np.arctan2(-rotation[..., 2, 0], level)
@@ -228,7 +261,10 @@ def to_rpy(rotation: FloatArray) -> FloatArray:
 
 
 def to_quaternion(rotation: FloatArray) -> FloatArray:
-    """Unit quaternions (..., 4) as w, x, y, z with w >= 0 (Shepperd's choice of the largest component)."""
+    """Return unit quaternions (..., 4) as w, x, y, z with w >= 0.
+
+    The largest component is computed first (Shepperd's method).
+    """
     r = np.asarray(rotation, dtype=np.float64)
     trace = np.trace(r, axis1=-2, axis2=-1)
     diagonal = np.diagonal(r, axis1=-2, axis2=-1)
@@ -246,7 +282,7 @@ def to_quaternion(rotation: FloatArray) -> FloatArray:
 
 
 def from_quaternion(q: FloatArray) -> FloatArray:
-    """Rotations (..., 3, 3) of quaternions (..., 4) w, x, y, z, normalised first."""
+    """Return rotations (..., 3, 3) of quaternions (..., 4) w, x, y, z, which are normalised first."""
     w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -257,7 +293,10 @@ def from_quaternion(q: FloatArray) -> FloatArray:
 
 
 def interpolate(a: FloatArray, b: FloatArray, t: FloatArray) -> FloatArray:
-    """Poses between a and b (..., 4, 4) at t (...,): straight line in position, constant rate in rotation."""
+    """Return poses between a and b (..., 4, 4) at t (...,).
+
+    Positions are on a straight line, and the rotation has a constant rate.
+    """
     turn = log_rotation(np.swapaxes(a[..., :3, :3], -1, -2) @ b[..., :3, :3])
     rotation = a[..., :3, :3] @ exp_rotation(t[..., None] * turn)
     position = a[..., :3, 3] + t[..., None] * (b[..., :3, 3] - a[..., :3, 3])
@@ -265,7 +304,7 @@ def interpolate(a: FloatArray, b: FloatArray, t: FloatArray) -> FloatArray:
 
 
 def transform(pose: FloatArray, points: FloatArray) -> FloatArray:
-    """Points (..., 3) moved by one pose (4, 4)."""
+    """Return points (..., 3) moved by one pose (4, 4)."""
     return np.asarray(points @ pose[:3, :3].T + pose[:3, 3])
 
 
@@ -288,11 +327,15 @@ ShapeKind = Literal["box", "cylinder", "capsule", "sphere", "mesh"]
 
 @dataclasses.dataclass(frozen=True)
 class Shape:
-    """A rigid shape at ``pose`` (4, 4) in the frame of the thing that it belongs to.
+    """A rigid shape.
 
-    ``size`` [m]: box (x, y, z); cylinder and capsule (radius, length along z, a capsule's without its caps);
-    sphere (radius,); mesh () with ``vertices`` (V, 3) and ``faces`` (F, 3), its collision shape being the
-    convex hull.
+    Attributes:
+        kind: Kind of the shape.
+        size: Sizes [m]: box (x, y, z); cylinder and capsule (radius, length along z, without the caps of a
+            capsule); sphere (radius,); mesh ().
+        pose: Pose (4, 4) in the frame of the body to which it belongs.
+        vertices: Vertices of a mesh (V, 3) [m]. Its collision shape is the convex hull.
+        faces: Triangles of a mesh (F, 3).
     """
 
     kind: ShapeKind
@@ -302,8 +345,8 @@ class Shape:
     faces: IntArray | None = None
 
 
-def corners(shape: Shape) -> FloatArray:
-    """Points (K, 3) [m] whose hull holds a shape, in its own frame."""
+def hull_points(shape: Shape) -> FloatArray:
+    """Return points (K, 3) [m] whose convex hull contains a shape, in its own frame."""
     if shape.vertices is not None:
         return shape.vertices
     if shape.kind == "box":
@@ -318,7 +361,9 @@ def corners(shape: Shape) -> FloatArray:
 
 
 def axis_ends(shape: Shape) -> FloatArray:
-    """Both ends (2, 3) [m] of the axis of a cylinder, or of a capsule without its caps, in the frame of the
-    thing that it belongs to."""
+    """Return both ends (2, 3) [m] of the axis of a cylinder, or of a capsule without its caps.
+
+    They are in the frame of the body to which the shape belongs.
+    """
     local = np.array([[0.0, 0.0, -0.5 * shape.size[1]], [0.0, 0.0, 0.5 * shape.size[1]]])
     return np.asarray(local @ shape.pose[:3, :3].T + shape.pose[:3, 3])

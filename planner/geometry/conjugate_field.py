@@ -1,12 +1,14 @@
-"""Two families of lines over a surface along which it can be laid out in planar quads.
+"""Two families of lines over a surface along which it can be divided into planar quads.
 
-Directions a and b at a point are conjugate where II(a, b) = 0, II the second fundamental form: quads along
-them are planar up to third order (Y. Liu and others, General planar quadrilateral mesh design using conjugate
-direction field, ACM TOG 30, 2011). Principal directions are conjugate and square to each other, but turn
-about umbilics; other conjugate ones go on, so the field here is smooth, conjugate, and as square as that
-allows. Its angles are plain numbers over the whole surface, so it has no singularities.
+Directions a and b at a point are conjugate if II(a, b) = 0, with II the second fundamental form. Quads along
+them are planar up to third order. Principal directions are conjugate and orthogonal, but they rotate about
+umbilics. Other conjugate directions continue there, so the field here is smooth, conjugate, and as orthogonal
+as that allows. Its angles are continuous numbers over the whole surface, so it has no singularities.
 
 Coordinates u and v then follow the field: lines of v run along a, those of u along b.
+
+Source: Y. Liu et al., General planar quadrilateral mesh design using conjugate direction field, ACM TOG 30,
+2011.
 """
 
 import dataclasses
@@ -17,119 +19,134 @@ from scipy.sparse import block_array, coo_array, csc_array, csr_array, diags_arr
 from scipy.spatial import KDTree
 
 from planner.geometry.arrays import FloatArray, IntArray, dots, unit
-from planner.geometry.even_points import FineSurface, bending
-from planner.geometry.guided_projection import symmetric_factor
+from planner.geometry.even_points import FineSurface, surface_curvature
+from planner.geometry.guided_projection import factor_symmetric
 from planner.geometry.mesh import TriangleMesh, face_areas, face_normals
 
-_ASKED: Final = 3
-"""Places in each cell, one way, where the surface's bending is fitted."""
-_ODD: Final = 0.3819
-"""Where those places are taken begins so much of a cell before the first vertex, as meshes are regular."""
-_ROUNDS: Final = 12
-"""Rounds of Gauss-Newton for the field."""
-_STILL: Final = 1e-4
-"""Angles [rad] that change by less are found."""
-_SQUARE: Final = 0.2
-"""How much it counts that directions are square to each other; that they are conjugate counts 1."""
-_OPEN: Final = 0.766
-"""Sine of the angle between directions, of 50 degrees, under which it counts more."""
-_FIRM: Final = 3.0
-"""How much it counts then."""
-_REACH: Final = 2.0
-"""Over how many spacings the field is smooth."""
-_ALONG: Final = 6.0
-"""How much more it counts that coordinates follow the field than that their steps are even."""
+_FIT_POINTS: Final = 3
+"""Number of points per cell side at which the curvature of the surface is fitted."""
+_GRID_OFFSET: Final = 0.3819
+"""Offset of these points before the first vertex, in cells, because meshes are regular."""
+_MAX_ITERATIONS: Final = 12
+"""Maximum number of Gauss-Newton iterations for the field."""
+_ANGLE_TOLERANCE_RAD: Final = 1e-4
+"""Convergence limit of the angles [rad]."""
+_ORTHOGONAL_WEIGHT: Final = 0.2
+"""Weight of orthogonal directions. Conjugate ones have the weight 1."""
+_MIN_ANGLE_SINE: Final = 0.766
+"""Sine of the angle between directions (50 degrees) below which the weight increases."""
+_ANGLE_WEIGHT: Final = 3.0
+"""Weight below that angle."""
+_SMOOTHING_LENGTH_FACTOR: Final = 2.0
+"""Length over which the field is smooth, in spacings."""
+_FOLLOW_WEIGHT: Final = 6.0
+"""Weight of coordinates that follow the field, relative to that of even steps."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Layout:
-    """A surface laid out flat: ``at`` (V, 2) [m], the coordinates of its vertices, near to lengths."""
+class SurfaceLayout:
+    """A surface with plane coordinates.
+
+    Attributes:
+        surface: The surface.
+        coordinates: Coordinates of its vertices (V, 2) [m], nearly lengths.
+    """
 
     surface: FineSurface
-    at: FloatArray
+    coordinates: FloatArray
 
-    def folded(self) -> IntArray:
-        """Faces that come out turned over."""
-        a, b, c = (self.at[self.surface.mesh.faces[:, i]] for i in range(3))
-        one, two = b - a, c - a
-        return np.flatnonzero(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0] <= 0.0)
+    def folded_faces(self) -> IntArray:
+        """Return the faces that are inverted."""
+        a, b, c = (self.coordinates[self.surface.mesh.faces[:, i]] for i in range(3))
+        first_edge, second_edge = b - a, c - a
+        return np.flatnonzero(
+            first_edge[:, 0] * second_edge[:, 1] - first_edge[:, 1] * second_edge[:, 0] <= 0.0
+        )
 
 
-def layout(surface: FineSurface) -> Layout:
-    """Coordinates of a surface along conjugate directions; faces that fold over stay in the result."""
-    normal, form, frame = _bent(surface)
-    a, b = _directions(surface, normal, form, frame)
+def surface_layout(surface: FineSurface) -> SurfaceLayout:
+    """Return coordinates of a surface along conjugate directions. Inverted faces may remain in the result.
+
+    Args:
+        surface: The surface.
+    """
+    normal, form, frame = _curvature(surface)
+    a, b = _field_directions(surface, normal, form, frame)
     faces = surface.mesh.faces
     up = face_normals(surface.mesh)
-    at = []
-    for along, still in ((a, b), (b, a)):
-        way, line = (unit(v[faces].mean(axis=1)) for v in (along, still))
+    coordinates = []
+    for along, constant in ((a, b), (b, a)):
+        direction, line = (unit(v[faces].mean(axis=1)) for v in (along, constant))
         line = unit(line - dots(line, up)[:, None] * up)
         across = np.cross(up, line)
-        across *= np.sign(dots(across, way))[:, None]
-        at.append(_coordinate(surface.mesh, line, across))
-    return Layout(surface, np.stack(at, axis=1))
+        across *= np.sign(dots(across, direction))[:, None]
+        coordinates.append(_solve_coordinate(surface.mesh, line, across))
+    return SurfaceLayout(surface, np.stack(coordinates, axis=1))
 
 
-def _bent(surface: FineSurface) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Normals (V, 3), the second fundamental form (V, 2, 2) [1/m] and its axes (V, 2, 3)."""
+def _curvature(surface: FineSurface) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return normals (V, 3), the second fundamental form (V, 2, 2) [1/m] and its axes (V, 2, 3)."""
     vertices = surface.mesh.vertices
-    cell = surface.spacing / _ASKED
-    # one vertex in each cube that has some: enough places, and the same ones wherever the mesh is cut finer
-    _, some = np.unique(np.floor((vertices - vertices.min(axis=0)) / cell + _ODD), axis=0, return_index=True)
-    some = np.sort(some)
+    cell = surface.spacing / _FIT_POINTS
+    # one vertex per non-empty cube: enough points, which do not depend on the refinement of the mesh
+    _, fit_rows = np.unique(
+        np.floor((vertices - vertices.min(axis=0)) / cell + _GRID_OFFSET), axis=0, return_index=True
+    )
+    fit_rows = np.sort(fit_rows)
     cells = max(1, round(float(surface.area.sum()) / surface.spacing**2))
-    found = [
-        bending(surface, part, cells) for part in np.array_split(vertices[some], max(1, len(some) // 1000))
+    fits = [
+        surface_curvature(surface, part, cells)
+        for part in np.array_split(vertices[fit_rows], max(1, len(fit_rows) // 1000))
     ]
-    known, curvature, way = (np.concatenate(rows) for rows in zip(*found, strict=True))
-    near = np.asarray(KDTree(vertices[some]).query(vertices, k=min(4, len(some)))[1]).reshape(
+    normals, curvature, directions = (np.concatenate(rows) for rows in zip(*fits, strict=True))
+    nearest = np.asarray(KDTree(vertices[fit_rows]).query(vertices, k=min(4, len(fit_rows)))[1]).reshape(
         len(vertices), -1
     )
-    tensor = np.einsum("nk,nki,nkj->nij", curvature, way, way)[near].mean(axis=1)
-    normal = unit(known[near].sum(axis=1))
-    # the axis that normals are farthest from: frames turn least
+    tensor = np.einsum("nk,nki,nkj->nij", curvature, directions, directions)[nearest].mean(axis=1)
+    normal = unit(normals[nearest].sum(axis=1))
+    # axis farthest from all normals, so that frames rotate least
     axis = np.linalg.eigh(normal.T @ normal)[1][:, 0]
-    one = axis - (normal @ axis)[:, None] * normal
-    poor = np.linalg.norm(one, axis=1) < 1e-3
-    one[poor] = np.cross(normal[poor], np.roll(normal[poor], 1, axis=1))
-    one = unit(one)
-    frame = np.stack([one, np.cross(normal, one)], axis=1)
+    first_axis = axis - (normal @ axis)[:, None] * normal
+    poor = np.linalg.norm(first_axis, axis=1) < 1e-3
+    first_axis[poor] = np.cross(normal[poor], np.roll(normal[poor], 1, axis=1))
+    first_axis = unit(first_axis)
+    frame = np.stack([first_axis, np.cross(normal, first_axis)], axis=1)
     return normal, np.einsum("nai,nij,nbj->nab", frame, tensor, frame), frame
 
 
-def _directions(
+def _field_directions(
     surface: FineSurface, normal: FloatArray, form: FloatArray, frame: FloatArray
 ) -> list[FloatArray]:
-    """Both directions, each (V, 3), at the vertices: their angles by Gauss-Newton."""
+    """Return both directions, (V, 3) each, at the vertices. Their angles are found by Gauss-Newton."""
     count = len(normal)
-    edge, hold = _edges(surface.mesh)
+    edge, edge_weight = _weighted_edges(surface.mesh)
     i, j = edge.T
-    # each frame, turned as the normal turns, against its neighbour's
+    # rotation of each frame relative to its neighbour, after parallel transport
     mean = unit(normal[i] + normal[j])
     first = frame[i, 0] - 2.0 * dots(frame[i, 0], mean)[:, None] * mean
     first = first - 2.0 * dots(first, normal[j])[:, None] * normal[j]
     turn = np.arctan2(dots(first, frame[j, 1]), dots(first, frame[j, 0]))
     rows = np.tile(np.arange(len(edge)), 2)
     change = csr_array(
-        (np.concatenate([hold, -hold]), (rows, np.concatenate([j, i]))), shape=(len(edge), count)
+        (np.concatenate([edge_weight, -edge_weight]), (rows, np.concatenate([j, i]))),
+        shape=(len(edge), count),
     )
     both = block_array([[change, None], [None, change]], format="csr")
-    smooth, right = both.T @ both, both.T @ np.tile(hold * turn, 2)
+    smooth, right = both.T @ both, both.T @ np.tile(edge_weight * turn, 2)
     scale = float(np.sqrt(np.average((form**2).sum(axis=(1, 2)), weights=surface.area)))
     form = form / max(scale, 1e-9)
-    weight = np.sqrt(surface.area) / (_REACH * surface.spacing)
-    angle = np.repeat(_steady(form, surface.area), count)
+    weight = np.sqrt(surface.area) / (_SMOOTHING_LENGTH_FACTOR * surface.spacing)
+    angle = np.repeat(_constant_angles(form, surface.area), count)
     every = np.arange(2 * count).reshape(2, count)
     where = (np.repeat(every, 2, axis=0).reshape(-1), np.tile(every, (2, 1)).reshape(-1))
-    for _ in range(_ROUNDS):
-        rest, slope = _wishes(form, angle[:count], angle[count:])
-        own = np.einsum("rkn,rln->kln", weight * slope, weight * slope)
-        square = csc_array(smooth + coo_array((own.reshape(-1), where), shape=smooth.shape))
+    for _ in range(_MAX_ITERATIONS):
+        rest, slope = _residuals(form, angle[:count], angle[count:])
+        blocks = np.einsum("rkn,rln->kln", weight * slope, weight * slope)
+        square = csc_array(smooth + coo_array((blocks.reshape(-1), where), shape=smooth.shape))
         down = np.einsum("rkn,rn->kn", weight * slope, weight * rest).reshape(-1) + smooth @ angle - right
-        step = symmetric_factor(csc_array(square + 1e-6 * diags_array(np.ones(2 * count)))).solve(down)
+        step = factor_symmetric(csc_array(square + 1e-6 * diags_array(np.ones(2 * count)))).solve(down)
         angle = angle - step
-        if float(np.abs(step).max()) < _STILL:
+        if float(np.abs(step).max()) < _ANGLE_TOLERANCE_RAD:
             break
     return [
         np.cos(v)[:, None] * frame[:, 0] + np.sin(v)[:, None] * frame[:, 1]
@@ -137,45 +154,54 @@ def _directions(
     ]
 
 
-def _wishes(form: FloatArray, alpha: FloatArray, beta: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """What is left (3, V) of wishes for two directions by their angles, and its slopes (3, 2, V): conjugate,
-    square to each other, and not too near to each other."""
+def _residuals(form: FloatArray, alpha: FloatArray, beta: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return residuals (3, V) of two directions, and derivatives (3, 2, V) by their angles.
+
+    Directions should be conjugate, orthogonal, and not too close to each other.
+    """
     a, b = (np.stack([np.cos(v), np.sin(v)], axis=1) for v in (alpha, beta))
     da, db = (np.stack([-np.sin(v), np.cos(v)], axis=1) for v in (alpha, beta))
-    off, by_a, by_b = (np.einsum("na,nab,nb->n", p, form, q) for p, q in ((a, b), (da, b), (a, db)))
+    conjugate, by_a, by_b = (np.einsum("na,nab,nb->n", p, form, q) for p, q in ((a, b), (da, b), (a, db)))
     sine, cosine = np.sin(beta - alpha), np.cos(beta - alpha)
-    low = _FIRM * (sine < _OPEN)
-    rest = np.stack([off, _SQUARE * cosine, low * (_OPEN - sine)])
-    grow = np.stack([_SQUARE * sine, low * cosine])
+    angle_weight = _ANGLE_WEIGHT * (sine < _MIN_ANGLE_SINE)
+    rest = np.stack([conjugate, _ORTHOGONAL_WEIGHT * cosine, angle_weight * (_MIN_ANGLE_SINE - sine)])
+    grow = np.stack([_ORTHOGONAL_WEIGHT * sine, angle_weight * cosine])
     return rest, np.stack([np.stack([by_a, *grow]), np.stack([by_b, *-grow])], axis=1)
 
 
-def _steady(form: FloatArray, area: FloatArray) -> FloatArray:
-    """The pair of angles (2,) that is best where all of the surface has the same."""
+def _constant_angles(form: FloatArray, area: FloatArray) -> FloatArray:
+    """Return the best pair of angles (2,) if it is the same on all of the surface."""
     angle = np.deg2rad(np.arange(0.0, 180.0, 7.5))
-    way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     # the mean of II(a, b)^2, from that of its products
     square = np.einsum("n,nab,ncd->abcd", area / area.sum(), form, form)
-    cost = np.einsum("pa,qb,abcd,pc,qd->pq", way, way, square, way, way)
-    apart = angle[None, :] - angle[:, None]
-    low = _FIRM * (np.sin(apart) < _OPEN)
-    cost = cost + (_SQUARE * np.cos(apart)) ** 2 + (low * (_OPEN - np.sin(apart))) ** 2
+    cost = np.einsum("pa,qb,abcd,pc,qd->pq", direction, direction, square, direction, direction)
+    difference = angle[None, :] - angle[:, None]
+    low = _ANGLE_WEIGHT * (np.sin(difference) < _MIN_ANGLE_SINE)
+    cost = (
+        cost
+        + (_ORTHOGONAL_WEIGHT * np.cos(difference)) ** 2
+        + (low * (_MIN_ANGLE_SINE - np.sin(difference))) ** 2
+    )
     p, q = np.unravel_index(int(np.argmin(cost)), cost.shape)
     return np.array([angle[p], angle[q]])
 
 
-def _edges(mesh: TriangleMesh) -> tuple[IntArray, FloatArray]:
-    """Edges (E, 2), and the root of how much each counts in a sum that stands for an integral of slopes."""
+def _weighted_edges(mesh: TriangleMesh) -> tuple[IntArray, FloatArray]:
+    """Return edges (E, 2), and the root of their weights in a sum that approximates a gradient integral."""
     faces = mesh.faces
     sides = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     edge, back = np.unique(sides, axis=0, return_inverse=True)
-    beside = np.bincount(np.reshape(back, -1), np.repeat(face_areas(mesh), 3))
+    adjacent_area = np.bincount(np.reshape(back, -1), np.repeat(face_areas(mesh), 3))
     length = np.linalg.norm(mesh.vertices[edge[:, 1]] - mesh.vertices[edge[:, 0]], axis=1)
-    return edge, np.sqrt(2.0 / 3.0 * beside) / np.maximum(length, 1e-9)
+    return edge, np.sqrt(2.0 / 3.0 * adjacent_area) / np.maximum(length, 1e-9)
 
 
-def _coordinate(mesh: TriangleMesh, line: FloatArray, across: FloatArray) -> FloatArray:
-    """Values (V,) that are even along ``line`` (F, 3) and grow with the length along ``across`` (F, 3)."""
+def _solve_coordinate(mesh: TriangleMesh, line: FloatArray, across: FloatArray) -> FloatArray:
+    """Return values (V,) that are constant along ``line`` (F, 3) and grow along ``across`` (F, 3).
+
+    The growth is that of length.
+    """
     faces, corner = mesh.faces, mesh.vertices[mesh.faces]
     area = face_areas(mesh)
     up = face_normals(mesh)
@@ -183,12 +209,12 @@ def _coordinate(mesh: TriangleMesh, line: FloatArray, across: FloatArray) -> Flo
     slope = slope / np.maximum(2.0 * area, 1e-300)[:, None, None]
     count, every = len(mesh.vertices), np.arange(len(faces))
     square, right = csc_array((count, count)), np.zeros(count)
-    for way, gain, wanted in ((line, _ALONG, 0.0), (across, 1.0, 1.0)):
-        value = gain * np.sqrt(area)[:, None] * np.einsum("fki,fi->fk", slope, way)
+    for direction, gain, slope_value in ((line, _FOLLOW_WEIGHT, 0.0), (across, 1.0, 1.0)):
+        value = gain * np.sqrt(area)[:, None] * np.einsum("fki,fi->fk", slope, direction)
         rows = csr_array(
             (value.reshape(-1), (np.repeat(every, 3), faces.reshape(-1))), shape=(len(faces), count)
         )
         square = square + csc_array(rows.T @ rows)
-        right = right + rows.T @ (wanted * gain * np.sqrt(area))
+        right = right + rows.T @ (slope_value * gain * np.sqrt(area))
     matrix = csc_array(square + 1e-9 * diags_array(square.diagonal()))
-    return np.asarray(symmetric_factor(matrix).solve(right))
+    return np.asarray(factor_symmetric(matrix).solve(right))

@@ -1,11 +1,11 @@
-"""How much of its moves a corner between two of them may round off: what a zone may take.
+"""How much of its moves a corner between them may round off: the size of zones.
 
-How far a corner may pass its target is what a process says of its targets
-(:class:`planner.targets.Rounding`). The clock asks for the shares that follow as well as the
-writers of programs: the speed that changes at a corner changes while that is rounded off, so small
-zones want slow corners.
+A process defines how far a corner may deviate from its target (:class:`planner.targets.CornerRounding`).
+Timing and program writers both use the fractions computed here. Velocity changes at a corner while it is
+rounded, so small zones require slow corners.
 """
 
+import dataclasses
 from typing import Final
 
 import numpy as np
@@ -13,145 +13,209 @@ import numpy as np
 from planner.geometry.arrays import BoolArray, FloatArray, dots, lengths
 
 CORNER_DEVIATION_MM: Final = 0.02
-"""How far [mm] a rounded corner may pass its target; on a smooth curve with dense targets it is less."""
-TURNING_LEVER_MM: Final = 100.0
-"""Turning counts as the way [mm/rad] of a point so far from the TCP at least, for what a tool holds is
-long."""
+"""Maximum distance of a rounded corner from its target [mm].
+
+On a smooth curve with dense targets it is smaller.
+"""
+ROTATION_LEVER_MM: Final = 100.0
+"""Length [mm/rad] that converts rotation to distance, because what a tool holds is long. Chosen."""
 PATH_ACCURACY_MM: Final = 0.01
-"""A controller rounds corners within this of their targets [mm] even without a zone: a tenth of what ABB
-states for path repeatability."""
+"""Distance within which a controller rounds corners even without a zone [mm].
+
+It is a tenth of what ABB states for path repeatability.
+"""
 PATH_ACCURACY_RAD: Final = 1e-4
-"""The same for turning [rad]."""
-FINE_ZONES: Final = (
+"""Angle within which a controller rounds rotations even without a zone [rad]."""
+FINE_ZONE_SIZES: Final = (
     *(0.7, 0.5, 0.3, 0.2, 0.15, 0.1, 0.07, 0.05, 0.03, 0.02, 0.015, 0.01),
     *(0.007, 0.005, 0.003, 0.002, 0.001),
 )
 """Sizes of small zones [mm] or [deg] that programs may name."""
-ZONE_STEP: Final = 1.7
-"""Sizes of zones are no farther apart than by this factor, but for those within :data:`PATH_ACCURACY_MM`."""
-LARGEST_ZONE_MM: Final = 15.0
-LARGEST_ZONE_DEG: Final = 1.0
+MAX_ZONE_RATIO: Final = 1.7
+"""Maximum ratio of adjacent zone sizes, except for sizes within :data:`PATH_ACCURACY_MM`."""
+MAX_ZONE_MM: Final = 15.0
+MAX_ZONE_DEG: Final = 1.0
 """Sizes of the largest zones [mm] and [deg] that programs name."""
-RIDING_ZONE_MM: Final = 10.0
-"""Path radius [mm] of the largest zone, over which a track is rounded, too: its size above is for turning,"""
-RIDING_ZONE_STEP: Final = 2.0
-"""and by this factor zones may be smaller in it than there is room for."""
-STANDING_MM: Final = 0.01
-"""A TCP stands in a move that goes no farther than this [mm]: corners beside it are sized by angle."""
-_CORNER_SHARE: Final = 0.5
+MAX_TRACK_ZONE_MM: Final = 10.0
+"""Path radius of the largest zone over which a track is rounded too [mm]. The size above is for rotation."""
+TRACK_ZONE_RATIO: Final = 2.0
+"""Factor by which such a zone may be smaller than the available length."""
+REST_DISTANCE_MM: Final = 0.01
+"""A TCP is at rest in a move that is no longer than this [mm]. Corners next to it are sized by angle."""
+_MAX_CORNER_FRACTION: Final = 0.5
 
 
-def room(
+def max_zones(
     position: FloatArray,
     quaternion: FloatArray,
     stop: BoolArray,
-    levers: FloatArray | float = TURNING_LEVER_MM,
+    levers: FloatArray | float = ROTATION_LEVER_MM,
     deviation: FloatArray | float = CORNER_DEVIATION_MM,
 ) -> tuple[FloatArray, FloatArray]:
-    """Largest zones (M,) [mm] and (M,) [rad] at the ends of M moves between M + 1 poses; 0 at stops, and
-    those in mm where the TCP stands in one of the moves beside them.
+    """Return the largest zones at the ends of M moves between M + 1 poses.
 
-    ``position`` [mm] and ``quaternion`` of the poses; ``deviation`` (M,) [mm] is how far a corner may pass
-    its target. Turning about the tool's axes counts by ``levers`` (3,) [mm/rad].
+    Args:
+        position: Positions of the poses (M + 1, 3) [mm].
+        quaternion: Orientations of the poses (M + 1, 4).
+        stop: Whether the motion stops at each pose (M + 1,).
+        levers: Lengths that convert rotation about the tool's axes to distance (3,) [mm/rad].
+        deviation: Maximum distance of a corner from its target (M,) [mm].
+
+    Returns:
+        Zones (M,) [mm] and (M,) [rad]; 0 at stops. Those in mm are 0 where the TCP rests in an adjacent move.
     """
-    way, turn = np.diff(position, axis=0), _turns(quaternion)
-    angle = 2.0 * np.arcsin(np.clip(0.5 * lengths(turn), 0.0, 1.0))
-    steps, within = np.concatenate([way, levers * turn], axis=1), np.broadcast_to(deviation, stop.shape)[:-1]
+    steps_mm, rotations = np.diff(position, axis=0), _rotation_steps(quaternion)
+    angle = 2.0 * np.arcsin(np.clip(0.5 * lengths(rotations), 0.0, 1.0))
+    steps, within = (
+        np.concatenate([steps_mm, levers * rotations], axis=1),
+        np.broadcast_to(deviation, stop.shape)[:-1],
+    )
     out = np.zeros((2, len(stop)))
-    for size, far in zip(out, (lengths(way), angle), strict=True):
-        size[:-1] = _zone(steps, far, within)
+    for size, size_of_move in zip(out, (lengths(steps_mm), angle), strict=True):
+        size[:-1] = _zone_sizes(steps, size_of_move, within)
     out[:, stop] = 0.0
-    return np.where(_shorter(lengths(way)) > STANDING_MM, out[0], 0.0), out[1]
+    return np.where(_shorter(lengths(steps_mm)) > REST_DISTANCE_MM, out[0], 0.0), out[1]
 
 
-def shares(
+@dataclasses.dataclass(frozen=True, eq=False)
+class MoveTiming:
+    """Durations and end speeds of M moves.
+
+    Attributes:
+        duration: Durations (M,) [s].
+        start_ratio: Velocity at the start of each move (M,), relative to its mean.
+        end_ratio: Velocity at the end of each move (M,), relative to its mean.
+    """
+
+    duration: FloatArray
+    start_ratio: FloatArray
+    end_ratio: FloatArray
+
+
+def corner_fractions(
     position: FloatArray,
     quaternion: FloatArray,
-    duration: FloatArray,
-    rates: tuple[FloatArray, FloatArray],
+    timing: MoveTiming,
     levers: FloatArray,
     deviation: FloatArray,
-    ride: FloatArray | None = None,
+    track_mm: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """At least which share (M - 1,) of the time of the shorter one of the moves beside it each corner between
-    M moves of ``duration`` (M,) [s] is rounded over, on both sides: by the zone that :func:`room` allows, and
-    by what the controller takes without one. ``rates`` (M,): how many times as fast as on average each move
-    begins and ends. Other arguments as there.
+    """Return over which fraction of the shorter adjacent move's time each corner between M moves is rounded.
 
-    A zone is a length, so the faster move goes through its side in less time, which counts. No zone is larger
-    than those that programs name; one that would be smaller rounds nothing, nor does one of an angle where
-    the TCP moves on one side. ``ride`` (M + 1,) [mm] has the values of a track that goes along: where its
-    share of the tool's way changes there is a corner, however straight the tool goes.
+    A zone is a length, so the faster move passes its side in less time, which counts. No zone is larger than
+    those that programs name. A zone that would be smaller than the smallest one rounds nothing, nor does a
+    zone of an angle if the TCP moves on one side.
+
+    Args:
+        position: As for :func:`max_zones`.
+        quaternion: As for :func:`max_zones`.
+        timing: Durations and end speeds of the moves.
+        levers: As for :func:`max_zones`.
+        deviation: As for :func:`max_zones`.
+        track_mm: Positions of a coordinated track (M + 1,) [mm]. There is a corner where its ratio to the
+            tool's path changes, however straight the tool moves.
+
+    Returns:
+        Lower bounds of the fraction (M - 1,) on both sides of each corner: by the zone that :func:`max_zones`
+        allows, and by what the controller rounds without a zone.
     """
-    way, turn = np.diff(position, axis=0), _turns(quaternion)
-    comes, goes = (rate[:, None] / duration[:, None] for rate in rates)
-    own = [(way, PATH_ACCURACY_MM), (turn, PATH_ACCURACY_RAD)]
-    if ride is not None:
-        own.append((np.column_stack([way, np.diff(ride)]), PATH_ACCURACY_MM))
-    change = [(_sideways_at_most((step * goes)[:-1], (step * comes)[1:]), within) for step, within in own]
-    without = np.minimum.reduce([_share(sideways, duration, within) for sideways, within in change])
-    steps, far, angle = np.concatenate([way, levers * turn], axis=1), lengths(way), np.rad2deg(lengths(turn))
-    stands = np.maximum(far[1:], far[:-1]) <= STANDING_MM
-    moved = np.where(far > STANDING_MM, far, 0.0)
-    zone = np.where(stands, _zone(steps, angle, deviation[:-1]), _zone(steps, moved, deviation[:-1]))
-    step, largest = (ZONE_STEP, LARGEST_ZONE_MM) if ride is None else (RIDING_ZONE_STEP, RIDING_ZONE_MM)
-    size = np.minimum(zone / step, np.where(stands, LARGEST_ZONE_DEG, largest))
-    by_way, by_turn = (duration / np.maximum(gone, 1e-9) for gone in (far, angle))  # [s/mm] and [s/deg]
-    pace = np.where(stands, np.minimum(by_turn[1:], by_turn[:-1]), np.minimum(by_way[1:], by_way[:-1]))
+    steps_mm, rotations = np.diff(position, axis=0), _rotation_steps(quaternion)
+    duration, ratios = timing.duration, (timing.start_ratio, timing.end_ratio)
+    start_rate, end_rate = (ratio[:, None] / duration[:, None] for ratio in ratios)
+    measures = [(steps_mm, PATH_ACCURACY_MM), (rotations, PATH_ACCURACY_RAD)]
+    if track_mm is not None:
+        measures.append((np.column_stack([steps_mm, np.diff(track_mm)]), PATH_ACCURACY_MM))
+    change = [
+        (_max_lateral_change((step * end_rate)[:-1], (step * start_rate)[1:]), within)
+        for step, within in measures
+    ]
+    without_zone = np.minimum.reduce(
+        [_time_fraction(sideways, duration, within) for sideways, within in change]
+    )
+    steps, lengths_mm, angle = (
+        np.concatenate([steps_mm, levers * rotations], axis=1),
+        lengths(steps_mm),
+        np.rad2deg(lengths(rotations)),
+    )
+    is_at_rest = np.maximum(lengths_mm[1:], lengths_mm[:-1]) <= REST_DISTANCE_MM
+    moved = np.where(lengths_mm > REST_DISTANCE_MM, lengths_mm, 0.0)
+    zone = np.where(
+        is_at_rest, _zone_sizes(steps, angle, deviation[:-1]), _zone_sizes(steps, moved, deviation[:-1])
+    )
+    step, largest = (
+        (MAX_ZONE_RATIO, MAX_ZONE_MM) if track_mm is None else (TRACK_ZONE_RATIO, MAX_TRACK_ZONE_MM)
+    )
+    size = np.minimum(zone / step, np.where(is_at_rest, MAX_ZONE_DEG, largest))
+    by_way, by_turn = (
+        duration / np.maximum(size_of_move, 1e-9) for size_of_move in (lengths_mm, angle)
+    )  # [s/mm] and [s/deg]
+    pace = np.where(is_at_rest, np.minimum(by_turn[1:], by_turn[:-1]), np.minimum(by_way[1:], by_way[:-1]))
     taken = size * pace / np.minimum(duration[1:], duration[:-1])
-    return np.where(size >= FINE_ZONES[-1], taken, 0.0), without
+    return np.where(size >= FINE_ZONE_SIZES[-1], taken, 0.0), without_zone
 
 
-def _turns(quaternion: FloatArray) -> FloatArray:
-    """Turns (M, 3) [rad] about the tool's own axes from each of M + 1 orientations to the next, by their
-    chords; signs of quaternions do not matter."""
+def _rotation_steps(quaternion: FloatArray) -> FloatArray:
+    """Return rotations (M, 3) [rad] about the tool's own axes between M + 1 orientations, by their chords.
+
+    Signs of quaternions do not matter.
+    """
     a, b = quaternion[:-1], quaternion[1:]
     w, u, v = a[:, :1], a[:, 1:], b[:, 1:]
     half = w * v - b[:, :1] * u - np.cross(u, v)
     return np.asarray(2.0 * half * np.where(dots(a, b) < 0.0, -1.0, 1.0)[:, None])
 
 
-def _zone(steps: FloatArray, far: FloatArray, deviation: FloatArray) -> FloatArray:
-    """Size (M - 1,) of the largest zones between M moves over ``steps`` (M, D) [mm], in the measure of their
-    lengths ``far`` (M,), at most half of the shorter one.
+def _zone_sizes(steps: FloatArray, sizes: FloatArray, deviation: FloatArray) -> FloatArray:
+    """Return the size (M - 1,) of the largest zones between M moves over ``steps`` (M, D) [mm].
 
-    A corner that is rounded over the length z before and behind it passes the target at z |dr| / 4, dr being
-    the change across the way of the steps over their lengths (the quadratic Bezier curve with the corner as
-    its control point), and no farther off than it begins or ends.
+    Sizes are in the measure of the lengths ``sizes`` (M,), at most half of the shorter one. A corner that is
+    rounded over the length z before and after it passes the target at z |dr| / 4. Here dr is the change,
+    across the path, of the steps over their lengths (quadratic Bezier curve with the corner as its control
+    point). It is also no farther away than its ends.
     """
-    rate = steps / np.maximum(far, 1e-9)[:, None]
-    passed = np.minimum(0.25 * _sideways(rate), _shorter(lengths(rate))[:-1])
-    return np.asarray(np.minimum(_CORNER_SHARE * _shorter(far)[:-1], deviation / np.maximum(passed, 1e-12)))
+    rate = steps / np.maximum(sizes, 1e-9)[:, None]
+    deviation_rate = np.minimum(0.25 * _lateral_change(rate), _shorter(lengths(rate))[:-1])
+    return np.asarray(
+        np.minimum(_MAX_CORNER_FRACTION * _shorter(sizes)[:-1], deviation / np.maximum(deviation_rate, 1e-12))
+    )
 
 
-def _share(sideways: FloatArray, duration: FloatArray, deviation: FloatArray | float) -> FloatArray:
-    """Share (M - 1,) of the shorter one of two moves that the corner between them may take before and behind
-    it, at most one half; ``sideways`` (M - 1,) is the change of speed that leaves the way.
+def _time_fraction(sideways: FloatArray, duration: FloatArray, deviation: FloatArray | float) -> FloatArray:
+    """Return the fraction (M - 1,) of the shorter move that a corner may use on each side.
 
-    As in :func:`_zone`, over the time h at h |dv| / 4, dv being the change of velocity across the way.
+    It is at most one half. ``sideways`` (M - 1,) is the change of velocity across the path. As in
+    :func:`_zone_sizes`, a corner that is rounded over the time h passes the target at h |dv| / 4, with dv
+    that change.
     """
     passed = np.minimum(duration[:-1], duration[1:]) * sideways / 4.0
-    return np.asarray(np.minimum(_CORNER_SHARE, deviation / np.maximum(passed, 1e-12)))
+    return np.asarray(np.minimum(_MAX_CORNER_FRACTION, deviation / np.maximum(passed, 1e-12)))
 
 
-def _sideways(rate: FloatArray) -> FloatArray:
-    """Change (M - 1,) of speeds (M, D) across the way, which alone leaves it: along the line that halves the
-    corner. At equal speeds it is all of the change."""
+def _lateral_change(rate: FloatArray) -> FloatArray:
+    """Return the change (M - 1,) of velocities (M, D) across the path: along the bisector of the corner.
+
+    Only this component leaves the path. At equal speeds it is all of the change.
+    """
     size = lengths(rate)
     along = rate / np.maximum(size, 1e-12)[:, None]
-    bent = 0.5 * (size[1:] + size[:-1]) * lengths(np.diff(along, axis=0))
-    stands = np.minimum(size[1:], size[:-1]) < 1e-9
-    return np.where(stands, lengths(np.diff(rate, axis=0)), bent)
+    lateral = 0.5 * (size[1:] + size[:-1]) * lengths(np.diff(along, axis=0))
+    is_at_rest = np.minimum(size[1:], size[:-1]) < 1e-9
+    return np.where(is_at_rest, lengths(np.diff(rate, axis=0)), lateral)
 
 
-def _sideways_at_most(before: FloatArray, after: FloatArray) -> FloatArray:
-    """The same (M - 1,) of the speeds before and after corners (M - 1, D), as a controller may take it that
-    holds to the faster one of two moves."""
-    sizes = lengths(before), lengths(after)
-    one, two = (rate / np.maximum(s, 1e-12)[:, None] for rate, s in zip((before, after), sizes, strict=True))
-    return np.asarray(np.minimum(np.maximum(*sizes) * lengths(two - one), lengths(after - before)))
+def _max_lateral_change(incoming: FloatArray, outgoing: FloatArray) -> FloatArray:
+    """Return an upper bound (M - 1,) of the change of velocity across the path.
+
+    It holds for a controller that keeps the faster of two speeds. Velocities before and after corners are (M
+    - 1, D).
+    """
+    sizes = lengths(incoming), lengths(outgoing)
+    first, second = (
+        rate / np.maximum(s, 1e-12)[:, None] for rate, s in zip((incoming, outgoing), sizes, strict=True)
+    )
+    return np.asarray(np.minimum(np.maximum(*sizes) * lengths(second - first), lengths(outgoing - incoming)))
 
 
 def _shorter(size: FloatArray) -> FloatArray:
-    """The smaller one of each row and the next."""
+    """Return the smaller value of each row and the next."""
     return np.asarray(np.minimum(size, np.append(size[1:], 0.0)))

@@ -1,15 +1,16 @@
 """Curves: Bezier and B-spline, lofts of them, guides of ruled surfaces, closed outlines of plates.
 
-A loft goes along an arc rail, or through given curves in space. It blends the control points of its
-profiles by a spline over ``at``, so a point of it is
+A loft goes along an arc rail, or through given curves in space. It blends the control points of its profiles
+by a spline over ``at``, so a point of it is
 
     S(u, v) = frame(u) applied to sum_j N_j(v) c_j(u),
 
-with N_j the Bernstein polynomials or the cubic B-spline basis (Piegl and Tiller, The NURBS Book,
-1997, ch. 1-2).
+with N_j the Bernstein polynomials or the cubic B-spline basis.
 
-Guides are dense points with their corners, from polylines and splines. Outlines are planar, cut
-through a plate: which lies in which, and what is wrong with them.
+Guides are dense points with their corners, from polylines and splines. Outlines are planar and cut through a
+plate. They are nested and checked here.
+
+Source: Piegl and Tiller, The NURBS Book, 1997, ch. 1-2.
 """
 
 import dataclasses
@@ -31,9 +32,14 @@ CurveKind = Literal["bezier", "bspline"]
 
 
 def basis(kind: CurveKind, count: int) -> BSpline:
-    """The basis of ``count`` control points as one vector-valued spline on [0, 1]: value (..., count).
+    """Return the basis of control points as one vector-valued spline on [0, 1] with values (..., count).
 
-    ``bezier`` has degree count - 1; ``bspline`` is clamped, uniform, cubic (lower when count < 4).
+    Args:
+        kind: ``bezier`` has degree count - 1; ``bspline`` is clamped, uniform, cubic (lower if count < 4).
+        count: Number of control points.
+
+    Raises:
+        ValueError: Fewer than two control points.
     """
     if count < 2:
         raise ValueError(f"control points: got {count}, at least 2 are needed")
@@ -44,13 +50,26 @@ def basis(kind: CurveKind, count: int) -> BSpline:
 
 
 def curve_points(kind: CurveKind, control: FloatArray, t: FloatArray) -> FloatArray:
-    """Points (..., D) at t (...,) in [0, 1] of the curve with control points (count, D)."""
+    """Return points (..., D) of a curve.
+
+    Args:
+        kind: Kind of the curve.
+        control: Control points (count, D).
+        t: Parameters (...,) in [0, 1].
+    """
     return np.asarray(basis(kind, len(control))(t) @ control)
 
 
 @dataclasses.dataclass(frozen=True)
 class ArcRail:
-    """A horizontal arc; profiles stand in its normal planes, as (out, up). Angles [rad], radius [m]."""
+    """A horizontal arc. Profiles are in its normal planes, as (out, up).
+
+    Attributes:
+        radius: Radius [m].
+        start: Start angle [rad].
+        end: End angle [rad].
+        centre: Centre (3,) [m].
+    """
 
     radius: float
     start: float
@@ -59,10 +78,15 @@ class ArcRail:
 
 
 @dataclasses.dataclass(frozen=True)
-class Loft:
-    """A surface S(u, v), u and v in [0, 1]: profiles at ``at`` (P,), control points (P, count, 2 or 3) [m].
+class LoftSurface:
+    """A surface S(u, v), u and v in [0, 1].
 
-    With a ``rail``, control points are (out, up) in the normal planes of the arc; without, points in space.
+    Attributes:
+        kind: Kind of the profiles.
+        at: Parameters of the profiles (P,).
+        control: Control points (P, count, 2 or 3) [m]: with a rail (out, up) in its normal planes, else
+            points in space.
+        rail: Arc along which the profiles are placed, None for profiles in space.
     """
 
     kind: CurveKind
@@ -71,11 +95,14 @@ class Loft:
     rail: ArcRail | None
 
     def points(self, u: FloatArray, v: FloatArray) -> FloatArray:
-        """Points (..., 3) at u, v (...,)."""
+        """Return points (..., 3) at u, v (...,)."""
         return self._evaluate(u, v, 0, 0)
 
     def normals(self, u: FloatArray, v: FloatArray) -> FloatArray:
-        """Unit normals (..., 3) along dS/du x dS/dv: outward if start < end and profiles go up."""
+        """Return unit normals (..., 3) along dS/du x dS/dv.
+
+        They point outwards if start < end and profiles go up.
+        """
         cross = np.cross(self._evaluate(u, v, 1, 0), self._evaluate(u, v, 0, 1))
         length = np.linalg.norm(cross, axis=-1, keepdims=True)
         return np.asarray(cross / np.where(length > 0.0, length, 1.0))
@@ -111,10 +138,16 @@ class Loft:
         return np.asarray(q[..., :1] * radial + (base + p[..., :1]) * sweep * around + q[..., 1:] * up)
 
 
-def grid_counts(loft: Loft, u: Sequence[float], v: Sequence[float], chord: float) -> tuple[int, int]:
-    """How many cells along u and v keep the facets of the region within ``chord`` [m] of the surface.
+def grid_counts(loft: LoftSurface, u: Sequence[float], v: Sequence[float], chord: float) -> tuple[int, int]:
+    """Return how many cells along u and v keep the facets of a region within a chord error.
 
-    From a trial grid: the distance of a chord to its curve falls with the square of the step.
+    They follow from a trial grid: the chord error is proportional to the square of the step.
+
+    Args:
+        loft: The loft.
+        u: Range of u.
+        v: Range of v.
+        chord: Chord error [m].
     """
     trial = 24
     uu, vv = np.linspace(u[0], u[1], 2 * trial + 1), np.linspace(v[0], v[1], 2 * trial + 1)
@@ -122,21 +155,27 @@ def grid_counts(loft: Loft, u: Sequence[float], v: Sequence[float], chord: float
     along_u = np.linalg.norm(p[1::2] - 0.5 * (p[:-1:2] + p[2::2]), axis=-1).max()
     along_v = np.linalg.norm(p[:, 1::2] - 0.5 * (p[:, :-1:2] + p[:, 2::2]), axis=-1).max()
     twist = p[:-1:2, :-1:2] + p[2::2, 2::2] - p[:-1:2, 2::2] - p[2::2, :-1:2]
-    share = 0.35 * chord  # each of the three errors may use a third
-    nu = trial * np.sqrt(along_u / share)
-    nv = trial * np.sqrt(along_v / share)
+    error_limit = 0.35 * chord  # each of the three errors may use about a third
+    nu = trial * np.sqrt(along_u / error_limit)
+    nv = trial * np.sqrt(along_v / error_limit)
     nu, nv = max(4.0, nu), max(4.0, nv)
     diagonal = 0.25 * np.linalg.norm(twist, axis=-1).max() * trial * trial / (nu * nv)
-    grow = np.sqrt(max(1.0, diagonal / share))
+    grow = np.sqrt(max(1.0, diagonal / error_limit))
     return int(np.ceil(nu * grow)), int(np.ceil(nv * grow))
 
 
 def tessellate(
-    loft: Loft, u: Sequence[float], v: Sequence[float], chord: float
+    loft: LoftSurface, u: Sequence[float], v: Sequence[float], chord: float
 ) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Vertices (V, 3), their exact normals (V, 3) and faces (F, 3) of a region.
+    """Return vertices (V, 3), exact normals (V, 3) and faces (F, 3) of a region.
 
-    Facets stay within ``chord`` [m] of the surface. Face normals point along dS/du x dS/dv.
+    Face normals are along dS/du x dS/dv.
+
+    Args:
+        loft: The loft.
+        u: Range of u.
+        v: Range of v.
+        chord: Chord error of the facets [m].
     """
     nu, nv = grid_counts(loft, u, v, chord)
     uu, vv = np.meshgrid(np.linspace(u[0], u[1], nu + 1), np.linspace(v[0], v[1], nv + 1), indexing="ij")
@@ -146,17 +185,22 @@ def tessellate(
     return loft.points(uu, vv).reshape(-1, 3), loft.normals(uu, vv).reshape(-1, 3), faces.astype(np.int64)
 
 
-CORNER_ANGLE: Final = float(np.deg2rad(20.0))
-"""Where a polyline turns by more than this [rad] it has a corner; by less it stands for a smooth curve."""
+CORNER_ANGLE_RAD: Final = float(np.deg2rad(20.0))
+"""Angle of a polyline [rad] above which it has a corner. Smaller angles represent a smooth curve."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Guide:
-    """A curve as dense points (N, 3) [m]; a ``closed`` one does not repeat its first point.
+class RuledGuide:
+    """A curve as dense points.
 
-    ``corner`` (N,): where it has an edge. ``anchor`` (N,): where a guide is matched to its fellow point by
-    point; all corners are, and the ends of an open guide. ``parameter`` (N,): ascending in [0, 1], of the
-    curve that the points come from; a closed one comes back to its first point at 1.
+    Attributes:
+        points: Points (N, 3) [m]; a closed guide does not repeat its first point.
+        corner: Where it has an edge (N,).
+        parameter: Ascending parameters in [0, 1] of the source curve (N,). A closed curve returns to its
+            first point at 1.
+        closed: Whether it is closed.
+        anchor: Where it is matched to the other guide point by point (N,): all corners, and the ends of an
+            open guide.
     """
 
     points: FloatArray
@@ -173,63 +217,79 @@ class Guide:
 
     @property
     def length(self) -> float:
-        """Length [m], the closing step of a closed guide included."""
-        return float(np.linalg.norm(np.diff(ring(self), axis=0), axis=1).sum())
+        """Length [m], including the closing step of a closed guide."""
+        return float(np.linalg.norm(np.diff(closed_points(self), axis=0), axis=1).sum())
 
 
-def ring(guide: Guide) -> FloatArray:
-    """Points (N or N + 1, 3), with the first one again at the end of a closed guide."""
+def closed_points(guide: RuledGuide) -> FloatArray:
+    """Return points (N or N + 1, 3), with the first one repeated at the end of a closed guide."""
     return np.concatenate([guide.points, guide.points[:1]]) if guide.closed else guide.points
 
 
-def turns(points: FloatArray, closed: bool) -> FloatArray:
-    """Angles (N,) [rad] by which a polyline turns at its points; 0 at the ends of an open one."""
-    way = np.diff(np.concatenate([points[-1:], points, points[:1]]), axis=0)
-    unit = way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-300)
+def turning_angles(points: FloatArray, closed: bool) -> FloatArray:
+    """Return the angles (N,) [rad] of a polyline at its points; 0 at the ends of an open one.
+
+    Args:
+        points: Points (N, 3).
+        closed: Whether it is closed.
+    """
+    steps = np.diff(np.concatenate([points[-1:], points, points[:1]]), axis=0)
+    unit = steps / np.maximum(np.linalg.norm(steps, axis=1, keepdims=True), 1e-300)
     cross = np.linalg.norm(np.cross(unit[:-1], unit[1:]), axis=1)
-    turn = np.arctan2(cross, np.sum(unit[:-1] * unit[1:], axis=1))
+    angles = np.arctan2(cross, np.sum(unit[:-1] * unit[1:], axis=1))
     if not closed:
-        turn[[0, -1]] = 0.0
-    return np.asarray(turn)
+        angles[[0, -1]] = 0.0
+    return np.asarray(angles)
 
 
-def polyline(points: FloatArray, closed: bool = False, angle: float = CORNER_ANGLE) -> Guide:
-    """A guide through points (N, 3) with corners where it turns by more than ``angle`` [rad].
+def polyline_guide(points: FloatArray, closed: bool = False, angle: float = CORNER_ANGLE_RAD) -> RuledGuide:
+    """Return a guide through points, with corners at large angles. Its parameter counts the points.
 
-    Points that repeat the one before them are left out, as is the last one of a closed guide where it repeats
-    the first. Its parameter counts the points.
+    Repeated points are left out, and the last point of a closed guide if it equals the first one.
+
+    Args:
+        points: Points (N, 3) [m].
+        closed: Whether it is closed.
+        angle: Minimum angle of a corner [rad].
     """
     keep = np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-9])
-    own = points[keep]
-    if closed and len(own) > 1 and np.linalg.norm(own[-1] - own[0]) <= 1e-9:
-        own = own[:-1]
-    count = len(own)
+    distinct = points[keep]
+    if closed and len(distinct) > 1 and np.linalg.norm(distinct[-1] - distinct[0]) <= 1e-9:
+        distinct = distinct[:-1]
+    count = len(distinct)
     parameter = np.arange(count) / max(1, count if closed else count - 1)
-    return Guide(own, turns(own, closed) > angle, parameter, closed)
+    return RuledGuide(distinct, turning_angles(distinct, closed) > angle, parameter, closed)
 
 
-def spline(kind: CurveKind, control: FloatArray, chord: float, closed: bool = False) -> Guide:
-    """A guide along a Bezier curve or clamped cubic B-spline with ``control`` points (C, 3), within ``chord``
-    [m] of it. A closed one has a corner where its ends meet at an angle.
+def spline_guide(kind: CurveKind, control: FloatArray, chord: float, closed: bool = False) -> RuledGuide:
+    """Return a guide along a Bezier curve or clamped cubic B-spline.
+
+    A closed one has a corner where its ends meet at an angle.
+
+    Args:
+        kind: Kind of the curve.
+        control: Control points (C, 3) [m].
+        chord: Chord error [m].
+        closed: Whether it is closed.
     """
     t = np.linspace(0.0, 1.0, 257)
     for _ in range(6):
         points = curve_points(kind, control, t)
         middle = curve_points(kind, control, 0.5 * (t[1:] + t[:-1]))
-        off = np.linalg.norm(middle - 0.5 * (points[1:] + points[:-1]), axis=1)
-        if off.max() <= chord:
+        deviation = np.linalg.norm(middle - 0.5 * (points[1:] + points[:-1]), axis=1)
+        if deviation.max() <= chord:
             break
-        t = np.sort(np.concatenate([t, 0.5 * (t[1:] + t[:-1])[off > chord]]))
+        t = np.sort(np.concatenate([t, 0.5 * (t[1:] + t[:-1])[deviation > chord]]))
     points = curve_points(kind, control, t)
     corner = np.zeros(len(t), dtype=np.bool_)
     if not closed:
-        return Guide(points, corner, t)
-    corner[0] = turns(points[:-1], True)[0] > CORNER_ANGLE
-    return Guide(points[:-1], corner[:-1], t[:-1], closed=True)
+        return RuledGuide(points, corner, t)
+    corner[0] = turning_angles(points[:-1], True)[0] > CORNER_ANGLE_RAD
+    return RuledGuide(points[:-1], corner[:-1], t[:-1], closed=True)
 
 
-def with_corners(guide: Guide, at: FloatArray) -> Guide:
-    """The guide with corners at its points nearest to ``at`` (C, 3) and nowhere else."""
+def with_corners(guide: RuledGuide, at: FloatArray) -> RuledGuide:
+    """Return the guide with corners only at its points nearest to ``at`` (C, 3)."""
     distance = np.linalg.norm(guide.points[:, None] - at[None], axis=2)
     corner = np.zeros(len(guide.points), dtype=np.bool_)
     corner[np.argmin(distance, axis=0)] = True
@@ -238,8 +298,8 @@ def with_corners(guide: Guide, at: FloatArray) -> Guide:
     return dataclasses.replace(guide, corner=corner, anchor=np.zeros(0, dtype=np.bool_))
 
 
-def turned(guide: Guide) -> Guide:
-    """The guide run the other way round; a closed one keeps its first point."""
+def reverse_guide(guide: RuledGuide) -> RuledGuide:
+    """Return the guide in the opposite direction. A closed one keeps its first point."""
     if not guide.closed:
         return dataclasses.replace(
             guide,
@@ -259,8 +319,12 @@ def turned(guide: Guide) -> Guide:
     )
 
 
-def rolled(guide: Guide, first: int) -> Guide:
-    """A closed guide that starts at its point ``first``."""
+def roll_guide(guide: RuledGuide, first: int) -> RuledGuide:
+    """Return a closed guide that starts at its point ``first``.
+
+    Raises:
+        ValueError: The guide is open.
+    """
     if not guide.closed:
         raise ValueError("only a closed guide can start elsewhere")
     order = (np.arange(len(guide.points)) + first) % len(guide.points)
@@ -274,12 +338,12 @@ def rolled(guide: Guide, first: int) -> Guide:
     )
 
 
-def pieces(guide: Guide) -> list[tuple[FloatArray, FloatArray]]:
-    """Points (n, 3) and parameters (n,) of every piece from anchor to anchor, in order.
+def anchor_pieces(guide: RuledGuide) -> list[tuple[FloatArray, FloatArray]]:
+    """Return points (n, 3) and parameters (n,) of each piece from anchor to anchor, in order.
 
-    A closed guide must start at an anchor, or have none: then it is one piece.
+    A closed guide has to start at an anchor. Without anchors it is one piece.
     """
-    points = ring(guide)
+    points = closed_points(guide)
     parameter = np.append(guide.parameter, 1.0) if guide.closed else guide.parameter
     at = np.flatnonzero(guide.anchor)
     if guide.closed:
@@ -288,91 +352,113 @@ def pieces(guide: Guide) -> list[tuple[FloatArray, FloatArray]]:
 
 
 def arc_length(points: FloatArray) -> FloatArray:
-    """Ways (N,) [m] along a polyline (N, 3) from its first point."""
+    """Return lengths (N,) [m] along a polyline (N, 3) from its first point."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 
-def along(points: FloatArray, places: FloatArray, wanted: FloatArray) -> FloatArray:
-    """Points (K, 3) of a polyline (N, 3) at ``wanted`` (K,) of its ascending ``places`` (N,)."""
-    return np.stack([np.interp(wanted, places, points[:, axis]) for axis in range(points.shape[1])], axis=1)
+def interpolate_polyline(points: FloatArray, parameters: FloatArray, at: FloatArray) -> FloatArray:
+    """Interpolate a polyline.
+
+    Args:
+        points: Points (N, D).
+        parameters: Ascending parameters of the points (N,).
+        at: Parameters of the result (K,).
+
+    Returns:
+        Points (K, D).
+    """
+    return np.stack([np.interp(at, parameters, points[:, axis]) for axis in range(points.shape[1])], axis=1)
 
 
-TOUCHING_DISTANCE: Final = 1e-5
-"""Outlines [m] that are this near touch each other; all along, they are the same one."""
+TOUCHING_DISTANCE_M: Final = 1e-5
+"""Distance [m] at which outlines touch. Outlines that touch everywhere are duplicates."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Outline:
-    """A closed outline (N, 2) [m], counterclockwise; ``depth`` counts the outlines around it.
+class PlateOutline:
+    """A closed planar outline.
 
-    Those of odd depth are holes. ``corner`` (N,) marks its corners.
+    Attributes:
+        points: Points (N, 2) [m], counterclockwise.
+        corner: Its corners (N,).
+        depth: Number of outlines around it; those of odd depth are holes.
+        parent: Index of the next outline around it, if there is one.
     """
 
     points: FloatArray
     corner: BoolArray
     depth: int = 0
-    inside: int | None = None
+    parent: int | None = None
 
     @property
     def hole(self) -> bool:
-        """Whether the part lies around it."""
+        """Whether the part is outside of it."""
         return self.depth % 2 == 1
 
 
 def check_outlines(rings: Sequence[FloatArray], names: Sequence[str]) -> list[Issue]:
-    """Issues of closed rings (N, 2): crossing themselves, given twice, crossing or touching each other.
+    """Return issues of closed rings: self-crossing, duplicate, crossing or touching each other.
 
-    ``names`` are the fields of the issues.
+    Args:
+        rings: Rings (N, 2) [m].
+        names: Fields of the issues.
     """
     issues = []
     polygons = [Polygon(ring) for ring in rings]
-    sound = []
+    is_valid = []
     for polygon, ring, name in zip(polygons, rings, names, strict=True):
         if LinearRing(ring).is_simple and polygon.is_valid:
-            sound.append(True)
+            is_valid.append(True)
             continue
-        sound.append(False)
+        is_valid.append(False)
         where = explain_validity(polygon)
-        place = where[where.find("[") + 1 : where.find("]")].split() if "[" in where else []
-        at = f" near ({', '.join(f'{float(v) / MM:.2f}' for v in place[:2])}) mm" if place else ""
-        what = f"the outline crosses or touches itself{at}; correct it there"
+        position = where[where.find("[") + 1 : where.find("]")].split() if "[" in where else []
+        where_text = (
+            f" near ({', '.join(f'{float(v) / MM:.2f}' for v in position[:2])}) mm" if position else ""
+        )
+        what = f"the outline crosses or touches itself{where_text}; correct it there"
         issues.append(Issue("part.outline_crossing", what, field=name))
     tree = STRtree(polygons)
     for i, polygon in enumerate(polygons):
         for j in sorted(
-            int(k) for k in tree.query(polygon, predicate="dwithin", distance=TOUCHING_DISTANCE) if k > i
+            int(k) for k in tree.query(polygon, predicate="dwithin", distance=TOUCHING_DISTANCE_M) if k > i
         ):
-            if not (sound[i] and sound[j]):
+            if not (is_valid[i] and is_valid[j]):
                 continue
             other = polygons[j]
-            alike = np.abs(np.subtract(polygon.bounds, other.bounds)).max() < TOUCHING_DISTANCE
-            if alike and polygon.exterior.hausdorff_distance(other.exterior) < TOUCHING_DISTANCE:
-                what = f"is the same outline as {names[i]}; leave one out"
+            same_bounds = np.abs(np.subtract(polygon.bounds, other.bounds)).max() < TOUCHING_DISTANCE_M
+            if same_bounds and polygon.exterior.hausdorff_distance(other.exterior) < TOUCHING_DISTANCE_M:
+                what = f"is the same outline as {names[i]}; remove one of them"
                 issues.append(Issue("part.outline_duplicate", what, field=names[j]))
-            elif polygon.exterior.dwithin(other.exterior, TOUCHING_DISTANCE):
+            elif polygon.exterior.dwithin(other.exterior, TOUCHING_DISTANCE_M):
                 meet = nearest_points(polygon.exterior, other.exterior)[0]
                 what = f"crosses or touches {names[i]} near ({meet.x / MM:.2f}, {meet.y / MM:.2f}) mm; "
                 what += "outlines must "
-                what += "lie apart or one in the other, so move or join them"
+                what += "be separate or one inside the other, so move or join them"
                 issues.append(Issue("part.outline_overlap", what, field=names[j]))
     return issues
 
 
-def sides(points: FloatArray) -> tuple[float, float]:
-    """Long and short side [m] of the smallest rectangle, turned as it likes, around points (K, 2) [m]."""
+def bounding_sides(points: FloatArray) -> tuple[float, float]:
+    """Return long and short side [m] of the smallest rotated rectangle around points (K, 2) [m]."""
     around = MultiPoint(np.asarray(points)).minimum_rotated_rectangle
-    if around.geom_type != "Polygon":  # all on one line, or at one place
+    if around.geom_type != "Polygon":  # all on one line, or coincident
         return float(around.length), 0.0
-    one, other = np.linalg.norm(np.diff(np.asarray(around.exterior.coords), axis=0), axis=1)[:2].tolist()
-    return max(one, other), min(one, other)
+    first, second = np.linalg.norm(np.diff(np.asarray(around.exterior.coords), axis=0), axis=1)[:2].tolist()
+    return max(first, second), min(first, second)
 
 
-def nested(rings: Sequence[FloatArray], corners: Sequence[BoolArray]) -> list[Outline]:
-    """The rings, counterclockwise, with their depth, in the order in which they may be cut: the inmost first,
-    each hole before the outline around it, and otherwise as they are given.
+def nest_outlines(rings: Sequence[FloatArray], corners: Sequence[BoolArray]) -> list[PlateOutline]:
+    """Return the rings as outlines in a possible order of cutting: innermost first, otherwise as given.
 
-    They must be free of the faults that :func:`check_outlines` finds. ``inside`` is the index, in the list
-    returned, of the outline next around.
+    Each hole comes before the outline around it. Outlines are counterclockwise and have a depth.
+
+    Args:
+        rings: Rings (N, 2) [m] without the faults that :func:`check_outlines` finds.
+        corners: Corners of the rings (N,).
+
+    Returns:
+        Outlines. ``inside`` is the index of the next outline around in this list.
     """
     polygons = [Polygon(ring) for ring in rings]
     inner, outer = STRtree(polygons).query(polygons, predicate="within")
@@ -384,8 +470,8 @@ def nested(rings: Sequence[FloatArray], corners: Sequence[BoolArray]) -> list[Ou
     for i in order:
         around = [j for j in np.flatnonzero(within[i]) if depth[j] == depth[i] - 1]
         inside = order.index(int(around[0])) if around else None
-        turned = not polygons[i].exterior.is_ccw
-        points = rings[i][::-1] if turned else rings[i]
-        corner = corners[i][::-1] if turned else corners[i]
-        out.append(Outline(points, corner, int(depth[i]), inside))
+        is_clockwise = not polygons[i].exterior.is_ccw
+        points = rings[i][::-1] if is_clockwise else rings[i]
+        corner = corners[i][::-1] if is_clockwise else corners[i]
+        out.append(PlateOutline(points, corner, int(depth[i]), inside))
     return out

@@ -1,9 +1,8 @@
-"""A block cut apart by through cuts: the tree of its parts, its cuts in their order, whether a bow reaches
-them.
+"""A block divided by through cuts: the tree of its parts, the order of its cuts, and the bow's reach.
 
-Every cut goes through a whole part, from side to side (a guillotine cut), and takes a slot of one kerf. The
-first cut parts the block, then each of the two parts is cut apart in turn, the lower one first: order of the
-tree, depth first, so that what is cut next is always one part in one place.
+Every cut goes through a whole part from side to side (a guillotine cut), and its slot is one kerf wide. The
+first cut divides the block. Then each of the two parts is divided in turn, the lower one first. In this
+depth-first order the next cut is always in one part in one place.
 """
 
 import dataclasses
@@ -11,13 +10,23 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 
 
 @dataclasses.dataclass(frozen=True)
-class Part:
-    """A part of a block in plan: its lower corner (x, y) and its size along x and y [m].
+class BlockPart:
+    """A part of a block in plan.
 
-    ``box``: number of the box that it is, ``turned`` where that lies with its width along x. ``axis``: 0
-    where a cut parts it along x, 1 along y, with the slot from ``place`` [m] on; ``low`` and ``high`` are
-    the numbers of what that leaves in the tree, None where the slot takes all of it. ``whole``: it stays
-    as it is for another job. None of these: left over.
+    It is a box, or divided by a cut, or left whole for another job, or an offcut.
+
+    Attributes:
+        x: Lower corner along x [m].
+        y: Lower corner along y [m].
+        length: Size along x [m].
+        width: Size along y [m].
+        box: Number of the box that it is.
+        is_rotated: Whether that box has its width along x.
+        axis: 0 if a cut divides it along x, 1 along y.
+        position: Start of the slot along that axis [m].
+        low: Number of the lower remaining part in the tree, None if the slot takes all of it.
+        high: Number of the upper remaining part.
+        is_kept: Whether it is kept for another job.
     """
 
     x: float
@@ -25,89 +34,113 @@ class Part:
     length: float
     width: float
     box: int | None = None
-    turned: bool = False
+    is_rotated: bool = False
     axis: int | None = None
-    place: float = 0.0
+    position: float = 0.0
     low: int | None = None
     high: int | None = None
-    whole: bool = False
+    is_kept: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
 class CutTree:
-    """All parts of a block; the first is the block, each stands before what it is cut into."""
+    """All parts of a block.
 
-    parts: tuple[Part, ...]
+    The first one is the block, and each comes before the parts into which it is divided.
+    """
 
-    def cuts(self) -> "tuple[Cut, ...]":
-        """All cuts in their order."""
-        return tuple(self._cut(part) for part in self.parts if part.axis is not None)
+    parts: tuple[BlockPart, ...]
 
-    def boxes(self) -> tuple[Part, ...]:
-        """Parts that are boxes, in the order in which they are free."""
+    def cuts(self) -> "tuple[ThroughCut, ...]":
+        """Return all cuts in order."""
+        return tuple(self._through_cut(part) for part in self.parts if part.axis is not None)
+
+    def boxes(self) -> tuple[BlockPart, ...]:
+        """Return the parts that are boxes, in the order in which they become free."""
         return tuple(part for part in self.parts if part.box is not None)
 
-    def offcuts(self) -> tuple[Part, ...]:
-        """What is left over."""
-        return tuple(part for part in self.parts if part.box is None and part.axis is None and not part.whole)
+    def offcuts(self) -> tuple[BlockPart, ...]:
+        """Return the parts that are no boxes, are not cut and are smaller than the block."""
+        return tuple(
+            part for part in self.parts if part.box is None and part.axis is None and not part.is_kept
+        )
 
-    def below(self, first: int) -> tuple[int, ...]:
-        """Numbers of a part and of all that it is cut into, in their order."""
-        out, waiting = [], [first]
-        while waiting:
-            i = waiting.pop()
+    def descendants(self, first: int) -> tuple[int, ...]:
+        """Return the numbers of a part and of all its descendants, in order.
+
+        Args:
+            first: Number of the part.
+        """
+        out, stack = [], [first]
+        while stack:
+            i = stack.pop()
             out.append(i)
-            waiting += [k for k in (self.parts[i].high, self.parts[i].low) if k is not None]
+            stack += [k for k in (self.parts[i].high, self.parts[i].low) if k is not None]
         return tuple(out)
 
     def with_boxes(self, numbers: Sequence[int], swapped: Sequence[bool]) -> "CutTree":
-        """The tree with ``numbers`` for its boxes 0, 1 ..., some of them ``swapped``: length and width of
-        these are the other way round."""
+        """Return the tree with other boxes.
+
+        Args:
+            numbers: New numbers of its boxes 0, 1 ...
+            swapped: Whether length and width of each of these boxes are swapped.
+        """
         parts = [
             part
             if part.box is None
-            else dataclasses.replace(part, box=numbers[part.box], turned=part.turned != swapped[part.box])
+            else dataclasses.replace(
+                part, box=numbers[part.box], is_rotated=part.is_rotated != swapped[part.box]
+            )
             for part in self.parts
         ]
         return CutTree(tuple(parts))
 
-    def left_whole(self, parts: Collection[int]) -> "CutTree":
-        """The tree in which the parts with these numbers, none of them in another, are not cut apart."""
-        inner = {k for i in parts for k in self.below(i)[1:]}
-        numbers = {i: n for n, i in enumerate(i for i in range(len(self.parts)) if i not in inner)}
+    def keep_whole(self, parts: Collection[int]) -> "CutTree":
+        """Return the tree in which some parts are not divided.
+
+        Args:
+            parts: Numbers of the parts, none of them inside another.
+        """
+        removed = {k for i in parts for k in self.descendants(i)[1:]}
+        numbers = {i: n for n, i in enumerate(i for i in range(len(self.parts)) if i not in removed)}
         out = []
         for i in numbers:
             part = self.parts[i]
             if i in parts:
-                out.append(Part(part.x, part.y, part.length, part.width, whole=True))
+                out.append(BlockPart(part.x, part.y, part.length, part.width, is_kept=True))
                 continue
             low, high = (None if k is None else numbers[k] for k in (part.low, part.high))
             out.append(dataclasses.replace(part, low=low, high=high))
         return CutTree(tuple(out))
 
-    def stages(self, together: "Callable[[Stage], bool]") -> "tuple[Stage, ...]":
-        """What is cut while it lies in one place: parts in the order of the tree, each with all cuts along
-        one axis that go through the whole of it, where ``together`` says that these are made side by side,
-        else with the first of them alone."""
+    def stages(self, cut_together: "Callable[[CutStage], bool]") -> "tuple[CutStage, ...]":
+        """Return the cuts made in one position of the piece, in the order of the tree.
+
+        Args:
+            cut_together: Whether all cuts of a stage are made side by side; otherwise only the first one is.
+
+        Returns:
+            Stages, each a part with all cuts along one axis that go through the whole of it.
+        """
         cut = [i for i, part in enumerate(self.parts) if part.axis is not None]
         numbers = {i: number for number, i in enumerate(cut, 1)}
-        out, waiting = [], [0]
-        while waiting:
-            first = waiting.pop()
+        out, stack = [], [0]
+        while stack:
+            first = stack.pop()
             if first not in numbers:
                 continue
-            stage, pieces = self._stage(first, numbers)
-            if not together(stage):
+            stage, pieces = self._collect_stage(first, numbers)
+            if not cut_together(stage):
                 part = self.parts[first]
-                stage = Stage(part, ((numbers[first], self._cut(part)),))
+                stage = CutStage(part, ((numbers[first], self._through_cut(part)),))
                 pieces = [i for i in (part.low, part.high) if i is not None]
             out.append(stage)
-            waiting += reversed(pieces)
+            stack += reversed(pieces)
         return tuple(out)
 
-    def _stage(self, first: int, numbers: dict[int, int]) -> "tuple[Stage, list[int]]":
-        """All cuts side by side in a part, and what they leave of it, both from its lower end on."""
-        cuts: list[tuple[int, Cut]] = []
+    def _collect_stage(self, first: int, numbers: dict[int, int]) -> "tuple[CutStage, list[int]]":
+        """Return all cuts side by side in a part, and the parts that remain, both from the lower end on."""
+        cuts: list[tuple[int, ThroughCut]] = []
         pieces: list[int] = []
 
         def walk(i: int | None) -> None:
@@ -118,77 +151,119 @@ class CutTree:
                 pieces.append(i)
                 return
             walk(part.low)
-            cuts.append((numbers[i], self._cut(part)))
+            cuts.append((numbers[i], self._through_cut(part)))
             walk(part.high)
 
         walk(first)
-        return Stage(self.parts[first], tuple(cuts)), pieces
+        return CutStage(self.parts[first], tuple(cuts)), pieces
 
-    def _cut(self, part: Part) -> "Cut":
+    def _through_cut(self, part: BlockPart) -> "ThroughCut":
         sizes = [
             0.0 if i is None else (self.parts[i].length, self.parts[i].width)[part.axis or 0]
             for i in (part.low, part.high)
         ]
         across = (part.width, part.length)[part.axis or 0]
-        return Cut(part.axis or 0, part.x, part.y, across, part.place, sizes[0], sizes[1])
+        return ThroughCut(part.axis or 0, part.x, part.y, across, part.position, sizes[0], sizes[1])
 
 
 @dataclasses.dataclass(frozen=True)
-class Cut:
-    """A through cut in the part whose corner is (x, y): ``along`` [m] from side to side, the slot from
-    ``place`` on along ``axis``; ``low`` and ``high`` [m]: how far the two pieces reach away from it."""
+class ThroughCut:
+    """A through cut.
+
+    Attributes:
+        axis: Axis along which it divides.
+        x: Lower corner of the part along x [m].
+        y: Lower corner of the part along y [m].
+        length: Length of the cut from side to side [m].
+        position: Start of the slot along ``axis`` [m].
+        low_size: Size of the lower piece away from the cut [m].
+        high_size: Size of the upper piece away from the cut [m].
+    """
 
     axis: int
     x: float
     y: float
-    along: float
-    place: float
-    low: float
-    high: float
+    length: float
+    position: float
+    low_size: float
+    high_size: float
 
 
 @dataclasses.dataclass(frozen=True)
-class Stage:
-    """``cuts`` side by side in one ``part``, from its lower end on, each with its number from 1 among all."""
+class CutStage:
+    """Cuts side by side in one part.
 
-    part: Part
-    cuts: tuple[tuple[int, Cut], ...]
+    Attributes:
+        part: The part.
+        cuts: Cuts from the lower end on, each with its number from 1 among all cuts.
+    """
+
+    part: BlockPart
+    cuts: tuple[tuple[int, ThroughCut], ...]
 
 
 @dataclasses.dataclass(frozen=True)
-class Bow:
-    """A bow's straight wire: ``span`` [m] between its clamps, ``throat`` [m] free between wire and beam."""
+class BowSize:
+    """A bow's straight wire.
+
+    Attributes:
+        span: Length between its clamps [m].
+        throat: Free distance between wire and beam [m].
+    """
 
     span: float
     throat: float
 
     def reaches(self, along: float, low: float, high: float, thickness: float) -> bool:
-        """Whether a cut can be made, ``along`` [m] through a part ``thickness`` [m] thick between pieces that
-        reach ``low`` and ``high`` [m] away from it: see `needs`. Any unit of length will do."""
+        """Return whether a cut can be made; see `required_bows`. Any unit of length is allowed.
+
+        Args:
+            along: Length of the cut [m].
+            low: Size of the lower piece away from it [m].
+            high: Size of the upper piece away from it [m].
+            thickness: Thickness of the part [m].
+        """
         narrow = min(low, high)
         return (self.span >= thickness and self.throat >= min(narrow, 0.5 * along)) or (
             self.span >= along and self.throat >= min(narrow, thickness)
         )
 
-    def reaches_lying(self, along: float, thickness: float, margin: float) -> bool:
-        """Whether the wire can lie in a cut and go down with the beam above the block, ``margin`` [m] of foam
-        to its ends and to the beam, and as far below the block."""
+    def reaches_horizontal(self, along: float, thickness: float, margin: float) -> bool:
+        """Return whether the wire can lie in a cut and move down, with the beam above the block.
+
+        Args:
+            along: Length of the cut [m].
+            thickness: Thickness of the block [m].
+            margin: Distance from the foam to the wire's ends and to the beam, and below the block [m].
+        """
         return self.span >= along + 2.0 * margin and self.throat >= thickness + 2.0 * margin
 
 
-def needs(along: float, low: float, high: float, thickness: float) -> tuple[tuple[float, float], ...]:
-    """Span and throat [m] that a cut takes, one pair for each way to make it.
+def required_bows(along: float, low: float, high: float, thickness: float) -> tuple[tuple[float, float], ...]:
+    """Return span and throat [m] that a cut requires, one pair for each way to make it.
 
-    The wire stands upright and goes along the cut: it spans the thickness, and the beam goes beside the
-    narrower piece, or behind the wire, from either end half of the way. Or the wire lies in the cut and goes
-    down: it spans the whole cut, and the beam goes beside the narrower piece or above the block.
+    The wire is upright and moves along the cut: it spans the thickness, and the beam is beside the narrower
+    piece, or behind the wire for half of the cut from either end. Or the wire lies in the cut and moves down:
+    it spans the whole cut, and the beam is beside the narrower piece or above the block.
+
+    Args:
+        along: Length of the cut [m].
+        low: Size of the lower piece away from it [m].
+        high: Size of the upper piece away from it [m].
+        thickness: Thickness of the block [m].
     """
     narrow = min(low, high)
     return (thickness, min(narrow, 0.5 * along)), (along, min(narrow, thickness))
 
 
-def unreached(tree: CutTree, thickness: float, bow: Bow) -> Iterator[tuple[int, Cut]]:
-    """Cuts that a bow cannot make, by their numbers from 1."""
+def unreachable_cuts(tree: CutTree, thickness: float, bow: BowSize) -> Iterator[tuple[int, ThroughCut]]:
+    """Yield the cuts that a bow cannot make, with their numbers from 1.
+
+    Args:
+        tree: The tree.
+        thickness: Thickness of the block [m].
+        bow: The bow.
+    """
     for number, cut in enumerate(tree.cuts(), 1):
-        if not bow.reaches(cut.along, cut.low, cut.high, thickness):
+        if not bow.reaches(cut.length, cut.low_size, cut.high_size, thickness):
             yield number, cut

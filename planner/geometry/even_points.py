@@ -1,9 +1,10 @@
-"""Points spread evenly over a surface, and the cells of the surface that belong to them.
+"""Points distributed evenly over a surface, and the cells of the surface that belong to them.
 
-Farthest points first (T. F. Gonzalez, Clustering to minimize the maximum intercluster distance, 1985),
-then Lloyd's rounds: each point goes to the middle of its cell. A cell is a set of vertices of the mesh
-cut fine, and hangs together. Ties of symmetric surfaces are broken by a fixed number of each vertex, so
-that rounding of the mesh decides nothing.
+Farthest points come first, then Lloyd's iterations: each point moves to the centroid of its cell. A cell is a
+connected set of vertices of the refined mesh. Ties of symmetric surfaces are broken by a fixed number of each
+vertex, so that rounding of the mesh has no influence.
+
+Source: T. F. Gonzalez, Clustering to minimize the maximum intercluster distance, 1985.
 """
 
 import dataclasses
@@ -14,27 +15,33 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray, distinct_rows, dots
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, unique_rows
 from planner.geometry.mesh import TriangleMesh, face_areas, vertex_normals
 
-CUT: Final = 5.0
-"""Edges of the fine mesh in one distance between points, at least."""
-_FITTED: Final = 2.5
-"""Cells around a point whose vertices a quadric is fitted to."""
-_ONE_SIDE: Final = 0.1
-"""Ratio of principal curvatures from which on panels are to be convex."""
-_ROUNDS: Final = 40
-"""Lloyd's rounds."""
-_FIRST: Final = 50
-"""Farthest points that are held against all vertices: few are farther from later ones than they reach."""
-_JITTER: Final = 0.02
-"""Share by which distances of farthest points are changed to break ties."""
+MIN_EDGES_PER_CELL: Final = 5.0
+"""Minimum number of edges of the fine mesh per distance of points."""
+_FIT_CELLS: Final = 2.5
+"""Number of cells around a point to whose vertices a quadric is fitted."""
+_MIN_CURVATURE_RATIO: Final = 0.1
+"""Ratio of principal curvatures from which on panels are convex."""
+_LLOYD_ITERATIONS: Final = 40
+"""Number of Lloyd's iterations."""
+_FULL_UPDATES: Final = 50
+"""Number of farthest points that are compared with all vertices. Later points only affect a neighbourhood."""
+_JITTER_FRACTION: Final = 0.02
+"""Fraction by which distances of farthest points are varied to break ties."""
 
 
 @dataclasses.dataclass(frozen=True)
 class FineSurface:
-    """A surface cut fine: ``mesh``, ``normal`` (V, 3) unit, ``area`` (V,) [m^2] that belongs to each
-    vertex; ``spacing`` [m] is the side of a square that is one cell."""
+    """A refined surface.
+
+    Attributes:
+        mesh: The mesh.
+        normal: Unit normals of the vertices (V, 3).
+        area: Area of each vertex (V,) [m^2].
+        spacing: Side of a square with the area of one cell [m].
+    """
 
     mesh: TriangleMesh
     normal: FloatArray
@@ -42,13 +49,20 @@ class FineSurface:
     spacing: float
 
 
-def cut_fine(mesh: TriangleMesh, count: int, cut: float = CUT) -> FineSurface:
-    """The surface with at least ``cut`` edges along each side of ``count`` cells of it: some fifty vertices
-    each where that is 5."""
+def refine_surface(mesh: TriangleMesh, count: int, cut: float = MIN_EDGES_PER_CELL) -> FineSurface:
+    """Refine a surface.
+
+    With 5 edges per side a cell has about fifty vertices.
+
+    Args:
+        mesh: The mesh.
+        count: Number of cells.
+        cut: Minimum number of edges along a side of a cell.
+    """
     spacing = float(np.sqrt(face_areas(mesh).sum() / count))
     fine = mesh
     while True:
-        finer = _halved(fine, spacing / cut)
+        finer = _halve_edges(fine, spacing / cut)
         if len(finer.faces) == len(fine.faces):
             break
         fine = finer
@@ -57,12 +71,12 @@ def cut_fine(mesh: TriangleMesh, count: int, cut: float = CUT) -> FineSurface:
     return FineSurface(fine, vertex_normals(fine), area, spacing)
 
 
-def _halved(mesh: TriangleMesh, longest: float) -> TriangleMesh:
-    """Edges longer than ``longest`` [m] halved, each face in two, three or four."""
+def _halve_edges(mesh: TriangleMesh, longest: float) -> TriangleMesh:
+    """Halve edges longer than ``longest`` [m]; each face is divided into two, three or four."""
     faces = mesh.faces
     sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2)
     key = np.sort(sides, axis=2).reshape(-1, 2)
-    edges, _, inverse = distinct_rows(key)
+    edges, _, inverse = unique_rows(key)
     ends = mesh.vertices[edges]
     long = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) > longest
     if not long.any():
@@ -74,12 +88,16 @@ def _halved(mesh: TriangleMesh, longest: float) -> TriangleMesh:
     many = (at >= 0).sum(axis=1)
     done = [faces[many == 0]]
     for number in (1, 2, 3):
-        some = np.flatnonzero(many == number)
-        # turned until the cut side is the first (one), or the whole side is the last (two)
-        turn = np.argmax(at[some] >= 0, axis=1) if number < 2 else (np.argmax(at[some] < 0, axis=1) + 1) % 3
+        face_rows = np.flatnonzero(many == number)
+        # rotated until the cut side is the first (one cut), or the uncut side is the last (two cuts)
+        turn = (
+            np.argmax(at[face_rows] >= 0, axis=1)
+            if number < 2
+            else (np.argmax(at[face_rows] < 0, axis=1) + 1) % 3
+        )
         order = (turn[:, None] + np.arange(3)) % 3
-        a, b, c = np.take_along_axis(faces[some], order, axis=1).T
-        p, q, r = np.take_along_axis(at[some], order, axis=1).T
+        a, b, c = np.take_along_axis(faces[face_rows], order, axis=1).T
+        p, q, r = np.take_along_axis(at[face_rows], order, axis=1).T
         if number == 1:
             parts = [(a, p, c), (p, b, c)]
         elif number == 2:
@@ -90,36 +108,49 @@ def _halved(mesh: TriangleMesh, longest: float) -> TriangleMesh:
     return TriangleMesh(vertices, np.concatenate(done))
 
 
-def spread(surface: FineSurface, count: int) -> FloatArray:
-    """Points (count, 3) [m] near the surface, each in the middle of the cell that is nearest to it."""
+def distribute_points(surface: FineSurface, count: int) -> FloatArray:
+    """Return points (count, 3) [m] near the surface, each in the centroid of the cell that is nearest to it.
+
+    Args:
+        surface: The surface.
+        count: Number of points.
+    """
     at = surface.mesh.vertices
-    # a fixed number of each vertex in [0, 1): fractional parts of multiples of the golden section
-    chance = np.modf(np.arange(1, len(at) + 1) * 0.6180339887498949)[0]
-    weight = 1.0 + _JITTER * (chance - 0.5)
+    # a fixed number of each vertex in [0, 1): fractional part of a multiple of the golden ratio
+    vertex_number = np.modf(np.arange(1, len(at) + 1) * 0.6180339887498949)[0]
+    weight = 1.0 + _JITTER_FRACTION * (vertex_number - 0.5)
     tree = KDTree(at)
-    apart = np.full(len(at), np.inf)
-    ranked = apart.copy()
-    found = [at[int(np.argmax(weight * np.linalg.norm(at - at.mean(axis=0), axis=1)))]]
-    near: IntArray = np.arange(len(at))
+    square_distance = np.full(len(at), np.inf)
+    ranked = square_distance.copy()
+    selected = [at[int(np.argmax(weight * np.linalg.norm(at - at.mean(axis=0), axis=1)))]]
+    affected: IntArray = np.arange(len(at))
     while True:
-        off = at[near] - found[-1]
-        apart[near] = np.minimum(apart[near], dots(off, off))
-        ranked[near] = weight[near] * apart[near]
-        if len(found) == count:
+        offset = at[affected] - selected[-1]
+        square_distance[affected] = np.minimum(square_distance[affected], dots(offset, offset))
+        ranked[affected] = weight[affected] * square_distance[affected]
+        if len(selected) == count:
             break
         last = int(np.argmax(ranked))
-        found.append(at[last])
-        if len(found) > _FIRST:  # beyond the farthest way that is left the new point takes nothing
-            reach = np.sqrt(ranked[last] / (1.0 - 0.5 * _JITTER)) * (1.0 + 1e-9)
-            near = np.array(tree.query_ball_point(found[-1], reach), dtype=np.int64)
-    points = np.array(found)
-    for _ in range(_ROUNDS):
-        points = middles(surface, np.asarray(KDTree(points).query(at)[1]), points)
+        selected.append(at[last])
+        if (
+            len(selected) > _FULL_UPDATES
+        ):  # the new point changes no vertex beyond the largest remaining distance
+            reach = np.sqrt(ranked[last] / (1.0 - 0.5 * _JITTER_FRACTION)) * (1.0 + 1e-9)
+            affected = np.array(tree.query_ball_point(selected[-1], reach), dtype=np.int64)
+    points = np.array(selected)
+    for _ in range(_LLOYD_ITERATIONS):
+        points = cell_centroids(surface, np.asarray(KDTree(points).query(at)[1]), points)
     return points
 
 
-def middles(surface: FineSurface, label: IntArray, points: FloatArray) -> FloatArray:
-    """Middles (N, 3) [m] of the cells that ``label`` (V,) says; a point without a cell stays."""
+def cell_centroids(surface: FineSurface, label: IntArray, points: FloatArray) -> FloatArray:
+    """Return the centroids (N, 3) [m] of cells; a point without a cell stays.
+
+    Args:
+        surface: The surface.
+        label: Cell of each vertex (V,).
+        points: Points (N, 3) [m].
+    """
     total = np.bincount(label, weights=surface.area, minlength=len(points))
     sums = [
         np.bincount(label, weights=surface.area * surface.mesh.vertices[:, i], minlength=len(points))
@@ -129,15 +160,21 @@ def middles(surface: FineSurface, label: IntArray, points: FloatArray) -> FloatA
     return np.asarray(np.where(total[:, None] > 0.0, mean, points))
 
 
-def cells(surface: FineSurface, points: FloatArray) -> IntArray:
-    """Which point each vertex (V,) belongs to: the nearest. Each cell hangs together: parts that the cell's
-    largest part does not touch go to neighbours."""
-    return _whole(surface, np.asarray(KDTree(points).query(surface.mesh.vertices)[1], dtype=np.int64))
+def assign_cells(surface: FineSurface, points: FloatArray) -> IntArray:
+    """Return the point to which each vertex (V,) belongs: the nearest one.
+
+    Each cell is connected: parts without contact to the cell's largest part are assigned to neighbours.
+
+    Args:
+        surface: The surface.
+        points: Points (N, 3) [m].
+    """
+    return _connect_cells(surface, np.asarray(KDTree(points).query(surface.mesh.vertices)[1], dtype=np.int64))
 
 
-def _whole(surface: FineSurface, label: IntArray) -> IntArray:
+def _connect_cells(surface: FineSurface, label: IntArray) -> IntArray:
     faces = surface.mesh.faces
-    edges = distinct_rows(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1))[0]
+    edges = unique_rows(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1))[0]
     label = label.copy()
     for _ in range(3):
         same = edges[label[edges[:, 0]] == label[edges[:, 1]]]
@@ -162,48 +199,60 @@ def _whole(surface: FineSurface, label: IntArray) -> IntArray:
     return label
 
 
-def bending(
+def surface_curvature(
     surface: FineSurface, points: FloatArray, cells: int | None = None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Normals (N, 3), principal curvatures (N, 2) [1/m], the larger first, and directions (N, 2, 3).
+    """Return normals, principal curvatures and directions at points.
 
-    From the quadric that fits the surface best around each point, over some of the ``cells`` that there are
-    on it (none: as many as points). Positive: the surface bends away from
-    its normal, as a dome's does whose normals point outwards.
+    They follow from the quadric that fits the surface best around each point.
+
+    Args:
+        surface: The surface.
+        points: Points (N, 3) [m].
+        cells: Number of cells of the surface, None for the number of points. It defines the size of the
+            neighbourhood.
+
+    Returns:
+        Normals (N, 3), principal curvatures (N, 2) [1/m], the larger one first, and directions (N, 2, 3). A
+        curvature is positive if the surface bends away from its normal, like a dome with outward normals.
     """
     vertices = surface.mesh.vertices
-    count = min(max(int(_FITTED * len(vertices) / (cells or len(points))), 12), len(vertices))
-    asked = KDTree(vertices).query(points, k=count)
-    reach, near = np.asarray(asked[0]), np.asarray(asked[1])
-    reach, near = reach[:, :: 1 + count // 300], near[:, :: 1 + count // 300]
-    place = vertices[near]
-    normal = surface.normal[near[:, :8]].sum(axis=1)
+    count = min(max(int(_FIT_CELLS * len(vertices) / (cells or len(points))), 12), len(vertices))
+    query = KDTree(vertices).query(points, k=count)
+    reach, neighbours = np.asarray(query[0]), np.asarray(query[1])
+    reach, neighbours = reach[:, :: 1 + count // 300], neighbours[:, :: 1 + count // 300]
+    positions = vertices[neighbours]
+    normal = surface.normal[neighbours[:, :8]].sum(axis=1)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     axis = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
     for _ in range(2):
-        one = np.cross(normal, axis)
-        one /= np.linalg.norm(one, axis=1, keepdims=True)
-        two = np.cross(normal, one)
-        rest = place - points[:, None]
-        u, v, w = (np.einsum("nki,ni->nk", rest, way) for way in (one, two, normal))
-        # sheets that lie behind are no neighbours
-        mine = np.einsum("nki,ni->nk", surface.normal[near], normal) > 0.3
-        gain = surface.area[near] * np.exp(-2.0 * (reach / reach[:, -1:]) ** 2) * mine
+        first_axis = np.cross(normal, axis)
+        first_axis /= np.linalg.norm(first_axis, axis=1, keepdims=True)
+        second_axis = np.cross(normal, first_axis)
+        rest = positions - points[:, None]
+        u, v, w = (np.einsum("nki,ni->nk", rest, vectors) for vectors in (first_axis, second_axis, normal))
+        # vertices with an opposite normal belong to another sheet
+        same_sheet = np.einsum("nki,ni->nk", surface.normal[neighbours], normal) > 0.3
+        gain = surface.area[neighbours] * np.exp(-2.0 * (reach / reach[:, -1:]) ** 2) * same_sheet
         terms = np.stack([np.ones_like(u), u, v, 0.5 * u * u, u * v, 0.5 * v * v], axis=2)
         square = np.einsum("nka,nk,nkb->nab", terms, gain, terms)
         scale = np.sqrt(np.maximum(np.einsum("naa->na", square), 1e-300))
         square = square / scale[:, :, None] / scale[:, None, :] + 1e-12 * np.eye(6)
         right = np.einsum("nka,nk,nk->na", terms, gain, w) / scale
-        found = np.linalg.solve(square, right[..., None])[..., 0] / scale
-        normal = normal - found[:, 1:2] * one - found[:, 2:3] * two
+        coefficients = np.linalg.solve(square, right[..., None])[..., 0] / scale
+        normal = normal - coefficients[:, 1:2] * first_axis - coefficients[:, 2:3] * second_axis
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    shape = -np.stack([found[:, [3, 4]], found[:, [4, 5]]], axis=1)
-    value, way = np.linalg.eigh(shape)
-    direction = np.einsum("nij,nix->njx", way, np.stack([one, two], axis=1))
+    shape = -np.stack([coefficients[:, [3, 4]], coefficients[:, [4, 5]]], axis=1)
+    value, vectors = np.linalg.eigh(shape)
+    direction = np.einsum("nij,nix->njx", vectors, np.stack([first_axis, second_axis], axis=1))
     return normal, value[:, ::-1], direction[:, ::-1]
 
 
-def synclastic(curvature: FloatArray) -> BoolArray:
-    """Which places (N,) of principal curvatures (N, 2) [1/m] bend to one side, and not nearly in one way."""
+def is_synclastic(curvature: FloatArray) -> BoolArray:
+    """Return at which points (N,) the surface is convex and not nearly cylindrical.
+
+    Args:
+        curvature: Principal curvatures (N, 2) [1/m].
+    """
     product = curvature[:, 0] * curvature[:, 1]
-    return np.asarray(product > _ONE_SIDE * np.abs(curvature).max(axis=1) ** 2)
+    return np.asarray(product > _MIN_CURVATURE_RATIO * np.abs(curvature).max(axis=1) ** 2)

@@ -1,8 +1,10 @@
 """Planar panels near a surface by guided projection.
 
-Unknown are the knots, the way of each knot when all planes move by one, and the planes. All that is wanted
-is at most quadratic in them, so that a few rounds of sparse Gauss-Newton find it (C. Tang and others,
-Form-finding with polyhedral meshes made simple, ACM TOG 33, 2014). Lengths are in spacings while it works.
+Unknowns are the knots, the displacement of each knot for a unit offset of all planes, and the planes. All
+requirements are at most quadratic in them, so a few iterations of sparse Gauss-Newton solve them. Lengths are
+in spacings during the solution.
+
+Source: C. Tang et al., Form-finding with polyhedral meshes made simple, ACM TOG 33, 2014.
 """
 
 import dataclasses
@@ -13,206 +15,260 @@ from scipy.sparse import csc_array, csr_array, diags_array, vstack
 from scipy.sparse.linalg import LinearOperator, SuperLU, cg, splu
 from scipy.spatial import KDTree
 
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray, columns, dots, unit
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, column_dots, dots, unit
 from planner.geometry.even_points import FineSurface
-from planner.geometry.panel_pattern import Pattern, joints
-from planner.geometry.rulings import boundaries
+from planner.geometry.panel_pattern import PanelPattern, panel_joints
+from planner.geometry.rulings import boundary_rings
 
-LONGEST_WAY: Final = 1.15
-"""Offset edges are no longer than this many thicknesses."""
-COPLANAR: Final = 1e-7
-"""Panels whose normals differ by less [rad] lie in one plane."""
-_AIM: Final = 1.10
-"""What the rounds aim at, so that the exact planes keep the limit."""
-_EXACT: Final = 12
-"""Rounds of Newton's method onto exact planes, at most."""
-_ON_GROUND: Final = 0.1
-"""Knots of the rim that start nearer to the ground than this, in spacings, stay on it."""
+MAX_OFFSET_LENGTH_FACTOR: Final = 1.15
+"""Maximum length of offset edges, in thicknesses."""
+COPLANAR_TOLERANCE: Final = 1e-7
+"""Panels whose normals differ by less than this [rad] are coplanar."""
+_OFFSET_LENGTH_GOAL: Final = 1.10
+"""Length of offset edges that the iterations aim at, so that the exact planes keep the limit."""
+_MAX_EXACT_ITERATIONS: Final = 12
+"""Maximum number of Newton iterations onto exact planes."""
+_GROUND_TOLERANCE: Final = 0.1
+"""Rim knots that start nearer to the ground than this, in spacings, stay on it."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Weights:
-    """How much each wish counts, in spacings and directions of length one.
+class PlanarityWeights:
+    """Weights of the requirements, for lengths in spacings and unit directions.
 
-    ``plane``: panels are planar; ``close``: knots lie on the surface; ``normal``: panels have its normals, or
-    they fold over; ``way``: offset edges are upright; ``fair`` and ``stay``: knots in the middle of their
-    neighbours and where they began; ``hinge``: limits; ``steady``: unknowns stay where they are;
-    ``even``: planes of quads moved by one meet at one point, though they need not.
+    Attributes:
+        plane: Panels are planar.
+        close: Knots are on the surface.
+        normal: Panels have the surface's normals, so that they do not fold.
+        offset: Offset edges are upright.
+        fairness: Knots are at the centre of their neighbours.
+        position: Knots stay where they started.
+        hinge: Limits are kept.
+        damping: Unknowns change slowly.
+        even: Offset planes of quads meet at one point, which is not necessary.
+        max_iterations: Maximum number of iterations.
     """
 
     plane: float = 20.0
     close: float = 1.0
     normal: float = 1.5
-    way: float = 0.1
-    fair: float = 0.02
-    stay: float = 0.2
+    offset: float = 0.1
+    fairness: float = 0.02
+    position: float = 0.2
     hinge: float = 4.0
-    steady: float = 0.2
+    damping: float = 0.2
     even: float = 0.0
-    rounds: int = 40
+    max_iterations: int = 40
 
 
-_WEIGHTS: Final = Weights()
+_WEIGHTS: Final = PlanarityWeights()
 
 
 @dataclasses.dataclass(frozen=True)
-class Faces:
-    """Planes of a pattern's panels: ``normal`` (N, 3) unit, ``distance`` (N,) [m]: normal . x = distance;
-    ``knot`` (K, 3) [m] in the planes of its panels; ``way`` (K, 3): where it goes as they move by one;
-    ``on_ground`` (K,): knots that are held level; ``sharp`` (K,): those on the rim at which a quad ends in a
-    point, so that sides on the rim beside it may not lean out beyond their ways."""
+class PlanarFaces:
+    """Planes of a pattern's panels.
 
-    pattern: Pattern
+    Attributes:
+        pattern: The pattern.
+        normal: Unit normals (N, 3).
+        distance: Distances (N,) [m]: normal . x = distance.
+        knot: Knots (K, 3) [m] in the planes of their panels.
+        offset_direction: Displacement of each knot for a unit offset of the planes (K, 3).
+        on_ground: Knots that are kept level (K,).
+        sharp: Rim knots at which a quad ends in a point (K,). Sides on the rim next to them must not tilt
+            beyond the displacements.
+    """
+
+    pattern: PanelPattern
     normal: FloatArray
     distance: FloatArray
     knot: FloatArray
-    way: FloatArray
+    offset_direction: FloatArray
     on_ground: BoolArray
     sharp: BoolArray
 
 
-def planarised(
-    surface: FineSurface,
-    pattern: Pattern,
-    middle: FloatArray,
-    normal: FloatArray,
-    convex: BoolArray,
-    thickness: float,
-    least_edge: float,
-    ground: float | None = None,
-    weights: Weights = _WEIGHTS,
-) -> Faces:
-    """Exact planes of the panels of a pattern on a surface.
+@dataclasses.dataclass(frozen=True, eq=False)
+class PanelCells:
+    """Cells of a surface, one for each of N panels.
 
-    ``middle`` and ``normal`` (N, 3): of the cells; ``convex`` (N,): panels that are to be convex;
-    ``thickness`` [m] along the normals (negative: against them) and ``least_edge`` [m]: edges of both faces
-    are to be longer; ``ground`` [m]: the height at which a rim that stands on the ground is held level.
-    Limits are wishes here: whether they are kept is for a check of the panels to say.
+    Attributes:
+        centre: Centres (N, 3) [m].
+        normal: Unit normals of the surface at the centres (N, 3).
+        is_convex: Whether each panel should be convex (N,).
     """
-    work = _Work(surface, pattern, middle, normal, convex, thickness, least_edge, ground, weights)
-    for _ in range(weights.rounds):
-        moved = work.round()
-        if np.quantile(moved, 1.0 - _RESTLESS) < _SETTLED and moved.max() < 10.0 * _SETTLED:
+
+    centre: FloatArray
+    normal: FloatArray
+    is_convex: BoolArray
+
+
+@dataclasses.dataclass(frozen=True)
+class PanelRequirements:
+    """Requirements on thick planar panels.
+
+    Attributes:
+        thickness: Thickness along the normals of the surface [m], negative against them.
+        min_edge: Minimum length of edges of both faces [m].
+        ground: Height [m] at which a rim on the ground is kept level, None without ground.
+    """
+
+    thickness: float
+    min_edge: float = 0.05
+    ground: float | None = None
+
+
+def planarise(
+    surface: FineSurface,
+    pattern: PanelPattern,
+    cells: PanelCells,
+    required: PanelRequirements,
+    weights: PlanarityWeights = _WEIGHTS,
+) -> PlanarFaces:
+    """Return exact planes of the panels of a pattern on a surface.
+
+    Limits are soft here. A check of the panels decides whether they are kept.
+
+    Args:
+        surface: The surface.
+        pattern: Pattern of the panels.
+        cells: Cells of the panels.
+        required: Requirements on the panels.
+        weights: Weights of the requirements.
+    """
+    solver = _ProjectionSolver(surface, pattern, cells, required, weights)
+    for _ in range(weights.max_iterations):
+        changes = solver.iterate()
+        if (
+            np.quantile(changes, 1.0 - _OSCILLATING_FRACTION) < _CONVERGENCE_LIMIT
+            and changes.max() < 10.0 * _CONVERGENCE_LIMIT
+        ):
             break
-    work.exact()
-    x, w, n, d = work.split(work.z)
-    distance = work.scale * (d + dots(n, work.middle))
-    w = w if pattern.quads else _squared(pattern, n, x, w)
-    on_ground = np.zeros(work.knots, dtype=np.bool_)
-    on_ground[work.foot] = True
-    sharp = pattern.pointed & pattern.quads
-    return Faces(pattern, n, distance, work.scale * x, w, on_ground, sharp)
+    solver.exact()
+    x, w, n, d = solver.split(solver.unknowns)
+    distance = solver.scale * (d + dots(n, solver.middle))
+    w = w if pattern.quads else _square_offsets(pattern, n, x, w)
+    on_ground = np.zeros(solver.knots, dtype=np.bool_)
+    on_ground[solver.ground_knots] = True
+    sharp = pattern.pointed_knots & pattern.quads
+    return PlanarFaces(pattern, n, distance, solver.scale * x, w, on_ground, sharp)
 
 
-def _squared(pattern: Pattern, normal: FloatArray, knot: FloatArray, way: FloatArray) -> FloatArray:
-    """The ways of knots with a joint of two panels in one plane, which leave the side between them open: made
-    square to both."""
-    found = way.copy()
-    for a, b, one, two in joints(pattern).tolist():
-        if np.linalg.norm(normal[a] - normal[b]) > COPLANAR:
+def _square_offsets(
+    pattern: PanelPattern, normal: FloatArray, knot: FloatArray, offsets: FloatArray
+) -> FloatArray:
+    """Return displacements of knots at joints of two coplanar panels, normal to both.
+
+    Coplanar panels leave the plane of their side open.
+    """
+    squared = offsets.copy()
+    for a, b, start, end in panel_joints(pattern).tolist():
+        if np.linalg.norm(normal[a] - normal[b]) > COPLANAR_TOLERANCE:
             continue
-        side = unit(np.cross(knot[two] - knot[one], normal[a]))
-        for k in (one, two):
+        side = unit(np.cross(knot[end] - knot[start], normal[a]))
+        for k in (start, end):
             third = next((p for p in pattern.panels[k].tolist() if p >= 0 and p not in (a, b)), None)
             if third is not None:
                 matrix = np.stack([normal[a], normal[third], side])
-                # three panels in one plane leave one way alone, which least squares find
-                found[k] = np.linalg.lstsq(matrix, np.array([1.0, 1.0, 0.0]), rcond=COPLANAR)[0]
-    return found
+                # three coplanar panels determine only one component, which least squares find
+                squared[k] = np.linalg.lstsq(matrix, np.array([1.0, 1.0, 0.0]), rcond=COPLANAR_TOLERANCE)[0]
+    return squared
 
 
-class _Rows:
-    """Rows of a Jacobian, gathered in their order."""
+class _JacobianRows:
+    """Rows of a Jacobian, collected in order."""
 
     def __init__(self) -> None:
         self.column: list[IntArray] = []
         self.value: list[FloatArray] = []
         self.size: list[IntArray] = []
-        self.rest: list[FloatArray] = []
+        self.residual: list[FloatArray] = []
 
     def add(self, rest: FloatArray, *terms: tuple[IntArray, FloatArray], weight: float = 1.0) -> None:
-        """Rows with what is left ``rest`` (M,) and terms of columns (M, C) and values (M, C)."""
+        """Add rows with the residuals ``residual`` (M,), and terms of columns (M, C) and values (M, C)."""
         columns = np.concatenate([column for column, _ in terms], axis=1)
         self.column.append(columns.reshape(-1))
         self.value.append(weight * np.concatenate([value for _, value in terms], axis=1).reshape(-1))
         self.size.append(np.full(len(rest), columns.shape[1]))
-        self.rest.append(weight * rest)
+        self.residual.append(weight * rest)
 
     def add_uneven(self, rest: FloatArray, size: IntArray, column: IntArray, value: FloatArray) -> None:
-        """Rows of ``size`` (M,) terms each, one after the other."""
+        """Add rows of ``size`` (M,) terms each, one after the other."""
         self.column.append(column)
         self.value.append(value)
         self.size.append(size)
-        self.rest.append(rest)
+        self.residual.append(rest)
 
     def matrix(self, columns: int) -> tuple[csr_array, FloatArray]:
-        """The Jacobian, its columns in no order, and what is left."""
-        rest = np.concatenate(self.rest)
+        """Return the Jacobian, with unsorted columns, and the residuals."""
+        rest = np.concatenate(self.residual)
         start = np.concatenate([[0], np.cumsum(np.concatenate(self.size))])
         parts = np.concatenate(self.value), np.concatenate(self.column), start
         return csr_array(parts, shape=(len(rest), columns)), rest
 
 
 def normal_equations(matrix: csr_array, steady: float) -> csc_array:
-    """``matrix.T @ matrix`` with the square of ``steady`` added to its diagonal, columns in order."""
+    """Return ``matrix.T @ matrix`` plus the square of ``steady`` on its diagonal, with sorted columns.
+
+    Args:
+        matrix: Jacobian.
+        steady: Damping.
+    """
     count = matrix.shape[1]
     held = csr_array((np.full(count, steady), np.arange(count), np.arange(count + 1)), shape=(count, count))
     whole = vstack([matrix, held], format="csr")
-    # a conversion sorts in one go what the product leaves unsorted
+    # the conversion to CSC sorts the indices that the product leaves unsorted
     return csc_array(csr_array(whole.T.tocsr() @ whole).tocsc())
 
 
-class _Work:
+class _ProjectionSolver:
     """The unknowns of a pattern, in spacings."""
 
     def __init__(
         self,
         surface: FineSurface,
-        pattern: Pattern,
-        middle: FloatArray,
-        normal: FloatArray,
-        convex: BoolArray,
-        thickness: float,
-        least_edge: float,
-        ground: float | None,
-        weights: Weights,
+        pattern: PanelPattern,
+        cells: PanelCells,
+        required: PanelRequirements,
+        weights: PlanarityWeights,
     ) -> None:
+        middle, normal, ground = cells.centre, cells.normal, required.ground
         scale = self.scale = surface.spacing
         self.weights, self.pattern = weights, pattern
-        self.thickness, self.least = thickness / scale, least_edge / scale
-        self.middle, self.wanted = middle / scale, normal
-        self.knots, self.panels = len(pattern.place), len(middle)
+        self.thickness, self.min_edge = required.thickness / scale, required.min_edge / scale
+        self.middle, self.target_normal = middle / scale, normal
+        self.knots, self.panels = len(pattern.position), len(middle)
         self.face = np.repeat(np.arange(self.panels), [len(ring) for ring in pattern.ring])
         self.knot = np.concatenate(pattern.ring)
         self.factor: SuperLU | None = None
         self.tree = KDTree(surface.mesh.vertices / scale)
-        self.place, self.upright = surface.mesh.vertices / scale, surface.normal
+        self.surface_points, self.surface_normals = surface.mesh.vertices / scale, surface.normal
         self.rim = np.flatnonzero(pattern.on_rim)
-        rings = boundaries(surface.mesh)
+        rings = boundary_rings(surface.mesh)
         curve = np.concatenate([surface.mesh.vertices[ring] for ring in rings]) / scale
         step = np.concatenate(
             [np.roll(surface.mesh.vertices[ring], -1, axis=0) - surface.mesh.vertices[ring] for ring in rings]
         )
         self.curve, self.along, self.rim_tree = curve, unit(step), KDTree(curve)
         self.ground = 0.0 if ground is None else ground / scale
-        height = np.abs(pattern.place[self.rim, 2] / scale - self.ground)
-        self.foot = self.rim[(height < _ON_GROUND) & (ground is not None)]
-        self.level = self.foot[pattern.pointed[self.foot]]
+        height = np.abs(pattern.position[self.rim, 2] / scale - self.ground)
+        self.ground_knots = self.rim[(height < _GROUND_TOLERANCE) & (ground is not None)]
+        self.level = self.ground_knots[pattern.pointed_knots[self.ground_knots]]
         self.corner = pattern.corner[self.rim]
-        self.joint = joints(pattern)
+        self.joint = panel_joints(pattern)
         across = middle[self.joint[:, 1]] - middle[self.joint[:, 0]]
         self.reference = unit(np.cross(normal[self.joint[:, 0]] + normal[self.joint[:, 1]], across))
         self._neighbours()
         turn = [np.stack([np.roll(ring, 1), ring, np.roll(ring, -1)], axis=1) for ring in pattern.ring]
         self.turn = np.concatenate(turn)
-        self.bent = np.flatnonzero(convex[self.face])
-        x = pattern.place / scale
-        self.z = np.concatenate(
+        self.convex_turns = np.flatnonzero(cells.is_convex[self.face])
+        x = pattern.position / scale
+        self.unknowns = np.concatenate(
             [x.reshape(-1), self._upright(x).reshape(-1), normal.reshape(-1), np.zeros(self.panels)]
         )
 
     def _neighbours(self) -> None:
-        """Means of the knots beside inner knots, and beside rim knots along the rim."""
+        """Prepare the means of neighbours of inner knots, and of neighbours along the rim of rim knots."""
         ends = np.concatenate([np.stack([ring, np.roll(ring, -1)], axis=1) for ring in self.pattern.ring])
         side = np.concatenate(self.pattern.across)
         on_rim = np.zeros(self.knots, dtype=np.bool_)
@@ -227,7 +283,7 @@ class _Work:
         self.smooth = csr_array(diags_array(np.ones(self.knots)) - shares)
 
     def _upright(self, x: FloatArray) -> FloatArray:
-        return self.upright[self.tree.query(x)[1]]
+        return self.surface_normals[self.tree.query(x)[1]]
 
     def split(self, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         k, n = 3 * self.knots, 3 * self.panels
@@ -250,174 +306,198 @@ class _Work:
     def _d(self, face: IntArray) -> IntArray:
         return (6 * self.knots + 3 * self.panels + face)[:, None]
 
-    def _planes(self, rows: _Rows, z: FloatArray, weight: float) -> None:
-        """Knots in their planes, ways that move planes by one, the ground, normals of length one."""
+    def _planes(self, rows: _JacobianRows, z: FloatArray, weight: float) -> None:
+        """Add rows: knots in their planes, unit offsets, the ground, unit normals."""
         x, w, n, d = self.split(z)
         f, k = self.face, self.knot
-        off = x[k] - self.middle[f]
+        offset = x[k] - self.middle[f]
         minus = -np.ones((len(f), 1))
         rows.add(
-            dots(n[f], off) - d[f], (self._x(k), n[f]), (self._n(f), off), (self._d(f), minus), weight=weight
+            dots(n[f], offset) - d[f],
+            (self._x(k), n[f]),
+            (self._n(f), offset),
+            (self._d(f), minus),
+            weight=weight,
         )
         if self.pattern.quads:
             self._sides(rows, x, w, weight)
         else:
             rows.add(dots(n[f], w[k]) - 1.0, (self._w(k), n[f]), (self._n(f), w[k]), weight=weight)
-        one = np.ones((len(self.foot), 1))
-        rows.add(x[self.foot, 2] - self.ground, (self._x(self.foot)[:, [2]], one), weight=weight)
+        ones = np.ones((len(self.ground_knots), 1))
+        rows.add(
+            x[self.ground_knots, 2] - self.ground, (self._x(self.ground_knots)[:, [2]], ones), weight=weight
+        )
         rows.add(0.5 * (dots(n, n) - 1.0), (self._n(np.arange(len(n))), n), weight=weight)
 
-    def _sides(self, rows: _Rows, x: FloatArray, w: FloatArray, weight: float) -> None:
-        """The ways of both ends of a joint in one plane with it; those of points on the ground are level."""
-        one, two = self.joint[:, 2:].T
-        e, a, b = x[two] - x[one], w[one], w[two]
+    def _sides(self, rows: _JacobianRows, x: FloatArray, w: FloatArray, weight: float) -> None:
+        """Add rows: displacements of both ends of a joint are coplanar with it.
+
+        Those of points on the ground are level.
+        """
+        start, end = self.joint[:, 2:].T
+        e, a, b = x[end] - x[start], w[start], w[end]
         across = np.cross(a, b)
-        terms = [(self._x(one), -across), (self._x(two), across)]
-        terms += [(self._w(one), np.cross(b, e)), (self._w(two), np.cross(e, a))]
+        terms = [(self._x(start), -across), (self._x(end), across)]
+        terms += [(self._w(start), np.cross(b, e)), (self._w(end), np.cross(e, a))]
         rows.add(dots(e, across), *terms, weight=weight)
         level = self.level
         rows.add(w[level, 2], (self._w(level)[:, [2]], np.ones((len(level), 1))), weight=weight)
 
-    def round(self) -> FloatArray:
-        """One round of Gauss-Newton over all wishes; how far each unknown moved."""
-        x, w, n, _ = self.split(self.z)
-        rows, g = _Rows(), self.weights
-        self._planes(rows, self.z, g.plane)
-        near = self.tree.query(x)[1]
-        up = self.upright[near]
+    def iterate(self) -> FloatArray:
+        """Do one Gauss-Newton iteration over all requirements, and return the change of each unknown."""
+        x, w, n, _ = self.split(self.unknowns)
+        rows, g = _JacobianRows(), self.weights
+        self._planes(rows, self.unknowns, g.plane)
+        nearest = self.tree.query(x)[1]
+        up = self.surface_normals[nearest]
         every = np.arange(self.knots)
-        rows.add(dots(up, x - self.place[near]), (self._x(every), up), weight=g.close)
+        rows.add(dots(up, x - self.surface_points[nearest]), (self._x(every), up), weight=g.close)
         self._rims(rows, x)
         if self.pattern.quads:
             f, k = self.face, self.knot
             rows.add(dots(n[f], w[k]) - 1.0, (self._w(k), n[f]), (self._n(f), w[k]), weight=g.even)
         for i in range(3):
-            one = np.ones((self.panels, 1))
+            ones = np.ones((self.panels, 1))
             rows.add(
-                n[:, i] - self.wanted[:, i], (self._n(np.arange(self.panels))[:, [i]], one), weight=g.normal
+                n[:, i] - self.target_normal[:, i],
+                (self._n(np.arange(self.panels))[:, [i]], ones),
+                weight=g.normal,
             )
-            one = np.ones((self.knots, 1))
-            rows.add(w[:, i] - up[:, i], (self._w(every)[:, [i]], one), weight=g.way)
+            ones = np.ones((self.knots, 1))
+            rows.add(w[:, i] - up[:, i], (self._w(every)[:, [i]], ones), weight=g.offset)
         self._fair(rows, x, up)
-        self._hinges(rows, x, w, n)
-        matrix, rest = rows.matrix(len(self.z))
-        square, right = normal_equations(matrix, g.steady), matrix.T @ rest
-        step = None if self.factor is None else _by_former(square, right, self.factor)
+        self._limits(rows, x, w, n)
+        matrix, rest = rows.matrix(len(self.unknowns))
+        square, right = normal_equations(matrix, g.damping), matrix.T @ rest
+        step = None if self.factor is None else _solve_preconditioned(square, right, self.factor)
         if step is None:
-            self.factor = symmetric_factor(square)
+            self.factor = factor_symmetric(square)
             step = self.factor.solve(right)
-        self.z = self.z - step
+        self.unknowns = self.unknowns - step
         return np.abs(step)
 
-    def _rims(self, rows: _Rows, x: FloatArray) -> None:
+    def _rims(self, rows: _JacobianRows, x: FloatArray) -> None:
         at = self.rim_tree.query(x[self.rim])[1]
-        goal = np.where(self.corner[:, None], self.pattern.place[self.rim] / self.scale, self.curve[at])
-        way = np.where(self.corner[:, None], 0.0, self.along[at])
-        left = x[self.rim] - goal
-        left = left - dots(left, way)[:, None] * way
+        goal = np.where(self.corner[:, None], self.pattern.position[self.rim] / self.scale, self.curve[at])
+        tangent = np.where(self.corner[:, None], 0.0, self.along[at])
+        residual = x[self.rim] - goal
+        residual = residual - dots(residual, tangent)[:, None] * tangent
         for i in range(3):
-            value = np.eye(3)[i] - way[:, [i]] * way
-            rows.add(left[:, i], (self._x(self.rim), value), weight=2.0 * self.weights.close)
+            value = np.eye(3)[i] - tangent[:, [i]] * tangent
+            rows.add(residual[:, i], (self._x(self.rim), value), weight=2.0 * self.weights.close)
 
-    def _fair(self, rows: _Rows, x: FloatArray, up: FloatArray) -> None:
-        """Knots in the middle of their neighbours, as seen from above."""
-        smooth, off = self.smooth, np.asarray(self.smooth @ x)
+    def _fair(self, rows: _JacobianRows, x: FloatArray, up: FloatArray) -> None:
+        """Add rows: knots at the centre of their neighbours, seen from above."""
+        smooth, laplacian = self.smooth, np.asarray(self.smooth @ x)
         column = (3 * smooth.indices[:, None] + np.arange(3)).reshape(-1)
         row, size = np.repeat(np.arange(self.knots), np.diff(smooth.indptr)), 3 * np.diff(smooth.indptr)
-        moved, every = x - self.pattern.place / self.scale, np.arange(self.knots)
+        moved, every = x - self.pattern.position / self.scale, np.arange(self.knots)
         axis = np.eye(3)[np.argmin(np.abs(up), axis=1)]
-        one = unit(np.cross(up, axis))
-        for way in (one, np.cross(up, one)):
-            value = self.weights.fair * (smooth.data[:, None] * way[row]).reshape(-1)
-            rows.add_uneven(self.weights.fair * dots(off, way), size, column, value)
-            rows.add(dots(moved, way), (self._x(every), way), weight=self.weights.stay)
+        first_tangent = unit(np.cross(up, axis))
+        for tangent in (first_tangent, np.cross(up, first_tangent)):
+            value = self.weights.fairness * (smooth.data[:, None] * tangent[row]).reshape(-1)
+            rows.add_uneven(self.weights.fairness * dots(laplacian, tangent), size, column, value)
+            rows.add(dots(moved, tangent), (self._x(every), tangent), weight=self.weights.position)
 
-    def _hinges(self, rows: _Rows, x: FloatArray, w: FloatArray, n: FloatArray) -> None:
-        """What counts only where it is not kept: long ways, short or turned edges, hollow corners."""
+    def _limits(self, rows: _JacobianRows, x: FloatArray, w: FloatArray, n: FloatArray) -> None:
+        """Add rows of violated limits: long displacements, short or inverted edges, concave corners."""
         gain, t = self.weights.hinge, self.thickness
         size = np.linalg.norm(w, axis=1)
-        over = np.flatnonzero(size > _AIM)
-        rows.add(size[over] - _AIM, (self._w(over), w[over] / size[over, None]), weight=gain)
+        over = np.flatnonzero(size > _OFFSET_LENGTH_GOAL)
+        rows.add(size[over] - _OFFSET_LENGTH_GOAL, (self._w(over), w[over] / size[over, None]), weight=gain)
         start, end, u = self.joint[:, 2], self.joint[:, 3], self.reference
-        for share in (0.0, t):
-            long = dots(x[end] - x[start] + share * (w[end] - w[start]), u)
-            short = np.flatnonzero(long < 1.3 * self.least)
-            one, two, v = start[short], end[short], u[short]
-            terms = [(self._x(one), -v), (self._x(two), v)]
-            if share:
-                terms += [(self._w(one), -share * v), (self._w(two), share * v)]
-            rows.add(long[short] - 1.3 * self.least, *terms, weight=gain)
-        self._open(rows, x, w, n)
-        before, at, after = self.turn[self.bent].T
-        up = n[self.face[self.bent]]
-        e, h = x[at] - x[before], x[after] - x[at]
+        for height in (0.0, t):
+            long = dots(x[end] - x[start] + height * (w[end] - w[start]), u)
+            short = np.flatnonzero(long < 1.3 * self.min_edge)
+            start_knots, end_knots, v = start[short], end[short], u[short]
+            terms = [(self._x(start_knots), -v), (self._x(end_knots), v)]
+            if height:
+                terms += [(self._w(start_knots), -height * v), (self._w(end_knots), height * v)]
+            rows.add(long[short] - 1.3 * self.min_edge, *terms, weight=gain)
+        self._visible_sides(rows, x, w, n)
+        previous, at, following = self.turn[self.convex_turns].T
+        up = n[self.face[self.convex_turns]]
+        e, h = x[at] - x[previous], x[following] - x[at]
         size = np.maximum(np.linalg.norm(e, axis=1) * np.linalg.norm(h, axis=1), 1e-3)
-        sine = columns(np.cross(e, h).T, up.T) / size
-        hollow = np.flatnonzero(sine < _CONVEX)
-        one, two = np.cross(h, up)[hollow] / size[hollow, None], np.cross(up, e)[hollow] / size[hollow, None]
-        b, a, c = before[hollow], at[hollow], after[hollow]
-        terms = [(self._x(a), one - two), (self._x(b), -one), (self._x(c), two)]
-        rows.add(sine[hollow] - _CONVEX, *terms, weight=0.5 * gain)
+        sine = column_dots(np.cross(e, h).T, up.T) / size
+        hollow = np.flatnonzero(sine < _MIN_CONVEX_SINE)
+        start_knots, end_knots = (
+            np.cross(h, up)[hollow] / size[hollow, None],
+            np.cross(up, e)[hollow] / size[hollow, None],
+        )
+        b, a, c = previous[hollow], at[hollow], following[hollow]
+        terms = [(self._x(a), start_knots - end_knots), (self._x(b), -start_knots), (self._x(c), end_knots)]
+        rows.add(sine[hollow] - _MIN_CONVEX_SINE, *terms, weight=0.5 * gain)
 
-    def _open(self, rows: _Rows, x: FloatArray, w: FloatArray, n: FloatArray) -> None:
-        """Every side of both faces is seen from the middle of its corners, so that no outline crosses."""
-        one, two, f = self.knot, self.turn[:, 2], self.face
-        for share in (0.0, self.thickness):
-            y = x + share * w
-            sums = np.stack([np.bincount(f, weights=y[one, i]) for i in range(3)], axis=1)
+    def _visible_sides(self, rows: _JacobianRows, x: FloatArray, w: FloatArray, n: FloatArray) -> None:
+        """Add rows: every side of both faces is visible from the centre of its corners.
+
+        Then no outline crosses itself.
+        """
+        start, end, f = self.knot, self.turn[:, 2], self.face
+        for offset_height in (0.0, self.thickness):
+            y = x + offset_height * w
+            sums = np.stack([np.bincount(f, weights=y[start, i]) for i in range(3)], axis=1)
             centre = (sums / np.bincount(f)[:, None])[f]
-            p, q = y[one] - centre, y[two] - centre
+            p, q = y[start] - centre, y[end] - centre
             size = np.maximum(np.linalg.norm(q - p, axis=1), 0.1)
-            height = columns(np.cross(p, q).T, n[f].T) / size
-            low = np.flatnonzero(height < _SEEN)
+            height = column_dots(np.cross(p, q).T, n[f].T) / size
+            low = np.flatnonzero(height < _MIN_SIDE_HEIGHT)
             up = n[f[low]]
             by_one = np.cross(q[low], up) / size[low, None]
             by_two = np.cross(up, p[low]) / size[low, None]
-            terms = [(self._x(one[low]), by_one), (self._x(two[low]), by_two)]
-            if share:
-                terms += [(self._w(one[low]), share * by_one), (self._w(two[low]), share * by_two)]
-            rows.add(height[low] - _SEEN, *terms, weight=self.weights.hinge)
+            terms = [(self._x(start[low]), by_one), (self._x(end[low]), by_two)]
+            if offset_height:
+                terms += [
+                    (self._w(start[low]), offset_height * by_one),
+                    (self._w(end[low]), offset_height * by_two),
+                ]
+            rows.add(height[low] - _MIN_SIDE_HEIGHT, *terms, weight=self.weights.hinge)
 
     def exact(self) -> None:
-        """Newton's method, each step the shortest, onto planes that hold their knots to rounding."""
+        """Run Newton's method with minimum-norm steps onto planes that contain their knots up to rounding."""
         best = np.inf
-        for _ in range(_EXACT):
-            rows = _Rows()
-            self._planes(rows, self.z, 1.0)
-            matrix, rest = rows.matrix(len(self.z))
+        for _ in range(_MAX_EXACT_ITERATIONS):
+            rows = _JacobianRows()
+            self._planes(rows, self.unknowns, 1.0)
+            matrix, rest = rows.matrix(len(self.unknowns))
             worst = float(np.abs(rest).max())
             if worst >= 0.5 * best and worst < 1e-13:
                 break
             best = min(best, worst)
             square = normal_equations(csr_array(matrix.T.tocsr()), 1e-6)
-            self.z = self.z - matrix.T @ symmetric_factor(square).solve(rest)
-        n = self.split(self.z)[2]
+            self.unknowns = self.unknowns - matrix.T @ factor_symmetric(square).solve(rest)
+        n = self.split(self.unknowns)[2]
         n /= np.linalg.norm(n, axis=1, keepdims=True)
 
 
-_SETTLED: Final = 1e-4
-"""Rounds end when unknowns move by no more: knots in spacings of panels; some 0.1 mm."""
-_RESTLESS: Final = 1e-3
-"""Share of the unknowns that may move up to ten times as far then: knots half-way between two vertices of the
-surface go to and fro for ever."""
-_SOLVED: Final = 1e-9
-"""What is left of a system, over its right side, where it counts as solved."""
-_MOST_STEPS: Final = 10
-"""Steps of conjugate gradients at most: so many cost less than factors."""
-_SEEN: Final = 0.1
-"""Height of the middle of a panel over the lines of its sides, in spacings."""
-_CONVEX: Final = 0.08
-"""Sine of the least turn at a corner of a panel that is to be convex."""
+_CONVERGENCE_LIMIT: Final = 1e-4
+"""Convergence limit of the unknowns: of knots in spacings of panels, about 0.1 mm."""
+_OSCILLATING_FRACTION: Final = 1e-3
+"""Fraction of the unknowns that may change by up to ten times more.
+
+Knots half-way between two vertices of the surface oscillate forever.
+"""
+_CG_TOLERANCE: Final = 1e-9
+"""Relative residual at which a linear system counts as solved."""
+_MAX_CG_STEPS: Final = 10
+"""Maximum number of conjugate gradient steps. That many cost less than a factorisation."""
+_MIN_SIDE_HEIGHT: Final = 0.1
+"""Minimum height of a panel's centre over the lines of its sides, in spacings."""
+_MIN_CONVEX_SINE: Final = 0.08
+"""Sine of the minimum angle at a corner of a convex panel."""
 
 
-def _by_former(square: csc_array, right: FloatArray, factor: SuperLU) -> FloatArray | None:
-    """The solution of a symmetric positive system by conjugate gradients, led by the factors of a former one
-    much like it, or None where that takes longer than factors of its own."""
-    former = LinearOperator(square.shape, factor.solve, dtype=np.float64)
-    step, missed = cg(square, right, rtol=_SOLVED, maxiter=_MOST_STEPS, M=former)
-    return None if missed else np.asarray(step)
+def _solve_preconditioned(square: csc_array, right: FloatArray, factor: SuperLU) -> FloatArray | None:
+    """Solve a symmetric positive system by conjugate gradients, preconditioned by an earlier factorisation.
+
+    Returns None if that takes longer than a new factorisation.
+    """
+    preconditioner = LinearOperator(square.shape, factor.solve, dtype=np.float64)
+    step, not_converged = cg(square, right, rtol=_CG_TOLERANCE, maxiter=_MAX_CG_STEPS, M=preconditioner)
+    return None if not_converged else np.asarray(step)
 
 
-def symmetric_factor(square: csc_array) -> SuperLU:
-    """Factors of a symmetric positive matrix."""
+def factor_symmetric(square: csc_array) -> SuperLU:
+    """Return the factorisation of a symmetric positive matrix."""
     return splu(square, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})

@@ -1,10 +1,11 @@
 """Exact guillotine division of a grid of cells into rectangles, by dynamic programming.
 
-A rectangle of cells is one piece at its price, or it is cut from side to side into two rectangles. What is
-sought of the whole is the least pair (number of pieces, largest price of a piece), compared in that order.
-Both grow with either half alone, so the best of a rectangle follows from the best of its halves (Gilmore and
-Gomory, Oper. Res. 14, 1966, on the same recursion for stock cutting). All rectangles of one size are done at
-once; there are n^2 m^2 / 4 of them and each looks at n + m cuts.
+A rectangle of cells is one piece at its price, or it is cut from side to side into two rectangles. The
+optimum of the whole is the smallest pair (number of pieces, largest price of a piece), compared in that
+order. Both grow with either half alone, so the optimum of a rectangle follows from the optima of its halves.
+All rectangles of one size are processed at once. There are n^2 m^2 / 4 of them, with n + m cuts each.
+
+Source: Gilmore and Gomory, Oper. Res. 14, 1966, for the same recursion in stock cutting.
 """
 
 import dataclasses
@@ -13,85 +14,101 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray, IntArray
 
-_MANY = 1 << 30
-"""Stands for the number of pieces of what cannot be divided."""
+_INFEASIBLE_COUNT = 1 << 30
+"""Number of pieces that represents "cannot be divided"."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Division:
-    """``rectangles`` (n, 4): first and last line x0, x1, y0, y1 of each piece, ordered by y0, then x0;
-    ``largest``: the largest price among them."""
+class GridDivision:
+    """Optimal division of a grid.
+
+    Attributes:
+        rectangles: First and last line x0, x1, y0, y1 of each piece (n, 4), ordered by y0, then x0.
+        max_price: Largest price of a piece.
+    """
 
     rectangles: IntArray
-    largest: float
+    max_price: float
 
 
-def divide(price: FloatArray) -> Division | None:
-    """The best division of a grid of nx by ny cells, None where there is none.
+def divide_grid(price: FloatArray) -> GridDivision | None:
+    """Find the best division of a grid of nx by ny cells.
 
-    ``price`` (nx, ny, nx, ny): [w - 1, h - 1, x, y] is the price of the rectangle of w by h cells whose
-    lowest cell is (x, y), infinite where it must not be one piece; places at which it would stand out of the
-    grid do not matter. Between equal divisions, cuts nearer to the middle are taken, and those across x
-    first.
+    Between equal divisions, cuts nearer to the middle are preferred, and those across x first.
+
+    Args:
+        price: Prices (nx, ny, nx, ny): [w - 1, h - 1, x, y] is that of the rectangle of w by h cells whose
+            lowest cell is (x, y), infinite if it must not be one piece. Positions at which it would extend
+            beyond the grid are ignored.
+
+    Returns:
+        The division, None if there is none.
     """
     nx, ny = price.shape[:2]
-    count = np.full(price.shape, _MANY, dtype=np.int64)
+    count = np.full(price.shape, _INFEASIBLE_COUNT, dtype=np.int64)
     worst = np.full(price.shape, np.inf)
     cut = np.zeros(price.shape, dtype=np.int64)  # 0: one piece; k: across x after k cells; -k: across y
     for w in range(1, nx + 1):
         for h in range(1, ny + 1):
-            here = (w - 1, h - 1, slice(0, nx - w + 1), slice(0, ny - h + 1))
-            worst[here] = price[here]
-            count[here] = np.where(np.isfinite(price[here]), 1, _MANY)
-            for k in _from_the_middle(w):
+            region = (w - 1, h - 1, slice(0, nx - w + 1), slice(0, ny - h + 1))
+            worst[region] = price[region]
+            count[region] = np.where(np.isfinite(price[region]), 1, _INFEASIBLE_COUNT)
+            for k in _middle_first(w):
                 halves = (
-                    (k - 1, h - 1, slice(0, nx - w + 1), here[3]),
-                    (w - k - 1, h - 1, slice(k, nx - w + k + 1), here[3]),
+                    (k - 1, h - 1, slice(0, nx - w + 1), region[3]),
+                    (w - k - 1, h - 1, slice(k, nx - w + k + 1), region[3]),
                 )
-                _take(count, worst, cut, here, halves, k)
-            for k in _from_the_middle(h):
+                _apply_cut(count, worst, cut, region, halves, k)
+            for k in _middle_first(h):
                 halves = (
-                    (w - 1, k - 1, here[2], slice(0, ny - h + 1)),
-                    (w - 1, h - k - 1, here[2], slice(k, ny - h + k + 1)),
+                    (w - 1, k - 1, region[2], slice(0, ny - h + 1)),
+                    (w - 1, h - k - 1, region[2], slice(k, ny - h + k + 1)),
                 )
-                _take(count, worst, cut, here, halves, -k)
-    if count[nx - 1, ny - 1, 0, 0] >= _MANY:
+                _apply_cut(count, worst, cut, region, halves, -k)
+    if count[nx - 1, ny - 1, 0, 0] >= _INFEASIBLE_COUNT:
         return None
-    pieces = _pieces(cut)
+    pieces = _trace_pieces(cut)
     order = np.lexsort((pieces[:, 0], pieces[:, 2]))
-    return Division(pieces[order], float(worst[nx - 1, ny - 1, 0, 0]))
+    return GridDivision(pieces[order], float(worst[nx - 1, ny - 1, 0, 0]))
 
 
-_Place = tuple[int, int, slice, slice]
+_RegionIndex = tuple[int, int, slice, slice]
 
 
-def _from_the_middle(size: int) -> list[int]:
+def _middle_first(size: int) -> list[int]:
     return sorted(range(1, size), key=lambda k: (abs(2 * k - size), k))
 
 
-def _take(
-    count: IntArray, worst: FloatArray, cut: IntArray, here: _Place, halves: tuple[_Place, _Place], name: int
+def _apply_cut(
+    count: IntArray,
+    worst: FloatArray,
+    cut: IntArray,
+    region: _RegionIndex,
+    halves: tuple[_RegionIndex, _RegionIndex],
+    cut_code: int,
 ) -> None:
-    """Take the cut ``name`` into two halves wherever that is better than what is known."""
+    """Use the cut ``cut_code`` into two halves where that is better than the best known one."""
     first, second = halves
-    pieces = np.minimum(count[first] + count[second], _MANY)
+    pieces = np.minimum(count[first] + count[second], _INFEASIBLE_COUNT)
     largest = np.maximum(worst[first], worst[second])
-    better = (pieces < count[here]) | ((pieces == count[here]) & (largest < worst[here]) & (pieces < _MANY))
-    count[here] = np.where(better, pieces, count[here])
-    worst[here] = np.where(better, largest, worst[here])
-    cut[here] = np.where(better, name, cut[here])
+    better = (pieces < count[region]) | (
+        (pieces == count[region]) & (largest < worst[region]) & (pieces < _INFEASIBLE_COUNT)
+    )
+    count[region] = np.where(better, pieces, count[region])
+    worst[region] = np.where(better, largest, worst[region])
+    cut[region] = np.where(better, cut_code, cut[region])
 
 
-def _pieces(cut: IntArray) -> IntArray:
+def _trace_pieces(cut: IntArray) -> IntArray:
     nx, ny = cut.shape[:2]
-    stack, found = [(0, nx, 0, ny)], []
+    stack, rectangles = [(0, nx, 0, ny)], []
     while stack:
         x0, x1, y0, y1 = stack.pop()
         k = int(cut[x1 - x0 - 1, y1 - y0 - 1, x0, y0])
         if k == 0:
-            found.append((x0, x1, y0, y1))
+            rectangles.append((x0, x1, y0, y1))
         elif k > 0:
             stack += [(x0, x0 + k, y0, y1), (x0 + k, x1, y0, y1)]
         else:
             stack += [(x0, x1, y0, y0 - k), (x0, x1, y0 - k, y1)]
-    return np.array(found, dtype=np.int64)
+    return np.array(rectangles, dtype=np.int64)

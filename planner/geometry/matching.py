@@ -1,18 +1,18 @@
-"""Rulings between two guide curves: which point of the one is joined to which of the other.
+"""Rulings between two guide curves: which point of one curve is joined to which point of the other.
 
-Anchors (corners, ends, a wing's leading edge) are kept together. Between them points are joined
-that lie at equal shares of the arc length, at equal shares of the curves' parameters, or so that
-the surface is twisted least.
+Anchors (corners, ends, a wing's leading edge) are matched. Between them points are joined at equal fractions
+of the arc length, at equal fractions of the curves' parameters, or so that the surface has the least twist.
 
-A ruling from a(s) to b(t) is torsal, so that one plane touches the surface all along it, where
+A ruling from a(s) to b(t) is torsal, so that one plane touches the surface all along it, if
 
-    det(a'(s), b'(t), d) = 0,   a', b' tangents, d the ruling's direction
+    det(a'(s), b'(t), d) = 0,   a', b' tangents, d the ruling's direction.
 
-(do Carmo, Differential Geometry of Curves and Surfaces, 3.5); f(s, t) is the sine of the angle
-between the tangent planes at both ends of the ruling, which goes with it. The path (s, t) from (0,
-0) to (1, 1), both ascending, that makes the integral of f^2 along it least is found by dynamic
-programming on a grid and then moved off the grid by Gauss-Newton steps. A developable surface has f
-= 0 all along.
+f(s, t) is the sine of the angle between the tangent planes at both ends of the ruling, which is zero under
+the same condition. The path (s, t) from (0, 0) to (1, 1), both ascending, that minimises the integral of f^2
+is found by dynamic programming on a grid. Gauss-Newton steps then move it off the grid. A developable surface
+has f = 0 everywhere.
+
+Source: do Carmo, Differential Geometry of Curves and Surfaces, 3.5.
 """
 
 from collections.abc import Callable
@@ -22,77 +22,99 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.linalg import solve_banded
 
-from planner.geometry.arrays import FloatArray, Ruled
-from planner.geometry.curves import Guide, along, arc_length, pieces, rolled, turned
+from planner.geometry.arrays import FloatArray, RuledSurface
+from planner.geometry.curves import (
+    RuledGuide,
+    anchor_pieces,
+    arc_length,
+    interpolate_polyline,
+    reverse_guide,
+    roll_guide,
+)
 
-_GRID: Final = 160
-"""Intervals per curve of the grid on which the first path is looked for; `_refine` leaves the grid."""
+_GRID_INTERVALS: Final = 160
+"""Number of intervals per curve of the grid for the first path. `_refine_path` leaves the grid."""
 _GRID_MOVES: Final = ((1, 0), (1, 1), (1, 2), (2, 1), (1, 3), (3, 1), (2, 3), (3, 2), (1, 5), (5, 1))
 """Steps of the path on the grid (along the first curve, along the second one): ten directions between the two
-axes."""
+axes.
+"""
 _EVEN_WEIGHT: Final = 1e-5
-"""Weight of (s - t)^2 beside f^2: it decides where every ruling is torsal, as between curves of a plane."""
+"""Weight of (s - t)^2 relative to f^2. It decides if every ruling is torsal, as between planar curves."""
 _BEND_WEIGHT: Final = 1e-7
-"""Weight of squared bends of the path beside f^2 when it is refined."""
+"""Weight of squared bends of the path relative to f^2 in the refinement."""
 
 
-def least_twist(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Ascending shares (K,) of the arc lengths of two curves (n, 3) that are to be joined."""
-    curves = _spline(a), _spline(b)
-    even = np.linspace(0.0, 1.0, _GRID + 1)
+def match_least_twist(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return ascending fractions (K,) of the arc lengths of two curves that are joined with the least twist.
+
+    Args:
+        a: Points of the first curve (n, 3) [m].
+        b: Points of the second curve (n, 3) [m].
+    """
+    curves = _arc_length_spline(a), _arc_length_spline(b)
+    even = np.linspace(0.0, 1.0, _GRID_INTERVALS + 1)
     cost = (
-        _twist(curves, even[:, None], even[None, :]) ** 2
+        _ruling_twist(curves, even[:, None], even[None, :]) ** 2
         + _EVEN_WEIGHT * (even[:, None] - even[None, :]) ** 2
     )
-    return best_path(cost, lambda s, t: _twist(curves, s, t)[:, None], _EVEN_WEIGHT, _BEND_WEIGHT)
+    return best_path(cost, lambda s, t: _ruling_twist(curves, s, t)[:, None], _EVEN_WEIGHT, _BEND_WEIGHT)
 
 
 def best_path(
-    cost: FloatArray, residual: Callable[[FloatArray, FloatArray], FloatArray], even: float, smooth: float
+    cost: FloatArray,
+    residual: Callable[[FloatArray, FloatArray], FloatArray],
+    even_weight: float,
+    bend_weight: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Ascending shares s and t (K,) of two curves, from (0, 0) to (1, 1), along which ``cost`` is least.
+    """Return ascending fractions s and t (K,) of two curves, from (0, 0) to (1, 1), with the least cost.
 
-    ``cost`` (n, n) is on an even grid; ``residual`` gives (K, R) at s and t (K,), whose squares' sum is to be
-    least off the grid. ``even`` and ``smooth`` weigh (t - s)^2 and bends of the path beside it.
+    Args:
+        cost: Costs (n, n) on an even grid.
+        residual: Returns residuals (K, R) at s and t (K,), whose sum of squares is minimised off the grid.
+        even_weight: Weight of (t - s)^2.
+        bend_weight: Weight of bends of the path.
     """
-    s, t = _cheapest(cost)
+    s, t = _cheapest_path(cost)
     middle = np.linspace(0.0, 1.0, 2 * len(cost) - 1)
-    skew = _refine(residual, middle, np.interp(middle, 0.5 * (s + t), t - s), even, smooth)
+    skew = _refine_path(residual, middle, np.interp(middle, 0.5 * (s + t), t - s), even_weight, bend_weight)
     return np.maximum.accumulate(middle - 0.5 * skew), np.maximum.accumulate(middle + 0.5 * skew)
 
 
-def _spline(points: FloatArray) -> CubicSpline:
-    """The curve over its share of the arc length, through as many of its points as tell its tangents."""
-    share = arc_length(points)
-    share = share / share[-1]
-    if len(points) > 2 * _GRID:
-        even = np.linspace(0.0, 1.0, 2 * _GRID + 1)
-        return CubicSpline(even, along(points, share, even), axis=0)
+def _arc_length_spline(points: FloatArray) -> CubicSpline:
+    """Return the curve over its fraction of the arc length, through as many points as its tangents need."""
+    fraction = arc_length(points)
+    fraction = fraction / fraction[-1]
+    if len(points) > 2 * _GRID_INTERVALS:
+        even = np.linspace(0.0, 1.0, 2 * _GRID_INTERVALS + 1)
+        return CubicSpline(even, interpolate_polyline(points, fraction, even), axis=0)
     if len(points) == 2:
-        points, share = np.stack([points[0], points.mean(axis=0), points[1]]), np.array([0.0, 0.5, 1.0])
-    return CubicSpline(share, points, axis=0)
+        points, fraction = np.stack([points[0], points.mean(axis=0), points[1]]), np.array([0.0, 0.5, 1.0])
+    return CubicSpline(fraction, points, axis=0)
 
 
-def _twist(curves: tuple[CubicSpline, CubicSpline], s: FloatArray, t: FloatArray) -> FloatArray:
-    """f (...,) at shares s and t, which are broadcast against each other."""
-    one, two = curves
-    tangent_a, tangent_b = _unit(one(s, 1)), _unit(two(t, 1))
-    ruling = _unit(two(t) - one(s))
-    wide = np.linalg.norm(np.cross(tangent_a, ruling), axis=-1) * np.linalg.norm(
+def _ruling_twist(curves: tuple[CubicSpline, CubicSpline], s: FloatArray, t: FloatArray) -> FloatArray:
+    """Return f (...,) at fractions s and t, which are broadcast against each other."""
+    first, second = curves
+    tangent_a, tangent_b = _unit(first(s, 1)), _unit(second(t, 1))
+    ruling = _unit(second(t) - first(s))
+    sines = np.linalg.norm(np.cross(tangent_a, ruling), axis=-1) * np.linalg.norm(
         np.cross(tangent_b, ruling), axis=-1
     )
-    return np.asarray(np.sum(np.cross(tangent_a, tangent_b) * ruling, axis=-1) / np.maximum(wide, 1e-3))
+    return np.asarray(np.sum(np.cross(tangent_a, tangent_b) * ruling, axis=-1) / np.maximum(sines, 1e-3))
 
 
 def _unit(v: FloatArray) -> FloatArray:
     return np.asarray(v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-12))
 
 
-def _cheapest(cost: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Shares (K,) along the cheapest ascending path over the grid (n, n) of costs, corner to corner."""
+def _cheapest_path(cost: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return fractions (K,) along the cheapest ascending path over the grid (n, n) of costs.
+
+    The path leads from corner to corner.
+    """
     n = len(cost)
     best = np.full((n, n), np.inf)
-    came = np.zeros((n, n, 2), dtype=np.int64)
+    origins = np.zeros((n, n, 2), dtype=np.int64)
     for i in range(n):
         row, source = np.full(n, np.inf), np.zeros((n, 2), dtype=np.int64)
         if i == 0:
@@ -105,32 +127,34 @@ def _cheapest(cost: FloatArray) -> tuple[FloatArray, FloatArray]:
             better = step < row[q:]
             row[q:] = np.where(better, step, row[q:])
             source[q:][better] = np.stack([np.full(n - q, i - p), np.arange(n - q)], axis=1)[better]
-        # moves along the row: least of an earlier place's cost plus the way from it
-        way = np.concatenate([[0.0], np.cumsum(0.5 * (cost[i, 1:] + cost[i, :-1]))])
-        lead = np.minimum.accumulate(row - way)
-        origin = np.maximum.accumulate(np.where(row - way <= lead, np.arange(n), 0))
-        sideways = (lead + way < row) & (origin < np.arange(n))  # rounding must not lead it to itself
-        best[i] = np.where(sideways, lead + way, row)
-        came[i] = np.where(sideways[:, None], np.stack([np.full(n, i), origin], axis=1), source)
+        # moves along the row: minimum over earlier points of cost plus path length
+        lengths = np.concatenate([[0.0], np.cumsum(0.5 * (cost[i, 1:] + cost[i, :-1]))])
+        best_lead = np.minimum.accumulate(row - lengths)
+        origin = np.maximum.accumulate(np.where(row - lengths <= best_lead, np.arange(n), 0))
+        sideways = (best_lead + lengths < row) & (
+            origin < np.arange(n)
+        )  # rounding must not make it its own origin
+        best[i] = np.where(sideways, best_lead + lengths, row)
+        origins[i] = np.where(sideways[:, None], np.stack([np.full(n, i), origin], axis=1), source)
     path = [(n - 1, n - 1)]
     while path[-1] != (0, 0):
-        i, j = came[path[-1]]
+        i, j = origins[path[-1]]
         path.append((int(i), int(j)))
-    places = np.array(path[::-1], dtype=np.float64) / (n - 1)
-    return places[:, 0], places[:, 1]
+    path_points = np.array(path[::-1], dtype=np.float64) / (n - 1)
+    return path_points[:, 0], path_points[:, 1]
 
 
-def _refine(
+def _refine_path(
     residual: Callable[[FloatArray, FloatArray], FloatArray],
     middle: FloatArray,
     skew: FloatArray,
-    even: float,
-    smooth: float,
+    even_weight: float,
+    bend_weight: float,
 ) -> FloatArray:
-    """The path as t - s (K,) over (s + t) / 2 (K,), moved to where residuals and bends are least."""
+    """Return the path as t - s (K,) over (s + t) / 2 (K,), optimised for residuals and bends."""
     gap = middle[1] - middle[0]
     bend = np.diff(np.eye(len(middle)), 2, axis=0)
-    stiff = smooth / gap**2 * (bend.T @ bend)
+    stiff = bend_weight / gap**2 * (bend.T @ bend)
     bands = np.zeros((5, len(middle)))
     for k in range(-2, 3):
         bands[2 - k, max(0, k) : len(middle) + min(0, k)] = np.diagonal(stiff, k)
@@ -139,22 +163,22 @@ def _refine(
         return residual(middle - 0.5 * w, middle + 0.5 * w)
 
     def total(w: FloatArray) -> float:
-        return float(np.sum(value(w) ** 2) + even * np.sum(w * w) + w @ (stiff @ w))
+        return float(np.sum(value(w) ** 2) + even_weight * np.sum(w * w) + w @ (stiff @ w))
 
-    best, least, damping = skew, total(skew), 1e-6
+    best, min_cost, damping = skew, total(skew), 1e-6
     for _ in range(40):
         f = value(best)
         slope = (value(best + 1e-6) - value(best - 1e-6)) / 2e-6
         matrix = bands.copy()
-        matrix[2] += np.sum(slope * slope, axis=1) + even + damping
-        down = np.sum(slope * f, axis=1) + even * best + stiff @ best
+        matrix[2] += np.sum(slope * slope, axis=1) + even_weight + damping
+        gradient = np.sum(slope * f, axis=1) + even_weight * best + stiff @ best
         matrix[1, 1] = matrix[0, 2] = matrix[3, -2] = matrix[4, -3] = 0.0
-        matrix[2, [0, -1]], down[[0, -1]] = 1.0, 0.0
-        tried = _ascending(best - solve_banded((2, 2), matrix, down), gap)
-        cost = total(tried)
-        if cost < least:
-            done = least - cost <= 1e-12 * least
-            best, least, damping = tried, cost, 0.3 * damping
+        matrix[2, [0, -1]], gradient[[0, -1]] = 1.0, 0.0
+        trial = _make_ascending(best - solve_banded((2, 2), matrix, gradient), gap)
+        cost = total(trial)
+        if cost < min_cost:
+            done = min_cost - cost <= 1e-12 * min_cost
+            best, min_cost, damping = trial, cost, 0.3 * damping
             if done:
                 break
         else:
@@ -164,8 +188,8 @@ def _refine(
     return best
 
 
-def _ascending(skew: FloatArray, gap: float) -> FloatArray:
-    """The nearest path along which neither s nor t goes back, from (0, 0) to (1, 1)."""
+def _make_ascending(skew: FloatArray, gap: float) -> FloatArray:
+    """Return the nearest path along which neither s nor t decreases, from (0, 0) to (1, 1)."""
     reach = 2.0 * gap * np.arange(len(skew))
     limit = np.minimum(reach, reach[::-1])
     w = np.clip(skew, -limit, limit)
@@ -181,137 +205,161 @@ def _ascending(skew: FloatArray, gap: float) -> FloatArray:
 Match = Literal["arc_length", "parameter", "least_twist"]
 
 
-def aligned(start: Guide, end: Guide, match: Match) -> tuple[Guide, Guide, bool]:
-    """The guides so that their anchors correspond in order, and whether ``end`` had to be run the other way.
+def align_guides(start: RuledGuide, end: RuledGuide, match: Match) -> tuple[RuledGuide, RuledGuide, bool]:
+    """Return the guides with corresponding anchors in order, and whether ``end`` was reversed.
 
-    Of an open guide's two directions and a closed guide's directions and first anchors those are taken that
-    make the rulings shortest (least squares). Closed guides without anchors start at the points that do so,
-    or, matched by parameter, where they are given to start. Numbers of anchors must be equal.
+    Of an open guide's two directions, and a closed guide's directions and first anchors, those with the
+    shortest rulings (least squares) are used. Closed guides without anchors start at the points that give
+    them. If they are matched by parameter, they start where they are given to start.
+
+    Args:
+        start: First guide.
+        end: Second guide, with an equal number of anchors.
+        match: How points are matched.
     """
     if not start.closed:
-        ahead, back = _apart(start, end), _apart(start, turned(end))
-        return (start, turned(end), True) if back < ahead else (start, end, False)
+        forward, reverse = _mean_square_length(start, end), _mean_square_length(start, reverse_guide(end))
+        return (start, reverse_guide(end), True) if reverse < forward else (start, end, False)
     first = np.flatnonzero(start.anchor)
-    start = rolled(start, int(first[0])) if len(first) else start
-    ahead, at_ahead = _nearest_start(start, end, match)
-    back, at_back = _nearest_start(start, turned(end), match)
-    if back < ahead * (1.0 - 1e-9):
-        return start, rolled(turned(end), at_back), True
-    return start, rolled(end, at_ahead), False
+    start = roll_guide(start, int(first[0])) if len(first) else start
+    forward, forward_start = _best_start(start, end, match)
+    reverse, reverse_start = _best_start(start, reverse_guide(end), match)
+    if reverse < forward * (1.0 - 1e-9):
+        return start, roll_guide(reverse_guide(end), reverse_start), True
+    return start, roll_guide(end, forward_start), False
 
 
-def _nearest_start(start: Guide, end: Guide, match: Match) -> tuple[float, int]:
-    """The point at which a closed guide is to start, and the mean square [m^2] of the rulings' lengths
-    then.
+def _best_start(start: RuledGuide, end: RuledGuide, match: Match) -> tuple[float, int]:
+    """Return the point at which a closed guide has to start for the shortest rulings.
+
+    The mean square [m^2] of their lengths comes first.
     """
     anchors = np.flatnonzero(end.anchor)
     if len(anchors) == 0:
         if match == "parameter":
-            return _apart(start, end), 0
-        # over the arc length, to a 512th of it
-        apart, shift = _correlated(_even(start, 512)[:, None], _even(end, 512)[:, None])
+            return _mean_square_length(start, end), 0
+        # over the arc length, with a resolution of 1/512
+        mean_square, shift = _best_shift(_even_points(start, 512)[:, None], _even_points(end, 512)[:, None])
         length = arc_length(np.concatenate([end.points, end.points[:1]]))
-        return apart, int(np.argmin(np.abs(length[:-1] - shift / 512.0 * length[-1])))
-    own, other = (_samples(g) for g in (start, rolled(end, int(anchors[0]))))
-    if len(own) != len(other):
-        raise ValueError(f"guides with {len(own)} and {len(other)} anchors cannot be aligned")
-    apart, shift = _correlated(own, other)
-    return apart, int(anchors[shift])
+        return mean_square, int(np.argmin(np.abs(length[:-1] - shift / 512.0 * length[-1])))
+    start_samples, end_samples = (_piece_samples(g) for g in (start, roll_guide(end, int(anchors[0]))))
+    if len(start_samples) != len(end_samples):
+        raise ValueError(f"guides with {len(start_samples)} and {len(end_samples)} anchors cannot be aligned")
+    mean_square, shift = _best_shift(start_samples, end_samples)
+    return mean_square, int(anchors[shift])
 
 
-def _correlated(own: FloatArray, other: FloatArray) -> tuple[float, int]:
-    """The cyclic shift of ``other`` (C, S, 3) that is nearest to ``own``, and the mean square distance
-    then.
-    """
-    spectrum = np.fft.fft(other, axis=0) * np.conj(np.fft.fft(own, axis=0))
-    together = np.fft.ifft(spectrum, axis=0).real.sum(axis=(1, 2))
-    shift = int(np.argmax(together))
-    apart = (np.sum(own * own) + np.sum(other * other) - 2.0 * together[shift]) / own[..., 0].size
-    return float(apart), shift
+def _best_shift(first: FloatArray, second: FloatArray) -> tuple[float, int]:
+    """Return the mean square distance, and the cyclic shift of ``second`` (C, S, 3) nearest to ``first``."""
+    spectrum = np.fft.fft(second, axis=0) * np.conj(np.fft.fft(first, axis=0))
+    correlation = np.fft.ifft(spectrum, axis=0).real.sum(axis=(1, 2))
+    shift = int(np.argmax(correlation))
+    mean_square = (np.sum(first * first) + np.sum(second * second) - 2.0 * correlation[shift]) / first[
+        ..., 0
+    ].size
+    return float(mean_square), shift
 
 
-def _samples(guide: Guide) -> FloatArray:
-    """Points (C, 8, 3) at equal shares of the arc length of every piece."""
-    share = np.arange(8) / 8.0
-    return np.stack([along(own, _share(own), share) for own, _ in pieces(guide)])
+def _piece_samples(guide: RuledGuide) -> FloatArray:
+    """Return points (C, 8, 3) at equal fractions of the arc length of every piece."""
+    fractions = np.arange(8) / 8.0
+    return np.stack(
+        [
+            interpolate_polyline(points, _length_fractions(points), fractions)
+            for points, _ in anchor_pieces(guide)
+        ]
+    )
 
 
-def _even(guide: Guide, count: int) -> FloatArray:
+def _even_points(guide: RuledGuide, count: int) -> FloatArray:
     points = np.concatenate([guide.points, guide.points[:1]])
     length = arc_length(points)
-    return along(points, length, np.arange(count) / count * length[-1])
+    return interpolate_polyline(points, length, np.arange(count) / count * length[-1])
 
 
-def _apart(start: Guide, end: Guide) -> float:
-    """Mean square [m^2] of the rulings' lengths, piece by piece at equal shares of the arc length."""
-    share = np.linspace(0.0, 1.0, 33)
+def _mean_square_length(start: RuledGuide, end: RuledGuide) -> float:
+    """Return the mean square [m^2] of the rulings' lengths at equal fractions of each piece."""
+    fractions = np.linspace(0.0, 1.0, 33)
     total = 0.0
-    for (a, _), (b, _) in zip(pieces(start), pieces(end), strict=True):
-        difference = along(a, _share(a), share) - along(b, _share(b), share)
+    for (a, _), (b, _) in zip(anchor_pieces(start), anchor_pieces(end), strict=True):
+        difference = interpolate_polyline(a, _length_fractions(a), fractions) - interpolate_polyline(
+            b, _length_fractions(b), fractions
+        )
         total += float(np.sum(difference * difference))
-    return total / (33 * len(pieces(start)))
+    return total / (33 * len(anchor_pieces(start)))
 
 
-def join(name: str, start: Guide, end: Guide, match: Match = "arc_length", hole: bool = False) -> Ruled:
-    """The ruled surface between two aligned guides; a ruling stands at every point of both.
+def join_guides(
+    name: str, start: RuledGuide, end: RuledGuide, match: Match = "arc_length", hole: bool = False
+) -> RuledSurface:
+    """Return the ruled surface between two aligned guides, with a ruling at every point of both.
 
-    Outside is where the guides' direction x the rulings' points to. Raises ``ValueError`` where the guides
-    have different numbers of anchors.
+    The outside is where the guides' direction x the rulings' points to.
+
+    Args:
+        name: Name of the surface.
+        start: First guide.
+        end: Second guide.
+        match: How points are matched.
+        hole: Whether the part is outside of the closed contour.
+
+    Raises:
+        ValueError: The guides have different numbers of anchors.
     """
     rows_start, rows_end, corner = [], [], []
     corners = start.corner[start.anchor] | end.corner[end.anchor]
     if start.closed and not start.anchor.any():
         corners = np.zeros(1, dtype=np.bool_)
-    parts = list(zip(pieces(start), pieces(end), strict=True))
+    parts = list(zip(anchor_pieces(start), anchor_pieces(end), strict=True))
     for number, ((a, at_a), (b, at_b)) in enumerate(parts):
-        s, t = _places(a, at_a, b, at_b, match)
+        s, t = _match_fractions(a, at_a, b, at_b, match)
         last = number == len(parts) - 1 and not start.closed
         keep = slice(None) if last else slice(-1)
-        rows_start.append(along(a, _own(a, at_a, match), s)[keep])
-        rows_end.append(along(b, _own(b, at_b, match), t)[keep])
-        own = np.zeros(len(rows_start[-1]), dtype=np.bool_)
-        own[0] = corners[number]
-        corner.append(own)
-    return Ruled(
+        rows_start.append(interpolate_polyline(a, _point_fractions(a, at_a, match), s)[keep])
+        rows_end.append(interpolate_polyline(b, _point_fractions(b, at_b, match), t)[keep])
+        piece_corner = np.zeros(len(rows_start[-1]), dtype=np.bool_)
+        piece_corner[0] = corners[number]
+        corner.append(piece_corner)
+    return RuledSurface(
         name, np.concatenate(rows_start), np.concatenate(rows_end), np.concatenate(corner), start.closed, hole
     )
 
 
-def _places(
+def _match_fractions(
     a: FloatArray, at_a: FloatArray, b: FloatArray, at_b: FloatArray, match: Match
 ) -> tuple[FloatArray, FloatArray]:
-    """Shares (K,) of both pieces that are joined: those of every point of either piece."""
-    own_a, own_b = _own(a, at_a, match), _own(b, at_b, match)
+    """Return fractions (K,) of both pieces that are joined: those of every point of either piece."""
+    fractions_a, fractions_b = _point_fractions(a, at_a, match), _point_fractions(b, at_b, match)
     if match != "least_twist":
-        both = np.union1d(own_a, own_b)
+        both = np.union1d(fractions_a, fractions_b)
         both = both[np.concatenate([[True], np.diff(both) > 1e-9])]
         both[-1] = 1.0
         return both, both
-    if _straight(a) and _straight(b):  # then evenly, as twisted as any but for two flat triangles
+    if _is_straight(a) and _is_straight(b):  # evenly: others have the same twist, or are two flat triangles
         return np.array([0.0, 1.0]), np.array([0.0, 1.0])
-    s, t = least_twist(a, b)
+    s, t = match_least_twist(a, b)
     path = s + t
-    more = np.concatenate([path, np.interp(own_a, s, path), np.interp(own_b, t, path)])
+    more = np.concatenate([path, np.interp(fractions_a, s, path), np.interp(fractions_b, t, path)])
     path_all = np.unique(np.round(more, 9))
     return np.interp(path_all, path, s), np.interp(path_all, path, t)
 
 
-def _own(points: FloatArray, parameter: FloatArray, match: Match) -> FloatArray:
-    """Ascending shares (n,) from 0 to 1 of a piece's points."""
+def _point_fractions(points: FloatArray, parameter: FloatArray, match: Match) -> FloatArray:
+    """Return ascending fractions (n,) from 0 to 1 of a piece's points."""
     if match == "parameter":
         return np.asarray((parameter - parameter[0]) / (parameter[-1] - parameter[0]))
-    return _share(points)
+    return _length_fractions(points)
 
 
-def _share(points: FloatArray) -> FloatArray:
+def _length_fractions(points: FloatArray) -> FloatArray:
     length = arc_length(points)
-    if length[-1] <= 0.0:  # a side that is a point, as a sharp trailing edge that becomes blunt
+    if length[-1] <= 0.0:  # a side that is a point, such as a sharp trailing edge that becomes blunt
         return np.linspace(0.0, 1.0, len(points))
     return np.asarray(length / length[-1])
 
 
-def _straight(points: FloatArray) -> bool:
-    way = points[-1] - points[0]
-    length = float(np.linalg.norm(way))
-    off = np.linalg.norm(np.cross(points - points[0], way), axis=1)
-    return bool((off <= 1e-9 * length).all()) if length > 0.0 else True
+def _is_straight(points: FloatArray) -> bool:
+    chord = points[-1] - points[0]
+    length = float(np.linalg.norm(chord))
+    distances = np.linalg.norm(np.cross(points - points[0], chord), axis=1)
+    return bool((distances <= 1e-9 * length).all()) if length > 0.0 else True

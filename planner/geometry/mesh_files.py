@@ -1,7 +1,7 @@
-"""Meshes read from files: OBJ, STL, PLY and GLB by ``trimesh``, and 3MF by what its standard says.
+"""Reader of mesh files: OBJ, STL, PLY and GLB by ``trimesh``, and 3MF by its standard.
 
-GLB is binary glTF 2.0 (Khronos; ISO/IEC 12113): lengths in metres, y up. 3MF is the 3D Manufacturing
-Format, core specification 1.3: a ZIP of XML that states its unit, z up.
+GLB is binary glTF 2.0 (Khronos; ISO/IEC 12113), with lengths in metres and y up. 3MF is the 3D Manufacturing
+Format, core specification 1.3: a ZIP of XML that states its unit, with z up.
 """
 
 import dataclasses
@@ -15,24 +15,25 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.files import is_file, no_file
+from planner.files import is_file, missing_file_reason
 from planner.geometry.arrays import FloatArray, IntArray, Mesh
-from planner.geometry.mesh import TriangleMesh, merge
+from planner.geometry.mesh import TriangleMesh, merge_vertices
 from planner.geometry.units import LENGTH_UNITS, MM
-from planner.issues import Issue, Severity, TandemError, refusal
+from planner.issue_codes import format_message
+from planner.issues import Issue, Severity, TandemError, issue_error
 
 MAX_MESH_BYTES: Final = 100_000_000
-"""Mesh files larger than this [bytes] are refused unread."""
-MOST_UNPACKED: Final = 400_000_000
-"""A 3MF file is not unpacked to more than this [bytes]."""
+"""Maximum size of mesh files [bytes]. Larger files are refused unread."""
+MAX_UNPACKED_BYTES: Final = 400_000_000
+"""Maximum unpacked size of a 3MF file [bytes]."""
 PLAIN_SUFFIXES: Final = (".obj", ".stl", ".ply")
-"""Mesh files that state no unit: Wavefront OBJ, STL, Stanford PLY."""
+"""Mesh files without a unit: Wavefront OBJ, STL, Stanford PLY."""
 UNIT_SUFFIXES: Final = (".glb", ".3mf")
 """Mesh files that state their unit: binary glTF, 3D Manufacturing Format."""
-SMALLEST_EXTENT: Final = 1e-3
-"""A mesh whose longest side is shorter [m] was stated in a wrong unit."""
-LARGEST_EXTENT: Final = 20.0
-"""A mesh whose longest side is longer [m] was stated in a wrong unit."""
+MIN_EXTENT_M: Final = 1e-3
+"""Minimum length of a mesh's longest side [m]. Shorter meshes have a wrong unit."""
+MAX_EXTENT_M: Final = 20.0
+"""Maximum length of a mesh's longest side [m]. Longer meshes have a wrong unit."""
 UNITS_3MF: Final = {
     "micron": 1e-6,
     "millimeter": 1e-3,
@@ -41,131 +42,161 @@ UNITS_3MF: Final = {
     "foot": 0.3048,
     "meter": 1.0,
 }
-"""Units of 3MF files [m]; one that says none is in millimetres (core specification, 3.4)."""
+"""Units of 3MF files [m]. The default is millimetres (core specification, 3.4)."""
 _Y_UP: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""Turns glTF's y up into z up."""
+"""Rotates glTF's y up to z up."""
 _PRODUCTION: Final = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06"
 _MATERIAL: Final = "http://schemas.microsoft.com/3dmanufacturing/material/2015/02"
 _START_PART: Final = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
-_MOST_TRIANGLES: Final = MAX_MESH_BYTES // 8
-"""Facets, or vertices, of a 3MF file at most, those that are placed several times counted each time."""
-_MOST_PLACES: Final = 100_000
-"""Places of components and items of a 3MF file at most, those in one another counted each time."""
-_MOST_NESTED: Final = 32
-"""Components of a 3MF file in components at most."""
+_MAX_TRIANGLES: Final = MAX_MESH_BYTES // 8
+"""Maximum number of facets, or vertices, of a 3MF file.
+
+Objects that are placed several times count each time.
+"""
+_MAX_PLACEMENTS: Final = 100_000
+"""Maximum number of placed components and items of a 3MF file. Nested ones count each time."""
+_MAX_NESTING: Final = 32
+"""Maximum nesting depth of components of a 3MF file."""
 _UNREAD_OBJECTS: Final = ("support", "solidsupport", "other")
-"""Kinds of objects of a 3MF file that are no part."""
+"""Kinds of objects of a 3MF file that are not parts."""
 
 
 @dataclasses.dataclass(frozen=True)
 class FileUnit:
-    """The unit that a file states: its ``name`` and its ``metres``; how it is ``told``."""
+    """The unit that a file states.
+
+    Attributes:
+        name: Name of the unit.
+        metres: Its length [m].
+        note: Text of the note about it.
+    """
 
     name: str
     metres: float
-    told: str
+    note: str
 
 
 def unit_note(path: Path, field: str) -> list[Issue]:
-    """A note of the unit that a mesh file states, of one that was read; none of files without one."""
+    """Return a note about the unit that a mesh file states, none for files without one.
+
+    Args:
+        path: The file, which has been read.
+        field: Field of the note.
+    """
     if path.suffix.lower() not in UNIT_SUFFIXES:
         return []
-    told = stated_unit(path).told
-    return [Issue("mesh.file_unit", f"{path.name} {told}", Severity.NOTE, file=str(path), field=field)]
+    message = format_message("mesh.file_unit", file=path.name, unit_note=stated_unit(path).note)
+    return [Issue("mesh.file_unit", message, Severity.NOTE, file=str(path), field=field)]
 
 
 def stated_unit(path: Path) -> FileUnit:
-    """The unit that a GLB or 3MF file states. Raises ``TandemError`` (mesh.unreadable)."""
+    """Return the unit that a GLB or 3MF file states.
+
+    Args:
+        path: The file.
+
+    Raises:
+        TandemError: ``mesh.unreadable``.
+    """
     if path.suffix.lower() == ".glb":
         return FileUnit(
-            "m", 1.0, "is in metres and has y up, as glTF's standard says; it was turned so that z is up"
+            "m", 1.0, "is in metres and has y up, as the glTF standard defines; it was rotated to z up"
         )
     try:
-        with zipfile.ZipFile(path) as pack, pack.open(_start(pack)) as stream:
+        with zipfile.ZipFile(path) as pack, pack.open(_model_part(pack)) as stream:
             _, root = next(ET.iterparse(stream, events=("start",)))
         name = root.get("unit", "millimeter")
-        return FileUnit(name, UNITS_3MF[name], f"is in {name}, as the file says")
-    except Exception as error:  # damaged files raise anything
-        raise _unread(path, error) from error
+        return FileUnit(name, UNITS_3MF[name], f"is in {name}, as the file states")
+    except Exception as error:  # damaged files raise all kinds of exceptions
+        raise _unreadable(path, error) from error
 
 
 def read_mesh(
-    path: Path, unit: float | None, scale: float = 1.0, largest: float = LARGEST_EXTENT
+    path: Path, unit: float | None, scale: float = 1.0, max_extent: float = MAX_EXTENT_M
 ) -> TriangleMesh:
-    """Read an OBJ, STL or PLY file whose lengths are in ``unit`` metres, or a GLB or 3MF file, which states
-    its own, times ``scale``; equal vertices become one. ``largest``: how long [m] it may be.
+    """Read a mesh file and merge equal vertices.
 
-    Raises ``TandemError`` for a file that is missing, larger than 100 MB, of another kind, unreadable,
-    without faces, with numbers that are not finite, of another unit than it states or of none, or of a size
-    that says that the unit is wrong.
+    Args:
+        path: OBJ, STL, PLY, GLB or 3MF file.
+        unit: Length unit [m] of an OBJ, STL or PLY file. GLB and 3MF files state their own.
+        scale: Factor on all lengths.
+        max_extent: Maximum extent [m].
+
+    Raises:
+        TandemError: The file is missing, larger than 100 MB, of another kind, unreadable, or without faces;
+            it has numbers that are not finite; it has another unit than stated, or none; or its size
+            indicates a wrong unit.
     """
     if not is_file(path):
-        raise _refuse("problem.missing_file", path, f"{no_file(path)}; check the path")
+        raise _refuse("problem.missing_file", path, f"{missing_file_reason(path)}; check the path")
     size, kind = path.stat().st_size, path.suffix.lower()
     if size > MAX_MESH_BYTES:
         raise _refuse(
             "problem.too_large",
             path,
-            f"{size / 1e6:.0f} MB, up to {MAX_MESH_BYTES / 1e6:.0f} MB are read; export it with fewer facets",
+            f"{size / 1e6:.0f} MB, allowed {MAX_MESH_BYTES / 1e6:.0f} MB; export it with fewer facets",
         )
     if kind not in (*PLAIN_SUFFIXES, *UNIT_SUFFIXES):
-        what = f"got '{path.suffix}', read are OBJ, STL, PLY, GLB and 3MF; convert it"
+        what = f"got '{path.suffix}', supported are OBJ, STL, PLY, GLB and 3MF; convert it"
         raise _refuse("mesh.unreadable", path, what)
-    metres = _unit(path, unit)
+    metres = _length_unit(path, unit)
     try:
-        vertices, faces = _read(path, kind)
-    except Exception as error:  # readers of damaged files raise anything
-        raise _unread(path, error) from error
+        vertices, faces = _read_arrays(path, kind)
+    except Exception as error:  # readers of damaged files raise all kinds of exceptions
+        raise _unreadable(path, error) from error
     if len(faces) == 0:
         raise _refuse("mesh.empty", path, "has no faces; export the surface as a mesh of triangles or quads")
     if not np.isfinite(vertices).all():
         bad = int(np.nonzero(~np.isfinite(vertices).all(axis=1))[0][0])
         raise _refuse("problem.not_finite", path, f"vertex {bad} is not finite; repair the file")
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise _refuse("mesh.unreadable", path, "a face names a vertex that is not there; export it again")
-    mesh = merge(TriangleMesh(vertices * (metres * scale), faces))
+        raise _refuse("mesh.unreadable", path, "a face names a missing vertex; export it again")
+    mesh = merge_vertices(TriangleMesh(vertices * (metres * scale), faces))
     if len(mesh.faces) == 0:
-        raise _refuse("mesh.empty", path, "all its faces have no area; export it again")
+        raise _refuse("mesh.empty", path, "none of its faces has an area; export it again")
     extent = float(np.ptp(mesh.vertices, axis=0).max())
-    if not SMALLEST_EXTENT <= extent <= largest:
-        own = "its own" if kind in UNIT_SUFFIXES else "the stated"
-        remedy = "export it anew" if kind in UNIT_SUFFIXES else "state the unit that the file was made in"
+    if not MIN_EXTENT_M <= extent <= max_extent:
+        whose = "its own" if kind in UNIT_SUFFIXES else "the stated"
+        remedy = "export it again" if kind in UNIT_SUFFIXES else "state the unit in which the file was made"
         raise _refuse(
             "mesh.unit",
             path,
-            f"is {extent * 1e3:.4g} mm long in {own} unit, allowed are {SMALLEST_EXTENT * 1e3:g} to "
-            f"{largest * 1e3:g} mm; {remedy}",
+            f"is {extent * 1e3:.4g} mm long in {whose} unit, allowed {MIN_EXTENT_M * 1e3:g} to "
+            f"{max_extent * 1e3:g} mm; {remedy}",
         )
     return mesh
 
 
-def _unit(path: Path, unit: float | None) -> float:
-    """Metres of a length of the file, which states it or for which the problem does."""
+def _length_unit(path: Path, unit: float | None) -> float:
+    """Return the length unit of a file [m], which the file or the problem states."""
     if path.suffix.lower() in PLAIN_SUFFIXES:
         if unit is None:
-            what = f"a file {path.suffix} states no unit; state it, as in unit: mm"
+            what = f"a {path.suffix} file has no unit; state it, for example unit: mm"
             raise _refuse("mesh.unit", path, what)
         return unit
-    own = stated_unit(path)
-    if unit is not None and abs(unit - own.metres) > 1e-9 * own.metres:
-        said = next((name for name, size in LENGTH_UNITS.items() if size == unit), f"{unit:g} m")
-        what = f"{own.told.split(' and ')[0]}, the problem says {said}; take unit out, or export it in {said}"
+    file_unit = stated_unit(path)
+    if unit is not None and abs(unit - file_unit.metres) > 1e-9 * file_unit.metres:
+        stated_name = next((name for name, size in LENGTH_UNITS.items() if size == unit), f"{unit:g} m")
+        what = (
+            f"{file_unit.note.split(' and ')[0]}, the problem states {stated_name}; remove unit, or export "
+            f"it in {stated_name}"
+        )
         raise _refuse("mesh.unit", path, what)
-    return own.metres
+    return file_unit.metres
 
 
-def _read(path: Path, kind: str) -> tuple[FloatArray, IntArray]:
-    """Vertices (V, 3) in the file's lengths, z up where the file says what is up, and faces (F, 3)."""
+def _read_arrays(path: Path, kind: str) -> tuple[FloatArray, IntArray]:
+    """Return vertices (V, 3) and faces (F, 3), with z up if the file defines which axis is up."""
     if kind == ".3mf":
         return _read_3mf(path)
-    import trimesh  # half a second that problems without meshes do not wait for
+    import trimesh  # takes half a second, which problems without meshes avoid
 
     data = path.read_bytes()
     if kind == ".obj":
-        data = _counted_from_the_start(data)
+        data = _absolute_indices(data)
     if kind == ".glb":
         _require_plain_glb(data)
-    content = io.BytesIO(data)  # has no folder, so that nothing the file names is opened
+    content = io.BytesIO(data)  # no folder, so that files named inside are not opened
     more: dict[str, Any] = {"skip_materials": True} if kind == ".glb" else {}
     loaded = trimesh.load(content, kind[1:], force="mesh", process=False, **more)
     vertices = np.array(loaded.vertices, dtype=np.float64).reshape(-1, 3)
@@ -174,21 +205,29 @@ def _read(path: Path, kind: str) -> tuple[FloatArray, IntArray]:
 
 
 def _require_plain_glb(data: bytes) -> None:
-    """Raise ``ValueError`` for a GLB whose meshes cannot be had without an extension of glTF."""
+    """Check that a GLB needs no unsupported extension.
+
+    Raises:
+        ValueError: The meshes need an extension or another file.
+    """
     if data[:4] != b"glTF" or data[16:20] != b"JSON":
-        raise ValueError("it is no binary glTF of version 2")
+        raise ValueError("it is not binary glTF of version 2")
     head = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
     shown = ("KHR_materials", "KHR_texture", "EXT_texture", "KHR_lights")
-    needed = [one for one in head.get("extensionsRequired", ()) if not str(one).startswith(shown)]
+    needed = [item for item in head.get("extensionsRequired", ()) if not str(item).startswith(shown)]
     if needed:
-        raise ValueError(f"it needs {', '.join(needed)}, which is not read; export it without compression")
-    if any("uri" in one for one in head.get("buffers", ())):
-        raise ValueError("its data lie in another file; export it as one GLB")
+        raise ValueError(
+            f"it needs {', '.join(needed)}, which is not supported; export it without compression"
+        )
+    if any("uri" in item for item in head.get("buffers", ())):
+        raise ValueError("its data are in another file; export it as one GLB")
 
 
-def _counted_from_the_start(data: bytes) -> bytes:
-    """An OBJ file without indices that count back from their own line, which trimesh counts from the end of
-    the file."""
+def _absolute_indices(data: bytes) -> bytes:
+    """Replace relative indices of an OBJ file by absolute ones.
+
+    They count back from their own line, but trimesh counts them from the end of the file.
+    """
     if re.search(rb"^[ \t]*f[ \t].*-", data, re.MULTILINE) is None:
         return data
     count = {b"v": 0, b"vt": 0, b"vn": 0}
@@ -210,134 +249,153 @@ def _counted_from_the_start(data: bytes) -> bytes:
     return b"\n".join(out) + b"\n"
 
 
-Placed = tuple[str, str, FloatArray]
-"""An object of a 3MF file that is placed: its part, its number, its pose (4, 3) behind rows of points."""
+PlacedObject = tuple[str, str, FloatArray]
+"""A placed object of a 3MF file: its part, its number, and its pose (4, 3).
+
+The pose is multiplied to rows of points from the right.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
-class _Object:
-    """An object of a 3MF file: a mesh, or others that are placed in it."""
+class _Object3mf:
+    """An object of a 3MF file: a mesh, or a group of placed objects."""
 
     kind: str
     vertices: FloatArray
     faces: IntArray
-    components: tuple[Placed, ...]
+    components: tuple[PlacedObject, ...]
 
 
 def _read_3mf(path: Path) -> tuple[FloatArray, IntArray]:
-    """All objects that are to be built, where the file places them. Raises ``ValueError`` and others."""
-    with zipfile.ZipFile(path) as pack:
-        if sum(one.file_size for one in pack.infolist()) > MOST_UNPACKED:
-            raise ValueError(f"it unpacks to more than {MOST_UNPACKED / 1e6:.0f} MB; export fewer facets")
-        start = _start(pack)
-        objects, items = _model(pack, start)
-        for part in {one[0] for one in _placed(objects, items)} - {start}:
-            objects |= _model(pack, part)[0]
-    vertices, faces = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)]
-    count = places = triangles = 0
+    """Return all objects that are to be built, where the file places them.
 
-    def put(one: Placed, pose: FloatArray, depth: int) -> None:
-        nonlocal count, places, triangles
-        places += 1
-        if places > _MOST_PLACES:  # a few that are placed in one another are more than anybody can count
-            raise ValueError(f"its components are placed over {_MOST_PLACES} times; export it as one mesh")
-        if depth > _MOST_NESTED:
+    Raises:
+        ValueError: The file is not valid; other exceptions are possible.
+    """
+    with zipfile.ZipFile(path) as pack:
+        if sum(entry.file_size for entry in pack.infolist()) > MAX_UNPACKED_BYTES:
+            raise ValueError(
+                f"it unpacks to more than {MAX_UNPACKED_BYTES / 1e6:.0f} MB; export fewer facets"
+            )
+        start = _model_part(pack)
+        objects, items = _read_model(pack, start)
+        for part in {entry[0] for entry in _all_placed(objects, items)} - {start}:
+            objects |= _read_model(pack, part)[0]
+    vertices, faces = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)]
+    count = placement_count = triangles = 0
+
+    def place_object(placed_object: PlacedObject, pose: FloatArray, depth: int) -> None:
+        nonlocal count, placement_count, triangles
+        placement_count += 1
+        if placement_count > _MAX_PLACEMENTS:  # nesting multiplies the number of placed components
+            raise ValueError(f"its components are placed over {_MAX_PLACEMENTS} times; export it as one mesh")
+        if depth > _MAX_NESTING:
             raise ValueError("its components are nested too deep, or in themselves")
-        own = objects.get(one[:2])
-        if own is None:
-            raise ValueError(f"an object {one[1]} that it names is not there")
-        if own.kind in _UNREAD_OBJECTS:
+        placed = objects.get(placed_object[:2])
+        if placed is None:
+            raise ValueError(f"an object {placed_object[1]} that it names is missing")
+        if placed.kind in _UNREAD_OBJECTS:
             return
-        here = _behind(one[2], pose)
-        vertices.append(own.vertices @ here[:3] + here[3])
-        turned = np.linalg.det(here[:3]) < 0.0
-        faces.append(count + (own.faces[:, ::-1] if turned else own.faces))
-        count, triangles = count + len(own.vertices), triangles + len(own.faces)
-        if max(count, triangles) > _MOST_TRIANGLES:
+        world_pose = _compose(placed_object[2], pose)
+        vertices.append(placed.vertices @ world_pose[:3] + world_pose[3])
+        is_mirrored = np.linalg.det(world_pose[:3]) < 0.0
+        faces.append(count + (placed.faces[:, ::-1] if is_mirrored else placed.faces))
+        count, triangles = count + len(placed.vertices), triangles + len(placed.faces)
+        if max(count, triangles) > _MAX_TRIANGLES:
             raise ValueError("its components make too many facets; export it with fewer")
-        for other in own.components:
-            put(other, here, depth + 1)
+        for other in placed.components:
+            place_object(other, world_pose, depth + 1)
 
     for item in items:
-        put(item, np.vstack([np.eye(3), np.zeros(3)]), 0)
+        place_object(item, np.vstack([np.eye(3), np.zeros(3)]), 0)
     return np.concatenate(vertices), np.concatenate(faces)
 
 
-def _placed(objects: dict[tuple[str, str], _Object], items: list[Placed]) -> list[Placed]:
-    return [*items, *(other for one in objects.values() for other in one.components)]
+def _all_placed(objects: dict[tuple[str, str], _Object3mf], items: list[PlacedObject]) -> list[PlacedObject]:
+    return [*items, *(other for group in objects.values() for other in group.components)]
 
 
-def _behind(first: FloatArray, then: FloatArray) -> FloatArray:
-    """The pose (4, 3) that moves rows of points by one and then by another."""
+def _compose(first: FloatArray, then: FloatArray) -> FloatArray:
+    """Return the pose (4, 3) that moves rows of points by one pose and then by another."""
     return np.vstack([first[:3] @ then[:3], first[3] @ then[:3] + then[3]])
 
 
-def _start(pack: zipfile.ZipFile) -> str:
-    """The part of a 3MF file that its relations name as its model."""
-    for one in ET.fromstring(pack.read("_rels/.rels")):
-        if one.get("Type") == _START_PART:
-            return str(one.get("Target")).lstrip("/")
+def _model_part(pack: zipfile.ZipFile) -> str:
+    """Return the part of a 3MF file that its relationships name as its model."""
+    for relation in ET.fromstring(pack.read("_rels/.rels")):
+        if relation.get("Type") == _START_PART:
+            return str(relation.get("Target")).lstrip("/")
     raise ValueError("it names no model")
 
 
-def _model(pack: zipfile.ZipFile, part: str) -> tuple[dict[tuple[str, str], _Object], list[Placed]]:
-    """Objects of one part of a file by part and number, and what is to be built."""
-    objects: dict[tuple[str, str], _Object] = {}
-    items: list[Placed] = []
+def _read_model(
+    pack: zipfile.ZipFile, part: str
+) -> tuple[dict[tuple[str, str], _Object3mf], list[PlacedObject]]:
+    """Return objects of one part of a file by part and number, and the items to build."""
+    objects: dict[tuple[str, str], _Object3mf] = {}
+    items: list[PlacedObject] = []
     spaces: dict[str, str] = {}
-    core = ""  # the namespace of the core specification, which has changed with its versions
+    core = ""  # namespace of the core specification, which differs between versions
     with pack.open(part) as stream:
-        for event, got in ET.iterparse(stream, events=("start-ns", "start", "end")):
+        for event, value in ET.iterparse(stream, events=("start-ns", "start", "end")):
             if event == "start-ns":
-                spaces[got[0]] = got[1]
+                spaces[value[0]] = value[1]
             elif event == "start" and not core:
-                core = got.tag.partition("}")[0] + "}"
-                asked = got.get("requiredextensions", "").split()
-                other = [one for one in asked if spaces.get(one, one) not in (_PRODUCTION, _MATERIAL)]
+                core = value.tag.partition("}")[0] + "}"
+                required = value.get("requiredextensions", "").split()
+                other = [
+                    extension
+                    for extension in required
+                    if spaces.get(extension, extension) not in (_PRODUCTION, _MATERIAL)
+                ]
                 if other:
-                    what = ", ".join(spaces.get(one, one) for one in other)
-                    raise ValueError(f"it needs the extension {what}, which is not read")
-            elif event == "end" and got.tag == f"{core}object":
-                objects[part, got.get("id")] = _object(got, part, core)
-                got.clear()
-            elif event == "end" and got.tag == f"{core}item":
-                items.append(_place(got, part))
+                    what = ", ".join(spaces.get(extension, extension) for extension in other)
+                    raise ValueError(f"it needs the extension {what}, which is not supported")
+            elif event == "end" and value.tag == f"{core}object":
+                objects[part, value.get("id")] = _parse_object(value, part, core)
+                value.clear()
+            elif event == "end" and value.tag == f"{core}item":
+                items.append(_parse_placement(value, part))
     return objects, items
 
 
-def _object(one: Any, part: str, core: str) -> _Object:
-    at = [[float(v.get(k)) for k in "xyz"] for v in one.iterfind(f"{core}mesh/{core}vertices/{core}vertex")]
+def _parse_object(node: Any, part: str, core: str) -> _Object3mf:
+    at = [[float(v.get(k)) for k in "xyz"] for v in node.iterfind(f"{core}mesh/{core}vertices/{core}vertex")]
     of = [
         [int(t.get(k)) for k in ("v1", "v2", "v3")]
-        for t in one.iterfind(f"{core}mesh/{core}triangles/{core}triangle")
+        for t in node.iterfind(f"{core}mesh/{core}triangles/{core}triangle")
     ]
     faces = np.array(of, dtype=np.int64).reshape(-1, 3)
     if len(faces) and not (faces.min() >= 0 and faces.max() < len(at)):
-        raise ValueError("a face names a vertex that is not there")
-    inner = tuple(_place(c, part) for c in one.iterfind(f"{core}components/{core}component"))
-    kind = one.get("type", "model")
-    return _Object(kind, np.array(at, dtype=np.float64).reshape(-1, 3), faces, inner)
+        raise ValueError("a face names a missing vertex")
+    inner = tuple(_parse_placement(c, part) for c in node.iterfind(f"{core}components/{core}component"))
+    kind = node.get("type", "model")
+    return _Object3mf(kind, np.array(at, dtype=np.float64).reshape(-1, 3), faces, inner)
 
 
-def _place(one: Any, part: str) -> Placed:
-    said = one.get("transform")
+def _parse_placement(node: Any, part: str) -> PlacedObject:
+    text = node.get("transform")
     pose = np.vstack([np.eye(3), np.zeros(3)])
-    if said:
-        pose = np.array([float(word) for word in said.split()]).reshape(4, 3)
-    return str(one.get(f"{{{_PRODUCTION}}}path", part)).lstrip("/"), str(one.get("objectid")), pose
+    if text:
+        pose = np.array([float(word) for word in text.split()]).reshape(4, 3)
+    return str(node.get(f"{{{_PRODUCTION}}}path", part)).lstrip("/"), str(node.get("objectid")), pose
 
 
-def _unread(path: Path, error: Exception) -> TandemError:
+def _unreadable(path: Path, error: Exception) -> TandemError:
     reason = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
     return _refuse("mesh.unreadable", path, f"cannot be read ({reason}); export it again")
 
 
 def _refuse(code: str, path: Path, what: str) -> TandemError:
-    return refusal(code, f"{path.name}: {what}", file=str(path))
+    return issue_error(code, f"{path.name}: {what}", file=str(path))
 
 
-def objects(text: str) -> dict[str, Mesh]:
-    """The objects of an OBJ file in mm, as the planner writes it, by their names."""
+def obj_objects(text: str) -> dict[str, Mesh]:
+    """Return the objects of an OBJ file in mm, as the planner writes it, by name.
+
+    Args:
+        text: Text of the file.
+    """
     points: list[list[float]] = []
     faces: dict[str, list[list[int]]] = {}
     name = "part"

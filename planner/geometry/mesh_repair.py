@@ -1,18 +1,18 @@
-"""Meshes as exporters and scanners leave them: their flaws mended, their noise found and smoothed.
+"""Meshes as exporters and scanners write them: repair of flaws, estimate of noise, and smoothing.
 
-Flaws that no face has: triangles that are given twice, cracks between them, rims that are off the
-flat by micrometres.
+Flaws are duplicate triangles, cracks between them, and rims that differ from the flat by micrometres.
 
-Noise is how far the vertices are off the face that is meant, found from the mesh itself: what
-hinges (two triangles at an edge) and small neighbourhoods have in common. A smooth face bends its
-hinges but leaves a quadric nothing over, a mesh of few large facets has folds that no quadric fits
-but flat hinges beside them. The least of both is noise of the vertices.
+Noise is the deviation of the vertices from the intended face. It is estimated from the mesh itself, from
+hinges (two triangles at an edge) and from small neighbourhoods. A smooth face bends its hinges but leaves
+quadrics no residual. A mesh of few large facets has folds that no quadric fits, but flat hinges next to them.
+The smaller of both estimates is the noise of the vertices.
 
-The smooth face that is meant within the noise is a weak plate (Blake and Zisserman, Visual
-reconstruction, MIT Press, 1987): of all faces the one with the least sum of squared distances from
-the vertices and of bending energy, in which hinges that turn by more than a smooth face would are
-counted less and less, so that folds stay folds. The bending energy of hinges is that of Bergou et
-al., A quadratic bending model for inextensible surfaces, SGP 2006.
+The smooth intended face is a weak plate: of all faces the one with the smallest sum of squared distances from
+the vertices and bending energy. Hinges with a larger angle than a smooth face would have lose weight from
+iteration to iteration, so that folds are preserved.
+
+Source: weak plate, Blake and Zisserman, Visual reconstruction, MIT Press, 1987; bending energy of hinges,
+Bergou et al., A quadratic bending model for inextensible surfaces, SGP 2006.
 """
 
 import dataclasses
@@ -25,77 +25,82 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import aslinearoperator, cg
 from scipy.spatial import cKDTree
 
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray, distinct_rows, dots
-from planner.geometry.mesh import TriangleMesh, face_areas, face_normals, merge, vertex_normals
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, unique_rows
+from planner.geometry.mesh import TriangleMesh, face_areas, face_normals, merge_vertices, vertex_normals
 
-CRACK_WIDTH: Final = 1e-5
-"""Edges so near to each other [m] are one, where a mesh has cracks."""
-RIM_OFFSET: Final = 2e-5
-"""Corners of a sharp rim so near to the flat [m] are on it."""
+CRACK_WIDTH_M: Final = 1e-5
+"""Distance at which edges are one in a mesh with cracks [m]."""
+RIM_OFFSET_M: Final = 2e-5
+"""Distance from the flat at which corners of a sharp rim are on it [m]."""
 SHARP_RIM_COSINE: Final = float(np.cos(np.radians(20.0)))
 """Cosine of the slope (20 degrees) from which on a rim is sharp."""
-_SEWING_ROUNDS: Final = 8
-"""Rounds in which open rims are joined at most; each one closes what the one before left."""
+_MAX_SEWING_ITERATIONS: Final = 8
+"""Maximum number of iterations in which open rims are joined. Each closes what the previous one left."""
 
 
-def sewn(mesh: TriangleMesh) -> TriangleMesh:
-    """The mesh without faces that are given twice, its cracks closed: vertices and edges of borders that are
-    within `CRACK_WIDTH` of each other become one. A mesh without such flaws comes back as it is."""
-    _, first, _ = distinct_rows(np.sort(mesh.faces, axis=1))
+def sew_cracks(mesh: TriangleMesh) -> TriangleMesh:
+    """Return the mesh without duplicate faces and with closed cracks.
+
+    Vertices and edges of borders within `CRACK_WIDTH_M` of each other become one. A mesh without such flaws
+    is returned unchanged.
+
+    Args:
+        mesh: The mesh.
+    """
+    _, first, _ = unique_rows(np.sort(mesh.faces, axis=1))
     if len(first) < len(mesh.faces):
         mesh = TriangleMesh(mesh.vertices, mesh.faces[np.sort(first)])
-    for _ in range(_SEWING_ROUNDS):
-        rim = border(mesh.faces)
-        if not len(rim) or _loops(rim) == 1:
+    for _ in range(_MAX_SEWING_ITERATIONS):
+        rim = border_edges(mesh.faces)
+        if not len(rim) or _count_loops(rim) == 1:
             return mesh
-        before = len(rim)
-        mesh = _zipped(_welded(mesh, rim))
-        if len(border(mesh.faces)) == before:
+        rim_count = len(rim)
+        mesh = _divide_at_vertices(_weld_borders(mesh, rim))
+        if len(border_edges(mesh.faces)) == rim_count:
             return mesh
     return mesh
 
 
-def border(faces: IntArray) -> IntArray:
-    """Edges (E, 2) that belong to one face only, in the direction of that face."""
+def border_edges(faces: IntArray) -> IntArray:
+    """Return the edges (E, 2) that belong to one face only, in the direction of that face."""
     edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    _, first, which = distinct_rows(np.sort(edges, axis=1))
+    _, first, which = unique_rows(np.sort(edges, axis=1))
     return np.asarray(edges[first[np.bincount(which, minlength=len(first)) == 1]])
 
 
-def rims_levelled(mesh: TriangleMesh, level: float, within: float) -> TriangleMesh:
-    """The mesh with the corners of sharp rims that are ``within`` [m] of the flat at ``level`` [m] put onto
-    it, and with them bumps of the flat that are no higher than that."""
-    off = np.abs(mesh.vertices[:, 2] - level)
-    doubtful = (off > 0.0) & (off <= within)
+def level_rims(mesh: TriangleMesh, level: float, within: float) -> TriangleMesh:
+    """Return the mesh with corners of sharp rims, and low bumps, moved onto the flat beside them."""
+    heights = np.abs(mesh.vertices[:, 2] - level)
+    doubtful = (heights > 0.0) & (heights <= within)
     if not doubtful.any():
         return mesh
-    sharp = np.zeros(len(off), dtype=bool)
+    sharp = np.zeros(len(heights), dtype=bool)
     sharp[mesh.faces[np.abs(face_normals(mesh)[:, 2]) < SHARP_RIM_COSINE]] = True
-    # what hangs together off the flat and is nowhere higher than that is a bump
-    raised = off > 0.0
+    # a connected group that is off the flat and nowhere higher than the limit is a bump
+    raised = heights > 0.0
     edges = mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     edges = edges[raised[edges].all(axis=1)]
-    graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(off), len(off)))
+    graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(heights), len(heights)))
     _, label = connected_components(graph, directed=False)
     high = np.zeros(int(label.max()) + 1)
-    np.maximum.at(high, label, off)
+    np.maximum.at(high, label, heights)
     chosen = doubtful & (sharp | (high[label] <= within))
     vertices = mesh.vertices.copy()
     vertices[chosen, 2] = level
     return TriangleMesh(vertices, mesh.faces)
 
 
-def _loops(rim: IntArray) -> int:
+def _count_loops(rim: IntArray) -> int:
     used, index = np.unique(rim, return_inverse=True)
     ends = index.reshape(-1, 2)
     graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(len(used), len(used)))
     return int(connected_components(graph, directed=False)[0])
 
 
-def _welded(mesh: TriangleMesh, rim: IntArray) -> TriangleMesh:
-    """Vertices of borders at one place made one."""
+def _weld_borders(mesh: TriangleMesh, rim: IntArray) -> TriangleMesh:
+    """Merge vertices of borders at one position."""
     used = np.unique(rim)
-    pairs = cKDTree(mesh.vertices[used]).query_pairs(CRACK_WIDTH, output_type="ndarray")
+    pairs = cKDTree(mesh.vertices[used]).query_pairs(CRACK_WIDTH_M, output_type="ndarray")
     if not len(pairs):
         return mesh
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(used), len(used)))
@@ -106,30 +111,32 @@ def _welded(mesh: TriangleMesh, rim: IntArray) -> TriangleMesh:
     onto[used] = first[label]
     faces = onto[mesh.faces]
     whole = (faces != np.roll(faces, -1, axis=1)).all(axis=1)
-    return merge(TriangleMesh(mesh.vertices, faces[whole]))
+    return merge_vertices(TriangleMesh(mesh.vertices, faces[whole]))
 
 
-def _zipped(mesh: TriangleMesh) -> TriangleMesh:
-    """Faces at whose free edge corners of others lie divided there, at one edge of each."""
-    rim = border(mesh.faces)
+def _divide_at_vertices(mesh: TriangleMesh) -> TriangleMesh:
+    """Divide faces at whose free edge vertices of others are, at one edge of each face."""
+    rim = border_edges(mesh.faces)
     used = np.unique(rim)
-    start, way = mesh.vertices[rim[:, 0]], mesh.vertices[rim[:, 1]] - mesh.vertices[rim[:, 0]]
-    length = np.linalg.norm(way, axis=1)
-    near = cKDTree(mesh.vertices[used]).query_ball_point(start + 0.5 * way, 0.5 * length + CRACK_WIDTH)
+    start, edge_vector = mesh.vertices[rim[:, 0]], mesh.vertices[rim[:, 1]] - mesh.vertices[rim[:, 0]]
+    length = np.linalg.norm(edge_vector, axis=1)
+    near_vertices = cKDTree(mesh.vertices[used]).query_ball_point(
+        start + 0.5 * edge_vector, 0.5 * length + CRACK_WIDTH_M
+    )
     divided: dict[tuple[int, int], list[int]] = {}
-    for row, found in enumerate(near):
-        others = used[np.array(found, dtype=np.int64)]
+    for row, candidates in enumerate(near_vertices):
+        others = used[np.array(candidates, dtype=np.int64)]
         others = others[~np.isin(others, rim[row])]
         rest = mesh.vertices[others] - start[row]
-        share = rest @ way[row] / max(length[row] ** 2, 1e-30)
-        off = np.linalg.norm(rest - share[:, None] * way[row], axis=1)
+        fraction = rest @ edge_vector[row] / max(length[row] ** 2, 1e-30)
+        distance = np.linalg.norm(rest - fraction[:, None] * edge_vector[row], axis=1)
         on = (
-            (off <= CRACK_WIDTH)
-            & (share * length[row] > CRACK_WIDTH)
-            & ((1.0 - share) * length[row] > CRACK_WIDTH)
+            (distance <= CRACK_WIDTH_M)
+            & (fraction * length[row] > CRACK_WIDTH_M)
+            & ((1.0 - fraction) * length[row] > CRACK_WIDTH_M)
         )
         if on.any():
-            order = np.argsort(share[on])
+            order = np.argsort(fraction[on])
             divided[(int(rim[row, 0]), int(rim[row, 1]))] = others[on][order].tolist()
     if not divided:
         return mesh
@@ -140,186 +147,215 @@ def _zipped(mesh: TriangleMesh) -> TriangleMesh:
             ((divided.get((a, b), []), (a, b, c)) for a, b, c in sides), key=lambda item: len(item[0])
         )
         line = [a, *(v for v in between if v != apex), b]
-        faces += [[one, two, apex] for one, two in pairwise(line)]
+        faces += [[start_vertex, end_vertex, apex] for start_vertex, end_vertex in pairwise(line)]
     return TriangleMesh(mesh.vertices, np.array(faces, dtype=np.int64))
 
 
-LEAST_NOISE: Final = 4e-6
-"""Noise [m] below which a mesh is what its maker meant: rounding of coordinates and chords of curves."""
+MIN_NOISE_M: Final = 4e-6
+"""Noise [m] below which a mesh is considered exact: rounding of coordinates, and chords of curves."""
 NOISE_BOUND_DEVIATIONS: Final = 3.0
-"""Vertices are within so many standard deviations of their face, but for 0.3 % of them (normal noise)."""
-_SMOOTH_HINGE_SHARE: Final = 0.2
-"""Share of the hinges that are surely no folds."""
+"""Number of standard deviations within which 99.7 % of vertices are from their face (normal noise)."""
+_SMOOTH_HINGE_FRACTION: Final = 0.2
+"""Fraction of the hinges that are certainly not folds."""
 _NORMAL_QUANTILE: Final = 0.2533
-"""This share of normal values of unit deviation (`_SMOOTH_HINGE_SHARE`, 0.2) is smaller in size."""
+"""Quantile of the absolute value of a standard normal variable at `_SMOOTH_HINGE_FRACTION` (0.2)."""
 _QUADRIC_NEIGHBOURS: Final = 20
-"""Vertices that one quadric is fitted to."""
-_MOST_QUADRICS: Final = 4000
-"""Quadrics that are fitted at most, at vertices evenly spread over the list."""
+"""Number of vertices to which one quadric is fitted."""
+_MAX_QUADRICS: Final = 4000
+"""Maximum number of quadrics, at vertices evenly spread over the list."""
 _UNIT_RESIDUAL_QUARTILE: Final = 0.86
 """Lower quartile of the residual of quadrics for unit noise."""
-_SLOPE: Final = 0.005
-"""Noise [rad] of the slope that the smoothed face may have left, and [1/mm] of its curvature."""
-_FOLD_RADIUS: Final = 2.5e-3
-"""Smooth faces are bent less than a ball of this radius [m]; what is bent more may be a fold."""
+_SLOPE_NOISE: Final = 0.005
+"""Remaining noise of the smoothed face's slope [rad], and of its curvature [1/mm]."""
+_MIN_SMOOTH_RADIUS_M: Final = 2.5e-3
+"""Minimum radius of curvature of smooth faces [m]. What is bent more may be a fold."""
 _FOLD_FACTORS: Final = (8.0, 4.0, 2.0, 1.0, 1.0, 1.0)
-"""Hinges that turn by more than a smooth face's, times these, count less, in one round after the other."""
-_MOST_COTANGENT: Final = 20.0
-"""Largest cotangent of a triangle's angle that counts: slivers are not stiffer."""
+"""Factors of the angle from which on hinges lose weight, one per iteration."""
+_MAX_COTANGENT: Final = 20.0
+"""Maximum cotangent of a triangle's angle, so that slivers are not stiffer."""
 _MEAN_RINGS: Final = 6
-"""Rings of neighbours over which the mean is taken by which a plate is too stiff."""
+"""Number of rings of neighbours in the mean that detects a plate that is too stiff."""
 _BIAS_FACTOR: Final = 4.0
-"""Means of deviations beyond so many times their median are no chance: the plate is too stiff there."""
-_BIAS_SHARE: Final = 0.6
-"""Share of the noise by which the face may be off in the mean."""
-_SOFTEST: Final = 1e-6
-"""Least share of its stiffness that a plate keeps."""
+"""Ratio of mean deviations to their median beyond which the plate is too stiff."""
+_BIAS_FRACTION: Final = 0.6
+"""Maximum mean deviation of the face, as a fraction of the noise."""
+_MIN_STIFFNESS_FRACTION: Final = 1e-6
+"""Minimum fraction of its stiffness that a plate keeps."""
 _FLAT_COSINE: Final = float(np.cos(np.radians(2.5)))
-"""Cosine of the slope (2.5 degrees) up to which a place may be part of a flat."""
-_FLAT_AREA: Final = 5e-5
-"""Area [m^2] from which on a flat is one: 8 mm across."""
-_ASIDE_COSINE: Final = 0.5
-"""Cosine of the angle by which noise may turn a triangle aside before its corners are moved."""
+"""Cosine of the slope (2.5 degrees) up to which a vertex may be part of a flat."""
+_MIN_FLAT_AREA_M2: Final = 5e-5
+"""Minimum area of a flat [m^2]: 8 mm across."""
+_MAX_ROTATION_COSINE: Final = 0.5
+"""Cosine of the angle by which noise may rotate a triangle before its corners are moved."""
 _SLIVER_RATIO: Final = 0.05
-"""Height over longest edge below which a triangle is a sliver."""
-_UNTANGLING_ROUNDS: Final = 20
-"""Rounds at most in which corners of folded triangles and slivers are moved to their neighbours' mean."""
+"""Ratio of height to longest edge below which a triangle is a sliver."""
+_MAX_UNTANGLING_ITERATIONS: Final = 20
+"""Maximum number of iterations that move corners of folded triangles to their neighbours' mean."""
 
 
 @dataclasses.dataclass(frozen=True)
-class _Hinges:
-    """Inner edges: ``ends`` (E, 4) vertices, those of the edge, then the corners across; ``faces`` (E, 2)."""
+class _MeshHinges:
+    """Inner edges.
+
+    Attributes:
+        ends: Vertices (E, 4): those of the edge, then the corners across.
+        faces: Both faces (E, 2).
+    """
 
     ends: IntArray
     faces: IntArray
 
 
 def vertex_noise(mesh: TriangleMesh) -> float:
-    """Standard deviation [m] of the vertices from the face that is meant; 0 for a mesh of few facets."""
-    hinges = _hinges(mesh)
+    """Return the standard deviation [m] of the vertices from the intended face; 0 for a mesh of few facets.
+
+    Args:
+        mesh: The mesh.
+    """
+    hinges = _find_hinges(mesh)
     if len(hinges.ends) < 8:
         return 0.0
     i, j, k, m = (mesh.vertices[hinges.ends[:, n]] for n in range(4))
     a, b, c = j - i, k - i, m - i
     volume = np.abs(dots(np.cross(a, b), c))
     slopes = (np.cross(b, c), np.cross(c, a), np.cross(a, b))
-    own = sum(dots(s, s) for s in slopes)
+    slope_square = sum(dots(s, s) for s in slopes)
     rest = slopes[0] + slopes[1] + slopes[2]
-    size = volume / np.sqrt(np.maximum(own + dots(rest, rest), 1e-300))
+    size = volume / np.sqrt(np.maximum(slope_square + dots(rest, rest), 1e-300))
     order = np.argsort(size)
-    # slivers that divide an edge are as flat as can be and say nothing
+    # slivers that divide an edge are exactly flat and carry no information
     passed = np.cumsum(face_areas(mesh)[hinges.faces].min(axis=1)[order])
-    place = int(np.searchsorted(passed, _SMOOTH_HINGE_SHARE * passed[-1]))
-    by_hinge = float(size[order[min(place, len(order) - 1)]]) / _NORMAL_QUANTILE
-    if by_hinge < LEAST_NOISE:
+    quantile_row = int(np.searchsorted(passed, _SMOOTH_HINGE_FRACTION * passed[-1]))
+    by_hinge = float(size[order[min(quantile_row, len(order) - 1)]]) / _NORMAL_QUANTILE
+    if by_hinge < MIN_NOISE_M:
         return 0.0
-    found = min(by_hinge, _by_quadric(mesh))
-    return found if found >= LEAST_NOISE else 0.0
+    noise = min(by_hinge, _quadric_noise(mesh))
+    return noise if noise >= MIN_NOISE_M else 0.0
 
 
-def _by_quadric(mesh: TriangleMesh) -> float:
+def _quadric_noise(mesh: TriangleMesh) -> float:
     points = mesh.vertices
     if len(points) <= _QUADRIC_NEIGHBOURS:
         return 0.0
-    rows = np.unique(np.linspace(0, len(points) - 1, _MOST_QUADRICS).astype(np.int64))
-    _, near = cKDTree(points).query(points[rows], k=_QUADRIC_NEIGHBOURS)
-    normal = _smoothed(mesh, vertex_normals(mesh), 3)[rows]
-    u, v = _tangents(normal)
-    rest = points[near] - points[rows][:, None]
+    rows = np.unique(np.linspace(0, len(points) - 1, _MAX_QUADRICS).astype(np.int64))
+    _, neighbours = cKDTree(points).query(points[rows], k=_QUADRIC_NEIGHBOURS)
+    normal = _smooth_normals(mesh, vertex_normals(mesh), 3)[rows]
+    u, v = _tangent_vectors(normal)
+    rest = points[neighbours] - points[rows][:, None]
     size = np.linalg.norm(rest, axis=2).max(axis=1)[:, None]
-    x, y = (np.einsum("nkd,nd->nk", rest, way) / size for way in (u, v))
+    x, y = (np.einsum("nkd,nd->nk", rest, axis) / size for axis in (u, v))
     z = np.einsum("nkd,nd->nk", rest, normal)
     q, _ = np.linalg.qr(np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1))
-    left = z - np.einsum("nkc,nc->nk", q, np.einsum("nkc,nk->nc", q, z))
-    sigma = np.sqrt((left**2).sum(axis=1) / (_QUADRIC_NEIGHBOURS - 6))
+    residual = z - np.einsum("nkc,nc->nk", q, np.einsum("nkc,nk->nc", q, z))
+    sigma = np.sqrt((residual**2).sum(axis=1) / (_QUADRIC_NEIGHBOURS - 6))
     return float(np.quantile(sigma, 0.25)) / _UNIT_RESIDUAL_QUARTILE
 
 
-def fitted_face(mesh: TriangleMesh, sigma: float, level: float) -> TriangleMesh:
-    """The face that is meant by a mesh whose vertices are off it by ``sigma`` [m] (standard deviation): the
-    same triangles, each vertex moved along the face's normal; the edge of the mesh is flat at the height
-    ``level`` [m] along z."""
-    hinges, graph = _hinges(mesh), _neighbours(mesh)
+def fit_face(mesh: TriangleMesh, sigma: float, level: float) -> TriangleMesh:
+    """Return the intended face of a noisy mesh: the same triangles, moved along the face's normal."""
+    hinges, graph = _find_hinges(mesh), _adjacency(mesh)
     count = len(mesh.vertices)
     area = np.bincount(mesh.faces.reshape(-1), weights=np.repeat(face_areas(mesh) / 3.0, 3), minlength=count)
     area = np.maximum(area, 1e-3 * float(np.median(area)))
-    rim = np.unique(border(mesh.faces))
-    steps = max(2, round((_length(sigma, np.sqrt(np.median(area))) / np.sqrt(np.median(area))) ** 2))
-    way = _smoothed(mesh, vertex_normals(mesh), min(steps, 40))
-    way[rim] = [0.0, 0.0, 1.0]
-    mesh = TriangleMesh(_untangled(mesh, way, rim), mesh.faces)
+    rim = np.unique(border_edges(mesh.faces))
+    steps = max(
+        2, round((_stiffness_length(sigma, np.sqrt(np.median(area))) / np.sqrt(np.median(area))) ** 2)
+    )
+    directions = _smooth_normals(mesh, vertex_normals(mesh), min(steps, 40))
+    directions[rim] = [0.0, 0.0, 1.0]
+    mesh = TriangleMesh(_untangle(mesh, directions, rim), mesh.faces)
     weight = np.where(np.isin(np.arange(count), rim), 1e3, 1.0) * area
     target = np.zeros(count)
     target[rim] = level - mesh.vertices[rim, 2]
-    vertices, moved, share = mesh.vertices, np.zeros(count), np.ones(count)
-    for wide in _FOLD_FACTORS:
-        bend, stiff, angle, spacing = _bending(TriangleMesh(vertices, mesh.faces), hinges, sigma)
-        limit = wide * np.maximum(spacing / _FOLD_RADIUS, np.deg2rad(3.0))
-        held = stiff * share[hinges.ends[:, :2]].mean(axis=1) / (1.0 + (angle / limit) ** 2)
-        middle = _middle(vertices, mesh.faces, hinges)
-        values = bend * np.einsum("nkd,nd->nk", way[hinges.ends], middle)
+    vertices, moved, stiffness_fraction = mesh.vertices, np.zeros(count), np.ones(count)
+    for factor in _FOLD_FACTORS:
+        bend, stiff, angle, spacing = _hinge_bending(TriangleMesh(vertices, mesh.faces), hinges, sigma)
+        limit = factor * np.maximum(spacing / _MIN_SMOOTH_RADIUS_M, np.deg2rad(3.0))
+        hinge_weight = (
+            stiff * stiffness_fraction[hinges.ends[:, :2]].mean(axis=1) / (1.0 + (angle / limit) ** 2)
+        )
+        middle = _hinge_normals(vertices, mesh.faces, hinges)
+        values = bend * np.einsum("nkd,nd->nk", directions[hinges.ends], middle)
         rows = np.arange(0, 4 * len(middle) + 1, 4)
         matrix = csr_array((values.ravel(), hinges.ends.ravel(), rows), shape=(len(middle), count))
         first = (bend[:, :, None] * mesh.vertices[hinges.ends]).sum(axis=1)
-        off = dots(first, middle)
-        whole = aslinearoperator((matrix.T @ diags_array(held) @ matrix + diags_array(weight)).tocsr())
-        right = weight * target - matrix.T @ (held * off)
-        scale = aslinearoperator(diags_array(1.0 / ((matrix * matrix).T @ held + weight)))
-        moved, _ = cg(whole, right, x0=moved, M=scale, rtol=1e-5, maxiter=400)
-        vertices = mesh.vertices + moved[:, None] * way
-        # where the plate is off in the mean it is too stiff for the face
-        biased = np.abs(_spread(graph, moved, _MEAN_RINGS))
-        share /= 1.0 + (biased / max(_BIAS_FACTOR * float(np.median(biased)), _BIAS_SHARE * sigma)) ** 2
-        share = np.exp(_spread(graph, np.log(np.maximum(share, _SOFTEST)), 1))
+        initial_bend = dots(first, middle)
+        operator = aslinearoperator(
+            (matrix.T @ diags_array(hinge_weight) @ matrix + diags_array(weight)).tocsr()
+        )
+        right = weight * target - matrix.T @ (hinge_weight * initial_bend)
+        scale = aslinearoperator(diags_array(1.0 / ((matrix * matrix).T @ hinge_weight + weight)))
+        moved, _ = cg(operator, right, x0=moved, M=scale, rtol=1e-5, maxiter=400)
+        vertices = mesh.vertices + moved[:, None] * directions
+        # a mean deviation shows that the plate is too stiff for the face
+        biased = np.abs(_average_neighbours(graph, moved, _MEAN_RINGS))
+        stiffness_fraction /= (
+            1.0 + (biased / max(_BIAS_FACTOR * float(np.median(biased)), _BIAS_FRACTION * sigma)) ** 2
+        )
+        stiffness_fraction = np.exp(
+            _average_neighbours(graph, np.log(np.maximum(stiffness_fraction, _MIN_STIFFNESS_FRACTION)), 1)
+        )
     face = TriangleMesh(vertices, mesh.faces)
-    return TriangleMesh(_untangled(face, _smoothed(face, vertex_normals(face), 2), rim), mesh.faces)
+    return TriangleMesh(_untangle(face, _smooth_normals(face, vertex_normals(face), 2), rim), mesh.faces)
 
 
-def beside(mesh: TriangleMesh, off: FloatArray, limit: float) -> IntArray:
-    """The vertices of the largest connected group of those that are ``off`` (V,) [m] by more than ``limit``
-    [m] to one side: noise is off at random, a ridge or groove is not."""
-    best, graph = np.zeros(0, dtype=np.int64), _neighbours(mesh)
-    for side in (off, -off):
-        best = max([best, *_pieces(graph, side > limit)], key=len)
+def largest_one_sided_group(mesh: TriangleMesh, deviation: FloatArray, limit: float) -> IntArray:
+    """Return the vertices of the largest connected group that deviates to one side.
+
+    Noise is random, a ridge or groove is not.
+
+    Args:
+        mesh: The mesh.
+        deviation: Deviations of the vertices (V,) [m].
+        limit: Minimum deviation of the group [m].
+    """
+    best, graph = np.zeros(0, dtype=np.int64), _adjacency(mesh)
+    for side in (deviation, -deviation):
+        best = max([best, *_connected_groups(graph, side > limit)], key=len)
     return best
 
 
-def levelled(mesh: TriangleMesh, within: float, sheet: float) -> TriangleMesh:
-    """The mesh with its flats level, those across z, that of the sheet at the height ``sheet`` [m].
+def level_flats(mesh: TriangleMesh, within: float, sheet: float) -> TriangleMesh:
+    """Return the mesh with its horizontal flats at exact heights.
 
-    Where it is ``within`` [m] of the height of a flat it is that high, and where it is three times as far off
-    it is as it was; in between one goes over into the other smoothly.
+    Vertices within a distance of a flat get its height. Those at three times that distance keep theirs. In
+    between the change is smooth.
+
+    Args:
+        mesh: The mesh.
+        within: Distance [m].
+        sheet: Height of the flat of the sheet [m].
     """
-    graph = _neighbours(mesh)
-    normal = _spread(graph, vertex_normals(mesh), 2)
-    lying = normal[:, 2] > _FLAT_COSINE * np.linalg.norm(normal, axis=1)
+    graph = _adjacency(mesh)
+    normal = _average_neighbours(graph, vertex_normals(mesh), 2)
+    is_horizontal = normal[:, 2] > _FLAT_COSINE * np.linalg.norm(normal, axis=1)
     area = np.bincount(
         mesh.faces.reshape(-1), weights=np.repeat(face_areas(mesh) / 3.0, 3), minlength=len(normal)
     )
     height, known = mesh.vertices[:, 2].copy(), [sheet]
-    for flat in _pieces(graph, lying):
-        if area[flat].sum() < _FLAT_AREA:
+    for flat in _connected_groups(graph, is_horizontal):
+        if area[flat].sum() < _MIN_FLAT_AREA_M2:
             continue
         order = flat[np.argsort(height[flat])]
         passed = np.cumsum(area[order]) / area[order].sum()
         level = float(height[order[int(np.searchsorted(passed, 0.5))]])
         if float(area[flat[np.abs(height[flat] - level) <= 3.0 * within]].sum()) < 0.9 * area[flat].sum():
             continue
-        level = next((one for one in known if abs(level - one) <= within), level)
+        level = next((known_level for known_level in known if abs(level - known_level) <= within), level)
         known.append(level)
-        near = np.abs(height - level) < 3.0 * within
-        inner = np.zeros(len(near), dtype=bool)
+        near_flat = np.abs(height - level) < 3.0 * within
+        inner = np.zeros(len(near_flat), dtype=bool)
         inner[flat] = True
-        for piece in _pieces(graph, near):
+        for piece in _connected_groups(graph, near_flat):
             if inner[piece].any():
-                off = height[piece] - level
-                share = np.clip((np.abs(off) - within) / (2.0 * within), 0.0, 1.0)
-                height[piece] = level + off * share * share * (3.0 - 2.0 * share)
+                height_offset = height[piece] - level
+                blend = np.clip((np.abs(height_offset) - within) / (2.0 * within), 0.0, 1.0)
+                height[piece] = level + height_offset * blend * blend * (3.0 - 2.0 * blend)
     return TriangleMesh(np.column_stack([mesh.vertices[:, :2], height]), mesh.faces)
 
 
-def _pieces(graph: csr_array, chosen: BoolArray) -> list[IntArray]:
-    """The connected groups of the vertices that are ``chosen`` (V,)."""
+def _connected_groups(graph: csr_array, chosen: BoolArray) -> list[IntArray]:
+    """Return the connected groups of the vertices that are ``chosen`` (V,)."""
     rows = np.flatnonzero(chosen)
     if not len(rows):
         return []
@@ -328,62 +364,67 @@ def _pieces(graph: csr_array, chosen: BoolArray) -> list[IntArray]:
     return np.split(rows[order], np.flatnonzero(np.diff(label[order])) + 1)
 
 
-def _untangled(mesh: TriangleMesh, way: FloatArray, rim: IntArray) -> FloatArray:
-    """The vertices (V, 3) [m], those of slivers and of triangles that noise has turned over or aside moved
-    square to ``way`` (V, 3) between their neighbours."""
-    vertices, graph = mesh.vertices.copy(), _neighbours(mesh)
+def _untangle(mesh: TriangleMesh, directions: FloatArray, rim: IntArray) -> FloatArray:
+    """Return the vertices (V, 3) [m] without slivers and triangles that noise has inverted or rotated.
+
+    Their corners are moved normal to ``directions`` (V, 3), between their neighbours.
+    """
+    vertices, graph = mesh.vertices.copy(), _adjacency(mesh)
     degree = np.maximum(graph.sum(axis=1), 1.0)[:, None]
-    for _ in range(_UNTANGLING_ROUNDS):
-        up = way[mesh.faces].sum(axis=1)
-        now = TriangleMesh(vertices, mesh.faces)
-        lean = dots(face_normals(now), up) / np.maximum(np.linalg.norm(up, axis=1), 1e-300)
+    for _ in range(_MAX_UNTANGLING_ITERATIONS):
+        up = directions[mesh.faces].sum(axis=1)
+        current = TriangleMesh(vertices, mesh.faces)
+        cosine = dots(face_normals(current), up) / np.maximum(np.linalg.norm(up, axis=1), 1e-300)
         corner = vertices[mesh.faces]
         longest = np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2).max(axis=1)
-        thin = 2.0 * face_areas(now) < _SLIVER_RATIO * longest**2
-        bad = np.setdiff1d(mesh.faces[(lean < _ASIDE_COSINE) | thin], rim)
+        thin = 2.0 * face_areas(current) < _SLIVER_RATIO * longest**2
+        bad = np.setdiff1d(mesh.faces[(cosine < _MAX_ROTATION_COSINE) | thin], rim)
         if not len(bad):
             break
-        off = (graph[bad] @ vertices) / degree[bad] - vertices[bad]
-        vertices[bad] += off - dots(off, way[bad])[:, None] * way[bad]
+        shift = (graph[bad] @ vertices) / degree[bad] - vertices[bad]
+        vertices[bad] += shift - dots(shift, directions[bad])[:, None] * directions[bad]
     return np.asarray(vertices)
 
 
-def _length(sigma: float, spacing: FloatArray | float) -> FloatArray:
-    """Length [m] of the plate's stiffness that leaves slopes and curvatures as little noise as wanted."""
+def _stiffness_length(sigma: float, spacing: FloatArray | float) -> FloatArray:
+    """Return the length [m] of the plate's stiffness that leaves slopes and curvatures the intended noise."""
     h, s = np.asarray(spacing) * 1e3, sigma * 1e3
-    return np.asarray(np.maximum(np.sqrt(0.2 * s * h / _SLOPE), np.cbrt(0.22 * s * h / _SLOPE)) * 1e-3)
+    return np.asarray(
+        np.maximum(np.sqrt(0.2 * s * h / _SLOPE_NOISE), np.cbrt(0.22 * s * h / _SLOPE_NOISE)) * 1e-3
+    )
 
 
-def _bending(
-    mesh: TriangleMesh, hinges: _Hinges, sigma: float
+def _hinge_bending(
+    mesh: TriangleMesh, hinges: _MeshHinges, sigma: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Of hinges the shares (E, 4) of their corners in how they bend, stiffness (E,), angle (E,) [rad] and the
-    mesh's spacing (E,) [m] there."""
+    """Return weights (E, 4) of corners in hinges' bending, stiffness (E,), angle [rad] and spacing [m]."""
     i, j, k, m = (mesh.vertices[hinges.ends[:, n]] for n in range(4))
-    one, two = _cotangent(j - i, k - i), _cotangent(j - i, m - i)
-    three, four = _cotangent(i - j, k - j), _cotangent(i - j, m - j)
-    bend = np.stack([three + four, one + two, -one - three, -two - four], axis=1)
+    cot_ik, cot_im = _cotangent(j - i, k - i), _cotangent(j - i, m - i)
+    cot_jk, cot_jm = _cotangent(i - j, k - j), _cotangent(i - j, m - j)
+    bend = np.stack([cot_jk + cot_jm, cot_ik + cot_im, -cot_ik - cot_jk, -cot_im - cot_jm], axis=1)
     area = face_areas(mesh)[hinges.faces].sum(axis=1)
     area = np.maximum(area, 0.1 * float(np.median(area)))
     spacing = np.sqrt(area)
     normals = face_normals(mesh)
     angle = np.arccos(np.clip(dots(normals[hinges.faces[:, 0]], normals[hinges.faces[:, 1]]), -1.0, 1.0))
-    return bend, _length(sigma, spacing) ** 4 * 3.0 / area, angle, spacing
+    return bend, _stiffness_length(sigma, spacing) ** 4 * 3.0 / area, angle, spacing
 
 
-def _cotangent(one: FloatArray, two: FloatArray) -> FloatArray:
-    cross = np.linalg.norm(np.cross(one, two), axis=1)
-    return np.asarray(np.clip(dots(one, two) / np.maximum(cross, 1e-300), -_MOST_COTANGENT, _MOST_COTANGENT))
+def _cotangent(first: FloatArray, second: FloatArray) -> FloatArray:
+    cross = np.linalg.norm(np.cross(first, second), axis=1)
+    return np.asarray(
+        np.clip(dots(first, second) / np.maximum(cross, 1e-300), -_MAX_COTANGENT, _MAX_COTANGENT)
+    )
 
 
-def _middle(vertices: FloatArray, faces: IntArray, hinges: _Hinges) -> FloatArray:
+def _hinge_normals(vertices: FloatArray, faces: IntArray, hinges: _MeshHinges) -> FloatArray:
     corners = vertices[faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     both = cross[hinges.faces].sum(axis=1)
     return np.asarray(both / np.maximum(np.linalg.norm(both, axis=1, keepdims=True), 1e-300))
 
 
-def _hinges(mesh: TriangleMesh) -> _Hinges:
+def _find_hinges(mesh: TriangleMesh) -> _MeshHinges:
     faces, count = mesh.faces, len(mesh.vertices)
     directed = np.concatenate([faces[:, [0, 1, 2]], faces[:, [1, 2, 0]], faces[:, [2, 0, 1]]])
     owner = np.tile(np.arange(len(faces)), 3)
@@ -392,19 +433,19 @@ def _hinges(mesh: TriangleMesh) -> _Hinges:
     twin = np.flatnonzero(key[order][1:] == key[order][:-1])
     first, second = order[twin], order[twin + 1]
     ends = np.column_stack([directed[first], directed[second, 2]])
-    return _Hinges(ends, np.column_stack([owner[first], owner[second]]))
+    return _MeshHinges(ends, np.column_stack([owner[first], owner[second]]))
 
 
-def _neighbours(mesh: TriangleMesh) -> csr_array:
-    """(V, V): 1 where an edge joins two vertices."""
+def _adjacency(mesh: TriangleMesh) -> csr_array:
+    """Return the adjacency matrix (V, V) of the vertices."""
     count = len(mesh.vertices)
     pairs = mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count)).tocsr()
     return csr_array(((graph + graph.T) > 0).astype(np.float64))
 
 
-def _spread(graph: csr_array, values: FloatArray, steps: int) -> FloatArray:
-    """Values (V,) or (V, 3) averaged with those of neighbours, so many ``steps`` far."""
+def _average_neighbours(graph: csr_array, values: FloatArray, steps: int) -> FloatArray:
+    """Return values (V,) or (V, 3) averaged with those of neighbours, in so many ``steps``."""
     degree = 1.0 + graph.sum(axis=1)
     degree = degree[:, None] if values.ndim == 2 else degree
     for _ in range(steps):
@@ -412,14 +453,14 @@ def _spread(graph: csr_array, values: FloatArray, steps: int) -> FloatArray:
     return np.asarray(values)
 
 
-def _smoothed(mesh: TriangleMesh, normals: FloatArray, steps: int) -> FloatArray:
-    """Unit normals (V, 3) averaged with those of neighbours, so many ``steps`` far."""
-    found = _spread(_neighbours(mesh), normals, steps)
-    return np.asarray(found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-300))
+def _smooth_normals(mesh: TriangleMesh, normals: FloatArray, steps: int) -> FloatArray:
+    """Return unit normals (V, 3) averaged with those of neighbours, in so many ``steps``."""
+    averaged = _average_neighbours(_adjacency(mesh), normals, steps)
+    return np.asarray(averaged / np.maximum(np.linalg.norm(averaged, axis=1, keepdims=True), 1e-300))
 
 
-def _tangents(normal: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Two unit vectors (N, 3) each square to unit normals (N, 3) and to each other."""
+def _tangent_vectors(normal: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return two unit vectors (N, 3) each, normal to unit normals (N, 3) and to each other."""
     axis = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
     u = np.cross(normal, axis)
     u /= np.linalg.norm(u, axis=1, keepdims=True)

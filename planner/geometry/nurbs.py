@@ -1,7 +1,7 @@
-"""Rational B-spline curves and surfaces as CAD programs keep them: points, chords, facets, straight lines.
+"""Rational B-spline curves and surfaces: points, chords, facets, straight parameter lines.
 
-Knots are whole (order + control points many), control points homogeneous: (w x, w y, w z, w) (Piegl
-and Tiller, The NURBS Book, 1997, ch. 4). Values by scipy's B-splines, divided by their weights.
+Knot vectors are complete (order plus number of control points), control points are homogeneous: (w x, w y, w
+z, w) (Piegl and Tiller, The NURBS Book, 1997, ch. 4).
 """
 
 import dataclasses
@@ -14,53 +14,63 @@ from scipy.interpolate import BSpline
 from planner.geometry.arrays import FloatArray, IntArray
 
 FIRST_CHORDS: Final = 8
-"""Chords of each span between knots, before more are asked."""
-MOST_HALVINGS: Final = 10
-"""How often spans and cells are halved at most."""
-STRAIGHTNESS: Final = 1e-9
-"""Lines of a surface that bend by less [m] are straight."""
-STRAIGHT_PLACES: Final = 33
-"""Places along and across a surface at which its lines are looked at."""
+"""Initial number of chords of each span between knots."""
+MAX_HALVINGS: Final = 10
+"""Maximum number of halvings of spans and cells."""
+STRAIGHTNESS_M: Final = 1e-9
+"""Maximum bend [m] of parameter lines that are straight."""
+STRAIGHTNESS_SAMPLES: Final = 33
+"""Number of samples along and across a surface for the tests of straight lines and of closed surfaces."""
 
 
 @dataclasses.dataclass(frozen=True)
 class NurbsCurve:
-    """A curve of ``degree`` with ``knots`` (C + degree + 1,) and ``control`` (C, 4) [m, and weights]."""
+    """A rational B-spline curve.
+
+    Attributes:
+        degree: Degree.
+        knots: Knots (C + degree + 1,).
+        control: Homogeneous control points (C, 4) [m, and weights].
+    """
 
     degree: int
     knots: FloatArray
     control: FloatArray
 
     def points(self, t: FloatArray) -> FloatArray:
-        """Points (N, 3) [m] at parameters t (N,)."""
+        """Return points (N, 3) [m] at parameters t (N,)."""
         value = BSpline(self.knots, self.control, self.degree)(t)
         return np.asarray(value[..., :3] / value[..., 3:])
 
     def spans(self) -> FloatArray:
-        """The knots (S + 1,) between which it is smooth, ends included."""
+        """Return the knots (S + 1,) between which the curve is smooth, ends included."""
         return np.unique(self.knots[self.degree : len(self.control) + 1])
 
     def chords(self, chord: float) -> FloatArray:
-        """Points (N, 3) along it, those at knots included, whose chords are within ``chord`` [m] of it."""
-        t = _evenly(self.spans(), FIRST_CHORDS)
+        """Return points (N, 3) along the curve, knots included, with chords within ``chord`` [m] of it."""
+        t = _spaced_parameters(self.spans(), FIRST_CHORDS)
         points = self.points(t)
-        for _ in range(MOST_HALVINGS):
+        for _ in range(MAX_HALVINGS):
             middle = 0.5 * (t[1:] + t[:-1])
             at = self.points(middle)
-            off = np.linalg.norm(at - 0.5 * (points[1:] + points[:-1]), axis=1) > chord
-            if not off.any():
+            too_far = np.linalg.norm(at - 0.5 * (points[1:] + points[:-1]), axis=1) > chord
+            if not too_far.any():
                 break
-            order = np.argsort(np.concatenate([t, middle[off]]), kind="stable")
-            t = np.concatenate([t, middle[off]])[order]
-            points = np.concatenate([points, at[off]])[order]
+            order = np.argsort(np.concatenate([t, middle[too_far]]), kind="stable")
+            t = np.concatenate([t, middle[too_far]])[order]
+            points = np.concatenate([points, at[too_far]])[order]
         return points
 
 
 @dataclasses.dataclass(frozen=True)
 class NurbsSurface:
-    """A surface of degrees (p, q) with knots along u and v and ``control`` (C, D, 4) [m, and weights].
+    """A rational B-spline surface.
 
-    ``region``: ((u0, u1), (v0, v1)), the piece that is meant.
+    Attributes:
+        degree: Degrees along u and v.
+        knots: Knots along u and v.
+        control: Homogeneous control points (C, D, 4) [m, and weights].
+        region: The region of the surface in use: ((u0, u1), (v0, v1)).
     """
 
     degree: tuple[int, int]
@@ -69,25 +79,25 @@ class NurbsSurface:
     region: tuple[tuple[float, float], tuple[float, float]]
 
     def whole(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """The region of all of it."""
+        """Return the region of the complete surface."""
         ends = [
             (float(knots[p]), float(knots[-p - 1])) for p, knots in zip(self.degree, self.knots, strict=True)
         ]
         return ends[0], ends[1]
 
     def points(self, u: FloatArray, v: FloatArray) -> FloatArray:
-        """Points (..., 3) [m] at u, v (...,)."""
+        """Return points (..., 3) [m] at u, v (...,)."""
         value = self._homogeneous(u, v, 0, 0)
         return np.asarray(value[..., :3] / value[..., 3:])
 
     def normals(self, u: FloatArray, v: FloatArray) -> FloatArray:
-        """Unit normals (..., 3) along dS/du x dS/dv; zero where the surface has none."""
+        """Return unit normals (..., 3) along dS/du x dS/dv, zero where the surface has none."""
         cross = np.cross(*self.tangents(u, v))
         length = np.linalg.norm(cross, axis=-1, keepdims=True)
         return np.asarray(cross / np.where(length > 0.0, length, 1.0))
 
     def tangents(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """dS/du and dS/dv (..., 3) at u, v (...,)."""
+        """Return dS/du and dS/dv (..., 3) at u, v (...,)."""
         value = self._homogeneous(u, v, 0, 0)
         point, weight = value[..., :3] / value[..., 3:], value[..., 3:]
         along, across = (self._homogeneous(u, v, *order) for order in ((1, 0), (0, 1)))
@@ -97,7 +107,7 @@ class NurbsSurface:
         )
 
     def _homogeneous(self, u: FloatArray, v: FloatArray, du: int, dv: int) -> FloatArray:
-        """Derivatives (..., 4) of the surface before its division by weights."""
+        """Return derivatives (..., 4) of the homogeneous surface."""
         weights = [
             BSpline(knots, np.eye(count), p)(np.asarray(t), nu=order)
             for knots, count, p, t, order in zip(
@@ -107,72 +117,85 @@ class NurbsSurface:
         return np.asarray(np.einsum("...i,...j,ijd->...d", *weights, self.control, optimize=True))
 
     def spans(self, along: int) -> FloatArray:
-        """The knots of the region along u (0) or v (1) between which it is smooth, ends included."""
+        """Return the knots of the region along u (0) or v (1) between which it is smooth, ends included."""
         low, high = self.region[along]
         knots = np.unique(self.knots[along])
         return np.concatenate([[low], knots[(knots > low) & (knots < high)], [high]])
 
-    def straight(self, along: int) -> bool:
-        """Whether the lines of the region along u (0) or v (1) are straight, whatever their degree."""
-        ends = [np.linspace(*self.region[k], STRAIGHT_PLACES) for k in (0, 1)]
+    def is_straight(self, along: int) -> bool:
+        """Return whether the lines of the region along u (0) or v (1) are straight, whatever their degree."""
+        ends = [np.linspace(*self.region[k], STRAIGHTNESS_SAMPLES) for k in (0, 1)]
         grid = self.points(*np.meshgrid(*ends, indexing="ij"))
         lines = grid if along == 1 else np.swapaxes(grid, 0, 1)
-        start, way = lines[:, :1], lines[:, -1:] - lines[:, :1]
-        length = np.linalg.norm(way, axis=2, keepdims=True)
-        if length.min() <= STRAIGHTNESS:
+        start, chord = lines[:, :1], lines[:, -1:] - lines[:, :1]
+        length = np.linalg.norm(chord, axis=2, keepdims=True)
+        if length.min() <= STRAIGHTNESS_M:
             return False  # a line of no length has no direction
-        unit = way / length
-        apart = lines - start
-        on_it = np.sum(apart * unit, axis=2, keepdims=True)
-        return bool(np.linalg.norm(apart - on_it * unit, axis=2).max() <= STRAIGHTNESS)
+        unit = chord / length
+        offsets = lines - start
+        on_it = np.sum(offsets * unit, axis=2, keepdims=True)
+        return bool(np.linalg.norm(offsets - on_it * unit, axis=2).max() <= STRAIGHTNESS_M)
 
-    def closed(self, along: int) -> bool:
-        """Whether the whole surface comes back to its beginning along u (0) or v (1)."""
+    def is_closed(self, along: int) -> bool:
+        """Return whether the complete surface ends where it starts along u (0) or v (1)."""
         ends = self.whole()
-        t = np.linspace(*ends[1 - along], STRAIGHT_PLACES)
-        sides = [np.full(STRAIGHT_PLACES, end) for end in ends[along]]
+        t = np.linspace(*ends[1 - along], STRAIGHTNESS_SAMPLES)
+        sides = [np.full(STRAIGHTNESS_SAMPLES, end) for end in ends[along]]
         low, high = (self.points(at, t) if along == 0 else self.points(t, at) for at in sides)
-        return bool(np.linalg.norm(low - high, axis=1).max() <= STRAIGHTNESS)
+        return bool(np.linalg.norm(low - high, axis=1).max() <= STRAIGHTNESS_M)
 
     def rails(self, along: int, chord: float) -> tuple[FloatArray, FloatArray]:
-        """Both sides (N, 3) [m] of the region that its lines along u (0) or v (1) join, at equal parameters,
-        with chords within ``chord`` [m] of them."""
+        """Return both sides (N, 3) [m] of the region that its lines along u (0) or v (1) join.
+
+        Points are at equal parameters, with chords within ``chord`` [m] of the sides.
+        """
         spans = self.spans(1 - along)
-        t = _evenly(spans, FIRST_CHORDS)
-        for _ in range(MOST_HALVINGS):
+        t = _spaced_parameters(spans, FIRST_CHORDS)
+        for _ in range(MAX_HALVINGS):
             middle = 0.5 * (t[1:] + t[:-1])
-            off = np.zeros(len(middle), dtype=np.bool_)
+            too_far = np.zeros(len(middle), dtype=np.bool_)
             for side in (0, 1):
                 ends, at = self._line(along, side, t), self._line(along, side, middle)
-                off |= np.linalg.norm(at - 0.5 * (ends[1:] + ends[:-1]), axis=1) > chord
-            if not off.any():
+                too_far |= np.linalg.norm(at - 0.5 * (ends[1:] + ends[:-1]), axis=1) > chord
+            if not too_far.any():
                 break
-            t = np.sort(np.concatenate([t, middle[off]]))
+            t = np.sort(np.concatenate([t, middle[too_far]]))
         return self._line(along, 0, t), self._line(along, 1, t)
 
     def _line(self, along: int, side: int, t: FloatArray) -> FloatArray:
         end = np.full(len(t), self.region[along][side])
         return self.points(end, t) if along == 0 else self.points(t, end)
 
-    def facets(self, chord: float, most: int) -> tuple[FloatArray, FloatArray, IntArray, float]:
-        """Vertices (V, 3), their normals (V, 3), faces (F, 3) along dS/du x dS/dv, and how far facets are off
-        the surface as measured [m]: at most ``chord``. Knots are on edges. Raises ``ValueError`` where it
-        takes more than ``most`` cells.
+    def facets(self, chord: float, max_cells: int) -> tuple[FloatArray, FloatArray, IntArray, float]:
+        """Return vertices (V, 3), their normals (V, 3), faces (F, 3) and the deviation [m] of the facets.
+
+        Faces are wound along dS/du x dS/dv, and knots are on edges.
+
+        Args:
+            chord: Maximum deviation of facets from the surface [m].
+            max_cells: Maximum number of cells.
+
+        Raises:
+            ValueError: The facets need more cells.
         """
         counts = [1, 1]
-        for _ in range(2 * MOST_HALVINGS):
-            t = [_evenly(self.spans(k), counts[k]) for k in (0, 1)]
-            if (len(t[0]) - 1) * (len(t[1]) - 1) > most:
+        for _ in range(2 * MAX_HALVINGS):
+            t = [_spaced_parameters(self.spans(k), counts[k]) for k in (0, 1)]
+            if (len(t[0]) - 1) * (len(t[1]) - 1) > max_cells:
                 break
-            off = self._off(*t)
-            if off.max() <= chord:
-                return *self._grid(*t), float(off.max())
-            counts[int(np.argmax(off[:2]))] *= 2
-        raise ValueError(f"its facets need more than {most} cells to be within {chord:g} m of it")
+            deviations = self._deviations(*t)
+            if deviations.max() <= chord:
+                return *self._grid(*t), float(deviations.max())
+            counts[int(np.argmax(deviations[:2]))] *= 2
+        raise ValueError(
+            f"the surface's facets need more than {max_cells} cells to be within {chord:g} m of it"
+        )
 
-    def _off(self, u: FloatArray, v: FloatArray) -> FloatArray:
-        """The largest distances [m] of the surface from edges along u, along v, and from facets: along its
-        normals, at its sides in any direction."""
+    def _deviations(self, u: FloatArray, v: FloatArray) -> FloatArray:
+        """Return the largest distances [m] of the surface from edges along u, along v, and from facets.
+
+        Distances are along the normals, and in any direction at the sides.
+        """
         corner = self.points(*np.meshgrid(u, v, indexing="ij"))
         mid = 0.5 * (u[1:] + u[:-1]), 0.5 * (v[1:] + v[:-1])
         along, across, inner = (np.meshgrid(*each, indexing="ij") for each in ((mid[0], v), (u, mid[1]), mid))
@@ -183,12 +206,14 @@ class NurbsSurface:
         )
         largest = np.zeros(3)
         for k, (at, chord) in enumerate(zip((along, across, inner), chords, strict=True)):
-            off = self.points(*at) - chord
-            largest[k] = np.abs(np.sum(off * self.normals(*at), axis=-1)).max()
+            offsets = self.points(*at) - chord
+            largest[k] = np.abs(np.sum(offsets * self.normals(*at), axis=-1)).max()
             if k < 2:
-                way = np.diff(corner, axis=k)
-                unit = way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-300)
-                aside = np.linalg.norm(off - np.sum(off * unit, axis=-1, keepdims=True) * unit, axis=-1)
+                edges = np.diff(corner, axis=k)
+                unit = edges / np.maximum(np.linalg.norm(edges, axis=-1, keepdims=True), 1e-300)
+                aside = np.linalg.norm(
+                    offsets - np.sum(offsets * unit, axis=-1, keepdims=True) * unit, axis=-1
+                )
                 largest[k] = max(largest[k], np.take(aside, [0, -1], axis=1 - k).max())
         if largest[2] > largest[:2].max():  # twisted: the longer cells are halved
             sides = [np.linalg.norm(np.diff(corner, axis=k), axis=2).max() for k in (0, 1)]
@@ -203,38 +228,47 @@ class NurbsSurface:
         vertices, normals = self.points(uu, vv).reshape(-1, 3), self.normals(uu, vv).reshape(-1, 3)
         return vertices, normals, np.concatenate(faces).astype(np.int64)
 
-    def places(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Parameters (N, 2) of the places of the whole surface nearest to points (N, 3), and the distances
-        (N,) [m]: Newton's steps on the tangents from the nearest of a grid."""
+    def nearest_parameters(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return parameters (N, 2) and distances (N,) [m] of the surface points nearest to points (N, 3).
+
+        Newton steps on the tangents start from the nearest point of a grid.
+        """
         ends = self.whole()
-        t = [_evenly(np.unique(np.clip(self.knots[k], *ends[k])), FIRST_CHORDS) for k in (0, 1)]
+        t = [_spaced_parameters(np.unique(np.clip(self.knots[k], *ends[k])), FIRST_CHORDS) for k in (0, 1)]
         uu, vv = (grid.ravel() for grid in np.meshgrid(*t, indexing="ij"))
-        near = np.argmin(np.linalg.norm(self.points(uu, vv)[None] - points[:, None], axis=2), axis=1)
-        at = np.stack([uu[near], vv[near]], axis=1)
+        nearest = np.argmin(np.linalg.norm(self.points(uu, vv)[None] - points[:, None], axis=2), axis=1)
+        at = np.stack([uu[nearest], vv[nearest]], axis=1)
         low, high = np.array(ends).T
         for _ in range(30):
-            off = points - self.points(at[:, 0], at[:, 1])
+            residuals = points - self.points(at[:, 0], at[:, 1])
             along, across = self.tangents(at[:, 0], at[:, 1])
             aa, ab, bb = (
                 np.sum(x * y, axis=1) for x, y in ((along, along), (along, across), (across, across))
             )
-            ra, rb = np.sum(along * off, axis=1), np.sum(across * off, axis=1)
+            ra, rb = np.sum(along * residuals, axis=1), np.sum(across * residuals, axis=1)
             size = np.maximum(aa * bb - ab * ab, 1e-300)
             step = np.stack([(bb * ra - ab * rb) / size, (aa * rb - ab * ra) / size], axis=1)
             at = np.clip(at + step, low, high)
         return at, np.linalg.norm(points - self.points(at[:, 0], at[:, 1]), axis=1)
 
 
-def _evenly(spans: FloatArray, count: int) -> FloatArray:
-    """Places along all spans (S + 1,), ``count`` of even length in each, the last end included."""
-    share = np.arange(count) / count
-    inner = (spans[:-1, None] + np.diff(spans)[:, None] * share).ravel()
+def _spaced_parameters(spans: FloatArray, count: int) -> FloatArray:
+    """Return parameters along all spans (S + 1,), ``count`` at equal steps in each, and the last end."""
+    fractions = np.arange(count) / count
+    inner = (spans[:-1, None] + np.diff(spans)[:, None] * fractions).ravel()
     return np.append(inner, spans[-1])
 
 
-def rectangle(at: Sequence[FloatArray], within: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """The least and largest parameters (2,) of a loop of edges, each (N, 2), if every edge is along one
-    parameter ``within`` (2,) of it on a side of that rectangle; else None."""
+def bounding_rectangle(at: Sequence[FloatArray], within: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Return the least and largest parameters (2,) of a loop of edges along the sides of a rectangle.
+
+    Args:
+        at: Parameters (N, 2) of points of each edge.
+        within: Tolerances (2,) of the parameters.
+
+    Returns:
+        None if an edge is not on a side of the rectangle.
+    """
     everything = np.concatenate(at)
     low, high = everything.min(axis=0), everything.max(axis=0)
     for edge in at:

@@ -1,12 +1,12 @@
 """Free-form surfaces as ruled ones: rulings of a nearly ruled surface, strips of any other.
 
-Surfaces lie over the unit square: a region of a loft, or a mesh with four corners laid out flat. A
-mesh is laid out by mean value coordinates (M. S. Floater, Mean value coordinates, CAGD 20, 2003):
-its boundary goes round the square by arc length, every inner vertex is the weighted mean of its
-neighbours, and no facet folds over.
+Surfaces are defined over the unit square: a region of a loft, or a flattened mesh with four corners. A mesh
+is flattened by mean value coordinates (M. S. Floater, Mean value coordinates, CAGD 20, 2003): its boundary
+goes around the square by arc length, every inner vertex is the weighted mean of its neighbours, and no facet
+folds over.
 
-Rulings are found by what they leave between themselves and the surface. Strips are ruled between
-neighbouring curves of one family of parameter lines.
+Rulings minimise their distance from the surface. Strips are ruled between neighbouring curves of one family
+of parameter lines.
 """
 
 import dataclasses
@@ -19,59 +19,80 @@ import shapely
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.linalg import spsolve
 
-from planner.geometry.arrays import FloatArray, IntArray, Ruled
-from planner.geometry.curves import CORNER_ANGLE, Guide, Loft, along, arc_length, polyline, turns
+from planner.geometry.arrays import FloatArray, IntArray, RuledSurface
+from planner.geometry.curves import (
+    CORNER_ANGLE_RAD,
+    LoftSurface,
+    RuledGuide,
+    arc_length,
+    interpolate_polyline,
+    polyline_guide,
+    turning_angles,
+)
 from planner.geometry.matching import best_path
 from planner.geometry.mesh import TriangleMesh, face_normals
-from planner.geometry.mesh_queries import Nearness
+from planner.geometry.mesh_queries import MeshDistance
 from planner.geometry.nurbs import NurbsSurface
-from planner.geometry.placing import backwards
-from planner.geometry.rulings import boundaries, outward, points, resample, tessellate
+from planner.geometry.part_placement import reversed_rulings
+from planner.geometry.rulings import boundary_rings, outward_normals, resample, ruling_points, tessellate
 from planner.geometry.units import DEG, MM, measurement
-from planner.issues import TandemError, refusal
+from planner.issues import TandemError, issue_error
 
-_SAME_PARAMETER = 1e-5
-"""Parameters that differ by less are one place."""
+_PARAMETER_TOLERANCE = 1e-5
+"""Parameters that differ by less are equal."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Patch:
-    """A surface: ``points`` gives (..., 3) at u and v (...,) in [0, 1]; ``mesh`` is the same surface with
-    normals away from the part. ``right``: dS/du x dS/dv points away from the part. ``edges`` (E, 2, 2): u and
-    v of both ends of the edges between its facets, where it has such.
+    """A surface over the unit square.
+
+    Attributes:
+        points: Function that returns points (..., 3) at u and v (...,) in [0, 1].
+        mesh: The same surface as a mesh with normals away from the part.
+        outward: Whether dS/du x dS/dv points away from the part.
+        edges: u and v of both ends of the edges between its facets (E, 2, 2), if it has facets.
     """
 
     points: Callable[[FloatArray, FloatArray], FloatArray]
     mesh: TriangleMesh
-    right: bool
+    outward: bool
     edges: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 2, 2)))
 
     def folds(self, across: int, at: float) -> tuple[FloatArray, FloatArray]:
-        """Where (K,), ascending in the other parameter, the line of the value ``at`` of parameter ``across``
-        (0 or 1) passes edges, and by which angles (K,) [rad] it turns there."""
+        """Return where (K,) a parameter line crosses edges, and its angles (K,) [rad] there.
+
+        Args:
+            across: The constant parameter (0 or 1).
+            at: Its value.
+
+        Returns:
+            The other parameter at the crossings, ascending, and the angles.
+        """
         a, b = self.edges[..., across], self.edges[..., 1 - across]
         over = (a[:, 0] - at) * (a[:, 1] - at) <= 0.0
-        over &= np.abs(a[:, 1] - a[:, 0]) > _SAME_PARAMETER
+        over &= np.abs(a[:, 1] - a[:, 0]) > _PARAMETER_TOLERANCE
         a, b = a[over], b[over]
-        place = np.sort(b[:, 0] + (at - a[:, 0]) / (a[:, 1] - a[:, 0]) * (b[:, 1] - b[:, 0]))
-        place = place[(place > 2.0 * _SAME_PARAMETER) & (place < 1.0 - 2.0 * _SAME_PARAMETER)]
-        place = place[np.diff(place, prepend=-1.0) > 2.0 * _SAME_PARAMETER]
-        own = np.full((len(place), 3), at)
-        other = place[:, None] + _SAME_PARAMETER * np.array([-1.0, 0.0, 1.0])
-        sight = self.points(own, other) if across == 0 else self.points(other, own)
-        way = np.diff(sight, axis=1)
-        cross = np.linalg.norm(np.cross(way[:, 0], way[:, 1]), axis=1)
-        return place, np.arctan2(cross, np.sum(way[:, 0] * way[:, 1], axis=1))
+        crossings = np.sort(b[:, 0] + (at - a[:, 0]) / (a[:, 1] - a[:, 0]) * (b[:, 1] - b[:, 0]))
+        crossings = crossings[
+            (crossings > 2.0 * _PARAMETER_TOLERANCE) & (crossings < 1.0 - 2.0 * _PARAMETER_TOLERANCE)
+        ]
+        crossings = crossings[np.diff(crossings, prepend=-1.0) > 2.0 * _PARAMETER_TOLERANCE]
+        constant = np.full((len(crossings), 3), at)
+        other = crossings[:, None] + _PARAMETER_TOLERANCE * np.array([-1.0, 0.0, 1.0])
+        sight = self.points(constant, other) if across == 0 else self.points(other, constant)
+        steps = np.diff(sight, axis=1)
+        cross = np.linalg.norm(np.cross(steps[:, 0], steps[:, 1]), axis=1)
+        return crossings, np.arctan2(cross, np.sum(steps[:, 0] * steps[:, 1], axis=1))
 
 
-def of_surface(
-    surface: Loft | NurbsSurface,
+def patch_of_surface(
+    surface: LoftSurface | NurbsSurface,
     u: tuple[float, float],
     v: tuple[float, float],
     mesh: TriangleMesh,
     flip: bool,
 ) -> Patch:
-    """The region of a surface, with its tessellation."""
+    """Return the region of a surface, with its tessellation."""
 
     def points(a: FloatArray, b: FloatArray) -> FloatArray:
         a, b = np.broadcast_arrays(a, b)
@@ -80,19 +101,21 @@ def of_surface(
     return Patch(points, mesh, not flip)
 
 
-def of_mesh(mesh: TriangleMesh, field: str) -> Patch:
-    """A mesh with one boundary and four corners, those where the boundary turns most, by 20 degrees at least.
+def patch_of_mesh(mesh: TriangleMesh, field: str) -> Patch:
+    """Return a mesh with one boundary and four corners as a patch.
 
-    u = 0 is the longer pair's first side; raises ``TandemError`` with ``part.patch``.
+    Corners are where the boundary turns most, by 20 degrees or more. u = 0 is the first side of the longer
+    pair.
+
+    Raises:
+        TandemError: The boundary has no four such corners (``part.patch``).
     """
-    rings = boundaries(mesh)
+    rings = boundary_rings(mesh)
     if len(rings) != 1:
-        what = (
-            f"the mesh has {len(rings)} boundaries, a patch has 1; close its holes, or cut it open where it "
-        )
-        raise _refuse(field, what + "goes all round")
+        what = f"the mesh has {len(rings)} boundaries, a patch has 1; close its holes, or cut it open if it "
+        raise _refuse(field, what + "is closed around an axis")
     ring = rings[0]
-    turn = turns(mesh.vertices[ring], True)
+    turn = turning_angles(mesh.vertices[ring], True)
     order = np.argsort(-turn, kind="stable")
     count = int((turn >= 20.0 * DEG).sum())
     what = f"the boundary has {count} corners of 20 degrees or more, a patch has 4"
@@ -103,23 +126,23 @@ def of_mesh(mesh: TriangleMesh, field: str) -> Patch:
     corner = np.sort(order[:4])
     ring = np.roll(ring, -int(corner[0]))
     corner = np.append(corner - corner[0], len(ring))
-    flat = _rim(mesh, ring, corner)
-    uv = _inner(mesh, ring, flat)
-    inside = _facets(mesh, uv)
+    flat = _rim_coordinates(mesh, ring, corner)
+    uv = _flattened(mesh, ring, flat)
+    inside = _facet_points(mesh, uv)
     sides = []
     for a, b in itertools.pairwise(corner):
-        own = mesh.vertices[ring[np.arange(a, b + 1) % len(ring)]]
-        way = arc_length(own)
-        sides.append((own, way / way[-1]))
+        side = mesh.vertices[ring[np.arange(a, b + 1) % len(ring)]]
+        lengths = arc_length(side)
+        sides.append((side, lengths / lengths[-1]))
 
     def points(u: FloatArray, v: FloatArray) -> FloatArray:
         u, v = (np.asarray(w, dtype=np.float64) for w in np.broadcast_arrays(u, v))
         out = inside(np.stack([u, v], axis=-1))
-        # the square is run round counterclockwise: v = 0, u = 1, v = 1, u = 0
+        # the square's sides counterclockwise: v = 0, u = 1, v = 1, u = 0
         rims = ((v <= 1e-9, u), (u >= 1 - 1e-9, v), (v >= 1 - 1e-9, 1 - u), (u <= 1e-9, 1 - v))
-        for (at, share), (own, place) in zip(rims, sides, strict=True):
+        for (at, fractions), (side, side_fractions) in zip(rims, sides, strict=True):
             if at.any():
-                out[at] = along(own, place, share[at])
+                out[at] = interpolate_polyline(side, side_fractions, fractions[at])
         return out
 
     pairs = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
@@ -127,44 +150,49 @@ def of_mesh(mesh: TriangleMesh, field: str) -> Patch:
     return Patch(points, mesh, True, uv[once[used > 1]])
 
 
-def _facets(mesh: TriangleMesh, uv: FloatArray) -> Callable[[FloatArray], FloatArray]:
-    """Points (..., 3) of the mesh's own facets at places (..., 2) of the flat layout ``uv`` (V, 2). Another
-    triangulation of the same vertices would be another surface.
+def _facet_points(mesh: TriangleMesh, uv: FloatArray) -> Callable[[FloatArray], FloatArray]:
+    """Return a function that returns points (..., 3) of the mesh's own facets at (..., 2).
+
+    Another triangulation of the same vertices would be another surface.
+
+    Args:
+        mesh: The mesh.
+        uv: Flat layout of its vertices (V, 2).
     """
     flat = uv[mesh.faces]
     tree = shapely.STRtree(shapely.polygons(flat))
     side = flat[:, 1:] - flat[:, :1]
     area = side[:, 0, 0] * side[:, 1, 1] - side[:, 0, 1] * side[:, 1, 0]
 
-    def at(places: FloatArray) -> FloatArray:
-        rows = places.reshape(-1, 2)
+    def at(coordinates: FloatArray) -> FloatArray:
+        rows = coordinates.reshape(-1, 2)
         facet = tree.nearest(shapely.points(rows))
-        off = rows - flat[facet, 0]
-        one, two = side[facet, 0], side[facet, 1]
+        offsets = rows - flat[facet, 0]
+        first, second = side[facet, 0], side[facet, 1]
         size = np.where(np.abs(area[facet]) > 1e-300, area[facet], 1e-300)
-        b = (off[:, 0] * two[:, 1] - off[:, 1] * two[:, 0]) / size
-        c = (one[:, 0] * off[:, 1] - one[:, 1] * off[:, 0]) / size
+        b = (offsets[:, 0] * second[:, 1] - offsets[:, 1] * second[:, 0]) / size
+        c = (first[:, 0] * offsets[:, 1] - first[:, 1] * offsets[:, 0]) / size
         weight = np.stack([1.0 - b - c, b, c], axis=1)[..., None]
         out = np.sum(weight * mesh.vertices[mesh.faces[facet]], axis=1)
-        return np.asarray(out.reshape(*places.shape[:-1], 3))
+        return np.asarray(out.reshape(*coordinates.shape[:-1], 3))
 
     return at
 
 
-def _rim(mesh: TriangleMesh, ring: IntArray, corner: IntArray) -> FloatArray:
-    """Places (n, 2) of the boundary's vertices on the square, counterclockwise from (0, 0)."""
+def _rim_coordinates(mesh: TriangleMesh, ring: IntArray, corner: IntArray) -> FloatArray:
+    """Return coordinates (n, 2) of the boundary's vertices on the square, counterclockwise from (0, 0)."""
     square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.0]])
     out = np.empty((len(ring), 2))
     for k in range(4):
         index = np.arange(corner[k], corner[k + 1] + 1)
-        way = arc_length(mesh.vertices[ring[index % len(ring)]])
-        share = (way / way[-1])[:-1, None]
-        out[index[:-1]] = (1.0 - share) * square[k] + share * square[k + 1]
+        lengths = arc_length(mesh.vertices[ring[index % len(ring)]])
+        fractions = (lengths / lengths[-1])[:-1, None]
+        out[index[:-1]] = (1.0 - fractions) * square[k] + fractions * square[k + 1]
     return out
 
 
-def _inner(mesh: TriangleMesh, ring: IntArray, flat: FloatArray) -> FloatArray:
-    """Places (V, 2) of all vertices, by mean value weights."""
+def _flattened(mesh: TriangleMesh, ring: IntArray, flat: FloatArray) -> FloatArray:
+    """Return coordinates (V, 2) of all vertices, by mean value weights."""
     count = len(mesh.vertices)
     corner = mesh.vertices[mesh.faces]
     edge = np.roll(corner, -1, axis=1) - corner
@@ -172,10 +200,10 @@ def _inner(mesh: TriangleMesh, ring: IntArray, flat: FloatArray) -> FloatArray:
     unit = edge / length[..., None]
     cosine = np.clip(-np.sum(unit * np.roll(unit, 1, axis=1), axis=2), -1.0, 1.0)
     half = np.tan(0.5 * np.arccos(cosine))  # tangent of half the angle at every corner
-    here = mesh.faces
-    ahead, behind = np.roll(here, -1, axis=1), np.roll(here, 1, axis=1)
-    row = np.concatenate([here.ravel(), here.ravel()])
-    column = np.concatenate([ahead.ravel(), behind.ravel()])
+    vertices = mesh.faces
+    following, previous = np.roll(vertices, -1, axis=1), np.roll(vertices, 1, axis=1)
+    row = np.concatenate([vertices.ravel(), vertices.ravel()])
+    column = np.concatenate([following.ravel(), previous.ravel()])
     weight = np.concatenate([(half / length).ravel(), (half / np.roll(length, 1, axis=1)).ravel()])
     matrix = csr_array(coo_array((weight, (row, column)), shape=(count, count)))
     total = np.asarray(matrix.sum(axis=1)).ravel()
@@ -183,103 +211,121 @@ def _inner(mesh: TriangleMesh, ring: IntArray, flat: FloatArray) -> FloatArray:
     uv = np.zeros((count, 2))
     uv[ring] = flat
     if len(free):
-        own = matrix[free]
-        place = np.arange(len(free))
-        left = coo_array((total[free], (place, place))).tocsc() - own[:, free].tocsc()
-        uv[free] = np.stack([spsolve(left, own[:, ring] @ flat[:, k]) for k in range(2)], axis=1)
+        free_rows = matrix[free]
+        diagonal = np.arange(len(free))
+        left = coo_array((total[free], (diagonal, diagonal))).tocsc() - free_rows[:, free].tocsc()
+        uv[free] = np.stack([spsolve(left, free_rows[:, ring] @ flat[:, k]) for k in range(2)], axis=1)
     return uv
 
 
 def _refuse(field: str, what: str) -> TandemError:
-    return refusal("part.patch", what, field=field)
+    return issue_error("part.patch", what, field=field)
 
 
 Across = Literal["u", "v"]
 
-MOST_STRIPS: Final = 200
-"""Most strips of a surface."""
+MAX_STRIPS: Final = 200
+"""Maximum number of strips of a surface."""
 _CELLS_ACROSS: Final = 128
-"""Cells in which a surface is looked at across the strips."""
+"""Number of cells across the strips at which a surface is evaluated."""
 _RULINGS_PER_STRIP: Final = 240
-"""Intervals between the rulings of a strip."""
-_SAME_FOLD: Final = 2e-5
-"""Folds of two curves that differ by less of the parameter are on one ruling."""
-KINK_ANGLE: Final = 2.0 * DEG
-"""A curve that turns by more than this [rad] at one edge between facets has a kink there."""
-SMOOTH_FACET_LENGTH: Final = 3e-3
-"""[m] facets shorter than this stand for a smooth surface."""
+"""Number of intervals between the rulings of a strip."""
+_FOLD_TOLERANCE: Final = 2e-5
+"""Maximum difference of the parameter of two curves' folds that are on one ruling."""
+KINK_ANGLE_RAD: Final = 2.0 * DEG
+"""Angle of a curve at one edge between facets, beyond which it is a kink [rad]."""
+SMOOTH_FACET_LENGTH_M: Final = 3e-3
+"""Maximum length of facets that represent a smooth surface [m]."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Strips:
-    """Strips in order; ``deviation`` (N,) [m] is the largest of each from the surface, ``kink`` (N - 1,)
-    [rad] the largest angle between neighbours along the curve that they share. ``breaks`` (N + 1,) are the
-    values of the parameter across them at which they begin and end.
+class RuledStrips:
+    """Strips in order.
+
+    Attributes:
+        strips: The strips.
+        deviation: Largest distance of each from the surface (N,) [m].
+        kink: Largest angle between neighbours along their common curve (N - 1,) [rad].
+        breaks: Values of the parameter across them at which they begin and end (N + 1,).
     """
 
-    strips: tuple[Ruled, ...]
+    strips: tuple[RuledSurface, ...]
     deviation: FloatArray
     kink: FloatArray
     breaks: FloatArray
 
 
-def cut_strips(patch: Patch, across: Across, tolerance: float, count: int | None, field: str) -> Strips:
-    """The surface in ``count`` strips that follow one another in the direction of the parameter ``across``,
-    or in as few as keep within ``tolerance`` [m] of it. Rulings join equal values of the other parameter;
-    where the facets of a mesh fold a strip, a ruling stands as a corner.
+def cut_strips(patch: Patch, across: Across, tolerance: float, count: int | None, field: str) -> RuledStrips:
+    """Return the surface in consecutive ruled strips.
 
-    The curves between strips are dense where the surface is bent across them. Raises ``TandemError`` with
-    ``part.strips`` where 200 strips are not enough.
+    Rulings join equal values of the other parameter. If the facets of a mesh fold a strip, a ruling is there
+    as a corner. Curves between strips are dense where the surface is bent across them.
+
+    Args:
+        patch: The surface.
+        across: Parameter along which strips follow one another.
+        tolerance: Maximum distance from the surface [m].
+        count: Number of strips, None for as few as the tolerance permits.
+        field: Field of the issue.
+
+    Raises:
+        TandemError: 200 strips are not enough (``part.strips``).
     """
-    near = Nearness(patch.mesh, float(np.ptp(patch.mesh.vertices, axis=0).max()) / 150.0)
-    share = _shares(patch, across)
+    nearness = MeshDistance(patch.mesh, float(np.ptp(patch.mesh.vertices, axis=0).max()) / 150.0)
+    fractions = _strip_fractions(patch, across)
     if count is not None:
-        return _folded(patch, across, _measured(patch, across, share, count, near))
+        return _with_fold_rulings(patch, across, _measured_strips(patch, across, fractions, count, nearness))
     number, low = 1, 0
-    while True:  # doubled until it is enough, then the least number between
-        found = _measured(patch, across, share, number, near)
-        if found.deviation.max() <= tolerance:
+    while True:  # doubled until enough, then bisected
+        strips = _measured_strips(patch, across, fractions, number, nearness)
+        if strips.deviation.max() <= tolerance:
             break
-        if number >= MOST_STRIPS:
+        if number >= MAX_STRIPS:
             what = (
-                f"{MOST_STRIPS} strips are {found.deviation.max() / MM:.3g} mm off the surface, "
-                f"{tolerance / MM:g} mm are allowed; allow more, or cut a smaller region"
+                f"{MAX_STRIPS} strips deviate too far from the surface (got "
+                f"{strips.deviation.max() / MM:.3g} mm, allowed {tolerance / MM:g} mm); "
+                "increase the tolerance, or cut a smaller region"
             )
-            raise refusal(
+            raise issue_error(
                 "part.strips",
                 what,
                 field=field,
-                **measurement(float(found.deviation.max() / MM), tolerance / MM, "mm"),
+                **measurement(float(strips.deviation.max() / MM), tolerance / MM, "mm"),
             )
-        low, number = number, min(MOST_STRIPS, 2 * number)
+        low, number = number, min(MAX_STRIPS, 2 * number)
     while number - low > 1:
         middle = (number + low) // 2
-        tried = _measured(patch, across, share, middle, near)
+        tried = _measured_strips(patch, across, fractions, middle, nearness)
         if tried.deviation.max() <= tolerance:
-            number, found = middle, tried
+            number, strips = middle, tried
         else:
             low = middle
-    return _folded(patch, across, found)
+    return _with_fold_rulings(patch, across, strips)
 
 
 def parameter_grid(patch: Patch, across: Across, a: FloatArray, b: FloatArray) -> FloatArray:
-    """Points (A, B, 3) at values a (A,) of the parameter across the strips and b (B,) along them."""
-    one, two = np.meshgrid(a, b, indexing="ij")
-    return patch.points(one, two) if across == "u" else patch.points(two, one)
+    """Return points (A, B, 3) at values a (A,) of the parameter across the strips and b (B,) along them."""
+    across_values, along_values = np.meshgrid(a, b, indexing="ij")
+    return (
+        patch.points(across_values, along_values)
+        if across == "u"
+        else patch.points(along_values, across_values)
+    )
 
 
-def _shares(patch: Patch, across: Across) -> FloatArray:
-    """Share (_FINE + 1,) of all strips up to every value of the parameter: as the roots of the surface's
-    largest bends across them.
+def _strip_fractions(patch: Patch, across: Across) -> FloatArray:
+    """Return the fraction (_CELLS_ACROSS + 1,) of all strips up to every value of the parameter.
+
+    Their density is the root of the surface's largest bend across them.
     """
     a = np.linspace(0.0, 1.0, _CELLS_ACROSS + 1)
     grid = parameter_grid(patch, across, a, np.linspace(0.0, 1.0, 33))
     bend = np.zeros(_CELLS_ACROSS + 1)
     middle = grid[1:-1] - 0.5 * (grid[2:] + grid[:-2])
-    way = grid[2:] - grid[:-2]
-    unit = way / np.maximum(np.linalg.norm(way, axis=2, keepdims=True), 1e-300)
-    off = middle - np.sum(middle * unit, axis=2, keepdims=True) * unit
-    bend[1:-1] = np.linalg.norm(off, axis=2).max(axis=1)
+    chords = grid[2:] - grid[:-2]
+    unit = chords / np.maximum(np.linalg.norm(chords, axis=2, keepdims=True), 1e-300)
+    sagittas = middle - np.sum(middle * unit, axis=2, keepdims=True) * unit
+    bend[1:-1] = np.linalg.norm(sagittas, axis=2).max(axis=1)
     bend[0], bend[-1] = bend[1], bend[-2]
     # facets of a mesh bend in jumps: mean over a few cells, and no less than a part of the mean
     bend = np.convolve(np.pad(bend, 3, mode="edge"), np.ones(7) / 7.0, mode="valid")
@@ -288,129 +334,139 @@ def _shares(patch: Patch, across: Across) -> FloatArray:
     return np.asarray(total / total[-1])
 
 
-def _measured(patch: Patch, across: Across, share: FloatArray, count: int, near: Nearness) -> Strips:
-    breaks = np.interp(np.linspace(0.0, 1.0, count + 1), share, np.linspace(0.0, 1.0, len(share)))
+def _measured_strips(
+    patch: Patch, across: Across, fractions: FloatArray, count: int, nearness: MeshDistance
+) -> RuledStrips:
+    breaks = np.interp(np.linspace(0.0, 1.0, count + 1), fractions, np.linspace(0.0, 1.0, len(fractions)))
     breaks[[0, -1]] = 0.0, 1.0
     rows = parameter_grid(patch, across, breaks, np.linspace(0.0, 1.0, _RULINGS_PER_STRIP + 1))
     # tangent x ruling is dS/du x dS/dv for strips across v and its opposite for strips across u
-    if (across == "u") == patch.right:
+    if (across == "u") == patch.outward:
         rows = rows[:, ::-1]
-    bent = np.array([turns(row, False) > CORNER_ANGLE for row in rows])
-    strips = tuple(Ruled("strip", rows[k], rows[k + 1], bent[k] | bent[k + 1]) for k in range(count))
+    bent = np.array([turning_angles(row, False) > CORNER_ANGLE_RAD for row in rows])
+    strips = tuple(RuledSurface("strip", rows[k], rows[k + 1], bent[k] | bent[k + 1]) for k in range(count))
     inner = np.linspace(0.0, 1.0, 7)[1:-1]
-    sight = np.concatenate([points(s, inner)[::8].reshape(-1, 3) for s in strips])
-    apart = near.distance(sight)[0].reshape(count, -1).max(axis=1)
-    normals = [outward(s) for s in strips]
-    kink = [_angle(one[1], two[0]).max() for one, two in itertools.pairwise(normals)]
-    return Strips(strips, apart, np.array(kink), breaks)
+    sight = np.concatenate([ruling_points(s, inner)[::8].reshape(-1, 3) for s in strips])
+    distances = nearness.distance(sight)[0].reshape(count, -1).max(axis=1)
+    normals = [outward_normals(s) for s in strips]
+    kink = [_angle(first[1], second[0]).max() for first, second in itertools.pairwise(normals)]
+    return RuledStrips(strips, distances, np.array(kink), breaks)
 
 
-def _folded(patch: Patch, across: Across, found: Strips) -> Strips:
-    """The strips with rulings where the mesh folds either of their curves."""
+def _with_fold_rulings(patch: Patch, across: Across, strips: RuledStrips) -> RuledStrips:
+    """Return the strips with rulings where the mesh folds either of their curves."""
     if not len(patch.edges):
-        return found
-    folds = [_kinks(patch, across, float(at)) for at in found.breaks]
+        return strips
+    folds = [_kinks(patch, across, float(at)) for at in strips.breaks]
     out = []
-    for k, strip in enumerate(found.strips):
+    for k, strip in enumerate(strips.strips):
         kinks = np.union1d(folds[k], folds[k + 1])
-        kinks = kinks[np.diff(kinks, prepend=-1.0) > _SAME_FOLD]
+        kinks = kinks[np.diff(kinks, prepend=-1.0) > _FOLD_TOLERANCE]
         even = np.linspace(0.0, 1.0, len(strip.start))
-        near = np.abs(even[:, None] - kinks).min(axis=1, initial=np.inf) < 0.25 / _RULINGS_PER_STRIP
-        near[[0, -1]] = False
-        place = np.sort(np.concatenate([even[~near], kinks]))
-        rows = parameter_grid(patch, across, found.breaks[k : k + 2], place)
-        corner = np.isin(place, kinks)
-        if (across == "u") == patch.right:
+        near_kink = np.abs(even[:, None] - kinks).min(axis=1, initial=np.inf) < 0.25 / _RULINGS_PER_STRIP
+        near_kink[[0, -1]] = False
+        parameters = np.sort(np.concatenate([even[~near_kink], kinks]))
+        rows = parameter_grid(patch, across, strips.breaks[k : k + 2], parameters)
+        corner = np.isin(parameters, kinks)
+        if (across == "u") == patch.outward:
             rows, corner = rows[:, ::-1], corner[::-1]
-        out.append(Ruled(strip.name, rows[0], rows[1], corner))
-    return dataclasses.replace(found, strips=tuple(out))
+        out.append(RuledSurface(strip.name, rows[0], rows[1], corner))
+    return dataclasses.replace(strips, strips=tuple(out))
 
 
 def _kinks(patch: Patch, across: Across, at: float) -> FloatArray:
-    """Where (K,) the curve at the value ``at`` has kinks of its own: folds of more than ``KINK_ANGLE``.
-    Where all facets are so small that folds lie closer together than ``SMOOTH_FACET_LENGTH``, they stand for
-    a smooth curve."""
-    place, turn = patch.folds(0 if across == "u" else 1, at)
-    place, turn = place[turn > KINK_ANGLE], turn[turn > KINK_ANGLE]
-    ends = np.concatenate([[0.0], place, [1.0]])
+    """Return where (K,) the curve at the value ``at`` has folds of more than `KINK_ANGLE_RAD`.
+
+    If all facets are so small that folds are closer together than `SMOOTH_FACET_LENGTH_M`, they represent a
+    smooth curve.
+    """
+    crossings, turn = patch.folds(0 if across == "u" else 1, at)
+    crossings, turn = crossings[turn > KINK_ANGLE_RAD], turn[turn > KINK_ANGLE_RAD]
+    ends = np.concatenate([[0.0], crossings, [1.0]])
     points = parameter_grid(patch, across, np.array([at]), ends)[0]
-    way = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    return np.asarray(place[(np.maximum(way[:-1], way[1:]) > SMOOTH_FACET_LENGTH) | (turn > CORNER_ANGLE)])
+    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    return np.asarray(
+        crossings[(np.maximum(lengths[:-1], lengths[1:]) > SMOOTH_FACET_LENGTH_M) | (turn > CORNER_ANGLE_RAD)]
+    )
 
 
 def _angle(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.sum(a * b, axis=1)))
 
 
-def strip_notes(found: Strips) -> str:
-    """What is found, in words."""
-    off = ", ".join(f"{v / MM:.3g}" for v in found.deviation)
-    kinks = ", ".join(f"{v / DEG:.2f}" for v in found.kink) or "none"
+def strip_notes(strips: RuledStrips) -> str:
+    """Return a text about the strips."""
+    deviations = ", ".join(f"{v / MM:.3g}" for v in strips.deviation)
+    kinks = ", ".join(f"{v / DEG:.2f}" for v in strips.kink) or "none"
     return (
-        f"{len(found.strips)} ruled strips; largest deviation of each from the surface [mm]: {off}; "
+        f"{len(strips.strips)} ruled strips; largest deviation of each from the surface [mm]: {deviations}; "
         "kinks between "
         f"neighbours [deg]: {kinks}"
     )
 
 
-_CURVE_GRID: Final = 40
-"""Intervals of the grid over two curves on which rulings that lie in a face are looked for first."""
-_RULING_SHARES: Final = np.array([1.0, 2.0, 3.0, 4.0, 5.0]) / 6.0
-"""Places along a ruling whose distance from the face counts."""
-_POINTS_PER_SIDE: Final = 400
-"""Points along each side of a patch."""
+_CURVE_GRID_INTERVALS: Final = 40
+"""Number of intervals of the initial search grid over two curves for rulings in a face."""
+_RULING_FRACTIONS: Final = np.array([1.0, 2.0, 3.0, 4.0, 5.0]) / 6.0
+"""Fractions of a ruling at which its distance from the face is evaluated."""
+_INTERVALS_PER_SIDE: Final = 400
+"""Number of intervals along each side of a patch."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Deviation:
-    """How far a ruled surface and the wanted one are apart: largest and 95 % value [m], and where (3,)
-    [m].
+class RuledDeviation:
+    """Distance between a ruled surface and the intended one.
+
+    Attributes:
+        largest: Largest value [m].
+        quantile_95: 95 % quantile [m].
+        position: Point of the largest value (3,) [m].
     """
 
     largest: float
-    usual: float
-    where: FloatArray
+    quantile_95: float
+    position: FloatArray
 
 
-def find_rulings(patch: Patch, name: str) -> tuple[Ruled, Deviation]:
-    """The ruled surface nearest to a patch, between one pair of its opposite sides or the other.
+def find_rulings(patch: Patch, name: str) -> tuple[RuledSurface, RuledDeviation]:
+    """Return the ruled surface nearest to a patch, between one pair of its opposite sides or the other.
 
     Rulings join points of both sides so that the mean square distance of the rulings from the surface is
-    least. It looks the way that the patch does.
+    least. The surface faces the same side as the patch.
     """
-    even = np.linspace(0.0, 1.0, _POINTS_PER_SIDE + 1)
-    zero, one = np.zeros_like(even), np.ones_like(even)
-    near, coarse = (Nearness(patch.mesh, share * _spacing(patch.mesh)) for share in (1.0, 5.0))
-    best: tuple[Ruled, Deviation] | None = None
+    even = np.linspace(0.0, 1.0, _INTERVALS_PER_SIDE + 1)
+    zero, ones = np.zeros_like(even), np.ones_like(even)
+    nearness, coarse = (MeshDistance(patch.mesh, factor * _spacing(patch.mesh)) for factor in (1.0, 5.0))
+    best: tuple[RuledSurface, RuledDeviation] | None = None
     pairs = (
-        (patch.points(zero, even), patch.points(one, even)),
-        (patch.points(even, zero), patch.points(even, one)),
+        (patch.points(zero, even), patch.points(ones, even)),
+        (patch.points(even, zero), patch.points(even, ones)),
     )
     for first, second in pairs:
-        start, end = polyline(first), polyline(second)
-        ruled = _facing(_matched(name, start, end, coarse), near)
-        found = deviation(ruled, patch.mesh, near)
-        if best is None or found.largest < best[1].largest:
-            best = ruled, found
+        start, end = polyline_guide(first), polyline_guide(second)
+        ruled = _facing_like_mesh(_matched(name, start, end, coarse), nearness)
+        distance = deviation(ruled, patch.mesh, nearness)
+        if best is None or distance.largest < best[1].largest:
+            best = ruled, distance
     if best is None:
         raise ValueError("a patch has two pairs of sides")
     return best
 
 
-def deviation(ruled: Ruled, mesh: TriangleMesh, near: Nearness) -> Deviation:
-    """How far the ruled surface and the mesh are apart, looked at from both."""
-    own = resample(ruled, 1e-4, max(2.0 * near_step(mesh), 1e-3))
-    sight = points(own, np.linspace(0.0, 1.0, 21)).reshape(-1, 3)
-    facets = tessellate(own, 1e-5)
-    other = Nearness(TriangleMesh(facets.vertices, facets.faces), _spacing(mesh))
+def deviation(ruled: RuledSurface, mesh: TriangleMesh, nearness: MeshDistance) -> RuledDeviation:
+    """Return the distance between the ruled surface and the mesh, measured from both."""
+    resampled = resample(ruled, 1e-4, max(2.0 * deviation_step(mesh), 1e-3))
+    sight = ruling_points(resampled, np.linspace(0.0, 1.0, 21)).reshape(-1, 3)
+    facets = tessellate(resampled, 1e-5)
+    other = MeshDistance(TriangleMesh(facets.vertices, facets.faces), _spacing(mesh))
     seen = np.concatenate([sight, mesh.vertices])
-    apart = np.concatenate([near.distance(sight)[0], other.distance(mesh.vertices)[0]])
-    worst = int(np.argmax(apart))
-    return Deviation(float(apart[worst]), float(np.quantile(apart, 0.95)), seen[worst])
+    distances = np.concatenate([nearness.distance(sight)[0], other.distance(mesh.vertices)[0]])
+    worst = int(np.argmax(distances))
+    return RuledDeviation(float(distances[worst]), float(np.quantile(distances, 0.95)), seen[worst])
 
 
-def near_step(mesh: TriangleMesh) -> float:
-    """A step [m] in which deviations from a mesh are looked at: a hundredth of its extent."""
+def deviation_step(mesh: TriangleMesh) -> float:
+    """Return a step [m] for deviations from a mesh: a hundredth of its extent."""
     return 0.01 * float(np.ptp(mesh.vertices, axis=0).max())
 
 
@@ -418,32 +474,40 @@ def _spacing(mesh: TriangleMesh) -> float:
     return float(np.ptp(mesh.vertices, axis=0).max()) / 150.0
 
 
-def _matched(name: str, start: Guide, end: Guide, near: Nearness) -> Ruled:
-    places = [arc_length(g.points) / g.length for g in (start, end)]
+def _matched(name: str, start: RuledGuide, end: RuledGuide, nearness: MeshDistance) -> RuledSurface:
+    fractions = [arc_length(g.points) / g.length for g in (start, end)]
     size = max(start.length, end.length)
 
     def ruling(s: FloatArray, t: FloatArray) -> FloatArray:
         """Distances (K, A) of points along rulings from the surface, per size."""
-        a, b = along(start.points, places[0], s), along(end.points, places[1], t)
-        sight = (1.0 - _RULING_SHARES[:, None]) * a[:, None] + _RULING_SHARES[:, None] * b[:, None]
-        return near.distance(sight.reshape(-1, 3))[0].reshape(len(s), -1) / size
+        a, b = (
+            interpolate_polyline(start.points, fractions[0], s),
+            interpolate_polyline(end.points, fractions[1], t),
+        )
+        sight = (1.0 - _RULING_FRACTIONS[:, None]) * a[:, None] + _RULING_FRACTIONS[:, None] * b[:, None]
+        return nearness.distance(sight.reshape(-1, 3))[0].reshape(len(s), -1) / size
 
-    even = np.linspace(0.0, 1.0, _CURVE_GRID + 1)
+    even = np.linspace(0.0, 1.0, _CURVE_GRID_INTERVALS + 1)
     s, t = (w.ravel() for w in np.meshgrid(even, even, indexing="ij"))
-    cost = np.sum(ruling(s, t) ** 2, axis=1).reshape(_CURVE_GRID + 1, _CURVE_GRID + 1)
+    cost = np.sum(ruling(s, t) ** 2, axis=1).reshape(_CURVE_GRID_INTERVALS + 1, _CURVE_GRID_INTERVALS + 1)
     cost += 1e-9 * (even[:, None] - even[None, :]) ** 2
     s, t = best_path(cost, ruling, 1e-9, 1e-11)
-    path = np.unique(np.concatenate([s + t, np.linspace(0.0, 2.0, _POINTS_PER_SIDE + 1)]))
+    path = np.unique(np.concatenate([s + t, np.linspace(0.0, 2.0, _INTERVALS_PER_SIDE + 1)]))
     own_s, own_t = np.interp(path, s + t, s), np.interp(path, s + t, t)
     smooth = np.zeros(len(path), dtype=np.bool_)
-    ruled = Ruled(name, along(start.points, places[0], own_s), along(end.points, places[1], own_t), smooth)
+    ruled = RuledSurface(
+        name,
+        interpolate_polyline(start.points, fractions[0], own_s),
+        interpolate_polyline(end.points, fractions[1], own_t),
+        smooth,
+    )
     return resample(ruled, 0.5e-5, 1.0)
 
 
-def _facing(ruled: Ruled, near: Nearness) -> Ruled:
-    """The surface looking the way that the mesh does."""
-    middle = points(ruled, np.array([0.5]))[:, 0]
-    _, face = near.distance(middle)
-    normal = face_normals(near.mesh)[face]
-    start, end = outward(ruled)
-    return backwards(ruled) if float(np.sum(normal * (start + end))) < 0.0 else ruled
+def _facing_like_mesh(ruled: RuledSurface, nearness: MeshDistance) -> RuledSurface:
+    """Return the surface ordered so that it faces the same side as the mesh."""
+    middle = ruling_points(ruled, np.array([0.5]))[:, 0]
+    _, face = nearness.distance(middle)
+    normal = face_normals(nearness.mesh)[face]
+    start, end = outward_normals(ruled)
+    return reversed_rulings(ruled) if float(np.sum(normal * (start + end))) < 0.0 else ruled

@@ -1,14 +1,13 @@
-"""Distances of points from a body of revolution on its way: the least over all of its places.
+"""Distances of points from a body of revolution along its path: the least over all of its poses.
 
-Bounds over groups of places, and over cells of points, say where the least cannot be; whatever they
-leave open is looked at, so that nothing is missed.
+A pose is a tip and an axis. Bounds over groups of poses, and over cells of points, exclude where the least
+distance cannot be. All other pairs are evaluated, so that nothing is missed.
 
-The bound of a group, for a point p: places k have pivots q_k and axes a_k, near to m + t h and u +
-t g for some t from -1 to 1, by d and e at most; u is of unit length. Seen along u, the axis at the
-depth b = (p - m) u slides along a segment, and p is beside it by r at least. Where the body at k is
-within sight of p, no farther than w beside the axis and no farther than l along it, the depth of p
-there is b to within f = |(q_k - m) u| + w c + l c c / 2, with c = |a_k - u|, and p is beside that
-axis by r - f |g| - d - l e at least.
+The bound of a group, for a point p: poses k have pivots q_k and axes a_k, which are near m + t h and u + t g
+for some t from -1 to 1, by d and e at most. u is of unit length. Seen along u, the axis at the depth b = (p -
+m) u slides along a segment, and p is beside it by at least r. If p is in sight of the body at k, at most w
+beside the axis and at most l along it, the depth of p there is b to within f = |(q_k - m) u| + w c + l c c /
+2, with c = |a_k - u|, and p is beside that axis by at least r - f |g| - d - l e.
 """
 
 import dataclasses
@@ -18,100 +17,148 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray, columns, dots
-from planner.geometry.mesh import small_pieces
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, column_dots, dots
+from planner.geometry.mesh import bisect_triangles
 
-GROUP_PLACES: Final = 4
-"""Places of a group of the lowest level."""
+GROUP_POSES: Final = 4
+"""Number of poses in a group of the lowest level."""
 GROUPS_JOINED: Final = 2
-"""Groups of one level in a group of the next one."""
-MOST_TOP_GROUPS: Final = 12
-"""Groups of the highest level at most."""
+"""Number of groups of one level in a group of the next one."""
+MAX_TOP_GROUPS: Final = 12
+"""Maximum number of groups of the highest level."""
 
 
 @dataclasses.dataclass(frozen=True)
 class RoundBody:
-    """A convex body of revolution from ``start`` to ``end`` [m] along its axis, no wider than ``widest`` [m].
+    """A convex body of revolution.
 
-    ``distance``: of points ``back`` from the origin along the axis and ``beside`` it [m], signed, in the
-    shape of both; it must change by no more than its arguments do, and not fall with ``beside``. ``plain``:
-    it is a cylinder with sharp edges."""
+    Attributes:
+        start: Start along its axis [m].
+        end: End along its axis [m].
+        max_radius: Largest radius [m].
+        distance: Signed distance [m] of points at a depth from the origin along the axis and a distance
+            beside it [m], in the shape of both arguments. It changes by no more than its arguments do, and
+            does not fall with the distance beside the axis.
+        is_cylinder: Whether the body is a cylinder with sharp edges.
+    """
 
     start: float
     end: float
-    widest: float
+    max_radius: float
     distance: Callable[[FloatArray, FloatArray], FloatArray]
-    plain: bool = False
+    is_cylinder: bool = False
 
     @property
     def middle(self) -> float:
-        """How far its pivot is along the axis [m]."""
+        """Position of the pivot along the axis [m]."""
         return 0.5 * (self.start + self.end)
 
     @property
-    def half(self) -> float:
-        """Half of its length [m]."""
+    def half_length(self) -> float:
+        """Half the length [m]."""
         return 0.5 * (self.end - self.start)
 
-    def least(self, depth: FloatArray, beside: FloatArray, within: FloatArray) -> FloatArray:
-        """A bound below the distances of points at ``depth`` [m] from the pivot along the axis, to
-        ``within`` [m], and ``beside`` it or more: that of the cylinder that holds the body."""
-        ends = np.maximum(np.abs(depth) - within, 0.0) - self.half
-        aside = beside - self.widest
+    def lower_bound(self, depth: FloatArray, radial: FloatArray, depth_uncertainty: FloatArray) -> FloatArray:
+        """Return a lower bound of the distances of points: that of the cylinder around the body.
+
+        Args:
+            depth: Depth of the points from the pivot along the axis [m].
+            radial: Minimum distance of the points beside the axis [m].
+            depth_uncertainty: Uncertainty of the depth [m].
+        """
+        ends = np.maximum(np.abs(depth) - depth_uncertainty, 0.0) - self.half_length
+        aside = radial - self.max_radius
         out = np.maximum(ends, aside)
         edge = np.nonzero((ends > 0.0) & (aside > 0.0))
         out[edge] = np.hypot(ends[edge], aside[edge])
         return np.asarray(out)
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class SweptBody:
+    """A body of revolution at all poses of its path.
+
+    Attributes:
+        tip: Tips of the body's poses (N, 3) [m].
+        axis: Its axes (N, 3), of unit length.
+        body: The body.
+    """
+
+    tip: FloatArray
+    axis: FloatArray
+    body: RoundBody
+
+    def part(self, rows: slice) -> "SweptBody":
+        """Return the body at some of the poses."""
+        return SweptBody(self.tip[rows], self.axis[rows], self.body)
+
+
 @dataclasses.dataclass(frozen=True)
-class Level:
-    """G groups of ``size`` consecutive places: rows of ``of`` (14, G) are m, u, the part of h beside u,
-    g, f, and what is lost beside the axis, as above."""
+class GroupLevel:
+    """G groups of consecutive poses.
+
+    Attributes:
+        size: Number of poses in a group.
+        rows: Rows of (14, G): m, u, the part of h beside u, g, f, and the loss beside the axis, as above.
+    """
 
     size: int
-    of: FloatArray
+    rows: FloatArray
 
     @property
     def count(self) -> int:
-        """How many groups there are."""
-        return len(self.of[0])
+        """Number of groups."""
+        return len(self.rows[0])
 
     def bound(self, points: FloatArray, group: IntArray, body: RoundBody) -> tuple[FloatArray, FloatArray]:
-        """Bounds below the distances (M,) [m] of points (3, M) from the body at all places of a group (M,)
-        where it is within sight of them, and the share (M,) from -1 to 1 of the way through the group at
-        which it is nearest, about."""
-        g = self.of.take(group, axis=1)
+        """Return lower bounds (M,) [m] of distances from the body at all poses of groups.
+
+        The bounds apply where the points are in sight of the body.
+
+        Args:
+            points: Points (3, M) [m].
+            group: Group of each point (M,).
+            body: The body.
+
+        Returns:
+            The bounds, and the position (M,) from -1 to 1 in the group at which the body is about nearest.
+        """
+        g = self.rows.take(group, axis=1)
         rest = points - g[:3]
-        depth = columns(rest, g[3:6])
-        way = depth * g[9:12]
-        way += g[6:9]
-        along, square = columns(rest, way), columns(way, way)
-        share = along / np.maximum(square, 1e-300)
-        np.clip(share, -1.0, 1.0, out=share)
-        # of what is left of rest beside the way: |rest - share way|^2
-        square *= share
+        depth = column_dots(rest, g[3:6])
+        segment = depth * g[9:12]
+        segment += g[6:9]
+        along, square = column_dots(rest, segment), column_dots(segment, segment)
+        position = along / np.maximum(square, 1e-300)
+        np.clip(position, -1.0, 1.0, out=position)
+        # squared remainder beside the segment: |rest - fraction * segment|^2
+        square *= position
         square -= 2.0 * along
-        square *= share
-        square += columns(rest, rest)
+        square *= position
+        square += column_dots(rest, rest)
         square -= depth * depth
-        beside = np.sqrt(np.maximum(square, 0.0))
-        beside -= g[13]
-        low = body.least(depth, beside, g[12])
-        if not body.plain:
-            near = body.distance(depth + body.middle, np.maximum(beside, 0.0)) - g[12]
-            np.maximum(low, near, out=low)
-        return low, share
+        radial = np.sqrt(np.maximum(square, 0.0))
+        radial -= g[13]
+        low = body.lower_bound(depth, radial, g[12])
+        if not body.is_cylinder:
+            body_bound = body.distance(depth + body.middle, np.maximum(radial, 0.0)) - g[12]
+            np.maximum(low, body_bound, out=low)
+        return low, position
 
 
-def group_levels(tip: FloatArray, axis: FloatArray, body: RoundBody, sight: float) -> list[Level]:
-    """Groups of ``GROUP_PLACES`` places, of ``GROUPS_JOINED`` times as many and so on, until they are few:
-    of a body at places ``tip`` and ``axis`` (N, 3), for points within ``sight`` [m] of it."""
+def group_levels(swept: SweptBody, sight: float) -> list[GroupLevel]:
+    """Return groups of ``GROUP_POSES`` poses, of ``GROUPS_JOINED`` times as many and so on.
+
+    Args:
+        swept: The body along its path.
+        sight: Distance within which points are in sight of the body [m].
+    """
+    tip, axis, body = swept.tip, swept.axis, swept.body
     pivot = tip + body.middle * axis
-    wide, far = body.widest + sight, body.half + sight
-    out: list[Level] = []
-    size = GROUP_PLACES
-    while not out or out[-1].count > MOST_TOP_GROUPS:
+    radial_reach, axial_reach = body.max_radius + sight, body.half_length + sight
+    out: list[GroupLevel] = []
+    size = GROUP_POSES
+    while not out or out[-1].count > MAX_TOP_GROUPS:
         count = -(-len(tip) // size)
         rows = np.minimum(np.arange(count * size).reshape(count, size), len(tip) - 1)
         mean = axis[rows[:, 0]] + axis[rows[:, -1]]
@@ -120,191 +167,191 @@ def group_levels(tip: FloatArray, axis: FloatArray, body: RoundBody, sight: floa
         middle = 0.5 * (pivot[rows[:, 0]] + pivot[rows[:, -1]])
         half, turn = (0.5 * (of[rows[:, -1]] - of[rows[:, 0]]) for of in (pivot, axis))
         turn -= dots(turn, unit)[:, None] * unit
-        off, lean = pivot[rows] - middle[:, None], axis[rows] - unit[:, None]
-        chord = np.sqrt(dots(lean, lean).max(axis=1))
-        depth = np.abs(np.einsum("gkd,gd->gk", off, unit)).max(axis=1)
-        depth += wide * chord + 0.5 * far * chord * chord
-        share = np.einsum("gkd,gd->gk", off, half) + far**2 * np.einsum("gkd,gd->gk", lean, turn)
-        share /= np.maximum(dots(half, half) + far**2 * dots(turn, turn), 1e-300)[:, None]
-        np.clip(share, -1.0, 1.0, out=share)
-        off -= share[..., None] * half[:, None]
-        lean -= share[..., None] * turn[:, None]
-        lost = np.sqrt(dots(off, off).max(axis=1))
-        lost += far * np.sqrt(dots(lean, lean).max(axis=1))
-        lost += depth * np.linalg.norm(turn, axis=1)
+        pivot_offsets, axis_offsets = pivot[rows] - middle[:, None], axis[rows] - unit[:, None]
+        chord = np.sqrt(dots(axis_offsets, axis_offsets).max(axis=1))
+        depth = np.abs(np.einsum("gkd,gd->gk", pivot_offsets, unit)).max(axis=1)
+        depth += radial_reach * chord + 0.5 * axial_reach * chord * chord
+        position = np.einsum("gkd,gd->gk", pivot_offsets, half) + axial_reach**2 * np.einsum(
+            "gkd,gd->gk", axis_offsets, turn
+        )
+        position /= np.maximum(dots(half, half) + axial_reach**2 * dots(turn, turn), 1e-300)[:, None]
+        np.clip(position, -1.0, 1.0, out=position)
+        pivot_offsets -= position[..., None] * half[:, None]
+        axis_offsets -= position[..., None] * turn[:, None]
+        loss = np.sqrt(dots(pivot_offsets, pivot_offsets).max(axis=1))
+        loss += axial_reach * np.sqrt(dots(axis_offsets, axis_offsets).max(axis=1))
+        loss += depth * np.linalg.norm(turn, axis=1)
         half -= dots(half, unit)[:, None] * unit
-        out.append(Level(size, np.vstack([middle.T, unit.T, half.T, turn.T, depth, lost])))
+        out.append(GroupLevel(size, np.vstack([middle.T, unit.T, half.T, turn.T, depth, loss])))
         size *= GROUPS_JOINED
     return out
 
 
-PLACES_AT_ONCE: Final = 1 << 19
-"""Places that are looked at at once."""
+POSES_AT_ONCE: Final = 1 << 19
+"""Number of poses that are searched at once."""
 POINTS_PER_CELL: Final = 24
-"""Points of a cell, about."""
-SPLIT_PLACES: Final = 8
-"""Cells are taken apart into their points at groups of so many places."""
+"""Approximate number of points of a cell."""
+SPLIT_POSES: Final = 8
+"""Maximum size of groups of poses at which cells are split into their points."""
 PAIRS_AT_ONCE: Final = 20_000
-"""Points and groups that are looked at at once."""
-COARSE_PIECE: Final = 4e-3
-"""Size of pieces of a face [m] of which those far from a body's way are left out."""
+"""Number of pairs of a point and a group that are evaluated at once."""
+COARSE_PIECE_M: Final = 4e-3
+"""Size of coarse pieces of a face [m]. Those far from a body's path are left out."""
 PIECES_AT_ONCE: Final = 20_000
-"""Pieces that are divided at once."""
-TRIED_TRIANGLES: Final = 200
-"""Triangles by whose size it is told whether a mesh is to be divided at all."""
-CLOSER_SHARE: Final = 0.25
-"""Where pieces are smaller than this part of coarse ones, these are held against the body itself first."""
-COUNT_SHARE: Final = 0.25
-"""Pieces that are more than this part of the most are counted one by one."""
-ANY_NUMBER: Final = np.iinfo(np.int64).max
-"""As many pieces as there are."""
-SAME_DISTANCE: Final = 1e-10
-"""Places at which a point is nearer by less than this [m] are one as good as the other."""
+"""Number of pieces that are divided at once."""
+SAMPLED_TRIANGLES: Final = 200
+"""Number of triangles from which the number of fine pieces is estimated."""
+CLOSER_FRACTION: Final = 0.25
+"""Fine size per coarse size below which coarse pieces are first tested against the body itself."""
+COUNT_FRACTION: Final = 0.25
+"""Fraction of the maximum number of pieces beyond which pieces are counted exactly."""
+UNLIMITED: Final = np.iinfo(np.int64).max
+"""No limit of the number of pieces."""
+DISTANCE_TOLERANCE_M: Final = 1e-10
+"""Maximum difference of distances at which poses are equivalent [m]."""
 
 
 def least_distances(
-    points: FloatArray,
-    tip: FloatArray,
-    axis: FloatArray,
-    body: RoundBody,
-    sight: float,
-    below: float = np.inf,
+    points: FloatArray, swept: SweptBody, sight: float, exact_below: float = np.inf
 ) -> tuple[FloatArray, IntArray]:
-    """Least signed distance (P,) [m] of points (P, 3) from a body at any of the places ``tip``, ``axis``
-    (N, 3), the axes of unit length, and the index (P,) of the place; ``sight`` [m] and 0 where it is no less
-    than that.
+    """Return least signed distances (P,) [m] of points from a body at any pose, and pose indices (P,).
 
-    With ``below`` [m] only distances less than that are wanted, and the least one of all: the others may be
-    told too large, but stay at ``below`` and at the least one of all or above.
+    A distance is ``sight`` [m] and its index 0 if it is not less than ``sight``. Distances from
+    ``exact_below`` on are not less than ``exact_below`` and the least distance of all, but may be too large.
+
+    Args:
+        points: Points (P, 3) [m].
+        swept: The body along its path.
+        sight: Distance within which points are in sight of the body [m].
+        exact_below: Distance below which all distances are exact, besides the least one of all [m].
     """
-    best, where = np.full(len(points), sight), np.zeros(len(points), dtype=np.int64)
+    nearest = _NearestPoses(np.full(len(points), sight), np.zeros(len(points), dtype=np.int64))
     points = np.ascontiguousarray(points.T)
-    for first in range(0, len(tip), PLACES_AT_ONCE):
-        rows = slice(first, first + PLACES_AT_ONCE)
-        some = _in_box(points, tip[rows], axis[rows], body, sight)
-        if len(some):
-            wanted = _Wanted(sight, below, float(best.min()))
-            _Search(points, some, tip[rows], axis[rows], body, wanted, best, where, first).run()
-    return best, where
+    for first in range(0, len(swept.tip), POSES_AT_ONCE):
+        part = swept.part(slice(first, first + POSES_AT_ONCE))
+        chosen = _in_box(points, part, sight)
+        if len(chosen):
+            query = _DistanceQuery(sight, exact_below, float(nearest.distance.min()))
+            _DistanceSearch(points, chosen, part, query, nearest, first).run()
+    return nearest.distance, nearest.pose
 
 
-def _in_box(points: FloatArray, tip: FloatArray, axis: FloatArray, body: RoundBody, sight: float) -> IntArray:
-    """Which of the points (3, P) are in the box around the body on its way."""
+def _in_box(points: FloatArray, swept: SweptBody, sight: float) -> IntArray:
+    """Return which of the points (3, P) are in the box around the body along its path."""
+    tip, axis, body = swept.tip, swept.axis, swept.body
     ends = np.stack([tip + body.start * axis, tip + body.end * axis])
-    room = body.widest + sight
+    room = body.max_radius + sight
     low, high = ends.min(axis=(0, 1)) - room, ends.max(axis=(0, 1)) + room
     return np.flatnonzero(((points >= low[:, None]) & (points <= high[:, None])).all(axis=0))
 
 
-def places_near(
-    corners: FloatArray,
-    tip: FloatArray,
-    axis: FloatArray,
-    body: RoundBody,
-    sight: float,
-    size: float,
-    most: int,
+def points_near(
+    corners: FloatArray, swept: SweptBody, sight: float, size: float, max_pieces: int
 ) -> tuple[FloatArray, IntArray, int]:
-    """Places (P, 3) of triangles (T, 3, 3) that are within ``sight`` [m] of a body at some of the places
-    ``tip``, ``axis`` (N, 3), and the triangle (P,) of each: the middles of all pieces there, none of which
-    has an edge longer than ``size`` [m]. Also how many pieces that takes, about; above ``most`` there are no
-    places."""
-    near, owner, count = _pieces_near(corners, tip, axis, body, sight, size, most)
-    if count > most or not len(near):
+    """Return points (P, 3) of triangles near a body at some of its poses, their triangle (P,) and count.
+
+    The points are the middles of all pieces of triangles there.
+
+    Args:
+        corners: Corners of the triangles (T, 3, 3) [m].
+        swept: The body along its path.
+        sight: Maximum distance from the body [m].
+        size: Maximum edge of a piece [m].
+        max_pieces: Maximum number of pieces. If the approximate count exceeds it, there are no points.
+    """
+    coarse_pieces, owner, count = _pieces_near(corners, swept, sight, size, max_pieces)
+    if count > max_pieces or not len(coarse_pieces):
         return corners[:0, 0], owner[:0], count
-    places, owners = [corners[:0, 0]], [owner[:0]]
-    for rows in np.array_split(np.arange(len(near)), len(near) // PIECES_AT_ONCE + 1):
-        pieces, own = small_pieces(near[rows], size, ANY_NUMBER)
-        places.append(pieces.mean(axis=1))
-        owners.append(owner[rows][own])
-    found = np.concatenate(places)
-    return found, np.concatenate(owners), len(found)
+    middles, owners = [corners[:0, 0]], [owner[:0]]
+    for rows in np.array_split(np.arange(len(coarse_pieces)), len(coarse_pieces) // PIECES_AT_ONCE + 1):
+        pieces, rows_of_pieces = bisect_triangles(coarse_pieces[rows], size, UNLIMITED)
+        middles.append(pieces.mean(axis=1))
+        owners.append(owner[rows][rows_of_pieces])
+    points = np.concatenate(middles)
+    return points, np.concatenate(owners), len(points)
 
 
-def count_near(
-    corners: FloatArray,
-    tip: FloatArray,
-    axis: FloatArray,
-    body: RoundBody,
-    sight: float,
-    size: float,
-    most: int,
-) -> int:
-    """How many places :func:`places_near` finds; where these are far fewer than ``most``, about."""
-    near, _, count = _pieces_near(corners, tip, axis, body, sight, size, most)
-    if COUNT_SHARE * most < count <= most and len(near):
-        return places_near(corners, tip, axis, body, sight, size, most)[2]
+def count_near(corners: FloatArray, swept: SweptBody, sight: float, size: float, max_pieces: int) -> int:
+    """Return the number of points that :func:`points_near` finds.
+
+    It is approximate if it is far below ``max_pieces``.
+    """
+    coarse_pieces, _, count = _pieces_near(corners, swept, sight, size, max_pieces)
+    if COUNT_FRACTION * max_pieces < count <= max_pieces and len(coarse_pieces):
+        return points_near(corners, swept, sight, size, max_pieces)[2]
     return count
 
 
 def _pieces_near(
-    corners: FloatArray,
-    tip: FloatArray,
-    axis: FloatArray,
-    body: RoundBody,
-    sight: float,
-    size: float,
-    most: int,
+    corners: FloatArray, swept: SweptBody, sight: float, size: float, max_pieces: int
 ) -> tuple[FloatArray, IntArray, int]:
-    """Coarse pieces (P, 3, 3) of triangles that may be within ``sight``, the triangle (P,) of each, and how
-    many fine ones they are, about, as in :func:`places_near`."""
-    centre, reach = _around(tip, axis, body, sight)
+    """Return coarse pieces (P, 3, 3) that may be near, their triangles (P,) and a count of fine pieces.
+
+    The count is approximate. Parameters are those of :func:`points_near`.
+    """
+    centre, reach = _path_centres(swept, sight)
     owner = np.arange(len(corners))
     kept = _within(corners, centre, reach)
-    near, owner = corners[kept], owner[kept]
-    longest = float(np.linalg.norm(near - np.roll(near, 1, axis=1), axis=2).max(initial=0.0))
-    while len(near) and longest > max(size, COARSE_PIECE):
-        longest = max(0.5 * longest, size, COARSE_PIECE)
-        near, own = small_pieces(near, longest, ANY_NUMBER)
-        kept = _within(near, centre, reach)
-        near, owner = near[kept], owner[own][kept]
-        if len(near) > most:
+    pieces, owner = corners[kept], owner[kept]
+    longest = float(np.linalg.norm(pieces - np.roll(pieces, 1, axis=1), axis=2).max(initial=0.0))
+    while len(pieces) and longest > max(size, COARSE_PIECE_M):
+        longest = max(0.5 * longest, size, COARSE_PIECE_M)
+        pieces, parents = bisect_triangles(pieces, longest, UNLIMITED)
+        kept = _within(pieces, centre, reach)
+        pieces, owner = pieces[kept], owner[parents][kept]
+        if len(pieces) > max_pieces:
             break
-    if len(near) and size < CLOSER_SHARE * COARSE_PIECE:
-        kept = _closer(near, tip, axis, body, sight)
-        near, owner = near[kept], owner[kept]
-    return near, owner, _count(near, size)
+    if len(pieces) and size < CLOSER_FRACTION * COARSE_PIECE_M:
+        kept = _near_body(pieces, swept, sight)
+        pieces, owner = pieces[kept], owner[kept]
+    return pieces, owner, _estimated_count(pieces, size)
 
 
-def _closer(
-    corners: FloatArray, tip: FloatArray, axis: FloatArray, body: RoundBody, sight: float
-) -> BoolArray:
-    """Which triangles (T, 3, 3) may come within ``sight`` [m] of the body itself: those whose middles are as
-    far from it as their corners from these, and no more."""
+def _near_body(corners: FloatArray, swept: SweptBody, sight: float) -> BoolArray:
+    """Return which triangles (T, 3, 3) may come within ``sight`` [m] of the body itself.
+
+    The middles of the others are farther from the body than ``sight`` and the distance of their corners.
+    """
     middle = corners.mean(axis=1)
     size = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
     reach = sight + float(size.max())
-    away, _ = least_distances(middle, tip, axis, body, reach, reach)
+    away, _ = least_distances(middle, swept, reach, reach)
     return np.asarray(away - size < sight)
 
 
-def _count(corners: FloatArray, size: float) -> int:
-    """How many pieces of triangles (T, 3, 3) have no edge longer than ``size`` [m], by trying a few."""
+def _estimated_count(corners: FloatArray, size: float) -> int:
+    """Return an estimate of the number of pieces of triangles (T, 3, 3) with edges up to ``size`` [m]."""
     if not len(corners):
         return 0
-    some = corners[:: max(1, len(corners) // TRIED_TRIANGLES)]
-    longest = np.linalg.norm(some - np.roll(some, 1, axis=1), axis=2).max(axis=1)
-    # so large triangles would be too many alone: their pieces are like them, and four times as many
+    sample = corners[:: max(1, len(corners) // SAMPLED_TRIANGLES)]
+    longest = np.linalg.norm(sample - np.roll(sample, 1, axis=1), axis=2).max(axis=1)
+    # very large triangles are divided only so far: each further halving makes four times as many pieces
     halves = np.maximum(np.ceil(np.log2(longest / size / 16.0)), 0.0)
     few = [
-        len(small_pieces(some[halves == half], size * 2.0**half, ANY_NUMBER)[0]) * 4.0**half
+        len(bisect_triangles(sample[halves == half], size * 2.0**half, UNLIMITED)[0]) * 4.0**half
         for half in np.unique(halves)
     ]
-    return int(np.ceil(np.sum(few) * len(corners) / len(some)))
+    return int(np.ceil(np.sum(few) * len(corners) / len(sample)))
 
 
-def _around(tip: FloatArray, axis: FloatArray, body: RoundBody, sight: float) -> tuple[cKDTree, float]:
-    """Places and a reach [m]: whatever is within ``sight`` of a body somewhere is within that of one."""
-    count = max(int(np.ceil((body.end - body.start) / max(body.widest, COARSE_PIECE))), 1)
+def _path_centres(swept: SweptBody, sight: float) -> tuple[cKDTree, float]:
+    """Return centres and a radius [m] around them.
+
+    Whatever is within ``sight`` of the body at some pose is within the radius of a centre.
+    """
+    tip, axis, body = swept.tip, swept.axis, swept.body
+    count = max(int(np.ceil((body.end - body.start) / max(body.max_radius, COARSE_PIECE_M))), 1)
     back = body.start + (body.end - body.start) * (np.arange(count) + 0.5) / count
-    cells = [np.unique(np.floor((tip + b * axis) / COARSE_PIECE).astype(np.int64), axis=0) for b in back]
+    cells = [np.unique(np.floor((tip + b * axis) / COARSE_PIECE_M).astype(np.int64), axis=0) for b in back]
     every = np.unique(np.concatenate(cells), axis=0)
     half = 0.5 * (body.end - body.start) / count
-    return cKDTree((every + 0.5) * COARSE_PIECE), float(np.hypot(body.widest, half)) + sight + COARSE_PIECE
+    return cKDTree((every + 0.5) * COARSE_PIECE_M), float(
+        np.hypot(body.max_radius, half)
+    ) + sight + COARSE_PIECE_M
 
 
 def _within(corners: FloatArray, centre: cKDTree, reach: float) -> BoolArray:
-    """Which triangles (T, 3, 3) may come within ``reach`` [m] of some centre."""
+    """Return which triangles (T, 3, 3) may come within ``reach`` [m] of some centre."""
     middle = corners.mean(axis=1)
     size = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
     away, _ = centre.query(middle, distance_upper_bound=reach + float(size.max(initial=0.0)))
@@ -312,9 +359,14 @@ def _within(corners: FloatArray, centre: cKDTree, reach: float) -> BoolArray:
 
 
 @dataclasses.dataclass
-class _Wanted:
-    """What is looked for: distances below ``sight`` [m]; of those from ``below`` [m] on only the least of
-    all, of which ``lowest`` [m] is known."""
+class _DistanceQuery:
+    """Which distances a search has to find.
+
+    Attributes:
+        sight: Distance below which they are [m].
+        below: Distance from which on only the least of all is needed [m].
+        lowest: Least distance known so far [m].
+    """
 
     sight: float
     below: float
@@ -322,44 +374,56 @@ class _Wanted:
 
     @property
     def limit(self) -> float:
-        """No other distances matter."""
+        """Distance from which on others do not matter [m]."""
         return max(self.below, self.lowest)
 
 
-class _Search:
-    """The search of one block of places; points, places and axes have their x, y and z in rows, which is
-    how many of them are worked out fastest."""
+@dataclasses.dataclass(frozen=True, eq=False)
+class _NearestPoses:
+    """Nearest poses of P points that are known so far. A search updates the arrays.
+
+    Attributes:
+        distance: Least distances (P,) [m].
+        pose: Indices of the poses (P,).
+    """
+
+    distance: FloatArray
+    pose: IntArray
+
+
+class _DistanceSearch:
+    """The search of one block of poses, the first of which has the index ``first``.
+
+    Points, tips and axes have x, y and z in rows, for speed.
+    """
 
     def __init__(
         self,
         points: FloatArray,
-        some: IntArray,
-        tip: FloatArray,
-        axis: FloatArray,
-        body: RoundBody,
-        wanted: _Wanted,
-        best: FloatArray,
-        where: IntArray,
+        chosen: IntArray,
+        swept: SweptBody,
+        query: _DistanceQuery,
+        nearest: _NearestPoses,
         first: int,
     ) -> None:
-        self.body, self.wanted, self.places = body, wanted, len(tip)
-        self.tip, self.axis = np.ascontiguousarray(tip.T), np.ascontiguousarray(axis.T)
-        self.best, self.where, self.first = best, where, first
-        points = points.take(some, axis=1)
+        self.body, self.query, self.pose_count = swept.body, query, len(swept.tip)
+        self.tip, self.axis = np.ascontiguousarray(swept.tip.T), np.ascontiguousarray(swept.axis.T)
+        self.best, self.where, self.first = nearest.distance, nearest.pose, first
+        points = points.take(chosen, axis=1)
         order, start = _cells(points)
-        self.some, self.points = some[order], points.take(order, axis=1)
-        self.start = np.append(start, len(some))
+        self.point_ids, self.points = chosen[order], points.take(order, axis=1)
+        self.start = np.append(start, len(chosen))
         low, high = (op.reduceat(self.points, start, axis=1) for op in (np.minimum, np.maximum))
         self.middle = 0.5 * (low + high)
-        off = self.points - np.repeat(self.middle, np.diff(self.start), axis=1)
-        self.size = np.sqrt(np.maximum.reduceat(columns(off, off), start))
-        # where a point of a cell is within sight, its middle is not much farther
-        self.levels = group_levels(tip, axis, body, wanted.sight + float(self.size.max()))
-        self.near = np.maximum.reduceat(best[self.some], start)
-        self.told = best[self.some]
+        offsets = self.points - np.repeat(self.middle, np.diff(self.start), axis=1)
+        self.size = np.sqrt(np.maximum.reduceat(column_dots(offsets, offsets), start))
+        # if a point of a cell is in sight, the cell's middle is farther by its size at most
+        self.levels = group_levels(swept, query.sight + float(self.size.max()))
+        self.cell_bounds = np.maximum.reduceat(self.best[self.point_ids], start)
+        self.point_distances = self.best[self.point_ids]
 
     def run(self) -> None:
-        """Takes groups and cells apart until nothing is left open."""
+        """Split groups and cells until no pair is left."""
         top = len(self.levels) - 1
         count = self.levels[top].count
         cells = np.arange(len(self.size))
@@ -368,105 +432,114 @@ class _Search:
             for part in np.array_split(cells, -(-len(cells) // 512))
         ]
         while stack:
-            cell, level, own, group = stack.pop()
-            if len(own) > PAIRS_AT_ONCE and own[0] != own[-1]:
-                cut = int(np.searchsorted(own, own[len(own) // 2], side="left"))
-                cut = cut or int(np.searchsorted(own, own[0], side="right"))
-                stack += [(cell, level, own[:cut], group[:cut]), (cell, level, own[cut:], group[cut:])]
+            cell, level, subjects, group = stack.pop()
+            if len(subjects) > PAIRS_AT_ONCE and subjects[0] != subjects[-1]:
+                cut = int(np.searchsorted(subjects, subjects[len(subjects) // 2], side="left"))
+                cut = cut or int(np.searchsorted(subjects, subjects[0], side="right"))
+                stack += [
+                    (cell, level, subjects[:cut], group[:cut]),
+                    (cell, level, subjects[cut:], group[cut:]),
+                ]
                 continue
             if level < 0:
-                self._look(own, group)
+                self._evaluate_all(subjects, group)
                 continue
-            keep = self._open(cell, level, own, group)
-            own, group = own[keep], group[keep]
-            if not len(own):
+            keep = self._open_groups(cell, level, subjects, group)
+            subjects, group = subjects[keep], group[keep]
+            if not len(subjects):
                 continue
-            if cell and self.levels[level].size <= SPLIT_PLACES:
-                stack.append((False, level, *self._apart(own, group)))
+            if cell and self.levels[level].size <= SPLIT_POSES:
+                stack.append((False, level, *self._split_cells(subjects, group)))
                 continue
-            below = self.levels[level - 1].count if level else self.places
-            parts = GROUPS_JOINED if level else GROUP_PLACES
-            own, group = np.repeat(own, parts), (parts * group[:, None] + np.arange(parts)).ravel()
-            there = group < below
-            stack.append((cell, level - 1, own[there], group[there]))
+            below = self.levels[level - 1].count if level else self.pose_count
+            parts = GROUPS_JOINED if level else GROUP_POSES
+            subjects, group = np.repeat(subjects, parts), (parts * group[:, None] + np.arange(parts)).ravel()
+            exists = group < below
+            stack.append((cell, level - 1, subjects[exists], group[exists]))
 
-    def _apart(self, own: IntArray, group: IntArray) -> tuple[IntArray, IntArray]:
-        """The points of cells, each with the groups of its cell, by point."""
-        first = np.flatnonzero(np.diff(own, prepend=-1))
-        groups = np.diff(np.append(first, len(own)))
-        cells = own[first]
+    def _split_cells(self, cell_rows: IntArray, group: IntArray) -> tuple[IntArray, IntArray]:
+        """Return the points of cells, each with the groups of its cell, ordered by point."""
+        first = np.flatnonzero(np.diff(cell_rows, prepend=-1))
+        groups = np.diff(np.append(first, len(cell_rows)))
+        cells = cell_rows[first]
         many = self.start[cells + 1] - self.start[cells]
         point = np.repeat(self.start[cells] - (np.cumsum(many) - many), many) + np.arange(int(many.sum()))
         per = np.repeat(groups, many)
         base = np.repeat(np.repeat(first, many) - (np.cumsum(per) - per), per)
         return np.repeat(point, per), group[base + np.arange(int(per.sum()))]
 
-    def _open(self, cell: bool, level: int, own: IntArray, group: IntArray) -> BoolArray:
-        """Which groups may hold a nearer place than the nearest known one, which is sought in the best."""
-        points = (self.middle if cell else self.points).take(own, axis=1)
-        low, share = self.levels[level].bound(points, group, self.body)
+    def _open_groups(self, cell: bool, level: int, subjects: IntArray, group: IntArray) -> BoolArray:
+        """Return which groups may have a nearer pose than is known, and search the best group."""
+        points = (self.middle if cell else self.points).take(subjects, axis=1)
+        low, positions = self.levels[level].bound(points, group, self.body)
         if cell:
-            low -= self.size[own]
-        first = np.flatnonzero(np.diff(own, prepend=-1))
-        best = np.repeat(np.minimum.reduceat(low, first), np.diff(np.append(first, len(own))))
+            low -= self.size[subjects]
+        first = np.flatnonzero(np.diff(subjects, prepend=-1))
+        best = np.repeat(np.minimum.reduceat(low, first), np.diff(np.append(first, len(subjects))))
         hit = np.flatnonzero(low == best)
-        known = self.near if cell else self.told
-        hit = hit[low[hit] < known[own[hit]]]
+        known = self.cell_bounds if cell else self.point_distances
+        hit = hit[low[hit] < known[subjects[hit]]]
         size = self.levels[level].size
-        place = size * group[hit] + np.rint((share[hit] + 1.0) * 0.5 * (size - 1)).astype(np.int64)
-        np.minimum(place, self.places - 1, out=place)
+        poses = size * group[hit] + np.rint((positions[hit] + 1.0) * 0.5 * (size - 1)).astype(np.int64)
+        np.minimum(poses, self.pose_count - 1, out=poses)
         if cell:
-            far = self._off(self.middle.take(own[hit], axis=1), place) + self.size[own[hit]]
-            np.minimum.at(self.near, own[hit], far)
-            # what is known of a cell is not yet told of its points
-            return np.asarray(low < np.minimum(self.near[own], self.wanted.limit) + SAME_DISTANCE)
-        self._note(own[hit], place)
-        return np.asarray(low < np.minimum(self.told[own], self.wanted.limit) - SAME_DISTANCE)
+            upper_bound = (
+                self._distances(self.middle.take(subjects[hit], axis=1), poses) + self.size[subjects[hit]]
+            )
+            np.minimum.at(self.cell_bounds, subjects[hit], upper_bound)
+            # the bound of a cell is not yet recorded for its points
+            return np.asarray(
+                low < np.minimum(self.cell_bounds[subjects], self.query.limit) + DISTANCE_TOLERANCE_M
+            )
+        self._evaluate(subjects[hit], poses)
+        return np.asarray(
+            low < np.minimum(self.point_distances[subjects], self.query.limit) - DISTANCE_TOLERANCE_M
+        )
 
-    def _look(self, own: IntArray, place: IntArray) -> None:
-        off = self._off(self.points.take(own, axis=1), place)
-        first = np.flatnonzero(np.diff(own, prepend=-1))
-        best = np.repeat(np.minimum.reduceat(off, first), np.diff(np.append(first, len(own))))
-        hit = np.flatnonzero(off == best)
-        self._keep(own[hit], place[hit], off[hit])
+    def _evaluate_all(self, subjects: IntArray, poses: IntArray) -> None:
+        distances = self._distances(self.points.take(subjects, axis=1), poses)
+        first = np.flatnonzero(np.diff(subjects, prepend=-1))
+        best = np.repeat(np.minimum.reduceat(distances, first), np.diff(np.append(first, len(subjects))))
+        hit = np.flatnonzero(distances == best)
+        self._record(subjects[hit], poses[hit], distances[hit])
 
-    def _note(self, own: IntArray, place: IntArray) -> None:
-        self._keep(own, place, self._off(self.points.take(own, axis=1), place))
+    def _evaluate(self, subjects: IntArray, poses: IntArray) -> None:
+        self._record(subjects, poses, self._distances(self.points.take(subjects, axis=1), poses))
 
-    def _keep(self, own: IntArray, place: IntArray, off: FloatArray) -> None:
-        """Told where it is nearer."""
-        nearer = off < self.told[own]
-        own, place, off = own[nearer], place[nearer], off[nearer]
-        self.told[own] = off
-        rows = self.some[own]
-        self.best[rows], self.where[rows] = off, place + self.first
-        # of a point that comes twice one place was told, not always the nearer one
-        self.wanted.lowest = min(self.wanted.lowest, float(self.told[own].min(initial=np.inf)))
+    def _record(self, subjects: IntArray, poses: IntArray, distances: FloatArray) -> None:
+        """Record distances that are less than the known ones."""
+        nearer = distances < self.point_distances[subjects]
+        subjects, poses, distances = subjects[nearer], poses[nearer], distances[nearer]
+        self.point_distances[subjects] = distances
+        rows = self.point_ids[subjects]
+        self.best[rows], self.where[rows] = distances, poses + self.first
+        # a point that occurs twice has one of its poses recorded, not always the nearer one
+        self.query.lowest = min(self.query.lowest, float(self.point_distances[subjects].min(initial=np.inf)))
 
-    def _off(self, points: FloatArray, place: IntArray) -> FloatArray:
-        """Distances (M,) [m] of points (3, M) from the body at places (M,)."""
-        rest, axis = points - self.tip.take(place, axis=1), self.axis.take(place, axis=1)
-        back = columns(rest, axis)
-        square = columns(rest, rest) - back * back
+    def _distances(self, points: FloatArray, poses: IntArray) -> FloatArray:
+        """Return distances (M,) [m] of points (3, M) from the body at poses (M,)."""
+        rest, axis = points - self.tip.take(poses, axis=1), self.axis.take(poses, axis=1)
+        back = column_dots(rest, axis)
+        square = column_dots(rest, rest) - back * back
         return self.body.distance(back, np.sqrt(np.maximum(square, 0.0)))
 
 
 def _cells(points: FloatArray) -> tuple[IntArray, IntArray]:
-    """Points (3, P) in cells of a grid: their order, and where in it each cell begins."""
+    """Return the order of points (3, P) by cells of a grid, and where in it each cell begins."""
     low = points.min(axis=1)[:, None]
     rest = points - low
     side = max(float(rest.max()) / 64.0, 1e-9)
-    key, many = _keys(rest, side)
+    key, many = _cell_numbers(rest, side)
     taken = np.zeros(many, dtype=bool)
     taken[key] = True
-    # the points are those of faces: cells become fewer with the square of their sides
-    key, _ = _keys(rest, side * float(np.sqrt(taken.sum() * POINTS_PER_CELL / len(key))))
+    # the points are on faces, so the number of cells falls with the square of their sides
+    key, _ = _cell_numbers(rest, side * float(np.sqrt(taken.sum() * POINTS_PER_CELL / len(key))))
     order = np.argsort(key)
     return order, np.flatnonzero(np.diff(key[order], prepend=-1))
 
 
-def _keys(rest: FloatArray, side: float) -> tuple[IntArray, int]:
-    """Numbers (P,) of a grid's cells that points ``rest`` (3, P) from its corner are in; how many it has."""
+def _cell_numbers(rest: FloatArray, side: float) -> tuple[IntArray, int]:
+    """Return numbers (P,) of the grid cells of points ``rest`` (3, P) from its corner, and their count."""
     x, y, z = (rest / side).astype(np.int64)
     wide = [int(row.max()) + 1 for row in (x, y, z)]
     return x + wide[0] * (y + wide[1] * z), wide[0] * wide[1] * wide[2]

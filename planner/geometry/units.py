@@ -1,23 +1,23 @@
-"""Conversions between the units of files and messages (mm, deg) and those inside (m, rad)."""
+"""Conversions between the units of files and messages (mm, deg) and internal units (m, rad)."""
 
 import math
 from typing import Final, TypedDict
 
 MM: Final = 1e-3
-"""One millimetre in metres: ``value_mm * MM`` is metres, ``value_m / MM`` is millimetres."""
+"""One millimetre in metres: ``value_mm * MM`` is in metres, ``value_m / MM`` in millimetres."""
 
 DEG: Final = math.pi / 180.0
 """One degree in radians."""
 
 GRAVITY: Final = 9.80665
-"""Standard acceleration of free fall [m/s^2] (3rd CGPM, 1901)."""
+"""Standard acceleration of gravity [m/s^2] (3rd CGPM, 1901)."""
 
 LENGTH_UNITS: Final[dict[str, float]] = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254, "ft": 0.3048}
-"""Length units that a mesh or curve file may be stated in, in metres."""
+"""Length units of mesh and curve files, in metres."""
 
 
 class Measurement(TypedDict):
-    """The fields of an issue that hold a value, its limit and the unit of both."""
+    """Fields of an issue that hold a value, its limit and the unit of both."""
 
     value: float
     limit: float | None
@@ -25,5 +25,8 @@ class Measurement(TypedDict):
 
 
 def measurement(value: float, limit: float | None, unit: str) -> Measurement:
-    """The fields of an issue for a value and its limit in ``unit``; the limit is None where there is none."""
+    """Return the fields of an issue for a value and its limit in ``unit``.
+
+    The limit is None if there is none.
+    """
     return {"value": value, "limit": limit, "unit": unit}

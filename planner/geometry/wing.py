@@ -1,23 +1,21 @@
-"""Airfoil sections and the wing panel between two of them; NACA formulas and coordinate files.
+"""Airfoil sections and the wing panel between two of them: NACA formulas and coordinate files.
 
-A section is a row of points (N, 2) per chord, x from the leading to the trailing edge: from the
-trailing edge over the upper side to the leading edge and along the lower side back. A blunt
-trailing edge stays open between its last and its first point.
+A section is a row of points (N, 2) per chord, with x from the leading to the trailing edge. It goes from the
+trailing edge over the upper side to the leading edge and back along the lower side. A blunt trailing edge is
+open between its last and its first point.
 
-NACA families of 4 and 5 digits: E. N. Jacobs, K. E. Ward and R. M. Pinkerton, NACA Report 460
-(1933), four digits; E. N. Jacobs and R. M. Pinkerton, NACA Report 537 (1935), five digits with
-simple and reflexed camber lines; I. H. Abbott and A. E. von Doenhoff, Theory of Wing Sections
-(Dover, 1959), 6.4 to 6.6; constants of the camber lines as in C. L. Ladson and C. W. Brooks, NASA
-TM X-3284 (1975).
+NACA families of 4 and 5 digits: E. N. Jacobs, K. E. Ward and R. M. Pinkerton, NACA Report 460 (1933), four
+digits; E. N. Jacobs and R. M. Pinkerton, NACA Report 537 (1935), five digits with simple and reflexed camber
+lines; I. H. Abbott and A. E. von Doenhoff, Theory of Wing Sections (Dover, 1959), 6.4 to 6.6; constants of
+the camber lines as in C. L. Ladson and C. W. Brooks, NASA TM X-3284 (1975).
 
-Files, as in the UIUC airfoil coordinates database, are checked and put in order. Selig: a name,
-then x y from the trailing edge over the upper side to the leading edge and back below. Lednicer: a
-name, the numbers of points of both sides, then the upper side and the lower side, each from the
-leading to the trailing edge.
+Files, as in the UIUC airfoil coordinates database, are checked and sorted. Selig: a name, then x y from the
+trailing edge over the upper side to the leading edge and back below. Lednicer: a name, the numbers of points
+of both sides, then the upper side and the lower side, each from the leading to the trailing edge.
 
-A panel's frame: x from the leading to the trailing edge, y from root to tip, z up; the root's
-leading edge is at the origin. Sections stand in planes of constant y and are joined by rulings. The
-tip is turned about its quarter-chord point.
+A panel's frame: x from the leading to the trailing edge, y from root to tip, z up. The root's leading edge is
+at the origin. Sections are in planes of constant y and are joined by rulings. The tip is rotated about its
+quarter-chord point.
 """
 
 import dataclasses
@@ -30,12 +28,13 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 from shapely.geometry import LineString
 
-from planner.files import is_file, no_file
-from planner.geometry.arrays import FloatArray, Ruled
-from planner.geometry.curves import Guide, turned
-from planner.geometry.matching import Match, join
+from planner.files import is_file, missing_file_reason
+from planner.geometry.arrays import FloatArray, RuledSurface
+from planner.geometry.curves import RuledGuide, reverse_guide
+from planner.geometry.matching import Match, join_guides
 from planner.geometry.rulings import resample
-from planner.issues import Issue, Severity, TandemError, refusal
+from planner.issue_codes import format_message
+from planner.issues import Issue, Severity, TandemError, issue_error
 
 THICKNESS_COEFFICIENTS: Final = (0.2969, -0.1260, -0.3516, 0.2843, -0.1015)
 """Coefficients of x^0.5, x, x^2, x^3, x^4 of the half thickness of a section 20 % thick."""
@@ -46,23 +45,30 @@ SIMPLE_CAMBER: Final = {
     "240": (0.2900, 6.643),
     "250": (0.3910, 3.230),
 }
-"""Camber lines of five digits for a design lift coefficient of 0.3: (m, k1)."""
+"""Simple camber lines of five digits for a design lift coefficient of 0.3: (m, k1)."""
 REFLEXED_CAMBER: Final = {
     "221": (0.1300, 51.990, 0.000764),
     "231": (0.2170, 15.793, 0.00677),
     "241": (0.3180, 6.520, 0.0303),
     "251": (0.4410, 3.191, 0.1355),
 }
-"""Reflexed camber lines for a design lift coefficient of 0.3: (m, k1, k2 / k1)."""
-SHARP_EDGE: Final = 1e-6
-"""A trailing edge thinner than this [m] is sharp."""
+"""Reflexed camber lines of five digits for a design lift coefficient of 0.3: (m, k1, k2 / k1)."""
+SHARP_EDGE_M: Final = 1e-6
+"""Maximum thickness of a sharp trailing edge [m]."""
 
 
-def naca(digits: str, count: int = 160) -> FloatArray:
-    """Points (2 count + 1, 2) of a NACA section of 4 or 5 digits, close together at both edges.
+def naca_section(digits: str, count: int = 160) -> FloatArray:
+    """Return points (2 count + 1, 2) of a NACA section of 4 or 5 digits, dense at both edges.
 
-    Thickness stands at right angles to the camber line. The trailing edge is as blunt as the formula makes it
-    (0.0021 of the chord at a thickness of 0.10). Raises ``TandemError`` with ``part.naca``.
+    Thickness is normal to the camber line. The trailing edge is as blunt as the formula makes it (0.0021 of
+    the chord at a thickness of 0.10).
+
+    Args:
+        digits: The section's digits.
+        count: Number of intervals on each side.
+
+    Raises:
+        TandemError: The digits define no section (``part.naca``).
     """
     if not digits.isdigit() or len(digits) not in (4, 5):
         raise _refuse_digits(digits, "sections of 4 or 5 digits are known, as 2412 or 23112")
@@ -84,7 +90,9 @@ def _camber_4(digits: str, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     if m == 0.0:
         return np.zeros_like(x), np.zeros_like(x)
     if p == 0.0:
-        raise _refuse_digits(digits, "camber without its place; the second digit says where it is, in tenths")
+        raise _refuse_digits(
+            digits, "camber without a position; set the second digit, the position in tenths of the chord"
+        )
     rest = np.where(x < p, p * p, (1.0 - p) ** 2)
     height = m / rest * np.where(x < p, 2 * p * x - x * x, 1 - 2 * p + 2 * p * x - x * x)
     return height, 2.0 * m / rest * (p - x)
@@ -112,37 +120,42 @@ def _camber_5(digits: str, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     return lift * k / 6.0 * height, lift * k / 6.0 * slope
 
 
-def thickened(points: FloatArray, least: float) -> FloatArray:
-    """The section with a trailing edge at least ``least`` chords thick: upper and lower side are moved apart
-    in proportion to x, so that the leading edge stays as it is.
+def thickened(points: FloatArray, min_thickness: float) -> FloatArray:
+    """Return the section with a trailing edge at least ``min_thickness`` chords thick.
+
+    Its sides are moved apart in proportion to x, so that the leading edge is unchanged.
     """
     gap = float(np.linalg.norm(points[0] - points[-1]))
-    if gap >= least:
+    if gap >= min_thickness:
         return points
     top = np.arange(len(points)) <= leading_point(points)
-    share = np.clip(points[:, 0], 0.0, 1.0)
-    away = 0.5 * (least - gap) * share * np.where(top, 1.0, -1.0)
+    fraction = np.clip(points[:, 0], 0.0, 1.0)
+    away = 0.5 * (min_thickness - gap) * fraction * np.where(top, 1.0, -1.0)
     return points + np.stack([np.zeros(len(points)), away], axis=1)
 
 
 def leading_point(points: FloatArray) -> int:
-    """Index of the point farthest from the middle of the trailing edge."""
+    """Return the index of the point farthest from the middle of the trailing edge."""
     return int(np.argmax(np.linalg.norm(points - 0.5 * (points[0] + points[-1]), axis=1)))
 
 
-def section_guide(points: FloatArray, chord: float, tolerance: float, blunt: bool) -> Guide:
-    """A section of ``chord`` [m] as a closed guide in the plane z = 0, within ``tolerance`` [m] of the cubic
-    spline through its points.
+def section_guide(points: FloatArray, chord: float, tolerance: float, blunt: bool) -> RuledGuide:
+    """Return a section as a closed guide in the plane z = 0.
 
-    It starts at the trailing edge, goes over the upper side and has anchors at the leading edge, which is the
-    farthest from the trailing edge, and at the trailing edge, which is a corner: two corners with a straight
-    side where ``blunt``, which may be of no length.
+    It starts at the trailing edge, goes over the upper side and has anchors at the leading edge, which is
+    farthest from the trailing edge, and at the trailing edge, which is a corner.
+
+    Args:
+        points: Points of the section (N, 2) per chord.
+        chord: The chord [m].
+        tolerance: Maximum distance from the cubic spline through the points [m].
+        blunt: Whether the trailing edge has two corners with a straight side, possibly without length.
     """
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    curve = CubicSpline(way, points * chord, axis=0)
+    lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    curve = CubicSpline(lengths, points * chord, axis=0)
     tail = 0.5 * (points[0] + points[-1]) * chord
-    near = leading_point(points)
-    span = way[max(0, near - 1)], way[min(len(way) - 1, near + 1)]
+    leading = leading_point(points)
+    span = lengths[max(0, leading - 1)], lengths[min(len(lengths) - 1, leading + 1)]
     nose = float(
         minimize_scalar(
             lambda s: -float(np.sum((curve(s) - tail) ** 2)),
@@ -151,45 +164,54 @@ def section_guide(points: FloatArray, chord: float, tolerance: float, blunt: boo
             options={"xatol": 1e-10},
         ).x
     )
-    upper, lower = (_fine(curve, a, b, tolerance) for a, b in ((0.0, nose), (nose, way[-1])))
-    place = np.concatenate([upper, lower[1:]])
-    flat = curve(place)
+    upper, lower = (_fine_parameters(curve, a, b, tolerance) for a, b in ((0.0, nose), (nose, lengths[-1])))
+    parameters = np.concatenate([upper, lower[1:]])
+    flat = curve(parameters)
     if not blunt:
         flat[0] = tail
-        place, flat = place[:-1], flat[:-1]
-    count = len(place)
+        parameters, flat = parameters[:-1], flat[:-1]
+    count = len(parameters)
     corner, anchor = np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)
     corner[0] = True
     corner[-1] = blunt
     anchor[len(upper) - 1] = True
     spread = np.concatenate([flat, np.zeros((count, 1))], axis=1)
     parameter = np.arange(count) / count
-    return Guide(spread, corner, parameter, closed=True, anchor=anchor)
+    return RuledGuide(spread, corner, parameter, closed=True, anchor=anchor)
 
 
-def _fine(curve: CubicSpline, start: float, stop: float, tolerance: float) -> FloatArray:
-    """Places between which the curve is within ``tolerance`` of its chords, ends included."""
-    place = np.linspace(start, stop, 17)
+def _fine_parameters(curve: CubicSpline, start: float, stop: float, tolerance: float) -> FloatArray:
+    """Return parameters between which the curve is within ``tolerance`` of its chords, ends included."""
+    parameters = np.linspace(start, stop, 17)
     for _ in range(12):
-        middle = 0.5 * (place[1:] + place[:-1])
-        ends = curve(place)
-        off = np.linalg.norm(curve(middle) - 0.5 * (ends[1:] + ends[:-1]), axis=1)
-        if off.max() <= tolerance:
+        middle = 0.5 * (parameters[1:] + parameters[:-1])
+        ends = curve(parameters)
+        distances = np.linalg.norm(curve(middle) - 0.5 * (ends[1:] + ends[:-1]), axis=1)
+        if distances.max() <= tolerance:
             break
-        place = np.sort(np.concatenate([place, middle[off > tolerance]]))
-    return place
+        parameters = np.sort(np.concatenate([parameters, middle[distances > tolerance]]))
+    return parameters
 
 
 def _refuse_digits(digits: str, what: str) -> TandemError:
-    return refusal("part.naca", f"NACA {digits}: {what}; correct the digits", field="part.wing")
+    message = format_message("part.naca", digits=digits, reason=what)
+    return issue_error("part.naca", message, field="part.wing")
 
 
 @dataclasses.dataclass(frozen=True)
-class Panel:
-    """Lengths [m], angles [rad]. ``root`` and ``tip`` are points (N, 2) per chord, in Selig's order.
+class WingPanel:
+    """A wing panel.
 
-    ``sweep`` is that of the quarter-chord line, positive to the rear; ``twist`` is washout, positive with the
-    tip's nose down; ``dihedral`` is positive with the tip up. ``trailing_edge``: least thickness there.
+    Attributes:
+        root: Points of the root section (N, 2) per chord, in Selig's order.
+        tip: Points of the tip section, likewise.
+        root_chord: Chord of the root [m].
+        tip_chord: Chord of the tip [m].
+        span: Distance of the sections [m].
+        sweep: Sweep of the quarter-chord line, positive to the rear [rad].
+        twist: Washout, positive with the tip's nose down [rad].
+        dihedral: Dihedral, positive with the tip up [rad].
+        trailing_edge: Minimum thickness of the trailing edge [m].
     """
 
     root: FloatArray
@@ -203,11 +225,16 @@ class Panel:
     trailing_edge: float = 0.0
 
 
-def wing_surface(panel: Panel, match: Match = "arc_length", tolerance: float = 2e-5) -> Ruled:
-    """The panel's closed skin from root to tip, within ``tolerance`` [m] of splines through the sections.
+def wing_surface(panel: WingPanel, match: Match = "arc_length", tolerance: float = 2e-5) -> RuledSurface:
+    """Return the panel's closed skin from root to tip.
 
-    Leading edges are joined, and trailing edges at the upper and at the lower side, where the skin has a
-    corner; between them points at equal shares of each side's length, or as ``match`` says.
+    It joins leading edges, and trailing edges on the upper and on the lower side, where the skin has a
+    corner. Between them it joins points at equal fractions of each side's length, or as ``match`` says.
+
+    Args:
+        panel: The panel.
+        match: Matching of points between the edges.
+        tolerance: Maximum distance from the splines through the sections [m].
     """
     guides = []
     sections = ((panel.root, panel.root_chord), (panel.tip, panel.tip_chord))
@@ -217,88 +244,103 @@ def wing_surface(panel: Panel, match: Match = "arc_length", tolerance: float = 2
         for points, (_, chord) in zip(thick, sections, strict=True)
     ]
     for points, (_, chord) in zip(thick, sections, strict=True):
-        guides.append(section_guide(points, chord, 0.2 * tolerance, max(gaps) > SHARP_EDGE))
+        guides.append(section_guide(points, chord, 0.2 * tolerance, max(gaps) > SHARP_EDGE_M))
     root, tip = guides
     quarter = np.array([0.25 * panel.root_chord, 0.0])
     across = quarter + np.array([np.tan(panel.sweep), np.tan(panel.dihedral)]) * panel.span
     start = _placed(root, panel.root_chord, quarter, 0.0, 0.0)
     end = _placed(tip, panel.tip_chord, across, panel.twist, panel.span)
-    # over the lower side first: then its direction x the rulings, from root to tip, points outwards
-    return resample(join("skin", turned(start), turned(end), match), 0.6 * tolerance, 0.25 * panel.root_chord)
+    # lower side first, so that its direction x the rulings, from root to tip, points outwards
+    return resample(
+        join_guides("skin", reverse_guide(start), reverse_guide(end), match),
+        0.6 * tolerance,
+        0.25 * panel.root_chord,
+    )
 
 
-def _placed(guide: Guide, chord: float, quarter: FloatArray, twist: float, y: float) -> Guide:
-    """The section with its quarter-chord point at x, z = ``quarter``, nose turned down by ``twist`` [rad]."""
+def _placed(guide: RuledGuide, chord: float, quarter: FloatArray, twist: float, y: float) -> RuledGuide:
+    """Return the section with its quarter-chord point at x, z = ``quarter``.
+
+    Its nose is rotated down by ``twist`` [rad].
+    """
     x, z = guide.points[:, 0] - 0.25 * chord, guide.points[:, 1]
     c, s = np.cos(twist), np.sin(twist)
     placed = np.stack([quarter[0] + c * x - s * z, np.full(len(x), y), quarter[1] + s * x + c * z], axis=1)
     return dataclasses.replace(guide, points=placed)
 
 
-FEWEST_SECTION_POINTS: Final = 15
-"""Fewest points of a section; with less a spline through them says little of the nose."""
-MOST_SECTION_POINTS: Final = 5000
-"""Most points of a section: a file with more is no section of a wing."""
-WIDEST_TRAILING_EDGE: Final = 0.10
-"""Widest trailing edge, per chord; a larger gap means that points are missing."""
+MIN_SECTION_POINTS: Final = 15
+"""Minimum number of points of a section. With fewer, a spline does not define the nose."""
+MAX_SECTION_POINTS: Final = 5000
+"""Maximum number of points of a section."""
+MAX_TRAILING_EDGE: Final = 0.10
+"""Maximum trailing edge, per chord. A larger gap means that points are missing."""
 _MAX_SECTION_BYTES: Final = 2_000_000
-"""Files of sections larger than this [bytes] are refused unread."""
+"""Maximum size of section files [bytes]. Larger files are refused unread."""
 _COORDINATE: Final = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?"
-"""A number, perhaps with an exponent as in Fortran."""
+"""A number, optionally with an exponent as in Fortran."""
 _COORDINATE_PAIR: Final = re.compile(rf"^\s*\(?\s*({_COORDINATE})[\s,;]+({_COORDINATE})\s*\)?\s*$")
 """A line with the two coordinates of a point."""
 
 
 def read_airfoil(path: Path, field: str) -> tuple[FloatArray, list[Issue]]:
-    """Points (N, 2) per chord, from the trailing edge over the upper side and back, and notes of what was put
-    right: its order, a chord that is not 1 long, points that were given twice.
+    """Return points (N, 2) per chord, from the trailing edge over the upper side and back, and notes.
 
-    ``field`` is the field of the problem file that names the file. Raises ``TandemError`` with
-    ``problem.missing_file``, ``problem.too_large``, ``part.airfoil_format``, ``part.airfoil_order``,
-    ``part.airfoil_open``, ``part.airfoil_points`` or ``part.airfoil_crossing``.
+    The notes report corrections: order, a chord that is not 1 long, repeated points.
+
+    Args:
+        path: The file.
+        field: Field of the problem file that names it.
+
+    Raises:
+        TandemError: The file is not a valid section (``problem.missing_file``, ``problem.too_large``,
+            ``part.airfoil_format``, ``part.airfoil_order``, ``part.airfoil_open``, ``part.airfoil_points``,
+            ``part.airfoil_crossing``).
     """
     if not is_file(path):
-        raise _refuse_file("problem.missing_file", path, field, f"{no_file(path)}; check the path")
+        raise _refuse_file(
+            "problem.missing_file", path, field, f"{missing_file_reason(path)}; check the path"
+        )
     if path.stat().st_size > _MAX_SECTION_BYTES:
         raise _refuse_file(
             "problem.too_large", path, field, "more than 2 MB; an airfoil has some hundred points"
         )
     notes: list[Issue] = []
-    rows = _numbers(path, field)
+    rows = _read_coordinates(path, field)
     points = _sides(rows, path, field)
     repeated = np.concatenate([[False], np.linalg.norm(np.diff(points, axis=0), axis=1) < 1e-9])
     if repeated.any():
         points = points[~repeated]
         notes.append(_note(path, field, f"left out {int(repeated.sum())} points that repeat the one before"))
-    if not FEWEST_SECTION_POINTS <= len(points) <= MOST_SECTION_POINTS:
-        what = f"has {len(points)} points, {FEWEST_SECTION_POINTS} to {MOST_SECTION_POINTS} are wanted; "
-        what += "take another file of the same section"
+    if not MIN_SECTION_POINTS <= len(points) <= MAX_SECTION_POINTS:
+        what = f"has {len(points)} points, allowed {MIN_SECTION_POINTS} to {MAX_SECTION_POINTS}; "
+        what += "use another file of the same section"
         raise _refuse_file("part.airfoil_points", path, field, what)
     points = _ordered(points, path, field, notes)
-    _whole(points, path, field)
+    _check_trailing_edge_and_crossing(points, path, field)
     return _unit_chord(points, path, field, notes), notes
 
 
-def _numbers(path: Path, field: str) -> FloatArray:
+def _read_coordinates(path: Path, field: str) -> FloatArray:
     lines = path.read_bytes().decode("utf-8", errors="replace").lstrip("\ufeff").splitlines()
-    found: list[tuple[float, float]] = []
+    pairs: list[tuple[float, float]] = []
     remark: tuple[int, str] | None = None
     for number, line in enumerate(lines, start=1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         pair = _COORDINATE_PAIR.match(line)
         if pair is None:
-            if found and remark is None:
+            if pairs and remark is None:
                 remark = number, line.strip()[:40]
             continue  # a name above the points or remarks below them, however many lines long
         if remark is not None:
             what = f"line {remark[0]} has no x and y ({remark[1]!r}); remove or correct it"
             raise _refuse_file("part.airfoil_format", path, field, what)
-        found.append((_float(pair.group(1)), _float(pair.group(2))))
-    if not found:
-        what = "has no points; wanted are a name and lines of x y in Selig's or Lednicer's format"
+        pairs.append((_float(pair.group(1)), _float(pair.group(2))))
+    if not pairs:
+        what = "has no points; a name and lines of x y in Selig's or Lednicer's format are required"
         raise _refuse_file("part.airfoil_format", path, field, what)
-    rows = np.array(found)
+    rows = np.array(pairs)
     if not np.isfinite(rows).all():
         raise _refuse_file(
             "part.airfoil_format", path, field, "has numbers too large to read; repair the file"
@@ -311,7 +353,7 @@ def _float(text: str) -> float:
 
 
 def _sides(rows: FloatArray, path: Path, field: str) -> FloatArray:
-    """The points in one row; Lednicer's two sides are joined at the leading edge."""
+    """Return the points in one row. Lednicer's two sides are joined at the leading edge."""
     counts = np.round(rows[0])
     if not (np.abs(rows[0] - counts) < 1e-6).all() or (counts < 3).any():
         return rows
@@ -322,7 +364,7 @@ def _sides(rows: FloatArray, path: Path, field: str) -> FloatArray:
     top, bottom = rows[1 : 1 + upper], rows[1 + upper :]
     for side, name in ((top, "upper"), (bottom, "lower")):
         if side[0, 0] > side[-1, 0]:
-            what = f"its {name} side runs from the trailing edge; Lednicer's format wants both from the nose"
+            what = f"its {name} side starts at the trailing edge; in Lednicer's format both start at the nose"
             raise _refuse_file("part.airfoil_order", path, field, what)
     if np.linalg.norm(top[0] - bottom[0]) < 1e-9:
         bottom = bottom[1:]
@@ -330,7 +372,7 @@ def _sides(rows: FloatArray, path: Path, field: str) -> FloatArray:
 
 
 def _ordered(points: FloatArray, path: Path, field: str, notes: list[Issue]) -> FloatArray:
-    """The points from the trailing edge over the top and back below."""
+    """Return the points from the trailing edge over the top and back below."""
     chord = float(np.ptp(points[:, 0]))
     if chord <= 0.0:
         raise _refuse_file(
@@ -348,29 +390,29 @@ def _ordered(points: FloatArray, path: Path, field: str, notes: list[Issue]) -> 
     front = points[:, 0].min() + 0.5 * chord
     if points[0, 0] < front and points[-1, 0] < front:
         rear = int(np.argmax(points[:, 0]))
-        turned = np.concatenate([points[rear:], points[:rear]])
-        if np.linalg.norm(turned[len(points) - rear] - turned[len(points) - rear - 1]) < 1e-9 * chord:
-            turned = np.delete(turned, len(points) - rear, axis=0)
-        points = turned
-        notes.append(_note(path, field, "began at the leading edge; its points were put in Selig's order"))
+        rotated = np.concatenate([points[rear:], points[:rear]])
+        if np.linalg.norm(rotated[len(points) - rear] - rotated[len(points) - rear - 1]) < 1e-9 * chord:
+            rotated = np.delete(rotated, len(points) - rear, axis=0)
+        points = rotated
+        notes.append(_note(path, field, "began at the leading edge; its points were sorted in Selig's order"))
     nose = leading_point(points)
     if nose in (0, len(points) - 1) or points[0, 0] < front or points[-1, 0] < front:
-        what = "runs along one side only; give both, from the trailing edge over the top and back below"
+        what = "has one side only; give both, from the trailing edge over the top and back below"
         raise _refuse_file("part.airfoil_open", path, field, what)
     if _area(points) < 0.0:
         points = points[::-1]
-        notes.append(_note(path, field, "ran along the lower side first; its points were turned round"))
+        notes.append(_note(path, field, "began with the lower side; the order of its points was reversed"))
     return points
 
 
-def _whole(points: FloatArray, path: Path, field: str) -> None:
+def _check_trailing_edge_and_crossing(points: FloatArray, path: Path, field: str) -> None:
     chord = float(np.ptp(points[:, 0]))
     gap = points[0] - points[-1]
-    if abs(gap[0]) > 0.02 * chord or np.linalg.norm(gap) > WIDEST_TRAILING_EDGE * chord:
+    if abs(gap[0]) > 0.02 * chord or np.linalg.norm(gap) > MAX_TRAILING_EDGE * chord:
         what = (
             f"has no trailing edge: its sides end at x = {points[0, 0]:g} and {points[-1, 0]:g}, "
-            f"{np.linalg.norm(gap) / chord:.1%} of the chord apart, up to {WIDEST_TRAILING_EDGE:.0%} of it "
-            "upright is taken as a blunt one; add the missing points"
+            f"{np.linalg.norm(gap) / chord:.1%} of the chord apart (allowed for a blunt one: an upright gap "
+            f"of up to {MAX_TRAILING_EDGE:.0%}); add the missing points"
         )
         raise _refuse_file("part.airfoil_open", path, field, what)
     line = LineString(points)
@@ -381,7 +423,7 @@ def _whole(points: FloatArray, path: Path, field: str) -> None:
 
 
 def _crossing(points: FloatArray) -> FloatArray:
-    """A point (2,) in which a polyline meets itself."""
+    """Return a point (2,) in which a polyline meets itself."""
     a, b = points[:-1], points[1:]
     for i in range(len(a) - 2):
         other = LineString(points[i + 2 :])
@@ -392,13 +434,13 @@ def _crossing(points: FloatArray) -> FloatArray:
 
 
 def _unit_chord(points: FloatArray, path: Path, field: str, notes: list[Issue]) -> FloatArray:
-    """The section with its foremost point at x = 0 and its trailing edge at x = 1, not turned."""
+    """Return the section with its foremost point at x = 0 and its trailing edge at x = 1, not rotated."""
     nose, tail = float(points[:, 0].min()), 0.5 * float(points[0, 0] + points[-1, 0])
     chord = tail - nose
     if abs(chord - 1.0) <= 2e-3 and abs(nose) <= 2e-3:
         return points
     notes.append(
-        _note(path, field, f"has a chord from x = {nose:.4g} to {tail:.4g}; it was brought to 0 to 1")
+        _note(path, field, f"has a chord from x = {nose:.4g} to {tail:.4g}; it was scaled to 0 to 1")
     )
     return np.asarray((points - np.array([nose, 0.0])) / chord)
 
@@ -409,8 +451,9 @@ def _area(points: FloatArray) -> float:
 
 
 def _note(path: Path, field: str, what: str) -> Issue:
-    return Issue("part.airfoil_note", f"{path.name} {what}", Severity.NOTE, file=str(path), field=field)
+    message = format_message("part.airfoil_note", file=path.name, correction=what)
+    return Issue("part.airfoil_note", message, Severity.NOTE, file=str(path), field=field)
 
 
 def _refuse_file(code: str, path: Path, field: str, what: str) -> TandemError:
-    return refusal(code, f"{path.name}: {what}", file=str(path), field=field)
+    return issue_error(code, f"{path.name}: {what}", file=str(path), field=field)

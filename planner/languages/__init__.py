@@ -1,1 +1,1 @@
-"""Robot languages: one folder each, with its writer, its reader and the rules on its text."""
+"""Robot languages. Each has a folder with its writer, its reader and the rules on its text."""

@@ -1,24 +1,24 @@
-"""Explicit force control of a support, and compensation of a former that gives way, in time.
+"""Explicit force control of a support, and compensation of the forming arm's deflection, in the time domain.
 
-Along the line of centres, with P the way of the support off the sheet, P_f that of the former into it, and
-the sheet's forming force beside (a dissertation on double-sided forming, section 2.3, whose sign of the
-support's move is printed the other way round):
+Along the line of centres, with P the path of the support off the sheet, P_f that of the forming arm into it,
+and the sheet's forming force in parallel (a dissertation on double-sided forming, section 2.3, whose sign of
+the support's move is printed reversed):
 
     F = Kc (eps - P), where positive;  1 / Kc = 1 / k_f + 1 / k_metal + 1 / k_s
     eps = P_f + thickness - F_sheet / k_f
-    dP/dt = -Ki (F_c - F)                         force control: a push that is too weak draws nearer
-    P_f = wanted + share * F / k_f                compensation of the former, by the measured force
+    dP/dt = -Ki (F_c - F)                         force control: if the push is too weak, the support
+    approaches P_f = required + fraction * F / k_f      compensation of the forming arm, by the measured force
 
-Each command goes through a transport delay and a servo of so many equal poles; the force is measured each
-cycle, with noise, a first-order filter and a converter's steps.
+Each command passes a transport delay and a servo with a number of equal poles. The force is measured each
+cycle, with noise, a first-order filter and the quantisation of a converter.
 
-**Gain.** What the loop has of lags acts like one dead time T: delay, cycle, poles and filter. An integral
-loop with a dead time oscillates from Ki Kc T = pi / 2 on (the phase of e^(-i w T) / (i w) is -pi at w = pi /
-(2 T)), and overshoots by about 5 % at 0.5; so Ki = 0.4 / (T Kc). A gap that changes at v_n is followed with
-an error of v_n / Ki: the integral of the error makes the speed.
+**Gain.** The lags of the loop act like one dead time T: delay, cycle, poles and filter. An integral loop with
+a dead time oscillates from Ki Kc T = pi / 2 (the phase of e^(-i w T) / (i w) is -pi at w = pi / (2 T)), and
+overshoots by about 5 % at 0.5. Hence Ki = 0.4 / (T Kc). A gap that changes at v_n is followed with an error
+of v_n / Ki, because the integral of the error produces the speed.
 
-**Compensation** is positive feedback of loop gain r = Kc / k_f: of the deflection without it,
-(1 - share) / (1 - share r) stays (F = Kc (d + share F / k_f) for a step d). It wants r < 1.
+**Compensation** is positive feedback with loop gain r = Kc / k_f. Of the deflection without it,
+(1 - fraction) / (1 - fraction r) remains (F = Kc (d + fraction F / k_f) for a step d). It requires r < 1.
 """
 
 import dataclasses
@@ -29,20 +29,26 @@ import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray
 
-GAIN: Final = 0.4
-"""Ki Kc T that is recommended [-]."""
-MOST_GAIN: Final = 0.5 * np.pi
-"""Ki Kc T from which a loop with a dead time T oscillates [-]."""
-STEPS_A_CYCLE: Final = 8
-"""Steps of time in a cycle of the controller, in which servos go on."""
-SETTLED_SHARE: Final = 0.02
-"""A response has settled where it stays so near to its end, as a share of its way."""
+RECOMMENDED_GAIN: Final = 0.4
+"""Recommended Ki Kc T [-]."""
+MAX_GAIN: Final = 0.5 * np.pi
+"""Ki Kc T at which a loop with a dead time T starts to oscillate [-]."""
+STEPS_PER_CYCLE: Final = 8
+"""Number of time steps of the servos in a cycle of the controller."""
+SETTLED_FRACTION: Final = 0.02
+"""A response has settled if it stays this close to its end, as a fraction of its step."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Axis:
-    """An arm along the line of centres: ``stiffness`` [N/m] with its tool, servo of ``order`` equal poles
-    that lets ``bandwidth`` [Hz] through by 0.71 (-3 dB), transport ``delay`` [s] of its commands."""
+class ServoAxis:
+    """An arm along the line of centres.
+
+    Attributes:
+        stiffness: Stiffness with its tool [N/m].
+        bandwidth: Bandwidth of the servo at a gain of 0.71 (-3 dB) [Hz].
+        order: Number of equal poles of the servo.
+        delay: Transport delay of its commands [s].
+    """
 
     stiffness: float
     bandwidth: float
@@ -56,9 +62,15 @@ class Axis:
 
 
 @dataclasses.dataclass(frozen=True)
-class Sensor:
-    """How force is measured: each ``cycle`` [s], through a first-order filter of ``filter_hz`` (-3 dB), with
-    ``noise`` [N] (one standard deviation) and a converter's steps of ``quantum`` [N], 0 for none."""
+class ForceSensor:
+    """Measurement of the force.
+
+    Attributes:
+        cycle: Cycle time [s].
+        filter_hz: First-order filter at -3 dB [Hz].
+        noise: One standard deviation [N].
+        quantum: Step of the converter [N], 0 for none.
+    """
 
     cycle: float = 0.004
     filter_hz: float = 40.0
@@ -67,193 +79,265 @@ class Sensor:
 
 
 @dataclasses.dataclass(frozen=True)
-class Machine:
-    """Both arms, the metal between them (``metal`` [N/m]) and the force sensor."""
+class FormingMachine:
+    """Both arms, the metal between them and the force sensor.
 
-    former: Axis
-    support: Axis
+    Attributes:
+        forming: Arm that forms.
+        support: Arm that supports.
+        metal: Stiffness of the metal [N/m].
+        sensor: The force sensor.
+    """
+
+    forming: ServoAxis
+    support: ServoAxis
     metal: float
-    sensor: Sensor = Sensor()
+    sensor: ForceSensor = ForceSensor()
 
     @property
     def contact(self) -> float:
-        """Stiffness Kc [N/m] of former, metal and support in a row."""
-        return 1.0 / (1.0 / self.former.stiffness + 1.0 / self.metal + 1.0 / self.support.stiffness)
+        """Stiffness Kc [N/m] of forming arm, metal and support in series."""
+        return 1.0 / (1.0 / self.forming.stiffness + 1.0 / self.metal + 1.0 / self.support.stiffness)
 
     @property
     def compliance_gain(self) -> float:
-        """Loop gain r [-] of the compensation of the former."""
-        return self.contact / self.former.stiffness
+        """Loop gain r [-] of the compensation of the forming arm."""
+        return self.contact / self.forming.stiffness
 
-    def dead_time(self, axis: Axis) -> float:
-        """What a loop over an axis has of lags, as one dead time T [s]: a command takes a cycle to be worked
-        out and holds for another, which is half a cycle's lag."""
+    def dead_time(self, axis: ServoAxis) -> float:
+        """Return the lags of a loop over an axis as one dead time T [s].
+
+        The computation of a command takes a cycle. The command is held for another, which is half a cycle of
+        lag.
+        """
         sensor = self.sensor
         filtered = 1.0 / (2.0 * np.pi * sensor.filter_hz)
         return float(axis.delay + 1.5 * sensor.cycle + axis.order / axis.pole + filtered)
 
-    def gain(self, share: float = 0.0) -> float:
-        """Recommended integral gain Ki [m/(N s)] of the support's force, where ``share`` of the former's
-        deflection is compensated; 0 where that leaves the loop nothing."""
-        return GAIN * self._per_gain(share)
+    def recommended_gain(self, fraction: float = 0.0) -> float:
+        """Return the recommended integral gain Ki [m/(N s)] of the support's force.
 
-    def most_gain(self, share: float = 0.0) -> float:
-        """Integral gain [m/(N s)] from which the loop counts as unstable."""
-        return MOST_GAIN * self._per_gain(share)
+        It is 0 if the compensation leaves the loop no gain.
 
-    def felt(self, share: float) -> tuple[float, float]:
-        """Stiffness [N/m] and dead time [s] of the contact as the support's loop feels it, beside which a
-        ``share`` of the former's deflection is compensated; a loop gain of that below 1."""
-        back = share * self.compliance_gain
-        # with both loops the contact is as stiff as Kc / (1 - back), and gets so with a lag of its own
-        late = self.dead_time(self.support) + back / (1.0 - back) * self.dead_time(self.former)
-        return self.contact / (1.0 - back), late
+        Args:
+            fraction: Fraction of the forming arm's deflection that is compensated.
+        """
+        return RECOMMENDED_GAIN * self._gain_unit(fraction)
 
-    def _per_gain(self, share: float) -> float:
-        if share * self.compliance_gain >= 1.0:
+    def max_gain(self, fraction: float = 0.0) -> float:
+        """Return the integral gain [m/(N s)] from which the loop counts as unstable."""
+        return MAX_GAIN * self._gain_unit(fraction)
+
+    def effective_contact(self, fraction: float) -> tuple[float, float]:
+        """Return the stiffness [N/m] and dead time [s] of the contact that the support's loop sees.
+
+        Args:
+            fraction: Fraction of the forming arm's deflection that is compensated, with a loop gain below 1.
+        """
+        loop_gain = fraction * self.compliance_gain
+        # with both loops the contact has stiffness Kc / (1 - back), which it reaches with an additional lag
+        dead_time = self.dead_time(self.support) + loop_gain / (1.0 - loop_gain) * self.dead_time(
+            self.forming
+        )
+        return self.contact / (1.0 - loop_gain), dead_time
+
+    def _gain_unit(self, fraction: float) -> float:
+        if fraction * self.compliance_gain >= 1.0:
             return 0.0
-        stiff, late = self.felt(share)
-        return 1.0 / (late * stiff)
+        stiffness, dead_time = self.effective_contact(fraction)
+        return 1.0 / (dead_time * stiffness)
 
 
 @dataclasses.dataclass(frozen=True)
-class Control:
-    """What the controller does: integral ``gain`` Ki [m/(N s)] of the support's force, 0 for position
-    control; ``share`` of the former's deflection that is compensated [-]."""
+class ForceControl:
+    """Settings of the controller.
+
+    Attributes:
+        gain: Integral gain Ki of the support's force [m/(N s)], 0 for position control.
+        fraction: Fraction of the forming arm's deflection that is compensated [-].
+    """
 
     gain: float
-    share: float = 0.0
+    fraction: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
-class Trace:
-    """A run of M machines over S samples, one each cycle: ``time`` (S,) [s], ``force`` (M, S) [N] as it is,
-    ``measured`` (M, S) [N], ``deflection`` (M, S) [m] that is left at the former, ``support`` (M, S) [m],
-    ``wanted`` (M, S) [N] the force that is commanded."""
+class ForceTrace:
+    """A run of M machines over S samples, one each cycle.
+
+    Attributes:
+        time: Time (S,) [s].
+        force: Actual force (M, S) [N].
+        measured: Measured force (M, S) [N].
+        deflection: Remaining deflection of the forming arm (M, S) [m].
+        support: Position of the support (M, S) [m].
+        commanded: Commanded force (M, S) [N].
+    """
 
     time: FloatArray
     force: FloatArray
     measured: FloatArray
     deflection: FloatArray
     support: FloatArray
-    wanted: FloatArray
+    commanded: FloatArray
 
 
-Drive = Callable[[FloatArray], FloatArray]
+TimeFunction = Callable[[FloatArray], FloatArray]
 """A quantity of all machines, (S,) or (M, S), at times (S,) [s]."""
 
 
-def simulate(
-    machines: list[Machine], controls: list[Control], wanted: Drive, gap: Drive, seconds: float, seed: int = 0
-) -> Trace:
-    """Run M machines from rest at the ``wanted`` force at time 0.
+def simulate_force(
+    machines: list[FormingMachine],
+    controls: list[ForceControl],
+    commanded: TimeFunction,
+    gap: TimeFunction,
+    seconds: float,
+    seed: int = 0,
+) -> ForceTrace:
+    """Run M machines from rest at the commanded force at time 0.
 
-    ``wanted``: force F_c [N]; ``gap``: way [m] that the former's command and the sheet close in by, which is
-    0 at time 0. All machines have sensors of one cycle. Raises ``ValueError`` where they do not."""
+    Args:
+        machines: The machines. All sensors have the same cycle.
+        controls: Settings of each controller.
+        commanded: Force F_c [N].
+        gap: Path [m] by which the forming arm's command and the sheet approach each other, 0 at time 0.
+        seconds: Duration [s].
+        seed: Seed of the noise.
+
+    Raises:
+        ValueError: If cycles differ or a control is missing.
+    """
     cycles = {machine.sensor.cycle for machine in machines}
     if len(cycles) != 1 or len(machines) != len(controls):
         raise ValueError(
-            f"machines of one run need one cycle each, and a control: got cycles {sorted(cycles)}"
+            f"machines of one run need the same cycle and one control each: got cycles {sorted(cycles)}"
         )
     cycle = cycles.pop()
     count, steps = len(machines), round(seconds / cycle)
-    fine = cycle / STEPS_A_CYCLE
+    fine = cycle / STEPS_PER_CYCLE
     time: FloatArray = cycle * np.arange(steps, dtype=np.float64)
-    force_c = np.broadcast_to(wanted(time), (count, steps))
+    force_c = np.broadcast_to(commanded(time), (count, steps))
     contact = np.array([machine.contact for machine in machines])
-    former = np.array([machine.former.stiffness for machine in machines])
+    former = np.array([machine.forming.stiffness for machine in machines])
     gain = np.array([control.gain for control in controls])
-    back = np.array([control.share for control in controls]) / former
+    compensation = np.array([control.fraction for control in controls]) / former
     sensors = [machine.sensor for machine in machines]
     noise = np.array([sensor.noise for sensor in sensors])[:, None] * np.random.default_rng(seed).normal(
         size=(count, steps)
     )
     quantum = np.array([sensor.quantum for sensor in sensors])
-    keep = np.exp(-2.0 * np.pi * np.array([sensor.filter_hz for sensor in sensors]) * fine)
-    support = _Servos([machine.support for machine in machines], fine)
-    aside = _Servos([machine.former for machine in machines], fine)
-    # at rest the support presses with the wanted force, and what the former gives way by is compensated
+    filter_factor = np.exp(-2.0 * np.pi * np.array([sensor.filter_hz for sensor in sensors]) * fine)
+    support = _ServoChain([machine.support for machine in machines], fine)
+    former_servos = _ServoChain([machine.forming for machine in machines], fine)
+    # at rest the support applies the commanded force, and the forming arm's deflection is compensated
     start = np.asarray(force_c[:, 0], dtype=np.float64)
-    p, lift = -start / contact + back * start, back * start
-    support.rest(p)
-    aside.rest(lift)
+    position, former_command = -start / contact + compensation * start, compensation * start
+    support.reset(position)
+    former_servos.reset(former_command)
     filtered = start
     out = np.empty((4, count, steps))
-    ways = gap(np.asarray(fine * np.arange(steps * STEPS_A_CYCLE), dtype=np.float64))
-    ways = np.broadcast_to(ways, (count, steps * STEPS_A_CYCLE))
+    gap_path = gap(np.asarray(fine * np.arange(steps * STEPS_PER_CYCLE), dtype=np.float64))
+    gap_path = np.broadcast_to(gap_path, (count, steps * STEPS_PER_CYCLE))
     force = start
     for k in range(steps):
-        steps_of = np.round(filtered / np.maximum(quantum, 1e-300)) * quantum
-        measured = np.where(quantum > 0.0, steps_of, filtered)
-        # what is worked out in this cycle goes out in the next
-        sent, p = p, p - gain * cycle * (force_c[:, k] - measured)
-        given, lift = lift, np.where(back > 0.0, back * measured, lift)
-        out[:, :, k] = force, measured, force / former - aside.value, support.value
-        for step in range(STEPS_A_CYCLE):
-            at_support, at_former = support.step(sent), aside.step(given)
-            eps = at_former + ways[:, k * STEPS_A_CYCLE + step]
-            before, force = force, np.maximum(contact * (eps - at_support), 0.0)
-            filtered = keep * filtered + (1.0 - keep) * (0.5 * (before + force) + noise[:, k])
-    return Trace(time, out[0], out[1], out[2], out[3], force_c)
+        quantised = np.round(filtered / np.maximum(quantum, 1e-300)) * quantum
+        measured = np.where(quantum > 0.0, quantised, filtered)
+        # commands computed in this cycle are sent in the next
+        sent_position, position = position, position - gain * cycle * (force_c[:, k] - measured)
+        sent_former, former_command = (
+            former_command,
+            np.where(compensation > 0.0, compensation * measured, former_command),
+        )
+        out[:, :, k] = force, measured, force / former - former_servos.value, support.value
+        for step in range(STEPS_PER_CYCLE):
+            at_support, at_former = support.step(sent_position), former_servos.step(sent_former)
+            eps = at_former + gap_path[:, k * STEPS_PER_CYCLE + step]
+            last_force, force = force, np.maximum(contact * (eps - at_support), 0.0)
+            filtered = filter_factor * filtered + (1.0 - filter_factor) * (
+                0.5 * (last_force + force) + noise[:, k]
+            )
+    return ForceTrace(time, out[0], out[1], out[2], out[3], force_c)
 
 
-class _Servos:
-    """Servos of M axes: chains of equal poles behind delays, for commands that are held between steps."""
+class _ServoChain:
+    """Servos of M axes: chains of equal poles after delays, for commands that are held between steps."""
 
-    def __init__(self, axes: list[Axis], step: float) -> None:
+    def __init__(self, axes: list[ServoAxis], step: float) -> None:
         self._order = np.array([axis.order for axis in axes])
-        self._share = np.exp(-np.array([axis.pole for axis in axes]) * step)
-        self._late = np.array([round(axis.delay / step) for axis in axes])
+        self._factor = np.exp(-np.array([axis.pole for axis in axes]) * step)
+        self._delay_steps = np.array([round(axis.delay / step) for axis in axes])
         self._poles = np.zeros((int(self._order.max()), len(axes)))
-        self._past = np.zeros((int(self._late.max()) + 1, len(axes)))
-        self._now = 0
+        self._commands = np.zeros((int(self._delay_steps.max()) + 1, len(axes)))
+        self._step_index = 0
 
-    def rest(self, value: FloatArray) -> None:
-        """Stand still at (M,) values."""
+    def reset(self, value: FloatArray) -> None:
+        """Put the servos at rest at values (M,)."""
         self._poles[:] = value
-        self._past[:] = value
+        self._commands[:] = value
 
     @property
     def value(self) -> FloatArray:
-        """Where they are (M,)."""
+        """Present positions (M,)."""
         return np.asarray(self._poles[self._order - 1, np.arange(len(self._order))])
 
     def step(self, command: FloatArray) -> FloatArray:
-        """Where they are (M,) a step later, under commands (M,)."""
-        rows = len(self._past)
-        self._past[self._now % rows] = command
-        into = self._past[(self._now - self._late) % rows, np.arange(len(self._late))]
-        self._now += 1
+        """Return the positions (M,) one step later, under commands (M,)."""
+        rows = len(self._commands)
+        self._commands[self._step_index % rows] = command
+        pole_input = self._commands[
+            (self._step_index - self._delay_steps) % rows, np.arange(len(self._delay_steps))
+        ]
+        self._step_index += 1
         for k in range(len(self._poles)):
-            before = self._poles[k].copy()
-            after = self._share * before + (1.0 - self._share) * into
-            self._poles[k] = after
-            into = 0.5 * (before + after)  # what the next pole gets on the way
+            last_value = self._poles[k].copy()
+            next_value = self._factor * last_value + (1.0 - self._factor) * pole_input
+            self._poles[k] = next_value
+            pole_input = 0.5 * (last_value + next_value)  # mean input of the next pole during the step
         return self.value
 
 
 @dataclasses.dataclass(frozen=True)
-class Response:
-    """Of M responses from ``start`` to an end: ``overshoot`` (M,) as a share of the way, ``rise`` (M,) [s] to
-    0.9 of it, ``settled`` (M,) whether the last fifth stays within `SETTLED_SHARE`."""
+class StepResponse:
+    """M step responses.
+
+    Attributes:
+        overshoot: Overshoot (M,) as a fraction of the step.
+        rise: Time to 0.9 of the step (M,) [s].
+        has_settled: Whether the last fifth stays within `SETTLED_FRACTION` (M,).
+    """
 
     overshoot: FloatArray
     rise: FloatArray
-    settled: BoolArray
+    has_settled: BoolArray
 
 
-def step_response(trace: Trace, start: float, end: float) -> Response:
-    """Of a run whose wanted force steps from ``start`` to ``end`` [N] at its beginning."""
-    share = (trace.force - start) / (end - start)
-    reached = share >= 0.9
-    late = share[:, -(len(trace.time) // 5) :]
-    return Response(
-        overshoot=np.maximum(share.max(axis=1) - 1.0, 0.0),
-        rise=np.where(reached.any(axis=1), trace.time[reached.argmax(axis=1)], np.inf),
-        settled=np.asarray(np.abs(late - 1.0).max(axis=1) <= SETTLED_SHARE),
+def step_response(trace: ForceTrace, start: float, end: float) -> StepResponse:
+    """Return the responses of a run whose commanded force steps at its start.
+
+    Args:
+        trace: The run.
+        start: Force before the step [N].
+        end: Force after the step [N].
+    """
+    fraction = (trace.force - start) / (end - start)
+    is_reached = fraction >= 0.9
+    last_part = fraction[:, -(len(trace.time) // 5) :]
+    return StepResponse(
+        overshoot=np.maximum(fraction.max(axis=1) - 1.0, 0.0),
+        rise=np.where(is_reached.any(axis=1), trace.time[is_reached.argmax(axis=1)], np.inf),
+        has_settled=np.asarray(np.abs(last_part - 1.0).max(axis=1) <= SETTLED_FRACTION),
     )
 
 
-def left_over(share: float | FloatArray, compliance_gain: float | FloatArray) -> FloatArray:
-    """Share of the uncompensated deflection that stays where ``share`` of it is compensated [-]."""
-    return np.asarray((1.0 - np.asarray(share)) / (1.0 - np.asarray(share) * np.asarray(compliance_gain)))
+def remaining_deflection(fraction: float | FloatArray, compliance_gain: float | FloatArray) -> FloatArray:
+    """Return the fraction [-] of the uncompensated deflection that remains.
+
+    (1 - fraction) / (1 - fraction r).
+
+    Args:
+        fraction: Fraction that is compensated.
+        compliance_gain: Loop gain r.
+    """
+    return np.asarray(
+        (1.0 - np.asarray(fraction)) / (1.0 - np.asarray(fraction) * np.asarray(compliance_gain))
+    )

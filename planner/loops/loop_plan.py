@@ -1,8 +1,9 @@
-"""What the loop from level to level knows of a pass before it is formed, as a value and as a file.
+"""Data that the loop from level to level has of a pass before it is formed, as a value and as a file.
 
-A level is a loop of the path. At its points, places along it where force is measured, stands the curve of
-springback over force of the sheet as formed so far, and the force that is expected. ``tandem springback
-PROBLEM --curves FILE`` writes the file (JSON, lengths in mm, forces in N); the digest says of which problem.
+A level is a loop of the path. Its points are positions along the path where force is measured. Each has the
+curve of springback over force of the sheet as formed so far, and the expected force. ``tandem springback
+PROBLEM --curves FILE`` writes the file (JSON, lengths in mm, forces in N). The digest states of which
+problem.
 """
 
 import dataclasses
@@ -14,90 +15,107 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
-from planner.files import is_file, no_file
+from planner.files import is_file, missing_file_reason
 from planner.geometry.arrays import FloatArray, IntArray, lengths
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
-from planner.reading.forces_file import Asked
+from planner.reading.forces_file import ExpectedLevels
 from planner.reading.strict_yaml import Name, Strict
 
-MOST_BYTES: Final = 50_000_000
-"""Bytes of a file of curves at most."""
-FARTHEST: Final = 10_000.0
-"""Coordinates up to this [mm] are read."""
-OTHER_KINDS: Final = {
-    "tandem_springback": "is a springback file, as tandem springback --write writes it",
-    "tandem_level": "has the shifts of one level, as tandem next-loop --problem writes them",
-    "tandem_offsets": "has the offsets of one level, as tandem next-loop -o writes them",
+MAX_FILE_BYTES: Final = 50_000_000
+"""Maximum size of a file of curves [bytes]."""
+MAX_COORDINATE_MM: Final = 10_000.0
+"""Maximum absolute coordinate [mm]."""
+OTHER_FILE_KINDS: Final = {
+    "tandem_springback": "is a springback file, written by tandem springback --write",
+    "tandem_level": "has the shifts of one level, written by tandem next-loop --problem",
+    "tandem_offsets": "has the offsets of one level, written by tandem next-loop -o",
 }
-"""What files with shifts and no curves are, by what they have in place of ``tandem_loop``."""
+"""Descriptions of files with shifts but no curves, by the key that they have in place of ``tandem_loop``."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Level:
-    """A loop of the path: ``path`` (K, 3) [m], places of contact evenly along it, closed; ``depth`` [m] below
-    the flat, along the tool's way. Of its P points ``place`` (P,) on the path, rising; ``loads`` (P, L) [N]
-    and ``springback`` (P, L) [m], both from 0 and growing; ``force`` (P,) [N] that is expected."""
+class FormingLevel:
+    """A loop of the path with K positions and P points.
+
+    Attributes:
+        path: Contact positions evenly along the closed path (K, 3) [m].
+        depth: Depth below the flat, along the tool's direction [m].
+        path_index: Index of each point on the path, ascending (P,).
+        loads: Loads of each curve, from 0 and increasing (P, L) [N].
+        springback: Springback of each curve, from 0 and increasing (P, L) [m].
+        force: Expected force (P,) [N].
+    """
 
     path: FloatArray
     depth: float
-    place: IntArray
+    path_index: IntArray
     loads: FloatArray
     springback: FloatArray
     force: FloatArray
 
     @functools.cached_property
     def curves(self) -> FloatArray:
-        """Coefficients (4, P, L - 1) of the cubics through each point's curve, by powers of what the load is
-        above that at the piece's start, the third first.
+        """Coefficients (4, P, L - 1) of the cubics through each point's curve, the third power first.
 
-        Monotone, by slopes of F. N. Fritsch, J. Butland, SIAM Journal on Scientific and Statistical Computing
-        5 (1984) 300, as `scipy.interpolate.PchipInterpolator` has them, here of all points at once.
+        The variable is the load above that at the start of the piece. The cubics are monotone, with slopes of
+        F. N. Fritsch, J. Butland, SIAM Journal on Scientific and Statistical Computing 5 (1984) 300, as in
+        `scipy.interpolate.PchipInterpolator`, here for all points at once.
         """
         h = np.diff(self.loads, axis=1)
         m = np.diff(self.springback, axis=1) / h
         slope = np.repeat(m[:, :1], h.shape[1] + 1, axis=1)
         if h.shape[1] > 1:
-            one, two = 2.0 * h[:, 1:] + h[:, :-1], h[:, 1:] + 2.0 * h[:, :-1]
-            slope[:, 1:-1] = (one + two) / (one / m[:, :-1] + two / m[:, 1:])
-            for end, near, next_ in ((0, 0, 1), (-1, -1, -2)):
-                a, b = h[:, near], h[:, next_]
-                slope[:, end] = np.maximum(((2.0 * a + b) * m[:, near] - a * m[:, next_]) / (a + b), 0.0)
+            first_weight, second_weight = 2.0 * h[:, 1:] + h[:, :-1], h[:, 1:] + 2.0 * h[:, :-1]
+            slope[:, 1:-1] = (first_weight + second_weight) / (
+                first_weight / m[:, :-1] + second_weight / m[:, 1:]
+            )
+            for end, first, next_ in ((0, 0, 1), (-1, -1, -2)):
+                a, b = h[:, first], h[:, next_]
+                slope[:, end] = np.maximum(((2.0 * a + b) * m[:, first] - a * m[:, next_]) / (a + b), 0.0)
         low, high = slope[:, :-1], slope[:, 1:]
-        turn, bend = (low + high - 2.0 * m) / h**2, (3.0 * m - 2.0 * low - high) / h
-        return np.stack([turn, bend, low, self.springback[:, :-1]])
+        cubic, quadratic = (low + high - 2.0 * m) / h**2, (3.0 * m - 2.0 * low - high) / h
+        return np.stack([cubic, quadratic, low, self.springback[:, :-1]])
 
     @functools.cached_property
     def spacing(self) -> float:
-        """Way [m] between two places of the path."""
+        """Distance [m] between two positions of the path."""
         ends = np.vstack([self.path, self.path[:1]])
         return float(lengths(np.diff(ends, axis=0)).mean())
 
 
 @dataclasses.dataclass(frozen=True)
 class LoopPlan:
-    """A pass of ``levels``. ``name`` of the pass, ``digest`` of its problem; ``side``: 1 where the tool goes
-    down, -1 up; ``radius`` [m] of its ball; ``force_exponent`` m of the force in the step."""
+    """A pass.
+
+    Attributes:
+        name: Name of the pass.
+        digest: Digest of its problem.
+        side: 1 if the tool moves down, -1 if it moves up.
+        radius: Radius of its ball [m].
+        force_exponent: Exponent m of the force in the step.
+        levels: The levels.
+    """
 
     name: str
     digest: str
     side: int
     radius: float
     force_exponent: float
-    levels: tuple[Level, ...]
+    levels: tuple[FormingLevel, ...]
 
     @property
-    def asked(self) -> Asked:
-        """What a file of forces may have of it."""
-        return Asked(
+    def expected_forces(self) -> ExpectedLevels:
+        """What a file of forces may contain for this pass."""
+        return ExpectedLevels(
             self.name,
-            tuple(level.path[level.place, :2] for level in self.levels),
+            tuple(level.path[level.path_index, :2] for level in self.levels),
             np.array([float(level.loads.max()) for level in self.levels]),
             np.array([float(level.force.max()) for level in self.levels]),
         )
 
 
-Number = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST, allow_inf_nan=False)]
+Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE_MM, le=MAX_COORDINATE_MM, allow_inf_nan=False)]
 Force = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
 
 
@@ -106,7 +124,7 @@ class PointFile(Strict):
 
     place: Annotated[int, Field(ge=0)]
     forces_n: Annotated[list[Force], Field(min_length=2, max_length=50)]
-    springback_mm: Annotated[list[Number], Field(min_length=2, max_length=50)]
+    springback_mm: Annotated[list[Coordinate], Field(min_length=2, max_length=50)]
     expected_n: Force
 
     @model_validator(mode="after")
@@ -115,24 +133,26 @@ class PointFile(Strict):
             raise ValueError(f"{len(self.forces_n)} forces, but {len(self.springback_mm)} springback_mm")
         for name, values in (("forces_n", self.forces_n), ("springback_mm", self.springback_mm)):
             if values[0] != 0.0 or any(b <= a for a, b in itertools.pairwise(values)):
-                raise ValueError(f"{name}: allowed is a row that begins with 0 and grows")
+                raise ValueError(f"{name}: values must start with 0 and increase")
         return self
 
 
 class LevelFile(Strict):
     """A level."""
 
-    depth_mm: Annotated[float, Field(ge=0, le=FARTHEST)]
-    path_mm: Annotated[list[tuple[Number, Number, Number]], Field(min_length=3, max_length=100_000)]
+    depth_mm: Annotated[float, Field(ge=0, le=MAX_COORDINATE_MM)]
+    path_mm: Annotated[
+        list[tuple[Coordinate, Coordinate, Coordinate]], Field(min_length=3, max_length=100_000)
+    ]
     points: Annotated[list[PointFile], Field(min_length=1, max_length=10_000)]
 
     @model_validator(mode="after")
     def _on_path(self) -> "LevelFile":
         places = [point.place for point in self.points]
         if places[-1] >= len(self.path_mm) or any(b <= a for a, b in itertools.pairwise(places)):
-            raise ValueError(f"points: places have to rise, and be below {len(self.path_mm)}")
+            raise ValueError(f"points: place must increase and be below {len(self.path_mm)}")
         if len({len(point.forces_n) for point in self.points}) > 1:
-            raise ValueError("points: curves of a level have equally many forces")
+            raise ValueError("points: all curves of a level must have the same number of forces")
         return self
 
 
@@ -155,53 +175,76 @@ class LoopFile(Strict):
     passes: Annotated[list[PassFile], Field(min_length=1, max_length=1000)]
 
 
-def read_plan(path: Path, name: str | None = None) -> LoopPlan:
-    """The pass of a file that is called ``name``, else its first. Raises `TandemError` (forming.loop_curves)
-    where there is no such file or pass, it is cut short, or a value is wrong."""
+def read_loop_plan(path: Path, name: str | None = None) -> LoopPlan:
+    """Read a pass from a file of curves.
+
+    Args:
+        path: File of curves.
+        name: Name of the pass, by default the first one.
+
+    Raises:
+        TandemError: forming.loop_curves, for a missing file or pass, a truncated file, or an invalid value.
+    """
     file = str(path)
-    again = "write it again: tandem springback PROBLEM --curves FILE"
+    hint_again = "write it again: tandem springback PROBLEM --curves FILE"
     if not is_file(path):
-        raise TandemError(_wrong(file, None, f"{file}: {no_file(path)}", again))
-    if path.stat().st_size > MOST_BYTES:
-        raise TandemError(_wrong(file, None, f"larger than {MOST_BYTES / 1e6:g} MB", again))
+        raise TandemError(_curves_issue(file, None, f"{file}: {missing_file_reason(path)}", hint_again))
+    if path.stat().st_size > MAX_FILE_BYTES:
+        raise TandemError(_curves_issue(file, None, f"larger than {MAX_FILE_BYTES / 1e6:g} MB", hint_again))
     try:
-        found = TypeAdapter(LoopFile).validate_json(path.read_bytes())
+        loop_file = TypeAdapter(LoopFile).validate_json(path.read_bytes())
     except ValidationError as error:
-        wrong = error.errors()
-        other = [OTHER_KINDS[name] for name in OTHER_KINDS if any(one["loc"] == (name,) for one in wrong)]
-        if other:
-            what = f"{path.name} {other[0]}; wanted: the curves of every level"
+        errors = error.errors()
+        other_kinds = [
+            OTHER_FILE_KINDS[name]
+            for name in OTHER_FILE_KINDS
+            if any(item["loc"] == (name,) for item in errors)
+        ]
+        if other_kinds:
+            what = f"{path.name} {other_kinds[0]}; required: the curves of every level"
             hint = "give the file of curves: tandem springback PROBLEM --curves FILE writes it"
-            raise TandemError(_wrong(file, None, what, hint)) from error
+            raise TandemError(_curves_issue(file, None, what, hint)) from error
         raise TandemError(
             [
-                _wrong(
-                    file, ".".join(map(str, one["loc"])), f"{one['msg']}; got {one.get('input')!r:.80}", again
+                _curves_issue(
+                    file,
+                    ".".join(map(str, item["loc"])),
+                    f"{item['msg']}; got {item.get('input')!r:.80}",
+                    hint_again,
                 )
-                for one in wrong[:10]
+                for item in errors[:10]
             ]
         ) from error
-    some = [one for one in found.passes if name in (None, one.name)]
-    if not some:
-        have = ", ".join(one.name for one in found.passes)
-        raise TandemError(_wrong(file, "passes", f"got pass {name}, passes are: {have}", "name one of them"))
-    return _value(some[0], found.digest)
+    matching = [item for item in loop_file.passes if name in (None, item.name)]
+    if not matching:
+        available = ", ".join(item.name for item in loop_file.passes)
+        raise TandemError(
+            _curves_issue(file, "passes", f"got pass {name}, allowed {available}", "name one of them")
+        )
+    return _to_plan(matching[0], loop_file.digest)
 
 
-def _wrong(file: str, field: str | None, what: str, hint: str) -> Issue:
+def _curves_issue(file: str, field: str | None, what: str, hint: str) -> Issue:
     return Issue("forming.loop_curves", what, file=file, field=field, hint=hint)
 
 
-def _value(one: PassFile, digest: str) -> LoopPlan:
+def _to_plan(pass_file: PassFile, digest: str) -> LoopPlan:
     levels = [
-        Level(
+        FormingLevel(
             path=np.array(level.path_mm) * MM,
             depth=level.depth_mm * MM,
-            place=np.array([point.place for point in level.points]),
+            path_index=np.array([point.place for point in level.points]),
             loads=np.array([point.forces_n for point in level.points]),
             springback=np.array([point.springback_mm for point in level.points]) * MM,
             force=np.array([point.expected_n for point in level.points]),
         )
-        for level in one.levels
+        for level in pass_file.levels
     ]
-    return LoopPlan(one.name, digest, one.side, one.ball_radius_mm * MM, one.force_exponent, tuple(levels))
+    return LoopPlan(
+        pass_file.name,
+        digest,
+        pass_file.side,
+        pass_file.ball_radius_mm * MM,
+        pass_file.force_exponent,
+        tuple(levels),
+    )

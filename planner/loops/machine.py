@@ -1,7 +1,7 @@
-"""A machine that forms with force control: its file, the gains it gets, and what they keep.
+"""A machine that forms with force control: its file, its gains, and what they achieve.
 
-Stiffness, bandwidth and delay of arms are the user's: no robot of the catalogue states them, so nothing is
-claimed without this file.
+Stiffness, bandwidth and delay of arms are given by the user. No robot of the catalogue states them, so
+nothing is claimed without this file.
 """
 
 import dataclasses
@@ -13,30 +13,31 @@ import numpy as np
 from pydantic import Field
 
 from planner.geometry.units import MM
+from planner.issue_codes import format_message
 from planner.issues import Issue, Severity, TandemError
 from planner.loops.force_control import (
-    Axis,
-    Control,
-    Machine,
-    Response,
-    Sensor,
-    Trace,
-    left_over,
-    simulate,
+    ForceControl,
+    ForceSensor,
+    ForceTrace,
+    FormingMachine,
+    ServoAxis,
+    StepResponse,
+    remaining_deflection,
+    simulate_force,
     step_response,
 )
 from planner.reading import strict_yaml
 from planner.reading.strict_yaml import Name, Positive, Strict
 
 INTERFACES: Final = {
-    "egm": "Externally Guided Motion: position guidance (EGMRunPose) each 4 ms, its lag measured on the arm; "
-    "set the correction's limits with EGMSetupUC and EGMActPose",
-    "rsi": "RobotSensorInterface: path corrections each 4 or 12 ms (RSI context with POSCORR); set the "
+    "egm": "Externally Guided Motion: position guidance (EGMRunPose) every 4 ms, with the lag measured on "
+    "the arm; set the limits of the correction with EGMSetupUC and EGMActPose",
+    "rsi": "RobotSensorInterface: path corrections every 4 or 12 ms (RSI context with POSCORR); set the "
     "limits of POSCORR, by default 5 mm, and ST_ON in relative mode",
 }
-"""What has to be set for each way into a controller."""
-RUN_SECONDS: Final = 60.0
-"""Length of simulated responses in dead times is at most this [s]."""
+"""Required settings of each interface of a controller."""
+MAX_RUN_S: Final = 60.0
+"""Maximum duration of simulated responses [s]. They are scaled by the dead time."""
 
 
 class AxisFile(Strict):
@@ -45,11 +46,11 @@ class AxisFile(Strict):
     stiffness_n_mm: Annotated[Positive, Field(description="of arm and tool, measured")]
     bandwidth_hz: Annotated[float, Field(gt=0.1, le=1000, description="of its motion, at -3 dB")]
     poles: Annotated[int, Field(ge=1, le=6, description="of its servo")] = 3
-    delay_ms: Annotated[float, Field(ge=0, le=1000, description="until the arm begins to move")] = 0.0
+    delay_ms: Annotated[float, Field(ge=0, le=1000, description="until the arm starts to move")] = 0.0
 
-    def value(self) -> Axis:
-        """In SI units."""
-        return Axis(self.stiffness_n_mm / MM, self.bandwidth_hz, self.poles, self.delay_ms / 1000.0)
+    def value(self) -> ServoAxis:
+        """Return the axis in SI units."""
+        return ServoAxis(self.stiffness_n_mm / MM, self.bandwidth_hz, self.poles, self.delay_ms / 1000.0)
 
 
 class SensorFile(Strict):
@@ -60,13 +61,13 @@ class SensorFile(Strict):
     noise_n: Annotated[float, Field(ge=0, le=1000, description="one standard deviation")] = 0.0
     step_n: Annotated[float, Field(ge=0, le=100, description="of the converter")] = 0.0
 
-    def value(self) -> Sensor:
-        """In SI units."""
-        return Sensor(self.cycle_ms / 1000.0, self.filter_hz, self.noise_n, self.step_n)
+    def value(self) -> ForceSensor:
+        """Return the sensor in SI units."""
+        return ForceSensor(self.cycle_ms / 1000.0, self.filter_hz, self.noise_n, self.step_n)
 
 
 class MachineFile(Strict):
-    """A machine: both arms, the metal between them, the sensor, and what is wanted of it."""
+    """A machine: both arms, the metal between them, the sensor, and the requirements."""
 
     tandem_machine: Literal[1]
     name: Name = "machine"
@@ -74,118 +75,161 @@ class MachineFile(Strict):
     support: AxisFile
     metal_n_mm: Annotated[Positive, Field(description="stiffness of the sheet between both tools")]
     sensor: SensorFile = SensorFile()
-    force_n: Annotated[float, Field(gt=0, le=100_000, description="that the support shall press with")]
-    band_n: Annotated[float, Field(gt=0, le=10_000, description="how far the force may be off")] = 10.0
+    force_n: Annotated[float, Field(gt=0, le=100_000, description="required force of the support")]
+    band_n: Annotated[float, Field(gt=0, le=10_000, description="allowed force error")] = 10.0
     gap_change: Annotated[
         float, Field(ge=0, le=1, description="speed at which the gap changes, over the feed")
     ] = 0.05
-    compensate: Annotated[float, Field(ge=0, le=1.5, description="share of the former's deflection")] = 0.0
+    compensate: Annotated[float, Field(ge=0, le=1.5, description="fraction of the former's deflection")] = 0.0
     gain_um_ns: Annotated[
         float | None, Field(gt=0, description="integral gain [um/(N s)]; none: the recommended one")
     ] = None
     interface: Literal["egm", "rsi"] | None = None
     correction_mm: Annotated[float, Field(gt=0, le=100, description="largest correction allowed")] = 5.0
 
-    def value(self) -> Machine:
-        """In SI units."""
-        return Machine(self.former.value(), self.support.value(), self.metal_n_mm / MM, self.sensor.value())
+    def value(self) -> FormingMachine:
+        """Return the machine in SI units."""
+        return FormingMachine(
+            self.former.value(), self.support.value(), self.metal_n_mm / MM, self.sensor.value()
+        )
 
 
 def read_machine(path: Path) -> MachineFile:
-    """The machine of a file. Raises `TandemError`: control.machine for every wrong field, with its line, and
-    what `strict_yaml.read` raises."""
-    return strict_yaml.read_as(MachineFile, path, "control.machine")
+    """Read a machine file.
+
+    Raises:
+        TandemError: control.machine for every invalid field, with its line, and what `strict_yaml.read`
+            raises.
+    """
+    return strict_yaml.read_file(MachineFile, path, "control.machine")
 
 
 @dataclasses.dataclass(frozen=True)
-class Found:
-    """What a machine does with its gains: ``control``, ``most_gain`` [m/(N s)] from which it is refused,
-    ``step`` to the wanted force and its ``response``, a ``ramp`` of the gap at ``gap_speed`` [m/s] with the
-    largest ``error`` [N] of its second half, ``feed`` [m/s] that keeps the band without noise, ``left`` of
-    the former's deflection [-], ``correction`` [m] that the commands make in all."""
+class MachineBehaviour:
+    """Behaviour of a machine with its gains.
 
-    control: Control
-    most_gain: float
-    step: Trace
-    response: Response
-    ramp: Trace
+    Attributes:
+        control: Settings of the controller.
+        max_gain: Gain from which it is refused [m/(N s)].
+        step: Step to the required force.
+        response: Response to the step.
+        ramp: Ramp of the gap.
+        gap_speed: Speed of the ramp [m/s].
+        error: Largest force error in the second half of the ramp [N].
+        feed: Feed that keeps the band without noise [m/s].
+        remaining_deflection: Remaining fraction of the former's deflection [-].
+        correction: Total correction that the commands make [m].
+    """
+
+    control: ForceControl
+    max_gain: float
+    step: ForceTrace
+    response: StepResponse
+    ramp: ForceTrace
     gap_speed: float
     error: float
     feed: float
-    left: float
+    remaining_deflection: float
     correction: float
 
 
-def tried(file: MachineFile, feed: float) -> Found:
-    """Gains of a machine and how it runs with them at ``feed`` [m/s]. Raises `TandemError`
-    (control.unstable) where they are beyond the border."""
-    machine, share = file.value(), file.compensate
-    back = share * machine.compliance_gain
-    most = machine.most_gain(share)
-    gain = machine.gain(share) if file.gain_um_ns is None else file.gain_um_ns * 1e-6
-    if back >= 1.0:
-        raise TandemError(_runs_away(file, machine))
-    if gain >= most:
-        raise TandemError(_oscillates(file, machine, gain, most))
-    control = Control(gain, share)
-    late = machine.dead_time(machine.support) + machine.dead_time(machine.former) / (1.0 - back)
-    seconds = float(min(max(30.0 * late, 4.0), RUN_SECONDS))
+def simulate_machine(file: MachineFile, feed: float) -> MachineBehaviour:
+    """Simulate a machine with its gains.
+
+    Args:
+        file: The machine.
+        feed: Feed [m/s].
+
+    Raises:
+        TandemError: control.unstable, if the gains are beyond the limit.
+    """
+    machine, fraction = file.value(), file.compensate
+    loop_gain = fraction * machine.compliance_gain
+    max_gain = machine.max_gain(fraction)
+    gain = machine.recommended_gain(fraction) if file.gain_um_ns is None else file.gain_um_ns * 1e-6
+    if loop_gain >= 1.0:
+        raise TandemError(_compensation_issue(file, machine))
+    if gain >= max_gain:
+        raise TandemError(_gain_issue(file, machine, gain, max_gain))
+    control = ForceControl(gain, fraction)
+    dead_time = machine.dead_time(machine.support) + machine.dead_time(machine.forming) / (1.0 - loop_gain)
+    seconds = float(min(max(30.0 * dead_time, 4.0), MAX_RUN_S))
     first, last = 0.5 * file.force_n, file.force_n
-    begin = 5.0 * machine.sensor.cycle
-    step = simulate(
-        [_quiet(machine)], [control], lambda t: np.where(t < begin, first, last), np.zeros_like, seconds
+    step_time = 5.0 * machine.sensor.cycle
+    step = simulate_force(
+        [_without_noise(machine)],
+        [control],
+        lambda t: np.where(t < step_time, first, last),
+        np.zeros_like,
+        seconds,
     )
     speed = file.gap_change * feed
-    ramp = simulate([machine], [control], lambda t: np.full_like(t, last), lambda t: speed * t, seconds)
-    half = ramp.force[:, ramp.force.shape[1] // 2 :]
-    deflection = last / machine.former.stiffness
-    return Found(
+    ramp = simulate_force([machine], [control], lambda t: np.full_like(t, last), lambda t: speed * t, seconds)
+    second_half = ramp.force[:, ramp.force.shape[1] // 2 :]
+    deflection = last / machine.forming.stiffness
+    return MachineBehaviour(
         control,
-        most,
+        max_gain,
         step,
         step_response(step, first, last),
         ramp,
         speed,
-        float(np.abs(half - last).max()),
+        float(np.abs(second_half - last).max()),
         float(file.band_n * gain / file.gap_change) if file.gap_change > 0.0 else np.inf,
-        float(left_over(share, machine.compliance_gain)) if share > 0.0 else 1.0,
-        float(share * deflection),
+        float(remaining_deflection(fraction, machine.compliance_gain)) if fraction > 0.0 else 1.0,
+        float(fraction * deflection),
     )
 
 
-def _quiet(machine: Machine) -> Machine:
+def _without_noise(machine: FormingMachine) -> FormingMachine:
     sensor = dataclasses.replace(machine.sensor, noise=0.0, quantum=0.0)
     return dataclasses.replace(machine, sensor=sensor)
 
 
-def issues(file: MachineFile, found: Found, feed: float) -> Iterator[Issue]:
-    """Warnings: control.band, control.range."""
-    if found.error > file.band_n:
+def machine_warnings(file: MachineFile, behaviour: MachineBehaviour, feed: float) -> Iterator[Issue]:
+    """Yield the warnings control.band and control.range.
+
+    Args:
+        file: The machine.
+        behaviour: Its behaviour.
+        feed: Feed [m/s].
+    """
+    if behaviour.error > file.band_n:
         yield Issue(
             "control.band",
-            f"{file.name}: at {feed / MM:g} mm/s the gap changes by {found.gap_speed / MM:.3g} mm/s and the "
-            f"force is off by up to {found.error:.1f} N, allowed {file.band_n:g} N",
+            format_message(
+                "control.band",
+                machine=file.name,
+                feed_mm_s=feed / MM,
+                gap_speed_mm_s=behaviour.gap_speed / MM,
+                force_error_n=behaviour.error,
+                max_force_error_n=file.band_n,
+            ),
             Severity.WARNING,
-            value=found.error,
+            value=behaviour.error,
             limit=file.band_n,
             unit="N",
-            hint=f"form at {found.feed / MM:.2g} mm/s at most, or lay the planned change of the gap into the "
-            "program, or let the controller's own force loop do it",
+            hint=f"form at {behaviour.feed / MM:.2g} mm/s at most, or include the planned change of the gap "
+            "in the program, or use the force loop of the controller",
         )
-    if found.correction > file.correction_mm * MM:
+    if behaviour.correction > file.correction_mm * MM:
         yield Issue(
             "control.range",
-            f"{file.name}: compensation corrects by {found.correction / MM:.2f} mm, allowed "
-            f"{file.correction_mm:g} mm",
+            format_message(
+                "control.range",
+                machine=file.name,
+                correction_mm=behaviour.correction / MM,
+                max_correction_mm=file.correction_mm,
+            ),
             Severity.WARNING,
-            value=found.correction / MM,
+            value=behaviour.correction / MM,
             limit=file.correction_mm,
             unit="mm",
-            hint="raise the limit of corrections, or lay the expected part of it into the program",
+            hint="raise the limit of corrections, or include the expected part in the program",
         )
 
 
-def _runs_away(file: MachineFile, machine: Machine) -> Issue:
+def _compensation_issue(file: MachineFile, machine: FormingMachine) -> Issue:
     r = machine.compliance_gain
     return Issue(
         "control.unstable",
@@ -195,21 +239,21 @@ def _runs_away(file: MachineFile, machine: Machine) -> Issue:
         field="compensate",
         value=file.compensate * r,
         limit=1.0,
-        hint=f"compensate {0.9 / r:.2f} of it at most",
+        hint=f"compensate a fraction of {0.9 / r:.2f} at most",
     )
 
 
-def _oscillates(file: MachineFile, machine: Machine, gain: float, most: float) -> Issue:
-    stiff, late = machine.felt(file.compensate)
-    beside = f", compensation of {file.compensate:g} beside it," if file.compensate > 0.0 else ""
+def _gain_issue(file: MachineFile, machine: FormingMachine, gain: float, max_gain: float) -> Issue:
+    stiffness, dead_time = machine.effective_contact(file.compensate)
+    compensation_text = f", and with compensation of {file.compensate:g}," if file.compensate > 0.0 else ""
     return Issue(
         "control.unstable",
-        f"{file.name}: gain {gain * 1e6:.1f} um/(N s), allowed below {most * 1e6:.1f}: with lags of "
-        f"{late * 1e3:.0f} ms and a contact of {stiff * MM:.0f} N/mm{beside} the force would swing "
-        "up",
+        f"{file.name}: gain {gain * 1e6:.1f} um/(N s), allowed below {max_gain * 1e6:.1f}: with lags of "
+        f"{dead_time * 1e3:.0f} ms and a contact of {stiffness * MM:.0f} N/mm{compensation_text} the force "
+        "would oscillate",
         field="gain_um_ns",
         value=gain * 1e6,
-        limit=most * 1e6,
+        limit=max_gain * 1e6,
         unit="um/(N s)",
-        hint=f"take {machine.gain(file.compensate) * 1e6:.1f} um/(N s), or leave it out",
+        hint=f"use {machine.recommended_gain(file.compensate) * 1e6:.1f} um/(N s), or leave it out",
     )

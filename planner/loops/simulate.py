@@ -1,4 +1,4 @@
-"""A loop from level to level, run against a plant: what is left of springback on many sheets at once."""
+"""Simulation of a loop from level to level against a plant: remaining springback on many sheets at once."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -9,25 +9,40 @@ from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.geometry.units import MM
-from planner.issues import refusal
-from planner.loops import next_loop
+from planner.issues import issue_error
+from planner.loops import level_correction
+from planner.loops.level_correction import CorrectionLaw
 from planner.loops.loop_plan import LoopPlan
-from planner.loops.next_loop import Law
-from planner.loops.plant import ON_CONTOUR, PlantFile, Sheets, cornered, off_contour, truth
+from planner.loops.plant import (
+    MAX_CONTOUR_DISTANCE_M,
+    PlantFile,
+    PlantSheets,
+    contour_distance,
+    corner_fraction,
+    plant_truth,
+)
 
-FIRST: Final = 2.0 * MM
-"""Depth [m] below which errors count: above, the tool runs in."""
-PLACES: Final = 48
-"""Places around a sheet at most that are formed."""
-SAME_DEPTH: Final = 1e-6
-"""Depths nearer than this [m] are the same."""
+RUN_IN_DEPTH_M: Final = 2.0 * MM
+"""Depth [m] above which errors do not count, because the tool runs in."""
+MAX_POSITIONS: Final = 48
+"""Maximum number of positions around a sheet that are formed."""
+DEPTH_TOLERANCE_M: Final = 1e-6
+"""Tolerance of equal depths [m]."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Run:
-    """N sheets formed in M levels at J places: ``error`` (N, M, J) [m] formed less wanted after the tool has
-    let go, ``offset`` (N, M, J) [m], ``force`` (N, M, J) [N]; ``depth`` (M,) [m] wanted; ``corner`` (M, J)
-    how much of a corner each place is; ``kappa`` (N,) at the end; ``lost`` (N,): contact was lost."""
+class LoopRun:
+    """N sheets formed in M levels at J positions.
+
+    Attributes:
+        depth: Nominal depth (M,) [m].
+        error: Formed minus nominal depth after the tool has released the sheet (N, M, J) [m].
+        offset: Offset (N, M, J) [m].
+        force: Force (N, M, J) [N].
+        corner: How much of a corner each position is (M, J).
+        kappa: kappa at the end (N,).
+        lost_contact: Whether contact was lost (N,).
+    """
 
     depth: FloatArray
     error: FloatArray
@@ -35,94 +50,113 @@ class Run:
     force: FloatArray
     corner: FloatArray
     kappa: FloatArray
-    lost: BoolArray
+    lost_contact: BoolArray
 
-    def largest(self) -> FloatArray:
-        """Largest error (N,) [m] of each sheet below `FIRST`, either sign."""
-        return np.asarray(np.abs(self.error[:, self.depth > FIRST]).max(axis=(1, 2)))
+    def max_error(self) -> FloatArray:
+        """Return the largest absolute error (N,) [m] of each sheet below `RUN_IN_DEPTH_M`."""
+        return np.asarray(np.abs(self.error[:, self.depth > RUN_IN_DEPTH_M]).max(axis=(1, 2)))
 
-    def mean(self) -> FloatArray:
-        """Mean error (N,) [m] of each sheet below `FIRST`, without its sign."""
-        return np.asarray(np.abs(self.error[:, self.depth > FIRST]).mean(axis=(1, 2)))
+    def mean_error(self) -> FloatArray:
+        """Return the mean absolute error (N,) [m] of each sheet below `RUN_IN_DEPTH_M`."""
+        return np.asarray(np.abs(self.error[:, self.depth > RUN_IN_DEPTH_M]).mean(axis=(1, 2)))
 
-    def at_depth(self) -> FloatArray:
-        """Mean error (N,) [m] of the last level, without its sign."""
+    def final_mean_error(self) -> FloatArray:
+        """Return the mean absolute error (N,) [m] of the last level."""
         return np.asarray(np.abs(self.error[:, -1]).mean(axis=1))
 
 
-def run(
+def run_loop(
     plan: LoopPlan,
     plant: PlantFile,
-    law: Law | None,
+    law: CorrectionLaw | None,
     seeds: list[int],
     lifts: Sequence[float] = (),
-    already: Sequence[FloatArray] | None = None,
-) -> Run:
-    """Form sheets by their ``seeds`` (N,), corrected by ``law``, or not at all; the tool is lifted at the
-    depths ``lifts`` [m], each time a quarter round further. ``already``: of each level (K,) [m] by how much
-    its programs are deeper by a springback file; offsets of the loop are added to that.
+    springback_shift: Sequence[FloatArray] | None = None,
+) -> LoopRun:
+    """Form sheets level by level, corrected by a law or not at all.
 
-    Raises ``TandemError`` (forming.loop_plant) where the plan's levels are not of the plant's shape."""
+    Args:
+        plan: The pass.
+        plant: The plant.
+        law: Correction law, or None.
+        seeds: Seeds of the sheets (N,).
+        lifts: Depths [m] at which the tool is lifted, each time a quarter turn further.
+        springback_shift: Amount by which the programs of each level are deeper by a springback file (K,) [m].
+            Offsets of the loop are added.
+
+    Raises:
+        TandemError: forming.loop_plant, if the plan's levels do not have the plant's shape.
+    """
     require_shape(plan, plant)
     levels = plan.levels
-    chosen = np.unique(np.linspace(0, len(levels[0].path), PLACES, endpoint=False).astype(int))
-    places = [levels[0].path[chosen]]
-    where = [chosen]
+    path_indices = np.unique(np.linspace(0, len(levels[0].path), MAX_POSITIONS, endpoint=False).astype(int))
+    positions = [levels[0].path[path_indices]]
+    position_indices = [path_indices]
     for level in levels[1:]:
-        where.append(_nearest(level.path, places[-1]))
-        places.append(level.path[where[-1]])
-    sheets = Sheets(plant, seeds, places[0][:, :2])
-    known, count = truth(plant), len(seeds)
+        position_indices.append(_nearest_indices(level.path, positions[-1]))
+        positions.append(level.path[position_indices[-1]])
+    sheets = PlantSheets(plant, seeds, positions[0][:, :2])
+    known, count = plant_truth(plant), len(seeds)
     measured: list[FloatArray] = []
-    came_back: list[FloatArray] = []
+    lifted: list[FloatArray] = []
     model: list[FloatArray] = []
     kappa = np.ones(count)
-    before: FloatArray | None = None
-    out = np.zeros((3, count, len(levels), len(chosen)))
+    last_offset: FloatArray | None = None
+    out = np.zeros((3, count, len(levels), len(path_indices)))
     lost = np.zeros(count, dtype=np.bool_)
     depth = np.array([level.depth for level in levels])
     for k, level in enumerate(levels):
         step = float(depth[k] - (depth[k - 1] if k else 0.0))
-        at = places[k][:, :2]
-        shift = np.zeros(len(level.path)) if already is None else already[k]
-        whole = np.broadcast_to(shift, (count, len(level.path)))
+        at = positions[k][:, :2]
+        shift = np.zeros(len(level.path)) if springback_shift is None else springback_shift[k]
+        total_offset = np.broadcast_to(shift, (count, len(level.path)))
         if law is not None:
-            told = next_loop.offsets(plan, law, k, measured, kappa, before, shift)
-            whole = whole + told.offset
-        before, offset = whole[:, -1], whole[:, where[k]]
-        none = sheets.form(level.depth, step, level.depth + offset, at)
-        if level.depth > FIRST:
-            lost |= none.any(axis=1)
+            path_offsets = level_correction.PathOffsets(last_offset, shift)
+            correction = level_correction.level_correction(plan, law, k, measured, kappa, path_offsets)
+            total_offset = total_offset + correction.offset
+        last_offset, offset = total_offset[:, -1], total_offset[:, position_indices[k]]
+        no_contact = sheets.form_level(level.depth, step, level.depth + offset, at)
+        if level.depth > RUN_IN_DEPTH_M:
+            lost |= no_contact.any(axis=1)
         out[:, :, k] = sheets.depth - level.depth, offset, sheets.force
         if law is None:
             continue
-        # force is measured at the points of the level; the plant knows it at its own places
-        near = _nearest(places[k], level.path[level.place])
-        measured.append(sheets.measured()[:, near])
-        if any(level.depth - step < lift - SAME_DEPTH <= level.depth for lift in lifts):
-            point = len(came_back) * max(len(near) // 4, 1) % len(near)
-            model.append(next_loop.springback(level, np.minimum(measured[-1], level.loads[:, -1]))[:, point])
-            came_back.append(sheets.lifted(level.depth, at)[:, near[point]])
-            kappa = next_loop.kappa(np.stack(came_back, axis=1), np.stack(model, axis=1))
-    corner = np.stack([cornered(known, one[:, :2]) for one in places])
-    return Run(depth, out[0], out[1], out[2], corner, kappa, lost)
+        # force is measured at the points of the level; the plant has it at its own positions
+        nearest = _nearest_indices(positions[k], level.path[level.path_index])
+        measured.append(sheets.measured_force()[:, nearest])
+        if any(level.depth - step < lift - DEPTH_TOLERANCE_M <= level.depth for lift in lifts):
+            point = len(lifted) * max(len(nearest) // 4, 1) % len(nearest)
+            model.append(
+                level_correction.model_springback(level, np.minimum(measured[-1], level.loads[:, -1]))[
+                    :, point
+                ]
+            )
+            lifted.append(sheets.measured_lift(level.depth, at)[:, nearest[point]])
+            kappa = level_correction.springback_ratio(np.stack(lifted, axis=1), np.stack(model, axis=1))
+    corner = np.stack([corner_fraction(known, level_positions[:, :2]) for level_positions in positions])
+    return LoopRun(depth, out[0], out[1], out[2], corner, kappa, lost)
 
 
-def _nearest(some: FloatArray, wanted: FloatArray) -> IntArray:
-    """Which of ``some`` (S, 3) are nearest in plan to each of ``wanted`` (W, 3)."""
-    return np.asarray(cKDTree(some[:, :2]).query(wanted[:, :2])[1], dtype=np.int64)
+def _nearest_indices(points: FloatArray, queries: FloatArray) -> IntArray:
+    """Return which of ``points`` (S, 3) are nearest in plan view to each of ``queries`` (W, 3)."""
+    return np.asarray(cKDTree(points[:, :2]).query(queries[:, :2])[1], dtype=np.int64)
 
 
 def require_shape(plan: LoopPlan, plant: PlantFile) -> None:
-    """Raise ``TandemError`` (forming.loop_plant) where levels are not on the contours of a plant's shape."""
-    known = truth(plant)
+    """Raise ``forming.loop_plant`` if levels are not on the contours of a plant's shape.
+
+    Raises:
+        TandemError: forming.loop_plant.
+    """
+    known = plant_truth(plant)
     for number in (0, len(plan.levels) // 2, len(plan.levels) - 1):
         level = plan.levels[number]
-        off = off_contour(known, level.path[:, :2], level.depth)
-        if off > ON_CONTOUR:
+        deviation = contour_distance(known, level.path[:, :2], level.depth)
+        if deviation > MAX_CONTOUR_DISTANCE_M:
             what = (
-                f"{plant.name}: level {number} of {plan.name} is up to {off / MM:.1f} mm off the contour of "
-                f"the plant's {plant.sheet} at z = {level.depth / MM:.1f} mm, allowed {ON_CONTOUR / MM:g} mm"
+                f"{plant.name}: level {number} of {plan.name} is up to {deviation / MM:.1f} mm from the "
+                f"contour of the plant's {plant.sheet} at z = {level.depth / MM:.1f} mm, allowed "
+                f"{MAX_CONTOUR_DISTANCE_M / MM:g} mm"
             )
-            hint = "give the plant curves of your part instead of sheet"
-            raise refusal("forming.loop_plant", what, field="sheet", hint=hint)
+            hint = "state curves of your part in the plant instead of sheet"
+            raise issue_error("forming.loop_plant", what, field="sheet", hint=hint)

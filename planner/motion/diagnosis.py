@@ -1,4 +1,7 @@
-"""Says why there is no path: the targets, joints or bodies in the way, and what is free around them."""
+"""Diagnosis of failed path searches.
+
+It says which targets, joints or bodies block the path, and what is free around them.
+"""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -10,45 +13,63 @@ from planner.catalogue.robots import OffsetParameters, OpwParameters
 from planner.cell import clearance
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 from planner.geometry.units import DEG, MM, measurement
-from planner.issues import Issue, TandemError, refusal
-from planner.motion import offset_wrist, own_clearance
-from planner.motion.place_margin import reach_gap
-from planner.motion.planning_scene import Scene, holders
-from planner.motion.search.ladder_search import Blocked, Dead, Wound
-from planner.motion.search.reach import Grid, Reach, full_turn, slides_only
-from planner.motion.trajectory.joint_path import Dense, clear
+from planner.issue_codes import format_message
+from planner.issues import Issue, TandemError, issue_error
+from planner.motion import offset_wrist, self_clearance
+from planner.motion.placement_margin import reach_gap
+from planner.motion.planning_scene import Scene, frame_holders
+from planner.motion.search.layered_graph_search import BlockedSearch, DeadEnd, JointWinding
+from planner.motion.search.reach import ArmReach, SampleGrid, is_full_turn, is_sampled_as_slide
+from planner.motion.trajectory.joint_path import MoveSamples, is_clear
 from planner.targets import Targets
 
 REPORTED_DISTANCE_M: Final = 0.2
-"""Distances [m] up to this are reported."""
-TOUCHING_M: Final = 1e-6
-"""Pairs are asked for so much [m] beyond what is wanted: with none wanted, those that overlap are at 0."""
+"""Distance [m] up to which clearance is reported."""
+CONTACT_TOLERANCE_M: Final = 1e-6
+"""Added [m] to the required clearance in queries. With a required clearance of 0, overlapping pairs are at
+distance 0.
+"""
 
-LEAST_MARGIN_DEG: Final = 0.5
-"""Smaller margins [deg] to limits and singularities are not advised."""
-MOST_PAIRS: Final = 4
-"""Pairs of bodies that a message names."""
+MIN_SUGGESTED_MARGIN_DEG: Final = 0.5
+"""Smallest margin [deg] to limits and singularities that a hint suggests."""
+MAX_NAMED_PAIRS: Final = 4
+"""Maximum number of pairs of bodies that a message names."""
 
 
-def no_path(scene: Scene, targets: Targets, grid: Grid, blocked: Blocked) -> list[Issue]:
-    """Issues that say why the ladder has no path."""
-    if blocked.few is not None:
-        few, rows = blocked.few
-        some = no_path(scene, few, grid, dataclasses.replace(blocked, few=None))
-        return [_in_job(issue, targets, rows) for issue in some]
-    out = [issue for arm, r in blocked.reach.items() if (issue := _unreached(scene, targets, grid, arm, r))]
+def no_path_issues(scene: Scene, targets: Targets, grid: SampleGrid, blocked: BlockedSearch) -> list[Issue]:
+    """Explain why the layered graph has no path.
+
+    Args:
+        scene: Cell with the stock in its pose.
+        targets: Targets of the operation.
+        grid: Samples of the freedoms that were searched.
+        blocked: Result of the failed search.
+
+    Returns:
+        At least one issue: ``motion.no_reach``, ``motion.joint_limit``, ``motion.singular``,
+        ``motion.no_path`` or ``motion.collision``.
+    """
+    if blocked.subset is not None:
+        subset_targets, rows = blocked.subset
+        subset_issues = no_path_issues(scene, subset_targets, grid, dataclasses.replace(blocked, subset=None))
+        return [_restate_for_job(issue, targets, rows) for issue in subset_issues]
+    out = [
+        issue
+        for arm, arm_reach in blocked.reach.items()
+        if (issue := _reach_issue(scene, targets, grid, arm, arm_reach))
+    ]
     if not out and blocked.common < targets.count:
-        wound = blocked.wound
+        winding = blocked.winding
         out = [
-            _broken(targets, blocked.common)
-            if wound is None
-            else _wound_up(scene, targets, wound, blocked.common)
+            _branch_issue(targets, blocked.common)
+            if winding is None
+            else _winding_issue(scene, targets, winding, blocked.common)
         ]
-    return out or [_collision(scene, targets, blocked)]
+    return out or [_blocked_issue(scene, targets, blocked)]
 
 
-def _in_job(issue: Issue, targets: Targets, rows: IndexArray) -> Issue:
-    """An issue of some of the targets, ``rows`` (K,), as one of the whole job."""
+def _restate_for_job(issue: Issue, targets: Targets, rows: IndexArray) -> Issue:
+    """Restate an issue of a subset of the targets, ``rows`` (K,), for the whole operation."""
     if issue.index is None or issue.target is None:
         return issue
     index = int(rows[issue.index])
@@ -58,73 +79,98 @@ def _in_job(issue: Issue, targets: Targets, rows: IndexArray) -> Issue:
     )
 
 
-def _unreached(scene: Scene, targets: Targets, grid: Grid, arm: str, r: Reach) -> Issue | None:
-    """The first target that ends the branch which goes farthest, with what ends it: reach, a joint, a
-    singularity."""
-    if r.branches:
+def _reach_issue(
+    scene: Scene, targets: Targets, grid: SampleGrid, arm: str, arm_reach: ArmReach
+) -> Issue | None:
+    """Issue of the first target that ends the longest branch.
+
+    Its cause is reach, a joint limit or a singularity.
+    """
+    if arm_reach.branches:
         return None
-    ends = np.argmin(r.exists, axis=1)
+    ends = np.argmin(arm_reach.exists, axis=1)
     branch = int(np.argmax(ends))
     index = int(ends[branch])
     chain = scene.chains[arm]
-    count = int((~r.exists[branch]).sum())
+    count = int((~arm_reach.exists[branch]).sum())
     name = targets.name(index)
-    where: dict[str, Any] = {"arm": arm, "index": index, "target": name, "count": count}
-    if not r.solved[:, index].any():
-        what = f"arm {arm} cannot reach target {name}: "
-        far = _beyond(scene, targets, grid, arm, index)
-        if far <= 0.0 and not isinstance(chain.robot.form, OpwParameters):
-            what += f"its wrist cannot take the tool's direction there ({chain.robot.title})"
-            return Issue("motion.no_reach", what, hint=_elsewhere(targets), **where)
-        what += f"its wrist would have to be {far / MM:.0f} mm beyond what the arm reaches"
-        what += f" ({chain.robot.title})"
-        hint = _nearer(targets)
-        return Issue("motion.no_reach", what, value=far / MM, limit=0.0, unit="mm", hint=hint, **where)
-    if not r.solved[branch, index] and r.exists[:, index].any():  # by branches that end elsewhere
-        return _broken(targets, index)
-    pose = scene.tcp(targets, grid.values[index], np.full(grid.samples, index))[arm]
-    last = targets.last(arm, grid.values[index])
+    fields: dict[str, Any] = {"arm": arm, "index": index, "target": name, "count": count}
+    if not arm_reach.solved[:, index].any():
+        message = f"arm {arm} cannot reach target {name}: "
+        shortfall = _reach_shortfall(scene, targets, grid, arm, index)
+        if shortfall <= 0.0 and not isinstance(chain.robot.form, OpwParameters):
+            message += f"its wrist cannot orient the tool as required ({chain.robot.title})"
+            return Issue("motion.no_reach", message, hint=_relocation_hint(targets), **fields)
+        message += f"its wrist would have to be {shortfall / MM:.0f} mm outside its reach"
+        message += f" ({chain.robot.title})"
+        hint = _reach_hint(targets)
+        return Issue(
+            "motion.no_reach", message, value=shortfall / MM, limit=0.0, unit="mm", hint=hint, **fields
+        )
+    if (
+        not arm_reach.solved[branch, index] and arm_reach.exists[:, index].any()
+    ):  # other branches reach this target
+        return _branch_issue(targets, index)
+    pose = scene.tcp_poses(targets, grid.values[index], np.full(grid.samples, index))[arm]
+    last = targets.last_joint_angle(arm, grid.values[index])
     q = chain.inverse(pose, [branch], last)[:, 0]
-    if np.isnan(q[:, 0]).all():  # numbers of an offset wrist are joined along the path
-        q = chain.inverse(pose, last=last).reshape(-1, chain.robot.axes)
+    if np.isnan(q[:, 0]).all():  # the branch numbers of an offset wrist are matched along the path
+        q = chain.inverse(pose, last_joint=last).reshape(-1, chain.robot.axes)
     q = q[~np.isnan(q[:, 0])]
     limit = chain.best_limit_margin(q)
     best = int(np.argmax(np.minimum(limit, chain.singularity_margin(q))))
     if limit[best] < scene.settings.joint_margin:
-        room = np.minimum(q[best] - chain.robot.lower, chain.robot.upper - q[best])
-        joint = int(np.argmin(np.where(chain.many_turns, np.inf, room)))
-        joint = joint if room[joint] < scene.settings.joint_margin else int(np.argmin(room))
-        low, high = chain.robot.lower[joint] / DEG, chain.robot.upper[joint] / DEG
-        got = float(q[best, joint]) / DEG
-        allowed = f"allowed {low:.0f} to {high:.0f} less {scene.settings.joint_margin / DEG:.1f} deg"
+        margins = np.minimum(q[best] - chain.robot.lower, chain.robot.upper - q[best])
+        joint = int(np.argmin(np.where(chain.has_many_turns, np.inf, margins)))
+        joint = joint if margins[joint] < scene.settings.joint_margin else int(np.argmin(margins))
         return Issue(
             "motion.joint_limit",
-            f"arm {arm} passes the limit of axis {joint + 1} at target {name}: {got:.1f} deg, {allowed}",
+            format_message(
+                "motion.joint_limit",
+                arm=arm,
+                axis=joint + 1,
+                target=name,
+                angle_deg=float(q[best, joint]) / DEG,
+                lower_deg=chain.robot.lower[joint] / DEG,
+                upper_deg=chain.robot.upper[joint] / DEG,
+                margin_deg=scene.settings.joint_margin / DEG,
+            ),
             bodies=(f"axis {joint + 1}",),
             **measurement(float(limit[best]) / DEG, scene.settings.joint_margin / DEG, "deg"),
-            hint=_elsewhere(targets) + _less("joint_margin_deg", float(limit[best])),
-            **where,
+            hint=_relocation_hint(targets) + _margin_hint("joint_margin_deg", float(limit[best])),
+            **fields,
         )
-    single = float(chain.singularity_margin(q[best]))
+    singularity_margin = float(chain.singularity_margin(q[best]))
     names = ("wrist (axis 5)", "elbow (axis 3)", "shoulder (axis 1)")
-    if chain.spare:  # of what is left with axis 7 held
+    if chain.is_redundant:  # the six axes that remain with the redundant axis held
         names = ("forearm (axis 5)", "elbow (axis 4)", "shoulder (axis 2)")
-    which = names[int(np.argmin(chain.singularities(q[best])))]
+    joint_name = names[int(np.argmin(chain.singularities(q[best])))]
     return Issue(
         "motion.singular",
-        f"arm {arm} is {single / DEG:.1f} deg from a singularity of its {which} at target {name}, "
-        f"allowed is {scene.settings.singularity_margin / DEG:.1f} deg at least",
-        bodies=(which,),
-        **measurement(single / DEG, scene.settings.singularity_margin / DEG, "deg"),
-        hint=_elsewhere(targets) + _less("singularity_margin_deg", single),
-        **where,
+        format_message(
+            "motion.singular",
+            arm=arm,
+            distance_deg=singularity_margin / DEG,
+            joint=joint_name,
+            target=name,
+            min_distance_deg=scene.settings.singularity_margin / DEG,
+        ),
+        bodies=(joint_name,),
+        **measurement(singularity_margin / DEG, scene.settings.singularity_margin / DEG, "deg"),
+        hint=_relocation_hint(targets) + _margin_hint("singularity_margin_deg", singularity_margin),
+        **fields,
     )
 
 
-def _beyond(scene: Scene, targets: Targets, grid: Grid, arm: str, index: int) -> float:
-    """How far [m] the wrist's centre of a target lies out of reach, at the samples of its freedoms nearest to
-    it; 0 where no more than the tool's direction is."""
-    pose, chain = scene.tcp(targets, grid.values[index], np.full(grid.samples, index))[arm], scene.chains[arm]
+def _reach_shortfall(scene: Scene, targets: Targets, grid: SampleGrid, arm: str, index: int) -> float:
+    """Distance [m] of the wrist centre from the reachable region at the nearest sample.
+
+    It is 0 if only the direction fails.
+    """
+    pose, chain = (
+        scene.tcp_poses(targets, grid.values[index], np.full(grid.samples, index))[arm],
+        scene.chains[arm],
+    )
     form = chain.robot.form
     if isinstance(form, OffsetParameters):
         flange = np.linalg.inv(chain.base) @ pose @ np.linalg.inv(chain.tcp)
@@ -132,93 +178,114 @@ def _beyond(scene: Scene, targets: Targets, grid: Grid, arm: str, index: int) ->
     return float(reach_gap(chain, pose).min())
 
 
-def _broken(targets: Targets, index: int) -> Issue:
+def _branch_issue(targets: Targets, index: int) -> Issue:
     name = targets.name(index)
-    what = f"no choice of branches for {' and '.join(targets.arms)} passes target {name}: up to there the "
-    what += "arms can go, but not on without a jump of a joint, or not both with the same freedoms"
-    return Issue("motion.no_path", what, index=index, target=name, hint=_elsewhere(targets))
+    message = f"no choice of branches for {' and '.join(targets.arms)} passes target {name}: the arms can "
+    message += "reach it, but they cannot continue without a joint jump or with the same freedoms"
+    return Issue("motion.no_path", message, index=index, target=name, hint=_relocation_hint(targets))
 
 
-def _wound_up(scene: Scene, targets: Targets, wound: Wound, index: int) -> Issue:
-    """A joint that would have to turn on where its limits end."""
-    robot, margin = scene.chains[wound.arm].robot, scene.settings.joint_margin
-    low, high = (float(end[wound.joint]) / DEG for end in (robot.lower + margin, robot.upper - margin))
-    name, span = targets.name(index), f"from {wound.low / DEG:.0f} to {wound.high / DEG:.0f} deg"
-    what = f"axis {wound.joint + 1} of arm {wound.arm} would have to turn {span} over the job, as its tool "
-    what += f"and its wrist turn; allowed: {low:.0f} to {high:.0f} deg, which ends at target {name}"
-    if wound.jumps:
-        what = f"axis {wound.joint + 1} of arm {wound.arm} would have to turn on past its limits, and jumps "
-        what += f"{span} instead, at target {name}; allowed: {low:.0f} to {high:.0f} deg"
+def _winding_issue(scene: Scene, targets: Targets, winding: JointWinding, index: int) -> Issue:
+    """Issue of a joint that would have to continue beyond its limits."""
+    robot, margin = scene.chains[winding.arm].robot, scene.settings.joint_margin
+    low, high = (float(end[winding.joint]) / DEG for end in (robot.lower + margin, robot.upper - margin))
+    name, span = targets.name(index), f"from {winding.low / DEG:.0f} to {winding.high / DEG:.0f} deg"
+    message = (
+        f"axis {winding.joint + 1} of arm {winding.arm} would have to turn {span} over the job, because its "
+    )
+    message += f"tool and wrist turn; allowed: {low:.0f} to {high:.0f} deg, which it leaves at target {name}"
+    if winding.jumps:
+        message = (
+            f"axis {winding.joint + 1} of arm {winding.arm} would have to turn beyond its limits and jumps "
+        )
+        message += f"{span} instead at target {name}; allowed: {low:.0f} to {high:.0f} deg"
     return Issue(
         "motion.no_path",
-        what,
-        **measurement(abs(wound.high - wound.low) / DEG, high - low, "deg"),
-        arm=wound.arm,
+        message,
+        **measurement(abs(winding.high - winding.low) / DEG, high - low, "deg"),
+        arm=winding.arm,
         index=index,
         target=name,
-        hint=_elsewhere(targets) + ", turn the tool about its axis on the flange, or split the job there",
+        hint=_relocation_hint(targets)
+        + ", turn the tool about its axis on the flange, or split the job there",
     )
 
 
-def _collision(scene: Scene, targets: Targets, blocked: Blocked) -> Issue:
-    """Where all paths end, which samples are free before and after it, and what blocks those there."""
-    dead = blocked.dead
-    if dead is None and blocked.hit is not None:
-        return describe(scene, targets, blocked.hit[1], blocked.hit[0])
+def _blocked_issue(scene: Scene, targets: Targets, blocked: BlockedSearch) -> Issue:
+    """Issue of the target where all paths end.
+
+    It lists the samples that are free before and after it, and what blocks it.
+    """
+    dead = blocked.dead_end
+    if dead is None and blocked.collision is not None:
+        return collision_issue(scene, targets, blocked.collision[1], blocked.collision[0])
     if dead is None or scene.model is None:
-        raise ValueError("a search that failed without collisions has another reason")
-    open_ = bool(dead.free.any())
-    looked = np.flatnonzero((dead.next if open_ else dead.possible) & ~dead.free)
-    if not len(looked):
-        return _broken(targets, dead.index)
-    blocks, (counted, nearest) = _blocking(scene, targets, dead, looked)
+        raise ValueError("the search did not fail because of collisions")
+    has_free = bool(dead.free.any())
+    colliding = np.flatnonzero((dead.next if has_free else dead.possible) & ~dead.free)
+    if not len(colliding):
+        return _branch_issue(targets, dead.index)
+    blocks, (counted, nearest) = _collision_groups(scene, targets, dead, colliding)
     if not blocks:
-        return _broken(targets, dead.index)
-    best, limit, setting = own_clearance.told(scene.settings, counted, nearest)
-    name, count = targets.name(dead.index), len(looked)
-    every = (
-        f"{count} sample{'s' if count > 1 else ''} of {_names(targets)}"
+        return _branch_issue(targets, dead.index)
+    best, limit, setting = self_clearance.true_distance(scene.settings, counted, nearest)
+    name, count = targets.name(dead.index), len(colliding)
+    sample_text = (
+        f"{count} sample{'s' if count > 1 else ''} of {_freedom_names(targets)}"
         if targets.freedoms
         else "one posture"
     )
-    shares = ", ".join(f"{block} at {block.count if count > 1 else 'it'}" for block in blocks)
-    before = _intervals(targets, dead.grid, dead.index - 1, dead.reached) if dead.reached.any() else ""
-    if open_:
-        there = _intervals(targets, dead.grid, dead.index, dead.free)
-        what = (
-            f"no free path goes past target {name}: free there is {there}, but the arms come from "
-            f"{before}; the {every} that they could go on to collide: {shares}"
+    block_texts = ", ".join(f"{block} at {block.count if count > 1 else 'it'}" for block in blocks)
+    free_before = (
+        _freedom_intervals(targets, dead.grid, dead.index - 1, dead.reached) if dead.reached.any() else ""
+    )
+    # Either some postures are free but not connected to the previous target, or none is free.
+    if has_free:
+        free_here = _freedom_intervals(targets, dead.grid, dead.index, dead.free)
+        message = (
+            f"no free path passes target {name}: {free_here} is free there, but the arms come from "
+            f"{free_before}; the {sample_text} to which they could continue collide: {block_texts}"
         )
     else:
-        what = f"nothing is free at target {name}: the {every} in reach there all collide: {shares}"
-        what += f"; free before it is {before}" if before else ""
+        message = (
+            f"no posture is free at target {name}: the {sample_text} in reach there all collide: "
+            f"{block_texts}"
+        )
+        message += f"; before it, {free_before} is free" if free_before else ""
         if dead.later is not None:
             grid, index, free = dead.later
-            what += f"; free again at {targets.name(index)} is {_intervals(targets, grid, index, free)}"
-        elif dead.before is not None and dead.index + 1 < targets.count:
-            what += "; nothing is free after it"
+            message += (
+                f"; at {targets.name(index)}, {_freedom_intervals(targets, grid, index, free)} is free again"
+            )
+        elif dead.find_connections is not None and dead.index + 1 < targets.count:
+            message += "; no posture is free after it"
     tried = len(dead.tried)
-    beside = f" between {nearest[0]} and {nearest[1]}" if {*nearest} - {*blocks[0].pair, ""} else ""
+    between_text = f" between {nearest[0]} and {nearest[1]}" if {*nearest} - {*blocks[0].pair, ""} else ""
     choices = f"all {tried} choices of branches" if tried > 1 else "the only choice of branches"
     return Issue(
         "motion.collision",
-        f"{what}; the best of them leaves {_close(best / MM, limit / MM)} mm{beside}, allowed is "
-        f"{limit / MM:.1f} mm at least ({choices} tried)",
+        f"{message}; the best of them leaves {_format_near_limit(best / MM, limit / MM)} mm{between_text} "
+        f"(at least {limit / MM:.1f} mm required; {choices} tried)",
         index=dead.index,
         target=name,
         bodies=blocks[0].pair,
         **measurement(best / MM, limit / MM, "mm"),
         count=count,
-        hint=_room(targets, setting, nearest),
+        hint=_clearance_hint(targets, setting, nearest),
     )
 
 
 @dataclasses.dataclass(frozen=True)
-class Block:
-    """Two things of the cell (arms, obstacles, the stock) that are too near each other: at ``count`` samples,
-    ``pair`` being the bodies that are so most often."""
+class CollisionGroup:
+    """Two owners of bodies (arms, obstacles, the stock) that are too close to each other.
 
-    things: tuple[str, str]
+    Attributes:
+        owners: Names of the two owners.
+        pair: The pair of bodies that is too close most often.
+        count: Number of samples at which the owners are too close.
+    """
+
+    owners: tuple[str, str]
     pair: tuple[str, str]
     count: int
 
@@ -226,188 +293,236 @@ class Block:
         return f"{self.pair[0]} with {self.pair[1]}"
 
 
-def _blocking(
-    scene: Scene, targets: Targets, dead: Dead, samples: IndexArray
-) -> tuple[list[Block], tuple[float, tuple[str, str]]]:
-    """Things that are too near each other at ``samples`` (K,) of the target where paths end: those that block
-    most, then those that block most of the rest, until all are explained; and the distance [m], as it counts,
-    that the best sample leaves, with its pair."""
+def _collision_groups(
+    scene: Scene, targets: Targets, dead: DeadEnd, samples: IndexArray
+) -> tuple[list[CollisionGroup], tuple[float, tuple[str, str]]]:
+    """Groups of bodies that are too close where paths end, and the best sample.
+
+    The groups are chosen greedily until all ``samples`` (K,) of the target are explained: first the group
+    that blocks most samples, then the one that blocks most of the rest. The second value is the counted
+    distance [m] of the best sample, with its pair.
+    """
     if scene.model is None:
-        raise ValueError("without a model nothing is in the way")
-    q = {arm: r.q[dead.index, samples] for arm, r in dead.rungs.items()}
+        raise ValueError("without a collision model nothing can collide")
+    # Collect the samples at which each pair of bodies (or the wire with a body) is too close.
+    q = {arm: r.q[dead.index, samples] for arm, r in dead.states.items()}
     index = np.full(len(samples), dead.index)
-    wanted = scene.settings.clearance
-    found: dict[tuple[str, str], set[int]] = {}
-    there = scene.bodies(targets, index) or scene.model
-    for ignore, rows in scene.by_kind(targets, index):
-        part = scene.model.stack({arm: v[rows] for arm, v in q.items()})
-        every = clearance.gradients_at(there.at_rows(rows), part, wanted + TOUCHING_M, ignore)
-        for row, near in zip(rows.tolist(), every, strict=True):
-            for a, b in near.bodies[near.distance <= wanted].tolist():
+    required = scene.settings.clearance
+    samples_by_pair: dict[tuple[str, str], set[int]] = {}
+    model_rows = scene.model_at(targets, index) or scene.model
+    for ignore, rows in scene.split_by_contacts(targets, index):
+        part = scene.model.stack_rows({arm: v[rows] for arm, v in q.items()})
+        queries = clearance.distance_gradients_at(
+            model_rows.at_rows(rows), part, required + CONTACT_TOLERANCE_M, ignore
+        )
+        for row, query in zip(rows.tolist(), queries, strict=True):
+            for a, b in query.bodies[query.distance <= required].tolist():
                 first, second = sorted((scene.model.body_name(a), scene.model.body_name(b)))
-                found.setdefault((first, second), set()).add(row)
-    bodies = scene.least(targets, q, index, REPORTED_DISTANCE_M)
-    least = bodies.distance
-    wire, wire_pairs = scene.edge_clearance(targets, q, index)
-    for row in np.flatnonzero(wire < wanted).tolist():
+                samples_by_pair.setdefault((first, second), set()).add(row)
+    bodies = scene.smallest_clearances(targets, q, index, REPORTED_DISTANCE_M)
+    distances = bodies.distance
+    wire_distances, wire_pairs = scene.edge_clearance(targets, q, index)
+    for row in np.flatnonzero(wire_distances < required).tolist():
         first, second = sorted(wire_pairs[row])
-        found.setdefault((first, second), set()).add(row)
-    together: dict[tuple[str, str], set[int]] = {}
-    for (a, b), hit in found.items():
-        together.setdefault((_thing(a), _thing(b)), set()).update(hit)
-    out: list[Block] = []
-    left = set(range(len(samples)))
-    while left and len(out) < MOST_PAIRS and together:
-        things = max(sorted(together), key=lambda t: len(together[t] & left))
-        if not together[things] & left:
+        samples_by_pair.setdefault((first, second), set()).add(row)
+    # Group the pairs by their owners, then cover the samples greedily by groups.
+    samples_by_owners: dict[tuple[str, str], set[int]] = {}
+    for (a, b), samples_hit in samples_by_pair.items():
+        samples_by_owners.setdefault((_owner(a), _owner(b)), set()).update(samples_hit)
+    out: list[CollisionGroup] = []
+    unexplained = set(range(len(samples)))
+    while unexplained and len(out) < MAX_NAMED_PAIRS and samples_by_owners:
+        owners = max(sorted(samples_by_owners), key=lambda t: len(samples_by_owners[t] & unexplained))
+        if not samples_by_owners[owners] & unexplained:
             break
-        own = [pair for pair in sorted(found) if (_thing(pair[0]), _thing(pair[1])) == things]
-        out.append(Block(things, max(own, key=lambda pair: len(found[pair])), len(together[things])))
-        left -= together.pop(things)
-    best = int(np.argmax(np.minimum(least, wire)))
-    if wire[best] < least[best]:
-        return out, (float(wire[best]), wire_pairs[best])
-    return out, (float(least[best]), bodies.pair[best])
+        pairs = [pair for pair in sorted(samples_by_pair) if (_owner(pair[0]), _owner(pair[1])) == owners]
+        out.append(
+            CollisionGroup(
+                owners,
+                max(pairs, key=lambda pair: len(samples_by_pair[pair])),
+                len(samples_by_owners[owners]),
+            )
+        )
+        unexplained -= samples_by_owners.pop(owners)
+    best = int(np.argmax(np.minimum(distances, wire_distances)))
+    if wire_distances[best] < distances[best]:
+        return out, (float(wire_distances[best]), wire_pairs[best])
+    return out, (float(distances[best]), bodies.pair[best])
 
 
-def _thing(body: str) -> str:
+def _owner(body: str) -> str:
     return body.partition("/")[0]
 
 
-def _close(value: float, limit: float) -> str:
-    """A figure with as many digits as tell it from the limit."""
+def _format_near_limit(value: float, limit: float) -> str:
+    """Format a value with as many digits as are needed to tell it from the limit."""
     return f"{value:.1f}" if abs(value - limit) > 0.1 else f"{value:.3f}"
 
 
-def _intervals(targets: Targets, grid: Grid, index: int, samples: BoolArray) -> str:
-    """The intervals of each freedom over some samples (S,) of a target, as people read them."""
+def _freedom_intervals(targets: Targets, grid: SampleGrid, index: int, samples: BoolArray) -> str:
+    """Intervals of each freedom over some samples (S,) of a target, in displayed units."""
     out = []
     for j, freedom in enumerate(targets.freedoms):
         if float((freedom.upper - freedom.lower).max()) <= 0.0:
             continue
-        values, place = np.unique(grid.values[index, :, j].round(9), return_inverse=True)
-        used = np.bincount(place.reshape(-1), weights=samples) > 0
-        unit, scale = ("mm", MM) if slides_only(freedom) else ("deg", DEG)
-        runs = _runs(used, full_turn(freedom))
-        if full_turn(freedom) and used.all():
-            told = "any"
+        values, value_index = np.unique(grid.values[index, :, j].round(9), return_inverse=True)
+        used = np.bincount(value_index.reshape(-1), weights=samples) > 0
+        unit, scale = ("mm", MM) if is_sampled_as_slide(freedom) else ("deg", DEG)
+        runs = _true_runs(used, is_full_turn(freedom))
+        if is_full_turn(freedom) and used.all():
+            text = "any"
         else:
-            told = " and ".join(_run(values[a] / scale, values[b] / scale) for a, b in runs) + f" {unit}"
-        out.append(f"{freedom.name} {told}")
+            text = (
+                " and ".join(_format_interval(values[a] / scale, values[b] / scale) for a, b in runs)
+                + f" {unit}"
+            )
+        out.append(f"{freedom.name} {text}")
     return ", ".join(out) or "the only posture"
 
 
-def _run(low: float, high: float) -> str:
+def _format_interval(low: float, high: float) -> str:
     return f"{low:.0f}" if low == high else f"{low:.0f} to {high:.0f}"
 
 
-def _runs(used: BoolArray, ring: bool) -> list[tuple[int, int]]:
-    """First and last of the runs of true ones; on a ring a run may go on from the end to the beginning."""
+def _true_runs(used: BoolArray, is_ring: bool) -> list[tuple[int, int]]:
+    """First and last index of each run of true values.
+
+    On a ring a run may continue from the end to the start.
+    """
     edge = np.diff(np.concatenate([[0], used.astype(np.intp), [0]]))
     runs = list(zip(np.flatnonzero(edge > 0).tolist(), (np.flatnonzero(edge < 0) - 1).tolist(), strict=True))
-    if ring and len(runs) > 1 and used[0] and used[-1]:
+    if is_ring and len(runs) > 1 and used[0] and used[-1]:
         runs = [*runs[1:-1], (runs[-1][0], runs[0][1])]
     return runs
 
 
-def describe(
+def collision_issue(
     scene: Scene, targets: Targets, q: Mapping[str, FloatArray], index: int, count: int = 1
 ) -> Issue:
-    """The closest pair of bodies at one configuration {arm: (6,)} on the way to target ``index``, as an
-    issue."""
+    """Describe the closest pair of bodies at one configuration as an issue.
+
+    Args:
+        scene: Cell with a collision model.
+        targets: Targets of the operation.
+        q: {arm: (6,)} [rad] joints.
+        index: Target to which the arms move.
+        count: Number of configurations that collide, which the issue reports.
+
+    Raises:
+        ValueError: The scene has no collision model.
+    """
     if scene.model is None:
-        raise ValueError("there are no collisions without a model")
-    one = {arm: angles[None] for arm, angles in q.items()}
-    found = scene.least(targets, one, np.array([index]), 0.2)
-    distance, pair = float(found.distance[0]), found.pair[0]
-    wire, wire_pair = scene.edge_clearance(targets, one, np.array([index]))
+        raise ValueError("without a collision model there are no collisions")
+    single = {arm: angles[None] for arm, angles in q.items()}
+    closest = scene.smallest_clearances(targets, single, np.array([index]), 0.2)
+    distance, pair = float(closest.distance[0]), closest.pair[0]
+    wire, wire_pair = scene.edge_clearance(targets, single, np.array([index]))
     if float(wire[0]) < distance:
         distance, pair = float(wire[0]), wire_pair[0]
-    distance, limit, setting = own_clearance.told(scene.settings, distance, pair)
+    distance, limit, setting = self_clearance.true_distance(scene.settings, distance, pair)
     name = targets.name(index)
     return Issue(
         "motion.collision",
-        f"{pair[0]} and {pair[1]} are {distance / MM:.1f} mm apart at target {name}, "
-        f"allowed is {limit / MM:.1f} mm at least, with {_tried(targets)} tried",
+        f"{pair[0]} and {pair[1]} are {distance / MM:.1f} mm apart at target {name} "
+        f"(at least {limit / MM:.1f} mm required), with {_tried_freedoms(targets)} tried",
         index=index,
         target=name,
         bodies=pair,
         **measurement(distance / MM, limit / MM, "mm"),
         count=count,
-        hint=_room(targets, setting, pair),
+        hint=_clearance_hint(targets, setting, pair),
     )
 
 
-def at_support(pair: Sequence[str]) -> bool:
-    """Whether two bodies are a tool's working end and what bears the stock: they stand to each other as the
-    work has it, wherever the stock is."""
+def is_tool_and_support(pair: Sequence[str]) -> bool:
+    """Whether a pair is the working end of a tool and the support of the stock.
+
+    Their relative pose follows from the work, wherever the stock is.
+    """
     return "support" in pair and any(body.endswith("/edge") for body in pair)
 
 
-def _room(targets: Targets, setting: str, pair: tuple[str, str]) -> str:
-    """What to do where the bodies of a ``pair`` are too near each other; ``setting`` is the one that asks for
-    it."""
-    if at_support(pair):
-        what = "make room there for the tool in what holds or bears the stock, which moves along with it (a "
-        return f"{what}sheet's clamp: a larger opening_mm), take a slimmer tool, or lower {setting}"
-    if setting == own_clearance.OWN_FIELD:
-        return f"{_else(targets)}, mount the tool otherwise, or lower {setting}"
-    return f"{_else(targets)}, move the obstacle, or lower {setting}"
+def _clearance_hint(targets: Targets, setting: str, pair: tuple[str, str]) -> str:
+    """Hint for a ``pair`` of bodies that are too close.
 
-
-def _held(targets: Targets) -> bool:
-    return any(holder is not None for _, holder in holders(targets))
-
-
-def _nearer(targets: Targets) -> str:
-    if _held(targets):
-        return (
-            "let the place of the held block be found (place: auto), move bases nearer, or take larger arms"
+    ``setting`` is the setting that requires the clearance.
+    """
+    if is_tool_and_support(pair):
+        advice = (
+            "make room for the tool in the fixture or support, which moves with the stock (for the clamp "
         )
-    return "move the stock toward the arm, or take a larger arm"
+        return f"{advice}of a sheet: a larger opening_mm), use a slimmer tool, or lower {setting}"
+    if setting == self_clearance.SELF_CLEARANCE_FIELD:
+        return f"{_move_stock_hint(targets)}, change how the tool is mounted, or lower {setting}"
+    return f"{_move_stock_hint(targets)}, move the obstacle, or lower {setting}"
 
 
-def _elsewhere(targets: Targets) -> str:
-    return f"{_else(targets)}, or let the targets turn more freely"
+def _holds_stock(targets: Targets) -> bool:
+    return any(holder is not None for _, holder in frame_holders(targets))
 
 
-def _less(field: str, got: float) -> str:
-    """The margin [rad] that would let a target pass, where one is left that is worth it."""
-    told = float(np.floor(got / DEG * 10.0 - 1e-6)) / 10.0
-    return f", or take settings.{field}: {told:g}, which is enough here" if told >= LEAST_MARGIN_DEG else ""
+def _reach_hint(targets: Targets) -> str:
+    if _holds_stock(targets):
+        return "let the planner place the held stock (place: auto), move the bases closer, or use larger arms"
+    return "move the stock toward the arm, or use a larger arm"
 
 
-def _else(targets: Targets) -> str:
-    if _held(targets):
-        return "let the place of the held block be found (place: auto), or grip it otherwise"
-    return "move or turn the stock"
+def _relocation_hint(targets: Targets) -> str:
+    return f"{_move_stock_hint(targets)}, or give the targets more freedom"
 
 
-def _tried(targets: Targets) -> str:
+def _margin_hint(field: str, margin: float) -> str:
+    """Hint with the margin [rad] that would let a target pass, if that margin is worth suggesting."""
+    suggested_deg = float(np.floor(margin / DEG * 10.0 - 1e-6)) / 10.0
+    return (
+        f", or set settings.{field}: {suggested_deg:g}, which is enough here"
+        if suggested_deg >= MIN_SUGGESTED_MARGIN_DEG
+        else ""
+    )
+
+
+def _move_stock_hint(targets: Targets) -> str:
+    if _holds_stock(targets):
+        return "let the planner place the held stock (place: auto), or grip it differently"
+    return "move or rotate the stock"
+
+
+def _tried_freedoms(targets: Targets) -> str:
     names = [f.name for f in targets.freedoms if float((f.upper - f.lower).max()) > 0.0]
     return f"every freedom ({', '.join(names)})" if len(names) > 1 else "every freedom"
 
 
-def _names(targets: Targets) -> str:
+def _freedom_names(targets: Targets) -> str:
     names = [f.name for f in targets.freedoms if float((f.upper - f.lower).max()) > 0.0]
     return " and ".join(names) or "no freedom"
 
 
-def require_moves(scene: Scene, targets: Targets, branch: Mapping[str, int], samples: Dense) -> None:
-    """Raises :class:`TandemError` where a linear move between targets leaves reach or passes too near
-    something."""
+def require_linear_moves(
+    scene: Scene, targets: Targets, branch: Mapping[str, int], samples: MoveSamples
+) -> None:
+    """Require that the linear moves between targets stay within reach and keep clearance.
+
+    Args:
+        scene: Cell with the stock in its pose.
+        targets: Targets of the operation.
+        branch: {arm: branch} that the moves keep.
+        samples: Joints along the moves, NaN where a pose has no solution on the branch.
+
+    Raises:
+        TandemError: ``motion.linear_move`` or ``motion.collision``.
+    """
     for arm, q in samples.q.items():
-        lost = np.flatnonzero(np.isnan(q).any(axis=1))
-        if len(lost):
-            index = int(samples.move[lost[0]])
-            what = f"arm {arm} cannot follow the straight move to target {targets.name(index)}: between "
-            what += f"targets it leaves its reach or its branch {branch[arm]}"
-            hint = "put targets closer together there, or move the stock"
-            raise refusal(
-                "motion.linear_move", what, arm=arm, index=index, target=targets.name(index), hint=hint
+        unreached = np.flatnonzero(np.isnan(q).any(axis=1))
+        if len(unreached):
+            index = int(samples.move[unreached[0]])
+            message = f"arm {arm} cannot follow the straight move to target {targets.name(index)}: between "
+            message += f"the targets it leaves its reach or its branch {branch[arm]}"
+            hint = "place the targets closer together there, or move the stock"
+            raise issue_error(
+                "motion.linear_move", message, arm=arm, index=index, target=targets.name(index), hint=hint
             )
-    hit = np.flatnonzero(~clear(scene, targets, samples))
-    if len(hit):
-        row = int(hit[0])
+    colliding = np.flatnonzero(~is_clear(scene, targets, samples))
+    if len(colliding):
+        row = int(colliding[0])
         at = {arm: q[row] for arm, q in samples.q.items()}
-        raise TandemError(describe(scene, targets, at, int(samples.move[row]), len(hit)))
+        raise TandemError(collision_issue(scene, targets, at, int(samples.move[row]), len(colliding)))

@@ -1,4 +1,7 @@
-"""Motion of one operation: reach, ladder, trajectory optimisation, timing, and the way in and out."""
+"""Motion planning of one operation.
+
+The steps are reach, layered graph, trajectory optimisation, timing, approach and retreat.
+"""
 
 import dataclasses
 import functools
@@ -8,181 +11,239 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 from planner.geometry.units import DEG, MM, measurement
-from planner.issues import Issue, Severity, TandemError, aggregate, refusal
-from planner.motion import diagnosis, transit, ways
-from planner.motion.former import FormerPath
+from planner.issue_codes import format_message
+from planner.issues import Issue, Severity, TandemError, aggregate, issue_error
+from planner.motion import diagnosis, homing, transit
 from planner.motion.planning_scene import Scene
+from planner.motion.reference_plan import ReferencePath
 from planner.motion.search import path_search
-from planner.motion.search.ladder_search import Blocked, Found, speed_limits
+from planner.motion.search.layered_graph_search import BlockedSearch, PathResult, speed_limits
 from planner.motion.search.path_search import find_path
-from planner.motion.search.reach import Grid
-from planner.motion.search.roadmap import search_near
-from planner.motion.search.subsampling import subset
+from planner.motion.search.reach import SampleGrid
+from planner.motion.search.roadmap import search_near_samples
+from planner.motion.search.subsampling import select_targets
 from planner.motion.trajectory import differences, joint_path, move_limits, program, trajopt, windows
-from planner.motion.trajectory.hinges import Avoid
-from planner.motion.trajectory.joint_path import Dense, clear, dense, tcp_ways
-from planner.motion.trajectory.timing import Clock, Limits, TimedPiece, TimingError, least_times
-from planner.motion.trajectory.trajopt import Improved, improve, path_cost
+from planner.motion.trajectory.hinge_costs import ClearancePenalty
+from planner.motion.trajectory.joint_path import MoveSamples, is_clear, sample_moves, tcp_lengths
+from planner.motion.trajectory.timing import Clock, ClockLimits, TimedPiece, TimingError, min_times
+from planner.motion.trajectory.trajopt import OptimisedPath, optimise_path, path_cost
 from planner.motion.trajectory.windows import Windows
 from planner.plans import OperationPlan
-from planner.problem import Cell, Settings
+from planner.problem import Controller
 from planner.runtime.executor import SERIAL, Executor
 from planner.targets import Targets
 
 CLEARANCE_WEIGHT = 0.5
-"""Weight of bodies that are nearer than wanted beside the rest of the cost."""
-CORRIDORS = ((4, np.pi), (8, 0.3), (16, 0.2), (32, 0.1), (64, 0.1), (10**6, 0.06), (0, 0.06))
-"""How far around a place that is too near the next path is kept to the ladder's [targets], and how close this
-one is kept where others were too near [rad]."""
+"""Weight of the clearance penalty relative to the rest of the cost."""
+OPTIMISATION_CORRIDORS = ((4, np.pi), (8, 0.3), (16, 0.2), (32, 0.1), (64, 0.1), (10**6, 0.06), (0, 0.06))
+"""Attempts of the optimisation after a collision: (number of targets around it, corridor width [rad]).
+
+The next path stays within the corridor around the path of the layered graph, on that many targets around each
+move that is too close. 10**6 covers the whole path. The last entry is the final attempt.
+"""
 
 PROGRAM_CORRIDORS: Final = ((8, 0.1), (24, 0.03), (64, 0.0))
-"""The same of what Drake's program makes of that path, and how close to it [rad] the next is kept there."""
+"""Attempts of Drake's program after a collision: (number of targets around it, corridor width [rad]).
 
-PROGRAM_SHARES: Final = (1.0, 0.5, 0.25)
-"""Where its clock makes a path of the program worse in anything, the path so far on the way is tried."""
-WINDOWS_SHARES: Final = (1.0, 0.5)
-"""The same where it changes windows of a long path,"""
-WINDOWS_BUDGET: Final = 16 * windows.MOST_WINDOWS * windows.WINDOW
-"""and for how many targets' distances it may ask."""
-LEAST_BUDGET: Final = 128
-"""Targets whose distances Drake's program may ask for at least; else as many as were asked for before it."""
-LEAST_PROGRAM_GAIN: Final = 1e-3
-"""A path of Drake's program costs less by this share at least of what its freedoms can change, or the one
-that it was made from stays."""
-SLOWER_SHARE: Final = 1.002
-"""A path of Drake's program takes at most so many times as long as the one that it was made from."""
+The corridor lies around the path from which the program started.
+"""
 
-DETOUR_MARGIN = 24
-"""Targets on either side of those over which a better path goes from the one that is kept to its own."""
+PROGRAM_FRACTIONS: Final = (1.0, 0.5, 0.25)
+"""Fractions of the way to the program's path that are tried while its timing is worse in any respect."""
+WINDOWS_FRACTIONS: Final = (1.0, 0.5)
+"""Fractions of the way to the program's path that are tried if it changes windows of a long path."""
+MAX_WINDOWS_QUERIES: Final = 16 * windows.MAX_WINDOWS * windows.WINDOW_TARGETS
+"""Maximum number of targets for which the program may query distances if it changes windows of a long
+path.
+"""
+MIN_PROGRAM_QUERIES: Final = 128
+"""Minimum number of targets for which Drake's program may query distances. The budget is otherwise the number
+of queries of the optimisation before it.
+"""
+MIN_PROGRAM_GAIN: Final = 1e-3
+"""Minimum relative cost reduction, of the share that the freedoms can change, for which the program's path is
+used.
+"""
+MAX_DURATION_RATIO: Final = 1.002
+"""Maximum ratio of the duration of the program's path to that of the path from which it started."""
 
-JOINING_ROUNDS = 3
-"""So often short moves are joined, each time by the clock that the last time led to."""
+DETOUR_TARGETS = 24
+"""Number of targets on both sides of a corridor over which the path returns to the one before."""
 
-Timed = tuple[Targets, Clock, float]
-"""Targets with their stops, their clock, and how far [m] that is off the way."""
+MAX_JOINING_ROUNDS = 3
+"""Maximum number of rounds in which short moves are joined. Each round uses the timing of the previous
+one.
+"""
+
+TimedTargets = tuple[Targets, Clock, float]
+"""Targets with their stops, their clock, and the deviation [m] of the timed path from the planned one."""
+
+
+@dataclasses.dataclass(frozen=True)
+class PathSearchOptions:
+    """Known paths from which the path search of an operation starts, and its sampling density.
+
+    Attributes:
+        reference: Path of an earlier plan. The parts that still hold are reused, and a note reports them.
+        fine: Whether finer samples are tried if the first ones have no path.
+        known_path: Result of :func:`find_path` for the same targets in the same scene, if known.
+    """
+
+    reference: ReferencePath | None = None
+    fine: bool = True
+    known_path: tuple[SampleGrid, PathResult] | None = None
+
+
+DEFAULT_SEARCH_OPTIONS: Final = PathSearchOptions()
+"""Options of a search with fine samples and without known paths."""
 
 
 def plan_operation(
     name: str,
-    cell: Cell,
+    scene: Scene,
     targets: Targets,
-    settings: Settings,
-    stock_pose: FloatArray,
-    model: CellModel | None = None,
-    bases: Mapping[str, FloatArray] | None = None,
+    controller: Controller,
+    options: PathSearchOptions = DEFAULT_SEARCH_OPTIONS,
     executor: Executor = SERIAL,
-    former: FormerPath | None = None,
-    fine: bool = True,
-    known: tuple[Grid, Found] | None = None,
 ) -> OperationPlan:
-    """The plan of one operation named ``name`` with the stock at ``stock_pose`` (4, 4) in the world.
+    """Plan one operation.
 
-    ``model`` is the cell's collision model at that placement; without it nothing is checked for collisions,
-    which only benchmarks and tests want. ``executor`` plans ways from home and back.
-    ``former``: a path that was planned before, of which is taken over what holds; a note tells it. ``known``:
-    what :func:`find_path` gave for these targets here.
+    Args:
+        name: Name of the operation.
+        scene: Cell with the arms of the targets and the stock in its pose. Without a collision model there
+            are no collision checks (benchmarks and tests only).
+        targets: Targets of the operation.
+        controller: Controller of the cell, which determines whether the arms are synchronised.
+        options: Options of the path search.
+        executor: Runs the planning of approach and retreat.
 
-    Raises :class:`TandemError` with the reasons when there is no plan, and :class:`NoCoarsePathError` unless
-    ``fine``, where only finer samples might lead to one.
+    Raises:
+        TandemError: No plan exists; the issues say why.
+        NoCoarsePathError: Not ``options.fine``, and only finer samples might have a path.
     """
-    scene = Scene.of(cell, targets.arms, stock_pose, settings, model, bases)
-    watch = _Watch()
-    ways.require_home(scene, targets)
-    aimed = path_search.with_aims(scene, targets)
-    near = _Near(former, fine, known if aimed is targets else None)
-    targets = aimed
-    targets, found = _path(scene, targets, watch, near)
-    avoid = _avoid(scene, targets, executor)
-    better, kept = _improve(scene, targets, found, avoid, watch)
+    reference = options.reference
+    watch = _Stopwatch()
+    # Path search in the layered graph, from the reference path if there is one.
+    homing.require_free_home(scene, targets)
+    targets_with_aims = path_search.with_aims(scene, targets)
+    known_path = options.known_path if targets_with_aims is targets else None
+    finder = _PathFinder(reference, options.fine, known_path)
+    targets = targets_with_aims
+    targets, path_result = _search_path(scene, targets, watch, finder)
+    # Trajectory optimisation. Approach and retreat are planned in parallel from here on.
+    avoid = _clearance_penalty(scene, targets, executor)
+    optimised, optimisation_used = _optimise_path(scene, targets, path_result, avoid, watch)
     families = {scene.chains[arm].robot.family for arm in targets.arms}
-    synchronised = cell.controller.sync == "multimove" and families == {"ABB"}
-    before = None if former is None else former.ways
-    stands = scene.standing(targets, 0), scene.standing(targets, -1)
-    homeward = ways.BothWays(stands[0], _ends(targets, better.q), synchronised, executor, before, stands[1])
-    samples = dense(scene, targets, found.path.branch, better.q)
-    if not kept:
-        diagnosis.require_moves(scene, targets, found.path.branch, samples)
-    pieces: dict[bytes, TimedPiece] = {}
-    wanted, timed = targets, _clock(scene, targets, samples, known=pieces)
+    synchronised = controller.sync == "multimove" and families == {"ABB"}
+    reference_ends = None if reference is None else reference.approach_and_retreat
+    end_scenes = scene.at_target(targets, 0), scene.at_target(targets, -1)
+    ends_planner = homing.ApproachAndRetreat(
+        end_scenes[0],
+        _end_joints(targets, optimised.q),
+        synchronised,
+        executor,
+        reference_ends,
+        end_scenes[1],
+    )
+    samples = sample_moves(scene, targets, path_result.path.branch, optimised.q)
+    if not optimisation_used:
+        diagnosis.require_linear_moves(scene, targets, path_result.path.branch, samples)
+    # Timing, and Drake's program on the timed path. A long path is joined before, others after the program.
+    clock_pieces: dict[bytes, TimedPiece] = {}
+    unjoined, timed = targets, _compute_clock(scene, targets, samples, clock_pieces=clock_pieces)
     watch.lap("timing")
-    driven, long = _Driven(better, samples, timed), targets.count > program.MOST_TARGETS
-    if long:  # windows of a long path are chosen on the clock that will be driven
-        wanted, driven = _joined(scene, wanted, found, driven, pieces)
+    timed_path, is_long = _TimedPath(optimised, samples, timed), _is_long(path_result)
+    if is_long:  # windows of a long path are chosen on the final clock
+        unjoined, timed_path = _join_short_moves(scene, unjoined, path_result, timed_path, clock_pieces)
         watch.lap("timing")
-    driven, told = _programmed(scene, wanted, found, driven, avoid if kept else None, pieces, long)
+    timed_path, program_metrics = _optimise_with_program(
+        scene, unjoined, path_result, timed_path, avoid if optimisation_used else None, clock_pieces
+    )
     watch.lap("program")
-    if long:  # told beside the ladder's cost, of all targets
-        driven = dataclasses.replace(driven, path=dataclasses.replace(driven.path, cost=better.cost))
+    if is_long:  # report the cost of all targets, comparable with that of the layered graph
+        timed_path = dataclasses.replace(
+            timed_path, path=dataclasses.replace(timed_path.path, cost=optimised.cost)
+        )
     else:
-        wanted, driven = _joined(scene, wanted, found, driven, pieces)
-    better, samples, (targets, ticks, deviation) = driven.path, driven.samples, driven.timed
-    pieces.clear()
-    move_limits.require(scene, targets, samples, ticks.time)
+        unjoined, timed_path = _join_short_moves(scene, unjoined, path_result, timed_path, clock_pieces)
+    optimised, samples, (targets, clock, deviation) = timed_path.path, timed_path.samples, timed_path.timed
+    clock_pieces.clear()
+    # Checks and notes that need the final stops and the final clock.
+    move_limits.require_min_feeds(scene, targets, samples, clock.time)
     issues = [
-        *(_slow(targets, ticks.time) if targets.run_up is None else ()),
-        *move_limits.stop_notes(wanted, targets),
-        *move_limits.short_move_notes(targets, better.values, ticks.time),
+        *(_feed_min_warnings(targets, clock.time) if targets.run_up is None else ()),
+        *move_limits.stop_notes(unjoined, targets),
+        *move_limits.short_move_warnings(targets, optimised.values, clock.time),
     ]
-    if not kept:
-        issues.append(_not_kept(scene))
-    if scene.model is not None and not program.solvers():
-        issues.append(_no_solver())
+    if not optimisation_used:
+        issues.append(_unused_optimisation_note(scene))
+    if scene.model is not None and not program.available_solvers():
+        issues.append(_missing_solver_note())
     watch.lap("timing")
-    ends = _ends(targets, better.q)
-    if any(not np.array_equal(homeward.ends[arm], ends[arm]) for arm in targets.arms):
-        homeward = ways.BothWays(stands[0], ends, synchronised, former=before, leaving=stands[1])
-    entering, leaving = homeward.found(targets)
+    # Approach and retreat. The program may have moved the ends; then they are planned again.
+    end_joints = _end_joints(targets, optimised.q)
+    if any(not np.array_equal(ends_planner.ends[arm], end_joints[arm]) for arm in targets.arms):
+        ends_planner = homing.ApproachAndRetreat(
+            end_scenes[0], end_joints, synchronised, reference=reference_ends, leaving=end_scenes[1]
+        )
+    approach, retreat = ends_planner.result(targets)
     watch.lap("entry")
+    # Metrics, and the note on the parts that were reused from the reference plan.
     metrics = {
         "stages": watch.laps,
-        "ladder_cost": better.cost_before,
-        "trajopt_cost": better.cost,
-        "trajopt_gain": 1.0 - better.cost / better.cost_before if better.cost_before > 0 else 0.0,
-        "trajopt_iterations": better.iterations,
-        "trajopt_used": kept,
-        **told,
-        "ladder_time": found.path.cost,
-        "branch": dict(found.path.branch),
-        "branch_choices": found.choices,
-        "collision_checks": found.checks,
-        "ladder_rounds": found.rounds,
-        "timing_solver": sorted(set(ticks.used)),
-        "peak_speed_share": ticks.peak_speed,
-        "peak_acceleration_share": ticks.peak_acceleration,
+        "ladder_cost": optimised.cost_before,
+        "trajopt_cost": optimised.cost,
+        "trajopt_gain": 1.0 - optimised.cost / optimised.cost_before if optimised.cost_before > 0 else 0.0,
+        "trajopt_iterations": optimised.iterations,
+        "trajopt_used": optimisation_used,
+        **program_metrics,
+        "ladder_time": path_result.path.cost,
+        "branch": dict(path_result.path.branch),
+        "branch_choices": path_result.choices,
+        "collision_checks": path_result.checks,
+        "ladder_rounds": path_result.rounds,
+        "timing_solver": sorted(set(clock.solvers)),
+        "peak_speed_share": clock.peak_speed,
+        "peak_acceleration_share": clock.peak_acceleration,
         "path_deviation_mm": deviation / MM,
-        **_margins(scene, targets, better.q),
+        **_margin_metrics(scene, targets, optimised.q),
     }
     watch.lap("margins")
-    if former is not None:
-        kept_ways = {"in": entering.known, "out": leaving.known}
-        metrics["like"] = {"path": not near.missed, **kept_ways}
-        issues.append(former.told(near.missed, kept_ways, metrics))
-    shown = path_search.aim_exhibit(scene, targets, better.q)
+    if reference is not None:
+        kept_ends = {"in": approach.from_reference, "out": retreat.from_reference}
+        metrics["like"] = {"path": not finder.miss_reason, **kept_ends}
+        issues.append(reference.takeover_note(finder.miss_reason, kept_ends, metrics))
+    aim_exhibits = path_search.aim_exhibit(scene, targets, optimised.q)
     watch.lap("aim")
     return OperationPlan(
         name=name,
-        targets=dataclasses.replace(targets, exhibits={**targets.exhibits, **shown}) if shown else targets,
-        q=better.q,
-        values=better.values,
-        time=ticks.time,
-        entry=entering.way,
-        exit=leaving.way,
-        order=entering.order,
-        together=tuple(name for name, way in (("entry", entering), ("exit", leaving)) if way.together),
+        targets=dataclasses.replace(targets, exhibits={**targets.exhibits, **aim_exhibits})
+        if aim_exhibits
+        else targets,
+        q=optimised.q,
+        values=optimised.values,
+        time=clock.time,
+        approach=approach.paths,
+        retreat=retreat.paths,
+        arm_order=approach.order,
+        synchronised=tuple(
+            name for name, end_path in (("entry", approach), ("exit", retreat)) if end_path.together
+        ),
         metrics=metrics,
         issues=aggregate(issues),
     )
 
 
-def _ends(targets: Targets, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+def _end_joints(targets: Targets, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     """Joints {arm: (2, 6)} at the first and the last target."""
     return {arm: q[arm][[0, -1]] for arm in targets.arms}
 
 
-class _Watch:
+class _Stopwatch:
+    """Accumulates the wall time [s] of named planning stages."""
+
     def __init__(self) -> None:
         self.laps: dict[str, float] = {}
         self._last = time.perf_counter()
@@ -194,370 +255,477 @@ class _Watch:
 
 
 class NoCoarsePathError(Exception):
-    """The samples that are tried first have no path whose moves are free; finer ones were not looked at."""
+    """The first samples have no free path. Finer samples were not tried."""
 
 
-class _Near:
-    """A path near a former one where there is such; ``missed``: why there was none. ``fine``: whether finer
-    samples are tried where others have no path. ``known``: what is asked for first, if it is known."""
+class _PathFinder:
+    """Path search that starts from a reference path, if there is one.
 
-    def __init__(self, former: FormerPath | None, fine: bool, known: tuple[Grid, Found] | None) -> None:
-        self._former, self._fine, self._known = former, fine, known
-        self.missed = ""
+    ``fine`` says whether finer samples are tried if the first ones have no path. ``known_path`` is the result
+    of the first search, if known. ``miss_reason`` says why no path near the reference was found.
+    """
 
-    def find(self, scene: Scene, targets: Targets) -> tuple[Grid, Found | Blocked]:
-        """As :func:`find_path`, which follows where no path near the former one is found."""
-        if self._former is not None and not self.missed:
-            offered = self._former.samples(targets)
+    def __init__(
+        self, reference: ReferencePath | None, fine: bool, known_path: tuple[SampleGrid, PathResult] | None
+    ) -> None:
+        self._reference, self._fine, self._known_path = reference, fine, known_path
+        self.miss_reason = ""
+
+    def find(self, scene: Scene, targets: Targets) -> tuple[SampleGrid, PathResult | BlockedSearch]:
+        """Search near the reference path, then as :func:`find_path`."""
+        if self._reference is not None and not self.miss_reason:
+            offered = self._reference.freedom_samples(targets)
             for samples in () if isinstance(offered, str) else offered:
-                near = search_near(scene, targets, samples, self._former.branch)
-                if near is not None:
-                    return near
-            nowhere = "no path near it keeps margins and clearance"
-            self.missed = offered if isinstance(offered, str) else nowhere
-        known, self._known = self._known, None
-        grid, found = known or find_path(scene, targets, self._fine)
-        if not self._fine and (isinstance(found, Blocked) or found.loose):
+                nearby = search_near_samples(scene, targets, samples, self._reference.branch)
+                if nearby is not None:
+                    return nearby
+            no_path_text = "no path close to it keeps margins and clearance"
+            self.miss_reason = offered if isinstance(offered, str) else no_path_text
+        known, self._known_path = self._known_path, None
+        grid, result = known or find_path(scene, targets, self._fine)
+        if not self._fine and (isinstance(result, BlockedSearch) or result.has_colliding_moves):
             raise NoCoarsePathError
-        return grid, found
+        return grid, result
 
 
-def _path(scene: Scene, targets: Targets, watch: _Watch, near: _Near) -> tuple[Targets, Found]:
-    """The ladder's path, transit moves mended where they collide."""
-    grid, found = near.find(scene, targets)
-    watch.lap("ladder")
-    if not isinstance(found, Found):
-        raise TandemError(diagnosis.no_path(scene, targets, grid, found))
-    mended = transit.mend(scene, targets, found)
-    watch.lap("transit")
-    if mended is None:
-        return targets, found
-    grid, again = near.find(scene, mended)
-    watch.lap("ladder")
-    if not isinstance(again, Found):
-        raise TandemError(diagnosis.no_path(scene, mended, grid, again))
-    return mended, again
+def _search_path(
+    scene: Scene, targets: Targets, stopwatch: _Stopwatch, finder: _PathFinder
+) -> tuple[Targets, PathResult]:
+    """Path of the layered graph, with transit moves repaired where they collide."""
+    grid, result = finder.find(scene, targets)
+    stopwatch.lap("ladder")
+    if not isinstance(result, PathResult):
+        raise TandemError(diagnosis.no_path_issues(scene, targets, grid, result))
+    repaired = transit.repair_transits(scene, targets, result)
+    stopwatch.lap("transit")
+    if repaired is None:
+        return targets, result
+    grid, repaired_result = finder.find(scene, repaired)
+    stopwatch.lap("ladder")
+    if not isinstance(repaired_result, PathResult):
+        raise TandemError(diagnosis.no_path_issues(scene, repaired, grid, repaired_result))
+    return repaired, repaired_result
 
 
-def _avoid(scene: Scene, targets: Targets, executor: Executor = SERIAL) -> Avoid | None:
-    """What measures distances along paths of the targets, None where nothing is in the way; ``executor``
-    computes some of them."""
+def _clearance_penalty(
+    scene: Scene, targets: Targets, executor: Executor = SERIAL
+) -> ClearancePenalty | None:
+    """Clearance penalty for paths of the targets; None without a collision model.
+
+    ``executor`` computes some distances.
+    """
     if scene.model is None:
         return None
-    kinds = scene.by_kind(targets, np.arange(targets.count))
-    model = scene.bodies(targets) or scene.model
-    wanted = scene.settings.clearance
-    return Avoid(model, targets.arms, wanted, CLEARANCE_WEIGHT, kinds, executor=executor)
+    kinds = scene.split_by_contacts(targets, np.arange(targets.count))
+    model = scene.model_at(targets) or scene.model
+    required = scene.settings.clearance
+    return ClearancePenalty(model, targets.arms, required, CLEARANCE_WEIGHT, kinds, executor=executor)
 
 
-def _improve(
-    scene: Scene, targets: Targets, found: Found, avoid: Avoid | None, watch: _Watch
-) -> tuple[Improved, bool]:
-    """The optimised path if it keeps clearance at and between targets, or the ladder's own.
+def _optimise_path(
+    scene: Scene,
+    targets: Targets,
+    graph_path: PathResult,
+    penalty: ClearancePenalty | None,
+    stopwatch: _Stopwatch,
+) -> tuple[OptimisedPath, bool]:
+    """Optimise the path if the result keeps clearance at and between targets.
 
-    Where an optimised path comes too near to something, it is optimised once more from the ladder's and kept
-    closer to that there, over a longer and longer stretch, at last all along; the rest stays as it is.
+    Otherwise the path of the layered graph is kept.
+
+    Where an optimised path is too close to something, the optimisation is repeated in a corridor around the
+    path of the layered graph, over a longer and longer stretch and finally over the whole path. The rest
+    stays as it is.
     """
-    plain = path_cost(scene, targets, found.values, found.q)
-    start = trajopt.unwrapped(targets, found.values)
+    graph_cost = path_cost(scene, targets, graph_path.values, graph_path.q)
+    start = trajopt.unwrap_freedoms(targets, graph_path.values)
     rows = np.zeros(targets.count, dtype=np.bool_)
-    within, values, q, iterations = targets, start, dict(found.q), 0
+    within, values, q, iterations = targets, start, dict(graph_path.q), 0
     moved = np.ones(targets.count, dtype=np.bool_)
-    for reach, width in CORRIDORS if scene.model is not None else CORRIDORS[:1]:
-        better = improve(scene, within, found.path.branch, values, q, avoid)
-        iterations += better.iterations
-        samples = dense(scene, targets, found.path.branch, better.q)
-        bad = _bad_moves(scene, targets, samples, moved)
-        if not len(bad):
-            watch.lap("trajopt")
-            cost = path_cost(scene, targets, better.values, better.q)
-            return dataclasses.replace(better, cost=cost, cost_before=plain, iterations=iterations), True
-        rows |= trajopt.targets_around(targets.count, bad, reach)
-        moved = trajopt.targets_around(targets.count, bad, reach + DETOUR_MARGIN)
-        back = moved & rows
-        values = np.where(back[:, None], start, better.values)
-        q = {arm: np.where(back[:, None], found.q[arm], better.q[arm]) for arm in targets.arms}
-        within = trajopt.narrowed_freedoms(targets, start, rows, width)
-        within = trajopt.narrowed_freedoms(within, values, ~moved, 0.0)
-    watch.lap("trajopt")
-    return Improved(found.values, found.q, plain, plain, 0), False
+    for reach, width in OPTIMISATION_CORRIDORS if scene.model is not None else OPTIMISATION_CORRIDORS[:1]:
+        improved = optimise_path(scene, within, graph_path.path.branch, values, q, penalty)
+        iterations += improved.iterations
+        samples = sample_moves(scene, targets, graph_path.path.branch, improved.q)
+        infeasible_moves = _infeasible_moves(scene, targets, samples, moved)
+        if not len(infeasible_moves):
+            stopwatch.lap("trajopt")
+            cost = path_cost(scene, targets, improved.values, improved.q)
+            return dataclasses.replace(
+                improved, cost=cost, cost_before=graph_cost, iterations=iterations
+            ), True
+        # next round: around these moves restart in a corridor about the graph path, and fix all other targets
+        rows |= trajopt.targets_around(targets.count, infeasible_moves, reach)
+        moved = trajopt.targets_around(targets.count, infeasible_moves, reach + DETOUR_TARGETS)
+        is_reset = moved & rows
+        values = np.where(is_reset[:, None], start, improved.values)
+        q = {arm: np.where(is_reset[:, None], graph_path.q[arm], improved.q[arm]) for arm in targets.arms}
+        within = trajopt.narrow_freedoms(targets, start, rows, width)
+        within = trajopt.narrow_freedoms(within, values, ~moved, 0.0)
+    stopwatch.lap("trajopt")
+    return OptimisedPath(graph_path.values, graph_path.q, graph_cost, graph_cost, 0), False
 
 
 @dataclasses.dataclass(frozen=True)
-class _Driven:
-    """A path, samples of its moves, and its clock; ``slowed``: with short moves slowed where nothing asks for
-    speed."""
+class _TimedPath:
+    """A path, samples of its moves, and its timing.
 
-    path: Improved
-    samples: Dense
-    timed: Timed
+    ``slowed``: short moves are slowed where nothing requires speed.
+    """
+
+    path: OptimisedPath
+    samples: MoveSamples
+    timed: TimedTargets
     slowed: bool = False
 
     def peaks(self) -> tuple[float, ...]:
-        """The largest acceleration [rad/s2] and jerk [rad/s3] of a joint."""
+        """Largest acceleration [rad/s2] and jerk [rad/s3] of any joint."""
         targets, clock, _ = self.timed
         joints = np.concatenate([self.path.q[arm] for arm in targets.arms], axis=1)
-        return differences.peaks(np.diff(clock.time), targets.stop, joints)
+        return differences.peak_differences(np.diff(clock.time), targets.stop, joints)
 
 
-def _programmed(
+def _is_long(graph_path: PathResult) -> bool:
+    """Whether a path has so many targets that Drake's program changes only some windows of it."""
+    return len(graph_path.values) > program.MAX_TARGETS
+
+
+def _optimise_with_program(
     scene: Scene,
     targets: Targets,
-    found: Found,
-    seed: _Driven,
-    avoid: Avoid | None,
-    known: dict[bytes, TimedPiece],
-    long: bool,
-) -> tuple[_Driven, dict[str, Any]]:
-    """What Drake's program makes of an optimised path, which stays where that does not keep all that it keeps
-    or costs no less; and figures that tell which of both it is and why.
+    graph_path: PathResult,
+    seed: _TimedPath,
+    penalty: ClearancePenalty | None,
+    clock_pieces: dict[bytes, TimedPiece],
+) -> tuple[_TimedPath, dict[str, Any]]:
+    """Improve an optimised path with Drake's mathematical program, and report metrics.
 
-    Where moves of its path come too near to something, the next is kept closer to the given one there. Of a
-    ``long`` path some windows alone are changed. ``known``: pieces of the given one's clock.
+    The given path stays if the program's path violates a limit that it keeps, or costs no less. Where moves
+    of the program's path are too close to something, the next attempt stays in a corridor around the given
+    path. On a long path only some windows change. ``graph_path`` is the path of the layered graph over all
+    targets, of which ``targets`` remain after joining. ``clock_pieces`` are those of the given path's clock.
     """
-    told: dict[str, Any] = {"program_used": False, "program_rounds": 0, "program_asked": 0}
-    if avoid is None:
-        return seed, {**told, "program_reason": "there is no optimised path to start from"}
-    branch, before = found.path.branch, seed.path
+    metrics: dict[str, Any] = {"program_used": False, "program_rounds": 0, "program_asked": 0}
+    if penalty is None:
+        return seed, {**metrics, "program_reason": "there is no optimised path to start from"}
+    branch, start_path = graph_path.path.branch, seed.path
     within, rows = targets, np.zeros(targets.count, dtype=np.bool_)
-    budget = max(avoid.asked, LEAST_BUDGET)
+    budget = max(penalty.query_count, MIN_PROGRAM_QUERIES)
     duration, stop = np.diff(seed.timed[1].time), seed.timed[0].stop
-    part, kept = None, np.arange(targets.count)
-    if long:  # their cost is that of the targets that are left
-        before = dataclasses.replace(before, cost=path_cost(scene, targets, before.values, before.q))
-        seed = dataclasses.replace(seed, path=before)
-        chosen = windows.chosen(scene, targets, branch, before, duration, stop)
+    # A long path is improved in windows only: their targets are the unknowns.
+    window: Windows | None = None
+    if _is_long(graph_path):  # the cost covers the targets that remain after joining
+        start_path = dataclasses.replace(
+            start_path, cost=path_cost(scene, targets, start_path.values, start_path.q)
+        )
+        seed = dataclasses.replace(seed, path=start_path)
+        chosen = windows.choose_windows(scene, targets, branch, start_path, duration, stop)
         if isinstance(chosen, str):
-            return seed, {**told, "program_reason": chosen}
-        part = chosen
-        told |= {"program_windows": part.count, "program_targets": int((~part.held).sum())}
-        told["program_share"] = part.share
-        kept, budget = part.rows, WINDOWS_BUDGET
-        avoid = _avoid(scene, subset(targets, kept)) or avoid
-    looked = np.isin(np.arange(targets.count), kept)
+            return seed, {**metrics, "program_reason": chosen}
+        window = chosen
+        metrics |= {"program_windows": window.count, "program_targets": int((~window.held).sum())}
+        metrics["program_share"] = window.fraction
+        budget = MAX_WINDOWS_QUERIES
+        penalty = _clearance_penalty(scene, select_targets(targets, window.rows)) or penalty
+    problem = trajopt.PathProblem(scene, targets, branch, None)
+    # Each round solves programs, then takes the largest fraction of the way to their path that is feasible.
     for reach, width in PROGRAM_CORRIDORS:
-        left = budget - told["program_asked"]
-        some, start = (within, before) if part is None else (subset(within, kept), before.at(kept))
-        made = program.optimise(scene, some, branch, start, duration, stop, avoid, left, part)
-        told["program_rounds"] += made.rounds
-        told["program_asked"] += made.asked
-        told |= {"program_solver": made.solver, "program_reason": made.reason}
-        if made.path is None:
+        remaining_queries = budget - metrics["program_asked"]
+        kept_targets, start = (
+            (within, start_path)
+            if window is None
+            else (select_targets(within, window.rows), start_path.select(window.rows))
+        )
+        program_seed = program.ProgramSeed(branch, start, duration, stop)
+        result = program.optimise_program(
+            scene, kept_targets, program_seed, penalty, remaining_queries, window
+        )
+        metrics["program_rounds"] += result.rounds
+        metrics["program_asked"] += result.query_count
+        metrics |= {"program_solver": result.solver, "program_reason": result.reason}
+        if result.path is None:
             break
-        path, bad = made.path, np.zeros(0, dtype=np.intp)
-        if part is not None:
-            path = part.into(before, path, trajopt.unwrapped(some, start.values))
-        for share in PROGRAM_SHARES if part is None else WINDOWS_SHARES:
-            driven, told["program_reason"], bad = _driven(
-                scene, targets, branch, seed, path, share, looked, known, part
+        path, infeasible_moves = result.path, np.zeros(0, dtype=np.intp)
+        if window is not None:
+            path = window.insert(start_path, path, trajopt.unwrap_freedoms(kept_targets, start.values))
+        for fraction in PROGRAM_FRACTIONS if window is None else WINDOWS_FRACTIONS:
+            candidate, metrics["program_reason"], infeasible_moves = _evaluate_fraction(
+                problem, seed, path, fraction, clock_pieces, window
             )
-            if driven is not None:
-                del told["program_reason"]
-                return driven, {**told, **_gains(seed, driven), "program_used": True}
-            if len(bad):
+            if candidate is not None:
+                del metrics["program_reason"]
+                return candidate, {**metrics, **_gain_metrics(seed, candidate), "program_used": True}
+            if len(infeasible_moves):
                 break
-        if not len(bad):
+        if not len(infeasible_moves):
             break
-        rows |= trajopt.targets_around(targets.count, bad, reach)
-        within = trajopt.narrowed_freedoms(targets, trajopt.unwrapped(targets, before.values), rows, width)
-    return seed, told
+        rows |= trajopt.targets_around(targets.count, infeasible_moves, reach)
+        within = trajopt.narrow_freedoms(
+            targets, trajopt.unwrap_freedoms(targets, start_path.values), rows, width
+        )
+    return seed, metrics
 
 
-def _driven(
-    scene: Scene,
-    targets: Targets,
-    branch: Mapping[str, int],
-    seed: _Driven,
-    path: Improved,
-    share: float,
-    moved: BoolArray,
-    known: dict[bytes, TimedPiece],
-    part: Windows | None,
-) -> tuple[_Driven | None, str, IndexArray]:
-    """A path so far on the way from the one that it was made from to the one that Drake's program gave, with
-    its clock; else None, why it is not taken, and the moves that come too near to something. Targets that are
-    not ``moved`` (N,) are the same on both, those outside of windows, the ``part`` that is changed."""
-    problem, before = trajopt.PathProblem(scene, targets, branch, None), seed.path
-    start, none = trajopt.unwrapped(targets, before.values), np.zeros(0, dtype=np.intp)
-    values = start + share * (path.values - start)
-    joints = problem.joints(values, problem.stack(before.q))
+def _evaluate_fraction(
+    problem: trajopt.PathProblem,
+    seed: _TimedPath,
+    path: OptimisedPath,
+    fraction: float,
+    clock_pieces: dict[bytes, TimedPiece],
+    window: Windows | None,
+) -> tuple[_TimedPath | None, str, IndexArray]:
+    """Evaluate the path at a ``fraction`` of the way from the given path to the program's path.
+
+    Args:
+        problem: Scene, targets and branches of the paths.
+        seed: Given path with its timing.
+        path: Path of the program.
+        fraction: Fraction of the way, 0 to 1.
+        clock_pieces: Pieces of clocks that are already computed.
+        window: Windows outside of which targets are the same on both paths; None if all targets may differ.
+
+    Returns:
+        The timed path, or None with the reason and the moves that are too close to something.
+    """
+    scene, targets, start_path = problem.scene, problem.targets, seed.path
+    rows = np.arange(targets.count)
+    moved = np.isin(rows, rows if window is None else window.rows)
+    start, no_moves = trajopt.unwrap_freedoms(targets, start_path.values), np.zeros(0, dtype=np.intp)
+    values = start + fraction * (path.values - start)
+    joints = problem.joints(values, problem.stack(start_path.q))
     if joints is None:
-        return None, "it loses its branch or a margin", none
+        return None, "it loses its branch or a margin", no_moves
     q = problem.split(joints)
-    samples = dense(scene, targets, branch, q)
-    bad = _bad_moves(scene, targets, samples, moved)
-    if len(bad):
-        return None, "its moves come too near to something", bad
+    samples = sample_moves(scene, targets, problem.branch, q)
+    infeasible_moves = _infeasible_moves(scene, targets, samples, moved)
+    if len(infeasible_moves):
+        return None, "its moves are too close to something", infeasible_moves
     cost = path_cost(scene, targets, values, q)
-    gain = LEAST_PROGRAM_GAIN * (1.0 if part is None else part.share)
-    if not cost < (1.0 - gain) * before.cost:  # before its clock, which takes longest
-        return None, f"it costs less by not even {100.0 * gain:.2g} %", none
+    gain = MIN_PROGRAM_GAIN * (1.0 if window is None else window.fraction)
+    if not cost < (1.0 - gain) * start_path.cost:  # checked before the clock, which takes longest
+        return None, f"it reduces the cost by less than {100.0 * gain:.2g} %", no_moves
     try:
-        timed = _clock(scene, targets, samples, move_limits.slowed if seed.slowed else None, known)
-        move_limits.require(scene, timed[0], samples, timed[1].time)
+        timed = _compute_clock(
+            scene,
+            targets,
+            samples,
+            move_limits.with_lengthened_short_moves if seed.slowed else None,
+            clock_pieces,
+        )
+        move_limits.require_min_feeds(scene, timed[0], samples, timed[1].time)
     except TandemError as error:
-        return None, f"it cannot be driven: {error.issues[0].message}", none
-    path = dataclasses.replace(before, values=values, q=q, cost=cost)
-    driven = _Driven(path, samples, timed, seed.slowed)
-    reason = _worse(seed, driven)
-    return (None if reason else driven), reason, none
+        return None, f"it cannot be executed: {error.issues[0].message}", no_moves
+    path = dataclasses.replace(start_path, values=values, q=q, cost=cost)
+    candidate = _TimedPath(path, samples, timed, seed.slowed)
+    reason = _regression_reason(seed, candidate)
+    return (None if reason else candidate), reason, no_moves
 
 
-def _gains(seed: _Driven, driven: _Driven) -> dict[str, float]:
-    """What a driven path's cost and peaks are beside those of the one that it was made from."""
-    shares = [after / max(own, 1e-12) for own, after in zip(seed.peaks(), driven.peaks(), strict=True)]
-    gain = 1.0 - driven.path.cost / seed.path.cost
+def _gain_metrics(seed: _TimedPath, candidate: _TimedPath) -> dict[str, float]:
+    """Metrics of cost and peaks relative to the given path."""
+    ratios = [
+        peak / max(seed_peak, 1e-12) for seed_peak, peak in zip(seed.peaks(), candidate.peaks(), strict=True)
+    ]
+    gain = 1.0 - candidate.path.cost / seed.path.cost
     names = ("program_gain", "program_acceleration_share", "program_jerk_share")
-    return dict(zip(names, (gain, *shares), strict=True))
+    return dict(zip(names, (gain, *ratios), strict=True))
 
 
-def _worse(seed: _Driven, driven: _Driven) -> str:
-    """In what the clock of a path is worse than that of the one that it was made from, empty where in
-    nothing."""
-    peaks = zip(("acceleration", "jerk"), seed.peaks(), driven.peaks(), strict=True)
-    for name, before, after in peaks:
-        if after > program.PEAK_SHARE * before:
-            return f"its peak of joint {name} is {after / before:.3f} times as high"
-    ends = [own.timed[1].time[-1] for own in (seed, driven)]
-    if ends[1] > SLOWER_SHARE * ends[0]:
-        return f"it takes {ends[1]:.2f} s, the given one {ends[0]:.2f} s"
-    slow = [_too_slow(own.timed[0], own.timed[1].time) for own in (seed, driven)]
-    more = np.setdiff1d(slow[1], slow[0])
-    if len(more):
-        return f"the move to {driven.timed[0].name(int(more[0]))} is slower than the process wants"
+def _regression_reason(seed: _TimedPath, candidate: _TimedPath) -> str:
+    """Describe in what respect the timing of a path is worse than that of the given path.
+
+    Empty if it is not worse in any respect.
+    """
+    peaks = zip(("acceleration", "jerk"), seed.peaks(), candidate.peaks(), strict=True)
+    for name, seed_peak, peak in peaks:
+        if peak > program.MAX_PEAK_RATIO * seed_peak:
+            return f"its peak of joint {name} is {peak / seed_peak:.3f} times as high"
+    durations = [path_timing.timed[1].time[-1] for path_timing in (seed, candidate)]
+    if durations[1] > MAX_DURATION_RATIO * durations[0]:
+        return f"it takes {durations[1]:.2f} s, the given path takes {durations[0]:.2f} s"
+    slow_moves = [
+        _moves_below_feed_min(path_timing.timed[0], path_timing.timed[1].time)
+        for path_timing in (seed, candidate)
+    ]
+    newly_slow = np.setdiff1d(slow_moves[1], slow_moves[0])
+    if len(newly_slow):
+        return (
+            f"the move to {candidate.timed[0].name(int(newly_slow[0]))} is slower than the process requires"
+        )
     return ""
 
 
-def _bad_moves(scene: Scene, targets: Targets, samples: Dense, moved: BoolArray) -> IndexArray:
-    """Targets to which moves leave reach or come too near to something, of those ``moved`` (N,) and next to
-    them."""
-    look = moved | np.append(False, moved[:-1])
-    rows = np.flatnonzero(look[samples.move])
-    some = Dense(samples.move[rows], samples.share[rows], {arm: v[rows] for arm, v in samples.q.items()})
-    lost = np.isnan(np.concatenate(list(some.q.values()), axis=1)).any(axis=1)
-    return np.asarray(some.move[lost | ~clear(scene, targets, some)])
+def _infeasible_moves(scene: Scene, targets: Targets, samples: MoveSamples, moved: BoolArray) -> IndexArray:
+    """Targets whose moves leave reach or come too close to something.
+
+    They are among those ``moved`` (N,) and their neighbours.
+    """
+    is_checked = moved | np.append(False, moved[:-1])
+    rows = np.flatnonzero(is_checked[samples.move])
+    checked = MoveSamples(
+        samples.move[rows], samples.fraction[rows], {arm: v[rows] for arm, v in samples.q.items()}
+    )
+    lost = np.isnan(np.concatenate(list(checked.q.values()), axis=1)).any(axis=1)
+    return np.asarray(checked.move[lost | ~is_clear(scene, targets, checked)])
 
 
-def _joined(
-    scene: Scene, targets: Targets, found: Found, driven: _Driven, known: dict[bytes, TimedPiece]
-) -> tuple[Targets, _Driven]:
-    """Targets and path again, with short moves joined to longer ones where that changes nothing, and those
-    that are left slowed where nothing asks for speed. ``known``: pieces of clocks."""
-    kept = np.arange(targets.count)
-    some, better, path, samples, timed = targets, driven.path, driven.path, driven.samples, driven.timed
-    for _ in range(JOINING_ROUNDS):
-        fewer = move_limits.joined(targets, better.values, timed[1].time, kept)
-        if len(fewer) == len(kept):
-            break
-        new, way = move_limits.picked(targets, fewer), better.at(fewer)
-        looked = dense(scene, new, found.path.branch, way.q)
-        if any(np.isnan(q).any() for q in looked.q.values()):
-            break
-        kept, some, path, samples = fewer, new, way, looked
-        timed = _clock(scene, some, samples, known=known)
-    slow = bool(move_limits.short(some, path.values, timed[1].time).any())
-    if slow:
-        timed = _clock(scene, some, samples, move_limits.slowed, known)
-    return some, _Driven(path, samples, timed, slow)
-
-
-def _clock(
+def _join_short_moves(
     scene: Scene,
     targets: Targets,
-    samples: Dense,
+    graph_path: PathResult,
+    timed_path: _TimedPath,
+    clock_pieces: dict[bytes, TimedPiece],
+) -> tuple[Targets, _TimedPath]:
+    """Join short moves into longer ones where that changes nothing.
+
+    The rest is slowed where nothing requires speed. ``clock_pieces`` holds pieces of clocks.
+    """
+    kept = np.arange(targets.count)
+    joined_targets, full_path, path, samples, timed = (
+        targets,
+        timed_path.path,
+        timed_path.path,
+        timed_path.samples,
+        timed_path.timed,
+    )
+    for _ in range(MAX_JOINING_ROUNDS):
+        picked_rows = move_limits.join_short_moves(targets, full_path.values, timed[1].time, kept)
+        if len(picked_rows) == len(kept):
+            break
+        picked_targets, joined_path = (
+            move_limits.select_joined(targets, picked_rows),
+            full_path.select(picked_rows),
+        )
+        joined_samples = sample_moves(scene, picked_targets, graph_path.path.branch, joined_path.q)
+        if any(np.isnan(q).any() for q in joined_samples.q.values()):
+            break
+        kept, joined_targets, path, samples = picked_rows, picked_targets, joined_path, joined_samples
+        timed = _compute_clock(scene, joined_targets, samples, clock_pieces=clock_pieces)
+    has_short_moves = bool(move_limits.are_short(joined_targets, path.values, timed[1].time).any())
+    if has_short_moves:
+        timed = _compute_clock(
+            scene, joined_targets, samples, move_limits.with_lengthened_short_moves, clock_pieces
+        )
+    return joined_targets, _TimedPath(path, samples, timed, has_short_moves)
+
+
+def _compute_clock(
+    scene: Scene,
+    targets: Targets,
+    samples: MoveSamples,
     slowed: Callable[[Targets, FloatArray], FloatArray] | None = None,
-    known: dict[bytes, TimedPiece] | None = None,
-) -> Timed:
-    """The targets with the stops that they have after all, their clock, and how far [m] it is off the way;
-    ``known``: pieces of the clock that were worked out before."""
+    clock_pieces: dict[bytes, TimedPiece] | None = None,
+) -> TimedTargets:
+    """Compute the timing. Returns targets with their final stops, their clock and its path deviation [m].
+
+    ``clock_pieces`` holds pieces of the clock that are already computed.
+    """
     settings = scene.settings
     speed = np.concatenate([speed_limits(scene, arm) for arm in targets.arms])
-    strength = np.concatenate([scene.chains[arm].robot.acceleration for arm in targets.arms])
-    for track, _ in (scene.tracks[arm] for arm in targets.ride):  # joints behind all others
+    accelerations = np.concatenate([scene.chains[arm].robot.acceleration for arm in targets.arms])
+    for track, _ in (scene.tracks[arm] for arm in targets.track_positions):  # tracks are the last joints
         speed = np.append(speed, settings.speed_fraction * track.speed)
-        strength = np.append(strength, track.acceleration)
-    lengths = tcp_ways(scene, targets, samples)
-    least = least_times(targets.travel, targets.feed, lengths, settings.tcp_speed)
+        accelerations = np.append(accelerations, track.acceleration)
+    lengths = tcp_lengths(scene, targets, samples)
+    least = min_times(targets.travel, targets.feed, lengths, settings.tcp_speed)
     least = least if slowed is None else slowed(targets, least)
     try:
         matched = joint_path.ramp_lengths(scene, targets, samples)
-        rounded = functools.partial(joint_path.corner_shares, scene, targets, samples, matched)
+        corner_times = functools.partial(joint_path.corner_fractions, scene, targets, samples, matched)
         fastest = np.maximum.reduce(list(lengths.values())) / settings.tcp_speed
-        for arm, values in targets.ride.items():  # ramps are faster in between for a track as for a tool
-            top = settings.speed_fraction * scene.tracks[arm][0].speed
-            fastest = np.maximum(fastest, np.abs(np.diff(values, prepend=values[0])) / top)
-        own = settings.acceleration_fraction * strength
-        limits = Limits(
-            speed, own, least, rounded(least, joint_path.with_ends(targets.stop)), fastest, matched
+        for (
+            arm,
+            values,
+        ) in targets.track_positions.items():  # a track limits the speed of ramps as a tool does
+            max_track_speed = settings.speed_fraction * scene.tracks[arm][0].speed
+            fastest = np.maximum(fastest, np.abs(np.diff(values, prepend=values[0])) / max_track_speed)
+        acceleration_limits = settings.acceleration_fraction * accelerations
+        limits = ClockLimits(
+            speed,
+            acceleration_limits,
+            least,
+            corner_times(least, joint_path.stops_with_ends(targets.stop)),
+            fastest,
+            matched,
         )
-        targets, path, ticks = move_limits.clocked_with_stops(scene, targets, samples, limits, rounded, known)
+        targets, path, clock = move_limits.clock_with_stops(
+            scene, targets, samples, limits, corner_times, clock_pieces
+        )
     except TimingError as failure:
-        message = f"no clock was found for the moves up to target {targets.name(failure.index)}"
-        hint = "a joint may jump there: look at the branch and the margins, or move the stock"
-        raise refusal("motion.timing", message, index=failure.index, hint=hint) from failure
-    return targets, ticks, path.deviation
+        message = format_message("motion.timing", target=targets.name(failure.index))
+        hint = "a joint may jump there: check the branch and the margins, or move the stock"
+        raise issue_error("motion.timing", message, index=failure.index, hint=hint) from failure
+    return targets, clock, path.deviation
 
 
-def _not_kept(scene: Scene) -> Issue:
-    wanted, own = scene.settings.clearance / MM, scene.settings.of_one_arm / MM
-    itself = "" if own == wanted else f", or than {own:.1f} mm to its own arm"
-    what = f"the optimised path came nearer than {wanted:.1f} mm to something{itself}, so the ladder's path "
-    what += "is used, which is less smooth"
-    hint = "lower clearance_mm or own_clearance_mm, or make room where the report shows the least of them"
-    return Issue("motion.path_kept", what, severity=Severity.NOTE, limit=wanted, unit="mm", hint=hint)
+def _unused_optimisation_note(scene: Scene) -> Issue:
+    required, same_arm_required = scene.settings.clearance / MM, scene.settings.self_clearance / MM
+    same_arm_text = "" if same_arm_required == required else f", or {same_arm_required:.1f} mm within one arm"
+    message = (
+        f"the optimised path leaves a clearance below {required:.1f} mm{same_arm_text}, so the path of the "
+    )
+    message += "layered graph is used, which is less smooth"
+    hint = "lower clearance_mm or own_clearance_mm, or make room where the report shows least clearance"
+    return Issue("motion.path_kept", message, severity=Severity.NOTE, limit=required, unit="mm", hint=hint)
 
 
-def _no_solver() -> Issue:
-    names = " nor ".join(program.solver_name(kind) for kind in program.SOLVERS)
-    what = f"this build of Drake has neither {names}, which make paths smoother and ways home shorter; those "
-    what += "that were found without them are used"
-    hint = "install drake from its own wheels (pip install drake)"
-    return Issue("motion.solver", what, severity=Severity.NOTE, hint=hint)
+def _missing_solver_note() -> Issue:
+    names = " nor ".join(program.solver_name(kind) for kind in program.SOLVER_TYPES)
+    message = (
+        f"this build of Drake has neither {names}, which make paths smoother and the motion from and to "
+    )
+    message += "home shorter; the paths found without them are used"
+    hint = "install Drake from its official wheels (pip install drake)"
+    return Issue("motion.solver", message, severity=Severity.NOTE, hint=hint)
 
 
-def _too_slow(targets: Targets, clock_time: FloatArray) -> IndexArray:
-    """Targets to which moves go slower than the process wants."""
+def _moves_below_feed_min(targets: Targets, clock_time: FloatArray) -> IndexArray:
+    """Targets to which moves are slower than the process requires."""
     speed = targets.travel[1:] / np.maximum(np.diff(clock_time), 1e-12)
     return np.flatnonzero(speed < targets.feed_min[1:] * (1.0 - 1e-6)) + 1
 
 
-def _slow(targets: Targets, clock_time: FloatArray) -> Iterator[Issue]:
-    """Moves that the arms cannot make as fast as the process wants."""
+def _feed_min_warnings(targets: Targets, clock_time: FloatArray) -> Iterator[Issue]:
+    """Warnings for moves that the arms cannot make as fast as the process requires."""
     speed = targets.travel[1:] / np.maximum(np.diff(clock_time), 1e-12)
-    for i in _too_slow(targets, clock_time).tolist():
-        got, least = float(speed[i - 1]) / MM, float(targets.feed_min[i]) / MM
+    for i in _moves_below_feed_min(targets, clock_time).tolist():
+        got, required = float(speed[i - 1]) / MM, float(targets.feed_min[i]) / MM
         yield Issue(
             "motion.feed_min",
-            f"the move to {targets.name(i)} runs at {got:.3g} mm/s, allowed is {least:.3g} mm/s at least",
+            f"the move to {targets.name(i)} runs at {got:.3g} mm/s (at least {required:.3g} mm/s required)",
             severity=Severity.WARNING,
             index=i,
             target=targets.name(i),
             time=float(clock_time[i]),
-            **measurement(got, least, "mm/s"),
-            hint="let the run-up lie outside the stock, lower feed_min, or raise speed_fraction",
+            **measurement(got, required, "mm/s"),
+            hint="start the run-up outside the stock, lower feed_min, or raise speed_fraction",
         )
 
 
-def _margins(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> dict[str, Any]:
-    """Least margins of the path, with the place and the pair where they are least."""
+def _margin_metrics(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> dict[str, Any]:
+    """Smallest margins of the path.
+
+    The target and the pair of bodies are included where the clearance is smallest.
+    """
     out: dict[str, Any] = {"limit_margin_deg": {}, "singularity_margin_deg": {}}
     for arm in targets.arms:
         chain = scene.chains[arm]
-        limit, single = chain.limit_margin(q[arm]), chain.singularity_margin(q[arm])
+        limit, singularity_margin = chain.limit_margin(q[arm]), chain.singularity_margin(q[arm])
         out["limit_margin_deg"][arm] = float(limit.min()) / DEG
-        out["singularity_margin_deg"][arm] = float(single.min()) / DEG
+        out["singularity_margin_deg"][arm] = float(singularity_margin.min()) / DEG
     if scene.model is not None:
-        for name, own in (("clearance", False), ("own_clearance", True)):
-            distance, pair, index = scene.nearest(targets, q, diagnosis.REPORTED_DISTANCE_M, own)
+        for name, same_arm in (("clearance", False), ("own_clearance", True)):
+            distance, pair, index = scene.smallest_distance(
+                targets, q, diagnosis.REPORTED_DISTANCE_M, same_arm
+            )
             out[f"{name}_mm"] = distance / MM
             out[f"{name}_pair"] = list(pair)
             out[f"{name}_index"] = index
-        out.update(_edge_margin(scene, targets, q))
+        out.update(_edge_metrics(scene, targets, q))
     return out
 
 
-def _edge_margin(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> dict[str, Any]:
-    if targets.edge is None:
+def _edge_metrics(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> dict[str, Any]:
+    if targets.flexible_tool is None:
         return {}
     distance, pairs = scene.edge_clearance(targets, q, np.arange(targets.count))
     worst = int(np.argmin(distance))

@@ -1,10 +1,10 @@
-"""Where to put the stock, and bases that may be moved, so that the whole job is reachable with the best
-margin.
+"""Placement search: stock and base poses at which the whole job is reachable with the best margin.
 
-A seeded search from coarse to fine over few targets and few spins, batched over candidates: random places and
-heuristic ones, then generations of shrinking steps around the best. Places of round figures, which people can
-clamp by, are refined from the best ones on and go before them where they cost next to nothing. What collides
-is sorted out afterwards on the best ones.
+It finds a stock pose, and poses of movable bases. The search is seeded and goes from coarse to fine over few
+targets and few samples, batched over candidates. It starts from random and heuristic candidates, followed by
+generations of shrinking steps around the best. Candidates with round figures, at which people can clamp the
+stock, are refined from the best ones and preferred if they cost almost nothing. Collisions are checked last,
+on the best candidates.
 """
 
 import dataclasses
@@ -18,88 +18,96 @@ from planner.cell import clearance, support
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import FloatArray, IndexArray, IntArray, exp_rotation, from_parts, log_rotation
 from planner.geometry.units import DEG
-from planner.motion.place_margin import choice_scores, margin, margins_at, most_free
+from planner.motion.placement_margin import branch_margins, choice_scores, max_free_targets, placement_margin
 from planner.motion.planning_scene import Chain, Scene
-from planner.motion.search.subsampling import Few, few_of, many_of, shifts
+from planner.motion.search.subsampling import SampledTargets, are_long_slides, sample_coarsely, sample_finely
 from planner.problem import Cell, Settings, Stock
 from planner.targets import Targets
 
-FIRST_CANDIDATES: Final = 384
-"""Places that are drawn first, from a fixed seed."""
-GENERATIONS: Final = 7
-"""Rounds of a search that draws places about the best ones, ever nearer to them."""
-PARENTS: Final = 8
-"""Best places that the next round starts from."""
-CHILDREN: Final = 10
-"""Places drawn about each of them."""
-MOST_CHECKED_PLACES: Final = 60
-"""Places that are looked at for collisions at most; the search ends with so many that are free:"""
+INITIAL_CANDIDATES: Final = 384
+"""Number of candidates in the first generation, drawn from a fixed seed."""
+SEARCH_GENERATIONS: Final = 7
+"""Number of generations, each drawn closer to the best candidates."""
+PARENTS_PER_GENERATION: Final = 8
+"""Number of best candidates from which the next generation starts."""
+CHILDREN_PER_PARENT: Final = 10
+"""Number of candidates drawn around each parent."""
+MAX_CHECKED_CANDIDATES: Final = 60
+"""Number of distinct candidates per group. Twice as many at most are checked for collisions."""
 
-MOST_FREE_PLACES: Final = 6
-"""Free places with which the search ends."""
-MOST_SOON: Final = 12
-"""Places of the first draw that a first look tries at most,"""
-PLACES_SOON: Final = 2
-"""until so many of them are free."""
-FREEST_PLACES: Final = 3
-"""Places that are kept where none is free for all of a few targets."""
-ROOM_SHARE: Final = 0.5
-"""Where no place is free, those free for so many of a few targets at least are looked at again, with more
-samples and on all branches,"""
-ROOM_TARGETS: Final = 60
-"""by so many targets of an operation: with little room a few are not telling,"""
-ROOM_PARENTS: Final = 4
-"""the freest so many of them,"""
-ROOM_CHILDREN: Final = 5
-"""and places drawn about each of the freest then,"""
-ROOM_GENERATIONS: Final = 2
-"""in so many rounds, ever nearer to them,"""
-ROOM_PLACES: Final = 3
-"""until so many are free."""
+MAX_FREE_CANDIDATES: Final = 6
+"""Number of collision-free candidates at which the search ends."""
+MAX_QUICK_CANDIDATES: Final = 12
+"""Maximum number of candidates of the first generation that the quick check tries."""
+QUICK_FREE_CANDIDATES: Final = 2
+"""Number of collision-free candidates at which the quick check ends."""
+MAX_FREEST_CANDIDATES: Final = 3
+"""Number of candidates that are kept if none is free at all sampled targets."""
+MIN_RETRY_FRACTION: Final = 0.5
+"""Minimum fraction of free targets of a candidate for the retry, which runs if no candidate is free.
+
+The retry uses more samples and all branches.
+"""
+RETRY_TARGETS: Final = 60
+"""Number of targets of an operation in the retry. In confined cells a few targets are not representative."""
+RETRY_PARENTS: Final = 4
+"""Number of candidates with the most free targets from which a generation of the retry starts."""
+RETRY_CHILDREN: Final = 5
+"""Number of candidates drawn around each parent in the retry."""
+RETRY_GENERATIONS: Final = 2
+"""Number of generations of the retry, each drawn closer to the parents."""
+RETRY_FREE_CANDIDATES: Final = 3
+"""Number of free candidates at which the retry ends."""
 COARSE_TARGETS: Final = 10
-"""Targets of an operation by which places are compared first."""
+"""Number of targets of an operation for the first comparison of candidates."""
 FINE_TARGETS: Final = 20
-"""Targets by which the best of them are compared again."""
-QUARTER_TURN: Final = 0.5 * np.pi
+"""Number of targets of an operation for the comparison of the best candidates."""
+QUARTER_TURN_RAD: Final = 0.5 * np.pi
 """A quarter of a turn [rad]."""
-SIDE_UP_TURNS: Final = np.array(
+SIDE_UP_ROTATIONS: Final = np.array(
     [
         [0, 0, 0],
-        [QUARTER_TURN, 0, 0],
-        [-QUARTER_TURN, 0, 0],
-        [0, QUARTER_TURN, 0],
-        [0, -QUARTER_TURN, 0],
+        [QUARTER_TURN_RAD, 0, 0],
+        [-QUARTER_TURN_RAD, 0, 0],
+        [0, QUARTER_TURN_RAD, 0],
+        [0, -QUARTER_TURN_RAD, 0],
         [np.pi, 0, 0],
     ],
     dtype=np.float64,
 )
-"""Turns [rad] that bring each of a held block's six sides up."""
+"""Rotation vectors [rad] that bring each of the six sides of a held stock to the top."""
 
-ROUND_POSITION_M: Final = 0.005
-"""[m] round figures of a place: positions are multiples of this,"""
+POSITION_INCREMENT_M: Final = 0.005
+"""Increment [m] of positions with round figures."""
 
-ROUND_TURN_RAD: Final = np.deg2rad(15.0)
-"""turns [rad] of this; turns by quarters to a base go before them."""
+ROTATION_INCREMENT_RAD: Final = np.deg2rad(15.0)
+"""Increment [rad] of rotations with round figures. Quarter turns relative to a base are preferred."""
 
-ROUND_TURN_SHARES: Final = ((QUARTER_TURN, 0.98), (ROUND_TURN_RAD, 0.985))
-"""Steps of turns with the share of the best margin for which places with them are taken."""
+ROTATION_INCREMENT_WORTH: Final = ((QUARTER_TURN_RAD, 0.98), (ROTATION_INCREMENT_RAD, 0.985))
+"""Increments [rad] of rotations, each with the fraction of the best margin for which it is preferred."""
 
-ROUND_GENERATIONS: Final = 3
-"""Rounds among places with round figures."""
-ROUND_CHILDREN: Final = 6
-"""Places drawn about each of the best ones in these."""
+SNAPPED_GENERATIONS: Final = 3
+"""Number of generations of candidates with round figures."""
+SNAPPED_CHILDREN: Final = 6
+"""Number of candidates with round figures drawn around each parent."""
 
-SAME_POSE: Final = 1e-6
-"""Poses whose entries differ by no more than this [-, m] are the same."""
+POSE_TOLERANCE: Final = 1e-6
+"""Maximum difference [-, m] of the entries of two poses that count as equal."""
 
-LEAST_APART_M: Final = 0.08
-"""Places that are tried one after the other differ by at least this much [m, or rad of yaw times 0.3 m]."""
+MIN_CANDIDATE_DISTANCE_M: Final = 0.08
+"""Minimum distance [m, or rad of yaw times 0.3 m] between candidates that are tried one after the other."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Place:
-    """A candidate: stock pose (4, 4) and base poses {arm: (4, 4)} in the world; ``score`` [rad] is the least
-    margin."""
+class PlacementCandidate:
+    """A candidate of the placement search.
+
+    Attributes:
+        stock: (4, 4) stock pose in the world.
+        bases: {arm: (4, 4)} base poses in the world.
+        score: Smallest margin [rad].
+        number: Index of the candidate in the trace.
+    """
 
     stock: FloatArray
     bases: dict[str, FloatArray]
@@ -107,429 +115,539 @@ class Place:
     number: int
 
 
-def _freest(shares: Sequence[tuple[float, Place]]) -> tuple[tuple[float, Place], ...]:
-    """The best of places with any share, the first of equals first."""
-    return tuple(sorted((item for item in shares if item[0]), key=lambda item: -item[0])[:FREEST_PLACES])
+def _select_freest(
+    scored: Sequence[tuple[float, PlacementCandidate]],
+) -> tuple[tuple[float, PlacementCandidate], ...]:
+    """The best candidates with any free target, the first of equals first."""
+    return tuple(
+        sorted((item for item in scored if item[0]), key=lambda item: -item[0])[:MAX_FREEST_CANDIDATES]
+    )
 
 
 @dataclasses.dataclass(frozen=True)
-class Trace:
-    """All candidates looked at: ``positions`` (K, 3) of the stock [m] and ``score`` (K,) [rad]. ``freest``
-    are a few with free postures for most targets, the best first, and their shares."""
+class PlacementTrace:
+    """All candidates of a search.
+
+    Attributes:
+        positions: (K, 3) [m] stock positions.
+        score: (K,) [rad] smallest margins.
+        freest: A few candidates with free postures at most targets, best first, each with its fraction.
+    """
 
     positions: FloatArray
     score: FloatArray
-    freest: tuple[tuple[float, Place], ...] = ()
+    freest: tuple[tuple[float, PlacementCandidate], ...] = ()
 
-    def with_more(self, more: "Trace") -> "Trace":
-        """These candidates with ``more`` behind them."""
-        positions = np.concatenate([self.positions, more.positions])
-        score = np.concatenate([self.score, more.score])
-        return Trace(positions, score, _freest([*self.freest, *more.freest]))
+    def extended(self, other: "PlacementTrace") -> "PlacementTrace":
+        """Append the candidates of another trace."""
+        positions = np.concatenate([self.positions, other.positions])
+        score = np.concatenate([self.score, other.score])
+        return PlacementTrace(positions, score, _select_freest([*self.freest, *other.freest]))
 
     def metrics(self, chosen: int | None) -> dict[str, Any]:
-        """The search as the report reads it, in degrees; candidates that fail have no score."""
+        """The search as data for the report, in degrees. Infeasible candidates have no score."""
         score = np.where(self.score > 0.0, self.score / DEG, np.nan)
         return {
             "positions": self.positions,
             "score": score,
             "chosen": chosen,
             "unit": "deg",
-            "name": "least margin to limits and singularities",
+            "name": "smallest margin to limits and singularities",
         }
 
 
-class Search:
-    """The search for one cell and the targets of all operations on one stock."""
+@dataclasses.dataclass(frozen=True)
+class PlacementJob:
+    """An operation on the stock that is placed.
+
+    Attributes:
+        cell: Cell with the tools of the operation.
+        targets: Targets of the operation.
+    """
+
+    cell: Cell
+    targets: Targets
+
+
+class PlacementSearch:
+    """Placement search for one cell and the targets of all operations on one stock."""
 
     def __init__(
         self,
-        cell: Cell,
         stock: Stock,
-        jobs: Sequence[Targets],
+        jobs: Sequence[PlacementJob],
         settings: Settings,
         start: FloatArray | None = None,
-        seed: int | None = None,
-        cells: Sequence[Cell] | None = None,
         in_air: bool = False,
     ) -> None:
-        """``start`` (4,) is a first guess x, y, z [m], yaw [rad] around which some lie; ``cells`` are
-        the cells of the jobs where their tools differ; ``in_air``: a support, or a block
-        without one, may end above the floor."""
+        """Prepare the search.
+
+        Args:
+            stock: Stock to place.
+            jobs: Operations on the stock. Their cells differ in tools only.
+            settings: Margins and seed.
+            start: (4,) first guess x, y, z [m] and yaw [rad], around which some candidates lie.
+            in_air: Whether a support, or a stock without one, may end above the floor.
+        """
+        cell = jobs[0].cell
         self._cell, self._stock, self._jobs, self._settings = cell, stock, jobs, settings
         self._movable = tuple(arm for arm in cell.arms if arm.base_auto)
-        self._rng = np.random.default_rng(settings.seed if seed is None else seed)
-        self._fixed = stock.place is not None
-        self._leans = stock.leans_freely
-        self._own = 7 if self._leans else 4
+        self._rng = np.random.default_rng(settings.seed)
+        self._stock_fixed = stock.place is not None
+        self._stock_tilts = stock.is_attitude_free
+        self._stock_columns = 7 if self._stock_tilts else 4
         self._start = start
-        stands = not self._fixed and stock.held_by is None and stock.sheet is None
-        self._levels = support.levels(cell, stock) if stands else np.zeros(0)
-        self._borne = stands and bool(stock.support) and not in_air
-        self._ground = support.Ground.of(cell)
-        # nothing is stated: it stands on what is below it, where there is anything but the floor
-        bare = stands and not stock.support and stock.pedestal is None and not in_air
-        self._drops = bare and self._ground.bears
-        self._each = list(zip(cells or [cell] * len(jobs), jobs, strict=True))
-        self._barred: set[int] = set()
-        self._looked: list[tuple[float, FloatArray]] = []
-        self._failed: dict[int, IntArray] = {}
-        self._look(shifted=False)
+        has_free_height = not self._stock_fixed and stock.held_by is None and stock.sheet is None
+        self._levels = support.stock_heights(cell, stock) if has_free_height else np.zeros(0)
+        self._needs_support = has_free_height and bool(stock.support) and not in_air
+        self._ground = support.SupportGround.of(cell)
+        # no support is stated: the stock rests on what is below it, if that is more than the floor
+        rests_freely = has_free_height and not stock.support and stock.pedestal is None and not in_air
+        self._rests_on_ground = rests_freely and self._ground.has_bearing_bodies
+        self._excluded_quarters: set[int] = set()
+        self._checked: list[tuple[float, FloatArray]] = []
+        self._failure_counts: dict[int, IntArray] = {}
+        self._sample_targets(shifted=False)
 
-    def _look(self, shifted: bool) -> None:
-        self._coarse = [few_of(c, t, COARSE_TARGETS, shifted) for c, t in self._each]
-        self._fine = [few_of(c, t, FINE_TARGETS, shifted) for c, t in self._each]
+    def _sample_targets(self, shifted: bool) -> None:
+        self._coarse = [sample_coarsely(j.cell, j.targets, COARSE_TARGETS, shifted) for j in self._jobs]
+        self._fine = [sample_coarsely(j.cell, j.targets, FINE_TARGETS, shifted) for j in self._jobs]
 
     @functools.cached_property
-    def _many(self) -> list[Few]:
-        return [many_of(c, t, ROOM_TARGETS) for c, t in self._each]
+    def _retry_sample(self) -> list[SampledTargets]:
+        return [sample_finely(job.cell, job.targets, RETRY_TARGETS) for job in self._jobs]
 
-    def run(self, models: Sequence[CellModel] = ()) -> tuple[list[Place], Trace]:
-        """Places in the order in which to try them, and the trace; the list is empty if none is reachable.
+    @property
+    def _has_long_slides(self) -> bool:
+        """Whether any operation has long slides, which are sampled only if nothing else is reachable."""
+        return any(are_long_slides(job.targets).any() for job in self._jobs)
 
-        ``models`` are the collision models of the jobs; without them nothing is checked for collisions. Where
-        no place is reachable with what is shifted in its middle, shifts are sampled as well, which is slower.
-        Where all of the best places collide, which often face one way alone, the search goes on among those
-        that face another.
+    def run(self, models: Sequence[CellModel] = ()) -> tuple[list[PlacementCandidate], PlacementTrace]:
+        """Search for stock poses.
+
+        If no pose is reachable with sliding freedoms at their middle, these are sampled as well, which is
+        slower. If all of the best candidates collide, which often have the same yaw quarter, the search
+        continues among the other quarters.
+
+        Args:
+            models: Collision models of the operations. Without them collisions are not checked.
+
+        Returns:
+            Candidates in the order in which to try them, empty if none is reachable; and the trace.
         """
-        places, trace, faced = self._places(models)
-        if not places and not trace.score.max() > 0.0 and any(shifts(t).any() for _, t in self._each):
-            self._look(shifted=True)
-            places, trace, faced = self._places(models)
-        while not places and not self._fixed and faced - self._barred:
-            self._barred |= faced
-            places, more, faced = self._places(models)
-            places = [dataclasses.replace(p, number=p.number + len(trace.score)) for p in places]
-            trace = trace.with_more(more)
-        if not places and models:
-            self._barred = set()
-            places, trace = self._with_room(models, trace)
-        return places, trace
+        candidates, trace, quarters = self._search_generations(models)
+        if not candidates and not trace.score.max() > 0.0 and self._has_long_slides:
+            self._sample_targets(shifted=True)
+            candidates, trace, quarters = self._search_generations(models)
+        while not candidates and not self._stock_fixed and quarters - self._excluded_quarters:
+            self._excluded_quarters |= quarters
+            candidates, more_trace, quarters = self._search_generations(models)
+            candidates = [dataclasses.replace(p, number=p.number + len(trace.score)) for p in candidates]
+            trace = trace.extended(more_trace)
+        if not candidates and models:
+            self._excluded_quarters = set()
+            candidates, trace = self._retry_freest(models, trace)
+        return candidates, trace
 
-    def _with_room(self, models: Sequence[CellModel], trace: Trace) -> tuple[list[Place], Trace]:
-        """Places about the freest at which a few targets have free postures on any branch, among more
-        samples, the best first, and the trace with all that were looked at so. Places that leave a job most
-        margin often leave bodies little room."""
-        near = sorted((item for item in self._looked if item[0] >= ROOM_SHARE), key=lambda item: -item[0])
-        if not near:
+    def _retry_freest(
+        self, models: Sequence[CellModel], trace: PlacementTrace
+    ) -> tuple[list[PlacementCandidate], PlacementTrace]:
+        """Search around the freest candidates, with all branches and more samples.
+
+        Returns free candidates, best first, and the trace with all that were checked. Poses with the largest
+        joint margins often leave little room for bodies.
+        """
+        nearly_free = sorted(
+            (scored_point for scored_point in self._checked if scored_point[0] >= MIN_RETRY_FRACTION),
+            key=lambda scored_point: -scored_point[0],
+        )
+        if not nearly_free:
             return [], trace
-        points = self._clamped(np.stack([point for _, point in near]))
-        points = points[self._apart(points, ROOM_PARENTS)]
-        spread = self._spread()
-        every, scores, shares = points[:0], np.zeros(0), np.zeros(0)
-        for generation in range(ROOM_GENERATIONS + 1):
+        points = self._snap_if_clamped(np.stack([point for _, point in nearly_free]))
+        points = points[self._select_distinct(points, RETRY_PARENTS)]
+        spread = self._step_sizes()
+        all_points, scores, fractions = points[:0], np.zeros(0), np.zeros(0)
+        for generation in range(RETRY_GENERATIONS + 1):
             if generation:
-                parents = every[np.argsort(-shares, kind="stable")[:ROOM_PARENTS]]
-                steps = self._rng.normal(size=(len(parents), ROOM_CHILDREN, every.shape[1])) * spread
-                points = self._clamped(
+                parents = all_points[np.argsort(-fractions, kind="stable")[:RETRY_PARENTS]]
+                steps = self._rng.normal(size=(len(parents), RETRY_CHILDREN, all_points.shape[1])) * spread
+                points = self._snap_if_clamped(
                     (parents[:, None] + steps * 0.7**generation).reshape(-1, steps.shape[2])
                 )
-            for point, least in zip(points, self._score(points, self._fine), strict=True):
-                if least > 0.0 and (shares == 1.0).sum() < ROOM_PLACES:
-                    share = self._share_free(models, self._place(point, least, 0), self._many)
-                    every, scores = np.concatenate([every, point[None]]), np.append(scores, least)
-                    shares = np.append(shares, share)
-            if not len(every) or (shares == 1.0).sum() >= ROOM_PLACES:
+            for point, score in zip(points, self._score(points, self._fine), strict=True):
+                if score > 0.0 and (fractions == 1.0).sum() < RETRY_FREE_CANDIDATES:
+                    fraction = self._free_fraction(
+                        models, self._candidate(point, score, 0), self._retry_sample
+                    )
+                    all_points, scores = np.concatenate([all_points, point[None]]), np.append(scores, score)
+                    fractions = np.append(fractions, fraction)
+            if not len(all_points) or (fractions == 1.0).sum() >= RETRY_FREE_CANDIDATES:
                 break
         first = len(trace.score)
-        if not len(every):
+        if not len(all_points):
             return [], trace
-        looked = [
-            (share, self._place(every[k], float(scores[k]), first + k))
-            for k, share in enumerate(shares.tolist())
+        checked = [
+            (fraction, self._candidate(all_points[k], float(scores[k]), first + k))
+            for k, fraction in enumerate(fractions.tolist())
         ]
-        positions = np.stack([place.stock[:3, 3] for _, place in looked])
-        places = sorted((p for share, p in looked if share == 1.0), key=lambda p: -p.score)
-        more = trace.with_more(Trace(positions, scores))
-        return places, dataclasses.replace(more, freest=_freest(looked) or trace.freest)
+        positions = np.stack([candidate.stock[:3, 3] for _, candidate in checked])
+        free_candidates = sorted(
+            (candidate for fraction, candidate in checked if fraction == 1.0),
+            key=lambda candidate: -candidate.score,
+        )
+        extended_trace = trace.extended(PlacementTrace(positions, scores))
+        return free_candidates, dataclasses.replace(
+            extended_trace, freest=_select_freest(checked) or trace.freest
+        )
 
-    def soon(self, models: Sequence[CellModel]) -> Iterator[Place]:
-        """The first places of those drawn first at which a few targets have free postures, the best before
-        the others; they may be none although :meth:`run` has some."""
-        points = self._first()
-        fine = self._score(points, self._coarse)
-        looked = 0
-        for k in self._distinct(points, fine)[:MOST_SOON]:
-            place = self._place(points[k], float(fine[k]), k)
-            if self._share_free(models, place) == 1.0:
-                yield place
-                looked += 1
-            if looked == PLACES_SOON:
+    def quick_candidates(self, models: Sequence[CellModel]) -> Iterator[PlacementCandidate]:
+        """Yield candidates of the first generation with free postures at a few targets, best first.
+
+        There may be none although :meth:`run` finds some.
+        """
+        points = self._initial_points()
+        scores = self._score(points, self._coarse)
+        free_count = 0
+        for k in self._best_distinct(points, scores)[:MAX_QUICK_CANDIDATES]:
+            candidate = self._candidate(points[k], float(scores[k]), k)
+            if self._free_fraction(models, candidate) == 1.0:
+                yield candidate
+                free_count += 1
+            if free_count == QUICK_FREE_CANDIDATES:
                 return
 
-    def judged(
+    def evaluate(
         self, stock: FloatArray, bases: Mapping[str, FloatArray], models: Sequence[CellModel]
-    ) -> Place | str:
-        """A known place of the stock (4, 4), with bases {arm: (4, 4)} of arms that may be moved, as this
-        search finds it: on what the stock stands on, with its margin; or why it is none for these jobs."""
-        point = self._point(stock, bases)
+    ) -> PlacementCandidate | str:
+        """Evaluate a known stock pose as this search does: on its support, with its margin.
+
+        Args:
+            stock: (4, 4) stock pose.
+            bases: {arm: (4, 4)} poses of movable bases.
+            models: Collision models of the operations.
+
+        Returns:
+            The candidate, or the reason why it is not feasible.
+        """
+        point = self._point_of(stock, bases)
         if point is None:
-            return "the block lay otherwise"
+            return "the stock has a different orientation there"
         score = float(self._score(point[None], self._fine)[0])
-        if score <= 0.0 and any(shifts(t).any() for _, t in self._each):
-            self._look(shifted=True)
+        if score <= 0.0 and self._has_long_slides:
+            self._sample_targets(shifted=True)
             score = float(self._score(point[None], self._fine)[0])
         if score <= 0.0:
-            return "not all targets are in reach there with all margins"
-        place = self._place(point, score, 0)
-        free = any(self._share_free(models, place, few) == 1.0 for few in (self._coarse, self._many))
-        return place if free else "bodies are too near to one another there"
+            return "not all targets are reachable there with all margins"
+        candidate = self._candidate(point, score, 0)
+        free = any(
+            self._free_fraction(models, candidate, few) == 1.0 for few in (self._coarse, self._retry_sample)
+        )
+        return candidate if free else "bodies are too close to each other there"
 
-    def _places(self, models: Sequence[CellModel]) -> tuple[list[Place], Trace, set[int]]:
-        """Places, the trace, and the quarters of a turn (see `_quarters`) that the best places face."""
-        points = self._first()
+    def _search_generations(
+        self, models: Sequence[CellModel]
+    ) -> tuple[list[PlacementCandidate], PlacementTrace, set[int]]:
+        """Run all generations. Returns candidates, the trace, and the yaw quarters of the best candidates."""
+        # Generations of shrinking steps around the best candidates, scored at few targets.
+        points = self._initial_points()
         scores = self._score(points, self._coarse)
         seen, known = [points], [scores]
-        spread = self._spread()
-        for generation in range(GENERATIONS):
-            best = np.argsort(-scores, kind="stable")[:PARENTS]
+        spread = self._step_sizes()
+        for generation in range(SEARCH_GENERATIONS):
+            best = np.argsort(-scores, kind="stable")[:PARENTS_PER_GENERATION]
             points, scores = points[best], scores[best]
-            size = spread * 0.55**generation
-            steps = self._rng.normal(size=(len(points), CHILDREN, points.shape[1])) * size
+            step_sizes = spread * 0.55**generation
+            steps = self._rng.normal(size=(len(points), CHILDREN_PER_PARENT, points.shape[1])) * step_sizes
             children = (points[:, None] + steps).reshape(-1, points.shape[1])
-            offered = self._score(children, self._coarse)
+            child_scores = self._score(children, self._coarse)
             seen.append(children)
-            known.append(offered)
-            points, scores = np.concatenate([points, children]), np.concatenate([scores, offered])
+            known.append(child_scores)
+            points, scores = np.concatenate([points, children]), np.concatenate([scores, child_scores])
         groups = [(np.concatenate(seen), np.concatenate(known), 1.0)]
-        if not self._fixed and self._stock.held_by is None:
-            groups += [(*self._rounded(*groups[0][:2], step), worth) for step, worth in ROUND_TURN_SHARES]
-        every, all_scores = np.concatenate([g[0] for g in groups]), np.concatenate([g[1] for g in groups])
-        places: list[tuple[float, Place]] = []
-        faced: set[int] = set()
+        if not self._stock_fixed and self._stock.held_by is None:
+            groups += [
+                (*self._search_snapped(*groups[0][:2], step), worth)
+                for step, worth in ROTATION_INCREMENT_WORTH
+            ]
+        # Score the finalists of each group at more targets. Round figures win at a slightly lower score.
+        all_points, all_scores = (
+            np.concatenate([g[0] for g in groups]),
+            np.concatenate([g[1] for g in groups]),
+        )
+        ranked: list[tuple[float, PlacementCandidate]] = []
+        quarters: set[int] = set()
         first = 0
         for points, scores, worth in groups:
-            finalists = self._distinct(points, scores)
-            faced |= set(_quarters(points[finalists]).tolist())
-            fine = self._score(points[finalists], self._fine)
-            places += [
-                (-s / worth, self._place(points[k], float(s), first + k))
-                for k, s in zip(finalists, fine.tolist(), strict=True)
+            finalists = self._best_distinct(points, scores)
+            quarters |= set(_yaw_quarters(points[finalists]).tolist())
+            fine_scores = self._score(points[finalists], self._fine)
+            ranked += [
+                (-s / worth, self._candidate(points[k], float(s), first + k))
+                for k, s in zip(finalists, fine_scores.tolist(), strict=True)
                 if s > 0.0
             ]
             first += len(points)
-        places.sort(key=lambda item: item[0])
-        ordered = [place for _, place in places]
-        trace = Trace(self._stock_poses(every)[:, :3, 3], all_scores)
+        ranked.sort(key=lambda item: item[0])
+        ordered = [candidate for _, candidate in ranked]
+        trace = PlacementTrace(self._stock_poses(all_points)[:, :3, 3], all_scores)
+        # Check collisions in that order until enough candidates are free.
         if models:
-            looked, ordered = ordered[: 2 * MOST_CHECKED_PLACES], []
-            shares: list[tuple[float, Place]] = []
-            for place in looked:
-                share = self._share_free(models, place)
-                shares.append((share, place))
-                if share == 1.0:
-                    ordered.append(place)
-                if len(ordered) == MOST_FREE_PLACES:
+            to_check, ordered = ordered[: 2 * MAX_CHECKED_CANDIDATES], []
+            fractions: list[tuple[float, PlacementCandidate]] = []
+            for candidate in to_check:
+                fraction = self._free_fraction(models, candidate)
+                fractions.append((fraction, candidate))
+                if fraction == 1.0:
+                    ordered.append(candidate)
+                if len(ordered) == MAX_FREE_CANDIDATES:
                     break
-            trace = dataclasses.replace(trace, freest=_freest(shares))
-            self._looked += [(share, every[place.number]) for share, place in shares]
-        return ordered, trace, faced
+            trace = dataclasses.replace(trace, freest=_select_freest(fractions))
+            self._checked += [(fraction, all_points[candidate.number]) for fraction, candidate in fractions]
+        return ordered, trace, quarters
 
-    def _rounded(self, points: FloatArray, scores: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
-        """Points with round figures and their scores, refined from the best of ``points`` on; they turn by
-        multiples of ``step`` [rad]."""
-        points = self._snapped(points[np.argsort(-scores, kind="stable")[:PARENTS]], step)
+    def _search_snapped(
+        self, points: FloatArray, scores: FloatArray, step: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Points with round figures and their scores, refined from the best ``points``.
+
+        Rotations are multiples of ``step``.
+        """
+        points = self._snap(points[np.argsort(-scores, kind="stable")[:PARENTS_PER_GENERATION]], step)
         scores = self._score(points, self._coarse)
         seen, known = [points], [scores]
-        for generation in range(ROUND_GENERATIONS):
-            best = np.argsort(-scores, kind="stable")[:PARENTS]
-            size = 0.3 * self._spread() * 0.5**generation
-            steps = self._rng.normal(size=(len(best), ROUND_CHILDREN, points.shape[1])) * size
+        for generation in range(SNAPPED_GENERATIONS):
+            best = np.argsort(-scores, kind="stable")[:PARENTS_PER_GENERATION]
+            step_sizes = 0.3 * self._step_sizes() * 0.5**generation
+            steps = self._rng.normal(size=(len(best), SNAPPED_CHILDREN, points.shape[1])) * step_sizes
             children = (points[best][:, None] + steps).reshape(-1, points.shape[1])
-            children = np.unique(self._snapped(children, step), axis=0)
-            offered = self._score(children, self._coarse)
+            children = np.unique(self._snap(children, step), axis=0)
+            child_scores = self._score(children, self._coarse)
             seen.append(children)
-            known.append(offered)
-            points, scores = np.concatenate([points[best], children]), np.concatenate([scores[best], offered])
+            known.append(child_scores)
+            points, scores = (
+                np.concatenate([points[best], children]),
+                np.concatenate([scores[best], child_scores]),
+            )
         return np.concatenate(seen), np.concatenate(known)
 
-    def _clamped(self, points: FloatArray) -> FloatArray:
-        """Points with round figures where people clamp a block by them."""
-        by_hand = not self._fixed and self._stock.held_by is None
-        return self._snapped(points, ROUND_TURN_RAD) if by_hand else points
+    def _snap_if_clamped(self, points: FloatArray) -> FloatArray:
+        """Points, snapped to round figures if people clamp the stock at them."""
+        is_clamped_by_hand = not self._stock_fixed and self._stock.held_by is None
+        return self._snap(points, ROTATION_INCREMENT_RAD) if is_clamped_by_hand else points
 
-    def _snapped(self, points: FloatArray, step: float) -> FloatArray:
-        """Points whose block turns by multiples of ``step`` against the first arm's base, with a corner a
-        round way along x and y from that base, and its underside a round way above the floor; bases
-        likewise."""
+    def _snap(self, points: FloatArray, step: float) -> FloatArray:
+        """Snap points to round figures.
+
+        The stock's yaw relative to the first arm's base becomes a multiple of ``step``. One corner gets a
+        round x and y from that base, and the underside a round height above the floor. Bases are snapped in
+        the same way.
+        """
         base = self._cell.arms[0].base
-        ahead = float(np.arctan2(base[1, 0], base[0, 0]))
-        axes = np.array([[np.cos(ahead), -np.sin(ahead)], [np.sin(ahead), np.cos(ahead)]])
+        heading = float(np.arctan2(base[1, 0], base[0, 0]))
+        axes = np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
         out = points.copy()
-        out[:, 3] = ahead + np.round((points[:, 3] - ahead) / step) * step
+        out[:, 3] = heading + np.round((points[:, 3] - heading) / step) * step
         for k in range(len(self._movable)):
-            at = self._own + 3 * k
-            out[:, at : at + 2] = np.round(points[:, at : at + 2] / ROUND_POSITION_M) * ROUND_POSITION_M
-            out[:, at + 2] = np.round(points[:, at + 2] / step) * step
+            column = self._stock_columns + 3 * k
+            out[:, column : column + 2] = (
+                np.round(points[:, column : column + 2] / POSITION_INCREMENT_M) * POSITION_INCREMENT_M
+            )
+            out[:, column + 2] = np.round(points[:, column + 2] / step) * step
         for row in out:
             pose = self._stock_pose(row)
             corner = (pose @ np.append(self._stock.lower, 1.0))[:3]
-            seen = axes.T @ (corner[:2] - base[:2, 3])
-            row[:2] += axes @ (np.round(seen / ROUND_POSITION_M) * ROUND_POSITION_M - seen)
-            under = float(support.underside(self._stock, pose[None])[0]) - self._ground.floor
+            in_base_axes = axes.T @ (corner[:2] - base[:2, 3])
+            row[:2] += axes @ (
+                np.round(in_base_axes / POSITION_INCREMENT_M) * POSITION_INCREMENT_M - in_base_axes
+            )
+            underside_height = float(support.underside(self._stock, pose[None])[0]) - self._ground.floor
             row[2] = pose[2, 3] + (
                 0.0
-                if len(self._levels) or self._drops
-                else np.round(under / ROUND_POSITION_M) * ROUND_POSITION_M - under
+                if len(self._levels) or self._rests_on_ground
+                else np.round(underside_height / POSITION_INCREMENT_M) * POSITION_INCREMENT_M
+                - underside_height
             )
         return out
 
-    def _first(self) -> FloatArray:
-        """Random places within the arms' reach, some with the block's edges along the world's axes."""
+    def _initial_points(self) -> FloatArray:
+        """Random points within the arms' reach.
+
+        Some have the edges of the stock parallel to the world axes.
+        """
         centre = np.mean([arm.base[:3, 3] for arm in self._cell.arms], axis=0)
         reach = max(Chain.of(arm).robot.reach for arm in self._cell.arms)
-        count = FIRST_CANDIDATES
-        if self._fixed:
+        count = INITIAL_CANDIDATES
+        if self._stock_fixed:
             columns = [np.zeros((count, 4))]
         else:
-            place = centre + self._rng.uniform(
+            positions = centre + self._rng.uniform(
                 [-reach, -reach, -0.3 * reach], [reach, reach, 1.2 * reach], (count, 3)
             )
-            place[: count // 3, :2] = centre[:2] + 0.25 * (place[: count // 3, :2] - centre[:2])
+            positions[: count // 3, :2] = centre[:2] + 0.25 * (positions[: count // 3, :2] - centre[:2])
             yaw = self._rng.uniform(-np.pi, np.pi, count)
             yaw[::2] = np.round(yaw[::2] / (np.pi / 2.0)) * (np.pi / 2.0)
             if self._start is not None:
-                near = slice(2 * count // 3, count)
-                place[near] = self._start[:3] + 0.1 * self._rng.normal(size=place[near].shape)
-                yaw[near] = self._start[3]
-            columns = [np.column_stack([place, yaw])]
-            if self._leans:
-                lean = self._rng.uniform(-np.pi, np.pi, (count, 3))
-                lean[::2] = self._rng.choice(SIDE_UP_TURNS, len(lean[::2]))
-                columns.append(lean)
+                rows_near_start = slice(2 * count // 3, count)
+                positions[rows_near_start] = self._start[:3] + 0.1 * self._rng.normal(
+                    size=positions[rows_near_start].shape
+                )
+                yaw[rows_near_start] = self._start[3]
+            columns = [np.column_stack([positions, yaw])]
+            if self._stock_tilts:
+                tilts = self._rng.uniform(-np.pi, np.pi, (count, 3))
+                tilts[::2] = self._rng.choice(SIDE_UP_ROTATIONS, len(tilts[::2]))
+                columns.append(tilts)
         for _ in self._movable:
             shift = self._rng.uniform(-0.5 * reach, 0.5 * reach, (count, 2))
-            turn = self._rng.choice([-np.pi / 2.0, 0.0, 0.0, np.pi / 2.0, np.pi], count)
-            columns.append(np.column_stack([shift, turn + 0.2 * self._rng.normal(size=count)]))
+            base_yaw = self._rng.choice([-np.pi / 2.0, 0.0, 0.0, np.pi / 2.0, np.pi], count)
+            columns.append(np.column_stack([shift, base_yaw + 0.2 * self._rng.normal(size=count)]))
             columns[-1][: count // 6] = 0.0
         return np.concatenate(columns, axis=1)
 
-    def _spread(self) -> FloatArray:
-        stock = [0.0] * 4 if self._fixed else [0.2, 0.2, 0.15, 0.4]
-        lean = [0.3] * 3 if self._leans else []
-        return np.array(stock + lean + [0.2, 0.2, 0.3] * len(self._movable))
+    def _step_sizes(self) -> FloatArray:
+        stock = [0.0] * 4 if self._stock_fixed else [0.2, 0.2, 0.15, 0.4]
+        tilt = [0.3] * 3 if self._stock_tilts else []
+        return np.array(stock + tilt + [0.2, 0.2, 0.3] * len(self._movable))
 
     def _stock_pose(self, point: FloatArray) -> FloatArray:
         return np.asarray(self._stock_poses(point[None])[0])
 
     def _stock_poses(self, points: FloatArray) -> FloatArray:
-        """Poses (K, 4, 4) of the stock at points (K, P)."""
+        """Stock poses (K, 4, 4) at points (K, P)."""
         if self._stock.place is not None:
             return np.repeat(self._stock.place[None], len(points), axis=0)
-        about = np.zeros((len(points), 3))
-        about[:, 2] = points[:, 3]
-        turn = exp_rotation(about)
-        turn = turn @ (exp_rotation(points[:, 4:7]) if self._leans else self._stock.attitude)
-        places = from_parts(turn, points[:, :3])
+        yaw_vectors = np.zeros((len(points), 3))
+        yaw_vectors[:, 2] = points[:, 3]
+        rotations = exp_rotation(yaw_vectors)
+        rotations = rotations @ (exp_rotation(points[:, 4:7]) if self._stock_tilts else self._stock.attitude)
+        poses = from_parts(rotations, points[:, :3])
         if len(self._levels):
-            places[:, 2, 3] = self._levels[np.abs(self._levels - points[:, 2:3]).argmin(axis=1)]
-        if self._drops:
-            places[:, 2, 3] -= support.air(self._ground, self._stock, places)
-        return places
+            poses[:, 2, 3] = self._levels[np.abs(self._levels - points[:, 2:3]).argmin(axis=1)]
+        if self._rests_on_ground:
+            poses[:, 2, 3] -= support.support_gap(self._ground, self._stock, poses)
+        return poses
 
-    def _place(self, point: FloatArray, score: float, number: int) -> Place:
-        return Place(self._stock_pose(point), self._bases(point), score, number)
+    def _candidate(self, point: FloatArray, score: float, number: int) -> PlacementCandidate:
+        return PlacementCandidate(self._stock_pose(point), self._bases(point), score, number)
 
     def _bases(self, point: FloatArray) -> dict[str, FloatArray]:
-        """Bases of the movable arms: moved in the world, turned about their own vertical."""
+        """Poses of the movable bases: translated in the world, rotated about their own vertical axis."""
         out = {}
         for k, arm in enumerate(self._movable):
-            dx, dy, turn = point[self._own + 3 * k : self._own + 3 * k + 3]
+            dx, dy, yaw = point[self._stock_columns + 3 * k : self._stock_columns + 3 * k + 3]
             pose = arm.base.copy()
-            pose[:3, :3] = exp_rotation(np.array([0.0, 0.0, turn])) @ pose[:3, :3]
+            pose[:3, :3] = exp_rotation(np.array([0.0, 0.0, yaw])) @ pose[:3, :3]
             pose[:2, 3] += (dx, dy)
             out[arm.name] = pose
         return out
 
-    def _point(self, stock: FloatArray, bases: Mapping[str, FloatArray]) -> FloatArray | None:
-        """The point (P,) at which :meth:`_stock_pose` and :meth:`_bases` give these, None where there is
-        none."""
-        parts = [np.zeros(4)]
-        if not self._fixed:
-            turn = stock[:3, :3] @ self._stock.attitude.T
-            yaw = 0.0 if self._leans else float(np.arctan2(turn[1, 0], turn[0, 0]))
-            parts = [np.append(stock[:3, 3], yaw)]
-            if self._leans:
-                parts.append(log_rotation(stock[:3, :3]))
-            elif np.abs(turn - exp_rotation(np.array([0.0, 0.0, yaw]))).max() > SAME_POSE:
+    def _point_of(self, stock: FloatArray, bases: Mapping[str, FloatArray]) -> FloatArray | None:
+        """The point (P,) for which :meth:`_stock_pose` and :meth:`_bases` return these poses.
+
+        None if there is none.
+        """
+        columns = [np.zeros(4)]
+        if not self._stock_fixed:
+            rotation = stock[:3, :3] @ self._stock.attitude.T
+            yaw = 0.0 if self._stock_tilts else float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+            columns = [np.append(stock[:3, 3], yaw)]
+            if self._stock_tilts:
+                columns.append(log_rotation(stock[:3, :3]))
+            elif np.abs(rotation - exp_rotation(np.array([0.0, 0.0, yaw]))).max() > POSE_TOLERANCE:
                 return None
         for arm in self._movable:
-            turn = bases[arm.name][:3, :3] @ arm.base[:3, :3].T
-            off = bases[arm.name][:2, 3] - arm.base[:2, 3]
-            parts.append(np.append(off, np.arctan2(turn[1, 0], turn[0, 0])))
-        return np.concatenate(parts)
+            rotation = bases[arm.name][:3, :3] @ arm.base[:3, :3].T
+            offset = bases[arm.name][:2, 3] - arm.base[:2, 3]
+            columns.append(np.append(offset, np.arctan2(rotation[1, 0], rotation[0, 0])))
+        return np.concatenate(columns)
 
-    def _score(self, points: FloatArray, few: Sequence[Few]) -> FloatArray:
-        """Score (K,) [rad] of candidates: the least margin over all targets with the best branches; below 0:
-        not reachable, those that face a way that is not looked at any more among them."""
+    def _score(self, points: FloatArray, sampled: Sequence[SampledTargets]) -> FloatArray:
+        """Score (K,) [rad] of candidates: smallest margin over all targets with the best branches.
+
+        Negative scores are not reachable. Candidates in an excluded yaw quarter are -inf.
+        """
         out = np.full(len(points), -np.inf)
-        asked = np.flatnonzero(~np.isin(_quarters(points), list(self._barred)))
-        for first in range(0, len(asked), 64):
-            rows = asked[first : first + 64]
+        queried = np.flatnonzero(~np.isin(_yaw_quarters(points), list(self._excluded_quarters)))
+        for first in range(0, len(queried), 64):
+            rows = queried[first : first + 64]
             part = points[rows]
             stock = self._stock_poses(part)[:, None]
-            moved = [self._bases(p) for p in part]
-            bases = {a.name: np.array([m[a.name] for m in moved])[:, None] for a in self._movable}
-            scores = [margin(f, stock, bases, self._settings) for f in few]
+            base_poses = [self._bases(p) for p in part]
+            bases = {a.name: np.array([m[a.name] for m in base_poses])[:, None] for a in self._movable}
+            scores = [placement_margin(f, stock, bases, self._settings) for f in sampled]
             out[rows] = np.min(scores, axis=0)
-            if self._borne:  # a support that does not reach the floor bears nothing
-                off = support.air(self._ground, self._stock, stock[:, 0]) - support.FOOT_HEIGHT
-                out[rows] = np.where(off > 1e-9, np.minimum(out[rows], -1.0 - off), out[rows])
+            if self._needs_support:  # a support that does not reach the ground carries nothing
+                air_gap = (
+                    support.support_gap(self._ground, self._stock, stock[:, 0]) - support.MAX_FOOT_HEIGHT_M
+                )
+                out[rows] = np.where(air_gap > 1e-9, np.minimum(out[rows], -1.0 - air_gap), out[rows])
         return out
 
-    def _distinct(self, points: FloatArray, scores: FloatArray) -> list[int]:
-        """Indices of the best candidates that lie apart."""
+    def _best_distinct(self, points: FloatArray, scores: FloatArray) -> list[int]:
+        """Indices of the best candidates that differ sufficiently."""
         order = np.argsort(-scores, kind="stable")
         order = order[scores[order] > 0.0]
-        return [int(order[k]) for k in self._apart(points[order], MOST_CHECKED_PLACES)]
+        return [int(order[k]) for k in self._select_distinct(points[order], MAX_CHECKED_CANDIDATES)]
 
-    def _apart(self, points: FloatArray, most: int) -> list[int]:
-        """Indices of ``most`` points that lie apart, earlier ones first."""
+    def _select_distinct(self, points: FloatArray, max_count: int) -> list[int]:
+        """Indices of up to ``max_count`` points that differ sufficiently, earlier ones first."""
         out: list[int] = []
-        lean = [0.3] * (self._own - 4)
-        weight = np.array([1.0, 1.0, 1.0, 0.3] + lean + [1.0, 1.0, 0.3] * len(self._movable))
+        tilt_weights = [0.3] * (self._stock_columns - 4)
+        weight = np.array([1.0, 1.0, 1.0, 0.3] + tilt_weights + [1.0, 1.0, 0.3] * len(self._movable))
         for k in range(len(points)):
-            if len(out) == most:
+            if len(out) == max_count:
                 break
-            if all(np.abs((points[k] - points[j]) * weight).max() > LEAST_APART_M for j in out):
+            if all(np.abs((points[k] - points[j]) * weight).max() > MIN_CANDIDATE_DISTANCE_M for j in out):
                 out.append(k)
         return out
 
-    def _share_free(
-        self, models: Sequence[CellModel], place: Place, few: Sequence[Few] | None = None
+    def _free_fraction(
+        self,
+        models: Sequence[CellModel],
+        candidate: PlacementCandidate,
+        sampled: Sequence[SampledTargets] | None = None,
     ) -> float:
-        """The least share over the jobs of ``few`` targets, or those by which places are compared first, that
-        have a free posture; 0 where what stands overlaps."""
-        jobs = list(zip(models, few or self._coarse, strict=True))
-        placed = {id(m): m.with_stock(place.stock).with_bases(place.bases) for m, _ in jobs}
-        if any(clearance.overlaps(m) for m in placed.values()):
+        """Smallest fraction over the jobs of targets with a free posture; 0 if fixtures overlap.
+
+        The fraction is that of ``sampled`` targets (default: coarse).
+        """
+        jobs = list(zip(models, sampled or self._coarse, strict=True))
+        placed = {id(m): m.with_stock(candidate.stock).with_bases(candidate.bases) for m, _ in jobs}
+        if any(clearance.find_overlaps(m) for m in placed.values()):
             return 0.0
         if any(
-            support.made_in(m.cell, m.stock, place.stock)[1] > support.FOOT_HEIGHT for m in placed.values()
+            support.pedestal_overlap(m.cell, m.stock, candidate.stock)[1] > support.MAX_FOOT_HEIGHT_M
+            for m in placed.values()
         ):
             return 0.0
-        return min(self._few_free(placed[id(model)], place, few) for model, few in jobs)
+        return min(self._free_target_fraction(placed[id(model)], candidate, few) for model, few in jobs)
 
-    def _few_free(self, model: CellModel, place: Place, few: Few) -> float:
-        """The share of a few targets with a free posture on the branches with most margin, or on any choice
-        of branches that reaches all of them."""
-        scene = Scene.of(few.cell, few.targets.arms, place.stock, self._settings, model, place.bases)
-        margins, q = margins_at(scene, few, place.stock[None, None], self._settings)
-        scores = choice_scores(margins, few.index)[0]
+    def _free_target_fraction(
+        self, model: CellModel, candidate: PlacementCandidate, sampled: SampledTargets
+    ) -> float:
+        """Fraction of the sampled targets with a free posture on the best branches.
+
+        If the sample covers every branch, all combinations that reach all targets are tried.
+        """
+        scene = Scene.of(
+            sampled.cell, sampled.targets.arms, candidate.stock, self._settings, model, candidate.bases
+        )
+        margins, q = branch_margins(scene, sampled, candidate.stock[None, None], self._settings)
+        scores = choice_scores(margins, sampled.index)[0]
         choices = np.argsort(-scores, kind="stable")
-        choices = choices[scores[choices] > 0.0] if few.every_branch else choices[:1]
-        offered = []
+        choices = choices[scores[choices] > 0.0] if sampled.every_branch else choices[:1]
+        branch_choices = []
         for pair in choices:
-            choice = np.unravel_index(pair, [margins[arm].shape[-1] for arm in few.targets.arms])
-            least = np.min(
-                [margins[a][0, :, b] for a, b in zip(few.targets.arms, choice, strict=True)], axis=0
+            choice = np.unravel_index(pair, [margins[arm].shape[-1] for arm in sampled.targets.arms])
+            margin = np.min(
+                [margins[a][0, :, b] for a, b in zip(sampled.targets.arms, choice, strict=True)], axis=0
             )
-            own = {a: q[a][0, :, b] for a, b in zip(few.targets.arms, choice, strict=True)}
-            offered.append((own, least))
-        failed = self._failed.setdefault(id(few), np.zeros(few.targets.count, dtype=np.int64))
-        return most_free(scene, few, offered, failed) / few.targets.count
+            joints = {a: q[a][0, :, b] for a, b in zip(sampled.targets.arms, choice, strict=True)}
+            branch_choices.append((joints, margin))
+        failed = self._failure_counts.setdefault(id(sampled), np.zeros(sampled.targets.count, dtype=np.int64))
+        return max_free_targets(scene, sampled, branch_choices, failed) / sampled.targets.count
 
 
-def _quarters(points: FloatArray) -> IndexArray:
-    """The quarter of a turn (K,), 0 to 3, that is next to the yaw of candidates (K, 4 or more)."""
-    return np.round(points[:, 3] / QUARTER_TURN).astype(np.int64) % 4
+def _yaw_quarters(points: FloatArray) -> IndexArray:
+    """Quarter of a turn (K,), 0 to 3, nearest to the yaw of candidates (K, 4 or more)."""
+    return np.round(points[:, 3] / QUARTER_TURN_RAD).astype(np.int64) % 4

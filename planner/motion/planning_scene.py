@@ -1,12 +1,12 @@
-"""The planning scene of an operation: kinematics of its arms, the stock, and what may not be touched.
+"""Planning scene of an operation: kinematics of its arms, the stock, and the bodies to avoid.
 
-**Kinematics of one arm** (`Chain`) as planning sees it: closed-form inverse, turns, limit margins,
-rates. The inverse is that of the arm's form: :mod:`planner.motion.spherical_wrist`,
+**Kinematics of one arm** (`Chain`): closed-form inverse, whole turns, limit margins and joint rates. The
+inverse is that of the arm's form: :mod:`planner.motion.spherical_wrist`,
 :mod:`planner.motion.three_parallel`, :mod:`planner.motion.offset_wrist` or, with a seventh joint,
 :mod:`planner.motion.seven_axes`.
 
-**Scene**: where things stand for one operation, the arms that take part, the stock, and the cell's
-collision model.
+**Scene**: poses of everything for one operation, the arms that take part, the stock, and the cell's collision
+model.
 """
 
 import dataclasses
@@ -23,13 +23,13 @@ from planner.catalogue.robots import (
     ParallelParameters,
     RobotData,
     SevenParameters,
-    columns_of,
+    joint_columns,
 )
 from planner.cell import clearance
-from planner.cell.bodies import NOT_EASED
-from planner.cell.clearance import Against, LeastClearance, Pairs
-from planner.cell.clearance import edge as edge_clearance
-from planner.cell.kinematics import forward, jacobian
+from planner.cell.bodies import NO_EASING
+from planner.cell.clearance import Against, MinClearance, Pairs
+from planner.cell.clearance import edge_clearance as edge_clearance
+from planner.cell.kinematics import forward_kinematics, jacobian
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import (
     BoolArray,
@@ -41,29 +41,41 @@ from planner.geometry.arrays import (
     transform,
 )
 from planner.geometry.arrays import inverse as rigid_inverse
-from planner.motion import offset_wrist, own_clearance, seven_axes, spherical_wrist, three_parallel
+from planner.motion import offset_wrist, self_clearance, seven_axes, spherical_wrist, three_parallel
 from planner.problem import Arm, Cell, LinearAxis, Settings
 from planner.targets import Targets
 from planner.tooling import FormingTool, working_solid
 
 
 def inverse_kinematics(
-    form: ArmForm, flange: FloatArray, branches: Sequence[int] | None = None, last: FloatArray | None = None
+    form: ArmForm,
+    flange: FloatArray,
+    branches: Sequence[int] | None = None,
+    last_joint: FloatArray | None = None,
 ) -> FloatArray:
-    """Joint angles (..., len(branches), J) [rad] of flange poses (..., 4, 4) in the base, all branches of
-    the form unless some are named; NaN where none exists. ``last`` (...,) [rad]: the last joint of an arm
-    with seven axes, without which its poses say too little.
+    """Compute the joint angles of flange poses.
 
-    Branch number = shoulder (0 front, 1 back) * 2 + elbow (0, 1) + 4 * wrist (0 theta5 >= 0, 1 flipped); of
-    an offset wrist as :mod:`planner.motion.offset_wrist` says. Angles are not wrapped into limits. The branch
-    number of a solution is continuous in the pose while the arm does not pass a singularity; that of an
-    offset wrist may change where other solutions come and go. With seven axes the shoulder is theta2 >= 0
-    (0) or not, the wrist the side of axis 4 on which axis 6 is. Raises ``TypeError`` for a form that is not
-    known.
+    The branch number is shoulder (0 front, 1 back) * 2 + elbow (0, 1) + 4 * wrist (0 theta5 >= 0, 1 flipped).
+    With seven axes the shoulder is theta2 >= 0 (0) or not (1), and the wrist is the side of axis 4 on which
+    axis 6 lies. Branches of an offset wrist are described in :mod:`planner.motion.offset_wrist`. The branch
+    number of a solution is continuous in the pose while the arm passes no singularity. That of an offset
+    wrist may change where other solutions appear or vanish.
+
+    Args:
+        form: Kinematic parameters of the arm.
+        flange: (..., 4, 4) flange poses in the base.
+        branches: Branch numbers; None for all of the form.
+        last_joint: (...,) [rad] last joint of an arm with seven axes, whose poses do not determine it.
+
+    Returns:
+        Joint angles (..., len(branches), J) [rad], not wrapped into limits; NaN where no solution exists.
+
+    Raises:
+        TypeError: The form is unknown.
     """
     branches = range(form.branches) if branches is None else branches
-    if isinstance(form, SevenParameters) and last is not None:
-        return seven_axes.inverse_kinematics(form, flange, last, branches)
+    if isinstance(form, SevenParameters) and last_joint is not None:
+        return seven_axes.inverse_kinematics(form, flange, last_joint, branches)
     if isinstance(form, OffsetParameters):
         return offset_wrist.inverse_kinematics(form, flange, branches)
     if isinstance(form, ParallelParameters):
@@ -73,13 +85,21 @@ def inverse_kinematics(
     return spherical_wrist.inverse_kinematics(form, flange, branches)
 
 
-FULL_TURN = 2.0 * np.pi
+FULL_TURN_RAD = 2.0 * np.pi
 """One turn of a joint [rad]."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Chain:
-    """An arm at ``base`` (4, 4) in the world with a tool whose TCP is at ``tcp`` (4, 4) on the flange."""
+    """Kinematic chain of an arm with its tool.
+
+    Attributes:
+        name: Name of the arm.
+        robot: Data of its model.
+        base: (4, 4) base pose in the world.
+        tcp: (4, 4) TCP on the flange.
+        home: (J,) [rad] joints at home.
+    """
 
     name: str
     robot: RobotData
@@ -89,58 +109,87 @@ class Chain:
 
     @staticmethod
     def of(arm: Arm, base: FloatArray | None = None) -> "Chain":
-        """The chain of an arm of a cell, at another base when one is given."""
+        """Create the chain of an arm of a cell, optionally at another base pose."""
         return Chain(arm.name, arm.data, arm.base if base is None else base, arm.tool.tcp, arm.home)
 
     def pose(self, q: FloatArray) -> FloatArray:
         """TCP poses (..., 4, 4) in the world for joint angles (..., J)."""
-        return np.asarray(self.base @ forward(self.robot, q) @ self.tcp)
+        return np.asarray(self.base @ forward_kinematics(self.robot, q) @ self.tcp)
 
     def inverse(
-        self, pose: FloatArray, branches: Sequence[int] | None = None, last: FloatArray | None = None
+        self, pose: FloatArray, branches: Sequence[int] | None = None, last_joint: FloatArray | None = None
     ) -> FloatArray:
-        """Joint angles (..., len(branches), J) of TCP poses (..., 4, 4), each within pi of the middle of its
-        range, of all branches of the arm's form unless some are named. ``last`` (...,) [rad]: the last joint
-        of an arm with seven axes, as at home unless stated.
+        """Compute joint angles of TCP poses. Each angle is within pi of the middle of its range.
 
-        NaN where a pose is out of reach. Joints that may turn more than once have more states: :attr:`turns`.
+        Joints that may turn more than once have further states, see :attr:`turns`.
+
+        Args:
+            pose: (..., 4, 4) TCP poses in the world.
+            branches: Branch numbers; None for all of the arm's form.
+            last_joint: (...,) [rad] last joint of an arm with seven axes; None for that of the home posture.
+
+        Returns:
+            Joint angles (..., len(branches), J) [rad]; NaN where a pose is out of reach.
         """
-        if self.spare and last is None:
-            last = np.broadcast_to(self.home[-1], pose.shape[:-2])
-        return wrap(inverse_kinematics(self.robot.form, self._flange(pose), branches, last), self.middle)
+        if self.is_redundant and last_joint is None:
+            last_joint = np.broadcast_to(self.home[-1], pose.shape[:-2])
+        return wrap_near(
+            inverse_kinematics(self.robot.form, self._flange_pose(pose), branches, last_joint), self.middle
+        )
 
     @property
-    def spare(self) -> bool:
-        """Whether it has one joint more than a pose asks for, the last one, which is a freedom then."""
+    def is_redundant(self) -> bool:
+        """Whether the arm has one joint more than a pose determines. The last joint is a freedom then."""
         return isinstance(self.robot.form, SevenParameters)
 
     def on_branch(
-        self, pose: FloatArray, branch: int, near: FloatArray, last: FloatArray | None = None
+        self, pose: FloatArray, branch: int, seed: FloatArray, last_joint: FloatArray | None = None
     ) -> FloatArray:
-        """Joint angles (..., J) of TCP poses (..., 4, 4) on one branch, joints that may turn more than once
-        nearest to ``near`` (..., J); NaN where there is none. ``last`` as of :meth:`inverse`, that of
-        ``near`` unless stated.
+        """Compute joint angles of TCP poses on one branch.
 
-        An offset wrist is followed from ``near`` on, whatever number its branch has there.
+        An offset wrist is followed from ``seed``, whatever number its branch has there.
+
+        Args:
+            pose: (..., 4, 4) TCP poses in the world.
+            branch: Branch number.
+            seed: (..., J) [rad] joints; joints that may turn more than once take the turn nearest to them.
+            last_joint: As in :meth:`inverse`; None for that of ``seed``.
+
+        Returns:
+            Joint angles (..., J) [rad]; NaN where no solution exists.
         """
         if isinstance(self.robot.form, OffsetParameters):
-            return offset_wrist.followed(self.robot.form, self._flange(pose), near)
-        if self.spare and last is None:
-            last = near[..., -1]
-        return self.continuous(self.inverse(pose, [branch], last)[..., 0, :], near)
+            return offset_wrist.follow_branch(self.robot.form, self._flange_pose(pose), seed)
+        if self.is_redundant and last_joint is None:
+            last_joint = seed[..., -1]
+        return self.continuous(self.inverse(pose, [branch], last_joint)[..., 0, :], seed)
 
-    def joined(self, q: FloatArray) -> FloatArray:
-        """Joints (N, S, B, 6) of :meth:`inverse` at N targets with S samples, branches as they go on from
-        target to target: those of an offset wrist have no numbers that hold everywhere."""
-        return offset_wrist.joined(q) if isinstance(self.robot.form, OffsetParameters) else q
+    def match_branches(self, q: FloatArray) -> FloatArray:
+        """Reorder branches of :meth:`inverse` so that they are continuous from target to target.
 
-    def joined_on(self, pose: FloatArray, branch: int, last: FloatArray | None = None) -> FloatArray:
-        """Those of one branch alone, joints (N, S, J), at TCP poses (N, S, 4, 4)."""
-        if isinstance(self.robot.form, OffsetParameters):  # all of them together give each its number
-            return self.joined(self.inverse(pose))[..., branch, :]
-        return self.inverse(pose, [branch], last)[..., 0, :]
+        Only offset wrists change, because their branch numbers do not hold everywhere.
 
-    def _flange(self, pose: FloatArray) -> FloatArray:
+        Args:
+            q: (N, S, B, 6) [rad] joints at N targets with S samples.
+        """
+        return offset_wrist.match_ranks(q) if isinstance(self.robot.form, OffsetParameters) else q
+
+    def match_branch(self, pose: FloatArray, branch: int, last_joint: FloatArray | None = None) -> FloatArray:
+        """Compute joints of one branch, matched as by :meth:`match_branches`.
+
+        Args:
+            pose: (N, S, 4, 4) TCP poses.
+            branch: Branch number.
+            last_joint: As in :meth:`inverse`.
+
+        Returns:
+            Joints (N, S, J) [rad].
+        """
+        if isinstance(self.robot.form, OffsetParameters):  # ranks need all branches together
+            return self.match_branches(self.inverse(pose))[..., branch, :]
+        return self.inverse(pose, [branch], last_joint)[..., 0, :]
+
+    def _flange_pose(self, pose: FloatArray) -> FloatArray:
         return np.asarray(rigid_inverse(self.base) @ pose @ rigid_inverse(self.tcp))
 
     @property
@@ -150,164 +199,206 @@ class Chain:
 
     @property
     def turns(self) -> FloatArray:
-        """Whole turns (T, 6) [rad] that can be added to angles of :meth:`inverse` and may stay within the
-        limits."""
-        choices = itertools.product(*(range(-m, m + 1) for m in self._most_turns))
-        return FULL_TURN * np.array(sorted(choices, key=lambda c: (sum(map(abs, c)), c)), dtype=np.float64)
+        """Whole turns (T, 6) [rad] that can be added to angles of :meth:`inverse` within the limits."""
+        choices = itertools.product(*(range(-m, m + 1) for m in self._max_turns))
+        return FULL_TURN_RAD * np.array(
+            sorted(choices, key=lambda c: (sum(map(abs, c)), c)), dtype=np.float64
+        )
 
     @property
-    def _most_turns(self) -> tuple[int, ...]:
+    def _max_turns(self) -> tuple[int, ...]:
         span = 0.5 * (self.robot.upper - self.robot.lower)
-        return tuple(int(m) for m in np.floor((span + np.pi - 1e-9) / FULL_TURN))
+        return tuple(int(m) for m in np.floor((span + np.pi - 1e-9) / FULL_TURN_RAD))
 
     @property
-    def many_turns(self) -> BoolArray:
-        """(6,) which joints may turn more than once."""
-        return np.asarray(self.robot.upper - self.robot.lower > FULL_TURN + 1e-9)
+    def has_many_turns(self) -> BoolArray:
+        """Whether (6,) each joint may turn more than once."""
+        return np.asarray(self.robot.upper - self.robot.lower > FULL_TURN_RAD + 1e-9)
 
-    def continuous(self, q: FloatArray, near: FloatArray) -> FloatArray:
-        """The angles q (..., 6), with joints that may turn more than once brought nearest to ``near`` (...,
-        6)."""
-        return np.where(self.many_turns, wrap(q, near), q)
+    def continuous(self, q: FloatArray, reference: FloatArray) -> FloatArray:
+        """Bring joints of ``q`` (..., 6) that may turn more than once nearest to ``reference`` (..., 6)."""
+        return np.where(self.has_many_turns, wrap_near(q, reference), q)
 
     def limit_margin(self, q: FloatArray) -> FloatArray:
-        """Least distance (...,) [rad] to a joint limit; -inf where q is NaN."""
-        return _plain_margin(self.robot.limit_margin(q))
+        """Smallest distance (...,) [rad] to a joint limit; -inf where ``q`` is NaN."""
+        return _without_nan(self.robot.limit_margin(q))
 
     def limit_margins(self, q: FloatArray, turns: FloatArray) -> list[FloatArray]:
-        """Limit margins (...,) of principal angles q (..., 6) with each of the turns (T, 6) added; -inf where
-        NaN."""
-        fixed = self._single_turn_margin(q)
-        parts: dict[tuple[int, float], FloatArray] = {}
+        """Limit margins (...,) of principal angles (..., 6) with each of the turns (T, 6) added.
+
+        Margins are -inf where ``q`` is NaN.
+        """
+        single_turn_margin = self._single_turn_margin(q)
+        cached_margins: dict[tuple[int, float], FloatArray] = {}
         out = []
         for turn in turns:
-            margin: FloatArray | None = fixed
-            for j in np.flatnonzero(self.many_turns):
+            margin: FloatArray | None = single_turn_margin
+            for j in np.flatnonzero(self.has_many_turns):
                 key = (int(j), float(turn[j]))
-                if key not in parts:
-                    parts[key] = self._joint_margin(q, int(j), turn[j])
-                margin = parts[key] if margin is None else np.minimum(margin, parts[key])
-            out.append(_plain_margin(np.asarray(margin)))
+                if key not in cached_margins:
+                    cached_margins[key] = self._joint_margin(q, int(j), turn[j])
+                margin = cached_margins[key] if margin is None else np.minimum(margin, cached_margins[key])
+            out.append(_without_nan(np.asarray(margin)))
         return out
 
     def best_limit_margin(self, q: FloatArray) -> FloatArray:
-        """The greatest of the limit margins (...,) of principal angles q (..., 6) over all of :attr:`turns`;
-        -inf where NaN. Each joint has the turn that suits it."""
+        """Largest limit margin (...,) of principal angles (..., 6) over all :attr:`turns`; -inf where NaN.
+
+        Each joint takes the turn that suits it best.
+        """
         margin = self._single_turn_margin(q)
-        for j, most in enumerate(self._most_turns):
-            if self.many_turns[j]:
-                turned = [self._joint_margin(q, j, FULL_TURN * k) for k in range(-most, most + 1)]
-                best = np.max(turned, axis=0)
+        for j, max_turns in enumerate(self._max_turns):
+            if self.has_many_turns[j]:
+                turn_margins = [
+                    self._joint_margin(q, j, FULL_TURN_RAD * k) for k in range(-max_turns, max_turns + 1)
+                ]
+                best = np.max(turn_margins, axis=0)
                 margin = best if margin is None else np.minimum(margin, best)
-        return _plain_margin(np.asarray(margin))
+        return _without_nan(np.asarray(margin))
 
     def _single_turn_margin(self, q: FloatArray) -> FloatArray | None:
-        """Limit margin (...,) of joints with one turn and of the rod; None where there are none."""
-        fixed: FloatArray | None = None
-        for j in np.flatnonzero(~self.many_turns):
-            part = self._joint_margin(q, int(j), 0.0)
-            fixed = part if fixed is None else np.minimum(fixed, part)
+        """Limit margin (...,) of joints with one turn and of the coupling rod; None if there are none."""
+        smallest: FloatArray | None = None
+        for j in np.flatnonzero(~self.has_many_turns):
+            joint_margin = self._joint_margin(q, int(j), 0.0)
+            smallest = joint_margin if smallest is None else np.minimum(smallest, joint_margin)
         if self.robot.coupling is not None:
             axis3 = q[..., 1] + q[..., 2]
-            rod = np.minimum(axis3 - self.robot.coupling.axis3_lower, self.robot.coupling.axis3_upper - axis3)
-            fixed = rod if fixed is None else np.minimum(fixed, rod)
-        return fixed
+            rod_margin = np.minimum(
+                axis3 - self.robot.coupling.axis3_lower, self.robot.coupling.axis3_upper - axis3
+            )
+            smallest = rod_margin if smallest is None else np.minimum(smallest, rod_margin)
+        return smallest
 
     def _joint_margin(self, q: FloatArray, joint: int, turn: float) -> FloatArray:
         angle = q[..., joint] + turn
         return np.asarray(np.minimum(angle - self.robot.lower[joint], self.robot.upper[joint] - angle))
 
     def singularity_margin(self, q: FloatArray) -> FloatArray:
-        """Least angle (...,) [rad] from a singularity of wrist, elbow or shoulder; -inf where q is NaN."""
+        """Smallest angle (...,) [rad] from a singularity of wrist, elbow or shoulder; -inf for NaN."""
         wrist, elbow, shoulder = self._singularities(q)
-        return _plain_margin(np.minimum(np.minimum(wrist, elbow), shoulder))
+        return _without_nan(np.minimum(np.minimum(wrist, elbow), shoulder))
 
     def singularities(self, q: FloatArray) -> FloatArray:
-        """Angles (..., 3) [rad]: axis 5 from lining up axes 4 and 6, the elbow from stretched or folded, and
-        the angle under which the stretched arm would see the distance of the wrist's centre from axis 1; of
-        an arm with three parallel axes, that of where axes 5 and 6 meet. Of an offset wrist the first is
-        the angle whose sine the Jacobian's determinant has left beside the other two. With seven axes those
-        at which no other joint can be moved with the last one held: :mod:`planner.motion.seven_axes`."""
+        """Angles (..., 3) [rad] from singularities of wrist, elbow and shoulder.
+
+        - Wrist: axis 5 from the posture in which axes 4 and 6 are aligned.
+        - Elbow: angle from stretched or folded.
+        - Shoulder: angle under which the stretched arm would see the distance of the wrist centre from axis
+          1. With three parallel axes it is the point where axes 5 and 6 meet instead.
+
+        The wrist angle of an offset wrist has as its sine the factor of the Jacobian's determinant that
+        remains beside the other two. With seven axes the angles are those at which no other joint can
+        compensate with the last one held, see :mod:`planner.motion.seven_axes`.
+        """
         return np.stack(self._singularities(q), axis=-1)
 
     def _singularities(self, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        p = self.robot.form
-        if isinstance(p, OffsetParameters):
-            return offset_wrist.singularities(p, q)
-        if isinstance(p, ParallelParameters):
-            return three_parallel.singularities(p, q)
-        if isinstance(p, SevenParameters):
-            return seven_axes.singularities(p, q)
-        p = self.robot.opw
-        theta2, theta3, theta5 = (p.signs[j] * q[..., j] - p.offsets[j] for j in (1, 2, 4))
-        wrist = np.abs(wrap(2.0 * theta5, np.zeros(()))) / 2.0
-        elbow = np.abs(wrap(2.0 * (theta3 + np.arctan2(p.a2, p.c3)), np.zeros(()))) / 2.0
+        form = self.robot.form
+        if isinstance(form, OffsetParameters):
+            return offset_wrist.singularities(form, q)
+        if isinstance(form, ParallelParameters):
+            return three_parallel.singularities(form, q)
+        if isinstance(form, SevenParameters):
+            return seven_axes.singularities(form, q)
+        form = self.robot.opw
+        theta2, theta3, theta5 = (form.signs[j] * q[..., j] - form.offsets[j] for j in (1, 2, 4))
+        wrist = np.abs(wrap_near(2.0 * theta5, np.zeros(()))) / 2.0
+        elbow = np.abs(wrap_near(2.0 * (theta3 + np.arctan2(form.a2, form.c3)), np.zeros(()))) / 2.0
         tilt = theta2 + theta3
-        out = p.a1 + p.c2 * np.sin(theta2) + p.c3 * np.sin(tilt) + p.a2 * np.cos(tilt)
-        shoulder = np.arcsin(np.minimum(1.0, np.abs(out) / (p.c2 + np.hypot(p.a2, p.c3))))
+        out = form.a1 + form.c2 * np.sin(theta2) + form.c3 * np.sin(tilt) + form.a2 * np.cos(tilt)
+        shoulder = np.arcsin(np.minimum(1.0, np.abs(out) / (form.c2 + np.hypot(form.a2, form.c3))))
         return wrist, elbow, shoulder
 
-    def rates(self, q: FloatArray, twist: FloatArray) -> FloatArray:
-        """Joint rates (..., K, J) for K body twists (..., K, 6) of the TCP (angular part first) at angles q
-        (..., J); a joint more than six stands."""
+    def joint_rates(self, q: FloatArray, twist: FloatArray) -> FloatArray:
+        """Compute joint rates of body twists of the TCP. A joint beyond six does not move.
+
+        Args:
+            q: (..., J) [rad] joints.
+            twist: (..., K, 6) body twists, angular part first.
+
+        Returns:
+            Joint rates (..., K, J).
+        """
         jac = jacobian(self.robot, q)
-        flange = forward(self.robot, q)
+        flange = forward_kinematics(self.robot, q)
         tool = flange[..., :3, :3] @ self.tcp[:3, :3]
         angular = np.einsum("...ij,...kj->...ik", tool, twist[..., :3])
         linear = np.einsum("...ij,...kj->...ik", tool, twist[..., 3:])
-        lever = flange[..., :3, :3] @ self.tcp[:3, 3]
-        at_flange = linear - np.cross(np.swapaxes(angular, -1, -2), lever[..., None, :]).swapaxes(-1, -2)
+        # v_flange = v_tcp - omega x r, with r from flange to TCP; then solve J qdot = (omega, v_flange)
+        tcp_offset = flange[..., :3, :3] @ self.tcp[:3, 3]
+        at_flange = linear - np.cross(np.swapaxes(angular, -1, -2), tcp_offset[..., None, :]).swapaxes(-1, -2)
         rates = np.linalg.solve(jac[..., :6], np.concatenate([angular, at_flange], axis=-2))
-        return self.with_last(np.swapaxes(rates, -1, -2))
+        return self.with_fixed_last(np.swapaxes(rates, -1, -2))
 
-    def with_last(self, rates: FloatArray) -> FloatArray:
-        """Rates (..., J) of rates (..., 6) with the last joint held."""
-        return np.concatenate([rates, np.zeros((*rates.shape[:-1], 1))], axis=-1) if self.spare else rates
+    def with_fixed_last(self, rates: FloatArray) -> FloatArray:
+        """Rates (..., J) from rates (..., 6), with the last joint held."""
+        return (
+            np.concatenate([rates, np.zeros((*rates.shape[:-1], 1))], axis=-1) if self.is_redundant else rates
+        )
 
-    def own_rates(self, q: FloatArray) -> FloatArray:
-        """Joint rates (..., J) per [rad] of the last joint with the TCP held, at angles q (..., J) of an arm
-        that has one to spare."""
+    def null_space_rates(self, q: FloatArray) -> FloatArray:
+        """Joint rates (..., J) per [rad] of the last joint of a redundant arm, with the TCP held."""
+        # J qdot = 0 with qdot_7 = 1: J_1..6 qdot_1..6 = -J_7
         jac = jacobian(self.robot, q)
         others = np.linalg.solve(jac[..., :6], -jac[..., 6:])[..., 0]
         return np.concatenate([others, np.ones((*others.shape[:-1], 1))], axis=-1)
 
 
-def _plain_margin(margin: FloatArray) -> FloatArray:
-    """Margins, -inf where NaN."""
+def _without_nan(margin: FloatArray) -> FloatArray:
+    """Margins with NaN replaced by -inf."""
     return np.where(np.isnan(margin), -np.inf, margin)
 
 
-def wrap(angle: FloatArray, near: FloatArray) -> FloatArray:
-    """Angles brought within pi of ``near`` by whole turns."""
-    return np.asarray(angle - FULL_TURN * np.round((angle - near) / FULL_TURN))
+def wrap_near(angle: FloatArray, reference: FloatArray) -> FloatArray:
+    """Angles brought within pi of ``reference`` by whole turns."""
+    return np.asarray(angle - FULL_TURN_RAD * np.round((angle - reference) / FULL_TURN_RAD))
 
 
-SKIPPED_END_LENGTH = 0.05
-"""Arc length [m] at either end of the flexible edge that is not held against the tool which holds it."""
+SKIPPED_END_LENGTH_M = 0.05
+"""Arc length [m] at each end of the flexible edge that is not checked against the tool that holds it."""
 
 TRANSIT_KIND = "transit"
-"""Kind of segments in which joined TCPs go from one work to the next and keep their relative pose."""
+"""Kind of segments in which coupled TCPs move between works and keep their relative pose."""
 
 HELD_PREFIX = "held:"
-"""Work frames that another arm's tool carries are named by this and that arm."""
+"""Prefix of work frames that another arm's tool carries. The name of that arm follows it."""
 
 
-DISTANCE_BATCH = 64
-"""Targets that are asked for their least distance at a time, nearest bounds first."""
+DISTANCE_BATCH_SIZE = 64
+"""Number of targets in one distance query. Targets with the smallest lower bounds come first."""
+
+
+@dataclasses.dataclass(frozen=True)
+class MovePositions:
+    """Positions of B postures on moves between targets.
+
+    Attributes:
+        move: (B,) targets to which the moves lead.
+        fraction: (B,) fractions of the moves at which the postures lie, 0 to 1.
+    """
+
+    move: IndexArray
+    fraction: FloatArray
 
 
 @dataclasses.dataclass(frozen=True)
 class Scene:
-    """Arms of one operation with the stock at ``stock`` (4, 4) in the world.
+    """Arms of one operation, the stock and the collision model.
 
-    ``model`` is the cell's collision model, or None for kinematics alone. Of :meth:`of` it is one in which
-    bodies of one arm count as farther apart than they are, so that ``settings.clearance`` can be asked of all
-    (:mod:`planner.motion.own_clearance`).
+    If an arm is on a coordinated track (:attr:`Targets.track_positions`), its chain has its base where the
+    track is at its station. TCP poses from which joints are computed are seen from there: they are shifted
+    back by the displacement of the base (:meth:`tcp_poses`). A linear move remains linear under this shift.
+    :meth:`model_at` has the bodies where they really are.
 
-    Where a base rides along (:attr:`Targets.ride`) its chain stands where the track is at its station, and
-    poses of TCPs that joints are found of are those seen from there: shifted back by the way that the base
-    has gone (:meth:`tcp`). A straight move is straight there as well. :meth:`bodies` has them where they
-    are. ``tracks`` {arm: (its track, its station [m])}.
+    Attributes:
+        chains: {arm: chain} of the arms that take part.
+        stock: (4, 4) stock pose in the world.
+        settings: Margins and limits.
+        model: Collision model of the cell; None for kinematics only. :meth:`of` creates one with counted
+            distances, in which bodies of one arm count as farther apart, so that all pairs can be compared
+            with ``settings.clearance`` (:mod:`planner.motion.self_clearance`).
+        tracks: {arm: (track, its station [m])}.
     """
 
     chains: Mapping[str, Chain]
@@ -325,31 +416,40 @@ class Scene:
         model: CellModel | None = None,
         bases: Mapping[str, FloatArray] | None = None,
     ) -> "Scene":
-        """The scene of the named arms of a cell; ``bases`` replaces base poses."""
-        moved = bases or {}
-        chains = {name: Chain.of(cell.arm(name), moved.get(name)) for name in arms}
-        stands = [arm for arm in cell.arms if arm.track is not None and arm.name in arms]
-        tracks = {arm.name: (arm.track, arm.station or 0.0) for arm in stands if arm.track is not None}
-        eased = None if model is None else own_clearance.eased(model, settings)
-        return Scene(chains, stock, settings, eased, tracks)
+        """Create the scene of the named arms of a cell; ``bases`` replaces base poses."""
+        replaced_bases = bases or {}
+        chains = {name: Chain.of(cell.arm(name), replaced_bases.get(name)) for name in arms}
+        track_arms = [arm for arm in cell.arms if arm.track is not None and arm.name in arms]
+        tracks = {
+            arm.name: (arm.track, arm.track_position or 0.0) for arm in track_arms if arm.track is not None
+        }
+        counted_model = None if model is None else self_clearance.with_counted_distances(model, settings)
+        return Scene(chains, stock, settings, counted_model, tracks)
 
     def columns(self, arms: Sequence[str]) -> dict[str, slice]:
-        """Where each of some arms' joints are among those of all of them, one after the other."""
-        return columns_of({arm: self.chains[arm].robot for arm in arms})
+        """Columns of each arm's joints if the joints of ``arms`` are concatenated."""
+        return joint_columns({arm: self.chains[arm].robot for arm in arms})
 
-    def ridden(
-        self, targets: Targets, index: IndexArray | None = None, share: FloatArray | None = None
+    def track_displacements(
+        self, targets: Targets, index: IndexArray | None = None, fraction: FloatArray | None = None
     ) -> dict[str, FloatArray]:
-        """How far {arm: (..., 3)} [m] bases have gone from their stations at targets ``index`` (...,), at all
-        unless stated; or at ``share`` (...,) of the moves that lead there. Those that stand are left out."""
+        """Displacements {arm: (..., 3)} [m] of bases on coordinated tracks from their stations.
+
+        Other arms are left out.
+
+        Args:
+            targets: Targets with track positions.
+            index: (...,) targets; None for all.
+            fraction: (...,) fractions of the moves that lead to these targets; None for their ends.
+        """
         out = {}
-        for arm, values in targets.ride.items():
+        for arm, values in targets.track_positions.items():
             track, station = self.tracks[arm]
-            here = values if index is None else values[index]
-            if share is not None and index is not None:
-                before = values[np.maximum(index - 1, 0)]
-                here = before + share * (here - before)
-            out[arm] = (here - station)[..., None] * track.axis
+            positions = values if index is None else values[index]
+            if fraction is not None and index is not None:
+                previous = values[np.maximum(index - 1, 0)]
+                positions = previous + fraction * (positions - previous)
+            out[arm] = (positions - station)[..., None] * track.axis
         return out
 
     def chain_poses(
@@ -357,254 +457,312 @@ class Scene:
         targets: Targets,
         q: Mapping[str, FloatArray],
         index: IndexArray,
-        share: FloatArray | None = None,
+        fraction: FloatArray | None = None,
     ) -> dict[str, FloatArray]:
-        """TCP poses {arm: (B, 4, 4)} in the world of joints {arm: (B, 6)}, bases where :meth:`ridden` has
-        them."""
-        gone = self.ridden(targets, index, share)
+        """TCP poses {arm: (B, 4, 4)} in the world of joints {arm: (B, 6)}, with displaced bases."""
+        displacements = self.track_displacements(targets, index, fraction)
         poses = {arm: self.chains[arm].pose(angles) for arm, angles in q.items()}
-        return {arm: _shifted(pose, gone[arm]) if arm in gone else pose for arm, pose in poses.items()}
+        return {
+            arm: _translate(pose, displacements[arm]) if arm in displacements else pose
+            for arm, pose in poses.items()
+        }
 
-    def bodies(
-        self, targets: Targets, index: IndexArray | None = None, share: FloatArray | None = None
+    def model_at(
+        self, targets: Targets, index: IndexArray | None = None, fraction: FloatArray | None = None
     ) -> CellModel | None:
-        """The model whose bases stand, row by row, where they are at targets, as :meth:`ridden` has them; the
-        scene's own where none rides."""
-        if self.model is None or not targets.ride:
+        """Collision model with bases displaced, row by row, as at the targets.
+
+        It is unchanged without a coordinated track. Arguments are those of :meth:`track_displacements`.
+        """
+        if self.model is None or not targets.track_positions:
             return self.model
         bases = {}
-        for arm, gone in self.ridden(targets, index, share).items():
-            bases[arm] = np.tile(self.model.bases[arm], (len(gone), 1, 1))
-            bases[arm][:, :3, 3] += gone
+        for arm, displacement in self.track_displacements(targets, index, fraction).items():
+            bases[arm] = np.tile(self.model.bases[arm], (len(displacement), 1, 1))
+            bases[arm][:, :3, 3] += displacement
         return self.model.with_bases(bases)
 
-    def standing(self, targets: Targets, row: int) -> "Scene":
-        """The scene whose bases, chains too, stand where they are at a target; itself where none rides."""
-        if not targets.ride:
+    def at_target(self, targets: Targets, row: int) -> "Scene":
+        """Scene with bases, including chains, where they are at one target.
+
+        Without a coordinated track it is the scene itself.
+        """
+        if not targets.track_positions:
             return self
-        gone = self.ridden(targets, np.array(row))
+        displacements = self.track_displacements(targets, np.array(row))
         chains, tracks = dict(self.chains), dict(self.tracks)
-        for arm, way in gone.items():
+        for arm, displacement in displacements.items():
             base = self.chains[arm].base.copy()
-            base[:3, 3] += way
+            base[:3, 3] += displacement
             chains[arm] = dataclasses.replace(self.chains[arm], base=base)
-            tracks[arm] = self.tracks[arm][0], float(targets.ride[arm][row])
+            tracks[arm] = self.tracks[arm][0], float(targets.track_positions[arm][row])
         model = self.model
         if model is not None:
-            model = model.with_bases({arm: chains[arm].base for arm in gone})
+            model = model.with_bases({arm: chains[arm].base for arm in displacements})
         return dataclasses.replace(self, chains=chains, model=model, tracks=tracks)
 
-    def world(
+    def world_poses(
         self, targets: Targets, poses: Mapping[str, FloatArray], index: IndexArray | None = None
     ) -> dict[str, FloatArray]:
-        """TCP poses in the world of poses {arm: (..., 4, 4)} in the work frames of the targets, at targets
-        ``index`` (...,), at all unless stated; where a base rides as its chain sees them."""
-        done: dict[str, FloatArray] = {}
-        for arm, holder in holders(targets):
-            if holder is not None:
-                done[arm] = done[holder] @ poses[arm]
-            else:
-                done[arm] = poses[arm] if targets.frame.get(arm) == "world" else self.stock @ poses[arm]
-        for arm, gone in self.ridden(targets, index).items():
-            done[arm] = _shifted(done[arm], -gone)
-        return done
+        """Transform poses in work frames to TCP poses in the world.
 
-    def tcp(
+        On a coordinated track they are the poses that the chain sees.
+
+        Args:
+            targets: Targets with their work frames.
+            poses: {arm: (..., 4, 4)} poses in the work frames.
+            index: (...,) targets; None for all.
+        """
+        world: dict[str, FloatArray] = {}
+        for arm, holder in frame_holders(targets):
+            if holder is not None:
+                world[arm] = world[holder] @ poses[arm]
+            else:
+                world[arm] = poses[arm] if targets.frame.get(arm) == "world" else self.stock @ poses[arm]
+        for arm, displacement in self.track_displacements(targets, index).items():
+            world[arm] = _translate(world[arm], -displacement)
+        return world
+
+    def tcp_poses(
         self, targets: Targets, values: FloatArray, index: IndexArray | None = None
     ) -> dict[str, FloatArray]:
-        """TCP poses in the world {arm: (..., 4, 4)} at freedom values (..., F), as :meth:`Targets.poses`;
-        where a base rides as its chain sees them."""
-        return self.world(targets, targets.poses(values, index), index)
+        """TCP poses in the world {arm: (..., 4, 4)} at freedom values (..., F), as :meth:`Targets.poses`.
 
-    def edge(self, targets: Targets, index: IndexArray) -> FloatArray | None:
-        """Points (B, P, 3) of the flexible edge in the world at targets ``index`` (B,), or None without an
-        edge."""
-        if targets.edge is None:
+        On a coordinated track they are the poses that the chain sees.
+        """
+        return self.world_poses(targets, targets.poses(values, index), index)
+
+    def edge_points(self, targets: Targets, index: IndexArray) -> FloatArray | None:
+        """Points (B, P, 3) of the flexible edge in the world at targets ``index`` (B,), if there is one."""
+        if targets.flexible_tool is None:
             return None
         frame = targets.frame.get(targets.arms[0], "stock")
-        points = targets.edge.points[index]
+        points = targets.flexible_tool.points[index]
         return points if frame == "world" else transform(self.stock, points)
 
     @functools.cached_property
-    def last_reach(self) -> dict[str, tuple[FloatArray, FloatArray | None, tuple[int, int], object]]:
-        """What was found last of each arm's reach: the poses, last joints that are freedoms, how many targets
-        and samples, and the table."""
+    def reach_cache(self) -> dict[str, tuple[FloatArray, FloatArray | None, tuple[int, int], object]]:
+        """Cache of the last reach table of each arm.
+
+        An entry holds poses, free last joints, the numbers of targets and samples, and the table.
+        """
         return {}
 
     @functools.cached_property
-    def passing(self) -> Pairs:
-        """Pairs of bodies that may meet in working segments: the stock and the rigid edges of the tools that
-        take part, and the heads of two tools that form one sheet."""
+    def allowed_contacts(self) -> Pairs:
+        """Pairs of bodies that may touch in working segments.
+
+        These are the stock and the rigid edges of the tools that take part, and the heads of two tools that
+        form one sheet.
+        """
         if self.model is None:
             return frozenset()
         tools = {arm: self.model.cell.arm(arm).tool for arm in self.chains}
-        works = [arm for arm, tool in tools.items() if working_solid(tool) is not None]
-        pairs = {frozenset((f"{arm}/edge", "stock")) for arm in works}
+        working_arms = [arm for arm, tool in tools.items() if working_solid(tool) is not None]
+        pairs = {frozenset((f"{arm}/edge", "stock")) for arm in working_arms}
         heads = [f"{arm}/edge" for arm, tool in tools.items() if isinstance(tool, FormingTool)]
         return frozenset(pairs | ({frozenset(heads)} if len(heads) > 1 else set()))
 
-    def by_kind(self, targets: Targets, move: IndexArray) -> list[tuple[Pairs, IndexArray]]:
-        """Rows of ``move`` (B,), targets that moves lead to, with the pairs of bodies that may meet there."""
-        if not self.passing:
+    def split_by_contacts(self, targets: Targets, move: IndexArray) -> list[tuple[Pairs, IndexArray]]:
+        """Split rows by the pairs of bodies that may touch; ``move`` (B,) are targets of moves."""
+        if not self.allowed_contacts:
             return [(frozenset(), np.arange(len(move)))]
-        cuts = cutting(targets)[move]
-        parts = [(self.passing, np.flatnonzero(cuts)), (frozenset(), np.flatnonzero(~cuts))]
+        is_working = working_moves(targets)[move]
+        parts = [
+            (self.allowed_contacts, np.flatnonzero(is_working)),
+            (frozenset(), np.flatnonzero(~is_working)),
+        ]
         return [(pairs, rows) for pairs, rows in parts if len(rows)]
 
-    def free(
+    def keeps_clearance(
         self,
         targets: Targets,
         q: Mapping[str, FloatArray],
         index: IndexArray,
-        move: IndexArray | None = None,
+        positions: MovePositions | None = None,
         ignored: Pairs = frozenset(),
         edge: bool = True,
-        share: FloatArray | None = None,
     ) -> BoolArray:
-        """(B,) whether joints {arm: (B, 6)} at targets ``index`` (B,) keep the wanted clearance, that of the
-        flexible ``edge`` included.
+        """Whether (B,) joints keep the required clearance.
 
-        ``move`` (B,) are the targets that the moves lead to on which the joints lie, where that is not
-        ``index``, and ``share`` (B,) how much of them is gone. Pairs of bodies in ``ignored`` are not looked
-        at.
+        Args:
+            targets: Targets of the operation.
+            q: {arm: (B, 6)} [rad] joints.
+            index: (B,) targets of the joints. Between targets it is the nearer one.
+            positions: Positions of the joints on moves; None if they are at the targets ``index``.
+            ignored: Pairs of bodies that are not checked.
+            edge: Whether the flexible edge is checked.
         """
         if self.model is None or len(index) == 0:
             return np.ones(len(index), dtype=bool)
         ok = np.zeros(len(index), dtype=bool)
-        there = self.bodies(targets, index if move is None else move, share) or self.model
-        for ignore, part in self.by_kind(targets, index if move is None else move):
-            some = {arm: v[part] for arm, v in q.items()}
-            ok[part] = clearance.free(there.at_rows(part), some, self.settings.clearance, ignore | ignored)
+        move = index if positions is None else positions.move
+        fraction = None if positions is None else positions.fraction
+        model_rows = self.model_at(targets, move, fraction) or self.model
+        for contacts, part_rows in self.split_by_contacts(targets, move):
+            part_joints = {arm: v[part_rows] for arm, v in q.items()}
+            ok[part_rows] = clearance.is_free(
+                model_rows.at_rows(part_rows), part_joints, self.settings.clearance, contacts | ignored
+            )
         if not edge:
             return ok
         rows = np.flatnonzero(ok)
-        ok[rows] = self._edge_free(targets, {arm: v[rows] for arm, v in q.items()}, index[rows])
+        ok[rows] = self._edge_keeps_clearance(targets, {arm: v[rows] for arm, v in q.items()}, index[rows])
         return ok
 
-    def _edge_free(self, targets: Targets, q: Mapping[str, FloatArray], index: IndexArray) -> BoolArray:
-        """(B,) whether the flexible edge keeps the wanted clearance, as in :meth:`edge_clearance`."""
+    def _edge_keeps_clearance(
+        self, targets: Targets, q: Mapping[str, FloatArray], index: IndexArray
+    ) -> BoolArray:
+        """Whether (B,) the flexible edge keeps the required clearance, as in :meth:`edge_clearance`."""
         out = np.ones(len(index), dtype=bool)
-        points = self.edge(targets, index)
-        if points is None or targets.edge is None or self.model is None:
+        points = self.edge_points(targets, index)
+        if points is None or targets.flexible_tool is None or self.model is None:
             return out
-        edge, padding = targets.edge, self.settings.clearance
-        for against, rows in _held_against(targets, index):
+        radius, padding = targets.flexible_tool.radius, self.settings.clearance
+        for obstacles, rows in _edge_obstacles(targets, index):
             part = {arm: q[arm][rows] for arm in targets.arms}
-            out[rows] = clearance.edge_free(
-                self.model, part, points[rows], edge.radius, SKIPPED_END_LENGTH, padding, against
-            )
+            edge = clearance.FlexibleEdge(points[rows], radius, SKIPPED_END_LENGTH_M)
+            out[rows] = clearance.is_edge_clear(self.model, part, edge, padding, obstacles)
         return out
 
-    def least(
+    def smallest_clearances(
         self, targets: Targets, q: Mapping[str, FloatArray], move: IndexArray, reach: float
-    ) -> LeastClearance:
-        """Least distances (B,) between bodies, as they count, at joints {arm: (B, 6)} on the moves to targets
-        ``move`` (B,), at their ends where a base rides, of those within ``reach`` [m]; without the flexible
-        edge."""
+    ) -> MinClearance:
+        """Smallest counted distances (B,) between bodies, without the flexible edge.
+
+        Args:
+            targets: Targets of the operation.
+            q: {arm: (B, 6)} [rad] joints on the moves. With a coordinated track they are those at the ends of
+                the moves.
+            move: (B,) targets to which the moves lead.
+            reach: Distance [m] up to which bodies are considered.
+        """
         distance, pair = np.full(len(move), reach), [("", "")] * len(move)
         if self.model is None:
-            return LeastClearance(distance, tuple(pair))
-        there = self.bodies(targets, move) or self.model
-        for ignore, rows in self.by_kind(targets, move):
+            return MinClearance(distance, tuple(pair))
+        model_rows = self.model_at(targets, move) or self.model
+        for contacts, rows in self.split_by_contacts(targets, move):
             part = {arm: v[rows] for arm, v in q.items()}
-            found = clearance.least(there.at_rows(rows), part, reach, ignore)
-            distance[rows] = found.distance
-            for row, names in zip(rows, found.pair, strict=True):
+            closest = clearance.min_clearance(model_rows.at_rows(rows), part, reach, contacts)
+            distance[rows] = closest.distance
+            for row, names in zip(rows, closest.pair, strict=True):
                 pair[row] = names
-        return LeastClearance(distance, tuple(pair))
+        return MinClearance(distance, tuple(pair))
 
-    def nearest(
-        self, targets: Targets, q: Mapping[str, FloatArray], reach: float, own: bool = False
+    def smallest_distance(
+        self, targets: Targets, q: Mapping[str, FloatArray], reach: float, same_arm: bool = False
     ) -> tuple[float, tuple[str, str], int]:
-        """The least true distance [m] over all targets between bodies of one arm (``own``) or all others, if
-        within ``reach`` [m], its pair and its target; exact, though only targets are looked at whose cheap
-        lower bounds leave room for less."""
-        best, pair, where = reach, ("", ""), 0
-        if self.model is None:
-            return best, pair, where
-        model = (self.bodies(targets) or self.model).with_easing(NOT_EASED)
-        aside = own_clearance.other_pairs(model) if own else own_clearance.own_pairs(model)
-        for passing, rows in self.by_kind(targets, np.arange(targets.count)):
-            part, ignore, here = {arm: v[rows] for arm, v in q.items()}, passing | aside, model.at_rows(rows)
-            some = spread_rows(len(rows), DISTANCE_BATCH)  # bounds need not reach farther than these are
-            few = clearance.least(here.at_rows(some), {arm: v[some] for arm, v in part.items()}, best, ignore)
-            enough = float(few.distance.min(initial=best)) + 2.0 * clearance.BOUND_ERROR
-            lower = clearance.at_least(here, part, min(best, enough), ignore)
-            order = np.argsort(lower, kind="stable")
-            for start in range(0, len(order), DISTANCE_BATCH):
-                some = order[start : start + DISTANCE_BATCH]
-                some = some[lower[some] < best]
-                if not len(some):
-                    break
-                q_some = {arm: v[some] for arm, v in part.items()}
-                found = clearance.least(here.at_rows(some), q_some, best, ignore)
-                k = found.worst()
-                if found.distance[k] < best:
-                    best, pair, where = float(found.distance[k]), found.pair[k], int(rows[some[k]])
-        return best, pair, where
+        """Smallest true distance over all targets.
 
-    def between(
+        The result is exact, although distances are computed only at targets whose lower bound is below the
+        best so far.
+
+        Args:
+            targets: Targets of the operation.
+            q: {arm: (N, 6)} [rad] joints.
+            reach: Distance [m] up to which bodies are considered.
+            same_arm: Whether pairs of one arm are considered, or all others.
+
+        Returns:
+            Distance [m], pair of bodies and target.
+        """
+        best, pair, target = reach, ("", ""), 0
+        if self.model is None:
+            return best, pair, target
+        model = (self.model_at(targets) or self.model).with_easing(NO_EASING)
+        other_kind = self_clearance.other_pairs(model) if same_arm else self_clearance.same_arm_pairs(model)
+        for contacts, rows in self.split_by_contacts(targets, np.arange(targets.count)):
+            part, ignored, model_rows = (
+                {arm: v[rows] for arm, v in q.items()},
+                contacts | other_kind,
+                model.at_rows(rows),
+            )
+            # Exact distances of a spread batch limit how far the lower bounds have to reach. Then batches are
+            # evaluated in the order of their bounds until no bound is below the best distance.
+            batch = spread_rows(len(rows), DISTANCE_BATCH_SIZE)
+            spread_batch = clearance.min_clearance(
+                model_rows.at_rows(batch), {arm: v[batch] for arm, v in part.items()}, best, ignored
+            )
+            bound_reach = float(spread_batch.distance.min(initial=best)) + 2.0 * clearance.BOUND_ERROR
+            lower = clearance.distance_lower_bound(model_rows, part, min(best, bound_reach), ignored)
+            order = np.argsort(lower, kind="stable")
+            for start in range(0, len(order), DISTANCE_BATCH_SIZE):
+                batch = order[start : start + DISTANCE_BATCH_SIZE]
+                batch = batch[lower[batch] < best]
+                if not len(batch):
+                    break
+                batch_joints = {arm: v[batch] for arm, v in part.items()}
+                closest = clearance.min_clearance(model_rows.at_rows(batch), batch_joints, best, ignored)
+                k = closest.worst()
+                if closest.distance[k] < best:
+                    best, pair, target = float(closest.distance[k]), closest.pair[k], int(rows[batch[k]])
+        return best, pair, target
+
+    def interpolate_poses(
         self,
         targets: Targets,
         start: Mapping[str, FloatArray],
         end: Mapping[str, FloatArray],
-        share: FloatArray,
+        fraction: FloatArray,
     ) -> dict[str, FloatArray]:
-        """TCP poses in the world {arm: (..., 4, 4)} at ``share`` (...,) of linear moves between world poses.
+        """Interpolate TCP poses {arm: (..., 4, 4)} at a ``fraction`` (...,) of linear moves in the world.
 
-        A TCP whose work frame is held by another arm moves straight in that frame, which itself moves.
+        A TCP whose work frame is held by another arm moves linearly in that frame, which itself moves.
         """
         out: dict[str, FloatArray] = {}
-        for arm, holder in holders(targets):
+        for arm, holder in frame_holders(targets):
             if holder is None:
-                out[arm] = interpolate(start[arm], end[arm], share)
+                out[arm] = interpolate(start[arm], end[arm], fraction)
             else:
                 first, last = inverse(start[holder]) @ start[arm], inverse(end[holder]) @ end[arm]
-                out[arm] = out[holder] @ interpolate(first, last, share)
+                out[arm] = out[holder] @ interpolate(first, last, fraction)
         return {arm: out[arm] for arm in targets.arms}
 
     def edge_clearance(
         self, targets: Targets, q: Mapping[str, FloatArray], index: IndexArray
     ) -> tuple[FloatArray, list[tuple[str, str]]]:
-        """Least distances (B,) [m] of the flexible edge to what it may not touch, and the pairs.
+        """Smallest distances (B,) [m] of the flexible edge to bodies it may not touch, and the pairs.
 
-        The stock counts except in cut segments. Infinite without an edge.
+        The stock counts except in cutting segments. Without an edge the distances are infinite.
         """
         distance, pairs = np.full(len(index), np.inf), [("", "")] * len(index)
-        points = self.edge(targets, index)
-        if points is None or targets.edge is None or self.model is None:
+        points = self.edge_points(targets, index)
+        if points is None or targets.flexible_tool is None or self.model is None:
             return distance, pairs
-        for against, rows in _held_against(targets, index):
+        for obstacles, rows in _edge_obstacles(targets, index):
             part = {arm: q[arm][rows] for arm in targets.arms}
-            found = edge_clearance(
-                self.model, part, points[rows], targets.edge.radius, SKIPPED_END_LENGTH, against
-            )
-            distance[rows] = found.distance
-            for row, pair in zip(rows, found.pair, strict=True):
+            edge = clearance.FlexibleEdge(points[rows], targets.flexible_tool.radius, SKIPPED_END_LENGTH_M)
+            closest = edge_clearance(self.model, part, edge, obstacles)
+            distance[rows] = closest.distance
+            for row, pair in zip(rows, closest.pair, strict=True):
                 pairs[row] = pair
         return distance, pairs
 
 
-def _shifted(poses: FloatArray, way: FloatArray) -> FloatArray:
-    """Poses (..., 4, 4) moved by ways (..., 3) [m]."""
-    out = np.array(np.broadcast_to(poses, (*np.broadcast_shapes(poses.shape[:-2], way.shape[:-1]), 4, 4)))
-    out[..., :3, 3] += way
+def _translate(poses: FloatArray, translation: FloatArray) -> FloatArray:
+    """Poses (..., 4, 4) translated by (..., 3) [m]."""
+    out = np.array(
+        np.broadcast_to(poses, (*np.broadcast_shapes(poses.shape[:-2], translation.shape[:-1]), 4, 4))
+    )
+    out[..., :3, 3] += translation
     return out
 
 
-def _held_against(targets: Targets, index: IndexArray) -> list[tuple[Against, IndexArray]]:
-    """Rows of ``index`` (B,) with what the flexible edge is held against there: the stock is left out where
-    it cuts."""
-    cuts = cutting(targets)[index]
+def _edge_obstacles(targets: Targets, index: IndexArray) -> list[tuple[Against, IndexArray]]:
+    """Rows of ``index`` (B,) with the bodies that the edge is checked against.
+
+    The stock is left out where the edge cuts.
+    """
+    is_working = working_moves(targets)[index]
     choices: list[tuple[Against, IndexArray]] = [
-        ("no_stock", np.flatnonzero(cuts)),
-        ("all", np.flatnonzero(~cuts)),
+        ("no_stock", np.flatnonzero(is_working)),
+        ("all", np.flatnonzero(~is_working)),
     ]
-    return [(against, rows) for against, rows in choices if len(rows)]
+    return [(obstacles, rows) for obstacles, rows in choices if len(rows)]
 
 
-def holders(targets: Targets) -> list[tuple[str, str | None]]:
-    """Arms, each with the arm that holds its work frame or None, holders first."""
+def frame_holders(targets: Targets) -> list[tuple[str, str | None]]:
+    """Arms, each with the arm that holds its work frame or None. Holders come first."""
     frames = {arm: targets.frame.get(arm, "stock") for arm in targets.arms}
     pairs = [
         (arm, f.removeprefix(HELD_PREFIX) if f.startswith(HELD_PREFIX) else None) for arm, f in frames.items()
@@ -612,6 +770,6 @@ def holders(targets: Targets) -> list[tuple[str, str | None]]:
     return sorted(pairs, key=lambda pair: pair[1] is not None)
 
 
-def cutting(targets: Targets) -> BoolArray:
-    """(N,) whether an edge works the stock on the move to each target."""
+def working_moves(targets: Targets) -> BoolArray:
+    """Whether (N,) an edge works the stock on the move to each target."""
     return np.array([segment.works for segment in targets.segment], dtype=bool)

@@ -1,11 +1,10 @@
-"""Where over the block each arm can work, its tool turned as the process turns it near there.
+"""Reach field: where over the stock each arm can work, with its tool oriented as the process requires nearby.
 
-The block is looked at on a grid. At each place an arm has the poses of the target that works nearest to it,
-moved there without a turn: the point of its wire, or of its tool's tip, that was nearest comes to lie on the
-place. Of a wire that joins two arms both move by the same. All branches of a few samples of what the process
-leaves free are looked at, with joint limits and singular postures, by the functions that maps of a freedom
-use. Bodies are not held apart: what is red has no posture there among these, what is not may be in the way of
-something.
+The stock is sampled on a grid. At each grid point an arm takes the poses of the nearest working target,
+translated so that the nearest point of its wire or tool tip lies on the grid point. If a wire joins two arms,
+both move by the same translation. All branches of a few samples of the freedoms are evaluated, with joint
+limits and singularities, by the functions that freedom maps use. Collisions are not checked. At an infeasible
+point none of these samples has a posture; at a feasible point bodies may still collide.
 """
 
 import dataclasses
@@ -17,27 +16,33 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import FloatArray, IndexArray, axis_ends, inverse, spread_rows, transform
-from planner.motion.axis_map import arm_states
+from planner.motion.freedom_ranges import arm_states
 from planner.motion.planning_scene import Scene
-from planner.motion.search.subsampling import few_samples, subset
+from planner.motion.search.subsampling import coarse_samples, select_targets
 from planner.targets import Targets
 from planner.tooling import Bow
 
-MOST_PLACES: Final = 700
-"""Places of the grid at most."""
-MOST_TARGETS: Final = 120
-"""Working targets, evenly spread, whose poses are looked at."""
-MOST_SAMPLES: Final = 12
-"""Samples of what the process leaves free at each place."""
+MAX_GRID_POINTS: Final = 700
+"""Maximum number of grid points."""
+MAX_TARGETS: Final = 120
+"""Maximum number of working targets, evenly spread, whose poses are used."""
+MAX_SAMPLES: Final = 12
+"""Maximum number of samples of the freedoms at each grid point."""
 WIRE_POINTS: Final = 15
-"""Points of a straight wire of which the nearest one is taken to a place."""
+"""Number of points of a straight wire among which the nearest one is chosen."""
 
 
 @dataclasses.dataclass(frozen=True)
 class ReachField:
-    """Places ``points`` (G, 3) [m] in the world, ``pitch`` (3,) [m] apart along the block's edges. ``state``
-    {arm: (G,)}: what an arm can do there, as `axis_map` numbers it. ``targets`` and ``samples`` that were
-    looked at."""
+    """Reach of each arm over a grid.
+
+    Attributes:
+        points: (G, 3) [m] grid points in the world.
+        pitch: (3,) [m] spacing along the edges of the stock.
+        state: {arm: (G,)} state of the arm, numbered as in :mod:`planner.motion.freedom_ranges`.
+        targets: Number of targets that were used.
+        samples: Number of samples that were used.
+    """
 
     points: FloatArray
     pitch: FloatArray
@@ -46,32 +51,40 @@ class ReachField:
     samples: int
 
 
-def reach_field(scene: Scene, targets: Targets, lower: FloatArray, upper: FloatArray) -> ReachField | None:
-    """The field over a standing block with these corners (3,) in the stock frame, placed as the scene has it;
-    None where no target works."""
-    works = np.flatnonzero([segment.works for segment in targets.segment])
-    if not len(works):
+def compute_reach_field(
+    scene: Scene, targets: Targets, lower: FloatArray, upper: FloatArray
+) -> ReachField | None:
+    """Compute the reach field over a standing stock; None if no target works.
+
+    Args:
+        scene: Cell with the stock in its pose.
+        targets: Targets of the operation.
+        lower: (3,) [m] lower corner in the stock frame.
+        upper: (3,) [m] upper corner in the stock frame.
+    """
+    working = np.flatnonzero([segment.works for segment in targets.segment])
+    if not len(working):
         return None
-    few = subset(targets, works[spread_rows(len(works), MOST_TARGETS)])
-    local, pitch = _grid(lower, upper)
+    sampled = select_targets(targets, working[spread_rows(len(working), MAX_TARGETS)])
+    local, pitch = _grid_points(lower, upper)
     points = transform(scene.stock, local)
-    free = few_samples(few)
-    free = free[:, spread_rows(free.shape[1], MOST_SAMPLES)]
+    freedom_values = coarse_samples(sampled)
+    freedom_values = freedom_values[:, spread_rows(freedom_values.shape[1], MAX_SAMPLES)]
     state = {}
     for arm in targets.arms:
-        row, shift = _nearest(scene, few, arm, points)
-        index = np.repeat(row[:, None], free.shape[1], axis=1)
-        pose = scene.tcp(few, free[row], index)[arm].copy()
+        row, shift = _nearest_targets(scene, sampled, arm, points)
+        index = np.repeat(row[:, None], freedom_values.shape[1], axis=1)
+        pose = scene.tcp_poses(sampled, freedom_values[row], index)[arm].copy()
         pose[..., :3, 3] += shift[:, None]
         state[arm] = arm_states(scene, arm, pose).state
-    return ReachField(points, pitch, state, few.count, free.shape[1])
+    return ReachField(points, pitch, state, sampled.count, freedom_values.shape[1])
 
 
-def _grid(lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The middles (G, 3) of equal cells, as near to cubes as their number allows, and their sizes (3,)."""
+def _grid_points(lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Centres (G, 3) of equal boxes, as close to cubes as their number allows, and their sizes (3,)."""
     size = np.maximum(upper - lower, 1e-9)
-    edge = float(np.prod(size) / MOST_PLACES) ** (1.0 / 3.0)
-    while np.prod(np.ceil(size / edge)) > MOST_PLACES:
+    edge = float(np.prod(size) / MAX_GRID_POINTS) ** (1.0 / 3.0)
+    while np.prod(np.ceil(size / edge)) > MAX_GRID_POINTS:
         edge *= 1.05
     count = np.ceil(size / edge).astype(int)
     pitch = size / count
@@ -79,18 +92,20 @@ def _grid(lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3), pitch
 
 
-def _nearest(scene: Scene, few: Targets, arm: str, points: FloatArray) -> tuple[IndexArray, FloatArray]:
-    """Which target (G,) works nearest to each place, and from its nearest point to there (G, 3)."""
-    lines = scene.edge(few, np.arange(few.count))
+def _nearest_targets(
+    scene: Scene, sampled: Targets, arm: str, points: FloatArray
+) -> tuple[IndexArray, FloatArray]:
+    """The nearest working target (G,) of each grid point, and the vector (G, 3) from its nearest point."""
+    lines = scene.edge_points(sampled, np.arange(sampled.count))
     if lines is None:
-        tcp = scene.tcp(dataclasses.replace(few, ride={}), few.neutral())[arm]
+        tcp = scene.tcp_poses(dataclasses.replace(sampled, track_positions={}), sampled.neutral_values())[arm]
         tool = None if scene.model is None else scene.model.cell.arm(arm).tool
         lines = tcp[:, None, :3, 3]
         if isinstance(tool, Bow):
             start, end = transform(inverse(tool.tcp), axis_ends(tool.wire))
-            share = np.linspace(0.0, 1.0, WIRE_POINTS)[:, None]
-            turned = np.einsum("kij,pj->kpi", tcp[:, :3, :3], start + share * (end - start))
-            lines = turned + tcp[:, None, :3, 3]
-    flat = lines.reshape(-1, 3)
-    found = cKDTree(flat).query(points)[1]
-    return found // lines.shape[1], points - flat[found]
+            fractions = np.linspace(0.0, 1.0, WIRE_POINTS)[:, None]
+            rotated = np.einsum("kij,pj->kpi", tcp[:, :3, :3], start + fractions * (end - start))
+            lines = rotated + tcp[:, None, :3, 3]
+    all_points = lines.reshape(-1, 3)
+    nearest = cKDTree(all_points).query(points)[1]
+    return nearest // lines.shape[1], points - all_points[nearest]

@@ -1,7 +1,7 @@
-"""Changes of a cell that open a path, found by trying them: bodies or a base moved, another home.
+"""Remedies: changes of the cell or settings that were tried and open a path.
 
-An obstacle, the stock or a base is moved, or an arm gets another home posture. The smallest change
-that helps is told; where none does, so is that.
+An obstacle, the stock or a base is moved, an arm gets another home posture, or a clearance is lowered. The
+smallest change that helps is reported. If none helps, that is reported too.
 """
 
 import dataclasses
@@ -12,130 +12,149 @@ from typing import Final
 import numpy as np
 
 from planner.cell import clearance, plant, support
-from planner.cell.bodies import own_shapes
-from planner.geometry.arrays import FloatArray, Shape, corners, transform
+from planner.cell.bodies import shapes_by_body
+from planner.geometry.arrays import FloatArray, Shape, hull_points, transform
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Remedy, TandemError, aggregate
-from planner.motion import own_clearance, stations, ways
-from planner.motion.place_margin import margin
+from planner.motion import homing, self_clearance, stations
+from planner.motion.placement_margin import placement_margin
 from planner.motion.planning_scene import Scene
-from planner.motion.search.ladder_search import Found
-from planner.motion.search.path_search import find_path, turning
-from planner.motion.search.reach import SPIN_STEP, Checker, reach, sample
-from planner.motion.search.subsampling import few_of, subset
+from planner.motion.search.layered_graph_search import PathResult
+from planner.motion.search.path_search import count_rotational_freedoms, find_path
+from planner.motion.search.reach import SPIN_STEP_RAD, CollisionChecker, compute_reach, sample_freedoms
+from planner.motion.search.subsampling import sample_coarsely, select_targets
 from planner.problem import Cell, Obstacle, Problem
 from planner.targets import Targets
 
 PATH_CODES: Final = frozenset({"no_reach", "joint_limit", "singular", "no_path", "collision", "linear_move"})
-"""Words of codes (behind ``motion.``) that another path may mend."""
+"""Issue codes (after ``motion.``) that another path may resolve."""
 HOME_CODES: Final = frozenset({"entry", "home"})
-"""Words of codes that another home may mend."""
+"""Issue codes (after ``motion.``) that another home posture may resolve."""
 
 MOVE_SIZES_M: Final = (0.02, 0.05, 0.1, 0.2, 0.3, 0.5)
-"""Moves [m] that are tried, smallest first."""
+"""Sizes [m] of the moves that are tried, smallest first."""
 
-HOME_TURNS_DEG: Final = (30.0, 60.0, 90.0, 120.0)
-"""Turns [deg] of axis 1 at home that are tried, and of axis 2 the first, drawn back."""
+HOME_ROTATIONS_DEG: Final = (30.0, 60.0, 90.0, 120.0)
+"""Rotations [deg] of axis 1 at home that are tried. For axis 2 only the first one, backwards."""
 
-MOST_TRIALS: Final = 150
-"""Changes that are looked at at most."""
-MOST_SEARCHES: Final = 8
-"""Changes for which a path is searched at most."""
-MOST_PLANS: Final = 3
-"""Changes that are planned whole at most."""
-MOST_TURNING_SEARCHES: Final = 4
-"""As `MOST_SEARCHES` for jobs with several freedoms that turn, whose searches take some times as long."""
+MAX_TRIALS: Final = 150
+"""Maximum number of changes that are checked."""
+MAX_SEARCHES: Final = 8
+"""Maximum number of changes for which a path is searched."""
+MAX_PLANS: Final = 3
+"""Maximum number of changes that are planned completely."""
+MAX_ROTATIONAL_SEARCHES: Final = 4
+"""Maximum number of path searches for jobs with several rotational freedoms, whose searches take several
+times as long.
+"""
 
-MOST_REMOVED: Final = 4
-"""Obstacles that are tried to be taken out one by one, those in the way first."""
-LARGE_SIDE_M: Final = 1.5
-"""An obstacle with two sides longer than this [m] is a floor or a wall, which nobody moves."""
+MAX_REMOVED_OBSTACLES: Final = 4
+"""Maximum number of obstacles whose removal is tried, one by one, starting with those that the issue
+names.
+"""
+MAX_MOVABLE_SIDE_M: Final = 1.5
+"""Side length [m]. An obstacle with two longer sides is a floor or a wall, which cannot be moved."""
 
-STANDING_GAP_M: Final = 0.005
-"""Bodies that come as near [m] to each other stand on each other."""
+MAX_SUPPORT_GAP_M: Final = 0.005
+"""Maximum gap [m] between bodies that rest on each other."""
 
-FOOT_RANGE_M: Final = 0.1
-"""Obstacles are not moved as near [m] as this to where a base stands."""
+BASE_KEEPOUT_M: Final = 0.1
+"""Distance [m] from a base that obstacles keep when they are moved."""
 
-NEIGHBOURS: Final = 2
-"""Targets on either side of the one that fails at which a change is tried."""
+NEIGHBOUR_TARGETS: Final = 2
+"""Number of targets before and after the failing one at which a change is tried."""
 SPREAD_TARGETS: Final = 12
-"""Targets over the whole job at which it is tried besides."""
+"""Number of further targets, spread over the whole job, at which a change is tried."""
 SLIDE_SAMPLES: Final = 3
-"""Samples of a slide there."""
+"""Number of samples of a sliding freedom at these targets."""
 
-FAR_STEP_M: Final = 0.05
-"""Moves of a stock that is out of reach are multiples of this [m],"""
-FAR_STEPS: Final = 32
-"""so that there are about so many along x and y;"""
-FAR_LEVELS_M: Final = (-0.6, -0.4, -0.2, 0.2, 0.4, 0.6)
-"""a stock that hangs in the air is moved by these [m] too."""
-FAR_TARGETS: Final = 3
-"""Targets at which all of these places are tried first, those that pass at `SPREAD_TARGETS`."""
-PLACES_AT_ONCE: Final = 64
-"""Places whose reach is worked out at once."""
-FAR_SHARE: Final = 0.6
-"""Places with this share of the best margin are tried, nearest first,"""
-FAR_TRIED: Final = 5
-"""at most so many of them,"""
-FAR_APART_M: Final = 0.2
-"""so far [m] apart."""
+GRID_STEP_M: Final = 0.05
+"""Base step [m] of the grid on which a stock that is out of reach is moved."""
+MAX_GRID_STEPS: Final = 32
+"""Approximate maximum number of grid steps along x and y. Larger ranges use multiples of the base step."""
+GRID_LEVELS_M: Final = (-0.6, -0.4, -0.2, 0.2, 0.4, 0.6)
+"""Vertical moves [m] of a stock that rests on nothing."""
+GRID_TARGETS: Final = 3
+"""Number of targets at which all grid points are tried first. Those that pass are tried at
+`SPREAD_TARGETS`.
+"""
+POSE_BATCH_SIZE: Final = 64
+"""Number of stock poses whose reach is computed together."""
+MIN_SCORE_FRACTION: Final = 0.6
+"""Minimum fraction of the best margin for grid points that are tried, nearest first."""
+MAX_GRID_TRIALS: Final = 5
+"""Maximum number of grid points that are tried."""
+MIN_TRIAL_DISTANCE_M: Final = 0.2
+"""Minimum distance [m] between grid points that are tried."""
 
 CLEARANCE_STEP_MM: Final = 0.5
-"""Clearances that are tried are multiples of this [mm]."""
-MOST_CLEARANCES: Final = 5
-"""Clearances that are tried at most."""
+"""Increment [mm] of the clearances that are tried."""
+MAX_CLEARANCES: Final = 5
+"""Maximum number of clearances that are tried."""
 
-Plans = Callable[[Problem], bool]
+HasPlan = Callable[[Problem], bool]
 
 
-def advised(
-    problem: Problem, targets: Sequence[Targets], operation: int, issues: Sequence[Issue], plans: Plans
+def suggest_remedies(
+    problem: Problem, targets: Sequence[Targets], operation: int, issues: Sequence[Issue], has_plan: HasPlan
 ) -> list[Issue]:
-    """The issues with what was tried, and what of that helps.
+    """Try changes and add what was tried, and what helps, to the issues.
 
-    ``operation`` is the one that has no path, ``targets`` are those of all operations. ``plans`` tells
-    whether a changed problem has a whole plan.
+    Args:
+        problem: Problem without a plan.
+        targets: Targets of all operations.
+        operation: Index of the operation that has no path.
+        issues: Its issues.
+        has_plan: Whether a changed problem has a complete plan.
     """
     first = next(
         (k for k, i in enumerate(issues) if i.code.removeprefix("motion.") in PATH_CODES | HOME_CODES), None
     )
     if first is None or any(setup.stock.place is None for setup in problem.setups):
         return list(issues)
-    trial = _Trial(problem, targets[operation], operation, issues[first].index or 0, plans)
+    trial = _RemedySearch(problem, targets[operation], operation, issues[first].index or 0, has_plan)
     code = issues[first].code.removeprefix("motion.")
-    found = trial.homes(issues[first]) if code in HOME_CODES else trial.moves(issues[first])
-    if found is None:
+    remedy = trial.find_home(issues[first]) if code in HOME_CODES else trial.find_move(issues[first])
+    if remedy is None:
         hint = f"{issues[first].hint}; tried without success: {trial.summary()}" if trial.tried else None
-        rail = stations.advice(problem, targets) if code in PATH_CODES else ""
-        hint = f"{rail}; or {hint or issues[first].hint}" if rail else hint
-        told = dataclasses.replace(issues[first], hint=hint or issues[first].hint)
+        # A station of a track or gantry that reaches the job comes before all else.
+        station_advice = stations.suggest_axis(problem, targets) if code in PATH_CODES else ""
+        hint = f"{station_advice}; or {hint or issues[first].hint}" if station_advice else hint
+        advised_issue = dataclasses.replace(issues[first], hint=hint or issues[first].hint)
     else:
-        told = dataclasses.replace(
-            issues[first], hint=f"{_sentence(found)} (tried: it opens the way)", remedy=found
+        advised_issue = dataclasses.replace(
+            issues[first],
+            hint=f"{_describe_remedy(remedy)} (tried: the job can be planned then)",
+            remedy=remedy,
         )
     widest = None
-    if code == "collision":  # with work of its own, whatever was tried before
-        room = _Trial(problem, targets[operation], operation, issues[first].index or 0, plans)
-        widest = room.clearances(issues[first])
+    if code == "collision":  # with a budget of its own, whatever was tried before
+        clearance_search = _RemedySearch(
+            problem, targets[operation], operation, issues[first].index or 0, has_plan
+        )
+        widest = clearance_search.find_clearance(issues[first])
     if widest is not None:
-        also = f"{told.hint}; or {_sentence(widest)}"
-        told = dataclasses.replace(told, hint=also, remedy=told.remedy or widest)
-    out = [told if k == first else issue for k, issue in enumerate(issues)]
-    alike = [k for k, issue in enumerate(out) if k != first and len(aggregate([told, issue])) == 1]
-    for k in alike:  # of those that are told as one, the worst speaks for all
-        out[k] = dataclasses.replace(out[k], hint=told.hint, remedy=told.remedy)
+        joint_hint = f"{advised_issue.hint}; or {_describe_remedy(widest)}"
+        advised_issue = dataclasses.replace(
+            advised_issue, hint=joint_hint, remedy=advised_issue.remedy or widest
+        )
+    out = [advised_issue if k == first else issue for k, issue in enumerate(issues)]
+    aggregated = [
+        k for k, issue in enumerate(out) if k != first and len(aggregate([advised_issue, issue])) == 1
+    ]
+    for k in aggregated:  # issues that are aggregated show the hint of the worst, so all get it
+        out[k] = dataclasses.replace(out[k], hint=advised_issue.hint, remedy=advised_issue.remedy)
     return out
 
 
-def applied(problem: Problem, remedy: Remedy) -> Problem:
-    """The problem with the change made."""
+def apply_remedy(problem: Problem, remedy: Remedy) -> Problem:
+    """Return the problem with the change applied."""
     cell, stock = problem.cell, problem.stock
     shift = MM * np.array(remedy.move_mm or (0.0, 0.0, 0.0))
     if remedy.what == "stock" and stock.place is not None:
-        place = stock.place.copy()
-        place[:3, 3] += shift
-        return dataclasses.replace(problem, stock=dataclasses.replace(stock, place=place))
+        stock_pose = stock.place.copy()
+        stock_pose[:3, 3] += shift
+        return dataclasses.replace(problem, stock=dataclasses.replace(stock, place=stock_pose))
     if remedy.what == "clearance":
         settings = problem.settings
         if remedy.clearance_mm is not None:
@@ -144,7 +163,7 @@ def applied(problem: Problem, remedy: Remedy) -> Problem:
             settings = dataclasses.replace(settings, own_clearance=MM * remedy.own_clearance_mm)
         return dataclasses.replace(problem, settings=settings)
     if remedy.what == "obstacle":
-        moved = (_moved(o, shift) if o.name == remedy.name else o for o in cell.obstacles)
+        moved = (_move_obstacle(o, shift) if o.name == remedy.name else o for o in cell.obstacles)
         return dataclasses.replace(problem, cell=dataclasses.replace(cell, obstacles=tuple(moved)))
     arms = []
     for arm in cell.arms:
@@ -157,302 +176,338 @@ def applied(problem: Problem, remedy: Remedy) -> Problem:
     return dataclasses.replace(problem, cell=dataclasses.replace(cell, arms=tuple(arms)))
 
 
-def _sentence(remedy: Remedy) -> str:
+def _describe_remedy(remedy: Remedy) -> str:
     if remedy.what == "clearance":
         stated = (
-            (own_clearance.FIELD, remedy.clearance_mm),
-            (own_clearance.OWN_FIELD, remedy.own_clearance_mm),
+            (self_clearance.CLEARANCE_FIELD, remedy.clearance_mm),
+            (self_clearance.SELF_CLEARANCE_FIELD, remedy.own_clearance_mm),
         )
         fields = " and ".join(f"{name}: {value:g}" for name, value in stated if value is not None)
-        return f"take {fields}, the widest that works of those tried"
+        return f"set {fields}, the largest tried value that works"
     if remedy.home_deg is not None:
-        return f"take home_deg [{', '.join(f'{a:.4g}' for a in remedy.home_deg)}] for arm {remedy.name}"
+        return f"set home_deg [{', '.join(f'{a:.4g}' for a in remedy.home_deg)}] for arm {remedy.name}"
     move = remedy.move_mm or (0.0, 0.0, 0.0)
     if remedy.what == "stock":
         return f"move the {remedy.name} by ({', '.join(f'{v:.0f}' for v in move)}) mm"
     axis = int(np.argmax(np.abs(move)))
-    way = f"{move[axis]:+.0f} mm in {'xyz'[axis]}"
-    thing = f"the base of arm {remedy.name}" if remedy.what == "base" else remedy.name
-    return f"move {thing} by {way}"
+    direction = f"{move[axis]:+.0f} mm in {'xyz'[axis]}"
+    subject = f"the base of arm {remedy.name}" if remedy.what == "base" else remedy.name
+    return f"move {subject} by {direction}"
 
 
-class _Trial:
+class _RemedySearch:
     """Tries changes for one operation that has no path; ``index`` is the target where its paths end."""
 
-    def __init__(self, problem: Problem, job: Targets, operation: int, index: int, plans: Plans) -> None:
-        self._problem, self._job, self._operation, self._plans = problem, job, operation, plans
-        around = np.arange(index - NEIGHBOURS, index + NEIGHBOURS + 1)
+    def __init__(self, problem: Problem, job: Targets, operation: int, index: int, has_plan: HasPlan) -> None:
+        self._problem, self._job, self._operation, self._has_plan = problem, job, operation, has_plan
+        around = np.arange(index - NEIGHBOUR_TARGETS, index + NEIGHBOUR_TARGETS + 1)
         spread = np.linspace(0, job.count - 1, SPREAD_TARGETS).round().astype(np.intp)
         rows = np.concatenate([[index], around, spread])
         rows = rows[(rows >= 0) & (rows < job.count)]
         self._rows = rows[np.sort(np.unique(rows, return_index=True)[1])]
-        self._overlaps, self._unborne = self._fixed(problem), len(support.issues(problem))
-        searches = MOST_SEARCHES if turning(job) <= 1 else MOST_TURNING_SEARCHES
-        self._looks, self._searches, self._whole = MOST_TRIALS, searches, MOST_PLANS
+        self._initial_overlaps, self._initial_support_issues = (
+            self._fixture_overlaps(problem),
+            len(support.support_issues(problem)),
+        )
+        searches = MAX_SEARCHES if count_rotational_freedoms(job) <= 1 else MAX_ROTATIONAL_SEARCHES
+        self._trials_left, self._searches_left, self._plans_left = MAX_TRIALS, searches, MAX_PLANS
         self.tried: dict[str, float] = {}
         self.removed: list[str] = []
 
     def summary(self) -> str:
-        """What was tried, for people."""
-        out = [f"{', '.join(self.removed)} taken away one by one"] if self.removed else []
+        """Describe what was tried."""
+        out = [f"{', '.join(self.removed)} removed one by one"] if self.removed else []
         out += [
             f"{name} moved by up to {size / MM:.0f} mm" if size > 0.0 else name
             for name, size in self.tried.items()
         ]
-        out += [] if self._left else ["no more was tried"]
+        out += [] if self._has_budget else ["the limit of trials was reached"]
         return "; ".join(out)
 
     @property
-    def _left(self) -> bool:
-        return min(self._looks, self._searches, self._whole) > 0
+    def _has_budget(self) -> bool:
+        return min(self._trials_left, self._searches_left, self._plans_left) > 0
 
-    def moves(self, issue: Issue) -> Remedy | None:
-        """The smallest move of an obstacle, the stock or a base after which the whole job is planned."""
-        least = (issue.value or 0.0) * MM if issue.code == "motion.no_reach" else 0.0
-        obstacles = self._obstacles(issue) if least < MOVE_SIZES_M[-1] else []
+    def find_move(self, issue: Issue) -> Remedy | None:
+        """Find the smallest move of an obstacle, the stock or a base that makes the whole job plannable."""
+        min_size = (issue.value or 0.0) * MM if issue.code == "motion.no_reach" else 0.0
+        obstacles = self._blocking_obstacles(issue) if min_size < MOVE_SIZES_M[-1] else []
         for size in MOVE_SIZES_M:
-            if size < least:  # the wrist stays out of reach by the rest
+            if size < min_size:  # too small to bring the wrist within reach
                 continue
-            for remedy in self._candidates(size, obstacles):
-                if not self._left:
+            for remedy in self._candidate_moves(size, obstacles):
+                if not self._has_budget:
                     return None
-                self.tried[_thing(remedy)] = size
-                if self._opens(applied(self._problem, remedy), remedy):
-                    self._whole -= 1
-                    if self._plans(applied(self._problem, remedy)):
+                self.tried[_subject(remedy)] = size
+                if self._opens_path(apply_remedy(self._problem, remedy), remedy):
+                    self._plans_left -= 1
+                    if self._has_plan(apply_remedy(self._problem, remedy)):
                         return remedy
-        return self._far() if least > 0.0 else None
+        return self._find_far_move() if min_size > 0.0 else None
 
-    def _far(self) -> Remedy | None:
-        """A move of the stock to where the arms reach the job, however far that is: of a grid of places round
-        the bases those with most of the best margin, nearest first, and not close to one that did not do."""
+    def _find_far_move(self) -> Remedy | None:
+        """Find a move of the stock, of any size, to where the arms reach the job.
+
+        Of a grid of stock poses around the bases, those with most of the best margin are tried, nearest
+        first. Poses close to one that failed are skipped.
+        """
         name, tried = self._stock_name, list[FloatArray]()
-        if not self._stock_moves:
+        if not self._is_stock_movable:
             return None
-        for move in self._good_places():
-            if len(tried) >= FAR_TRIED or not self._left:
+        for move in self._reachable_moves():
+            if len(tried) >= MAX_GRID_TRIALS or not self._has_budget:
                 break
-            if any(np.linalg.norm(move - other) < FAR_APART_M for other in tried):
+            if any(np.linalg.norm(move - other) < MIN_TRIAL_DISTANCE_M for other in tried):
                 continue
             tried.append(move)
-            self.tried[f"the {name}"] = max(float(np.linalg.norm(one)) for one in tried)
+            self.tried[f"the {name}"] = max(float(np.linalg.norm(trial)) for trial in tried)
             x, y, z = (move / MM).round().tolist()
             remedy = Remedy("stock", name, (x, y, z))
-            changed = applied(self._problem, remedy)
-            if self._opens(changed, remedy):
-                self._whole -= 1
-                if self._plans(changed):
+            changed = apply_remedy(self._problem, remedy)
+            if self._opens_path(changed, remedy):
+                self._plans_left -= 1
+                if self._has_plan(changed):
                     return remedy
         return None
 
-    def _good_places(self) -> FloatArray:
-        """Moves (K, 3) [m] of the stock to places from which the arms reach a few targets well, nearest
-        first; in height only where it does not stand on anything and no level one does."""
+    def _reachable_moves(self) -> FloatArray:
+        """Moves (K, 3) [m] of the stock to poses from which the arms reach a few targets well, nearest first.
+
+        The height changes only if the stock rests on nothing and no pose at the same height is good.
+        """
         problem = self._problem
-        setup, scene = problem.setup_of(self._operation), self._scene(problem)
-        here = setup.stock.place if setup.stock.place is not None else np.eye(4)
+        setup, scene = problem.setup_of(self._operation), self._make_scene(problem)
+        stock_pose = setup.stock.place if setup.stock.place is not None else np.eye(4)
         chains = [scene.chains[arm] for arm in self._job.arms]
         reach = max(c.robot.form.stretched for c in chains)
-        feet = np.array([c.base[:2, 3] for c in chains])
-        low, high = feet.min(axis=0) - reach, feet.max(axis=0) + reach
-        step = FAR_STEP_M * max(1.0, float(np.ceil((high - low).max() / FAR_STEP_M / FAR_STEPS)))
+        base_positions = np.array([c.base[:2, 3] for c in chains])
+        low, high = base_positions.min(axis=0) - reach, base_positions.max(axis=0) + reach
+        step = GRID_STEP_M * max(1.0, float(np.ceil((high - low).max() / GRID_STEP_M / MAX_GRID_STEPS)))
         x, y = (
-            np.arange(np.floor((low[k] - here[k, 3]) / step), (high[k] - here[k, 3]) / step) for k in (0, 1)
+            np.arange(np.floor((low[k] - stock_pose[k, 3]) / step), (high[k] - stock_pose[k, 3]) / step)
+            for k in (0, 1)
         )
-        stands = bool(setup.stock.support) or _stands(_stock_box(problem), problem.cell, "")
-        for levels in ((0.0,), () if stands else FAR_LEVELS_M):
+        rests_on_something = bool(setup.stock.support) or _rests_on_obstacle(
+            _stock_box(problem), problem.cell, ""
+        )
+        for levels in ((0.0,), () if rests_on_something else GRID_LEVELS_M):
             moves = np.stack(np.meshgrid(x * step, y * step, np.array(levels), indexing="ij"), axis=-1)
             moves, score = moves.reshape(-1, 3), np.zeros(0)
-            for count in (FAR_TARGETS, SPREAD_TARGETS):
-                few = few_of(setup.cell, self._job, count, shifted=turning(self._job) > 1)
-                places = np.repeat(here[None, None], len(moves), axis=0)
-                places[:, 0, :3, 3] += moves
-                parts = np.array_split(places, -(-len(places) // PLACES_AT_ONCE)) if len(places) else []
-                got = [margin(few, part, {}, scene.settings) for part in parts]
-                score = np.concatenate([np.zeros(0), *got])
+            for count in (GRID_TARGETS, SPREAD_TARGETS):
+                sampled = sample_coarsely(
+                    setup.cell, self._job, count, with_slides=count_rotational_freedoms(self._job) > 1
+                )
+                stock_poses = np.repeat(stock_pose[None, None], len(moves), axis=0)
+                stock_poses[:, 0, :3, 3] += moves
+                parts = (
+                    np.array_split(stock_poses, -(-len(stock_poses) // POSE_BATCH_SIZE))
+                    if len(stock_poses)
+                    else []
+                )
+                scores = [placement_margin(sampled, part, {}, scene.settings) for part in parts]
+                score = np.concatenate([np.zeros(0), *scores])
                 moves, score = moves[score > 0.0], score[score > 0.0]
             if len(moves):
-                good = moves[score >= FAR_SHARE * score.max()]
+                good = moves[score >= MIN_SCORE_FRACTION * score.max()]
                 return np.asarray(good[np.argsort(np.linalg.norm(good, axis=1), kind="stable")])
         return np.zeros((0, 3))
 
-    def clearances(self, issue: Issue) -> Remedy | None:
-        """The widest clearance with which the whole job is planned: what the best posture leaves where paths
-        end, or a step less, or where that is too much elsewhere, halved between until work runs out.
+    def find_clearance(self, issue: Issue) -> Remedy | None:
+        """Find the widest clearance with which the whole job can be planned.
 
-        The one of the two settings that holds for the bodies in the way. Not where curves of spline blocks
-        need room besides, which the clearance here has in it.
+        The first trial is the clearance of the best posture where paths end, then one step less. If that is
+        too much elsewhere, the interval is bisected until the budget runs out. Only the setting that applies
+        to the colliding bodies changes. Controllers with spline blocks are excluded: their curves need extra
+        margin, which is part of the clearance here.
         """
-        own = len(issue.bodies) == 2 and own_clearance.is_own(*issue.bodies)
+        same_arm = len(issue.bodies) == 2 and self_clearance.is_same_arm(*issue.bodies)
         settings = self._problem.settings
-        wanted = (settings.of_one_arm if own else settings.clearance) / MM
-        # the best posture may be near to other bodies than those that are in the way most often
-        best = wanted - ((issue.limit or 0.0) - (issue.value or 0.0))
-        if not 0.0 < best < wanted or self._problem.cell.controller.path == "spline":
+        required = (settings.self_clearance if same_arm else settings.clearance) / MM
+        # the best posture may be close to other bodies than those that collide most often
+        best_possible = required - ((issue.limit or 0.0) - (issue.value or 0.0))
+        if not 0.0 < best_possible < required or self._problem.cell.controller.path == "spline":
             return None
-        low, high, found = 0, int(best / CLEARANCE_STEP_MM) + 1, None
-        for number in range(MOST_CLEARANCES):
+        low, high, remedy_found = 0, int(best_possible / CLEARANCE_STEP_MM) + 1, None
+        for number in range(MAX_CLEARANCES):
             value = high - 1 if number < 2 else (low + high) // 2
             if not low < value < high:
                 break
-            remedy = self._of_clearance(own, value * CLEARANCE_STEP_MM)
-            changed = applied(self._problem, remedy)
-            if self._opens(changed, remedy) and self._plans(changed):
-                low, found = value, remedy
+            remedy = self._clearance_remedy(same_arm, value * CLEARANCE_STEP_MM)
+            changed = apply_remedy(self._problem, remedy)
+            if self._opens_path(changed, remedy) and self._has_plan(changed):
+                low, remedy_found = value, remedy
             else:
                 high = value
-        return found
+        return remedy_found
 
-    def _of_clearance(self, own: bool, value: float) -> Remedy:
-        """One clearance [mm] changed, the other with it where it is stated and would be wider than all."""
-        if own:
-            return Remedy("clearance", own_clearance.OWN_FIELD, own_clearance_mm=value)
+    def _clearance_remedy(self, same_arm: bool, value: float) -> Remedy:
+        """Remedy that lowers one clearance [mm], and the other with it if it is stated and would be wider."""
+        if same_arm:
+            return Remedy("clearance", self_clearance.SELF_CLEARANCE_FIELD, own_clearance_mm=value)
         stated = self._problem.settings.own_clearance
-        wide = stated is not None and stated / MM > value
+        is_wider = stated is not None and stated / MM > value
         return Remedy(
-            "clearance", own_clearance.FIELD, clearance_mm=value, own_clearance_mm=value if wide else None
+            "clearance",
+            self_clearance.CLEARANCE_FIELD,
+            clearance_mm=value,
+            own_clearance_mm=value if is_wider else None,
         )
 
     @property
-    def _stock_moves(self) -> bool:
-        """Whether one place of the stock is stated that all work is fixed to."""
+    def _is_stock_movable(self) -> bool:
+        """Whether there is one stated stock pose to which all work is fixed."""
         stock = self._problem.setup_of(self._operation).stock
-        moved = any("place" in change.stock for change in self._problem.changes.values())
-        here = all(self._job.frame.get(arm, "stock") == "stock" for arm in self._job.arms)
-        return here and not moved and stock.held_by is None and stock.place is not None
+        is_changed = any("place" in change.stock for change in self._problem.changes.values())
+        all_on_stock = all(self._job.frame.get(arm, "stock") == "stock" for arm in self._job.arms)
+        return all_on_stock and not is_changed and stock.held_by is None and stock.place is not None
 
     @property
     def _stock_name(self) -> str:
         return "stock" if self._problem.stock.sheet is None else "sheet"
 
-    def homes(self, issue: Issue) -> Remedy | None:
-        """Another posture at home from which the arms come to the job and back."""
-        setup, before = self._problem.setup_of(self._operation), self._scene(self._problem)
-        _, found = find_path(before, self._job)
+    def find_home(self, issue: Issue) -> Remedy | None:
+        """Find another home posture from which the arms reach the job and return."""
+        setup, initial_scene = self._problem.setup_of(self._operation), self._make_scene(self._problem)
+        _, path_result = find_path(initial_scene, self._job)
         names = [a for a in self._job.arms if issue.arm in (None, a)]
-        for turn, name in itertools.product(
-            [(0, s * t) for t in HOME_TURNS_DEG for s in (1, -1)] + [(1, -HOME_TURNS_DEG[0])], names
+        for rotation, name in itertools.product(
+            [(0, s * t) for t in HOME_ROTATIONS_DEG for s in (1, -1)] + [(1, -HOME_ROTATIONS_DEG[0])], names
         ):
             arm = setup.cell.arm(name)
             home = arm.home.copy()
-            home[turn[0]] += DEG * turn[1]
+            home[rotation[0]] += DEG * rotation[1]
             self.tried["other home postures"] = 0.0
-            margin = float(before.chains[name].limit_margin(home))
-            if self._whole <= 0 or margin < self._problem.settings.joint_margin:
+            margin = float(initial_scene.chains[name].limit_margin(home))
+            if self._plans_left <= 0 or margin < self._problem.settings.joint_margin:
                 continue
             remedy = Remedy("home", name, home_deg=tuple((home / DEG).round(6).tolist()))
-            changed = applied(self._problem, remedy)
-            scene = self._scene(changed)
+            changed = apply_remedy(self._problem, remedy)
+            scene = self._make_scene(changed)
             try:
-                ways.require_home(scene, self._job)
-                if isinstance(found, Found):
-                    ways.both_ways(scene, self._job, found.q)
+                homing.require_free_home(scene, self._job)
+                if isinstance(path_result, PathResult):
+                    homing.plan_approach_and_retreat(scene, self._job, path_result.q)
             except TandemError:
                 continue
-            self._whole -= 1
-            if self._plans(changed):
+            self._plans_left -= 1
+            if self._has_plan(changed):
                 return remedy
         return None
 
-    def _obstacles(self, issue: Issue) -> list[Obstacle]:
-        """Obstacles without which there is a path; those that the issue names are looked at first."""
+    def _blocking_obstacles(self, issue: Issue) -> list[Obstacle]:
+        """Obstacles without which there is a path. Those that the issue names are tried first."""
         cell = self._problem.setup_of(self._operation).cell
-        loose = [o for o in cell.obstacles if movable(self._problem, o)]
-        loose.sort(key=lambda o: o.name not in issue.bodies)
+        movable_obstacles = [o for o in cell.obstacles if is_movable(self._problem, o)]
+        movable_obstacles.sort(key=lambda o: o.name not in issue.bodies)
         out = []
-        for one in loose[:MOST_REMOVED]:
-            rest = tuple(o for o in self._problem.cell.obstacles if o.name != one.name)
+        for obstacle in movable_obstacles[:MAX_REMOVED_OBSTACLES]:
+            rest = tuple(o for o in self._problem.cell.obstacles if o.name != obstacle.name)
             without = dataclasses.replace(
                 self._problem, cell=dataclasses.replace(self._problem.cell, obstacles=rest)
             )
-            if self._may_pass(without, scene := self._scene(without)) and isinstance(
-                self._find(scene), Found
+            if self._is_passable(without, scene := self._make_scene(without)) and isinstance(
+                self._search_path(scene), PathResult
             ):
-                out.append(one)
+                out.append(obstacle)
             else:
-                self.removed.append(one.name)
+                self.removed.append(obstacle.name)
         return out
 
-    def _candidates(self, size: float, obstacles: Sequence[Obstacle]) -> Iterator[Remedy]:
+    def _candidate_moves(self, size: float, obstacles: Sequence[Obstacle]) -> Iterator[Remedy]:
         problem = self._problem
         for obstacle in obstacles:
-            for way in _ways(
-                size, not _stands(_box(obstacle.shapes, np.eye(4)), problem.cell, obstacle.name)
+            for move in _axis_moves(
+                size,
+                not _rests_on_obstacle(
+                    _bounding_box(obstacle.shapes, np.eye(4)), problem.cell, obstacle.name
+                ),
             ):
-                yield Remedy("obstacle", obstacle.name, way)
-        if self._stock_moves:
-            stands = _stands(_stock_box(problem), problem.cell, "")
-            for way in _ways(size, not stands):
-                yield Remedy("stock", self._stock_name, way)
+                yield Remedy("obstacle", obstacle.name, move)
+        if self._is_stock_movable:
+            rests_on_obstacle = _rests_on_obstacle(_stock_box(problem), problem.cell, "")
+            for move in _axis_moves(size, not rests_on_obstacle):
+                yield Remedy("stock", self._stock_name, move)
         for arm in self._job.arms:
-            for way in _ways(size, False):
-                yield Remedy("base", arm, way)
+            for move in _axis_moves(size, False):
+                yield Remedy("base", arm, move)
 
-    def _opens(self, changed: Problem, remedy: Remedy) -> bool:
-        """Whether nothing that stands overlaps after a change, the homes are free and the job has a path."""
-        self._looks -= 1
-        if len(support.issues(changed)) > self._unborne:  # it would no longer stand on anything
+    def _opens_path(self, changed: Problem, remedy: Remedy) -> bool:
+        """Whether after a change no fixtures overlap, the homes are free and the job has a path."""
+        self._trials_left -= 1
+        if (
+            len(support.support_issues(changed)) > self._initial_support_issues
+        ):  # something would lose its support
             return False
-        scene = self._scene(changed)
-        if not self._fixed(changed) <= self._overlaps or _into_others(changed, remedy):
+        scene = self._make_scene(changed)
+        if not self._fixture_overlaps(changed) <= self._initial_overlaps or _hits_other(changed, remedy):
             return False
-        if not self._may_pass(changed, scene):
+        if not self._is_passable(changed, scene):
             return False
         try:
-            ways.require_home(scene, self._job)
+            homing.require_free_home(scene, self._job)
         except TandemError:
             return False
-        return isinstance(self._find(scene), Found)
+        return isinstance(self._search_path(scene), PathResult)
 
-    def _find(self, scene: Scene) -> object:
-        self._searches -= 1
+    def _search_path(self, scene: Scene) -> object:
+        self._searches_left -= 1
         return find_path(scene, self._job, fine=False)[1]
 
-    def _scene(self, problem: Problem) -> Scene:
+    def _make_scene(self, problem: Problem) -> Scene:
         setup = problem.setup_of(self._operation)
-        place = setup.stock.place if setup.stock.place is not None else np.eye(4)
-        model = plant.build(setup.cell, setup.stock, place)
-        return Scene.of(setup.cell, self._job.arms, place, problem.settings, model)
+        stock_pose = setup.stock.place if setup.stock.place is not None else np.eye(4)
+        model = plant.build_cell_model(setup.cell, setup.stock, stock_pose)
+        return Scene.of(setup.cell, self._job.arms, stock_pose, problem.settings, model)
 
-    def _fixed(self, problem: Problem) -> frozenset[tuple[str, str]]:
-        """Pairs of standing bodies that overlap."""
-        model = self._scene(problem).model
+    def _fixture_overlaps(self, problem: Problem) -> frozenset[tuple[str, str]]:
+        """Pairs of static bodies that overlap."""
+        model = self._make_scene(problem).model
         return (
-            frozenset((a, b) for a, b, _ in clearance.overlaps(model)) if model is not None else frozenset()
+            frozenset((a, b) for a, b, _ in clearance.find_overlaps(model))
+            if model is not None
+            else frozenset()
         )
 
-    def _may_pass(self, problem: Problem, scene: Scene) -> bool:
-        """Whether some choice of branches has a free sample at each of a few targets, among them those where
-        paths end: without that a search is no use."""
-        if turning(self._job) > 1:  # too many samples: at least the arms must reach a few targets
-            few = few_of(problem.setup_of(self._operation).cell, self._job, SPREAD_TARGETS, shifted=True)
-            return bool(margin(few, scene.stock[None, None], {}, scene.settings)[0] > 0.0)
-        some = subset(self._job, self._rows)
-        grid = sample(some, SPIN_STEP, SLIDE_SAMPLES)
-        table = reach(scene, some, grid)
+    def _is_passable(self, problem: Problem, scene: Scene) -> bool:
+        """Whether some combination of branches has a free sample at each of a few targets.
+
+        These targets include those where paths end. Without such a combination a search is useless.
+        """
+        if (
+            count_rotational_freedoms(self._job) > 1
+        ):  # too many samples for collisions: require reach at a few targets only
+            sampled = sample_coarsely(
+                problem.setup_of(self._operation).cell, self._job, SPREAD_TARGETS, with_slides=True
+            )
+            return bool(placement_margin(sampled, scene.stock[None, None], {}, scene.settings)[0] > 0.0)
+        sampled_targets = select_targets(self._job, self._rows)
+        grid = sample_freedoms(sampled_targets, SPIN_STEP_RAD, SLIDE_SAMPLES)
+        table = compute_reach(scene, sampled_targets, grid)
         for branches in itertools.product(*(r.branches for r in table.values())):
             rungs = {arm: r.branches[b] for (arm, r), b in zip(table.items(), branches, strict=True)}
-            check = Checker(scene, some, grid, rungs)
-            if check.possible.any(axis=1).all() and all(check.free(i).any() for i in range(some.count)):
+            check = CollisionChecker(scene, sampled_targets, grid, rungs)
+            if check.possible.any(axis=1).all() and all(
+                check.free_samples(i).any() for i in range(sampled_targets.count)
+            ):
                 return True
         return False
 
 
-def _thing(remedy: Remedy) -> str:
+def _subject(remedy: Remedy) -> str:
     return {"stock": f"the {remedy.name}", "base": f"the base of {remedy.name}"}.get(remedy.what, remedy.name)
 
 
-def _ways(size: float, up: bool) -> list[tuple[float, float, float]]:
-    """Moves [mm] by ``size`` [m] along the world's axes, upright ones too if ``up``."""
+def _axis_moves(size: float, up: bool) -> list[tuple[float, float, float]]:
+    """Moves [mm] by ``size`` [m] along the world axes, including vertical ones if ``up``."""
     out = []
     for axis, sign in itertools.product(range(3 if up else 2), (1.0, -1.0)):
-        way = [0.0, 0.0, 0.0]
-        way[axis] = float(np.round(sign * size / MM, 6))
-        out.append((way[0], way[1], way[2]))
+        move = [0.0, 0.0, 0.0]
+        move[axis] = float(np.round(sign * size / MM, 6))
+        out.append((move[0], move[1], move[2]))
     return out
 
 
-def _moved(obstacle: Obstacle, shift: FloatArray) -> Obstacle:
+def _move_obstacle(obstacle: Obstacle, shift: FloatArray) -> Obstacle:
     shapes = []
     for shape in obstacle.shapes:
         pose = shape.pose.copy()
@@ -461,53 +516,59 @@ def _moved(obstacle: Obstacle, shift: FloatArray) -> Obstacle:
     return dataclasses.replace(obstacle, shapes=tuple(shapes))
 
 
-def _box(shapes: Sequence[Shape], frame: FloatArray) -> FloatArray:
-    """Lowest and highest corner (2, 3) [m] of shapes in a frame (4, 4) of the world."""
-    points = np.concatenate([transform(frame @ shape.pose, corners(shape)) for shape in shapes])
+def _bounding_box(shapes: Sequence[Shape], frame: FloatArray) -> FloatArray:
+    """Lower and upper corner (2, 3) [m] of shapes in a frame (4, 4) of the world."""
+    points = np.concatenate([transform(frame @ shape.pose, hull_points(shape)) for shape in shapes])
     return np.stack([points.min(axis=0), points.max(axis=0)])
 
 
 def _stock_box(problem: Problem) -> FloatArray:
-    place = problem.stock.place if problem.stock.place is not None else np.eye(4)
-    own = own_shapes(problem.cell, problem.stock)
-    return _box([*own["stock"], *problem.stock.support], place)
+    stock_pose = problem.stock.place if problem.stock.place is not None else np.eye(4)
+    shapes = shapes_by_body(problem.cell, problem.stock)
+    return _bounding_box([*shapes["stock"], *problem.stock.support], stock_pose)
 
 
-def _stands(box: FloatArray, cell: Cell, name: str) -> bool:
-    """Whether a body's box stands on an obstacle other than itself."""
-    others = (_box(o.shapes, np.eye(4)) for o in cell.obstacles if o.name != name)
-    return any(_over(box, other) and abs(box[0, 2] - other[1, 2]) < STANDING_GAP_M for other in others)
+def _rests_on_obstacle(box: FloatArray, cell: Cell, name: str) -> bool:
+    """Whether a body's box rests on another obstacle."""
+    others = (_bounding_box(o.shapes, np.eye(4)) for o in cell.obstacles if o.name != name)
+    return any(
+        _overlap_in_plan(box, other) and abs(box[0, 2] - other[1, 2]) < MAX_SUPPORT_GAP_M for other in others
+    )
 
 
-def _over(a: FloatArray, b: FloatArray) -> bool:
-    """Whether two boxes overlap as seen from above."""
+def _overlap_in_plan(a: FloatArray, b: FloatArray) -> bool:
+    """Whether two boxes overlap in plan view."""
     return bool((np.minimum(a[1], b[1])[:2] > np.maximum(a[0], b[0])[:2]).all())
 
 
-def movable(problem: Problem, obstacle: Obstacle) -> bool:
-    """Whether an obstacle is neither a floor or a wall nor what a base or the stock stands on, nor rides on
-    an axis."""
-    if any(obstacle.name in bodies for bodies in problem.cell.riders.values()):
+def is_movable(problem: Problem, obstacle: Obstacle) -> bool:
+    """Whether an obstacle can be moved.
+
+    It is not a floor or a wall, no base or stock rests on it, and no external axis carries it.
+    """
+    if any(obstacle.name in bodies for bodies in problem.cell.carried_bodies.values()):
         return False
-    box = _box(obstacle.shapes, np.eye(4))
-    if (np.ptp(box, axis=0) > LARGE_SIDE_M).sum() >= 2:
+    box = _bounding_box(obstacle.shapes, np.eye(4))
+    if (np.ptp(box, axis=0) > MAX_MOVABLE_SIDE_M).sum() >= 2:
         return False
     stock = _stock_box(problem)
-    if _over(box, stock) and abs(stock[0, 2] - box[1, 2]) < STANDING_GAP_M:
+    if _overlap_in_plan(box, stock) and abs(stock[0, 2] - box[1, 2]) < MAX_SUPPORT_GAP_M:
         return False
     bases = np.array([arm.base[:3, 3] for arm in problem.cell.arms])
     inside = ((bases[:, :2] > box[0, :2]) & (bases[:, :2] < box[1, :2])).all(axis=1)
-    return not (inside & (bases[:, 2] >= box[1, 2] - STANDING_GAP_M)).any()
+    return not (inside & (bases[:, 2] >= box[1, 2] - MAX_SUPPORT_GAP_M)).any()
 
 
-def _into_others(changed: Problem, remedy: Remedy) -> bool:
-    """Whether an obstacle was moved into another one or into a base's foot."""
+def _hits_other(changed: Problem, remedy: Remedy) -> bool:
+    """Whether an obstacle was moved into another one or into the foot of an arm."""
     if remedy.what != "obstacle":
         return False
-    boxes = {o.name: _box(o.shapes, np.eye(4)) for o in changed.cell.obstacles}
-    own = boxes.pop(remedy.name)
-    feet = [np.stack([a.base[:3, 3] - FOOT_RANGE_M, a.base[:3, 3] + FOOT_RANGE_M]) for a in changed.cell.arms]
+    boxes = {o.name: _bounding_box(o.shapes, np.eye(4)) for o in changed.cell.obstacles}
+    moved_box = boxes.pop(remedy.name)
+    base_boxes = [
+        np.stack([a.base[:3, 3] - BASE_KEEPOUT_M, a.base[:3, 3] + BASE_KEEPOUT_M]) for a in changed.cell.arms
+    ]
     return any(
-        bool((np.minimum(own[1], b[1]) > np.maximum(own[0], b[0]) + 1e-6).all())
-        for b in [*boxes.values(), *feet]
+        bool((np.minimum(moved_box[1], b[1]) > np.maximum(moved_box[0], b[0]) + 1e-6).all())
+        for b in [*boxes.values(), *base_boxes]
     )

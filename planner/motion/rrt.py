@@ -1,8 +1,8 @@
-"""A free way between two points: the straight line, some coordinates after the others, or a tree from either
-end.
+"""Collision-free path between two points: the straight line, axis by axis, or RRT-Connect.
 
-Kuffner and LaValle, "RRT-Connect: an efficient approach to single-query path planning", ICRA 2000. Seeded, so
-the same question has the same answer.
+The search is seeded, so the same query has the same result.
+
+Source: Kuffner and LaValle, "RRT-Connect: an efficient approach to single-query path planning", ICRA 2000.
 """
 
 import dataclasses
@@ -15,242 +15,288 @@ import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 
-Free = Callable[[FloatArray], BoolArray]
-Sure = Callable[[FloatArray, FloatArray], BoolArray]
+IsFree = Callable[[FloatArray], BoolArray]
+IsSurelyFree = Callable[[FloatArray, FloatArray], BoolArray]
 
-MOST_GROWTH_STEPS = 8
-"""A tree grows by at most this many steps at a time."""
+MAX_GROWTH_STEPS = 8
+"""Maximum number of steps by which a tree grows at a time."""
 
-MOST_ROUNDS = 3000
-"""Samples that are drawn at most."""
-MOST_ORDERED_COORDINATES = 6
-"""With more coordinates than this there are too many orders in which they may go."""
+MAX_ROUNDS = 3000
+"""Default maximum number of samples."""
+MAX_ORDERED_COORDINATES = 6
+"""Maximum number of coordinates for axis-by-axis paths. With more there are too many orders."""
 
-FIRST_LOOKS = 8
-"""Of the points of lines around corners one of so many is asked about first, of all lines at once."""
+FIRST_CHECK_STRIDE = 8
+"""Stride of the points of axis-by-axis paths that are checked first, on all paths together."""
 
-MOST_AHEAD = 32
-"""Lines toward so many samples are asked about at once at most."""
-SAME_PLACE = 1e-12
-"""Points whose coordinates differ by less are the same."""
+MAX_LOOKAHEAD = 32
+"""Maximum number of samples whose lines are checked together in advance."""
+POINT_TOLERANCE = 1e-12
+"""Coordinate difference below which two points are the same."""
 
-SHORTCUT_TRIES = 40
-"""Pairs of points of a way between which a straight one is tried."""
+MAX_SHORTCUT_TRIES = 40
+"""Number of pairs of path points between which a straight line is tried."""
 
 
-def connect(
-    start: FloatArray,
-    goal: FloatArray,
-    free: Free,
-    lower: FloatArray,
-    upper: FloatArray,
-    step: float,
-    seed: int,
-    rounds: int = MOST_ROUNDS,
-) -> FloatArray | None:
-    """Waypoints (M, D) from ``start`` to ``goal`` (D,), both included, straight lines between them being
-    free.
+@dataclasses.dataclass(frozen=True)
+class ConfigurationSpace:
+    """Space of D coordinates in which a collision-free path is searched.
 
-    ``free`` tells of points (B, D) whether they are; lines are checked every ``step`` of the largest
-    coordinate. Random points lie between ``lower`` and ``upper``. None if an end is not free or no way was
-    found within ``rounds``.
+    Attributes:
+        free: Whether points (B, D) are free.
+        lower: (D,) lower bounds of random points.
+        upper: (D,) upper bounds of random points.
+        step: Spacing of the points that are checked on a line, by the largest coordinate.
     """
+
+    free: IsFree
+    lower: FloatArray
+    upper: FloatArray
+    step: float
+
+
+def connect_points(
+    start: FloatArray, goal: FloatArray, space: ConfigurationSpace, seed: int, rounds: int = MAX_ROUNDS
+) -> FloatArray | None:
+    """Find a collision-free path between two points.
+
+    Args:
+        start: (D,) start point.
+        goal: (D,) goal point.
+        space: Space of the points.
+        seed: Seed of the random points.
+        rounds: Maximum number of samples.
+
+    Returns:
+        Waypoints (M, D) including both ends, with free straight lines between them; None if an end is not
+        free or no path was found.
+    """
+    free, lower, upper, step = space.free, space.lower, space.upper, space.step
     if not free(np.stack([start, goal])).all():
         return None
-    if _line_free(start, goal, free, step):
+    if _is_line_free(start, goal, free, step):
         return np.stack([start, goal])
-    corner = _around_corner(start, goal, free, step)
+    corner = _connect_by_axes(start, goal, free, step)
     if corner is not None:
         return corner
+    # RRT-Connect: one tree grows toward a sample, the other toward the new point; then they swap.
     samples = np.random.default_rng(seed).uniform(lower, upper, (rounds, len(start)))
-    trees = (_Tree(start), _Tree(goal))
-    growth = _Growth(trees, samples, free, step)
+    trees = (_RrtTree(start), _RrtTree(goal))
+    growth = _TreeGrowth(trees, samples, free, step)
     for count in range(rounds):
-        a, b = trees if count % 2 == 0 else trees[::-1]
-        new = growth.first(count)
-        while new is not None:
-            other = growth.second(count, a.points[new])
-            if other is None:
+        first_tree, second_tree = trees if count % 2 == 0 else trees[::-1]
+        new_index = growth.grow_first(count)
+        while new_index is not None:
+            other_index = growth.grow_second(count, first_tree.points[new_index])
+            if other_index is None:
                 break
-            if np.array_equal(b.points[other], a.points[new]):
-                ends = (a.way(new), b.way(other)) if count % 2 == 0 else (b.way(other), a.way(new))
-                way = np.concatenate([ends[0][::-1], ends[1][1:]])
+            if np.array_equal(second_tree.points[other_index], first_tree.points[new_index]):
+                ends = (
+                    (first_tree.path_to_root(new_index), second_tree.path_to_root(other_index))
+                    if count % 2 == 0
+                    else (second_tree.path_to_root(other_index), first_tree.path_to_root(new_index))
+                )
+                path = np.concatenate([ends[0][::-1], ends[1][1:]])
                 rng = np.random.default_rng(seed)
-                rng.uniform(lower, upper, (count + 1, len(start)))  # goes on behind the samples so far
-                return _shorten(way, free, step, rng)
+                rng.uniform(lower, upper, (count + 1, len(start)))  # skip the samples that were used
+                return _shortcut_path(path, free, step, rng)
     return None
 
 
-def _around_corner(start: FloatArray, goal: FloatArray, free: Free, step: float) -> FloatArray | None:
-    """A free way on which some coordinates go after the others, a short one; None if there is none."""
-    far = np.abs(goal - start)
-    live = np.flatnonzero(far > step)
-    if len(live) < 2 or len(live) > MOST_ORDERED_COORDINATES:
+def _connect_by_axes(start: FloatArray, goal: FloatArray, free: IsFree, step: float) -> FloatArray | None:
+    """Find a short free path on which some coordinates move after the others; None if there is none."""
+    differences = np.abs(goal - start)
+    moving = np.flatnonzero(differences > step)
+    if len(moving) < 2 or len(moving) > MAX_ORDERED_COORDINATES:
         return None
-    later = np.array(list(itertools.product((False, True), repeat=len(live))))[1:-1]
-    corners = np.repeat(goal[None], len(later), axis=0)
-    corners[:, live] = np.where(later, start[live], goal[live])
+    moves_later = np.array(list(itertools.product((False, True), repeat=len(moving))))[1:-1]
+    corners = np.repeat(goal[None], len(moves_later), axis=0)
+    corners[:, moving] = np.where(moves_later, start[moving], goal[moving])
     lengths = np.abs(corners - start).max(axis=1) + np.abs(corners - goal).max(axis=1)
     corners = corners[np.argsort(lengths, kind="stable")]
     corners = corners[free(corners)]
     if not len(corners):
         return None
-    lines = [np.concatenate([_line(start, c, step), _line(c, goal, step)]) for c in corners]
-    some = [line[::FIRST_LOOKS] for line in lines]  # of nearly all lines these already tell
-    own = np.repeat(np.arange(len(some)), [len(points) for points in some])
-    bad = np.bincount(own, ~free(np.concatenate(some)), len(some)) > 0
-    for k in np.flatnonzero(~bad).tolist():
+    lines = [np.concatenate([_line_points(start, c, step), _line_points(c, goal, step)]) for c in corners]
+    sparse_lines = [
+        line[::FIRST_CHECK_STRIDE] for line in lines
+    ]  # sparse points already reject nearly all lines
+    line_index = np.repeat(np.arange(len(sparse_lines)), [len(points) for points in sparse_lines])
+    is_blocked = np.bincount(line_index, ~free(np.concatenate(sparse_lines)), len(sparse_lines)) > 0
+    for k in np.flatnonzero(~is_blocked).tolist():
         if free(lines[k]).all():
             return np.stack([start, corners[k], goal])
     return None
 
 
 @dataclasses.dataclass(frozen=True)
-class Places:
-    """Places of a way: on the lines ``move`` (P,) between waypoints, at ``share`` (P,) of them."""
+class PathSamples:
+    """Points on a path: on the lines ``move`` (P,) between waypoints, at ``fraction`` (P,) of them."""
 
     move: IndexArray
-    share: FloatArray
+    fraction: FloatArray
 
-    def and_also(self, other: "Places") -> "Places":
-        """These and the other ones."""
-        return Places(np.append(self.move, other.move), np.append(self.share, other.share))
+    def extended(self, other: "PathSamples") -> "PathSamples":
+        """Append other points."""
+        return PathSamples(np.append(self.move, other.move), np.append(self.fraction, other.fraction))
 
-    def thinned(self, count: int) -> "Places":
-        """At most so many of them, evenly."""
-        some = np.unique(np.linspace(0, len(self.move) - 1, min(count, len(self.move))).astype(np.intp))
-        return self.at(some)
+    def subsampled(self, count: int) -> "PathSamples":
+        """Select at most ``count`` points, evenly spread."""
+        rows = np.unique(np.linspace(0, len(self.move) - 1, min(count, len(self.move))).astype(np.intp))
+        return self.select(rows)
 
-    def at(self, some: IndexArray) -> "Places":
-        """Some of them, perhaps more than once."""
-        return Places(self.move[some], self.share[some])
+    def select(self, rows: IndexArray) -> "PathSamples":
+        """Select points by their rows, which may repeat."""
+        return PathSamples(self.move[rows], self.fraction[rows])
 
-    def points(self, way: FloatArray) -> FloatArray:
-        """The points (P, D) there of a way (M, D)."""
-        start, end = way[self.move], way[self.move + 1]
-        return np.asarray(start + self.share[:, None] * (end - start))
-
-
-NOWHERE: Final = Places(np.zeros(0, dtype=np.intp), np.zeros(0))
-"""No places."""
+    def points(self, path: FloatArray) -> FloatArray:
+        """Coordinates (P, D) on a path (M, D)."""
+        start, end = path[self.move], path[self.move + 1]
+        return np.asarray(start + self.fraction[:, None] * (end - start))
 
 
-def blocked_places(
-    way: FloatArray, free: Free, step: float, sure: Sure | None = None, every: bool = True
-) -> Places:
-    """Where the straight lines between waypoints (M, D) are not free, looked at every ``step``: all places
-    where looks fail, of which there is one wherever a line is halved, too; or not ``every`` one, but those of
-    the first that do.
+NO_SAMPLES: Final = PathSamples(np.zeros(0, dtype=np.intp), np.zeros(0))
+"""No points."""
 
-    ``sure`` tells of points (B, D) and how far (B, D) the coordinates go from there either way whether (B,)
-    all of that is free for sure; there nothing is looked at, elsewhere halves are asked about.
-    A few points take hardly longer than one, so of few pieces their halves are asked about with them, and the
-    halves of these; what is found is the same.
+
+def find_blocked(
+    path: FloatArray,
+    free: IsFree,
+    step: float,
+    surely_free: IsSurelyFree | None = None,
+    find_all: bool = True,
+) -> PathSamples:
+    """Find points of a path that are not free.
+
+    Lines are bisected until they are checked every ``step``. A few points cost hardly more than one. If few
+    pieces remain, their halves are therefore checked together with them, and the halves of these. The result
+    is the same.
+
+    Args:
+        path: (M, D) waypoints.
+        free: Whether points (B, D) are free.
+        step: Spacing of checks by the largest coordinate.
+        surely_free: Whether (B,) everything within (B, D) of points (B, D) is certainly free. Nothing is
+            checked there.
+        find_all: Whether all blocked points are returned, including those where a line is bisected, or only
+            those of the first failing check.
     """
-    move = np.arange(len(way) - 1)
-    pieces = _Pieces(move, np.zeros(len(move)), np.ones(len(move)))
-    out = NOWHERE
+    move = np.arange(len(path) - 1)
+    pieces = _PathPieces(move, np.zeros(len(move)), np.ones(len(move)))
+    out = NO_SAMPLES
     while len(pieces.move):
+        # Add generations of halves while they fit in one query.
         generations = [pieces]
-        while sum(len(some.move) for some in generations) + 2 * len(generations[-1].move) <= ASKED_AHEAD:
-            generations.append(generations[-1].halves())
-        points = np.concatenate([some.middles(way) for some in generations])
-        reach = np.concatenate([some.half(way) for some in generations])
-        open_ = np.ones(len(points), dtype=bool) if sure is None else ~sure(points, reach)
-        fine = reach.max(axis=1) <= step
-        ends = np.cumsum([len(some.move) for some in generations])[:-1]
-        asked: list[Places] = []
-        own = np.arange(len(pieces.move))  # what is come to of a generation
-        for some, still, last in zip(generations, np.split(open_, ends), np.split(fine, ends), strict=True):
-            look, end = own[still[own]], own[(still & last)[own]]
-            middle = 0.5 * (some.low + some.high)
-            asked.append(
-                Places(np.append(some.move[look], some.move[end]), np.append(middle[look], some.high[end]))
-            )
-            split = own[(still & ~last)[own]]
-            own = np.append(split, split + len(some.move))
-        looked = functools.reduce(Places.and_also, asked)
-        bad = ~free(looked.points(way)) if len(looked.move) else np.zeros(0, dtype=bool)
-        for where, failed in zip(
-            asked, np.split(bad, np.cumsum([len(a.move) for a in asked])[:-1]), strict=True
+        while (
+            sum(len(generation.move) for generation in generations) + 2 * len(generations[-1].move)
+            <= MAX_PIECES_AHEAD
         ):
-            out = out.and_also(where.at(np.flatnonzero(failed)))
-            if (len(out.move) and not every) or len(out.move) > MOST_BLOCKED:
+            generations.append(generations[-1].halves())
+        points = np.concatenate([generation.midpoints(path) for generation in generations])
+        reach = np.concatenate([generation.half_extents(path) for generation in generations])
+        open_ = np.ones(len(points), dtype=bool) if surely_free is None else ~surely_free(points, reach)
+        is_small = reach.max(axis=1) <= step
+        ends = np.cumsum([len(generation.move) for generation in generations])[:-1]
+        queried: list[PathSamples] = []
+        # Of each generation only the pieces count whose parents were not decided.
+        undecided = np.arange(len(pieces.move))
+        for generation, is_open, is_fine in zip(
+            generations, np.split(open_, ends), np.split(is_small, ends), strict=True
+        ):
+            checked_midpoints, end = undecided[is_open[undecided]], undecided[(is_open & is_fine)[undecided]]
+            middle = 0.5 * (generation.low + generation.high)
+            queried.append(
+                PathSamples(
+                    np.append(generation.move[checked_midpoints], generation.move[end]),
+                    np.append(middle[checked_midpoints], generation.high[end]),
+                )
+            )
+            bisected = undecided[(is_open & ~is_fine)[undecided]]
+            undecided = np.append(bisected, bisected + len(generation.move))
+        all_queried = functools.reduce(PathSamples.extended, queried)
+        bad = ~free(all_queried.points(path)) if len(all_queried.move) else np.zeros(0, dtype=bool)
+        for samples, failed in zip(
+            queried, np.split(bad, np.cumsum([len(a.move) for a in queried])[:-1]), strict=True
+        ):
+            out = out.extended(samples.select(np.flatnonzero(failed)))
+            if (len(out.move) and not find_all) or len(out.move) > MAX_BLOCKED_SAMPLES:
                 return out
-        pieces = generations[-1].halves().at(own)
+        pieces = generations[-1].halves().select(undecided)
     return out
 
 
 @dataclasses.dataclass(frozen=True)
-class _Pieces:
-    """Pieces of the lines ``move`` (P,) from their shares ``low`` to ``high`` (P,)."""
+class _PathPieces:
+    """Pieces of the lines ``move`` (P,) from fraction ``low`` to ``high`` (P,)."""
 
     move: IndexArray
     low: FloatArray
     high: FloatArray
 
-    def at(self, some: IndexArray) -> "_Pieces":
-        """Some of them."""
-        return _Pieces(self.move[some], self.low[some], self.high[some])
+    def select(self, rows: IndexArray) -> "_PathPieces":
+        """Select pieces by their rows."""
+        return _PathPieces(self.move[rows], self.low[rows], self.high[rows])
 
-    def halves(self) -> "_Pieces":
-        """The first halves of all, then the second ones."""
+    def halves(self) -> "_PathPieces":
+        """The first halves of all pieces, then the second halves."""
         middle = 0.5 * (self.low + self.high)
-        return _Pieces(np.tile(self.move, 2), np.append(self.low, middle), np.append(middle, self.high))
+        return _PathPieces(np.tile(self.move, 2), np.append(self.low, middle), np.append(middle, self.high))
 
-    def middles(self, way: FloatArray) -> FloatArray:
-        """Their middles (P, D)."""
-        return Places(self.move, 0.5 * (self.low + self.high)).points(way)
+    def midpoints(self, path: FloatArray) -> FloatArray:
+        """Midpoints (P, D)."""
+        return PathSamples(self.move, 0.5 * (self.low + self.high)).points(path)
 
-    def half(self, way: FloatArray) -> FloatArray:
-        """How far (P, D) coordinates go from there to their ends."""
-        return np.asarray(0.5 * (self.high - self.low)[:, None] * np.abs(way[self.move + 1] - way[self.move]))
-
-
-ASKED_AHEAD: Final = 64
-"""Pieces of a way that are asked about at once, where there are halves to be asked about with them."""
-MOST_BLOCKED: Final = 200
-"""Places of a way that are not free after which no others are looked for."""
+    def half_extents(self, path: FloatArray) -> FloatArray:
+        """Half extents (P, D) of the pieces by coordinate."""
+        return np.asarray(
+            0.5 * (self.high - self.low)[:, None] * np.abs(path[self.move + 1] - path[self.move])
+        )
 
 
-class _Tree:
+MAX_PIECES_AHEAD: Final = 64
+"""Maximum number of pieces that are checked together while there are halves to check in advance."""
+MAX_BLOCKED_SAMPLES: Final = 200
+"""Number of blocked points after which the search for others ends."""
+
+
+class _RrtTree:
     def __init__(self, root: FloatArray) -> None:
         self._points = root[None].copy()
         self.parent = [-1]
 
     @property
     def points(self) -> FloatArray:
-        """The points (P, D) so far."""
+        """Points (P, D) so far."""
         return self._points[: len(self.parent)]
 
-    def nearest(self, toward: FloatArray) -> tuple[int, float]:
-        """The point that is nearest to a point by the largest coordinate, and how far off it is."""
-        away = np.abs(self.points - toward).max(axis=1)
-        near = int(np.argmin(away))
-        return near, float(away[near])
+    def nearest(self, target: FloatArray) -> tuple[int, float]:
+        """Index of the point nearest to a target by the largest coordinate, and its distance."""
+        distances = np.abs(self.points - target).max(axis=1)
+        index = int(np.argmin(distances))
+        return index, float(distances[index])
 
-    def line(self, near: int, away: float, toward: FloatArray, step: float) -> FloatArray:
-        """Points (K, D) on the line from one of its points, ``away`` from it, toward a point."""
-        base = self.points[near]
-        share = min(1.0, MOST_GROWTH_STEPS * step / away)
-        count = max(1, int(np.ceil(share * away / step)))
-        line = base + share * (np.arange(1, count + 1) / count)[:, None] * (toward - base)
-        if share == 1.0:
-            line[-1] = toward
+    def line(self, index: int, distance: float, target: FloatArray, step: float) -> FloatArray:
+        """Points (K, D) on the line from a tree point, at ``distance`` from the target, toward the target."""
+        base = self.points[index]
+        fraction = min(1.0, MAX_GROWTH_STEPS * step / distance)
+        count = max(1, int(np.ceil(fraction * distance / step)))
+        line = base + fraction * (np.arange(1, count + 1) / count)[:, None] * (target - base)
+        if fraction == 1.0:
+            line[-1] = target
         return np.asarray(line)
 
-    def add(self, near: int, line: FloatArray, ok: BoolArray) -> int | None:
-        """Adds the end of the free part of a line from a point; its index, or None if there is none."""
-        good = len(ok) if ok.all() else int(np.argmin(ok))
-        if good == 0:
+    def add(self, parent_index: int, line: FloatArray, is_free: BoolArray) -> int | None:
+        """Add the end of the free part of a line. Returns its index, or None if no point is free."""
+        free_count = len(is_free) if is_free.all() else int(np.argmin(is_free))
+        if free_count == 0:
             return None
         if len(self.parent) == len(self._points):
             self._points = np.concatenate([self._points, np.empty_like(self._points)])
-        self._points[len(self.parent)] = line[good - 1]
-        self.parent.append(near)
+        self._points[len(self.parent)] = line[free_count - 1]
+        self.parent.append(parent_index)
         return len(self.parent) - 1
 
-    def way(self, index: int) -> FloatArray:
+    def path_to_root(self, index: int) -> FloatArray:
         """Points from ``index`` to the root."""
         out = []
         while index >= 0:
@@ -259,87 +305,104 @@ class _Tree:
         return np.array(out)
 
 
-_Line = tuple[int, FloatArray, BoolArray]
-"""A line of a tree: the point that it begins at, its points (K, D), and which of these are free (K,)."""
+_TreeLine = tuple[int, FloatArray, BoolArray]
+"""A line of a tree: index of its start point, its points (K, D), and whether they are free (K,)."""
 
 
-class _Growth:
-    """Two trees, of which in each round one grows toward a sample (R, D) and the other toward what it got to.
+class _TreeGrowth:
+    """Two trees. In each round one grows toward a sample (R, D) and the other toward the new point.
 
-    Lines of rounds to come are asked about at once, from the trees as they are, which takes little longer
-    than one line. Where a tree has changed meanwhile so that another of its points is nearest, a line is not
-    used and asked about anew: trees grow as they do line by line.
+    Lines of later rounds are checked together in advance, from the trees as they are, which takes little
+    longer than one line. If a tree changes meanwhile so that another point is nearest, the line is discarded
+    and checked again. The trees therefore grow exactly as they would line by line.
     """
 
-    def __init__(self, trees: tuple[_Tree, _Tree], samples: FloatArray, free: Free, step: float) -> None:
+    def __init__(
+        self, trees: tuple[_RrtTree, _RrtTree], samples: FloatArray, free: IsFree, step: float
+    ) -> None:
         self._trees, self._samples, self._free, self._step = trees, samples, free, step
-        self._first: dict[int, _Line] = {}
-        self._second: dict[int, _Line] = {}
-        self._asked, self._missed, self._ahead = 0, 0, 1
+        self._first_lines: dict[int, _TreeLine] = {}
+        self._second_lines: dict[int, _TreeLine] = {}
+        self._queried_until, self._misses, self._lookahead = 0, 0, 1
 
-    def first(self, count: int) -> int | None:
-        """A round's first tree grows toward its sample: its new point, or None."""
-        if count == self._asked:
-            self._ahead = max(1, self._ahead // 2) if 4 * self._missed > self._ahead else 2 * self._ahead
-            self._ahead, self._missed = min(self._ahead, MOST_AHEAD), 0
-            self._ask(range(count, min(count + self._ahead, len(self._samples))))
-        return self._grown(self._trees[count % 2], self._samples[count], self._first.pop(count, None))
+    def grow_first(self, round_number: int) -> int | None:
+        """Grow the first tree of a round toward its sample. Returns the new point, or None."""
+        if round_number == self._queried_until:
+            self._lookahead = (
+                max(1, self._lookahead // 2) if 4 * self._misses > self._lookahead else 2 * self._lookahead
+            )
+            self._lookahead, self._misses = min(self._lookahead, MAX_LOOKAHEAD), 0
+            self._query_lines(range(round_number, min(round_number + self._lookahead, len(self._samples))))
+        return self._extend(
+            self._trees[round_number % 2],
+            self._samples[round_number],
+            self._first_lines.pop(round_number, None),
+        )
 
-    def second(self, count: int, toward: FloatArray) -> int | None:
-        """The other tree grows toward a point; as :meth:`first`."""
-        return self._grown(self._trees[1 - count % 2], toward, self._second.pop(count, None))
+    def grow_second(self, round_number: int, target: FloatArray) -> int | None:
+        """Grow the other tree toward a point. Returns the new point, or None."""
+        return self._extend(
+            self._trees[1 - round_number % 2], target, self._second_lines.pop(round_number, None)
+        )
 
-    def _grown(self, tree: _Tree, toward: FloatArray, known: _Line | None) -> int | None:
-        near, away = tree.nearest(toward)
-        if away < SAME_PLACE:
-            return near
-        line = tree.line(near, away, toward, self._step)
-        if known is not None and known[0] == near and np.array_equal(known[1], line):
-            return tree.add(*known)
-        self._missed += known is not None
-        return tree.add(near, line, self._free(line))
+    def _extend(self, tree: _RrtTree, target: FloatArray, known_line: _TreeLine | None) -> int | None:
+        index, distance = tree.nearest(target)
+        if distance < POINT_TOLERANCE:
+            return index
+        line = tree.line(index, distance, target, self._step)
+        if known_line is not None and known_line[0] == index and np.array_equal(known_line[1], line):
+            return tree.add(*known_line)
+        self._misses += known_line is not None
+        return tree.add(index, line, self._free(line))
 
-    def _ask(self, rounds: range) -> None:
-        self._first = self._lines({n: (self._trees[n % 2], self._samples[n]) for n in rounds})
-        ends = {n: line[np.argmin(ok) - 1] for n, (_, line, ok) in self._first.items() if ok[0]}
-        ends |= {n: line[-1] for n, (_, line, ok) in self._first.items() if ok.all()}
-        self._second = self._lines({n: (self._trees[1 - n % 2], end) for n, end in ends.items()})
-        self._asked = rounds.stop
+    def _query_lines(self, rounds: range) -> None:
+        self._first_lines = self._build_lines({n: (self._trees[n % 2], self._samples[n]) for n in rounds})
+        ends = {
+            n: line[np.argmin(is_free) - 1]
+            for n, (_, line, is_free) in self._first_lines.items()
+            if is_free[0]
+        }
+        ends |= {n: line[-1] for n, (_, line, is_free) in self._first_lines.items() if is_free.all()}
+        self._second_lines = self._build_lines({n: (self._trees[1 - n % 2], end) for n, end in ends.items()})
+        self._queried_until = rounds.stop
 
-    def _lines(self, wanted: Mapping[int, tuple[_Tree, FloatArray]]) -> dict[int, _Line]:
-        """Lines of trees toward points, by the rounds that want them."""
-        found = {}
-        for number, (tree, toward) in wanted.items():
-            near, away = tree.nearest(toward)
-            if away >= SAME_PLACE:
-                found[number] = near, tree.line(near, away, toward, self._step)
-        if not found:
+    def _build_lines(self, requests: Mapping[int, tuple[_RrtTree, FloatArray]]) -> dict[int, _TreeLine]:
+        """Lines of trees toward points, by the round that requests them."""
+        lines_by_round = {}
+        for number, (tree, target) in requests.items():
+            index, distance = tree.nearest(target)
+            if distance >= POINT_TOLERANCE:
+                lines_by_round[number] = index, tree.line(index, distance, target, self._step)
+        if not lines_by_round:
             return {}
-        lines = [line for _, line in found.values()]
-        ok = np.split(self._free(np.concatenate(lines)), np.cumsum([len(line) for line in lines])[:-1])
-        return {n: (near, line, own) for (n, (near, line)), own in zip(found.items(), ok, strict=True)}
+        lines = [line for _, line in lines_by_round.values()]
+        is_free = np.split(self._free(np.concatenate(lines)), np.cumsum([len(line) for line in lines])[:-1])
+        return {
+            n: (index, line, line_is_free)
+            for (n, (index, line)), line_is_free in zip(lines_by_round.items(), is_free, strict=True)
+        }
 
 
-def _line_free(a: FloatArray, b: FloatArray, free: Free, step: float) -> bool:
-    return bool(free(_line(a, b, step)).all())
+def _is_line_free(a: FloatArray, b: FloatArray, free: IsFree, step: float) -> bool:
+    return bool(free(_line_points(a, b, step)).all())
 
 
-def _line(a: FloatArray, b: FloatArray, step: float) -> FloatArray:
-    """Points (K, D) of the straight line behind ``a`` to ``b``."""
+def _line_points(a: FloatArray, b: FloatArray, step: float) -> FloatArray:
+    """Points (K, D) of the straight line from ``a`` (excluded) to ``b``."""
     count = max(1, int(np.ceil(np.abs(b - a).max() / step)))
     return np.asarray(a + (np.arange(1, count + 1) / count)[:, None] * (b - a))
 
 
-def _shorten(way: FloatArray, free: Free, step: float, rng: np.random.Generator) -> FloatArray:
-    points = list(way)
-    blocked: set[tuple[int, int]] = set()  # few points are left soon, and the same ones are drawn again
-    for _ in range(SHORTCUT_TRIES):
+def _shortcut_path(path: FloatArray, free: IsFree, step: float, rng: np.random.Generator) -> FloatArray:
+    points = list(path)
+    blocked: set[tuple[int, int]] = set()  # with few points left the same pairs are drawn again
+    for _ in range(MAX_SHORTCUT_TRIES):
         if len(points) < 3:
             break
         i, j = sorted(rng.choice(len(points), 2, replace=False).tolist())
         if j - i < 2 or (i, j) in blocked:
             continue
-        if _line_free(points[i], points[j], free, step):
+        if _is_line_free(points[i], points[j], free, step):
             del points[i + 1 : j]
             blocked.clear()
         else:

@@ -1,11 +1,12 @@
-"""Motion of a whole problem: a place for the stock where none is given, then every operation.
+"""Motion planning of a whole problem.
 
-Where the controller goes by spline blocks (``controller: {path: spline}``), the plan leaves room
-for them: the curve between two targets is known within bounds only, and the proof takes these off.
+The stock is placed where its pose is not stated, then every operation is planned.
+
+With spline blocks (``controller: {path: spline}``) the plan keeps extra margins. The curve between two
+targets is known within bounds only, which the proof subtracts.
 """
 
 import dataclasses
-import functools
 import itertools
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -13,51 +14,59 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.cell import axis_way, clearance, plant, support
+from planner.cell import clearance, external_axis_motion, plant, support
 from planner.cell.plant import CellModel
 from planner.files import versions
 from planner.geometry.arrays import BoolArray, FloatArray, from_parts
 from planner.geometry.units import MM, measurement
 from planner.issues import Issue, Remedy, TandemError, aggregate
-from planner.motion import diagnosis, remedies, sag, stations, ways
-from planner.motion.first_look import FirstLook
-from planner.motion.former import Former, place_told, unlike_told
-from planner.motion.operation import NoCoarsePathError, plan_operation
-from planner.motion.placement import Place, Search, Trace
+from planner.motion import diagnosis, homing, remedies, sag, stations
+from planner.motion.operation import NoCoarsePathError, PathSearchOptions, plan_operation
+from planner.motion.placement import PlacementCandidate, PlacementJob, PlacementSearch, PlacementTrace
 from planner.motion.planning_scene import Chain, Scene
-from planner.motion.search.ladder_search import Blocked, Found
+from planner.motion.quick_check import QuickCheck
+from planner.motion.reference_plan import ReferencePlan, incompatible_note, placement_note
+from planner.motion.search.layered_graph_search import BlockedSearch, PathResult
 from planner.motion.search.path_search import find_path, with_aims
-from planner.motion.search.reach import Grid, slides_only
+from planner.motion.search.reach import SampleGrid, is_sampled_as_slide
 from planner.plans import OperationPlan, Plan
 from planner.problem import Cell, Problem, Settings, Setup
 from planner.runtime.executor import SERIAL, Executor
 from planner.targets import JointFreedom, Targets
 
-SPLINE_CLEARANCE_M: Final = 4e-3
-"""Bodies keep so much farther [m] apart."""
-SPLINE_MARGIN_RAD: Final = float(np.deg2rad(0.2))
-"""Axes keep so much farther [rad] off their limits and off singular postures."""
+SPLINE_EXTRA_CLEARANCE_M: Final = 4e-3
+"""Extra clearance [m] for spline blocks."""
+SPLINE_EXTRA_MARGIN_RAD: Final = float(np.deg2rad(0.2))
+"""Extra margin [rad] to joint limits and singularities for spline blocks."""
 SPLINE_SLOWING_FACTOR: Final = 1.15
-"""Tools go so many times as slow as allowed: they may be faster between two targets."""
+"""Factor by which tools are slower than allowed with spline blocks, because they may be faster between two
+targets.
+"""
 SPLINE_RAMP_FACTOR: Final = 1.25
-"""The same of the first two and the last two moves from stop to stop, besides: ramps end faster."""
+"""Additional factor for the first two and the last two moves between stops, because ramps end faster."""
 
 
-def with_room(problem: Problem, targets: Sequence[Targets]) -> tuple[Problem, tuple[Targets, ...]]:
-    """The problem and its targets with room for the sag of arms that have it compensated, and for the curves
-    of spline blocks, and with the last joints of arms with seven axes as freedoms; as they are without
-    such."""
-    problem, targets = _with_room(problem, targets)
-    return problem, tuple(_with_joints(problem, own) for own in targets)
+def with_margins(problem: Problem, targets: Sequence[Targets]) -> tuple[Problem, tuple[Targets, ...]]:
+    """Add the margins that planning needs, and redundant joints as freedoms.
+
+    Margins are added for compensated sag and for spline blocks. Without these and without redundant joints,
+    problem and targets are unchanged.
+
+    Args:
+        problem: Problem as stated.
+        targets: Targets of all operations.
+    """
+    problem, targets = _with_sag_and_spline_margins(problem, targets)
+    return problem, tuple(_with_redundant_joints(problem, operation_targets) for operation_targets in targets)
 
 
-def _with_joints(problem: Problem, targets: Targets) -> Targets:
-    """The targets with the last joint of each arm that has one to spare as a freedom."""
+def _with_redundant_joints(problem: Problem, targets: Targets) -> Targets:
+    """The targets with the last joint of each redundant arm as a freedom."""
     names = {freedom.name for freedom in targets.freedoms}
-    turns = any(not slides_only(freedom) for freedom in targets.freedoms)
+    turns = any(not is_sampled_as_slide(freedom) for freedom in targets.freedoms)
     out = []
     for arm in (problem.cell.arm(name) for name in targets.arms):
-        if not Chain.of(arm).spare:
+        if not Chain.of(arm).is_redundant:
             continue
         robot, margin = arm.data, problem.settings.joint_margin
         middle = 0.5 * (robot.lower[-1] + robot.upper[-1])
@@ -66,44 +75,50 @@ def _with_joints(problem: Problem, targets: Targets) -> Targets:
         while name in names:
             name += "_"
         bounds = np.full(targets.count, middle - half), np.full(targets.count, middle + half)
-        out.append(JointFreedom(name, arm.name, *bounds, alone=not turns))
+        out.append(JointFreedom(name, arm.name, *bounds, is_sole_rotation=not turns))
     return dataclasses.replace(targets, freedoms=(*targets.freedoms, *out)) if out else targets
 
 
-def _with_room(problem: Problem, targets: Sequence[Targets]) -> tuple[Problem, tuple[Targets, ...]]:
-    own = problem.settings
-    way, turn = sag.room(problem)
-    if way > 0.0 or turn > 0.0:
+def _with_sag_and_spline_margins(
+    problem: Problem, targets: Sequence[Targets]
+) -> tuple[Problem, tuple[Targets, ...]]:
+    settings_before = problem.settings
+    clearance, joint_margin = sag.sag_margins(problem)
+    if clearance > 0.0 or joint_margin > 0.0:
         settings = dataclasses.replace(
-            own.wider(way),
-            joint_margin=own.joint_margin + turn,
-            singularity_margin=own.singularity_margin + turn,
+            settings_before.widen_clearances(clearance),
+            joint_margin=settings_before.joint_margin + joint_margin,
+            singularity_margin=settings_before.singularity_margin + joint_margin,
         )
         problem = dataclasses.replace(problem, settings=settings)
     if problem.cell.controller.path != "spline":
         return problem, tuple(targets)
-    own = problem.settings
+    settings_before = problem.settings
     settings = dataclasses.replace(
-        own.wider(SPLINE_CLEARANCE_M),
-        joint_margin=own.joint_margin + SPLINE_MARGIN_RAD,
-        singularity_margin=own.singularity_margin + SPLINE_MARGIN_RAD,
-        tcp_speed=own.tcp_speed / SPLINE_SLOWING_FACTOR,
+        settings_before.widen_clearances(SPLINE_EXTRA_CLEARANCE_M),
+        joint_margin=settings_before.joint_margin + SPLINE_EXTRA_MARGIN_RAD,
+        singularity_margin=settings_before.singularity_margin + SPLINE_EXTRA_MARGIN_RAD,
+        tcp_speed=settings_before.tcp_speed / SPLINE_SLOWING_FACTOR,
     )
     slower = tuple(
         dataclasses.replace(
-            t,
-            feed=t.feed
-            / np.where(_near_stops(t), SPLINE_SLOWING_FACTOR * SPLINE_RAMP_FACTOR, SPLINE_SLOWING_FACTOR),
+            operation_targets,
+            feed=operation_targets.feed
+            / np.where(
+                _are_near_stops(operation_targets),
+                SPLINE_SLOWING_FACTOR * SPLINE_RAMP_FACTOR,
+                SPLINE_SLOWING_FACTOR,
+            ),
         )
-        if t.feed_throughout
-        else t
-        for t in targets
+        if operation_targets.feed_throughout
+        else operation_targets
+        for operation_targets in targets
     )
     return dataclasses.replace(problem, settings=settings), slower
 
 
-def _near_stops(targets: Targets) -> BoolArray:
-    """Moves to targets (N,) that are one of two before or behind a stop."""
+def _are_near_stops(targets: Targets) -> BoolArray:
+    """Whether moves to targets (N,) are one of two before or after a stop."""
     stop = targets.stop.copy()
     stop[[0, -1]] = True
     out = stop.copy()
@@ -114,15 +129,15 @@ def _near_stops(targets: Targets) -> BoolArray:
 
 
 Progress = Callable[[str, float], None]
-_Paths = dict[int, tuple[Grid, Found]]
-"""What :func:`find_path` gave for operations, by their numbers."""
+_PathsByOperation = dict[int, tuple[SampleGrid, PathResult]]
+"""Results of :func:`find_path` by operation index."""
 
-PLACES_TRIED: Final = 6
-"""Places of a stock that are planned whole at most."""
-AWAY_M: Final = 50.0
-"""A stock is put so far away [m] along each axis to judge homes without it."""
-ASIDE_STEP_M: Final = 0.01
-"""[m] by whole multiples of this a block is told to be moved out of what it stands in."""
+MAX_PLANNED_PLACEMENTS: Final = 6
+"""Maximum number of stock poses that are planned completely."""
+FAR_STOCK_OFFSET_M: Final = 50.0
+"""Offset [m] of the stock along each axis when homes are checked without it."""
+STOCK_MOVE_STEP_M: Final = 0.01
+"""Step [m] of the suggested move of a stock out of an overlap."""
 
 
 def solve(
@@ -130,78 +145,91 @@ def solve(
     targets: Sequence[Targets],
     progress: Progress | None = None,
     executor: Executor = SERIAL,
-    former: Former | None = None,
+    reference: ReferencePlan | None = None,
 ) -> Plan:
-    """The plan of all operations of a problem, given the targets of each. ``executor`` runs
-    independent work; the plan is the same whatever it is. ``former``: a plan of a problem like this one, of
-    which is taken over what holds; notes tell what did and what did not.
+    """Plan all operations of a problem.
 
-    Every setup has a cell and a block of its own. Where the block is not moved between setups, one place is
-    found for all of them; bases that may be moved are found with the first place and stay. Raises
-    :class:`TandemError` with the reasons when there is no plan.
+    Every setup has its own cell and stock. If the stock is not moved between setups, one pose is searched for
+    all of them. Movable bases are searched together with the first pose and stay there.
+
+    Args:
+        problem: Problem.
+        targets: Targets of each operation.
+        progress: Receives stage and fraction.
+        executor: Runs independent work. The plan does not depend on it.
+        reference: Plan of a similar problem. What still holds is taken over, and notes report it.
+
+    Raises:
+        TandemError: No plan exists; the issues say why and what may help.
     """
-    problem, targets = with_room(problem, targets)
-    problem, targets = stations.stationed(problem, targets)
-    at = [0]
+    problem, targets = with_margins(problem, targets)
+    problem, targets = stations.assign_stations(problem, targets)
+    current = [0]
     try:
-        return _solve(problem, targets, progress or _silent, at, executor, former)
+        return _solve(problem, targets, progress or _ignore_progress, current, executor, reference)
     except TandemError as error:
-        raise TandemError(_advised(problem, targets, at[0], error.issues)) from error
+        raise TandemError(_with_remedies(problem, targets, current[0], error.issues)) from error
 
 
-def _advised(
+def _with_remedies(
     problem: Problem, targets: Sequence[Targets], operation: int, issues: Sequence[Issue]
 ) -> list[Issue]:
-    def plans(changed: Problem) -> bool:
+    def has_plan(changed: Problem) -> bool:
         try:
-            _solve(changed, targets, _silent, [0])
+            _solve(changed, targets, _ignore_progress, [0])
         except TandemError:
             return False
         return True
 
-    return remedies.advised(problem, targets, operation, issues, plans)
+    return remedies.suggest_remedies(problem, targets, operation, issues, has_plan)
 
 
 def _solve(
     problem: Problem,
     targets: Sequence[Targets],
-    tell: Progress,
-    at: list[int],
+    report_progress: Progress,
+    current: list[int],
     executor: Executor = SERIAL,
-    former: Former | None = None,
+    reference: ReferencePlan | None = None,
 ) -> Plan:
-    """As :func:`solve`; ``at`` is set to the operation that is planned."""
-    tell("cell", 0.0)
+    """Plan as :func:`solve`. ``current`` is set to the index of the operation that is planned."""
+    report_progress("cell", 0.0)
     metrics: dict[str, Any] = {"stages": {}}
     notes: list[Issue] = []
-    if former is not None and (why := former.unlike(problem)):
-        notes.append(unlike_told(former.problem.name, why))
-        former = None
-    bases = {arm.name: arm.base for arm in problem.cell.arms if not arm.axes}
-    places: list[FloatArray] = []
+    if reference is not None and (reason := reference.incompatibility_reason(problem)):
+        notes.append(incompatible_note(reference.problem.name, reason))
+        reference = None
+    bases = {arm.name: arm.base for arm in problem.cell.arms if not arm.linear_axes}
+    stock_poses: list[FloatArray] = []
     operations: list[OperationPlan] = []
-    stands = setup_groups(problem, targets)
-    begun = _begun(problem, stands, bases, executor, former)
-    for stand in stands:
-        stand = stand if not places else stand.based(bases)
-        calls = begun.get(stand.setups[0].number)
-        settled = _settle(problem, stand, tell, at, executor, former) if calls is None else _told(calls, at)
-        settled.into(metrics, stand)
-        notes += settled.notes
-        bases.update(settled.place.bases)
-        places += [settled.place.stock] * len(stand.setups)
-        operations += settled.operations
-    tell("motion", 1.0)
-    ways = axis_way.travels(problem, places)
-    if ways:
-        metrics["travel_s"] = sum(way.seconds for own in ways for way in own.values())
+    groups = setup_groups(problem, targets)
+    submitted = _submit_later_groups(problem, groups, bases, executor, reference)
+    for group in groups:
+        group = group if not stock_poses else group.with_bases(bases)
+        submitted_group = submitted.get(group.setups[0].number)
+        group_plan = (
+            _plan_group(problem, group, report_progress, current, executor, reference)
+            if submitted_group is None
+            else _await_group(submitted_group, current)
+        )
+        group_plan.add_metrics(metrics, group)
+        notes += group_plan.notes
+        bases.update(group_plan.placement.bases)
+        stock_poses += [group_plan.placement.stock] * len(group.setups)
+        operations += group_plan.operations
+    report_progress("motion", 1.0)
+    travels = external_axis_motion.axis_travels(problem, stock_poses)
+    if travels:
+        metrics["travel_s"] = sum(
+            travel.seconds for setup_travels in travels for travel in setup_travels.values()
+        )
     issues = [*(issue for t in targets for issue in t.issues), *notes]
     issues += [issue for operation in operations for issue in operation.issues]
     return Plan(
         problem_name=problem.name,
         digest=problem.digest,
         versions=versions(),
-        places=tuple(places),
+        stock_poses=tuple(stock_poses),
         bases=bases,
         operations=tuple(operations),
         metrics=metrics,
@@ -211,48 +239,69 @@ def _solve(
 
 
 def check(
-    problem: Problem, targets: Sequence[Targets], advise: bool = True, first: FirstLook | None = None
+    problem: Problem,
+    targets: Sequence[Targets],
+    with_remedies: bool = True,
+    quick_check: QuickCheck | None = None,
 ) -> list[Issue]:
-    """Issues of reach and collision without optimising or timing; empty if every operation has a path.
-    ``advise``: changes that may help are tried. With ``first`` some targets alone are looked at, one by one:
-    empty if each of these has a free posture; where the block's place is searched, at one of a few places, or
-    if none of these will do."""
-    problem, targets = with_room(problem, targets)
+    """Check reach and collisions without optimisation and timing.
+
+    Args:
+        problem: Problem.
+        targets: Targets of each operation.
+        with_remedies: Whether remedies are tried.
+        quick_check: Checks some targets only, one by one. If the stock pose is searched, only a few poses are
+            tried.
+
+    Returns:
+        Issues; empty if every operation has a path. With ``quick_check``: empty if each checked target has a
+        free posture at one of a few stock poses, or if none of these poses is feasible.
+    """
+    problem, targets = with_margins(problem, targets)
     try:
-        problem, targets = stations.stationed(problem, targets, None if first is None else first.passes)
+        problem, targets = stations.assign_stations(
+            problem, targets, None if quick_check is None else quick_check.all_reachable
+        )
     except TandemError as error:
         return list(error.issues)
     bases: Mapping[str, FloatArray] | None = None
-    for stand in setup_groups(problem, targets):
-        at = [0]
-        place, reasons = _look(problem, stand if bases is None else stand.based(bases), at, first)
-        if place is None:
-            return _advised(problem, targets, at[0], reasons) if advise else reasons
-        bases = {**(bases or {}), **place.bases}
+    for group in setup_groups(problem, targets):
+        current = [0]
+        placement, reasons = _check_group(
+            problem, group if bases is None else group.with_bases(bases), current, quick_check
+        )
+        if placement is None:
+            return _with_remedies(problem, targets, current[0], reasons) if with_remedies else reasons
+        bases = {**(bases or {}), **placement.bases}
     return []
 
 
 @dataclasses.dataclass(frozen=True)
-class Stand:
-    """Setups through which the block stays where it is; ``jobs``: the targets of each setup's operations."""
+class SetupGroup:
+    """Consecutive setups during which the stock is not moved.
+
+    Attributes:
+        setups: The setups.
+        jobs: Targets of each setup's operations.
+    """
 
     setups: tuple[Setup, ...]
     jobs: tuple[tuple[Targets, ...], ...]
 
     @property
-    def settled(self) -> bool:
-        """Whether there is nothing to be searched: the block's place and all bases are given."""
+    def is_placed(self) -> bool:
+        """Whether nothing has to be searched: the stock pose and all bases are stated."""
         first = self.setups[0]
         return first.stock.place is not None and not any(arm.base_auto for arm in first.cell.arms)
 
     @property
-    def place(self) -> FloatArray:
-        """The given place of the block (4, 4), or its attitude at the origin."""
+    def stock_pose(self) -> FloatArray:
+        """Stated stock pose (4, 4), or its attitude at the origin."""
         stock = self.setups[0].stock
         return stock.place if stock.place is not None else from_parts(stock.attitude, np.zeros(3))
 
-    def based(self, bases: Mapping[str, FloatArray]) -> "Stand":
-        """The same with the arms on given bases, which stay."""
+    def with_bases(self, bases: Mapping[str, FloatArray]) -> "SetupGroup":
+        """The same group with the arms fixed on the given bases."""
 
         def cell(setup: Setup) -> Cell:
             arms = tuple(
@@ -265,514 +314,602 @@ class Stand:
         return dataclasses.replace(self, setups=setups)
 
     def models(self) -> list[CellModel]:
-        """The collision model of each setup."""
-        return [plant.build(setup.cell, setup.stock, self.place) for setup in self.setups]
+        """Collision model of each setup."""
+        return [plant.build_cell_model(setup.cell, setup.stock, self.stock_pose) for setup in self.setups]
 
-    def each(self, models: Sequence[CellModel]) -> list[CellModel]:
-        """The model of each job, given those of the setups."""
+    def model_per_job(self, models: Sequence[CellModel]) -> list[CellModel]:
+        """Model of each job, given those of the setups."""
         return [model for model, jobs in zip(models, self.jobs, strict=True) for _ in jobs]
 
-    def search(self, settings: Settings, in_air: bool) -> Search:
-        """The search of a place for all operations; ``in_air``: a support, or a block
-        without one, may end above the floor."""
-        first = self.setups[0]
-        jobs = [(setup.cell, job) for setup, some in zip(self.setups, self.jobs, strict=True) for job in some]
-        cells = [cell for cell, _ in jobs]
-        return Search(first.cell, first.stock, [job for _, job in jobs], settings, cells=cells, in_air=in_air)
+    def placement_search(self, settings: Settings, in_air: bool) -> PlacementSearch:
+        """Create the placement search for all operations.
+
+        Args:
+            settings: Margins and seed.
+            in_air: Whether a support, or a stock without one, may end above the floor.
+        """
+        jobs = [
+            PlacementJob(setup.cell, targets)
+            for setup, setup_jobs in zip(self.setups, self.jobs, strict=True)
+            for targets in setup_jobs
+        ]
+        return PlacementSearch(self.setups[0].stock, jobs, settings, in_air=in_air)
 
 
-def setup_groups(problem: Problem, targets: Sequence[Targets]) -> list[Stand]:
-    """The setups of a problem with their targets, those together between which the block is not moved."""
-    out: list[Stand] = []
+def setup_groups(problem: Problem, targets: Sequence[Targets]) -> list[SetupGroup]:
+    """Group the setups of a problem, with their targets, by stock pose."""
+    out: list[SetupGroup] = []
     for setup in problem.setups:
         jobs = tuple(targets[i] for i in setup.operations)
         change = problem.changes.get(setup.operations[0])
-        moved = change is None or "place" in change.stock or "held_by" in change.stock
-        moved |= problem.cell.turntable is not None
-        if out and not moved and setup.stock.held_by is None:
-            out[-1] = Stand((*out[-1].setups, setup), (*out[-1].jobs, jobs))
+        is_moved = change is None or "place" in change.stock or "held_by" in change.stock
+        is_moved |= problem.cell.turntable is not None
+        if out and not is_moved and setup.stock.held_by is None:
+            out[-1] = SetupGroup((*out[-1].setups, setup), (*out[-1].jobs, jobs))
         else:
-            out.append(Stand((setup,), (jobs,)))
+            out.append(SetupGroup((setup,), (jobs,)))
     return out
 
 
 @dataclasses.dataclass(frozen=True)
-class _PlacementSearch:
-    """The search for a place at which the operations of a stand have plans.
+class _GroupPlanner:
+    """Search for a stock pose at which all operations of a group have plans.
 
     Attributes:
         problem: The problem.
-        stand: Setups whose block stays in one place.
+        group: Setups with a common stock pose.
         models: Collision model of each setup.
-        at: One element, set to the index of the operation that is examined or planned.
-        tell: Receives the progress of the plan.
+        current: One element, set to the index of the operation that is examined or planned.
+        progress: Receives the progress of the plan.
         executor: Runs independent work.
     """
 
     problem: Problem
-    stand: Stand
+    group: SetupGroup
     models: Sequence[CellModel]
-    at: list[int]
-    tell: Progress
+    current: list[int]
+    progress: Progress
     executor: Executor = SERIAL
 
-    def each(self, place: Place | None = None) -> Iterator[tuple[Setup, CellModel, int, Targets]]:
-        """Setup, model (at a ``place``, if there is one), number and targets of every operation."""
-        stand = self.stand
-        for setup, jobs, model in zip(stand.setups, stand.jobs, self.models, strict=True):
-            placed = model if place is None else model.with_stock(place.stock).with_bases(place.bases)
+    def operations(
+        self, placement: PlacementCandidate | None = None
+    ) -> Iterator[tuple[Setup, CellModel, int, Targets]]:
+        """Yield setup, model, index and targets of every operation; ``placement`` places the model."""
+        group = self.group
+        for setup, jobs, model in zip(group.setups, group.jobs, self.models, strict=True):
+            placed = (
+                model if placement is None else model.with_stock(placement.stock).with_bases(placement.bases)
+            )
             for index, job in zip(setup.operations, jobs, strict=True):
                 yield setup, placed, index, job
 
-    def scenes(self, place: Place) -> Iterator[tuple[int, Targets, Scene]]:
-        """Number, targets and scene of every operation at a place."""
+    def scenes(self, placement: PlacementCandidate) -> Iterator[tuple[int, Targets, Scene]]:
+        """Yield index, targets and scene of every operation at a placement."""
         settings = self.problem.settings
-        for setup, placed, index, job in self.each(place):
-            yield index, job, Scene.of(setup.cell, job.arms, place.stock, settings, placed, place.bases)
+        for setup, placed, index, job in self.operations(placement):
+            yield (
+                index,
+                job,
+                Scene.of(setup.cell, job.arms, placement.stock, settings, placed, placement.bases),
+            )
 
-    def search(self) -> Search:
-        """The search of a place for the block."""
-        stated = any(setup.stock.support for setup in self.stand.setups)
-        taken = "stock.support" if stated else "stock.hangs"
-        return self.stand.search(self.problem.settings, taken in self.problem.accept)
+    def placement_search(self) -> PlacementSearch:
+        """Create the placement search of the stock."""
+        has_support = any(setup.stock.support for setup in self.group.setups)
+        accepted_code = "stock.support" if has_support else "stock.hangs"
+        return self.group.placement_search(self.problem.settings, accepted_code in self.problem.accept)
 
 
 @dataclasses.dataclass(frozen=True)
-class _Settled:
-    """A place and the plans of all operations of one stand, with the seconds of its ``stages``, figures of
-    the search for the place, None where there was none, and what is told of a former place."""
+class _SetupGroupPlan:
+    """Placement and plans of one group.
 
-    place: Place
+    Attributes:
+        placement: Stock pose and bases.
+        operations: Plans of all operations.
+        stages: Duration [s] of each stage.
+        trace: Metrics of the placement search; None if there was none.
+        notes: Notes on the stock pose of a reference plan.
+    """
+
+    placement: PlacementCandidate
     operations: list[OperationPlan]
     stages: Mapping[str, float]
     trace: Mapping[str, Any] | None
     notes: tuple[Issue, ...] = ()
 
-    def into(self, metrics: dict[str, Any], stand: Stand) -> None:
-        """Writes its figures among those of the plan."""
+    def add_metrics(self, metrics: dict[str, Any], group: SetupGroup) -> None:
+        """Add the metrics of the group to those of the plan."""
         for stage, seconds in self.stages.items():
             metrics["stages"][stage] = metrics["stages"].get(stage, 0.0) + seconds
-        name = f"placement_{stand.setups[0].number}" if "placement_score_deg" in metrics else "placement"
+        name = f"placement_{group.setups[0].number}" if "placement_score_deg" in metrics else "placement"
         if self.trace is not None:
             metrics[name] = self.trace
-        if self.trace is not None or self.place.score > 0.0:  # searched, or that of a former plan
-            metrics[f"{name}_score_deg"] = float(np.rad2deg(self.place.score))
+        if (
+            self.trace is not None or self.placement.score > 0.0
+        ):  # searched, or taken over from a reference plan
+            metrics[f"{name}_score_deg"] = float(np.rad2deg(self.placement.score))
 
 
-def _begun(
+def _submit_later_groups(
     problem: Problem,
-    stands: Sequence[Stand],
+    groups: Sequence[SetupGroup],
     bases: Mapping[str, FloatArray],
     executor: Executor,
-    former: Former | None,
-) -> "dict[int, Iterator[_Settled | _Refused]]":
-    """The stands behind the first one, by the number of their first setup, the last one begun first: whoever
-    waits for them takes up the next one. Empty where bases are to be found first."""
-    if any(arm.base_auto for stand in stands for setup in stand.setups for arm in setup.cell.arms):
+    reference: ReferencePlan | None,
+) -> "dict[int, Iterator[_SetupGroupPlan | _SetupGroupFailure]]":
+    """Submit all groups after the first one, by the number of their first setup.
+
+    The last group is submitted first, so that a caller that waits for one takes up the next. Empty if bases
+    have to be searched first.
+    """
+    if any(arm.base_auto for group in groups for setup in group.setups for arm in setup.cell.arms):
         return {}
     out = {}
-    for before, stand in reversed(list(itertools.pairwise(stands))):
-        last = before.setups[-1].operations[-1]
-        out[stand.setups[0].number] = executor.submit(_settled, problem, stand.based(bases), last, former)
+    for previous, group in reversed(list(itertools.pairwise(groups))):
+        last_operation = previous.setups[-1].operations[-1]
+        out[group.setups[0].number] = executor.submit(
+            _group_result, problem, group.with_bases(bases), last_operation, reference
+        )
     return out
 
 
 @dataclasses.dataclass(frozen=True)
-class _Refused:
-    """Why a stand has no plan, and the operation that has none."""
+class _SetupGroupFailure:
+    """Why a group has no plan, and the index of the failing operation."""
 
     issues: tuple[Issue, ...]
     operation: int
 
 
-def _settled(
-    problem: Problem, stand: Stand, before: int, former: Former | None
-) -> Iterator[_Settled | _Refused]:
-    """What :func:`_settle` gives or raises, ``before`` being the last operation of the stand before."""
-    at = [before]
+def _group_result(
+    problem: Problem, group: SetupGroup, previous: int, reference: ReferencePlan | None
+) -> Iterator[_SetupGroupPlan | _SetupGroupFailure]:
+    """Yield the result or failure of :func:`_plan_group`.
+
+    ``previous`` is the last operation of the group before.
+    """
+    current = [previous]
     try:
-        yield _settle(problem, stand, _silent, at, former=former)
+        yield _plan_group(problem, group, _ignore_progress, current, reference=reference)
     except TandemError as error:
-        yield _Refused(error.issues, at[0])
+        yield _SetupGroupFailure(error.issues, current[0])
 
 
-def _told(call: Iterator[_Settled | _Refused], at: list[int]) -> _Settled:
-    """What a stand that was begun has come to; raises and sets ``at`` as :func:`_settle` does."""
-    found = next(call)
-    if isinstance(found, _Refused):
-        at[0] = found.operation
-        raise TandemError(found.issues)
-    return found
+def _await_group(call: Iterator[_SetupGroupPlan | _SetupGroupFailure], current: list[int]) -> _SetupGroupPlan:
+    """Result of a submitted group. Raises and sets ``current`` as :func:`_plan_group` does."""
+    result = next(call)
+    if isinstance(result, _SetupGroupFailure):
+        current[0] = result.operation
+        raise TandemError(result.issues)
+    return result
 
 
-def _settle(
+def _plan_group(
     problem: Problem,
-    stand: Stand,
-    tell: Progress,
-    at: list[int],
+    group: SetupGroup,
+    report_progress: Progress,
+    current: list[int],
     executor: Executor = SERIAL,
-    former: Former | None = None,
-) -> _Settled:
+    reference: ReferencePlan | None = None,
+) -> _SetupGroupPlan:
     stages = {}
     lap = time.perf_counter()
-    work = _PlacementSearch(problem, stand, stand.models(), at, tell, executor)
+    planner = _GroupPlanner(problem, group, group.models(), current, report_progress, executor)
     stages["cell"] = time.perf_counter() - lap
-    if stand.settled:
-        place = Place(stand.place, {}, 0.0, 0)
-        if found := _inside(work):
-            raise TandemError(found)
-        return _Settled(place, _plan(work, place, former), stages, None)
-    _require_home(work)
-    tell("placement", 0.0)
+    if group.is_placed:
+        placement = PlacementCandidate(group.stock_pose, {}, 0.0, 0)
+        if issues := _overlap_issues(planner):
+            raise TandemError(issues)
+        return _SetupGroupPlan(placement, _plan_operations(planner, placement, reference), stages, None)
+    _require_free_homes(planner)
+    report_progress("placement", 0.0)
     lap = time.perf_counter()
     notes: list[Issue] = []
-    if former is not None:
-        name, first = former.problem.name, stand.setups[0]
-        each = stand.each(work.models)
-        known = work.search().judged(former.place(first), former.plan.bases, each)
-        stages["placement"] = time.perf_counter() - lap
-        if isinstance(known, Place):
-            try:
-                operations = _plan(work, known, former)
-            except TandemError as error:
-                known = f"no plan there: {error.issues[0].message}"
-            else:
-                note = place_told(name, first, known, former.score(first))
-                return _Settled(known, operations, stages, None, (note,))
-        notes.append(place_told(name, first, known, None))
-    places, trace = work.search().run(stand.each(work.models))
-    stages["placement"] = time.perf_counter() - lap
-    place, operations = _first_that_works(work, places, trace)
-    return _Settled(place, operations, stages, trace.metrics(place.number), tuple(notes))
-
-
-def _plan(
-    work: _PlacementSearch,
-    place: Place,
-    former: Former | None = None,
-    fine: bool = True,
-    paths: _Paths | None = None,
-) -> list[OperationPlan]:
-    """The plans of all operations of one stand, beginning with what a ``former`` plan had; where that leads
-    to none, without it. ``fine`` as of :func:`plan_operation`; ``paths``: those that are known there."""
-    out = []
-    problem = work.problem
-    for setup, placed, index, job in work.each(place):
-        work.tell("motion", index / len(problem.operations))
-        work.at[0] = index
-        planned = functools.partial(
-            plan_operation,
-            problem.operations[index].name,
-            setup.cell,
-            job,
-            problem.settings,
-            place.stock,
-            placed,
-            place.bases,
-            work.executor,
-            fine=fine,
-            known=None if paths is None else paths.get(index),
+    if reference is not None:
+        name, first = reference.problem.name, group.setups[0]
+        models = group.model_per_job(planner.models)
+        reference_placement = planner.placement_search().evaluate(
+            reference.stock_pose(first), reference.plan.bases, models
         )
-        before = None if former is None else former.path(index)
+        stages["placement"] = time.perf_counter() - lap
+        if isinstance(reference_placement, PlacementCandidate):
+            try:
+                operations = _plan_operations(planner, reference_placement, reference)
+            except TandemError as error:
+                reference_placement = f"it leads to no plan: {error.issues[0].message}"
+            else:
+                note = placement_note(name, first, reference_placement, reference.placement_margin_deg(first))
+                return _SetupGroupPlan(reference_placement, operations, stages, None, (note,))
+        notes.append(placement_note(name, first, reference_placement, None))
+    placements, trace = planner.placement_search().run(group.model_per_job(planner.models))
+    stages["placement"] = time.perf_counter() - lap
+    placement, operations = _first_feasible(planner, placements, trace)
+    return _SetupGroupPlan(placement, operations, stages, trace.metrics(placement.number), tuple(notes))
+
+
+def _plan_operations(
+    planner: _GroupPlanner,
+    placement: PlacementCandidate,
+    reference: ReferencePlan | None = None,
+    fine: bool = True,
+    paths: _PathsByOperation | None = None,
+) -> list[OperationPlan]:
+    """Plans of all operations of one group, starting from the ``reference`` plan if given.
+
+    If the reference leads to no plan, the operation is planned without it. ``fine`` is that of
+    :class:`PathSearchOptions`; ``paths`` are known paths at this placement.
+    """
+    out = []
+    problem = planner.problem
+    for setup, placed, index, job in planner.operations(placement):
+        planner.progress("motion", index / len(problem.operations))
+        planner.current[0] = index
+        name, controller = problem.operations[index].name, setup.cell.controller
+        scene = Scene.of(setup.cell, job.arms, placement.stock, problem.settings, placed, placement.bases)
+        reference_path = None if reference is None else reference.operation_path(index)
+        known_path = None if paths is None else paths.get(index)
+        options = PathSearchOptions(reference_path, fine, known_path)
         try:
-            out.append(planned(before))
+            out.append(plan_operation(name, scene, job, controller, options, planner.executor))
         except TandemError as error:
-            if before is None:
+            if reference_path is None:
                 raise
-            made, why = planned(), f"it leads to none: {error.issues[0].message}"
-            told = before.told(why, {"in": False, "out": False}, made.metrics)
-            out.append(dataclasses.replace(made, issues=(*made.issues, told)))
+            unreferenced = dataclasses.replace(options, reference=None)
+            plan = plan_operation(name, scene, job, controller, unreferenced, planner.executor)
+            reason = f"it leads to no plan: {error.issues[0].message}"
+            note = reference_path.takeover_note(reason, {"in": False, "out": False}, plan.metrics)
+            out.append(dataclasses.replace(plan, issues=(*plan.issues, note)))
     return out
 
 
-def _first_that_works(
-    work: _PlacementSearch, places: Sequence[Place], trace: Trace
-) -> tuple[Place, list[OperationPlan]]:
-    """The first place at which all operations have plans: of those that need no fine samples, which take
-    long, else of all. While every other one is planned, the path at the next is looked for ahead, perhaps in
-    another process."""
-    tried, reasons, paths = _tried(work, places, trace)
+def _first_feasible(
+    planner: _GroupPlanner, placements: Sequence[PlacementCandidate], trace: PlacementTrace
+) -> tuple[PlacementCandidate, list[OperationPlan]]:
+    """The first placement at which all operations have plans.
+
+    Placements that need no fine samples come first, because fine samples take long. While every other
+    placement is planned, the path at the next one is searched ahead, possibly in another process.
+    """
+    candidates, reasons, paths = _placements_to_try(planner, placements, trace)
     failed: dict[int, list[Issue]] = {}
-    first = work.stand.setups[0].operations[0]
-    for fine in (False, True) if len(tried) > 1 else (True,):
-        ahead: Iterator[tuple[Grid, Found] | None] | None = None
-        for k, place in enumerate(tried):
+    first = planner.group.setups[0].operations[0]
+    for fine in (False, True) if len(candidates) > 1 else (True,):
+        ahead: Iterator[tuple[SampleGrid, PathResult] | None] | None = None
+        for k, placement in enumerate(candidates):
             known, ahead = paths, ahead if k % 2 else None
             if ahead is not None:
-                found, work.at[0] = next(ahead), first
-                if found is None:
+                path_result, planner.current[0] = next(ahead), first
+                if path_result is None:
                     continue
-                known = {first: found}
-            elif not fine and k + 1 < len(tried):
-                ahead = _looked_ahead(work, tried[k + 1])
+                known = {first: path_result}
+            elif not fine and k + 1 < len(candidates):
+                ahead = _search_ahead(planner, candidates[k + 1])
             if k in failed:
                 continue
             try:
-                return place, _plan(work, place, fine=fine, paths=known)
+                return placement, _plan_operations(planner, placement, fine=fine, paths=known)
             except NoCoarsePathError:
                 continue
             except TandemError as error:
                 failed[k] = list(error.issues)
     reasons = reasons or failed.get(0, [])
-    raise TandemError([_unplaced(trace, work.stand, tried, reasons), *reasons])
+    raise TandemError([_no_placement_issue(trace, planner.group, candidates, reasons), *reasons])
 
 
-def _looked_ahead(work: _PlacementSearch, place: Place) -> Iterator[tuple[Grid, Found] | None] | None:
-    """Begins the search of a path for the first operation of a stand at a place, with the samples that are
-    tried first; None where tools are aimed there, which the plan itself does."""
-    _, job, scene = next(work.scenes(place))
-    return work.executor.submit(_coarse_path, scene, job) if with_aims(scene, job) is job else None
+def _search_ahead(
+    planner: _GroupPlanner, placement: PlacementCandidate
+) -> Iterator[tuple[SampleGrid, PathResult] | None] | None:
+    """Submit the path search for the first operation of a group at a placement, with the first samples.
+
+    None if tools are aimed there, which the plan itself does.
+    """
+    _, job, scene = next(planner.scenes(placement))
+    return planner.executor.submit(_coarse_path, scene, job) if with_aims(scene, job) is job else None
 
 
-def _coarse_path(scene: Scene, targets: Targets) -> Iterator[tuple[Grid, Found] | None]:
-    """What :func:`plan_operation` takes as known where it needs no fine samples, None where it does."""
-    grid, found = find_path(scene, targets, fine=False)
-    yield None if isinstance(found, Blocked) or found.loose else (grid, found)
+def _coarse_path(scene: Scene, targets: Targets) -> Iterator[tuple[SampleGrid, PathResult] | None]:
+    """Yield the known path for :func:`plan_operation` if no fine samples are needed, else None."""
+    grid, path_result = find_path(scene, targets, fine=False)
+    yield (
+        None
+        if isinstance(path_result, BlockedSearch) or path_result.has_colliding_moves
+        else (grid, path_result)
+    )
 
 
-def _require_home(work: _PlacementSearch) -> None:
-    """Bases that are inside of one another, and homes that are not free, wherever the stock is need no search
-    for its place."""
-    away = from_parts(np.eye(3), np.array([AWAY_M, AWAY_M, AWAY_M]))  # so is what it stands on
+def _require_free_homes(planner: _GroupPlanner) -> None:
+    """Require that bases do not overlap and homes are free wherever the stock is.
+
+    Otherwise a search is useless.
+    """
+    away = from_parts(
+        np.eye(3), np.array([FAR_STOCK_OFFSET_M, FAR_STOCK_OFFSET_M, FAR_STOCK_OFFSET_M])
+    )  # moves its support, too
     out: list[Issue] = []
-    for setup, model in zip(work.stand.setups, work.models, strict=True):
-        found = [found for found in clearance.overlaps(model.with_stock(away)) if _between_bases(found)]
+    for setup, model in zip(planner.group.setups, planner.models, strict=True):
+        overlaps = [
+            overlaps
+            for overlaps in clearance.find_overlaps(model.with_stock(away))
+            if _is_between_bases(overlaps)
+        ]
         searched = {f"{arm.name}/base_link" for arm in setup.cell.arms if arm.base_auto}
-        out += [_overlap(setup, model, own) for own in found if not searched & set(own[:2])]
+        out += [
+            _overlap_issue(setup, model, overlap) for overlap in overlaps if not searched & set(overlap[:2])
+        ]
     if out:
         raise TandemError(list(aggregate(out)))
-    for setup, model, _, job in work.each():
-        scene = Scene.of(setup.cell, job.arms, away, work.problem.settings, model.with_stock(away))
-        ways.require_home(scene, job)
+    for setup, model, _, job in planner.operations():
+        scene = Scene.of(setup.cell, job.arms, away, planner.problem.settings, model.with_stock(away))
+        homing.require_free_home(scene, job)
 
 
-def _look(
-    problem: Problem, stand: Stand, at: list[int], first: FirstLook | None = None
-) -> tuple[Place | None, list[Issue]]:
-    """A place at which every operation of a stand has a path, or the targets of a ``first`` look a posture;
-    or why there is none."""
-    work = _PlacementSearch(problem, stand, stand.models(), at, _silent)
-    if stand.settled:
-        place = Place(stand.place, {}, 0.0, 0)
-        reasons = _inside(work) or _no_path(work, place, first)
-        return (None if reasons else place), reasons
+def _check_group(
+    problem: Problem, group: SetupGroup, current: list[int], quick_check: QuickCheck | None = None
+) -> tuple[PlacementCandidate | None, list[Issue]]:
+    """A placement at which a group passes the check, or issues.
+
+    Every operation of the group has a path there, or the targets of the quick check have a posture.
+    """
+    planner = _GroupPlanner(problem, group, group.models(), current, _ignore_progress)
+    if group.is_placed:
+        placement = PlacementCandidate(group.stock_pose, {}, 0.0, 0)
+        reasons = _overlap_issues(planner) or _path_issues(planner, placement, quick_check)
+        return (None if reasons else placement), reasons
     try:
-        _require_home(work)
+        _require_free_homes(planner)
     except TandemError as error:
         return None, list(error.issues)
-    if first is not None:
-        soon = first_place(problem, stand, work.models, at, first)
-        first.placed = first.placed and soon is not None
-        return soon, []
-    places, trace = work.search().run(stand.each(work.models))
-    tried, reasons, paths = _tried(work, places, trace)
+    if quick_check is not None:
+        quick_placement = find_quick_placement(problem, group, planner.models, current, quick_check)
+        quick_check.is_stock_placed = quick_check.is_stock_placed and quick_placement is not None
+        return quick_placement, []
+    placements, trace = planner.placement_search().run(group.model_per_job(planner.models))
+    candidates, reasons, paths = _placements_to_try(planner, placements, trace)
     if paths is not None:
-        return tried[0], []
-    if len(tried) > 1:  # as the plan does: one that needs no fine samples, which take long
-        for place in tried:
-            if _has_coarse_path(work, place):
-                return place, []
-    for place in tried:
-        found = _no_path(work, place)
-        if not found:
-            return place, []
-        reasons = reasons or found
-    return None, [_unplaced(trace, stand, tried, reasons), *reasons]
+        return candidates[0], []
+    if (
+        len(candidates) > 1
+    ):  # as the plan does: prefer a placement that needs no fine samples, which take long
+        for placement in candidates:
+            if _has_coarse_path(planner, placement):
+                return placement, []
+    for placement in candidates:
+        issues = _path_issues(planner, placement)
+        if not issues:
+            return placement, []
+        reasons = reasons or issues
+    return None, [_no_placement_issue(trace, group, candidates, reasons), *reasons]
 
 
-def first_place(
-    problem: Problem, stand: Stand, models: Sequence[CellModel], at: list[int], first: FirstLook
-) -> Place | None:
-    """One of the first places of a block at which the targets of a ``first`` look have postures; None where
-    none of them will do. ``at`` is set to the operation that was looked at."""
-    work = _PlacementSearch(problem, stand, models, at, _silent)
-    for place in work.search().soon(stand.each(models)):
-        if not _no_path(work, place, first):
-            return place
+def find_quick_placement(
+    problem: Problem,
+    group: SetupGroup,
+    models: Sequence[CellModel],
+    current: list[int],
+    quick_check: QuickCheck,
+) -> PlacementCandidate | None:
+    """Find a placement among the first candidates at which the targets of the quick check have postures.
+
+    Args:
+        problem: Problem.
+        group: Setups with a common stock pose.
+        models: Collision model of each setup.
+        current: One element, set to the index of the operation that was checked.
+        quick_check: Targets to check.
+
+    Returns:
+        The placement, or None if none of the candidates is feasible.
+    """
+    planner = _GroupPlanner(problem, group, models, current, _ignore_progress)
+    for placement in planner.placement_search().quick_candidates(group.model_per_job(models)):
+        if not _path_issues(planner, placement, quick_check):
+            return placement
     return None
 
 
-def _inside(work: _PlacementSearch) -> list[Issue]:
-    """``motion.overlap`` for bodies that are inside of one another where all stands as it is stated, with
-    homes that are not free; these say nothing as long as bases are inside of one another."""
+def _overlap_issues(planner: _GroupPlanner) -> list[Issue]:
+    """``motion.overlap`` for bodies that overlap as stated, together with homes that are not free.
+
+    Homes are not reported while bases overlap, because they mean nothing then.
+    """
     out: list[Issue] = []
-    bases = False
-    stand = work.stand
-    for setup, model in zip(stand.setups, work.models, strict=True):
-        placed = model.with_stock(stand.place)
-        found = clearance.overlaps(placed)
-        bases = bases or any(map(_between_bases, found))
-        out += [_overlap(setup, placed, own) for own in found]
-    if bases:
+    has_base_overlap = False
+    group = planner.group
+    for setup, model in zip(group.setups, planner.models, strict=True):
+        placed = model.with_stock(group.stock_pose)
+        overlaps = clearance.find_overlaps(placed)
+        has_base_overlap = has_base_overlap or any(map(_is_between_bases, overlaps))
+        out += [_overlap_issue(setup, placed, overlap) for overlap in overlaps]
+    if has_base_overlap:
         return list(aggregate(out))
     if not out:
         return []
-    for setup, model, _, job in work.each():
-        scene = Scene.of(setup.cell, job.arms, stand.place, work.problem.settings, model)
+    for setup, model, _, job in planner.operations():
+        scene = Scene.of(setup.cell, job.arms, group.stock_pose, planner.problem.settings, model)
         try:
-            ways.require_home(scene, job)
+            homing.require_free_home(scene, job)
         except TandemError as error:
             out += error.issues
     return list(aggregate(out))
 
 
-Overlap = tuple[str, str, float]
-"""Two bodies that are inside of one another, and how deep [m]."""
+BodyOverlap = tuple[str, str, float]
+"""Two bodies that overlap, and the depth [m]."""
 
 
-def _between_bases(found: Overlap) -> bool:
-    return all(body.endswith("/base_link") for body in found[:2])
+def _is_between_bases(overlap: BodyOverlap) -> bool:
+    return all(body.endswith("/base_link") for body in overlap[:2])
 
 
-def _overlap(setup: Setup, placed: CellModel, found: Overlap) -> Issue:
-    """``motion.overlap`` of two bodies, with the move of the block that was tried or the bases to part."""
-    one, other, deep = found
-    what = f"{one} and {other} stand in one another, {deep / MM:.1f} mm deep"
+def _overlap_issue(setup: Setup, placed: CellModel, overlap: BodyOverlap) -> Issue:
+    """``motion.overlap`` of two bodies, with the tried move of the stock or with the bases to separate."""
+    first, other, depth = overlap
+    message = f"{first} and {other} overlap by {depth / MM:.1f} mm"
     field, remedy = None, None
-    if _between_bases(found):
-        names = [body.partition("/")[0] for body in (one, other)]
-        way = float(np.linalg.norm(placed.bases[names[0]][:3, 3] - placed.bases[names[1]][:3, 3]))
-        what = f"{what}: the bases of {names[0]} and {names[1]} are {way / MM:.1f} mm apart"
+    if _is_between_bases(overlap):
+        names = [body.partition("/")[0] for body in (first, other)]
+        base_distance = float(np.linalg.norm(placed.bases[names[0]][:3, 3] - placed.bases[names[1]][:3, 3]))
+        message = f"{message}: the bases of {names[0]} and {names[1]} are {base_distance / MM:.1f} mm apart"
         number = next(i for i, arm in enumerate(setup.cell.arms) if arm.name == names[1])
         field = f"cell.arms.{number}.base"
-        hint = "state each arm's base where it stands in the cell, in mm and in the world's frame"
+        hint = "state the real base pose of each arm, in mm and in the world frame"
     else:
-        what = f"{what}; arms would go where something else is"
-        hint = "correct the place or the size of one of them; a block ends where its support begins"
-        own = "stock" in (one, other) and "support" not in (one, other)  # which moves with its block
-        move = _out_of(setup, placed, placed.stock_pose) if own else None
+        message = f"{message}; arms would move into other bodies"
+        hint = "correct the pose or the size of one of them; a stock ends where its support begins"
+        is_stock_movable = "stock" in (first, other) and "support" not in (
+            first,
+            other,
+        )  # the support moves with its stock
+        move = _separating_move(setup, placed, placed.stock_pose) if is_stock_movable else None
         if move is not None:
             hint = f"move the stock by ({', '.join(f'{v / MM:g}' for v in move)}) mm (tried); or {hint}"
-            remedy = Remedy("stock", "stock", _in_mm(move))
+            remedy = Remedy("stock", "stock", _to_mm(move))
     return Issue(
         "motion.overlap",
-        what,
+        message,
         field=field,
-        bodies=(one, other),
-        **measurement(deep / MM, 1.0, "mm"),
+        bodies=(first, other),
+        **measurement(depth / MM, 1.0, "mm"),
         hint=hint,
         remedy=remedy,
     )
 
 
-def _out_of(setup: Setup, model: CellModel, place: FloatArray) -> FloatArray | None:
-    """The smallest straight move (3,) [m] along an axis of the world, in steps of `ASIDE_STEP_M`, after
-    which the block stands in nothing and is borne as it was; None where there is none within 20 of them."""
-    borne = {issue.code for issue in support.stood(setup)}
-    for size in ASIDE_STEP_M * np.arange(1, 21):
-        for way in size * np.array([[0, 0, 1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, -1.0]]):
-            at = from_parts(place[:3, :3], place[:3, 3] + way)
-            moved = dataclasses.replace(setup, stock=dataclasses.replace(setup.stock, place=at))
+def _separating_move(setup: Setup, model: CellModel, stock_pose: FloatArray) -> FloatArray | None:
+    """Smallest move (3,) [m] along a world axis that takes the stock out of all overlaps.
+
+    The stock keeps its support. Moves are up to 20 steps of `STOCK_MOVE_STEP_M`. None if there is none.
+    """
+    support_codes = {issue.code for issue in support.setup_support_issues(setup)}
+    for size in STOCK_MOVE_STEP_M * np.arange(1, 21):
+        for move in size * np.array([[0, 0, 1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, -1.0]]):
+            moved_pose = from_parts(stock_pose[:3, :3], stock_pose[:3, 3] + move)
+            moved_setup = dataclasses.replace(setup, stock=dataclasses.replace(setup.stock, place=moved_pose))
             if (
-                not clearance.overlaps(model.with_stock(at))
-                and {i.code for i in support.stood(moved)} <= borne
+                not clearance.find_overlaps(model.with_stock(moved_pose))
+                and {i.code for i in support.setup_support_issues(moved_setup)} <= support_codes
             ):
-                return np.asarray(way)
+                return np.asarray(move)
     return None
 
 
-def _in_mm(move: FloatArray) -> tuple[float, float, float]:
+def _to_mm(move: FloatArray) -> tuple[float, float, float]:
     return (float(move[0] / MM), float(move[1] / MM), float(move[2] / MM))
 
 
-def _no_path(
-    work: _PlacementSearch, place: Place, first: FirstLook | None = None, paths: _Paths | None = None
+def _path_issues(
+    planner: _GroupPlanner,
+    placement: PlacementCandidate,
+    quick_check: QuickCheck | None = None,
+    paths: _PathsByOperation | None = None,
 ) -> list[Issue]:
-    """Why operations have no path, or targets of a ``first`` look no posture, or no free home; ``at`` is set
-    to the first of them. ``paths`` gets those that are found."""
+    """Issues of operations without a path, and of what makes a path impossible.
+
+    These are quick-check targets without a posture, and homes that are not free. ``current`` is set to the
+    first of these operations. ``paths`` receives the paths that are found.
+    """
     out: list[Issue] = []
-    for index, job, scene in work.scenes(place):
-        work.at[0] = work.at[0] if out else index
+    for index, job, scene in planner.scenes(placement):
+        planner.current[0] = planner.current[0] if out else index
         try:
-            ways.require_home(scene, job)
-        except TandemError as error:  # as the plan does, which asks for this first
+            homing.require_free_home(scene, job)
+        except TandemError as error:  # the plan checks this first, too
             out += error.issues
             continue
-        if first is not None:
-            out += first.faults(scene, job, index)
+        if quick_check is not None:
+            out += quick_check.first_issues(scene, job, index)
             continue
-        grid, found = find_path(scene, job)
-        if isinstance(found, Blocked):
-            out += diagnosis.no_path(scene, job, grid, found)
+        grid, path_result = find_path(scene, job)
+        if isinstance(path_result, BlockedSearch):
+            out += diagnosis.no_path_issues(scene, job, grid, path_result)
             continue
         if paths is not None:
-            paths[index] = grid, found
+            paths[index] = grid, path_result
     return out
 
 
-def _has_coarse_path(work: _PlacementSearch, place: Place) -> bool:
-    """Whether all operations of a stand have free homes and paths at a place, without fine samples."""
-    for _, job, scene in work.scenes(place):
+def _has_coarse_path(planner: _GroupPlanner, placement: PlacementCandidate) -> bool:
+    """Whether all operations of a group have free homes and paths at a placement, without fine samples."""
+    for _, job, scene in planner.scenes(placement):
         try:
-            ways.require_home(scene, job)
+            homing.require_free_home(scene, job)
         except TandemError:
             return False
-        _, found = find_path(scene, job, fine=False)
-        if isinstance(found, Blocked) or found.loose:
+        _, path_result = find_path(scene, job, fine=False)
+        if isinstance(path_result, BlockedSearch) or path_result.has_colliding_moves:
             return False
     return True
 
 
-def _tried(
-    work: _PlacementSearch, places: Sequence[Place], trace: Trace
-) -> tuple[Sequence[Place], list[Issue], _Paths | None]:
-    """The places to try. The search looks at few postures of a target: where it finds no place, the first of
-    its freest that has a path after all is tried, with the paths of its operations; if none has, what is in
-    the way at the very freest."""
-    if places:
-        return places[:PLACES_TRIED], [], None
+def _placements_to_try(
+    planner: _GroupPlanner, placements: Sequence[PlacementCandidate], trace: PlacementTrace
+) -> tuple[Sequence[PlacementCandidate], list[Issue], _PathsByOperation | None]:
+    """Placements to try, issues, and paths.
+
+    The placement search checks few postures of a target. If it finds no placement, the first of its freest
+    candidates that has a path after all is tried, with its paths. If none has, the issues are those of the
+    freest one.
+    """
+    if placements:
+        return placements[:MAX_PLANNED_PLACEMENTS], [], None
     reasons: list[Issue] = []
-    for _, place in trace.freest:
-        paths: _Paths = {}
-        found = _no_path(work, place, paths=paths)
-        if not found:
-            return [place], [], paths
-        reasons = reasons or found
+    for _, placement in trace.freest:
+        paths: _PathsByOperation = {}
+        issues = _path_issues(planner, placement, paths=paths)
+        if not issues:
+            return [placement], [], paths
+        reasons = reasons or issues
     return [], reasons, None
 
 
-def _unplaced(trace: Trace, stand: Stand, tried: Sequence[Place], reasons: Sequence[Issue]) -> Issue:
-    """``motion.no_placement``. ``tried``: the places that were planned, none to the end; ``reasons``: what is
-    told beside it, at the first of them or at the freest place."""
-    stock = stand.setups[0].stock
+def _no_placement_issue(
+    trace: PlacementTrace, group: SetupGroup, tried: Sequence[PlacementCandidate], reasons: Sequence[Issue]
+) -> Issue:
+    """``motion.no_placement``. ``tried`` are the placements that were planned without success.
+
+    ``reasons`` are reported with it, for the first of them or for the freest candidate.
+    """
+    stock = group.setups[0].stock
     best = int(np.argmax(trace.score))
     at = trace.positions[best]
     reachable = int((trace.score > 0).sum())
-    found = f"{len(trace.score)} places tried, {reachable} of them reachable with all margins"
+    message = f"no stock pose was found for the whole job: {len(trace.score)} poses tried, {reachable} of "
+    message += "them reachable with all margins"
     if tried and reasons:
         x, y, z = tried[0].stock[:3, 3] / MM
-        found += f", {len(tried)} of these planned, none to the end: at {x:.0f}, {y:.0f}, {z:.0f} mm there "
-        found += f"was {reasons[0].code}"
-        hint = f"mend what is told of that place as well ({reasons[0].code}); or "
-        stays = diagnosis.at_support(reasons[0].bodies or ())
+        message += f", {len(tried)} of these planned without success: at {x:.0f}, {y:.0f}, {z:.0f} mm the "
+        message += f"issue is {reasons[0].code}"
+        hint = f"resolve the issue that is reported for that pose ({reasons[0].code}); or "
+        is_same_everywhere = diagnosis.is_tool_and_support(reasons[0].bodies or ())
     else:
-        hint, stays = "", False
+        hint, is_same_everywhere = "", False
         if stock.pedestal is not None and stock.pedestal.kind == "table":
-            hint = "let the block stand on a pedestal, beside which tools can pass (support: pedestal); "
+            hint = "put the stock on a pedestal, which leaves room for tools (support: pedestal); "
         elif not reachable and stock.support and stock.sheet is None and stock.held_by is None:
-            hint = "make the support longer, since it has to reach the floor; "
-        free = ""
+            hint = "make the support longer, because it has to reach the floor; "
+        free_text = ""
         if trace.freest:
-            share, freest = trace.freest[0]
-            at, free = freest.stock[:3, 3], f", with free postures for {share:.0%} of a few targets"
+            fraction, freest = trace.freest[0]
+            at, free_text = freest.stock[:3, 3], f", with free postures for {fraction:.0%} of a few targets"
         if trace.freest and reasons:
             hint += (
-                "mend what is in the way there, which is told as well (a longer wire or tool or a smaller "
+                "resolve the collision there, which is reported as well (a longer wire or tool, or a smaller "
             )
-            hint += "block where a tool or a wrist meets it); "
+            hint += "stock where a tool or a wrist hits it); "
         x, y, z = at / MM
-        found += f", the best at {x:.0f}, {y:.0f}, {z:.0f} mm{free}"
+        message += f", the best at {x:.0f}, {y:.0f}, {z:.0f} mm{free_text}"
     return Issue(
         "motion.no_placement",
-        f"no place of the stock was found for the whole job: {found}",
+        message,
         field="stock.place",
         value=float(np.rad2deg(trace.score[best])) if reachable else None,
         unit="deg" if reachable else None,
-        hint="mend what is told of that place as well: it is so at every place"
-        if stays
-        else f"{hint}use larger arms, move the bases nearer or let them move (base: auto), or split the job",
+        hint="resolve the issue that is reported as well: it occurs at every pose"
+        if is_same_everywhere
+        else f"{hint}use larger arms, move the bases closer or let them move (base: auto), or split the job",
     )
 
 
-def _silent(stage: str, fraction: float) -> None:
+def _ignore_progress(stage: str, fraction: float) -> None:
     del stage, fraction

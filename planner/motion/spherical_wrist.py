@@ -1,11 +1,12 @@
 """Inverse kinematics of ortho-parallel arms with spherical wrists, batched over poses.
 
-Formulas: Brandstoetter, Angerer, Hofbaur, "An analytical solution of the inverse kinematics problem
-of industrial serial manipulators with an ortho-parallel basis and a spherical wrist", 2014. One
-branch of a thousand poses costs about half a millisecond, so that an optimiser may call it in every
-step.
+One branch of a thousand poses takes about half a millisecond, so that an optimiser may call it in every step.
+
+Source: Brandstoetter, Angerer, Hofbaur, "An analytical solution of the inverse kinematics problem of
+industrial serial manipulators with an ortho-parallel basis and a spherical wrist", 2014.
 """
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,44 +16,59 @@ from planner.geometry.arrays import FloatArray
 
 
 def inverse_kinematics(opw: OpwParameters, flange: FloatArray, branches: Sequence[int]) -> FloatArray:
-    """As :func:`planner.motion.planning_scene.inverse_kinematics`."""
+    """Compute joint angles as :func:`planner.motion.planning_scene.inverse_kinematics`."""
     flange = opw.inner(flange)
     r = flange[..., :3, :3]
-    centre = flange[..., :3, 3] - opw.c4 * r[..., :, 2]
-    cx, cy, up = centre[..., 0], centre[..., 1], centre[..., 2] - opw.c1
+    position = flange[..., :3, 3] - opw.c4 * r[..., :, 2]
+    cx, cy, up = position[..., 0], position[..., 1], position[..., 2] - opw.c1
     with np.errstate(invalid="ignore"):
         radial = np.sqrt(cx * cx + cy * cy - opw.b * opw.b)
-    turn, skew = np.arctan2(cy, cx), np.arctan2(opw.b, radial)
-    arms = {pair: _first_three(opw, turn, skew, radial, up, *pair) for pair in {_pair(b) for b in branches}}
-    wrists = {pair: _wrist(r, *angles) for pair, angles in arms.items()}
-    out = np.empty((len(branches), 6, *flange.shape[:-2]))  # one block per joint: what follows works by joint
+    centre = _WristCentre(np.arctan2(cy, cx), np.arctan2(opw.b, radial), radial, up)
+    arms = {
+        choice: _arm_angles(opw, centre, *choice) for choice in {_shoulder_and_elbow(b) for b in branches}
+    }
+    wrists = {choice: _wrist_angles(r, *angles) for choice, angles in arms.items()}
+    out = np.empty((len(branches), 6, *flange.shape[:-2]))  # one block per joint, since callers work by joint
     for slot, branch in enumerate(branches):
-        pair = _pair(branch)
-        theta4, theta5, theta6 = wrists[pair]
+        choice = _shoulder_and_elbow(branch)
+        theta4, theta5, theta6 = wrists[choice]
         flip = branch >= 4
-        columns = (*arms[pair], theta4 + np.pi * flip, -theta5 if flip else theta5, theta6 - np.pi * flip)
+        columns = (*arms[choice], theta4 + np.pi * flip, -theta5 if flip else theta5, theta6 - np.pi * flip)
         for j, column in enumerate(columns):
             np.multiply(column + opw.offsets[j], opw.signs[j], out=out[slot, j])
     return np.moveaxis(out, (0, 1), (-2, -1))
 
 
-def _pair(branch: int) -> tuple[int, int]:
+def _shoulder_and_elbow(branch: int) -> tuple[int, int]:
     return (branch % 4) // 2, branch % 2
 
 
-def _first_three(
-    opw: OpwParameters,
-    turn: FloatArray,
-    skew: FloatArray,
-    radial: FloatArray,
-    up: FloatArray,
-    shoulder: int,
-    elbow: int,
+@dataclasses.dataclass(frozen=True)
+class _WristCentre:
+    """Wrist centres in cylindrical coordinates about axis 1.
+
+    Attributes:
+        azimuth: (...,) [rad] directions about axis 1.
+        skew: (...,) [rad] angles from the plane of the arm, which is beside axis 1, to these directions.
+        radial: (...,) [m] distances from axis 1 along the plane of the arm; NaN if the wrist centre is closer
+            to axis 1 than that plane.
+        up: (...,) [m] heights above axis 2.
+    """
+
+    azimuth: FloatArray
+    skew: FloatArray
+    radial: FloatArray
+    up: FloatArray
+
+
+def _arm_angles(
+    opw: OpwParameters, centre: _WristCentre, shoulder: int, elbow: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Theta 1 to 3 for one choice of shoulder and elbow; the back shoulder is the front one mirrored."""
+    """Theta 1 to 3 for one choice of shoulder and elbow. The back shoulder mirrors the front one."""
+    azimuth, skew, radial, up = centre.azimuth, centre.skew, centre.radial, centre.up
     forearm = np.hypot(opw.a2, opw.c3)
     out = radial - opw.a1 if shoulder == 0 else -(radial + opw.a1)
-    theta1 = turn - skew if shoulder == 0 else turn + skew - np.pi
+    theta1 = azimuth - skew if shoulder == 0 else azimuth + skew - np.pi
     square = out * out + up * up
     sign = -1.0 if elbow == 0 else 1.0
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -60,13 +76,13 @@ def _first_three(
         bend = np.arccos((square - opw.c2**2 - forearm**2) / (2.0 * opw.c2 * forearm))
     theta2 = np.arctan2(out, up) + sign * lift
     theta3 = -sign * bend - np.arctan2(opw.a2, opw.c3)
-    return theta1 + 0.0 * bend, theta2, theta3  # a branch exists as a whole or not at all
+    return theta1 + 0.0 * bend, theta2, theta3  # NaN of bend: a branch exists completely or not at all
 
 
-def _wrist(
+def _wrist_angles(
     r: FloatArray, theta1: FloatArray, theta2: FloatArray, theta3: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Theta 4 to 6 with theta 5 >= 0, from the rotation that the first three leave over."""
+    """Theta 4 to 6 with theta 5 >= 0, from the rotation that remains after the first three joints."""
     c1, s1 = np.cos(theta1), np.sin(theta1)
     c, s = np.cos(theta2 + theta3), np.sin(theta2 + theta3)
     front = c1[..., None] * r[..., 0, :] + s1[..., None] * r[..., 1, :]

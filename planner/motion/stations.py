@@ -1,9 +1,12 @@
-"""Where arms on tracks and gantries, or the block on a turntable, stand in each operation: they go there
-before it, and the work is done standing. A track that goes along (:mod:`planner.motion.following`) stands
-there before the first target; what is chosen is its law's offset, the best first.
+"""Stations: positions of tracks, gantries and turntables during each operation.
 
-Values of an axis are a grid over its range. What stood somewhere before stays if the work is as good there;
-else it goes the least way to where the margin is. The first place with a path that is free is taken."""
+External axes move to their station before the operation and stand while it runs. A coordinated track
+(:mod:`planner.motion.coordinated_track`) stands at its station before the first target. For it the offset of
+its law is chosen.
+
+Candidate values of an axis are a grid over its range. An axis keeps its previous value if the work is as good
+there; else it takes the shortest travel to where the margin is. The first value with a free path is used.
+"""
 
 import dataclasses
 import itertools
@@ -12,288 +15,340 @@ from typing import Final
 
 import numpy as np
 
-from planner.cell import axis_way, plant, support
-from planner.cell.axis_way import AxisWay
-from planner.geometry.arrays import FloatArray, corners, transform
+from planner.cell import external_axis_motion, plant, support
+from planner.cell.external_axis_motion import AxisMotionCheck
+from planner.geometry.arrays import FloatArray, hull_points, transform
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, TandemError, refusal
-from planner.motion import diagnosis, following, own_clearance
-from planner.motion.place_margin import margin
+from planner.issues import Issue, TandemError, issue_error
+from planner.motion import coordinated_track, diagnosis, self_clearance
+from planner.motion.placement_margin import placement_margin
 from planner.motion.planning_scene import Scene
-from planner.motion.search.ladder_search import Found
+from planner.motion.search.layered_graph_search import PathResult
 from planner.motion.search.path_search import find_path, with_aims
-from planner.motion.search.subsampling import few_of
+from planner.motion.search.subsampling import sample_coarsely
 from planner.problem import (
-    AXES_WRITTEN,
-    END,
-    STOCK,
-    TILT,
+    END_SUFFIX,
+    EXTERNAL_AXIS_FAMILIES,
+    STOCK_AXIS,
+    TILT_AXIS,
     LinearAxis,
     Problem,
     RotaryAxis,
     Setup,
     Turntable,
-    any_base,
-    any_lean,
-    in_turn,
+    allows_any_attitude,
+    allows_moving_base,
+    motion_order,
 )
 from planner.targets import Targets
 
-STEP_M: Final = 0.1
-"""Values of a linear axis are so far apart [m],"""
-MOST_VALUES: Final = 201
-"""at most so many,"""
-MOST_PLACES: Final = 1500
-"""and of a gantry at most so many places; where these are too few, values are farther apart"""
-COARSER: Final = 1.25
-"""by steps of this factor."""
-STEP_RAD: Final = 5.0 * DEG
-"""Values of a turntable are so far apart [rad],"""
-MOST_ANGLES: Final = 721
-"""at most so many,"""
-MOST_TURNS, MOST_TILTS = 73, 19
-"""of a positioner's axes,"""
+LINEAR_STEP_M: Final = 0.1
+"""Step [m] between candidate values of a linear axis."""
+MAX_LINEAR_VALUES: Final = 201
+"""Maximum number of candidate values of a linear axis."""
+MAX_GANTRY_POSITIONS: Final = 1500
+"""Maximum number of candidate positions of a gantry. If the grid has more, its step is increased."""
+GANTRY_STEP_FACTOR: Final = 1.25
+"""Factor by which the step of a gantry's grid is increased."""
+TURNTABLE_STEP_RAD: Final = 5.0 * DEG
+"""Step [rad] between candidate angles of a turntable."""
+MAX_TURNTABLE_ANGLES: Final = 721
+"""Maximum number of candidate angles of a turntable."""
+MAX_POSITIONER_ROTATIONS, MAX_POSITIONER_TILTS = 73, 19
+"""Maximum numbers of candidate rotations and tilts of a positioner."""
 ANGLE_DECIMALS: Final = 1
-"""in degrees with so many decimals."""
-FEW_TARGETS: Final = 24
-"""Targets at which values are judged;"""
-FIRST_FEW: Final = 4
-"""so many of them by a first look, which asks for more where no value that they speak for will do."""
-GOOD_SHARE: Final = 0.6
-"""Values with this share of the best margin are good: of them the nearest comes first."""
-MOST_PATHS: Final = 8
-"""Values for which a path is searched at most, for each axis of a unit."""
-APART_M: Final = 0.2
-"""These are so far [m] apart,"""
-APART_RAD: Final = 10.0 * DEG
-"""or so far [rad]."""
-NO_PATH: Final = "bodies or joints leave no path there"
-BASE_GOES: Final = "as the base goes along"
-"""Begins what is said of a base that comes too near to bodies where it rides."""
-SUNK: Final = f"goes below {axis_way.FLOOR}"
-MORE_POSES: Final = "state more poses between those that are far apart"
-"""A remedy for joints that turn far from one target to the next."""
-WAY_ROOM_M: Final = 1e-3
-"""Bodies keep so much more [m] than their clearance on the way from one to the next."""
+"""Decimals of candidate angles in degrees."""
+SCORED_TARGETS: Final = 24
+"""Number of targets at which candidates are scored."""
+QUICK_SCORED_TARGETS: Final = 4
+"""Number of targets at which the quick check scores candidates first. More follow if none of these candidates
+is feasible.
+"""
+GOOD_SCORE_FRACTION: Final = 0.6
+"""Fraction of the best margin above which candidates are good. Of good candidates the nearest comes first."""
+MAX_PATH_SEARCHES: Final = 8
+"""Maximum number of candidates for which a path is searched, per axis of a unit."""
+MIN_LINEAR_DISTANCE_M: Final = 0.2
+"""Minimum distance [m] between tried values of a linear axis."""
+MIN_ANGULAR_DISTANCE_RAD: Final = 10.0 * DEG
+"""Minimum distance [rad] between tried angles of a rotary axis."""
+NO_PATH_TEXT: Final = "bodies or joints block every path there"
+BASE_MOVES_TEXT: Final = "while the base moves"
+"""Start of the text about a base that is too close to bodies while it moves with a coordinated track."""
+BELOW_FLOOR_TEXT: Final = f"moves below {external_axis_motion.FLOOR}"
+MORE_POSES_HINT: Final = "state more poses between distant ones"
+"""Hint for joints that turn far from one target to the next."""
+TRAVEL_EXTRA_CLEARANCE_M: Final = 1e-3
+"""Extra clearance [m] while external axes travel between stations."""
 
 
 @dataclasses.dataclass(frozen=True)
-class _Rails:
-    """The track or gantry of an arm, as an axis among others."""
+class _LinearUnit:
+    """The track or gantry of an arm."""
 
     name: str
-    rails: Mapping[str, LinearAxis]
+    axes: Mapping[str, LinearAxis]
     scale: float = MM
-    sign: str = "mm"
-    apart: float = APART_M
+    unit_text: str = "mm"
+    min_distance: float = MIN_LINEAR_DISTANCE_M
 
     @property
-    def track(self) -> LinearAxis:
-        """The axis on the floor: that of a track."""
-        return next(iter(self.rails.values()))
+    def first_axis(self) -> LinearAxis:
+        """Its first axis: that of a track, or the one on the floor."""
+        return next(iter(self.axes.values()))
 
     @property
     def unit(self) -> str:
-        return " and ".join(dict.fromkeys(axis.unit for axis in self.rails.values()))
+        return " and ".join(dict.fromkeys(axis.unit for axis in self.axes.values()))
 
     @property
-    def what(self) -> str:
+    def subject(self) -> str:
         return f"arm {self.name}"
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of its values among stations."""
-        return tuple(self.rails)
+        """Names of its values in stations."""
+        return tuple(self.axes)
 
     @property
-    def words(self) -> str:
-        """What its values are called, in order."""
-        return ", ".join(axis.word for axis in self.rails.values())
+    def value_words(self) -> str:
+        """Names of its values for users, in order."""
+        return ", ".join(axis.axis_name for axis in self.axes.values())
 
     @property
-    def ranges(self) -> str:
-        spans = (f"{axis.word} {axis.low / MM:g} to {axis.high / MM:g}" for axis in self.rails.values())
+    def range_text(self) -> str:
+        spans = (f"{axis.axis_name} {axis.low / MM:g} to {axis.high / MM:g}" for axis in self.axes.values())
         return ", ".join(span.strip() for span in spans)
 
-    def values(self) -> FloatArray:
-        """Values (K, A) at which it may stand."""
-        step = STEP_M
+    def candidates(self) -> FloatArray:
+        """Candidate values (K, A)."""
+        step = LINEAR_STEP_M
         while True:
-            grids = [values(axis, step) for axis in self.rails.values()]
-            if len(grids) == 1 or np.prod([len(grid) for grid in grids]) <= MOST_PLACES:
-                every = np.meshgrid(*grids, indexing="ij")
-                return np.stack([one.ravel() for one in every], axis=1)
-            step *= COARSER
+            grids = [linear_values(axis, step) for axis in self.axes.values()]
+            if len(grids) == 1 or np.prod([len(grid) for grid in grids]) <= MAX_GANTRY_POSITIONS:
+                mesh = np.meshgrid(*grids, indexing="ij")
+                return np.stack([axis_grid.ravel() for axis_grid in mesh], axis=1)
+            step *= GANTRY_STEP_FACTOR
 
-    def placed(
+    def poses_at(
         self, problem: Problem, setup: Setup, grid: FloatArray
     ) -> tuple[FloatArray, Mapping[str, FloatArray]]:
-        """Places of the block (K, 1, 4, 4) and bases for values (K, A)."""
+        """Stock poses (K, 1, 4, 4) and bases for values (K, A)."""
         base = problem.cell.arm(self.name).base
         bases = np.tile(base, (len(grid), 1, 1, 1))
-        bases[:, 0, :3, 3] += grid @ np.stack([axis.axis for axis in self.rails.values()])
-        return np.tile(_place(setup), (len(grid), 1, 1, 1)), {self.name: bases}
+        bases[:, 0, :3, 3] += grid @ np.stack([axis.axis for axis in self.axes.values()])
+        return np.tile(_stock_pose(setup), (len(grid), 1, 1, 1)), {self.name: bases}
 
-    def way(
-        self, setup: Setup, here: Mapping[str, float], there: Mapping[str, float], enough: float
-    ) -> AxisWay:
-        """The way of one axis after the other, to where the first one comes too near to anything."""
-        model, at = _model(setup), {name: here[name] for name in self.names}
-        within = own_clearance.own_pairs(model)  # a way of the base changes nothing within an arm
-        way = AxisWay(axis_way.REACH_M, 0.0, ("", ""), clear=True)
-        for name in in_turn(self.rails, here, there):
-            ends = (at[name], there[name])
-            way = axis_way.along(model, name, ends, _homes(setup), enough, within)
-            if not way.clear:
-                return way
-            gone = {**at, name: there[name]}
-            model, at = axis_way.stood(model, gone, at), gone
-        return way
+    def check_travel(
+        self, setup: Setup, start: Mapping[str, float], goal: Mapping[str, float], enough: float
+    ) -> AxisMotionCheck:
+        """Check the travel from ``start`` to ``goal``, one axis after the other.
+
+        The check ends at the first axis that is too close.
+        """
+        model, current = _build_model(setup), {name: start[name] for name in self.names}
+        same_arm_pairs = self_clearance.same_arm_pairs(
+            model
+        )  # a travel of the base changes no distance within its arm
+        travel = AxisMotionCheck(external_axis_motion.MAX_MEASURED_DISTANCE_M, 0.0, ("", ""), clear=True)
+        for name in motion_order(self.axes, start, goal):
+            ends = (current[name], goal[name])
+            travel = external_axis_motion.check_linear_motion(
+                model, name, ends, _home_postures(setup), enough, same_arm_pairs
+            )
+            if not travel.clear:
+                return travel
+            reached = {**current, name: goal[name]}
+            model, current = external_axis_motion.model_at_values(model, reached, current), reached
+        return travel
 
 
 @dataclasses.dataclass(frozen=True)
-class _Table:
-    """The turntable or positioner of a cell, as an axis among others."""
+class _RotaryUnit:
+    """The turntable or positioner of a cell."""
 
-    track: Turntable
-    name: str = STOCK
+    first_axis: Turntable
+    name: str = STOCK_AXIS
     scale: float = DEG
-    sign: str = "deg"
-    apart: float = APART_RAD
+    unit_text: str = "deg"
+    min_distance: float = MIN_ANGULAR_DISTANCE_RAD
 
     @property
     def unit(self) -> str:
-        return self.track.unit
+        return self.first_axis.unit
 
     @property
-    def what(self) -> str:
+    def subject(self) -> str:
         return "the block"
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of its values among stations."""
-        return tuple(self.track.axes)
+        """Names of its values in stations."""
+        return tuple(self.first_axis.axes)
 
     @property
-    def words(self) -> str:
-        """What its values are called, in order."""
-        return " and ".join(axis.word for axis in self.track.axes.values())
+    def value_words(self) -> str:
+        """Names of its values for users, in order."""
+        return " and ".join(axis.axis_name for axis in self.first_axis.axes.values())
 
     @property
-    def ranges(self) -> str:
+    def range_text(self) -> str:
         spans = (
-            f"{axis.word} {axis.low / DEG:g} to {axis.high / DEG:g}" for axis in self.track.axes.values()
+            f"{axis.axis_name} {axis.low / DEG:g} to {axis.high / DEG:g}"
+            for axis in self.first_axis.axes.values()
         )
         return ", ".join(spans).strip()
 
-    def values(self) -> FloatArray:
-        """Values (K, A) at which it may stand: of the turn, and with it of the tilt."""
-        if self.track.tilt is None:
-            return angles(self.track)[:, None]
-        both = np.meshgrid(angles(self.track, MOST_TURNS), angles(self.track.tilt, MOST_TILTS), indexing="ij")
-        return np.stack([one.ravel() for one in both], axis=1)
+    def candidates(self) -> FloatArray:
+        """Candidate values (K, A): of the rotation, and of the tilt if there is one."""
+        if self.first_axis.tilt is None:
+            return rotary_values(self.first_axis)[:, None]
+        mesh = np.meshgrid(
+            rotary_values(self.first_axis, MAX_POSITIONER_ROTATIONS),
+            rotary_values(self.first_axis.tilt, MAX_POSITIONER_TILTS),
+            indexing="ij",
+        )
+        return np.stack([grid.ravel() for grid in mesh], axis=1)
 
-    def placed(
+    def poses_at(
         self, problem: Problem, setup: Setup, grid: FloatArray
     ) -> tuple[FloatArray, Mapping[str, FloatArray]]:
-        """Places of the block (K, 1, 4, 4) for values (K, A), and no bases."""
-        place, here = _place(setup), setup.stock.stands
-        return self.track.placed(place, dict(zip(self.names, grid.T, strict=True)), here)[:, None], {}
+        """Stock poses (K, 1, 4, 4) for values (K, A), and no bases."""
+        stock_pose, current_values = _stock_pose(setup), setup.stock.axis_values
+        return self.first_axis.move_pose(
+            stock_pose, dict(zip(self.names, grid.T, strict=True)), current_values
+        )[:, None], {}
 
-    def way(
-        self, setup: Setup, here: Mapping[str, float], there: Mapping[str, float], enough: float
-    ) -> AxisWay:
-        """The way of one axis after the other, to where the first one comes too near to anything."""
-        model, at = _model(setup), {name: here[name] for name in self.names}
-        way = AxisWay(axis_way.REACH_M, 0.0, ("", ""), clear=True)
+    def check_travel(
+        self, setup: Setup, start: Mapping[str, float], goal: Mapping[str, float], enough: float
+    ) -> AxisMotionCheck:
+        """Check the travel from ``start`` to ``goal``, one axis after the other.
+
+        The check ends at the first axis that is too close.
+        """
+        model, current = _build_model(setup), {name: start[name] for name in self.names}
+        travel = AxisMotionCheck(external_axis_motion.MAX_MEASURED_DISTANCE_M, 0.0, ("", ""), clear=True)
         for name in self.names:
-            if there[name] != at[name]:
-                ends = (at[name], there[name])
-                tilt = at.get(TILT, 0.0)
-                way = axis_way.turning(model, self.track, name, tilt, ends, _homes(setup), enough)
-                if not way.clear:
-                    return way
-                gone = {**at, name: there[name]}
-                model, at = axis_way.stood(model, gone, at), gone
-        return way
+            if goal[name] != current[name]:
+                ends = (current[name], goal[name])
+                tilt = current.get(TILT_AXIS, 0.0)
+                travel = external_axis_motion.check_rotary_motion(
+                    model, name, tilt, ends, _home_postures(setup), enough
+                )
+                if not travel.clear:
+                    return travel
+                reached = {**current, name: goal[name]}
+                model, current = external_axis_motion.model_at_values(model, reached, current), reached
+        return travel
 
 
-_Axis = _Rails | _Table
+_ExternalUnit = _LinearUnit | _RotaryUnit
 
 
-Passes = Callable[[Scene, Targets, int], bool]
-"""Whether the targets of an operation, by its index, can be worked at where all stands in the scene."""
+StationTest = Callable[[Scene, Targets, int], bool]
+"""Whether the targets of an operation, by its index, can be worked with everything as in the scene."""
 
 
-def stationed(
-    problem: Problem, targets: Sequence[Targets], passes: Passes | None = None
+def assign_stations(
+    problem: Problem, targets: Sequence[Targets], passes: StationTest | None = None
 ) -> tuple[Problem, tuple[Targets, ...]]:
-    """The problem with a station of each arm on axes, and of the block on a turntable, in each operation,
-    and the targets with the values of tracks that go along; where an axis can stand says ``passes``, which
-    asks for no way there, by default whether there is a way there and a path. Raises :class:`TandemError`
-    (``motion.station``) where there is none, with the operation, and ``problem.track`` for a block whose
-    place is not stated, and for tools that slide along a track that goes along."""
-    axes: dict[str, _Axis] = {arm.name: _Rails(arm.name, arm.rails) for arm in problem.cell.arms if arm.axes}
+    """Choose the stations of all external axes in each operation.
+
+    Args:
+        problem: Problem.
+        targets: Targets of each operation.
+        passes: Quick test of a station, which ignores the travel to it. None requires a free travel and a
+            path.
+
+    Returns:
+        The problem with stations, and the targets with the positions of coordinated tracks.
+
+    Raises:
+        TandemError: ``motion.station`` if an operation has no station. ``problem.track`` if the stock pose is
+            not stated, or if tools slide along a coordinated track.
+    """
+    units: dict[str, _ExternalUnit] = {
+        arm.name: _LinearUnit(arm.name, arm.axes_by_name) for arm in problem.cell.arms if arm.linear_axes
+    }
     if problem.cell.turntable is not None:
-        axes[STOCK] = _Table(problem.cell.turntable)
-    if not axes:
+        units[STOCK_AXIS] = _RotaryUnit(problem.cell.turntable)
+    if not units:
         return problem, tuple(targets)
     if problem.stock.place is None or any(setup.stock.place is None for setup in problem.setups):
-        what = "an arm stands on a track or gantry and the block's place is searched; both together "
-        what += "are not written "
-        raise refusal("problem.track", f"{what}yet; state stock.place", field="stock.place")
-    at = problem.homes
+        message = "placement of the stock is not supported "
+        message += "with a track, gantry or turntable"
+        raise issue_error("problem.track", f"{message}; state stock.place", field="stock.place")
+    current = problem.axis_homes
     out: dict[int, dict[str, float]] = {}
-    riding: list[Targets] = []
-    for index, own in enumerate(targets):
-        going = [axes[name] for name in axes if name in (*own.arms, STOCK)]  # as programs move them
-        found = _Stood(at, own)
-        if going:
-            found = _placed(
-                _StationSearch(problem.stationed({**out, index: at}), index, own, at, passes), going
+    targets_on_tracks: list[Targets] = []
+    for index, operation_targets in enumerate(targets):
+        moving_units = [
+            units[name] for name in units if name in (*operation_targets.arms, STOCK_AXIS)
+        ]  # in the order of programs
+        choice = _StationChoice(current, operation_targets)
+        if moving_units:
+            choice = _choose_stations(
+                _StationSearch(
+                    problem.with_stations({**out, index: current}), index, operation_targets, current, passes
+                ),
+                moving_units,
             )
-        gone = {name: float(values[-1]) for name, values in found.targets.ride.items()}
-        out[index] = {**found.at, **{f"{name}{END}": value for name, value in gone.items()}}
-        at = {**found.at, **gone}
-        riding.append(found.targets)
-    made = problem.stationed(out)
+        track_ends = {name: float(values[-1]) for name, values in choice.targets.track_positions.items()}
+        out[index] = {**choice.values, **{f"{name}{END_SUFFIX}": value for name, value in track_ends.items()}}
+        current = {**choice.values, **track_ends}
+        targets_on_tracks.append(choice.targets)
+    placed_problem = problem.with_stations(out)
     if passes is None:
-        _check_way_home(made, axes, at)
-    return made, tuple(riding)
+        _require_travel_home(placed_problem, units, current)
+    return placed_problem, tuple(targets_on_tracks)
 
 
-def _check_way_home(problem: Problem, axes: Mapping[str, _Axis], at: Mapping[str, float]) -> None:
-    """Raise an issue (``motion.station``) where axes cannot go home behind the last operation."""
+def _require_travel_home(
+    problem: Problem, units: Mapping[str, _ExternalUnit], current: Mapping[str, float]
+) -> None:
+    """Require (``motion.station``) that external axes can travel home after the last operation."""
     index = len(problem.operations) - 1
-    enough = problem.settings.clearance + WAY_ROOM_M
-    homes = problem.homes
-    own = problem.stations.get(index, {})
-    stands = {name: value for name, value in own.items() if not name.endswith(END)}
-    for axis in axes.values():
-        if all(at[name] == homes[name] for name in axis.names):
+    clearance = problem.settings.clearance + TRAVEL_EXTRA_CLEARANCE_M
+    homes = problem.axis_homes
+    last_stations = problem.stations.get(index, {})
+    station_values = {name: value for name, value in last_stations.items() if not name.endswith(END_SUFFIX)}
+    for unit in units.values():
+        if all(current[name] == homes[name] for name in unit.names):
             continue
-        setup = problem.stationed({**problem.stations, index: {**stands, **at}}).setup_of(index)
-        way = axis.way(setup, at, homes, enough)
-        at = {**at, **{name: homes[name] for name in axis.names}}
-        if not way.clear:
-            what = f"operation {problem.operations[index].name}: on the way of {axis.unit} home behind it "
-            what += _near(way)
-            hint = "take what is there away, or let the axis have its home on the other side of it"
+        setup = problem.with_stations({**problem.stations, index: {**station_values, **current}}).setup_of(
+            index
+        )
+        travel = unit.check_travel(setup, current, homes, clearance)
+        current = {**current, **{name: homes[name] for name in unit.names}}
+        if not travel.clear:
+            message = f"operation {problem.operations[index].name}: when {unit.unit} travels home after it, "
+            message += _describe_collision(travel)
+            hint = "remove the obstacle, or put the home of the axis on the other side of it"
             field = f"operations.{index}"
-            raise refusal("motion.station", what, hint=hint, field=field)
+            raise issue_error("motion.station", message, hint=hint, field=field)
 
 
-def values(track: LinearAxis, step: float = STEP_M) -> FloatArray:
-    """The values (K,) [m] at which a linear axis may stand, whole tenths of a millimetre, ``step`` [m] apart
-    at most; 0 has no sign."""
-    count = min(max(int(np.ceil((track.high - track.low) / step)) + 1, 2), MOST_VALUES)
+def linear_values(track: LinearAxis, step: float = LINEAR_STEP_M) -> FloatArray:
+    """Candidate values (K,) [m] of a linear axis, in whole tenths of a millimetre and including its home.
+
+    Args:
+        track: The axis.
+        step: Maximum step [m].
+    """
+    count = min(max(int(np.ceil((track.high - track.low) / step)) + 1, 2), MAX_LINEAR_VALUES)
     return np.unique(np.append(np.round(np.linspace(track.low, track.high, count), 4), track.home) + 0.0)
 
 
-def angles(table: RotaryAxis, most: int = MOST_ANGLES) -> FloatArray:
-    """The values (K,) [rad] at which an axis under the block may stand, whole tenths of a degree within its
-    range, about its home, about ``most`` of them at most."""
-    step = max(STEP_RAD / DEG, np.ceil((table.high - table.low) / DEG / (most - 1)))
+def rotary_values(table: RotaryAxis, max_count: int = MAX_TURNTABLE_ANGLES) -> FloatArray:
+    """Candidate angles (K,) [rad] of a rotary axis within its range, counted from its home.
+
+    Angles are whole tenths of a degree.
+
+    Args:
+        table: The axis.
+        max_count: Approximate maximum number of angles.
+    """
+    step = max(TURNTABLE_STEP_RAD / DEG, np.ceil((table.high - table.low) / DEG / (max_count - 1)))
     low, high, home = (value / DEG for value in (table.low, table.high, table.home))
     steps = np.arange(np.ceil((low - home) / step - 1e-9), np.floor((high - home) / step + 1e-9) + 1.0)
     grid = np.round(home + step * steps, ANGLE_DECIMALS)
@@ -301,15 +356,15 @@ def angles(table: RotaryAxis, most: int = MOST_ANGLES) -> FloatArray:
     return np.asarray(np.unique(grid) * DEG)
 
 
-def _place(setup: Setup) -> FloatArray:
+def _stock_pose(setup: Setup) -> FloatArray:
     return setup.stock.place if setup.stock.place is not None else np.eye(4)
 
 
-def _model(setup: Setup) -> plant.CellModel:
-    return plant.build(setup.cell, setup.stock, _place(setup))
+def _build_model(setup: Setup) -> plant.CellModel:
+    return plant.build_cell_model(setup.cell, setup.stock, _stock_pose(setup))
 
 
-def _homes(setup: Setup) -> dict[str, FloatArray]:
+def _home_postures(setup: Setup) -> dict[str, FloatArray]:
     return {arm.name: arm.home for arm in setup.cell.arms}
 
 
@@ -318,307 +373,388 @@ class _StationSearch:
     """The search for values of axes of one operation.
 
     Attributes:
-        problem: The problem, with all axes ``at`` their values.
+        problem: The problem, with all axes at ``values``.
         index: Index of the operation.
         targets: Targets of the operation.
-        at: Values [m, rad] of all axes by name. Axes move to new values one after the other.
+        values: Values [m, rad] of all axes by name. Axes move to new values one after the other.
         passes: A quick test of a scene that replaces the search of a path, or None.
     """
 
     problem: Problem
     index: int
     targets: Targets
-    at: Mapping[str, float]
-    passes: Passes | None
+    values: Mapping[str, float]
+    passes: StationTest | None
 
     def setup(self) -> Setup:
         """The setup of the operation."""
         return self.problem.setup_of(self.index)
 
-    def with_axes_at(self, at: Mapping[str, float]) -> "_StationSearch":
-        """Return this search with all axes ``at`` other values."""
-        problem = self.problem.stationed({**self.problem.stations, self.index: at})
-        return dataclasses.replace(self, problem=problem, at=at)
+    def with_values(self, values: Mapping[str, float]) -> "_StationSearch":
+        """Return this search with all axes at other ``values``."""
+        problem = self.problem.with_stations({**self.problem.stations, self.index: values})
+        return dataclasses.replace(self, problem=problem, values=values)
 
-    def aimed(self, value: Mapping[str, float]) -> tuple[Scene, Targets]:
-        """The scene, and the targets, where an axis stands at a value and all others at theirs."""
-        problem = self.with_axes_at({**self.at, **value}).problem
-        scene = _scene(problem, self.index, self.targets, _model(problem.setup_of(self.index)))
+    def scene_and_targets(self, value: Mapping[str, float]) -> tuple[Scene, Targets]:
+        """The scene, and the targets, with some axes at the given values and all others at theirs."""
+        problem = self.with_values({**self.values, **value}).problem
+        scene = _make_scene(problem, self.index, self.targets, _build_model(problem.setup_of(self.index)))
         return scene, with_aims(scene, self.targets)
 
 
 @dataclasses.dataclass(frozen=True)
-class _Stood:
-    """Where all axes stand ``at`` before the first target, and the targets with the values of tracks that go
-    along."""
+class _StationChoice:
+    """Values of all axes before the first target, and the targets.
 
-    at: Mapping[str, float]
+    The targets have the positions of coordinated tracks.
+    """
+
+    values: Mapping[str, float]
     targets: Targets
 
 
-def _placed(work: _StationSearch, axes: Sequence[_Axis]) -> _Stood:
-    """Where ``axes``, which go there one after the other, have a path of the operation; raises
-    ``TandemError`` where there is none. Each is judged by the arms that are placed by then, and by whether
-    those behind it have places, too."""
-    axis, *rest = axes
-    follows = isinstance(axis, _Rails) and axis.track.follow is not None
-    return (_followed if follows else _station)(work, axis, rest)
+def _choose_stations(search: _StationSearch, units: Sequence[_ExternalUnit]) -> _StationChoice:
+    """Choose values of ``units``, which move one after the other, with which the operation has a path.
+
+    Raises ``TandemError`` if there are none. Each unit is judged by the arms that are placed by then, and by
+    whether the following units have values, too.
+    """
+    unit, *rest = units
+    is_coordinated = isinstance(unit, _LinearUnit) and unit.first_axis.follow_fraction is not None
+    return (_choose_coordinated_track if is_coordinated else _choose_fixed_station)(search, unit, rest)
 
 
-def _station(work: _StationSearch, axis: _Axis, rest: Sequence[_Axis]) -> _Stood:
-    problem, index, targets = work.problem, work.index, work.targets
-    setup = work.setup()
-    grid = axis.values()
-    placed = axis.placed(problem, setup, grid)
-    before = np.array([work.at[name] for name in axis.names])
-    most = FEW_TARGETS // len(axis.names)  # a positioner has many more values
-    aimed = with_aims(_scene(problem, index, targets), targets)
-    for count in (most,) if work.passes is None else (FIRST_FEW, most):
-        few = few_of(setup.cell, aimed, count, False)
-        score = margin(few, *placed, problem.settings, _judged(targets, rest))
+def _choose_fixed_station(
+    search: _StationSearch, unit: _ExternalUnit, rest: Sequence[_ExternalUnit]
+) -> _StationChoice:
+    problem, index, targets = search.problem, search.index, search.targets
+    setup = search.setup()
+    grid = unit.candidates()
+    placed = unit.poses_at(problem, setup, grid)
+    previous = np.array([search.values[name] for name in unit.names])
+    max_targets = SCORED_TARGETS // len(unit.names)  # fewer for positioners, which have many more values
+    aimed = with_aims(_make_scene(problem, index, targets), targets)
+    for count in (max_targets,) if search.passes is None else (QUICK_SCORED_TARGETS, max_targets):
+        sampled = sample_coarsely(setup.cell, aimed, count, False)
+        score = placement_margin(sampled, *placed, problem.settings, _placed_arms(targets, rest))
         tried: list[FloatArray] = []
-        first: str | Issue = ""
-        for k in _order(grid, score, before, axis.apart):
-            if len(tried) >= MOST_PATHS * len(axis.names):
+        first_reason: str | Issue = ""
+        for k in _trial_order(grid, score, previous, unit.min_distance):
+            if len(tried) >= MAX_PATH_SEARCHES * len(unit.names):
                 break
-            near = any(np.abs(grid[k] - other).max() < axis.apart for other in tried)
-            if near and (grid[k] != before).any():
+            is_close = any(np.abs(grid[k] - other).max() < unit.min_distance for other in tried)
+            if is_close and (grid[k] != previous).any():
                 continue
             tried.append(grid[k])
-            found = _try(work, axis, rest, _named(axis, grid[k]))
-            if isinstance(found, _Stood):
-                return found
-            first = first or found  # of the value that was thought best
-    if isinstance(first, Issue):
-        raise TandemError(first)
-    if first == NO_PATH:
-        first = _in_the_way(*work.aimed(_named(axis, tried[0])))
-    raise TandemError(_nowhere(work, axis, grid, score, tried, first))
+            result = _try_value(search, unit, rest, _values_by_name(unit, grid[k]))
+            if isinstance(result, _StationChoice):
+                return result
+            first_reason = first_reason or result  # the reason of the first, best value
+    if isinstance(first_reason, Issue):
+        raise TandemError(first_reason)
+    if first_reason == NO_PATH_TEXT:
+        first_reason = _first_obstruction(*search.scene_and_targets(_values_by_name(unit, tried[0])))
+    raise TandemError(_no_station_issue(search, unit, grid, score, tried, first_reason))
 
 
-def _try(
-    work: _StationSearch, axis: _Axis, rest: Sequence[_Axis], value: Mapping[str, float]
-) -> _Stood | Issue | str:
-    """Where axes stand with ``axis`` at a value; else what comes too near on its way there, why there is no
-    place for the ``rest``, or that there is no path."""
-    if any(value[name] != work.at[name] for name in axis.names) and work.passes is None:
-        enough = work.problem.settings.clearance + WAY_ROOM_M
-        way = axis.way(work.setup(), work.at, value, enough)
-        if not way.clear:
-            return f"on the way there {_near(way)}"
-    here = {**work.at, **value}
+def _try_value(
+    search: _StationSearch, unit: _ExternalUnit, rest: Sequence[_ExternalUnit], value: Mapping[str, float]
+) -> _StationChoice | Issue | str:
+    """Try one value of ``unit``.
+
+    Returns the choice, the travel collision, the issue of the ``rest``, or that there is no path.
+    """
+    if any(value[name] != search.values[name] for name in unit.names) and search.passes is None:
+        clearance = search.problem.settings.clearance + TRAVEL_EXTRA_CLEARANCE_M
+        travel = unit.check_travel(search.setup(), search.values, value, clearance)
+        if not travel.clear:
+            return f"on the way there {_describe_collision(travel)}"
+    all_values = {**search.values, **value}
     if rest:
         try:
-            return _placed(work.with_axes_at(here), rest)
+            return _choose_stations(search.with_values(all_values), rest)
         except TandemError as error:
             return error.issues[0]
-    scene, own = work.aimed(value)
-    passes = work.passes
-    free = isinstance(find_path(scene, own)[1], Found) if passes is None else passes(scene, own, work.index)
-    return _Stood(here, work.targets) if free else NO_PATH
+    scene, aimed_targets = search.scene_and_targets(value)
+    passes = search.passes
+    is_feasible = (
+        isinstance(find_path(scene, aimed_targets)[1], PathResult)
+        if passes is None
+        else passes(scene, aimed_targets, search.index)
+    )
+    return _StationChoice(all_values, search.targets) if is_feasible else NO_PATH_TEXT
 
 
-def _judged(targets: Targets, rest: Sequence[_Axis]) -> tuple[str, ...]:
-    """The arms of targets that stand where they are to work, when only the axes of ``rest`` do not."""
+def _placed_arms(targets: Targets, rest: Sequence[_ExternalUnit]) -> tuple[str, ...]:
+    """Arms of the targets that are placed when only the units of ``rest`` are not."""
     return tuple(arm for arm in targets.arms if all(axis.name != arm for axis in rest))
 
 
-def _followed(work: _StationSearch, axis: _Axis, rest: Sequence[_Axis]) -> _Stood:
-    """The values of a track that goes along in an operation, with which there is a way to the first one and a
-    path."""
-    problem, index, targets = work.problem, work.index, work.targets
-    scene, name = _scene(problem, index, targets), problem.operations[index].name
-    slides = following.slides(scene, targets, axis.name)
-    if slides > following.MOST_SLIDE_M:
-        what = f"operation {name}: its freedoms let the tool slide by up to {slides / MM:.1f} mm along "
-        what += f"{axis.unit}, which goes along by nominal poses; allowed are "
-        what += f"{following.MOST_SLIDE_M / MM:g} mm; leave them out, or take follow out of the track"
-        raise refusal("problem.track", what, arm=axis.name, field=f"operations.{index}")
-    kept: list[_Stood] = []
-    others: list[Issue] = []
+def _choose_coordinated_track(
+    search: _StationSearch, unit: _ExternalUnit, rest: Sequence[_ExternalUnit]
+) -> _StationChoice:
+    """Choose the positions of a coordinated track.
 
-    def fault(riding: Targets) -> str:
-        values = riding.ride[axis.name]
-        start, own = {axis.name: float(values[0])}, dataclasses.replace(work, targets=riding)
-        found = _try(own, axis, rest, start)
-        if found == NO_PATH:
-            return _in_the_way(*own.aimed(start))
-        if isinstance(found, str):
-            return found
-        if isinstance(found, Issue):
-            others.append(found)
-            return found.message
-        kept.append(found)
-        return "" if work.passes is not None else _base_fault(work, axis, found.at, values)
+    With them there is a travel to the first one and a path.
+    """
+    problem, index, targets = search.problem, search.index, search.targets
+    scene, name = _make_scene(problem, index, targets), problem.operations[index].name
+    tool_slide = coordinated_track.max_tool_slide(scene, targets, unit.name)
+    if tool_slide > coordinated_track.MAX_SLIDE_M:
+        message = (
+            f"operation {name}: its freedoms let the tool slide by up to {tool_slide / MM:.1f} mm along "
+        )
+        message += f"{unit.unit}, which follows the nominal poses; allowed: "
+        message += f"{coordinated_track.MAX_SLIDE_M / MM:g} mm; remove these freedoms, "
+        message += "or remove follow from the track"
+        raise issue_error("problem.track", message, arm=unit.name, field=f"operations.{index}")
+    choices: list[_StationChoice] = []
+    rest_issues: list[Issue] = []
 
-    cell, judged = work.setup().cell, _judged(targets, rest)
-    found = following.chosen(scene, cell, targets, axis.name, judged, fault)
-    if not isinstance(found, following.Unreached):
-        return kept[-1]
-    if others:
-        raise TandemError(others[0])
-    from_to = f"{found.best[0] / MM:g} to {found.best[-1] / MM:g} mm"
-    what = f"operation {name}: {axis.what} reaches not all of it while {axis.unit} goes along, within "
-    what += f"{axis.ranges} mm; from {from_to} it reaches most"
-    if found.tried:
-        what = f"operation {name}: there is no path while {axis.unit} goes along; tried {found.tried} laws, "
-        what += f"at the best, from {from_to}: {found.fault}"
-    hint = "make the track longer or put it nearer to the work, split the operation, or let the track stand "
-    hint += "(take follow out)"
-    if found.tried:
-        if found.fault.endswith(SUNK):
-            first = "put the base higher, or narrow range_mm to where it stands on or above the floor"
-        elif found.fault.startswith(BASE_GOES):
-            first = "clear away what is in the way, or narrow range_mm to where the base is clear"
+    def failure_reason(track_targets: Targets) -> str:
+        values = track_targets.track_positions[unit.name]
+        start, track_search = (
+            {unit.name: float(values[0])},
+            dataclasses.replace(search, targets=track_targets),
+        )
+        result = _try_value(track_search, unit, rest, start)
+        if result == NO_PATH_TEXT:
+            return _first_obstruction(*track_search.scene_and_targets(start))
+        if isinstance(result, str):
+            return result
+        if isinstance(result, Issue):
+            rest_issues.append(result)
+            return result.message
+        choices.append(result)
+        return "" if search.passes is not None else _base_collision(search, unit, result.values, values)
+
+    cell, scored_arms = search.setup().cell, _placed_arms(targets, rest)
+    choice = coordinated_track.choose_track_law(scene, cell, targets, unit.name, scored_arms, failure_reason)
+    if not isinstance(choice, coordinated_track.TrackLawFailure):
+        return choices[-1]
+    if rest_issues:
+        raise TandemError(rest_issues[0])
+    range_text = f"{choice.best[0] / MM:g} to {choice.best[-1] / MM:g} mm"
+    message = f"operation {name}: {unit.subject} does not reach all of it while {unit.unit} moves within "
+    message += f"{unit.range_text} mm; from {range_text} it reaches most"
+    if choice.tried:
+        message = f"operation {name}: there is no path while {unit.unit} moves; tried {choice.tried} laws, "
+        message += f"at the best, from {range_text}: {choice.fault}"
+    hint = "make the track longer or put it closer to the work, split the operation, or let the track stand "
+    hint += "(remove follow)"
+    if choice.tried:
+        if choice.fault.endswith(BELOW_FLOOR_TEXT):
+            first = "raise the base, or narrow range_mm to where it is on or above the floor"
+        elif choice.fault.startswith(BASE_MOVES_TEXT):
+            first = "remove the obstacle, or narrow range_mm to where the base is clear"
         else:
-            first = f"clear away what is in the way, or {MORE_POSES}"
+            first = f"remove the obstacle, or {MORE_POSES_HINT}"
         hint = f"{first}; or {hint}"
-    raise refusal("motion.station", what, arm=axis.name, hint=hint, field=f"operations.{index}")
+    raise issue_error("motion.station", message, arm=unit.name, hint=hint, field=f"operations.{index}")
 
 
-def _base_fault(work: _StationSearch, axis: _Axis, at: Mapping[str, float], values: FloatArray) -> str:
-    """What the base itself comes too near to while it goes along with ``values`` (N,) [m]; the rest of the
-    arm is looked at as it works."""
-    low, high = float(values.min()), float(values.max())
-    setup = work.with_axes_at({**at, axis.name: low}).setup()
-    model = _model(setup)
+def _base_collision(
+    search: _StationSearch, unit: _ExternalUnit, choice_values: Mapping[str, float], positions: FloatArray
+) -> str:
+    """Describe what the base is too close to while it moves along ``positions`` (N,) [m].
+
+    The rest of the arm is checked at its targets.
+    """
+    low, high = float(positions.min()), float(positions.max())
+    setup = search.with_values({**choice_values, unit.name: low}).setup()
+    model = _build_model(setup)
     bodies = sorted({solid.body for solid in model.solids})
-    aside = frozenset(map(frozenset, itertools.combinations(bodies, 2)))
-    enough = work.problem.settings.clearance + WAY_ROOM_M
-    way = axis_way.along(model, axis.name, (low, high), _homes(setup), enough, aside)
-    if way.clear:
+    ignored_pairs = frozenset(map(frozenset, itertools.combinations(bodies, 2)))
+    clearance = search.problem.settings.clearance + TRAVEL_EXTRA_CLEARANCE_M
+    travel = external_axis_motion.check_linear_motion(
+        model, unit.name, (low, high), _home_postures(setup), clearance, ignored_pairs
+    )
+    if travel.clear:
         return ""
-    said = f"{BASE_GOES} {_near(way)}"
-    return said if said.endswith(SUNK) else f"{said}, allowed are {enough / MM:g} mm at least"
+    text = f"{BASE_MOVES_TEXT} {_describe_collision(travel)}"
+    return text if text.endswith(BELOW_FLOOR_TEXT) else f"{text} (at least {clearance / MM:g} mm required)"
 
 
-def _named(axis: _Axis, row: FloatArray) -> dict[str, float]:
-    """Values (A,) of an axis by their names among stations."""
-    return dict(zip(axis.names, row.tolist(), strict=True))
+def _values_by_name(unit: _ExternalUnit, row: FloatArray) -> dict[str, float]:
+    """Values (A,) of a unit by their names in stations."""
+    return dict(zip(unit.names, row.tolist(), strict=True))
 
 
-def _order(grid: FloatArray, score: FloatArray, before: FloatArray, near_by: float) -> list[int]:
-    """Values (K, A) with a margin: the good ones by their way from ``before`` (A,), then the others, best
-    first. Of the values of several axes there are many within ``near_by`` of each other, so the nearest and
-    those farthest from what comes before take turns."""
+def _trial_order(grid: FloatArray, score: FloatArray, previous: FloatArray, min_distance: float) -> list[int]:
+    """Indices of values (K, A) with a margin, in the order in which they are tried.
+
+    Good ones come first, by distance from ``previous`` (A,), then the others by margin.
+
+    Several axes have many values within ``min_distance`` of each other. The nearest value and the one
+    farthest from those before it therefore alternate.
+    """
     reached = np.flatnonzero(score > 0.0)
     if not len(reached):
         return []
-    good = score >= GOOD_SHARE * score.max()
-    far = np.abs(grid - before).sum(axis=1)
-    near = sorted((k for k in reached if good[k]), key=lambda k: (far[k], -score[k]))
-    rest = sorted((k for k in reached if not good[k]), key=lambda k: -score[k])
-    ordered = [*near, *rest]
+    good = score >= GOOD_SCORE_FRACTION * score.max()
+    distance = np.abs(grid - previous).sum(axis=1)
+    good_indices = sorted((k for k in reached if good[k]), key=lambda k: (distance[k], -score[k]))
+    other_indices = sorted((k for k in reached if not good[k]), key=lambda k: -score[k])
+    ordered = [*good_indices, *other_indices]
     if grid.shape[1] == 1:
         return [int(k) for k in ordered]
     out: list[int] = []
-    while ordered and len(out) < MOST_PATHS * grid.shape[1]:
+    while ordered and len(out) < MAX_PATH_SEARCHES * grid.shape[1]:
         k = ordered[0]
         if len(out) % 2:
-            apart = np.abs(grid[ordered][:, None] - grid[out]).max(axis=2).min(axis=1)
-            k = ordered[int(np.argmax(apart))]
+            separation = np.abs(grid[ordered][:, None] - grid[out]).max(axis=2).min(axis=1)
+            k = ordered[int(np.argmax(separation))]
         out.append(int(k))
-        ordered = [one for one in ordered if np.abs(grid[one] - grid[k]).max() >= near_by]
+        ordered = [index for index in ordered if np.abs(grid[index] - grid[k]).max() >= min_distance]
     return out
 
 
-def _scene(problem: Problem, index: int, targets: Targets, model: plant.CellModel | None = None) -> Scene:
+def _make_scene(
+    problem: Problem, index: int, targets: Targets, model: plant.CellModel | None = None
+) -> Scene:
     setup = problem.setup_of(index)
-    return Scene.of(setup.cell, targets.arms, _place(setup), problem.settings, model)
+    return Scene.of(setup.cell, targets.arms, _stock_pose(setup), problem.settings, model)
 
 
-def _near(way: AxisWay) -> str:
-    """Which bodies come too near on a way, and what may be so near where it begins."""
-    if axis_way.FLOOR in way.pair and way.least < 0.0:
-        return f"{way.pair[0]} {SUNK}"
-    said = f"{' and '.join(way.pair)} come as near as {max(way.least, 0.0) / MM:.1f} mm"
-    if len(way.looked) > 1:
-        return said
-    if any(name.endswith("/base_link") for name in way.pair):
-        said += ", where it begins; a base may touch what it stands on, where each shape of that ends below "
-        return f"{said}its foot"
-    if set(way.pair) & set(way.looked[0].poses):
-        said += ", where it begins; what bears a body that is carried is less than "
-        said += f"{axis_way.STANDING_GAP_M / MM:g} mm beside it over all of the axis' range"
-    return said
+def _describe_collision(travel: AxisMotionCheck) -> str:
+    """Describe which bodies are too close on a travel, and what may be the cause at its start."""
+    if external_axis_motion.FLOOR in travel.pair and travel.min_distance < 0.0:
+        return f"{travel.pair[0]} {BELOW_FLOOR_TEXT}"
+    text = f"{' and '.join(travel.pair)} come as close as {max(travel.min_distance, 0.0) / MM:.1f} mm"
+    if len(travel.samples) > 1:
+        return text
+    if any(name.endswith("/base_link") for name in travel.pair):
+        text += " at its start; a base may touch its support only if each shape of the support ends below "
+        return f"{text}its foot"
+    if set(travel.pair) & set(travel.samples[0].poses):
+        text += " at its start; the support of a carried body has to be less than "
+        text += (
+            f"{external_axis_motion.MAX_STANDING_GAP_M / MM:g} mm from it over the whole range of the axis"
+        )
+    return text
 
 
-def _in_the_way(scene: Scene, targets: Targets) -> str:
-    """What leaves no path, the first of what is found."""
-    grid, found = find_path(scene, targets)
-    said = [] if isinstance(found, Found) else diagnosis.no_path(scene, targets, grid, found)
-    return said[0].message if said else NO_PATH
+def _first_obstruction(scene: Scene, targets: Targets) -> str:
+    """Describe the first obstruction of a path."""
+    grid, result = find_path(scene, targets)
+    issues = [] if isinstance(result, PathResult) else diagnosis.no_path_issues(scene, targets, grid, result)
+    return issues[0].message if issues else NO_PATH_TEXT
 
 
-def _nowhere(
-    work: _StationSearch,
-    axis: _Axis,
+def _no_station_issue(
+    search: _StationSearch,
+    unit: _ExternalUnit,
     grid: FloatArray,
     score: FloatArray,
     tried: Sequence[FloatArray],
     reasons: str,
 ) -> Issue:
-    problem, index = work.problem, work.index
-    name, table = problem.operations[index].name, axis.name == STOCK
+    problem, index = search.problem, search.index
+    name, is_table = problem.operations[index].name, unit.name == STOCK_AXIS
 
-    def shown(row: FloatArray) -> str:
-        return " and ".join(f"{value / axis.scale:g}" for value in row)
+    def format_values(row: FloatArray) -> str:
+        return " and ".join(f"{value / unit.scale:g}" for value in row)
 
-    reach = "the arms reach all of it" if table else f"{axis.what} reaches all of it"
-    what = f"operation {name}: {reach} from no value of {axis.unit}, {axis.ranges} {axis.sign}"
+    reach_text = "the arms do not reach all of it" if is_table else f"{unit.subject} does not reach all of it"
+    message = (
+        f"operation {name}: {reach_text} from any value of {unit.unit}, {unit.range_text} {unit.unit_text}"
+    )
     if tried:
-        which = f" ({axis.words})" if len(axis.names) > 1 else ""
-        all_of = ", ".join(shown(row) for row in tried)
-        what = f"operation {name}: no value of {axis.unit} has a path; tried {all_of} {axis.sign}{which}; "
-        what += f"at {shown(tried[0])} {axis.sign}: {reasons}"
-    best = f"{shown(grid[int(np.argmax(score))])} {axis.sign} is nearest to it"
-    if table:
-        hint = f"split the operation, as the table stands while an arm works ({best}), or put the table "
-        hint += "elsewhere, where the arms reach one side of the block and leave it room to turn"
+        which = f" ({unit.value_words})" if len(unit.names) > 1 else ""
+        all_of = ", ".join(format_values(row) for row in tried)
+        message = (
+            f"operation {name}: no value of {unit.unit} has a path; tried {all_of} {unit.unit_text}{which}; "
+        )
+        message += f"at {format_values(tried[0])} {unit.unit_text}: {reasons}"
+    best_text = f"{format_values(grid[int(np.argmax(score))])} {unit.unit_text} comes closest"
+    if is_table:
+        hint = f"split the operation, because the table stands during it ({best_text}), or move the table to "
+        hint += "where the arms reach one side of the stock and leave it room to turn"
     else:
-        kind = "track" if len(axis.names) == 1 else "axes"
-        hint = f"split the operation, as an arm stands while it works ({best}), or make the {kind} longer"
-        own = problem.cell.arm(axis.name)
-        beside = any(problem.cell.arm(other).follows for other in problem.operations[index].arms)
-        held = any(setup.stock.held_by == own.name for setup in problem.setups)
-        able = own.track is not None and not own.track.carries and own.sag is None and not (beside or held)
-        if able and all(any_base(one) for one in problem.operations if own.name in one.arms):
-            hint += ", or let it go along while the arm works (track: follow: 1)"
-    arm = None if table else axis.name
-    return Issue("motion.station", what, arm=arm, hint=hint, field=f"operations.{index}")
+        axis_text = "track" if len(unit.names) == 1 else "axes"
+        hint = (
+            f"split the operation, because the base stands during it ({best_text}), or make the {axis_text} "
+            "longer"
+        )
+        arm_data = problem.cell.arm(unit.name)
+        others_coordinated = any(
+            problem.cell.arm(other).has_coordinated_track for other in problem.operations[index].arms
+        )
+        holds_stock = any(setup.stock.held_by == arm_data.name for setup in problem.setups)
+        can_follow = (
+            arm_data.track is not None
+            and not arm_data.track.carries
+            and arm_data.sag is None
+            and not (others_coordinated or holds_stock)
+        )
+        if can_follow and all(
+            allows_moving_base(candidate)
+            for candidate in problem.operations
+            if arm_data.name in candidate.arms
+        ):
+            hint += ", or let it move while the arm works (track: follow: 1)"
+    arm = None if is_table else unit.name
+    return Issue("motion.station", message, arm=arm, hint=hint, field=f"operations.{index}")
 
 
-RAIL_M: Final = 4.0
-"""Tracks that are advised go so far [m] to either side of where a base stands."""
-BASE_ROOM_M: Final = 0.3
-"""A block on a turntable that is advised turns so far [m] from the middle of a base."""
-ANGLE_NOISE: Final = 1e-9
-"""Turntables that would turn by less [rad] are not advised."""
-AXES: Final = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}
-"""Directions of tracks that are advised."""
+MAX_SUGGESTED_TRAVEL_M: Final = 4.0
+"""Maximum travel [m] of suggested tracks to either side of the base."""
+MIN_BASE_DISTANCE_M: Final = 0.3
+"""Minimum distance [m] between the rim of a suggested turntable with its stock and the centre of a base."""
+MIN_SUGGESTED_ROTATION_RAD: Final = 1e-9
+"""Rotation [rad] below which a turntable is not suggested."""
+TRACK_DIRECTIONS: Final = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}
+"""Directions of suggested tracks."""
 
 
-def advice(problem: Problem, targets: Sequence[Targets]) -> str:
-    """What takes the arm of a cell of one ABB or KUKA arm, or the block, to where it reaches every operation:
-    the shortest track under the arm, or a turntable under the block, whichever will do; empty where neither
-    does, or there is one. Bodies in the way are not looked at."""
-    (arm, *others), place = problem.cell.arms, problem.stock.place
-    stated = not others and place is not None and arm.data.family in AXES_WRITTEN and not arm.base_auto
-    stated = stated and problem.stock.held_by is None and problem.stock.sheet is None
-    if not stated or arm.axes or problem.cell.turntable is not None or problem.changes:
+def suggest_axis(problem: Problem, targets: Sequence[Targets]) -> str:
+    """Suggest an external axis with which every operation is reached.
+
+    For a cell of one ABB or KUKA arm this is the shortest track under the arm, a turntable under the stock,
+    or both as alternatives. Collisions are not checked.
+
+    Args:
+        problem: Problem without external axes.
+        targets: Targets of each operation.
+
+    Returns:
+        A hint; empty if neither helps or the cell has an external axis.
+    """
+    (arm, *others), stock_pose = problem.cell.arms, problem.stock.place
+    is_supported = (
+        not others
+        and stock_pose is not None
+        and arm.data.family in EXTERNAL_AXIS_FAMILIES
+        and not arm.base_auto
+    )
+    is_supported = is_supported and problem.stock.held_by is None and problem.stock.sheet is None
+    if not is_supported or arm.linear_axes or problem.cell.turntable is not None or problem.changes:
         return ""
     return "; or ".join(
-        text for text in (_table_advice(problem, targets), _track_advice(problem, targets)) if text
+        text
+        for text in (_turntable_suggestion(problem, targets), _track_suggestion(problem, targets))
+        if text
     )
 
 
-def _stands(problem: Problem, targets: Sequence[Targets], grid: FloatArray, axis: _Axis) -> FloatArray | None:
-    """For each operation the least values (N, A) of ``grid`` (K, A) from which all of it is reached; None
-    where one has none."""
+def _nearest_stations(
+    problem: Problem, targets: Sequence[Targets], grid: FloatArray, unit: _ExternalUnit
+) -> FloatArray | None:
+    """For each operation the smallest values (N, A) from which all of it is reached.
+
+    They are rows of ``grid`` (K, A). None if there are none.
+    """
     out = []
-    for index, own in enumerate(targets):
-        few = few_of(problem.cell, with_aims(_scene(problem, index, own), own), FEW_TARGETS, False)
-        score = margin(few, *axis.placed(problem, problem.setup_of(index), grid), problem.settings)
+    for index, operation_targets in enumerate(targets):
+        sampled = sample_coarsely(
+            problem.cell,
+            with_aims(_make_scene(problem, index, operation_targets), operation_targets),
+            SCORED_TARGETS,
+            False,
+        )
+        score = placement_margin(
+            sampled, *unit.poses_at(problem, problem.setup_of(index), grid), problem.settings
+        )
         reached = grid[score > 0.0]
         if not len(reached):
             return None
@@ -626,61 +762,76 @@ def _stands(problem: Problem, targets: Sequence[Targets], grid: FloatArray, axis
     return np.array(out)
 
 
-def _table_advice(problem: Problem, targets: Sequence[Targets]) -> str:
-    """A turntable under the middle of the block, from which every operation is reached; its home is where the
-    block stands now. Where none does, a positioner is looked for, whose tilt axis lies across the plate."""
+def _turntable_suggestion(problem: Problem, targets: Sequence[Targets]) -> str:
+    """Suggest a turntable under the centre of the stock, with its home at the current stock pose.
+
+    If none helps, a positioner is tried, with its tilt axis across the plate.
+    """
     setup = problem.setups[0]
-    bottom = [transform(_place(setup) @ s.pose, corners(s)) for s in setup.stock.support]
-    bottom = bottom or [transform(_place(setup), support.block_corners(setup.stock))]
-    middle = transform(_place(setup), support.block_corners(setup.stock)).mean(axis=0)
+    bottom = [transform(_stock_pose(setup) @ s.pose, hull_points(s)) for s in setup.stock.support]
+    bottom = bottom or [transform(_stock_pose(setup), support.block_corners(setup.stock))]
+    middle = transform(_stock_pose(setup), support.block_corners(setup.stock)).mean(axis=0)
     centre = np.array([middle[0], middle[1], min(float(points[:, 2].min()) for points in bottom)])
     table = Turntable("", "", 0, centre, np.array([0.0, 0.0, 1.0]), -np.pi, np.pi, 1.0, 0.0)
-    far = float(np.linalg.norm(centre[:2] - setup.cell.arms[0].base[:2, 3]))
-    if axis_way.rim(setup, _place(setup), table) + BASE_ROOM_M > far:
+    base_distance = float(np.linalg.norm(centre[:2] - setup.cell.arms[0].base[:2, 3]))
+    if (
+        external_axis_motion.carried_radius(setup, _stock_pose(setup), table) + MIN_BASE_DISTANCE_M
+        > base_distance
+    ):
         return ""
-    stands = _stands(problem, targets, _Table(table).values(), _Table(table))
-    at = ", ".join(f"{v:.0f}" for v in centre / MM)
-    if stands is None and all(map(any_lean, problem.operations)):
-        return _tilt_advice(problem, targets, table, at)
-    if stands is None or not np.abs(stands).max() > ANGLE_NOISE:
+    nearest_stations = _nearest_stations(
+        problem, targets, _RotaryUnit(table).candidates(), _RotaryUnit(table)
+    )
+    centre_text = ", ".join(f"{v:.0f}" for v in centre / MM)
+    if nearest_stations is None and all(map(allows_any_attitude, problem.operations)):
+        return _positioner_suggestion(problem, targets, table, centre_text)
+    if nearest_stations is None or not np.abs(nearest_stations).max() > MIN_SUGGESTED_ROTATION_RAD:
         return ""
-    what = "put the block on a turntable under its middle, at which each operation is reached from a station "
-    what += f"of its own (cell: turntable: {{centre_mm: [{at}], range_deg: [-180, 180], unit: ..., "
+    what = "put the stock on a turntable under its centre, with which each operation is reached from its own "
+    what += f"station (cell: turntable: {{centre_mm: [{centre_text}], range_deg: [-180, 180], unit: ..., "
     return what + "speed_deg_s: ..., plate: {diameter_mm: ..., height_mm: ...}})"
 
 
-def _tilt_advice(problem: Problem, targets: Sequence[Targets], table: Turntable, at: str) -> str:
-    """The positioner that tilts the block the least, about x or y through the middle of its plate."""
-    found: list[tuple[float, str]] = []
-    for axis in AXES.values():
+def _positioner_suggestion(
+    problem: Problem, targets: Sequence[Targets], table: Turntable, centre_text: str
+) -> str:
+    """Suggest the positioner with the smallest tilt, about x or y through the centre of its plate."""
+    suggestions: list[tuple[float, str]] = []
+    for axis in TRACK_DIRECTIONS.values():
         tilt = RotaryAxis("", "", 1, table.centre, np.array(axis), -0.5 * np.pi, 0.5 * np.pi, 1.0, 0.0)
-        both = _Table(dataclasses.replace(table, tilt=tilt))
-        stands = _stands(problem, targets, both.values(), both)
-        if stands is None:
+        positioner = _RotaryUnit(dataclasses.replace(table, tilt=tilt))
+        nearest_stations = _nearest_stations(problem, targets, positioner.candidates(), positioner)
+        if nearest_stations is None:
             continue
         listed = ", ".join(f"{v:g}" for v in axis)
-        low, high = min(0.0, stands[:, 1].min()) / DEG, max(0.0, stands[:, 1].max()) / DEG
-        what = "put the block on a positioner under its middle, at which each operation is reached from a "
-        what += f"station of its own (cell: positioner: {{centre_mm: [{at}], range_deg: [-180, 180], tilt: "
-        what += f"{{centre_mm: [{at}], axis: [{listed}], range_deg: [{low:.0f}, {high:.0f}], ...}}, "
-        found.append((float(np.abs(stands[:, 1]).max()), what + "unit: ..., plate: ...})"))
-    return min(found)[1] if found else ""
+        low, high = min(0.0, nearest_stations[:, 1].min()) / DEG, max(0.0, nearest_stations[:, 1].max()) / DEG
+        what = "put the stock on a positioner under its centre, with which each operation is reached from "
+        what += (
+            f"its own station (cell: positioner: {{centre_mm: [{centre_text}], range_deg: [-180, 180], tilt: "
+        )
+        what += f"{{centre_mm: [{centre_text}], axis: [{listed}], range_deg: [{low:.0f}, {high:.0f}], ...}}, "
+        suggestions.append((float(np.abs(nearest_stations[:, 1]).max()), what + "unit: ..., plate: ...})"))
+    return min(suggestions)[1] if suggestions else ""
 
 
-def _track_advice(problem: Problem, targets: Sequence[Targets]) -> str:
-    """The shortest track under the arm from which it reaches every operation."""
+def _track_suggestion(problem: Problem, targets: Sequence[Targets]) -> str:
+    """Suggest the shortest track under the arm from which it reaches every operation."""
     (arm, *_) = problem.cell.arms
-    found: list[tuple[float, str]] = []
-    grid = np.arange(-RAIL_M, RAIL_M + 0.5 * STEP_M, 2.0 * STEP_M)
-    for name, axis in AXES.items():
-        rail = LinearAxis(np.array(axis), -RAIL_M, RAIL_M, 1.0, 1.0, "", 0.0)
-        stands = _stands(problem, targets, grid[:, None], _Rails(arm.name, {arm.name: rail}))
-        if stands is None:
+    suggestions: list[tuple[float, str]] = []
+    grid = np.arange(
+        -MAX_SUGGESTED_TRAVEL_M, MAX_SUGGESTED_TRAVEL_M + 0.5 * LINEAR_STEP_M, 2.0 * LINEAR_STEP_M
+    )
+    for name, axis in TRACK_DIRECTIONS.items():
+        track = LinearAxis(np.array(axis), -MAX_SUGGESTED_TRAVEL_M, MAX_SUGGESTED_TRAVEL_M, 1.0, 1.0, "", 0.0)
+        nearest_stations = _nearest_stations(
+            problem, targets, grid[:, None], _LinearUnit(arm.name, {arm.name: track})
+        )
+        if nearest_stations is None:
             continue
-        low, high = min(0.0, stands.min()) / MM, max(0.0, stands.max()) / MM
+        low, high = min(0.0, nearest_stations.min()) / MM, max(0.0, nearest_stations.max()) / MM
         axes = f"[{', '.join(f'{v:g}' for v in axis)}]"
-        what = f"put arm {arm.name} on a track along {name}, which reaches each operation from a station "
-        what += f"of its own (track: {{axis: {axes}, range_mm: [{low:.0f}, {high:.0f}], unit: ..., "
-        found.append((high - low, what + "speed_mm_s: ..., acceleration_mm_s2: ...})"))
-    # a track of no length is none: the arm reaches everything from where it stands
-    return min(found)[1] if found and min(found)[0] * MM > 0.5 * STEP_M else ""
+        what = f"put arm {arm.name} on a track along {name}, with which it reaches each operation from its "
+        what += f"own station (track: {{axis: {axes}, range_mm: [{low:.0f}, {high:.0f}], unit: ..., "
+        suggestions.append((high - low, what + "speed_mm_s: ..., acceleration_mm_s2: ...})"))
+    # without a minimum length the arm reaches everything from where it is
+    return min(suggestions)[1] if suggestions and min(suggestions)[0] * MM > 0.5 * LINEAR_STEP_M else ""

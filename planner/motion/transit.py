@@ -1,5 +1,7 @@
-"""Transit between cuts of tools that are joined: where its straight way would collide it gets another one,
-which keeps their relative pose."""
+"""Repair of transits between cuts of coupled tools: a transit that would collide is rerouted.
+
+The tools keep their relative pose.
+"""
 
 import dataclasses
 import itertools
@@ -19,211 +21,232 @@ from planner.geometry.arrays import (
     log_rotation,
 )
 from planner.motion.planning_scene import TRANSIT_KIND, Scene
-from planner.motion.rrt import connect
-from planner.motion.search.ladder_search import Found
-from planner.motion.search.subsampling import subset
-from planner.targets import Edge, Freedom, TableFreedom, Targets
+from planner.motion.rrt import ConfigurationSpace, connect_points
+from planner.motion.search.layered_graph_search import PathResult
+from planner.motion.search.subsampling import select_targets
+from planner.targets import FlexibleTool, Freedom, TableFreedom, Targets
 
-SAME_SHAPE: Final = 1e-6
-"""Relative poses of the TCPs that differ by less [m, rad] count as the same."""
+SHAPE_TOLERANCE: Final = 1e-6
+"""Difference [m, rad] below which relative poses of the TCPs are the same."""
 
-LIFTS_M: Final = (0.1, 0.2, 0.3, 0.45, 0.6)
+LIFT_HEIGHTS_M: Final = (0.1, 0.2, 0.3, 0.45, 0.6)
 """Heights [m] by which a pair of tools is lifted between cuts, smallest first."""
-MOST_TURN_RAD: Final = np.deg2rad(1.0)
-"""A turn of the pair is cut into moves of at most this angle [rad], since straight moves of both ends
-shorten the pair."""
+MAX_ROTATION_STEP_RAD: Final = np.deg2rad(1.0)
+"""Maximum rotation [rad] of one move. Linear moves of both ends shorten the pair during a rotation."""
 
 CHECK_SPACING_M: Final = 0.02
-"""Distance [m] between checks along a transit move."""
+"""Distance [m] between checks along a transit."""
 
-YAW_LEVER: Final = 0.3
-"""[m] that a turn of the pair by 1 rad counts for in the search."""
+YAW_WEIGHT_M: Final = 0.3
+"""Length [m] that weighs a yaw of 1 rad in the search."""
 
 
-def mend(scene: Scene, targets: Targets, found: Found) -> Targets | None:
-    """The targets with transit moves replaced where they collide, or None if nothing had to be replaced.
+def repair_transits(scene: Scene, targets: Targets, path_result: PathResult) -> Targets | None:
+    """Replace transit moves that collide.
 
-    A move that cannot be mended stays as it is; the check of all moves reports it.
+    A move that cannot be repaired stays as it is, and the check of all moves reports it.
+
+    Args:
+        scene: Cell with the stock in its pose.
+        targets: Targets of the operation.
+        path_result: Path of the layered graph.
+
+    Returns:
+        The targets with additional transit targets, or None if nothing was replaced.
     """
-    ways: dict[int, list[FloatArray]] = {}
+    motions_by_target: dict[int, list[FloatArray]] = {}
     for i in range(1, targets.count):
         if targets.segment[i].kind == TRANSIT_KIND and targets.coupled:
-            way = _Transit(scene, targets, found, i).way()
-            if way:
-                ways[i] = way
-    return _insert(targets, ways) if ways else None
+            motions = _TransitMove(scene, targets, path_result, i).find_motions()
+            if motions:
+                motions_by_target[i] = motions
+    return _insert_targets(targets, motions_by_target) if motions_by_target else None
 
 
-class _Transit:
-    """The move to target ``i``: motions of the pair are rigid motions (4, 4) of target i - 1 in the work
-    frame."""
+class _TransitMove:
+    """The move to target ``i``.
 
-    def __init__(self, scene: Scene, targets: Targets, found: Found, i: int) -> None:
-        self.scene, self.targets, self.found, self.i = scene, targets, found, i
-        self.source = subset(targets, np.array([i - 1]))
-        ends = {arm: pose[[i - 1, i]] for arm, pose in targets.pose.items()}  # as if no freedom were used
+    Motions of the pair are rigid motions (4, 4) of target i - 1 in the work frame.
+    """
+
+    def __init__(self, scene: Scene, targets: Targets, path_result: PathResult, i: int) -> None:
+        self.scene, self.targets, self.path_result, self.i = scene, targets, path_result, i
+        self.source = select_targets(targets, np.array([i - 1]))
+        ends = {arm: pose[[i - 1, i]] for arm, pose in targets.pose.items()}  # nominal, without freedoms
         arms = targets.arms
-        self.total = ends[arms[0]][1] @ inverse(ends[arms[0]][0])
-        gap = max(float(np.abs(ends[a][1] - self.total @ ends[a][0]).max()) for a in arms)
-        self.same_shape = gap < SAME_SHAPE
+        self.total_motion = ends[arms[0]][1] @ inverse(ends[arms[0]][0])
+        gap = max(float(np.abs(ends[a][1] - self.total_motion @ ends[a][0]).max()) for a in arms)
+        self.same_shape = gap < SHAPE_TOLERANCE
         self.centre = np.mean([ends[a][0, :3, 3] for a in arms], axis=0)
 
-    def way(self) -> list[FloatArray]:
-        """Rigid motions at which to put targets before target i; empty if the straight move will do."""
+    def find_motions(self) -> list[FloatArray]:
+        """Rigid motions of the targets to insert before target i; empty if the straight move is free."""
         if not self.same_shape:
             return []
-        goal = self.total
-        for lift in (0.0, *LIFTS_M):
-            corners = [np.eye(4), goal] if lift == 0.0 else [np.eye(4), *self._over(goal, lift), goal]
-            if self._free(corners):
-                return self._fine(corners)[1:-1]
-        corners_found = self._search(goal)
-        return self._fine(corners_found)[1:-1] if corners_found else []
+        goal = self.total_motion
+        for lift in (0.0, *LIFT_HEIGHTS_M):
+            corners = (
+                [np.eye(4), goal] if lift == 0.0 else [np.eye(4), *self._lifted_corners(goal, lift), goal]
+            )
+            if self._is_free(corners):
+                return self._split_rotations(corners)[1:-1]
+        corners_found = self._search_motions(goal)
+        return self._split_rotations(corners_found)[1:-1] if corners_found else []
 
-    def _over(self, goal: FloatArray, lift: float) -> list[FloatArray]:
-        """Up, across, down; up is the world's."""
-        up = self._up() * lift
-        rise, land = np.eye(4), goal.copy()
+    def _lifted_corners(self, goal: FloatArray, lift: float) -> list[FloatArray]:
+        """Corners of the path up, across and down; up is that of the world."""
+        up = self._up_axis() * lift
+        rise, lower_start = np.eye(4), goal.copy()
         rise[:3, 3] += up
-        land[:3, 3] += up
-        return [rise, land]
+        lower_start[:3, 3] += up
+        return [rise, lower_start]
 
-    def _up(self) -> FloatArray:
+    def _up_axis(self) -> FloatArray:
         frame = self.targets.frame.get(self.targets.arms[0], "stock")
         return np.array([0.0, 0.0, 1.0]) if frame == "world" else self.scene.stock[2, :3].copy()
 
-    def _between(self, a: FloatArray, b: FloatArray, share: FloatArray) -> FloatArray:
-        """Motions (K, 4, 4) between two, the pair's centre going straight and its turn at a constant rate."""
-        place = from_parts(np.eye(3), self.centre)
-        return interpolate(a @ place, b @ place, share) @ inverse(place)
+    def _interpolate(self, a: FloatArray, b: FloatArray, fraction: FloatArray) -> FloatArray:
+        """Motions (K, 4, 4) between two motions.
 
-    def _fine(self, corners: list[FloatArray]) -> list[FloatArray]:
-        """The corners with turns cut into small ones."""
+        The pair's centre moves linearly and its rotation has a constant rate.
+        """
+        centre_pose = from_parts(np.eye(3), self.centre)
+        return interpolate(a @ centre_pose, b @ centre_pose, fraction) @ inverse(centre_pose)
+
+    def _split_rotations(self, corners: list[FloatArray]) -> list[FloatArray]:
+        """The corners with rotations split into small ones."""
         out = [corners[0]]
         for a, b in itertools.pairwise(corners):
             angle = float(np.linalg.norm(log_rotation(a[:3, :3].T @ b[:3, :3])))
-            count = max(1, int(np.ceil(angle / MOST_TURN_RAD)))
-            out.extend(self._between(a, b, np.arange(1, count) / count) if count > 1 else [])
+            count = max(1, int(np.ceil(angle / MAX_ROTATION_STEP_RAD)))
+            out.extend(self._interpolate(a, b, np.arange(1, count) / count) if count > 1 else [])
             out.append(b)
         return out
 
-    def _free(self, corners: list[FloatArray]) -> bool:
-        """Whether moves between corners are free, the freedoms going linearly from one end to the other."""
+    def _is_free(self, corners: list[FloatArray]) -> bool:
+        """Whether moves between corners are free.
+
+        The freedoms change linearly from one end to the other.
+        """
         points = []
         for a, b in itertools.pairwise(corners):
             shift = float(
                 np.linalg.norm((b @ np.append(self.centre, 1.0) - a @ np.append(self.centre, 1.0))[:3])
             )
             angle = float(np.linalg.norm(log_rotation(a[:3, :3].T @ b[:3, :3])))
-            count = max(2, int(np.ceil((shift + YAW_LEVER * angle) / CHECK_SPACING_M)))
-            points.append(self._between(a, b, np.arange(count) / count))
+            count = max(2, int(np.ceil((shift + YAW_WEIGHT_M * angle) / CHECK_SPACING_M)))
+            points.append(self._interpolate(a, b, np.arange(count) / count))
         points.append(corners[-1][None])
         motions = np.concatenate(points)
-        share = np.linspace(0.0, 1.0, len(motions))
-        return bool(self._ok(motions, share).all())
+        fraction = np.linspace(0.0, 1.0, len(motions))
+        return bool(self._are_allowed(motions, fraction).all())
 
-    def _ok(self, motions: FloatArray, share: FloatArray) -> BoolArray:
-        """(K,) whether the pair may stand at motions (K, 4, 4)."""
+    def _are_allowed(self, motions: FloatArray, fraction: FloatArray) -> BoolArray:
+        """Whether (K,) the pair can be at motions (K, 4, 4)."""
         rows = np.zeros(len(motions), dtype=np.intp)
-        start, end = self.found.values[self.i - 1], self.found.values[self.i]
-        values = start + share[:, None] * (end - start)
+        start, end = self.path_result.values[self.i - 1], self.path_result.values[self.i]
+        values = start + fraction[:, None] * (end - start)
         local = self.source.poses(values, rows)
-        world = self.scene.world(self.targets, {arm: motions @ pose for arm, pose in local.items()})
+        world = self.scene.world_poses(self.targets, {arm: motions @ pose for arm, pose in local.items()})
         ok = np.ones(len(motions), dtype=bool)
         q: dict[str, FloatArray] = {}
         for arm, pose in world.items():
             chain = self.scene.chains[arm]
-            last = self.targets.last(arm, values)
-            angles = chain.inverse(pose, [self.found.path.branch[arm]], last)[:, 0]
-            near = self.found.q[arm][self.i - 1]
-            q[arm] = chain.continuous(angles, np.broadcast_to(near, angles.shape))
+            last = self.targets.last_joint_angle(arm, values)
+            angles = chain.inverse(pose, [self.path_result.path.branch[arm]], last)[:, 0]
+            previous_joints = self.path_result.q[arm][self.i - 1]
+            q[arm] = chain.continuous(angles, np.broadcast_to(previous_joints, angles.shape))
             ok &= chain.limit_margin(q[arm]) >= self.scene.settings.joint_margin
             ok &= chain.singularity_margin(q[arm]) >= self.scene.settings.singularity_margin
-        good = np.flatnonzero(ok)
-        if len(good):
-            moved = self._moved(motions[good], self.targets.segment[self.i])
-            ok[good] = self.scene.free(moved, {a: v[good] for a, v in q.items()}, np.arange(len(good)))
+        allowed = np.flatnonzero(ok)
+        if len(allowed):
+            moved_targets = self._moved_targets(motions[allowed], self.targets.segment[self.i])
+            ok[allowed] = self.scene.keeps_clearance(
+                moved_targets, {a: v[allowed] for a, v in q.items()}, np.arange(len(allowed))
+            )
         return ok
 
-    def _moved(self, motions: FloatArray, segment: Segment) -> Targets:
+    def _moved_targets(self, motions: FloatArray, segment: Segment) -> Targets:
         rows = np.zeros(len(motions), dtype=np.intp)
-        return moved(subset(self.source, rows), motions, segment)
+        return move_targets(select_targets(self.source, rows), motions, segment)
 
-    def _search(self, goal: FloatArray) -> list[FloatArray] | None:
-        """A way over x, y, z and yaw of the pair, found by trees from both ends."""
-        up = self._up()
-        turn = log_rotation(goal[:3, :3])
-        yaw = float(turn @ up)
+    def _search_motions(self, goal: FloatArray) -> list[FloatArray] | None:
+        """Search a path over x, y, z and yaw of the pair with trees from both ends."""
+        up = self._up_axis()
+        rotation = log_rotation(goal[:3, :3])
+        yaw = float(rotation @ up)
         rest = exp_rotation(-yaw * up) @ goal[:3, :3]
         tilt = log_rotation(rest)
         start = np.zeros(5)
         shift = goal[:3, :3] @ self.centre + goal[:3, 3] - self.centre
-        end = np.array([*shift, yaw * YAW_LEVER, 1.0])
+        end = np.array([*shift, yaw * YAW_WEIGHT_M, 1.0])
 
         def motions(points: FloatArray) -> FloatArray:
-            turns = exp_rotation(points[:, 3:4] / YAW_LEVER * up) @ exp_rotation(points[:, 4:5] * tilt)
+            turns = exp_rotation(points[:, 3:4] / YAW_WEIGHT_M * up) @ exp_rotation(points[:, 4:5] * tilt)
             return from_parts(turns, self.centre + points[:, :3] - np.einsum("kij,j->ki", turns, self.centre))
 
         def free(points: FloatArray) -> BoolArray:
-            return self._ok(motions(points), np.clip(points[:, 4], 0.0, 1.0))
+            return self._are_allowed(motions(points), np.clip(points[:, 4], 0.0, 1.0))
 
         lower = np.minimum(start, end) - np.array([0.5, 0.5, 0.3, 0.3, 0.0])
         upper = np.maximum(start, end) + np.array([0.5, 0.5, 0.7, 0.3, 0.0])
-        way = connect(
-            start, end, free, lower, upper, 2.0 * CHECK_SPACING_M, self.scene.settings.seed, rounds=400
-        )
-        if way is None:
+        space = ConfigurationSpace(free, lower, upper, 2.0 * CHECK_SPACING_M)
+        path = connect_points(start, end, space, self.scene.settings.seed, rounds=400)
+        if path is None:
             return None
-        corners = list(motions(way))
+        corners = list(motions(path))
         corners[-1] = goal
         return corners
 
 
-def moved(targets: Targets, motions: FloatArray, segment: Segment) -> Targets:
-    """Targets whose poses, tables and edge are moved by rigid motions (N, 4, 4) of the work frame."""
-    edge = targets.edge
+def move_targets(targets: Targets, motions: FloatArray, segment: Segment) -> Targets:
+    """Move poses, tables and edge of targets by rigid motions (N, 4, 4) of the work frame."""
+    edge = targets.flexible_tool
     if edge is not None:
         points = np.einsum("nij,npj->npi", motions[:, :3, :3], edge.points) + motions[:, None, :3, 3]
-        edge = Edge(points, edge.radius)
+        edge = FlexibleTool(points, edge.radius)
     return dataclasses.replace(
         targets,
         pose={arm: motions @ pose for arm, pose in targets.pose.items()},
-        freedoms=tuple(_moved_freedom(f, motions) for f in targets.freedoms),
-        edge=edge,
+        freedoms=tuple(_move_freedom(f, motions) for f in targets.freedoms),
+        flexible_tool=edge,
         segment=(segment,) * len(motions),
     )
 
 
-def _moved_freedom(freedom: Freedom, motions: FloatArray) -> Freedom:
+def _move_freedom(freedom: Freedom, motions: FloatArray) -> Freedom:
     if not isinstance(freedom, TableFreedom):
         return freedom
     pose = {arm: motions[:, None] @ table for arm, table in freedom.pose.items()}
     return dataclasses.replace(freedom, pose=pose)
 
 
-def _insert(targets: Targets, ways: Mapping[int, list[FloatArray]]) -> Targets:
-    """The targets with copies of target i - 1, moved by the motions ``ways[i]``, put before each target i."""
+def _insert_targets(targets: Targets, motions_by_target: Mapping[int, list[FloatArray]]) -> Targets:
+    """The targets with additional targets inserted before each target i.
+
+    They are copies of target i - 1, moved by ``motions_by_target[i]``.
+    """
     rows: list[int] = []
-    new: list[bool] = []
+    is_added: list[bool] = []
     motions: list[FloatArray] = []
-    place = np.zeros(targets.count, dtype=np.intp)
+    new_index = np.zeros(targets.count, dtype=np.intp)
     for i in range(targets.count):
-        for motion in ways.get(i, []):
+        for motion in motions_by_target.get(i, []):
             rows.append(i - 1)
-            new.append(True)
+            is_added.append(True)
             motions.append(motion)
-        place[i] = len(rows)
+        new_index[i] = len(rows)
         rows.append(i)
-        new.append(False)
+        is_added.append(False)
         motions.append(np.eye(4))
-    index, added = np.array(rows, dtype=np.intp), np.array(new)
-    owner = np.searchsorted(place, np.arange(len(rows)))
-    out = moved(subset(targets, index), np.array(motions), targets.segment[0])
-    edge = out.edge
+    index, added = np.array(rows, dtype=np.intp), np.array(is_added)
+    owner = np.searchsorted(new_index, np.arange(len(rows)))
+    out = move_targets(select_targets(targets, index), np.array(motions), targets.segment[0])
+    edge = out.flexible_tool
     points = (
         edge.points if edge is not None else np.stack([out.pose[a][:, :3, 3] for a in targets.arms], axis=1)
     )
-    way = np.append(0.0, np.linalg.norm(np.diff(points, axis=0), axis=-1).max(axis=1))
+    travel = np.append(0.0, np.linalg.norm(np.diff(points, axis=0), axis=-1).max(axis=1))
     touched = added | np.append(False, added[:-1])
     corner = added.copy()
     return dataclasses.replace(
@@ -231,9 +254,9 @@ def _insert(targets: Targets, ways: Mapping[int, list[FloatArray]]) -> Targets:
         segment=tuple(targets.segment[i] for i in owner),
         feed=targets.feed[owner],
         feed_min=np.where(added, 0.0, targets.feed_min[owner]),
-        travel=np.where(touched, way, targets.travel[owner]),
+        travel=np.where(touched, travel, targets.travel[owner]),
         stop=np.where(corner, True, targets.stop[owner]),
-        actions=tuple(dataclasses.replace(a, at=int(place[a.at])) for a in targets.actions),
+        actions=tuple(dataclasses.replace(a, target=int(new_index[a.target])) for a in targets.actions),
         claims=targets.claims,
         exhibits=targets.exhibits,
         issues=targets.issues,

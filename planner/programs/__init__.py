@@ -1,1 +1,1 @@
-"""Programs in any robot language: steps, text, what operators read, meetings of two controllers."""
+"""Programs in any robot language: steps, text, operator texts, and handshakes of two controllers."""

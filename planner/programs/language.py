@@ -10,11 +10,11 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from planner.issues import refusal
+from planner.issues import issue_error
 from planner.problem import Arm, Problem
 from planner.programs.program_text import ProgramText
 from planner.programs.stages import TaskText
-from planner.programs.steps import Fault, MoveStep
+from planner.programs.steps import MoveStep, TextFault
 from planner.runtime import plugins
 from planner.runtime.plugins import Language
 
@@ -23,12 +23,15 @@ class Sharing(enum.Enum):
     """What several arms of one language have in common."""
 
     NOTHING = "nothing"
-    """Each arm has a controller. The task has the name of the arm, the files are in a folder of that name."""
+    """Each arm has a controller. Task and folder of the files have the name of the arm."""
     CONTROLLER = "controller"
-    """One controller has a task for each arm. The cell states the names of the tasks. Paths of files contain
-    them. If the controllers of the cell meet by handshake, it is as with NOTHING."""
+    """One controller has a task for each arm.
+
+    The cell states the names of the tasks, and paths of files contain them. If the controllers of the cell
+    meet by handshake, NOTHING applies instead.
+    """
     FILE = "file"
-    """One controller moves all arms by one file, wherever it is."""
+    """One controller moves all arms by one file, in any folder."""
 
 
 @dataclass(frozen=True)
@@ -36,28 +39,28 @@ class ReadTasks:
     """Tasks as read.
 
     Attributes:
-        tasks: The tasks. One that cannot be read has no steps.
+        tasks: The tasks. A task that cannot be read has no steps.
         faults: Faults of the texts.
         flow_faults: Why tasks whose texts have no faults have no steps.
     """
 
     tasks: tuple[TaskText, ...]
-    faults: tuple[Fault, ...] = ()
-    flow_faults: tuple[Fault, ...] = ()
+    faults: tuple[TextFault, ...] = ()
+    flow_faults: tuple[TextFault, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class Gap:
-    """Something between two moves that is not read.
+    """Unread text between two moves.
 
     Attributes:
-        shifts: Whether it may shift the targets of all moves behind it.
+        shifts: Whether it may shift the targets of all later moves.
     """
 
     shifts: bool = False
 
 
-Way = tuple[MoveStep | Gap, ...]
+PartialPath = tuple[MoveStep | Gap, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,13 +69,13 @@ class PartlyRead:
 
     Attributes:
         text: Text of the program.
-        way: Moves and gaps in order.
-        unread: Lines that are not read.
+        path: Moves and gaps in order.
+        unread: Lines that could not be read.
     """
 
     text: ProgramText
-    way: Way
-    unread: tuple[Fault, ...]
+    path: PartialPath
+    unread: tuple[TextFault, ...]
 
 
 Arms = Mapping[str, Arm]
@@ -83,16 +86,16 @@ Files = Mapping[str, str]
 
 @dataclass(frozen=True)
 class Reader:
-    """The reader of a language.
+    """Reader of a language.
 
     Attributes:
         read: Reads the files of one arm, or those of all arms that share a file. It raises nothing.
         sharing: What several arms have in common.
-        lists: Endings of files that list the files to load, in lower case, with the dot.
-        read_partly: Reads the files of one arm as far as possible. Without it programs are read as a whole or
-            not at all.
-        move_pattern: Regular expression with one group that finds the moves of a line without strings and
-            comments, known ones and others. Without it those count that are read.
+        lists: Suffixes of files that list the files to load, in lower case, with the dot.
+        read_partly: Reads the files of one arm as far as possible. Without it programs are read as a whole
+            or not at all.
+        move_pattern: Regular expression with one group that finds all moves, known or not, in a line without
+            strings and comments. Without it only the moves that were read count.
         known_moves: Kinds of moves (:attr:`planner.programs.steps.MoveStep.kind`) whose path between their
             targets is known, None if all are.
     """
@@ -106,7 +109,7 @@ class Reader:
 
 
 def reader_of(arm: Arm) -> Reader | None:
-    """Return the reader of the language of an arm, None if there is none.
+    """Return the reader of the language of an arm, or None.
 
     Raises:
         TandemError: The reader cannot be loaded (``post.language``).
@@ -120,5 +123,5 @@ def _load(language: Language) -> Reader:
     try:
         return plugins.load(language.reader, Reader)
     except plugins.PluginError as error:
-        what = f"the reader of {language.title} {error}; mend or uninstall its package"
-        raise refusal("post.language", what) from error
+        what = f"the reader of {language.title} {error}; fix or uninstall its package"
+        raise issue_error("post.language", what) from error

@@ -1,7 +1,6 @@
-"""Programs of others, read as far as the readers know them: what is not read is noted, and reading goes on
-behind it.
+"""Reads programs of other origin as far as possible: unread text is recorded, and reading continues.
 
-Here nothing is refused and nothing is proven: :mod:`planner.proof.partial` says what of the moves is.
+Nothing is refused and nothing is proven here. :mod:`planner.proof.partial` says what is known of the moves.
 """
 
 import re
@@ -11,16 +10,16 @@ from pathlib import PurePosixPath
 
 from planner.problem import Arm, Problem
 from planner.programs import job, stages
-from planner.programs.language import Arms, Files, PartlyRead, Reader, Way
+from planner.programs.language import Arms, Files, PartialPath, PartlyRead, Reader
 from planner.programs.program_text import NO_TEXT
-from planner.programs.steps import Fault, MoveStep
-from planner.programs.text import settled, strange
+from planner.programs.steps import MoveStep, TextFault
+from planner.programs.text import normalise_text, unexpected_characters
 from planner.runtime import plugins
 from planner.runtime.plugins import Language
 
 
 @dataclass(frozen=True, eq=False)
-class Read:
+class PartialPrograms:
     """Programs of one arm.
 
     Attributes:
@@ -28,23 +27,25 @@ class Read:
         arm: The arm.
         name: Name of its task.
         files: Texts of the files by path.
-        way: Moves and gaps in order.
-        places: Paths of the files by the names that steps have for them.
-        unread: Lines that are not read, one fault each.
-        moves: File and line of each move in the texts, whether it is read or not.
+        path: Moves and gaps in order.
+        paths: Paths of the files by the names that steps have for them.
+        unread: Lines that could not be read, one fault each.
+        moves: File and line of each move in the texts, whether it was read or not.
     """
 
     reader: Reader
     arm: Arm
     name: str
     files: Files
-    way: Way
-    places: Mapping[str, str]
-    unread: tuple[Fault, ...]
+    path: PartialPath
+    paths: Mapping[str, str]
+    unread: tuple[TextFault, ...]
     moves: tuple[tuple[str, int], ...]
 
 
-def read(problem: Problem, programs: Mapping[str, str]) -> tuple[tuple[Read, ...], tuple[str, ...]]:
+def read_partial(
+    problem: Problem, programs: Mapping[str, str]
+) -> tuple[tuple[PartialPrograms, ...], tuple[str, ...]]:
     """Read the programs of each arm.
 
     Args:
@@ -54,60 +55,70 @@ def read(problem: Problem, programs: Mapping[str, str]) -> tuple[tuple[Read, ...
     Returns:
         The programs of each arm that has any, and the paths of files that belong to no arm.
     """
-    texts = {path: settled(path, text)[0] for path, text in programs.items() if not stages.beside(path)}
+    texts = {
+        path: normalise_text(path, text)[0]
+        for path, text in programs.items()
+        if not stages.is_controller_file(path)
+    }
     files, strays = job.task_files(problem, texts)
     arms = job.arms_by_task(problem)
     used = {arm for operation in problem.operations for arm in operation.arms}
-    if len(mine := [name for name, arm in arms.items() if arm.name in used]) == 1:
-        ends = job.endings(arms[mine[0]])
-        own = {path: text for path, text in texts.items() if PurePosixPath(path).suffix.lower() in ends}
-        files, strays = {mine[0]: own}, [path for path in texts if path not in own]
-    found = tuple(
-        _read(problem, reader, together, name, own)
-        for reader, together, own in job.by_reader(problem, files)
+    if len(used_tasks := [name for name, arm in arms.items() if arm.name in used]) == 1:
+        suffixes = job.program_suffixes(arms[used_tasks[0]])
+        group_files = {
+            path: text for path, text in texts.items() if PurePosixPath(path).suffix.lower() in suffixes
+        }
+        files, strays = {used_tasks[0]: group_files}, [path for path in texts if path not in group_files]
+    groups = tuple(
+        _read(problem, reader, together, name, group_files)
+        for reader, together, group_files in job.reader_groups(problem, files)
         for name in together
     )
-    return found, tuple(path for path in strays if not job.is_list(problem, path))
+    return groups, tuple(path for path in strays if not job.is_program_list(problem, path))
 
 
-def _read(problem: Problem, reader: Reader, together: Arms, name: str, files: Files) -> Read:
-    arm = together[name]
+def _read(problem: Problem, reader: Reader, group: Arms, name: str, files: Files) -> PartialPrograms:
+    arm = group[name]
     if reader.read_partly is not None:
-        found = reader.read_partly(problem, arm, files)
+        result = reader.read_partly(problem, arm, files)
     else:
-        found = _read_whole(problem, reader, together, name, files)
-    places = {found.text.module_of(file): file for file in files}
+        result = _read_whole(problem, reader, group, name, files)
+    paths = {result.text.module_of(file): file for file in files}
     if reader.move_pattern is None:
-        steps = (step for step in found.way if isinstance(step, MoveStep))
-        moves = tuple((places.get(step.module, step.module), step.line) for step in steps)
+        steps = (step for step in result.path if isinstance(step, MoveStep))
+        moves = tuple((paths.get(step.module, step.module), step.line) for step in steps)
     else:
-        language = plugins.usable(Language)[found.text.language]
-        moves = _moves(files, reader.move_pattern, language.comment)
-    return Read(reader, arm, name, files, found.way, places, _one_a_line(found.unread), moves)
+        language = plugins.usable(Language)[result.text.language]
+        moves = _move_locations(files, reader.move_pattern, language.comment)
+    return PartialPrograms(
+        reader, arm, name, files, result.path, paths, _one_fault_per_line(result.unread), moves
+    )
 
 
-def _read_whole(problem: Problem, reader: Reader, together: Arms, name: str, files: Files) -> PartlyRead:
-    """Read programs as a whole or not at all: any unknown statement may change the way."""
-    whole = reader.read(problem, together, files)
-    odd = (fault for file, own in files.items() for fault in strange(file, own))
-    unread = (*whole.faults, *whole.flow_faults, *odd)
+def _read_whole(problem: Problem, reader: Reader, group: Arms, name: str, files: Files) -> PartlyRead:
+    """Read programs as a whole or not at all: any unknown statement may change the path."""
+    whole = reader.read(problem, group, files)
+    character_faults = (
+        fault for file, content in files.items() for fault in unexpected_characters(file, content)
+    )
+    unread = (*whole.faults, *whole.flow_faults, *character_faults)
     task = next((task for task in whole.tasks if task.name == name), None)
     steps = () if unread or task is None else task.steps
-    way = tuple(step for step in steps if isinstance(step, MoveStep))
-    return PartlyRead(NO_TEXT if task is None else task.text, way, unread)
+    path = tuple(step for step in steps if isinstance(step, MoveStep))
+    return PartlyRead(NO_TEXT if task is None else task.text, path, unread)
 
 
-def _one_a_line(faults: Iterable[Fault]) -> tuple[Fault, ...]:
-    first: dict[tuple[str, int], Fault] = {}
+def _one_fault_per_line(faults: Iterable[TextFault]) -> tuple[TextFault, ...]:
+    first: dict[tuple[str, int], TextFault] = {}
     for fault in faults:
         first.setdefault((fault.file, fault.line), fault)
     return tuple(first[key] for key in sorted(first))
 
 
-def _moves(files: Files, pattern: re.Pattern[str], comment: str) -> tuple[tuple[str, int], ...]:
-    found = []
+def _move_locations(files: Files, pattern: re.Pattern[str], comment: str) -> tuple[tuple[str, int], ...]:
+    locations = []
     for file, text in files.items():
         for number, row in enumerate(text.split("\n"), 1):
             code = re.sub(r'"[^"]*"', '""', row).split(comment)[0]
-            found += [(file, number)] * len(pattern.findall(code))
-    return tuple(found)
+            locations += [(file, number)] * len(pattern.findall(code))
+    return tuple(locations)

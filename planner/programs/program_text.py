@@ -1,4 +1,4 @@
-"""Text of a task, as all languages have it."""
+"""Interface of the text of a task in any language."""
 
 import abc
 from collections.abc import Mapping
@@ -8,11 +8,11 @@ from planner.geometry.arrays import FloatArray
 from planner.problem import Arm
 
 
-class Size(NamedTuple):
-    """How many moves a part of a program has.
+class PartSize(NamedTuple):
+    """Number of moves of a part of a program.
 
     Attributes:
-        part: The part in messages.
+        part: Name of the part in messages.
         file: File of the part.
         moves: Number of moves.
         unit: What is counted, in the plural.
@@ -25,12 +25,12 @@ class Size(NamedTuple):
 
 
 class ProgramText(abc.ABC):
-    """Text of a task. Each language has a subclass of its own.
+    """Text of a task. Each language has a subclass.
 
     Attributes:
         language: Name of the language, as in :mod:`planner.runtime.plugins`.
         is_trajectory: Whether moves are cubics of the joints between points with velocities. Such programs
-            compare the joints with the start of each move before it begins.
+            check the joints against the start of each move before it begins.
     """
 
     __slots__ = ()
@@ -45,24 +45,24 @@ class ProgramText(abc.ABC):
 
     @abc.abstractmethod
     def base_of(self, arm: Arm) -> FloatArray | None:
-        """Return the base (4, 4) of the arm in the world that the program declares, None without one.
+        """Return the base of the arm in the world that the program declares, (4, 4) [m], or None.
 
         Args:
             arm: The arm of the task.
         """
 
     @property
-    def sizes(self) -> tuple[Size, ...]:
-        """Numbers of moves, of each part that a controller loads on its own."""
+    def sizes(self) -> tuple[PartSize, ...]:
+        """Numbers of moves, for each part that a controller loads separately."""
         return ()
 
     @property
     def targets(self) -> Mapping[str, str]:
-        """Places of the targets with names: "file:line" by name in lower case behind a colon."""
+        """Locations of named targets: "file:line" by a colon and the lower-case name."""
         return {}
 
     def module_of(self, file: str) -> str:
-        """Return the name that steps have for a file (:attr:`planner.programs.steps.Step.module`)."""
+        """Return the name that steps have for a file (:attr:`planner.programs.steps.ProgramStep.module`)."""
         return file.rpartition("/")[2]
 
 

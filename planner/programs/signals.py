@@ -6,23 +6,33 @@ from typing import NamedTuple
 from planner.problem import Arm, Problem
 
 
-def krl_signals(problem: Problem, arm: Arm) -> "Signals":
-    """Names of the inputs and outputs of a KUKA or UR controller by number, as the cell states them; inputs
-    are those of a handshake and those that operations wait for. A number that two names of one kind share has
-    both for a name: which one is meant is not known."""
+def controller_signals(problem: Problem, arm: Arm) -> "NumberedSignals":
+    """Return the names of inputs and outputs of a KUKA or UR controller by number, as the cell states them.
+
+    Inputs are those of a handshake and those that operations wait for. A number that two names of one kind
+    share has both names, because it is not known which one is meant.
+
+    Args:
+        problem: The problem.
+        arm: Arm of the controller.
+    """
     controller = problem.cell.controller
-    own = controller.handshake.of(arm.name)
-    reads = {own.input.lower(), own.partner_running.lower()} if controller.sync == "handshake" else set()
-    waits = (getattr(operation, "ok_signal", None) for operation in problem.operations)
-    reads |= {name.lower() for name in waits if isinstance(name, str)}
+    handshake_signals = controller.handshake.of(arm.name)
+    input_names = (
+        {handshake_signals.input.lower(), handshake_signals.partner_running.lower()}
+        if controller.sync == "handshake"
+        else set()
+    )
+    process_inputs = (getattr(operation, "ok_signal", None) for operation in problem.operations)
+    input_names |= {name.lower() for name in process_inputs if isinstance(name, str)}
     tables: tuple[dict[int, str], dict[int, str]] = ({}, {})
     for name, value in controller.io.get(arm.name, {}).items():
-        table = tables[name.lower() in reads]
+        table = tables[name.lower() in input_names]
         table[value] = f"{table[value]} and {name}" if value in table else name
-    return Signals(*tables)
+    return NumberedSignals(*tables)
 
 
-class Signals(NamedTuple):
+class NumberedSignals(NamedTuple):
     """Names of a controller's outputs and inputs by number."""
 
     outputs: Mapping[int, str]

@@ -1,9 +1,9 @@
-"""What a task does, one step after the other, in any robot language, as values in SI units.
+"""Steps of a task in any robot language, as values in SI units.
 
-`line` counts from 1 in the file of `module`; `kind` is always the language's own word. A reader of
-a language turns its numbers into these targets, speeds, corners, tools and frames; the replay and
-the rules see nothing else. `Fault` is what is wrong with a program text, whatever its language.
-`letters` makes texts comparable as operators read them.
+`line` counts from 1 in the file of `module`; `kind` is always the language's own word. The reader of a
+language converts its numbers to these targets, speeds, zones, tools and frames. The replay and the rules see
+nothing else. `TextFault` is a fault of a program text in any language. `normalised_text` makes texts
+comparable as operators read them.
 """
 
 import re
@@ -17,19 +17,24 @@ import numpy as np
 from planner.geometry.arrays import FloatArray
 
 BASE_FRAME = "base_frame"
-"""The datum of a program that says where its arm's base is,"""
+"""Name of the data in a program, in any language, that states the base of its arm."""
 DIGEST = "problem_digest"
-"""and the one that says from which problem it was made, in any language."""
+"""Name of the data in a program, in any language, that states the problem from which it was made."""
 UNUSED_AXIS = 9e9
-"""Value of an external axis that is not there, or of which a target says nothing."""
-MOST_OUTER = 1e6
-"""Values of external axes [mm, deg] beyond are none: 9E9 is an axis that is not there."""
+"""Value of an external axis that does not exist or that a target does not state."""
+MAX_EXTERNAL_VALUE = 1e6
+"""Maximum value of an external axis [mm, deg]. Larger values mean an unused axis (9E9)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobTarget:
-    """A pose that an arm goes straight to: `position` (3,) [m], `quaternion` (4,) wxyz as written, `external`
-    (6,) as written. `conf` (cf1, cf4, cf6, cfx), None where the arm keeps the posture that it has.
+    """A pose that is the target of a straight move.
+
+    Attributes:
+        position: Position, (3,) [m].
+        quaternion: Orientation, (4,) wxyz as written.
+        conf: cf1, cf4, cf6, cfx, None if the arm keeps its posture.
+        external: External axes, (6,) as written.
     """
 
     position: FloatArray
@@ -40,8 +45,14 @@ class RobTarget:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StatusTarget:
-    """A pose whose joints an arm goes to: `position` (3,) [m], `quaternion` (4,) wxyz, `external` (6,) as
-    written; `status` and `turn` are the bits that choose among the joint solutions.
+    """A pose that is the target of a joint move.
+
+    Attributes:
+        position: Position, (3,) [m].
+        quaternion: Orientation, (4,) wxyz.
+        status: Status bits, which select the joint solution together with ``turn``.
+        turn: Turn bits.
+        external: External axes, (6,) as written.
     """
 
     position: FloatArray
@@ -53,8 +64,11 @@ class StatusTarget:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointTarget:
-    """`joints` (6,) [rad] as the controller counts them (a coupled axis 3 stays as written), `external`
-    (6,) as written.
+    """A joint target.
+
+    Attributes:
+        joints: Joints as the controller counts them, (6,) [rad]; a coupled axis 3 is as written.
+        external: External axes, (6,) as written.
     """
 
     joints: FloatArray
@@ -63,8 +77,12 @@ class JointTarget:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PassedTarget:
-    """`joints` [rad, serial] that are passed at `rates` [rad/s], both (J,), on a cubic in joint space from
-    the target before; `external` (6,) as written.
+    """Joints that are passed with a velocity, on a cubic in joint space from the previous target.
+
+    Attributes:
+        joints: Joints, (J,) [rad, serial].
+        rates: Joint velocities, (J,) [rad/s].
+        external: External axes, (6,) as written.
     """
 
     joints: FloatArray
@@ -73,10 +91,16 @@ class PassedTarget:
 
 
 @dataclass(frozen=True, slots=True)
-class Speed:
-    """`tcp` [m/s] (inf for no limit), `turn` [rad/s], external axes `linear` [m/s] and `rotary` [rad/s];
-    `axes`: for a move by joints that states it so, the share of each axis' own speed; `outer`: the same (6,)
-    of external axes, 0 where nothing is stated.
+class MoveSpeed:
+    """Speeds of a move.
+
+    Attributes:
+        tcp: Speed of the TCP [m/s], inf for no limit.
+        turn: Rotation speed [rad/s].
+        linear: Speed of linear external axes [m/s].
+        rotary: Speed of rotary external axes [rad/s].
+        axes: For a joint move, fractions of the axes' own speeds, if it states them.
+        external: Fractions of the external axes' own speeds, (6,), 0 where none is stated.
     """
 
     tcp: float
@@ -84,13 +108,21 @@ class Speed:
     linear: float
     rotary: float
     axes: tuple[float, ...] | None = None
-    outer: tuple[float, ...] | None = None
+    external: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Zone:
-    """`fine` stops the arm; else radii of path `tcp` [m], of turning `turn` [m], `external` [m], and the
-    zone's own angles and lengths for turning [rad], linear [m] and rotary [rad] external axes.
+    """Corner of a move.
+
+    Attributes:
+        fine: Whether the arm stops.
+        tcp: Radius on the path [m].
+        turn: Radius of the rotation [m].
+        external: Radius of the external axes [m].
+        turn_angle: Angle of the rotation [rad].
+        linear: Distance of linear external axes [m].
+        rotary: Angle of rotary external axes [rad].
     """
 
     fine: bool
@@ -103,8 +135,15 @@ class Zone:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Load:
-    """`mass` [kg], `centre` (3,) [m], `axes` quaternion (4,), `inertia` (3,) [kg m^2]."""
+class LoadData:
+    """A load.
+
+    Attributes:
+        mass: Mass [kg].
+        centre: Centre of mass, (3,) [m].
+        axes: Quaternion of the principal axes, (4,).
+        inertia: Principal moments of inertia, (3,) [kg m^2].
+    """
 
     mass: float
     centre: FloatArray
@@ -114,17 +153,29 @@ class Load:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tool:
-    """`held` by the robot or not, TCP `pose` (4,4) [m] in the flange frame, `load`."""
+    """A tool.
+
+    Attributes:
+        held: Whether the robot holds it.
+        pose: TCP in the flange frame, (4, 4) [m].
+        load: Its load.
+    """
 
     held: bool
     pose: FloatArray
-    load: Load
+    load: LoadData
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WorkObject:
-    """`held` by the robot or not, `fixed` user frame or moved by `unit`, `user` and `object` frames (4,4)
-    [m].
+    """A work object.
+
+    Attributes:
+        held: Whether the robot holds it.
+        fixed: Whether the user frame is fixed; otherwise ``unit`` moves it.
+        unit: Mechanical unit that moves it.
+        user: User frame, (4, 4) [m].
+        object: Object frame, (4, 4) [m].
     """
 
     held: bool
@@ -134,22 +185,22 @@ class WorkObject:
     object: FloatArray
 
 
-LARGEST_NUMBER = 3.4e38
-"""Numbers of a controller are smaller."""
+MAX_NUMBER = 3.4e38
+"""Upper bound on numbers of a controller: single precision."""
 
 
-def single(number: float) -> float:
-    """A number as a controller holds it, in single precision; `number` is below `LARGEST_NUMBER`."""
+def to_single(number: float) -> float:
+    """Return a number below `MAX_NUMBER` in single precision, as a controller holds it."""
     return float(np.float32(number))
 
 
-def singles(numbers: Any) -> FloatArray:
-    """Numbers as a controller holds them, in single precision; all below `LARGEST_NUMBER`."""
+def to_singles(numbers: Any) -> FloatArray:
+    """Return numbers below `MAX_NUMBER` in single precision, as a controller holds them."""
     return np.array(numbers, dtype=np.float32).astype(np.float64)
 
 
 def rotation(quaternion: FloatArray) -> FloatArray:
-    """Rotation matrices (..., 3, 3) of quaternions (..., 4) wxyz of any length but zero."""
+    """Return the rotation matrices (..., 3, 3) of quaternions (..., 4) wxyz of any nonzero length."""
     q = np.asarray(quaternion, dtype=float)
     w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
     rows = [
@@ -161,7 +212,7 @@ def rotation(quaternion: FloatArray) -> FloatArray:
 
 
 def poses(position: FloatArray, quaternion: FloatArray) -> FloatArray:
-    """Poses (..., 4, 4) of positions (..., 3) and quaternions (..., 4)."""
+    """Return the poses (..., 4, 4) of positions (..., 3) and quaternions (..., 4)."""
     pose = np.zeros((*np.shape(position)[:-1], 4, 4))
     pose[..., :3, :3] = rotation(quaternion)
     pose[..., :3, 3] = position
@@ -170,9 +221,14 @@ def poses(position: FloatArray, quaternion: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Step:
-    """`condition`: text of the run-time condition the step hangs on, "" for none (only in handlers is it
-    ever set).
+class ProgramStep:
+    """A step of a program: a statement (instruction) in a form that all robot languages share.
+
+    Attributes:
+        module: Module or file.
+        procedure: Procedure or segment.
+        line: Line in the file of ``module``, from 1.
+        condition: Run-time condition on which the step depends, "" for none. It is set in handlers only.
     """
 
     module: str
@@ -182,9 +238,18 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MoveStep(Step):
-    """`time` [s], `velocity` [m/s] and `acceleration` [rad/s^2] of the leading axis where the move states
-    them; names are "" for values in place."""
+class MoveStep(ProgramStep):
+    """A move. Names are "" for values in place.
+
+    Attributes:
+        kind: Word of the language.
+        target: The target.
+        id: Number in a synchronised block, or None.
+        time: Stated time [s], or None.
+        velocity: Stated speed of the TCP [m/s], or None.
+        switches: Options without value, in lower case.
+        acceleration: Stated acceleration of the leading axis [rad/s^2], or None.
+    """
 
     kind: str
     target: RobTarget | JointTarget | StatusTarget | PassedTarget
@@ -192,7 +257,7 @@ class MoveStep(Step):
     id: int | None
     time: float | None
     velocity: float | None
-    speed: Speed
+    speed: MoveSpeed
     zone: Zone
     zone_name: str
     tool: Tool
@@ -204,8 +269,7 @@ class MoveStep(Step):
 
     @property
     def in_world(self) -> bool:
-        """Whether the frame is the world by its name: the controller's own, or the one that KRL
-        and URScript programs have for it."""
+        """Whether the frame is the world by its name, wobj0 or that of KRL and URScript programs."""
         return self.wobj_name.lower() in ("wobj0", WORLD_FRAME)
 
     @property
@@ -215,8 +279,13 @@ class MoveStep(Step):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SignalStep(Step):
-    """`delay` [s]; `synchronous`: waits for the signal."""
+class SignalStep(ProgramStep):
+    """An output is switched.
+
+    Attributes:
+        delay: Delay [s].
+        synchronous: Whether the program waits for the signal.
+    """
 
     kind: str
     signal: str
@@ -226,35 +295,45 @@ class SignalStep(Step):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WaitStep(Step):
-    """A wait for `seconds`, for an input `signal` to be `value` within `seconds`, or (neither) for the arm to
-    stand. `standing`: the arm stands before time counts; `flag`: the variable that tells whether the limit
-    was over, "" where that is an error; `again`: where it is over the program asks, and waits on.
+class WaitStep(ProgramStep):
+    """A wait: for ``seconds``, for an input within ``seconds``, or, with neither, for the arm to stop.
+
+    Attributes:
+        signal: The input, or "".
+        value: Expected value of the input.
+        after_stop: Whether the arm stops before the time counts.
+        flag: Variable that tells whether the wait timed out, "" if a timeout is an error.
+        repeats: Whether the program asks and repeats the wait on a timeout.
     """
 
     kind: str
     seconds: float | None
     signal: str
     value: float | None
-    standing: bool
+    after_stop: bool
     flag: str = ""
-    again: bool = False
+    repeats: bool = False
 
     @property
     def pause(self) -> float:
-        """Time [s] that passes for certain."""
+        """Guaranteed waiting time [s]."""
         return 0.0 if self.signal else self.seconds or 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MessageStep(Step):
-    """`confirm`: waits for the operator; `panel`: it shows a "line" on the operator's panel or does "clear"
-    it, "" for anything else.
+class MessageStep(ProgramStep):
+    """A text is shown.
 
-    `text`: what is shown without a box's `header`; `certain`: goes on only when the operator has pressed OK,
-    the one button, not by a time limit or another button. `options`: what else is shown or done, by the
-    option's name, with the name that stands behind it where one does. `stands`: the program counts as
-    standing meanwhile: its running wire is low.
+    Attributes:
+        lines: The lines as written.
+        confirm: Whether it waits for the operator.
+        text: What is shown, without the header of a box.
+        certain: Whether it continues only when the operator has pressed OK, the only button, and not by a
+            timeout.
+        panel: "line" for a line on the operator's panel, "clear" to clear it, "" for anything else.
+        header: Header of a box.
+        options: Other options by name, with the name that follows, if any.
+        counts_as_stopped: Whether the program counts as stopped meanwhile: its running wire is low.
     """
 
     kind: str
@@ -265,52 +344,78 @@ class MessageStep(Step):
     panel: Literal["line", "clear", ""] = ""
     header: str = ""
     options: tuple[tuple[str, str], ...] = ()
-    stands: bool = False
+    counts_as_stopped: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WatchStep(Step):
-    """From here on (`on`), or no more, the program ends when the input `signal` falls."""
+class WatchStep(ProgramStep):
+    """Starts (`on`) or ends the monitoring of the input `signal`; the program ends when it falls."""
 
     signal: str
     on: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GuardStep(Step):
-    """What ends the program where a torch is to burn and its output `signal` or its input `given` ("" for
-    none) says that it does not, or where it gets no farther than `far` [m] in `stood` [s], begins or ends."""
+class GuardStep(ProgramStep):
+    """Starts or ends the torch watchdog.
+
+    It ends the program if the torch should burn but its output or its input is low, or if the torch moves
+    too little.
+
+    Attributes:
+        signal: Output of the torch.
+        input: Input of the torch, "" for none.
+        max_still_time: Time [s] within which the torch must move.
+        min_distance: Distance [m] that it must move.
+        on: Whether the watchdog starts.
+    """
 
     signal: str
-    given: str
-    stood: float
-    far: float
+    input: str
+    max_still_time: float
+    min_distance: float
     on: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RunningStep(Step):
-    """The program switches its own running wire. ``waited`` [s]: how long it stood right before its rise."""
+class RunningStep(ProgramStep):
+    """The program switches its own running wire.
+
+    Attributes:
+        on: The level.
+        waited: How long the program stood right before the rise [s].
+    """
 
     on: bool
     waited: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CheckStep(Step):
-    """The program ends unless at this instant the other one's line, the input ``signal``, is ``value``, the
-    input ``runs`` is 1, and its own running wire is ``own``."""
+class CheckStep(ProgramStep):
+    """Ends the program unless both programs' wires have given levels at this instant.
+
+    Attributes:
+        signal: Input with the other program's line.
+        value: Required level of that line.
+        runs: Input with the other program's running wire, which must be 1.
+        own_level: Required level of the program's own running wire.
+    """
 
     signal: str
     value: int
     runs: str
-    own: bool
+    own_level: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SyncStep(Step):
-    """Tasks of one controller meet: `kind` WaitSyncTask, SyncMoveOn, SyncMoveOff or SyncMoveUndo; `tasks`
-    empty where none are named. ``limited``: it waits for a stated time only, and raises an error then.
+class SyncStep(ProgramStep):
+    """Tasks of one controller meet.
+
+    Attributes:
+        kind: WaitSyncTask, SyncMoveOn, SyncMoveOff or SyncMoveUndo.
+        ident: Name of the meeting.
+        tasks: Named tasks, empty for none.
+        limited: Whether it waits for a stated time only, and then raises an error.
     """
 
     kind: str
@@ -320,32 +425,36 @@ class SyncStep(Step):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LoadStep(Step):
-    """`kind` Load or UnLoad of the module file `path`."""
+class LoadStep(ProgramStep):
+    """Loads or unloads (`kind`) the module file `path`."""
 
     kind: str
     path: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CarryStep(Step):
-    """What the tool carries from here on; `name` is "" for a value in place."""
+class CarryStep(ProgramStep):
+    """Load of the tool from here on; `name` is "" for a value in place."""
 
-    load: Load
+    load: LoadData
     name: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CallStep(Step):
-    """A call of `name` that is bound while the program runs; its steps follow."""
+class CallStep(ProgramStep):
+    """A call of `name` that is bound at run time; its steps follow."""
 
     name: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SettingStep(Step):
-    """Motion settings and stops. `stops`: the program stands still here until it is started again. `unit`:
-    the mechanical unit that is meant, in small letters."""
+class SettingStep(ProgramStep):
+    """A motion setting or a stop.
+
+    Attributes:
+        stops: Whether the program stops here until it is started again.
+        unit: Mechanical unit that it concerns, in lower case.
+    """
 
     kind: str
     switches: tuple[str, ...]
@@ -355,19 +464,28 @@ class SettingStep(Step):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ChoiceStep(Step):
-    """A branch or loop on `condition` that only talks, waits or stops: its `steps` are not part of the
-    straight way. ``repeats``: it is a loop, and nothing says how often it runs.
+class ChoiceStep(ProgramStep):
+    """A branch or loop on a run-time condition, which only shows texts, waits or stops.
+
+    Attributes:
+        steps: Its steps, which are not part of the main flow.
+        repeats: Whether it is a loop with an unknown number of iterations.
     """
 
-    steps: tuple[Step, ...]
+    steps: tuple[ProgramStep, ...]
     repeats: bool = False
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
-    """One thing wrong with a text. `line` and `column` count from 1; `code` is stable: the language's name,
-    a dot, and a word that all languages share; `message` is for people.
+class TextFault:
+    """A fault of a text.
+
+    Attributes:
+        line: Line, from 1.
+        column: Column, from 1.
+        code: Stable code: the language's name, a dot, and a word that all languages share.
+        message: Explanation for people.
+        file: Path of the file.
     """
 
     line: int
@@ -383,18 +501,20 @@ class Fault:
 
 
 class FlowError(ValueError):
-    """The programs have no single straight way; `faults` says where and why."""
+    """The programs have no unique main flow; `faults` says where and why."""
 
-    def __init__(self, faults: Sequence[Fault]) -> None:
+    def __init__(self, faults: Sequence[TextFault]) -> None:
         super().__init__("; ".join(f"{fault.file}:{fault.line}: {fault.message}" for fault in faults))
         self.faults = tuple(faults)
 
 
-def letters(text: str) -> str:
-    """Letters and digits of a text, without accents and case: what survives wrapping and a panel's
-    alphabet."""
+def normalised_text(text: str) -> str:
+    """Return the letters and digits of a text in lower case, without accents.
+
+    Wrapping and the character set of a panel do not change them.
+    """
     return re.sub(r"[^a-z0-9]", "", unicodedata.normalize("NFKD", text).lower())
 
 
 WORLD_FRAME: Final = "b_world"
-"""What the frame is called that is the cell's world, as the robot's foot sees it."""
+"""Name of the frame that is the cell's world, relative to the robot's foot."""

@@ -5,11 +5,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from planner.claims.claim import Claim
-from planner.issues import Issue, refusal
+from planner.issues import Issue, issue_error
 from planner.problem import Problem
 from planner.proof.context import Claims, Context
 from planner.proof.facts import Fact
-from planner.proof.part_files.made import MadeSheet, MadeSurfaces
+from planner.proof.part_files.produced import ProducedSheet, SurfaceProducer
 from planner.proof.rule import Rule
 from planner.proof.rule_order import Stage
 from planner.runtime import plugins
@@ -17,7 +17,7 @@ from planner.runtime.plugins import PluginError, Process
 
 
 @dataclasses.dataclass(frozen=True)
-class Edges:
+class WorkingEdges:
     """Where the working end of an arm's tool may touch the stock.
 
     Attributes:
@@ -30,13 +30,13 @@ class Edges:
 
 
 @dataclasses.dataclass(frozen=True)
-class Ahead:
+class ParallelGroup:
     """Rules that another process may examine while this one examines those before them.
 
     Attributes:
-        name: Name of the group. Rules name it in :attr:`planner.proof.rule.Rule.ahead`.
-        stage: Stage at whose beginning the group is submitted.
-        useful: Whether the rules have work to do. If not, they run where they stand in the order.
+        name: Name of the group. Rules name it in :attr:`planner.proof.rule.Rule.parallel_group`.
+        stage: Stage at whose start the group is submitted.
+        useful: Whether the rules have work to do. If not, they run in their usual order.
     """
 
     name: str
@@ -51,25 +51,26 @@ class ProofOfProcess:
     Attributes:
         rules: The rules. Their order is in :mod:`planner.proof.rule_order`.
         complete: Reads the files that claims name. It takes all claims, and returns them with what the files
-            say, and the issues of reading them.
+            state, and the issues of reading them.
         edges: Where the working end of an arm's tool may touch the stock, according to the claims of one
             operation. None if the claims give the arm no tool of this process.
-        begin: Facts to build at the beginning of a stage, because another process can work on them meanwhile.
+        facts_at_start: Facts to build at the start of a stage, because another process can work on them
+            meanwhile.
         release: Facts to drop after a rule, by its code.
-        ahead: Groups of rules that may be examined in another process.
-        made_surfaces: Surfaces that the process makes of blocks.
-        made_sheet: What the process makes of the sheet of a part file; None if nothing.
+        parallel_groups: Groups of rules that may be examined in another process.
+        surface_producer: Surfaces that the process makes of blocks.
+        produced_sheet: What the process makes of the sheet of a part file; None if nothing.
         series: Curves for the report, by name, as far as the facts they need have been built.
     """
 
     rules: tuple[Rule, ...]
     complete: Callable[[Claims], tuple[Claims, tuple[Issue, ...]]] | None = None
-    edges: Callable[[Sequence[Claim], str], Edges | None] | None = None
-    begin: Mapping[Stage, tuple[Fact[Context, Any], ...]] = dataclasses.field(default_factory=dict)
+    edges: Callable[[Sequence[Claim], str], WorkingEdges | None] | None = None
+    facts_at_start: Mapping[Stage, tuple[Fact[Context, Any], ...]] = dataclasses.field(default_factory=dict)
     release: Mapping[str, tuple[Fact[Context, Any], ...]] = dataclasses.field(default_factory=dict)
-    ahead: tuple[Ahead, ...] = ()
-    made_surfaces: MadeSurfaces | None = None
-    made_sheet: Callable[[Context, Any], MadeSheet | None] | None = None
+    parallel_groups: tuple[ParallelGroup, ...] = ()
+    surface_producer: SurfaceProducer | None = None
+    produced_sheet: Callable[[Context, Any], ProducedSheet | None] | None = None
     series: Callable[[Context], Mapping[str, Any]] | None = None
 
 
@@ -83,16 +84,21 @@ def of_processes(problem: Problem | None = None) -> tuple[ProofOfProcess, ...]:
     try:
         return tuple(plugins.parts(Process, "proof", ProofOfProcess, used))
     except PluginError as error:
-        raise refusal("problem.process_package", str(error)) from error
+        raise issue_error("problem.process_package", str(error)) from error
 
 
-def edges(context: Context, index: int, arm: str) -> tuple[Edges, ...]:
+def find_edges(context: Context, index: int, arm: str) -> tuple[WorkingEdges, ...]:
     """Find where the working end of an arm's tool may touch the stock in setup ``index``."""
     groups = context.setup_claims[index].groups
-    found = (one.edges(group, arm) for one in of_processes(context.problem) if one.edges for group in groups)
-    return tuple(edge for edge in found if edge is not None)
+    candidates = (
+        contribution.edges(group, arm)
+        for contribution in of_processes(context.problem)
+        if contribution.edges
+        for group in groups
+    )
+    return tuple(edge for edge in candidates if edge is not None)
 
 
-def segments_of(some: Iterable[Edges], meet: bool) -> frozenset[str]:
+def segments_of(all_edges: Iterable[WorkingEdges], meet: bool) -> frozenset[str]:
     """Return the keys of all segments of edges that may, or may not, meet one another."""
-    return frozenset[str]().union(*(edge.segments for edge in some if edge.meet is meet))
+    return frozenset[str]().union(*(edge.segments for edge in all_edges if edge.meet is meet))

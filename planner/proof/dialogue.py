@@ -1,9 +1,9 @@
 """What programs show, ask, switch and wait for, and what they should.
 
 The expected dialogue follows from the problem for starts and setups, from the claims for operations, and
-from possible interruptions for error handlers. A text that is shown is compared with the expected
-sentence and its figures. If the problem leaves open what is mounted, the programs choose: the operator
-must be shown one of the allowed items, and everything else is proven for that item.
+from possible interruptions for error handlers. A shown text is compared with the expected sentence and its
+figures. If the problem leaves open what is mounted, the programs choose: the operator must be shown one of
+the allowed items, and everything else is proven for that item.
 """
 
 import bisect
@@ -29,33 +29,45 @@ from planner.claims.sentences import Sentence
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
 from planner.problem import Setup
-from planner.programs.dialogue_text import fit, sentence_text
+from planner.programs.dialogue_text import match_sentence, sentence_text
 from planner.programs.stages import JobText, TaskText
-from planner.programs.steps import MessageStep, MoveStep, RobTarget, SignalStep, Step, WaitStep
+from planner.programs.steps import MessageStep, MoveStep, ProgramStep, RobTarget, SignalStep, WaitStep
 from planner.programs.text import segment_of_name
 from planner.proof.context import Context
-from planner.proof.language_contribution import of_task
+from planner.proof.language_contribution import language_of_task
 
 PANEL_STATE = "#STATE"
-"""What the panel of a KUKA controller shows while a program waits, in forms that their own reader holds."""
+"""Kind of the messages on the panel of a KUKA controller while a program waits. Their own reader checks
+their forms.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
-class Spoken:
-    """One step of a task. ``before`` and ``after``: the moves of any task that come before it and after it,
-    None for none; ``group``: how often straight moves have begun behind joint moves by then. ``meanwhile``:
-    a move of another task, or of several at once, that nothing keeps from going on at the same time."""
+class OperatorStep:
+    """One step of a task's dialogue.
+
+    Attributes:
+        task: The task.
+        step: The step.
+        previous_move: Move of any task before it, None for none.
+        next_move: Move of any task after it, None for none.
+        group: Number of times that straight moves have started after joint moves before the step.
+        meanwhile: A move of another task, or of several at once, that may go on at the same time.
+    """
 
     task: TaskText
-    step: Step
-    before: MoveStep | None
-    after: MoveStep | None
+    step: ProgramStep
+    previous_move: MoveStep | None
+    next_move: MoveStep | None
     group: int
     meanwhile: MoveStep | None
 
     @property
     def kind(self) -> str:
-        """``told``, ``asked``, ``on``, ``off``, ``wait`` or ``input``; "" for what no program should have."""
+        """``told``, ``asked``, ``on``, ``off``, ``wait`` or ``input``.
+
+        "" for what no program should have.
+        """
         step = self.step
         if isinstance(step, MessageStep):
             if step.confirm:
@@ -64,83 +76,92 @@ class Spoken:
         if isinstance(step, SignalStep):
             return {1.0: "on", 0.0: "off"}.get(step.value, "")
         if isinstance(step, WaitStep) and step.signal:
-            return "input" if step.value == 1.0 and not step.flag and not step.again else ""
+            return "input" if step.value == 1.0 and not step.flag and not step.repeats else ""
         return "wait" if isinstance(step, WaitStep) else ""
 
     @property
-    def at_joints(self) -> bool:
-        """Whether the move before goes by joints, or there is none."""
-        return self.before is None or self.before.by_joints
+    def after_joint_move(self) -> bool:
+        """Whether the previous move is a joint move, or there is none."""
+        return self.previous_move is None or self.previous_move.by_joints
 
     @property
-    def to_joints(self) -> bool:
-        """Whether the next move goes by joints, or there is none."""
-        return self.after is None or self.after.by_joints
+    def before_joint_move(self) -> bool:
+        """Whether the next move is a joint move, or there is none."""
+        return self.next_move is None or self.next_move.by_joints
 
     @functools.cached_property
-    def behind(self) -> str:
-        """The key of the segment of the move before."""
-        return "" if self.before is None else segment_of_name(self.before.procedure).key
+    def previous_segment(self) -> str:
+        """Key of the segment of the previous move."""
+        return "" if self.previous_move is None else segment_of_name(self.previous_move.procedure).key
 
     @functools.cached_property
-    def ahead(self) -> str:
-        """The key of the segment of the next move."""
-        return "" if self.after is None else segment_of_name(self.after.procedure).key
+    def next_segment(self) -> str:
+        """Key of the segment of the next move."""
+        return "" if self.next_move is None else segment_of_name(self.next_move.procedure).key
 
 
-def spoken_steps(job: JobText) -> dict[str, list[Spoken]]:
-    """The steps of each task, by its name. Steps of the handshake of two controllers are left out, but for
-    what they ask."""
-    rows = _rows(job)
-    moves = [(place, row.step) for place, row in enumerate(rows) if isinstance(row.step, MoveStep)]
-    places = [place for place, _ in moves]
+def operator_steps(job: JobText) -> dict[str, list[OperatorStep]]:
+    """Return the dialogue steps of each task by name.
+
+    Steps of the handshake of two controllers are left out, except for their questions.
+    """
+    rows = _all_steps(job)
+    moves = [(position, row.step) for position, row in enumerate(rows) if isinstance(row.step, MoveStep)]
+    move_positions = [position for position, _ in moves]
     group, groups, joints = 0, [0], True
     for _, move in moves:
         group += joints and not move.by_joints
         joints = move.by_joints
         groups.append(group)
-    out: dict[str, list[Spoken]] = {task.name: [] for task in job.tasks}
-    for place, row in enumerate(rows):
-        if isinstance(row.step, MoveStep) or not _counts(row):
+    out: dict[str, list[OperatorStep]] = {task.name: [] for task in job.tasks}
+    for position, row in enumerate(rows):
+        if isinstance(row.step, MoveStep) or not _is_dialogue_step(row):
             continue
-        k = bisect.bisect_left(places, place)
-        before = moves[k - 1][1] if k else None
-        after = moves[k][1] if k < len(moves) else None
+        k = bisect.bisect_left(move_positions, position)
+        previous_move = moves[k - 1][1] if k else None
+        next_move = moves[k][1] if k < len(moves) else None
         out[row.task.name].append(
-            Spoken(row.task, row.step, before, after, groups[k], _meanwhile(job, row.task, row.stage))
+            OperatorStep(
+                row.task,
+                row.step,
+                previous_move,
+                next_move,
+                groups[k],
+                _simultaneous_move(job, row.task, row.stage),
+            )
         )
     return out
 
 
 @dataclasses.dataclass(frozen=True)
-class _Row:
+class _StageStep:
     stage: int
     task: TaskText
-    step: Step
+    step: ProgramStep
     protocol: bool
 
 
-def _rows(job: JobText) -> list[_Row]:
-    """All steps of all tasks, stage by stage."""
+def _all_steps(job: JobText) -> list[_StageStep]:
+    """Return all steps of all tasks, stage by stage."""
     stage_of = {
         id(step): number
         for number, stage in enumerate(job.stages)
         for steps in stage.steps.values()
         for step in steps
     }
-    rows: list[tuple[int, int, int, _Row]] = []
+    rows: list[tuple[int, int, int, _StageStep]] = []
     for n, task in enumerate(job.tasks):
-        reading = None if job.readings is None else job.readings.get(task.name)
+        reading = None if job.automata_by_arm is None else job.automata_by_arm.get(task.name)
         stage = 0
         for k, step in enumerate(task.steps):
             stage = stage_of.get(id(step), stage)
             protocol = reading is not None and reading.protocol[k]
-            rows.append((stage, n, k, _Row(stage, task, step, protocol)))
+            rows.append((stage, n, k, _StageStep(stage, task, step, protocol)))
     return [row for *_, row in sorted(rows, key=lambda item: item[:3])]
 
 
-def _counts(row: _Row) -> bool:
-    """Whether a step is one that this is about: a wait of no time is not, nor are arrivals."""
+def _is_dialogue_step(row: _StageStep) -> bool:
+    """Return whether a step belongs to the dialogue. Waits of no time and arrivals at meetings do not."""
     step = row.step
     if isinstance(step, MessageStep):
         return step.kind != PANEL_STATE
@@ -151,8 +172,8 @@ def _counts(row: _Row) -> bool:
     return isinstance(step, SignalStep)
 
 
-def _meanwhile(job: JobText, task: TaskText, number: int) -> MoveStep | None:
-    """A move that may be under way while a task says something in a stage."""
+def _simultaneous_move(job: JobText, task: TaskText, number: int) -> MoveStep | None:
+    """Return a move that may run while a task shows something in a stage."""
     stage = job.stages[number]
     for other in job.tasks:
         if stage.moves(other.name) and (other is not task or (stage.synchronised and len(job.tasks) > 1)):
@@ -160,50 +181,74 @@ def _meanwhile(job: JobText, task: TaskText, number: int) -> MoveStep | None:
     return None
 
 
-TARGET_ROUNDING: Final = 1e-4
-"""What a target that is written may be off its place [m]."""
-Said = tuple[Sentence, dict[str, Figure]]
+TARGET_TOLERANCE_M: Final = 1e-4
+"""Tolerance [m] between a written target and its position."""
+ShownText = tuple[Sentence, dict[str, Figure]]
 
 
 @dataclasses.dataclass(frozen=True)
-class Place:
-    """Where steps belong. ``start``: before anything moves; ``setup``: at home before an operation;
-    ``first`` and ``last``: at its first and last targets; else as `DialogueStop` has it. ``operation`` counts
-    from 0."""
+class DialoguePosition:
+    """Where steps belong.
+
+    Attributes:
+        kind: ``start``: before anything moves; ``setup``: at home before an operation; ``first`` and
+            ``last``: at its first and last targets; else as in `DialogueStop`.
+        operation: Index of the operation.
+        key: Key of the segment.
+        approach_key: Key of the segment's lead-in.
+        at: Position (3,) [m], None for any.
+        tolerance: Tolerance [m] of the position.
+    """
 
     kind: Literal["start", "setup", "first", "last", "before", "behind", "in"]
     operation: int = 0
     key: str = ""
-    way_in: str = ""
+    approach_key: str = ""
     at: FloatArray | None = None
-    near: float = 0.0
+    tolerance: float = 0.0
 
-    def holds(self, spoken: Spoken) -> bool:
-        """Whether something is said there."""
+    def contains(self, entry: OperatorStep) -> bool:
+        """Return whether a dialogue step is there."""
         match self.kind:
             case "start":
-                return spoken.before is None
+                return entry.previous_move is None
             case "setup":
-                return spoken.group == self.operation and spoken.at_joints and spoken.to_joints
+                return entry.group == self.operation and entry.after_joint_move and entry.before_joint_move
             case "first":
-                return spoken.group == self.operation and spoken.at_joints and not spoken.to_joints
+                return (
+                    entry.group == self.operation and entry.after_joint_move and not entry.before_joint_move
+                )
             case "last":
-                return spoken.group == self.operation + 1 and not spoken.at_joints and spoken.to_joints
+                return (
+                    entry.group == self.operation + 1
+                    and not entry.after_joint_move
+                    and entry.before_joint_move
+                )
             case "before":
-                here = spoken.ahead == self.key and spoken.behind != self.key and not spoken.at_joints
+                matches = (
+                    entry.next_segment == self.key
+                    and entry.previous_segment != self.key
+                    and not entry.after_joint_move
+                )
             case "behind":
-                here = spoken.behind == self.key and spoken.ahead != self.key and not spoken.to_joints
+                matches = (
+                    entry.previous_segment == self.key
+                    and entry.next_segment != self.key
+                    and not entry.before_joint_move
+                )
             case "in":
-                here = spoken.behind in (self.key, self.way_in) and self._near(spoken.before)
-        return here and spoken.group == self.operation + 1
+                matches = entry.previous_segment in (self.key, self.approach_key) and self._is_near(
+                    entry.previous_move
+                )
+        return matches and entry.group == self.operation + 1
 
-    def _near(self, move: MoveStep | None) -> bool:
+    def _is_near(self, move: MoveStep | None) -> bool:
         if self.at is None:
             return True
         target = None if move is None else move.target
         if not isinstance(target, RobTarget):
             return False
-        return bool(np.linalg.norm(target.position - self.at) <= self.near + TARGET_ROUNDING)
+        return bool(np.linalg.norm(target.position - self.at) <= self.tolerance + TARGET_TOLERANCE_M)
 
     def __str__(self) -> str:
         number = self.operation + 1
@@ -224,67 +269,78 @@ class Place:
 
 
 @dataclasses.dataclass(frozen=True)
-class Part:
-    """Steps that stand together at a place."""
+class DialoguePart:
+    """Steps that belong together at one position.
 
-    place: Place
+    Attributes:
+        position: Where they belong.
+        steps: The steps.
+        repeats: Whether they may repeat.
+        optional: Whether they may be absent.
+    """
+
+    position: DialoguePosition
     steps: tuple[DialogueStep, ...]
     repeats: bool = False
     optional: bool = False
 
 
-def wanted_dialogue(context: Context) -> dict[str, list[Part]]:
-    """What each task should say, in order, by its name."""
+def expected_dialogue(context: Context) -> dict[str, list[DialoguePart]]:
+    """Return the expected dialogue of each task by name, in order."""
     tasks = context.job.tasks
-    out: dict[str, list[Part]] = {task.name: [Part(Place("start"), _start(context, task))] for task in tasks}
+    out: dict[str, list[DialoguePart]] = {
+        task.name: [DialoguePart(DialoguePosition("start"), _start_steps(context, task))] for task in tasks
+    }
     opened = {setup.operations[0]: setup for setup in context.setups if setup.steps and setup.operations}
     for number, operation in enumerate(context.problem.operations):
         if number in opened and tasks:
-            out[tasks[0].name].append(Part(Place("setup", number), _setup(opened[number])))
+            out[tasks[0].name].append(
+                DialoguePart(DialoguePosition("setup", number), _setup_steps(opened[number]))
+            )
         group = context.by_operation.get(operation.name, ())
         for claim in group:
             if isinstance(claim, OperatorDialogue):
                 speaker = next((task for task in tasks if task.arm.name in claim.arms), None)
                 if speaker is not None:
-                    out[speaker.name] += _operation(number, claim)
+                    out[speaker.name] += _operation_parts(number, claim)
     if tasks and not context.setups[-1].operations:
-        end = Place("setup", len(context.problem.operations))
-        out[tasks[0].name].append(Part(end, _setup(context.setups[-1])))
+        end = DialoguePosition("setup", len(context.problem.operations))
+        out[tasks[0].name].append(DialoguePart(end, _setup_steps(context.setups[-1])))
     return out
 
 
-def joined(context: Context) -> bool:
-    """Whether the arms are joined in some operation."""
+def arms_joined(context: Context) -> bool:
+    """Return whether the arms are joined in some operation."""
     return any(
         bool(claim.joined_arms) or (isinstance(claim, OperatorDialogue) and claim.joined)
         for claim in context.claims
     )
 
 
-def handler(context: Context, task: TaskText, procedure: str) -> tuple[Said, ...]:
-    """What an error handler says, in this order."""
-    out: list[Said] = [(sentences.FAILED, {"procedure": procedure})]
-    if _partner(context, task):
-        out.append((sentences.UNANSWERED, {"other": _partner(context, task)}))
-    return (*out, (sentences.JOINED if joined(context) else sentences.ALONE, {}))
+def handler_texts(context: Context, task: TaskText, procedure: str) -> tuple[ShownText, ...]:
+    """Return the texts that an error handler shows, in order."""
+    out: list[ShownText] = [(sentences.FAILED, {"procedure": procedure})]
+    if _partner_arm(context, task):
+        out.append((sentences.UNANSWERED, {"other": _partner_arm(context, task)}))
+    return (*out, (sentences.JOINED if arms_joined(context) else sentences.ALONE, {}))
 
 
-def aside(context: Context, task: TaskText) -> tuple[Said, ...]:
-    """What may be said on a way that is decided at run time, which ends the program."""
-    partner = _partner(context, task)
+def branch_texts(context: Context, task: TaskText) -> tuple[ShownText, ...]:
+    """Return the texts that a branch may show that is decided at run time and ends the program."""
+    partner = _partner_arm(context, task)
     return ((sentences.UNANSWERED, {"other": partner}),) if partner else ()
 
 
-def _partner(context: Context, task: TaskText) -> str:
-    """The arm of the other one of two controllers, empty for one controller."""
+def _partner_arm(context: Context, task: TaskText) -> str:
+    """Return the arm of the other of two controllers, empty for one controller."""
     others = [other.arm.name for other in context.job.tasks if other is not task]
-    return others[0] if context.job.readings is not None and others else ""
+    return others[0] if context.job.automata_by_arm is not None and others else ""
 
 
-def _start(context: Context, task: TaskText) -> tuple[DialogueStep, ...]:
-    start, is_lead = of_task(task).start, task is context.job.tasks[0]
+def _start_steps(context: Context, task: TaskText) -> tuple[DialogueStep, ...]:
+    start, is_lead = language_of_task(task).start, task is context.job.tasks[0]
     question = start.clear if context.setups[0].steps else start.ready
-    partner = _partner(context, task)
+    partner = _partner_arm(context, task)
     if partner:
         if not is_lead:
             earlier = question_step(start.follower_earlier, other=partner)
@@ -296,67 +352,74 @@ def _start(context: Context, task: TaskText) -> tuple[DialogueStep, ...]:
         )
     if not is_lead:
         return ()
-    return (question_step(start.joined if start.joined and joined(context) else question),)
+    return (question_step(start.joined if start.joined and arms_joined(context) else question),)
 
 
-def _setup(setup: Setup) -> tuple[DialogueStep, ...]:
+def _setup_steps(setup: Setup) -> tuple[DialogueStep, ...]:
     steps = (message_step(sentences.PLAIN, text=step) for step in setup.steps)
     return (*steps, question_step(sentences.PLAIN, text=setup.confirmation))
 
 
-def _operation(number: int, claim: OperatorDialogue) -> Sequence[Part]:
+def _operation_parts(number: int, claim: OperatorDialogue) -> Sequence[DialoguePart]:
     return [
-        Part(Place("first", number), claim.first),
-        *(_stop(number, stop) for stop in claim.stops),
-        Part(Place("last", number), claim.last),
+        DialoguePart(DialoguePosition("first", number), claim.first),
+        *(_stop_part(number, stop) for stop in claim.stops),
+        DialoguePart(DialoguePosition("last", number), claim.last),
     ]
 
 
-def _stop(number: int, stop: DialogueStop) -> Part:
-    own = stop.segment
-    way_in = own.at("in").key if own.name else own.key
-    place = Place(stop.where, number, own.key, way_in, stop.at, stop.near)
-    return Part(place, stop.steps, stop.repeats, stop.optional)
+def _stop_part(number: int, stop: DialogueStop) -> DialoguePart:
+    segment = stop.segment
+    approach_key = segment.at("in").key if segment.name else segment.key
+    position = DialoguePosition(stop.where, number, segment.key, approach_key, stop.at, stop.tolerance)
+    return DialoguePart(position, stop.steps, stop.repeats, stop.optional)
 
 
 DIALOGUE = "verify.dialogue"
-"""Code of the rule that asks for these sentences."""
+"""Code of the rule that requires these sentences."""
 
 
-def chosen_groups(context: Context) -> Context:
-    """The same proof with the one group of each `OneOf` that the text names at the operation's first targets.
+def with_chosen_groups(context: Context) -> Context:
+    """Return the same proof with one group of each `OneOf`.
 
-    Where it names none, or more than one, the first group stands in, and ``untold`` has a fault of
-    ``verify.dialogue``, so that nothing is proven."""
+    It is the group that the text names at the operation's first targets. If the text names none, or more than
+    one, the first group is used, and ``dialogue_issues`` has an issue of ``verify.dialogue``, so that nothing
+    is proven.
+    """
     if not any(isinstance(claim, OneOf) for claim in context.claims):
         return context
-    said = spoken_steps(context.job) if context.playable else {}
-    untold: list[Issue] = []
+    steps_by_task = operator_steps(context.job) if context.is_replayable else {}
+    issues: list[Issue] = []
     claims: dict[str, tuple[Claim, ...]] = {}
     numbers = {operation.name: n for n, operation in enumerate(context.problem.operations)}
     for name, group in context.by_operation.items():
-        own: list[Claim] = []
+        chosen: list[Claim] = []
         for claim in group:
             if isinstance(claim, OneOf):
-                own += _settled(context, name, claim, numbers.get(name, 0), said, untold)
+                chosen += _choose_group(context, name, claim, numbers.get(name, 0), steps_by_task, issues)
             else:
-                own.append(claim)
-        claims[name] = tuple(own)
-    out = context.replaced(claims=claims)
-    out.untold = tuple(untold)
+                chosen.append(claim)
+        claims[name] = tuple(chosen)
+    out = context.with_changes(claims=claims)
+    out.dialogue_issues = tuple(issues)
     return out
 
 
-def _settled(
-    context: Context, name: str, claim: OneOf, number: int, said: dict[str, list[Spoken]], untold: list[Issue]
+def _choose_group(
+    context: Context,
+    name: str,
+    claim: OneOf,
+    number: int,
+    steps_by_task: dict[str, list[OperatorStep]],
+    issues: list[Issue],
 ) -> tuple[Claim, ...]:
-    fitting = [group for group in claim.either if _is_told(context, group, number, said)]
+    fitting = [group for group in claim.either if _is_shown(context, group, number, steps_by_task)]
     if len(fitting) == 1:
         return fitting[0]
-    names = "; ".join(dict.fromkeys(_shown(group) for group in claim.either))
+    names = "; ".join(dict.fromkeys(_describe_group(group) for group in claim.either))
     what = "none" if not fitting else "more than one"
-    message = f"{name}: of what may be mounted the operator is told {what} at the first targets; at hand are "
-    untold.append(Issue(DIALOGUE, message + names, field=name, hint="plan again"))
+    message = f"{name}: the texts at the first targets name {what} of the items to mount; available: "
+    issues.append(Issue(DIALOGUE, message + names, field=name, hint="plan again"))
     return claim.either[0]
 
 
@@ -364,33 +427,51 @@ def _dialogue(group: tuple[Claim, ...]) -> OperatorDialogue | None:
     return next((claim for claim in group if isinstance(claim, OperatorDialogue)), None)
 
 
-def _heads(group: tuple[Claim, ...]) -> list[DialogueStep]:
-    """What is told first, as far as its figures follow from the problem: it says which group it is."""
+def _identifying_steps(group: tuple[Claim, ...]) -> list[DialogueStep]:
+    """Return the first texts of a group with figures that follow from the problem.
+
+    They identify the group.
+    """
     dialogue = _dialogue(group)
     steps = () if dialogue is None else dialogue.first
     return list(itertools.takewhile(lambda s: s.kind == "told" and None not in s.figures.values(), steps))
 
 
-def _shown(group: tuple[Claim, ...]) -> str:
-    return ", ".join(sentence_text(s.sentence, s.figures) for s in _heads(group) if s.sentence is not None)
+def _describe_group(group: tuple[Claim, ...]) -> str:
+    return ", ".join(
+        sentence_text(s.sentence, s.figures) for s in _identifying_steps(group) if s.sentence is not None
+    )
 
 
-def _is_told(context: Context, group: tuple[Claim, ...], number: int, said: dict[str, list[Spoken]]) -> bool:
-    """Whether the task that speaks tells all of it, one line or more each, before anything else there."""
+def _is_shown(
+    context: Context, group: tuple[Claim, ...], number: int, steps_by_task: dict[str, list[OperatorStep]]
+) -> bool:
+    """Return whether the speaking task shows all of these texts before anything else there.
+
+    Each text may be in one or more lines.
+    """
     dialogue = _dialogue(group)
     if dialogue is None:
         return False
     speaker = next((task for task in context.job.tasks if task.arm.name in dialogue.arms), None)
-    place = Place("first", number)
-    here = [one for one in said.get(speaker.name, []) if place.holds(one)] if speaker is not None else []
-    lines = [one.step.text for one in here if one.kind == "told" and isinstance(one.step, MessageStep)]
-    for step in _heads(group):
+    position = DialoguePosition("first", number)
+    steps_here = (
+        [entry for entry in steps_by_task.get(speaker.name, []) if position.contains(entry)]
+        if speaker is not None
+        else []
+    )
+    lines = [
+        entry.step.text
+        for entry in steps_here
+        if entry.kind == "told" and isinstance(entry.step, MessageStep)
+    ]
+    for step in _identifying_steps(group):
         fits = (
-            step.sentence is not None and fit(step.sentence, step.figures, lines[:k]).whole
+            step.sentence is not None and match_sentence(step.sentence, step.figures, lines[:k]).matches
             for k in range(1, len(lines) + 1)
         )
         count = next((k for k, whole in enumerate(fits, 1) if whole), 0)
         if not count:
             return False
         lines = lines[count:]
-    return bool(_heads(group))
+    return bool(_identifying_steps(group))

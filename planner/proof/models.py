@@ -7,68 +7,79 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.cell.plant import CellModel, build
+from planner.cell.plant import CellModel, build_cell_model
 from planner.geometry.arrays import FloatArray
-from planner.problem import TILT, Problem, setups_of
+from planner.problem import TILT_AXIS, Problem, all_setups
 from planner.proof.context import Context
 from planner.proof.facts import Fact
-from planner.proof.kinematics.external_axes import moved_on
+from planner.proof.kinematics.external_axes import carried_motions
 
 Models = Callable[[int], CellModel]
-"""The cell of a setup, by the setup's index."""
+"""Function for the cell model of a setup, by the setup's index."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Standing:
-    """Where the programs have what stands still, one value for each setup.
+class StationaryPoses:
+    """Poses of stationary things according to the programs, one value for each setup.
 
     Attributes:
-        places: Frames (4, 4) of the stock, or None where nothing states one.
+        stock_frames: Frames (4, 4) of the stock, or None if nothing states one.
         bases: Base poses (4, 4) by arm.
         tilts: Values [rad] of the tilt axis of a positioner.
         axes: Values [m] of the axes under arms, by the name of the axis.
     """
 
-    places: tuple[FloatArray | None, ...]
+    stock_frames: tuple[FloatArray | None, ...]
     bases: tuple[Mapping[str, FloatArray], ...]
     tilts: tuple[float, ...]
     axes: tuple[Mapping[str, float], ...]
 
     @staticmethod
-    def of(context: Context) -> "Standing":
-        """Read it from the programs."""
-        return Standing(context.places, context.bases_by_setup, context.tilts, context.stands)
+    def of(context: Context) -> "StationaryPoses":
+        """Take the poses from the programs."""
+        return StationaryPoses(
+            context.stock_frames, context.base_poses_by_setup, context.tilts, context.axis_values
+        )
 
 
-def cell_models(problem: Problem, standing: Standing, kept: dict[str, Any] | None = None) -> Models:
-    """Return a function that gives the cell of a setup, with stock, bases and axes where the programs have
-    them.
+def cell_models(problem: Problem, stationary: StationaryPoses, cache: dict[str, Any] | None = None) -> Models:
+    """Return a function for the cell model of a setup.
+
+    The model has stock, bases and axes where the programs have them.
 
     Args:
         problem: Problem as it was given, from whose stations the axes are moved.
-        standing: Where the programs have what stands still.
-        kept: Models that were built before. It is filled.
+        stationary: Poses of stationary things according to the programs.
+        cache: Models that were built before. It is filled.
     """
-    built: dict[int, CellModel] = {} if kept is None else kept.setdefault("models", {})
+    built: dict[int, CellModel] = {} if cache is None else cache.setdefault("models", {})
 
     def model(index: int) -> CellModel:
-        setup, place, bases = setups_of(problem)[index], standing.places[index], standing.bases[index]
-        place = np.eye(4) if place is None else place
+        setup, frame, bases = (
+            all_setups(problem)[index],
+            stationary.stock_frames[index],
+            stationary.bases[index],
+        )
+        frame = np.eye(4) if frame is None else frame
         if index not in built:
-            built[index] = build(setup.cell, setup.stock, place, bases)
-        found, table = built[index].with_stock(place).with_bases(bases), setup.cell.turntable
-        here = {name: value for arm in setup.cell.arms for name, value in arm.stands.items()}
-        found = found.with_moved(moved_on(setup.cell, standing.axes[index], here))
+            built[index] = build_cell_model(setup.cell, setup.stock, frame, bases)
+        cell_model, table = built[index].with_stock(frame).with_bases(bases), setup.cell.turntable
+        axis_values = {name: value for arm in setup.cell.arms for name, value in arm.axis_values.items()}
+        cell_model = cell_model.with_axis_motions(
+            carried_motions(setup.cell, stationary.axes[index], axis_values)
+        )
         if table is None or table.tilt is None:
-            return found
-        leans = found.stock.tilt or 0.0
-        return found.with_moved({TILT: table.tilt.turned(np.eye(4), standing.tilts[index] - leans)})
+            return cell_model
+        tilt = cell_model.stock.tilt or 0.0
+        return cell_model.with_axis_motions(
+            {TILT_AXIS: table.tilt.rotate(np.eye(4), stationary.tilts[index] - tilt)}
+        )
 
     return functools.cache(model)
 
 
 def _of_context(context: Context) -> Models:
-    return cell_models(context.given, Standing.of(context), context.kept)
+    return cell_models(context.given_problem, StationaryPoses.of(context), context.cache)
 
 
 MODELS: Final[Fact[Context, Models]] = Fact("models", _of_context)

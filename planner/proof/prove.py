@@ -1,9 +1,8 @@
 """The proof: from the problem and the program text alone to a verdict, rule by rule.
 
-Rules run in their order (:mod:`planner.proof.rule_order`), and each may rely on those before it. Where a
-fault leaves the rules of a stage nothing to examine, that stage and those after it do not run, and the proof
-does not hold. Nothing may be claimed that no rule proves, because a reader of the claims would take it as
-proven.
+Rules run in their order (:mod:`planner.proof.rule_order`), and each may rely on those before it. If a fault
+leaves the rules of a stage nothing to examine, that stage and those after it do not run, and the proof does
+not hold. A claim that no rule proves is refused, because a reader of the claims would take it as proven.
 """
 
 import dataclasses
@@ -12,13 +11,14 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from planner.claims.claim import ArmSags, Claim, OneOf
+from planner.issue_codes import format_message
 from planner.issues import Issue, TandemError, aggregate, has_errors, with_remedy
 from planner.problem import Problem
 from planner.proof import rule_table, series
 from planner.proof.context import Claims, Context
-from planner.proof.contribution import Ahead, of_processes
-from planner.proof.dialogue import chosen_groups
-from planner.proof.rule import Outcome, Rule
+from planner.proof.contribution import ParallelGroup, of_processes
+from planner.proof.dialogue import with_chosen_groups
+from planner.proof.rule import Rule, RuleOutcome
 from planner.proof.rule_order import FACES, NEEDED, Stage
 from planner.proof.rules import clearance, external_axes, text
 from planner.proof.verdict import Proof, RuleResult
@@ -26,8 +26,8 @@ from planner.runtime.executor import SERIAL, Executor
 from planner.runtime.memory import release_memory
 
 
-def unproven(claims: Claims, problem: Problem | None = None) -> list[Issue]:
-    """Find claims that no rule proves, and operations of which nothing is claimed.
+def unproven_claims(claims: Claims, problem: Problem | None = None) -> list[Issue]:
+    """Find claims that no rule proves, and operations without claims.
 
     Args:
         claims: Claims by the name of the operation.
@@ -36,15 +36,20 @@ def unproven(claims: Claims, problem: Problem | None = None) -> list[Issue]:
     proven = rule_table.proven_by(rule_table.rules_of(problem))
     out = []
     for name, group in claims.items():
-        inner = [c for claim in group if isinstance(claim, OneOf) for one in claim.either for c in one]
+        inner = [
+            c
+            for claim in group
+            if isinstance(claim, OneOf)
+            for alternative in claim.either
+            for c in alternative
+        ]
         known = (type(claim) for claim in (*group, *inner) if type(claim) not in proven)
         for kind in dict.fromkeys(known):
-            what = f"{name}: its process claims {kind.__name__}, which no rule of the proof looks at"
-            hint = "give the proof a rule for it, or claim what there are rules for"
-            out.append(Issue("claims.unproven", f"{what}; {hint}", field="operations.process"))
+            what = format_message("claims.unproven", operation=name, claim_type=kind.__name__)
+            out.append(Issue("claims.unproven", what, field="operations.process"))
         if all(isinstance(claim, ArmSags) for claim in group):
             what = f"{name}: its process claims nothing, so nothing of it would be proven"
-            what += "; let it claim what has to hold"
+            what += "; add claims for what has to hold"
             out.append(Issue("claims.none", what, field="operations.process"))
     return out
 
@@ -53,20 +58,21 @@ def unproven(claims: Claims, problem: Problem | None = None) -> list[Issue]:
 class Prover:
     """Proves programs of one problem.
 
-    What does not depend on the programs, such as Drake's models and faces that are claimed, is kept between
-    proofs, so that later proofs start at once.
+    What does not depend on the programs, such as Drake's models and claimed faces, is kept between proofs,
+    so that later proofs start faster.
 
     Attributes:
         problem: The problem.
         claims: Claims by the name of the operation.
         executor: Examines rules that no other rule waits for.
+        cache: Values that are kept between proofs, by name.
     """
 
     problem: Problem
     claims: Claims
     executor: Executor = SERIAL
-    kept: dict[str, Any] = dataclasses.field(default_factory=dict)
-    _completed: tuple[Claims, tuple[Issue, ...]] | None = None
+    cache: dict[str, Any] = dataclasses.field(default_factory=dict)
+    _completed_claims: tuple[Claims, tuple[Issue, ...]] | None = None
 
     @functools.cached_property
     def _rules(self) -> Mapping[Stage, tuple[Rule, ...]]:
@@ -74,120 +80,140 @@ class Prover:
 
     def context(self, programs: Mapping[str, str]) -> Context:
         """Return the context of a proof: the problem as the programs have it, and all claims on it."""
-        if self._completed is None:
-            self._completed = _completed(self.problem, self.claims)
-        context = Context(self.problem, self._completed[0], programs, self._completed[1])
-        context.executor, context.kept = self.executor, self.kept
-        return chosen_groups(external_axes.standing(context))
+        if self._completed_claims is None:
+            self._completed_claims = _read_claimed_files(self.problem, self.claims)
+        context = Context(self.problem, self._completed_claims[0], programs, self._completed_claims[1])
+        context.executor, context.cache = self.executor, self.cache
+        return with_chosen_groups(external_axes.with_text_stations(context))
 
     def prove(self, programs: Mapping[str, str], first_error: bool = False, last: str | None = None) -> Proof:
         """Prove programs.
 
         Args:
             programs: Text by file name.
-            first_error: Stop at the first rule that is broken. The verdict is the same.
+            first_error: Stop at the first rule that fails. The verdict is the same.
             last: Stop after the rule with this code. Such a proof never holds.
         """
-        run = _Run(self.context(programs), self._rules)
+        run = _ProofRun(self.context(programs), self._rules)
         for _ in run.steps():
-            if "verify.reach" in run.results and run.context.long:
-                release_memory()  # what a rule leaves free would count beside the next one's arrays
+            if "verify.reach" in run.results and run.context.is_long:
+                release_memory()  # free memory before the next rule allocates its arrays
             if (first_error and has_errors(run.issues)) or last in run.results:
                 break
         return run.proof()
 
 
-def _completed(problem: Problem, claims: Claims) -> tuple[Claims, tuple[Issue, ...]]:
+def _read_claimed_files(problem: Problem, claims: Claims) -> tuple[Claims, tuple[Issue, ...]]:
     """Read the files that claims name, process by process."""
     issues: list[Issue] = []
-    for one in of_processes(problem):
-        if one.complete is not None:
-            claims, found = one.complete(claims)
-            issues += found
+    for contribution in of_processes(problem):
+        if contribution.complete is not None:
+            claims, file_issues = contribution.complete(claims)
+            issues += file_issues
     return claims, tuple(issues)
 
 
-def _examine_ahead(context: Context, codes: tuple[str, ...]) -> Iterator[Outcome]:
+def _examine_in_process(context: Context, codes: tuple[str, ...]) -> Iterator[RuleOutcome]:
     """Examine rules one after the other, in another process. Rules themselves cannot be sent there."""
     rules = {rule.code: rule for rule in rule_table.rules_of(context.problem)}
     for code in codes:
         yield rules[code](context)
 
 
-class _Run:
+class _ProofRun:
     """One proof while it runs."""
 
     def __init__(self, context: Context, rules: Mapping[Stage, tuple[Rule, ...]]) -> None:
         self.context, self.rules = context, rules
         self.processes = of_processes(context.problem)
         self.results: dict[str, RuleResult] = {}
-        self.outcomes: dict[str, Outcome] = {}
+        self.outcomes: dict[str, RuleOutcome] = {}
         self.issues: list[Issue] = []
-        self._ahead: dict[str, Iterator[Outcome]] = {}  # by the code of the rule
+        self._parallel_outcomes: dict[str, Iterator[RuleOutcome]] = {}  # by the code of the rule
 
     def steps(self) -> Iterator[None]:
         """Run the rules one after the other, and hand control back after each."""
         for stage, rules in self.rules.items():
-            if not self._may_begin(stage):
+            if not self._can_start(stage):
                 return
-            self._begin(stage)
+            self._start_stage(stage)
             for rule in rules:
-                outcome = next(self._ahead[rule.code]) if rule.code in self._ahead else rule(self.context)
+                outcome = (
+                    next(self._parallel_outcomes[rule.code])
+                    if rule.code in self._parallel_outcomes
+                    else rule(self.context)
+                )
                 self._add(rule, outcome, stage)
-                for fact in (fact for one in self.processes for fact in one.release.get(rule.code, ())):
+                for fact in (
+                    fact
+                    for contribution in self.processes
+                    for fact in contribution.release.get(rule.code, ())
+                ):
                     self.context.release(fact)
                 self.context = outcome.context or self.context
-                del outcome  # its arrays would count beside those of the next rule
+                del outcome  # free its arrays before the next rule runs
                 yield
 
-    def _may_begin(self, stage: Stage) -> bool:
+    def _can_start(self, stage: Stage) -> bool:
         """Return whether the rules before a stage leave it something to examine."""
         match stage:
-            case "tasks":  # where arms stand follows from the files of their robots
-                return not self._broken("verify.robot_model") and self.context.readable
+            case "tasks":  # postures of arms depend on the files of their robots
+                return not self._has_failed("verify.robot_model") and self.context.is_readable
             case "setups":
-                return self.context.playable
+                return self.context.is_replayable
             case "curves":
-                return not self._broken(*NEEDED)
+                return not self._has_failed(*NEEDED)
             case "sheets":
-                return not self._broken("verify.reach")
+                return not self._has_failed("verify.reach")
         return True
 
-    def _begin(self, stage: Stage) -> None:
+    def _start_stage(self, stage: Stage) -> None:
         """Submit what another process can do meanwhile."""
-        groups = (rule_table.BODIES, *(group for one in self.processes for group in one.ahead))
-        if stage == rule_table.BODIES.stage:
-            if self.context.long:
-                self.context.put(clearance.LOOKS, clearance.begin_looks(self.context))
+        groups = (
+            rule_table.BODY_RULES,
+            *(group for contribution in self.processes for group in contribution.parallel_groups),
+        )
+        if stage == rule_table.BODY_RULES.stage:
+            if self.context.is_long:
+                self.context.put(
+                    clearance.CLEARANCE_QUERIES, clearance.submit_clearance_queries(self.context)
+                )
             self._submit(stage, groups[:1])
-        for fact in (fact for one in self.processes for fact in one.begin.get(stage, ())):
+        for fact in (
+            fact for contribution in self.processes for fact in contribution.facts_at_start.get(stage, ())
+        ):
             self.context.get(fact)
         self._submit(stage, groups[1:])
 
-    def _submit(self, stage: Stage, groups: tuple[Ahead, ...]) -> None:
+    def _submit(self, stage: Stage, groups: tuple[ParallelGroup, ...]) -> None:
         for group in groups:
             if group.stage == stage and group.useful(self.context):
-                rules = (rule for some in self.rules.values() for rule in some if rule.ahead == group.name)
-                begun = {*self.results, *self._ahead}
-                codes = tuple(rule.code for rule in rules if rule.code not in begun)
-                found = self.context.executor.submit(_examine_ahead, self.context, codes)
-                self._ahead |= dict.fromkeys(codes, found)
+                rules = (
+                    rule
+                    for stage_rules in self.rules.values()
+                    for rule in stage_rules
+                    if rule.parallel_group == group.name
+                )
+                started = {*self.results, *self._parallel_outcomes}
+                codes = tuple(rule.code for rule in rules if rule.code not in started)
+                outcomes = self.context.executor.submit(_examine_in_process, self.context, codes)
+                self._parallel_outcomes |= dict.fromkeys(codes, outcomes)
 
-    def _broken(self, *codes: str) -> bool:
+    def _has_failed(self, *codes: str) -> bool:
         return any(code in self.results and not self.results[code].passed for code in codes)
 
     @functools.cached_property
-    def _changed(self) -> text.Marks:
-        return text.marks(self.context.job)
+    def _modified_targets(self) -> text.ModifiedTargets:
+        return text.find_modified_targets(self.context.job)
 
-    def _add(self, rule: Rule, outcome: Outcome, stage: Stage) -> None:
+    def _add(self, rule: Rule, outcome: RuleOutcome, stage: Stage) -> None:
         self.issues += [
-            text.with_form_cause(with_remedy(issue))
+            text.with_language_cause(with_remedy(issue))
             if stage == "text"
-            else text.with_pendant_cause(self._changed, with_remedy(issue))
+            else text.with_pendant_cause(self._modified_targets, with_remedy(issue))
             for issue in outcome.issues
         ]
-        self.outcomes[rule.code] = Outcome(faces=outcome.faces, part=outcome.part, series=outcome.series)
+        self.outcomes[rule.code] = RuleOutcome(faces=outcome.faces, part=outcome.part, series=outcome.series)
         passed = not has_errors(outcome.issues)
         if passed and outcome.nothing:
             result = RuleResult(rule.code, rule.title, True, where=outcome.nothing, applies=False)
@@ -202,18 +228,18 @@ class _Run:
         rules = tuple(
             self.results.get(rule.code)
             or RuleResult(rule.code, rule.title, False, where="not reached", ran=False)
-            for some in self.rules.values()
-            for rule in some
+            for stage_rules in self.rules.values()
+            for rule in stage_rules
         )
         curves: dict[str, Any] = {}
-        if self.context.playable and "verify.reach" in self.results:
-            measured = {code: one.series for code, one in self.outcomes.items() if one.series}
-            curves = series.series(self.context, measured)
-        shown = [
+        if self.context.is_replayable and "verify.reach" in self.results:
+            measured = {code: outcome.series for code, outcome in self.outcomes.items() if outcome.series}
+            curves = series.motion_series(self.context, measured)
+        shown_outcomes = [
             self.outcomes[code] for code in dict.fromkeys((*FACES, *self.outcomes)) if code in self.outcomes
         ]
-        faces = tuple(face for one in shown for face in one.faces)
-        part = next((one.part for one in shown if one.part), "")
+        faces = tuple(face for outcome in shown_outcomes for face in outcome.faces)
+        part = next((outcome.part for outcome in shown_outcomes if outcome.part), "")
         return Proof(self.context.problem.digest, rules, aggregate(self.issues), curves, faces, part)
 
 
@@ -225,7 +251,7 @@ def prove(
 ) -> Proof:
     """Prove programs from their text.
 
-    What is wrong with the programs is in the proof. The proof is the same whatever ``executor`` is.
+    Faults of the programs are in the proof, which is the same whatever ``executor`` is.
 
     Args:
         problem: The problem.
@@ -234,10 +260,10 @@ def prove(
         executor: Examines rules that no other rule waits for.
 
     Raises:
-        TandemError: The programs are so long that they are not examined (``verify.duration``), or the claims
-            are such that no rule proves them (``claims.unproven``, ``claims.none``).
+        TandemError: The programs are too long to be examined (``verify.duration``), or no rule proves some
+            claims (``claims.unproven``, ``claims.none``).
     """
-    refused = unproven(claims, problem)
+    refused = unproven_claims(claims, problem)
     if refused:
         raise TandemError(refused)
     return Prover(problem, claims, executor).prove(programs)

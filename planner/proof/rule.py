@@ -6,18 +6,18 @@ from typing import Any
 
 from planner.issues import Issue
 from planner.programs.stages import TaskText
-from planner.programs.steps import MoveStep, Step
+from planner.programs.steps import MoveStep, ProgramStep
 from planner.proof.context import Context
 from planner.proof.replay.motion import Motion
 from planner.proof.rule_order import Stage
 from planner.proof.verdict import CutFace
 
-FEED_SLACK = 1.05
-"""The replay's ramps and corners may pass feeds by this factor."""
+MAX_FEED_FACTOR = 1.05
+"""Factor by which the replay's ramps and corners may exceed feeds."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Outcome:
+class RuleOutcome:
     """What a rule found.
 
     Attributes:
@@ -45,10 +45,10 @@ class Outcome:
     context: Context | None = None
 
 
-Examine = Callable[[Context], Outcome]
-"""The function of a rule."""
+ExamineFunction = Callable[[Context], RuleOutcome]
+"""Function of a rule."""
 Measure = tuple[float, float, str | None]
-"""What is measured, what is allowed, and the unit in which a person reads both, None for counts."""
+"""Measured value, allowed value, and the unit in which a person reads both, None for counts."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,48 +56,54 @@ class Rule:
     """A rule of the proof.
 
     Attributes:
-        code: Code of its issues. What to do if the rule is broken is stated there.
+        code: Code of its issues. The remedy for a broken rule is stated there.
         proves: Kinds of claims that it proves.
         examine: The function. The first paragraph of its docstring is the title of the rule.
-        stage: Stage of a rule of an installed package. Tandem's rules are in :mod:`planner.proof.rule_order`.
-        ahead: Group of rules that another process may examine (:class:`planner.proof.contribution.Ahead`).
+        stage: Stage of a rule of an installed package. Tandem's rules are in
+            :mod:`planner.proof.rule_order`.
+        parallel_group: Group of rules that another process may examine
+            (:class:`planner.proof.contribution.ParallelGroup`).
     """
 
     code: str
     proves: tuple[type, ...]
-    examine: Examine
+    examine: ExamineFunction
     stage: Stage = "motion"
-    ahead: str = ""
+    parallel_group: str = ""
 
     @property
     def title(self) -> str:
-        """What the rule requires, in a sentence."""
+        """The requirement in words."""
         return " ".join((self.examine.__doc__ or self.code).split("\n\n")[0].split()).rstrip(".")
 
-    def __call__(self, context: Context) -> Outcome:
+    def __call__(self, context: Context) -> RuleOutcome:
         """Examine the programs of a context."""
         return self.examine(context)
 
 
-def rule(code: str, *proves: type, stage: Stage = "motion", ahead: str = "") -> Callable[[Examine], Rule]:
-    """Make a function a rule. For the arguments see :class:`Rule`."""
-    return lambda examine: Rule(code, proves, examine, stage, ahead)
+def rule(
+    code: str, *proves: type, stage: Stage = "motion", parallel_group: str = ""
+) -> Callable[[ExamineFunction], Rule]:
+    """Return a decorator that makes a function a rule. For the arguments see :class:`Rule`."""
+    return lambda examine: Rule(code, proves, examine, stage, parallel_group)
 
 
 def mm(value: float) -> float:
-    """Metres as millimetres for messages."""
+    """Convert metres to millimetres for messages."""
     return round(value * 1e3, 6)
 
 
-def issue(code: str, message: str, measure: Measure | None = None, **fields: Any) -> Issue:
-    """An issue with what is measured; ``fields`` are others of its fields."""
+def measured_issue(code: str, message: str, measure: Measure | None = None, **fields: Any) -> Issue:
+    """Return an issue with a measured value. ``fields`` are other fields of the issue."""
     if measure is not None:
         fields["value"], fields["limit"], fields["unit"] = measure
     return Issue(code, message, **fields)
 
 
-def at_step(code: str, message: str, task: TaskText, step: Step | None, hint: str | None = None) -> Issue:
-    """An issue about a step of a task."""
+def step_issue(
+    code: str, message: str, task: TaskText, step: ProgramStep | None, hint: str | None = None
+) -> Issue:
+    """Return an issue about a step of a task."""
     if step is None:
         return Issue(code, message, arm=task.arm.name, file=task.name, hint=hint)
     return Issue(
@@ -107,45 +113,38 @@ def at_step(code: str, message: str, task: TaskText, step: Step | None, hint: st
         file=f"{task.name}/{step.module}",
         line=step.line,
         field=step.procedure,
-        target=target(step),
+        target=target_label(step),
         hint=hint,
     )
 
 
-def target(step: Step) -> str | None:
-    """What to call the target of a move: its ID, else its name."""
+def target_label(step: ProgramStep) -> str | None:
+    """Return the name of a move's target: its ID, else its name."""
     if not isinstance(step, MoveStep):
         return None
     return f"ID {step.id}" if step.id is not None else step.target_name or None
 
 
-def at_node(code: str, message: str, motion: Motion, arm: str, node: int) -> Issue:
-    """An issue about a target of the replayed motion."""
-    ident = int(motion.node_ids[node])
+def node_issue(code: str, message: str, motion: Motion, arm: str, node: int) -> Issue:
+    """Return an issue about a target of the replayed motion."""
+    move_id = int(motion.node_ids[node])
     return Issue(
         code,
         message,
         arm=arm,
         index=node,
-        target=f"ID {ident}" if ident else None,
+        target=f"ID {move_id}" if move_id else None,
         line=int(motion.node_line[arm][node]) or None,
         field=str(motion.node_segment[node]),
         time=float(motion.time[motion.node_sample[node]]),
     )
 
 
-def at_sample(
-    code: str,
-    message: str,
-    motion: Motion,
-    arm: str,
-    sample: int,
-    measure: Measure | None = None,
-    bodies: tuple[str, ...] = (),
+def sample_issue(
+    code: str, message: str, motion: Motion, arm: str, sample: int, measure: Measure | None = None
 ) -> Issue:
-    """An issue about an instant of the replayed motion."""
-    found = at_node(code, message, motion, arm, int(motion.node[sample]))
+    """Return an issue about an instant of the replayed motion."""
+    base_issue = node_issue(code, message, motion, arm, int(motion.node[sample]))
     value, limit, unit = measure or (None, None, None)
-    return dataclasses.replace(
-        found, time=float(motion.time[sample]), value=value, limit=limit, unit=unit, bodies=bodies
-    )
+    time = float(motion.time[sample])
+    return dataclasses.replace(base_issue, time=time, value=value, limit=limit, unit=unit)

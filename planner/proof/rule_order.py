@@ -1,9 +1,9 @@
-"""The order in which rules run, and the stages in which they stand.
+"""The order in which rules run, and their stages.
 
 The order is visible in ``proof.json``, in reports and in the documentation, so it is stated here for all
 rules of Tandem and depends on nothing else. Rules of installed packages follow the rules of their stage.
 
-A rule may rely on the rules before it. Where a fault leaves the rules of a stage nothing to examine, that
+A rule may rely on the rules before it. If a fault leaves the rules of a stage nothing to examine, that
 stage and those after it do not run, and the proof does not hold (:mod:`planner.proof.prove`).
 """
 
@@ -15,9 +15,9 @@ Stage = Literal[
 ]
 """Stages in their order.
 
-From "tasks" on, the programs of all arms can be read. From "setups" on, tasks pass the same synchronisation
-points. From "curves" on, a motion follows from the programs (``context.motion``). From "sheets" on, arms
-reach all targets of it.
+From "tasks" on, the programs of all arms can be read. From "setups" on, tasks pass the same
+synchronisation points. From "curves" on, a motion follows from the programs (``context.motion``). From
+"sheets" on, arms reach all targets of it.
 """
 
 ORDER: Final[Mapping[Stage, tuple[str, ...]]] = {

@@ -5,10 +5,10 @@ from collections.abc import Collection, Iterable, Mapping
 from typing import Final
 
 from planner import issue_codes
-from planner.issues import refusal
+from planner.issues import issue_error
 from planner.problem import Problem
-from planner.proof.contribution import Ahead, ProofOfProcess, of_processes
-from planner.proof.language_contribution import ProofOfLanguage, of_languages
+from planner.proof.contribution import ParallelGroup, ProofOfProcess, of_processes
+from planner.proof.language_contribution import ProofOfLanguage, proofs_of_languages
 from planner.proof.rule import Rule
 from planner.proof.rule_order import ORDER, Stage
 from planner.proof.rules import (
@@ -16,6 +16,7 @@ from planner.proof.rules import (
     block_support,
     clearance,
     controller_files,
+    coordinated_track,
     dialogue,
     external_axes,
     handshake,
@@ -28,15 +29,14 @@ from planner.proof.rules import (
     setups_and_frames,
     synchronisation,
     text,
-    track_along,
-    track_way,
+    track_clearance,
     waiting_time,
 )
 
-GENERAL: Final[tuple[Rule, ...]] = (
-    *(text.syntax, text.declarations, text.persistents, text.names, text.line_lengths, text.module_size),
+GENERAL_RULES: Final[tuple[Rule, ...]] = (
+    *(text.syntax, text.declarations, text.persistent_data, text.names, text.line_lengths, text.module_size),
     *(text.decimals, text.files, text.digest),
-    *(robot_motion.robot_model, robot_motion.reach, robot_motion.corners, robot_motion.continuity),
+    *(robot_motion.robot_model, robot_motion.reachability, robot_motion.corners, robot_motion.continuity),
     *(robot_motion.joint_limits, robot_motion.rod_limits, robot_motion.joint_speed),
     *(robot_motion.joint_acceleration, robot_motion.singularity, robot_motion.tcp_speed),
     robot_motion.kinematics,
@@ -48,14 +48,14 @@ GENERAL: Final[tuple[Rule, ...]] = (
     *(controller_files.cell_check, controller_files.controller_files),
     *(setups_and_frames.setup, setups_and_frames.tool_data, setups_and_frames.work_object),
     *(setups_and_frames.held_frame, setups_and_frames.load, setups_and_frames.base_frames),
-    *(dialogue.messages_and_questions, power.signals, block_support.rests, external_axes.external_axes),
+    *(dialogue.operator_dialogue, power.signals, block_support.block_support, external_axes.external_axes),
     *(moves.move_kinds, moves.unknown_start, moves.zone_size, moves.zero_length),
-    *(arm_sag.sag, track_along.track_along, order.order, part_file.part_file),
-    *(clearance.bodies, clearance.own_bodies, clearance.step_apart, track_way.track_way),
+    *(arm_sag.sag, coordinated_track.coordinated_track, order.order, part_file.part_file),
+    *(clearance.bodies, clearance.own_bodies, clearance.step_apart, track_clearance.track_clearance),
 )
 """Rules that hold for any motion."""
-BODIES: Final = Ahead("bodies", "sheets", lambda context: not context.long)
-"""The rules on the bodies of the cell, which need no fact of a process."""
+BODY_RULES: Final = ParallelGroup("bodies", "sheets", lambda context: not context.is_long)
+"""Rules on the bodies of the cell, which need no fact of a process."""
 
 
 def rules_of(problem: Problem | None = None) -> tuple[Rule, ...]:
@@ -65,49 +65,52 @@ def rules_of(problem: Problem | None = None) -> tuple[Rule, ...]:
         TandemError: A rule of an installed package cannot be used (``problem.process_package`` for a process,
             ``post.language`` for a language).
     """
-    rules = dict.fromkeys((*GENERAL, *_rules(of_languages()), *_rules(of_processes())))
+    rules = dict.fromkeys((*GENERAL_RULES, *_rules(proofs_of_languages()), *_rules(of_processes())))
     taken = {rule.code for rule in rules}
-    texts, own = _rules(of_languages(problem)), _rules(of_processes(problem))
-    for code, some in (("post.language", texts), ("problem.process_package", own)):
-        for rule in (rule for rule in some if rule not in rules):
-            if fault := _fault(rule, taken):
+    language_rules, process_rules = _rules(proofs_of_languages(problem)), _rules(of_processes(problem))
+    for code, package_rules in (
+        ("post.language", language_rules),
+        ("problem.process_package", process_rules),
+    ):
+        for rule in (rule for rule in package_rules if rule not in rules):
+            if fault := _unusable_reason(rule, taken):
                 what = f"the rule {rule.code} of {rule.examine.__module__} {fault}"
-                raise refusal(code, f"{what}; mend or uninstall its package")
+                raise issue_error(code, f"{what}; repair or uninstall its package")
             rules[rule] = None
             taken.add(rule.code)
     return tuple(rules)
 
 
 def _rules(parts: Iterable[ProofOfLanguage | ProofOfProcess]) -> list[Rule]:
-    return [rule for one in parts for rule in one.rules]
+    return [rule for part in parts for rule in part.rules]
 
 
-def _fault(rule: Rule, taken: Collection[str]) -> str:
-    """Say why a rule of an installed package cannot be used."""
+def _unusable_reason(rule: Rule, taken: Collection[str]) -> str:
+    """Return why a rule of an installed package cannot be used, or an empty text."""
     if rule.code in taken:
         return "has the code of another rule"
-    if issue_codes.owners(rule.code) in (frozenset(), {"Tandem"}):
+    if issue_codes.code_owners(rule.code) in (frozenset(), {"Tandem"}):
         return "has no row among the issue codes of its package"
     return "" if rule.stage in ORDER else f"has the stage {rule.stage!r}; stages are {', '.join(ORDER)}"
 
 
 def by_stage(rules: Iterable[Rule]) -> Mapping[Stage, tuple[Rule, ...]]:
-    """Put rules into their order.
+    """Sort rules into their order.
 
     Raises:
         TandemError: Two rules have the same code, or a rule of Tandem is missing (``internal.error``).
     """
-    found: dict[str, Rule] = {}
+    rules_by_code: dict[str, Rule] = {}
     for rule in rules:
-        if found.setdefault(rule.code, rule) is not rule:
-            raise refusal("internal.error", f"two rules have the code {rule.code}")
+        if rules_by_code.setdefault(rule.code, rule) is not rule:
+            raise issue_error("internal.error", f"two rules have the code {rule.code}")
     listed = {code for codes in ORDER.values() for code in codes}
-    missing = sorted(listed - found.keys())
+    missing = sorted(listed - rules_by_code.keys())
     if missing:
-        raise refusal("internal.error", f"there is no rule for {', '.join(missing)}")
-    added = [rule for code, rule in found.items() if code not in listed]
+        raise issue_error("internal.error", f"there is no rule for {', '.join(missing)}")
+    added = [rule for code, rule in rules_by_code.items() if code not in listed]
     return {
-        stage: (*(found[code] for code in codes), *(rule for rule in added if rule.stage == stage))
+        stage: (*(rules_by_code[code] for code in codes), *(rule for rule in added if rule.stage == stage))
         for stage, codes in ORDER.items()
     }
 

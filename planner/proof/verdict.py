@@ -17,12 +17,19 @@ from planner.issues import Issue, has_errors
 
 @dataclasses.dataclass(frozen=True)
 class RuleResult:
-    """One rule: its issue ``code``, what it says, and how the programs met it.
+    """Result of one rule.
 
-    ``worst`` and ``limit`` are in ``unit`` (as a person reads them), None for rules that only say yes or no.
-    ``ran`` is False where an earlier fault left nothing to look at; such a rule has not passed. ``applies``
-    is False where the programs have nothing that the rule asks about, for the reason that is in ``where``;
-    such a rule has passed.
+    Attributes:
+        code: Code of its issues.
+        title: What it requires.
+        passed: Whether the programs met it.
+        worst: Worst value in ``unit``, None for rules that only say yes or no.
+        limit: Limit in ``unit``, None for rules that only say yes or no.
+        unit: Unit in which a person reads both.
+        where: Where the worst value is, or why the rule does not apply.
+        ran: Whether the rule ran. It does not if an earlier fault left nothing to examine; such a rule has
+            not passed.
+        applies: Whether the programs have what the rule examines. If not, the rule has passed.
     """
 
     code: str
@@ -38,14 +45,25 @@ class RuleResult:
 
 @dataclasses.dataclass(frozen=True)
 class CutFace:
-    """The simulated cut of one segment against the wanted face, in the stock frame [m].
+    """The simulated cut of one segment against the expected face, in the stock frame [m].
 
-    ``points`` (M, 3) lie on the wanted face, ``deviation`` (M,) is positive where material is left standing
-    and negative where too much is cut, NaN where the wire did not pass. ``area`` (M,) [m^2] is each point's
-    share of the face; ``speed`` (M,) [m/s] that of the wire across itself where it passed. ``allowed`` (M,)
-    [m] where the tolerance is not the same everywhere, ``tolerance`` being its greatest; else empty.
-    ``more``: how many other segments cut it too; ``unreached`` [m]: how far off a tool of that size stays at
-    least where it fits nowhere nearer.
+    Attributes:
+        segment: The segment.
+        points: Points (M, 3) on the expected face.
+        deviation: Deviations (M,), positive where material is left, negative where too much is cut, NaN where
+            the wire did not pass.
+        area: Area (M,) [m^2] of the face that each point represents.
+        tolerance: Tolerance, the greatest one if it is not the same everywhere.
+        share: Fraction of the face within tolerance.
+        wanted_share: Required fraction.
+        rms: Root mean square of the deviations.
+        largest: Largest deviation.
+        end_error: Error at the ends.
+        share_with_error: Fraction within tolerance with that error.
+        speed: Speed (M,) [m/s] of the wire across itself where it passed.
+        allowed: Tolerance (M,) if it is not the same everywhere, else empty.
+        more: Number of other segments that cut the face, too.
+        unreached: Minimum distance of a tool of that size where it fits nowhere nearer.
     """
 
     segment: Segment
@@ -66,14 +84,22 @@ class CutFace:
 
     @property
     def title(self) -> str:
-        """What people call it: the segment, and how many more cut it."""
+        """Name for people: the segment, and how many more cut the face."""
         return f"{self.segment} and {self.more} more" if self.more else str(self.segment)
 
 
 @dataclasses.dataclass(frozen=True)
 class Proof:
-    """The verdict. ``series`` are arrays over the replayed motion, by name, for the report; ``part_obj`` is
-    the simulated part."""
+    """The verdict.
+
+    Attributes:
+        problem_digest: Digest of the problem.
+        rules: Results of all rules.
+        issues: All issues.
+        series: Arrays over the replayed motion, by name, for the report.
+        surfaces: Simulated faces.
+        part_obj: Simulated part, as the text of an OBJ file.
+    """
 
     problem_digest: str
     rules: tuple[RuleResult, ...] = dataclasses.field(repr=False)
@@ -88,25 +114,29 @@ class Proof:
         return all(rule.passed for rule in self.rules) and not has_errors(self.issues)
 
     @property
-    def tally(self) -> tuple[int, int, int]:
-        """How many rules hold, of how many that the programs have something for, and how many others."""
-        asked = [rule for rule in self.rules if rule.applies]
-        return sum(rule.passed for rule in asked), len(asked), len(self.rules) - len(asked)
+    def rule_counts(self) -> tuple[int, int, int]:
+        """Number of rules that hold, of rules that apply, and of rules that do not apply."""
+        applicable = [rule for rule in self.rules if rule.applies]
+        return sum(rule.passed for rule in applicable), len(applicable), len(self.rules) - len(applicable)
 
     @property
-    def read(self) -> bool:
-        """Whether all of the texts was read: rules on the tasks side by side ran."""
+    def is_read(self) -> bool:
+        """Whether all texts were read: the rules on several tasks ran."""
         return self.rule("verify.task_list").ran
 
     def rule(self, code: str) -> RuleResult:
-        """The result of one rule; raises ``KeyError``."""
+        """Return the result of one rule.
+
+        Raises:
+            KeyError: There is no such rule.
+        """
         for rule in self.rules:
             if rule.code == code:
                 return rule
         raise KeyError(code)
 
 
-SHOWN_RESULTS: dict[str, str] = {
+SHOWN_RESULT_NAMES: dict[str, str] = {
     "verify.clearance": "clearance",
     "verify.own_clearance": "own clearance",
     "verify.joint_limits": "joint limits",
@@ -114,13 +144,13 @@ SHOWN_RESULTS: dict[str, str] = {
     "verify.singularity": "singularity",
     "verify.surface": "cut surface",
 }
-"""Rules whose results a person at the robot is shown, with their names there."""
+"""Rules whose results are shown to a person at the robot, with their names there."""
 
 
-def text(proof: Proof) -> dict[str, str]:
-    """Results of the rules that a person at the robot asks for: {name: "worst (limit)"}."""
+def shown_results(proof: Proof) -> dict[str, str]:
+    """Return the results that a person at the robot needs: {name: "worst (limit)"}."""
     out = {}
-    for code, name in SHOWN_RESULTS.items():
+    for code, name in SHOWN_RESULT_NAMES.items():
         rule = next((r for r in proof.rules if r.code == code), None)
         if rule is not None and rule.worst is not None:
             limit = "" if rule.limit is None else f", allowed {rule.limit:.4g} {rule.unit}"

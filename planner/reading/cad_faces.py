@@ -1,4 +1,4 @@
-"""What becomes of a NURBS face of a CAD file, whatever program wrote it: rails and rulings, or facets."""
+"""Conversion of a NURBS face of a CAD file, from any program, to rails and rulings or to facets."""
 
 import dataclasses
 from pathlib import Path
@@ -6,43 +6,57 @@ from typing import Final
 
 import numpy as np
 
-from planner.geometry.arrays import FloatArray, Ruled
-from planner.geometry.curves import CORNER_ANGLE, Guide, turns
-from planner.geometry.matching import join
+from planner.geometry.arrays import FloatArray, RuledSurface
+from planner.geometry.curves import CORNER_ANGLE_RAD, RuledGuide, turning_angles
+from planner.geometry.matching import join_guides
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.nurbs import NurbsSurface
-from planner.geometry.placing import backwards, outwards
+from planner.geometry.part_placement import facing_outwards, reversed_rulings
 from planner.geometry.rulings import resample
 from planner.geometry.units import MM, measurement
 from planner.issues import Issue, Severity, TandemError
-from planner.reading.drawing import FLATNESS, refused
+from planner.reading.drawing import CURVE_CHORD_TOLERANCE_M, file_error
 
-CLOSED_WITHIN: Final = 1e-7
-"""Sides of a face whose ends are this near [m] go all round."""
-MOST_CELLS: Final = 1_000_000
-"""Most cells of a face's facets."""
-_FREE: Final = "; take it as front or strips, which may be free-form"
+CLOSED_TOLERANCE_M: Final = 1e-7
+"""Maximum distance [m] between the ends of a side of a closed face."""
+MAX_CELLS: Final = 1_000_000
+"""Maximum number of cells of the facets of a face."""
+_FREE_FORM_HINT: Final = "; use it as front or strips, which may be free-form"
 
 
 @dataclasses.dataclass(frozen=True)
-class Refusals:
-    """How a face of a file is refused: the ``code`` of its kind of file, that of how far ``facets`` are off,
-    the file, the problem's field, and ``what`` the face is called."""
+class FaceErrors:
+    """Context of errors about a face of a file.
+
+    Attributes:
+        code: Issue code of the kind of file.
+        facets_code: Issue code of the note on the deviation of facets.
+        path: File.
+        field: Field of the problem.
+        what: Name of the face in messages.
+    """
 
     code: str
-    facets: str
+    facets_code: str
     path: Path
     field: str
     what: str
 
-    def of(self, words: str, code: str | None = None) -> TandemError:
-        """The refusal of the face in these words."""
-        return refused(code or self.code, self.path, self.field, f"{self.what} {words}")
+    def error(self, words: str, code: str | None = None) -> TandemError:
+        """Create the error about the face; ``words`` complete the sentence that starts with its name."""
+        return file_error(code or self.code, self.path, self.field, f"{self.what} {words}")
 
 
 @dataclasses.dataclass(frozen=True)
-class Way:
-    """How a face is ruled: along u or v, closed or not, turned over, as a hole."""
+class RulingOptions:
+    """How a face is ruled.
+
+    Attributes:
+        rulings: Direction of the rulings, "u" or "v"; None to choose the straight one.
+        closed: Whether the face is closed.
+        flip: Whether to reverse its normal.
+        hole: Whether it is a hole.
+    """
 
     rulings: str | None
     closed: bool
@@ -52,77 +66,110 @@ class Way:
 
 @dataclasses.dataclass(frozen=True)
 class CadFace:
-    """A face as facets, with the unit normals (V, 3) of its vertices; the surface that they stand for, None
-    of a mesh, and whether its normal is ``turned``; notes."""
+    """A face as facets.
+
+    Attributes:
+        mesh: Facets.
+        normals: Unit normals (V, 3) of the vertices.
+        surface: Surface that the facets represent; None for a mesh.
+        is_reversed: Whether the normal of the surface is reversed.
+        notes: Notes.
+    """
 
     mesh: TriangleMesh
     normals: FloatArray
     surface: NurbsSurface | None
-    turned: bool
+    is_reversed: bool
     notes: tuple[Issue, ...]
 
 
-def between_sides(name: str, surface: NurbsSurface, reverse: bool, way: Way, face: Refusals) -> Ruled:
-    """A ruled face between its own sides, its rulings as they are; ``reverse``: its normal is turned.
+def ruled_between_sides(
+    name: str, surface: NurbsSurface, reverse: bool, ruling_options: RulingOptions, face: FaceErrors
+) -> RuledSurface:
+    """Create a ruled face between two of its sides, with its rulings.
 
-    Raises ``TandemError``: ``part.not_ruled``, and the code of its kind of file.
+    Args:
+        name: Name of the face.
+        surface: Surface.
+        reverse: Whether the normal of the surface is reversed.
+        ruling_options: How the face is ruled.
+        face: Context of errors.
+
+    Raises:
+        TandemError: ``part.not_ruled``, and the code of the kind of file.
     """
-    straight = {key: surface.straight(k) for k, key in enumerate("uv")}
-    if way.rulings is not None and not straight[way.rulings]:
-        what = f"its lines along {way.rulings} are not straight{_instead(straight)}"
-        raise refused("part.not_ruled", face.path, face.field, what)
-    ways = [key for key in "uv" if straight[key] and way.rulings in (None, key)]
-    if not ways:
-        raise face.of(f"bends both ways{_FREE}", "part.not_ruled")
-    if len(ways) > 1:
-        what = "is straight both ways; say along which the wire lies: rulings: u or v"
-        raise face.of(what, "part.not_ruled")
-    along = "uv".index(ways[0])
-    start, end = surface.rails(along, FLATNESS)
+    straight = {key: surface.is_straight(k) for k, key in enumerate("uv")}
+    if ruling_options.rulings is not None and not straight[ruling_options.rulings]:
+        what = (
+            f"its lines along {ruling_options.rulings} are not straight{_straight_direction_hint(straight)}"
+        )
+        raise file_error("part.not_ruled", face.path, face.field, what)
+    directions = [key for key in "uv" if straight[key] and ruling_options.rulings in (None, key)]
+    if not directions:
+        raise face.error(f"is curved both ways{_FREE_FORM_HINT}", "part.not_ruled")
+    if len(directions) > 1:
+        what = "is straight both ways; state the direction of the wire: rulings: u or v"
+        raise face.error(what, "part.not_ruled")
+    along = "uv".index(directions[0])
+    start, end = surface.rails(along, CURVE_CHORD_TOLERANCE_M)
     if (along == 0) != reverse:  # tangent x ruling is the face's normal
         start, end = start[::-1], end[::-1]
-    shut = [float(np.linalg.norm(side[0] - side[-1])) <= CLOSED_WITHIN for side in (start, end)]
-    if all(shut) != way.closed:
-        what = "goes all round: add closed: true" if all(shut) else "does not go all round: take closed out"
-        raise face.of(what)
-    if way.closed:
+    are_closed = [float(np.linalg.norm(side[0] - side[-1])) <= CLOSED_TOLERANCE_M for side in (start, end)]
+    if all(are_closed) != ruling_options.closed:
+        what = "is closed: add closed: true" if all(are_closed) else "is not closed: remove closed"
+        raise face.error(what)
+    if ruling_options.closed:
         start, end = start[:-1], end[:-1]
-    corner = (turns(start, way.closed) > CORNER_ANGLE) | (turns(end, way.closed) > CORNER_ANGLE)
-    parameter = np.arange(len(start)) / (len(start) if way.closed else len(start) - 1)
-    one, other = (Guide(side, corner, parameter, way.closed) for side in (start, end))
-    made = join(name, one, other, "parameter", way.hole)
-    if way.closed:
-        made = outwards(made)
-    elif way.flip:
-        made = backwards(made)
-    return resample(made, 0.5e-5, 1.0)
+    corner = (turning_angles(start, ruling_options.closed) > CORNER_ANGLE_RAD) | (
+        turning_angles(end, ruling_options.closed) > CORNER_ANGLE_RAD
+    )
+    parameter = np.arange(len(start)) / (len(start) if ruling_options.closed else len(start) - 1)
+    first, second = (RuledGuide(side, corner, parameter, ruling_options.closed) for side in (start, end))
+    ruled = join_guides(name, first, second, "parameter", ruling_options.hole)
+    if ruling_options.closed:
+        ruled = facing_outwards(ruled)
+    elif ruling_options.flip:
+        ruled = reversed_rulings(ruled)
+    return resample(ruled, 0.5e-5, 1.0)
 
 
-def _instead(straight: dict[str, bool]) -> str:
+def _straight_direction_hint(straight: dict[str, bool]) -> str:
     other = [key for key, value in straight.items() if value]
-    return f"; those along {other[0]} are" if other else _FREE
+    return f"; those along {other[0]} are" if other else _FREE_FORM_HINT
 
 
-def faceted(
-    surface: NurbsSurface, turned: bool, chord_mm: float, face: Refusals, notes: tuple[Issue, ...]
+def tessellate_face(
+    surface: NurbsSurface, is_reversed: bool, chord_mm: float, face: FaceErrors, notes: tuple[Issue, ...]
 ) -> CadFace:
-    """Facets of a face within ``chord_mm`` of it, ``turned`` over or not; how far they are off is told.
+    """Tessellate a face within ``chord_mm`` and note the measured deviation.
 
-    Raises ``TandemError`` with the code of its kind of file.
+    Args:
+        surface: Surface.
+        is_reversed: Whether to reverse its normal.
+        chord_mm: Maximum distance [mm] of the facets from the face.
+        face: Context of errors.
+        notes: Notes to keep.
+
+    Raises:
+        TandemError: With the code of the kind of file.
     """
     try:
-        vertices, normals, faces, off = surface.facets(chord_mm * MM, MOST_CELLS)
+        vertices, normals, faces, deviation = surface.facets(chord_mm * MM, MAX_CELLS)
     except ValueError as error:
-        raise face.of(f"is too large: {error}; allow a larger chord_mm, or check the file's unit") from error
-    if turned:
+        raise face.error(
+            f"is too large: {error}; allow a larger chord_mm, or check the file's unit"
+        ) from error
+    if is_reversed:
         normals, faces = -normals, faces[:, ::-1]
-    what = f"{face.path.name}: {len(faces)} facets are off the face by {off / MM:.2g} mm at most, as measured"
-    told = Issue(
-        face.facets,
+    what = (
+        f"{face.path.name}: {len(faces)} facets are up to {deviation / MM:.2g} mm off the face, as measured"
+    )
+    note = Issue(
+        face.facets_code,
         what,
         Severity.NOTE,
         file=str(face.path),
         field=face.field,
-        **measurement(off / MM, chord_mm, "mm"),
+        **measurement(deviation / MM, chord_mm, "mm"),
     )
-    return CadFace(TriangleMesh(vertices, faces), normals, surface, turned, (*notes, told))
+    return CadFace(TriangleMesh(vertices, faces), normals, surface, is_reversed, (*notes, note))

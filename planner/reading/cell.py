@@ -1,4 +1,4 @@
-"""The cell part of a problem file: its schema in mm and degrees, and its conversion to values in SI units."""
+"""The cell of a problem file: schema in mm and degrees, and conversion to values in SI units."""
 
 import dataclasses
 from pathlib import Path
@@ -12,18 +12,18 @@ from planner.catalogue.robots import JointStiffness, RobotData, robot, robot_nam
 from planner.geometry.arrays import FloatArray, Shape, from_rpy
 from planner.geometry.mesh_files import read_mesh
 from planner.geometry.units import DEG, LENGTH_UNITS, MM, measurement
-from planner.issues import Issue, TandemError, refusal
+from planner.issues import Issue, TandemError, issue_error
 from planner.problem import Arm, Cell, Obstacle, SagCompensation
-from planner.reading import axes, rails
-from planner.reading.controller import ControllerFile, controllers
-from planner.reading.materials import WiresFile, wires_at_hand
-from planner.reading.robot_file import OwnRobotFile, Posture, posture_fault, robot_of
-from planner.reading.strict_yaml import Angle, Choice, FileName, Name, Positive, Strict, Unit, Vector
+from planner.reading import rail_axes, rotary_axes
+from planner.reading.controller import ControllerFile, build_controller
+from planner.reading.materials import WiresFile, available_wires
+from planner.reading.robot_file import OwnRobotFile, Posture, build_robot, posture_fault
+from planner.reading.strict_yaml import Angle, FileName, Name, Positive, Strict, Unit, Vector, WordOrMapping
 from planner.runtime import plugins
 from planner.runtime.plugins import Language
 
-Stiff = Annotated[float, Field(ge=1e3, le=1e9)]
-"""Stiffness of a drive [N m/rad]: below are small toys and other units, above nothing is."""
+DriveStiffness = Annotated[float, Field(ge=1e3, le=1e9)]
+"""Stiffness of a drive [N m/rad]. Chosen: below are small toys or other units, above no robots."""
 
 
 class PoseFile(Strict):
@@ -32,8 +32,8 @@ class PoseFile(Strict):
     xyz_mm: Vector = (0.0, 0.0, 0.0)
     rpy_deg: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
 
-    def matrix(self) -> FloatArray:
-        """The pose as (4, 4) in metres."""
+    def to_matrix(self) -> FloatArray:
+        """Return the pose as (4, 4) in metres."""
         return from_rpy(np.array(self.xyz_mm) * MM, np.array(self.rpy_deg) * DEG)
 
 
@@ -63,7 +63,7 @@ class SphereFile(Strict):
 
 
 class MeshFile(Strict):
-    """A mesh file in a stated unit; collision sees its convex hull."""
+    """A mesh file in a stated unit. Collision checks use its convex hull."""
 
     kind: Literal["mesh"]
     file: FileName
@@ -83,7 +83,7 @@ class WireHolderFile(Strict):
 
 
 class BowFile(Strict):
-    """The built-in bow with a straight hot wire; 400 x 400 mm and 650 x 650 mm are the usual ones."""
+    """The built-in bow with a straight hot wire; 400 x 400 mm and 650 x 650 mm are common sizes."""
 
     kind: Literal["bow"]
     span_mm: float = Field(
@@ -97,9 +97,9 @@ class BowFile(Strict):
 
 
 class _GripperFile(Strict):
-    """What all tools have that hold a block."""
+    """Keys of all tools that hold a block."""
 
-    name: Name | None = Field(default=None, description="what people call it; none: by its kind")
+    name: Name | None = Field(default=None, description="display name; none: by its kind")
     reach_mm: float = Field(
         default=tooling.GRIPPER_REACH / MM, ge=30, le=500, description="from the flange to the block"
     )
@@ -124,8 +124,10 @@ class VacuumCupFile(_GripperFile):
 
 
 class BallToolFile(Strict):
-    """The built-in ball tool for sheets, on a shaft as thick as the ball or of its own; its TCP is the ball's
-    centre."""
+    """The built-in ball tool for sheets, on a shaft of the ball's or another radius.
+
+    Its TCP is the centre of the ball.
+    """
 
     kind: Literal["ball_tool"]
     radius_mm: float = Field(default=9.525, ge=0.5, le=100)
@@ -140,18 +142,21 @@ class BallToolFile(Strict):
 
 
 class DiskToolFile(Strict):
-    """The built-in flat disk that supports the border of what is formed; TCP: the middle of its face."""
+    """The built-in flat disk that supports the border of a part while it is formed.
+
+    Its TCP is the centre of its face.
+    """
 
     kind: Literal["disk_tool"]
     radius_mm: float = Field(default=25.4, ge=2, le=200)
     thickness_mm: float = Field(default=12.0, ge=1, le=100)
-    rim_mm: float = Field(default=tooling.DISK_RIM / MM, ge=0, le=50, description="rounding of its edge")
+    rim_mm: float = Field(default=tooling.DISK_RIM_M / MM, ge=0, le=50, description="rounding of its edge")
     shaft_radius_mm: float = Field(default=9.525, ge=0.5, le=200)
     length_mm: float = Field(default=300.0, ge=110, le=1500, description="from the flange to the face")
 
 
 class HeatToolFile(Strict):
-    """The built-in heat gun or laser head; its TCP is the place that it heats."""
+    """The built-in heat gun or laser head. Its TCP is the heated spot."""
 
     kind: Literal["heat_tool"]
     radius_mm: float = Field(default=25.0, ge=1, le=200)
@@ -167,13 +172,16 @@ class HolderPieceFile(Strict):
 
 
 class MillFile(Strict):
-    """The built-in milling tool: cutter, holder and spindle; its TCP is the cutter's tip, on its axis."""
+    """The built-in milling tool: cutter, holder and spindle.
+
+    Its TCP is the tip of the cutter, on its axis.
+    """
 
     kind: Literal["mill"]
     cutter: Literal["cylinder", "ball", "bull"] = "cylinder"
     diameter_mm: float = Field(ge=0.1, le=200)
     corner_mm: float = Field(default=0.0, ge=0, le=100, description="radius of the corners of a bull nose")
-    flute_mm: float = Field(ge=0.1, le=500, description="cutting length behind the tip")
+    flute_mm: float = Field(ge=0.1, le=500, description="cutting length from the tip")
     overhang_mm: float = Field(ge=1, le=800, description="from the nose of the holder to the tip")
     shank_diameter_mm: float | None = Field(
         default=None, ge=0.1, le=200, description="none: that of the cutter"
@@ -198,8 +206,10 @@ class MillFile(Strict):
 
 
 class TorchFile(Strict):
-    """The built-in torch: a body that runs out into a nozzle. Its TCP is the place that it cuts,
-    ``standoff_mm`` before the nozzle; what it cuts is a slot of ``kerf_mm``."""
+    """The built-in torch: a body with a conical nozzle.
+
+    Its TCP is the point of the cut, ``standoff_mm`` from the nozzle. The cut is a slot of ``kerf_mm``.
+    """
 
     kind: Literal["torch"]
     cuts_by: Literal["plasma", "laser", "waterjet"] = Field(description="what the torch cuts with")
@@ -224,9 +234,12 @@ class TorchFile(Strict):
 
 
 class KnifeFile(Strict):
-    """The built-in knife: a blade with a straight end, from whose front its edge goes up and forward, in a
-    round body. Its TCP is the front of that end, x the way it cuts, z out of the tool; of a blade that
-    oscillates at its lowest."""
+    """The built-in knife: a blade in a round body.
+
+    The blade has a straight end, from whose front its edge rises forward. The TCP is the front of that end, x
+    is the cutting direction, z points out of the tool. For an oscillating blade, the TCP is at its lowest
+    position.
+    """
 
     kind: Literal["knife"]
     thickness_mm: float = Field(default=0.6, ge=0.05, le=10, description="of the blade")
@@ -235,7 +248,7 @@ class KnifeFile(Strict):
         default=0.0, ge=0, le=100, description="of its straight end; none, 0: a point at its back"
     )
     ground_mm: float = Field(
-        ge=0, le=200, description="height over which its edge goes from the end to its whole width"
+        ge=0, le=200, description="height over which its edge rises from the end to its full width"
     )
     blade_mm: float = Field(ge=1, le=300, description="of the blade out of its body")
     body_diameter_mm: float = Field(default=2.0 * tooling.KNIFE_BODY[0] / MM, ge=5, le=400)
@@ -278,28 +291,28 @@ ToolFile = Annotated[
 
 
 class StiffnessFile(Strict):
-    """How stiff the drives of this very robot are, as identified on it, links taken as rigid."""
+    """Stiffness of the drives as identified on this individual robot, with rigid links."""
 
-    joints_nm_rad: tuple[Stiff, Stiff, Stiff, Stiff, Stiff, Stiff] = Field(
-        description="of axes 1 to 6, N m/rad, as the controller counts them"
-    )
+    joints_nm_rad: tuple[
+        DriveStiffness, DriveStiffness, DriveStiffness, DriveStiffness, DriveStiffness, DriveStiffness
+    ] = Field(description="of axes 1 to 6, N m/rad, as the controller counts them")
     source: str = Field(min_length=3, max_length=300, description="who identified it, where and how")
 
-    def value(self) -> JointStiffness:
-        """In SI units."""
+    def to_stiffness(self) -> JointStiffness:
+        """Convert to SI units."""
         return JointStiffness(np.array(self.joints_nm_rad, dtype=np.float64), self.source)
 
 
 class SagFile(Strict):
-    """Targets are commanded so that the sagged arm stands where it is wanted."""
+    """Targets are commanded so that the sagged arm reaches the nominal pose."""
 
     load: bool = Field(
-        default=True, description="the tool's weight, too; false where the controller makes up for it"
+        default=True, description="include the weight of the tool; false if the controller compensates for it"
     )
     most_mm: float = Field(default=5.0, ge=0.01, le=20, description="largest shift of a target")
 
-    def value(self) -> SagCompensation:
-        """In SI units."""
+    def to_compensation(self) -> SagCompensation:
+        """Convert to SI units."""
         return SagCompensation(self.load, self.most_mm * MM)
 
 
@@ -309,8 +322,8 @@ class ArmFile(Strict):
     name: Name
     robot: Annotated[
         Annotated[str, Tag("word")] | Annotated[OwnRobotFile, Tag("mapping")],
-        Choice,
-        Field(description="one that is built in (`tandem robots`), or one of your own"),
+        WordOrMapping,
+        Field(description="a built-in one (`tandem robots`), or a custom one"),
     ]
     base: PoseFile = PoseFile()
     base_auto: bool = False
@@ -320,19 +333,19 @@ class ArmFile(Strict):
         description="joints at home, one for each axis; none: the upper arm upright, the forearm level",
     )
     stiffness: StiffnessFile | None = Field(
-        default=None, description="none: the catalogue's, which has none for most robots"
+        default=None, description="none: from the catalogue, which has none for most robots"
     )
     compensate_sag: SagFile | None = Field(
-        default=None, description="none: targets are commanded where they are wanted"
+        default=None, description="none: targets are commanded without correction"
     )
-    track: rails.TrackFile | None = Field(
-        default=None, description="none: the base stands; `base` is that of value 0"
+    track: rail_axes.TrackFile | None = Field(
+        default=None, description="none: the base is fixed; `base` is stated at value 0"
     )
-    axes: tuple[rails.GantryAxisFile, ...] | None = Field(
+    axes: tuple[rail_axes.GantryAxisFile, ...] | None = Field(
         default=None,
         min_length=2,
         max_length=3,
-        description="in place of a track: those of a gantry, from the floor up; `base` is that of 0",
+        description="instead of a track: axes of a gantry, from the floor up; `base` is stated at values 0",
     )
 
 
@@ -345,7 +358,7 @@ class ObstacleFile(Strict):
 
 RackFile = Annotated[
     tuple[Annotated[GripperPlateFile | VacuumCupFile, Field(discriminator="kind")], ...],
-    Field(max_length=40, description="those that lie ready; one is chosen for a block that is held"),
+    Field(max_length=40, description="available grippers; one is chosen for a held block"),
 ]
 
 
@@ -357,143 +370,154 @@ class CellFile(Strict):
     obstacles: tuple[ObstacleFile, ...] = ()
     grippers: RackFile = ()
     wires: tuple[WiresFile, ...] | None = Field(
-        default=None, min_length=1, max_length=50, description="bent wires at hand, from which one is chosen"
+        default=None, min_length=1, max_length=50, description="available bent wires, of which one is chosen"
     )
-    turntable: axes.TurntableFile | None = Field(default=None, description="none: the block stands still")
-    positioner: axes.PositionerFile | None = Field(
-        default=None, description="in place of a turntable: one that tilts, too"
+    turntable: rotary_axes.TurntableFile | None = Field(
+        default=None, description="none: the block stands still"
+    )
+    positioner: rotary_axes.PositionerFile | None = Field(
+        default=None, description="instead of a turntable: one with a tilt axis"
     )
     controller: ControllerFile = ControllerFile.model_validate({})
 
 
-def build(spec: CellFile, folder: Path) -> Cell:
-    """The cell in SI units; mesh files are looked up from ``folder``. Raises ``TandemError`` for meshes and
-    robots.
+def build_cell(spec: CellFile, folder: Path) -> Cell:
+    """Convert a cell to SI units.
+
+    Args:
+        spec: Cell of the file.
+        folder: Folder to which names of mesh files are relative.
+
+    Raises:
+        TandemError: With the faults of robots, tools, meshes, controllers and axes.
     """
     arms = []
     for number, arm in enumerate(spec.arms):
         try:
-            data = _robot(arm.robot, folder)
+            data = _read_robot(arm.robot, folder)
         except TandemError as error:
             field = f"arms.{number}.robot"
-            here = [
+            issues = [
                 dataclasses.replace(issue, field=f"{field}.{issue.field}" if issue.field else field)
                 for issue in error.issues
             ]
-            raise TandemError(here) from error
+            raise TandemError(issues) from error
         if arm.home_deg is not None and (short := posture_fault(arm.home_deg, data.axes)):
             what = f"home_deg: {short}"
-            raise refusal("problem.field", what, field=f"arms.{number}.home_deg", arm=arm.name)
+            raise issue_error("problem.field", what, field=f"arms.{number}.home_deg", arm=arm.name)
         home = data.home if arm.home_deg is None else data.from_controller(np.array(arm.home_deg) * DEG)
         if float(data.limit_margin(home)) < 0.0:
-            raise TandemError(_outside(arm, number, data))
-        mounted = tool(arm.tool, folder)
+            raise TandemError(_home_outside_limits_issue(arm, number, data))
+        mounted = build_tool(arm.tool, folder)
         if mounted.mass > data.payload:
-            raise TandemError(too_heavy(arm.name, f"arms.{number}.tool", mounted, data))
+            raise TandemError(tool_too_heavy_issue(arm.name, f"arms.{number}.tool", mounted, data))
         if arm.stiffness is not None and data.axes != 6:
-            what = f"stiffness: is of six axes, {data.title} has {data.axes}; leave it out"
-            raise refusal("problem.field", what, field=f"arms.{number}.stiffness", arm=arm.name)
-        stiffness = data.stiffness if arm.stiffness is None else arm.stiffness.value()
-        sag = None if arm.compensate_sag is None else arm.compensate_sag.value()
+            what = f"stiffness: has six axes, but {data.title} has {data.axes}; remove it"
+            raise issue_error("problem.field", what, field=f"arms.{number}.stiffness", arm=arm.name)
+        stiffness = data.stiffness if arm.stiffness is None else arm.stiffness.to_stiffness()
+        sag = None if arm.compensate_sag is None else arm.compensate_sag.to_compensation()
         if sag is not None and stiffness is None:
-            raise TandemError(_no_stiffness(arm, number))
-        made = Arm(arm.name, data.name, arm.base.matrix(), mounted, home, arm.base_auto, stiffness, sag)
+            raise TandemError(_unknown_stiffness_issue(arm, number))
+        built_arm = Arm(
+            arm.name, data.name, arm.base.to_matrix(), mounted, home, arm.base_auto, stiffness, sag
+        )
         if spec.controller.language != "own":
-            family = _family(spec.controller.language, arm, number)
-            made = dataclasses.replace(made, given=dataclasses.replace(data, family=family))
+            family = _language_family(spec.controller.language, arm, number)
+            built_arm = dataclasses.replace(built_arm, custom_data=dataclasses.replace(data, family=family))
         elif data.file is not None:
-            made = dataclasses.replace(made, given=data)
-        under = rails.under(arm.track, arm.axes, made, number, [body.name for body in spec.obstacles])
-        arms.append(dataclasses.replace(made, axes=under))
-    _refuse_alike(arms)
+            built_arm = dataclasses.replace(built_arm, custom_data=data)
+        linear_axes = rail_axes.build_linear_axes(
+            arm.track, arm.axes, built_arm, number, [body.name for body in spec.obstacles]
+        )
+        arms.append(dataclasses.replace(built_arm, linear_axes=linear_axes))
+    _refuse_duplicate_robots(arms)
     obstacles = tuple(
-        Obstacle(item.name, tuple(shape(s, folder) for s in item.shapes)) for item in spec.obstacles
+        Obstacle(item.name, tuple(build_shape(s, folder) for s in item.shapes)) for item in spec.obstacles
     )
-    controller = controllers(spec.controller, [arm.name for arm in spec.arms])
-    rails.check_units(arms, controller)
-    wires = tuple(wire.value() for wire in wires_at_hand(spec.wires or ()))
+    controller = build_controller(spec.controller, [arm.name for arm in spec.arms])
+    rail_axes.check_units(arms, controller)
+    wires = tuple(wire.to_wire() for wire in available_wires(spec.wires or ()))
     if spec.turntable is not None and spec.positioner is not None:
-        what = "a turntable and a positioner under one block; state the one on which it stands"
-        raise refusal("problem.field", what, field="positioner")
+        what = "got a turntable and a positioner; state only the one under the block"
+        raise issue_error("problem.field", what, field="positioner")
     below = spec.turntable if spec.positioner is None else spec.positioner
-    table, plate = axes.turntable(below, arms, controller, [body.name for body in obstacles])
-    return Cell(spec.name, tuple(arms), (*obstacles, *plate), controller, _grippers(spec), wires, table)
+    table, plate = rotary_axes.build_turntable(below, arms, controller, [body.name for body in obstacles])
+    return Cell(spec.name, tuple(arms), (*obstacles, *plate), controller, _build_grippers(spec), wires, table)
 
 
-def _family(word: str, arm: ArmFile, number: int) -> str:
-    """The family of controllers that ``controller: {language: ...}`` states.
+def _language_family(word: str, arm: ArmFile, number: int) -> str:
+    """Return the controller family that ``controller: {language: ...}`` states.
 
     Raises:
-        TandemError: The arm rides on a track or a gantry, which such programs are not written for
-            (``problem.field``).
+        TandemError: ``problem.field`` if the arm is on a track or gantry, which such programs do not support.
     """
     language = None if word == "ros" else plugins.usable(Language)[word]
     title = "trajectories" if language is None else language.title
     for field, stated in (("track", arm.track), ("axes", arm.axes)):
         if stated is not None:
-            what = f"{field} of arm {arm.name}: {title} (controller: {{language: {word}}}) are written for "
-            what += "arms that stand still; leave it out, or take the arm's own language"
-            raise refusal("problem.field", what, field=f"arms.{number}.{field}", arm=arm.name)
+            what = f"{field} of arm {arm.name}: {title} (controller: {{language: {word}}}) support only "
+            what += "fixed arms; remove it, or use the arm's own language"
+            raise issue_error("problem.field", what, field=f"arms.{number}.{field}", arm=arm.name)
     return "ROS" if language is None else language.families[0]
 
 
-def _robot(spec: str | OwnRobotFile, folder: Path) -> RobotData:
+def _read_robot(spec: str | OwnRobotFile, folder: Path) -> RobotData:
     if isinstance(spec, str):
         return robot(spec)
     if spec.name in robot_names():
-        what = f"name: {spec.name!r} is a robot that is built in; give your own another name"
-        raise refusal("problem.duplicate_name", what, field="name")
-    return robot_of(spec, folder)
+        what = f"name: {spec.name!r} is a built-in robot; give your robot another name"
+        raise issue_error("problem.duplicate_name", what, field="name")
+    return build_robot(spec, folder)
 
 
-def _refuse_alike(arms: list[Arm]) -> None:
-    """Two robots of one name have to be one."""
+def _refuse_duplicate_robots(arms: list[Arm]) -> None:
+    """Refuse two different robots with the same name."""
     first: dict[str, RobotData] = {}
     for number, arm in enumerate(arms):
-        if arm.given is None or arm.given.file is None:
+        if arm.custom_data is None or arm.custom_data.file is None:
             continue
-        other = first.setdefault(arm.robot, arm.given)
-        if _said(other) != _said(arm.given):
-            what = f"name: {arm.robot!r} is another robot in another arm of the cell; name them apart"
-            raise refusal("problem.duplicate_name", what, field=f"arms.{number}.robot.name", arm=arm.name)
+        other = first.setdefault(arm.robot, arm.custom_data)
+        if _robot_identity(other) != _robot_identity(arm.custom_data):
+            what = f"name: {arm.robot!r} is a different robot in another arm of the cell; rename one"
+            raise issue_error("problem.duplicate_name", what, field=f"arms.{number}.robot.name", arm=arm.name)
 
 
-def _said(robot: RobotData) -> tuple[object, ...]:
-    """What the words on a robot of the user's own make of it."""
+def _robot_identity(robot: RobotData) -> tuple[object, ...]:
+    """Return what identifies a custom robot, for comparison."""
     file, coupling = robot.file, robot.coupling
     links = () if file is None else (file.text, file.base, file.tip)
     speeds_up, home = robot.acceleration.tolist(), robot.home.tolist()
     return *links, robot.family, robot.payload, robot.assumed, coupling, speeds_up, home
 
 
-def _grippers(spec: CellFile) -> tuple[tooling.Gripper, ...]:
-    """The grippers that lie ready, each with a name of its own."""
+def _build_grippers(spec: CellFile) -> tuple[tooling.Gripper, ...]:
+    """Create the available grippers, each with a unique name."""
     out: list[tooling.Gripper] = []
-    for number, one in enumerate(spec.grippers):
-        plate = isinstance(one, GripperPlateFile)
+    for number, gripper in enumerate(spec.grippers):
+        plate = isinstance(gripper, GripperPlateFile)
         size = (
-            f"{one.width_mm:g}x{one.depth_mm:g}"
-            if isinstance(one, GripperPlateFile)
-            else f"{2 * one.radius_mm:g}"
+            f"{gripper.width_mm:g}x{gripper.depth_mm:g}"
+            if isinstance(gripper, GripperPlateFile)
+            else f"{2 * gripper.radius_mm:g}"
         )
-        usual = f"{'plate' if plate else 'cup'}_{size}".replace(".", "_")
-        named = one.model_copy(update={"name": one.name or usual})
+        default_name = f"{'plate' if plate else 'cup'}_{size}".replace(".", "_")
+        named = gripper.model_copy(update={"name": gripper.name or default_name})
         try:
-            made = tool(named, Path())
+            built = build_tool(named, Path())
         except ValueError as error:
-            raise refusal(
+            raise issue_error(
                 "problem.field", f"grippers.{number}: {error}", field=f"grippers.{number}"
             ) from error
-        if made.name.lower() in [other.name.lower() for other in out]:
-            what = f"grippers.{number}: the name '{made.name}' is given more than once; name them apart"
-            raise refusal("problem.duplicate_name", what, field=f"grippers.{number}")
-        out += [made] if isinstance(made, tooling.Gripper) else []
+        if built.name.lower() in [other.name.lower() for other in out]:
+            what = f"grippers.{number}: the name '{built.name}' is given more than once; rename one"
+            raise issue_error("problem.duplicate_name", what, field=f"grippers.{number}")
+        out += [built] if isinstance(built, tooling.Gripper) else []
     return tuple(out)
 
 
-def shape(spec: ShapeFile, folder: Path) -> Shape:
-    """One shape in SI units."""
-    pose = spec.pose.matrix()
+def build_shape(spec: ShapeFile, folder: Path) -> Shape:
+    """Convert one shape to SI units; names of mesh files are relative to ``folder``."""
+    pose = spec.pose.to_matrix()
     if isinstance(spec, BoxFile):
         return Shape("box", tuple(v * MM for v in spec.size_mm), pose)
     if isinstance(spec, RoundFile):
@@ -504,9 +528,13 @@ def shape(spec: ShapeFile, folder: Path) -> Shape:
     return Shape("mesh", (), pose, mesh.vertices, mesh.faces)
 
 
-def tool(spec: ToolFile, folder: Path) -> tooling.Tool:
-    """One tool in SI units. Raises ``TandemError`` (``problem.field``) where the sizes of a working tool do
-    not go together, and ``ValueError`` where those of a bow or a gripper do not."""
+def build_tool(spec: ToolFile, folder: Path) -> tooling.Tool:
+    """Convert one tool to SI units.
+
+    Raises:
+        TandemError: ``problem.field`` if the sizes of a working tool are inconsistent.
+        ValueError: If the sizes of a bow or gripper are inconsistent.
+    """
     if isinstance(spec, WireHolderFile):
         return tooling.wire_holder(spec.mounting, spec.side)
     if isinstance(spec, BowFile):
@@ -518,26 +546,31 @@ def tool(spec: ToolFile, folder: Path) -> tooling.Tool:
     if isinstance(spec, VacuumCupFile):
         return tooling.vacuum_cup(spec.radius_mm * MM, spec.reach_mm * MM, spec.holding_n, spec.name)
     if isinstance(spec, PlainToolFile):
-        shapes = tuple(shape(s, folder) for s in spec.shapes)
-        return tooling.plain("plain", spec.tcp.matrix(), shapes, spec.mass_kg, np.array(spec.cog_mm) * MM)
+        shapes = tuple(build_shape(s, folder) for s in spec.shapes)
+        return tooling.plain_tool(
+            "plain", spec.tcp.to_matrix(), shapes, spec.mass_kg, np.array(spec.cog_mm) * MM
+        )
     try:
-        return _working_tool(spec)
+        return _build_working_tool(spec)
     except ValueError as error:
-        raise refusal("problem.field", f"tool: {error}", field="tool") from error
+        raise issue_error("problem.field", f"tool: {error}", field="tool") from error
 
 
-def _working_tool(
+def _build_working_tool(
     spec: BallToolFile | DiskToolFile | HeatToolFile | MillFile | TorchFile | KnifeFile,
 ) -> tooling.Tool:
-    """A tool that forms, mills or trims. Raises ``ValueError`` where its sizes do not go together."""
+    """Create a tool that forms, mills or trims. Raises ``ValueError`` if its sizes are inconsistent."""
     if isinstance(spec, MillFile):
-        return tooling.mill(
+        geometry = tooling.CutterGeometry(
             spec.cutter,
             0.5 * spec.diameter_mm * MM,
             spec.corner_mm * MM,
             spec.flute_mm * MM,
             spec.overhang_mm * MM,
             None if spec.shank_diameter_mm is None else 0.5 * spec.shank_diameter_mm * MM,
+        )
+        return tooling.mill(
+            geometry,
             [(piece.length_mm * MM, 0.5 * piece.diameter_mm * MM) for piece in spec.holder],
             (0.5 * spec.spindle_diameter_mm * MM, spec.spindle_length_mm * MM),
             spec.tilt_deg * DEG,
@@ -559,28 +592,28 @@ def _working_tool(
     if isinstance(spec, DiskToolFile):
         shaft = spec.thickness_mm * MM, spec.shaft_radius_mm * MM
         return tooling.disk_tool(radius, length, *shaft, spec.rim_mm * MM)
-    own = None if spec.shaft_radius_mm is None else spec.shaft_radius_mm * MM
-    return tooling.ball_tool(radius, length, own, spec.neck_mm * MM, spec.tilt_deg * DEG)
+    shaft_radius = None if spec.shaft_radius_mm is None else spec.shaft_radius_mm * MM
+    return tooling.ball_tool(radius, length, shaft_radius, spec.neck_mm * MM, spec.tilt_deg * DEG)
 
 
-def _no_stiffness(arm: ArmFile, number: int) -> Issue:
-    what = f"arm {arm.name}: the stiffness of its robot is not known, so nothing is known of its sag"
-    hint = "state stiffness: {joints_nm_rad: [...], source: ...} as identified, or leave compensate_sag out"
+def _unknown_stiffness_issue(arm: ArmFile, number: int) -> Issue:
+    what = f"arm {arm.name}: the stiffness of its robot is unknown, so its sag cannot be computed"
+    hint = "state stiffness: {joints_nm_rad: [...], source: ...} as identified, or remove compensate_sag"
     return Issue("problem.field", f"{what}; {hint}", field=f"arms.{number}.compensate_sag", arm=arm.name)
 
 
-def _outside(arm: ArmFile, number: int, data: RobotData) -> Issue:
+def _home_outside_limits_issue(arm: ArmFile, number: int, data: RobotData) -> Issue:
     limits = ", ".join(
         f"{low:.0f} to {high:.0f}" for low, high in np.stack([data.lower, data.upper], axis=1) / DEG
     )
     got = ", ".join(f"{angle:g}" for angle in arm.home_deg or ())
-    what = f"home_deg is [{got}], which {data.title} cannot take: its joints, counted without the parallel "
-    what += f"rod, go {limits} deg; correct it"
+    what = f"home_deg is [{got}], outside the limits of {data.title}: its joints, counted without the "
+    what += f"parallel rod, range over {limits} deg; correct it"
     return Issue("problem.field", what, field=f"arms.{number}.home_deg", arm=arm.name)
 
 
-def too_heavy(arm: str, field: str, tool: tooling.Tool, data: RobotData) -> Issue:
-    """A tool beyond the payload of the robot ``data``."""
-    what = f"the tool weighs {tool.mass:g} kg, {data.title} carries {data.payload:g} kg; take a larger robot "
-    what += "or a lighter tool"
+def tool_too_heavy_issue(arm: str, field: str, tool: tooling.Tool, data: RobotData) -> Issue:
+    """Return the issue of a tool that exceeds the payload of the robot ``data``."""
+    what = f"the tool weighs {tool.mass:g} kg, but {data.title} carries {data.payload:g} kg; use a larger "
+    what += "robot or a lighter tool"
     return Issue("problem.field", what, field=field, arm=arm, **measurement(tool.mass, data.payload, "kg"))

@@ -1,8 +1,7 @@
-"""Link meshes in COLLADA (DAE, ISO/PAS 17506), in which most makers draw their robots, to be seen.
+"""Visual link meshes in COLLADA (DAE, ISO/PAS 17506), the format of most robot manufacturers.
 
-Read by ``pycollada`` of the extra ``dae``, which only parses. Lengths are in the file's own unit, placed by
-its nodes; its up axis is not looked at, as ROS's viewers do not. Lines, textures, cameras and lights are left
-out.
+Read by ``pycollada`` of the extra ``dae``, which only parses. Lengths are in the unit of the file, placed by
+its nodes. Its up axis is ignored, as in ROS viewers. Lines, textures, cameras and lights are ignored.
 """
 
 import dataclasses
@@ -13,33 +12,38 @@ from typing import Any, Final
 import numpy as np
 
 from planner.geometry.arrays import FloatArray
-from planner.geometry.mesh import TriangleMesh, merge
-from planner.geometry.mesh_files import LARGEST_EXTENT, SMALLEST_EXTENT
+from planner.geometry.mesh import TriangleMesh, merge_vertices
+from planner.geometry.mesh_files import MAX_EXTENT_M, MIN_EXTENT_M
 
 DAE_SUFFIX: Final = ".dae"
-"""How names of such files end."""
+"""Suffix of COLLADA files."""
 DAE_INSTALL: Final = "pip install 'tandem-planner[dae]'"
-"""What to run where their reader is missing."""
-MOST_PIECES: Final = 5000
-"""Pieces of a file at most, one for each use of a mesh and material."""
+"""Command that installs the reader."""
+MAX_PIECES: Final = 5000
+"""Maximum number of pieces of a file, one for each use of a mesh and material."""
 
 Colour = tuple[float, float, float]
 """Red, green and blue in 0..1."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Painted:
-    """A mesh [m] in one colour, None where the file has none."""
+class ColouredMesh:
+    """A mesh [m] in one colour; None if the file states none."""
 
     mesh: TriangleMesh
     color: Colour | None
 
 
-def read_dae(path: Path, scale: float) -> tuple[Painted, ...]:
-    """The meshes of a file by colour, in its order, in metres times ``scale``.
+def read_dae(path: Path, scale: float) -> tuple[ColouredMesh, ...]:
+    """Read the meshes of a file by colour, in the order of the file.
 
-    Raises ``ValueError`` in words without the file's name: no reader, unreadable, without faces, numbers that
-    are not finite, of a size that no link has.
+    Args:
+        path: File.
+        scale: Factor on the lengths of the file in metres.
+
+    Raises:
+        ValueError: No reader, unreadable file, no faces, numbers that are not finite, or a size that no link
+            has. The text does not contain the name of the file.
     """
     try:
         import collada
@@ -47,16 +51,16 @@ def read_dae(path: Path, scale: float) -> tuple[Painted, ...]:
         raise ValueError(f"DAE needs pycollada: {DAE_INSTALL}") from error
     data = path.read_bytes()
     if data.startswith(b"PK"):
-        raise ValueError("it is packed; unpack it")
+        raise ValueError("it is compressed; unpack it")
     try:
-        # textures that are not there, and what it does not know, do not matter here; faces do
-        passed = [collada.common.DaeBrokenRefError, collada.common.DaeUnsupportedError]
-        model = collada.Collada(io.BytesIO(data), ignore=passed)
-        lost = next((str(error) for error in model.errors if "eometry" in str(error)), None)
-        if lost is not None:
-            raise ValueError(f"it cannot be read ({lost[:120]})")
+        # missing textures and unknown elements do not matter here; missing faces do
+        ignored_errors = [collada.common.DaeBrokenRefError, collada.common.DaeUnsupportedError]
+        model = collada.Collada(io.BytesIO(data), ignore=ignored_errors)
+        geometry_error = next((str(error) for error in model.errors if "eometry" in str(error)), None)
+        if geometry_error is not None:
+            raise ValueError(f"it cannot be read ({geometry_error[:120]})")
         size = scale * float(model.assetInfo.unitmeter or 1.0)
-        by_colour = _by_colour(model)
+        by_colour = _triangles_by_colour(model)
     except ValueError:
         raise
     except Exception as error:  # damaged files raise anything
@@ -66,22 +70,27 @@ def read_dae(path: Path, scale: float) -> tuple[Painted, ...]:
     for color, pieces in by_colour.items():
         corners = size * np.concatenate(pieces)
         if not np.isfinite(corners).all():
-            raise ValueError("it has numbers that are not finite")
-        mesh = merge(TriangleMesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3)))
+            raise ValueError("it contains numbers that are not finite")
+        mesh = merge_vertices(
+            TriangleMesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
+        )
         if len(mesh.faces):
-            out.append(Painted(mesh, color))
+            out.append(ColouredMesh(mesh, color))
     if not out:
         raise ValueError("it has no faces")
-    points = np.concatenate([one.mesh.vertices for one in out])
+    points = np.concatenate([coloured_mesh.mesh.vertices for coloured_mesh in out])
     extent = float(np.ptp(points, axis=0).max())
-    if not SMALLEST_EXTENT <= extent <= LARGEST_EXTENT:
+    if not MIN_EXTENT_M <= extent <= MAX_EXTENT_M:
         raise ValueError(f"it is {1e3 * extent:.4g} mm long in its own unit and the URDF's scale")
     return tuple(out)
 
 
-def _by_colour(model: Any) -> dict[Colour | None, list[FloatArray]]:
-    """Triangles (F, 3, 3) of all meshes of the scene, where its nodes place them, in the file's lengths.
-    Raises ``ValueError`` for a file without a scene, or with too much in it."""
+def _triangles_by_colour(model: Any) -> dict[Colour | None, list[FloatArray]]:
+    """Return triangles (F, 3, 3) of all meshes of the scene, placed by its nodes, in the file's lengths.
+
+    Raises:
+        ValueError: If the file has no scene or too many pieces.
+    """
     if model.scene is None:
         raise ValueError("it has no scene")
     out: dict[Colour | None, list[FloatArray]] = {}
@@ -89,15 +98,15 @@ def _by_colour(model: Any) -> dict[Colour | None, list[FloatArray]]:
     for geometry in model.scene.objects("geometry"):
         for piece in geometry.primitives():
             count += 1
-            if count > MOST_PIECES:
-                raise ValueError(f"it has more than {MOST_PIECES:,} pieces; join them")
+            if count > MAX_PIECES:
+                raise ValueError(f"it has more than {MAX_PIECES:,} pieces; join them")
             faces = piece.triangleset() if hasattr(piece, "triangleset") else piece
             index = getattr(faces, "vertex_index", None)
             if index is None or not len(index) or np.shape(index)[1] != 3:
                 continue  # lines
             rows = np.asarray(index, dtype=np.int64)
             if rows.min() < 0 or rows.max() >= len(faces.vertex):
-                raise ValueError("a face names a vertex that is not there")
+                raise ValueError("a face refers to a missing vertex")
             out.setdefault(_colour(piece.material), []).append(
                 np.asarray(faces.vertex, dtype=np.float64)[rows]
             )

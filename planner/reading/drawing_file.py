@@ -1,4 +1,4 @@
-"""All curves of a file, which an operation follows one by one: of a DXF drawing or of a Rhino file."""
+"""All curves of a file that an operation follows one by one, from a DXF drawing or a Rhino file."""
 
 from pathlib import Path
 from typing import Annotated, Self
@@ -13,16 +13,17 @@ from planner.reading.drawing import FileCurve, read_dxf
 from planner.reading.strict_yaml import FileName, Strict, Unit
 
 RHINO_SUFFIX = ".3dm"
-"""How names of Rhino files end; others are taken for DXF."""
+"""Suffix of Rhino files. Other files are read as DXF."""
 
 
 class DrawingFile(Strict):
-    """All curves of a DXF or Rhino file (3DM), or of some of its layers, in the order of the file. Needs the
-    extra ``cad`` of Tandem.
+    """All curves of a DXF or Rhino file (3DM), or of some of its layers, in the order of the file.
 
-    ``unit`` is of a DXF file, which states none that is certain; a Rhino file states its own. Of a Rhino file
-    ``layers`` are names or paths (``roof::rails``), what is hidden is left out, and ``name`` and ``colour``
-    choose objects further.
+    Needs the extra ``cad`` of Tandem.
+
+    ``unit`` is for a DXF file, which states no reliable unit; a Rhino file states its own. For a Rhino file,
+    ``layers`` are names or paths (``roof::rails``), hidden objects are left out, and ``name`` and ``colour``
+    restrict the objects further.
     """
 
     file: FileName
@@ -43,27 +44,27 @@ class DrawingFile(Strict):
     )
 
     @property
-    def of_rhino(self) -> bool:
-        """Whether it is a Rhino file, by its name."""
+    def is_rhino(self) -> bool:
+        """Whether the name is that of a Rhino file."""
         return self.file.lower().endswith(RHINO_SUFFIX)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.layers is not None and len({layer.lower() for layer in self.layers}) != len(self.layers):
-            raise ValueError("a layer stands twice in layers; name each once")
-        if not self.of_rhino and self.unit is None:
+            raise ValueError("a layer is listed twice in layers; name each once")
+        if not self.is_rhino and self.unit is None:
             raise ValueError("a DXF file needs its unit, as in unit: mm")
-        if not self.of_rhino and (self.name or self.colour):
-            raise ValueError("name and colour are of objects of Rhino files; choose by layers")
+        if not self.is_rhino and (self.name or self.colour):
+            raise ValueError("name and colour are for Rhino files; choose by layers")
         return self
 
-    def looked_up(self, folder: Path) -> "DrawingFile":
-        """The same, named from anywhere."""
+    def resolve(self, folder: Path) -> "DrawingFile":
+        """Return the same drawing with its file name resolved against ``folder``."""
         return self.model_copy(update={"file": str(folder / self.file)})
 
-    def drawn(self) -> DrawnCurve:
-        """What it stands for, for claims."""
-        kind = "rhino" if self.of_rhino else "dxf"
+    def to_drawn_curve(self) -> DrawnCurve:
+        """Return the reference to these curves, for claims."""
+        kind = "rhino" if self.is_rhino else "dxf"
         return DrawnCurve(
             kind,
             (),
@@ -75,21 +76,22 @@ class DrawingFile(Strict):
         )
 
     def curves(self, field: str) -> tuple[list[FileCurve], list[Issue]]:
-        """Its curves in SI units, layer by layer, in the order of the file; and notes.
+        """Return its curves in SI units, layer by layer in the order of the file, and notes.
 
-        Raises ``TandemError``: as :func:`planner.reading.drawing.read_dxf` and
-        :func:`planner.reading.rhino.curves`.
+        Raises:
+            TandemError: As :func:`planner.reading.drawing.read_dxf` and
+                :func:`planner.reading.rhino.read_curves`.
         """
         out: list[FileCurve] = []
         notes: list[Issue] = []
         for layer in self.layers or (None,):
-            if self.of_rhino:
+            if self.is_rhino:
                 chosen = rhino.RhinoFile.model_construct(
                     file=self.file, layer=layer, name=self.name, colour=self.colour, unit=self.unit
                 )
-                found, told = rhino.curves(chosen, Path(), field)
+                curves, file_notes = rhino.read_curves(chosen, Path(), field)
             else:
-                found, told = read_dxf(Path(self.file), LENGTH_UNITS[self.unit or "mm"], layer, field)
-            out += found
-            notes += told
+                curves, file_notes = read_dxf(Path(self.file), LENGTH_UNITS[self.unit or "mm"], layer, field)
+            out += curves
+            notes += file_notes
         return out, notes

@@ -1,9 +1,13 @@
-"""What was measured while a part is formed: forces at the points of the levels so far, and lifts of the tool.
+"""Measurements during forming: forces at the points of the levels so far, and springback when the tool lifts.
 
-A CSV with the columns ``level``, ``point`` (both from 0, as the file of curves has them) and ``force_n``: the
-force along z, positive where the tool presses into the sheet, of both tools together where there are two.
-``x_mm`` and ``y_mm`` beside it: where the point is, in plan. ``springback_mm``, where the tool was lifted
-there: how far the sheet came back. ``pass``: the name of the pass, where there are several.
+A CSV with these columns:
+
+- ``level`` and ``point``, both from 0, as in the file of curves;
+- ``force_n``: force along z, positive if the tool presses into the sheet, of both tools together if there are
+  two;
+- ``x_mm`` and ``y_mm`` (optional): position of the point in plan;
+- ``springback_mm`` (optional): springback of the sheet where the tool was lifted;
+- ``pass``: name of the pass, if there are several.
 """
 
 import csv
@@ -16,134 +20,157 @@ from typing import Final
 
 import numpy as np
 
-from planner.files import is_file, no_file, not_by_commas
+from planner.files import is_file, missing_file_reason, separator_hint
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 
 COLUMNS: Final = ("level", "point", "force_n")
-"""Columns that a file of forces has."""
+"""Required columns of a file of forces."""
 LIFT: Final = "springback_mm"
-"""The column of lifts, which it may have."""
-PLACE: Final = ("x_mm", "y_mm")
-"""Columns of points' places, which it may have, both or neither."""
+"""Optional column of springback."""
+POSITION: Final = ("x_mm", "y_mm")
+"""Optional columns of point positions, both or neither."""
 PASS: Final = "pass"
-"""The column of passes, which it may have."""
-OFF_PLACE: Final = 1.0 * MM
-"""Points whose places are known are off these by no more [m]."""
-FARTHEST: Final = 10_000.0
-"""Coordinates up to this [mm] are read."""
-MOST_BYTES: Final = 20_000_000
-"""Bytes of a file of forces at most."""
-MOST_SPRINGBACK: Final = 100.0
-"""Springback up to this [mm] is read."""
-MOST_TIMES: Final = 20.0
-"""A force is at most so many times the largest one of the level's curves; else its unit is another."""
-LEAST_SHARE: Final = 0.02
-"""The largest force of all is at least this share of the largest that is expected; else its unit is
-another."""
-MOST_POINTS: Final = 10_000
-"""Points of a level at most where nobody knows them."""
-MOST_TOLD: Final = 20
-"""Faults of a file that are told at most."""
+"""Optional column of passes."""
+POSITION_TOLERANCE_M: Final = 1.0 * MM
+"""Maximum distance [m] of a point from its known position."""
+MAX_COORDINATE_MM: Final = 10_000.0
+"""Maximum coordinate [mm]."""
+MAX_BYTES: Final = 20_000_000
+"""Maximum size of a file of forces [bytes]."""
+MAX_SPRINGBACK_MM: Final = 100.0
+"""Maximum springback [mm]."""
+MAX_FORCE_RATIO: Final = 20.0
+"""Maximum ratio of a force to the largest one of the level's curves. A larger ratio means another unit."""
+MIN_FORCE_RATIO: Final = 0.02
+"""Minimum ratio of the largest force to the largest expected one. A smaller ratio means another unit."""
+MAX_POINTS: Final = 10_000
+"""Maximum number of points of a level whose points are unknown."""
+MAX_REPORTED: Final = 20
+"""Maximum number of reported faults of a file."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Asked:
-    """Levels of pass ``name`` whose forces a file may have: the ``places`` in plan of the points of each, (P,
-    2) [m], None where the file says them; ``most`` (L,) [N] of curves and ``expected`` (L,) [N] forces at
-    most; the first ``needed`` levels have to be there."""
+class ExpectedLevels:
+    """Levels of a pass whose forces a file may have.
+
+    Attributes:
+        name: Name of the pass.
+        positions: Positions of the points of each level in plan (P, 2) [m]; None if the file states them.
+        max_force: Largest force of the curves of each level (L,) [N].
+        expected: Expected maximum force of each level (L,) [N].
+        needed: Number of levels that must be present.
+    """
 
     name: str
-    places: tuple[FloatArray | None, ...]
-    most: FloatArray
+    positions: tuple[FloatArray | None, ...]
+    max_force: FloatArray
     expected: FloatArray
     needed: int = 0
 
 
 @dataclasses.dataclass(frozen=True)
-class Measured:
-    """Of the first M levels of a pass: ``force`` each (P,) [N], ``lift`` each (P,) [m], NaN where none was
-    made, ``place`` each (P, 2) [m] in plan, NaN where nobody says it."""
+class MeasuredForces:
+    """Measurements of the first M levels of a pass.
+
+    Attributes:
+        force: Force at the points of each level (P,) [N].
+        lift: Springback at the points of each level (P,) [m], NaN where the tool was not lifted.
+        position: Position of the points of each level in plan (P, 2) [m], NaN if not stated.
+    """
 
     force: tuple[FloatArray, ...]
     lift: tuple[FloatArray, ...]
-    place: tuple[FloatArray, ...] = ()
+    position: tuple[FloatArray, ...] = ()
 
 
 Key = tuple[str, int, int]
 """Pass, level and point."""
 
 
-def read_forces(path: Path, asked: Sequence[Asked]) -> tuple[Measured, ...]:
-    """Of each of the passes that are ``asked`` forces of levels 0 to the last one in a CSV file, all points
-    of each. Where no level's points are known the column of points may be missing, for one on each level.
+def read_forces(path: Path, passes_expected: Sequence[ExpectedLevels]) -> tuple[MeasuredForces, ...]:
+    """Read the forces of levels 0 to the last one of each pass, at all points, from a CSV file.
 
-    Raises ``TandemError`` (forming.loop_forces): no such file, wrong header, values that are no numbers,
-    negative or beyond what the unit allows, passes, levels or points that there are not, twice or missing.
+    If no level has known points, the column of points may be missing, for one point on each level.
+
+    Args:
+        path: File.
+        passes_expected: Levels of each pass.
+
+    Raises:
+        TandemError: ``forming.loop_forces`` for a missing file, a wrong header, values that are no numbers,
+            negative or beyond the range of the unit, and unknown, repeated or missing passes, levels or
+            points.
     """
     file = str(path)
-    header, rows = _table(path)
-    issues = _header(file, header, asked)
+    header, rows = _read_table(path)
+    issues = _header_faults(file, header, passes_expected)
     if issues:
         raise TandemError(issues)
-    at = {name: header.index(name) for name in (*COLUMNS, LIFT, *PLACE, PASS) if name in header}
-    passes = {one.name: one for one in asked}
+    columns = {name: header.index(name) for name in (*COLUMNS, LIFT, *POSITION, PASS) if name in header}
+    passes = {expected.name: expected for expected in passes_expected}
     force: dict[Key, float] = {}
     lift: dict[Key, float] = {}
-    place: dict[Key, FloatArray] = {}
+    position: dict[Key, FloatArray] = {}
     for line, cells in rows:
         if len(cells) != len(header):
             what = f"got {len(cells)} values, allowed {len(header)} as in the header"
             issues.append(_fault(file, line, None, what, "correct the row"))
             continue
-        name = cells[at[PASS]] if PASS in at else asked[0].name
+        name = cells[columns[PASS]] if PASS in columns else passes_expected[0].name
         if name not in passes:
             what = f"got pass {name!r:.40}, allowed {', '.join(passes)}"
-            issues.append(_fault(file, line, PASS, what, "take the names of this plan's passes"))
+            issues.append(_fault(file, line, PASS, what, "use the names of this plan's passes"))
             continue
-        one = passes[name]
-        found = _key(one, cells[at["level"]], cells[at["point"]] if "point" in at else "0")
-        if isinstance(found, tuple) and len(found) == 2 and (name, *found) in force:
-            again = f"got level {found[0]}, point {found[1]} again"
-            found = ("point" if "point" in at else "level", again, "keep one of the rows")
-        if len(found) == 3:
-            issues.append(_fault(file, line, *found))
+        expected = passes[name]
+        row_key = _parse_key(
+            expected, cells[columns["level"]], cells[columns["point"]] if "point" in columns else "0"
+        )
+        if isinstance(row_key, tuple) and len(row_key) == 2 and (name, *row_key) in force:
+            repeated = f"got level {row_key[0]}, point {row_key[1]} again"
+            row_key = ("point" if "point" in columns else "level", repeated, "keep one of the rows")
+        if len(row_key) == 3:
+            issues.append(_fault(file, line, *row_key))
             continue
-        key = (name, *found)
-        value = _number(cells[at["force_n"]])
-        most = MOST_TIMES * float(one.most[found[0]])
-        if not 0.0 <= value <= most:
-            what = f"got {cells[at['force_n']]!r}, allowed a force from 0 to {most:.0f} N"
+        key = (name, *row_key)
+        value = _parse_number(cells[columns["force_n"]])
+        max_force = MAX_FORCE_RATIO * float(expected.max_force[row_key[0]])
+        if not 0.0 <= value <= max_force:
+            what = f"got {cells[columns['force_n']]!r}, allowed 0 to {max_force:.0f} N"
             hint = "give newtons, positive where the tool presses into the sheet"
             issues.append(_fault(file, line, "force_n", what, hint))
         force[key] = value
-        text = cells[at[LIFT]] if LIFT in at else ""
+        text = cells[columns[LIFT]] if LIFT in columns else ""
         if text:
-            lift[key] = _number(text)
-            if not 0.0 <= lift[key] <= MOST_SPRINGBACK:
-                what = f"got {text!r}, allowed 0 to {MOST_SPRINGBACK:g} mm, or nothing for no lift"
+            lift[key] = _parse_number(text)
+            if not 0.0 <= lift[key] <= MAX_SPRINGBACK_MM:
+                what = f"got {text!r}, allowed 0 to {MAX_SPRINGBACK_MM:g} mm, or empty for no lift"
                 issues.append(_fault(file, line, LIFT, what, "correct it"))
-        if PLACE[0] in at:
-            place[key] = np.array([_number(cells[at[axis]]) for axis in PLACE]) * MM
-            issues += _off_place(file, line, one.places[found[0]], found[1], place[key])
-    for one in asked:
-        mine = {(level, point): n for (name, level, point), n in force.items() if name == one.name}
-        issues += _missing(file, one, mine)
+        if POSITION[0] in columns:
+            position[key] = np.array([_parse_number(cells[columns[axis]]) for axis in POSITION]) * MM
+            issues += _position_faults(file, line, expected.positions[row_key[0]], row_key[1], position[key])
+    for expected in passes_expected:
+        pass_forces = {
+            (level, point): n for (name, level, point), n in force.items() if name == expected.name
+        }
+        issues += _missing_points(file, expected, pass_forces)
         if not issues:
-            issues += _too_small(file, one, mine) + _without_place(file, one, mine, PLACE[0] in at)
+            issues += _small_force_faults(file, expected, pass_forces) + _missing_position_faults(
+                file, expected, pass_forces, POSITION[0] in columns
+            )
     if issues:
-        raise TandemError(_together(issues)[:MOST_TOLD])
-    return tuple(_value(one.name, force, lift, place) for one in asked)
+        raise TandemError(_merge_faults(issues)[:MAX_REPORTED])
+    return tuple(_collect(expected.name, force, lift, position) for expected in passes_expected)
 
 
-def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Header and rows with their lines."""
+def _read_table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """Read the header, and the rows with their line numbers."""
     file = str(path)
     if not is_file(path):
-        raise TandemError(_fault(file, None, None, f"{file}: {no_file(path)}", "check the path"))
-    if path.stat().st_size > MOST_BYTES:
-        what = f"larger than {MOST_BYTES / 1e6:g} MB"
+        raise TandemError(_fault(file, None, None, f"{file}: {missing_file_reason(path)}", "check the path"))
+    if path.stat().st_size > MAX_BYTES:
+        what = f"larger than {MAX_BYTES / 1e6:g} MB"
         raise TandemError(_fault(file, None, None, what, "give one row for each point of a level"))
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -153,129 +180,139 @@ def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
         what = f"cannot be read as CSV: {error}"
         raise TandemError(_fault(file, None, None, what, "save it as CSV, UTF-8, with commas")) from error
     rows = [(line, row) for line, row in rows if any(row) and not row[0].startswith("#")]
-    other = not_by_commas(",".join(rows[0][1])) if rows else None
-    if other is not None:
-        told, hint = other.split("; ")
-        raise TandemError(_fault(file, rows[0][0], None, told, hint))
+    separator_fault = separator_hint(",".join(rows[0][1])) if rows else None
+    if separator_fault is not None:
+        fault, hint = separator_fault.split("; ")
+        raise TandemError(_fault(file, rows[0][0], None, fault, hint))
     return (rows[0][1] if rows else []), rows[1:]
 
 
-def _together(issues: list[Issue]) -> list[Issue]:
-    """Faults of one kind as the first of them, with how many rows have it."""
+def _merge_faults(issues: list[Issue]) -> list[Issue]:
+    """Merge faults of one kind into the first one, with the number of rows."""
     kinds: dict[tuple[str | None, str | None], list[Issue]] = {}
     for issue in issues:
         alike = (issue.field, issue.hint) if issue.line is not None else (issue.field, issue.message)
         kinds.setdefault(alike, []).append(issue)
     return [
-        dataclasses.replace(some[0], message=f"{some[0].message}; so in {len(some)} rows")
-        if len(some) > 1
-        else some[0]
-        for some in kinds.values()
+        dataclasses.replace(group[0], message=f"{group[0].message}; in {len(group)} rows")
+        if len(group) > 1
+        else group[0]
+        for group in kinds.values()
     ]
 
 
-def _header(file: str, header: list[str], asked: Sequence[Asked]) -> list[Issue]:
-    wanted = f"the columns are {', '.join(COLUMNS)} and, where the tool was lifted, {LIFT}; where a point "
-    wanted += f"is: {' and '.join(PLACE)}; of several passes: {PASS}"
-    needed = [name for name in COLUMNS if name != "point" or _points_known(asked)]
-    needed += [PASS] if len(asked) > 1 else []
-    needed += PLACE if any(name in header for name in PLACE) else ()
+def _header_faults(file: str, header: list[str], passes_expected: Sequence[ExpectedLevels]) -> list[Issue]:
+    hint = f"the columns are {', '.join(COLUMNS)} and, if the tool was lifted, {LIFT}; for the position "
+    hint += f"of a point: {' and '.join(POSITION)}; for several passes: {PASS}"
+    needed = [name for name in COLUMNS if name != "point" or _are_points_known(passes_expected)]
+    needed += [PASS] if len(passes_expected) > 1 else []
+    needed += POSITION if any(name in header for name in POSITION) else ()
     issues = [
-        _fault(file, 1, name, f"got the column {name!r} {header.count(name)} times, allowed once", wanted)
+        _fault(file, 1, name, f"got the column {name!r} {header.count(name)} times, allowed once", hint)
         if name in header
-        else _fault(file, 1, name, f"got no column {name!r}", wanted)
+        else _fault(file, 1, name, f"got no column {name!r}", hint)
         for name in needed
         if header.count(name) != 1
     ]
-    other = [name for name in (*COLUMNS, LIFT, *PLACE, PASS) if name not in needed]
+    other = [name for name in (*COLUMNS, LIFT, *POSITION, PASS) if name not in needed]
     issues += [
-        _fault(file, 1, name or None, f"got the column {name!r}, which is none of a file of forces", wanted)
+        _fault(file, 1, name or None, f"got the column {name!r}, which is unknown", hint)
         if name not in other
-        else _fault(file, 1, name, f"got the column {name!r} {header.count(name)} times", wanted)
+        else _fault(file, 1, name, f"got the column {name!r} {header.count(name)} times", hint)
         for name in dict.fromkeys(header)
         if name not in needed and (name not in other or header.count(name) > 1)
     ]
     return issues
 
 
-def _points_known(asked: Sequence[Asked]) -> bool:
-    return any(places is not None for one in asked for places in one.places) or not any(
-        one.places for one in asked
-    )
+def _are_points_known(passes_expected: Sequence[ExpectedLevels]) -> bool:
+    return any(
+        positions is not None for expected in passes_expected for positions in expected.positions
+    ) or not any(expected.positions for expected in passes_expected)
 
 
-def _key(one: Asked, level: str, point: str) -> tuple[int, int] | tuple[str, str, str]:
-    """Level and point of a row; or field, what is wrong and what to do."""
-    count = len(one.places)
-    if not _counts(level) or int(level) >= count:
+def _parse_key(expected: ExpectedLevels, level: str, point: str) -> tuple[int, int] | tuple[str, str, str]:
+    """Return level and point of a row; or field, problem and remedy."""
+    count = len(expected.positions)
+    if not _is_count(level) or int(level) >= count:
         what = f"got level {level!r:.40}, allowed 0 to {count - 1}"
         return "level", what, "count levels from 0, as the file of curves has them"
-    known = one.places[int(level)]
-    points = MOST_POINTS if known is None else len(known)
-    if not _counts(point) or int(point) >= points:
+    known = expected.positions[int(level)]
+    points = MAX_POINTS if known is None else len(known)
+    if not _is_count(point) or int(point) >= points:
         what = f"got point {point!r:.40}, allowed 0 to {points - 1} on level {level}"
-        return "point", what, "take the points of this plan's file of curves"
+        return "point", what, "use the points of this plan's file of curves"
     return int(level), int(point)
 
 
-def _off_place(file: str, line: int, known: FloatArray | None, point: int, got: FloatArray) -> list[Issue]:
-    if not (np.abs(got) <= FARTHEST * MM).all():
-        what = f"got {got[0] / MM:g}, {got[1] / MM:g}, allowed are figures within {FARTHEST:g} mm"
-        return [_fault(file, line, PLACE[0], what, "give where the point is in the sheet's frame, in mm")]
-    off = 0.0 if known is None else float(np.linalg.norm(got - known[point]))
-    if off <= OFF_PLACE:
+def _position_faults(
+    file: str, line: int, known: FloatArray | None, point: int, got: FloatArray
+) -> list[Issue]:
+    if not (np.abs(got) <= MAX_COORDINATE_MM * MM).all():
+        what = f"got {got[0] / MM:g}, {got[1] / MM:g}, allowed up to {MAX_COORDINATE_MM:g} mm"
+        return [
+            _fault(file, line, POSITION[0], what, "give the point's position in the sheet's frame, in mm")
+        ]
+    distance = 0.0 if known is None else float(np.linalg.norm(got - known[point]))
+    if distance <= POSITION_TOLERANCE_M:
         return []
-    what = f"got a place {off / MM:.1f} mm off where point {point} is, allowed {OFF_PLACE / MM:g} mm"
-    return [_fault(file, line, PLACE[0], what, "take the points of this plan's file of curves")]
+    what = (
+        f"got a position {distance / MM:.1f} mm from point {point}, allowed {POSITION_TOLERANCE_M / MM:g} mm"
+    )
+    return [_fault(file, line, POSITION[0], what, "use the points of this plan's file of curves")]
 
 
-def _counts(text: str) -> bool:
+def _is_count(text: str) -> bool:
     return text.isascii() and text.isdecimal() and len(text) < 10
 
 
-def _number(text: str) -> float:
+def _parse_number(text: str) -> float:
     try:
         return float(text)
     except ValueError:
         return math.nan
 
 
-def _missing(file: str, one: Asked, force: dict[tuple[int, int], float]) -> list[Issue]:
+def _missing_points(file: str, expected: ExpectedLevels, force: dict[tuple[int, int], float]) -> list[Issue]:
     last = max((level for level, _ in force), default=-1)
-    farthest = dict(sorted(force))  # of a level's points the last one stays
+    last_points = dict(sorted(force))  # keeps the last point of each level
     issues = []
     for number in range(last + 1):
-        known = one.places[number]
-        points = range(len(known) if known is not None else farthest.get(number, 0) + 1)
+        known = expected.positions[number]
+        points = range(len(known) if known is not None else last_points.get(number, 0) + 1)
         left = [str(k) for k in points if (number, k) not in force]
         if left:
-            some = ", ".join(left[:5]) + (" ..." if len(left) > 5 else "")
-            what = f"level {number}: got {len(points) - len(left)} of its {len(points)} points, not {some}"
-            hint = "give each point of every level up to the last one"
+            examples = ", ".join(left[:5]) + (" ..." if len(left) > 5 else "")
+            what = f"level {number}: got {len(points) - len(left)} of its {len(points)} points, no {examples}"
+            hint = "give all points of every level up to the last one"
             issues.append(_fault(file, None, "level", what, hint))
-    if last + 1 < one.needed:
-        what = f"pass {one.name}: got {last + 1} levels, it has {one.needed}"
+    if last + 1 < expected.needed:
+        what = f"pass {expected.name}: got {last + 1} levels, it has {expected.needed}"
         issues.append(_fault(file, None, "level", what, "give the forces of every level of the pass"))
     return issues
 
 
-def _without_place(file: str, one: Asked, force: dict[tuple[int, int], float], placed: bool) -> list[Issue]:
-    """Points that nobody knows where they are."""
-    several = any(point > 0 and one.places[level] is None for level, point in force)
-    if placed or not several:
+def _missing_position_faults(
+    file: str, expected: ExpectedLevels, force: dict[tuple[int, int], float], has_positions: bool
+) -> list[Issue]:
+    """Return the fault of several points on a level without positions."""
+    several = any(point > 0 and expected.positions[level] is None for level, point in force)
+    if has_positions or not several:
         return []
-    what = f"got several points on a level, and no columns {' and '.join(PLACE)}"
-    return [_fault(file, 1, PLACE[0], what, "give where points are, or one force for each level")]
+    what = f"got several points on a level, but no columns {' and '.join(POSITION)}"
+    return [_fault(file, 1, POSITION[0], what, "give the positions of points, or one force for each level")]
 
 
-def _too_small(file: str, one: Asked, force: dict[tuple[int, int], float]) -> list[Issue]:
-    """Forces in kilonewtons, or of a sensor that is not set to zero."""
-    most = max(force.values(), default=0.0)
+def _small_force_faults(
+    file: str, expected_levels: ExpectedLevels, force: dict[tuple[int, int], float]
+) -> list[Issue]:
+    """Return the fault of forces in kilonewtons, or of a sensor that is not zeroed."""
+    max_force = max(force.values(), default=0.0)
     last = max((level for level, _ in force), default=-1)
-    expected = float(one.expected[: last + 1].max(initial=0.0))
-    if last < 0 or most >= LEAST_SHARE * expected:
+    expected = float(expected_levels.expected[: last + 1].max(initial=0.0))
+    if last < 0 or max_force >= MIN_FORCE_RATIO * expected:
         return []
-    what = f"the largest force is {most:g} N, {expected:.0f} N are expected"
+    what = f"the largest force is {max_force:g} N, expected {expected:.0f} N"
     return [_fault(file, None, "force_n", what, "give newtons, along z")]
 
 
@@ -283,14 +320,14 @@ def _fault(file: str, line: int | None, field: str | None, what: str, hint: str)
     return Issue("forming.loop_forces", what, file=file, line=line, field=field, hint=hint)
 
 
-def _value(
-    name: str, force: dict[Key, float], lift: dict[Key, float], place: dict[Key, FloatArray]
-) -> Measured:
-    mine = sorted(key for key in force if key[0] == name)
-    levels = [list(some) for _, some in itertools.groupby(mine, key=lambda key: key[1])]  # all are there
-    nowhere = np.full(2, math.nan)
-    return Measured(
+def _collect(
+    name: str, force: dict[Key, float], lift: dict[Key, float], position: dict[Key, FloatArray]
+) -> MeasuredForces:
+    keys = sorted(key for key in force if key[0] == name)
+    levels = [list(group) for _, group in itertools.groupby(keys, key=lambda key: key[1])]  # all are there
+    unknown_position = np.full(2, math.nan)
+    return MeasuredForces(
         tuple(np.array([force[key] for key in level]) for level in levels),
         tuple(np.array([lift.get(key, math.nan) for key in level]) * MM for level in levels),
-        tuple(np.array([place.get(key, nowhere) for key in level]) for level in levels),
+        tuple(np.array([position.get(key, unknown_position) for key in level]) for level in levels),
     )

@@ -1,9 +1,12 @@
-"""Which gripper of the cell holds a block, and where: chosen when a problem is read, from the list in the
-cell, the block and the wanted part alone, so that planner and proof find one and the same problem.
+"""Choice of the gripper that holds a block, and of its position, when a problem is read.
 
-A gripper fits if its face lies within the block's bottom face, the wires that cut the part stay away from it,
-it holds the block firmly enough and the arm carries both. The one that is mounted is kept if it fits at the
-middle of the block; else the firmest one is taken, as near below the middle of the part as it can be.
+The choice depends only on the grippers of the cell, the block and the part, so that planner and proof get the
+same problem.
+
+A gripper fits if its face lies within the bottom face of the block, the wires that cut the part keep clear of
+it, it holds the block firmly enough and the arm carries both. The mounted gripper is kept if it fits at the
+centre of the block. Otherwise the one with the largest holding force is chosen, as close below the centre of
+the part as possible.
 """
 
 import dataclasses
@@ -16,255 +19,295 @@ import shapely
 from shapely.geometry import Polygon, box
 from shapely.geometry.base import BaseGeometry
 
-from planner.geometry.arrays import FloatArray, Ruled, corners, from_rpy, inverse, transform
+from planner.geometry.arrays import FloatArray, RuledSurface, from_rpy, hull_points, inverse, transform
 from planner.geometry.units import DEG, GRAVITY, MM
+from planner.issue_codes import format_message
 from planner.issues import Issue, Severity
 from planner.problem import Part, Problem, Setup, Stock
 from planner.reading.stock import GRIP_FORCE_FACTOR
 from planner.tooling import Gripper, gripper_plate
 
-GRIP_POINT_STEP: Final = 5.0 * MM
-"""Grip points are multiples of this [m], where one of them is free."""
-RULING_SPACING: Final = 5.0 * MM
-"""Rulings between two that are stated are at most so far apart [m]."""
-WIRE_SPARE: Final = 0.5 * MM
-"""How much more than the margin the wires keep off [m]: they run beside their rulings, and are sampled."""
-WIRE_MARGIN: Final = 10.0 * MM
-"""What wires keep off the gripper [m] where the operation states no margin."""
-FACE_THICKNESS: Final = 0.012
-"""[m] thickness of the face."""
-PLATE_STEP: Final = 10.0 * MM
-"""Sizes of plates that are advised are multiples of this [m]."""
+GRIP_POINT_STEP_M: Final = 5.0 * MM
+"""Grip points are multiples of this [m], if one of them is free."""
+RULING_SPACING_M: Final = 5.0 * MM
+"""Maximum distance [m] between sampled rulings; further rulings are interpolated between stated ones."""
+EXTRA_WIRE_CLEARANCE_M: Final = 0.5 * MM
+"""Extra clearance [m] of the wires beyond the margin: they run beside their rulings, and are sampled."""
+DEFAULT_WIRE_MARGIN_M: Final = 10.0 * MM
+"""Clearance [m] of wires from the gripper if the operation states no margin."""
+FACE_THICKNESS_M: Final = 0.012
+"""Thickness of the face of a gripper [m]."""
+PLATE_STEP_M: Final = 10.0 * MM
+"""Sizes of recommended plates are multiples of this [m]."""
 
 
 class Grip(NamedTuple):
-    """A gripper with its middle at ``at`` (2,) [m] of the block's bottom face, turned by ``turn`` [rad]."""
+    """A gripper with its position on the bottom face of the block.
+
+    Attributes:
+        tool: Gripper.
+        position: Position (2,) [m] of its centre on the bottom face.
+        rotation: Rotation about the normal of the face [rad].
+    """
 
     tool: Gripper
-    at: tuple[float, float]
-    turn: float
+    position: tuple[float, float]
+    rotation: float
 
     def pose(self, stock: Stock) -> FloatArray:
-        """The block's frame in the gripper's TCP frame (4, 4)."""
-        on_block = from_rpy((*self.at, float(stock.lower[2])), (0.0, 0.0, self.turn))
+        """Return the pose (4, 4) of the stock frame in the TCP frame of the gripper."""
+        on_block = from_rpy((*self.position, float(stock.lower[2])), (0.0, 0.0, self.rotation))
         return np.asarray(np.linalg.inv(on_block))
 
 
-def with_choices(problem: Problem, free: Collection[int]) -> Problem:
-    """The problem with a gripper and a grip chosen for every setup whose first operation is in ``free``,
-    which states no grip. Nothing is changed where nothing fits: the checks that follow say why."""
+def choose_grips(problem: Problem, free: Collection[int]) -> Problem:
+    """Choose a gripper and a grip for setups that state no grip.
+
+    Nothing changes if nothing fits; later checks state the reason.
+
+    Args:
+        problem: Problem.
+        free: Indices of operations that start a setup without a stated grip.
+    """
     for index in sorted(free):
         setup = problem.setup_of(index)
         holder = next((arm for arm in setup.cell.arms if arm.name == setup.stock.held_by), None)
         if holder is None or not isinstance(holder.tool, Gripper) or setup.stock.mass is None:
             continue
-        found = choose(setup, problem.part, _margin(problem, setup))
-        if found is not None:
-            problem = _with(problem, setup, holder.tool, found)
+        grip = choose_grip(setup, problem.part, _largest_margin(problem, setup))
+        if grip is not None:
+            problem = _apply_grip(problem, setup, holder.tool, grip)
     return problem
 
 
-def _with(problem: Problem, setup: Setup, mounted: Gripper, found: Grip) -> Problem:
+def _apply_grip(problem: Problem, setup: Setup, mounted: Gripper, grip: Grip) -> Problem:
     stock, first = setup.stock, setup.operations[0]
-    changed = found.tool is not mounted
-    if not changed and np.allclose(found.pose(stock), stock.grip, atol=1e-12):
+    changed = grip.tool is not mounted
+    if not changed and np.allclose(grip.pose(stock), stock.grip, atol=1e-12):
         return problem
-    where = ", ".join(f"{v / MM + 0.0:g}" for v in found.at)
-    turned = f", turned by {found.turn / DEG:g} deg" if found.turn else ""
-    which = f"one of {len(problem.cell.grippers)} in the cell" if changed else "the one that is mounted"
-    pose = found.pose(stock)
+    position_text = ", ".join(f"{v / MM + 0.0:g}" for v in grip.position)
+    rotation_text = f", rotated by {grip.rotation / DEG:g} deg" if grip.rotation else ""
+    which = f"one of {len(problem.cell.grippers)} in the cell" if changed else "the mounted one"
+    pose = grip.pose(stock)
     at = ", ".join(f"{v / MM + 0.0:.6g}" for v in pose[:3, 3])
-    rpy = f", rpy_deg: [0, 0, {-found.turn / DEG:g}]" if found.turn else ""
-    named = f"gripper: {found.tool.name}, " if changed else ""
-    told = Issue(
+    rpy = f", rpy_deg: [0, 0, {-grip.rotation / DEG:g}]" if grip.rotation else ""
+    gripper_key = f"gripper: {grip.tool.name}, " if changed else ""
+    note = Issue(
         "stock.grip_chosen",
-        f"the block is held by {found.tool.name} of arm {stock.held_by} "
-        f"({which}), its middle at [{where}] mm of the block's bottom face{turned}",
+        format_message(
+            "stock.grip_chosen",
+            gripper=grip.tool.name,
+            arm=stock.held_by,
+            choice=which,
+            centre_mm=position_text,
+            rotation_clause=rotation_text,
+        ),
         Severity.NOTE,
         arm=stock.held_by,
-        hint=f"to keep it so, or to have it otherwise, state it: {{{named}grip: {{xyz_mm: [{at}]{rpy}}}}}",
+        hint=f"to fix or change it, state it: {{{gripper_key}grip: {{xyz_mm: [{at}]{rpy}}}}}",
     )
     name = str(stock.held_by)
     change = problem.changes.get(first)
     if setup.number > 1 and change is not None:
-        tools = {**change.tools, name: found.tool} if changed else change.tools
+        tools = {**change.tools, name: grip.tool} if changed else change.tools
         steps = change.steps
         if changed:
-            own = [s for s in steps if not (s.startswith("Mount the tool") and s.endswith(f"on arm {name}."))]
-            steps = (f"Mount the tool {found.tool.name} on arm {name}.", *own)
-        fields = {**change.stock, "grip": found.pose(stock), "grip_chosen": True}
+            other_steps = [
+                s for s in steps if not (s.startswith("Mount the tool") and s.endswith(f"on arm {name}."))
+            ]
+            steps = (f"Mount the tool {grip.tool.name} on arm {name}.", *other_steps)
+        fields = {**change.stock, "grip": grip.pose(stock), "grip_chosen": True}
         new = dataclasses.replace(change, tools=tools, stock=fields, steps=steps)
         problem = dataclasses.replace(problem, changes={**problem.changes, first: new})
     else:
         arms = tuple(
-            dataclasses.replace(a, tool=found.tool) if a.name == name else a for a in problem.cell.arms
+            dataclasses.replace(a, tool=grip.tool) if a.name == name else a for a in problem.cell.arms
         )
-        own_stock = dataclasses.replace(problem.stock, grip=found.pose(stock), grip_chosen=True)
+        own_stock = dataclasses.replace(problem.stock, grip=grip.pose(stock), grip_chosen=True)
         cell = dataclasses.replace(problem.cell, arms=arms)
         problem = dataclasses.replace(problem, cell=cell, stock=own_stock)
-    return dataclasses.replace(problem, notes=(*problem.notes, told))
+    return dataclasses.replace(problem, notes=(*problem.notes, note))
 
 
-def choose(setup: Setup, part: Part | None, margin: float) -> Grip | None:
-    """The gripper and grip for the block of a setup, None where nothing fits; ``margin`` [m] is what wires
-    keep off a gripper."""
+def choose_grip(setup: Setup, part: Part | None, margin: float) -> Grip | None:
+    """Choose the gripper and grip for the block of a setup; None if nothing fits.
+
+    Args:
+        setup: Setup.
+        part: Part, or None.
+        margin: Clearance [m] of wires from a gripper.
+    """
     stock = setup.stock
     arm = setup.cell.arm(str(stock.held_by))
-    wires = _wires(setup, part)
+    wires = _wire_sweep(setup, part)
     mounted = arm.tool
     payload = arm.data.payload
     known = [mounted, *setup.cell.grippers] if isinstance(mounted, Gripper) else list(setup.cell.grippers)
-    strong = [one for one in known if can_hold(one, stock, payload)]
-    if strong and strong[0] is mounted:
-        usual = Grip(strong[0], (0.0, 0.0), 0.0)
-        if fits(usual, stock, wires, margin):
-            return usual
-    for tool in sorted(strong, key=lambda one: -one.holding):
+    strong_grippers = [gripper for gripper in known if can_hold(gripper, stock, payload)]
+    if strong_grippers and strong_grippers[0] is mounted:
+        centred_grip = Grip(strong_grippers[0], (0.0, 0.0), 0.0)
+        if fits(centred_grip, stock, wires, margin):
+            return centred_grip
+    for tool in sorted(strong_grippers, key=lambda gripper: -gripper.holding_force):
         for turn in (0.0, 90.0 * DEG):
-            at = _place(tool, turn, stock, wires, margin)
+            at = _best_grip_point(tool, turn, stock, wires, margin)
             if at is not None:
                 return Grip(tool, at, turn)
     return None
 
 
 def can_hold(tool: Gripper, stock: Stock, payload: float) -> bool:
-    """Whether a gripper holds the block firmly enough and an arm of that ``payload`` [kg] carries both."""
+    """Whether a gripper holds the block firmly enough and an arm with this payload [kg] carries both."""
     mass = stock.mass or 0.0
-    return tool.mass + mass <= payload and GRIP_FORCE_FACTOR * mass * GRAVITY <= tool.holding
+    return tool.mass + mass <= payload and GRIP_FORCE_FACTOR * mass * GRAVITY <= tool.holding_force
 
 
-def fits(grip: Grip, stock: Stock, wires: "Wires", margin: float) -> bool:
-    """Whether a grip is within the block's bottom face and all wires stay away from it."""
-    free = _free(grip.tool, grip.turn, stock, wires, margin)
-    return bool(free.covers(shapely.Point(grip.at)))
+def fits(grip: Grip, stock: Stock, wires: "GripWirePaths", margin: float) -> bool:
+    """Whether a grip is within the bottom face of the block and all wires keep clear of it."""
+    free = _free_region(grip.tool, grip.rotation, stock, wires, margin)
+    return bool(free.covers(shapely.Point(grip.position)))
 
 
-def advice(setup: Setup, part: Part | None, margin: float) -> str:
-    """What would hold the block: the largest plate that fits and where, as one more hint; empty where none
-    does."""
+def grip_advice(setup: Setup, part: Part | None, margin: float) -> str:
+    """Return a hint on what would hold the block: the largest plate that fits, and where."""
     stock = setup.stock
     arm = setup.cell.arm(str(stock.held_by))
-    wires = _wires(setup, part)
-    best = _largest(stock, wires, margin)
+    wires = _wire_sweep(setup, part)
+    best = _largest_plate(stock, wires, margin)
     if best is None:
         return "no gripper of 20 mm or more fits below the part"
     size, at, turn = best
     width, depth = (round(v / MM) for v in size)
-    turned = f", turned by {turn / DEG:g} deg" if turn else ""
-    where = f"[{at[0] / MM + 0.0:g}, {at[1] / MM + 0.0:g}] mm{turned}"
+    rotation_text = f", rotated by {turn / DEG:g} deg" if turn else ""
+    where = f"[{at[0] / MM + 0.0:g}, {at[1] / MM + 0.0:g}] mm{rotation_text}"
     plate = gripper_plate(*size)
-    told = f"the largest plate that fits has width_mm: {width}, depth_mm: {depth}, with its middle at {where}"
+    text = f"the largest plate that fits has width_mm: {width}, depth_mm: {depth}, with its centre at {where}"
     if not can_hold(plate, stock, arm.data.payload):
         needed = GRIP_FORCE_FACTOR * (stock.mass or 0.0) * GRAVITY
-        return f"{told}; it holds with {plate.holding:.0f} N, {needed:.0f} N are needed"
-    return f"{told}; list it in the cell's grippers, or mount it, and leave grip out: Tandem finds it"
+        return f"{text}; it holds with {plate.holding_force:.0f} N, but {needed:.0f} N are required"
+    return f"{text}; add it to the cell's grippers, or mount it, and remove grip, so that Tandem chooses it"
 
 
-def advised(problem: Problem, found: Sequence[Issue]) -> list[Issue]:
-    """The issues of a problem that is read, those of grips with what would hold the block."""
+def add_grip_advice(problem: Problem, issues: Sequence[Issue]) -> list[Issue]:
+    """Return the issues of a problem, with hints for those of grips."""
     out = []
-    for issue in found:
-        setup = next((s for s in problem.setups if _of(s, issue)), None)
+    for issue in issues:
+        setup = next((s for s in problem.setups if _is_grip_issue(s, issue)), None)
         if setup is not None:
-            hint = advice(setup, problem.part, _margin(problem, setup))
+            hint = grip_advice(setup, problem.part, _largest_margin(problem, setup))
             issue = dataclasses.replace(issue, hint=hint)
         out.append(issue)
     return out
 
 
-def _of(setup: Setup, issue: Issue) -> bool:
+def _is_grip_issue(setup: Setup, issue: Issue) -> bool:
     field = f"operations.{setup.operations[0]}.setup" if setup.number > 1 else "stock"
     return issue.code in ("stock.footprint", "stock.grip_force") and (issue.field or "").startswith(field)
 
 
 @dataclasses.dataclass(frozen=True)
-class Wires:
-    """The ruled ``surfaces`` along which wires run beyond the block, whose bottom face is at z = ``floor``
-    [m]; ``parts``: outlines there of what stays held, and the ``middle`` of it."""
+class GripWirePaths:
+    """Sweep of the wires beyond the block.
 
-    surfaces: tuple[Ruled, ...]
+    Attributes:
+        surfaces: Ruled surfaces along which wires run.
+        floor: Height of the bottom face of the block [m].
+        parts: Outlines on the bottom face of what stays held.
+        middle: Centre of these outlines [m].
+        cache: Crossings by level.
+    """
+
+    surfaces: tuple[RuledSurface, ...]
     floor: float
     parts: BaseGeometry | None
     middle: tuple[float, float]
-    known: dict[float, FloatArray] = dataclasses.field(default_factory=dict)
+    cache: dict[float, FloatArray] = dataclasses.field(default_factory=dict)
 
-    def at(self, below: float) -> FloatArray:
-        """Pieces (K, 2, 2) [m] of the curves in which they cross a level ``below`` [m] the bottom face."""
+    def crossings_below(self, below: float) -> FloatArray:
+        """Return pieces (K, 2, 2) [m] of the curves in which wires cross a level below the bottom face.
+
+        Args:
+            below: Distance [m] of the level below the bottom face.
+        """
         level = round(self.floor - below, 6)
-        if level not in self.known:
-            self.known[level] = _crossings(self.surfaces, level)
-        return self.known[level]
+        if level not in self.cache:
+            self.cache[level] = _crossings(self.surfaces, level)
+        return self.cache[level]
 
 
-def _margin(problem: Problem, setup: Setup) -> float:
-    """The largest margin that operations of a setup state [m]."""
+def _largest_margin(problem: Problem, setup: Setup) -> float:
+    """Return the largest margin [m] that operations of a setup state."""
     stated = [getattr(problem.operations[i], "margin_mm", None) for i in setup.operations]
-    return max((float(v) * MM for v in stated if v is not None), default=WIRE_MARGIN)
+    return max((float(v) * MM for v in stated if v is not None), default=DEFAULT_WIRE_MARGIN_M)
 
 
-def _wires(setup: Setup, part: Part | None) -> Wires:
-    """The rulings of all surfaces of the part, made as long as it takes."""
+def _wire_sweep(setup: Setup, part: Part | None) -> GripWirePaths:
+    """Return the rulings of all surfaces of the part, extended as required."""
     stock = setup.stock
     floor = float(stock.lower[2])
     surfaces = () if part is None else part.ruled
-    outlines = [_outline(one, floor) for one in surfaces if one.closed and not one.hole]
-    whole = [one for one in outlines if one is not None and one.area > 0.0]
-    parts = shapely.unary_union(whole) if whole else None
+    outlines = [_outline(surface, floor) for surface in surfaces if surface.closed and not surface.hole]
+    valid_outlines = [surface for surface in outlines if surface is not None and surface.area > 0.0]
+    parts = shapely.unary_union(valid_outlines) if valid_outlines else None
     centre = (0.5 * (stock.lower + stock.upper))[:2] if parts is None else np.array(parts.centroid.coords[0])
-    return Wires(surfaces, floor, parts, (float(centre[0]), float(centre[1])))
+    return GripWirePaths(surfaces, floor, parts, (float(centre[0]), float(centre[1])))
 
 
-def _crossings(surfaces: Sequence[Ruled], level: float) -> FloatArray:
-    """Pieces (K, 2, 2) [m] of the curves in which rulings cross the plane z = ``level``."""
+def _crossings(surfaces: Sequence[RuledSurface], level: float) -> FloatArray:
+    """Return pieces (K, 2, 2) [m] of the curves in which rulings cross the plane z = ``level``."""
     pieces = [np.zeros((0, 2, 2))]
-    for one in surfaces:
-        points = _at_level(one, level)
+    for surface in surfaces:
+        points = _crossings_of_surface(surface, level)
         ends = np.stack([points, np.roll(points, -1, axis=0)], axis=1)
-        pieces.append(ends if one.closed else ends[:-1])
-    every = np.concatenate(pieces)
-    return every[np.isfinite(every).all(axis=(1, 2))]
+        pieces.append(ends if surface.closed else ends[:-1])
+    segments = np.concatenate(pieces)
+    return segments[np.isfinite(segments).all(axis=(1, 2))]
 
 
-def _at_level(one: Ruled, level: float) -> FloatArray:
-    """Points (M', 2) [m] at which rulings, and others between them, cross z = ``level``, NaN if level."""
-    start, end = one.start, one.end
-    if one.closed:
+def _crossings_of_surface(surface: RuledSurface, level: float) -> FloatArray:
+    """Return points (M', 2) [m] where rulings, and interpolated ones, cross z = ``level``.
+
+    NaN for horizontal rulings.
+    """
+    start, end = surface.start, surface.end
+    if surface.closed:
         start, end = np.concatenate([start, start[:1]]), np.concatenate([end, end[:1]])
-    way = np.maximum(
+    spacing = np.maximum(
         np.linalg.norm(np.diff(start, axis=0), axis=1), np.linalg.norm(np.diff(end, axis=0), axis=1)
     )
-    count = np.clip(np.ceil(way / RULING_SPACING), 1, 400).astype(int)
+    count = np.clip(np.ceil(spacing / RULING_SPACING_M), 1, 400).astype(int)
     at = np.concatenate([k + np.arange(n) / n for k, n in enumerate(count)])
-    at = at if one.closed else np.append(at, len(start) - 1.0)
+    at = at if surface.closed else np.append(at, len(start) - 1.0)
     k = np.minimum(at.astype(int), len(start) - 2)
-    share = (at - k)[:, None]
-    first = start[k] + share * (start[k + 1] - start[k])
-    last = end[k] + share * (end[k + 1] - end[k])
+    fraction = (at - k)[:, None]
+    first = start[k] + fraction * (start[k + 1] - start[k])
+    last = end[k] + fraction * (end[k + 1] - end[k])
     rise = last[:, 2] - first[:, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
         along = np.where(np.abs(rise) > 1e-9, (level - first[:, 2]) / rise, np.nan)
     return np.asarray(first[:, :2] + along[:, None] * (last - first)[:, :2])
 
 
-def _outline(one: Ruled, level: float) -> Polygon | None:
-    points = _at_level(one, level)
+def _outline(surface: RuledSurface, level: float) -> Polygon | None:
+    points = _crossings_of_surface(surface, level)
     points = points[np.isfinite(points).all(axis=1)]
     return shapely.make_valid(Polygon(points)) if len(points) > 2 else None
 
 
-def _shapes(tool: Gripper) -> list[tuple[FloatArray, tuple[float, float]]]:
-    """Half the width and depth (2,) [m] of what a gripper consists of, and from where to where below its
-    face it goes."""
+def _gripper_extents(tool: Gripper) -> list[tuple[FloatArray, tuple[float, float]]]:
+    """Return half width and depth (2,) [m] of each shape of a gripper, and its range below the face [m]."""
     out = []
     for shape in tool.shapes:
-        points = transform(inverse(tool.tcp) @ shape.pose, corners(shape))
+        points = transform(inverse(tool.tcp) @ shape.pose, hull_points(shape))
         low, high = points.min(axis=0), points.max(axis=0)
         out.append((np.maximum(np.abs(low[:2]), np.abs(high[:2])), (-float(high[2]), -float(low[2]))))
     return out
 
 
-def _free(tool: Gripper, turn: float, stock: Stock, wires: Wires, margin: float) -> BaseGeometry:
-    """Where the middle of a gripper's face may be on the block's bottom face."""
+def _free_region(
+    tool: Gripper, turn: float, stock: Stock, wires: GripWirePaths, margin: float
+) -> BaseGeometry:
+    """Return where the centre of a gripper's face may be on the bottom face of the block."""
     half = 0.5 * np.array(tool.footprint if turn == 0.0 else tool.footprint[::-1])
     low, high = stock.lower[:2] + half, stock.upper[:2] - half
     if (high < low - 1e-9).any():
@@ -274,23 +317,23 @@ def _free(tool: Gripper, turn: float, stock: Stock, wires: Wires, margin: float)
         free = free.intersection(wires.parts)
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=2)))
     blocked = []
-    for own, levels in _shapes(tool):
-        around = signs * ((own if turn == 0.0 else own[::-1]) + margin + WIRE_SPARE)
+    for half_size, levels in _gripper_extents(tool):
+        around = signs * ((half_size if turn == 0.0 else half_size[::-1]) + margin + EXTRA_WIRE_CLEARANCE_M)
         for below in levels:
-            points = (wires.at(below)[:, :, None] + around).reshape(-1, 8, 2)
+            points = (wires.crossings_below(below)[:, :, None] + around).reshape(-1, 8, 2)
             blocked += list(shapely.convex_hull(shapely.multipoints(points)))
     return free.difference(shapely.unary_union(blocked)) if blocked else free
 
 
-def _place(
-    tool: Gripper, turn: float, stock: Stock, wires: Wires, margin: float
+def _best_grip_point(
+    tool: Gripper, turn: float, stock: Stock, wires: GripWirePaths, margin: float
 ) -> tuple[float, float] | None:
-    """A round point of where its face may be, the nearest to the middle of the part."""
-    free = _free(tool, turn, stock, wires, margin)
+    """Return the grid point nearest to the centre of the part at which the face may be, or None."""
+    free = _free_region(tool, turn, stock, wires, margin)
     if free.is_empty:
         return None
     low, high = np.array(free.bounds).reshape(2, 2)
-    for step in (GRIP_POINT_STEP, 1.0 * MM):
+    for step in (GRIP_POINT_STEP_M, 1.0 * MM):
         axes = [
             np.arange(np.ceil(a / step), np.floor(b / step) + 1) * step
             for a, b in zip(low, high, strict=True)
@@ -303,31 +346,43 @@ def _place(
     return None
 
 
-def _largest(
-    stock: Stock, wires: Wires, margin: float
+def _largest_plate(
+    stock: Stock, wires: GripWirePaths, margin: float
 ) -> tuple[tuple[float, float], tuple[float, float], float] | None:
-    """About the largest plate that fits, in steps of `PLATE_STEP`, with its middle and turn."""
-    neck = _free(gripper_plate(2.0 * PLATE_STEP, 2.0 * PLATE_STEP), 0.0, stock, wires, margin)
-    if neck.is_empty:
+    """Return about the largest plate that fits, in steps of `PLATE_STEP_M`, with centre and rotation."""
+    free_region = _free_region(
+        gripper_plate(2.0 * PLATE_STEP_M, 2.0 * PLATE_STEP_M), 0.0, stock, wires, margin
+    )
+    if free_region.is_empty:
         return None
-    low, high = np.array(neck.bounds).reshape(2, 2)
+    low, high = np.array(free_region.bounds).reshape(2, 2)
     axes = [
-        np.arange(np.ceil(a / GRIP_POINT_STEP), np.floor(b / GRIP_POINT_STEP) + 1) * GRIP_POINT_STEP
+        np.arange(np.ceil(a / GRIP_POINT_STEP_M), np.floor(b / GRIP_POINT_STEP_M) + 1) * GRIP_POINT_STEP_M
         for a, b in zip(low, high, strict=True)
     ]
     middles = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-    middles = middles[shapely.intersects_xy(neck, middles)] if len(middles) else middles
-    room = np.minimum(stock.upper[:2] - middles, middles - stock.lower[:2])
-    near = np.concatenate([wires.at(0.0).mean(axis=1), wires.at(FACE_THICKNESS).mean(axis=1)])
-    away = np.abs(middles[:, None] - near) - margin - WIRE_SPARE - 0.5 * RULING_SPACING
+    middles = middles[shapely.intersects_xy(free_region, middles)] if len(middles) else middles
+    edge_distance = np.minimum(stock.upper[:2] - middles, middles - stock.lower[:2])
+    wire_points = np.concatenate(
+        [wires.crossings_below(0.0).mean(axis=1), wires.crossings_below(FACE_THICKNESS_M).mean(axis=1)]
+    )
+    wire_distance = (
+        np.abs(middles[:, None] - wire_points) - margin - EXTRA_WIRE_CLEARANCE_M - 0.5 * RULING_SPACING_M
+    )
     sizes: list[tuple[float, float]] = []
-    for depth in np.arange(2, int(2.0 * max(room[:, 1], default=0.0) / PLATE_STEP) + 1) * PLATE_STEP:
-        beside = np.where(away[..., 1] < 0.5 * depth, away[..., 0], np.inf).min(axis=1, initial=np.inf)
-        half = np.where(room[:, 1] >= 0.5 * depth - 1e-9, np.minimum(beside, room[:, 0]), 0.0)
-        width = float(np.floor(2.0 * half.max() / PLATE_STEP + 1e-6) * PLATE_STEP)
-        sizes += [(min(width, 2.0), float(depth))] if width >= 2.0 * PLATE_STEP else []
-    for size in sorted(sizes, key=lambda one: -one[0] * one[1]):
-        at = _place(gripper_plate(*size), 0.0, stock, wires, margin)
+    for depth in (
+        np.arange(2, int(2.0 * max(edge_distance[:, 1], default=0.0) / PLATE_STEP_M) + 1) * PLATE_STEP_M
+    ):
+        half_width = np.where(wire_distance[..., 1] < 0.5 * depth, wire_distance[..., 0], np.inf).min(
+            axis=1, initial=np.inf
+        )
+        half = np.where(
+            edge_distance[:, 1] >= 0.5 * depth - 1e-9, np.minimum(half_width, edge_distance[:, 0]), 0.0
+        )
+        width = float(np.floor(2.0 * half.max() / PLATE_STEP_M + 1e-6) * PLATE_STEP_M)
+        sizes += [(min(width, 2.0), float(depth))] if width >= 2.0 * PLATE_STEP_M else []
+    for size in sorted(sizes, key=lambda candidate: -candidate[0] * candidate[1]):
+        at = _best_grip_point(gripper_plate(*size), 0.0, stock, wires, margin)
         if at is not None:
             return size, at, 0.0
     return None

@@ -1,8 +1,8 @@
-"""What is seen of a robot of the user's own: the visual geometry of its URDF, as its maker drew it.
+"""Visual geometry of a custom robot, from its URDF.
 
-Meshes of more triangles than a replay and an answer of the page have room for are thinned out, all of a
-robot by one grid, about the finest that suits. Nothing here is for distances, and nothing refuses a robot: of
-a link whose visuals cannot be had the bodies for collision are seen.
+Meshes with more triangles than a replay or an answer of the page can take are decimated, all meshes of a
+robot with the finest grid that suffices. Visuals are not used for distances and never refuse a robot: links
+without usable visuals are shown by their collision bodies.
 """
 
 import functools
@@ -13,40 +13,42 @@ from typing import Final
 
 import numpy as np
 
-from planner.catalogue.robots import Look
+from planner.catalogue.robots import VisualShape
 from planner.geometry.arrays import Mesh, Shape, read_only
+from planner.geometry.decimation import merge_cells, split_creases
 from planner.geometry.mesh_files import MAX_MESH_BYTES, PLAIN_SUFFIXES, read_mesh
-from planner.geometry.thinning import creased, joined
 from planner.geometry.units import DEG, MM
 from planner.issues import TandemError
 from planner.reading.dae import DAE_SUFFIX, Colour, read_dae
 from planner.reading.urdf import UrdfChain, UrdfShape
 
-MOST_TRIANGLES: Final = 30_000
-"""Triangles of the visual meshes of one robot at most: some 0.6 MB of a replay, 1 MB of an answer."""
-FIRST_CELL: Final = 2.0 * MM
-"""Edge [m] of the first grid in which vertices are joined, ..."""
-LAST_CELL: Final = 40.0 * MM
-"""... and of the last one: meshes that are still too much then are not seen."""
-CREASE: Final = 30.0 * DEG
-"""Edges between faces that are turned by about twice as much are seen as edges."""
-NEUTRAL: Final = (0.70, 0.72, 0.75)
-"""Red, green, blue of what has no colour in the URDF."""
-SEEN_SUFFIXES: Final = (*PLAIN_SUFFIXES, DAE_SUFFIX)
-"""Files of meshes that are read to be seen."""
-NOT_THERE: Final = "not there"
-NOT_READ: Final = "no OBJ, STL, PLY or DAE"
-TOO_LARGE: Final = f"with those before it more than {MAX_MESH_BYTES / 1e6:.0f} MB"
+MAX_TRIANGLES: Final = 30_000
+"""Maximum number of triangles of a robot's visual meshes: some 0.6 MB of a replay, 1 MB of an answer."""
+FIRST_CELL_M: Final = 2.0 * MM
+"""Edge [m] of the first grid for decimation."""
+LAST_CELL_M: Final = 40.0 * MM
+"""Edge [m] of the coarsest grid. Meshes that are too large with it are not shown."""
+CREASE_ANGLE_RAD: Final = 30.0 * DEG
+"""Edges are rendered sharp from about twice this angle between faces [rad]."""
+NEUTRAL_COLOUR: Final = (0.70, 0.72, 0.75)
+"""Red, green, blue of visuals without a colour."""
+VISUAL_SUFFIXES: Final = (*PLAIN_SUFFIXES, DAE_SUFFIX)
+"""Suffixes of mesh files that are read as visuals."""
+MISSING: Final = "missing"
+UNSUPPORTED_FORMAT: Final = "not OBJ, STL, PLY or DAE"
+TOO_LARGE: Final = f"more than {MAX_MESH_BYTES / 1e6:.0f} MB together with the previous ones"
 
-_Named = tuple[str, int, int, tuple[float, ...]]
-"""A mesh file: its path, its time of change [ns], its bytes, and how it is stretched."""
-_Coloured = tuple[Mesh, Colour | None]
-"""A mesh and its own colour, None of files that have none."""
+_MeshKey = tuple[str, int, int, tuple[float, ...]]
+"""A mesh file: path, modification time [ns], size [bytes] and scale."""
+_ColouredMesh = tuple[Mesh, Colour | None]
+"""A mesh and its colour, None if the file states none."""
 
 
-def carried(files: Mapping[str, Path | None]) -> dict[str, Path]:
-    """Of visual meshes by the URDF's names those that are read, and that a copy of the problem carries: of a
-    kind that is read, no larger together than one mesh for collision may be."""
+def visual_meshes_to_bundle(files: Mapping[str, Path | None]) -> dict[str, Path]:
+    """Return the visual meshes that are read and bundled with the problem, by their names in the URDF.
+
+    They are of a supported format and together no larger than one collision mesh may be.
+    """
     out: dict[str, Path] = {}
     total = 0
     for name, path in files.items():
@@ -58,129 +60,151 @@ def carried(files: Mapping[str, Path | None]) -> dict[str, Path]:
     return out
 
 
-def looks(
+def link_visuals(
     chain: UrdfChain, shapes: tuple[tuple[Shape, ...], ...], files: Mapping[str, Path | None]
-) -> tuple[tuple[tuple[Look, ...], ...], tuple[str, ...]]:
-    """What is seen of the base and of each link, nothing where that is all of ``shapes``, what is held apart;
-    and what is not seen, with the reason. ``files``: visual meshes by the URDF's names."""
-    meshes = _meshes(chain, files)
-    faults = {owner: f"a <visual> of the link {owner} ({why})" for owner, why in chain.unseen}
-    seen: dict[str, list[Look]] = {}
-    for one, mesh in zip(chain.visuals, meshes, strict=True):
-        own = seen.setdefault(one.owner, [])
+) -> tuple[tuple[tuple[VisualShape, ...], ...], tuple[str, ...]]:
+    """Return the visuals of the base and of each link, and what is not shown.
+
+    Args:
+        chain: Kinematic chain of the URDF.
+        shapes: Collision shapes of base and links.
+        files: Visual mesh files by their names in the URDF; None for missing ones.
+
+    Returns:
+        Visuals of base and links, empty if only collision shapes would be shown; and links that are not shown
+            as in the URDF, with the reason.
+    """
+    meshes = _visual_meshes(chain, files)
+    faults = {owner: f"a <visual> of the link {owner} ({why})" for owner, why in chain.invalid_visuals}
+    looks_by_link: dict[str, list[VisualShape]] = {}
+    for visual, mesh in zip(chain.visuals, meshes, strict=True):
+        link_looks = looks_by_link.setdefault(visual.owner, [])
         if isinstance(mesh, str):
-            faults.setdefault(one.owner, f"{one.file} ({mesh})")
+            faults.setdefault(visual.owner, f"{visual.file} ({mesh})")
         elif mesh is None:
-            shape = Shape(one.kind, one.size, one.pose)  # type: ignore[arg-type]
-            own.append(Look(shape, one.color or NEUTRAL))
-        else:  # a file's own colours count before the URDF's, as in ROS's viewers
-            shapes_of = [(Shape("mesh", (), one.pose, m.vertices, m.faces), colour) for m, colour in mesh]
-            own += [Look(shape, colour or one.color or NEUTRAL) for shape, colour in shapes_of]
-    shown = {owner: own for owner, own in seen.items() if owner not in faults}
-    told = tuple(faults.values())
+            shape = Shape(visual.kind, visual.size, visual.pose)  # type: ignore[arg-type]
+            link_looks.append(VisualShape(shape, visual.color or NEUTRAL_COLOUR))
+        else:  # colours of a mesh file override those of the URDF, as in ROS viewers
+            shapes_of = [(Shape("mesh", (), visual.pose, m.vertices, m.faces), colour) for m, colour in mesh]
+            link_looks += [
+                VisualShape(shape, colour or visual.color or NEUTRAL_COLOUR) for shape, colour in shapes_of
+            ]
+    shown = {owner: link_looks for owner, link_looks in looks_by_link.items() if owner not in faults}
+    reasons = tuple(faults.values())
     if not shown:
-        return (), told
-    return tuple(_link(chain, link, own, shown) for link, own in zip(chain.links, shapes, strict=True)), told
+        return (), reasons
+    return tuple(
+        _link_looks(chain, link, link_looks, shown)
+        for link, link_looks in zip(chain.links, shapes, strict=True)
+    ), reasons
 
 
-def _link(
-    chain: UrdfChain, link: str, shapes: tuple[Shape, ...], shown: Mapping[str, list[Look]]
-) -> tuple[Look, ...]:
-    """What is seen of a link of the chain: of each link of the URDF that it carries its visuals, or else its
-    bodies for collision."""
-    stated = [one.owner for one in chain.shapes if one.link == link]
-    seen = [one.owner for one in chain.visuals if one.link == link]
-    out: list[Look] = []
-    for owner in dict.fromkeys((*stated, *seen)):
-        hulls = [Look(shape) for shape, of in zip(shapes, stated, strict=True) if of == owner]
+def _link_looks(
+    chain: UrdfChain, link: str, shapes: tuple[Shape, ...], shown: Mapping[str, list[VisualShape]]
+) -> tuple[VisualShape, ...]:
+    """Return the visuals of a link of the chain and of the URDF links fixed to it.
+
+    A URDF link without visuals is shown by its collision shapes.
+    """
+    stated = [item.owner for item in chain.shapes if item.link == link]
+    visual_owners = [item.owner for item in chain.visuals if item.link == link]
+    out: list[VisualShape] = []
+    for owner in dict.fromkeys((*stated, *visual_owners)):
+        hulls = [VisualShape(shape) for shape, of in zip(shapes, stated, strict=True) if of == owner]
         out += shown.get(owner, hulls)
     return tuple(out)
 
 
-def _meshes(chain: UrdfChain, files: Mapping[str, Path | None]) -> list[tuple[_Coloured, ...] | str | None]:
-    """Of each visual its meshes [m], as they are shown, None of boxes and the like, or why there are none."""
-    there = carried(files)
-    named: list[_Named] = []
+def _visual_meshes(
+    chain: UrdfChain, files: Mapping[str, Path | None]
+) -> list[tuple[_ColouredMesh, ...] | str | None]:
+    """Return the meshes [m] of each visual, None for primitives, or the reason why there are none."""
+    readable = visual_meshes_to_bundle(files)
+    named: list[_MeshKey] = []
     out: list[str | None] = []
-    for one in chain.visuals:
-        if one.kind == "mesh" and one.file in there:
-            named.append(_named(there[one.file], one))
-        out.append(None if one.kind != "mesh" else _why(files.get(one.file)))
-    read = iter(_shown(tuple(named)))
+    for visual in chain.visuals:
+        if visual.kind == "mesh" and visual.file in readable:
+            named.append(_mesh_key(readable[visual.file], visual))
+        out.append(None if visual.kind != "mesh" else _missing_reason(files.get(visual.file)))
+    read = iter(_decimated_meshes(tuple(named)))
     return [
-        next(read) if one.kind == "mesh" and one.file in there else told
-        for one, told in zip(chain.visuals, out, strict=True)
+        next(read) if visual.kind == "mesh" and visual.file in readable else reason
+        for visual, reason in zip(chain.visuals, out, strict=True)
     ]
 
 
-def _why(path: Path | None) -> str:
-    """Why a mesh is none of :func:`carried`."""
+def _missing_reason(path: Path | None) -> str:
+    """Return the reason why a mesh is not among :func:`visual_meshes_to_bundle`."""
     if path is None:
-        return NOT_THERE
-    if path.suffix.lower() not in SEEN_SUFFIXES:
-        return NOT_READ
-    return TOO_LARGE if _readable(path) else "may not be read"
+        return MISSING
+    if path.suffix.lower() not in VISUAL_SUFFIXES:
+        return UNSUPPORTED_FORMAT
+    return TOO_LARGE if _readable(path) else "not readable"
 
 
 def _readable(path: Path) -> bool:
-    return path.suffix.lower() in SEEN_SUFFIXES and os.access(path, os.R_OK)
+    return path.suffix.lower() in VISUAL_SUFFIXES and os.access(path, os.R_OK)
 
 
-def _named(path: Path, one: UrdfShape) -> _Named:
+def _mesh_key(path: Path, visual: UrdfShape) -> _MeshKey:
     stat = path.stat()
-    return str(path), stat.st_mtime_ns, stat.st_size, one.size
+    return str(path), stat.st_mtime_ns, stat.st_size, visual.size
 
 
 @functools.lru_cache(maxsize=4)
-def _shown(named: tuple[_Named, ...]) -> tuple[tuple[_Coloured, ...] | str, ...]:
-    """The meshes of a robot's files, thinned out, or why there are none; kept, for a problem is read several
-    times."""
-    known = {one: _read(Path(one[0]), one[3]) for one in dict.fromkeys(named)}
-    given = [known[one] for one in named]
-    whole = [mesh for one in given if not isinstance(one, str) for mesh, _ in one]
-    meshes = _few(whole)
+def _decimated_meshes(named: tuple[_MeshKey, ...]) -> tuple[tuple[_ColouredMesh, ...] | str, ...]:
+    """Return decimated meshes of a robot's files, or the reasons why there are none.
+
+    Cached, because a problem is read several times.
+    """
+    known = {item: _read_meshes(Path(item[0]), item[3]) for item in dict.fromkeys(named)}
+    given = [known[item] for item in named]
+    all_meshes = [mesh for item in given if not isinstance(item, str) for mesh, _ in item]
+    meshes = _decimate(all_meshes)
     if meshes is None:
-        count = sum(len(mesh.faces) for mesh in whole)
-        what = f"{count:,} triangles of the robot, more than {MOST_TRIANGLES:,} also where thinned out"
-        return tuple(one if isinstance(one, str) else what for one in given)
-    fine = iter(creased(mesh, CREASE) for mesh in meshes)
-    out: list[tuple[_Coloured, ...] | str] = []
-    for one in given:
-        if not isinstance(one, str):
-            shown = [(next(fine), colour) for _, colour in one]
-            one = tuple((mesh, colour) for mesh, colour in shown if len(mesh.faces))
-        out.append(one)
+        count = sum(len(mesh.faces) for mesh in all_meshes)
+        what = f"{count:,} triangles of the robot, more than {MAX_TRIANGLES:,} even if decimated"
+        return tuple(item if isinstance(item, str) else what for item in given)
+    fine = iter(split_creases(mesh, CREASE_ANGLE_RAD) for mesh in meshes)
+    out: list[tuple[_ColouredMesh, ...] | str] = []
+    for item in given:
+        if not isinstance(item, str):
+            shown = [(next(fine), colour) for _, colour in item]
+            item = tuple((mesh, colour) for mesh, colour in shown if len(mesh.faces))
+        out.append(item)
     return read_only(tuple(out))
 
 
-def _read(path: Path, scale: tuple[float, ...]) -> tuple[_Coloured, ...] | str:
-    """The meshes [m] of a file, or why they cannot be had."""
-    most = max(abs(v) for v in scale)
+def _read_meshes(path: Path, scale: tuple[float, ...]) -> tuple[_ColouredMesh, ...] | str:
+    """Return the meshes [m] of a file, or the reason why it cannot be read."""
+    max_scale = max(abs(v) for v in scale)
     try:
         if path.suffix.lower() == DAE_SUFFIX:
-            found = [(one.mesh, one.color) for one in read_dae(path, most)]
+            meshes = [
+                (coloured_mesh.mesh, coloured_mesh.color) for coloured_mesh in read_dae(path, max_scale)
+            ]
         else:
-            found = [(read_mesh(path, 1.0, most), None)]
+            meshes = [(read_mesh(path, 1.0, max_scale), None)]
     except TandemError as error:
         return error.issues[0].message
     except (OSError, ValueError) as error:
         return getattr(error, "strerror", None) or str(error)
     out = []
-    for mesh, colour in found:
+    for mesh, colour in meshes:
         faces = mesh.faces if np.prod(scale) > 0.0 else mesh.faces[:, ::-1]
-        out.append((Mesh(mesh.vertices * (np.array(scale) / most), faces), colour))
+        out.append((Mesh(mesh.vertices * (np.array(scale) / max_scale), faces), colour))
     return tuple(out)
 
 
-def _few(meshes: list[Mesh]) -> list[Mesh] | None:
-    """The meshes with at most :data:`MOST_TRIANGLES` together, None where the coarsest grid leaves more."""
-    count, cell = sum(len(mesh.faces) for mesh in meshes), FIRST_CELL
-    if count <= MOST_TRIANGLES:
+def _decimate(meshes: list[Mesh]) -> list[Mesh] | None:
+    """Decimate meshes to :data:`MAX_TRIANGLES` in total; None if the coarsest grid leaves more."""
+    count, cell = sum(len(mesh.faces) for mesh in meshes), FIRST_CELL_M
+    if count <= MAX_TRIANGLES:
         return meshes
-    while cell <= LAST_CELL:
-        count = sum(len(joined(mesh, cell).faces) for mesh in meshes)
-        if count <= MOST_TRIANGLES:
-            return [joined(mesh, cell, edges=True) for mesh in meshes]
-        # what is left goes with the square of the edge
-        cell *= 1.05 * float(np.sqrt(count / MOST_TRIANGLES))
+    while cell <= LAST_CELL_M:
+        count = sum(len(merge_cells(mesh, cell).faces) for mesh in meshes)
+        if count <= MAX_TRIANGLES:
+            return [merge_cells(mesh, cell, edges=True) for mesh in meshes]
+        # the number of triangles is proportional to 1 / cell^2
+        cell *= 1.05 * float(np.sqrt(count / MAX_TRIANGLES))
     return None

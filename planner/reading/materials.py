@@ -1,7 +1,7 @@
-"""Wires and foams in files: the wires of operations and at hand in a cell, foams of users' own.
+"""Wires and foams in files: wires of operations and of a cell, and custom foams.
 
-From the wires at hand of a cell one is chosen. A foam's file is written after a fit of test cuts,
-and read where a problem names one.
+A wire is chosen among those of a cell. A foam file is written after a fit of test cuts, and read if a problem
+names it.
 """
 
 import itertools
@@ -13,21 +13,22 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from planner.catalogue.materials import Foam, KerfFit, KerfTests, wire_material
-from planner.files import write_whole
+from planner.catalogue.materials import FoamMaterial, KerfFit, KerfTests, wire_material
+from planner.files import write_atomic
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError, refusal
+from planner.issues import Issue, TandemError, issue_error
 from planner.problem import BentWire
 from planner.reading import strict_yaml
 from planner.reading.strict_yaml import Name, Positive, Strict
 
 DISTINCT_LENGTH_MM = 1.0
-"""Lengths nearer to each other than this are one wire to an operator [mm]."""
+"""Minimum difference [mm] of wire lengths that an operator can distinguish."""
 
 
-class SectionFile(Strict):
-    """A round wire by ``diameter_mm``, or a strip by ``width_mm`` and ``thickness_mm``, over which it
-    bends.
+class WireSectionFile(Strict):
+    """A round wire by ``diameter_mm``, or a strip by ``width_mm`` and ``thickness_mm``.
+
+    A strip bends over its thickness.
     """
 
     material: str = Field(description="name in the table of materials")
@@ -37,7 +38,7 @@ class SectionFile(Strict):
     temperature_c: float = Field(ge=20, le=1000, description="of the wire while it cuts")
 
     @model_validator(mode="after")
-    def _one_section(self) -> "SectionFile":
+    def _one_section(self) -> "WireSectionFile":
         strip = self.width_mm is not None and self.thickness_mm is not None
         if self.diameter_mm is not None and (self.width_mm is not None or self.thickness_mm is not None):
             raise ValueError("give diameter_mm for a round wire, or width_mm and thickness_mm for a strip")
@@ -51,18 +52,18 @@ class SectionFile(Strict):
 
     @property
     def is_round(self) -> bool:
-        """Whether the wire may spin about itself."""
+        """Whether the wire is free to spin about its axis."""
         return self.diameter_mm is not None
 
     @property
     def size(self) -> str:
-        """The section as people read it, the same for programs, report and proof."""
+        """Section as text, the same in programs, report and proof."""
         if self.diameter_mm is not None:
             return f"{self.diameter_mm:g} mm round"
         return f"{self.width_mm:g} x {self.thickness_mm:g} mm strip"
 
 
-class WireFile(SectionFile):
+class WireFile(WireSectionFile):
     """One wire: its section and its length."""
 
     length_mm: float = Field(ge=50, le=5000, description="hot length between the clamps")
@@ -70,16 +71,16 @@ class WireFile(SectionFile):
     def __str__(self) -> str:
         return f"{self.material} {self.size} of {self.length_mm:g} mm"
 
-    def value(self) -> BentWire:
-        """The wire in SI units."""
+    def to_wire(self) -> BentWire:
+        """Convert the wire to SI units."""
         thickness = self.thickness_mm if self.diameter_mm is None else self.diameter_mm
         width = None if self.width_mm is None else self.width_mm * MM
         length = self.length_mm * MM
         return BentWire(self.material, length, (thickness or 0.0) * MM, width, self.temperature_c)
 
     @staticmethod
-    def of(wire: BentWire) -> "WireFile":
-        """The inverse of :meth:`value`, exact for figures of up to nine decimals."""
+    def from_wire(wire: BentWire) -> "WireFile":
+        """Create from a wire in SI units, the inverse of :meth:`to_wire`; exact for up to nine decimals."""
         length, thickness = (round(value / MM, 9) for value in (wire.length, wire.thickness))
         strip = wire.width is not None
         return WireFile(
@@ -92,24 +93,26 @@ class WireFile(SectionFile):
         )
 
 
-class WiresFile(SectionFile):
-    """Wires at hand of one section: one for each of the lengths."""
+class WiresFile(WireSectionFile):
+    """Available wires of one section, one for each of the lengths."""
 
     lengths_mm: tuple[Annotated[float, Field(ge=50, le=5000)], ...] = Field(
         min_length=1, max_length=50, description="hot lengths between the clamps"
     )
 
     def wires(self) -> tuple[WireFile, ...]:
-        """One wire for each length."""
-        own = self.model_dump(exclude={"lengths_mm"})
-        return tuple(WireFile(**own, length_mm=length) for length in self.lengths_mm)
+        """Return one wire for each length."""
+        fields = self.model_dump(exclude={"lengths_mm"})
+        return tuple(WireFile(**fields, length_mm=length) for length in self.lengths_mm)
 
 
-def wires_at_hand(entries: Sequence[WiresFile]) -> tuple[WireFile, ...]:
-    """All wires of a list, shortest first within a section.
+def available_wires(entries: Sequence[WiresFile]) -> tuple[WireFile, ...]:
+    """Return all wires of a list, shortest first within a section.
 
-    Raises ``TandemError`` with the field of each entry whose material or temperature cannot be, or that has
-    a wire which another one of the list is taken for (``problem.field``)."""
+    Raises:
+        TandemError: ``problem.field`` for each entry with an unknown material, an invalid temperature, or a
+            wire that cannot be distinguished from another one.
+    """
     issues: list[Issue] = []
     seen: dict[tuple[str, str], int] = {}
     for number, entry in enumerate(entries):
@@ -117,45 +120,53 @@ def wires_at_hand(entries: Sequence[WiresFile]) -> tuple[WireFile, ...]:
             material = wire_material(entry.material)
             if entry.temperature_c > material.limit_temperature:
                 what = f"{entry.temperature_c:g} C, allowed up to {material.limit_temperature:g} C for"
-                issues.append(_field(number, "temperature_c", f"got {what} {entry.material}; correct it"))
+                issues.append(
+                    _field_issue(number, "temperature_c", f"got {what} {entry.material}; correct it")
+                )
         except TandemError as error:
-            issues.append(_field(number, "material", error.issues[0].message))
-        before = seen.setdefault((entry.material, entry.size), number)
-        if before != number:
-            what = f"{entry.material} {entry.size} is given in wires.{before} already; "
-            issues.append(_field(number, "", what + "give each section once, with all its lengths"))
+            issues.append(_field_issue(number, "material", error.issues[0].message))
+        previous = seen.setdefault((entry.material, entry.size), number)
+        if previous != number:
+            what = f"{entry.material} {entry.size} is already given in wires.{previous}; "
+            issues.append(_field_issue(number, "", what + "give each section once, with all its lengths"))
         for a, b in itertools.pairwise(sorted(entry.lengths_mm)):
             if b - a < DISTINCT_LENGTH_MM:
-                what = f"{a:g} and {b:g} mm are one wire to whoever mounts it; give lengths that differ by "
-                issues.append(_field(number, "lengths_mm", what + f"{DISTINCT_LENGTH_MM:g} mm or more"))
+                what = f"{a:g} and {b:g} mm cannot be told apart by an operator; give lengths differing by "
+                issues.append(_field_issue(number, "lengths_mm", what + f"{DISTINCT_LENGTH_MM:g} mm or more"))
     if issues:
         raise TandemError(issues)
     return tuple(w for entry in entries for w in sorted(entry.wires(), key=lambda w: w.length_mm))
 
 
-def _field(number: int, name: str, what: str) -> Issue:
+def _field_issue(number: int, name: str, what: str) -> Issue:
     field = f"wires.{number}" + (f".{name}" if name else "")
     return Issue("problem.field", f"{field}: {what}", field=field)
 
 
-def wire_faults(at_hand: Sequence[BentWire], operations: Sequence[Any]) -> Iterator[Issue]:
-    """``problem.field`` for operations with a bent wire that state none where the cell has none either, that
-    state another one than those at hand, or whose power fits none of them."""
-    wires = [WireFile.of(wire) for wire in at_hand]
+def wire_faults(available: Sequence[BentWire], operations: Sequence[Any]) -> Iterator[Issue]:
+    """Yield ``problem.field`` for operations whose bent wire is missing or unavailable.
+
+    An operation is refused if neither it nor the cell states a wire, if its wire is not among those of the
+    cell, or if its power fits none of them.
+    """
+    wires = [WireFile.from_wire(wire) for wire in available]
     for index, operation in enumerate(operations):
         if getattr(operation, "process", "") != "elastic_wire":
             continue
-        field, own = f"operations.{index}.wire", operation.wire
+        field, operation_wire = f"operations.{index}.wire", operation.wire
         have = "; ".join(map(str, wires))
-        if own is None and not wires:
-            what = "no wire is stated and the cell lists none; add wire, or wires to the cell"
+        if operation_wire is None and not wires:
+            what = "no wire is stated and the cell lists none; state wire, or add wires to the cell"
             yield Issue("problem.field", f"{field}: {what}", field=field)
-        elif own is not None and wires and own not in wires:
-            what = f"{own} at {own.temperature_c:g} C is none of the wires of the cell, which are: {have}"
-            hint = "leave wire out, so that one of them is chosen, state one of them, or add it to the list"
+        elif operation_wire is not None and wires and operation_wire not in wires:
+            what = (
+                f"{operation_wire} at {operation_wire.temperature_c:g} C is not a wire of the cell, which "
+                f"has: {have}"
+            )
+            hint = "remove wire, so that one of them is chosen, state one of them, or add it to the list"
             yield Issue("problem.field", f"{field}: {what}", field=field, hint=hint)
-        elif own is None and operation.power_w is not None and not any(w.is_round for w in wires):
-            what = "the kerf of strips is not known, and all wires of the cell are strips; give kerf_mm"
+        elif operation_wire is None and operation.power_w is not None and not any(w.is_round for w in wires):
+            what = "the kerf of strips is unknown, and all wires of the cell are strips; give kerf_mm"
             yield Issue(
                 "problem.field", f"operations.{index}.power_w: {what}", field=f"operations.{index}.power_w"
             )
@@ -165,7 +176,7 @@ Range = tuple[Annotated[float, Field(gt=0, le=100_000)], Annotated[float, Field(
 
 
 class KerfFitFile(Strict):
-    """What test cuts say of the kerf: kerf = chi * ideal - offset."""
+    """Kerf as fitted to test cuts: kerf = chi * ideal - offset."""
 
     chi: float = Field(gt=0, le=100, description="slot per ideal width")
     offset_mm: float = Field(ge=-100, le=100)
@@ -181,13 +192,13 @@ class KerfFitFile(Strict):
 
     @field_validator("power_per_length_w_m", "speed_mm_s")
     @classmethod
-    def _ascends(cls, value: tuple[float, float]) -> tuple[float, float]:
+    def _is_ascending(cls, value: tuple[float, float]) -> tuple[float, float]:
         if value[0] > value[1]:
             raise ValueError("the lower value comes first")
         return value
 
-    def value(self) -> KerfFit:
-        """The fit in SI units."""
+    def to_fit(self) -> KerfFit:
+        """Convert the fit to SI units."""
         return KerfFit(
             chi=self.chi,
             offset=self.offset_mm * MM,
@@ -206,7 +217,7 @@ class KerfFitFile(Strict):
 
 
 class FoamFile(Strict):
-    """A foam of the user's own."""
+    """A custom foam."""
 
     tandem_foam: Literal[1]
     name: Name
@@ -219,32 +230,37 @@ class FoamFile(Strict):
     kerf: KerfFitFile | None = None
 
 
-def read_foam(path: Path) -> Foam:
-    """The foam of a file.
+def read_foam(path: Path) -> FoamMaterial:
+    """Read the foam of a file.
 
-    Raises `TandemError`: kerf.foam_file for every wrong field, with its line, and what `strict_yaml.read`
-    raises for what is not a YAML file.
+    Raises:
+        TandemError: ``kerf.foam_file`` for each wrong field, with its line, and the issues of
+            :func:`strict_yaml.read` for a file that is not YAML.
     """
     document = strict_yaml.read(path)
     try:
-        # as JSON, because its strict rules take a list for a tuple but no text for a number
+        # as JSON, whose strict rules accept a list for a tuple but no text for a number
         spec = FoamFile.model_validate_json(json.dumps(document.data), strict=True)
     except ValidationError as error:
-        raise TandemError([_issue(dict(one), document) for one in error.errors()]) from error
-    return _value(spec, spec.source or f"{path.name}, no source given")
+        raise TandemError([_foam_issue(dict(fault), document) for fault in error.errors()]) from error
+    return _build_foam(spec, spec.source or f"{path.name}, no source given")
 
 
-def make_foam(fields: dict[str, Any]) -> Foam:
-    """A foam without kerf from fields as in a foam file. Raises `TandemError` (kerf.foam_file)."""
+def make_foam(fields: dict[str, Any]) -> FoamMaterial:
+    """Create a foam without kerf from fields as in a foam file.
+
+    Raises:
+        TandemError: ``kerf.foam_file``.
+    """
     try:
-        return _value(FoamFile.model_validate({"tandem_foam": 1, **fields}), "as given")
+        return _build_foam(FoamFile.model_validate({"tandem_foam": 1, **fields}), "as given")
     except ValidationError as error:
-        raise TandemError([_issue(dict(one), None) for one in error.errors()]) from error
+        raise TandemError([_foam_issue(dict(fault), None) for fault in error.errors()]) from error
 
 
-def _value(spec: FoamFile, source: str) -> Foam:
+def _build_foam(spec: FoamFile, source: str) -> FoamMaterial:
     known = ("density", "specific_heat", "melt_temperature", "conductivity", "kerf")
-    return Foam(
+    return FoamMaterial(
         name=spec.name,
         title=spec.title or spec.name,
         density=spec.density_kg_m3,
@@ -252,14 +268,15 @@ def _value(spec: FoamFile, source: str) -> Foam:
         specific_heat=spec.specific_heat_j_kg_k,
         melt_temperature=spec.melt_temperature_c,
         conductivity=spec.conductivity_w_m_k,
-        kerf=None if spec.kerf is None else spec.kerf.value(),
+        kerf=None if spec.kerf is None else spec.kerf.to_fit(),
     )
 
 
-def write_foam(path: Path, foam: Foam, source: str) -> None:
-    """Write a foam with its specific heat and melting temperature so that `read` gives it back.
+def write_foam(path: Path, foam: FoamMaterial, source: str) -> None:
+    """Write a foam with specific heat and melting temperature, so that :func:`read_foam` returns it.
 
-    Raises `TandemError` (output.folder) where the file cannot be written.
+    Raises:
+        TandemError: ``output.folder`` if the file cannot be written.
     """
     data: dict[str, Any] = {
         "tandem_foam": 1,
@@ -273,20 +290,20 @@ def write_foam(path: Path, foam: Foam, source: str) -> None:
     if foam.conductivity is not None:
         data["conductivity_w_m_k"] = foam.conductivity
     if foam.kerf is not None:
-        data["kerf"] = _written(foam.kerf)
+        data["kerf"] = _fit_data(foam.kerf)
     head = (
-        "# A foam of your own, for a problem's stock: {foam: {file: ...}}. How it was fitted: docs/kerf.md\n"
+        "# A custom foam, for a problem's stock: {foam: {file: ...}}. The fit is described in docs/kerf.md\n"
     )
     try:
-        write_whole(
+        write_atomic(
             path, head + yaml.safe_dump(data, sort_keys=False, allow_unicode=True, default_flow_style=None)
         )
     except OSError as error:
-        text = f"{path}: cannot be written ({error.strerror or error}); choose another place"
-        raise refusal("output.folder", text, file=str(path)) from error
+        text = f"{path}: cannot be written ({error.strerror or error}); choose another folder"
+        raise issue_error("output.folder", text, file=str(path)) from error
 
 
-def _written(fit: KerfFit) -> dict[str, Any]:
+def _fit_data(fit: KerfFit) -> dict[str, Any]:
     tests = fit.tests
     data = {
         "chi": fit.chi,
@@ -302,26 +319,27 @@ def _written(fit: KerfFit) -> dict[str, Any]:
     }
     if tests.burnt_speed is not None:
         data["burnt_speed_mm_s"] = tests.burnt_speed / MM
-    return {key: _short(value) for key, value in data.items()}
+    return {key: _round_digits(value) for key, value in data.items()}
 
 
-def _short(value: Any) -> Any:
-    """Nine figures are more than any test cut has."""
+def _round_digits(value: Any) -> Any:
+    """Round to nine digits, more than any test cut has."""
     if isinstance(value, list):
-        return [_short(one) for one in value]
+        return [_round_digits(item) for item in value]
     return float(f"{value:.9g}") if isinstance(value, float) else value
 
 
-def _issue(error: dict[str, Any], document: strict_yaml.Document | None) -> Issue:
+def _foam_issue(error: dict[str, Any], document: strict_yaml.Document | None) -> Issue:
     location = tuple(error["loc"])
     field = ".".join(str(step) for step in location)
     got = error.get("input")
-    shown = "" if error["type"] == "missing" or isinstance(got, dict | list) else f", got {got!r:.60}"
     remedy = {"missing": "add it", "extra_forbidden": "remove it or correct its spelling"}
     what = "unknown key" if error["type"] == "extra_forbidden" else error["msg"]
+    if error["type"] != "missing" and not isinstance(got, dict | list):
+        what += f", got {got!r:.60}"
     return Issue(
         "kerf.foam_file",
-        f"{what}{shown}",
+        what,
         file=None if document is None else str(document.path),
         line=None if document is None else document.line(location),
         field=field,

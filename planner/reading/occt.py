@@ -1,10 +1,10 @@
-"""The thin layer over Open CASCADE (``OCP`` of the extra ``step``): the faces of a STEP or IGES file.
+"""Thin layer over Open CASCADE (``OCP`` of the extra ``step``) that extracts faces of a STEP or IGES file.
 
-Run as a program of its own (``python -m planner.reading.occt``), with what is asked for as JSON on
-standard input; it answers in JSON. So a file that crashes Open CASCADE ends in words, and its memory is
-given back. All lengths come out in millimetres, as Open CASCADE converts them. Nothing else of the planner
-imports ``OCP``; in its version 8.0 ``TDF_Label.FindAttribute`` and ``XCAFDoc_ShapeTool.Search`` crash where
-there is nothing to be found, so that they are not called there.
+It runs as a separate process (``python -m planner.reading.occt``), with a JSON request on standard input and
+a JSON answer on standard output. So a file that crashes Open CASCADE results in a message, and its memory is
+released. All lengths are in millimetres, as Open CASCADE converts them. No other module of the planner
+imports ``OCP``. In version 8.0 of it ``TDF_Label.FindAttribute`` and ``XCAFDoc_ShapeTool.Search`` crash if
+there is nothing to find, so they are not called then.
 """
 
 import json
@@ -14,46 +14,50 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 IGES_SUFFIXES: Final = (".igs", ".iges")
-"""Files that are read as IGES; others are STEP."""
+"""Suffixes of files that are read as IGES. Others are STEP."""
 IGES_UNITS: Final = {1: "inch", 2: "millimetre", 4: "foot", 6: "metre", 10: "centimetre"}
 """Units of IGES files by their flag; one is always stated."""
-PLACES: Final = 9
-"""Places of an edge at which it is looked at where a face is trimmed, its ends included."""
-TOLD: Final = 24
-"""Faces that are told of where another number is asked for."""
+EDGE_SAMPLES: Final = 9
+"""Number of points on an edge, ends included, at which the trimming of a face is tested."""
+MAX_LISTED_FACES: Final = 24
+"""Maximum number of faces that an answer lists."""
 
 
-def answer(asked: dict[str, Any]) -> dict[str, Any]:
-    """What a file has of what is asked for (``file``, and ``face``, ``name``, ``colour``).
+def answer(request: dict[str, Any]) -> dict[str, Any]:
+    """Answer a request for faces of a file.
 
-    ``units``: names of the file's units of length; ``bodies``: how many; ``faces``: number, names, colour and
-    kind of those that are meant, `TOLD` at most, and ``count`` of them; ``surface`` where it is one.
-    ``fault``: why nothing can be had.
+    Args:
+        request: ``file``, and optionally ``face``, ``name``, ``colour``.
+
+    Returns:
+        ``units``: names of the length units of the file; ``bodies``: their number; ``faces``: number, names,
+            colour and kind of matching faces, at most `MAX_LISTED_FACES`; ``count``: number of matching
+            faces; ``surface`` if there is exactly one. ``fault``: the reason if there is no answer.
     """
-    path = str(asked["file"])
+    path = str(request["file"])
     reader, document = _reader(path)
     from OCP.IFSelect import IFSelect_RetDone
 
     if reader.ReadFile(path) != IFSelect_RetDone:
-        return {"fault": "it is no whole STEP or IGES file"}
+        return {"fault": "it is not a complete STEP or IGES file"}
     units = _units(reader, path)
     if not reader.Transfer(document):
-        return {"fault": "it has nothing that Open CASCADE takes for a shape", "units": units}
-    faces, found, chosen, bodies = list[dict[str, Any]](), 0, None, 0
+        return {"fault": "it has no shape that Open CASCADE can read", "units": units}
+    faces, count, chosen, bodies = list[dict[str, Any]](), 0, None, 0
     for number, face, about in _faces(reader, document):
         bodies = max(bodies, about.pop("body"))
-        names = [one.lower() for one in about["names"]]
-        if asked.get("face") not in (None, number):
+        names = [name.lower() for name in about["names"]]
+        if request.get("face") not in (None, number):
             continue
-        if asked.get("name") is not None and str(asked["name"]).lower() not in names:
+        if request.get("name") is not None and str(request["name"]).lower() not in names:
             continue
-        if asked.get("colour") is not None and str(asked["colour"]).lower() != about["colour"]:
+        if request.get("colour") is not None and str(request["colour"]).lower() != about["colour"]:
             continue
-        found, chosen = found + 1, face
-        if len(faces) < TOLD:
+        count, chosen = count + 1, face
+        if len(faces) < MAX_LISTED_FACES:
             faces.append({"number": number, **about})
-    out = {"units": units, "bodies": bodies, "faces": faces, "count": found}
-    return out | {"surface": _surface(chosen)} if found == 1 else out
+    out = {"units": units, "bodies": bodies, "faces": faces, "count": count}
+    return out | {"surface": _surface(chosen)} if count == 1 else out
 
 
 def _reader(path: str) -> tuple[Any, Any]:
@@ -64,7 +68,7 @@ def _reader(path: str) -> tuple[Any, Any]:
     from OCP.TDocStd import TDocStd_Document
 
     for printer in list(Message.DefaultMessenger_s().Printers()):
-        Message.DefaultMessenger_s().RemovePrinter(printer)  # they would write between the lines of JSON
+        Message.DefaultMessenger_s().RemovePrinter(printer)  # they would mix with the JSON answer
     iges = path.lower().endswith(IGES_SUFFIXES)
     reader = IGESCAFControl_Reader() if iges else STEPCAFControl_Reader()
     reader.SetNameMode(True)
@@ -84,7 +88,7 @@ def _units(reader: Any, path: str) -> list[str]:
 
 
 def _faces(reader: Any, document: Any) -> Iterator[tuple[int, Any, dict[str, Any]]]:
-    """Each face with its number from 1, in the order of the file's shapes, and what is known about it."""
+    """Yield each face with its number from 1, in the order of the shapes in the file, and its properties."""
     from OCP.BRepAdaptor import BRepAdaptor_Surface
     from OCP.collections import Sequence_TDF_Label
     from OCP.TDataStd import TDataStd_Name
@@ -99,22 +103,22 @@ def _faces(reader: Any, document: Any) -> Iterator[tuple[int, Any, dict[str, Any
     number = bodies = 0
     for k in range(labels.Length()):
         label = labels.Value(k + 1)
-        own = []
+        label_names = []
         if label.IsAttribute(TDataStd_Name.GetID_s()):  # else FindAttribute crashes
             name = TDataStd_Name()
             label.FindAttribute(TDataStd_Name.GetID_s(), name)
-            own = [name.Get().ToExtString()]
+            label_names = [name.Get().ToExtString()]
         root = shapes.GetShape_s(label)
         solids = list(_parts(root, TopAbs_SOLID))
         loose = list(_parts(root, TopAbs_SHELL, TopAbs_SOLID))
         single = list(_parts(root, TopAbs_FACE, TopAbs_SHELL))
         for body in (*solids, *loose, *single):
             bodies += 1
-            within = [*own, *_name(reader, body)]
-            for one in _parts(body, TopAbs_FACE):
+            within = [*label_names, *_names(reader, body)]
+            for face_shape in _parts(body, TopAbs_FACE):
                 number += 1
-                face = TopoDS.Face(one)
-                names = dict.fromkeys([*_name(reader, face), *within])
+                face = TopoDS.Face(face_shape)
+                names = dict.fromkeys([*_names(reader, face), *within])
                 kind = str(BRepAdaptor_Surface(face).GetType()).rpartition("_")[2].lower()
                 colour = next((c for part in (face, body, root) if (c := _colour(colours, part))), None)
                 about = {"names": [n for n in names if n], "colour": colour, "kind": kind, "body": bodies}
@@ -122,7 +126,7 @@ def _faces(reader: Any, document: Any) -> Iterator[tuple[int, Any, dict[str, Any
 
 
 def _parts(shape: Any, kind: Any, outside: Any = None) -> Iterator[Any]:
-    """Parts of one kind, those within ``outside`` left out."""
+    """Yield parts of one kind, except those within ``outside``."""
     from OCP.TopExp import TopExp_Explorer
 
     walk = TopExp_Explorer(shape, kind) if outside is None else TopExp_Explorer(shape, kind, outside)
@@ -131,7 +135,7 @@ def _parts(shape: Any, kind: Any, outside: Any = None) -> Iterator[Any]:
         walk.Next()
 
 
-def _name(reader: Any, shape: Any) -> list[str]:
+def _names(reader: Any, shape: Any) -> list[str]:
     session = reader.ChangeReader().WS() if hasattr(reader, "ChangeReader") else reader.WS()
     entity = session.TransferReader().EntityFromShapeResult(shape, 1)
     for key in ("Name", "NameValue"):
@@ -146,16 +150,18 @@ def _colour(colours: Any, shape: Any) -> str | None:
     from OCP.Quantity import Quantity_Color
     from OCP.XCAFDoc import XCAFDoc_ColorGen, XCAFDoc_ColorSurf
 
-    found = Quantity_Color()
+    colour = Quantity_Color()
     for kind in (XCAFDoc_ColorSurf, XCAFDoc_ColorGen):
-        if colours.GetColor(shape, kind, found):
-            return str(Quantity_Color.ColorToHex_s(found).ToCString()).lower()
+        if colours.GetColor(shape, kind, colour):
+            return str(Quantity_Color.ColorToHex_s(colour).ToCString()).lower()
     return None
 
 
 def _surface(face: Any) -> dict[str, Any]:
-    """The face as a B-spline surface between its own lines: degrees, knots, control points (x, y, z, weight)
-    [mm]; whether its normal is turned; or the fault that it has."""
+    """Return the face as a B-spline surface between its parameter lines, or its fault.
+
+    The answer has degrees, knots, control points (x, y, z, weight) [mm], and whether the normal is reversed.
+    """
     from OCP.BRep import BRep_Tool
     from OCP.BRepAdaptor import BRepAdaptor_Curve2d
     from OCP.TopAbs import TopAbs_EDGE, TopAbs_REVERSED, TopAbs_WIRE
@@ -164,29 +170,38 @@ def _surface(face: Any) -> dict[str, Any]:
     if len(list(_parts(face, TopAbs_WIRE))) != 1:
         return {"fault": "holes"}
     edges = []
-    for one in _parts(face, TopAbs_EDGE):
-        curve = BRepAdaptor_Curve2d(TopoDS.Edge(one), face)
+    for edge_shape in _parts(face, TopAbs_EDGE):
+        curve = BRepAdaptor_Curve2d(TopoDS.Edge(edge_shape), face)
         first, last = curve.FirstParameter(), curve.LastParameter()
-        at = [curve.Value(first + k / (PLACES - 1) * (last - first)) for k in range(PLACES)]
+        at = [curve.Value(first + k / (EDGE_SAMPLES - 1) * (last - first)) for k in range(EDGE_SAMPLES)]
         edges.append([(point.X(), point.Y()) for point in at])
     if not edges:
         return {"fault": "no edges"}
     surface = BRep_Tool.Surface_s(face)
     region = [[f(p[k] for edge in edges for p in edge) for f in (min, max)] for k in (0, 1)]
     try:
-        made = _spline(surface, region)
-    except Exception as error:  # Open CASCADE's own kinds, which are many
+        spline = _spline(surface, region)
+    except Exception as error:  # Open CASCADE raises many kinds
         return {"fault": f"no B-spline ({type(error).__name__})"}
     return {
         "edges": edges,
         "region": region,
-        "degree": [made.UDegree(), made.VDegree()],
+        "degree": [spline.UDegree(), spline.VDegree()],
         "knots": [
-            [made.UKnot(k + 1) for k in range(made.NbUKnots()) for _ in range(made.UMultiplicity(k + 1))],
-            [made.VKnot(k + 1) for k in range(made.NbVKnots()) for _ in range(made.VMultiplicity(k + 1))],
+            [
+                spline.UKnot(k + 1)
+                for k in range(spline.NbUKnots())
+                for _ in range(spline.UMultiplicity(k + 1))
+            ],
+            [
+                spline.VKnot(k + 1)
+                for k in range(spline.NbVKnots())
+                for _ in range(spline.VMultiplicity(k + 1))
+            ],
         ],
         "control": [
-            [_homogeneous(made, i + 1, j + 1) for j in range(made.NbVPoles())] for i in range(made.NbUPoles())
+            [_homogeneous(spline, i + 1, j + 1) for j in range(spline.NbVPoles())]
+            for i in range(spline.NbUPoles())
         ],
         "reversed": face.Orientation() == TopAbs_REVERSED,
     }
@@ -203,25 +218,25 @@ def _spline(surface: Any, region: list[list[float]]) -> Any:
     if not surface.IsVPeriodic():
         v0, v1 = max(v0, low_v), min(v1, high_v)
     piece = Geom_RectangularTrimmedSurface(surface, u0, u1, v0, v1, True, True)
-    made = GeomConvert.SurfaceToBSplineSurface_s(piece)
-    if made.IsUPeriodic():
-        made.SetUNotPeriodic()
-    if made.IsVPeriodic():
-        made.SetVNotPeriodic()
-    return made
+    spline = GeomConvert.SurfaceToBSplineSurface_s(piece)
+    if spline.IsUPeriodic():
+        spline.SetUNotPeriodic()
+    if spline.IsVPeriodic():
+        spline.SetVNotPeriodic()
+    return spline
 
 
-def _homogeneous(made: Any, i: int, j: int) -> list[float]:
-    pole, weight = made.Pole(i, j), made.Weight(i, j)
+def _homogeneous(spline: Any, i: int, j: int) -> list[float]:
+    pole, weight = spline.Pole(i, j), spline.Weight(i, j)
     return [pole.X() * weight, pole.Y() * weight, pole.Z() * weight, weight]
 
 
 def main() -> None:
-    """Answers what standard input asks for, and ends without Open CASCADE's own clearing up."""
-    told = os.dup(1)
-    os.dup2(2, 1)  # what Open CASCADE prints is no answer
+    """Answer the request on standard input, and exit without Open CASCADE's clean-up."""
+    answer_fd = os.dup(1)
+    os.dup2(2, 1)  # keep Open CASCADE's prints out of the answer
     out = answer(json.loads(sys.stdin.read()))
-    with os.fdopen(told, "w") as stream:
+    with os.fdopen(answer_fd, "w") as stream:
         json.dump(out, stream)
     sys.stderr.flush()
     os._exit(0)

@@ -1,9 +1,9 @@
-"""The part of a problem file: one of several kinds, and the part in the stock frame in SI units.
+"""The part of a problem file, and its conversion to the stock frame in SI units.
 
-Outlines through a plate stand here: points, splines, circles, or a DXF file. Other kinds have modules
-of their own: faces, and surfaces that are ruled or cut into ruled strips
-(:mod:`planner.reading.part_surfaces`), ruled surfaces between guides and wings
-(:mod:`planner.reading.part_ruled`), parts of sheets (:mod:`planner.reading.sheet`).
+This module has outlines through a plate: points, splines, circles, or a DXF file. Other kinds have modules of
+their own: faces, and surfaces that are ruled or cut into ruled strips (:mod:`planner.reading.part_surfaces`),
+ruled surfaces between guides and wings (:mod:`planner.reading.part_ruled`), parts of sheets
+(:mod:`planner.reading.sheet`).
 """
 
 import dataclasses
@@ -16,33 +16,33 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from planner.claims.segments import fold
 from planner.geometry import curves as outlines
-from planner.geometry.arrays import FloatArray, Mesh, Ruled, from_parts, from_rpy, transform
-from planner.geometry.curves import Guide, polyline, spline
+from planner.geometry.arrays import FloatArray, Mesh, RuledSurface, from_parts, from_rpy, transform
+from planner.geometry.curves import RuledGuide, polyline_guide, spline_guide
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.placing import (
-    LONGEST_EXTENT,
+from planner.geometry.part_placement import (
+    MAX_EXTENT_M,
     check_ruled,
-    fit_into_block,
-    lay_along,
-    outwards,
+    facing_outwards,
     overhang,
-    standing_out,
+    pose_along_rulings,
+    pose_in_block,
+    surfaces_overhang,
 )
 from planner.geometry.rulings import resample
 from planner.geometry.units import DEG, LENGTH_UNITS, MM, measurement
-from planner.issues import Issue, Remedy, Severity, TandemError, has_errors, refusal
+from planner.issues import Issue, Remedy, Severity, TandemError, has_errors, issue_error
 from planner.problem import Part, Stock
 from planner.reading import part_ruled, part_surfaces, rhino, sheet
 from planner.reading.drawing import FileCurve, read_dxf
-from planner.reading.part_ruled import SPLINE_CHORD, RuledFile, WingFile
-from planner.reading.part_surfaces import BackFile, Faces, FrontFile, RuledMeshFile, StripsFile
+from planner.reading.part_ruled import SPLINE_CHORD_TOLERANCE_M, RuledFile, WingFile
+from planner.reading.part_surfaces import BackFile, FrontFile, PartFaces, RuledMeshFile, StripsFile
 from planner.reading.rhino import RhinoFile
 from planner.reading.sheet import SheetMeshFile
-from planner.reading.strict_yaml import Far, FileName, Positive, Strict, Unit, Vector
+from planner.reading.strict_yaml import Coordinate, FileName, Positive, Strict, Unit, Vector
 
-Flat = tuple[Far, Far]
-_MOST_OUTLINES = 26 * 27
-"""Outlines of a plate at most: as many as have names of one or two letters (a ... z, aa ... zz)."""
+Flat = tuple[Coordinate, Coordinate]
+_MAX_OUTLINES = 26 * 27
+"""Maximum number of outlines of a plate: those with names of one or two letters (a ... z, aa ... zz)."""
 
 
 class CircleFile(Strict):
@@ -61,8 +61,9 @@ class PlateDxfFile(Strict):
 
 
 class OutlineFile(Strict):
-    """A closed outline: exactly one of points (the first is not repeated), control points of a closed spline,
-    and a circle.
+    """A closed outline: exactly one of points, control points of a closed spline, and a circle.
+
+    The first point is not repeated.
     """
 
     polyline_mm: Annotated[tuple[Flat, ...], Field(min_length=3, max_length=20_000)] | None = None
@@ -70,16 +71,17 @@ class OutlineFile(Strict):
     circle: CircleFile | None = None
 
     @model_validator(mode="after")
-    def _one(self) -> "OutlineFile":
+    def _exactly_one(self) -> "OutlineFile":
         if sum(v is not None for v in (self.polyline_mm, self.bspline_mm, self.circle)) != 1:
             raise ValueError("give exactly one of polyline_mm, bspline_mm and circle")
         return self
 
 
 class PlateFile(Strict):
-    """Outlines that are cut through the block from its bottom to its top: given one by one, as the closed
-    curves of a DXF or Rhino file seen along z, or both. Outlines inside others are holes, and pieces again
-    inside those.
+    """Outlines cut through the block from bottom to top.
+
+    They are given one by one, as the closed curves of a DXF or Rhino file seen along z, or both. Outlines
+    inside others are holes, and outlines inside those are pieces again.
     """
 
     outlines: tuple[OutlineFile, ...] = Field(default=(), max_length=500)
@@ -88,56 +90,67 @@ class PlateFile(Strict):
     corner_deg: float = Field(default=20.0, ge=1, le=179)
 
     @model_validator(mode="after")
-    def _some(self) -> "PlateFile":
+    def _at_least_one(self) -> "PlateFile":
         if not self.outlines and self.dxf is None and self.rhino is None:
             raise ValueError("give outlines, dxf or rhino, or several of them")
         return self
 
 
-def build_plate(spec: PlateFile, folder: Path, height: float) -> tuple[list[Ruled], list[Issue]]:
-    """The outlines as ruled surfaces from z = 0 to ``height`` [m], holes first, and notes.
+def build_plate(spec: PlateFile, folder: Path, height: float) -> tuple[list[RuledSurface], list[Issue]]:
+    """Convert the outlines to ruled surfaces from z = 0 to ``height``, holes first, and notes.
 
-    Named ``outline_a``, ``outline_b`` ... and ``hole_a``, ``hole_b`` ... in the order in which they may be
-    cut. Raises ``TandemError``: issues of DXF files, ``part.outline_open``, ``part.outline_crossing``,
-    ``part.outline_overlap``, ``part.outline_duplicate``, ``part.guide``.
+    Surfaces are named ``outline_a``, ``outline_b`` ... and ``hole_a``, ``hole_b`` ... in an order in which
+    they can be cut.
+
+    Args:
+        spec: Outlines of the file.
+        folder: Folder to which file names are relative.
+        height: Height of the block [m].
+
+    Raises:
+        TandemError: Issues of DXF files, ``part.outline_open``, ``part.outline_crossing``,
+            ``part.outline_overlap``, ``part.outline_duplicate``, ``part.guide``.
     """
     guides, names, notes = _guides(spec, folder)
     issues = [
         Issue(
             "part.guide",
             f"the outline has {len(guide.points)} points and a length of {guide.length / MM:.4g} mm; "
-            f"at least 3 points that differ, 1 mm and at most {LONGEST_EXTENT / MM:g} mm across are wanted",
+            f"at least 3 points that differ, 1 mm and at most {MAX_EXTENT_M / MM:g} mm across are required",
             field=name,
         )
         for guide, name in zip(guides, names, strict=True)
-        if len(guide.points) < 3 or guide.length < 1e-3 or np.ptp(guide.points, axis=0).max() > LONGEST_EXTENT
+        if len(guide.points) < 3 or guide.length < 1e-3 or np.ptp(guide.points, axis=0).max() > MAX_EXTENT_M
     ]
-    if len(guides) > _MOST_OUTLINES:
+    if len(guides) > _MAX_OUTLINES:
         issues.append(
-            Issue("part.dxf", f"{len(guides)} outlines, {_MOST_OUTLINES} are allowed", field="part.plate")
+            Issue("part.dxf", f"{len(guides)} outlines, allowed {_MAX_OUTLINES}", field="part.plate")
         )
     if not issues:
         issues = outlines.check_outlines([guide.points[:, :2] for guide in guides], names)
     if issues:
         raise TandemError(issues)
-    found = outlines.nested([g.points[:, :2] for g in guides], [g.corner for g in guides])
+    nested = outlines.nest_outlines([g.points[:, :2] for g in guides], [g.corner for g in guides])
     count = {True: 0, False: 0}
     ruled = []
-    for outline in found:
-        name = f"{'hole' if outline.hole else 'outline'}_{letters(count[outline.hole])}"
+    for outline in nested:
+        name = f"{'hole' if outline.hole else 'outline'}_{letter_label(count[outline.hole])}"
         count[outline.hole] += 1
         start = np.concatenate([outline.points, np.zeros((len(outline.points), 1))], axis=1)
         end = start + np.array([0.0, 0.0, height])
-        own = outwards(Ruled(name, start, end, outline.corner, closed=True, hole=outline.hole))
-        ruled.append(resample(own, 0.5e-5, 1.0))
+        surface = facing_outwards(
+            RuledSurface(name, start, end, outline.corner, closed=True, hole=outline.hole)
+        )
+        ruled.append(resample(surface, 0.5e-5, 1.0))
     return ruled, notes
 
 
-def middle(ruled: Sequence[Ruled], stock_size: FloatArray) -> FloatArray:
-    """Pose (4, 4) that puts the middle of all outlines over the middle of the block, turned by 90 degrees
-    where they fit only so.
+def centring_pose(ruled: Sequence[RuledSurface], stock_size: FloatArray) -> FloatArray:
+    """Return the pose (4, 4) that puts the centre of all outlines over the centre of the block.
+
+    The outlines are rotated by 90 degrees if they fit only so.
     """
-    flat = np.concatenate([own.start for own in ruled])
+    flat = np.concatenate([surface.start for surface in ruled])
     centre = 0.5 * (flat.min(axis=0) + flat.max(axis=0))
     extent = np.ptp(flat, axis=0)[:2]
     turn = (extent > stock_size[:2] + 1e-9).any() and (extent[::-1] <= stock_size[:2] + 1e-9).all()
@@ -145,88 +158,96 @@ def middle(ruled: Sequence[Ruled], stock_size: FloatArray) -> FloatArray:
     return from_parts(rotation, -rotation @ np.array([centre[0], centre[1], 0.0]))
 
 
-def letters(number: int) -> str:
-    """a, b ... z, aa, ab ...: labels of segments must not end in digits."""
+def letter_label(number: int) -> str:
+    """Return a, b ... z, aa, ab ...: labels of segments must not end in digits."""
     head, tail = divmod(number, 26)
     return (chr(96 + head) if head else "") + chr(97 + tail)
 
 
-def _guides(spec: PlateFile, folder: Path) -> tuple[list[Guide], list[str], list[Issue]]:
-    guides: list[Guide] = []
+def _guides(spec: PlateFile, folder: Path) -> tuple[list[RuledGuide], list[str], list[Issue]]:
+    guides: list[RuledGuide] = []
     names: list[str] = []
     notes: list[Issue] = []
     drawn: list[tuple[str, FileCurve]] = []
-    for index, own in enumerate(spec.outlines):
-        guides.append(_guide(own, spec.corner_deg * DEG))
+    for index, outline in enumerate(spec.outlines):
+        guides.append(_guide(outline, spec.corner_deg * DEG))
         names.append(f"part.plate.outlines.{index}")
     if spec.dxf is not None:
         path, field = folder / spec.dxf.file, "part.plate.dxf"
-        found, told = read_dxf(path, LENGTH_UNITS[spec.dxf.unit], spec.dxf.layer, field)
-        notes += [*told, *_flat(path, found, field, "part.dxf_left_out")]
-        drawn = [(field, curve) for curve in found]
+        curves, file_notes = read_dxf(path, LENGTH_UNITS[spec.dxf.unit], spec.dxf.layer, field)
+        notes += [*file_notes, *_flatness_notes(path, curves, field, "part.dxf_left_out")]
+        drawn = [(field, curve) for curve in curves]
     if spec.rhino is not None:
         path, field = folder / spec.rhino.file, "part.plate.rhino"
-        found, told = rhino.curves(spec.rhino, folder, field)
-        notes += [*told, *_flat(path, found, field, "part.rhino_left_out")]
-        drawn += [(field, curve) for curve in found]
-    # a drawing has no order of its own: from left to right
-    for number, (field, curve) in sorted(enumerate(drawn, start=1), key=lambda c: _corner(c[1][1].points)):
-        guides.append(polyline(curve.points * [1.0, 1.0, 0.0], True, spec.corner_deg * DEG))
+        curves, file_notes = rhino.read_curves(spec.rhino, folder, field)
+        notes += [*file_notes, *_flatness_notes(path, curves, field, "part.rhino_left_out")]
+        drawn += [(field, curve) for curve in curves]
+    # the order of a drawing has no meaning: sort from left to right
+    for number, (field, curve) in sorted(
+        enumerate(drawn, start=1), key=lambda c: _lower_corner(c[1][1].points)
+    ):
+        guides.append(polyline_guide(curve.points * [1.0, 1.0, 0.0], True, spec.corner_deg * DEG))
         names.append(f"{field} (curve {number})")
     return guides, names, notes
 
 
-def _flat(path: Path, found: Sequence[FileCurve], field: str, code: str) -> list[Issue]:
-    """A note with this code where curves are not flat. Raises ``TandemError`` (``part.outline_open``)."""
-    opened = [curve for curve in found if not curve.closed]
-    if opened:
-        at = opened[0].points[0] / MM
-        gap = np.linalg.norm(opened[0].points[0] - opened[0].points[-1]) / MM
+def _flatness_notes(path: Path, curves: Sequence[FileCurve], field: str, code: str) -> list[Issue]:
+    """Return a note with this code if curves are not flat.
+
+    Raises:
+        TandemError: ``part.outline_open``.
+    """
+    open_curves = [curve for curve in curves if not curve.closed]
+    if open_curves:
+        at = open_curves[0].points[0] / MM
+        gap = np.linalg.norm(open_curves[0].points[0] - open_curves[0].points[-1]) / MM
         what = (
-            f"{path.name}: {len(opened)} of {len(found)} curves are not closed, the first begins at "
+            f"{path.name}: {len(open_curves)} of {len(curves)} curves are not closed, the first begins at "
             f"({at[0]:.2f}, {at[1]:.2f}) mm with its ends {gap:.3g} mm apart; close them, or name a layer "
             "without them"
         )
-        raise refusal("part.outline_open", what, file=str(path), field=field)
-    height = max(float(np.ptp(curve.points[:, 2])) for curve in found)
+        raise issue_error("part.outline_open", what, file=str(path), field=field)
+    height = max(float(np.ptp(curve.points[:, 2])) for curve in curves)
     if height <= 1e-5:
         return []
-    what = f"{path.name}: its curves are not flat ({height / MM:.3g} mm in z); seen along z they were taken"
+    what = f"{path.name}: its curves are not flat ({height / MM:.3g} mm in z); they were projected along z"
     return [Issue(code, what, Severity.NOTE, file=str(path), field=field)]
 
 
-def _corner(points: FloatArray) -> tuple[float, ...]:
-    """Least x and y [mm] of points (N, 3), rounded."""
+def _lower_corner(points: FloatArray) -> tuple[float, ...]:
+    """Return the minimum x and y [mm] of points (N, 3), rounded."""
     return tuple((points[:, :2].min(axis=0) / MM).round(3).tolist())
 
 
-def _guide(spec: OutlineFile, angle: float) -> Guide:
+def _guide(spec: OutlineFile, angle: float) -> RuledGuide:
     if spec.circle is not None:
         radius = spec.circle.radius_mm * MM
-        count = max(16, int(np.ceil(np.pi / np.arccos(max(0.0, 1.0 - SPLINE_CHORD / radius)))))
+        count = max(16, int(np.ceil(np.pi / np.arccos(max(0.0, 1.0 - SPLINE_CHORD_TOLERANCE_M / radius)))))
         turn = np.arange(count) / count * 2.0 * np.pi
         x, y = np.array(spec.circle.centre_mm) * MM
         ring = np.stack([x + radius * np.cos(turn), y + radius * np.sin(turn), 0.0 * turn], axis=1)
-        return Guide(ring, np.zeros(count, dtype=np.bool_), turn / (2.0 * np.pi), closed=True)
+        return RuledGuide(ring, np.zeros(count, dtype=np.bool_), turn / (2.0 * np.pi), closed=True)
     flat = np.array(spec.polyline_mm or spec.bspline_mm, dtype=np.float64) * MM
     points = np.concatenate([flat, np.zeros((len(flat), 1))], axis=1)
     if spec.polyline_mm is not None:
-        return polyline(points, True, angle)
-    return spline("bspline", np.concatenate([points, points[:1]]), SPLINE_CHORD, closed=True)
+        return polyline_guide(points, True, angle)
+    return spline_guide(
+        "bspline", np.concatenate([points, points[:1]]), SPLINE_CHORD_TOLERANCE_M, closed=True
+    )
 
 
 PART_KINDS = ("front", "ruled", "wing", "plate", "mesh", "strips", "sheet_mesh")
-"""Keys of a part, one for each kind; exactly one is given."""
+"""Keys of a part, one for each kind. Exactly one is given."""
 
 
 class PlaceFile(Strict):
-    """Where the part's own frame is in the stock frame."""
+    """Pose of the part frame in the stock frame."""
 
     xyz_mm: Vector = (0.0, 0.0, 0.0)
     rpy_deg: Vector = (0.0, 0.0, 0.0)
 
-    def matrix(self) -> FloatArray:
-        """The pose as (4, 4) in metres."""
+    def to_matrix(self) -> FloatArray:
+        """Return the pose as (4, 4) in metres."""
         return from_rpy(np.array(self.xyz_mm) * MM, np.array(self.rpy_deg) * DEG)
 
 
@@ -237,11 +258,13 @@ InStock = Annotated[
 
 
 class PartFile(Strict):
-    """The wanted part: exactly one of ``front`` (with or without ``back``), ``ruled``, ``wing``, ``plate``,
-    ``mesh``, ``strips`` and ``sheet_mesh``, the last one of a sheet that is formed.
+    """The part to make, given by exactly one of its kinds.
 
-    ``in_stock: auto`` lays it into the block: a front up, long side along long side; ruled surfaces with
-    their rulings along the longest axis of the block along which they fit; outlines of a plate in the middle.
+    These are ``front`` (with or without ``back``), ``ruled``, ``wing``, ``plate``, ``mesh``, ``strips`` and
+    ``sheet_mesh`` (formed from a sheet).
+
+    ``in_stock: auto`` places it in the block: a front face up, long side along long side; ruled surfaces with
+    their rulings along the longest axis of the block along which they fit; outlines of a plate in the centre.
     """
 
     front: FrontFile | None = None
@@ -255,137 +278,143 @@ class PartFile(Strict):
     in_stock: InStock = "auto"
 
     @model_validator(mode="after")
-    def _one(self) -> "PartFile":
+    def _exactly_one(self) -> "PartFile":
         given = [kind for kind in PART_KINDS if getattr(self, kind) is not None]
         if len(given) != 1:
             got = " and ".join(given) or "none of them"
             raise ValueError(f"give exactly one of {', '.join(PART_KINDS)}; got {got}")
         if self.back is not None and self.front is None:
-            raise ValueError("a back belongs to a front")
+            raise ValueError("back requires a front")
         names = [fold(ruled.name) for ruled in self.ruled or ()]
         if len(set(names)) != len(names):
             raise ValueError(
-                "ruled: two surfaces have the same name, or names that programs cannot tell apart (case and "
+                "ruled: two surfaces have the same name, or names that programs cannot distinguish (case and "
                 "runs of underscores do not count); rename one"
             )
         return self
 
 
-def build(spec: PartFile, folder: Path, stock: Stock) -> Part:
-    """The part in the stock frame of a block or sheet; files are looked up from ``folder``.
+def build_part(spec: PartFile, folder: Path, stock: Stock) -> Part:
+    """Convert the part to the stock frame of a block or sheet.
 
-    Raises ``TandemError``: issues of files and shapes, ``part.stock_too_small``.
+    Args:
+        spec: Part of the file.
+        folder: Folder to which file names are relative.
+        stock: Stock.
+
+    Raises:
+        TandemError: Issues of files and shapes, ``part.stock_too_small``.
     """
     stock_size = stock.size
     if spec.sheet_mesh is not None:
-        pose = None if isinstance(spec.in_stock, str) else spec.in_stock.matrix()
-        return sheet.build(spec.sheet_mesh, folder, stock, pose)
+        pose = None if isinstance(spec.in_stock, str) else spec.in_stock.to_matrix()
+        return sheet.build_formed_part(spec.sheet_mesh, folder, stock, pose)
     if stock.sheet is not None:
-        what = "part: a sheet is formed to a sheet_mesh; give one, or a block as stock:"
-        raise refusal("problem.field", what, field="part")
+        what = "part: a sheet requires a sheet_mesh; give one, or a block as stock:"
+        raise issue_error("problem.field", what, field="part")
     if spec.front is not None:
         faces = part_surfaces.build_faces(spec.front, spec.back, folder)
-        return _with_faces(faces, spec.in_stock, stock_size)
+        return _place_faces(faces, spec.in_stock, stock_size)
     if spec.plate is not None:
         ruled, notes = build_plate(spec.plate, folder, float(stock_size[2]))
         _refuse_shapes(ruled, "part.plate")
-        return _laid(ruled, notes, spec.in_stock, stock_size, middle(ruled, stock_size))
+        return _place_ruled(ruled, notes, spec.in_stock, stock_size, centring_pose(ruled, stock_size))
     ruled, notes, field = _surfaces(spec, folder)
     _refuse_shapes(ruled, field)
     pose = None
     if spec.in_stock == "auto":
-        pose = lay_along(ruled, stock_size, longest_first=True)
-    return _laid(ruled, notes, spec.in_stock, stock_size, pose)
+        pose = pose_along_rulings(ruled, stock_size, longest_first=True)
+    return _place_ruled(ruled, notes, spec.in_stock, stock_size, pose)
 
 
-def _surfaces(spec: PartFile, folder: Path) -> tuple[list[Ruled], list[Issue], str]:
-    """Ruled surfaces in the part's frame, notes, and the field that gave them."""
+def _surfaces(spec: PartFile, folder: Path) -> tuple[list[RuledSurface], list[Issue], str]:
+    """Return ruled surfaces in the part frame, notes, and the field that states them."""
     if spec.wing is not None:
         skin, notes = part_ruled.build_wing(spec.wing, folder)
         return [skin], notes, "part.wing"
     if spec.mesh is not None:
-        patch, notes = part_surfaces.build_mesh(spec.mesh, folder)
+        patch, notes = part_surfaces.build_ruled_mesh(spec.mesh, folder)
         return [patch], notes, "part.mesh"
     if spec.strips is not None:
         strip, notes = part_surfaces.build_strips(spec.strips, folder)
         return [strip], notes, "part.strips"
-    found: list[Ruled] = []
-    told_all: list[Issue] = []
+    surfaces: list[RuledSurface] = []
+    all_notes: list[Issue] = []
     faults: list[Issue] = []
-    for index, own in enumerate(spec.ruled or ()):
+    for index, surface_spec in enumerate(spec.ruled or ()):
         try:
-            ruled, told = part_ruled.build_ruled(own, folder, f"part.ruled.{index}")
-            found.append(ruled)
-            told_all += told
+            ruled, surface_notes = part_ruled.build_ruled(surface_spec, folder, f"part.ruled.{index}")
+            surfaces.append(ruled)
+            all_notes += surface_notes
         except TandemError as error:
             faults += error.issues
     if faults:
         raise TandemError(faults)
-    return found, told_all, "part.ruled"
+    return surfaces, all_notes, "part.ruled"
 
 
-def _with_faces(faces: Faces, in_stock: InStock, stock_size: FloatArray) -> Part:
+def _place_faces(faces: PartFaces, in_stock: InStock, stock_size: FloatArray) -> Part:
     points = [mesh.vertices for mesh in (faces.front, faces.back) if mesh is not None]
     everything = np.vstack(points)
     if isinstance(in_stock, PlaceFile):
-        pose = in_stock.matrix()
+        pose = in_stock.to_matrix()
     else:
-        pose = fit_into_block(faces.front, everything, stock_size)
-    _refuse_small(overhang(transform(pose, everything), stock_size), stock_size, in_stock == "auto")
+        pose = pose_in_block(faces.front, everything, stock_size)
+    _require_enclosed(overhang(transform(pose, everything), stock_size), stock_size, in_stock == "auto")
     return Part(
-        _moved(faces.front, pose),
-        None if faces.back is None else _moved(faces.back, pose),
-        () if faces.edges is None else (_ruled(faces.edges, pose),),
+        _transform_mesh(faces.front, pose),
+        None if faces.back is None else _transform_mesh(faces.back, pose),
+        () if faces.edges is None else (_transform_ruled(faces.edges, pose),),
         faces.notes,
     )
 
 
-def _laid(
-    ruled: Sequence[Ruled],
+def _place_ruled(
+    ruled: Sequence[RuledSurface],
     notes: Sequence[Issue],
     in_stock: InStock,
     stock_size: FloatArray,
     pose: FloatArray | None,
 ) -> Part:
     if isinstance(in_stock, PlaceFile):
-        pose = in_stock.matrix()
+        pose = in_stock.to_matrix()
     if pose is None:
         raise ValueError("a part needs a pose in the block")
-    placed = tuple(_ruled(own, pose) for own in ruled)
-    _refuse_small(standing_out(placed, stock_size), stock_size, in_stock == "auto")
+    placed = tuple(_transform_ruled(surface, pose) for surface in ruled)
+    _require_enclosed(surfaces_overhang(placed, stock_size), stock_size, in_stock == "auto")
     return Part(ruled=placed, notes=tuple(notes))
 
 
-def _refuse_shapes(ruled: Sequence[Ruled], field: str) -> None:
-    def each() -> Iterator[Issue]:
+def _refuse_shapes(ruled: Sequence[RuledSurface], field: str) -> None:
+    def check_all() -> Iterator[Issue]:
         for own in ruled:
             yield from check_ruled(own, field)
 
-    issues = list(each())
+    issues = list(check_all())
     if has_errors(issues):
         raise TandemError(issues)
 
 
-def _moved(mesh: TriangleMesh, pose: FloatArray) -> Mesh:
+def _transform_mesh(mesh: TriangleMesh, pose: FloatArray) -> Mesh:
     return Mesh(transform(pose, mesh.vertices), mesh.faces)
 
 
-def _ruled(own: Ruled, pose: FloatArray) -> Ruled:
-    return dataclasses.replace(own, start=transform(pose, own.start), end=transform(pose, own.end))
+def _transform_ruled(ruled: RuledSurface, pose: FloatArray) -> RuledSurface:
+    return dataclasses.replace(ruled, start=transform(pose, ruled.start), end=transform(pose, ruled.end))
 
 
-def _refuse_small(missing: FloatArray, stock_size: FloatArray, auto: bool) -> None:
-    """Raises ``part.stock_too_small`` where the part stands out of the block by more than a micrometre."""
+def _require_enclosed(missing: FloatArray, stock_size: FloatArray, auto: bool) -> None:
+    """Raise ``part.stock_too_small`` if the part extends beyond the block by more than a micrometre."""
     if not (missing > 1e-6).any():
         return
     short = ", ".join(f"{v * 1e3:.1f} mm in {a}" for v, a in zip(missing, "xyz", strict=True) if v > 1e-6)
     size = " x ".join(f"{v * 1e3:g}" for v in stock_size)
-    turned = "also when turned to fit best" if auto else "at in_stock; try in_stock: auto or move it"
+    orientation = "even in the best orientation" if auto else "at in_stock; try in_stock: auto or move it"
     worst = int(np.argmax(missing))
     enough = tuple(float(v) for v in np.ceil((stock_size + missing) / (0.1 * MM) - 1e-6) / 10.0)
-    raise refusal(
+    raise issue_error(
         "part.stock_too_small",
-        f"the part stands out of the block of {size} mm by {short}, {turned}; use a larger block",
+        f"the part extends beyond the block of {size} mm by {short}, {orientation}; use a larger block",
         field="stock.size_mm",
         **measurement(float((stock_size + missing)[worst] * 1e3), float(stock_size[worst] * 1e3), "mm"),
         hint=f"the part alone needs size_mm: [{', '.join(f'{v:g}' for v in enough)}]",

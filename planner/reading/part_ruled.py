@@ -1,4 +1,4 @@
-"""Ruled surfaces of a part: between two guide curves, from files too, ruled faces of Rhino, and wing panels.
+"""Ruled surfaces of a part: between two guide curves, ruled faces of CAD files, and wing panels.
 
 A wing panel is given by two airfoils with their chords, span, sweep, twist and dihedral.
 """
@@ -11,32 +11,33 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from planner.claims.drawn_curve import DrawnCurve
-from planner.geometry.arrays import FloatArray, Ruled
-from planner.geometry.curves import Guide, polyline, spline, with_corners
-from planner.geometry.matching import aligned, join
-from planner.geometry.placing import backwards, outwards
+from planner.geometry.arrays import FloatArray, RuledSurface
+from planner.geometry.curves import RuledGuide, polyline_guide, spline_guide, with_corners
+from planner.geometry.matching import align_guides, join_guides
+from planner.geometry.part_placement import facing_outwards, reversed_rulings
 from planner.geometry.rulings import resample
 from planner.geometry.units import DEG, LENGTH_UNITS, MM
-from planner.geometry.wing import Panel, naca, read_airfoil, wing_surface
-from planner.issues import Issue, Severity, TandemError, refusal
+from planner.geometry.wing import WingPanel, naca_section, read_airfoil, wing_surface
+from planner.issues import Issue, Severity, TandemError, issue_error
 from planner.reading import rhino, step
+from planner.reading.cad_faces import RulingOptions
 from planner.reading.drawing import read_dxf
 from planner.reading.rhino import RhinoFile, RhinoRuledFile
 from planner.reading.step import StepRuledFile
-from planner.reading.strict_yaml import Far, FileName, Name, Strict, Unit, Vector
+from planner.reading.strict_yaml import Coordinate, FileName, Name, Strict, Unit, Vector
 
 Chord = Annotated[float, Field(ge=5, le=20_000)]
 
 
 class SectionFile(Strict):
-    """An airfoil: NACA digits in quotes, or a file in Selig's or Lednicer's format; and its chord."""
+    """An airfoil with its chord: NACA digits in quotes, or a file in Selig's or Lednicer's format."""
 
     naca: Annotated[str, Field(pattern=r"^\d{4,5}$", description="4 or 5 digits, in quotes")] | None = None
     file: FileName | None = None
     chord_mm: Chord
 
     @model_validator(mode="after")
-    def _one(self) -> "SectionFile":
+    def _exactly_one(self) -> "SectionFile":
         if (self.naca is None) == (self.file is None):
             raise ValueError("give either naca or file")
         return self
@@ -45,8 +46,9 @@ class SectionFile(Strict):
 class WingFile(Strict):
     """A wing panel between two sections.
 
-    ``sweep_deg``: of the quarter-chord line, to the rear; ``twist_deg``: washout, the tip's nose down, about
-    its quarter chord; ``dihedral_deg``: tip up; ``trailing_edge_mm``: least thickness of the trailing edge.
+    ``sweep_deg`` is that of the quarter-chord line, to the rear; ``twist_deg`` is the washout (nose of the
+    tip down) about the quarter chord of the tip; ``dihedral_deg`` is positive with the tip up;
+    ``trailing_edge_mm`` is the minimum thickness of the trailing edge.
     """
 
     root: SectionFile
@@ -59,28 +61,29 @@ class WingFile(Strict):
     match: Literal["arc_length", "least_twist"] = "arc_length"
 
 
-def build_wing(spec: WingFile, folder: Path) -> tuple[Ruled, list[Issue]]:
-    """The skin in the part's frame: x to the trailing edge, y from root to tip, z up; and notes.
+def build_wing(spec: WingFile, folder: Path) -> tuple[RuledSurface, list[Issue]]:
+    """Convert to the skin in the part frame: x to the trailing edge, y from root to tip, z up; and notes.
 
-    Raises ``TandemError``: issues of airfoils, ``part.wing``.
+    Raises:
+        TandemError: Issues of airfoils, ``part.wing``.
     """
     sections, issues, notes = [], [], []
-    for side, own in (("root", spec.root), ("tip", spec.tip)):
+    for side, section in (("root", spec.root), ("tip", spec.tip)):
         try:
-            points, told = _airfoil_section(own, folder, f"part.wing.{side}")
+            points, section_notes = _airfoil_section(section, folder, f"part.wing.{side}")
             sections.append(points)
-            notes += told
-            if spec.trailing_edge_mm > 0.5 * _thickness(points) * own.chord_mm:
+            notes += section_notes
+            if spec.trailing_edge_mm > 0.5 * _thickness(points) * section.chord_mm:
                 what = (
-                    f"the {side}'s trailing edge is to be {spec.trailing_edge_mm:g} mm thick, the section is "
-                    f"{_thickness(points) * own.chord_mm:.3g} mm; half of that is allowed, so take less"
+                    f"the {side}'s trailing edge is {spec.trailing_edge_mm:g} mm thick, the section is "
+                    f"{_thickness(points) * section.chord_mm:.3g} mm; allowed is half of that, so use less"
                 )
                 issues.append(Issue("part.wing", what, field="part.wing.trailing_edge_mm"))
         except TandemError as error:
             issues += error.issues
     if issues:
         raise TandemError(issues)
-    panel = Panel(
+    panel = WingPanel(
         sections[0],
         sections[1],
         spec.root.chord_mm * MM,
@@ -98,10 +101,10 @@ def _airfoil_section(spec: SectionFile, folder: Path, field: str) -> tuple[Float
     if spec.file is not None:
         return read_airfoil(folder / spec.file, f"{field}.file")
     try:
-        return naca(spec.naca or ""), []
+        return naca_section(spec.naca or ""), []
     except TandemError as error:
         issue = error.issues[0]
-        raise refusal(issue.code, issue.message, field=f"{field}.naca") from error
+        raise issue_error(issue.code, issue.message, field=f"{field}.naca") from error
 
 
 def _thickness(points: FloatArray) -> float:
@@ -110,8 +113,8 @@ def _thickness(points: FloatArray) -> float:
 
 Points = Annotated[tuple[Vector, ...], Field(min_length=2, max_length=20_000)]
 Control = Annotated[tuple[Vector, ...], Field(min_length=2, max_length=200)]
-SPLINE_CHORD = 2e-6
-"""How far [m] the points of a spline may be off it."""
+SPLINE_CHORD_TOLERANCE_M = 2e-6
+"""Maximum distance [m] of the polyline of a spline from the spline."""
 
 
 class DxfFile(Strict):
@@ -120,15 +123,14 @@ class DxfFile(Strict):
     file: FileName
     unit: Unit
     layer: Annotated[str, Field(max_length=255, description="one layer of the file; none: all")] | None = None
-    z_mm: Far | None = Field(default=None, description="height of all points; none: as in the file")
+    z_mm: Coordinate | None = Field(default=None, description="height of all points; none: as in the file")
 
 
 class GuideFile(Strict):
-    """A guide curve: exactly one of points, control points of a spline, and a DXF or Rhino file with one
-    curve.
+    """A guide curve: exactly one of points, control points of a spline, and a DXF or Rhino file.
 
-    ``corners_mm``: where its corners are, as near points; without it they are where it turns by more than
-    ``corner_deg``.
+    The file has one curve. ``corners_mm`` are points near its corners; without them corners are where it
+    turns by more than ``corner_deg``.
     """
 
     polyline_mm: Points | None = None
@@ -140,14 +142,14 @@ class GuideFile(Strict):
     corners_mm: Annotated[tuple[Vector, ...], Field(max_length=1000)] | None = None
 
     @model_validator(mode="after")
-    def _one(self) -> Self:
+    def _check_one_source(self) -> Self:
         given = [self.polyline_mm, self.bspline_mm, self.bezier_mm, self.dxf, self.rhino]
         if sum(kind is not None for kind in given) != 1:
             raise ValueError("give exactly one of polyline_mm, bspline_mm, bezier_mm, dxf and rhino")
         return self
 
-    def looked_up(self, folder: Path) -> "GuideFile":
-        """The same with its file, where it has one, named from anywhere."""
+    def resolve(self, folder: Path) -> "GuideFile":
+        """Return the guide with its file name, if any, resolved against ``folder``."""
         return self.model_copy(update=self._files(folder))
 
     def _files(self, folder: Path) -> dict[str, DxfFile | RhinoFile]:
@@ -158,28 +160,36 @@ class GuideFile(Strict):
             if spec is not None
         }
 
-    def drawn(self) -> DrawnCurve:
-        """The curve for claims."""
+    def to_drawn_curve(self) -> DrawnCurve:
+        """Return the reference to the curve, for claims."""
         for kind in ("polyline", "bspline", "bezier"):
             points = getattr(self, f"{kind}_mm")
             if points is not None:
                 return DrawnCurve(kind, tuple(points))
-        if (own := self.rhino) is not None:
-            file = Path(own.file)
-            return DrawnCurve("rhino", (), file, own.unit or "", own.layer, None, own.name, own.colour)
+        if (rhino_file := self.rhino) is not None:
+            file = Path(rhino_file.file)
+            return DrawnCurve(
+                "rhino",
+                (),
+                file,
+                rhino_file.unit or "",
+                rhino_file.layer,
+                None,
+                rhino_file.name,
+                rhino_file.colour,
+            )
         if self.dxf is None:
             raise ValueError("a curve needs points or a file")
         return DrawnCurve("dxf", (), Path(self.dxf.file), self.dxf.unit, self.dxf.layer, self.dxf.z_mm)
 
 
 class RuledFile(Strict):
-    """A ruled surface between two guides, ``start`` and ``end``, or a ruled face of a Rhino, STEP or IGES
-    file.
+    """A ruled surface between two guides, ``start`` and ``end``, or a ruled face of a CAD file.
 
-    ``match``: by arc length, by parameter (of splines, or points of polylines one to one), or so that it is
-    twisted least; corners are kept together. A closed surface has the part inside, or around it with
-    ``hole``; an open one looks to the left of its guides seen against the rulings, or with ``flip`` to the
-    right.
+    ``match`` pairs points of the guides by arc length, by parameter (of splines, or points of polylines one
+    to one), or for the least twist; corners are kept together. A closed surface has the part inside, or
+    around it with ``hole``. An open one faces to the left of its guides, seen against the rulings, or with
+    ``flip`` to the right.
     """
 
     name: Name
@@ -189,16 +199,16 @@ class RuledFile(Strict):
     step: StepRuledFile | None = None
     closed: bool = False
     match: Literal["arc_length", "parameter", "least_twist"] = "arc_length"
-    flip: bool = Field(default=False, description="turn the side that faces away from the part")
+    flip: bool = Field(default=False, description="reverse the normal; it must point away from the part")
     hole: bool = Field(default=False, description="the part lies around the closed surface")
 
     @model_validator(mode="after")
     def _sides(self) -> "RuledFile":
         given = [self.start, self.rhino, self.step]
         if given.count(None) != 2 or (self.start is None) != (self.end is None):
-            raise ValueError("give start and end, or rhino or step in their place")
+            raise ValueError("give start and end, or rhino, or step")
         if self.start is None and "match" in self.model_fields_set:
-            raise ValueError("match is for guides; the rulings of a face are its own")
+            raise ValueError("match is for guides; a face has its own rulings")
         if self.closed and self.flip:
             raise ValueError(
                 "flip is for open surfaces; a closed one has the part inside, or around it (hole)"
@@ -210,25 +220,28 @@ class RuledFile(Strict):
         return self
 
 
-def build_ruled(spec: RuledFile, folder: Path, field: str) -> tuple[Ruled, list[Issue]]:
-    """The surface in the part's frame, within 0.01 mm, and notes.
+def build_ruled(spec: RuledFile, folder: Path, field: str) -> tuple[RuledSurface, list[Issue]]:
+    """Convert the surface to the part frame, within 0.01 mm, and notes.
 
-    Raises ``TandemError``: issues of DXF, Rhino and STEP files, ``part.guide``, ``part.corners``.
+    Raises:
+        TandemError: Issues of DXF, Rhino and STEP files, ``part.guide``, ``part.corners``.
     """
     if spec.step is not None:
-        return step.ruled(spec.name, spec.step, spec.closed, spec.flip, spec.hole, folder, f"{field}.step")
+        options = RulingOptions(spec.step.rulings, spec.closed, spec.flip, spec.hole)
+        return step.read_ruled(spec.name, spec.step, options, folder, f"{field}.step")
     if spec.rhino is not None:
-        return rhino.ruled(spec.name, spec.rhino, spec.closed, spec.flip, spec.hole, folder, f"{field}.rhino")
-    guides: list[Guide] = []
+        options = RulingOptions(spec.rhino.rulings, spec.closed, spec.flip, spec.hole)
+        return rhino.read_ruled(spec.name, spec.rhino, options, folder, f"{field}.rhino")
+    guides: list[RuledGuide] = []
     issues: list[Issue] = []
     notes: list[Issue] = []
-    for side, own in (("start", spec.start), ("end", spec.end)):
-        if own is None:
+    for side, guide_spec in (("start", spec.start), ("end", spec.end)):
+        if guide_spec is None:
             raise ValueError("a ruled surface needs two guides")
         try:
-            found, told = guide(own, spec.closed, folder, f"{field}.{side}")
-            guides.append(found)
-            notes += told
+            curve, guide_notes = build_guide(guide_spec, spec.closed, folder, f"{field}.{side}")
+            guides.append(curve)
+            notes += guide_notes
         except TandemError as error:
             issues += error.issues
     if issues:
@@ -243,65 +256,81 @@ def build_ruled(spec: RuledFile, folder: Path, field: str) -> tuple[Ruled, list[
             "or both, "
             "or another corner_deg"
         )
-        raise refusal("part.corners", what, field=field, value=float(counts[1]), limit=float(counts[0]))
-    start, end, reverse = aligned(start, end, spec.match)
+        raise issue_error("part.corners", what, field=field, value=float(counts[1]), limit=float(counts[0]))
+    start, end, reverse = align_guides(start, end, spec.match)
     if reverse:
-        what = f"surface {spec.name}: its end guide runs against its start guide and was run the other way, "
-        what += "so that rulings do not cross; turn its points around in the file"
+        what = f"surface {spec.name}: its end guide runs opposite to its start guide and was reversed, "
+        what += "so that rulings do not cross; reverse its points in the file"
         notes.append(Issue("part.guide_turned", what, Severity.NOTE, field=f"{field}.end"))
-    ruled = join(spec.name, start, end, spec.match, spec.hole)
+    ruled = join_guides(spec.name, start, end, spec.match, spec.hole)
     if spec.closed:
-        ruled = outwards(ruled)
+        ruled = facing_outwards(ruled)
     elif spec.flip:
-        ruled = backwards(ruled)
+        ruled = reversed_rulings(ruled)
     return resample(ruled, 0.5e-5, 1.0), notes
 
 
-def guide(spec: GuideFile, closed: bool | None, folder: Path, field: str) -> tuple[Guide, list[Issue]]:
-    """The guide in SI units, and notes. ``closed`` None: a curve of a file may be either, and one that is
-    closed ends where it began. Raises ``TandemError``: issues of DXF and Rhino files,
-    ``part.guide``."""
-    own, notes = _raw(spec, closed, folder, field)
-    if len(own.points) < (3 if closed else 2) or own.length < 1e-3:
-        least = "3 points" if closed else "2 points"
-        what = f"the guide has {len(own.points)} points and a length of {own.length / MM:.3g} mm; "
-        what += f"at least {least} that differ and 1 mm are wanted"
-        raise refusal("part.guide", what, field=field)
+def build_guide(
+    spec: GuideFile, closed: bool | None, folder: Path, field: str
+) -> tuple[RuledGuide, list[Issue]]:
+    """Convert the guide to SI units, and notes.
+
+    Args:
+        spec: Guide of the file.
+        closed: Whether the curve is closed. None: a curve of a file may be either, and a closed one repeats
+            its first point at the end.
+        folder: Folder to which file names are relative.
+        field: Field of the problem, for issues.
+
+    Raises:
+        TandemError: Issues of DXF and Rhino files, ``part.guide``.
+    """
+    curve, notes = _read_curve(spec, closed, folder, field)
+    if len(curve.points) < (3 if closed else 2) or curve.length < 1e-3:
+        min_points = "3 points" if closed else "2 points"
+        what = f"the guide has {len(curve.points)} points and a length of {curve.length / MM:.3g} mm; "
+        what += f"at least {min_points} that differ and 1 mm are required"
+        raise issue_error("part.guide", what, field=field)
     if spec.corners_mm is not None:
         at = np.array(spec.corners_mm, dtype=np.float64).reshape(-1, 3) * MM
         if len(at) == 0:
-            none = np.zeros(len(own.points), dtype=np.bool_)
-            return dataclasses.replace(own, corner=none, anchor=np.zeros(0, dtype=np.bool_)), notes
-        own = with_corners(own, at)
-    return own, notes
+            none = np.zeros(len(curve.points), dtype=np.bool_)
+            return dataclasses.replace(curve, corner=none, anchor=np.zeros(0, dtype=np.bool_)), notes
+        curve = with_corners(curve, at)
+    return curve, notes
 
 
-def _raw(spec: GuideFile, wanted: bool | None, folder: Path, field: str) -> tuple[Guide, list[Issue]]:
-    angle, closed = spec.corner_deg * DEG, wanted is True
+def _read_curve(
+    spec: GuideFile, requires_closed: bool | None, folder: Path, field: str
+) -> tuple[RuledGuide, list[Issue]]:
+    angle, closed = spec.corner_deg * DEG, requires_closed is True
     if spec.polyline_mm is not None:
-        return polyline(np.array(spec.polyline_mm) * MM, closed, angle), []
+        return polyline_guide(np.array(spec.polyline_mm) * MM, closed, angle), []
     if spec.bspline_mm is not None:
-        return spline("bspline", np.array(spec.bspline_mm) * MM, SPLINE_CHORD, closed), []
+        return spline_guide("bspline", np.array(spec.bspline_mm) * MM, SPLINE_CHORD_TOLERANCE_M, closed), []
     if spec.bezier_mm is not None:
-        return spline("bezier", np.array(spec.bezier_mm) * MM, SPLINE_CHORD, closed), []
+        return spline_guide("bezier", np.array(spec.bezier_mm) * MM, SPLINE_CHORD_TOLERANCE_M, closed), []
     if spec.rhino is not None:
-        found, notes = rhino.curves(spec.rhino, folder, f"{field}.rhino")
-        asked, what = spec.rhino.asked(), "name the layer, name or colour that it has alone"
-        code, place, file, height = "part.rhino", f"{field}.rhino", spec.rhino.file, None
+        curves, notes = rhino.read_curves(spec.rhino, folder, f"{field}.rhino")
+        selection, what = (
+            spec.rhino.selection_text(),
+            "state a layer, name or colour that only this curve has",
+        )
+        code, source_field, file, height = "part.rhino", f"{field}.rhino", spec.rhino.file, None
     elif spec.dxf is not None:
         unit = LENGTH_UNITS[spec.dxf.unit]
-        found, notes = read_dxf(folder / spec.dxf.file, unit, spec.dxf.layer, f"{field}.dxf")
-        asked, what = f" on layer {spec.dxf.layer or '(all)'}", "name the layer that has it alone"
-        code, place, file, height = "part.dxf", f"{field}.dxf", spec.dxf.file, spec.dxf.z_mm
+        curves, notes = read_dxf(folder / spec.dxf.file, unit, spec.dxf.layer, f"{field}.dxf")
+        selection, what = f" on layer {spec.dxf.layer or '(all)'}", "state a layer with this curve only"
+        code, source_field, file, height = "part.dxf", f"{field}.dxf", spec.dxf.file, spec.dxf.z_mm
     else:
         raise ValueError("a guide needs points")
-    if len(found) != 1 or (wanted is not None and found[0].closed != closed):
+    if len(curves) != 1 or (requires_closed is not None and curves[0].closed != closed):
         kind = "closed" if closed else "open"
-        got = f"{len(found)} curves" if len(found) != 1 else f"a curve that is not {kind}"
-        kind = "" if wanted is None else f"{kind} "
-        said = f"{file}: holds {got}{asked}, one {kind}curve is wanted; {what}"
-        raise refusal(code, said, field=place)
-    points = found[0].run() if wanted is None else found[0].points.copy()
+        got = f"{len(curves)} curves" if len(curves) != 1 else f"a curve that is not {kind}"
+        kind = "" if requires_closed is None else f"{kind} "
+        message = f"{file}: holds {got}{selection}, expected one {kind}curve; {what}"
+        raise issue_error(code, message, field=source_field)
+    points = curves[0].run_points() if requires_closed is None else curves[0].points.copy()
     if height is not None:
         points[:, 2] = height * MM
-    return polyline(points, closed, angle), notes
+    return polyline_guide(points, closed, angle), notes

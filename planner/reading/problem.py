@@ -1,7 +1,7 @@
-"""Reads a problem file: parse, validate every field, collect all faults, convert to SI units.
+"""Reader of problem files: parse, validate every field, collect all faults, convert to SI units.
 
-Operations belong to processes, so the caller passes their schemas; this module knows none. Problems
-can be carried: file names are made absolute, files packed, or counted in a digest.
+Operations belong to processes, so the caller passes their schemas; this module knows none. Problems can be
+bundled: file names are made absolute, files packed, or hashed in a digest.
 """
 
 import dataclasses
@@ -15,97 +15,108 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, Field, Tag, ValidationError, model_validator
 
-from planner.catalogue.robots import bundled
-from planner.files import carried_name, each_file, is_file
+from planner.catalogue.robots import bundled_path
+from planner.files import bundled_name, is_file, map_file_names
 from planner.geometry.units import DEG, MM
-from planner.issue_codes import all_codes
-from planner.issues import Issue, TandemError, refusal
-from planner.problem import Cell, Change, Fixed, Force, Operation, Problem, Settings
-from planner.reading import axes, controller, grip_choice, loads, materials, rails, strict_yaml
+from planner.issue_codes import all_codes, format_message
+from planner.issues import Issue, TandemError, issue_error
+from planner.problem import Cell, Force, HasFixtures, Operation, Problem, Settings, SetupChange
 from planner.reading import cell as cell_file
+from planner.reading import (
+    controller,
+    grip_choice,
+    materials,
+    process_forces,
+    rail_axes,
+    rotary_axes,
+    strict_yaml,
+)
 from planner.reading import part as part_file
 from planner.reading import sheet as sheet_file
 from planner.reading import stock as stock_file
 from planner.reading.cell import CellFile
-from planner.reading.loads import ForcesFile
 from planner.reading.part import PartFile
+from planner.reading.process_forces import ForcesFile
 from planner.reading.robot_file import with_meshes
 from planner.reading.sheet import SheetFile
 from planner.reading.stock import SetupFile, StockFile
-from planner.reading.strict_yaml import Choice, Document, Name, Strict
+from planner.reading.strict_yaml import Document, Name, Strict, WordOrMapping
 
 
-def find(path: Path) -> Path:
-    """The problem file, or the one in the folder of that name; bundled ones are known by their names."""
-    for candidate in (path, path / "problem.yaml", bundled(path), bundled(path / "problem.yaml")):
+def find_problem(path: Path) -> Path:
+    """Return the problem file, the one in the folder of that name, or the bundled one of that name."""
+    for candidate in (path, path / "problem.yaml", bundled_path(path), bundled_path(path / "problem.yaml")):
         if is_file(candidate):
             return candidate
     return path
 
 
 def bundle(problem: Problem) -> dict[str, bytes]:
-    """The problem as files that stand alone, as :func:`packed`."""
-    return packed(problem.source)
+    """Return the problem as self-contained files, as :func:`pack_files`."""
+    return pack_files(problem.source)
 
 
-def packed(source: Mapping[str, Any]) -> dict[str, bytes]:
-    """A problem's values, as :func:`resolved` gives them, as files that stand alone: ``problem.yaml`` with
-    the cell inside, and what it names in ``files/``,
-    by the user's names with hashes.
+def pack_files(source: Mapping[str, Any]) -> dict[str, bytes]:
+    """Return the values of a problem, as from :func:`resolve_files`, as self-contained files.
 
-    Reading them gives a problem with the same digest, so a result folder can be proven wherever it is
-    carried. Raises ``OSError`` for a file that is not there.
+    ``problem.yaml`` has the cell inlined. The files that it names are in ``files/``, under the user's names
+    with hashes. Reading them gives a problem with the same digest, so a result folder can be proven wherever
+    it is copied.
+
+    Raises:
+        OSError: If a file is missing.
     """
     files: dict[str, bytes] = {}
 
-    def carry(path: Path) -> str:
+    def bundle_file(path: Path) -> str:
         content = path.read_bytes()
-        name = f"files/{carried_name(path.name, hashlib.sha256(content).hexdigest())}"
+        name = f"files/{bundled_name(path.name, hashlib.sha256(content).hexdigest())}"
         files[name] = content
         return name
 
-    text = strict_yaml.dump(each_file(source, carry))
+    text = strict_yaml.dump(map_file_names(source, bundle_file))
     return {"problem.yaml": text.encode(), **files}
 
 
-def resolved(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The file's data with its cell inside and every file name made absolute."""
-    out: dict[str, Any] = each_file(data, lambda path: str(folder / path))
-    beside = folder
+def resolve_files(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the data of a file with its cell inlined and all file names made absolute."""
+    out: dict[str, Any] = map_file_names(data, lambda path: str(folder / path))
+    cell_folder = folder
     if isinstance(data.get("cell"), str):
         path = folder / data["cell"]
-        beside = path.parent
-        out["cell"] = each_file(strict_yaml.read(path).data, lambda name: str(path.parent / name))
+        cell_folder = path.parent
+        out["cell"] = map_file_names(strict_yaml.read(path).data, lambda name: str(path.parent / name))
     cell = out.get("cell")
     arms = cell.get("arms") if isinstance(cell, dict) else None
     for arm in arms if isinstance(arms, list) else ():
         if isinstance(arm, dict) and isinstance(arm.get("robot"), dict):
-            arm["robot"] = with_meshes(arm["robot"], beside)
+            arm["robot"] = with_meshes(arm["robot"], cell_folder)
     return out
 
 
-def digest(source: Mapping[str, Any]) -> str:
-    """SHA-256 over the problem's values and the contents of its files: where they lie and comments do not
-    matter, nor what is only seen of a robot.
+def problem_digest(source: Mapping[str, Any]) -> str:
+    """Return the SHA-256 over the values of a problem and the contents of its files.
+
+    File locations, comments and visual meshes have no effect.
     """
 
     def content(path: Path) -> str:
         return hashlib.sha256(path.read_bytes()).hexdigest() if is_file(path) else "missing"
 
-    text = json.dumps(each_file(_unseen(source), content), sort_keys=True, default=str)
+    text = json.dumps(map_file_names(_without_visuals(source), content), sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _unseen(source: Mapping[str, Any]) -> dict[str, Any]:
-    """A problem's values without visual meshes: a result stays what it is where they are found, or not."""
+def _without_visuals(source: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of a problem without visual meshes, so that the digest does not depend on them."""
     out = dict(source)
     cell = out.get("cell")
     if isinstance(cell, Mapping) and isinstance(cell.get("arms"), list):
-        out["cell"] = {**cell, "arms": [_unseen_arm(arm) for arm in cell["arms"]]}
+        out["cell"] = {**cell, "arms": [_arm_without_visuals(arm) for arm in cell["arms"]]}
     return out
 
 
-def _unseen_arm(arm: Any) -> Any:
+def _arm_without_visuals(arm: Any) -> Any:
     robot = arm.get("robot") if isinstance(arm, Mapping) else None
     if not isinstance(robot, Mapping):
         return arm
@@ -116,10 +127,13 @@ OperationModels = Mapping[str, type[BaseModel] | Issue]
 
 
 class SettingsFile(Strict):
-    """Limits that planning and proof share. ``clearance_mm`` holds between all bodies: arms, tools, block,
-    obstacles, wires. ``own_clearance_mm`` takes its place between base, links and tool of one arm, and is at
-    most as much; not for its wire, cutter or forming head, nor for a block that it holds. Unless stated it is
-    5, or ``clearance_mm`` where that is less."""
+    """Limits that planning and proof share.
+
+    ``clearance_mm`` applies to all pairs of bodies: arms, tools, block, obstacles, wires.
+    ``own_clearance_mm`` replaces it between base, links and tool of one arm, and must not be larger. It does
+    not apply to the arm's wire, cutter or forming head, nor to a block that it holds. The default is 5, or
+    ``clearance_mm`` if that is less.
+    """
 
     clearance_mm: float = Field(default=Settings.clearance / MM, ge=0, le=500)
     own_clearance_mm: Annotated[float, Field(ge=0, le=500)] | None = None
@@ -131,7 +145,7 @@ class SettingsFile(Strict):
     seed: int = Field(default=Settings.seed, ge=0, lt=2**31)
 
     @model_validator(mode="after")
-    def _own_is_less(self) -> "SettingsFile":
+    def _own_clearance_is_less(self) -> "SettingsFile":
         if self.own_clearance_mm is not None and self.own_clearance_mm > self.clearance_mm:
             raise ValueError(
                 f"own_clearance_mm is {self.own_clearance_mm:g}, allowed is at most clearance_mm, here "
@@ -139,8 +153,8 @@ class SettingsFile(Strict):
             )
         return self
 
-    def build(self) -> Settings:
-        """The settings in SI units."""
+    def to_settings(self) -> Settings:
+        """Convert the settings to SI units."""
         return Settings(
             clearance=self.clearance_mm * MM,
             own_clearance=None if self.own_clearance_mm is None else self.own_clearance_mm * MM,
@@ -153,53 +167,56 @@ class SettingsFile(Strict):
         )
 
 
-def _acceptable(code: str) -> str:
-    acceptable = sorted(name for name, row in all_codes().items() if row.accepts)
+def _require_acceptable(code: str) -> str:
+    acceptable = sorted(name for name, row in all_codes().items() if row.acceptance)
     if code not in acceptable:
-        raise ValueError(f"this cannot be accepted; what can be is {', '.join(acceptable)}")
+        raise ValueError(f"this cannot be accepted; acceptable are {', '.join(acceptable)}")
     return code
 
 
 class ProblemFile(Strict):
-    """A whole problem file, schema version 1. Each operation is checked against its process's own schema."""
+    """A whole problem file, schema version 1. Each operation is validated by the schema of its process."""
 
     tandem: Literal[1]
     name: Name
     cell: Annotated[
-        Annotated[str, Tag("word"), Field(max_length=1000)] | Annotated[CellFile, Tag("mapping")], Choice
+        Annotated[str, Tag("word"), Field(max_length=1000)] | Annotated[CellFile, Tag("mapping")],
+        WordOrMapping,
     ]
     stock: StockFile | None = None
     sheet: SheetFile | None = Field(default=None, description="a clamped sheet to form, in place of a block")
     part: PartFile | None = None
     settings: SettingsFile = SettingsFile()
-    accept: tuple[Annotated[str, Field(max_length=60), AfterValidator(_acceptable)], ...] = Field(
-        default=(), max_length=20, description="codes of errors that are known and wanted, see below"
+    accept: tuple[Annotated[str, Field(max_length=60), AfterValidator(_require_acceptable)], ...] = Field(
+        default=(), max_length=20, description="codes of errors that are known and intended, see below"
     )
     operations: list[dict[str, Any]] = Field(min_length=1)
 
     @model_validator(mode="after")
     def _one_stock(self) -> Self:
         if (self.stock is None) == (self.sheet is None):
-            raise ValueError(
-                "stock: give the block as stock, or the sheet to be formed as sheet, one of them"
-            )
+            raise ValueError("stock: give either the block as stock, or the sheet to form as sheet")
         return self
 
 
-def read(path: Path, models: OperationModels) -> Problem:
-    """Read, validate and convert the problem file at ``path``; ``models`` maps a process to its operation's
-    schema.
+def read_problem(path: Path, models: OperationModels) -> Problem:
+    """Read, validate and convert the problem file at ``path``.
 
-    Raises ``TandemError`` with every fault that was found, each with its field and, where the format gives
-    it, its line.
+    Args:
+        path: Problem file.
+        models: Schema of the operation of each process.
+
+    Raises:
+        TandemError: With all faults, each with its field and, if the format gives it, its line.
     """
-    return build(strict_yaml.read(path), models)
+    return build_problem(strict_yaml.read(path), models)
 
 
-def build(document: Document, models: OperationModels) -> Problem:
-    """The problem of a file that is parsed; else as :func:`read`."""
+def build_problem(document: Document, models: OperationModels) -> Problem:
+    """Validate and convert a parsed problem file, as :func:`read_problem`."""
     path = document.path
     spec, issues = validate(ProblemFile, document.data, document, ())
+    # operations by the schemas of their processes
     raw_operations = document.data.get("operations")
     operations: list[Operation] = []
     setups: dict[int, SetupFile] = {}
@@ -218,115 +235,125 @@ def build(document: Document, models: OperationModels) -> Problem:
             issues += faults
             if operation is not None:
                 operations.append(operation)
+    # cell, and what operations require of it
     cell = None
     if spec is not None:
         try:
-            cell = _cell(spec.cell, document)
+            cell = _read_cell(spec.cell, document)
         except TandemError as error:
             issues += error.issues
     if cell is not None and spec is not None and spec.stock is not None:
         try:
-            cell = stock_file.with_gripper(cell, spec.stock)
+            cell = stock_file.mount_gripper(cell, spec.stock)
         except TandemError as error:
-            issues += [_placed(issue, document) for issue in error.issues]
+            issues += [_with_line(issue, document) for issue in error.issues]
     if cell is not None:
-        issues += _names(cell, operations, document)
-        issues += [_placed(issue, document) for issue in controller.faults(cell, operations)]
-        issues += [_placed(issue, document) for issue in materials.wire_faults(cell.wires, operations)]
+        issues += _name_faults(cell, operations, document)
+        issues += [_with_line(issue, document) for issue in controller.controller_faults(cell, operations)]
+        issues += [_with_line(issue, document) for issue in materials.wire_faults(cell.wires, operations)]
+    # stock and part; faults so far do not prevent the check of the part
     part, stock = None, None
-    changes: dict[int, Change] = {}
+    changes: dict[int, SetupChange] = {}
     if spec is not None:
         try:
             if spec.sheet is not None:
-                stock = sheet_file.stock(spec.sheet)
+                stock = sheet_file.build_sheet_stock(spec.sheet)
             elif spec.stock is not None:
-                stock = stock_file.stock(spec.stock, path.parent)
+                stock = stock_file.build_stock(spec.stock, path.parent)
         except TandemError as error:
-            issues += [_placed(issue, document) for issue in error.issues]
+            issues += [_with_line(issue, document) for issue in error.issues]
             issues += _part_faults(document)
     else:
         issues += _part_faults(document)
     if cell is not None:
-        changes, faults = _changes(setups, cell, path.parent, document)
+        changes, faults = _build_changes(setups, cell, path.parent, document)
         issues += faults
     if spec is not None and spec.part is not None and stock is not None:
         try:
-            part = part_file.build(spec.part, path.parent, stock)
-            stock = sheet_file.with_formed(stock, part)
+            part = part_file.build_part(spec.part, path.parent, stock)
+            stock = sheet_file.with_formed_solids(stock, part)
             for k, operation in enumerate(operations):
-                if isinstance(operation, Fixed):
+                if isinstance(operation, HasFixtures):
                     stock = operation.with_fixtures(stock, part, operations[:k])
         except TandemError as error:
-            issues += [_placed(issue, document) for issue in error.issues]
+            issues += [_with_line(issue, document) for issue in error.issues]
     if spec is None or cell is None or stock is None or issues:
         raise TandemError(issues)
-    source = resolved(document.data, path.parent)
+    source = resolve_files(document.data, path.parent)
     problem = Problem(
         name=spec.name,
         cell=cell,
         stock=stock,
         part=part,
         operations=tuple(operations),
-        settings=spec.settings.build(),
+        settings=spec.settings.to_settings(),
         path=path,
-        digest=digest(source),
+        digest=problem_digest(source),
         source=source,
         changes=changes,
         accept=spec.accept,
         forces=forces,
     )
-    problem = grip_choice.with_choices(problem, _without_grip(spec, setups))
-    issues = [_placed(issue, document) for issue in stock_file.check_setups(problem)]
-    issues += [_placed(issue, document) for issue in loads.faults(problem)]
-    issues += [_placed(issue, document) for issue in axes.turntable_faults(problem)]
-    issues += [_placed(issue, document) for issue in rails.following_faults(problem)]
-    issues += [_placed(issue, document) for issue in rails.carrying_faults(problem)]
-    issues = grip_choice.advised(problem, issues)
+    # grips, then checks that need the whole problem
+    problem = grip_choice.choose_grips(problem, _operations_without_grip(spec, setups))
+    issues = [_with_line(issue, document) for issue in stock_file.check_setups(problem)]
+    issues += [_with_line(issue, document) for issue in process_forces.force_faults(problem)]
+    issues += [_with_line(issue, document) for issue in rotary_axes.turntable_faults(problem)]
+    issues += [_with_line(issue, document) for issue in rail_axes.coordinated_track_faults(problem)]
+    issues += [_with_line(issue, document) for issue in rail_axes.carrying_faults(problem)]
+    issues = grip_choice.add_grip_advice(problem, issues)
     if issues:
         raise TandemError(issues)
     return _with_first_steps(problem)
 
 
 def _part_faults(document: Document) -> list[Issue]:
-    """Faults of the part of a file whose other fields have some, so that one run tells both; none where its
-    own fields, or those of the block's size, are at fault."""
+    """Return faults of the part if other fields have faults, so that one run reports both.
+
+    Empty if the fields of the part itself, or of the size of the block, have faults.
+    """
     data, folder = document.data, document.path.parent
-    given, sheet, own = (data.get(key) for key in ("stock", "sheet", "part"))
+    given, sheet, part_data = (data.get(key) for key in ("stock", "sheet", "part"))
     block = {"size_mm": given.get("size_mm")} if isinstance(given, dict) else None
-    part, wrong = validate(PartFile, own, document, ("part",))
+    part, wrong = validate(PartFile, part_data, document, ("part",))
     size, faults = (
         validate(StockFile, block, document, ()) if block else validate(SheetFile, sheet, document, ())
     )
     if wrong or faults:
         return []
     try:
-        stock = sheet_file.stock(size) if isinstance(size, SheetFile) else stock_file.stock(size, folder)
-        part_file.build(part, folder, stock)
+        stock = (
+            sheet_file.build_sheet_stock(size)
+            if isinstance(size, SheetFile)
+            else stock_file.build_stock(size, folder)
+        )
+        part_file.build_part(part, folder, stock)
     except TandemError as error:
-        return [_placed(issue, document) for issue in error.issues if issue.field != "sheet.metal"]
+        return [_with_line(issue, document) for issue in error.issues if issue.field != "sheet.metal"]
     return []
 
 
-def _without_grip(spec: ProblemFile, setups: Mapping[int, SetupFile]) -> set[int]:
-    """Operations before which an arm takes up a block, without a word of how."""
+def _operations_without_grip(spec: ProblemFile, setups: Mapping[int, SetupFile]) -> set[int]:
+    """Return the operations before which an arm takes up a block without a stated grip."""
     first = {0} if spec.stock is not None and spec.stock.grip is None else set()
     return first | {i for i, setup in setups.items() if setup.held_by is not None and setup.grip is None}
 
 
 def _with_first_steps(problem: Problem) -> Problem:
-    """The problem with what the operator does before the first operation, where anything is changed or
-    held."""
-    steps = stock_file.first_steps(problem)
-    first = problem.changes.get(0, Change())
+    """Add the instructions for the operator before the first operation, if anything is changed or held."""
+    steps = stock_file.first_instructions(problem)
+    first = problem.changes.get(0, SetupChange())
     if not steps:
         return problem
-    own = [step for step in first.steps if step not in steps and not step.startswith("Clamp the block")]
-    changes = {**problem.changes, 0: dataclasses.replace(first, steps=(*steps, *own))}
+    other_steps = [
+        step for step in first.steps if step not in steps and not step.startswith("Clamp the block")
+    ]
+    changes = {**problem.changes, 0: dataclasses.replace(first, steps=(*steps, *other_steps))}
     return dataclasses.replace(problem, changes=changes)
 
 
 def read_setup(raw: Any, index: int, document: Document) -> tuple[SetupFile | None, list[Issue]]:
-    """The setup that an operation asks for, common to all processes."""
+    """Read the setup of an operation, which is common to all processes."""
     if not isinstance(raw, dict) or "setup" not in raw:
         return None, []
     setup, faults = validate(SetupFile, raw["setup"], document, ("operations", index, "setup"))
@@ -334,41 +361,51 @@ def read_setup(raw: Any, index: int, document: Document) -> tuple[SetupFile | No
 
 
 def read_forces(raw: Any, index: int, document: Document) -> tuple[dict[str, Force], list[Issue]]:
-    """The forces {arm: force} that an operation states, common to all processes."""
+    """Read the forces {arm: force} of an operation, which are common to all processes."""
     if not isinstance(raw, dict) or "forces" not in raw:
         return {}, []
-    made, found = validate(ForcesFile, {"forces": raw["forces"]}, document, ("operations", index))
-    return {} if made is None else {arm: one.value() for arm, one in made.forces.items()}, found
+    forces, faults = validate(ForcesFile, {"forces": raw["forces"]}, document, ("operations", index))
+    return {} if forces is None else {arm: force.to_force() for arm, force in forces.forces.items()}, faults
 
 
-def _changes(
+def _build_changes(
     setups: Mapping[int, SetupFile], cell: Cell, folder: Path, document: Document
-) -> tuple[dict[int, Change], list[Issue]]:
-    changes: dict[int, Change] = {}
+) -> tuple[dict[int, SetupChange], list[Issue]]:
+    changes: dict[int, SetupChange] = {}
     issues: list[Issue] = []
     for index, setup in setups.items():
         try:
-            changes[index] = stock_file.change(setup, cell.arms, folder, index)
+            changes[index] = stock_file.build_change(setup, cell.arms, folder, index)
         except TandemError as error:
-            issues += [_placed(issue, document) for issue in error.issues]
+            issues += [_with_line(issue, document) for issue in error.issues]
     return changes, issues
 
 
 def validate(
     model: type[Any], data: Any, document: Document, prefix: tuple[str | int, ...]
 ) -> tuple[Any, list[Issue]]:
-    """Data as a value of a schema, None with faults; ``prefix`` is where the document has them."""
+    """Validate data by a schema.
+
+    Args:
+        model: Schema.
+        data: Data.
+        document: Document with the data.
+        prefix: Path of the data in the document.
+
+    Returns:
+        Value, or None if there are faults; and the faults.
+    """
     try:
-        # as JSON, because its strict rules take a list for a tuple but no text or truth value for a number
+        # as JSON, whose strict rules accept a list for a tuple but no text or boolean for a number
         text = json.dumps(data)
         return model.model_validate_json(text, strict=True, context={"folder": document.path.parent}), []
     except ValidationError as error:
-        told = [dict(e) for e in error.errors() if not _emptied(dict(e))]
-        return None, [_field_issue(e, document, prefix, data) for e in told]
+        errors = [dict(e) for e in error.errors() if not _is_emptied(dict(e))]
+        return None, [_field_issue(e, document, prefix, data) for e in errors]
 
 
-def _emptied(error: dict[str, Any]) -> bool:
-    """Whether a list is called too short only because its entries have faults, which are told themselves."""
+def _is_emptied(error: dict[str, Any]) -> bool:
+    """Whether a list counts as too short only because its entries have faults, which are reported."""
     got = error.get("input")
     return (
         error["type"] == "too_short"
@@ -378,13 +415,13 @@ def _emptied(error: dict[str, Any]) -> bool:
 
 
 _NAME: Final = re.compile(r"\^\[A-Za-z\]\[A-Za-z0-9_\]\{0,(\d+)\}\$")
-"""A pattern of names, as errors have it."""
+"""Pattern of names, as it appears in validation errors."""
 
 
 def _field_issue(
     error: dict[str, Any], document: Document, prefix: tuple[str | int, ...], data: Any
 ) -> Issue:
-    location = (*prefix, *_as_written(error["loc"], data))
+    location = (*prefix, *_steps_in_file(error["loc"], data))
     field = ".".join(str(step) for step in location)
     got = error.get("input")
     shown = "" if error["type"] == "missing" or isinstance(got, dict | list) else f", got {reprlib.repr(got)}"
@@ -396,20 +433,20 @@ def _field_issue(
     }.get(error["type"], "correct it")
     what = "unknown key" if error["type"] == "extra_forbidden" else error["msg"]
     if error["type"] == "too_short":
-        least, has = error["ctx"]["min_length"], error["ctx"]["actual_length"]
-        what = f"has {has} {'entry' if has == 1 else 'entries'}, at least {least} must be there"
-        remedy = "add what is missing, or take the key out where it may be left out"
-    if (several := rails.chained(location, got)) is not None:
+        min_length, length = error["ctx"]["min_length"], error["ctx"]["actual_length"]
+        what = f"has {length} {'entry' if length == 1 else 'entries'}, at least {min_length} required"
+        remedy = "add the missing ones, or remove the key if it is optional"
+    if (several := rail_axes.linear_axes_fault(location, got)) is not None:
         what, remedy = several
     if error["type"] == "missing" and isinstance(error["loc"][-1], int):  # of a list of a fixed length
-        what, remedy = f"entry {error['loc'][-1]}, counted from 0, is missing", "give as many as it takes"
+        what, remedy = f"entry {error['loc'][-1]}, counted from 0, is missing", "give all entries"
     if error["type"] in ("tuple_type", "list_type"):
-        what, remedy = "a list is wanted", "put it in brackets: [..]"
+        what, remedy = "expected a list", "put it in brackets: [..]"
     name = _NAME.fullmatch(error.get("ctx", {}).get("pattern", ""))
     if name:
-        most = int(name[1]) + 1
+        max_length = int(name[1]) + 1
         what = (
-            f"names have a letter of A to Z first, then such letters, digits and _, at most {most} characters"
+            f"names start with a letter A to Z, then letters, digits and _, at most {max_length} characters"
         )
     return Issue(
         code,
@@ -420,9 +457,10 @@ def _field_issue(
     )
 
 
-def _as_written(location: tuple[str | int, ...], data: Any) -> Iterator[str | int]:
-    """The steps of ``location`` that the file has; pydantic puts the names of chosen alternatives between
-    them.
+def _steps_in_file(location: tuple[str | int, ...], data: Any) -> Iterator[str | int]:
+    """Yield the steps of ``location`` that the file has.
+
+    pydantic inserts the names of chosen alternatives.
     """
     for number, step in enumerate(location):
         last = number == len(location) - 1
@@ -438,8 +476,8 @@ def _as_written(location: tuple[str | int, ...], data: Any) -> Iterator[str | in
 def read_operation(
     raw: Any, index: int, document: Document, models: OperationModels
 ) -> tuple[Operation | None, list[Issue]]:
-    """The operation number ``index`` of a problem by its process's schema, None with faults."""
-    place: tuple[str | int, ...] = ("operations", index)
+    """Read operation ``index`` of a problem by the schema of its process; None with faults."""
+    location: tuple[str | int, ...] = ("operations", index)
     if not isinstance(raw, dict):
         return None, []
     process = raw.get("process")
@@ -449,48 +487,54 @@ def read_operation(
         return None, [
             Issue(
                 "problem.unknown_process",
-                f"operations.{index}.process: got {process!r}, known are {known}; choose one of them",
+                format_message(
+                    "problem.unknown_process", index=index, process=process, known_processes=known
+                ),
                 file=document.name,
-                line=document.line((*place, "process")),
+                line=document.line((*location, "process")),
                 field=f"operations.{index}.process",
             )
         ]
     if isinstance(model, Issue):
-        line, field = document.line((*place, "process")), f"operations.{index}.process"
+        line, field = document.line((*location, "process")), f"operations.{index}.process"
         return None, [dataclasses.replace(model, file=document.name, line=line, field=field)]
-    own = {key: value for key, value in raw.items() if key not in ("setup", "forces")}
-    operation, faults = validate(model, own, document, place)
+    fields = {key: value for key, value in raw.items() if key not in ("setup", "forces")}
+    operation, faults = validate(model, fields, document, location)
     return operation, faults
 
 
-def _cell(spec: str | CellFile, document: Document) -> Cell:
+def _read_cell(spec: str | CellFile, document: Document) -> Cell:
     if isinstance(spec, CellFile):
-        return _built(spec, document, ("cell",))
+        return _build_cell(spec, document, ("cell",))
     path = document.path.parent / spec
     if not is_file(path):
-        what = f"cell: no file {path}; check the path, which starts at the folder of the problem file"
-        raise refusal(
+        what = f"cell: no file {path}; check the path, which is relative to the folder of the problem file"
+        raise issue_error(
             "problem.missing_file", what, file=document.name, line=document.line(("cell",)), field="cell"
         )
     return read_cell(strict_yaml.read(path))
 
 
 def read_cell(document: Document) -> Cell:
-    """The cell of a file of its own; raises `TandemError` with every fault and its line."""
+    """Read the cell of a separate file.
+
+    Raises:
+        TandemError: With all faults and their lines.
+    """
     spec, issues = validate(CellFile, document.data, document, ())
     if spec is None:
         raise TandemError(issues)
-    return _built(spec, document, ())
+    return _build_cell(spec, document, ())
 
 
-def _built(spec: CellFile, document: Document, prefix: tuple[str | int, ...]) -> Cell:
+def _build_cell(spec: CellFile, document: Document, prefix: tuple[str | int, ...]) -> Cell:
     try:
-        return cell_file.build(spec, document.path.parent)
+        return cell_file.build_cell(spec, document.path.parent)
     except TandemError as error:
         field = ".".join(str(step) for step in prefix)
         raise TandemError(
             [
-                _placed(
+                _with_line(
                     dataclasses.replace(i, field=".".join(filter(None, (field, i.field))) or None), document
                 )
                 for i in error.issues
@@ -498,15 +542,15 @@ def _built(spec: CellFile, document: Document, prefix: tuple[str | int, ...]) ->
         ) from error
 
 
-def _placed(issue: Issue, document: Document) -> Issue:
-    """The issue with this file and the line of its field, unless it names a file of its own."""
+def _with_line(issue: Issue, document: Document) -> Issue:
+    """Return the issue with this file and the line of its field, unless it names a file of its own."""
     if issue.file is not None or issue.field is None:
         return issue
     steps = tuple(int(step) if step.isdigit() else step for step in issue.field.split("."))
     return dataclasses.replace(issue, file=document.name, line=document.line(steps))
 
 
-def _names(cell: Cell, operations: list[Operation], document: Document) -> Iterator[Issue]:
+def _name_faults(cell: Cell, operations: list[Operation], document: Document) -> Iterator[Issue]:
     file = document.name
     groups = {
         "cell.arms": [arm.name for arm in cell.arms],

@@ -1,7 +1,7 @@
-"""What is taken of Rhino's files (3DM), by layer, name and colour: curves, ruled faces, free faces, meshes.
+"""Objects of Rhino files (3DM), selected by layer, name and colour: curves, ruled faces, free faces, meshes.
 
-Read by ``rhino3dm`` of the extra ``cad``, which only parses; what NURBS are, :mod:`planner.geometry.nurbs`
-works out. Lengths are in the file's own unit.
+Read by ``rhino3dm`` of the extra ``cad``, which only parses; :mod:`planner.geometry.nurbs` evaluates NURBS.
+Lengths are in the unit of the file.
 """
 
 import dataclasses
@@ -13,22 +13,22 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 from pydantic import Field
 
-from planner.files import is_file, no_file
-from planner.geometry.arrays import FloatArray, Ruled
+from planner.files import is_file, missing_file_reason
+from planner.geometry.arrays import FloatArray, RuledSurface
 from planner.geometry.mesh import TriangleMesh, vertex_normals
-from planner.geometry.nurbs import NurbsCurve, NurbsSurface, rectangle
+from planner.geometry.nurbs import NurbsCurve, NurbsSurface, bounding_rectangle
 from planner.geometry.units import LENGTH_UNITS, MM
 from planner.issues import Issue, Severity
-from planner.reading.cad_faces import CadFace, Refusals, Way, between_sides, faceted
+from planner.reading.cad_faces import CadFace, FaceErrors, RulingOptions, ruled_between_sides, tessellate_face
 from planner.reading.drawing import (
     CAD_INSTALL,
-    FLATNESS,
-    LARGEST,
-    MOST_BYTES,
-    MOST_CURVES,
+    CURVE_CHORD_TOLERANCE_M,
+    MAX_BYTES,
+    MAX_CURVES,
+    MAX_EXTENT_M,
     FileCurve,
-    joined,
-    refused,
+    file_error,
+    join_curves,
 )
 from planner.reading.strict_yaml import FileName, Strict, Unit
 
@@ -45,26 +45,27 @@ UNITS: Final = {
     "Feet": 0.3048,
     "Yards": 0.9144,
 }
-"""Rhino's names of units, in metres; files in others are refused."""
-UNSAID: Final = ("None", "Unset", "CustomUnits")
-"""Units of files that say none, whose unit the problem may state."""
-SAME_UNIT: Final = 1e-9
-"""Share by which units may differ that are one."""
-EDGE_PLACES: Final = 9
-"""Places of each span of an edge at which it is looked at where a face is trimmed."""
-ON_FACE: Final = 1e-5
-"""Edges of a face are off it by this at most [m]."""
-ON_LINE_SHARE: Final = 1e-4
-"""Share of a surface's parameters by which an edge along one of its lines may be off that line."""
-LAYERS_TOLD: Final = 12
-"""Layers that a message names at most."""
+"""Rhino's names of units, in metres. Files in others are refused."""
+UNITLESS: Final = ("None", "Unset", "CustomUnits")
+"""Unit names of files without a unit, for which the problem may state one."""
+UNIT_TOLERANCE: Final = 1e-9
+"""Relative difference up to which two units are equal."""
+EDGE_SAMPLES: Final = 9
+"""Number of points on each span of an edge at which the trimming of a face is tested."""
+EDGE_TOLERANCE_M: Final = 1e-5
+"""Maximum distance [m] of edges from their face."""
+LINE_TOLERANCE_FRACTION: Final = 1e-4
+"""Maximum deviation of an edge from a parameter line of its surface, as a fraction of the parameter range."""
+MAX_LISTED_LAYERS: Final = 12
+"""Maximum number of layers that a message names."""
 
 
 class RhinoFile(Strict):
-    """Objects of a Rhino file (3DM): those that are visible and have all of what is given of ``layer``,
-    ``name`` and ``colour``. Needs the extra ``cad`` of Tandem.
+    """Objects of a Rhino file (3DM): visible ones that match the given ``layer``, ``name`` and ``colour``.
 
-    Lengths are in the file's unit; ``unit`` is for files that have none.
+    Needs the extra ``cad`` of Tandem.
+
+    Lengths are in the unit of the file; ``unit`` is for files that have none.
     """
 
     file: FileName
@@ -80,32 +81,42 @@ class RhinoFile(Strict):
     )
     unit: Unit | None = None
 
-    def asked(self) -> str:
-        """What is asked for, in words."""
+    def selection_text(self) -> str:
+        """Return the selection in words, for messages."""
         keys = [f"{key} {value}" for key in ("layer", "name", "colour") if (value := getattr(self, key))]
         return f" of {', '.join(keys)}" if keys else ""
 
 
 class RhinoRuledFile(RhinoFile):
-    """A ruled face of a Rhino file: one face, whole or cut along its own lines; its normal points away from
-    the part. ``rulings``: along u or v, where it is straight both ways.
+    """A ruled face of a Rhino file: one face, whole or trimmed along its parameter lines.
+
+    Its normal points away from the part. ``rulings`` is u or v, for a face that is straight both ways.
     """
 
     rulings: Literal["u", "v"] | None = None
 
 
 class RhinoFaceFile(RhinoFile):
-    """A face or a mesh of a Rhino file: one object. A face is whole or cut along its own lines; ``chord_mm``:
-    how far its facets may be off it. Its normal points away from the part.
+    """A face or a mesh of a Rhino file: one object.
+
+    A face is whole or trimmed along its parameter lines; ``chord_mm`` is the maximum distance of its facets.
+    Its normal points away from the part.
     """
 
     chord_mm: float = Field(default=0.005, ge=0.0005, le=1)
-    flip: bool = Field(default=False, description="turn the side that faces away from the part")
+    flip: bool = Field(default=False, description="reverse the normal; it must point away from the part")
 
 
 @dataclasses.dataclass(frozen=True)
-class _Found:
-    """Curves and meshes of a file, and faces, each with its solid; the metres of its unit; notes."""
+class _RhinoSelection:
+    """Selected objects of a file.
+
+    Attributes:
+        path: File.
+        objects: Curves and meshes, and faces, each as a pair with its solid.
+        metres: Unit of the file [m].
+        notes: Notes.
+    """
 
     path: Path
     objects: tuple[Any, ...]
@@ -113,160 +124,181 @@ class _Found:
     notes: tuple[Issue, ...]
 
 
-def curves(spec: RhinoFile, folder: Path, field: str) -> tuple[list[FileCurve], list[Issue]]:
-    """Curves in SI units, those whose ends meet joined; and notes of the unit and of what was left out.
+def read_curves(spec: RhinoFile, folder: Path, field: str) -> tuple[list[FileCurve], list[Issue]]:
+    """Return curves in SI units, joined where their ends meet; and notes on unit and left-out objects.
 
-    Raises ``TandemError``: ``problem.missing_file``, ``problem.too_large``, ``part.extra_missing``,
-    ``part.rhino``.
+    Raises:
+        TandemError: ``problem.missing_file``, ``problem.too_large``, ``part.extra_missing``, ``part.rhino``.
     """
-    found = _read(spec, folder, field, ("curve",))
-    if len(found.objects) > MOST_CURVES:
+    selection = _select(spec, folder, field, ("curve",))
+    if len(selection.objects) > MAX_CURVES:
         what = (
-            f"has {len(found.objects)} curves{spec.asked()}, {MOST_CURVES} are read; name a layer, or join "
+            f"has {len(selection.objects)} curves{spec.selection_text()}, allowed {MAX_CURVES}; name a "
+            "layer, or join "
         )
-        raise refused("part.rhino", found.path, field, what + "them (_Join)")
-    own = [_curve(one, found, field) for one in found.objects]
-    points = np.concatenate([one.control[:, :3] / one.control[:, 3:] for one in own])
-    across = float(np.ptp(points, axis=0).max())
-    if across > LARGEST:  # their points would be too many
-        what = f"is {across:.4g} m across, up to {LARGEST:g} m are read; see the unit, or clear stray curves"
-        raise refused("part.rhino", found.path, field, what)
-    pieces = [one.chords(FLATNESS) for one in own]
-    return joined([piece for piece in pieces if len(piece) > 1]), list(found.notes)
+        raise file_error("part.rhino", selection.path, field, what + "them (_Join)")
+    nurbs = [_to_nurbs(item, selection, field) for item in selection.objects]
+    points = np.concatenate([item.control[:, :3] / item.control[:, 3:] for item in nurbs])
+    extent = float(np.ptp(points, axis=0).max())
+    if extent > MAX_EXTENT_M:  # it would have too many points
+        what = f"is {extent:.4g} m across, allowed {MAX_EXTENT_M:g} m; check the unit, or remove stray curves"
+        raise file_error("part.rhino", selection.path, field, what)
+    pieces = [item.chords(CURVE_CHORD_TOLERANCE_M) for item in nurbs]
+    return join_curves([piece for piece in pieces if len(piece) > 1]), list(selection.notes)
 
 
-def ruled(
-    name: str, spec: RhinoRuledFile, closed: bool, flip: bool, hole: bool, folder: Path, field: str
-) -> tuple[Ruled, list[Issue]]:
-    """A ruled face between its own sides, its rulings as they are in the file; and notes.
+def read_ruled(
+    name: str, spec: RhinoFile, options: RulingOptions, folder: Path, field: str
+) -> tuple[RuledSurface, list[Issue]]:
+    """Return a ruled face between two of its sides, with the rulings of the file; and notes.
 
-    Raises ``TandemError``: as :func:`curves`, and ``part.not_ruled``.
+    Args:
+        name: Name of the face.
+        spec: File, and selection of the face.
+        options: How the face is ruled.
+        folder: Folder to which the file name is relative.
+        field: Field of the problem, for issues.
+
+    Raises:
+        TandemError: As :func:`read_curves`, and ``part.not_ruled``.
     """
-    found = _read(spec, folder, field, ("face",))
-    surface, reverse = _face(found, spec, field)
-    way = Way(spec.rulings, closed, flip, hole)
-    made = between_sides(name, surface, reverse, way, _refusals(found, spec, field))
-    return made, list(found.notes)
+    selection = _select(spec, folder, field, ("face",))
+    surface, reverse = _selected_face(selection, spec, field)
+    surface_ruled = ruled_between_sides(name, surface, reverse, options, _face_errors(selection, spec, field))
+    return surface_ruled, list(selection.notes)
 
 
-def _refusals(found: _Found, spec: RhinoFile, field: str) -> Refusals:
-    return Refusals("part.rhino", "part.rhino_facets", found.path, field, f"the face{spec.asked()}")
+def _face_errors(selection: _RhinoSelection, spec: RhinoFile, field: str) -> FaceErrors:
+    return FaceErrors(
+        "part.rhino", "part.rhino_facets", selection.path, field, f"the face{spec.selection_text()}"
+    )
 
 
-def face(spec: RhinoFaceFile, folder: Path, field: str) -> CadFace:
-    """A face or a mesh in SI units; how far facets are off the face is among its notes.
+def read_face(spec: RhinoFaceFile, folder: Path, field: str) -> CadFace:
+    """Return a face or a mesh in SI units. The deviation of facets from the face is among its notes.
 
-    Raises ``TandemError``: as :func:`curves`.
+    Raises:
+        TandemError: As :func:`read_curves`.
     """
-    found = _read(spec, folder, field, ("face", "mesh"))
-    if len(found.objects) == 1 and not isinstance(found.objects[0], tuple):
-        mesh = _mesh(found.objects[0], found.metres)
+    selection = _select(spec, folder, field, ("face", "mesh"))
+    if len(selection.objects) == 1 and not isinstance(selection.objects[0], tuple):
+        mesh = _read_mesh(selection.objects[0], selection.metres)
         mesh = TriangleMesh(mesh.vertices, mesh.faces[:, ::-1]) if spec.flip else mesh
-        return CadFace(mesh, vertex_normals(mesh), None, spec.flip, found.notes)
-    surface, reverse = _face(found, spec, field)
-    of = _refusals(found, spec, field)
-    return faceted(surface, reverse != spec.flip, spec.chord_mm, of, found.notes)
+        return CadFace(mesh, vertex_normals(mesh), None, spec.flip, selection.notes)
+    surface, reverse = _selected_face(selection, spec, field)
+    errors = _face_errors(selection, spec, field)
+    return tessellate_face(surface, reverse != spec.flip, spec.chord_mm, errors, selection.notes)
 
 
-def _read(spec: RhinoFile, folder: Path, field: str, kinds: Sequence[Kind]) -> _Found:
+def _select(spec: RhinoFile, folder: Path, field: str, kinds: Sequence[Kind]) -> _RhinoSelection:
     path = folder / spec.file
     if not is_file(path):
-        raise refused("problem.missing_file", path, field, f"{no_file(path)}; check the path")
-    if path.stat().st_size > MOST_BYTES:
-        raise refused("problem.too_large", path, field, "more than 50 MB; export only what is needed")
+        raise file_error("problem.missing_file", path, field, f"{missing_file_reason(path)}; check the path")
+    if path.stat().st_size > MAX_BYTES:
+        raise file_error("problem.too_large", path, field, "more than 50 MB; export only what is needed")
     try:
         import rhino3dm
     except ImportError as error:
-        raise refused("part.extra_missing", path, field, f"3DM files need rhino3dm; {CAD_INSTALL}") from error
+        raise file_error(
+            "part.extra_missing", path, field, f"3DM files need rhino3dm; {CAD_INSTALL}"
+        ) from error
     model = rhino3dm.File3dm.Read(str(path))
     if model is None:
-        what = "cannot be read: it is no whole 3DM file, or of a newer Rhino; save it for Rhino 8 or older"
-        raise refused("part.rhino", path, field, what)
-    metres, notes = _unit(model, spec, path, field)
+        what = "cannot be read: it is not a complete 3DM file, or of a newer Rhino; save it for Rhino 8"
+        raise file_error("part.rhino", path, field, what)
+    metres, notes = _file_unit(model, spec, path, field)
     layers = {layer.Index: layer for layer in model.Layers}
     if spec.layer is not None and not any(_is_layer(layer, spec.layer) for layer in layers.values()):
         names = sorted({layer.FullPath for layer in layers.values()})
-        more = f" and {len(names) - LAYERS_TOLD} more" if len(names) > LAYERS_TOLD else ""
-        what = f"has no layer {spec.layer}; its layers are {', '.join(names[:LAYERS_TOLD])}{more}"
-        raise refused("part.rhino", path, field, what)
-    wanted, hidden = [], 0
-    for one in model.Objects:
-        if one.Attributes.IsInstanceDefinitionObject or not _is_asked(one, spec, layers, model):
+        more = f" and {len(names) - MAX_LISTED_LAYERS} more" if len(names) > MAX_LISTED_LAYERS else ""
+        what = f"has no layer {spec.layer}; its layers are {', '.join(names[:MAX_LISTED_LAYERS])}{more}"
+        raise file_error("part.rhino", path, field, what)
+    geometries, hidden = [], 0
+    for item in model.Objects:
+        if item.Attributes.IsInstanceDefinitionObject or not _is_selected(item, spec, layers, model):
             continue
-        if _is_hidden(one, layers):
+        if _is_hidden(item, layers):
             hidden += 1
         else:
-            wanted.append(one.Geometry)
-    mine = [part for one in wanted if _kind(one) in kinds for part in _parts(one)]
-    others = Counter(str(one.ObjectType).rpartition(".")[2] for one in wanted if _kind(one) not in kinds)
+            geometries.append(item.Geometry)
+    mine = [part for item in geometries if _kind(item) in kinds for part in _parts(item)]
+    others = Counter(
+        str(item.ObjectType).rpartition(".")[2] for item in geometries if _kind(item) not in kinds
+    )
     left = [f"{count} {kind}" for kind, count in sorted(others.items())]
     left += [f"{hidden} hidden"] if hidden else []
     if not mine:
-        what = f"has no {' and no '.join(kinds)}{spec.asked()}"
+        what = f"has no {' and no '.join(kinds)}{spec.selection_text()}"
         what += f", but {', '.join(left)}; " if left else "; "
-        raise refused("part.rhino", path, field, what + _hint(others, hidden))
+        raise file_error("part.rhino", path, field, what + _left_out_hint(others, hidden))
     if left:
-        what = f"{path.name}: left out {', '.join(left)}{spec.asked()}; {_hint(others, hidden)}"
+        what = (
+            f"{path.name}: left out {', '.join(left)}{spec.selection_text()}; "
+            f"{_left_out_hint(others, hidden)}"
+        )
         notes.append(Issue("part.rhino_left_out", what, Severity.NOTE, file=str(path), field=field))
-    return _Found(path, tuple(mine), metres, tuple(notes))
+    return _RhinoSelection(path, tuple(mine), metres, tuple(notes))
 
 
-_TURNED: Final = {
+_CONVERSION_HINTS: Final = {
     "InstanceReference": "explode blocks (_ExplodeBlock)",
-    "SubD": "turn SubD into NURBS (_ToNURBS) or into a mesh (_Mesh)",
+    "SubD": "convert SubD to NURBS (_ToNURBS) or to a mesh (_Mesh)",
 }
-"""What to do in Rhino with objects of these kinds."""
+"""Remedies in Rhino for objects of these kinds."""
 
 
-def _hint(others: Mapping[str, int], hidden: int) -> str:
-    """What to do with objects that are left out, of these kinds and hidden; of all where it is none of
-    them."""
-    known = [what for kind, what in _TURNED.items() if kind in others]
-    known += ["show what is hidden (_Show, layers)"] if hidden else []
-    return ", ".join(known or [*_TURNED.values(), "show what is hidden (_Show, layers)"])
+def _left_out_hint(others: Mapping[str, int], hidden: int) -> str:
+    """Return the remedy for left-out objects of these kinds or hidden; all remedies if there are none."""
+    known = [what for kind, what in _CONVERSION_HINTS.items() if kind in others]
+    known += ["show hidden objects (_Show, layers)"] if hidden else []
+    return ", ".join(known or [*_CONVERSION_HINTS.values(), "show hidden objects (_Show, layers)"])
 
 
-def _unit(model: Any, spec: RhinoFile, path: Path, field: str) -> tuple[float, list[Issue]]:
-    """Metres of a length of the file, and a note that tells the unit."""
-    said = str(model.Settings.ModelUnitSystem).rpartition(".")[2]
-    own = UNITS.get(said)
+def _file_unit(model: Any, spec: RhinoFile, path: Path, field: str) -> tuple[float, list[Issue]]:
+    """Return the length unit of the file [m], and a note that states it."""
+    unit_name = str(model.Settings.ModelUnitSystem).rpartition(".")[2]
+    file_metres = UNITS.get(unit_name)
     stated = None if spec.unit is None else LENGTH_UNITS[spec.unit]
-    if own is None and said not in UNSAID:
-        what = f"is in {said.lower()}, which is no unit that is read; change it in Rhino (_Units)"
-        raise refused("part.rhino", path, field, what)
-    if own is None and stated is None:
-        what = f"says no unit that is known ({said}); state it (unit: mm), or set it in Rhino (_Units)"
-        raise refused("part.rhino", path, field, what)
-    if own is not None and stated is not None and abs(own - stated) > SAME_UNIT * own:
-        what = f"is in {said.lower()}, the problem says {spec.unit}; take unit out, or change it in Rhino "
-        what += "(_Units)"
-        raise refused("part.rhino", path, field, what)
-    what = f"{path.name} is in {said.lower() if own is not None else spec.unit}"
+    if file_metres is None and unit_name not in UNITLESS:
+        what = f"is in {unit_name.lower()}, which is not supported; change it in Rhino (_Units)"
+        raise file_error("part.rhino", path, field, what)
+    if file_metres is None and stated is None:
+        what = f"states no known unit ({unit_name}); state it (unit: mm), or set it in Rhino (_Units)"
+        raise file_error("part.rhino", path, field, what)
+    if (
+        file_metres is not None
+        and stated is not None
+        and abs(file_metres - stated) > UNIT_TOLERANCE * file_metres
+    ):
+        what = f"is in {unit_name.lower()}, but the problem states {spec.unit}; remove unit, or change it in "
+        what += "Rhino (_Units)"
+        raise file_error("part.rhino", path, field, what)
+    what = f"{path.name} is in {unit_name.lower() if file_metres is not None else spec.unit}"
     note = Issue("part.rhino_unit", what, Severity.NOTE, file=str(path), field=field)
-    return float(own or stated or 0.0), [note]
+    return float(file_metres or stated or 0.0), [note]
 
 
-def _is_layer(layer: Any, asked: str) -> bool:
-    return asked.lower() in (layer.Name.lower(), layer.FullPath.lower())
+def _is_layer(layer: Any, name: str) -> bool:
+    return name.lower() in (layer.Name.lower(), layer.FullPath.lower())
 
 
-def _is_asked(one: Any, spec: RhinoFile, layers: dict[int, Any], model: Any) -> bool:
-    own = one.Attributes
-    layer = layers.get(own.LayerIndex)
+def _is_selected(item: Any, spec: RhinoFile, layers: dict[int, Any], model: Any) -> bool:
+    attributes = item.Attributes
+    layer = layers.get(attributes.LayerIndex)
     if spec.layer is not None and (layer is None or not _is_layer(layer, spec.layer)):
         return False
-    if spec.name is not None and own.Name.lower() != spec.name.lower():
+    if spec.name is not None and attributes.Name.lower() != spec.name.lower():
         return False
     if spec.colour is None:
         return True
-    shown = "#" + "".join(f"{value:02x}" for value in own.DrawColor(model)[:3])
+    shown = "#" + "".join(f"{value:02x}" for value in attributes.DrawColor(model)[:3])
     return shown == spec.colour.lower()
 
 
-def _is_hidden(one: Any, layers: dict[int, Any]) -> bool:
-    if not one.Attributes.Visible:
+def _is_hidden(item: Any, layers: dict[int, Any]) -> bool:
+    if not item.Attributes.Visible:
         return True
-    layer = layers.get(one.Attributes.LayerIndex)
+    layer = layers.get(item.Attributes.LayerIndex)
     if layer is None:
         return False
     around = [other for other in layers.values() if layer.FullPath.startswith(other.FullPath + "::")]
@@ -280,112 +312,133 @@ def _kind(geometry: Any) -> Kind | None:
 
 
 def _parts(geometry: Any) -> list[Any]:
-    """The faces of a solid or surface, each with its solid; anything else as it is."""
+    """Return the faces of a solid or surface, each with its solid; anything else unchanged."""
     if _kind(geometry) != "face":
         return [geometry]
     kind = str(geometry.ObjectType).rpartition(".")[2]
     brep = geometry.ToBrep(True) if kind == "Extrusion" else geometry
-    return [(one, brep) for one in brep.Faces]
+    return [(face, brep) for face in brep.Faces]
 
 
-def _curve(geometry: Any, found: _Found, field: str) -> NurbsCurve:
-    own = geometry.ToNurbsCurve()
-    if own is None:
-        raise refused("part.rhino", found.path, field, "a curve has no NURBS form; rebuild it (_Rebuild)")
-    control = np.array([(p.X, p.Y, p.Z, p.W) for p in own.Points], dtype=np.float64)
-    if own.Dimension == 2:
+def _to_nurbs(geometry: Any, selection: _RhinoSelection, field: str) -> NurbsCurve:
+    nurbs = geometry.ToNurbsCurve()
+    if nurbs is None:
+        raise file_error(
+            "part.rhino", selection.path, field, "a curve has no NURBS form; rebuild it (_Rebuild)"
+        )
+    control = np.array([(p.X, p.Y, p.Z, p.W) for p in nurbs.Points], dtype=np.float64)
+    if nurbs.Dimension == 2:
         control[:, 2] = 0.0
-    return NurbsCurve(own.Degree, _knots(list(own.Knots)), _finite(_scaled(control, found), found, field))
+    return NurbsCurve(
+        nurbs.Degree, _knots(list(nurbs.Knots)), _require_finite(_scale(control, selection), selection, field)
+    )
 
 
-def _knots(own: Sequence[float]) -> FloatArray:
-    """Rhino leaves out the first and the last knot, which nothing depends on."""
-    return np.array([own[0], *own, own[-1]], dtype=np.float64)
+def _knots(knots: Sequence[float]) -> FloatArray:
+    """Return a complete knot vector; Rhino omits the first and the last knot, which have no effect."""
+    return np.array([knots[0], *knots, knots[-1]], dtype=np.float64)
 
 
-def _scaled(control: FloatArray, found: _Found) -> FloatArray:
-    return np.asarray(control * np.array([found.metres] * 3 + [1.0]))
+def _scale(control: FloatArray, selection: _RhinoSelection) -> FloatArray:
+    return np.asarray(control * np.array([selection.metres] * 3 + [1.0]))
 
 
-def _finite(control: FloatArray, found: _Found, field: str) -> FloatArray:
+def _require_finite(control: FloatArray, selection: _RhinoSelection, field: str) -> FloatArray:
     if not np.isfinite(control).all() or (control[..., 3] <= 0.0).any():
-        what = "has numbers that are not finite, or weights that are not above 0; rebuild it (_Rebuild)"
-        raise refused("part.rhino", found.path, field, what)
+        what = "has numbers that are not finite, or weights that are not positive; rebuild it (_Rebuild)"
+        raise file_error("part.rhino", selection.path, field, what)
     return control
 
 
-def _face(found: _Found, spec: RhinoFile, field: str) -> tuple[NurbsSurface, bool]:
-    """The one face that is asked for, as far as it is not cut off; whether its normal is turned."""
-    if len(found.objects) != 1:
-        what = f"has {len(found.objects)} faces and meshes{spec.asked()}, 1 is wanted; explode solids "
-        what += "(_Explode) and give the face a layer or a name of its own"
-        raise refused("part.rhino", found.path, field, what)
-    one, brep = found.objects[0]
-    own = one.UnderlyingSurface()
-    own = None if own is None else own.ToNurbsSurface()
-    if own is None:
-        raise refused("part.rhino", found.path, field, "the face has no NURBS form; rebuild it (_Rebuild)")
+def _selected_face(selection: _RhinoSelection, spec: RhinoFile, field: str) -> tuple[NurbsSurface, bool]:
+    """Return the one selected face, trimmed to its region, and whether its normal is reversed."""
+    if len(selection.objects) != 1:
+        what = (
+            f"has {len(selection.objects)} faces and meshes{spec.selection_text()}, expected 1; explode "
+            "solids "
+        )
+        what += "(_Explode) and give the face its own layer or name"
+        raise file_error("part.rhino", selection.path, field, what)
+    face, brep = selection.objects[0]
+    nurbs = face.UnderlyingSurface()
+    nurbs = None if nurbs is None else nurbs.ToNurbsSurface()
+    if nurbs is None:
+        raise file_error(
+            "part.rhino", selection.path, field, "the face has no NURBS form; rebuild it (_Rebuild)"
+        )
     rows = [
-        [own.Points.GetControlPoint(i, j) for j in range(own.Points.CountV)] for i in range(own.Points.CountU)
+        [nurbs.Points.GetControlPoint(i, j) for j in range(nurbs.Points.CountV)]
+        for i in range(nurbs.Points.CountU)
     ]
     control = np.array([[(p.X, p.Y, p.Z, p.W) for p in row] for row in rows], dtype=np.float64)
-    knots = _knots(own.KnotsU.ToList()), _knots(own.KnotsV.ToList())
-    degree = own.OrderU - 1, own.OrderV - 1
-    control = _finite(_scaled(control, found), found, field)
+    knots = _knots(nurbs.KnotsU.ToList()), _knots(nurbs.KnotsV.ToList())
+    degree = nurbs.OrderU - 1, nurbs.OrderV - 1
+    control = _require_finite(_scale(control, selection), selection, field)
     surface = NurbsSurface(degree, knots, control, ((0.0, 0.0), (0.0, 0.0)))
     surface = dataclasses.replace(surface, region=surface.whole())
-    if len(one.Loops) != 1:
-        what = f"the face{spec.asked()} has holes; untrim it (_Untrim), or cut it so that it has none"
-        raise refused("part.rhino", found.path, field, what)
-    return _region(surface, one, brep, found, spec, field), bool(one.OrientationIsReversed)
+    if len(face.Loops) != 1:
+        what = (
+            f"the face{spec.selection_text()} has holes; untrim it (_Untrim), or cut it so that it has none"
+        )
+        raise file_error("part.rhino", selection.path, field, what)
+    return _face_region(surface, face, brep, selection, spec, field), bool(face.OrientationIsReversed)
 
 
-def _region(
-    surface: NurbsSurface, one: Any, brep: Any, found: _Found, spec: RhinoFile, field: str
+def _face_region(
+    surface: NurbsSurface, face: Any, brep: Any, selection: _RhinoSelection, spec: RhinoFile, field: str
 ) -> NurbsSurface:
-    """The piece of a surface that the face's edges go around."""
+    """Return the region of a surface that the edges of the face enclose."""
     whole = np.array(surface.whole())
     size = whole[:, 1] - whole[:, 0]
-    at, seams = [], []
-    indices = [trim.EdgeIndex for trim in one.Loops[0].Trims if trim.EdgeIndex >= 0]  # below: at a pole
+    edge_parameters, seams = [], []
+    indices = [trim.EdgeIndex for trim in face.Loops[0].Trims if trim.EdgeIndex >= 0]  # below: at a pole
     for index in indices:
-        edge = _curve(brep.Edges[index], found, field)
-        where, off = surface.places(edge.points(_spread(edge.spans())))
-        if off.max() > ON_FACE:
+        edge = _to_nurbs(brep.Edges[index], selection, field)
+        where, distance = surface.nearest_parameters(edge.points(_sample_spans(edge.spans())))
+        if distance.max() > EDGE_TOLERANCE_M:
             what = (
-                f"an edge of the face{spec.asked()} is {off.max() / MM:.3g} mm off it; rebuild it (_Rebuild)"
+                f"an edge of the face{spec.selection_text()} is {distance.max() / MM:.3g} mm off it; rebuild "
+                "it (_Rebuild)"
             )
-            raise refused("part.rhino", found.path, field, what)
-        at += list(where.reshape(-1, EDGE_PLACES, 2))
-        seams += [indices.count(index) > 1] * (len(where) // EDGE_PLACES)
+            raise file_error("part.rhino", selection.path, field, what)
+        edge_parameters += list(where.reshape(-1, EDGE_SAMPLES, 2))
+        seams += [indices.count(index) > 1] * (len(where) // EDGE_SAMPLES)
     for k in (0, 1):
-        if surface.closed(k):
-            at = _unrolled(at, seams, k, whole[k], ON_LINE_SHARE * size[k])
-    box = rectangle(at, ON_LINE_SHARE * size) if at else None
+        if surface.is_closed(k):
+            edge_parameters = _unroll_parameters(
+                edge_parameters, seams, k, whole[k], LINE_TOLERANCE_FRACTION * size[k]
+            )
+    box = bounding_rectangle(edge_parameters, LINE_TOLERANCE_FRACTION * size) if edge_parameters else None
     if box is None:
-        what = f"the face{spec.asked()} is cut along other lines than its own; untrim it (_Untrim), or make "
-        what += "it anew between its edges (_EdgeSrf, _Loft)"
-        raise refused("part.rhino", found.path, field, what)
+        what = (
+            f"the face{spec.selection_text()} is not trimmed along its parameter lines; untrim it (_Untrim), "
+            "or "
+        )
+        what += "create it again from its edges (_EdgeSrf, _Loft)"
+        raise file_error("part.rhino", selection.path, field, what)
     low, high = box
-    low = np.where(low - whole[:, 0] <= ON_LINE_SHARE * size, whole[:, 0], low)
-    high = np.where(whole[:, 1] - high <= ON_LINE_SHARE * size, whole[:, 1], high)
+    low = np.where(low - whole[:, 0] <= LINE_TOLERANCE_FRACTION * size, whole[:, 0], low)
+    high = np.where(whole[:, 1] - high <= LINE_TOLERANCE_FRACTION * size, whole[:, 1], high)
     region = (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
     return dataclasses.replace(surface, region=region)
 
 
-def _unrolled(
-    at: Sequence[FloatArray], seams: Sequence[bool], k: int, ends: FloatArray, near: float
+def _unroll_parameters(
+    edges: Sequence[FloatArray], seams: Sequence[bool], k: int, ends: FloatArray, tolerance: float
 ) -> list[FloatArray]:
-    """Places (N, 2) of edges on a surface whose parameter ``k`` goes all round, from ``ends[0]`` to
-    ``ends[1]``, where both are one line: ``seams`` are on either, else on that next to the face."""
-    out = [edge.copy() for edge in at]
+    """Return parameters (N, 2) of edges on a surface that is closed in parameter ``k``.
+
+    The lines at ``ends[0]`` and ``ends[1]`` coincide. Of a face with seams, one seam edge is put at each end;
+    otherwise edges on that line are put at the end next to the face.
+    """
+    out = [edge.copy() for edge in edges]
     values = np.concatenate([edge[:, k] for edge in out])
-    inner = values[(values > ends[0] + near) & (values < ends[1] - near)]
+    inner = values[(values > ends[0] + tolerance) & (values < ends[1] - tolerance)]
     if not len(inner):
         return out
     nearer = ends[0] if inner.min() - ends[0] <= ends[1] - inner.max() else ends[1]
     for number, (edge, seam) in enumerate(zip(out, seams, strict=True)):
-        on_seam = (edge[:, k] <= ends[0] + near) | (edge[:, k] >= ends[1] - near)
+        on_seam = (edge[:, k] <= ends[0] + tolerance) | (edge[:, k] >= ends[1] - tolerance)
         if on_seam.all() and seam:
             edge[:, k] = ends[sum(seams[:number]) % 2]
         elif not any(seams):
@@ -393,17 +446,17 @@ def _unrolled(
     return out
 
 
-def _spread(spans: FloatArray) -> FloatArray:
-    """`EDGE_PLACES` parameters in each of some spans (S + 1,), its ends included."""
-    share = np.linspace(0.0, 1.0, EDGE_PLACES)
-    return np.asarray((spans[:-1, None] + np.diff(spans)[:, None] * share).ravel())
+def _sample_spans(spans: FloatArray) -> FloatArray:
+    """Return `EDGE_SAMPLES` parameters in each of the spans (S + 1,), ends included."""
+    fractions = np.linspace(0.0, 1.0, EDGE_SAMPLES)
+    return np.asarray((spans[:-1, None] + np.diff(spans)[:, None] * fractions).ravel())
 
 
-def _mesh(geometry: Any, metres: float) -> TriangleMesh:
-    """A mesh with its corners that are one place made one; quads as two triangles."""
-    places = geometry.Vertices.ToPoint3dArray()  # in double precision where the file has it
-    vertices = np.array([(p.X, p.Y, p.Z) for p in places], dtype=np.float64) * metres
+def _read_mesh(geometry: Any, metres: float) -> TriangleMesh:
+    """Return a mesh with coincident vertices merged and quads split into two triangles."""
+    points = geometry.Vertices.ToPoint3dArray()  # in double precision if the file has it
+    vertices = np.array([(p.X, p.Y, p.Z) for p in points], dtype=np.float64) * metres
     faces = np.array([geometry.Faces[k] for k in range(len(geometry.Faces))], dtype=np.int64).reshape(-1, 4)
     split = np.concatenate([faces[:, :3], faces[:, [0, 2, 3]][faces[:, 2] != faces[:, 3]]])
-    unlike, index = np.unique(vertices, axis=0, return_inverse=True)
-    return TriangleMesh(unlike, index.reshape(-1)[split])
+    unique_vertices, index = np.unique(vertices, axis=0, return_inverse=True)
+    return TriangleMesh(unique_vertices, index.reshape(-1)[split])

@@ -1,5 +1,7 @@
-"""How large a block or a sheet is enough, found by trying it: what a part needs besides its own size (room of
-the tools in the clamp's opening, of a bow beside the support) the checks of the enlarged problem tell.
+"""Advice on the size of a block or sheet that is too small, found by trial.
+
+What a part needs besides its own size (clearance of tools in the opening of the clamp, of a bow beside the
+support) follows from checks of the enlarged problem.
 """
 
 import copy
@@ -14,87 +16,109 @@ from planner.reading.sheet import ClampFile
 from planner.reading.strict_yaml import Document
 
 STOCK_TOO_SMALL: Final = "part.stock_too_small"
-"""Code of what a larger block mends."""
+"""Issue code that a larger block resolves."""
 CLAMP_TOO_SMALL: Final = "forming.clamp"
-"""Code of what a larger opening of the clamp mends."""
+"""Issue code that a larger opening of the clamp resolves."""
 ADDED_HEIGHTS_MM: Final = (30.0, 60.0)
-"""Blocks that are higher by these [mm] are tried where arms have no room for the work on a tight one."""
-MOST_FACTOR: Final = 3.0
-"""A part that needs a block or an opening of more than so many times the given one is not tried: its unit is
-wrong."""
-MOST_NAMED: Final = 2
-"""Faults left over that are named at most."""
+"""Additional heights [mm] of blocks that are tried if arms cannot reach the work on a tight one."""
+MAX_SIZE_FACTOR: Final = 3.0
+"""Maximum ratio of a tried block or opening to the given one. A larger ratio indicates a wrong unit."""
+MAX_NAMED_FAULTS: Final = 2
+"""Maximum number of remaining faults that are named."""
 
 Data = dict[str, Any]
-Check = Callable[[Document, bool], Sequence[Issue]]
-"""The issues of a changed problem; with True also those of a first look at its motion. May raise
-``TandemError``."""
-Look = Callable[[bool], list[Issue]]
-"""The errors of the data as they are now."""
-Wider = Callable[[float, bool], float]
-"""By how much [mm] an opening has to be wider where tools are so deep [mm] in its clamp; True: if round."""
+ChangedProblemCheck = Callable[[Document, bool], Sequence[Issue]]
+"""Returns the issues of a changed problem; with True also those of a quick check of its motion.
+
+May raise ``TandemError``.
+"""
+ErrorCheck = Callable[[bool], list[Issue]]
+"""Returns the errors of the current data."""
+RequiredWidening = Callable[[float, bool], float]
+"""Returns how much [mm] wider an opening has to be for a tool depth [mm] in its clamp; True: if round."""
 
 
-def advised(document: Document, issues: Sequence[Issue], check: Check, wider: Wider) -> list[Issue]:
-    """The issues of the problem in a file; where the one error is a block or sheet that is too small, it is
-    told with a size that was tried, and with what is still wrong then."""
+def add_size_advice(
+    document: Document,
+    issues: Sequence[Issue],
+    check: ChangedProblemCheck,
+    required_widening: RequiredWidening,
+) -> list[Issue]:
+    """Add a tried size to the issues of a problem whose only error is a block or sheet that is too small.
+
+    The hint also states what is still wrong with that size.
+
+    Args:
+        document: Problem file.
+        issues: Issues of the problem.
+        check: Checks a changed problem.
+        required_widening: Computes how much wider an opening has to be.
+    """
     errors = [issue for issue in issues if issue.severity is Severity.ERROR]
     if len(errors) != 1 or errors[0].code != STOCK_TOO_SMALL:
         return list(issues)
     data = copy.deepcopy(document.data)
 
-    def look(far: bool) -> list[Issue]:
+    def find_errors(include_motion: bool) -> list[Issue]:
         try:
-            found = check(document.with_data(data), far)
+            found_issues = check(document.with_data(data), include_motion)
         except TandemError as error:
-            found = error.issues
-        return [issue for issue in found if issue.severity is Severity.ERROR]
+            found_issues = error.issues
+        return [issue for issue in found_issues if issue.severity is Severity.ERROR]
 
     blocked = data.get("sheet") is None
-    told = _block(data, errors[0], look) if blocked else _sheet(data, errors[0], look, wider)
-    return [told if issue is errors[0] else issue for issue in issues]
+    advice = (
+        _advise_block(data, errors[0], find_errors)
+        if blocked
+        else _advise_sheet(data, errors[0], find_errors, required_widening)
+    )
+    return [advice if issue is errors[0] else issue for issue in issues]
 
 
-def _block(data: Data, issue: Issue, look: Look) -> Issue:
-    """With the tightest block in which the work can be done; else that in which it comes farthest."""
+def _advise_block(data: Data, issue: Issue, find_errors: ErrorCheck) -> Issue:
+    """Add the smallest block in which the work is feasible, else the one with the fewest remaining faults."""
     if issue.remedy is None or issue.remedy.size_mm is None:
         return issue
     stock, old = data["stock"], data["stock"]["size_mm"]
     stock["size_mm"] = size = list(issue.remedy.size_mm)
-    if any(new > MOST_FACTOR * was for new, was in zip(size, old, strict=True)):
+    if any(new > MAX_SIZE_FACTOR * was for new, was in zip(size, old, strict=True)):
         return issue
-    left = look(True)
-    if _earlier(left) and data["part"].get("in_stock", "auto") == "auto":
-        # work that is given in the block's frame may be meant for a part that lies the other way round
+    remaining = find_errors(True)
+    if _precedes_motion(remaining) and data["part"].get("in_stock", "auto") == "auto":
+        # work stated in the block's frame may be for a part with x and y exchanged
         stock["size_mm"] = other = [max(old[0], size[1]), max(old[1], size[0]), size[2]]
-        found = look(True)
-        size, left = (size, left) if _earlier(found) else (other, found)
+        errors = find_errors(True)
+        size, remaining = (size, remaining) if _precedes_motion(errors) else (other, errors)
     for more in ADDED_HEIGHTS_MM:
-        if not left or _earlier(left):
+        if not remaining or _precedes_motion(remaining):
             break
         stock["size_mm"] = other = [*size[:2], round(size[2] + more, 1)]
-        found = look(True)
-        size, left = (size, left) if found else (other, found)
+        errors = find_errors(True)
+        size, remaining = (size, remaining) if errors else (other, errors)
     remedy = dataclasses.replace(issue.remedy, size_mm=tuple(size))
-    return dataclasses.replace(issue, hint=f"take size_mm: {_list(size)}{_left(left)}", remedy=remedy)
+    return dataclasses.replace(
+        issue, hint=f"set size_mm: {_format_list(size)}{_remaining_text(remaining)}", remedy=remedy
+    )
 
 
-def _earlier(left: Sequence[Issue]) -> bool:
-    """Whether something is wrong before motion is looked at."""
+def _precedes_motion(left: Sequence[Issue]) -> bool:
+    """Whether there is a fault that is found before motion is checked."""
     return any(not issue.code.startswith("motion.") for issue in left)
 
 
-def _sheet(data: Data, issue: Issue, look: Look, wider: Wider) -> Issue:
-    """With an opening that has room for the part and for the tools that form it (forming.clamp)."""
+def _advise_sheet(
+    data: Data, issue: Issue, find_errors: ErrorCheck, required_widening: RequiredWidening
+) -> Issue:
+    """Add an opening that fits the part and the tools that form it (forming.clamp)."""
     sheet, settings = data["sheet"], data.get("settings") or {}
     clear = settings.get("clearance_mm", SettingsFile().clearance_mm)
     more = 2.0 * (issue.value or 0.0)
     old, rim = sheet["opening_mm"], 2.0 * (sheet.get("clamp") or {}).get("width_mm", ClampFile().width_mm)
-    if more > (MOST_FACTOR - 1.0) * (min(old) if isinstance(old, list) else old):
+    if more > (MAX_SIZE_FACTOR - 1.0) * (min(old) if isinstance(old, list) else old):
         return issue
 
     def widened() -> list[float] | float:
-        """The opening wider by ``more``, to whole millimetres."""
+        """Widen the opening by ``more``, rounded up to whole millimetres."""
         added = math.ceil(more - 1e-6)
         opening = [value + added for value in old] if isinstance(old, list) else old + added
         wide = opening if isinstance(opening, list) else [opening] * 2
@@ -103,24 +127,31 @@ def _sheet(data: Data, issue: Issue, look: Look, wider: Wider) -> Issue:
         return opening
 
     widened()
-    deep = max((one.value or 0.0 for one in look(False) if one.code == CLAMP_TOO_SMALL), default=0.0)
-    more += 2.0 * clear + wider(deep, not isinstance(old, list))
-    opening, left = widened(), look(False)
-    shown = _list(opening) if isinstance(opening, list) else f"{opening:g}"
-    hint = f"take opening_mm: {shown} and size_mm: {_list(sheet['size_mm'])}, with room for the tools"
-    told = f"{hint}{_left(left)}; or move the part (in_stock), or check its unit"
-    return dataclasses.replace(issue, hint=told)
+    tool_depth = max(
+        (
+            issue_found.value or 0.0
+            for issue_found in find_errors(False)
+            if issue_found.code == CLAMP_TOO_SMALL
+        ),
+        default=0.0,
+    )
+    more += 2.0 * clear + required_widening(tool_depth, not isinstance(old, list))
+    opening, left = widened(), find_errors(False)
+    shown = _format_list(opening) if isinstance(opening, list) else f"{opening:g}"
+    hint = f"set opening_mm: {shown} and size_mm: {_format_list(sheet['size_mm'])}, with space for the tools"
+    text = f"{hint}{_remaining_text(left)}; or move the part (in_stock), or check its unit"
+    return dataclasses.replace(issue, hint=text)
 
 
-def _left(left: Sequence[Issue]) -> str:
-    """What is still wrong with a size that was tried."""
+def _remaining_text(left: Sequence[Issue]) -> str:
+    """Describe the remaining faults of a tried size."""
     if not left:
         return " (tried)"
-    codes = list(dict.fromkeys(one.code for one in left))[:MOST_NAMED]
-    first = [next(one for one in left if one.code == code) for code in codes]
-    told = (f"{one.message}; {one.hint}" if one.hint else one.message for one in first)
-    return f"; then there is still: {'; and '.join(told)}"
+    codes = list(dict.fromkeys(issue.code for issue in left))[:MAX_NAMED_FAULTS]
+    first = [next(issue for issue in left if issue.code == code) for code in codes]
+    texts = (f"{issue.message}; {issue.hint}" if issue.hint else issue.message for issue in first)
+    return f"; then remains: {'; and '.join(texts)}"
 
 
-def _list(values: Sequence[float]) -> str:
+def _format_list(values: Sequence[float]) -> str:
     return "[" + ", ".join(f"{value:g}" for value in values) + "]"

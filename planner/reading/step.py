@@ -1,7 +1,7 @@
-"""What is taken of STEP and IGES files, by number, name and colour: ruled faces and free faces.
+"""Faces of STEP and IGES files, selected by number, name and colour: ruled faces and free faces.
 
-Open CASCADE reads them in a process of its own (:mod:`planner.reading.occt`, extra ``step``); what becomes of
-a face, :mod:`planner.reading.cad_faces` works out.
+Open CASCADE reads them in a separate process (:mod:`planner.reading.occt`, extra ``step``);
+:mod:`planner.reading.cad_faces` converts the face.
 """
 
 import importlib.util
@@ -14,23 +14,23 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 from pydantic import Field
 
-from planner.files import is_file, no_file
-from planner.geometry.arrays import Ruled
-from planner.geometry.nurbs import NurbsSurface, rectangle
+from planner.files import is_file, missing_file_reason
+from planner.geometry.arrays import RuledSurface
+from planner.geometry.nurbs import NurbsSurface, bounding_rectangle
 from planner.geometry.units import LENGTH_UNITS, MM
 from planner.issues import Issue, Severity
-from planner.reading.cad_faces import CadFace, Refusals, Way, between_sides, faceted
-from planner.reading.drawing import MOST_BYTES, refused
+from planner.reading.cad_faces import CadFace, FaceErrors, RulingOptions, ruled_between_sides, tessellate_face
+from planner.reading.drawing import MAX_BYTES, file_error
 from planner.reading.strict_yaml import FileName, Strict, Unit
 
 STEP_SUFFIXES: Final = (".step", ".stp", ".igs", ".iges")
-"""Files that are read."""
+"""Suffixes of files that are read."""
 STEP_INSTALL: Final = "pip install 'tandem-planner[step]'"
-"""What to run where the reader of STEP files is missing."""
-LONGEST: Final = 300.0
-"""A file that is not read after this [s] is given up."""
-ON_LINE_SHARE: Final = 1e-4
-"""Share of a surface's parameters by which an edge along one of its lines may be off that line."""
+"""Command that installs the reader of STEP files."""
+READ_TIMEOUT_S: Final = 300.0
+"""Time limit for reading a file [s]."""
+LINE_TOLERANCE_FRACTION: Final = 1e-4
+"""Maximum deviation of an edge from a parameter line of its surface, as a fraction of the parameter range."""
 UNITS: Final = {
     **dict.fromkeys(("millimetre", "mm"), 1e-3),
     **dict.fromkeys(("centimetre", "cm"), 1e-2),
@@ -38,14 +38,15 @@ UNITS: Final = {
     **dict.fromkeys(("inch", "in"), 0.0254),
     **dict.fromkeys(("foot", "ft"), 0.3048),
 }
-"""Names of units in STEP and IGES files, in metres, that may be stated as well."""
+"""Names of units in STEP and IGES files, in metres, that the problem may also state."""
 
 
 class StepFile(Strict):
-    """One face of a STEP or IGES file: of those that have all of what is given of ``face``, ``name`` and
-    ``colour``, there is one. Needs the extra ``step`` of Tandem.
+    """One face of a STEP or IGES file: the only one that matches the given ``face``, ``name`` and ``colour``.
 
-    Lengths are in the file's unit; ``unit`` is for files that have none.
+    Needs the extra ``step`` of Tandem.
+
+    Lengths are in the unit of the file; ``unit`` is for files that have none.
     """
 
     file: FileName
@@ -58,131 +59,148 @@ class StepFile(Strict):
     colour: Annotated[str, Field(pattern=r"^#[0-9a-fA-F]{6}$", description="'#rrggbb'")] | None = None
     unit: Unit | None = None
 
-    def asked(self) -> str:
-        """What is asked for, in words."""
+    def selection_text(self) -> str:
+        """Return the selection in words, for messages."""
         keys = [f"{key} {value}" for key in ("face", "name", "colour") if (value := getattr(self, key))]
         return f" of {', '.join(keys)}" if keys else ""
 
 
 class StepRuledFile(StepFile):
-    """A ruled face of a STEP or IGES file, whole or cut along its own lines; its normal points away from the
-    part. ``rulings``: along u or v, where it is straight both ways.
+    """A ruled face of a STEP or IGES file, whole or trimmed along its parameter lines.
+
+    Its normal points away from the part. ``rulings`` is u or v, for a face that is straight both ways.
     """
 
     rulings: Literal["u", "v"] | None = None
 
 
 class StepFaceFile(StepFile):
-    """A face of a STEP or IGES file, whole or cut along its own lines; ``chord_mm``: how far its facets may
-    be off it. Its normal points away from the part.
+    """A face of a STEP or IGES file, whole or trimmed along its parameter lines.
+
+    ``chord_mm`` is the maximum distance of its facets. Its normal points away from the part.
     """
 
     chord_mm: float = Field(default=0.005, ge=0.0005, le=1)
-    flip: bool = Field(default=False, description="turn the side that faces away from the part")
+    flip: bool = Field(default=False, description="reverse the normal; it must point away from the part")
 
 
-def ruled(
-    name: str, spec: StepRuledFile, closed: bool, flip: bool, hole: bool, folder: Path, field: str
-) -> tuple[Ruled, list[Issue]]:
-    """A ruled face between its own sides, its rulings as they are in the file; and notes.
+def read_ruled(
+    name: str, spec: StepFile, options: RulingOptions, folder: Path, field: str
+) -> tuple[RuledSurface, list[Issue]]:
+    """Return a ruled face between two of its sides, with the rulings of the file; and notes.
 
-    Raises ``TandemError``: ``problem.missing_file``, ``problem.too_large``, ``part.extra_missing``,
-    ``part.step``, ``part.not_ruled``.
+    Args:
+        name: Name of the face.
+        spec: File, and selection of the face.
+        options: How the face is ruled.
+        folder: Folder to which the file name is relative.
+        field: Field of the problem, for issues.
+
+    Raises:
+        TandemError: ``problem.missing_file``, ``problem.too_large``, ``part.extra_missing``, ``part.step``,
+            ``part.not_ruled``.
     """
-    surface, reverse, of, note = _face(spec, folder, field)
-    return between_sides(name, surface, reverse, Way(spec.rulings, closed, flip, hole), of), [note]
+    surface, reverse, errors, note = _selected_face(spec, folder, field)
+    return ruled_between_sides(name, surface, reverse, options, errors), [note]
 
 
-def face(spec: StepFaceFile, folder: Path, field: str) -> CadFace:
-    """A face in SI units; how far facets are off it is among its notes. Raises ``TandemError``: as
-    :func:`ruled`."""
-    surface, reverse, of, note = _face(spec, folder, field)
-    return faceted(surface, reverse != spec.flip, spec.chord_mm, of, (note,))
+def read_face(spec: StepFaceFile, folder: Path, field: str) -> CadFace:
+    """Return a face in SI units. The deviation of its facets is among its notes.
+
+    Raises:
+        TandemError: As :func:`read_ruled`.
+    """
+    surface, reverse, errors, note = _selected_face(spec, folder, field)
+    return tessellate_face(surface, reverse != spec.flip, spec.chord_mm, errors, (note,))
 
 
-def _face(spec: StepFile, folder: Path, field: str) -> tuple[NurbsSurface, bool, Refusals, Issue]:
-    """The one face that is asked for, whether its normal is turned, how it is refused, a note of the unit."""
+def _selected_face(spec: StepFile, folder: Path, field: str) -> tuple[NurbsSurface, bool, FaceErrors, Issue]:
+    """Return the selected face, whether its normal is reversed, the error context, and a note on the unit."""
     path = folder / spec.file
-    said = _asked(spec, path, field)
-    if said.get("fault"):
-        raise refused("part.step", path, field, f"cannot be read: {said['fault']}; export it again")
-    size, note = _unit(said["units"], spec, path, field)
-    if said["count"] != 1:
-        shown = "; ".join(_told(one) for one in said["faces"][:12])
-        what = f"has {said['count']} faces{spec.asked()} in {said['bodies']} bodies, 1 is wanted; "
+    answer = _query_file(spec, path, field)
+    if answer.get("fault"):
+        raise file_error("part.step", path, field, f"cannot be read: {answer['fault']}; export it again")
+    size, note = _file_unit(answer["units"], spec, path, field)
+    if answer["count"] != 1:
+        shown = "; ".join(_describe_face(listed) for listed in answer["faces"][:12])
+        what = (
+            f"has {answer['count']} faces{spec.selection_text()} in {answer['bodies']} bodies, expected 1; "
+        )
         what += (
             f"give the number of one (face: 3), its name or colour: {shown}"
             if shown
-            else ("surfaces and solids are read, no curves; save the face with the file, or ask for another")
+            else ("only surfaces and solids are read; save the face with the file, or select another")
         )
-        raise refused("part.step", path, field, what)
-    of = Refusals("part.step", "part.step_facets", path, field, f"the face{spec.asked()}")
-    own = said["surface"]
-    if own.get("fault"):
-        raise of.of(f"has {own['fault']}; untrim it, or make it anew between its edges (a loft)")
-    region = np.array(own["region"])
-    edges = [np.array(edge) for edge in own["edges"]]
-    if rectangle(edges, ON_LINE_SHARE * np.ptp(region, axis=1)) is None:
-        what = "is cut along other lines than its own; untrim it, or make it anew between its edges (a loft)"
-        raise of.of(what)
-    control = np.array(own["control"]) * np.array([size, size, size, 1.0])
+        raise file_error("part.step", path, field, what)
+    errors = FaceErrors("part.step", "part.step_facets", path, field, f"the face{spec.selection_text()}")
+    spline = answer["surface"]
+    if spline.get("fault"):
+        raise errors.error(f"has {spline['fault']}; untrim it, or create it again from its edges (a loft)")
+    region = np.array(spline["region"])
+    edges = [np.array(edge) for edge in spline["edges"]]
+    if bounding_rectangle(edges, LINE_TOLERANCE_FRACTION * np.ptp(region, axis=1)) is None:
+        what = "is not trimmed along its parameter lines; untrim it, or create it again from its edges"
+        raise errors.error(what)
+    control = np.array(spline["control"]) * np.array([size, size, size, 1.0])
     if not np.isfinite(control).all() or (control[..., 3] <= 0.0).any():
-        raise of.of("has numbers that are not finite, or weights that are not above 0; make it anew")
-    degree = int(own["degree"][0]), int(own["degree"][1])
-    knots = np.array(own["knots"][0]), np.array(own["knots"][1])
+        raise errors.error(
+            "has numbers that are not finite, or weights that are not positive; create it again"
+        )
+    degree = int(spline["degree"][0]), int(spline["degree"][1])
+    knots = np.array(spline["knots"][0]), np.array(spline["knots"][1])
     ends = [(float(k[p]), float(k[-p - 1])) for p, k in zip(degree, knots, strict=True)]
-    return NurbsSurface(degree, knots, control, (ends[0], ends[1])), bool(own["reversed"]), of, note
+    return NurbsSurface(degree, knots, control, (ends[0], ends[1])), bool(spline["reversed"]), errors, note
 
 
-def _told(one: dict[str, Any]) -> str:
-    """A face in words: its number, kind, names and colour."""
-    words = [str(one["kind"]), *(f"'{name}'" for name in one["names"]), *filter(None, [one["colour"]])]
-    return f"{one['number']} ({', '.join(words)})"
+def _describe_face(face: dict[str, Any]) -> str:
+    """Describe a face: number, kind, names and colour."""
+    words = [str(face["kind"]), *(f"'{name}'" for name in face["names"]), *filter(None, [face["colour"]])]
+    return f"{face['number']} ({', '.join(words)})"
 
 
-def _asked(spec: StepFile, path: Path, field: str) -> dict[str, Any]:
-    """What Open CASCADE has of the file, out of a process of its own."""
+def _query_file(spec: StepFile, path: Path, field: str) -> dict[str, Any]:
+    """Query the file with Open CASCADE in a separate process."""
     if not is_file(path):
-        raise refused("problem.missing_file", path, field, f"{no_file(path)}; check the path")
+        raise file_error("problem.missing_file", path, field, f"{missing_file_reason(path)}; check the path")
     if path.suffix.lower() not in STEP_SUFFIXES:
-        what = f"got '{path.suffix}', read are STEP (.step, .stp) and IGES (.igs, .iges); convert it"
-        raise refused("part.step", path, field, what)
-    if path.stat().st_size > MOST_BYTES:
-        raise refused("problem.too_large", path, field, "more than 50 MB; export only what is needed")
+        what = f"got '{path.suffix}', allowed STEP (.step, .stp) and IGES (.igs, .iges); convert it"
+        raise file_error("part.step", path, field, what)
+    if path.stat().st_size > MAX_BYTES:
+        raise file_error("problem.too_large", path, field, "more than 50 MB; export only what is needed")
     if importlib.util.find_spec("OCP") is None:
         what = f"STEP and IGES files need Open CASCADE; {STEP_INSTALL}"
-        raise refused("part.extra_missing", path, field, what)
-    asked = {"file": str(path.absolute()), "face": spec.face, "name": spec.name, "colour": spec.colour}
+        raise file_error("part.extra_missing", path, field, what)
+    request = {"file": str(path.absolute()), "face": spec.face, "name": spec.name, "colour": spec.colour}
     try:
         done = subprocess.run(
             [sys.executable, "-m", "planner.reading.occt"],
-            input=json.dumps(asked).encode(),
+            input=json.dumps(request).encode(),
             capture_output=True,
-            timeout=LONGEST,
+            timeout=READ_TIMEOUT_S,
             check=False,
-            cwd=Path(__file__).parents[2],  # where modules are looked for first: not where the user is
+            cwd=Path(__file__).parents[2],  # modules are found here first, not in the user's folder
         )
     except subprocess.TimeoutExpired as error:
-        what = f"was not read after {LONGEST:g} s; export only the face that is needed"
-        raise refused("part.step", path, field, what) from error
+        what = f"was not read after {READ_TIMEOUT_S:g} s; export only the face that is needed"
+        raise file_error("part.step", path, field, what) from error
     if done.returncode != 0:
         last = (done.stderr.decode(errors="replace").strip().splitlines() or ["it crashed"])[-1][:160]
         what = f"cannot be read by Open CASCADE ({last}); export it again, or only the face that is needed"
-        raise refused("part.step", path, field, what)
+        raise file_error("part.step", path, field, what)
     out: dict[str, Any] = json.loads(done.stdout)
     return out
 
 
-def _unit(units: list[str], spec: StepFile, path: Path, field: str) -> tuple[float, Issue]:
-    """Metres of a length that was read as a millimetre, and a note that tells the unit."""
+def _file_unit(units: list[str], spec: StepFile, path: Path, field: str) -> tuple[float, Issue]:
+    """Return the metres of a length that was read as a millimetre, and a note on the unit."""
     stated = None if spec.unit is None else LENGTH_UNITS[spec.unit]
     if not units and stated is None:
-        raise refused("part.step", path, field, "says no unit of length; state it (unit: mm)")
+        raise file_error("part.step", path, field, "states no unit of length; state it (unit: mm)")
     if units and stated is not None:
-        own = {UNITS.get(name.lower()) for name in units}
-        if own != {stated}:
-            what = f"is in {' and '.join(units).lower()}, the problem says {spec.unit}; take unit out"
-            raise refused("part.step", path, field, what)
+        file_units = {UNITS.get(name.lower()) for name in units}
+        if file_units != {stated}:
+            what = f"is in {' and '.join(units).lower()}, but the problem states {spec.unit}; remove unit"
+            raise file_error("part.step", path, field, what)
     what = f"{path.name} is in {' and '.join(units).lower() if units else spec.unit}"
     note = Issue("part.step_unit", what, Severity.NOTE, file=str(path), field=field)
     return MM if units or stated is None else stated, note

@@ -1,5 +1,6 @@
-"""The block of a problem file and what an operator changes between operations: schemas in mm and degrees, and
-their values in SI units.
+"""The block of a problem file, and the changes that an operator makes between operations.
+
+Schemas are in mm and degrees, values in SI units.
 """
 
 import dataclasses
@@ -10,56 +11,59 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 from pydantic import Field, Tag
 
-from planner.catalogue.materials import Foam, foam
+from planner.catalogue.materials import FoamMaterial, foam
 from planner.geometry.arrays import from_rpy
 from planner.geometry.units import DEG, GRAVITY, MM, measurement
-from planner.issues import Issue, TandemError, refusal
-from planner.problem import Arm, Cell, Change, Pedestal, Problem, Setup, Stock
+from planner.issue_codes import format_message
+from planner.issues import Issue, TandemError, issue_error
+from planner.problem import Arm, Cell, Pedestal, Problem, Setup, SetupChange, Stock
 from planner.reading import cell as cell_file
 from planner.reading import materials as material_file
 from planner.reading.cell import PoseFile, ShapeFile, ToolFile
-from planner.reading.strict_yaml import Angle, Choice, FileName, Name, Positive, Strict
+from planner.reading.strict_yaml import Angle, FileName, Name, Positive, Strict, WordOrMapping
 from planner.tooling import Gripper
 
 TABLE: Final = Pedestal(
     "table", tuple(0.2 * k for k in range(1, 21)), tuple(0.05 * k for k in range(10, 23)), 1.0, 0.1
 )
-"""What `support: table` stands for: sizes by 200 mm along the sides, 50 mm of height."""
+"""Sizes of `support: table`: steps of 200 mm along the sides, 50 mm of height."""
 PEDESTAL: Final = Pedestal(
     "pedestal", tuple(0.04 * k for k in range(1, 26)), tuple(0.1 * k for k in range(2, 16)), 0.6
 )
-"""What `support: pedestal` stands for: sizes by 40 mm along the sides, 100 mm of height; it leaves wires and
-tools room beside it."""
+"""Sizes of `support: pedestal`: steps of 40 mm along the sides, 100 mm of height.
+
+It leaves room beside it for wires and tools.
+"""
 GRIP_FORCE_FACTOR: Final = 3.0
-"""Times its weight that a gripper must hold a block with: the arm's accelerations, and foam that gives."""
+"""Required ratio of holding force to weight of a block, for the arm's accelerations and compliant foam."""
 
 
 Auto = Annotated[Literal["auto"], Tag("word")]
-PlaceFile = Annotated[Auto | Annotated[PoseFile, Tag("mapping")], Choice]
+PlaceFile = Annotated[Auto | Annotated[PoseFile, Tag("mapping")], WordOrMapping]
 SupportFile = Annotated[
     Annotated[Literal["table", "pedestal"], Tag("word")] | Annotated[tuple[ShapeFile, ...], Tag("mapping")],
-    Choice,
+    WordOrMapping,
 ]
 Extra = Annotated[float, Field(ge=0, le=5000)]
 Sides = tuple[Extra, Extra]
-FLAT_ANGLE: Final = 1.0 * DEG
-"""How far a block's bottom face may be turned off the gripper that holds it [rad]."""
-FLAT_GAP: Final = 0.5 * MM
-"""How far a block's bottom face may be off the gripper that holds it [m]."""
+MAX_GRIP_ANGLE_RAD: Final = 1.0 * DEG
+"""Maximum angle [rad] between the bottom face of a block and the gripper that holds it."""
+MAX_GRIP_GAP_M: Final = 0.5 * MM
+"""Maximum gap [m] between the bottom face of a block and the gripper that holds it."""
 
 
 class FoamReference(Strict):
-    """A foam of the user's own, from a file that ``tandem kerf fit`` writes."""
+    """A custom foam, from a file that ``tandem kerf fit`` writes."""
 
     file: FileName
 
 
 class StockFile(Strict):
-    """The block and where it stands; ``place: auto`` lets Tandem search.
+    """The block and its pose. ``place: auto`` lets Tandem search.
 
-    ``oversize_mm``: how far the raw block stands out of the datum block below and above along x, y and z.
-    ``held_by``: the arm that holds the block by its bottom face; ``grip`` is the block's frame in that arm's
-    TCP frame, and ``place`` then the pose about which it is moved.
+    ``oversize_mm`` is how far the raw block extends beyond the datum block below and above along x, y and z.
+    ``held_by`` is the arm that holds the block by its bottom face; ``grip`` is then the pose of the block in
+    the TCP frame of that arm, and ``place`` the pose about which it is moved.
     """
 
     size_mm: tuple[Positive, Positive, Positive]
@@ -71,13 +75,13 @@ class StockFile(Strict):
         Annotated[
             Annotated[str, Tag("word"), Field(max_length=60, description="name in the table of foams")]
             | Annotated[FoamReference, Tag("mapping")],
-            Choice,
+            WordOrMapping,
         ]
         | None
     ) = None
     held_by: Name | None = None
     grip: PoseFile | None = Field(
-        default=None, description="none: chosen, the middle of the block where that will do"
+        default=None, description="none: chosen, at the centre of the block if possible"
     )
     gripper: Name | None = Field(
         default=None, description="one of the cell's grippers; none: the mounted one, or one that fits"
@@ -85,83 +89,95 @@ class StockFile(Strict):
 
 
 class SetupFile(Strict):
-    """What the operator changes before an operation; what is not named stays as it was."""
+    """What the operator changes before an operation. Keys that are not stated keep their values."""
 
-    tools: dict[Name, ToolFile] = Field(
-        default_factory=dict, description="tool of each arm that gets another one"
-    )
+    tools: dict[Name, ToolFile] = Field(default_factory=dict, description="new tools by arm")
     place: PlaceFile | None = None
     roll_pitch_deg: tuple[Angle, Angle] | None = None
     support: SupportFile | None = None
     oversize_mm: tuple[Sides, Sides, Sides] | None = None
-    held_by: Annotated[Name | Literal["nobody"], Field(description="nobody: the block stands")] | None = None
+    held_by: Annotated[Name | Literal["nobody"], Field(description="nobody: it is not held")] | None = None
     grip: PoseFile | None = None
-    note: str = Field(default="", max_length=200, description="what else the operator is told")
+    note: str = Field(default="", max_length=200, description="further instruction for the operator")
 
 
-def stock(spec: StockFile, folder: Path) -> Stock:
-    """The block in SI units. Raises ``TandemError`` for mesh files, foam files and unknown foams."""
+def build_stock(spec: StockFile, folder: Path) -> Stock:
+    """Convert the block to SI units.
+
+    Raises:
+        TandemError: For mesh files, foam files and unknown foams.
+    """
     return Stock(
         np.array(spec.size_mm) * MM,
-        **_placed(spec.place, spec.roll_pitch_deg),
-        **_support(spec.support, folder),
-        oversize=_oversize(spec.oversize_mm),
-        foam=_foam(spec.foam, folder),
+        **_pose_fields(spec.place, spec.roll_pitch_deg),
+        **_support_fields(spec.support, folder),
+        oversize=_oversize_array(spec.oversize_mm),
+        foam=_read_foam(spec.foam, folder),
         held_by=spec.held_by,
-        grip=(spec.grip or PoseFile()).matrix(),
+        grip=(spec.grip or PoseFile()).to_matrix(),
     )
 
 
-def with_gripper(cell: Cell, spec: StockFile) -> Cell:
-    """The cell with the gripper that the block names mounted on the arm that holds it. Raises ``TandemError``
-    for a name that the cell does not have."""
+def mount_gripper(cell: Cell, spec: StockFile) -> Cell:
+    """Return the cell with the gripper that the block names mounted on the arm that holds it.
+
+    Raises:
+        TandemError: If the cell has no such gripper.
+    """
     if spec.gripper is None:
         return cell
-    found = next((tool for tool in cell.grippers if tool.name == spec.gripper), None)
-    if found is None or spec.held_by not in [arm.name for arm in cell.arms]:
+    gripper = next((tool for tool in cell.grippers if tool.name == spec.gripper), None)
+    if gripper is None or spec.held_by not in [arm.name for arm in cell.arms]:
         known = ", ".join(tool.name for tool in cell.grippers) or "none"
         what = (
             f"stock.gripper: got {spec.gripper}; the cell's grippers are {known}"
-            if found is None
-            else "stock.gripper: a gripper is named for a block that no arm holds; give held_by"
+            if gripper is None
+            else "stock.gripper: a gripper is stated, but no arm holds the block; give held_by"
         )
-        raise refusal("problem.field", what, field="stock.gripper")
+        raise issue_error("problem.field", what, field="stock.gripper")
     arms = tuple(
-        dataclasses.replace(arm, tool=found) if arm.name == spec.held_by else arm for arm in cell.arms
+        dataclasses.replace(arm, tool=gripper) if arm.name == spec.held_by else arm for arm in cell.arms
     )
     return dataclasses.replace(cell, arms=arms, grippers=())
 
 
-def change(spec: SetupFile, arms: tuple[Arm, ...], folder: Path, number: int) -> Change:
-    """The change that an operation's ``setup`` asks for. Raises ``TandemError`` for tools and mesh files.
+def build_change(spec: SetupFile, arms: tuple[Arm, ...], folder: Path, number: int) -> SetupChange:
+    """Convert the ``setup`` of an operation to a change.
 
-    ``number`` is the operation's index, for the fields of issues.
+    Args:
+        spec: Setup of the file.
+        arms: Arms of the cell.
+        folder: Folder to which file names are relative.
+        number: Index of the operation, for the fields of issues.
+
+    Raises:
+        TandemError: For tools and mesh files.
     """
     field = f"operations.{number}.setup"
     known = {arm.name: arm for arm in arms}
     tools, steps, issues = {}, [], []
-    for name, wanted in spec.tools.items():
+    for name, tool_spec in spec.tools.items():
         if name not in known:
-            issues.append(_unknown_arm(f"{field}.tools", name, known))
+            issues.append(_unknown_arm_issue(f"{field}.tools", name, known))
             continue
-        tools[name] = cell_file.tool(wanted, folder)
+        tools[name] = cell_file.build_tool(tool_spec, folder)
         data = known[name].data
         if tools[name].mass > data.payload:
-            issues.append(cell_file.too_heavy(name, f"{field}.tools.{name}", tools[name], data))
+            issues.append(cell_file.tool_too_heavy_issue(name, f"{field}.tools.{name}", tools[name], data))
         steps.append(f"Mount the tool {tools[name].name} on arm {name}.")
     fields: dict[str, Any] = {}
     if spec.place is not None:
-        fields |= _placed(spec.place, spec.roll_pitch_deg)
+        fields |= _pose_fields(spec.place, spec.roll_pitch_deg)
     elif spec.roll_pitch_deg is not None:
         issues.append(Issue("problem.field", f"{field}.roll_pitch_deg needs place; add it", field=field))
     if spec.support is not None:
-        fields |= _support(spec.support, folder)
+        fields |= _support_fields(spec.support, folder)
     if spec.oversize_mm is not None:
-        fields["oversize"] = _oversize(spec.oversize_mm)
+        fields["oversize"] = _oversize_array(spec.oversize_mm)
     if spec.held_by is not None:
         fields["held_by"] = None if spec.held_by == "nobody" else spec.held_by
     if spec.grip is not None:
-        fields["grip"] = spec.grip.matrix()
+        fields["grip"] = spec.grip.to_matrix()
     if spec.held_by == "nobody":
         steps.append("Take the block off its gripper and clamp it as the setup sheet says.")
     elif spec.held_by is not None:
@@ -171,11 +187,11 @@ def change(spec: SetupFile, arms: tuple[Arm, ...], folder: Path, number: int) ->
     steps += [spec.note] if spec.note else []
     if issues:
         raise TandemError(issues)
-    return Change(tools, fields, tuple(steps) or ("Look the setup over.",))
+    return SetupChange(tools, fields, tuple(steps) or ("Check the setup.",))
 
 
-def first_steps(problem: Problem) -> tuple[str, ...]:
-    """What the operator does before the first operation of a job in which something is changed or held."""
+def first_instructions(problem: Problem) -> tuple[str, ...]:
+    """Return the instructions before the first operation, if something is changed or held."""
     steps = []
     first, several = problem.setups[0], len(problem.setups) > 1
     if several:
@@ -191,113 +207,130 @@ def first_steps(problem: Problem) -> tuple[str, ...]:
 
 
 def check_setups(problem: Problem) -> Iterator[Issue]:
-    """Issues of blocks that are held: by whom, with what, and whether the arm can carry them."""
+    """Yield issues of held blocks: holder, gripper, and payload of the arm."""
     for setup in problem.setups:
         if setup.stock.held_by is not None:
-            yield from _held(
+            yield from _held_block_issues(
                 setup, f"operations.{setup.operations[0]}.setup" if setup.number > 1 else "stock"
             )
 
 
-def _held(setup: Setup, field: str) -> Iterator[Issue]:
+def _held_block_issues(setup: Setup, field: str) -> Iterator[Issue]:
     block, name = setup.stock, setup.stock.held_by
     known = {arm.name: arm for arm in setup.cell.arms}
     if name not in known:
-        yield _unknown_arm(f"{field}.held_by", str(name), known)
+        yield _unknown_arm_issue(f"{field}.held_by", str(name), known)
         return
     arm = known[name]
     tool = arm.tool
     if not isinstance(tool, Gripper):
-        what = f"{field}.held_by: arm {name} carries the tool {tool.name}, which holds no block; give it a "
-        what += "gripper_plate or a vacuum_cup"
+        what = f"{field}.held_by: arm {name} carries the tool {tool.name}, which holds no block; give it "
+        what += "a gripper_plate or a vacuum_cup"
         yield Issue("stock.gripper", what, field=f"{field}.held_by", arm=name)
         return
     if block.mass is None:
-        what = f"{field}: the block is held by arm {name}, but its weight is not known; name its foam"
+        what = f"{field}: the block is held by arm {name}, but its weight is unknown; state its foam"
         yield Issue("stock.foam_missing", what, field="stock.foam")
         return
     if block.support or block.pedestal:
-        what = f"{field}.support: a block that arm {name} holds stands on nothing; give support: [], and put "
-        what += "what else stands in the cell among its obstacles"
+        what = f"{field}.support: a block that arm {name} holds has no support; give support: [], and list "
+        what += "other bodies of the cell among its obstacles"
         yield Issue("problem.field", what, field=f"{field}.support")
     payload, needed = arm.data.payload, GRIP_FORCE_FACTOR * block.mass * GRAVITY
     if tool.mass + block.mass > payload:
         yield Issue(
             "stock.too_heavy",
-            f"{field}: the block of {block.mass:.2f} kg and the tool of {tool.mass:.2f} kg are "
-            f"{block.mass + tool.mass:.2f} kg, {arm.data.title} carries {payload:g} kg; take a "
-            "lighter foam, a smaller block or a larger arm",
+            format_message(
+                "stock.too_heavy",
+                field=field,
+                block_kg=block.mass,
+                tool_kg=tool.mass,
+                total_kg=block.mass + tool.mass,
+                robot=arm.data.title,
+                payload_kg=payload,
+            ),
             field=f"{field}.held_by",
             arm=name,
             **measurement(block.mass + tool.mass, payload, "kg"),
         )
-    elif needed > tool.holding:
+    elif needed > tool.holding_force:
         yield Issue(
             "stock.grip_force",
-            f"{field}: {tool.name} holds with {tool.holding:.1f} N, the block of {block.mass:.2f} kg "
-            f"needs {needed:.1f} N ({GRIP_FORCE_FACTOR:g} times its weight, since the arm shakes it); "
-            "take a larger gripper, or state its holding_n where it is known",
+            format_message(
+                "stock.grip_force",
+                field=field,
+                gripper=tool.name,
+                holding_force_n=tool.holding_force,
+                block_kg=block.mass,
+                required_force_n=needed,
+                force_factor=GRIP_FORCE_FACTOR,
+            ),
             field=f"{field}.held_by",
             arm=arm.name,
-            **measurement(needed, tool.holding, "N"),
+            **measurement(needed, tool.holding_force, "N"),
         )
-    yield from _footprint(block, arm.name, tool, field)
+    yield from _footprint_issues(block, arm.name, tool, field)
 
 
-def _footprint(block: Stock, arm: str, tool: Gripper, field: str) -> Iterator[Issue]:
-    """The gripper must lie flat on the block's bottom face, and within it."""
-    lean = float(np.arccos(np.clip(block.grip[2, 2], -1.0, 1.0)))
+def _footprint_issues(block: Stock, arm: str, tool: Gripper, field: str) -> Iterator[Issue]:
+    """Check that the gripper lies flat on the bottom face of the block, and within it."""
+    angle = float(np.arccos(np.clip(block.grip[2, 2], -1.0, 1.0)))
     gap = float(block.grip[2, 3] + block.lower[2])
-    if lean > FLAT_ANGLE or abs(gap) > FLAT_GAP:
-        how = f"{lean / DEG:.1f} degrees off it" if lean > FLAT_ANGLE else f"{gap / MM:.1f} mm off it"
+    if angle > MAX_GRIP_ANGLE_RAD or abs(gap) > MAX_GRIP_GAP_M:
+        how = (
+            f"{angle / DEG:.1f} degrees off it" if angle > MAX_GRIP_ANGLE_RAD else f"{gap / MM:.1f} mm off it"
+        )
         what = f"{field}.grip: the block's bottom face must lie on {tool.name}, whose z points into the "
-        what += f"block, but is {how}; allowed are {FLAT_ANGLE / DEG:g} degrees and {FLAT_GAP / MM:g} mm: "
+        what += (
+            f"block, but is {how}; allowed are {MAX_GRIP_ANGLE_RAD / DEG:g} degrees and "
+            f"{MAX_GRIP_GAP_M / MM:g} mm: "
+        )
         what += f"turn the grip about z only, with {abs(block.lower[2]) / MM:g} as its z (the oversize below)"
         yield Issue("stock.footprint", what, field=f"{field}.grip", arm=arm)
         return
     half = 0.5 * np.array(tool.footprint)
     corners = np.array([[x, y, 0.0, 1.0] for x in (-half[0], half[0]) for y in (-half[1], half[1])])
     on_block = corners @ np.linalg.inv(block.grip).T
-    over = np.maximum(on_block[:, :2] - block.upper[:2], block.lower[:2] - on_block[:, :2]).max()
-    if over > 1e-9:
+    overlap = np.maximum(on_block[:, :2] - block.upper[:2], block.lower[:2] - on_block[:, :2]).max()
+    if overlap > 1e-9:
         yield Issue(
             "stock.footprint",
-            f"{field}.grip: the face of {tool.name} stands {over / MM:.1f} mm out of the block's bottom "
-            "face; take a smaller gripper or move the grip",
+            f"{field}.grip: the face of {tool.name} extends {overlap / MM:.1f} mm beyond the block's bottom "
+            "face; use a smaller gripper or move the grip",
             field=f"{field}.grip",
             arm=arm,
-            **measurement(float(over / MM), 0.0, "mm"),
+            **measurement(float(overlap / MM), 0.0, "mm"),
         )
 
 
-def _placed(place: Literal["auto"] | PoseFile, lean: tuple[float, float] | None) -> dict[str, Any]:
-    pose = None if isinstance(place, str) else place.matrix()
-    roll, pitch = np.array(lean or (0.0, 0.0)) * DEG
+def _pose_fields(placement: Literal["auto"] | PoseFile, tilt: tuple[float, float] | None) -> dict[str, Any]:
+    pose = None if isinstance(placement, str) else placement.to_matrix()
+    roll, pitch = np.array(tilt or (0.0, 0.0)) * DEG
     attitude = from_rpy((0, 0, 0), (roll, pitch, 0))[:3, :3] if pose is None else pose[:3, :3]
-    return {"place": pose, "attitude": attitude, "any_attitude": pose is None and lean is None}
+    return {"place": pose, "attitude": attitude, "any_attitude": pose is None and tilt is None}
 
 
-def _support(given: SupportFile, folder: Path) -> dict[str, Any]:
+def _support_fields(given: SupportFile, folder: Path) -> dict[str, Any]:
     if isinstance(given, str):
         return {"support": (), "pedestal": TABLE if given == "table" else PEDESTAL}
-    return {"support": tuple(cell_file.shape(s, folder) for s in given), "pedestal": None}
+    return {"support": tuple(cell_file.build_shape(s, folder) for s in given), "pedestal": None}
 
 
-def _oversize(sides: tuple[Sides, Sides, Sides]) -> np.ndarray[Any, np.dtype[np.float64]]:
+def _oversize_array(sides: tuple[Sides, Sides, Sides]) -> np.ndarray[Any, np.dtype[np.float64]]:
     return np.array(sides, dtype=np.float64).T * MM
 
 
-def _foam(wanted: str | FoamReference | None, folder: Path) -> Foam | None:
-    if isinstance(wanted, FoamReference):
-        return material_file.read_foam(folder / wanted.file)
-    if wanted is None:
+def _read_foam(spec: str | FoamReference | None, folder: Path) -> FoamMaterial | None:
+    if isinstance(spec, FoamReference):
+        return material_file.read_foam(folder / spec.file)
+    if spec is None:
         return None
     try:
-        return foam(wanted)
+        return foam(spec)
     except TandemError as error:
         raise TandemError([dataclasses.replace(i, field="stock.foam") for i in error.issues]) from None
 
 
-def _unknown_arm(field: str, name: str, known: Mapping[str, Arm]) -> Issue:
+def _unknown_arm_issue(field: str, name: str, known: Mapping[str, Arm]) -> Issue:
     what = f"{field}: '{name}' is not an arm of the cell; it has {', '.join(known)}"
     return Issue("problem.unknown_arm", what, field=field)

@@ -1,8 +1,7 @@
-"""Strict YAML files: the line of every field, fields by their paths, and a base for schemas that refuses
-unknown keys.
+"""Strict YAML files: line of every field, fields by path, and a base of schemas that refuses unknown keys.
 
-A refused value can be found in the file by its line. Schemas share numbers, vectors and names with
-their ranges.
+A refused value can be found in the file by its line. Schemas share the types of numbers, vectors and names
+with their ranges.
 """
 
 import copy
@@ -22,11 +21,11 @@ from pydantic import (
     ValidationInfo,
 )
 
-from planner.files import FILE_KEYS, is_file, no_file
+from planner.files import FILE_KEYS, is_file, missing_file_reason
 from planner.geometry.units import measurement
-from planner.issues import Issue, TandemError, refusal
+from planner.issues import Issue, TandemError, issue_error
 
-try:  # libyaml, where PyYAML was built with it: twenty times faster, and the same marks
+try:  # libyaml, if PyYAML was built with it: twenty times faster, with the same marks
     from yaml import CSafeDumper as _SafeDumper
     from yaml import CSafeLoader as _SafeLoader
 except ImportError:
@@ -34,31 +33,34 @@ except ImportError:
     from yaml import SafeLoader as _SafeLoader  # type: ignore[assignment]
 
 MAX_YAML_BYTES = 5_000_000
-"""A problem or cell file larger than this is refused unread; parts belong in files of their own."""
+"""Maximum size of a problem or cell file [bytes].
+
+Larger files are refused unread; parts belong in other files.
+"""
 
 
 MAX_VALUES = 500_000
-"""At most so many values in a file, aliases written out: a few lines of them can stand for billions."""
+"""Maximum number of values in a file with aliases expanded: a few lines of aliases can expand to billions."""
 MAX_DEPTH = 50
-"""Mappings and lists inside one another at most: deeper ones would exhaust the stack."""
-_TOO_MANY_VALUES = f"has over {MAX_VALUES} values; put meshes and point lists into files of their own"
-_TOO_DEEPLY_NESTED = f"is nested more than {MAX_DEPTH} deep; write it flatter"
-"""What is said of files beyond these two limits."""
+"""Maximum nesting depth of mappings and lists. Deeper ones would exhaust the stack."""
+_TOO_MANY_VALUES = f"has over {MAX_VALUES} values; put meshes and point lists into separate files"
+_TOO_DEEPLY_NESTED = f"is nested more than {MAX_DEPTH} deep; reduce the nesting"
+"""Messages for files beyond these two limits."""
 PLAIN_TAGS = {
     f"tag:yaml.org,2002:{kind}" for kind in ("str", "int", "float", "bool", "null", "seq", "map", "merge")
 }
-"""YAML tags of plain values; others would build objects."""
+"""YAML tags of plain values. Others would create objects."""
 
 
 class _Loader(_SafeLoader):
-    """SafeLoader that reads 1e-3 as a number (YAML 1.2), as people expect, and a date as text."""
+    """SafeLoader that reads 1e-3 as a number (YAML 1.2) and a date as text."""
 
 
 class _Dumper(_SafeDumper):
     """SafeDumper that quotes text which :class:`_Loader` would read as a number, and has no aliases."""
 
     def ignore_aliases(self, data: Any) -> bool:
-        """Whether a value is written out wherever it stands."""
+        """Write every value out, without aliases."""
         del data
         return True
 
@@ -74,7 +76,10 @@ for _one in (_Loader, _Dumper):
 
 
 def dump(data: Any) -> str:
-    """Plain data as YAML that :func:`parse` reads as the same data; lists of single values on one line."""
+    """Return plain data as YAML that :func:`parse` reads as equal data.
+
+    Lists of single values are on one line.
+    """
     style: dict[str, Any] = {
         "sort_keys": False,
         "allow_unicode": True,
@@ -85,9 +90,14 @@ def dump(data: Any) -> str:
 
 
 class Document:
-    """A parsed file: ``data`` as plain values, :meth:`line` for the place of a field. ``name`` is what
-    messages call it, None for data that come from no file; file names in it start at the folder of
-    ``path``."""
+    """A parsed file.
+
+    Attributes:
+        path: File. File names in ``data`` are relative to its folder.
+        data: Content as plain values.
+        text: Content as bytes.
+        name: Name in messages; None for data that come from no file.
+    """
 
     def __init__(self, path: Path, data: Any, root: yaml.Node | None, text: bytes, file: bool = True) -> None:
         self.path = path
@@ -97,14 +107,14 @@ class Document:
         self._root = root
 
     def with_data(self, data: Any) -> "Document":
-        """The same file with other values in the same places."""
+        """Return the document with other values at the same positions."""
         return Document(self.path, data, self._root, self.text, self.name is not None)
 
     def line(self, location: tuple[str | int, ...]) -> int | None:
-        """Line, from 1, of the deepest part of ``location`` that the file has."""
+        """Return the line, from 1, of the deepest part of ``location`` that the file has."""
         node, line = self._root, None
         for step in location:
-            child = _child(node, step)
+            child = _child_node(node, step)
             if child is None:
                 break
             node, line = child
@@ -114,71 +124,92 @@ class Document:
 def read(path: Path) -> Document:
     """Parse a YAML file whose top level is a mapping.
 
-    Raises ``TandemError`` with ``problem.missing_file``, ``problem.too_large``, ``problem.duplicate_name`` or
-    ``problem.not_yaml``.
+    Raises:
+        TandemError: ``problem.missing_file``, ``problem.too_large``, ``problem.duplicate_name`` or
+            ``problem.not_yaml``.
     """
     name = str(path)
     if not is_file(path):
-        raise refusal("problem.missing_file", f"{name}: {no_file(path)}; check the path", file=name)
+        raise issue_error(
+            "problem.missing_file", f"{name}: {missing_file_reason(path)}; check the path", file=name
+        )
     size = path.stat().st_size
     if size > MAX_YAML_BYTES:
-        what = f"{name}: {size / 1e6:.1f} MB, at most {MAX_YAML_BYTES / 1e6:.0f} MB are read as YAML; put "
-        what += "meshes and point lists into files of their own"
-        raise refusal(
+        what = f"{name}: {size / 1e6:.1f} MB, allowed {MAX_YAML_BYTES / 1e6:.0f} MB for YAML; put "
+        what += "meshes and point lists into separate files"
+        raise issue_error(
             "problem.too_large", what, file=name, **measurement(size / 1e6, MAX_YAML_BYTES / 1e6, "MB")
         )
     try:
         raw = path.read_bytes()
     except OSError as error:
-        raise _not_yaml(name, f"cannot be read: {error.strerror}; see to its permissions") from error
+        raise _yaml_error(name, f"cannot be read: {error.strerror}; check its permissions") from error
     data, root = parse(raw, name)
     return Document(path, data, root, raw)
 
 
 def parse(raw: bytes, name: str) -> tuple[dict[str, Any], yaml.Node | None]:
-    """The mapping in a YAML text, and its nodes with their lines; ``name`` is what messages call it. Raises
-    as :func:`read`."""
+    """Parse a YAML text whose top level is a mapping.
+
+    Args:
+        raw: Text.
+        name: Name in messages.
+
+    Returns:
+        Data, and nodes with their lines.
+
+    Raises:
+        TandemError: As :func:`read`.
+    """
     try:
         text = raw.decode("utf-8-sig")
         _refuse_too_large(text, name)
         root = yaml.compose(text, Loader=_Loader)
         if root is not None:
-            _refuse_what_is_not_plain(root, name)
-            _refuse_repeated(root, name)
+            _require_plain(root, name)
+            _refuse_duplicate_keys(root, name)
         data = yaml.load(text, Loader=_Loader)  # a SafeLoader
     except RecursionError as error:
-        raise _not_yaml(name, _TOO_DEEPLY_NESTED) from error
+        raise _yaml_error(name, _TOO_DEEPLY_NESTED) from error
     except (
         yaml.YAMLError,
         ValueError,
         KeyError,
         AttributeError,
-    ) as error:  # values of a tag that are not its
+    ) as error:  # values that do not fit their tag
         if "nesting depth" in str(error):  # PyYAML counts too, from 6.0.4 on
-            raise _not_yaml(name, _TOO_DEEPLY_NESTED) from error
+            raise _yaml_error(name, _TOO_DEEPLY_NESTED) from error
         mark = getattr(error, "problem_mark", None)
         detail = getattr(error, "problem", None) or str(error).splitlines()[0]
         line = mark.line + 1 if mark else None
         tabs = line is not None and "\t" in (text.splitlines()[line - 1 : line] or [""])[0]
-        remedy = "indent with spaces, not tabs" if tabs else "write a mapping, a name and its value a line"
+        remedy = "indent with spaces, not tabs" if tabs else "write a mapping, one name and value per line"
         what = f"is not YAML: {detail}; {remedy}"
-        raise _not_yaml(name, what, line) from error
+        raise _yaml_error(name, what, line) from error
     if not isinstance(data, dict):
         got = type(data).__name__ if data is not None else "nothing"
-        what = f"has {got} at its top level; write a mapping, a name and its value a line"
-        raise _not_yaml(name, what, 1)
+        what = f"has {got} at its top level; write a mapping, one name and value per line"
+        raise _yaml_error(name, what, 1)
     return data, root
 
 
-def changed_field(data: dict[str, Any], path: str, value: Any, folder: Path) -> None:
-    """Set a field of ``data``; mappings that are missing on the way are made, so that the problem's schema
-    says what it does not know. Names of files in the value start at ``folder``.
+def set_field(data: dict[str, Any], path: str, value: Any, folder: Path) -> None:
+    """Set a field of ``data``.
 
-    Raises ``ValueError``, which names the step, where a list has no such entry, or a value is in the way.
+    Missing mappings on the path are created, so that the schema of the problem reports unknown keys.
+
+    Args:
+        data: Data to change.
+        path: Path of the field, with dots.
+        value: New value.
+        folder: Folder to which file names in the value are relative.
+
+    Raises:
+        ValueError: If a list has no such entry, or a value is on the path; the text names the step.
     """
     steps = path.split(".")
     if not all(steps):
-        raise ValueError(f"{path!r} is no path; write names and numbers with single dots between them")
+        raise ValueError(f"{path!r} is not a path; write names and numbers separated by single dots")
     node: Any = data
     for i, step in enumerate(steps[:-1]):
         key = _key(node, step, ".".join(steps[: i + 1]))
@@ -190,7 +221,7 @@ def changed_field(data: dict[str, Any], path: str, value: Any, folder: Path) -> 
 
 
 def _key(node: Any, step: str, path: str) -> str | int:
-    """The key of a step in a mapping or list."""
+    """Return the key of a step in a mapping or list."""
     if isinstance(node, dict):
         return step
     if not isinstance(node, list):
@@ -216,7 +247,7 @@ def _with_absolute_files(value: Any, folder: Path, key: str) -> Any:
     return value
 
 
-def _child(node: yaml.Node | None, step: str | int) -> tuple[yaml.Node, int] | None:
+def _child_node(node: yaml.Node | None, step: str | int) -> tuple[yaml.Node, int] | None:
     if isinstance(node, yaml.MappingNode):
         for key, value in node.value:
             if key.value == str(step):
@@ -227,13 +258,15 @@ def _child(node: yaml.Node | None, step: str | int) -> tuple[yaml.Node, int] | N
     return None
 
 
-def _not_yaml(name: str, what: str, line: int | None = None) -> TandemError:
-    return refusal("problem.not_yaml", f"{name} {what}", file=name, line=line)
+def _yaml_error(name: str, what: str, line: int | None = None) -> TandemError:
+    return issue_error("problem.not_yaml", f"{name} {what}", file=name, line=line)
 
 
 def _refuse_too_large(text: str, name: str) -> None:
-    """Counts values and depth as they are read, before anything is built of them: building what 5 MB can hold
-    takes minutes. Each value has at most one key."""
+    """Count values and depth of a text before it is composed.
+
+    Composing what 5 MB can hold takes minutes. Each value has at most one key.
+    """
     nodes = depth = 0
     for event in yaml.parse(text, Loader=_Loader):
         if isinstance(event, yaml.CollectionEndEvent):
@@ -243,27 +276,25 @@ def _refuse_too_large(text: str, name: str) -> None:
             depth += isinstance(event, yaml.CollectionStartEvent)
         if nodes > 2 * MAX_VALUES or depth > MAX_DEPTH:
             line = event.start_mark.line + 1 if event.start_mark else None
-            raise _not_yaml(name, _TOO_DEEPLY_NESTED if depth > MAX_DEPTH else _TOO_MANY_VALUES, line)
+            raise _yaml_error(name, _TOO_DEEPLY_NESTED if depth > MAX_DEPTH else _TOO_MANY_VALUES, line)
 
 
-def _refuse_what_is_not_plain(root: yaml.Node, name: str) -> None:
-    """Only text, numbers, lists and mappings by text; no loops, and no more than is sensible when aliases are
-    written out.
-    """
+def _require_plain(root: yaml.Node, name: str) -> None:
+    """Refuse everything but text, numbers, lists and mappings with text keys, loops, and too many values."""
     sizes: dict[int, int] = {}
     open_nodes: set[int] = set()
 
     def size(node: yaml.Node, depth: int) -> int:
         line = node.start_mark.line + 1
         if id(node) in open_nodes:
-            raise _not_yaml(name, "has an alias that contains itself; write the values out", line)
+            raise _yaml_error(name, "has an alias that contains itself; write the values out", line)
         if depth > MAX_DEPTH:
-            raise _not_yaml(name, _TOO_DEEPLY_NESTED, line)
+            raise _yaml_error(name, _TOO_DEEPLY_NESTED, line)
         if node.tag not in PLAIN_TAGS:
-            raise _not_yaml(name, f"has a value with the tag {node.tag!r}; write plain values", line)
+            raise _yaml_error(name, f"has a value with the tag {node.tag!r}; write plain values", line)
         if isinstance(node, yaml.ScalarNode):
             if any("\ud800" <= letter <= "\udfff" for letter in node.value):
-                raise _not_yaml(name, "has half a character (a lone surrogate); remove it", line)
+                raise _yaml_error(name, "has half a character (a lone surrogate); remove it", line)
             return 1
         if id(node) in sizes:
             return sizes[id(node)]
@@ -272,7 +303,7 @@ def _refuse_what_is_not_plain(root: yaml.Node, name: str) -> None:
             for key, _ in node.value:
                 if key.tag not in ("tag:yaml.org,2002:str", "tag:yaml.org,2002:merge"):
                     what = f"has the key {key.value!r}, which is not text; write it as a name"
-                    raise _not_yaml(
+                    raise _yaml_error(
                         name,
                         what
                         if isinstance(key, yaml.ScalarNode)
@@ -284,15 +315,15 @@ def _refuse_what_is_not_plain(root: yaml.Node, name: str) -> None:
         total = 1 + sum(size(child, depth + 1) for child in children)
         open_nodes.remove(id(node))
         if total > MAX_VALUES:
-            raise _not_yaml(name, _TOO_MANY_VALUES, line)
+            raise _yaml_error(name, _TOO_MANY_VALUES, line)
         sizes[id(node)] = total
         return total
 
     size(root, 0)
 
 
-def _refuse_repeated(node: yaml.Node, name: str) -> None:
-    """YAML lets a later key overwrite an earlier one in silence; a problem file may not."""
+def _refuse_duplicate_keys(node: yaml.Node, name: str) -> None:
+    """Refuse repeated keys, of which YAML would silently keep the last."""
     stack: list[yaml.Node] = [node]
     seen_nodes: set[int] = set()
     while stack:
@@ -304,8 +335,8 @@ def _refuse_repeated(node: yaml.Node, name: str) -> None:
             seen: set[str] = set()
             for key, value in current.value:
                 if key.value in seen:
-                    what = f"key '{key.value}' stands twice in one mapping; keep one"
-                    raise refusal(
+                    what = f"key '{key.value}' occurs twice in one mapping; keep one"
+                    raise issue_error(
                         "problem.duplicate_name",
                         what,
                         file=name,
@@ -318,11 +349,11 @@ def _refuse_repeated(node: yaml.Node, name: str) -> None:
             stack.extend(current.value)
 
 
-Far = Annotated[float, Field(ge=-100_000, le=100_000)]
-"""A coordinate [mm]: a cell is not larger than 100 m."""
+Coordinate = Annotated[float, Field(ge=-100_000, le=100_000)]
+"""A coordinate [mm]. Chosen: no cell is larger than 100 m."""
 Angle = Annotated[float, Field(ge=-720, le=720)]
 """An angle [deg]."""
-Vector = tuple[Far, Far, Far]
+Vector = tuple[Coordinate, Coordinate, Coordinate]
 Positive = Annotated[float, Field(ge=0.01, le=100_000)]
 """A length [mm] of a body."""
 Fraction = Annotated[float, Field(ge=0, le=1)]
@@ -330,9 +361,9 @@ Scale = Annotated[float, Field(gt=0, le=100_000)]
 Unit = Literal["mm", "cm", "m", "in", "ft"]
 
 
-def _united(unit: Unit | None, read: ValidationInfo) -> Unit | None:
-    """The unit of the ``file`` above it, which may be left out where files of its kind state their own."""
-    from planner.geometry.mesh_files import UNIT_SUFFIXES  # numpy, which most files that are read do not want
+def _require_unit(unit: Unit | None, read: ValidationInfo) -> Unit | None:
+    """Validate the unit of the ``file`` above it. It may be omitted for files that state their own."""
+    from planner.geometry.mesh_files import UNIT_SUFFIXES  # lazy: imports numpy, which most files do not need
 
     file = read.data.get("file")
     if unit is None and file is not None and not file.lower().endswith(UNIT_SUFFIXES):
@@ -342,10 +373,10 @@ def _united(unit: Unit | None, read: ValidationInfo) -> Unit | None:
 
 FileUnit = Annotated[
     Unit | None,
-    AfterValidator(_united),
+    AfterValidator(_require_unit),
     Field(description="of its lengths; GLB and 3MF files state their own", validate_default=True),
 ]
-"""Of files that may state their unit; where one does, the problem need not."""
+"""Unit of a file; optional if the file states its own."""
 Name = Annotated[
     str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,23}$", description="letter first, at most 24 characters")
 ]
@@ -353,7 +384,7 @@ FileName = Annotated[str, Field(min_length=1, max_length=1000)]
 
 
 class Strict(BaseModel):
-    """Base of every schema: unknown keys and non-finite numbers are refused, values do not change."""
+    """Base of every schema: unknown keys and non-finite numbers are refused, values are immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -361,12 +392,20 @@ class Strict(BaseModel):
 _Schema = TypeVar("_Schema", bound=Strict)
 
 
-def read_as(model: type[_Schema], path: Path, code: str) -> _Schema:
-    """A file as a value of its schema. Raises `TandemError`: ``code`` for every wrong field, with its line,
-    and what `read` raises."""
+def read_file(model: type[_Schema], path: Path, code: str) -> _Schema:
+    """Read a file by its schema.
+
+    Args:
+        model: Schema.
+        path: File.
+        code: Issue code of wrong fields.
+
+    Raises:
+        TandemError: ``code`` for each wrong field, with its line, and the issues of `read`.
+    """
     document = read(path)
 
-    def wrong(what: str, got: object, path_in_file: tuple[str | int, ...]) -> Issue:
+    def fault_issue(what: str, got: object, path_in_file: tuple[str | int, ...]) -> Issue:
         return Issue(
             code,
             f"{what}; got {got!r:.80}",
@@ -377,16 +416,16 @@ def read_as(model: type[_Schema], path: Path, code: str) -> _Schema:
         )
 
     try:
-        # as JSON, because its strict rules take a list for a tuple but no text for a number
+        # as JSON, whose strict rules accept a list for a tuple but no text for a number
         return model.model_validate_json(json.dumps(document.data), strict=True)
     except ValidationError as error:
-        faults = [wrong(one["msg"], one.get("input"), one["loc"]) for one in error.errors()]
+        faults = [fault_issue(fault["msg"], fault.get("input"), fault["loc"]) for fault in error.errors()]
         raise TandemError(faults) from error
 
 
 def _word_or_mapping(value: object) -> str:
-    """Which alternative a value is meant to be, so that its faults are told of that one alone."""
+    """Return which alternative a value is meant to be, so that only faults of that one are reported."""
     return "mapping" if isinstance(value, dict | list | tuple | BaseModel) else "word"
 
 
-Choice = Discriminator(_word_or_mapping)
+WordOrMapping = Discriminator(_word_or_mapping)

@@ -1,1 +1,1 @@
-"""What people look at: report, setup sheet, replay."""
+"""Report, setup sheet and replay of a plan."""

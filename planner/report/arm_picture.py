@@ -1,4 +1,4 @@
-"""An arm with its axes as SVG: what is held apart of it, in its home posture, and where its joints turn."""
+"""SVG drawing of an arm with its axes: its shapes at home, and the positive sense of each joint."""
 
 import html
 from collections.abc import Callable, Mapping
@@ -10,49 +10,62 @@ from planner.catalogue.robots import RobotData
 from planner.cell.bodies import body_poses, link_chain
 from planner.geometry.arrays import FloatArray, Shape
 from planner.report import markup, raster
-from planner.report.raster import Solid, Thing
+from planner.report.raster import RenderItem, RenderSolid
 
-_PAINT: Final = ((0.62, 0.66, 0.72), (0.80, 0.83, 0.87))
-"""Red, green, blue in 0..1 of links, in turns."""
-_TOWARD: Final = np.array([-0.62, 0.86, -0.34])
-"""The direction of the view, in the base."""
+_LINK_COLOURS: Final = ((0.62, 0.66, 0.72), (0.80, 0.83, 0.87))
+"""Red, green, blue in 0..1 of alternate links."""
+_VIEW_DIRECTION: Final = np.array([-0.62, 0.86, -0.34])
+"""View direction, in the base frame."""
 _WIDTH, _HEIGHT = 900, 760
-_MAKE: Final[Mapping[str, Callable[..., Solid]]] = {
+_SOLID_BUILDERS: Final[Mapping[str, Callable[..., RenderSolid]]] = {
     "box": raster.box,
     "cylinder": raster.cylinder,
     "capsule": raster.capsule,
     "sphere": raster.sphere,
 }
-_AXIS, _FRAME = "#7d3c98", ("#c0392b", "#2e8b57", "#2e5fb8")
+_AXIS_COLOUR, _FRAME_COLOURS = "#7d3c98", ("#c0392b", "#2e8b57", "#2e5fb8")
 
 
 def drawing(robot: RobotData) -> str:
-    """The SVG of an arm from a file at home: every axis by its number, its arrow along the positive turn;
-    the frames of base and tip. ``ValueError`` for an arm of the catalogue, whose bodies Drake reads."""
+    """Draw an arm from a file at home, with numbered axes and the base and tip frames.
+
+    Arrows point along positive rotation.
+
+    Args:
+        robot: Robot that was read from a file.
+
+    Returns:
+        SVG text.
+
+    Raises:
+        ValueError: The robot is from the catalogue. Drake reads its bodies.
+    """
     if robot.file is None:
         raise ValueError(f"{robot.name} is not from a file")
     poses = body_poses("arm", robot, np.eye(4), robot.home[None])
     names = link_chain(robot.axes)[:-1]
     things = [
-        Thing(_solid(shape).moved(poses[f"arm/{name}"][0] @ shape.pose), _PAINT[i % 2], closed=False)
+        RenderItem(
+            _solid(shape).moved(poses[f"arm/{name}"][0] @ shape.pose), _LINK_COLOURS[i % 2], closed=False
+        )
         for i, (name, shapes) in enumerate(zip(names, robot.file.shapes, strict=True))
         for shape in shapes
     ]
     frames = np.concatenate([poses[f"arm/{name}"] for name in names[1:]])
     zero = robot.file.zero[1:-1, :3, :3]
     axes = np.einsum("iab,icb,ic->ia", frames[:, :3, :3], zero, robot.file.axis)  # turned with the links
-    points, tip = _apart(frames[:, :3, 3], axes), poses["arm/tool"][0]
+    points, tip = _label_points(frames[:, :3, 3], axes), poses["arm/tool"][0]
     half = 0.14 * robot.reach
     ends = np.stack([points - half * axes, points + half * axes], axis=1)
     triads = np.stack([np.eye(4), tip])
     arrows = triads[:, None, :3, 3] + 0.8 * half * np.swapaxes(triads[:, :3, :3], 1, 2)
     shown = np.concatenate([*(thing.solid.vertices for thing in things), *ends, *arrows])
-    camera = raster.frame(shown, _TOWARD, 2 * _WIDTH, 2 * _HEIGHT, 0.88)
-    image = raster.rendered(camera, things)
+    camera = raster.frame_camera(shown, _VIEW_DIRECTION, 2 * _WIDTH, 2 * _HEIGHT, 0.88)
+    image = raster.render_items(camera, things)
     address = markup.png(image.color, np.isfinite(image.depth).astype(np.float64))
 
-    def at(place: FloatArray) -> FloatArray:
-        return np.asarray(0.5 * camera.project(place)[..., :2])
+    def to_pixels(position: FloatArray) -> FloatArray:
+        return np.asarray(0.5 * camera.project(position)[..., :2])
 
     out = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" '
@@ -61,45 +74,50 @@ def drawing(robot: RobotData) -> str:
         f'<image href="{address}" width="{_WIDTH}" height="{_HEIGHT}"/>',
         f'<text x="16" y="28" font-size="18">{html.escape(robot.title)}, at home</text>',
     ]
-    for origin, heads, word in zip(at(triads[:, :3, 3]), at(arrows), ("base", "tip"), strict=True):
-        out += [_arrow(origin, head, paint, 2.0) for head, paint in zip(heads, _FRAME, strict=True)]
-        out.append(_word(origin, word, "#1b2330"))
-    for i, (start, end) in enumerate(at(ends)):
-        out += [_arrow(start, end, _AXIS, 2.6), _word(end, str(i + 1), _AXIS)]
+    for origin, heads, word in zip(
+        to_pixels(triads[:, :3, 3]), to_pixels(arrows), ("base", "tip"), strict=True
+    ):
+        out += [_arrow(origin, head, paint, 2.0) for head, paint in zip(heads, _FRAME_COLOURS, strict=True)]
+        out.append(_label(origin, word, "#1b2330"))
+    for i, (start, end) in enumerate(to_pixels(ends)):
+        out += [_arrow(start, end, _AXIS_COLOUR, 2.6), _label(end, str(i + 1), _AXIS_COLOUR)]
     return "\n".join([*out, "</svg>"]) + "\n"
 
 
-def _apart(points: FloatArray, axes: FloatArray) -> FloatArray:
-    """The points (N, 3) on the axes (N, 3); where a later axis is in one line with one, as 6 with 4 at home,
-    the earlier one's is moved half the way back to the axis before it."""
+def _label_points(points: FloatArray, axes: FloatArray) -> FloatArray:
+    """Choose points (N, 3) on the axes (N, 3), so that no two labels coincide.
+
+    If a later axis is collinear with one, as axis 6 with axis 4 at home, the earlier point moves half the
+    way back to the previous axis.
+    """
     out = points.copy()
     for i in range(1, len(points)):
         for j in range(i + 1, len(points)):
-            off = np.linalg.norm(np.cross(points[j] - points[i], axes[i]))
-            if off < 1e-3 and np.linalg.norm(np.cross(axes[i], axes[j])) < 1e-3:
-                back = (points[i - 1] - points[j]) @ axes[i]
-                out[i] = points[j] + 0.5 * back * axes[i]
+            distance = np.linalg.norm(np.cross(points[j] - points[i], axes[i]))
+            if distance < 1e-3 and np.linalg.norm(np.cross(axes[i], axes[j])) < 1e-3:
+                offset = (points[i - 1] - points[j]) @ axes[i]
+                out[i] = points[j] + 0.5 * offset * axes[i]
     return out
 
 
-def _solid(shape: Shape) -> Solid:
+def _solid(shape: Shape) -> RenderSolid:
     if shape.vertices is not None and shape.faces is not None:
         return raster.mesh(shape.vertices, shape.faces)
-    return _MAKE[shape.kind](*shape.size)
+    return _SOLID_BUILDERS[shape.kind](*shape.size)
 
 
-def _arrow(start: FloatArray, end: FloatArray, paint: str, width: float) -> str:
-    way = (end - start) / max(float(np.linalg.norm(end - start)), 1e-9)
-    across = np.array([-way[1], way[0]])
-    wings = [end - 11.0 * way + 4.5 * across, end, end - 11.0 * way - 4.5 * across]
+def _arrow(start: FloatArray, end: FloatArray, colour: str, width: float) -> str:
+    direction = (end - start) / max(float(np.linalg.norm(end - start)), 1e-9)
+    across = np.array([-direction[1], direction[0]])
+    wings = [end - 11.0 * direction + 4.5 * across, end, end - 11.0 * direction - 4.5 * across]
     head = " ".join(f"{x:.1f},{y:.1f}" for x, y in wings)
     return (
-        f'<path d="M{start[0]:.1f},{start[1]:.1f} L{end[0]:.1f},{end[1]:.1f}" stroke="{paint}" '
-        f'stroke-width="{width}"/><polygon points="{head}" fill="{paint}"/>'
+        f'<path d="M{start[0]:.1f},{start[1]:.1f} L{end[0]:.1f},{end[1]:.1f}" stroke="{colour}" '
+        f'stroke-width="{width}"/><polygon points="{head}" fill="{colour}"/>'
     )
 
 
-def _word(place: FloatArray, text: str, paint: str) -> str:
+def _label(position: FloatArray, text: str, colour: str) -> str:
     halo = 'stroke="#fff" stroke-width="4" paint-order="stroke"'
-    x, y = place + 8.0
-    return f'<text x="{x:.1f}" y="{y:.1f}" fill="{paint}" {halo}>{html.escape(text)}</text>'
+    x, y = position + 8.0
+    return f'<text x="{x:.1f}" y="{y:.1f}" fill="{colour}" {halo}>{html.escape(text)}</text>'

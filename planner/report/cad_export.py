@@ -1,9 +1,9 @@
-"""A plan for CAD programs: the cell at a moment, the part, the ways of tools and wires, as GLB or as 3DM.
+"""Export of a plan for CAD programs as GLB or 3DM: the cell at one instant, the part, and paths.
 
-Both are in the world. GLB (glTF 2.0) is in metres with y up, as that format has it; it holds what a
-picture shows. 3DM is in millimetres with z up; it has layers, ways as curves, and a point at each
-target with its time and joint angles as user text. The part and what wires cut lie in the block where
-it is at that moment.
+Both are in the world frame. GLB (glTF 2.0) is in metres with y up, as the format requires, and holds what a
+picture shows. 3DM is in millimetres with z up. It has layers, paths as curves, and a point at each target
+with its time and joint angles as user text. The part and what wires cut are placed in the block as it is at
+that instant.
 """
 
 import dataclasses
@@ -16,32 +16,39 @@ import numpy as np
 
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import FloatArray, Mesh, transform
-from planner.geometry.mesh_files import objects
+from planner.geometry.mesh_files import obj_objects
 from planner.geometry.units import DEG
-from planner.issues import refusal
+from planner.issues import issue_error
 from planner.plans import OperationPlan, Plan
 from planner.problem import Problem, Setup
 from planner.report import raster, scene
-from planner.report.rhino_file import WAY_COLOUR, Line, Rgb, Shape, Target
+from planner.report.rhino_file import PATH_COLOUR, Rgb, RhinoMesh, RhinoPolyline, RhinoTarget
 
-KINDS: Final = (".glb", ".3dm")
-"""Endings of the files that can be written."""
-WANTED_COLOUR: Final = (0.20, 0.55, 0.70)
-"""Colour of the wanted part."""
+SUFFIXES: Final = (".glb", ".3dm")
+"""Suffixes of the supported formats."""
+NOMINAL_COLOUR: Final = (0.20, 0.55, 0.70)
+"""Colour of the nominal part."""
 CUT_COLOUR: Final = (0.90, 0.45, 0.15)
-"""Colour of the part as simulated from the programs, and of what wires do."""
-WAY_PLACES: Final = 25
-"""Places of a joint move through which its way is drawn."""
-MOST_TARGETS: Final = 2000
-"""Targets of an arm and an operation that are points, at most; of more every second, third ... is."""
-MOST_WIRES: Final = 400
-"""Wire positions of an operation at most."""
+"""Colour of the part as simulated from the programs, and of wire paths."""
+JOINT_MOVE_POINTS: Final = 25
+"""Number of points at which the path of a joint move is drawn."""
+MAX_TARGETS: Final = 2000
+"""Maximum number of target points of an arm and an operation. Longer paths are decimated."""
+MAX_WIRES: Final = 400
+"""Maximum number of wire positions of an operation."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Moment:
-    """Where everything is: the operation and its setup, joints {arm: (6,)} [rad], the block's pose (4, 4),
-    and ``bases`` {arm: (4, 4)} of arms whose tracks go along."""
+class CellState:
+    """State of the cell at one instant.
+
+    Attributes:
+        operation: Operation.
+        setup: Its setup.
+        q: Joint values {arm: (6,)} [rad].
+        block: Pose of the block (4, 4).
+        bases: Bases {arm: (4, 4)} of arms on coordinated tracks.
+    """
 
     operation: OperationPlan
     setup: Setup
@@ -50,111 +57,147 @@ class Moment:
     bases: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
 
 
-def moment(problem: Problem, plan: Plan, seconds: float) -> Moment:
-    """The moment ``seconds`` after the plan's first target. Raises ``TandemError`` (``problem.field``) where
-    the plan has none."""
+def cell_state(problem: Problem, plan: Plan, seconds: float) -> CellState:
+    """Return the state of the cell at a time after the first target of the plan.
+
+    Args:
+        problem: Problem.
+        plan: Plan.
+        seconds: Time [s].
+
+    Raises:
+        TandemError: ``problem.field``, the plan has no such time.
+    """
     if not plan.operations or not 0.0 <= seconds <= plan.duration:
-        what = f"--time: got {seconds:g} s, the plan goes from 0 to {plan.duration:.2f} s"
-        raise refusal("problem.field", what, field="time", value=seconds, limit=plan.duration, unit="s")
+        what = f"--time: out of range (got {seconds:g} s, allowed 0 to {plan.duration:.2f} s)"
+        raise issue_error("problem.field", what, field="time", value=seconds, limit=plan.duration, unit="s")
     frame = plan.frame(seconds)
-    index = next(i for i, own in enumerate(plan.operations) if own.name == frame.operation)
+    index = next(i for i, operation in enumerate(plan.operations) if operation.name == frame.operation)
     setup = problem.setup_of(index)
     q = {arm.name: np.asarray(frame.q.get(arm.name, arm.home)) for arm in setup.cell.arms}
     rows = {name: value[None] for name, value in q.items()}
-    place = np.asarray(plan.places[setup.number - 1])
-    block = scene.block_pose(setup, place, plan.bases, rows)
-    own = plan.operations[index]
-    here = seconds - sum(float(one.time[-1] - one.time[0]) for one in plan.operations[:index]) + own.time[0]
+    stock_pose = np.asarray(plan.stock_poses[setup.number - 1])
+    block = scene.block_pose(setup, stock_pose, plan.bases, rows)
+    operation = plan.operations[index]
+    operation_time = (
+        seconds
+        - sum(float(previous.time[-1] - previous.time[0]) for previous in plan.operations[:index])
+        + operation.time[0]
+    )
     bases = {
-        name: scene.ridden_base(setup.cell.arm(name), np.asarray(np.interp(here, own.time, values)))
-        for name, values in own.targets.ride.items()
+        name: scene.track_base(
+            setup.cell.arm(name), np.asarray(np.interp(operation_time, operation.time, values))
+        )
+        for name, values in operation.targets.track_positions.items()
     }
-    return Moment(own, setup, q, block if block.ndim == 2 else block[0], bases)
+    return CellState(operation, setup, q, block if block.ndim == 2 else block[0], bases)
 
 
 def shapes(
-    model: CellModel, problem: Problem, plan: Plan, at: Moment, cut: Mapping[str, Mesh]
-) -> Iterator[Shape]:
-    """Robots, tools, fixed bodies, block, support; the wanted part, and the ``cut`` one, by name in the stock
-    frame."""
-    drawn = scene.extract(model.with_bases({**scene.standing(at.setup), **at.bases}))
-    place = np.asarray(plan.places[at.setup.number - 1])
+    model: CellModel, problem: Problem, plan: Plan, at: CellState, cut: Mapping[str, Mesh]
+) -> Iterator[RhinoMesh]:
+    """Yield robots, tools, fixed bodies, block and support, the nominal part and the simulated part.
+
+    Args:
+        model: Cell model.
+        problem: Problem.
+        plan: Plan.
+        at: State of the cell.
+        cut: Simulated part by name, in the stock frame.
+    """
+    drawn = scene.extract_scene(model.with_bases({**scene.axis_bases(at.setup), **at.bases}))
+    stock_pose = np.asarray(plan.stock_poses[at.setup.number - 1])
     rows = {name: value[None] for name, value in at.q.items()}
-    poses = scene.stand(drawn, at.setup, place, rows)
-    for piece in (*drawn.pieces, *scene.mounted(at.setup, place)):
+    poses = scene.scene_poses(drawn, at.setup, stock_pose, rows)
+    for piece in (*drawn.pieces, *scene.setup_pieces(at.setup, stock_pose)):
         pose = poses[piece.body][0] @ piece.pose
         solid = piece.solid
-        yield Shape(
+        yield RhinoMesh(
             f"cell::{piece.body.replace('/', '::')}",
             transform(pose, solid.vertices),
             solid.faces,
             piece.color[:3],
         )
     for name, mesh in raster.part_meshes(problem.part):
-        yield Shape(f"part::wanted::{name}", transform(at.block, mesh.vertices), mesh.faces, WANTED_COLOUR)
+        yield RhinoMesh(
+            f"part::wanted::{name}", transform(at.block, mesh.vertices), mesh.faces, NOMINAL_COLOUR
+        )
     for name, mesh in cut.items():
-        yield Shape(f"part::simulated::{name}", transform(at.block, mesh.vertices), mesh.faces, CUT_COLOUR)
+        yield RhinoMesh(
+            f"part::simulated::{name}", transform(at.block, mesh.vertices), mesh.faces, CUT_COLOUR
+        )
 
 
-def lines(problem: Problem, plan: Plan, at: Moment) -> Iterator[Line]:
-    """The way of each TCP in each operation, in and out too, and positions of what cuts along a line."""
-    track = scene.track(problem, plan, MOST_WIRES)
-    for index, own in enumerate(plan.operations):
+def lines(problem: Problem, plan: Plan, at: CellState) -> Iterator[RhinoPolyline]:
+    """Yield the path of each TCP with approach and retreat, and positions of linear cutters.
+
+    Args:
+        problem: Problem.
+        plan: Plan.
+        at: State of the cell.
+    """
+    track = scene.sample_keyframes(problem, plan, MAX_WIRES)
+    for index, operation in enumerate(plan.operations):
         setup = problem.setup_of(index)
-        for name, q in own.q.items():
+        for name, q in operation.q.items():
             arm = setup.cell.arm(name)
-            every: tuple[tuple[str, Any, slice | int], ...] = (
-                ("in", [arm.home, *own.entry.get(name, ()), q[0]], 0),
+            parts: tuple[tuple[str, Any, slice | int], ...] = (
+                ("in", [arm.home, *operation.approach.get(name, ()), q[0]], 0),
                 ("work", q, slice(None)),
-                ("out", [q[-1], *own.exit.get(name, ())], -1),
+                ("out", [q[-1], *operation.retreat.get(name, ())], -1),
             )
-            for word, joints, at_rows in every:
-                rows = np.asarray(joints) if word == "work" else _between(np.asarray(joints))
-                bases = scene.riding(setup, plan.bases, own, at_rows)
-                way = (scene.flange_poses(arm, bases, rows) @ arm.tool.tcp)[:, :3, 3]
-                yield Line(f"ways::{own.name}::{name}::{word}", way, WAY_COLOUR)
+            for word, joints, at_rows in parts:
+                rows = np.asarray(joints) if word == "work" else _interpolated(np.asarray(joints))
+                bases = scene.bases_at_targets(setup, plan.bases, operation, at_rows)
+                path = (scene.flange_poses(arm, bases, rows) @ arm.tool.tcp)[:, :3, 3]
+                yield RhinoPolyline(f"ways::{operation.name}::{name}::{word}", path, PATH_COLOUR)
     for sweep in track.sweeps:
         name = f"wire::setup {sweep.setup + 1}"
-        for wire in sweep.points[:: max(1, len(sweep.points) // MOST_WIRES)]:
-            yield Line(name, transform(at.block, wire), CUT_COLOUR)
+        for wire in sweep.points[:: max(1, len(sweep.points) // MAX_WIRES)]:
+            yield RhinoPolyline(name, transform(at.block, wire), CUT_COLOUR)
 
 
-def targets(problem: Problem, plan: Plan) -> Iterator[Target]:
-    """TCPs of all operations with name, time from the operation's first target [s] and joints [deg]."""
-    for index, own in enumerate(plan.operations):
+def targets(problem: Problem, plan: Plan) -> Iterator[RhinoTarget]:
+    """Yield the TCPs of all operations with name, time from the first target [s] and joints [deg]."""
+    for index, operation in enumerate(plan.operations):
         setup = problem.setup_of(index)
-        for name, q in own.q.items():
+        for name, q in operation.q.items():
             arm = setup.cell.arm(name)
-            bases = scene.riding(setup, plan.bases, own)
+            bases = scene.bases_at_targets(setup, plan.bases, operation)
             tcp = (scene.flange_poses(arm, bases, q) @ arm.tool.tcp)[:, :3, 3]
-            for k in range(0, len(q), -(-len(q) // MOST_TARGETS)):
-                text = {"target": own.targets.name(k), "time_s": f"{own.time[k] - own.time[0]:.5f}"}
+            for k in range(0, len(q), -(-len(q) // MAX_TARGETS)):
+                text = {
+                    "target": operation.targets.name(k),
+                    "time_s": f"{operation.time[k] - operation.time[0]:.5f}",
+                }
                 text |= {f"j{i}_deg": f"{value:.5f}" for i, value in enumerate(q[k] / DEG, 1)}
-                yield Target(f"targets::{own.name}::{name}", tcp[k], text)
+                yield RhinoTarget(f"targets::{operation.name}::{name}", tcp[k], text)
 
 
-def _between(joints: FloatArray) -> FloatArray:
-    """Joints (N, J) along straight joint moves through stations (S, J)."""
-    share = np.linspace(0.0, 1.0, WAY_PLACES)[:, None]
-    moves = [(1.0 - share) * a + share * b for a, b in itertools.pairwise(joints)]
+def _interpolated(joints: FloatArray) -> FloatArray:
+    """Interpolate joints (N, J) linearly between waypoints (S, J)."""
+    fraction = np.linspace(0.0, 1.0, JOINT_MOVE_POINTS)[:, None]
+    moves = [(1.0 - fraction) * a + fraction * b for a, b in itertools.pairwise(joints)]
     return np.concatenate(moves) if moves else joints
 
 
-def simulated(path: Path) -> dict[str, Mesh]:
-    """The objects of a simulated part (`simulated_part.obj`) by name, in the stock frame; none where there is
-    no file."""
+def read_simulated_part(path: Path) -> dict[str, Mesh]:
+    """Read the objects of a simulated part (`simulated_part.obj`) by name, in the stock frame.
+
+    Empty without a file.
+    """
     if not path.is_file():
         return {}
-    return objects(path.read_text("utf-8"))
+    return obj_objects(path.read_text("utf-8"))
 
 
-def glb(found: Iterator[Shape]) -> bytes:
-    """Shapes as a binary glTF file, a node for each layer and colour."""
+def glb(shapes_to_write: Iterator[RhinoMesh]) -> bytes:
+    """Return shapes as a binary glTF file, with one node for each layer and colour."""
     import trimesh
 
-    turned = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # its y is up
+    y_up = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # glTF has y up
     by_layer: dict[tuple[str, Rgb], list[trimesh.Trimesh]] = {}
-    for shape in found:
+    for shape in shapes_to_write:
         mesh = trimesh.Trimesh(shape.vertices, shape.faces, process=False)
         by_layer.setdefault((shape.layer, shape.color), []).append(mesh)
     out = trimesh.Scene()
@@ -164,7 +207,7 @@ def glb(found: Iterator[Shape]) -> bytes:
             baseColorFactor=[*color, 1.0], metallicFactor=0.0, doubleSided=True
         )
         joined.visual = trimesh.visual.TextureVisuals(material=paint)
-        name = f"{layer} {number}"  # one of the same name would take its place
+        name = f"{layer} {number}"  # a geometry of the same name would be replaced
         out.add_geometry(joined, node_name=name, geom_name=name)
-    out.apply_transform(turned)
+    out.apply_transform(y_up)
     return bytes(out.export(file_type="glb"))

@@ -1,6 +1,6 @@
-"""Line charts and heat maps as inline SVG in the page's colours, light or dark.
+"""Line charts and heat maps as inline SVG in the colours of the page, light or dark.
 
-The page's script reads values off the charts. Heat maps show deviations over a face, seen along its
+The script of the page reads values off the charts. Heat maps show deviations over a face, seen along its
 normal, with a histogram and figures.
 """
 
@@ -16,26 +16,34 @@ from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import FloatArray
 from planner.report import markup
-from planner.report.markup import Drawing, Figure, Group, Paragraph, Phrase
+from planner.report.markup import BlockGroup, Drawing, FigureBlock, Paragraph, Phrase
 
 _LEFT: Final = 52.0
-"""Room [px of the drawing] left of a plot, for the numbers and the name of its y axis."""
+"""Space [px of the drawing] left of a plot, for the numbers and the name of its y axis."""
 _RIGHT: Final = 12.0
-"""Room [px] right of a plot."""
+"""Space [px] right of a plot."""
 _TOP: Final = 10.0
-"""Room [px] above a plot."""
+"""Space [px] above a plot."""
 _BOTTOM: Final = 34.0
-"""Room [px] below a plot, for the numbers and the name of its x axis."""
+"""Space [px] below a plot, for the numbers and the name of its x axis."""
 _COLUMNS: Final = 420
-"""Columns that a longer curve is thinned to, with its least and greatest value in each."""
+"""Maximum number of columns of a curve. Longer ones keep the minimum and maximum of each column."""
 _NO_DATA: Final = Paragraph("no data", "empty")
-"""What stands for a chart of nothing."""
+"""Placeholder for a chart without data."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Line:
-    """One curve: x, y (N,), NaN where there is none; ``color`` 0..7 of the page's palette; ``dots``: its
-    points alone, as of readings."""
+class ChartLine:
+    """A curve of a chart.
+
+    Attributes:
+        name: Name in the legend.
+        x: Abscissae (N,).
+        y: Values (N,), NaN where there is none.
+        color: Colour 0..7 of the page's palette.
+        dashed: Draw a dashed line.
+        dots: Draw the points only, as for measurements.
+    """
 
     name: str
     x: FloatArray
@@ -46,16 +54,16 @@ class Line:
 
 
 @dataclasses.dataclass(frozen=True)
-class Level:
-    """A horizontal limit."""
+class LimitLine:
+    """A horizontal limit line."""
 
     value: float
     name: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
-class Band:
-    """A stretch of the x axis with a name, such as a segment; ``kind`` chooses its tint."""
+class ChartBand:
+    """A named interval of the x axis, such as a segment. ``kind`` chooses its tint."""
 
     start: float
     end: float
@@ -64,7 +72,24 @@ class Band:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Frame:
+class ChartAxes:
+    """Names and scales of the two axes of a chart.
+
+    Attributes:
+        x_label: Name of the x axis.
+        y_label: Name of the y axis.
+        y_range: Range of the y axis, or None to fit the data.
+        equal: Use one scale for both axes.
+    """
+
+    x_label: str
+    y_label: str
+    y_range: tuple[float, float] | None = None
+    equal: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class _PlotFrame:
     """Ranges of both axes and the size of the picture."""
 
     x: tuple[float, float]
@@ -81,45 +106,49 @@ class _Frame:
         return self.height - _BOTTOM
 
     def px(self, x: FloatArray | float) -> FloatArray:
-        share = (np.asarray(x) - self.x[0]) / (self.x[1] - self.x[0])
-        return np.asarray(_LEFT + share * (self.right - _LEFT))
+        fraction = (np.asarray(x) - self.x[0]) / (self.x[1] - self.x[0])
+        return np.asarray(_LEFT + fraction * (self.right - _LEFT))
 
     def py(self, y: FloatArray | float) -> FloatArray:
-        share = (self.y[1] - np.asarray(y)) / (self.y[1] - self.y[0])
-        return np.asarray(_TOP + share * (self.bottom - _TOP))
+        fraction = (self.y[1] - np.asarray(y)) / (self.y[1] - self.y[0])
+        return np.asarray(_TOP + fraction * (self.bottom - _TOP))
 
 
 def chart(
-    lines: Sequence[Line],
+    lines: Sequence[ChartLine],
+    axes: ChartAxes,
     *,
-    x_label: str,
-    y_label: str,
-    levels: Sequence[Level] = (),
-    bands: Sequence[Band] = (),
-    y_range: tuple[float, float] | None = None,
+    levels: Sequence[LimitLine] = (),
+    bands: Sequence[ChartBand] = (),
     size: tuple[float, float] = (540.0, 210.0),
-    equal: bool = False,
 ) -> Drawing | Paragraph:
-    """A line chart with axes, limits, tinted bands and a legend; ``equal`` gives both axes one scale.
+    """Draw a line chart with axes, limits, tinted bands and a legend.
 
-    Curves of more points than the picture has columns keep the least and greatest value of each column.
+    Curves with more points than the picture has columns keep the minimum and maximum of each column.
+
+    Args:
+        lines: Curves.
+        axes: Names and scales of the axes.
+        levels: Limits.
+        bands: Tinted intervals.
+        size: Width and height [px].
     """
     finite = [line for line in lines if np.isfinite(line.y).any()]
     if not finite:
         return _NO_DATA
-    x_range = _span([line.x for line in finite])
+    x_range = _value_range([line.x for line in finite])
     values = [*(line.y for line in finite), np.array([v.value for v in levels])]
-    frame = _Frame(x_range, y_range or padded(*_span(values)), *size)
-    if equal:
-        frame = _equalised(frame)
-    label = html.escape(y_label)
+    frame = _PlotFrame(x_range, axes.y_range or padded_range(*_value_range(values)), *size)
+    if axes.equal:
+        frame = _with_equal_scales(frame)
+    label = html.escape(axes.y_label)
     parts = [
         f'<svg class="chart" viewBox="0 0 {size[0]:g} {size[1]:g}" role="img" aria-label="{label}" '
         f'data-x="{_LEFT:g} {frame.right:g} {frame.x[0]:.9g} {frame.x[1]:.9g}" '
         f'data-y="{frame.bottom:g} {_TOP:g} {frame.y[0]:.9g} {frame.y[1]:.9g}" '
-        f'data-unit="{html.escape(x_label)}">',
+        f'data-unit="{html.escape(axes.x_label)}">',
         *_bands(frame, bands),
-        *_axes(frame, x_label, y_label),
+        *_axes(frame, axes.x_label, axes.y_label),
         *_levels(frame, levels),
         *_curves(frame, finite),
         '<line class="cursor" y1="10" y2="0"/></svg>',
@@ -131,7 +160,7 @@ def chart(
     return Drawing("".join(parts) + legend)
 
 
-def _bands(frame: _Frame, bands: Sequence[Band]) -> list[str]:
+def _bands(frame: _PlotFrame, bands: Sequence[ChartBand]) -> list[str]:
     out = []
     for band in bands:
         a, b = np.clip(frame.px(np.array([band.start, band.end])), _LEFT, frame.right)
@@ -143,7 +172,7 @@ def _bands(frame: _Frame, bands: Sequence[Band]) -> list[str]:
     return out
 
 
-def _levels(frame: _Frame, levels: Sequence[Level]) -> list[str]:
+def _levels(frame: _PlotFrame, levels: Sequence[LimitLine]) -> list[str]:
     out = []
     for level in levels:
         y = float(frame.py(level.value))
@@ -155,8 +184,8 @@ def _levels(frame: _Frame, levels: Sequence[Level]) -> list[str]:
     return out
 
 
-def _curves(frame: _Frame, lines: Sequence[Line]) -> list[str]:
-    """The curves in a nested picture that clips them to the plot."""
+def _curves(frame: _PlotFrame, lines: Sequence[ChartLine]) -> list[str]:
+    """Draw the curves in a nested picture that clips them to the plot."""
     box = f"{_LEFT:g} {_TOP:g} {frame.right - _LEFT:g} {frame.bottom - _TOP:g}"
     x, y, w, h = box.split()
     out = [f'<svg x="{x}" y="{y}" width="{w}" height="{h}" viewBox="{box}">']
@@ -164,7 +193,7 @@ def _curves(frame: _Frame, lines: Sequence[Line]) -> list[str]:
         if line.dots:
             out += _dots(frame, line)
             continue
-        xs, ys = _thinned(line.x, line.y)
+        xs, ys = _decimated(line.x, line.y)
         dash = " dashed" if line.dashed else ""
         for run in _runs(ys):
             heights = np.clip(frame.py(ys[run]), -2.0 * frame.height, 3.0 * frame.height)
@@ -176,27 +205,33 @@ def _curves(frame: _Frame, lines: Sequence[Line]) -> list[str]:
     return [*out, "</svg>"]
 
 
-def _dots(frame: _Frame, line: Line) -> list[str]:
+def _dots(frame: _PlotFrame, line: ChartLine) -> list[str]:
     known = np.isfinite(line.x) & np.isfinite(line.y)
-    places = zip(frame.px(line.x[known]), frame.py(line.y[known]), strict=True)
+    positions = zip(frame.px(line.x[known]), frame.py(line.y[known]), strict=True)
     name = html.escape(line.name)
     return [
         f'<circle class="dot c{line.color % 8}" cx="{x:.1f}" cy="{y:.1f}" r="3.2">'
         f"<title>{name}</title></circle>"
-        for x, y in places
+        for x, y in positions
     ]
 
 
-def padded(low: float, high: float) -> tuple[float, float]:
-    """A range with some air, never empty."""
+def padded_range(low: float, high: float) -> tuple[float, float]:
+    """Return a range with a margin. It is never empty."""
     if high - low < 1e-12 * max(1.0, abs(high)):
         low, high = low - 0.5 * max(abs(low), 1e-3), high + 0.5 * max(abs(high), 1e-3)
-    air = 0.06 * (high - low)
-    return low - (0.0 if low == 0.0 else air), high + air
+    margin = 0.06 * (high - low)
+    return low - (0.0 if low == 0.0 else margin), high + margin
 
 
 def ticks(low: float, high: float, count: int = 5) -> FloatArray:
-    """Round numbers (1, 2, 2.5 or 5 times a power of ten) within a range, about ``count`` of them."""
+    """Return round numbers (1, 2, 2.5 or 5 times a power of ten) within a range.
+
+    Args:
+        low: Lower end.
+        high: Upper end.
+        count: Approximate number of ticks.
+    """
     raw = (high - low) / max(count, 1)
     power = 10.0 ** math.floor(math.log10(raw))
     step = next(m * power for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= raw * 0.999)
@@ -205,7 +240,7 @@ def ticks(low: float, high: float, count: int = 5) -> FloatArray:
     return np.asarray(np.arange(first, last + 1) * step)
 
 
-def _axes(frame: _Frame, x_label: str, y_label: str) -> list[str]:
+def _axes(frame: _PlotFrame, x_label: str, y_label: str) -> list[str]:
     right, bottom = frame.right, frame.bottom
     out = []
     for value in ticks(*frame.y, 4):
@@ -228,14 +263,14 @@ def _number(value: float) -> str:
     return f"{value + 0.0:.6g}".replace("-", "−")
 
 
-def _span(arrays: Sequence[FloatArray]) -> tuple[float, float]:
+def _value_range(arrays: Sequence[FloatArray]) -> tuple[float, float]:
     values = np.concatenate([np.ravel(a) for a in arrays])
     values = values[np.isfinite(values)]
     low, high = float(values.min()), float(values.max())
     return (low, high) if high > low else (low - 0.5, low + 0.5)
 
 
-def _equalised(frame: _Frame) -> _Frame:
+def _with_equal_scales(frame: _PlotFrame) -> _PlotFrame:
     aspect = (frame.right - _LEFT) / (frame.bottom - _TOP)
     scale = max((frame.x[1] - frame.x[0]) / aspect, frame.y[1] - frame.y[0])
     cx, cy = 0.5 * sum(frame.x), 0.5 * sum(frame.y)
@@ -244,8 +279,8 @@ def _equalised(frame: _Frame) -> _Frame:
     return dataclasses.replace(frame, x=x, y=(cy - half, cy + half))
 
 
-def _thinned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """At most two points a column, the least and the greatest, in order."""
+def _decimated(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Decimate a curve to at most two points per column, the minimum and the maximum, in order."""
     x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
     if len(x) <= 2 * _COLUMNS:
         return x, y
@@ -254,31 +289,31 @@ def _thinned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     whole[: len(y)] = y
     columns = whole.reshape(_COLUMNS, width)
     missing = np.isnan(columns)
-    least = np.where(missing, np.inf, columns).argmin(axis=1)
-    greatest = np.where(missing, -np.inf, columns).argmax(axis=1)
+    minima = np.where(missing, np.inf, columns).argmin(axis=1)
+    maxima = np.where(missing, -np.inf, columns).argmax(axis=1)
     start = np.arange(_COLUMNS) * width
-    keep = np.unique(np.concatenate([start + least, start + greatest, [0, len(x) - 1]]))
+    keep = np.unique(np.concatenate([start + minima, start + maxima, [0, len(x) - 1]]))
     keep = keep[keep < len(x)]
     return x[keep], y[keep]
 
 
 def _runs(y: FloatArray) -> list[slice]:
-    """Stretches of finite values, at least two points long."""
+    """Return runs of finite values that are at least two points long."""
     good = np.concatenate([[False], np.isfinite(y), [False]])
     edges = np.flatnonzero(good[1:] != good[:-1])
     return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2) if b - a > 1]
 
 
-_COLD = np.array([0.13, 0.36, 0.70])
-"""Red, green, blue in 0..1 of a deviation far below zero: too much is cut."""
-_MILD = np.array([0.93, 0.94, 0.93])
+_NEGATIVE_COLOUR = np.array([0.13, 0.36, 0.70])
+"""Red, green, blue in 0..1 of a large negative deviation: too much is cut."""
+_ZERO_COLOUR = np.array([0.93, 0.94, 0.93])
 """Red, green, blue in 0..1 of no deviation."""
-_WARM = np.array([0.78, 0.18, 0.13])
-"""Red, green, blue in 0..1 of a deviation far above zero: material is left standing."""
+_POSITIVE_COLOUR = np.array([0.78, 0.18, 0.13])
+"""Red, green, blue in 0..1 of a large positive deviation: material remains."""
 _UNROLLED_GRID = (1500, 41)
-"""Points along and across a ruled surface that is laid flat."""
+"""Number of points along and across a ruled surface that is unrolled."""
 MISSED_COLOUR = np.array([0.35, 0.13, 0.45])
-"""Red, green, blue in 0..1 of places that the tool did not pass."""
+"""Red, green, blue in 0..1 of points that the tool did not pass."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -287,27 +322,36 @@ class FaceWords:
 
     tool: str = "tool"
     negative: str = "too much cut"
-    positive: str = "left standing"
+    positive: str = "material left"
 
     @property
     def missing(self) -> str:
-        """What missing deviations are called."""
+        """Words for missing deviations."""
         return f"the {self.tool} did not pass"
 
 
 @dataclasses.dataclass(frozen=True)
-class Rulings:
-    """Ends (K, 3) [m] of the rulings of a face, and words for the view of its map, which is laid flat."""
+class MapRulings:
+    """Rulings of a face whose map is unrolled.
+
+    Attributes:
+        start: Starts (K, 3) [m].
+        end: Ends (K, 3) [m].
+        words: Description of the view of the map.
+    """
 
     start: FloatArray
     end: FloatArray
     words: str
 
 
-def view(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Horizontal axis, vertical axis and normal (3,) each of the plane that lies best through points (M, 3).
+def plane_axes(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Fit a plane to points, and return its horizontal axis, vertical axis and normal (3,) each.
 
-    Vertical is the frame's z as far as the plane allows, or its y for a plane that lies flat.
+    The vertical axis is the frame's z as far as the plane allows, or its y for a horizontal plane.
+
+    Args:
+        points: Points (M, 3).
     """
     _, _, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
     normal = axes[2] * (1.0 if axes[2][np.argmax(np.abs(axes[2]))] > 0 else -1.0)
@@ -318,14 +362,20 @@ def view(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def diverging(value: FloatArray, span: float) -> FloatArray:
-    """Colours (..., 3): blue below zero, pale at zero, red above, full at ``span``."""
+    """Map values to colours (..., 3): blue below zero, pale at zero, red above, saturated at ``span``."""
     t = np.clip(value / span, -1.0, 1.0)[..., None]
     weight = np.abs(t) ** 0.8
-    return np.asarray(np.where(t < 0, _MILD + weight * (_COLD - _MILD), _MILD + weight * (_WARM - _MILD)))
+    return np.asarray(
+        np.where(
+            t < 0,
+            _ZERO_COLOUR + weight * (_NEGATIVE_COLOUR - _ZERO_COLOUR),
+            _ZERO_COLOUR + weight * (_POSITIVE_COLOUR - _ZERO_COLOUR),
+        )
+    )
 
 
 def sequential(value: FloatArray) -> FloatArray:
-    """Colours (..., 3) for values in 0..1, dark blue over green to yellow (keys of the viridis map)."""
+    """Map values in 0..1 to colours (..., 3), dark blue over green to yellow (keys of the viridis map)."""
     keys = np.array(
         [[0.27, 0.0, 0.33], [0.23, 0.32, 0.55], [0.13, 0.57, 0.55], [0.37, 0.79, 0.38], [0.99, 0.91, 0.15]]
     )
@@ -333,10 +383,17 @@ def sequential(value: FloatArray) -> FloatArray:
     return np.stack([np.interp(value, at, keys[:, c]) for c in range(3)], axis=-1)
 
 
-def binned(uv: FloatArray, value: FloatArray) -> tuple[FloatArray, tuple[float, float, float, float]]:
-    """Values on a grid (rows from the top) and its extent u0, u1, v0, v1: the greatest value in each cell.
+def bin_values(uv: FloatArray, value: FloatArray) -> tuple[FloatArray, tuple[float, float, float, float]]:
+    """Bin values on a grid, with the largest magnitude in each cell.
 
-    Cells without a point take the nearest one's where that is near; farther ones are infinite; NaN stays NaN.
+    Empty cells take the value of the nearest cell if it is close, else they are infinite. NaN stays NaN.
+
+    Args:
+        uv: Coordinates (M, 2) [m].
+        value: Values (M,).
+
+    Returns:
+        Grid with rows from the top, and its extent u0, u1, v0, v1.
     """
     low, high = uv.min(axis=0), uv.max(axis=0)
     size = np.maximum(high - low, 1e-6)
@@ -359,39 +416,67 @@ def binned(uv: FloatArray, value: FloatArray) -> tuple[FloatArray, tuple[float, 
     )
 
 
-def laid(points: FloatArray) -> tuple[FloatArray, str]:
-    """Coordinates (M, 2) of points (M, 3) in the plane that lies best through them, the longer side across,
-    and words that say from where they are seen.
+def project_to_plane(points: FloatArray) -> tuple[FloatArray, str]:
+    """Project points to their best-fit plane, with the longer side horizontal.
+
+    Args:
+        points: Points (M, 3) [m].
+
+    Returns:
+        Coordinates (M, 2) [m], and a description of the view direction.
     """
-    across, up, normal = view(points)
+    across, up, normal = plane_axes(points)
     uv = points @ np.stack([across, up], axis=1)
     if np.ptp(uv[:, 1]) > 1.2 * np.ptp(uv[:, 0]):
         across, up = up, -across
         uv = points @ np.stack([across, up], axis=1)
-    words = f"seen from {_axis(normal)} of the stock frame, {_axis(across)} to the right, {_axis(up)} up; mm"
+    words = (
+        f"seen from {_axis_name(normal)} of the stock frame, {_axis_name(across)} to the right, "
+        f"{_axis_name(up)} up; mm"
+    )
     return uv, words
 
 
-def unrolled(points: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
-    """Coordinates (M, 2) [m] of points (M, 3) on the ruled surface between ``start`` and ``end`` (K, 3), laid
-    flat: along its middle line, and along its rulings.
+def unroll(points: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
+    """Unroll a ruled surface: coordinates along its middle line, and along its rulings.
 
-    Each point takes the place of the nearest one of a dense grid on the surface.
+    Each point takes the coordinates of the nearest point of a dense grid on the surface.
+
+    Args:
+        points: Points (M, 3) [m].
+        start: Starts of the rulings (K, 3) [m].
+        end: Ends of the rulings (K, 3) [m].
+
+    Returns:
+        Coordinates (M, 2) [m].
     """
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(0.5 * (start + end), axis=0), axis=1))])
-    at, share = np.linspace(0.0, way[-1], _UNROLLED_GRID[0]), np.linspace(0.0, 1.0, _UNROLLED_GRID[1])
-    low, high = (
-        np.stack([np.interp(at, way, side[:, c]) for c in range(3)], axis=-1) for side in (start, end)
+    arc_length = np.concatenate(
+        [[0.0], np.cumsum(np.linalg.norm(np.diff(0.5 * (start + end), axis=0), axis=1))]
     )
-    grid = low[:, None] + share[:, None] * (high - low)[:, None]
+    samples, fraction = (
+        np.linspace(0.0, arc_length[-1], _UNROLLED_GRID[0]),
+        np.linspace(0.0, 1.0, _UNROLLED_GRID[1]),
+    )
+    low, high = (
+        np.stack([np.interp(samples, arc_length, side[:, c]) for c in range(3)], axis=-1)
+        for side in (start, end)
+    )
+    grid = low[:, None] + fraction[:, None] * (high - low)[:, None]
     _, nearest = cKDTree(grid.reshape(-1, 3)).query(points)
     row, column = np.divmod(nearest, _UNROLLED_GRID[1])
     length = float(np.linalg.norm(end - start, axis=1).mean())
-    return np.stack([at[row], length * share[column]], axis=1)
+    return np.stack([samples[row], length * fraction[column]], axis=1)
 
 
-def span_of(deviation: FloatArray, tolerance: float) -> float:
-    """What the colours reach to [m]: nearly all deviations, so that small ones can be seen too."""
+def colour_span(deviation: FloatArray, tolerance: float) -> float:
+    """Return the end of the colour scale [m].
+
+    It covers nearly all deviations, so that small ones remain visible.
+
+    Args:
+        deviation: Deviations (M,) [m].
+        tolerance: Tolerance [m].
+    """
     finite = np.abs(deviation[np.isfinite(deviation)])
     largest = float(np.percentile(finite, 99.5)) if len(finite) else tolerance
     return max(1.15 * largest, 0.05 * tolerance)
@@ -403,52 +488,65 @@ def deviation_map(
     tolerance: float,
     title: Phrase,
     words: FaceWords,
-    rulings: Rulings | None = None,
-) -> Figure:
-    """A heat map [mm] of deviations (M,) [m] at points (M, 3) [m]; NaN marks where the edge did not pass.
+    rulings: MapRulings | None = None,
+) -> FigureBlock:
+    """Draw a heat map [mm] of the deviations of a face.
 
-    A face with ``rulings`` is laid flat, any other one seen along its normal.
+    A face with ``rulings`` is unrolled. Other faces are seen along their normal.
+
+    Args:
+        points: Points (M, 3) [m].
+        deviation: Deviations (M,) [m], NaN where the tool did not pass.
+        tolerance: Tolerance [m].
+        title: Title.
+        words: Words for the face.
+        rulings: Rulings, or None.
     """
     if rulings is None:
-        uv, view_words = laid(points)
+        uv, view_words = project_to_plane(points)
     else:
-        uv, view_words = unrolled(points, rulings.start, rulings.end), rulings.words
-    span = span_of(deviation, tolerance)
-    grid, extent = binned(uv, deviation)
+        uv, view_words = unroll(points, rulings.start, rulings.end), rulings.words
+    span = colour_span(deviation, tolerance)
+    grid, extent = bin_values(uv, deviation)
     missed = np.isnan(grid)
     color = diverging(np.where(np.isfinite(grid), grid, 0.0), span)
     color[missed] = MISSED_COLOUR
     alpha = np.where(np.isposinf(grid), 0.0, 1.0)
-    field = _field(markup.png(color, alpha), extent)
-    return Figure(title, Group((field, _scale_bar(span, tolerance, bool(missed.any()), words))), view_words)
+    field = _heat_map(markup.png(color, alpha), extent)
+    return FigureBlock(
+        title, BlockGroup((field, _scale_bar(span, tolerance, bool(missed.any()), words))), view_words
+    )
 
 
-def _axis(direction: FloatArray) -> str:
+def _axis_name(direction: FloatArray) -> str:
     k = int(np.argmax(np.abs(direction)))
     return ("+" if direction[k] > 0 else "−") + "xyz"[k]
 
 
 def histogram(deviation: FloatArray, tolerance: float) -> Drawing | Paragraph:
-    """Share of the face over the deviation [mm], with the tolerance marked."""
+    """Draw the fraction of a face over the deviation [mm], with the tolerance marked.
+
+    Args:
+        deviation: Deviations (M,) [m].
+        tolerance: Tolerance [m].
+    """
     finite = deviation[np.isfinite(deviation)] * 1e3
     if not len(finite):
         return _NO_DATA
-    span = 1e3 * span_of(deviation, tolerance)
+    span = 1e3 * colour_span(deviation, tolerance)
     counts, edges = np.histogram(np.clip(finite, -span, span), bins=60, range=(-span, span))
-    share = 100.0 * counts / max(len(deviation), 1)
-    x, y = np.repeat(edges, 2)[1:-1], np.repeat(share, 2)
-    inside = Band(-tolerance * 1e3, tolerance * 1e3, "within tolerance", "link")
+    fraction = 100.0 * counts / max(len(deviation), 1)
+    x, y = np.repeat(edges, 2)[1:-1], np.repeat(fraction, 2)
+    inside = ChartBand(-tolerance * 1e3, tolerance * 1e3, "within tolerance", "link")
     return chart(
-        [Line("share", x, y, 0)],
-        x_label="deviation [mm]",
-        y_label="share [%]",
+        [ChartLine("fraction", x, y, 0)],
+        ChartAxes("deviation [mm]", "fraction [%]", (0.0, float(fraction.max()) * 1.08)),
         bands=[inside],
-        y_range=(0.0, float(share.max()) * 1.08),
     )
 
 
-def _field(image: str, extent: tuple[float, float, float, float]) -> Drawing:
-    """A picture with ruled edges in mm, one scale for both axes."""
+def _heat_map(image: str, extent: tuple[float, float, float, float]) -> Drawing:
+    """Draw a picture with scales in mm, equal for both axes."""
     u0, u1, v0, v1 = (e * 1e3 for e in extent)
     width = 440.0
     scale = min((width - 60.0) / (u1 - u0), 330.0 / (v1 - v0))
@@ -489,19 +587,26 @@ def _scale_bar(span: float, tolerance: float, missed: bool, face: FaceWords) -> 
     parts.append("</svg>")
     words = [("#215cb2", face.negative), ("#c72e21", face.positive)]
     words += [("#592173", face.missing)] if missed else []
-    words += [("transparent", f"tolerance ±{markup.number(tolerance * 1e3)} mm: off the scale")] * (
+    words += [("transparent", f"tolerance ±{markup.number(tolerance * 1e3)} mm: beyond the scale")] * (
         tolerance > span
     )
     keys = "".join(f'<span class="swatch" style="--s:{color}">{name}</span>' for color, name in words)
     return Drawing("".join(parts) + f'<div class="legend">{keys}</div>')
 
 
-def value_map(points: FloatArray, value: FloatArray, limit: float | None, unit: str) -> Group:
-    """A heat map of any value (M,) at points (M, 3) [m]: about 0 with ``limit``, else from least to most."""
+def value_map(points: FloatArray, value: FloatArray, limit: float | None, unit: str) -> BlockGroup:
+    """Draw a heat map of any value, about 0 if there is a ``limit``, else from minimum to maximum.
+
+    Args:
+        points: Points (M, 3) [m].
+        value: Values (M,).
+        limit: End of the scale, or None.
+        unit: Unit of the values.
+    """
     if points.shape != (len(value), 3):
         raise ValueError(f"points {points.shape} and value {value.shape} do not belong together")
-    uv, words = laid(points)
-    grid, extent = binned(uv, value)
+    uv, words = project_to_plane(points)
+    grid, extent = bin_values(uv, value)
     inside = np.isfinite(grid)
     low, high = float(np.nanmin(value)), float(np.nanmax(value))
     if limit is not None:
@@ -516,7 +621,7 @@ def value_map(points: FloatArray, value: FloatArray, limit: float | None, unit: 
     key = Drawing(
         f'<svg class="plot" viewBox="0 0 440 24"><image href="{image}" x="90" y="6" width="260" height="9" '
         f'preserveAspectRatio="none"/><text class="ytick" x="84" y="14">{markup.number(low, 3)}</text>'
-        f'<text x="356" y="14">{markup.number(high, 3)} {markup.text(unit)}</text></svg>'
+        f'<text x="356" y="14">{markup.number(high, 3)} {markup.phrase_html(unit)}</text></svg>'
     )
-    field = _field(markup.png(color, inside.astype(np.float64)), extent)
-    return Group((field, key, Paragraph(words, "note")))
+    field = _heat_map(markup.png(color, inside.astype(np.float64)), extent)
+    return BlockGroup((field, key, Paragraph(words, "note")))

@@ -1,31 +1,30 @@
-"""Draws ``Targets.exhibits`` by kind; it knows kinds of pictures, not processes.
+"""Drawing of ``Targets.exhibits`` by kind, independent of the process.
 
 An exhibit is a mapping of arrays and plain data with ``kind`` and ``title`` (``note`` optional):
 
-``sections``  ``curves`` (S, P, 3) or a sequence of (P, 3) [m] in the stock frame; ``wanted`` alike,
-              optional; ``value`` (S,), ``value_name``, ``unit`` optional: colours the curves. Drawn
-              in space within the block, and laid over one another in their planes.
-``paths``     ``curves``: sequence of (P, 3) [m] in the stock frame, drawn in space, coloured in
-              their order, or by ``value`` (S,), called ``value_name``; optional ``points`` (M, 3) [m]:
-              dots; ``near``: seen as near as the curves allow, not within the block.
-``curve``     ``x`` (N,), ``x_label``, ``y_label``; ``series``: sequence of {``name``, ``y`` (N,),
-              ``x`` if its own, ``colour`` if shared, ``style``: "dashed" or "dots"}; optional
-              ``limits``: sequence of {``name``, ``value``}, ``equal``: one scale.
-``table``     ``columns``: names; ``rows``: sequence of sequences.
-``facts``     ``items``: sequence of (name, value) or (name, value, unit).
-``setup``     as ``facts``, but shown in the setup sheet: what an operator mounts, cuts, sets or
-              measures.
-``heatmap``   ``points`` (M, 3) [m] and ``value`` (M,), ``unit``; ``limit`` optional: the colours
-              then diverge from 0 up to it.
-``released``  a formed sheet over a grid: ``x`` (W,), ``y`` (H,) [m]; heights (H, W) [m] ``formed`` under the
-              tools and ``released``; ``deviation`` (H, W) from the wanted part, NaN where none is known,
-              ``limit``: the end of its scale, ``unit``. The replay shows both surfaces.
-``mesh``      ``vertices`` (V, 3) [m], ``faces`` (F, 3): a shaded picture.
-``left``      the same of the stock as an operation leaves it; the replay shows it from then on.
-``tree``      ``nodes``: names; ``parent``: for each node the index of its parent, -1 for a root.
-``text``      ``text``: a paragraph.
+- ``sections``: ``curves`` (S, P, 3) or a sequence of (P, 3) [m] in the stock frame. Optional: ``wanted`` of
+  the same form, and ``value`` (S,), ``value_name``, ``unit``, which colour the curves. Drawn in space
+  within the block, and superimposed in their planes.
+- ``paths``: ``curves``: sequence of (P, 3) [m] in the stock frame, drawn in space, coloured in their order
+  or by ``value`` (S,) with the name ``value_name``. Optional: ``points`` (M, 3) [m], drawn as dots, and
+  ``near``: zoom to the curves instead of the block.
+- ``curve``: ``x`` (N,), ``x_label``, ``y_label``; ``series``: sequence of {``name``, ``y`` (N,), own ``x``,
+  shared ``colour``, ``style``: "dashed" or "dots"}. Optional: ``limits``: sequence of {``name``,
+  ``value``}, and ``equal``: one scale.
+- ``table``: ``columns``: names; ``rows``: sequence of sequences.
+- ``facts``: ``items``: sequence of (name, value) or (name, value, unit).
+- ``setup``: as ``facts``, shown in the setup sheet: what an operator mounts, cuts, sets or measures.
+- ``heatmap``: ``points`` (M, 3) [m], ``value`` (M,), ``unit``. With ``limit`` the colours diverge from 0 up
+  to it.
+- ``released``: a formed sheet over a grid: ``x`` (W,), ``y`` (H,) [m]; heights (H, W) [m] ``formed`` under
+  the tools and ``released``; ``deviation`` (H, W) from the nominal part, NaN where unknown; ``limit``: end
+  of its scale; ``unit``. The replay shows both surfaces.
+- ``mesh``: ``vertices`` (V, 3) [m], ``faces`` (F, 3): a shaded picture.
+- ``left``: as ``mesh``, the stock as an operation leaves it. The replay shows it from then on.
+- ``tree``: ``nodes``: names; ``parent``: for each node the index of its parent, -1 for a root.
+- ``text``: ``text``: a paragraph.
 
-What does not follow its form becomes an issue ``report.exhibit`` and is left out of the report.
+An exhibit of another form gives an issue ``report.exhibit`` and is left out of the report.
 """
 
 import contextlib
@@ -35,19 +34,26 @@ from typing import Any, Final
 import numpy as np
 
 from planner.geometry.arrays import FloatArray
+from planner.issue_codes import format_message
 from planner.issues import Issue, Severity
 from planner.report import charts, markup, raster
 from planner.report.markup import Block, Drawing, Phrase
 
-_MOST_CURVES = 60
-"""Curves of one exhibit that are drawn, evenly chosen where there are more."""
+_MAX_CURVES = 60
+"""Maximum number of drawn curves of one exhibit, evenly chosen."""
 
 
 def in_space(
     curves: Sequence[FloatArray], value: FloatArray, block: FloatArray, points: FloatArray | None = None
 ) -> Drawing:
-    """Curves (P, 3) [m] in a parallel view with the edges of the block, whose lowest and highest
-    corner are ``block`` (2, 3); dots at ``points`` (M, 3)."""
+    """Draw curves in a parallel view with the edges of the block.
+
+    Args:
+        curves: Curves (P, 3) [m].
+        value: Values (S,) that colour the curves.
+        block: Lowest and highest corner of the block (2, 3) [m].
+        points: Points (M, 3) [m] drawn as dots, or None.
+    """
     size = block[1] - block[0]
     toward = np.array([-0.62, 1.0, -0.55]) if size[1] <= size[0] else np.array([-1.0, 0.62, -0.55])
     z = toward / np.linalg.norm(toward)
@@ -74,7 +80,7 @@ def in_space(
                     f'x2="{q[0]:.1f}" y2="{q[1]:.1f}"/>'
                 )
     colors = _colours(value)
-    for i in _evenly_chosen(len(curves)):
+    for i in _even_indices(len(curves)):
         drawn_points = " ".join(f"{u:.1f},{v:.1f}" for u, v in (flat[i] - low) * scale + 12.0)
         parts.append(f'<polyline class="thin" style="stroke:{colors[i]}" points="{drawn_points}"/>')
     if points is not None:
@@ -84,29 +90,36 @@ def in_space(
     return Drawing("".join(parts))
 
 
-def in_plane(curves: Sequence[FloatArray], wanted: Sequence[FloatArray], value: FloatArray) -> Drawing:
-    """The curves in their own planes [mm], chord along x, middle of the chord at 0.
+def in_plane(curves: Sequence[FloatArray], nominal: Sequence[FloatArray], value: FloatArray) -> Drawing:
+    """Draw curves in their own planes [mm], with the chord along x and its middle at 0.
 
-    A curve's plane holds its chord and lies across the way from section to section.
+    The plane of a curve contains its chord, and is perpendicular to the path from section to section.
+
+    Args:
+        curves: Curves (P, 3) [m].
+        nominal: Nominal curves (P, 3) [m], or none.
+        value: Values (S,) that colour the curves.
     """
     middles = np.array([c.mean(axis=0) for c in curves])
     sweep = np.gradient(middles, axis=0) if len(curves) > 1 else np.array([[0.0, 0.0, 1.0]])
     frames: list[tuple[FloatArray, FloatArray]] = []
     for i, curve in enumerate(curves):
         origin, axes = _plane(curve, sweep[i])
-        turned = bool(frames) and float(axes[:, 1] @ frames[-1][1][:, 1]) < 0.0
-        frames.append((origin, axes * [1.0, -1.0] if turned else axes))
+        is_flipped = bool(frames) and float(axes[:, 1] @ frames[-1][1][:, 1]) < 0.0
+        frames.append((origin, axes * [1.0, -1.0] if is_flipped else axes))
     pairs = zip(curves, frames, strict=True)
     width, rise = np.ptp(np.concatenate([(c - origin) @ axes for c, (origin, axes) in pairs]), axis=0)
-    times = next((k for k in (1, 2, 5, 10) if rise * k > 0.22 * width), 10)
-    stretch = np.array([1e3, 1e3 * times])
+    exaggeration = next((k for k in (1, 2, 5, 10) if rise * k > 0.22 * width), 10)
+    stretch = np.array([1e3, 1e3 * exaggeration])
     drawn: list[tuple[FloatArray, str]] = []
     colors = _colours(value)
-    for i in _evenly_chosen(len(curves)):
+    for i in _even_indices(len(curves)):
         origin, axes = frames[i]
         drawn.append((((curves[i] - origin) @ axes) * stretch, f"stroke:{colors[i]}"))
-        if len(wanted) == len(curves):
-            drawn.append((((wanted[i] - origin) @ axes) * stretch, "stroke:var(--soft);stroke-dasharray:2 3"))
+        if len(nominal) == len(curves):
+            drawn.append(
+                (((nominal[i] - origin) @ axes) * stretch, "stroke:var(--soft);stroke-dasharray:2 3")
+            )
     everything = np.concatenate([d for d, _ in drawn])
     low, high = everything.min(axis=0), everything.max(axis=0)
     pad = 0.05 * max(high - low)
@@ -120,12 +133,16 @@ def in_plane(curves: Sequence[FloatArray], wanted: Sequence[FloatArray], value: 
         parts.append(
             f'<text class="xtick" x="{x:.1f}" y="{height + 20:.1f}">{markup.number(float(v))}</text>'
         )
-    for v in times * charts.ticks(low[1] / times, high[1] / times, int(np.clip(height / 40, 2, 6))):
+    for v in exaggeration * charts.ticks(
+        low[1] / exaggeration, high[1] / exaggeration, int(np.clip(height / 40, 2, 6))
+    ):
         y = 4 + (high[1] - v) * scale
         right = 52 + (high[0] - low[0]) * scale
         parts.append(f'<line class="grid" x1="52" x2="{right:.1f}" y1="{y:.1f}" y2="{y:.1f}"/>')
-        parts.append(f'<text class="ytick" x="46" y="{y + 4:.1f}">{markup.number(float(v) / times)}</text>')
-    words = "mm" if times == 1 else f"mm; heights drawn {times} times"
+        parts.append(
+            f'<text class="ytick" x="46" y="{y + 4:.1f}">{markup.number(float(v) / exaggeration)}</text>'
+        )
+    words = "mm" if exaggeration == 1 else f"mm; heights drawn {exaggeration} times"
     for path, style in drawn:
         uv = np.stack([52 + (path[:, 0] - low[0]) * scale, 4 + (high[1] - path[:, 1]) * scale], axis=1)
         points = " ".join(f"{u:.1f},{v:.1f}" for u, v in uv)
@@ -138,18 +155,23 @@ def in_plane(curves: Sequence[FloatArray], wanted: Sequence[FloatArray], value: 
 
 
 def colour_key(value: FloatArray, name: str) -> Drawing:
-    """A bar that says which colour stands for which value."""
+    """Draw a bar that shows which colour stands for which value.
+
+    Args:
+        value: Values.
+        name: Name of the values.
+    """
     image = markup.png(np.tile(charts.sequential(np.linspace(0.18, 0.92, 160))[None], (2, 1, 1)))
     low, high = (markup.number(float(v), 3) for v in (value.min(), value.max()))
     return Drawing(
         '<svg class="plot" viewBox="0 0 540 22"><text class="ytick" x="150" y="12">'
         f'{low}</text><image href="{image}" x="158" y="4" width="224" height="8" preserveAspectRatio="none"/>'
-        f'<text x="390" y="12">{high} · {markup.text(name)}</text></svg>'
+        f'<text x="390" y="12">{high} · {markup.phrase_html(name)}</text></svg>'
     )
 
 
 def _plane(curve: FloatArray, sweep: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Middle of the chord (3,) and axes (3, 2) along the chord and across it in the section's plane."""
+    """Return the middle of the chord (3,), and axes (3, 2) along and across it in the section's plane."""
     chord = curve[-1] - curve[0]
     if np.linalg.norm(chord) < 1e-9:
         chord = curve[len(curve) // 2] - curve[0]
@@ -163,8 +185,8 @@ def _plane(curve: FloatArray, sweep: FloatArray) -> tuple[FloatArray, FloatArray
     return 0.5 * (curve[0] + curve[-1]), np.stack([x, y], axis=1)
 
 
-def _evenly_chosen(count: int) -> list[int]:
-    return sorted({round(i) for i in np.linspace(0, count - 1, min(count, _MOST_CURVES))})
+def _even_indices(count: int) -> list[int]:
+    return sorted({round(i) for i in np.linspace(0, count - 1, min(count, _MAX_CURVES))})
 
 
 def _colours(value: FloatArray) -> list[str]:
@@ -174,15 +196,20 @@ def _colours(value: FloatArray) -> list[str]:
 
 
 UNIT_BLOCK: Final = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
-"""Corners of the block of exhibits that are drawn in none."""
+"""Corners of the block for exhibits without one."""
 _HALF_WIDTH_COLUMNS = 6
-"""Tables of more columns than this take the whole width."""
+"""Maximum number of columns of a table of half width."""
 
 
 def draw(exhibits: Mapping[str, Any], block: FloatArray) -> tuple[list[Block], list[Issue]]:
-    """Figures of all exhibits but those of the setup sheet, and issues for those that cannot be drawn.
+    """Draw all exhibits except those of the setup sheet.
 
-    ``block`` (2, 3) [m] are the lowest and the highest corner of the block as the operation finds it.
+    Args:
+        exhibits: Exhibits by name.
+        block: Lowest and highest corner (2, 3) [m] of the block as the operation finds it.
+
+    Returns:
+        Figures, and issues for exhibits that cannot be drawn.
     """
     figures: list[Block] = []
     issues: list[Issue] = []
@@ -192,13 +219,13 @@ def draw(exhibits: Mapping[str, Any], block: FloatArray) -> tuple[list[Block], l
             if kind == "setup":
                 _items(exhibit["items"])
                 continue
-            figures.append(_KINDS[str(kind)](exhibit, block))
+            figures.append(_DRAWERS[str(kind)](exhibit, block))
         except (KeyError, TypeError, ValueError, IndexError, np.linalg.LinAlgError) as error:
-            issues.append(_refused(name, kind, error))
+            issues.append(_undrawable(name, kind, error))
     return figures, issues
 
 
-def page(
+def exhibits_page(
     title: str,
     section: tuple[str, str],
     shown: Mapping[str, Any],
@@ -212,30 +239,36 @@ def page(
         title: Title of the page.
         section: Anchor and title of its only section.
         shown: Exhibits.
-        about: What they are of.
+        about: Description of the page.
         block: Lowest and highest corner of the block (2, 3) [m], for exhibits that are drawn in it.
         name: Heading of the page, by default its title.
     """
     figures, _ = draw(shown, block)
-    sections = (markup.Section(*section, (markup.Grid(tuple(figures)),)),)
-    return markup.page(markup.Page(title, name or title, (), markup.Paragraph(about), (), sections))
+    sections = (markup.PageSection(*section, (markup.GridBlock(tuple(figures)),)),)
+    return markup.page_html(markup.Page(title, name or title, (), markup.Paragraph(about), (), sections))
 
 
 def setup_items(exhibits: Mapping[str, Any]) -> list[tuple[Phrase, Phrase]]:
-    """Names and values of all exhibits of kind ``setup``."""
+    """Return names and values of all exhibits of kind ``setup``."""
     out: list[tuple[Phrase, Phrase]] = []
     for exhibit in exhibits.values():
         if isinstance(exhibit, Mapping) and exhibit.get("kind") == "setup":
-            with contextlib.suppress(KeyError, TypeError, ValueError):  # draw() has said so
+            with contextlib.suppress(KeyError, TypeError, ValueError):  # draw() reports these
                 out += _items(exhibit["items"])
     return out
 
 
-def _refused(name: str, kind: Any, error: Exception) -> Issue:
+def _undrawable(name: str, kind: Any, error: Exception) -> Issue:
     return Issue(
         "report.exhibit",
-        f"exhibit {name!r} of kind {kind!r} cannot be drawn: {type(error).__name__}: {error}; "
-        f"known kinds are {', '.join((*_KINDS, 'setup'))}",
+        format_message(
+            "report.exhibit",
+            name=name,
+            kind=kind,
+            error_type=type(error).__name__,
+            error=error,
+            allowed_kinds=", ".join((*_DRAWERS, "setup")),
+        ),
         Severity.WARNING,
         field=name,
     )
@@ -245,13 +278,13 @@ def _items(items: Sequence[Any]) -> list[tuple[Phrase, Phrase]]:
     out = []
     for item in items:
         name, value, unit = (*item, "")[:3]
-        out.append((name, markup.Joined((value, " ", unit)) if unit else value))
+        out.append((name, markup.JoinedPhrases((value, " ", unit)) if unit else value))
     return out
 
 
-def _figure(exhibit: Mapping[str, Any], content: Block) -> markup.Figure:
-    """What an exhibit is drawn as, under its own title and with its note."""
-    return markup.Figure(exhibit["title"], content, exhibit.get("note", ""))
+def _titled_figure(exhibit: Mapping[str, Any], content: Block) -> markup.FigureBlock:
+    """Wrap the drawing of an exhibit with its title and note."""
+    return markup.FigureBlock(exhibit["title"], content, exhibit.get("note", ""))
 
 
 def _paths(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
@@ -262,27 +295,27 @@ def _paths(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
         every = np.concatenate(curves)
         block = np.array([every.min(axis=0), every.max(axis=0)])
     key = colour_key(value, str(exhibit.get("value_name", "in order")))
-    return _figure(exhibit, markup.Group((in_space(curves, value, block, points), key)))
+    return _titled_figure(exhibit, markup.BlockGroup((in_space(curves, value, block, points), key)))
 
 
 def _sections(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
     curves = [np.asarray(c, dtype=np.float64) for c in exhibit["curves"]]
-    wanted = [np.asarray(c, dtype=np.float64) for c in exhibit.get("wanted", ())]
+    nominal = [np.asarray(c, dtype=np.float64) for c in exhibit.get("wanted", ())]
     value = exhibit.get("value")
     value = np.arange(len(curves), dtype=np.float64) if value is None else np.asarray(value, dtype=np.float64)
     name = f"{exhibit.get('value_name', 'section')} [{exhibit['unit']}]" if exhibit.get("unit") else "section"
     space = in_space(curves, value, block)
-    plane = in_plane(curves, wanted, value)
+    plane = in_plane(curves, nominal, value)
     key = colour_key(value, name)
-    left = markup.Figure(exhibit["title"], markup.Group((space, key)))
-    right = markup.Figure("In their planes", plane, exhibit.get("note", ""))
-    return markup.Wide(markup.Grid((left, right)))
+    left = markup.FigureBlock(exhibit["title"], markup.BlockGroup((space, key)))
+    right = markup.FigureBlock("In their planes", plane, exhibit.get("note", ""))
+    return markup.Wide(markup.GridBlock((left, right)))
 
 
 def _curve(exhibit: Mapping[str, Any], _: FloatArray) -> Block:
     x = exhibit.get("x")
     lines = [
-        charts.Line(
+        charts.ChartLine(
             str(item["name"]),
             np.asarray(item.get("x", x), dtype=np.float64),
             np.asarray(item["y"], dtype=np.float64),
@@ -292,31 +325,33 @@ def _curve(exhibit: Mapping[str, Any], _: FloatArray) -> Block:
         )
         for i, item in enumerate(exhibit["series"])
     ]
-    levels = [charts.Level(float(v["value"]), str(v["name"])) for v in exhibit.get("limits", ())]
+    levels = [charts.LimitLine(float(v["value"]), str(v["name"])) for v in exhibit.get("limits", ())]
     body = charts.chart(
         lines,
-        x_label=str(exhibit.get("x_label", "")),
-        y_label=str(exhibit.get("y_label", "")),
+        charts.ChartAxes(
+            x_label=str(exhibit.get("x_label", "")),
+            y_label=str(exhibit.get("y_label", "")),
+            equal=bool(exhibit.get("equal", False)),
+        ),
         levels=levels,
-        equal=bool(exhibit.get("equal", False)),
     )
-    return _figure(exhibit, body)
+    return _titled_figure(exhibit, body)
 
 
 def _table(exhibit: Mapping[str, Any], _: FloatArray) -> Block:
     columns = tuple(exhibit["columns"])
-    drawn = _figure(exhibit, markup.table(columns, exhibit["rows"]))
+    drawn = _titled_figure(exhibit, markup.make_table(columns, exhibit["rows"]))
     return markup.Wide(drawn) if len(columns) > _HALF_WIDTH_COLUMNS else drawn
 
 
 def _facts(exhibit: Mapping[str, Any], _: FloatArray) -> Block:
-    return _figure(exhibit, markup.Facts(tuple(_items(exhibit["items"]))))
+    return _titled_figure(exhibit, markup.FactsBlock(tuple(_items(exhibit["items"]))))
 
 
 def _heatmap(exhibit: Mapping[str, Any], _: FloatArray) -> Block:
     points, value = np.asarray(exhibit["points"]), np.asarray(exhibit["value"], dtype=np.float64)
     body = charts.value_map(points, value, exhibit.get("limit"), str(exhibit.get("unit", "")))
-    return _figure(exhibit, body)
+    return _titled_figure(exhibit, body)
 
 
 def _released(exhibit: Mapping[str, Any], _: FloatArray) -> Block:
@@ -324,16 +359,16 @@ def _released(exhibit: Mapping[str, Any], _: FloatArray) -> Block:
     points = np.stack([x, y, np.asarray(exhibit["released"])], axis=-1).reshape(-1, 3)
     value = np.asarray(exhibit["deviation"], dtype=np.float64).ravel()
     body = charts.value_map(points, value, exhibit["limit"], str(exhibit.get("unit", "")))
-    return _figure(exhibit, body)
+    return _titled_figure(exhibit, body)
 
 
 def _mesh(exhibit: Mapping[str, Any], _: FloatArray) -> Block:
     vertices = np.asarray(exhibit["vertices"], dtype=np.float64)
     solid = raster.mesh(vertices, np.asarray(exhibit["faces"], dtype=np.int64), smooth=True)
-    camera = raster.frame(vertices, np.array([-0.55, 1.0, -0.55]), 1000, 640)
-    image = raster.rendered(camera, [raster.Thing(solid, (0.55, 0.68, 0.74), 0.0, closed=False)])
+    camera = raster.frame_camera(vertices, np.array([-0.55, 1.0, -0.55]), 1000, 640)
+    image = raster.render_items(camera, [raster.RenderItem(solid, (0.55, 0.68, 0.74), 0.0, closed=False)])
     address = markup.png(image.color, np.isfinite(image.depth).astype(np.float64))
-    return _figure(exhibit, markup.Photo(address, str(exhibit["title"])))
+    return _titled_figure(exhibit, markup.Photo(address, str(exhibit["title"])))
 
 
 def _tree(exhibit: Mapping[str, Any], _: FloatArray) -> Block:
@@ -342,20 +377,20 @@ def _tree(exhibit: Mapping[str, Any], _: FloatArray) -> Block:
     if len(names) != len(parents):
         raise ValueError(f"{len(names)} nodes but {len(parents)} parents")
 
-    def below(parent: int, depth: int) -> markup.Tree:
+    def subtree(parent: int, depth: int) -> markup.TreeBlock:
         if depth > 64:
-            raise ValueError("the tree goes in a circle or is deeper than 64")
-        found = [i for i, p in enumerate(parents) if p == parent]
-        return markup.Tree(tuple((names[i], below(i, depth + 1)) for i in found))
+            raise ValueError("the tree has a cycle or is deeper than 64")
+        children = [i for i, p in enumerate(parents) if p == parent]
+        return markup.TreeBlock(tuple((names[i], subtree(i, depth + 1)) for i in children))
 
-    return _figure(exhibit, below(-1, 0))
+    return _titled_figure(exhibit, subtree(-1, 0))
 
 
 def _text(exhibit: Mapping[str, Any], _: FloatArray) -> Block:
-    return _figure(exhibit, markup.Paragraph(exhibit["text"]))
+    return _titled_figure(exhibit, markup.Paragraph(exhibit["text"]))
 
 
-_KINDS: Final[Mapping[str, Callable[[Mapping[str, Any], FloatArray], Block]]] = {
+_DRAWERS: Final[Mapping[str, Callable[[Mapping[str, Any], FloatArray], Block]]] = {
     "paths": _paths,
     "sections": _sections,
     "curve": _curve,
@@ -368,4 +403,4 @@ _KINDS: Final[Mapping[str, Callable[[Mapping[str, Any], FloatArray], Block]]] = 
     "tree": _tree,
     "text": _text,
 }
-"""What draws each kind of exhibit in the block of an operation."""
+"""Functions that draw each kind of exhibit in the block of an operation."""

@@ -1,8 +1,8 @@
-"""What a page is made of, as values, and the one way from them to HTML; the page's style and script.
+"""Elements of a page as values, their conversion to HTML, and the style sheet and script of pages.
 
 Sections hold blocks (tables, facts, figures, drawings ...), and blocks hold phrases (text, numbers, marked
-words). Whoever builds a page builds these values; :func:`page`, :func:`section` and :func:`render` alone
-write HTML of them. One style sheet for screen (light and dark) and paper, one small script.
+words). Other modules build these values. Only :func:`page_html`, :func:`section_html` and :func:`render`
+write HTML. There is one style sheet for screen (light and dark) and paper, and one small script.
 """
 
 import base64
@@ -20,15 +20,15 @@ from planner.geometry.arrays import FloatArray
 from planner.geometry.units import MM
 
 _PNG: Final = "data:image/png;base64,"
-"""How the address of a PNG begins that lies in the page itself."""
-_NARROW: Final = 4
-"""So many columns of a table have room on a telephone."""
-CELL: Final = "the cell"
-"""What the picture of a cell is called."""
+"""Prefix of the data address of an embedded PNG."""
+_MAX_PHONE_COLUMNS: Final = 4
+"""Maximum number of table columns that fit on a phone."""
+CELL_PICTURE_NAME: Final = "the cell"
+"""Name of the picture of a cell."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Code:
+class CodePhrase:
     """A phrase in a fixed-width font: a code, a signal, a digest."""
 
     text: str
@@ -36,53 +36,56 @@ class Code:
 
 @dataclasses.dataclass(frozen=True)
 class Bold:
-    """A phrase that stands out."""
+    """An emphasised phrase."""
 
     content: "Phrase"
 
 
 @dataclasses.dataclass(frozen=True)
-class Soft:
-    """A phrase that stands back."""
+class MutedPhrase:
+    """A de-emphasised phrase."""
 
     content: "Phrase"
 
 
 @dataclasses.dataclass(frozen=True)
-class Tag:
-    """A word on a ground of its own; ``kind``: ``ok``, ``bad``, ``off`` or a severity."""
+class TagPhrase:
+    """A word with a background. ``kind`` is ``ok``, ``bad``, ``off`` or a severity."""
 
     kind: str
     word: str
 
 
 @dataclasses.dataclass(frozen=True)
-class Blank:
-    """Room to write something in by hand."""
+class FillInBlank:
+    """Space to fill in by hand."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Joined:
-    """Phrases one after the other, with nothing between them."""
+class JoinedPhrases:
+    """Phrases in sequence, without separators."""
 
     parts: "tuple[Phrase, ...]"
 
 
 @dataclasses.dataclass(frozen=True)
-class Lines:
-    """Phrases below one another."""
+class StackedPhrases:
+    """Phrases on separate lines."""
 
     parts: "tuple[Phrase, ...]"
 
 
 Phrase = object
-"""A marked phrase (``Code``, ``Bold``, ``Soft``, ``Tag``, ``Blank``, ``Joined``, ``Lines``), or any other
-value, which is shown as :func:`text` says."""
+"""A marked phrase, or any other value, which is shown as in :func:`text`.
+
+Marked phrases are ``CodePhrase``, ``Bold``, ``MutedPhrase``, ``TagPhrase``, ``FillInBlank``,
+``JoinedPhrases`` and ``StackedPhrases``.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
 class Paragraph:
-    """A paragraph; ``kind``: ``soft`` or ``note`` for one that stands back."""
+    """A paragraph. ``kind`` is ``soft`` or ``note`` for a de-emphasised one."""
 
     content: Phrase
     kind: str = ""
@@ -96,44 +99,44 @@ class Heading:
 
 
 @dataclasses.dataclass(frozen=True)
-class Table:
-    """A table; cells that are numbers are set right."""
+class TableBlock:
+    """A table. Cells that are numbers are right-aligned."""
 
     columns: tuple[Phrase, ...]
     rows: tuple[tuple[Phrase, ...], ...]
 
 
 @dataclasses.dataclass(frozen=True)
-class Facts:
+class FactsBlock:
     """Names and values in two columns."""
 
     items: tuple[tuple[Phrase, Phrase], ...]
 
 
 @dataclasses.dataclass(frozen=True)
-class Steps:
-    """What is to be done, numbered."""
+class StepsBlock:
+    """Numbered instructions."""
 
     items: tuple[Phrase, ...]
 
 
 @dataclasses.dataclass(frozen=True)
-class Tree:
-    """Names with what belongs below each."""
+class TreeBlock:
+    """Names with nested subtrees."""
 
-    nodes: "tuple[tuple[Phrase, Tree], ...]"
+    nodes: "tuple[tuple[Phrase, TreeBlock], ...]"
 
 
 @dataclasses.dataclass(frozen=True)
 class Drawing:
-    """What is HTML already, since it is drawn rather than told: a chart as SVG with its legend."""
+    """Content that is HTML already: a chart as SVG with its legend."""
 
     html: str
 
 
 @dataclasses.dataclass(frozen=True)
 class Photo:
-    """A picture of pixels at a data address; ``labels``: text, x and y in 0..1 from the upper left."""
+    """A raster picture at a data address. ``labels``: text, x and y in 0..1 from the upper left."""
 
     address: str
     name: str
@@ -141,7 +144,7 @@ class Photo:
 
 
 @dataclasses.dataclass(frozen=True)
-class Figure:
+class FigureBlock:
     """A picture, chart or table with a title above and a note below."""
 
     title: Phrase
@@ -150,16 +153,16 @@ class Figure:
 
 
 @dataclasses.dataclass(frozen=True)
-class Group:
-    """Blocks one after the other; ``apart``: with air below each."""
+class BlockGroup:
+    """Blocks in sequence. ``spaced`` adds a margin below each."""
 
     items: "tuple[Block, ...]"
-    apart: bool = False
+    spaced: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
-class Grid:
-    """Blocks side by side where there is room; ``kind`` says how many: ``two`` or ``three``."""
+class GridBlock:
+    """Blocks side by side if there is space. ``kind`` states how many: ``two`` or ``three``."""
 
     items: "tuple[Block, ...]"
     kind: str = "two"
@@ -167,21 +170,21 @@ class Grid:
 
 @dataclasses.dataclass(frozen=True)
 class Column:
-    """Blocks below one another that fill one place of a grid."""
+    """Blocks below one another in one cell of a grid."""
 
     items: "tuple[Block, ...]"
 
 
 @dataclasses.dataclass(frozen=True)
 class Wide:
-    """A block that takes the whole width."""
+    """A block of full width."""
 
     content: "Block"
 
 
 @dataclasses.dataclass(frozen=True)
 class Folded:
-    """A block that is seen after a click on its summary."""
+    """A block that is shown after a click on its summary."""
 
     summary: str
     content: "Block"
@@ -190,25 +193,25 @@ class Folded:
 Block = (
     Paragraph
     | Heading
-    | Table
-    | Facts
-    | Steps
-    | Tree
+    | TableBlock
+    | FactsBlock
+    | StepsBlock
+    | TreeBlock
     | Drawing
     | Photo
-    | Figure
-    | Group
-    | Grid
+    | FigureBlock
+    | BlockGroup
+    | GridBlock
     | Column
     | Wide
     | Folded
 )
-"""What sections hold."""
+"""Content of sections."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Section:
-    """A section of a page, which its list of contents leads to; one without content is left out."""
+class PageSection:
+    """A section of a page with an entry in the list of contents. Sections without content are left out."""
 
     anchor: str
     title: str
@@ -217,7 +220,7 @@ class Section:
 
 @dataclasses.dataclass(frozen=True)
 class Tile:
-    """A figure that matters, with its name; ``bad``: it is not as it should be."""
+    """A key figure with its name. ``bad`` marks a violated requirement."""
 
     name: str
     value: str
@@ -227,34 +230,42 @@ class Tile:
 
 @dataclasses.dataclass(frozen=True)
 class Page:
-    """A whole page. ``verdicts``: kind (``ok``, ``bad``, ``warn`` or none) and words beside the name;
-    ``about``: what it is of."""
+    """A whole page.
+
+    Attributes:
+        title: Title.
+        name: Heading.
+        verdicts: Kind (``ok``, ``bad``, ``warn`` or none) and words next to the heading.
+        about: Description, or None.
+        tiles: Key figures.
+        sections: Sections.
+    """
 
     title: str
     name: str
     verdicts: tuple[tuple[str, str], ...]
     about: Paragraph | None
     tiles: tuple[Tile, ...]
-    sections: tuple[Section, ...]
+    sections: tuple[PageSection, ...]
 
 
-def text(value: Phrase) -> str:
-    """A phrase as HTML: marked ones as they say, numbers to four digits, None as a dash, the rest escaped."""
+def phrase_html(value: Phrase) -> str:
+    """Convert a phrase to HTML: numbers to four digits, None as a dash, everything else escaped."""
     match value:
-        case Code(words):
+        case CodePhrase(words):
             return f"<code>{html.escape(words)}</code>"
         case Bold(content):
-            return f"<b>{text(content)}</b>"
-        case Soft(content):
-            return f'<span class="soft">{text(content)}</span>'
-        case Tag(kind, word):
+            return f"<b>{phrase_html(content)}</b>"
+        case MutedPhrase(content):
+            return f'<span class="soft">{phrase_html(content)}</span>'
+        case TagPhrase(kind, word):
             return f'<span class="tag {html.escape(kind)}">{html.escape(word)}</span>'
-        case Blank():
+        case FillInBlank():
             return '<span class="fill"></span>'
-        case Joined(parts):
-            return "".join(text(part) for part in parts)
-        case Lines(parts):
-            return "<br>".join(text(part) for part in parts)
+        case JoinedPhrases(parts):
+            return "".join(phrase_html(part) for part in parts)
+        case StackedPhrases(parts):
+            return "<br>".join(phrase_html(part) for part in parts)
         case None:
             return "–"
         case bool() | np.bool_():
@@ -266,7 +277,7 @@ def text(value: Phrase) -> str:
 
 
 def number(value: float, digits: int = 4) -> str:
-    """A number to so many significant digits, with a true minus sign."""
+    """Format a number to some significant digits, with a true minus sign."""
     if not math.isfinite(value):
         return "–" if math.isnan(value) else "∞"
     size = f"{value:.{digits}g}"
@@ -275,28 +286,35 @@ def number(value: float, digits: int = 4) -> str:
     return size.replace("-", "−")
 
 
-def allowed(by_place: FloatArray, most: float) -> str:
-    """What a face may be off [mm], as text, of values [m]; the middle and the greatest where it differs by
-    place."""
+def allowed_deviation(by_place: FloatArray, max_deviation: float) -> str:
+    """Format the allowed deviation of a face [mm].
+
+    Args:
+        by_place: Allowed deviations [m] if they vary over the face, else empty.
+        max_deviation: Maximum allowed deviation [m].
+
+    Returns:
+        Text with the limit, or with the median and maximum if it varies.
+    """
     if not len(by_place):
-        return f"±{number(most / MM)}"
-    middle = float(np.median(by_place)) / MM
-    return f"what steps leave there, {number(middle, 2)} or so and {number(most / MM, 2)} at most,"
+        return f"±{number(max_deviation / MM)}"
+    median = float(np.median(by_place)) / MM
+    return f"the local step height, median {number(median, 2)}, maximum {number(max_deviation / MM, 2)}"
 
 
-def fixed(value: float, places: int) -> str:
-    """A number with so many decimals, with a true minus sign and no minus zero."""
-    out = f"{value:.{places}f}"
+def fixed_decimals(value: float, decimals: int) -> str:
+    """Format a number with some decimals, with a true minus sign and no minus zero."""
+    out = f"{value:.{decimals}f}"
     return out.lstrip("-") if float(out) == 0.0 else out.replace("-", "−")
 
 
-def table(columns: Iterable[Phrase], rows: Iterable[Iterable[Phrase]]) -> Table:
-    """A table of any columns and rows."""
-    return Table(tuple(columns), tuple(tuple(row) for row in rows))
+def make_table(columns: Iterable[Phrase], rows: Iterable[Iterable[Phrase]]) -> TableBlock:
+    """Build a table from any iterables."""
+    return TableBlock(tuple(columns), tuple(tuple(row) for row in rows))
 
 
-def page(shown: Page) -> str:
-    """A page as one HTML file that needs nothing else."""
+def page_html(shown: Page) -> str:
+    """Convert a page to one self-contained HTML file."""
     sections = [section for section in shown.sections if section.content]
     links = "".join(f'<a href="#{part.anchor}">{html.escape(part.title)}</a>' for part in sections)
     verdicts = " ".join(
@@ -310,53 +328,59 @@ def page(shown: Page) -> str:
         '<meta name="viewport" content="width=device-width,initial-scale=1">'
         f"<title>{html.escape(shown.title)}</title><style>{CSS}</style></head><body><main>"
         f"<header><h1>{html.escape(shown.name)}</h1>{verdicts}</header>{about}"
-        f"<nav>{links}</nav>{tiles}{''.join(section(part) for part in sections)}"
+        f"<nav>{links}</nav>{tiles}{''.join(section_html(part) for part in sections)}"
         "<footer>Written by Tandem. This file needs no network.</footer></main>"
         f"<script>{SCRIPT}</script></body></html>\n"
     )
 
 
-def section(shown: Section) -> str:
-    """A section as HTML."""
-    inner = render(Group(shown.content))
+def section_html(shown: PageSection) -> str:
+    """Convert a section to HTML."""
+    inner = render(BlockGroup(shown.content))
     return f'<section id="{shown.anchor}"><h2>{html.escape(shown.title)}</h2>{inner}</section>'
 
 
 def render(block: Block) -> str:
-    """A block as HTML."""
+    """Convert a block to HTML."""
     match block:
         case Paragraph(content, kind):
             style = f' class="{kind}"' if kind else ""
-            return f"<p{style}>{text(content)}</p>"
+            return f"<p{style}>{phrase_html(content)}</p>"
         case Heading(title):
-            return f"<h3>{text(title)}</h3>"
-        case Table():
+            return f"<h3>{phrase_html(title)}</h3>"
+        case TableBlock():
             return _table(block)
-        case Facts(items):
-            rows = (f"<div><dt>{text(name)}</dt><dd>{text(value)}</dd></div>" for name, value in items)
+        case FactsBlock(items):
+            rows = (
+                f"<div><dt>{phrase_html(name)}</dt><dd>{phrase_html(value)}</dd></div>"
+                for name, value in items
+            )
             return f'<dl class="facts">{"".join(rows)}</dl>'
-        case Steps(items):
-            return f"<ol>{''.join(f'<li>{text(item)}</li>' for item in items)}</ol>"
-        case Tree(nodes):
-            rows = (f"<li>{text(name)}{render(below)}</li>" for name, below in nodes)
+        case StepsBlock(items):
+            return f"<ol>{''.join(f'<li>{phrase_html(item)}</li>' for item in items)}</ol>"
+        case TreeBlock(nodes):
+            rows = (f"<li>{phrase_html(name)}{render(below)}</li>" for name, below in nodes)
             return f"<ul>{''.join(rows)}</ul>" if nodes else ""
         case Drawing(drawn):
             return drawn
         case Photo():
             return _photo(block)
-        case Figure(title, content, note):
+        case FigureBlock(title, content, note):
             foot = render(Paragraph(note, "note")) if note else ""
-            return f"<figure><figcaption>{text(title)}</figcaption>{render(content)}{foot}</figure>"
+            return f"<figure><figcaption>{phrase_html(title)}</figcaption>{render(content)}{foot}</figure>"
         case _:
-            return _arranged(block)
+            return _render_container(block)
 
 
-def _arranged(block: Group | Grid | Column | Wide | Folded) -> str:
+def _render_container(block: BlockGroup | GridBlock | Column | Wide | Folded) -> str:
     match block:
-        case Group(items, apart):
+        case BlockGroup(items, apart):
             shown = [render(item) for item in items]
-            return "".join(f'<div style="margin-bottom:20px">{one}</div>' if apart else one for one in shown)
-        case Grid(items, kind):
+            return "".join(
+                f'<div style="margin-bottom:20px">{item_html}</div>' if apart else item_html
+                for item_html in shown
+            )
+        case GridBlock(items, kind):
             inner = "".join(render(item) for item in items)
             return f'<div class="grid {kind}">{inner}</div>' if inner else ""
         case Column(items):
@@ -367,17 +391,19 @@ def _arranged(block: Group | Grid | Column | Wide | Folded) -> str:
             return f"<details><summary>{html.escape(summary)}</summary>{render(content)}</details>"
 
 
-def _table(shown: Table) -> str:
+def _table(shown: TableBlock) -> str:
     right = {i for row in shown.rows for i, cell in enumerate(row) if _number_class(cell)}
     body = (
-        f"<tr>{''.join(f'<td{_number_class(cell)}>{text(cell)}</td>' for cell in row)}</tr>"
+        f"<tr>{''.join(f'<td{_number_class(cell)}>{phrase_html(cell)}</td>' for cell in row)}</tr>"
         for row in shown.rows
     )
     head = "".join(
-        f"<th{' class=n' if i in right else ''}>{text(c)}</th>" for i, c in enumerate(shown.columns)
+        f"<th{' class=n' if i in right else ''}>{phrase_html(c)}</th>" for i, c in enumerate(shown.columns)
     )
     inner = f"<thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody>"
-    keys = ' tabindex="0"' if len(shown.columns) > _NARROW else ""  # scrolled by arrow keys, too
+    keys = (
+        ' tabindex="0"' if len(shown.columns) > _MAX_PHONE_COLUMNS else ""
+    )  # lets arrow keys scroll the table
     return f'<div class="scroll"{keys}><table>{inner}</table></div>'
 
 
@@ -393,15 +419,24 @@ def _photo(shown: Photo) -> str:
     return f'<div class="picture"><img alt="{html.escape(shown.name)}" src="{shown.address}">{labels}</div>'
 
 
-def photo(page: str, name: str) -> bytes | None:
-    """The PNG of the first photo of that ``name`` in a page that :func:`page` wrote; None where none is.
+def extract_photo(page: str, name: str) -> bytes | None:
+    """Extract the PNG of the first photo with a name from a page that :func:`page_html` wrote.
 
-    For whoever has a saved page and not what it was made of. Raises ``ValueError`` for what is no such
-    address.
+    This serves callers that have only the saved page.
+
+    Args:
+        page: HTML of the page.
+        name: Name of the photo.
+
+    Returns:
+        PNG, or None if there is no such photo.
+
+    Raises:
+        ValueError: The address of the photo is invalid.
     """
-    begin = f'<img alt="{html.escape(name)}" src="{_PNG}'
-    _, found, rest = page.partition(begin)
-    return base64.b64decode(rest.partition('"')[0], validate=True) if found else None
+    prefix = f'<img alt="{html.escape(name)}" src="{_PNG}'
+    _, separator, rest = page.partition(prefix)
+    return base64.b64decode(rest.partition('"')[0], validate=True) if separator else None
 
 
 def _tile(shown: Tile) -> str:
@@ -412,7 +447,13 @@ def _tile(shown: Tile) -> str:
 
 
 def png(pixels: FloatArray, alpha: FloatArray | None = None, premultiplied: bool = False) -> str:
-    """A data address of a PNG of pixels (h, w, 3) and alpha (h, w), both in 0..1."""
+    """Encode pixels as the data address of a PNG.
+
+    Args:
+        pixels: Colours (h, w, 3) in 0..1.
+        alpha: Opacity (h, w) in 0..1, or None.
+        premultiplied: The colours are multiplied with the opacity.
+    """
     color = pixels
     if alpha is not None and premultiplied:
         color = pixels / np.maximum(alpha, 1e-6)[..., None]
@@ -424,15 +465,15 @@ def png(pixels: FloatArray, alpha: FloatArray | None = None, premultiplied: bool
 
 
 PALETTE: Final = ("#1f6fb4", "#d9662b", "#2a9461", "#8e5bb5", "#b8912a", "#c4497f", "#3aa5a0", "#6b7686")
-"""Colours c0 to c7 on white, which curves, features and groups take in turn."""
-_ON_WHITE: Final = "".join(f"--c{k}:{colour};" for k, colour in enumerate(PALETTE))
+"""Colours c0 to c7 on white, which curves, features and groups use in turn."""
+_PALETTE_VARIABLES: Final = "".join(f"--c{k}:{colour};" for k, colour in enumerate(PALETTE))
 CSS: Final = (
     """
 :root{--bg:#f6f7f9;--card:#fff;--ink:#1b2330;--soft:#5a6678;--line:#e2e6ec;--grid:#e9edf2;--accent:#0f6e84;
 --ok:#187a48;--ok-bg:#e3f4ea;--bad:#c0352b;--bad-bg:#fbe7e5;--warn:#92610a;--warn-bg:#fcf1d9;
 --note-bg:#e8eef6;
 """
-    + _ON_WHITE
+    + _PALETTE_VARIABLES
     + """
 --k-cut:#f2a65a2e;--k-other:#7c8aa014;--k-link:#6fa3d826;color-scheme:light dark}
 @media(prefers-color-scheme:dark){:root{--bg:#12161d;--card:#1a2029;--ink:#e7ecf3;--soft:#9aa6b8;
@@ -529,7 +570,7 @@ nav{display:none}figure,.tile,tr,.facts div{break-inside:avoid}h2,h3,figcaption{
 *{-webkit-print-color-adjust:exact;print-color-adjust:exact}@page{margin:14mm}}
 """
 )
-"""The style sheet of every page."""
+"""Style sheet of every page."""
 
 SCRIPT: Final = """
 (()=>{const tip=document.createElement('div');tip.id='tip';document.body.append(tip);
@@ -555,4 +596,4 @@ cursor.setAttribute('y2',p);
   tip.style.left=Math.min(e.clientX+14,innerWidth-tip.offsetWidth-8)+'px';
 tip.style.top=(e.clientY+14)+'px'})}})();
 """
-"""The script of the report: figures of charts below the pointer."""
+"""Script of the report: shows values of charts at the pointer."""

@@ -1,10 +1,15 @@
 """Charts of a motion on one clock: feed, clearances, margins, joint angles and speeds, and limits.
 
-Drawn from the proof's replay or, without one, from the plan. Names that are read from
-``Proof.series``, all optional: ``time`` (T,) [s] and ``label`` (T,) of segments; per arm
-``joints/<arm>``, ``speed/<arm>``, ``acceleration/<arm>`` (T, 6) [rad, rad/s, rad/s^2];
-``clearance/time``, ``clearance/distance`` [m] and ``clearance/pair`` (K,), the same of
-``own_clearance``. Processes read further series (`contribution`).
+They are drawn from the replay of the proof or, without one, from the plan. Optional keys of
+``Proof.series``:
+
+- ``time`` (T,) [s] and ``label`` (T,) of segments,
+- for each arm ``joints/<arm>``, ``speed/<arm>``, ``acceleration/<arm>`` (T, 6) [rad, rad/s, rad/s^2], and
+  ``singular/<arm>``,
+- ``clearance/time``, ``clearance/distance`` [m] and ``clearance/pair`` (K,), and the same keys of
+  ``own_clearance``.
+
+Processes read further series (`contribution`).
 """
 
 import dataclasses
@@ -23,15 +28,23 @@ from planner.plans import Plan
 from planner.problem import Problem, Settings
 from planner.proof.verdict import Proof
 from planner.report import markup
-from planner.report.charts import Band, Level, Line, chart
-from planner.report.contribution import EdgeSpeed, ProcessMotion, TimeChart, of_processes
-from planner.report.markup import Figure
+from planner.report.charts import ChartAxes, ChartBand, ChartLine, LimitLine, chart
+from planner.report.markup import FigureBlock
+from planner.report.plugin_contributions import EdgeSpeed, ProcessMotion, TimeChart, process_reports
 
 
 @dataclasses.dataclass(frozen=True)
 class ArmMotion:
-    """One arm over time (T,): serial joint angles, speeds, accelerations (T, 6); the margins [rad] (T,);
-    ``singular`` (T,) [rad] off the nearest singular posture, where a proof says."""
+    """Motion of one arm.
+
+    Attributes:
+        robot: Robot.
+        time: Time (T,) [s].
+        q: Serial joint angles (T, 6) [rad].
+        speed: Joint speeds (T, 6) [rad/s].
+        acceleration: Joint accelerations (T, 6) [rad/s^2], or None.
+        singular: Distance from the nearest singular posture (T,) [rad], if the proof has it.
+    """
 
     robot: RobotData
     time: FloatArray
@@ -42,20 +55,20 @@ class ArmMotion:
 
     @property
     def limit_margin(self) -> FloatArray:
-        """Least distance (T,) [rad] to a joint limit."""
+        """Minimum distance (T,) [rad] from a joint limit."""
         return self.robot.limit_margin(self.q)
 
     @property
     def wrist_angle(self) -> FloatArray:
-        """Angle (T,) [rad] of axis 5 from the posture where axes 4 and 6 are in line."""
+        """Angle (T,) [rad] of axis 5 from the posture in which axes 4 and 6 are collinear."""
         form = self.robot.form
         theta = form.signs[4] * self.q[:, 4] - form.offsets[4]
         return np.asarray(np.abs(np.arctan2(np.sin(theta), np.abs(np.cos(theta)))))
 
 
 @dataclasses.dataclass(frozen=True)
-class Clearance:
-    """Least distance (T,) [m] of bodies that one clearance holds for, and between what."""
+class ClearanceSeries:
+    """Minimum distance (T,) [m] between bodies that one clearance applies to, and the closest pairs."""
 
     time: FloatArray
     distance: FloatArray
@@ -63,8 +76,8 @@ class Clearance:
 
 
 @dataclasses.dataclass(frozen=True)
-class Feed:
-    """Speed (N,) [m/s] on the way to each target with its window; ``time`` (N,) [s]."""
+class FeedSeries:
+    """Speed (N,) [m/s] on the path to each target with its window, at ``time`` (N,) [s]."""
 
     time: FloatArray
     speed: FloatArray
@@ -73,29 +86,55 @@ class Feed:
 
 
 @dataclasses.dataclass(frozen=True)
-class Motion:
-    """All that is drawn over time; ``source`` says where it comes from.
+class MotionSeries:
+    """Everything that is drawn over time.
 
-    ``work``: from when to when [s] the targets' segments run; at other times arms move alone, by their
-    joints. Without any all of it is work. ``processes``: what the processes of a proven problem add.
+    Attributes:
+        arms: Motion by arm.
+        clearance: Clearance between arms, tools, block and obstacles.
+        feed: Feed.
+        bands: Segments.
+        source: Source of the data, as text.
+        work: Intervals [s] of the targets' segments. At other times arms move alone, by joint motion.
+            Empty: everything.
+        own_clearance: Clearance of each arm to itself.
+        processes: Contributions of the processes of a proven problem.
     """
 
     arms: Mapping[str, ArmMotion]
-    clearance: Clearance | None
-    feed: Feed
-    bands: tuple[Band, ...]
+    clearance: ClearanceSeries | None
+    feed: FeedSeries
+    bands: tuple[ChartBand, ...]
     source: str
     work: tuple[tuple[float, float], ...] = ()
-    own_clearance: Clearance | None = None
+    own_clearance: ClearanceSeries | None = None
     processes: tuple[ProcessMotion, ...] = ()
 
-    def figure(self, title: str, lines: Sequence[Line], unit: str, note: str = "", **more: Any) -> Figure:
-        """Lines over the time of the motion, with its segments; ``more`` as of `chart`."""
-        body = chart(lines, x_label="s", y_label=unit, bands=self.bands, **more)
-        return Figure(title, body, note)
+    def figure(
+        self,
+        title: str,
+        lines: Sequence[ChartLine],
+        unit: str,
+        note: str = "",
+        *,
+        y_range: tuple[float, float] | None = None,
+        **more: Any,
+    ) -> FigureBlock:
+        """Draw lines over the time of the motion, with its segments.
 
-    def wrist(self, arm: str) -> float:
-        """Least wrist angle [rad] of an arm in the segments of the targets."""
+        Args:
+            title: Title.
+            lines: Curves.
+            unit: Unit of the curves.
+            note: Note.
+            y_range: Range of the y axis, or None to fit the data.
+            more: Further arguments of `chart`.
+        """
+        body = chart(lines, ChartAxes("s", unit, y_range), bands=self.bands, **more)
+        return FigureBlock(title, body, note)
+
+    def min_wrist_angle(self, arm: str) -> float:
+        """Return the minimum wrist angle [rad] of an arm in the segments of the targets."""
         moved = self.arms[arm]
         inside = np.zeros(len(moved.time), dtype=bool)
         for start, end in self.work:
@@ -103,34 +142,46 @@ class Motion:
         return float(np.min(moved.wrist_angle[inside if inside.any() else slice(None)]))
 
 
-def motion_series(problem: Problem, plan: Plan, proof: Proof | None) -> Motion:
-    """The motion of a plan, operations one after the other."""
+def motion_series(problem: Problem, plan: Plan, proof: Proof | None) -> MotionSeries:
+    """Return the motion of a plan, with its operations in sequence.
+
+    Args:
+        problem: Problem.
+        plan: Plan.
+        proof: Proof, or None.
+    """
     series: Mapping[str, Any] = proof.series if proof is not None else {}
     starts = operation_starts(plan)
-    arms = _proven(problem, series)
+    arms = _proven_arms(problem, series)
     if arms:
-        bands = _bands([Segment.read(str(v)) for v in series.get("label", ())], np.asarray(series["time"]))
+        bands = _segment_bands(
+            [Segment.read(str(v)) for v in series.get("label", ())], np.asarray(series["time"])
+        )
         source = "replayed from the programs' text, from home to home"
         named = {segment.key for op in plan.operations for segment in op.targets.segment}
         work = tuple((band.start, band.end) for band in bands if band.name in named)
-        near, own = (_clearance(series, name) for name in ("clearance", "own_clearance"))
-        processes = tuple(one.motion(plan, series) for one in of_processes(problem))
+        clearance_data, own_clearance_data = (
+            _clearance(series, name) for name in ("clearance", "own_clearance")
+        )
+        processes = tuple(process.motion(plan, series) for process in process_reports(problem))
         edges = edge_speeds(processes)
         feed = _proven_feed(plan, edges) if edges else _feed(plan, starts)
-        return Motion(arms, near, feed, bands, source, work, own, processes)
-    rows = [_bands(op.targets.segment, op.time + t) for op, t in zip(plan.operations, starts, strict=True)]
+        return MotionSeries(arms, clearance_data, feed, bands, source, work, own_clearance_data, processes)
+    rows = [
+        _segment_bands(op.targets.segment, op.time + t) for op, t in zip(plan.operations, starts, strict=True)
+    ]
     bands = tuple(band for row in rows for band in row)
-    shown = _planned(problem, plan, starts)
-    return Motion(shown, None, _feed(plan, starts), bands, "the plan's targets")
+    shown = _planned_arms(problem, plan, starts)
+    return MotionSeries(shown, None, _feed(plan, starts), bands, "the plan's targets")
 
 
 def operation_starts(plan: Plan) -> list[float]:
-    """The time [s] at which each operation's clock starts when they run one after the other."""
+    """Return the time [s] at which the clock of each operation starts if they run in sequence."""
     lengths = [float(op.time[-1]) if len(op.time) else 0.0 for op in plan.operations]
     return [float(sum(lengths[:i])) for i in range(len(lengths))]
 
 
-def _proven(problem: Problem, series: Mapping[str, Any]) -> dict[str, ArmMotion]:
+def _proven_arms(problem: Problem, series: Mapping[str, Any]) -> dict[str, ArmMotion]:
     out = {}
     for arm in problem.cell.arms:
         q = series.get(f"joints/{arm.name}")
@@ -145,7 +196,7 @@ def _proven(problem: Problem, series: Mapping[str, Any]) -> dict[str, ArmMotion]
     return out
 
 
-def _planned(problem: Problem, plan: Plan, starts: list[float]) -> dict[str, ArmMotion]:
+def _planned_arms(problem: Problem, plan: Plan, starts: list[float]) -> dict[str, ArmMotion]:
     out = {}
     for arm in problem.cell.arms:
         used = [(op, t) for op, t in zip(plan.operations, starts, strict=True) if arm.name in op.q]
@@ -160,23 +211,23 @@ def _planned(problem: Problem, plan: Plan, starts: list[float]) -> dict[str, Arm
     return out
 
 
-def _clearance(series: Mapping[str, Any], name: str) -> Clearance | None:
+def _clearance(series: Mapping[str, Any], name: str) -> ClearanceSeries | None:
     time, distance = series.get(f"{name}/time"), series.get(f"{name}/distance")
     if time is None or distance is None or not np.isfinite(distance).any():
         return None
     pair = series.get(f"{name}/pair", [""] * len(time))
     names = tuple(str(p).replace(" - ", " – ") for p in pair)
-    return Clearance(np.asarray(time, dtype=np.float64), np.asarray(distance, dtype=np.float64), names)
+    return ClearanceSeries(np.asarray(time, dtype=np.float64), np.asarray(distance, dtype=np.float64), names)
 
 
 def edge_speeds(processes: Sequence[ProcessMotion]) -> list[EdgeSpeed]:
-    """Speeds of tools' edges that processes add, none where no edge enters the stock."""
+    """Return the speeds of tool edges that processes add, none if no edge enters the stock."""
     edges = [edge for process in processes for edge in process.speeds]
     return edges if any(np.isfinite(edge.speed).any() for edge in edges) else []
 
 
-def _proven_feed(plan: Plan, edges: Sequence[EdgeSpeed]) -> Feed:
-    """Speeds of the edges' fastest points inside the stock, with the windows that the claims state."""
+def _proven_feed(plan: Plan, edges: Sequence[EdgeSpeed]) -> FeedSeries:
+    """Return the speeds of the edges' fastest points inside the stock, with the claimed windows."""
     windows = {
         c.segment.key: c for op in plan.operations for c in op.targets.claims if isinstance(c, FeedWindow)
     }
@@ -185,10 +236,10 @@ def _proven_feed(plan: Plan, edges: Sequence[EdgeSpeed]) -> Feed:
         lower = np.array([windows[v].lower if v in windows else np.nan for v in edge.label])
         upper = np.array([windows[v].upper if v in windows else np.nan for v in edge.label])
         rows.append(np.stack([edge.time, edge.speed, lower, upper]))
-    return Feed(*np.concatenate(rows, axis=1))
+    return FeedSeries(*np.concatenate(rows, axis=1))
 
 
-def _feed(plan: Plan, starts: list[float]) -> Feed:
+def _feed(plan: Plan, starts: list[float]) -> FeedSeries:
     rows = []
     for op, start in zip(plan.operations, starts, strict=True):
         step = np.diff(op.time, prepend=op.time[:1])
@@ -196,171 +247,205 @@ def _feed(plan: Plan, starts: list[float]) -> Feed:
         speed = np.where(moved, op.targets.travel / np.maximum(step, 1e-9), np.nan)
         rows.append(np.stack([op.time + start, speed, op.targets.feed_min, op.targets.feed]))
     joined = np.concatenate(rows, axis=1) if rows else np.zeros((4, 0))
-    return Feed(*joined)
+    return FeedSeries(*joined)
 
 
-def _bands(segments: Sequence[Segment], time: FloatArray) -> tuple[Band, ...]:
-    """Runs of one segment of T; it belongs to the way to its instant."""
+def _segment_bands(segments: Sequence[Segment], time: FloatArray) -> tuple[ChartBand, ...]:
+    """Return runs of one segment. A segment belongs to the path to its instant."""
     count = min(len(segments), len(time))
     first = [i for i in range(1, count) if i == 1 or segments[i] != segments[i - 1]]
     return tuple(
-        Band(float(time[a - 1]), float(time[b - 1]), str(segments[a]), segments[a].kind)
+        ChartBand(float(time[a - 1]), float(time[b - 1]), str(segments[a]), segments[a].kind)
         for a, b in itertools.pairwise([*first, count])
     )
 
 
-def feed(motion: Motion) -> Figure:
-    """Speed of the fastest guarded point against the window that the process asks for [mm/s]."""
+def feed_figure(motion: MotionSeries) -> FigureBlock:
+    """Draw the speed of the fastest guarded point with the required window [mm/s]."""
     f = motion.feed
     cut = np.isfinite(f.lower) & (f.lower > 0.0)
     lines = [
-        Line("speed", f.time, f.speed / MM, 0),
-        Line("highest allowed", f.time, np.where(np.isfinite(f.upper), f.upper / MM, np.nan), 1, True),
-        Line("lowest allowed", f.time, np.where(cut, f.lower / MM, np.nan), 3, True),
+        ChartLine("speed", f.time, f.speed / MM, 0),
+        ChartLine("maximum allowed", f.time, np.where(np.isfinite(f.upper), f.upper / MM, np.nan), 1, True),
+        ChartLine("minimum allowed", f.time, np.where(cut, f.lower / MM, np.nan), 3, True),
     ]
     fastest = float(np.nanmax(f.speed, initial=1e-3)) / MM
     work = np.isfinite(f.speed) & cut
     top = min(1.1 * fastest, 2.2 * float(np.max(f.upper[work])) / MM) if work.any() else 1.1 * fastest
     top = max(top, 1.2 * float(np.max(f.upper[work])) / MM) if work.any() else top
-    note = f"scaled to the work; moves outside it reach {markup.number(fastest, 3)} mm/s"
-    note = note if fastest > top else "tinted strongest: work"
+    note = f"scaled to the work; other moves reach {markup.number(fastest, 3)} mm/s"
+    note = note if fastest > top else "strongest tint: work"
     return motion.figure("Speed of the fastest guarded point", lines, "mm/s", note, y_range=(0.0, top))
 
 
-def clearance(data: Clearance, motion: Motion, settings: Settings) -> Figure:
-    """Least distance over time [mm] with the asked one, and the pairs that come closest."""
-    lines = [Line("arms, tools, block, obstacles", data.time, data.distance / MM, 2)]
+def clearance_figure(data: ClearanceSeries, motion: MotionSeries, settings: Settings) -> FigureBlock:
+    """Draw the minimum distance over time [mm] with the required one, and the closest pairs."""
+    lines = [ChartLine("arms, tools, block, obstacles", data.time, data.distance / MM, 2)]
     lines += [line for process in motion.processes for line in process.clearances]
-    return _distances("Clearance to everything else", lines, settings.clearance, data, motion)
+    return _distance_figure("Clearance to everything else", lines, settings.clearance, data, motion)
 
 
-def own_clearance(data: Clearance, motion: Motion, settings: Settings) -> Figure:
-    """Least distance of links and tool of one arm over time [mm], with the asked one."""
-    lines = [Line("links and tool", data.time, data.distance / MM, 2)]
-    return _distances("Clearance of each arm to itself", lines, settings.of_one_arm, data, motion)
+def own_clearance_figure(data: ClearanceSeries, motion: MotionSeries, settings: Settings) -> FigureBlock:
+    """Draw the minimum distance between links and tool of one arm over time [mm]."""
+    lines = [ChartLine("links and tool", data.time, data.distance / MM, 2)]
+    return _distance_figure("Clearance of each arm to itself", lines, settings.self_clearance, data, motion)
 
 
-def _distances(title: str, lines: Sequence[Line], wanted: float, data: Clearance, motion: Motion) -> Figure:
-    """Distances over time [mm] with the ``wanted`` one [m]."""
+def _distance_figure(
+    title: str, lines: Sequence[ChartLine], required: float, data: ClearanceSeries, motion: MotionSeries
+) -> FigureBlock:
+    """Draw distances over time [mm] with the required one [m]."""
     top = max([float(np.nanmax(line.y)) for line in lines if np.isfinite(line.y).any()] or [100.0])
-    levels, y_range = [Level(wanted / MM, "asked for")], (0.0, min(top * 1.1, 150.0) + 1.0)
-    return motion.figure(title, lines, "mm", least_words(data), levels=levels, y_range=y_range)
+    levels, y_range = [LimitLine(required / MM, "required")], (0.0, min(top * 1.1, 150.0) + 1.0)
+    return motion.figure(title, lines, "mm", minimum_text(data), levels=levels, y_range=y_range)
 
 
-def least_words(data: Clearance) -> str:
-    """The least distance, when it is, and between what."""
+def minimum_text(data: ClearanceSeries) -> str:
+    """Return the minimum distance, its time, and the pair, as text."""
     worst = int(np.nanargmin(data.distance))
-    at = f"{markup.fixed(data.distance[worst] / MM, 1)} mm at {markup.fixed(data.time[worst], 1)} s"
-    return f"least: {at}" + (f", {data.pair[worst]}" if data.pair[worst] else "")
+    at = (
+        f"{markup.fixed_decimals(data.distance[worst] / MM, 1)} mm at "
+        f"{markup.fixed_decimals(data.time[worst], 1)} s"
+    )
+    return f"minimum: {at}" + (f", {data.pair[worst]}" if data.pair[worst] else "")
 
 
-def drawn(charts: Sequence[TimeChart], motion: Motion) -> list[Figure]:
-    """Charts that processes add, with the segments of the motion."""
+def process_figures(charts: Sequence[TimeChart], motion: MotionSeries) -> list[FigureBlock]:
+    """Draw the charts that processes add, with the segments of the motion."""
     return [
-        motion.figure(one.title, one.lines, one.unit, one.note, levels=one.levels, y_range=one.y_range)
-        for one in charts
+        motion.figure(
+            process_chart.title,
+            process_chart.lines,
+            process_chart.unit,
+            process_chart.note,
+            levels=process_chart.levels,
+            y_range=process_chart.y_range,
+        )
+        for process_chart in charts
     ]
 
 
-def closest_pairs(data: Clearance, count: int = 6) -> tuple[Figure, ...]:
-    """For each pair that is the closest at some time: its least distance, when, and how often; nothing where
-    no pairs are named."""
+def closest_pairs(data: ClearanceSeries, count: int = 6) -> tuple[FigureBlock, ...]:
+    """Tabulate pairs that are the closest at some time: minimum distance, its time, and how often.
+
+    Args:
+        data: Clearance.
+        count: Maximum number of pairs.
+
+    Returns:
+        A figure, or nothing if no pairs are named.
+    """
     rows: dict[str, tuple[float, float, int]] = {}
     for time, distance, pair in zip(data.time, data.distance, data.pair, strict=True):
-        least, when, often = rows.get(pair, (np.inf, 0.0, 0))
-        rows[pair] = (min(least, distance), time if distance < least else when, often + 1)
+        minimum, when, count_closest = rows.get(pair, (np.inf, 0.0, 0))
+        rows[pair] = (min(minimum, distance), time if distance < minimum else when, count_closest + 1)
     total = max(len(data.time), 1)
-    found = sorted(((v, k) for k, v in rows.items() if k), key=lambda item: item[0][0])[:count]
+    pairs = sorted(((v, k) for k, v in rows.items() if k), key=lambda item: item[0][0])[:count]
     cells = [
-        (pair, markup.fixed(v[0] / MM, 1), markup.fixed(v[1], 1), f"{100 * v[2] / total:.0f} %")
-        for v, pair in found
+        (
+            pair,
+            markup.fixed_decimals(v[0] / MM, 1),
+            markup.fixed_decimals(v[1], 1),
+            f"{100 * v[2] / total:.0f} %",
+        )
+        for v, pair in pairs
     ]
     if not cells:
         return ()
-    shown = markup.table(("pair", "least [mm]", "at [s]", "closest for"), cells)
-    return (Figure("Closest pairs", shown),)
+    shown = markup.make_table(("pair", "minimum [mm]", "at [s]", "closest for"), cells)
+    return (FigureBlock("Closest pairs", shown),)
 
 
 def worst_by_rule(proof: Proof | None) -> dict[str, float]:
-    """The worst figure of each rule of a proof that has one, by its code."""
+    """Return the worst figure of each rule of a proof that has one, by its code."""
     return {r.code: r.worst for r in (proof.rules if proof is not None else ()) if r.worst is not None}
 
 
-def margins(motion: Motion, settings: Settings, proof: Proof | None) -> list[Figure]:
-    """Distance to joint limits and to singular postures over time [deg]; without a proof, to that of the
-    wrist. The least of each is the proof's own figure, as everywhere else."""
+def margin_figures(motion: MotionSeries, settings: Settings, proof: Proof | None) -> list[FigureBlock]:
+    """Draw the distances from joint limits and from singular postures over time [deg].
+
+    Without a proof the latter is the distance from the wrist singularity. The minimum is the figure of the
+    proof, as everywhere else.
+
+    Args:
+        motion: Motion.
+        settings: Settings of the problem.
+        proof: Proof, or None.
+    """
     proven = worst_by_rule(proof)
     arms = motion.arms.values()
     out = []
-    for title, code, told, values, limit in (
+    for title, code, statement, values, limit in (
         (
             "Distance to the nearest joint limit",
             "verify.joint_limits",
-            "least",
+            "minimum",
             [arm.limit_margin for arm in arms],
             settings.joint_margin,
         ),
         (
             "Distance to the nearest singular posture",
             "verify.singularity",
-            "least where tools move straight",
+            "minimum during linear moves",
             [arm.singular for arm in arms],
             settings.singularity_margin,
         ),
     ):
         shown = [value for value in values if value is not None]
-        least = proven.get(code, min((float(np.min(value)) for value in shown), default=0.0) / DEG)
+        minimum = proven.get(code, min((float(np.min(value)) for value in shown), default=0.0) / DEG)
         if len(shown) < len(values):
-            title, told = "Axis 5 from wrist singularity", "least between targets"
+            title, statement = "Axis 5 from wrist singularity", "minimum between targets"
             shown = [arm.wrist_angle for arm in arms]
-            least = min((motion.wrist(name) for name in motion.arms), default=0.0) / DEG
+            minimum = min((motion.min_wrist_angle(name) for name in motion.arms), default=0.0) / DEG
         lines = [
-            Line(name, arm.time, value / DEG, i)
+            ChartLine(name, arm.time, value / DEG, i)
             for i, ((name, arm), value) in enumerate(zip(motion.arms.items(), shown, strict=True))
         ]
         lowest = min((float(np.min(line.y)) for line in lines), default=0.0)
         highest = max([float(np.max(line.y)) for line in lines] or [1.0])
         y_range = (min(0.0, lowest), highest * 1.08)
-        note = f"{told}: {markup.fixed(least, 1)}°" if np.isfinite(least) else ""
-        levels = [Level(limit / DEG, "asked for")]
+        note = f"{statement}: {markup.fixed_decimals(minimum, 1)}°" if np.isfinite(minimum) else ""
+        levels = [LimitLine(limit / DEG, "required")]
         out.append(motion.figure(title, lines, "deg", note, levels=levels, y_range=y_range))
     return out
 
 
-def joints(name: str, arm: ArmMotion, motion: Motion) -> list[Figure]:
-    """Small charts of an arm's joint angles with their limits [deg], one for each axis."""
+def joint_figures(name: str, arm: ArmMotion, motion: MotionSeries) -> list[FigureBlock]:
+    """Draw small charts of the joint angles of an arm with their limits [deg], one for each axis."""
     out = []
     for k in range(arm.robot.axes):
         lower, upper = arm.robot.lower[k] / DEG, arm.robot.upper[k] / DEG
         angle = arm.q[:, k] / DEG
         low, high = float(angle.min()), float(angle.max())
         air = max(0.15 * (high - low), 8.0)
-        near = [Level(v, f"{v:.0f}°") for v in (lower, upper) if low - 40.0 < v < high + 40.0]
-        shown = [level.value for level in near]
+        nearby_limits = [LimitLine(v, f"{v:.0f}°") for v in (lower, upper) if low - 40.0 < v < high + 40.0]
+        shown = [level.value for level in nearby_limits]
         y_range = min([low - air, *(v - 3 for v in shown)]), max([high + air, *(v + 3 for v in shown)])
-        share = f"{low:.1f}° to {high:.1f}° of {lower:.0f}° to {upper:.0f}°".replace("-", "−")
-        lines, size = [Line(f"axis {k + 1}", arm.time, angle, k)], (340.0, 150.0)
+        range_text = f"{low:.1f}° to {high:.1f}° of {lower:.0f}° to {upper:.0f}°".replace("-", "−")
+        lines, size = [ChartLine(f"axis {k + 1}", arm.time, angle, k)], (340.0, 150.0)
         title = f"{name}, axis {k + 1}"
-        out.append(motion.figure(title, lines, "deg", share, levels=near, y_range=y_range, size=size))
+        out.append(
+            motion.figure(title, lines, "deg", range_text, levels=nearby_limits, y_range=y_range, size=size)
+        )
     return out
 
 
-def speeds(name: str, arm: ArmMotion, motion: Motion, settings: Settings) -> list[Figure]:
-    """Joint speeds, and accelerations where known, as a share of their limits [%]."""
+def speed_figures(name: str, arm: ArmMotion, motion: MotionSeries, settings: Settings) -> list[FigureBlock]:
+    """Draw joint speeds, and accelerations if known, relative to their limits [%]."""
     out = []
-    shares = [("speed", arm.speed, arm.robot.velocity, settings.speed_fraction)]
+    quantities = [("speed", arm.speed, arm.robot.velocity, settings.speed_fraction)]
     if arm.acceleration is not None:
-        most = settings.acceleration_fraction
-        shares.append(("acceleration", np.asarray(arm.acceleration), arm.robot.acceleration, most))
-    for what, value, limit, fraction in shares:
-        share = 100.0 * np.abs(value) / limit
-        most = float(np.nanmax(share))
-        lines = [Line(f"axis {k + 1}", arm.time, share[:, k], k) for k in range(arm.robot.axes)]
-        high = most * 1.15 + 1e-6 if most < 40.0 * fraction else max(most * 1.1, 108.0 * fraction)
-        levels = [Level(100.0 * fraction, "allowed")]
-        top = int(np.nanargmax(np.nanmax(share, axis=0)))
-        allowed = f"{100 * fraction:.0f} % are allowed"
-        note = f"highest: axis {top + 1}, {markup.fixed(most, 1)} % of its limit; {allowed}"
+        maximum = settings.acceleration_fraction
+        quantities.append(("acceleration", np.asarray(arm.acceleration), arm.robot.acceleration, maximum))
+    for what, value, limit, fraction in quantities:
+        percent = 100.0 * np.abs(value) / limit
+        maximum = float(np.nanmax(percent))
+        lines = [ChartLine(f"axis {k + 1}", arm.time, percent[:, k], k) for k in range(arm.robot.axes)]
+        high = maximum * 1.15 + 1e-6 if maximum < 40.0 * fraction else max(maximum * 1.1, 108.0 * fraction)
+        levels = [LimitLine(100.0 * fraction, "allowed")]
+        top = int(np.nanargmax(np.nanmax(percent, axis=0)))
+        allowed = f"allowed {100 * fraction:.0f} %"
+        note = f"maximum: axis {top + 1}, {markup.fixed_decimals(maximum, 1)} % of its limit; {allowed}"
         title = f"{name}: joint {what}s"
         out.append(motion.figure(title, lines, "% of limit", note, levels=levels, y_range=(0.0, high)))
     return out

@@ -1,6 +1,6 @@
-"""The motion of a plan as plain data, for programs that draw or animate it: `motion.json`.
+"""Motion of a plan as plain data, for programs that draw or animate it: `motion.json`.
 
-Planes at the TCPs and of the blocks in the world [mm], joint angles by the joints' names [deg], times [s].
+Planes of TCPs and blocks in the world [mm], joint angles by joint name [deg], times [s].
 """
 
 import json
@@ -12,27 +12,35 @@ import numpy as np
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, MM
 from planner.plans import OperationPlan, Plan
-from planner.problem import END, STOCK, TILT, Arm, Problem, Setup
+from planner.problem import END_SUFFIX, STOCK_AXIS, TILT_AXIS, Arm, Problem, Setup
 from planner.report import scene
 
-FORMAT: Final = 1
-"""Number of the file's form; one more when something of it goes."""
+FORMAT_VERSION: Final = 1
+"""Version of the format. It is increased when something is removed."""
 DIGITS: Final = 9
-"""Decimals of lengths [mm], angles [deg] and unit vectors; times have six."""
+"""Decimals of lengths [mm], angles [deg] and unit vectors. Times have six."""
 
 
-def text(problem: Problem, plan: Plan) -> str:
-    """The file.
+def motion_json(problem: Problem, plan: Plan) -> str:
+    """Return the content of the file.
 
-    A plane is nine numbers: origin [mm], x axis, y axis. ``arms`` {name: robot, plane of its base, names and
-    home of its joints}. Each of ``operations`` has ``start_s`` of its first target on the plan's clock, for
-    all targets ``time_s`` from there, ``names`` and ``segments``, and by arm ``tcp``, ``joints_deg``,
-    ``entry_deg`` and ``exit_deg``; ``block`` is the plane of the block's frame, or of a held one its holder
-    and the plane in the holder's TCP; ``stations_mm`` are values of tracks by arm, and of the axes of
-    gantries by arm and axis, as "arm/bridge", whose ``base`` is that of values 0, before the first target
-    where they go along: ``track_mm`` by arm has those at all targets then;
-    ``turntable_deg`` is that of a turntable, to which the block is turned, ``tilt_deg`` that of a
-    positioner's tilt axis, by which it is tilted then. Joint angles are those of the arms' URDFs.
+    A plane is nine numbers: origin [mm], x axis, y axis. Joint angles are those of the arms' URDFs.
+
+    - ``arms`` {name: robot, plane of its base, names and home of its joints}.
+    - ``operations``: each has ``start_s`` of its first target on the clock of the plan; for all targets
+      ``time_s`` from there, ``names`` and ``segments``; and by arm ``tcp``, ``joints_deg``, ``entry_deg``
+      and ``exit_deg``.
+    - ``block``: plane of the block's frame, or for a held block its holder and the plane in the holder's
+      TCP.
+    - ``stations_mm``: values of tracks by arm, and of gantry axes by arm and axis, as "arm/bridge".
+      ``base`` is that of values 0. For a coordinated track it is the value before the first target, and
+      ``track_mm`` by arm has the values at all targets.
+    - ``turntable_deg``: angle of a turntable to which the block is rotated.
+    - ``tilt_deg``: angle of a positioner's tilt axis, by which the block is tilted.
+
+    Args:
+        problem: Problem.
+        plan: Plan.
     """
     arms = {
         arm.name: {
@@ -44,80 +52,88 @@ def text(problem: Problem, plan: Plan) -> str:
         for arm in problem.cell.arms
     }
     operations, start = [], 0.0
-    for index, own in enumerate(plan.operations):
+    for index, operation in enumerate(plan.operations):
         setup = problem.setup_of(index)
-        operations.append(_operation(own, setup, plan, start))
-        start += float(own.time[-1] - own.time[0])
+        operations.append(_operation(operation, setup, plan, start))
+        start += float(operation.time[-1] - operation.time[0])
     data = {
-        "motion": FORMAT,
+        "motion": FORMAT_VERSION,
         "name": plan.problem_name,
         "digest": plan.digest,
         "unit": {"length": "mm", "angle": "deg", "time": "s"},
         "arms": arms,
         "operations": operations,
     }
-    for index, stands in plan.stations.items():
-        turned = {STOCK: "turntable_deg", TILT: "tilt_deg"}
+    for index, axis_values in plan.stations.items():
+        table_keys = {STOCK_AXIS: "turntable_deg", TILT_AXIS: "tilt_deg"}
         arms_on = {
             arm: round(value / MM, DIGITS)
-            for arm, value in stands.items()
-            if arm not in turned and not arm.endswith(END)
+            for arm, value in axis_values.items()
+            if arm not in table_keys and not arm.endswith(END_SUFFIX)
         }
         operations[index] |= {"stations_mm": arms_on} if arms_on else {}
-        shown = {word: round(stands[name] / DEG, DIGITS) for name, word in turned.items() if name in stands}
+        shown = {
+            word: round(axis_values[name] / DEG, DIGITS)
+            for name, word in table_keys.items()
+            if name in axis_values
+        }
         operations[index] |= shown
     return json.dumps(data, separators=(",", ":")) + "\n"
 
 
-def _operation(own: OperationPlan, setup: Setup, plan: Plan, start: float) -> dict[str, Any]:
-    targets = own.targets
+def _operation(operation: OperationPlan, setup: Setup, plan: Plan, start: float) -> dict[str, Any]:
+    targets = operation.targets
     return {
-        "name": own.name,
+        "name": operation.name,
         "start_s": round(start, 6),
-        "time_s": np.round(own.time - own.time[0], 6).tolist(),
-        "names": _names(own),
+        "time_s": np.round(operation.time - operation.time[0], 6).tolist(),
+        "names": _target_names(operation),
         "segments": [str(segment) for segment in targets.segment],
-        "order": list(own.order),
-        "together": list(own.together),
-        "block": _block(setup, np.asarray(plan.places[setup.number - 1])),
+        "order": list(operation.arm_order),
+        "together": list(operation.synchronised),
+        "block": _block_plane(setup, np.asarray(plan.stock_poses[setup.number - 1])),
         "arms": {
-            name: _way(setup.cell.arm(name), q, own, scene.riding(setup, plan.bases, own))
-            for name, q in own.q.items()
+            name: _arm_motion(
+                setup.cell.arm(name), q, operation, scene.bases_at_targets(setup, plan.bases, operation)
+            )
+            for name, q in operation.q.items()
         },
     }
 
 
-def _way(arm: Arm, q: FloatArray, own: OperationPlan, bases: Mapping[str, FloatArray]) -> dict[str, Any]:
-    ride = own.targets.ride.get(arm.name)
-    gone = {} if ride is None else {"track_mm": _rounded(ride / MM)}
+def _arm_motion(
+    arm: Arm, q: FloatArray, operation: OperationPlan, bases: Mapping[str, FloatArray]
+) -> dict[str, Any]:
+    track_positions = operation.targets.track_positions.get(arm.name)
+    track_fields = {} if track_positions is None else {"track_mm": _rounded(track_positions / MM)}
     return {
-        **gone,
+        **track_fields,
         "tcp": _planes(scene.flange_poses(arm, bases, q) @ arm.tool.tcp),
         "joints_deg": _rounded(q / DEG),
-        "entry_deg": _rounded(np.asarray(own.entry.get(arm.name, ())) / DEG),
-        "exit_deg": _rounded(np.asarray(own.exit.get(arm.name, ())) / DEG),
+        "entry_deg": _rounded(np.asarray(operation.approach.get(arm.name, ())) / DEG),
+        "exit_deg": _rounded(np.asarray(operation.retreat.get(arm.name, ())) / DEG),
     }
 
 
-def _names(own: OperationPlan) -> list[str]:
-    """Names of all targets, as :meth:`planner.targets.Targets.name` gives them one by one."""
+def _target_names(operation: OperationPlan) -> list[str]:
+    """Return the names of all targets, as :meth:`planner.targets.Targets.name` does one by one."""
     out: list[str] = []
     number, last = 0, None
-    for segment in own.targets.segment:
+    for segment in operation.targets.segment:
         number = number + 1 if segment == last else 1
         last = segment
         out.append(f"{segment}/{number}")
     return out
 
 
-def _block(setup: Setup, place: FloatArray) -> dict[str, Any]:
+def _block_plane(setup: Setup, stock_pose: FloatArray) -> dict[str, Any]:
     if setup.stock.held_by is None:
-        return {"plane": _planes(place)}
+        return {"plane": _planes(stock_pose)}
     return {"held_by": setup.stock.held_by, "in_tcp": _planes(np.asarray(setup.stock.grip))}
 
 
 def _planes(pose: FloatArray) -> Any:
-    """Planes (..., 9) of poses (..., 4, 4)."""
+    """Return planes (..., 9) of poses (..., 4, 4)."""
     return _rounded(np.concatenate([pose[..., :3, 3] / MM, pose[..., :3, 0], pose[..., :3, 1]], axis=-1))
 
 

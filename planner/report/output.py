@@ -1,7 +1,7 @@
-"""The files of a result folder that people look at: report, replay, simulated part, the proof.
+"""Files of a result folder for people: report, replay, simulated part and the proof.
 
-The report is one HTML file that needs nothing else, for screen and paper; it is written where there
-is no plan, too. The proof is written as data.
+The report is one self-contained HTML file for screen and paper. It is also written without a plan. The
+proof is written as data.
 """
 
 import dataclasses
@@ -13,7 +13,7 @@ import numpy as np
 
 from planner.cell import plant
 from planner.cell.plant import CellModel
-from planner.issues import Issue, TandemError, accepted, aggregate, has_errors
+from planner.issues import Issue, TandemError, accepted_codes, aggregate, has_errors
 from planner.plans import Plan
 from planner.problem import Problem, Setup
 from planner.proof.verdict import Proof
@@ -28,36 +28,46 @@ from planner.report import (
     setup_sheet,
 )
 from planner.report.cell_picture import Picture
-from planner.report.freedom_map import FreedomMap
-from planner.report.markup import Block, Section
-from planner.report.motion_charts import Motion
+from planner.report.freedom_map import FreedomMapData
+from planner.report.markup import Block, PageSection
+from planner.report.motion_charts import MotionSeries
 from planner.report.replay import Viewer
 
 
 @dataclasses.dataclass(frozen=True)
-class Extra:
+class ReportExtras:
     """What the report shows besides problem, plan and proof.
 
-    ``pictures`` of the cell with their titles; ``filtered`` pairs of bodies that are not held apart, with
-    reasons; ``programs``: names and numbers of lines; ``issues`` that belong to no plan; ``maps`` of
-    freedoms.
+    Attributes:
+        pictures: Pictures of the cell with their titles.
+        filtered: Pairs of bodies whose collision is not tested, with reasons.
+        programs: Names and numbers of lines.
+        issues: Issues that belong to no plan.
+        maps: Maps of freedoms.
     """
 
     pictures: Sequence[tuple[str, Picture]] = ()
     filtered: Sequence[tuple[str, str, str]] = ()
     programs: Sequence[tuple[str, int]] = ()
     issues: Sequence[Issue] = ()
-    maps: Sequence[FreedomMap] = ()
+    maps: Sequence[FreedomMapData] = ()
 
 
-def render(
-    problem: Problem | None, plan: Plan | None, proof: Proof | None, extra: Extra | None = None
+def report_html(
+    problem: Problem | None, plan: Plan | None, proof: Proof | None, extra: ReportExtras | None = None
 ) -> str:
-    """The page as text. Without ``plan`` it shows the problem as far as known, and the issues."""
-    extra = extra or Extra()
-    drawn, left_out = _exhibits(problem, plan)
+    """Return the report as HTML. Without a plan it shows the problem as far as known, and the issues.
+
+    Args:
+        problem: Problem, or None.
+        plan: Plan, or None.
+        proof: Proof, or None.
+        extra: Further content.
+    """
+    extra = extra or ReportExtras()
+    process_sections, exhibit_issues = _exhibits(problem, plan)
     part = problem.part if problem is not None else None
-    found = aggregate(
+    issues = aggregate(
         [
             *(part.notes if part is not None else ()),
             *(problem.notes if problem is not None else ()),
@@ -65,49 +75,51 @@ def render(
             *(i for op in (plan.operations if plan else ()) for i in op.issues),
             *(proof.issues if proof else ()),
             *extra.issues,
-            *left_out,
+            *exhibit_issues,
         ]
     )
-    sections: list[Section] = []
-    if found:
-        sections.append(Section("issues", "Issues", (page_sections.issue_table(_unique(found)),)))
+    sections: list[PageSection] = []
+    if issues:
+        sections.append(PageSection("issues", "Issues", (page_sections.issue_table(_unique(issues)),)))
     if extra.pictures:
         shown = tuple(page_sections.picture(picture, title) for title, picture in extra.pictures)
-        sections.append(Section("cell", "Cell", shown))
+        sections.append(PageSection("cell", "Cell", shown))
     if problem is not None and plan is not None and proof is not None and proof.surfaces:
         faces = page_sections.face_figures(problem, plan, proof)
-        sections.append(Section("part", "Simulated part against the wanted one", faces))
-    sections += drawn
+        sections.append(PageSection("part", "Simulated part compared with the nominal part", faces))
+    sections += process_sections
     if problem is not None and plan is not None and plan.operations:
         motion = motion_charts.motion_series(problem, plan, proof)
         sections += _motion(problem, motion, proof)
         if extra.maps:
-            sections.append(Section("maps", "Maps of freedoms", tuple(map(freedom_map.figure, extra.maps))))
-        sections.append(Section("setup", "Setup sheet", (setup_sheet.sheet(problem, plan, proof),)))
+            sections.append(
+                PageSection("maps", "Maps of freedoms", tuple(map(freedom_map.figure, extra.maps)))
+            )
+        sections.append(PageSection("setup", "Setup sheet", (setup_sheet.build_sheet(problem, plan, proof),)))
     if proof is not None and proof.rules:
-        rules = page_sections.rules(proof.rules)
-        sections.append(Section("proof", "Proof from the programs' text", rules))
+        rules = page_sections.rule_tables(proof.rules)
+        sections.append(PageSection("proof", "Proof from the programs' text", rules))
     sections += _background(plan, extra)
     title = problem.name if problem is not None else "Problem"
-    return markup.page(
+    return markup.page_html(
         markup.Page(
             f"{title} – Tandem report",
             problem.name if problem is not None else "The problem was refused",
-            page_sections.verdicts(plan, proof, has_errors(found), accepted(found)),
-            page_sections.about(problem) if problem is not None else None,
-            page_sections.tiles(problem, plan, proof) if plan is not None and problem is not None else (),
+            page_sections.verdicts(plan, proof, has_errors(issues), accepted_codes(issues)),
+            page_sections.problem_summary(problem) if problem is not None else None,
+            page_sections.key_tiles(problem, plan, proof) if plan is not None and problem is not None else (),
             tuple(sections),
         )
     )
 
 
 def _unique(issues: Sequence[Issue]) -> list[Issue]:
-    """Issues that say the same once: a plan repeats those of its operations."""
+    """Remove repeated issues: a plan repeats those of its operations."""
     return list(dict.fromkeys(issues))
 
 
-def _exhibits(problem: Problem | None, plan: Plan | None) -> tuple[list[Section], list[Issue]]:
-    sections: list[Section] = []
+def _exhibits(problem: Problem | None, plan: Plan | None) -> tuple[list[PageSection], list[Issue]]:
+    sections: list[PageSection] = []
     left_out: list[Issue] = []
     for index, operation in enumerate(plan.operations if plan else ()):
         stock = problem.setup_of(index).stock if problem is not None else None
@@ -118,71 +130,79 @@ def _exhibits(problem: Problem | None, plan: Plan | None) -> tuple[list[Section]
         title = "Process" if plan is None or len(plan.operations) == 1 else f"Process: {operation.name}"
         wide = tuple(figure for figure in figures if isinstance(figure, markup.Wide))
         small = tuple(figure for figure in figures if not isinstance(figure, markup.Wide))
-        content: tuple[Block, ...] = (*wide, markup.Grid(small)) if small else wide
-        sections.append(Section(f"process{index}", title, content))
+        content: tuple[Block, ...] = (*wide, markup.GridBlock(small)) if small else wide
+        sections.append(PageSection(f"process{index}", title, content))
     return sections, left_out
 
 
-def _motion(problem: Problem, motion: Motion, proof: Proof | None) -> list[Section]:
+def _motion(problem: Problem, motion: MotionSeries, proof: Proof | None) -> list[PageSection]:
     settings = problem.settings
-    figures = [motion_charts.feed(motion)] if len(motion.feed.time) > 1 else []
+    figures = [motion_charts.feed_figure(motion)] if len(motion.feed.time) > 1 else []
     if motion.clearance is not None:
-        figures.append(motion_charts.clearance(motion.clearance, motion, settings))
+        figures.append(motion_charts.clearance_figure(motion.clearance, motion, settings))
     if motion.own_clearance is not None:
-        figures.append(motion_charts.own_clearance(motion.own_clearance, motion, settings))
+        figures.append(motion_charts.own_clearance_figure(motion.own_clearance, motion, settings))
     for process in motion.processes:
-        figures += motion_charts.drawn(process.distances, motion)
-    figures += motion_charts.margins(motion, settings, proof) if motion.arms else []
+        figures += motion_charts.process_figures(process.distances, motion)
+    figures += motion_charts.margin_figures(motion, settings, proof) if motion.arms else []
     for process in motion.processes:
-        figures += motion_charts.drawn(process.charts, motion)
+        figures += motion_charts.process_figures(process.charts, motion)
     for name, arm in motion.arms.items():
-        figures += motion_charts.speeds(name, arm, motion, settings)
+        figures += motion_charts.speed_figures(name, arm, motion, settings)
     pairs = motion_charts.closest_pairs(motion.clearance) if motion.clearance is not None else ()
-    words = f"Joint motion: {motion.source}. Tinted stretches are segments."
-    content: tuple[Block, ...] = (markup.Grid(tuple(figures)), *pairs, markup.Paragraph(words, "note"))
+    words = f"Joint motion: {motion.source}. Tinted bands are segments."
+    content: tuple[Block, ...] = (markup.GridBlock(tuple(figures)), *pairs, markup.Paragraph(words, "note"))
     rows: list[Block] = []
     for name, arm in motion.arms.items():
         rows.append(markup.Heading(f"{name}: {arm.robot.title}"))
-        rows.append(markup.Grid(tuple(motion_charts.joints(name, arm, motion)), "three"))
-    return [Section("motion", "Motion", content), Section("joints", "Joint angles and limits", tuple(rows))]
+        rows.append(markup.GridBlock(tuple(motion_charts.joint_figures(name, arm, motion)), "three"))
+    return [
+        PageSection("motion", "Motion", content),
+        PageSection("joints", "Joint angles and limits", tuple(rows)),
+    ]
 
 
-def _background(plan: Plan | None, extra: Extra) -> list[Section]:
+def _background(plan: Plan | None, extra: ReportExtras) -> list[PageSection]:
     out = []
     if plan is not None:
-        out.append(Section("placement", "Search for a place", page_sections.placement_figures(plan)))
-        made = page_sections.how_it_was_made(plan, extra.programs)
-        out.append(Section("times", "How the plan was made", (made,)))
+        out.append(PageSection("placement", "Placement search", page_sections.placement_figures(plan)))
+        planning = page_sections.planning_details(plan, extra.programs)
+        out.append(PageSection("times", "Planning details", (planning,)))
     if extra.filtered:
-        rows = markup.table(("body", "body", "why the two are not held apart"), extra.filtered)
+        rows = markup.make_table(("body", "body", "why collisions are not tested"), extra.filtered)
         summary = (
-            f"{len(extra.filtered)} pairs of bodies are not held apart, or some of their solids are not; "
-            "every other pair is"
+            f"Collisions of {len(extra.filtered)} pairs of bodies, or some of their solids, are not tested. "
+            "All other pairs are tested."
         )
-        out.append(Section("filter", "Collision filter", (markup.Folded(summary, rows),)))
+        out.append(PageSection("filter", "Collision filter", (markup.Folded(summary, rows),)))
     return out
 
 
 def pictures(problem: Problem, plan: Plan) -> Iterator[tuple[str, Picture]]:
-    """The pictures of the cell that the report shows, with their titles."""
+    """Yield the pictures of the cell that the report shows, with their titles."""
     yield from cell_picture.setup_pictures(cell_model(problem, plan), problem, plan)
 
 
 def files(
     problem: Problem, plan: Plan, proof: Proof | None, drawn: Sequence[tuple[str, Picture]] | None = None
 ) -> dict[str, str]:
-    """What :func:`pages` and :func:`proof_files` make, by name."""
+    """Return the files of :func:`pages` and :func:`proof_files`, by name."""
     return pages(problem, plan, proof, drawn) | proof_files(plan, proof)
 
 
 def proof_files(plan: Plan, proof: Proof | None, programs: Mapping[str, str] | None = None) -> dict[str, str]:
-    """With a proof ``proof.json``, which names the SHA-256 of each of the proven ``programs``, and
-    ``simulated_part.obj``, by name."""
+    """Return ``proof.json`` and ``simulated_part.obj`` if there is a proof, by name.
+
+    Args:
+        plan: Plan.
+        proof: Proof, or None.
+        programs: Proven programs by name. ``proof.json`` contains their SHA-256.
+    """
     out: dict[str, str] = {}
     if proof is not None:
         texts = (programs or {}).items()
         digests = {name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts}
-        out["proof.json"] = proof_text(proof, accepted(plan.issues), digests)
+        out["proof.json"] = proof_json(proof, accepted_codes(plan.issues), digests)
         if proof.part_obj:
             out["simulated_part.obj"] = proof.part_obj
     return out
@@ -193,87 +213,117 @@ def pages(
     plan: Plan,
     proof: Proof | None,
     drawn: Sequence[tuple[str, Picture]] | None = None,
-    maps: Sequence[FreedomMap] = (),
+    maps: Sequence[FreedomMapData] = (),
 ) -> dict[str, str]:
-    """``report.html`` and ``replay.html``, by name.
+    """Return ``report.html`` and ``replay.html``, by name.
 
-    ``drawn``: what :func:`pictures` gives, where that is done already; ``maps`` of freedoms to show.
+    Args:
+        problem: Problem.
+        plan: Plan.
+        proof: Proof, or None.
+        drawn: Result of :func:`pictures`, if already computed.
+        maps: Maps of freedoms to show.
     """
     model = cell_model(problem, plan)
     if drawn is None:
         drawn = cell_picture.setup_pictures(model, problem, plan)
     return {
-        "replay.html": replay.document(model, problem, plan, proof),
-        "report.html": render(problem, plan, proof, Extra(drawn, model.pairs_filtered, maps=maps)),
+        "replay.html": replay.replay_html(model, problem, plan, proof),
+        "report.html": report_html(
+            problem, plan, proof, ReportExtras(drawn, model.filtered_pairs, maps=maps)
+        ),
     }
 
 
 def cell_model(problem: Problem, plan: Plan, setup: Setup | None = None) -> CellModel:
-    """The cell's model as a setup finds it, the first one where none is given."""
-    own = setup or problem.setups[0]
-    return plant.build(own.cell, own.stock, plan.places[own.number - 1], plan.bases)
+    """Build the cell model as a setup finds it, by default the first one.
+
+    Args:
+        problem: Problem.
+        plan: Plan.
+        setup: Setup, or None for the first.
+    """
+    chosen_setup = setup or problem.setups[0]
+    return plant.build_cell_model(
+        chosen_setup.cell, chosen_setup.stock, plan.stock_poses[chosen_setup.number - 1], plan.bases
+    )
 
 
 def show(problem: Problem, plan: Plan, proof: Proof | None = None) -> Viewer:
-    """The replay as a page, served on this machine."""
+    """Serve the replay as a page on this machine."""
     return replay.show(cell_model(problem, plan), problem, plan, proof)
 
 
-def failure(problem: Problem | None, issues: Sequence[Issue]) -> str:
-    """The report alone, for a problem that was refused or has no plan."""
+def failure_report(problem: Problem | None, issues: Sequence[Issue]) -> str:
+    """Return the report for a problem that was refused or has no plan.
+
+    Args:
+        problem: Problem, or None.
+        issues: Issues.
+    """
     shown: tuple[tuple[str, Picture], ...] = ()
     filtered: Sequence[tuple[str, str, str]] = ()
     if problem is not None:
-        place = problem.stock.place
-        standing = np.eye(4)
-        standing[:3, :3] = problem.stock.attitude
+        stock_pose = problem.stock.place
+        upright = np.eye(4)
+        upright[:3, :3] = problem.stock.attitude
         try:
-            model = plant.build(problem.cell, problem.stock, standing if place is None else place)
+            model = plant.build_cell_model(
+                problem.cell, problem.stock, upright if stock_pose is None else stock_pose
+            )
         except TandemError as error:
             issues = [*issues, *(i for i in error.issues if i not in issues)]
         else:
             shown = cell_picture.setup_pictures(model, problem, None)
-            filtered = model.pairs_filtered
-    return render(problem, None, None, Extra(shown, filtered, issues=issues))
+            filtered = model.filtered_pairs
+    return report_html(problem, None, None, ReportExtras(shown, filtered, issues=issues))
 
 
-def accepted_of(text: str) -> list[str]:
-    """What a ``proof.json`` says is accepted; nothing where it is none."""
+def read_accepted(text: str) -> list[str]:
+    """Return the accepted codes in a ``proof.json``. Empty if the text is invalid."""
     try:
-        found = json.loads(text)["accepted"]
+        codes = json.loads(text)["accepted"]
     except (ValueError, KeyError, TypeError):
         return []
-    return [str(code) for code in found] if isinstance(found, list) else []
+    return [str(code) for code in codes] if isinstance(codes, list) else []
 
 
-def proof_text(proof: Proof, taken: Sequence[str], digests: Mapping[str, str]) -> str:
-    """The proof as JSON: verdict, what the problem accepts beside it, SHA-256 of the proven program files by
-    name, rules, issues, faces without their points."""
+def proof_json(proof: Proof, accepted_codes: Sequence[str], digests: Mapping[str, str]) -> str:
+    """Return the proof as JSON: verdict, accepted codes, rules, issues, and faces without their points.
+
+    Args:
+        proof: Proof.
+        accepted_codes: Codes of issues that the problem accepts.
+        digests: SHA-256 of the proven program files by name.
+    """
     faces = [
         {"segment": face.title, **{k: v for k, v in vars(face).items() if isinstance(v, float)}}
         for face in proof.surfaces
     ]
-    found = aggregate(proof.issues)
+    issues = aggregate(proof.issues)
     data = {
-        "ok": proof.ok and not has_errors(found),
-        "accepted": list(taken),
+        "ok": proof.ok and not has_errors(issues),
+        "accepted": list(accepted_codes),
         "problem_digest": proof.problem_digest,
         "programs": dict(digests),
         "rules": [dataclasses.asdict(rule) for rule in proof.rules],
-        "issues": [issue.to_dict() for issue in found],
+        "issues": [issue.to_dict() for issue in issues],
         "surfaces": faces,
     }
-    return json.dumps(_plain(data), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    return json.dumps(_plain_data(data), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def _plain(value: object) -> object:
-    """Plain data for JSON: tuples as lists, NumPy's numbers as Python's, numbers that JSON lacks as None."""
+def _plain_data(value: object) -> object:
+    """Convert to plain data for JSON.
+
+    Tuples become lists, NumPy numbers Python numbers, and non-finite numbers None.
+    """
     if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
+        return {str(k): _plain_data(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
+        return [_plain_data(v) for v in value]
     if isinstance(value, np.generic):
-        return _plain(value.item())
+        return _plain_data(value.item())
     if isinstance(value, float):
         return value if np.isfinite(value) else None
     return value

@@ -6,12 +6,12 @@ from planner.report import markup
 
 
 def pose_cells(pose: FloatArray) -> tuple[str, str, str]:
-    """Position [mm], roll-pitch-yaw [deg] and quaternion of a pose (4, 4) as text."""
-    turn = ", ".join(markup.fixed(float(v) / DEG, 3) for v in to_rpy(pose[:3, :3]))
-    quaternion = ", ".join(markup.fixed(float(v), 6) for v in to_quaternion(pose[:3, :3]))
-    return point(pose[:3, 3]), turn, quaternion
+    """Format position [mm], roll-pitch-yaw [deg] and quaternion of a pose (4, 4)."""
+    turn = ", ".join(markup.fixed_decimals(float(v) / DEG, 3) for v in to_rpy(pose[:3, :3]))
+    quaternion = ", ".join(markup.fixed_decimals(float(v), 6) for v in to_quaternion(pose[:3, :3]))
+    return point_text(pose[:3, 3]), turn, quaternion
 
 
-def point(at: FloatArray) -> str:
-    """A point (3,) [m] in millimetres."""
-    return ", ".join(markup.fixed(float(v) / MM, 2) for v in at)
+def point_text(at: FloatArray) -> str:
+    """Format a point (3,) [m] in millimetres."""
+    return ", ".join(markup.fixed_decimals(float(v) / MM, 2) for v in at)

@@ -1,7 +1,7 @@
-"""Pictures without a display: triangle meshes and a small depth-buffer renderer in NumPy.
+"""Rendering without a display: triangle meshes and a small depth-buffer renderer in NumPy.
 
-Meshes are the shapes of a cell, wanted surfaces, and what a wire leaves behind it in the block: strips
-between its places one after the other.
+Meshes are the shapes of a cell, nominal surfaces, and surfaces that a wire sweeps in the block: strips
+between its successive positions.
 """
 
 import dataclasses
@@ -12,25 +12,27 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Mesh, Ruled, lengths
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Mesh, RuledSurface, lengths
 from planner.problem import Part, Stock
 
 
 @dataclasses.dataclass(frozen=True)
-class Solid:
+class RenderSolid:
     """Triangles to draw: ``vertices`` (V, 3) [m], unit ``normals`` (V, 3), ``faces`` (F, 3)."""
 
     vertices: FloatArray
     normals: FloatArray
     faces: IntArray
 
-    def moved(self, pose: FloatArray) -> "Solid":
-        """The solid moved by a pose (4, 4)."""
-        return Solid(self.vertices @ pose[:3, :3].T + pose[:3, 3], self.normals @ pose[:3, :3].T, self.faces)
+    def moved(self, pose: FloatArray) -> "RenderSolid":
+        """Return the solid transformed by a pose (4, 4)."""
+        return RenderSolid(
+            self.vertices @ pose[:3, :3].T + pose[:3, 3], self.normals @ pose[:3, :3].T, self.faces
+        )
 
 
-def box(x: float, y: float, z: float) -> Solid:
-    """A box of edges x, y, z [m] about its centre."""
+def box(x: float, y: float, z: float) -> RenderSolid:
+    """Return a box with edges x, y, z [m] about its centre."""
     corners: list[FloatArray] = []
     normals: list[FloatArray] = []
     faces: list[list[int]] = []
@@ -46,47 +48,49 @@ def box(x: float, y: float, z: float) -> Solid:
             normals.append(np.tile(np.eye(3)[axis] * sign, (4, 1)))
             faces += [[base, base + 1, base + 2], [base, base + 2, base + 3]]
     half = 0.5 * np.array([x, y, z])
-    return Solid(np.concatenate(corners) * half, np.concatenate(normals), np.array(faces, dtype=np.int64))
+    return RenderSolid(
+        np.concatenate(corners) * half, np.concatenate(normals), np.array(faces, dtype=np.int64)
+    )
 
 
-def cylinder(radius: float, length: float, sides: int = 32) -> Solid:
-    """A cylinder about z, centred, with flat ends."""
+def cylinder(radius: float, length: float, sides: int = 32) -> RenderSolid:
+    """Return a cylinder about z [m], centred, with flat ends."""
     profile = [(0.0, -1.0, 0.0, -1.0), (1.0, -1.0, 0.0, -1.0), (1.0, -1.0, 1.0, 0.0)]
     profile += [(1.0, 1.0, 1.0, 0.0), (1.0, 1.0, 0.0, 1.0), (0.0, 1.0, 0.0, 1.0)]
     rows = np.array(profile) * [radius, 0.5 * length, 1.0, 1.0]
-    return _turned(rows, sides)
+    return _revolved(rows, sides)
 
 
-def capsule(radius: float, length: float, sides: int = 24, rings: int = 6) -> Solid:
-    """A capsule about z, centred; ``length`` without the caps."""
+def capsule(radius: float, length: float, sides: int = 24, rings: int = 6) -> RenderSolid:
+    """Return a capsule about z [m], centred. ``length`` excludes the caps."""
     angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 2 * rings)
     shift = np.where(angle < 0.0, -0.5, 0.5) * length
     rows = np.stack(
         [radius * np.cos(angle), radius * np.sin(angle) + shift, np.cos(angle), np.sin(angle)], axis=1
     )
-    return _turned(rows, sides)
+    return _revolved(rows, sides)
 
 
-def sphere(radius: float, sides: int = 24) -> Solid:
-    """A sphere about the origin."""
+def sphere(radius: float, sides: int = 24) -> RenderSolid:
+    """Return a sphere about the origin [m]."""
     return capsule(radius, 0.0, sides)
 
 
-def mesh(vertices: FloatArray, faces: IntArray, smooth: bool = False) -> Solid:
-    """A mesh; faceted, or ``smooth`` with area-weighted vertex normals."""
+def mesh(vertices: FloatArray, faces: IntArray, smooth: bool = False) -> RenderSolid:
+    """Return a mesh, faceted, or ``smooth`` with area-weighted vertex normals."""
     corners = vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     if smooth:
         normals = np.zeros_like(vertices)
         for k in range(3):
             np.add.at(normals, faces[:, k], normal)
-        return Solid(vertices, _unit(normals), faces)
+        return RenderSolid(vertices, _unit(normals), faces)
     flat = np.arange(3 * len(faces), dtype=np.int64).reshape(-1, 3)
-    return Solid(corners.reshape(-1, 3), np.repeat(_unit(normal), 3, axis=0), flat)
+    return RenderSolid(corners.reshape(-1, 3), np.repeat(_unit(normal), 3, axis=0), flat)
 
 
-def tube(points: FloatArray, radius: float, sides: int = 10) -> Solid:
-    """A tube about a polyline (P, 3), with frames carried along it without turning."""
+def tube(points: FloatArray, radius: float, sides: int = 10) -> RenderSolid:
+    """Return a tube about a polyline (P, 3) [m], with rotation-minimising frames."""
     tangent = _unit(np.gradient(points, axis=0))
     side = np.cross(tangent[0], np.eye(3)[np.argmin(np.abs(tangent[0]))])
     rings = np.empty((len(points), 3))
@@ -98,11 +102,11 @@ def tube(points: FloatArray, radius: float, sides: int = 10) -> Solid:
     angle = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
     normals = np.cos(angle)[:, None] * rings[:, None] + np.sin(angle)[:, None] * other[:, None]
     vertices = points[:, None] + radius * normals
-    return Solid(vertices.reshape(-1, 3), normals.reshape(-1, 3), _grid(len(points), sides))
+    return RenderSolid(vertices.reshape(-1, 3), normals.reshape(-1, 3), _grid(len(points), sides))
 
 
-def _turned(rows: FloatArray, sides: int) -> Solid:
-    """A body of revolution about z of rows (radius, z, normal's radius, normal's z), from below upward."""
+def _revolved(rows: FloatArray, sides: int) -> RenderSolid:
+    """Return a body of revolution about z from rows (radius, z, normal radius, normal z), from below."""
     angle = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
     c, s = np.cos(angle), np.sin(angle)
 
@@ -110,11 +114,11 @@ def _turned(rows: FloatArray, sides: int) -> Solid:
         ones = np.ones(sides)
         return np.stack([np.outer(radius, c), np.outer(radius, s), np.outer(z, ones)], axis=-1).reshape(-1, 3)
 
-    return Solid(spin(rows[:, 0], rows[:, 1]), spin(rows[:, 2], rows[:, 3]), _grid(len(rows), sides))
+    return RenderSolid(spin(rows[:, 0], rows[:, 1]), spin(rows[:, 2], rows[:, 3]), _grid(len(rows), sides))
 
 
 def _grid(rows: int, sides: int) -> IntArray:
-    """Faces (2 (rows - 1) sides, 3) of rings of vertices, each ring closed."""
+    """Return faces (2 (rows - 1) sides, 3) of rings of vertices, each ring closed."""
     i, j = np.meshgrid(np.arange(rows - 1), np.arange(sides), indexing="ij")
     a, b = i * sides + j, i * sides + (j + 1) % sides
     c, d = a + sides, b + sides
@@ -126,38 +130,57 @@ def _unit(v: FloatArray) -> FloatArray:
 
 
 STRAIGHT_WIRE_POINTS: Final = 3
-"""Points that a straight wire is drawn by; two neighbouring rulings may be warped."""
+"""Number of points of a drawn straight wire. Two adjacent rulings may be twisted."""
 
 
-def clipped_wires(ends: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """The part of straight wires with ends (T, 2, 3) that lies in the box, as (T, STRAIGHT, 3) points; NaN
-    where none does.
+def clip_wires(ends: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """Clip straight wires to a box.
 
-    Slabs: the ray's parameters of entry and exit are the greatest and the least of those of the three pairs
-    of planes (Kay and Kajiya 1986).
+    Slab method: the entry and exit parameters of the ray are the maximum and the minimum over the three
+    pairs of planes (Kay and Kajiya 1986).
+
+    Args:
+        ends: Ends of the wires (T, 2, 3) [m].
+        lower: Lower corner of the box (3,) [m].
+        upper: Upper corner of the box (3,) [m].
+
+    Returns:
+        Points (T, STRAIGHT_WIRE_POINTS, 3) [m], NaN where no part is inside.
     """
-    start, way = ends[:, 0], ends[:, 1] - ends[:, 0]
+    start, direction = ends[:, 0], ends[:, 1] - ends[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
-        one, other = (lower - start) / way, (upper - start) / way
-    along = np.abs(way) < 1e-12
+        to_lower, to_upper = (lower - start) / direction, (upper - start) / direction
+    is_parallel = np.abs(direction) < 1e-12
     inside = (start >= lower) & (start <= upper)
-    first = np.where(along, np.where(inside, -np.inf, np.inf), np.minimum(one, other)).max(axis=1)
-    last = np.where(along, np.where(inside, np.inf, -np.inf), np.maximum(one, other)).min(axis=1)
+    first = np.where(is_parallel, np.where(inside, -np.inf, np.inf), np.minimum(to_lower, to_upper)).max(
+        axis=1
+    )
+    last = np.where(is_parallel, np.where(inside, np.inf, -np.inf), np.maximum(to_lower, to_upper)).min(
+        axis=1
+    )
     first, last = np.maximum(first, 0.0), np.minimum(last, 1.0)
     hit = last > first
     first, last = np.where(hit, first, 0.0), np.where(hit, last, 0.0)
-    share = np.linspace(0.0, 1.0, STRAIGHT_WIRE_POINTS)
-    at = first[:, None] + (last - first)[:, None] * share
-    points = start[:, None] + at[..., None] * way[:, None]
+    fraction = np.linspace(0.0, 1.0, STRAIGHT_WIRE_POINTS)
+    at = first[:, None] + (last - first)[:, None] * fraction
+    points = start[:, None] + at[..., None] * direction[:, None]
     points[~hit] = np.nan
     return np.asarray(points)
 
 
 def swept_surface(points: FloatArray, lower: FloatArray, upper: FloatArray) -> Mesh | None:
-    """What wires (T, P, 3) in the stock frame sweep, one after the other, as far as it lies in the box; None
-    if it does not. Straight wires are given by their two ends."""
+    """Return the surface that wires sweep in sequence, as far as it lies in a box.
+
+    Args:
+        points: Wires (T, P, 3) [m] in the stock frame. Straight wires are given by their two ends.
+        lower: Lower corner of the box (3,) [m].
+        upper: Upper corner of the box (3,) [m].
+
+    Returns:
+        Surface, or None if no part is inside.
+    """
     if points.shape[1] == 2:
-        points = clipped_wires(points, lower, upper)
+        points = clip_wires(points, lower, upper)
     count = points.shape[1]
     i, j = np.meshgrid(np.arange(len(points) - 1), np.arange(count - 1), indexing="ij")
     a = (i * count + j).ravel()
@@ -169,36 +192,39 @@ def swept_surface(points: FloatArray, lower: FloatArray, upper: FloatArray) -> M
     quads = quads[inside]
     if not len(quads):
         return None
-    used, place = np.unique(quads, return_inverse=True)
-    quads = place.reshape(quads.shape)
+    used, new_index = np.unique(quads, return_inverse=True)
+    quads = new_index.reshape(quads.shape)
     faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     return Mesh(vertices[used], faces.astype(np.int64))
 
 
-def same_size(one: Stock, other: Stock) -> bool:
-    """Whether two blocks are of one size."""
-    return np.allclose(one.lower, other.lower) and np.allclose(one.upper, other.upper)
+def have_same_size(first: Stock, second: Stock) -> bool:
+    """Report whether two blocks have the same corners."""
+    return np.allclose(first.lower, second.lower) and np.allclose(first.upper, second.upper)
 
 
 def part_meshes(part: Part | None) -> tuple[tuple[str, Mesh], ...]:
-    """The wanted surfaces by name, in the stock frame."""
+    """Return the nominal surfaces by name, in the stock frame."""
     if part is None:
         return ()
     open_ = [(name, mesh) for name, mesh in (("front", part.front), ("back", part.back)) if mesh is not None]
     return (*open_, *((surface.name, ruled_mesh(surface)) for surface in part.ruled))
 
 
-def ruled_mesh(surface: Ruled) -> Mesh:
-    """Triangles between the rulings, with normals along tangent x ruling; a corner parts the vertices."""
+def ruled_mesh(surface: RuledSurface) -> Mesh:
+    """Triangulate between rulings, with normals along tangent x ruling.
+
+    Vertices are duplicated at corners.
+    """
     rows = np.arange(len(surface.start))
     if surface.closed:
         rows = np.append(rows, 0)
     corner = surface.corner[rows]
-    # every ruling inside a stretch serves both its neighbours; one at a corner stands twice
-    twice = np.repeat(rows, np.where(corner, 2, 1))
+    # A ruling between corners is shared by both neighbours. A ruling at a corner is duplicated.
+    duplicated = np.repeat(rows, np.where(corner, 2, 1))
     left = np.cumsum(np.where(corner, 2, 1)) - 1
     a, b = left[:-1], left[1:] - np.where(corner[1:], 1, 0)
-    vertices = np.stack([surface.start[twice], surface.end[twice]], axis=1).reshape(-1, 3)
+    vertices = np.stack([surface.start[duplicated], surface.end[duplicated]], axis=1).reshape(-1, 3)
     faces = np.concatenate(
         [np.stack([2 * a, 2 * b, 2 * b + 1], axis=1), np.stack([2 * a, 2 * b + 1, 2 * a + 1], axis=1)]
     )
@@ -206,21 +232,25 @@ def ruled_mesh(surface: Ruled) -> Mesh:
 
 
 _TILES: Final = (8, 24, 72, 216)
-"""Sides [px] of the tiles that triangles are filled in, each in the smallest that holds it."""
+"""Sides [px] of the tiles in which triangles are filled. Each uses the smallest tile that contains it."""
 _BATCH: Final = 200_000
-"""Pixels that are filled at once."""
+"""Number of pixels that are filled at a time."""
 _LIGHT: Final = np.array([0.35, -0.55, 0.76])
 """Direction towards the light, in the world."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Thing:
-    """A solid in world coordinates with its colour (r, g, b in 0..1); ``glow`` 1 shows the colour unshaded.
+class RenderItem:
+    """A solid in world coordinates with its colour.
 
-    ``closed`` says that only the outside can be seen, so that faces turned away are not drawn.
+    Attributes:
+        solid: Solid.
+        color: Red, green, blue in 0..1.
+        glow: 1 shows the colour unshaded.
+        closed: Only the outside is visible, so that back faces are culled.
     """
 
-    solid: Solid
+    solid: RenderSolid
     color: tuple[float, float, float]
     glow: float = 0.0
     closed: bool = True
@@ -228,9 +258,16 @@ class Thing:
 
 @dataclasses.dataclass(frozen=True)
 class Camera:
-    """A perspective camera: ``pose`` (4, 4) in the world looks along its +z with y down; ``focal`` in pixels.
+    """A perspective camera.
 
-    ``left``, ``top`` are where its window starts in the picture whose axis is at half of ``full``.
+    Attributes:
+        pose: Pose in the world (4, 4). The camera looks along +z, with y down.
+        focal: Focal length [px].
+        width: Width of the window [px].
+        height: Height of the window [px].
+        full: Size of the picture [px]. The optical axis is at its centre.
+        left: Left edge of the window in the picture [px].
+        top: Top edge of the window in the picture [px].
     """
 
     pose: FloatArray
@@ -242,7 +279,7 @@ class Camera:
     top: int = 0
 
     def window(self, points: FloatArray, margin: int = 4) -> "Camera":
-        """The same camera, cut to what shows the points (P, 3)."""
+        """Return the camera cropped to a window that shows some points (P, 3)."""
         seen = self.project(points)[..., :2] + [self.left, self.top]
         low = np.clip(np.floor(seen.min(axis=0)).astype(int) - margin, 0, np.array(self.full) - 1)
         high = np.clip(np.ceil(seen.max(axis=0)).astype(int) + margin, low + 1, self.full)
@@ -250,7 +287,7 @@ class Camera:
         return dataclasses.replace(self, width=width, height=height, left=int(low[0]), top=int(low[1]))
 
     def project(self, points: FloatArray) -> FloatArray:
-        """Pixel x, y and depth [m] (..., 3) of world points (..., 3)."""
+        """Project world points (..., 3) to pixel x, y and depth [m] (..., 3)."""
         local = (points - self.pose[:3, 3]) @ self.pose[:3, :3]
         depth = np.maximum(local[..., 2], 1e-6)
         x = self.focal * local[..., 0] / depth + 0.5 * self.full[0] - self.left
@@ -258,8 +295,18 @@ class Camera:
         return np.stack([x, y, local[..., 2]], axis=-1)
 
 
-def frame(points: FloatArray, toward: FloatArray, width: int, height: int, fill: float = 0.94) -> Camera:
-    """The camera that looks along ``toward`` (3,) and just sees all ``points`` (P, 3); 30 degrees wide."""
+def frame_camera(
+    points: FloatArray, toward: FloatArray, width: int, height: int, fill: float = 0.94
+) -> Camera:
+    """Return a camera that just sees all points, with a field of view of 30 degrees.
+
+    Args:
+        points: Points (P, 3) [m].
+        toward: View direction (3,).
+        width: Width [px].
+        height: Height [px].
+        fill: Fraction of the picture that the points fill.
+    """
     z = toward / np.linalg.norm(toward)
     x = np.cross(z, [0.0, 0.0, 1.0])
     x /= np.linalg.norm(x)
@@ -282,16 +329,22 @@ def frame(points: FloatArray, toward: FloatArray, width: int, height: int, fill:
 
 
 @dataclasses.dataclass(frozen=True)
-class Image:
-    """``color`` (h, w, 3) in 0..1, ``depth`` (h, w) [m] (inf: empty), ``thing`` (h, w) index (-1: empty)."""
+class RenderedImage:
+    """A rendered image.
+
+    Attributes:
+        color: Colours (h, w, 3) in 0..1.
+        depth: Depth (h, w) [m], inf where empty.
+        thing: Index of the thing (h, w), -1 where empty.
+    """
 
     color: FloatArray
     depth: FloatArray
     thing: IntArray
 
 
-def rendered(camera: Camera, things: list[Thing]) -> Image:
-    """The things as seen by the camera, shaded, with soft corners and ink lines at outlines and creases."""
+def render_items(camera: Camera, things: list[RenderItem]) -> RenderedImage:
+    """Render things with shading, ambient occlusion, and ink lines at outlines and creases."""
     solids = [t.solid for t in things]
     owner = np.repeat(np.arange(len(solids)), [len(s.faces) for s in solids])
     starts = np.cumsum([0, *(len(s.vertices) for s in solids[:-1])])
@@ -314,20 +367,22 @@ def rendered(camera: Camera, things: list[Thing]) -> Image:
     dark = _occlusion(depth, camera) * _ink(depth, normal, thing)
     dark = np.where(seen, np.maximum(dark, glow[thing]), 1.0)
     color *= dark[..., None].astype(np.float32)
-    return Image(color, depth, thing)
+    return RenderedImage(color, depth, thing)
 
 
 def _shade(
     camera: Camera, base: NDArray[np.float32], glow: NDArray[np.float32], normal: FloatArray
 ) -> FloatArray:
-    """Warm key light from above, cool fill from below, a soft highlight."""
+    """Shade with a warm key light from above, a cool fill light from below, and a soft highlight."""
     view = -camera.pose[:3, 2]
     light = _LIGHT / np.linalg.norm(_LIGHT)
     side = view + np.cross(view, [0.0, 0.0, 1.0])
     half = light + view
-    ways = np.stack([view, light, side / np.linalg.norm(side), half / np.linalg.norm(half), [0.0, 0.0, 1.0]])
+    directions = np.stack(
+        [view, light, side / np.linalg.norm(side), half / np.linalg.norm(half), [0.0, 0.0, 1.0]]
+    )
     length = np.maximum(lengths(normal), 1e-12)
-    seen = (normal @ ways.T.astype(np.float32)) / length[:, None]
+    seen = (normal @ directions.T.astype(np.float32)) / length[:, None]
     seen *= np.where(seen[:, :1] < 0.0, np.float32(-1.0), np.float32(1.0))
     key, fill, shine = (np.maximum(seen[:, k], 0.0) for k in (1, 2, 3))
     sky = 0.5 + 0.5 * seen[:, 4]
@@ -338,8 +393,9 @@ def _shade(
 
 
 def _occlusion(depth: FloatArray, camera: Camera) -> FloatArray:
-    """Darkening of corners: by how much a pixel lies behind its blurred neighbourhood (Luft et al. 2006),
-    but not behind things that stand well before it.
+    """Darken corners by the depth of a pixel behind its blurred neighbourhood (Luft et al. 2006).
+
+    Pixels behind things that are well in front of them are not darkened.
     """
     seen = np.isfinite(depth)
     if not seen.any():
@@ -347,37 +403,55 @@ def _occlusion(depth: FloatArray, camera: Camera) -> FloatArray:
     filled = np.where(seen, depth, np.max(depth[seen]))
     blurred = ndimage.uniform_filter(ndimage.uniform_filter(filled, 31), 31)
     scale = 40.0 / camera.focal * float(np.median(depth[seen]))
-    behind = np.clip((filled - blurred) / scale, 0.0, 1.0)
+    depth_behind = np.clip((filled - blurred) / scale, 0.0, 1.0)
     gap = (filled - ndimage.minimum_filter(filled, 61)) / scale
-    return np.asarray(1.0 - 0.45 * behind * np.clip(1.5 - gap / 4.0, 0.0, 1.0))
+    return np.asarray(1.0 - 0.45 * depth_behind * np.clip(1.5 - gap / 4.0, 0.0, 1.0))
 
 
 def _ink(depth: FloatArray, normal: NDArray[np.float32], thing: IntArray) -> FloatArray:
-    """Darkening (h, w) at steps of depth, changes of thing, and creases."""
+    """Return a darkening factor (h, w) at steps of depth, changes of thing, and creases."""
     ink = np.zeros(depth.shape)
     shallow = np.where(np.isfinite(depth), depth, 1e3).astype(np.float32)
     for axis in (0, 1):
-        here = [slice(None)] * 2
-        there = [slice(None)] * 2
-        here[axis], there[axis] = slice(None, -1), slice(1, None)
-        a, b = tuple(here), tuple(there)
+        first_half = [slice(None)] * 2
+        second_half = [slice(None)] * 2
+        first_half[axis], second_half[axis] = slice(None, -1), slice(1, None)
+        a, b = tuple(first_half), tuple(second_half)
         step = np.abs(shallow[a] - shallow[b]) > 0.012 * np.minimum(shallow[a], shallow[b])
         edge = step | (thing[a] != thing[b])
         crease = sum(normal[a][..., k] * normal[b][..., k] for k in range(3)) < 0.6
-        mark = np.where(edge, 0.62, np.where(crease, 0.30, 0.0))
-        ink[a] = np.maximum(ink[a], mark)
-        ink[b] = np.maximum(ink[b], mark)
+        strength = np.where(edge, 0.62, np.where(crease, 0.30, 0.0))
+        ink[a] = np.maximum(ink[a], strength)
+        ink[b] = np.maximum(ink[b], strength)
     return 1.0 - ink
+
+
+@dataclasses.dataclass(frozen=True)
+class _PixelBuffers:
+    """Nearest triangle of each pixel. The arrays are flat, by rows of the picture.
+
+    Attributes:
+        shape: Height h and width w [px].
+        depth: Depth (h * w,) [m], inf where empty.
+        face: Index of the face (h * w,), -1 where empty.
+        weights: Weights of the corners of the face (h * w, 3).
+    """
+
+    shape: tuple[int, int]
+    depth: FloatArray
+    face: IntArray
+    weights: NDArray[np.float32]
 
 
 def _resolve(
     camera: Camera, corners: FloatArray, closed: BoolArray
 ) -> tuple[IntArray, NDArray[np.float32], FloatArray]:
-    """Nearest face (h, w), its weights (h, w, 3) and depth (h, w) of projected triangles (F, 3, 3)."""
+    """Return nearest face (h, w), weights (h, w, 3) and depth (h, w) of projected triangles (F, 3, 3)."""
     h, w = camera.height, camera.width
     depth = np.full(h * w, np.inf)
     face = np.full(h * w, -1, dtype=np.int64)
     weights = np.zeros((h * w, 3), dtype=np.float32)
+    buffers = _PixelBuffers((h, w), depth, face, weights)
     low = np.floor(corners[..., :2].min(axis=1)).astype(np.int64)
     high = np.ceil(corners[..., :2].max(axis=1)).astype(np.int64)
     inside = (high >= 0).all(axis=1) & (low < [w, h]).all(axis=1) & (corners[..., 2] > 1e-3).all(axis=1)
@@ -392,26 +466,19 @@ def _resolve(
             part = group[start : start + step]
             x = low[part, 0, None, None] + np.arange(_TILES[across])[None, None, :]
             y = low[part, 1, None, None] + np.arange(_TILES[down])[None, :, None]
-            _fill(corners[part], part, x, y, (h, w), depth, face, weights)
+            _fill_triangles(corners[part], part, x, y, buffers)
     for i in np.flatnonzero(inside & (tile == len(_TILES)).any(axis=1)):
         x = np.arange(max(low[i, 0], 0), min(high[i, 0] + 1, w))[None, None, :]
         y = np.arange(max(low[i, 1], 0), min(high[i, 1] + 1, h))[None, :, None]
-        _fill(corners[i : i + 1], np.array([i]), x, y, (h, w), depth, face, weights)
+        _fill_triangles(corners[i : i + 1], np.array([i]), x, y, buffers)
     return face.reshape(h, w), weights.reshape(h, w, 3), depth.reshape(h, w)
 
 
-def _fill(
-    corners: FloatArray,
-    name: IntArray,
-    x: IntArray,
-    y: IntArray,
-    shape: tuple[int, int],
-    depth: FloatArray,
-    face: IntArray,
-    weights: NDArray[np.float32],
+def _fill_triangles(
+    corners: FloatArray, name: IntArray, x: IntArray, y: IntArray, buffers: _PixelBuffers
 ) -> None:
-    """Fills triangles (T, 3, 3) into the flat buffers at pixel centres x (T, 1, n), y (T, n, 1)."""
-    h, w = shape
+    """Fill triangles (T, 3, 3) into the buffers at pixel centres x (T, 1, n), y (T, n, 1)."""
+    (h, w), depth = buffers.shape, buffers.depth
     px, py = x + 0.5, y + 0.5
     ax, ay = corners[:, 0, 0, None, None], corners[:, 0, 1, None, None]
     bx, by = corners[:, 1, 0, None, None] - ax, corners[:, 1, 1, None, None] - ay
@@ -427,10 +494,13 @@ def _fill(
     inverse = 1.0 / corners[:, :, 2]
     wa, wb, wc = (1.0 - u - v) * inverse[t, 0], v * inverse[t, 1], u * inverse[t, 2]
     z = 1.0 / (wa + wb + wc)
-    near = z < depth[flat]
-    flat, z, t = flat[near], z[near], t[near]
+    is_nearer = z < depth[flat]
+    flat, z, t = flat[is_nearer], z[is_nearer], t[is_nearer]
     np.minimum.at(depth, flat, z)
-    won = depth[flat] == z
-    flat, z, t = flat[won], z[won], t[won]
-    face[flat] = name[t]
-    weights[flat] = np.stack([wa[near][won], wb[near][won], wc[near][won]], axis=1) * z[:, None]
+    is_nearest = depth[flat] == z
+    flat, z, t = flat[is_nearest], z[is_nearest], t[is_nearest]
+    buffers.face[flat] = name[t]
+    buffers.weights[flat] = (
+        np.stack([wa[is_nearer][is_nearest], wb[is_nearer][is_nearest], wc[is_nearer][is_nearest]], axis=1)
+        * z[:, None]
+    )

@@ -1,8 +1,8 @@
-"""The released sheet in the replay: a ghost of what is left once the tools let go, beside what they form.
+"""The released sheet in the replay: its shape after springback, next to the shape under the tools.
 
-Of an exhibit of kind ``released`` the page gets heights over a grid as whole numbers of 0.01 mm; its script
-makes both surfaces of them, the released one coloured by its deviation, with a switch and a key. They stand
-in place of the flat sheet.
+For an exhibit of kind ``released`` the page contains heights over a grid as integers of 0.01 mm. Its script
+builds both surfaces from them, the released one coloured by its deviation, with a switch and a key. They
+replace the flat sheet.
 """
 
 import html
@@ -15,12 +15,12 @@ from planner.geometry.arrays import FloatArray
 from planner.geometry.units import MM
 from planner.plans import Plan
 from planner.report import charts, markup
-from planner.report.time_bar import embedded
+from planner.report.time_bar import embed_json
 
-PER_MM: Final = 100.0
-"""Heights and deviations are whole numbers of 1 mm over this."""
-SHADES: Final = 33
-"""Colours of the key, evenly from one end of its scale to the other."""
+UNITS_PER_MM: Final = 100.0
+"""Integer units per millimetre of heights and deviations."""
+SHEET_KEY_COLOURS: Final = 33
+"""Number of colours of the key, evenly spaced over its scale."""
 
 _SCRIPT: Final = """
 addEventListener('replay',({detail:view})=>{
@@ -45,44 +45,54 @@ addEventListener('replay',({detail:view})=>{
   for(const one of made??[])one.visible=box.checked;view.hide('stock',box.checked);more.hidden=!box.checked};
  box.onchange=show;show()});
 """
-"""Script of the switch: makes the surfaces when they are first asked for."""
+"""Script of the switch: builds the surfaces when they are first shown."""
 
 
-def data(plan: Plan) -> list[dict[str, Any]]:
-    """What the page gets of each sheet whose springback is known: ``x`` (W,), ``y`` (H,) [mm] in the stock
-    frame; row by row along y ``formed``, ``released`` and ``deviation`` in parts of a millimetre (`PER_MM`),
-    the last one None where nothing is known; ``colours`` from ``-limit`` to ``limit`` [mm]."""
-    shown = [one for operation in plan.operations for one in operation.targets.exhibits.values()]
-    return [shape_data(one) for one in shown if isinstance(one, Mapping) and one.get("kind") == "released"]
+def sheet_data(plan: Plan) -> list[dict[str, Any]]:
+    """Return the data of each sheet whose springback is known.
+
+    Keys: ``x`` (W,), ``y`` (H,) [mm] in the stock frame; ``formed``, ``released`` and ``deviation`` in
+    units of 1 mm / `UNITS_PER_MM`, row by row along y, None where the deviation is unknown; ``colours`` from
+    ``-limit`` to ``limit`` [mm].
+
+    Args:
+        plan: Plan.
+    """
+    shown = [exhibit for operation in plan.operations for exhibit in operation.targets.exhibits.values()]
+    return [
+        exhibit_data(exhibit)
+        for exhibit in shown
+        if isinstance(exhibit, Mapping) and exhibit.get("kind") == "released"
+    ]
 
 
-def shape_data(one: Mapping[str, Any]) -> dict[str, Any]:
-    """The same of one exhibit."""
-    limit = float(one["limit"])
-    shades = charts.diverging(np.linspace(-limit, limit, SHADES), limit)
+def exhibit_data(exhibit: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the data of one exhibit of kind ``released``, see :func:`sheet_data`."""
+    limit = float(exhibit["limit"])
+    shades = charts.diverging(np.linspace(-limit, limit, SHEET_KEY_COLOURS), limit)
     return {
-        "x": [round(float(v) / MM, 2) for v in one["x"]],
-        "y": [round(float(v) / MM, 2) for v in one["y"]],
-        "per_mm": PER_MM,
-        "formed": _whole(np.asarray(one["formed"]) / MM),
-        "released": _whole(np.asarray(one["released"]) / MM),
-        "deviation": _whole(np.asarray(one["deviation"])),
+        "x": [round(float(v) / MM, 2) for v in exhibit["x"]],
+        "y": [round(float(v) / MM, 2) for v in exhibit["y"]],
+        "per_mm": UNITS_PER_MM,
+        "formed": _integers(np.asarray(exhibit["formed"]) / MM),
+        "released": _integers(np.asarray(exhibit["released"]) / MM),
+        "deviation": _integers(np.asarray(exhibit["deviation"])),
         "limit": limit,
         "colours": ["#" + "".join(f"{round(255 * float(c)):02x}" for c in shade) for shade in shades],
-        "note": str(one.get("note", "")),
+        "note": str(exhibit.get("note", "")),
     }
 
 
-def _whole(value: FloatArray) -> list[int | None]:
-    return [round(float(v) * PER_MM) if np.isfinite(v) else None for v in value.ravel()]
+def _integers(value: FloatArray) -> list[int | None]:
+    return [round(float(v) * UNITS_PER_MM) if np.isfinite(v) else None for v in value.ravel()]
 
 
-def switch(plan: Plan) -> str:
-    """HTML of switch, key and surfaces for a replay; nothing where no springback is known.
+def sheet_switch(plan: Plan) -> str:
+    """Return the HTML of switch, key and surfaces for a replay. Empty if no springback is known.
 
-    With several sheets the key is that of the widest scale, and all have it.
+    Several sheets share the key with the widest scale.
     """
-    sheets = data(plan)
+    sheets = sheet_data(plan)
     if not sheets:
         return ""
     limit = max(sheet["limit"] for sheet in sheets)
@@ -93,10 +103,10 @@ def switch(plan: Plan) -> str:
     end = markup.number(limit)
     return (
         "<div id='sheet' class='panel'><label><input type='checkbox' checked>"
-        "sheet once the tools have let go</label><div class='more' hidden>"
+        "sheet after release</label><div class='more' hidden>"
         f"<div class='key' style='background:linear-gradient(90deg,{bar})'></div>"
         f"<div class='ends'><span>−{end} mm</span><span>0</span><span>+{end} mm</span></div>"
-        "<p>Colour: off the wanted part; blue too deep, red too shallow. Grey, seen through: the sheet "
-        f"under the tools.</p>{notes}</div></div>"
-        f"{embedded('released', sheets)}<script>{_SCRIPT}</script>"
+        "<p>Colour: deviation from the nominal part; blue too deep, red too shallow. Transparent grey: the "
+        f"sheet under the tools.</p>{notes}</div></div>"
+        f"{embed_json('released', sheets)}<script>{_SCRIPT}</script>"
     )

@@ -1,9 +1,10 @@
-"""The 3D replay: one offline HTML file with arms, tools, block, the bending wire and a time bar.
+"""The 3D replay: one offline HTML file with arms, tools, block, the bent wire and a time bar.
 
-Bodies move by poses at keyframes, which the page's script takes straight lines and shortest turns between;
-a bent wire by its points. What has been cut is one surface for each run of cuts, of which the part up to now
-is drawn. The script (`view3d/replay.js`) draws by three.js as the page of the service does; both are inside
-the file, and so are the figures of the proof by which the cut is coloured (`cut_colours`).
+Bodies move by poses at keyframes, between which the script interpolates linearly and by the shortest
+rotation. A bent wire moves by its points. Cut surfaces are one mesh for each run of cuts, drawn up to the
+present time. The script (`view3d/replay.js`) uses three.js, as the page of the service
+does. Both are embedded in the file, and so are the quantities of the proof that colour the cut
+(`cut_colours`).
 """
 
 import base64
@@ -26,43 +27,53 @@ from planner.geometry.units import MM
 from planner.plans import Plan
 from planner.problem import Problem, Setup
 from planner.proof.verdict import Proof
-from planner.report import cut_colours, raster, released_sheet, view3d
+from planner.report import cut_colour_layers, raster, released_sheet, view3d
 from planner.report import scene as scenes
-from planner.report.scene import Sweep, Track, track
-from planner.report.time_bar import Clock, embedded, replay_clock, time_bar
+from planner.report.scene import DrawnSweep, Keyframes, sample_keyframes
+from planner.report.time_bar import Clock, embed_json, replay_clock, time_bar
 
 KEYFRAMES: Final = 480
-"""Keyframes of a job of one operation."""
-KEYFRAMES_MORE: Final = 240
-"""Keyframes of each further operation."""
+"""Number of keyframes of a job with one operation."""
+KEYFRAMES_PER_OPERATION: Final = 240
+"""Number of keyframes of each further operation."""
 TRIMMED_DEPTH_M: Final = 0.001
-"""How far [m] inside a block that was trimmed earlier cuts are still drawn: those that trimmed it are now its
-sides."""
+"""Depth [m] inside a trimmed block from which earlier cuts are drawn.
+
+The cuts that trimmed it are now its sides.
+"""
 SWEPT_POINTS: Final = 25
-"""Points of a wire over which the surface that it cuts is drawn."""
+"""Number of points of a wire over which its cut surface is drawn."""
 PATH_POINTS: Final = 2000
-"""Points of the way of a tool that cuts along no line, in each operation."""
+"""Number of points of the drawn path of a tool that is not a linear cutter, in each operation."""
 PATH_SIDES: Final = 4
-"""Sides of the rod that is drawn along the way of a tool that cuts along no line."""
-PATH_SHARE: Final = 0.004
-"""Radius of that rod over the size of what is shown at first."""
+"""Number of sides of the rod that is drawn along the path of a tool that is not a linear cutter."""
+PATH_RADIUS_FRACTION: Final = 0.004
+"""Radius of that rod, as a fraction of the size of the initial view."""
 BLOCK: Final = "block"
 """Name of the frame of the stock."""
-_FILES: Final = ("theme.css", "replay.css", "replay.js")
+_EMBEDDED_FILES: Final = ("theme.css", "replay.css", "replay.js")
 
 
-def document(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None = None) -> str:
-    """The replay as text. ``model``: the cell, for its robots and fixed bodies; a ``proof`` has the clock
-    that its issues are told by, and the figures that the cut is coloured by."""
-    run = track(problem, plan, KEYFRAMES + KEYFRAMES_MORE * max(0, len(plan.operations) - 1))
-    clock = _clock(run, proof)
-    film = _Film()
+def replay_html(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None = None) -> str:
+    """Return the replay as HTML.
+
+    Args:
+        model: Cell model, for its robots and fixed bodies.
+        problem: Problem.
+        plan: Plan.
+        proof: Proof, for the clock of its issues and the quantities that colour the cut, or None.
+    """
+    run = sample_keyframes(
+        problem, plan, KEYFRAMES + KEYFRAMES_PER_OPERATION * max(0, len(plan.operations) - 1)
+    )
+    clock = _program_clock(run, proof)
+    film = _ReplayData()
     tips = _tips(problem, run, _bodies(film, model, problem, plan, run))
     view = _view(model, problem, run, tips)
-    _cuts(film, problem, plan, run, float(np.ptp(np.array(view["work"]), axis=0).max()) * MM)
-    fine = film.settle(run.time - run.time[0])
+    _add_cuts(film, problem, plan, run, float(np.ptp(np.array(view["work"]), axis=0).max()) * MM)
+    fine = film.merge_times(run.time - run.time[0])
     layers = _layers(film, problem, plan, proof, fine, clock)
-    theme, style, script = ((view3d.FOLDER / name).read_text("utf-8") for name in _FILES)
+    theme, style, script = ((view3d.FOLDER / name).read_text("utf-8") for name in _EMBEDDED_FILES)
     data = {
         "time": film.array(run.time - run.time[0]),
         "fine": film.array(fine),
@@ -83,21 +94,22 @@ def document(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None
         "<!doctype html><html lang='en'><head><meta charset='utf-8'>"
         "<meta name='viewport' content='width=device-width, initial-scale=1'>"
         f"<title>{title}</title><style>{theme}{style}</style></head><body>"
-        f"<header><h1 class='unseen'>{title}</h1>{_tools(layers)}</header>"
+        f"<header><h1 class='unseen'>{title}</h1>{_toolbar(layers)}</header>"
         "<main><canvas id='scene' tabindex='0' role='img' "
-        f"aria-label='3D view of {html.escape(names, quote=True)} at work. Arrow keys turn it, + and - zoom, "
-        "0 goes back to the work.'></canvas><div id='labels' aria-hidden='true'></div>"
-        f"<section id='key' aria-label='Colours along the cut' hidden></section>{released_sheet.switch(plan)}"
-        "<p id='none' hidden>This browser draws no 3D (WebGL 2).</p></main>"
+        f"aria-label='3D view of {html.escape(names, quote=True)} at work. Arrow keys rotate, + and - zoom, "
+        "0 resets the view.'></canvas><div id='labels' aria-hidden='true'></div>"
+        "<section id='key' aria-label='Colours along the cut' hidden></section>"
+        f"{released_sheet.sheet_switch(plan)}"
+        "<p id='none' hidden>This browser cannot show 3D views: it lacks WebGL 2.</p></main>"
         f"<footer>{time_bar(problem.name, run, clock, plan.duration or None)}</footer>"
-        f"{embedded('film', data)}<script>{view3d.three()}</script>"
-        f"<script>{view3d.script(script, view3d.FILM_MODULES)}</script></body></html>\n"
+        f"{embed_json('film', data)}<script>{view3d.three_js()}</script>"
+        f"<script>{view3d.bundle_script(script, view3d.FILM_MODULES)}</script></body></html>\n"
     )
 
 
-def _tools(layers: Sequence[dict[str, Any]]) -> str:
-    """The row of controls above the picture."""
-    choices = "".join(f"<option value='{i}'>{one['name']}</option>" for i, one in enumerate(layers))
+def _toolbar(layers: Sequence[dict[str, Any]]) -> str:
+    """Return the toolbar above the picture."""
+    choices = "".join(f"<option value='{i}'>{layer['name']}</option>" for i, layer in enumerate(layers))
     colours = (
         "<label><span>Colours</span><select id='colours'><option value=''>none</option>"
         f"{choices}</select></label>"
@@ -106,10 +118,10 @@ def _tools(layers: Sequence[dict[str, Any]]) -> str:
     )
     return (
         "<div id='tools' role='toolbar' aria-label='View'>"
-        "<button type='button' id='follow' aria-pressed='false' title='The view goes with the tool (f)'>"
+        "<button type='button' id='follow' aria-pressed='false' title='The view follows the tool (f)'>"
         "Follow tool</button>"
-        "<button type='button' id='home' title='Look at the work (0)'>Work</button>"
-        "<button type='button' id='whole' title='Look at the whole cell (w)'>Cell</button>"
+        "<button type='button' id='home' title='Show the work (0)'>Work</button>"
+        "<button type='button' id='whole' title='Show the whole cell (w)'>Cell</button>"
         "<button type='button' id='measure' aria-pressed='false' title='Distance between two points (m)'>"
         f"Measure</button>{colours}<span id='measured' role='status'></span>"
         "<button type='button' id='theme'></button></div>"
@@ -118,8 +130,11 @@ def _tools(layers: Sequence[dict[str, Any]]) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class Viewer:
-    """A plan in a browser at ``url`` for as long as this value lives. A notebook shows it in its cell by
-    ``page``, the replay that a result folder has, which needs neither this process nor a network."""
+    """A replay that is served at ``url`` as long as this value exists.
+
+    A notebook shows ``page``, the replay of a result folder, which needs neither this process nor a
+    network.
+    """
 
     url: str
     page: str = dataclasses.field(repr=False)
@@ -130,14 +145,14 @@ class Viewer:
 
 
 class _OnePage(http.server.BaseHTTPRequestHandler):
-    """Answers with one page."""
+    """HTTP handler that answers with one page."""
 
     def __init__(self, page: bytes, *more: Any) -> None:
         self.page = page
         super().__init__(*more)
 
     def do_GET(self) -> None:
-        """The page, whatever the path."""
+        """Send the page, whatever the path."""
         self.send_response(200)
         self.send_header("Content-Type", "text/html; charset=utf-8")
         self.send_header("Content-Length", str(len(self.page)))
@@ -145,11 +160,11 @@ class _OnePage(http.server.BaseHTTPRequestHandler):
         self.wfile.write(self.page)
 
     def log_message(self, *_: Any) -> None:
-        """Nothing is logged."""
+        """Log nothing."""
 
 
 def in_notebook() -> bool:
-    """Whether a kernel of Jupyter runs this, whose cells show values by their HTML."""
+    """Report whether a Jupyter kernel runs this process, whose cells show values by their HTML."""
     if "IPython" not in sys.modules:
         return False
     import IPython
@@ -158,13 +173,20 @@ def in_notebook() -> bool:
 
 
 def show(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None = None) -> Viewer:
-    """The replay as a page, and served to this machine alone."""
-    page = document(model, problem, plan, proof)
+    """Return the replay as a page, and serve it to this machine only.
+
+    Args:
+        model: Cell model.
+        problem: Problem.
+        plan: Plan.
+        proof: Proof, or None.
+    """
+    page = replay_html(model, problem, plan, proof)
     handler = functools.partial(_OnePage, page.encode())
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
     threading.Thread(target=server.serve_forever, args=(0.1,), daemon=True).start()
     viewer = Viewer(f"http://127.0.0.1:{server.server_address[1]}/", page)
-    weakref.finalize(viewer, _close, server).atexit = False  # its thread ends with the process
+    weakref.finalize(viewer, _close, server).atexit = False  # the daemon thread ends with the process
     return viewer
 
 
@@ -173,30 +195,30 @@ def _close(server: http.server.ThreadingHTTPServer) -> None:
     server.server_close()
 
 
-def _clock(run: Track, proof: Proof | None) -> Clock:
+def _program_clock(run: Keyframes, proof: Proof | None) -> Clock:
     series = proof.series if proof is not None else {}
     if "time" not in series or "label" not in series:
         return ()
     return replay_clock(run, np.asarray(series["time"]), [str(label) for label in series["label"]])
 
 
-Reference = tuple[str, int, int]
-"""Where an array lies among the bytes of a page: its kind, first byte, number of values."""
+ArrayReference = tuple[str, int, int]
+"""Location of an array in the bytes of a page: its type, first byte, number of values."""
 
 
-class _Film:
-    """What a page holds, gathered: arrays as bytes, frames that move, meshes, bodies, surfaces of cuts."""
+class _ReplayData:
+    """Builder of the data of a page: arrays as bytes, frames, meshes, bodies, cut surfaces."""
 
     def __init__(self) -> None:
         self.bytes = bytearray()
         self.frames: list[dict[str, Any]] = []
-        self.meshes: list[list[Reference]] = []
+        self.meshes: list[list[ArrayReference]] = []
         self.bodies: list[dict[str, Any]] = []
         self.cuts: list[dict[str, Any]] = []
         self.known: dict[bytes, int] = {}
 
-    def array(self, values: Any, kind: Any = np.float32) -> Reference:
-        """Puts an array among the bytes, little-endian and flat."""
+    def array(self, values: Any, kind: Any = np.float32) -> ArrayReference:
+        """Append an array to the bytes, little-endian and flat."""
         flat = np.asarray(values).astype(np.dtype(kind).newbyteorder("<")).ravel()
         self.bytes += bytes(-len(self.bytes) % 4)
         start = len(self.bytes)
@@ -204,18 +226,20 @@ class _Film:
         return np.dtype(kind).str[1:], start, len(flat)
 
     def packed(self) -> str:
-        """All arrays as text."""
+        """Return all arrays as base64 text."""
         return base64.b64encode(bytes(self.bytes)).decode()
 
     def frame(self, name: str, poses: FloatArray) -> None:
-        """A frame that stands or moves by poses (T, 4, 4): places [mm] and quaternions."""
-        still = np.abs(poses - poses[0]).max() < 1e-9
-        own = poses[:1] if still else poses
-        turns = Rotation.from_matrix(own[:, :3, :3]).as_quat()
-        self.frames.append({"name": name, "poses": self.array(np.hstack([own[:, :3, 3] / MM, turns]))})
+        """Add a frame that is fixed or moves by poses (T, 4, 4): positions [mm] and quaternions."""
+        is_fixed = np.abs(poses - poses[0]).max() < 1e-9
+        poses_to_store = poses[:1] if is_fixed else poses
+        turns = Rotation.from_matrix(poses_to_store[:, :3, :3]).as_quat()
+        self.frames.append(
+            {"name": name, "poses": self.array(np.hstack([poses_to_store[:, :3, 3] / MM, turns]))}
+        )
 
     def mesh(self, vertices: FloatArray, faces: IntArray) -> int:
-        """The number of a mesh [m]; equal ones are kept once."""
+        """Return the number of a mesh [m]. Equal meshes are stored once."""
         points = np.round(vertices / MM, 3).astype(np.float32)
         key = points.tobytes() + b"|" + np.asarray(faces).astype(np.uint32).tobytes()
         if key not in self.known:
@@ -223,20 +247,20 @@ class _Film:
             self.meshes.append([self.array(points), self.indices(faces, len(points))])
         return self.known[key]
 
-    def indices(self, faces: IntArray, count: int) -> Reference:
-        """Indices of fewer than ``count`` vertices."""
+    def indices(self, faces: IntArray, count: int) -> ArrayReference:
+        """Append indices of fewer than ``count`` vertices."""
         return self.array(faces, np.uint16 if count < 65_536 else np.uint32)
 
-    def settle(self, time: FloatArray) -> FloatArray:
-        """The times (S,) [s] of all rows of the surfaces, and of the keyframes, by which ``keys`` count."""
+    def merge_times(self, time: FloatArray) -> FloatArray:
+        """Merge the times (S,) [s] of all surface rows and keyframes, and let ``keys`` index them."""
         rows = [np.asarray(cut["keys"]) for cut in self.cuts]
         fine = np.unique(np.concatenate([time, *rows]))
-        for cut, own in zip(self.cuts, rows, strict=True):
-            cut["keys"] = self.array(np.searchsorted(fine, own), np.uint32)
+        for cut, cut_times in zip(self.cuts, rows, strict=True):
+            cut["keys"] = self.array(np.searchsorted(fine, cut_times), np.uint32)
         return fine
 
-    def body(self, frame: str, kind: str, piece: scenes.Piece, seen: BoolArray | None = None) -> None:
-        """A piece that goes along with a frame, seen at some keyframes."""
+    def body(self, frame: str, kind: str, piece: scenes.VisiblePiece, seen: BoolArray | None = None) -> None:
+        """Add a piece that moves with a frame and is visible at some keyframes."""
         solid = piece.solid.moved(piece.pose)
         color = None if kind in ("stock", "edge", "support") else [round(float(v), 4) for v in piece.color]
         mesh = self.mesh(solid.vertices, solid.faces)
@@ -244,33 +268,42 @@ class _Film:
 
 
 def _runs_of(seen: BoolArray | None) -> dict[str, Any]:
-    """From which keyframe to before which one a thing is seen; nothing where always."""
+    """Return the first and the end keyframe of each interval in which something is visible.
+
+    Empty if always.
+    """
     if seen is None or seen.all():
         return {}
     edges = np.flatnonzero(np.diff(np.concatenate([[0], seen.astype(int), [0]])))
     return {"seen": edges.reshape(-1, 2).tolist()}
 
 
-def _bodies(film: _Film, model: CellModel, problem: Problem, plan: Plan, run: Track) -> dict[str, FloatArray]:
-    """Robots and fixed bodies, tools and blocks of all setups, each shown in the setups that have it; gives
-    the poses (T, 4, 4) of bodies and tools back."""
-    scene = scenes.extract(model)
-    poses = scenes.ridden(scene, problem.setups, run.setup, scene.poses(run.q), run.stands)
+def _bodies(
+    film: _ReplayData, model: CellModel, problem: Problem, plan: Plan, run: Keyframes
+) -> dict[str, FloatArray]:
+    """Add robots, fixed bodies, tools and blocks, each visible in the setups that have it.
+
+    Returns:
+        Poses (T, 4, 4) of bodies and tools.
+    """
+    scene = scenes.extract_scene(model)
+    poses = scenes.poses_on_axes(scene, problem.setups, run.setup, scene.poses(run.q), run.axis_values)
     obstacles = {body.name for body in problem.cell.obstacles}
     for piece in scene.pieces:
         film.body(piece.body, "obstacle" if piece.body in obstacles else "link", piece)
     for body in poses:
         film.frame(body, poses[body])
     film.frame(BLOCK, run.block)
-    sets: dict[tuple[str, int], tuple[list[scenes.Piece], BoolArray]] = {}
+    groups: dict[tuple[str, int], tuple[list[scenes.VisiblePiece], BoolArray]] = {}
     for index, setup in enumerate(problem.setups):
-        for name, pieces in _groups(setup, plan.places[index]).items():
+        for name, pieces in _pieces_by_body(setup, plan.stock_poses[index]).items():
             key = next(
-                (k for k, (known, _) in sets.items() if k[0] == name and _same_looks(known, pieces)), None
+                (k for k, (known, _) in groups.items() if k[0] == name and _have_same_shapes(known, pieces)),
+                None,
             )
-            found = sets.setdefault(key or (name, index), (pieces, np.zeros(len(run.time), dtype=bool)))
-            found[1][run.setup == index] = True
-    for pieces, seen in sets.values():
+            group = groups.setdefault(key or (name, index), (pieces, np.zeros(len(run.time), dtype=bool)))
+            group[1][run.setup == index] = True
+    for pieces, seen in groups.values():
         for piece in pieces:
             last = piece.body.rpartition("/")[2]
             frame = BLOCK if last in ("stock", "support") else piece.body.replace("/edge", "/tool")
@@ -278,67 +311,72 @@ def _bodies(film: _Film, model: CellModel, problem: Problem, plan: Plan, run: Tr
     for _, mesh in raster.part_meshes(problem.part):
         number = film.mesh(mesh.vertices, mesh.faces)
         film.bodies.append({"body": BLOCK, "kind": "part", "color": None, "mesh": number})
-    _left(film, problem, plan, run)
+    _add_remaining_stock(film, problem, plan, run)
     return poses
 
 
-def _left(film: _Film, problem: Problem, plan: Plan, run: Track) -> None:
-    """Stocks as operations leave them, each from the end of its work on, until the next one is shown."""
-    found: list[tuple[int, int]] = []
+def _add_remaining_stock(film: _ReplayData, problem: Problem, plan: Plan, run: Keyframes) -> None:
+    """Add stocks as operations leave them, each from the end of its work until the next one is shown."""
+    remaining: list[tuple[int, int]] = []
     for index, operation in enumerate(plan.operations):
-        for one in operation.targets.exhibits.values():
-            if isinstance(one, Mapping) and one.get("kind") == "left":
-                own = np.flatnonzero(run.operation == index)
-                works = [k for k in own.tolist() if run.segment[k].works]
-                mesh = film.mesh(np.asarray(one["vertices"]), np.asarray(one["faces"]))
-                found += [(works[-1], mesh)] if works else []
+        for exhibit in operation.targets.exhibits.values():
+            if isinstance(exhibit, Mapping) and exhibit.get("kind") == "left":
+                keyframes = np.flatnonzero(run.operation == index)
+                works = [k for k in keyframes.tolist() if run.segment[k].works]
+                mesh = film.mesh(np.asarray(exhibit["vertices"]), np.asarray(exhibit["faces"]))
+                remaining += [(works[-1], mesh)] if works else []
     keys = np.arange(len(run.time))
-    for number, (first, mesh) in enumerate(found):
-        end = found[number + 1][0] if number + 1 < len(found) else len(keys)
+    for number, (first, mesh) in enumerate(remaining):
+        end = remaining[number + 1][0] if number + 1 < len(remaining) else len(keys)
         seen = _runs_of((keys > first) & (keys <= end))
         film.bodies.append({"body": BLOCK, "kind": "part", "color": None, "mesh": mesh} | seen)
 
 
-def _groups(setup: Setup, place: FloatArray) -> dict[str, list[scenes.Piece]]:
-    out: dict[str, list[scenes.Piece]] = {}
-    for piece in scenes.mounted(setup, place):
+def _pieces_by_body(setup: Setup, stock_pose: FloatArray) -> dict[str, list[scenes.VisiblePiece]]:
+    out: dict[str, list[scenes.VisiblePiece]] = {}
+    for piece in scenes.setup_pieces(setup, stock_pose):
         out.setdefault(piece.body, []).append(piece)
     return out
 
 
-def _same_looks(one: list[scenes.Piece], other: list[scenes.Piece]) -> bool:
-    return len(one) == len(other) and all(
+def _have_same_shapes(first: list[scenes.VisiblePiece], second: list[scenes.VisiblePiece]) -> bool:
+    return len(first) == len(second) and all(
         a.solid.vertices.shape == b.solid.vertices.shape
         and np.allclose(a.solid.moved(a.pose).vertices, b.solid.moved(b.pose).vertices, atol=1e-9)
-        for a, b in zip(one, other, strict=True)
+        for a, b in zip(first, second, strict=True)
     )
 
 
-def _tips(problem: Problem, run: Track, poses: dict[str, FloatArray]) -> dict[str, FloatArray]:
-    """Tips (T, 3) [m] of the tools in the world."""
+def _tips(problem: Problem, run: Keyframes, poses: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """Return tips (T, 3) [m] of the tools in the world."""
     out = {}
     for arm in problem.cell.arms:
-        tools = [one.cell.arm(arm.name).tool.tcp for one in problem.setups]
+        tools = [setup.cell.arm(arm.name).tool.tcp for setup in problem.setups]
         out[arm.name] = (poses[f"{arm.name}/tool"] @ np.stack(tools)[run.setup])[:, :3, 3]
     return out
 
 
-def _view(model: CellModel, problem: Problem, run: Track, tips: dict[str, FloatArray]) -> dict[str, Any]:
-    """How the view begins: ``work``, the corners [mm] of the box of block and tools where they first work,
-    seen across the line of the bases, or of the base and the block; ``tips`` {arm} of tools in their frames
-    in each setup, ``arms`` of each operation, and from which keyframe which ``operation`` is done."""
+def _view(model: CellModel, problem: Problem, run: Keyframes, tips: dict[str, FloatArray]) -> dict[str, Any]:
+    """Return the initial view.
+
+    ``work`` are the corners [mm] of the box of block and tools where they first work, seen across the line
+    of the bases, or of base and block. ``tips`` {arm} are tool tips in their frames in each setup, ``arms``
+    those of each operation, and ``operation`` the keyframe at which each operation starts.
+    """
     works = np.array([segment.works for segment in run.segment])
     first = int(np.flatnonzero(works)[0]) if works.any() else 0
     block = run.block[first]
-    busy = problem.operations[int(run.operation[first])].arms
-    places = [model.bases[arm][:3, 3] for arm in busy]
-    line = ((places[1] if len(places) > 1 else block[:3, 3]) - places[0]) * np.array([1.0, 1.0, 0.0])
+    working_arms = problem.operations[int(run.operation[first])].arms
+    base_positions = [model.bases[arm][:3, 3] for arm in working_arms]
+    line = ((base_positions[1] if len(base_positions) > 1 else block[:3, 3]) - base_positions[0]) * np.array(
+        [1.0, 1.0, 0.0]
+    )
     line = line / max(float(np.linalg.norm(line)), 1e-9)
     eye = 0.92 * np.array([line[1], -line[0], 0.0]) - 0.2 * line + np.array([0.0, 0.0, 0.45])
     stock = problem.setups[int(run.setup[first])].stock
     corners = np.array(np.meshgrid(*np.stack([stock.lower, stock.upper], axis=1))).reshape(3, -1).T
-    own = works & (run.operation == run.operation[first])
-    seen = [corners @ block[:3, :3].T + block[:3, 3], *(tips[arm][own] for arm in busy)]
+    own_work = works & (run.operation == run.operation[first])
+    seen = [corners @ block[:3, :3].T + block[:3, 3], *(tips[arm][own_work] for arm in working_arms)]
     box = np.concatenate(seen)
     setups = problem.setups
     return {
@@ -346,44 +384,50 @@ def _view(model: CellModel, problem: Problem, run: Track, tips: dict[str, FloatA
         "turn": round(float(np.arctan2(eye[1], eye[0])), 4),
         "lift": round(float(np.arctan2(eye[2], np.hypot(eye[0], eye[1]))), 4),
         "tips": {
-            arm.name: [np.round(one.cell.arm(arm.name).tool.tcp[:3, 3] / MM, 3).tolist() for one in setups]
+            arm.name: [
+                np.round(setup.cell.arm(arm.name).tool.tcp[:3, 3] / MM, 3).tolist() for setup in setups
+            ]
             for arm in problem.cell.arms
         },
         "arms": [list(operation.arms) for operation in problem.operations],
-        "operation": [[int(k), int(run.operation[k])] for k in _changes(run.operation)],
+        "operation": [[int(k), int(run.operation[k])] for k in _change_indices(run.operation)],
     }
 
 
-def _changes(values: IntArray) -> IntArray:
+def _change_indices(values: IntArray) -> IntArray:
     return (
         np.concatenate([[0], np.flatnonzero(np.diff(values)) + 1]) if len(values) else np.zeros(0, np.int64)
     )
 
 
-def _wire(film: _Film, run: Track) -> dict[str, Any] | None:
-    """The wire that joins the arms: its points [mm] at the keyframes, drawn thick enough to be seen."""
+def _wire(film: _ReplayData, run: Keyframes) -> dict[str, Any] | None:
+    """Return the points [mm] of the wire at the keyframes, and a radius that is visible."""
     if run.wire is None:
         return None
-    radius = max(run.wire_radius, scenes.LEAST_WIRE_RADIUS_M) / MM
+    radius = max(run.wire_radius, scenes.MIN_WIRE_RADIUS_M) / MM
     count = int(run.wire.shape[1])
     return {"points": film.array(run.wire / MM), "count": count, "radius": radius} | _runs_of(run.shown)
 
 
-def _cuts(film: _Film, problem: Problem, plan: Plan, run: Track, size: float) -> None:
-    """What wires and cutters sweep within the block while they cut; for other tools a rod, as thick as suits
-    the ``size`` [m] of the view, along the way of their tips over the stock.
+def _add_cuts(film: _ReplayData, problem: Problem, plan: Plan, run: Keyframes, size: float) -> None:
+    """Add the surfaces that wires and cutters sweep within the block.
 
-    In later setups, in which the block may have become smaller, cuts are drawn as far as it goes then.
+    For other tools add a rod along the tip path.
+
+    The rod is as thick as suits the ``size`` [m] of the view. In later setups, in which the block may be
+    smaller, cuts are drawn within that block.
     """
     blocks = [setup.stock for setup in problem.setups]
     for cut in run.sweeps:
-        own = blocks[cut.setup]
-        kept = [k for k, block in enumerate(blocks) if k >= cut.setup and raster.same_size(block, own)]
-        _sweep(film, cut, own.lower, own.upper, run, kept)
+        cut_block = blocks[cut.setup]
+        kept = [
+            k for k, block in enumerate(blocks) if k >= cut.setup and raster.have_same_size(block, cut_block)
+        ]
+        _add_sweep(film, cut, cut_block.lower, cut_block.upper, run, kept)
         for k in range(cut.setup + 1, len(blocks)):
             if k not in kept:
                 lower, upper = blocks[k].lower + TRIMMED_DEPTH_M, blocks[k].upper - TRIMMED_DEPTH_M
-                _sweep(film, cut, lower, upper, run, [k])
+                _add_sweep(film, cut, lower, upper, run, [k])
     swept = {int(run.operation[cut.keys[-1]]) for cut in run.sweeps}
     for index, (start, operation) in enumerate(zip(run.starts, plan.operations, strict=True)):
         rows = spread_rows(len(operation.time), PATH_POINTS)
@@ -391,50 +435,64 @@ def _cuts(film: _Film, problem: Problem, plan: Plan, run: Track, size: float) ->
         if index in swept or not works.any():
             continue
         setup = problem.setup_of(index)
-        bases = scenes.riding(setup, {**plan.bases, **scenes.standing(setup)}, operation, rows)
-        q = {name: own[rows] for name, own in operation.q.items()}
-        to_block = inverse(scenes.block_pose(setup, plan.places[setup.number - 1], bases, q))
+        bases = scenes.bases_at_targets(setup, {**plan.bases, **scenes.axis_bases(setup)}, operation, rows)
+        q = {name: cut_block[rows] for name, cut_block in operation.q.items()}
+        to_block = inverse(scenes.block_pose(setup, plan.stock_poses[setup.number - 1], bases, q))
         time = operation.time[rows] - operation.time[0] + start - run.time[0]
         for name in operation.targets.arms:
             if setup.stock.held_by != name:
                 arm = setup.cell.arm(name)
                 tip = (to_block @ scenes.flange_poses(arm, bases, q[name]) @ arm.tool.tcp)[:, :3, 3]
-                _rod(film, name, tip, time, works, PATH_SHARE * size)
+                _add_rod(film, name, tip, time, works, PATH_RADIUS_FRACTION * size)
 
 
-def _sweep(
-    film: _Film, cut: Sweep, lower: FloatArray, upper: FloatArray, run: Track, setups: Sequence[int]
+def _add_sweep(
+    film: _ReplayData,
+    cut: DrawnSweep,
+    lower: FloatArray,
+    upper: FloatArray,
+    run: Keyframes,
+    setups: Sequence[int],
 ) -> None:
     points = cut.points
     if points.shape[1] == 2:
-        points = raster.clipped_wires(points, lower, upper)
+        points = raster.clip_wires(points, lower, upper)
     else:
         points = points[:, spread_rows(points.shape[1], SWEPT_POINTS)]
     middle = 0.25 * (points[:-1, :-1] + points[1:, :-1] + points[:-1, 1:] + points[1:, 1:])
     with np.errstate(invalid="ignore"):
         inside = ((middle >= lower - 1e-9) & (middle <= upper + 1e-9)).all(axis=2)
     time = run.time[cut.keys] - run.time[0]
-    _grid(film, "", points, time, np.asarray(inside), np.isin(run.setup, setups))
+    _add_surface(film, "", points, time, np.asarray(inside), np.isin(run.setup, setups))
 
 
-def _rod(film: _Film, arm: str, tip: FloatArray, time: FloatArray, works: BoolArray, radius: float) -> None:
-    """A rod about the way of a tip (K, 3) at ``time`` (K,) [s], where it works on the way there."""
-    way = np.gradient(tip, axis=0) if len(tip) > 1 else np.zeros_like(tip)
-    z = way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
-    aside = np.where(np.abs(z[:, 2:3]) < 0.9, np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]))
-    x = np.cross(aside, z)
-    x /= np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-12)
-    turn = np.linspace(0.0, 2.0 * np.pi, PATH_SIDES + 1)[:, None]
-    round_ = np.cos(turn)[None] * x[:, None] + np.sin(turn)[None] * np.cross(z, x)[:, None]
-    inside = np.repeat(works[1:, None], PATH_SIDES, axis=1)
-    _grid(film, arm, tip[:, None] + radius * round_, time, inside, None)
-
-
-def _grid(
-    film: _Film, arm: str, points: FloatArray, time: FloatArray, inside: BoolArray, seen: BoolArray | None
+def _add_rod(
+    film: _ReplayData, arm: str, tip: FloatArray, time: FloatArray, works: BoolArray, radius: float
 ) -> None:
-    """A surface over points (K, P, 3) [m] in the stock frame, of the quads that are ``inside`` (K-1, P-1); it
-    grows with ``time`` (K,) [s], and has the colours of an arm at these times, or of all together."""
+    """Add a rod about the path of a tip (K, 3) at ``time`` (K,) [s], where the tool works."""
+    direction = np.gradient(tip, axis=0) if len(tip) > 1 else np.zeros_like(tip)
+    z = direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
+    reference = np.where(np.abs(z[:, 2:3]) < 0.9, np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]))
+    x = np.cross(reference, z)
+    x /= np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-12)
+    angle = np.linspace(0.0, 2.0 * np.pi, PATH_SIDES + 1)[:, None]
+    circle = np.cos(angle)[None] * x[:, None] + np.sin(angle)[None] * np.cross(z, x)[:, None]
+    inside = np.repeat(works[1:, None], PATH_SIDES, axis=1)
+    _add_surface(film, arm, tip[:, None] + radius * circle, time, inside, None)
+
+
+def _add_surface(
+    film: _ReplayData,
+    arm: str,
+    points: FloatArray,
+    time: FloatArray,
+    inside: BoolArray,
+    seen: BoolArray | None,
+) -> None:
+    """Add a surface over points (K, P, 3) [m] in the stock frame, of the quads ``inside`` (K-1, P-1).
+
+    It grows with ``time`` (K,) [s], and has the colours of an arm at these times, or of all together.
+    """
     if not inside.any():
         return
     count = points.shape[1]
@@ -455,8 +513,8 @@ def _grid(
     )
 
 
-def _target_times(film: _Film, plan: Plan, run: Track) -> dict[str, Any]:
-    """When the arms are at the targets, and the names of their runs of one segment with the first of each."""
+def _target_times(film: _ReplayData, plan: Plan, run: Keyframes) -> dict[str, Any]:
+    """Return the times of the targets, and the names and first targets of the segment runs."""
     times, runs, first = [], [], 0
     for start, operation in zip(run.starts, plan.operations, strict=True):
         segments = operation.targets.segment
@@ -469,34 +527,34 @@ def _target_times(film: _Film, plan: Plan, run: Track) -> dict[str, Any]:
 
 
 def _layers(
-    film: _Film, problem: Problem, plan: Plan, proof: Proof | None, fine: FloatArray, clock: Clock
+    film: _ReplayData, problem: Problem, plan: Plan, proof: Proof | None, fine: FloatArray, clock: Clock
 ) -> list[dict[str, Any]]:
-    """The figures that the cut is coloured by, as the page has them."""
+    """Return the quantities that colour the cut, as data for the page."""
     if not clock:
         return []
-    told, shown = np.array(clock).T
-    time = np.interp(fine, shown, told)
+    program_times, shown = np.array(clock).T
+    time = np.interp(fine, shown, program_times)
     out = []
-    for one in cut_colours.layers(problem, plan, proof, time):
-        own: dict[str, Any] = {
-            "name": one.name,
-            "title": one.title,
-            "unit": one.unit,
-            "low": round(one.low, 4),
-            "high": round(one.high, 4),
-            "key": ["#" + "".join(f"{round(255 * float(c)):02x}" for c in shade) for shade in one.key],
-            "limits": [[round(value, 4), word] for value, word in one.limits],
-            "words": one.words,
-            "values": {arm: film.array(values) for arm, values in one.values.items()},
-            "colours": {arm: _bytes(film, colours) for arm, colours in one.colours.items()},
+    for layer in cut_colour_layers.colour_layers(problem, plan, proof, time):
+        fields: dict[str, Any] = {
+            "name": layer.name,
+            "title": layer.title,
+            "unit": layer.unit,
+            "low": round(layer.low, 4),
+            "high": round(layer.high, 4),
+            "key": ["#" + "".join(f"{round(255 * float(c)):02x}" for c in shade) for shade in layer.key],
+            "limits": [[round(value, 4), word] for value, word in layer.limits],
+            "words": layer.words,
+            "values": {arm: film.array(values) for arm, values in layer.values.items()},
+            "colours": {arm: _bytes(film, colours) for arm, colours in layer.colours.items()},
         }
-        if len(one.points):
-            own["points"] = film.array(one.points / MM)
-            own["spacing"] = round(one.spacing / MM, 3)
-            own["point_colours"] = _bytes(film, one.point_colours)
-        out.append(own)
+        if len(layer.points):
+            fields["points"] = film.array(layer.points / MM)
+            fields["spacing"] = round(layer.spacing / MM, 3)
+            fields["point_colours"] = _bytes(film, layer.point_colours)
+        out.append(fields)
     return out
 
 
-def _bytes(film: _Film, colours: FloatArray) -> Reference:
+def _bytes(film: _ReplayData, colours: FloatArray) -> ArrayReference:
     return film.array(np.clip(np.round(255.0 * colours), 0, 255), np.uint8)

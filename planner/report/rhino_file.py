@@ -1,7 +1,7 @@
-"""Meshes, lines and points as a 3DM file of Rhino, in layers, in mm; the same ones always as the same bytes.
+"""Meshes, lines and points as a 3DM file of Rhino, in layers, in mm. Equal input gives identical bytes.
 
-rhino3dm writes the clock into each file, and makes up ids: here all are of one day, and ids follow from the
-order of objects and the paths of layers.
+rhino3dm writes the current time and random ids into each file. Here all files have the same date, and ids
+follow from the order of objects and the paths of layers.
 """
 
 import base64
@@ -15,17 +15,17 @@ from typing import Any, Final
 
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.units import MM
-from planner.issues import refusal
+from planner.issues import issue_error
 
 Rgb = tuple[float, float, float]
 RHINO_VERSION: Final = 7
-"""Files are for this Rhino and newer ones."""
-WAY_COLOUR: Final = (0.10, 0.20, 0.60)
-"""Colour of the ways of tools."""
-IDS: Final = uuid.UUID("7f3d5f0e-5d0b-5a55-9d0c-6f1c2b7a4e18")
-"""What ids of layers and objects are made of, beside their paths and numbers."""
+"""Oldest version of Rhino that reads the files."""
+PATH_COLOUR: Final = (0.10, 0.20, 0.60)
+"""Colour of tool paths."""
+ID_NAMESPACE: Final = uuid.UUID("7f3d5f0e-5d0b-5a55-9d0c-6f1c2b7a4e18")
+"""Namespace of the ids of layers and objects."""
 _HEADER: Final = 32  # bytes before the first chunk of a file
-_CHUNK: Final = struct.Struct("<Iq")  # its type, and length or, with the type's highest bit, value
+_CHUNK: Final = struct.Struct("<Iq")  # type, and length, or value if the highest bit of the type is set
 _VALUE: Final = 0x80000000
 _PROPERTIES: Final = 0x10000014
 _HISTORY: Final = 0x20008021
@@ -34,9 +34,17 @@ _CRC: Final = struct.Struct("<I")
 
 
 @dataclasses.dataclass(frozen=True)
-class Shape:
-    """A mesh in the world: ``vertices`` (V, 3) [m], ``faces`` (F, 3); its ``layer``, a path, and colour; its
-    name and user text, if any."""
+class RhinoMesh:
+    """A mesh in the world.
+
+    Attributes:
+        layer: Path of the layer.
+        vertices: Vertices (V, 3) [m].
+        faces: Faces (F, 3).
+        color: Colour.
+        name: Name, or empty.
+        text: User text.
+    """
 
     layer: str
     vertices: FloatArray
@@ -47,7 +55,7 @@ class Shape:
 
 
 @dataclasses.dataclass(frozen=True)
-class Line:
+class RhinoPolyline:
     """A polyline (N, 3) [m] in the world on a ``layer``."""
 
     layer: str
@@ -56,7 +64,7 @@ class Line:
 
 
 @dataclasses.dataclass(frozen=True)
-class Target:
+class RhinoTarget:
     """A TCP (3,) [m] in the world on a ``layer``, with its user text."""
 
     layer: str
@@ -64,91 +72,102 @@ class Target:
     text: Mapping[str, str]
 
 
-def installed() -> bool:
-    """Whether 3DM files can be written."""
+def is_available() -> bool:
+    """Report whether 3DM files can be written."""
     return importlib.util.find_spec("rhino3dm") is not None
 
 
-def rhino(found: Iterable[Shape | Line | Target]) -> bytes:
-    """Shapes, lines and targets as a 3DM file of Rhino 7, in layers. Raises ``TandemError``
-    (``part.extra_missing``) without ``rhino3dm``."""
+def rhino_bytes(items: Iterable[RhinoMesh | RhinoPolyline | RhinoTarget]) -> bytes:
+    """Return shapes, lines and targets as a 3DM file of Rhino 7, in layers.
+
+    Raises:
+        TandemError: ``part.extra_missing``, rhino3dm is not installed.
+    """
     try:
         import rhino3dm
     except ImportError as error:
-        what = "3DM files need rhino3dm: pip install 'tandem-planner[cad]'"
-        raise refusal("part.extra_missing", what, field="output") from error
+        what = "3DM files need rhino3dm. Run pip install 'tandem-planner[cad]'."
+        raise issue_error("part.extra_missing", what, field="output") from error
     model = rhino3dm.File3dm()
     model.Settings.ModelUnitSystem = rhino3dm.UnitSystem.Millimeters
     layers: dict[str, int] = {}
-    for number, one in enumerate(found):
-        own = rhino3dm.ObjectAttributes()
-        own.Id = uuid.uuid5(IDS, f"object {number}")
-        color = WAY_COLOUR if isinstance(one, Target) else one.color
-        own.LayerIndex = _layer(model, layers, one.layer, color)
-        if isinstance(one, Shape):
-            own.Name = one.name
-            _say(own, one.text)
-            model.Objects.AddMesh(_mesh(one), own)
-        elif isinstance(one, Line):
-            points = [rhino3dm.Point3d(*point) for point in (one.points / MM).tolist()]
-            model.Objects.AddPolyline(rhino3dm.Polyline(points), own)
+    for number, item in enumerate(items):
+        attributes = rhino3dm.ObjectAttributes()
+        attributes.Id = uuid.uuid5(ID_NAMESPACE, f"object {number}")
+        color = PATH_COLOUR if isinstance(item, RhinoTarget) else item.color
+        attributes.LayerIndex = _layer(model, layers, item.layer, color)
+        if isinstance(item, RhinoMesh):
+            attributes.Name = item.name
+            _set_user_text(attributes, item.text)
+            model.Objects.AddMesh(_mesh(item), attributes)
+        elif isinstance(item, RhinoPolyline):
+            points = [rhino3dm.Point3d(*point) for point in (item.points / MM).tolist()]
+            model.Objects.AddPolyline(rhino3dm.Polyline(points), attributes)
         else:
-            own.Name = one.text["target"]
-            _say(own, one.text)
-            model.Objects.AddPoint(rhino3dm.Point3d(*(one.point / MM).tolist()), own)
+            attributes.Name = item.text["target"]
+            _set_user_text(attributes, item.text)
+            model.Objects.AddPoint(rhino3dm.Point3d(*(item.point / MM).tolist()), attributes)
     options = rhino3dm.File3dmWriteOptions()
     options.Version = RHINO_VERSION
-    return undated(base64.b64decode(model.Encode(options)))  # a file that is written holds its own path
+    return set_fixed_dates(
+        base64.b64decode(model.Encode(options))
+    )  # Write() would store the path in the file
 
 
-def undated(content: bytes) -> bytes:
-    """A 3DM file as made and last edited on 1 January 2000 (openNURBS chunks: type, length and content, whose
-    last four bytes may be a CRC-32 of the rest).
+def set_fixed_dates(content: bytes) -> bytes:
+    """Set the dates of creation and last edit of a 3DM file to 1 January 2000.
 
-    Raises ``ValueError`` where the file is not as rhino3dm writes it.
+    The file consists of openNURBS chunks: type, length and content, whose last four bytes may be a CRC-32
+    of the rest.
+
+    Args:
+        content: File as rhino3dm writes it.
+
+    Raises:
+        ValueError: The file has another structure.
     """
-    out, place = bytearray(content), _HEADER
-    while place + _CHUNK.size < len(out):
-        kind, length = _CHUNK.unpack_from(out, place)
-        place += _CHUNK.size
+    out, offset = bytearray(content), _HEADER
+    while offset + _CHUNK.size < len(out):
+        kind, length = _CHUNK.unpack_from(out, offset)
+        offset += _CHUNK.size
         if kind == _HISTORY:
-            end = place + length - _CRC.size
-            at = place + 1  # behind its version
-            for _ in ("made", "edited"):  # who, as a length and as many letters of two bytes; when
-                at += 4 + 2 * int.from_bytes(out[at : at + 4], "little")
-                out[at : at + len(_TIME)] = _TIME
-                at += len(_TIME)
-            if at >= end:
+            end = offset + length - _CRC.size
+            position = offset + 1  # after its version
+            for _ in ("made", "edited"):  # name (length and UTF-16 letters), then date
+                position += 4 + 2 * int.from_bytes(out[position : position + 4], "little")
+                out[position : position + len(_TIME)] = _TIME
+                position += len(_TIME)
+            if position >= end:
                 break
-            out[end : end + _CRC.size] = _CRC.pack(zlib.crc32(out[place:end]))
+            out[end : end + _CRC.size] = _CRC.pack(zlib.crc32(out[offset:end]))
             return bytes(out)
         if not kind & _VALUE and kind != _PROPERTIES:
-            place += length
-    raise ValueError("rhino3dm wrote no history of revisions where openNURBS has it")
+            offset += length
+    raise ValueError("rhino3dm wrote no revision history at its place in openNURBS files")
 
 
-def _say(own: Any, text: Mapping[str, str]) -> None:
+def _set_user_text(attributes: Any, text: Mapping[str, str]) -> None:
     for key, value in text.items():
-        own.SetUserString(key, value)
+        attributes.SetUserString(key, value)
 
 
 def _layer(model: Any, layers: dict[str, int], path: str, color: Rgb) -> int:
-    """The number of a layer by its path, made with those that it is in where it is new."""
+    """Return the number of a layer by its path. Missing layers are created with their parents."""
     import rhino3dm
 
     if path not in layers:
         parent, _, name = path.rpartition("::")
-        made = rhino3dm.Layer()
-        made.Id = uuid.uuid5(IDS, f"layer {path}")
-        made.Name = name
-        made.Color = (*(round(255 * value) for value in color), 255)
+        layer = rhino3dm.Layer()
+        layer.Id = uuid.uuid5(ID_NAMESPACE, f"layer {path}")
+        layer.Name = name
+        layer.Color = (*(round(255 * value) for value in color), 255)
         if parent:
-            made.ParentLayerId = model.Layers[_layer(model, layers, parent, color)].Id
-        layers[path] = model.Layers.Add(made)
+            layer.ParentLayerId = model.Layers[_layer(model, layers, parent, color)].Id
+        layers[path] = model.Layers.Add(layer)
     return layers[path]
 
 
-def _mesh(shape: Shape) -> Any:
+def _mesh(shape: RhinoMesh) -> Any:
     import rhino3dm
 
     mesh = rhino3dm.Mesh()

@@ -1,7 +1,7 @@
-"""The setup sheet: what the operator does, mounts, clamps and measures, and how the work goes.
+"""The setup sheet: what the operator does, mounts, clamps and measures, and the sequence of the work.
 
-Tables of tools, block and points to measure hold for a whole setup. The part on controllers says
-what is loaded and set there before the first run.
+Tables of tools, block and points to measure apply to a whole setup. The part on controllers states what is
+loaded and set there before the first run.
 """
 
 from collections.abc import Sequence
@@ -17,60 +17,66 @@ from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Problem, Setup, Stock, Turntable
 from planner.proof.verdict import Proof
 from planner.report import exhibits, markup, scene
-from planner.report.contribution import (
-    Check,
+from planner.report.markup import Block, FactsBlock, FigureBlock, Phrase, TableBlock
+from planner.report.motion_charts import operation_starts
+from planner.report.plugin_contributions import (
+    ControllerCheck,
     ControllerSetup,
     ReportOfLanguage,
-    Row,
-    by_language,
-    of_processes,
-    powered,
+    SetupRow,
+    power_signals,
+    process_reports,
+    reports_by_language,
 )
-from planner.report.markup import Block, Facts, Figure, Phrase, Table
-from planner.report.motion_charts import operation_starts
-from planner.report.pose_text import point, pose_cells
+from planner.report.pose_text import point_text, pose_cells
 from planner.tooling import Gripper
 
-_FILL = markup.Blank()
-"""Room to tick off or to write in what was measured."""
+_FILL_IN = markup.FillInBlank()
+"""Space to tick off or to write a measured value."""
 _POSE_COLUMNS = ("x, y, z [mm]", "roll, pitch, yaw [deg]", "quaternion w, x, y, z")
-"""Heads of the columns of a pose."""
+"""Column headings of a pose."""
 _CORNERS = (
     ("bottom corner −x −y", (0, 0, 0)),
     ("bottom corner +x −y", (1, 0, 0)),
     ("bottom corner −x +y", (0, 1, 0)),
     ("top corner −x −y", (0, 0, 1)),
 )
-"""Corners of the block to be measured: what they are called, and their place along x, y, z."""
+"""Corners of the block to measure: name, and position along x, y, z."""
 
 
 def tool_table(setup: Setup, plan: Plan) -> Block:
-    """What each arm carries, its TCP on the flange and its base in the world."""
+    """Tabulate the tool of each arm, its TCP on the flange, and the base in the world."""
     rows, frames = [], []
     for arm in setup.cell.arms:
         robot = arm.data
-        cog = ", ".join(markup.fixed(float(v) / MM, 1) for v in arm.tool.cog)
+        cog = ", ".join(markup.fixed_decimals(float(v) / MM, 1) for v in arm.tool.cog)
         rows.append((arm.name, robot.title, robot.controller, arm.tool.name, arm.tool.mass, cog))
         base = np.asarray(plan.bases.get(arm.name, arm.base))
         frames.append((f"{arm.name}: TCP on the flange", *pose_cells(arm.tool.tcp)))
         frames.append((f"{arm.name}: base in the world", *pose_cells(base)))
     heads = ("arm", "robot", "controller", "tool", "mass [kg]", "centre of gravity on the flange [mm]")
-    tables = [markup.table(heads, rows), markup.table(("frame", *_POSE_COLUMNS), frames)]
+    tables = [markup.make_table(heads, rows), markup.make_table(("frame", *_POSE_COLUMNS), frames)]
     doubts = [(arm.name, line) for arm in setup.cell.arms for line in arm.data.assumed]
-    tables.append(markup.table(("arm", "of the robot: assumed or not confirmed"), doubts))
-    return markup.Group(tuple(tables))
+    tables.append(markup.make_table(("arm", "robot data: assumed or not confirmed"), doubts))
+    return markup.BlockGroup(tuple(tables))
 
 
-def block_table(setup: Setup, plan: Plan, held: HoldsStock | None) -> Facts:
-    """Size and place of the block as found, and how an arm holds it."""
+def block_table(setup: Setup, plan: Plan, held: HoldsStock | None) -> FactsBlock:
+    """Tabulate size and pose of the block as found, and how an arm holds it.
+
+    Args:
+        setup: Setup.
+        plan: Plan.
+        held: Claim on the held block, or None.
+    """
     stock = setup.stock
-    found = stock.upper - stock.lower
-    place, turn, quaternion = pose_cells(np.asarray(plan.places[setup.number - 1]))
-    items: list[Row] = [("size x × y × z [mm]", _size(found))]
+    size = stock.upper - stock.lower
+    position, stock_rotation, quaternion = pose_cells(np.asarray(plan.stock_poses[setup.number - 1]))
+    items: list[SetupRow] = [("size x × y × z [mm]", _size(size))]
     if stock.oversize.any():
-        items.append(("of it the datum block [mm]", _size(stock.size)))
+        items.append(("datum block in it [mm]", _size(stock.size)))
         sides = "; ".join(
-            f"{axis} {markup.fixed(low / MM, 1)} and {markup.fixed(high / MM, 1)}"
+            f"{axis} {markup.fixed_decimals(low / MM, 1)} and {markup.fixed_decimals(high / MM, 1)}"
             for axis, low, high in zip("xyz", *stock.oversize.tolist(), strict=True)
         )
         items.append(("to be trimmed below and above [mm]", sides))
@@ -78,191 +84,220 @@ def block_table(setup: Setup, plan: Plan, held: HoldsStock | None) -> Facts:
     if stock.foam is not None:
         items.append(("foam", f"{stock.foam.title}, {stock.foam.density:g} kg/m³"))
     if stock.mass is not None:
-        items.append(("mass", f"{markup.fixed(stock.mass, 3)} kg"))
+        items.append(("mass", f"{markup.fixed_decimals(stock.mass, 3)} kg"))
     if stock.held_by is not None:
         tool = setup.cell.arm(stock.held_by).tool
-        at, lean, quaternion_grip = pose_cells(stock.grip)
+        at, rotation, quaternion_grip = pose_cells(stock.grip)
         items.append(("held by", f"{tool.name} of arm {stock.held_by}, by its bottom face"))
         items += [
             ("grip: the block's frame in the gripper's TCP frame x, y, z [mm]", at),
-            ("grip: roll, pitch, yaw [deg]", lean),
+            ("grip: roll, pitch, yaw [deg]", rotation),
             ("grip: quaternion w, x, y, z", quaternion_grip),
         ]
         if isinstance(tool, Gripper):
-            width, depth = (markup.fixed(v / MM, 0) for v in tool.footprint)
+            width, depth = (markup.fixed_decimals(v / MM, 0) for v in tool.footprint)
             items.append(("face of the gripper, centred on its TCP [mm]", f"{width} × {depth}"))
-            items += _clamped_by(setup.stock)
+            items += _grip_rows(setup.stock)
         if held is not None:
-            load = f"{markup.fixed(held.mass, 3)} kg at {point(held.cog)} mm"
-            items.append(("load told to the controller", load))
+            load = f"{markup.fixed_decimals(held.mass, 3)} kg at {point_text(held.cog)} mm"
+            items.append(("load stated to the controller", load))
     name = "place: x, y, z in the world [mm]"
     if stock.held_by is not None:
-        name = "place about which it is moved: x, y, z in the world [mm]"
+        name = "place around which it is moved: x, y, z in the world [mm]"
     if stock.held_by is None and stock.sheet is None:
-        items.append(("stands on", _stands_on(setup, np.asarray(plan.places[setup.number - 1]))))
-        items += _from_bases(setup, plan)
+        items.append(("stands on", _support_text(setup, np.asarray(plan.stock_poses[setup.number - 1]))))
+        items += _relative_to_bases(setup, plan)
     chosen = "the problem" if stock.place is not None else "the placement search"
     table = setup.cell.turntable
     if table is not None and stock.station is not None:
-        zero = table.placed(np.asarray(plan.places[setup.number - 1]), {}, stock.stands)
-        at, lean, _ = pose_cells(zero)
-        items.append((f"clamped so that it is, with {table.unit} at 0 deg, at x, y, z [mm]", at))
-        items.append((f"and its roll, pitch, yaw with {table.unit} at 0 deg [deg]", lean))
+        zero = table.move_pose(np.asarray(plan.stock_poses[setup.number - 1]), {}, stock.axis_values)
+        at, rotation, _ = pose_cells(zero)
+        items.append((f"clamp it with {table.unit} at 0 deg so that it is at x, y, z [mm]", at))
+        items.append((f"roll, pitch, yaw with {table.unit} at 0 deg [deg]", rotation))
         if stock.tilt is not None:
-            leans = f"it is tilted by {stock.tilt / DEG:g} deg here, and leans as it goes there and home"
-            items.append(("bolted or clamped to the plate", leans))
-        name = f"place once {table.unit} is at {_stand(table, stock)}: x, y, z in the world [mm]"
+            tilt_text = (
+                f"it is tilted by {stock.tilt / DEG:g} deg here, and tilts while it moves there and home"
+            )
+            items.append(("bolt or clamp it to the plate", tilt_text))
+        name = f"place with {table.unit} at {_axis_values_text(table, stock)}: x, y, z in the world [mm]"
     items += [
-        (name, place),
-        ("place: roll, pitch, yaw [deg]", turn),
+        (name, position),
+        ("place: roll, pitch, yaw [deg]", stock_rotation),
         ("place: quaternion w, x, y, z", quaternion),
         ("place chosen by", chosen),
     ]
-    return Facts(tuple(items))
+    return FactsBlock(tuple(items))
 
 
-def _stand(table: Turntable, stock: Stock) -> str:
-    """The values of the axes under a block, in words."""
-    words = (f"{axis.word} {stock.stands[name] / DEG:g}".strip() for name, axis in table.axes.items())
+def _axis_values_text(table: Turntable, stock: Stock) -> str:
+    """Return the values of the axes under a block, as text."""
+    words = (
+        f"{axis.axis_name} {stock.axis_values[name] / DEG:g}".strip() for name, axis in table.axes.items()
+    )
     return f"{', '.join(words)} deg"
 
 
-def _stands_on(setup: Setup, place: FloatArray) -> str:
-    """What the block stands on, where a positioner's tilt is at 0."""
-    table, up = setup.cell.turntable, setup.upright
-    if table is not None and setup.stock.stands:
-        place = table.placed(place, up.stock.stands, setup.stock.stands)
-    return support.support_note(up.cell, setup.stock, place)
+def _support_text(setup: Setup, stock_pose: FloatArray) -> str:
+    """Return what supports the block, where a positioner's tilt is at 0."""
+    table, up = setup.cell.turntable, setup.with_zero_tilt
+    if table is not None and setup.stock.axis_values:
+        stock_pose = table.move_pose(stock_pose, up.stock.axis_values, setup.stock.axis_values)
+    return support.support_note(up.cell, setup.stock, stock_pose)
 
 
-def _from_bases(setup: Setup, plan: Plan) -> list[Row]:
-    """Where the block is from the base of each arm: one bottom corner, its edges, its underside."""
-    stock, place = setup.stock, np.asarray(plan.places[setup.number - 1])
-    out: list[Row] = []
+def _relative_to_bases(setup: Setup, plan: Plan) -> list[SetupRow]:
+    """Return the position of the block relative to each base: a bottom corner, and the edge direction."""
+    stock, stock_pose = setup.stock, np.asarray(plan.stock_poses[setup.number - 1])
+    out: list[SetupRow] = []
     for arm in setup.cell.arms:
         base = np.asarray(plan.bases.get(arm.name, arm.base))
-        seen = np.linalg.inv(base) @ place
+        seen = np.linalg.inv(base) @ stock_pose
         corner = (seen @ np.append(stock.lower, 1.0))[:3]
         along = seen[:2, 0] if np.linalg.norm(seen[:2, 0]) > 0.5 else seen[:2, 1]
-        turn = float(np.arctan2(along[1], along[0])) / DEG
-        off = abs((turn + 45.0) % 90.0 - 45.0)
-        edges = "parallel to the base" if off < 0.005 else f"turned by {markup.fixed(turn, 2)} deg"
-        out.append((f"from the base of {arm.name}: corner −x −y −z [mm]", f"{point(corner)}; edges {edges}"))
+        angle = float(np.arctan2(along[1], along[0])) / DEG
+        deviation = abs((angle + 45.0) % 90.0 - 45.0)
+        edges = (
+            "parallel to the base"
+            if deviation < 0.005
+            else f"rotated by {markup.fixed_decimals(angle, 2)} deg"
+        )
+        out.append(
+            (f"from the base of {arm.name}: corner −x −y −z [mm]", f"{point_text(corner)}; edges {edges}")
+        )
     return out
 
 
-def _clamped_by(stock: Stock) -> list[Row]:
-    """Where the middle of a gripper is, from two edges of the block's bottom face."""
+def _grip_rows(stock: Stock) -> list[SetupRow]:
+    """Return the position of the middle of a gripper from two edges of the block's bottom face."""
     middle = np.linalg.inv(stock.grip)
     across = middle[:2, 3] - stock.lower[:2]
-    turn = float(np.arctan2(middle[1, 0], middle[0, 0])) / DEG
-    turned = "its sides along the block's" if abs(turn) < 1e-6 else f"turned by {markup.fixed(turn, 1)} deg"
-    x, y = (markup.fixed(float(v) / MM, 1) for v in across)
+    angle = float(np.arctan2(middle[1, 0], middle[0, 0])) / DEG
+    rotation_text = (
+        "parallel to the block" if abs(angle) < 1e-6 else f"rotated by {markup.fixed_decimals(angle, 1)} deg"
+    )
+    x, y = (markup.fixed_decimals(float(v) / MM, 1) for v in across)
     edges = f"{x} mm from edge −x, {y} mm from edge −y"
     by = "Tandem" if stock.grip_chosen else "the problem"
     return [
-        ("middle of the gripper on the block's bottom face", f"{edges}; {turned}"),
+        ("middle of the gripper on the block's bottom face", f"{edges}; {rotation_text}"),
         ("grip chosen by", by),
     ]
 
 
-def measured_points(setup: Setup, plan: Plan, operation: int) -> Table:
-    """TCPs at the first target of an operation and corners of the block, with room for what was measured."""
+def measured_points(setup: Setup, plan: Plan, operation: int) -> TableBlock:
+    """Tabulate TCPs at the first target and corners of the block, with space for measured values.
+
+    Args:
+        setup: Setup.
+        plan: Plan.
+        operation: Index of the operation.
+    """
     rows: list[tuple[Phrase, ...]] = []
-    made = plan.operations[operation]
+    operation_plan = plan.operations[operation]
     for arm in setup.cell.arms:
-        if arm.name not in made.q:
+        if arm.name not in operation_plan.q:
             continue
-        q = made.q[arm.name][0]
-        counted = made.commanded.get(arm.name, made.q[arm.name])[0]
-        angles = ", ".join(markup.fixed(float(v) / DEG, 3) for v in arm.data.to_controller(counted))
-        place, turn, _ = pose_cells(scene.flange_poses(arm, plan.bases, q) @ arm.tool.tcp)
-        rows.append((f"{arm.name}: TCP at {made.targets.name(0)}, world", place, turn, angles, _FILL))
+        q = operation_plan.q[arm.name][0]
+        counted = operation_plan.commanded.get(arm.name, operation_plan.q[arm.name])[0]
+        angles = ", ".join(markup.fixed_decimals(float(v) / DEG, 3) for v in arm.data.to_controller(counted))
+        position, turn, _ = pose_cells(scene.flange_poses(arm, plan.bases, q) @ arm.tool.tcp)
+        rows.append(
+            (f"{arm.name}: TCP at {operation_plan.targets.name(0)}, world", position, turn, angles, _FILL_IN)
+        )
     stock = setup.stock
     ends = np.array([stock.lower, stock.upper])
     held = stock.held_by is not None
-    frame = stock.grip if held else np.asarray(plan.places[setup.number - 1])
+    frame = stock.grip if held else np.asarray(plan.stock_poses[setup.number - 1])
     where = f"TCP frame of {stock.held_by}" if held else "world"
     if setup.cell.turntable is not None and stock.station is not None:
-        where = f"world, {setup.cell.turntable.unit} at {_stand(setup.cell.turntable, stock)}"
+        where = f"world, {setup.cell.turntable.unit} at {_axis_values_text(setup.cell.turntable, stock)}"
     for label, (i, j, k) in _CORNERS:
         corner = np.array([ends[i, 0], ends[j, 1], ends[k, 2], 1.0])
-        rows.append((f"block, {label}, {where}", point((frame @ corner)[:3]), "", "", _FILL))
+        rows.append((f"block, {label}, {where}", point_text((frame @ corner)[:3]), "", "", _FILL_IN))
     heads = ("what", *_POSE_COLUMNS[:2], "axes on the controller [deg]", "measured")
-    return markup.table(heads, rows)
+    return markup.make_table(heads, rows)
 
 
 def _size(size: FloatArray) -> str:
-    return " × ".join(markup.fixed(float(v) / MM, 1) for v in size)
+    return " × ".join(markup.fixed_decimals(float(v) / MM, 1) for v in size)
 
 
-_CHECK_COLUMNS = ("controller", "what", "to be so", "done")
-"""Heads of the table of what is checked at controllers."""
+_CHECK_COLUMNS = ("controller", "what", "required", "done")
+"""Column headings of the table of checks at controllers."""
 
 
-def controller_checks(problem: Problem, plan: Plan) -> Table:
-    """A table to tick off, for each controller of the arms that take part."""
+def controller_checks(problem: Problem, plan: Plan) -> TableBlock:
+    """Return a table to tick off, for each controller of the arms that take part."""
     used = {name for operation in plan.operations for name in operation.targets.arms}
     arms = [arm for arm in problem.cell.arms if arm.name in used]
     alone = problem.cell.controller.sync == "handshake"
     joined = alone and len(arms) > 1
     controllers = [
-        (language, own)
-        for language, together in by_language(arms)
-        for own in ([(arm,) for arm in together] if alone else [together])
+        (language, arms_of_controller)
+        for language, together in reports_by_language(arms)
+        for arms_of_controller in ([(arm,) for arm in together] if alone else [together])
     ]
-    controllers.sort(key=lambda one: arms.index(one[1][0]))
+    controllers.sort(key=lambda controller: arms.index(controller[1][0]))
     rows = [
         row
-        for language, own in controllers
-        for row in _checked(own, language.checks(ControllerSetup(problem, plan, own, joined)))
+        for language, arms_of_controller in controllers
+        for row in _check_rows(
+            arms_of_controller, language.checks(ControllerSetup(problem, plan, arms_of_controller, joined))
+        )
     ]
     if alone and not joined:
         rest = ", ".join(arm.name for arm in problem.cell.arms if arm.name not in used)
-        what = "stands at home, its program stopped: nothing in this job looks at it"
-        rows += [row for arm in arms if rest for row in _checked([arm], [(f"{rest} meanwhile", what)])]
+        what = "is at home with its program stopped: this job does not monitor it"
+        rows += [row for arm in arms if rest for row in _check_rows([arm], [(f"{rest} meanwhile", what)])]
     if joined:
-        rows += _checked(arms, _wire_checks(problem, plan, arms))
-    for language, own in controllers:
-        rows += [row for arm in own for row in _checked([arm], _sag(arm, language))]
-    return markup.table(_CHECK_COLUMNS, rows)
+        rows += _check_rows(arms, _wire_checks(problem, plan, arms))
+    for language, arms_of_controller in controllers:
+        rows += [row for arm in arms_of_controller for row in _check_rows([arm], _sag_checks(arm, language))]
+    return markup.make_table(_CHECK_COLUMNS, rows)
 
 
-def _checked(arms: Sequence[Arm], checks: Sequence[Check]) -> list[tuple[Phrase, ...]]:
-    """Rows of the table for the controllers of arms."""
+def _check_rows(arms: Sequence[Arm], checks: Sequence[ControllerCheck]) -> list[tuple[Phrase, ...]]:
+    """Return rows of the table for the controllers of some arms."""
     names = ", ".join(arm.name for arm in arms)
-    return [(names, what, how, _FILL) for what, how in checks]
+    return [(names, what, how, _FILL_IN) for what, how in checks]
 
 
-def _sag(arm: Arm, language: ReportOfLanguage) -> list[Check]:
-    """What makes up for the arm's sag, which must be done once, and by what figures."""
+def _sag_checks(arm: Arm, language: ReportOfLanguage) -> list[ControllerCheck]:
+    """Return what compensates the sag of an arm, which must be only one, and with which values."""
     if arm.sag is None or arm.stiffness is None:
         return []
-    own = language.load_compensation
-    off = f"off ({own}): the program makes up for the load's sag itself"
-    on = f"on ({own}): the program makes up for the work's force alone"
+    compensation_name = language.load_compensation
+    off_text = f"off ({compensation_name}): the program compensates the sag from the load"
+    on_text = f"on ({compensation_name}): the program compensates only the process force"
     joints = ", ".join(f"{value:.3g}" for value in arm.stiffness.joints)
     return [
-        ("the controller's own compensation of load", off if arm.sag.load else on),
+        ("load compensation of the controller", off_text if arm.sag.load else on_text),
         ("stiffness of the joints [N m/rad], as stated", f"{joints} ({arm.stiffness.source})"),
     ]
 
 
-def _wire_checks(problem: Problem, plan: Plan, arms: Sequence[Arm]) -> list[Check]:
-    """Each wire between two controllers, and how it is tried."""
+def _wire_checks(problem: Problem, plan: Plan, arms: Sequence[Arm]) -> list[ControllerCheck]:
+    """Return each wire between two controllers, and how it is tested."""
     names = [arm.name for arm in arms]
     handshake = problem.cell.controller.handshake
-    out = [(f"wire: {_wire(wire)}", "0 and 1 are read at its end") for wire in handshake.wired(names)]
-    for wire in handshake.wired_running(names):
-        falls = " and its power falls" if powered(problem, plan, [problem.cell.arm(wire.sink)]) else ""
-        what = (
-            f"pulled while both programs run: arm {wire.sink} stops at once{falls}, then arm {wire.source} "
+    out = [
+        (f"wire: {_wire_text(wire)}", "0 and 1 are read at its input")
+        for wire in handshake.meeting_wires(names)
+    ]
+    for wire in handshake.running_wires(names):
+        falls = (
+            " and its power switches off"
+            if power_signals(problem, plan, [problem.cell.arm(wire.sink)])
+            else ""
         )
-        out.append((f"running wire: {_wire(wire)}", f"{what}stops, too"))
+        what = (
+            f"unplug while both programs run: arm {wire.sink} stops at once{falls}, then arm {wire.source} "
+        )
+        out.append((f"running wire: {_wire_text(wire)}", f"{what}stops too"))
     return out
 
 
-def _wire(wire: SignalWire) -> str:
+def _wire_text(wire: SignalWire) -> str:
     return f"{wire.output} of {wire.source} to {wire.input} of {wire.sink}"
 
 
@@ -277,40 +312,46 @@ _STOP_WORDS = {
 """What a program does at a stop, by kind of action."""
 
 
-def sheet(problem: Problem, plan: Plan, proof: Proof | None = None) -> markup.Group:
-    """All of the setup sheet for a plan, a part for each setup."""
+def build_sheet(problem: Problem, plan: Plan, proof: Proof | None = None) -> markup.BlockGroup:
+    """Return the whole setup sheet of a plan, with a part for each setup.
+
+    Args:
+        problem: Problem.
+        plan: Plan.
+        proof: Proof, or None.
+    """
     starts = operation_starts(plan)
     parts: list[Block] = []
     for setup in problem.setups:
-        made = [i for i in setup.operations if i < len(plan.operations)]
-        if not made:
+        operations = [i for i in setup.operations if i < len(plan.operations)]
+        if not operations:
             continue
         if len(problem.setups) > 1:
-            names = ", ".join(plan.operations[i].name for i in made)
+            names = ", ".join(plan.operations[i].name for i in operations)
             parts.append(markup.Heading(f"Setup {setup.number}: {names}"))
         if setup.steps:
-            parts.append(Figure("To do, with all arms at home", _steps(setup)))
-        parts.append(Figure("Robots and tools", tool_table(setup, plan)))
-        parts.append(Figure("Block", block_table(setup, plan, _holds(setup, plan))))
-        for index in made:
+            parts.append(FigureBlock("To do, with all arms at home", _steps(setup)))
+        parts.append(FigureBlock("Robots and tools", tool_table(setup, plan)))
+        parts.append(FigureBlock("Block", block_table(setup, plan, _held_stock_claim(setup, plan))))
+        for index in operations:
             operation = plan.operations[index]
             title = f"Operation {operation.name}" if len(plan.operations) > 1 else "Work"
-            parts.append(Figure(title, _work(problem, setup, plan, operation, proof)))
-            parts.append(Figure("Stops with something to do", _stops(operation, starts[index])))
+            parts.append(FigureBlock(title, _work_facts(problem, setup, plan, operation, proof)))
+            parts.append(FigureBlock("Stops and actions", _stop_table(operation, starts[index])))
         if setup.number == 1:
-            parts.append(Figure("Controllers, before the first run", controller_checks(problem, plan)))
-        parts.append(Figure("Measure before the first run", measured_points(setup, plan, made[0])))
-    return markup.Group(tuple(parts), apart=True)
+            parts.append(FigureBlock("Controllers, before the first run", controller_checks(problem, plan)))
+        parts.append(FigureBlock("Measure before the first run", measured_points(setup, plan, operations[0])))
+    return markup.BlockGroup(tuple(parts), spaced=True)
 
 
 def _steps(setup: Setup) -> Block:
-    """What the operator does, and what the program then asks."""
-    asked = markup.Joined(("The program asks: ", markup.Bold(setup.confirmation)))
-    return markup.Group((markup.Steps(tuple(setup.steps)), markup.Paragraph(asked)))
+    """Return what the operator does, and what the program then asks."""
+    question = markup.JoinedPhrases(("The program asks: ", markup.Bold(setup.confirmation)))
+    return markup.BlockGroup((markup.StepsBlock(tuple(setup.steps)), markup.Paragraph(question)))
 
 
-def _holds(setup: Setup, plan: Plan) -> HoldsStock | None:
-    """What the controller is told of a held block."""
+def _held_stock_claim(setup: Setup, plan: Plan) -> HoldsStock | None:
+    """Return the claim about a held block that the controller needs, None if no arm holds a block."""
     for index in setup.operations:
         for claim in plan.operations[index].targets.claims if index < len(plan.operations) else ():
             if isinstance(claim, HoldsStock):
@@ -318,41 +359,45 @@ def _holds(setup: Setup, plan: Plan) -> HoldsStock | None:
     return None
 
 
-def _work(problem: Problem, setup: Setup, plan: Plan, operation: OperationPlan, proof: Proof | None) -> Facts:
+def _work_facts(
+    problem: Problem, setup: Setup, plan: Plan, operation: OperationPlan, proof: Proof | None
+) -> FactsBlock:
     targets = operation.targets
-    items: list[Row] = []
-    for process in of_processes(problem):
+    items: list[SetupRow] = []
+    for process in process_reports(problem):
         items += process.setup_rows(setup, plan, operation, proof)
     items += exhibits.setup_items(targets.exhibits)
     signals = dict.fromkeys(a.signal for a in targets.actions if a.signal)
-    items += [("signals", _listed([markup.Code(signal) for signal in signals]))] if signals else []
+    items += (
+        [("signals", _comma_separated([markup.CodePhrase(signal) for signal in signals]))] if signals else []
+    )
     waits = sum(a.seconds for a in targets.actions)
-    items += [("waits in all", f"{markup.fixed(waits, 1)} s")] if waits else []
-    for language, arms in by_language(problem.cell.arms):
+    items += [("total waiting time", f"{markup.fixed_decimals(waits, 1)} s")] if waits else []
+    for language, arms in reports_by_language(problem.cell.arms):
         items += language.programs(problem, arms)
-    return Facts((*items, *_wires(problem)))
+    return FactsBlock((*items, *_wire_rows(problem)))
 
 
-def _listed(phrases: Sequence[Phrase]) -> Phrase:
-    return markup.Joined(tuple(part for one in phrases for part in (", ", one))[1:])
+def _comma_separated(phrases: Sequence[Phrase]) -> Phrase:
+    return markup.JoinedPhrases(tuple(part for phrase in phrases for part in (", ", phrase))[1:])
 
 
-def _wires(problem: Problem) -> list[Row]:
-    """The wires between two controllers that meet by handshake."""
+def _wire_rows(problem: Problem) -> list[SetupRow]:
+    """Return the wires between two controllers that are synchronised by handshake."""
     controller = problem.cell.controller
     if controller.sync != "handshake":
         return []
     arms = [arm.name for arm in problem.cell.arms]
-    wires = (*controller.handshake.wired(arms), *controller.handshake.wired_running(arms))
-    return [("wires between the controllers", ", ".join(map(_wire, wires)))]
+    wires = (*controller.handshake.meeting_wires(arms), *controller.handshake.running_wires(arms))
+    return [("wires between the controllers", ", ".join(map(_wire_text, wires)))]
 
 
-def _stops(operation: OperationPlan, start: float) -> Block:
+def _stop_table(operation: OperationPlan, start: float) -> Block:
     rows: list[tuple[Phrase, ...]] = []
     for action in operation.targets.actions:
         what = action.text or action.signal or (f"{action.seconds:g} s" if action.kind == "wait" else "")
-        time = markup.fixed(float(operation.time[action.at]) + start, 1)
-        rows.append((time, operation.targets.name(action.at), _STOP_WORDS[action.kind], what))
+        time = markup.fixed_decimals(float(operation.time[action.target]) + start, 1)
+        rows.append((time, operation.targets.name(action.target), _STOP_WORDS[action.kind], what))
     if not rows:
         return markup.Paragraph("none")
-    return markup.table(("motion time [s]", "at target", "", "what"), rows)
+    return markup.make_table(("motion time [s]", "at target", "", "what"), rows)

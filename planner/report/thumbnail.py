@@ -1,4 +1,4 @@
-"""A small picture of the cell, out of a saved report: for lists of many jobs."""
+"""Thumbnail of the cell from a saved report, for lists of jobs."""
 
 import io
 from pathlib import Path
@@ -8,32 +8,41 @@ from PIL import Image
 
 from planner.report import markup
 
-SIZE: Final = (200, 120)
-"""Largest width and height [pixels]."""
-COLOURS: Final = 128
-"""Colours and strengths of a thumbnail: no more are seen in one so small, and it takes 3 kB, not 12."""
+MAX_SIZE: Final = (200, 120)
+"""Maximum width and height [px]."""
+COLOUR_COUNT: Final = 128
+"""Number of colours with opacity.
+
+More are not visible at this size, and the file takes 3 kB instead of 12.
+"""
 MAX_REPORT_BYTES: Final = 50_000_000
-"""Bytes of a report beyond which its picture is not looked for."""
+"""Maximum size [bytes] of a report that is searched for its picture."""
 MAX_PIXELS: Final = 40_000_000
-"""Pixels of a picture beyond which no thumbnail is made of it."""
+"""Maximum number of pixels of a picture that gets a thumbnail."""
 
 
 def thumbnail(report: Path) -> bytes | None:
-    """The cell's picture in a report as a small PNG, see-through where nothing is; None where it has none
-    that can be read."""
+    """Return the picture of the cell in a report as a small PNG with transparency.
+
+    Args:
+        report: Path of ``report.html``.
+
+    Returns:
+        PNG, or None if there is no readable picture.
+    """
     try:
         if report.stat().st_size > MAX_REPORT_BYTES:
             return None
-        found = markup.photo(report.read_text("utf-8"), markup.CELL)
-        if found is None:
+        photo = markup.extract_photo(report.read_text("utf-8"), markup.CELL_PICTURE_NAME)
+        if photo is None:
             return None
-        with Image.open(io.BytesIO(found), formats=["PNG"]) as picture:
+        with Image.open(io.BytesIO(photo), formats=["PNG"]) as picture:
             if picture.width * picture.height > MAX_PIXELS:
                 return None
-            small = picture.convert("RGBA")
-            small.thumbnail(SIZE)
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):  # Pillow's, of what is no PNG
+            image = picture.convert("RGBA")
+            image.thumbnail(MAX_SIZE)
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):  # Pillow on invalid PNGs
         return None
     stream = io.BytesIO()
-    small.quantize(COLOURS, method=Image.Quantize.FASTOCTREE).save(stream, "PNG", optimize=True)
+    image.quantize(COLOUR_COUNT, method=Image.Quantize.FASTOCTREE).save(stream, "PNG", optimize=True)
     return stream.getvalue()

@@ -1,4 +1,4 @@
-"""The bar of the replay: its time, what it consists of, and how the programs' clock leads to it."""
+"""Time bar of the replay: its time, its segments, and the mapping from the clock of the programs."""
 
 import html
 import json
@@ -9,7 +9,7 @@ import numpy as np
 
 from planner.claims.segments import WORKING_KINDS, Segment
 from planner.geometry.arrays import FloatArray
-from planner.report.scene import MOTION_TIME, SETUP_SEGMENT, TRAVEL_TIME, Track
+from planner.report.scene import MOTION_TIME, SETUP_SEGMENT, TRAVEL_TIME, Keyframes
 
 _SEGMENT_COLOURS: Final = {
     **dict.fromkeys(WORKING_KINDS, "#f08a3c"),
@@ -23,24 +23,31 @@ _SEGMENT_COLOURS: Final = {
 }
 """Colours of the time bar by kind of segment."""
 _OTHER_COLOUR: Final = "#8d99a8"
-"""Colour of the time bar for every other kind of segment."""
+"""Colour of the time bar for all other kinds of segments."""
 Clock = tuple[tuple[float, float], ...]
-"""Times of the programs and of the replay [s] that belong together, ascending; straight between them."""
+"""Corresponding times of the programs and of the replay [s], ascending, with linear interpolation."""
 
 
-def time_bar(name: str, run: Track, clock: Clock = (), motion_time: float | None = None) -> str:
-    """HTML of the bar for a replay that starts at time 0, and the times that its script needs; with
-    ``motion_time`` [s], which the report states, it says how much of its own time is what.
+def time_bar(name: str, run: Keyframes, clock: Clock = (), motion_time: float | None = None) -> str:
+    """Return the HTML of the bar for a replay that starts at time 0, with the times that its script needs.
 
-    ``#t=seconds`` in the address stops there, also when it changes; ``#at=`` is a time on the programs'
-    clock, which ``clock`` leads over; ``#work=`` one from the start of the work of the operation that has the
-    segment ``in=``.
+    ``#t=seconds`` in the address stops there, also when it changes. ``#at=`` is a time on the clock of the
+    programs, which ``clock`` maps. ``#work=`` is a time from the start of the work of the operation with
+    the segment ``in=``.
+
+    Args:
+        name: Name of the problem.
+        run: Keyframes.
+        clock: Mapping from the clock of the programs.
+        motion_time: Motion time that the report states [s]. Then the bar states the parts of its time.
     """
     time = run.time - run.time[0]
     end = float(max(time[-1], 1e-3))
     data = {
         "end": round(end, 3),
-        "segments": [(a, b, str(one), colour) for a, b, one, colour in _segments(time, run.segment)],
+        "segments": [
+            (a, b, str(segment), colour) for a, b, segment, colour in _segment_runs(time, run.segment)
+        ],
         "clock": [(round(a, 3), round(b, 3)) for a, b in clock],
         "stops": [(round(at - float(run.time[0]), 3), text) for at, text in run.stops],
     }
@@ -56,59 +63,67 @@ def time_bar(name: str, run: Track, clock: Clock = (), motion_time: float | None
         f"<input type='range' id='time' min='0' max='{end:.3f}' step='any' value='0' aria-label='Time'></div>"
         f"<select id='speed' title='Speed' aria-label='Speed of the replay'>{options}</select></div>"
         f"<div class='say'><b>{html.escape(name)}</b><span><span class='time'></span>"
-        f"{_shares(end, run, motion_time)}</span>"
+        f"{_time_parts(end, run, motion_time)}</span>"
         "<span><i></i><span class='segment'></span></span>"
         "<span class='stopped' role='status'></span></div></div>"
-        f"{embedded('track', data)}"
+        f"{embed_json('track', data)}"
     )
 
 
-def embedded(name: str, data: Any) -> str:
-    """Data that a script of the page reads by that id."""
+def embed_json(name: str, data: Any) -> str:
+    """Embed data that a script of the page reads by an id."""
     packed = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     return f"<script type='application/json' id='{name}'>{packed}</script>"
 
 
-def _shares(end: float, run: Track, motion_time: float | None) -> str:
-    """What the time ``end`` [s] of a replay consists of; the report's ``motion_time`` [s] is a part of it."""
+def _time_parts(end: float, run: Keyframes, motion_time: float | None) -> str:
+    """State the parts of the time ``end`` [s] of a replay.
+
+    The report's ``motion_time`` [s] is one of them.
+    """
     if motion_time is None or end - motion_time < 0.05:
         return ""
-    rest = "ways from and to home"
+    rest = "approach and retreat"
     rest += " and changes of setup" if SETUP_SEGMENT in run.segment else ""
-    travel = f"{_clock_time(run.travel)} {TRAVEL_TIME}, " if run.travel else ""
+    travel = f"{_format_clock(run.travel)} {TRAVEL_TIME}, " if run.travel else ""
     left = end - motion_time - run.travel
-    return f": {_clock_time(motion_time)} {MOTION_TIME}, {travel}{_clock_time(left)} {rest}"
+    return f": {_format_clock(motion_time)} {MOTION_TIME}, {travel}{_format_clock(left)} {rest}"
 
 
-def _clock_time(seconds: float) -> str:
-    """A time as the bar shows it: minutes, and seconds to a tenth."""
+def _format_clock(seconds: float) -> str:
+    """Format a time as in the bar: minutes, and seconds to a tenth."""
     tenths = round(10.0 * seconds)
     return f"{tenths // 600}:{tenths % 600 / 10:04.1f}"
 
 
-def replay_clock(run: Track, time: FloatArray, labels: Sequence[str]) -> Clock:
-    """How the programs' clock, ``time`` (S,) [s] with the ``labels`` (S,) of what is done (keys of
-    segments), leads to the replay's: what has the same label in both begins and ends together, and so does
-    the whole.
+def replay_clock(run: Keyframes, time: FloatArray, labels: Sequence[str]) -> Clock:
+    """Map the clock of the programs to that of the replay.
 
-    The replay shows the ways from and to home at a pace of its own, so the clocks differ by more than a
-    shift.
+    Segments with the same label start and end together in both, and so does the whole. The replay shows
+    approach and retreat at its own speed, so the clocks differ by more than an offset.
+
+    Args:
+        run: Keyframes.
+        time: Times of the programs (S,) [s].
+        labels: Keys of segments (S,).
     """
-    shown = [(one, a, b) for a, b, one, _ in _segments(run.time - run.time[0], run.segment)]
+    shown = [
+        (shown_segment, a, b) for a, b, shown_segment, _ in _segment_runs(run.time - run.time[0], run.segment)
+    ]
     out: list[tuple[float, float]] = []
-    for label, first, last in _runs(labels):
-        found = next((i for i, one in enumerate(shown) if one[0].key == label), None)
-        if found is not None:
-            _, start, end = shown[found]
-            shown = shown[found + 1 :]
+    for label, first, last in _label_runs(labels):
+        index = next((i for i, shown_segment in enumerate(shown) if shown_segment[0].key == label), None)
+        if index is not None:
+            _, start, end = shown[index]
+            shown = shown[index + 1 :]
             out += [(float(time[max(first - 1, 0)]), start), (float(time[last]), end)]
     if not out:
         return ()
     return ((float(time[0]), 0.0), *out, (float(time[-1]), float(run.time[-1] - run.time[0])))
 
 
-def _runs(labels: Sequence[str]) -> list[tuple[str, int, int]]:
-    """Runs of equal labels: label, first and last index."""
+def _label_runs(labels: Sequence[str]) -> list[tuple[str, int, int]]:
+    """Return runs of equal labels: label, first and last index."""
     edges = [i for i in range(1, len(labels)) if labels[i] != labels[i - 1]]
     return [
         (str(labels[a]), a, b - 1)
@@ -117,8 +132,11 @@ def _runs(labels: Sequence[str]) -> list[tuple[str, int, int]]:
     ]
 
 
-def _segments(time: np.ndarray, segments: tuple[Segment, ...]) -> list[tuple[float, float, Segment, str]]:
-    """Runs of one segment: start, end, segment, colour; it belongs to the way to its keyframe."""
+def _segment_runs(time: np.ndarray, segments: tuple[Segment, ...]) -> list[tuple[float, float, Segment, str]]:
+    """Return runs of one segment: start, end, segment, colour.
+
+    A segment belongs to the path to its keyframe.
+    """
     out: list[tuple[float, float, Segment, str]] = []
     for i in range(1, len(segments)):
         a, b = round(float(time[i - 1]), 3), round(float(time[i]), 3)

@@ -71,7 +71,8 @@ def memoized(function: Callable[P, T]) -> Callable[P, T]:
 def digest(*values: Any) -> str:
     """Return the SHA-256 of arrays, numbers, strings, and dataclasses, tuples, lists and mappings of them.
 
-    Raises ``TypeError`` for other values.
+    Raises:
+        TypeError: A value is of another type.
     """
     state = hashlib.sha256()
     for value in values:
@@ -93,16 +94,16 @@ def _add(add: Callable[[bytes], None], value: Any) -> None:
         add(f"str {len(text)};".encode() + text)
     elif isinstance(value, tuple | list):
         add(f"list {len(value)};".encode())
-        for one in value:
-            _add(add, one)
+        for item in value:
+            _add(add, item)
     elif isinstance(value, Mapping):
         add(f"mapping {len(value)};".encode())
-        for key, one in value.items():
+        for key, item in value.items():
             _add(add, key)
-            _add(add, one)
+            _add(add, item)
     elif dataclasses.is_dataclass(value) and not isinstance(value, type):
         add(f"{type(value).__module__}.{type(value).__qualname__};".encode())
         for field in dataclasses.fields(value):
             _add(add, getattr(value, field.name))
     else:
-        raise TypeError(f"got a {type(value).__name__}; wanted are arrays, numbers, words and dataclasses")
+        raise TypeError(f"got a {type(value).__name__}; allowed: arrays, numbers, strings, dataclasses")

@@ -1,20 +1,23 @@
-"""Memory of this process: return free memory to the operating system, and exempt permanent objects from the
-garbage collector."""
+"""Memory of this process.
+
+Return free memory to the operating system, and exempt permanent objects from the garbage collector.
+"""
 
 import ctypes
 import functools
 import gc
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from typing import Any
+from contextvars import ContextVar
+from typing import Any, Final
 
-_own: list[bool] = []
-"""Not empty in a process that the planner started or that runs only the planner."""
+_OWN_PROCESS: Final = ContextVar("own_process", default=False)
+"""Whether the planner started this process, or the process runs only the planner."""
 
 
 def mark_own_process() -> None:
     """Mark this process as the planner's own. Call it at the start, before user code has created objects."""
-    _own.append(True)
+    _OWN_PROCESS.set(True)
 
 
 @contextmanager
@@ -30,7 +33,7 @@ def gc_frozen() -> Iterator[None]:
     gc.disable()
     try:
         yield
-        if _own:
+        if _OWN_PROCESS.get():
             gc.freeze()
     finally:
         if enabled:

@@ -1,13 +1,13 @@
 """Plug-in points: manufacturing processes and robot languages.
 
 A plug-in is a value (:class:`Process` or :class:`Language`) that names its parts by references such as
-``"planner.processes.forming.plan.job:FormingJob"``. A reference is imported on first use. So a room on a low
-floor (the proof, the report) uses a part of a plug-in without importing the plug-in, and reading a problem
+``"planner.processes.forming.plan.job:FormingJob"``. A reference is imported on first use. So a lower layer
+(the proof, the report) uses a part of a plug-in without importing the plug-in, and reading a problem
 imports neither planner nor proof.
 
-Plug-ins of Tandem are listed in :data:`BUILT_IN`. Plug-ins of other packages are found by their entry points
-in the groups ``tandem.processes`` and ``tandem.languages``. The name of an entry point is the name of the
-plug-in, its object is a :class:`Process` or a :class:`Language`.
+Plug-ins of Tandem are listed in :data:`BUILT_IN`. Plug-ins of other packages are found by their entry
+points in the groups ``tandem.processes`` and ``tandem.languages``. The name of an entry point is the name
+of the plug-in, its object is a :class:`Process` or a :class:`Language`.
 """
 
 import contextlib
@@ -32,10 +32,12 @@ class Process:
             and the method ``leaves(stock)``, which returns the stock as the next operation finds it.
         job: Subclass of :class:`planner.targets.Job`: its targets, and the claims that must hold.
         claims: Tuple of the kinds of claims that only this process makes.
-        codes: Dictionary of issue codes and their :class:`planner.issue_codes.Code`.
+        codes: Dictionary of issue codes and their :class:`planner.issue_codes.IssueCode`.
         proof: :class:`planner.proof.contribution.ProofOfProcess`: facts and rules.
-        report: :class:`planner.report.contribution.ReportOfProcess`: key figures, charts, setup sheet.
-        wider: :data:`planner.reading.size_advice.Wider`: how much larger an opening that was refused must be.
+        report: :class:`planner.report.plugin_contributions.ReportOfProcess`: key figures, charts and setup
+            sheet.
+        wider: :data:`planner.reading.size_advice.RequiredWidening`: required increase of an opening that was
+            refused.
     """
 
     GROUP: ClassVar[str] = "tandem.processes"
@@ -59,12 +61,12 @@ class Language:
         endings: Endings of the names of program files, in lower case, with the dot.
         other_endings: Endings of other text files of the language, such as lists of programs.
         utf_8: Endings of files that the controller reads as UTF-8 without byte order mark.
-        comment: Sign that begins a comment.
-        codes: Dictionary of issue codes and their :class:`planner.issue_codes.Code`.
+        comment: Character that starts a comment.
+        codes: Dictionary of issue codes and their :class:`planner.issue_codes.IssueCode`.
         reader: :class:`planner.programs.language.Reader`: reads programs.
         writer: :class:`planner.languages.writing.language.Writer`: refuses jobs, and writes programs.
         proof: :class:`planner.proof.language_contribution.ProofOfLanguage`: rules about the text.
-        report: :class:`planner.report.contribution.ReportOfLanguage`: rows of the setup sheet.
+        report: :class:`planner.report.plugin_contributions.ReportOfLanguage`: rows of the setup sheet.
     """
 
     GROUP: ClassVar[str] = "tandem.languages"
@@ -113,12 +115,12 @@ class PluginError(Exception):
 
 
 @dataclasses.dataclass(frozen=True)
-class Found:
-    """A plug-in as it was found.
+class LoadedPlugin:
+    """Result of loading a plug-in.
 
     Attributes:
         plugin: The plug-in, or None if it cannot be used.
-        owner: Who brings it: "Tandem", or the name of a package.
+        owner: Its origin: "Tandem", or the name of a package.
         fault: Why it cannot be used, a sentence without full stop.
     """
 
@@ -139,16 +141,16 @@ def load(reference: Reference, kind: type[T]) -> T:
     """
     module, _, name = reference.partition(":")
     try:
-        found = getattr(import_module(module), name)
+        loaded = getattr(import_module(module), name)
     except Exception as error:  # code of another package may raise anything
         raise PluginError(f"cannot be imported ({type(error).__name__}: {error})") from error
-    if not isinstance(found, kind):
-        raise PluginError(f"is {type(found).__name__}, not {kind.__module__}.{kind.__name__}")
-    return found
+    if not isinstance(loaded, kind):
+        raise PluginError(f"is {type(loaded).__name__}, not {kind.__module__}.{kind.__name__}")
+    return loaded
 
 
 @functools.cache
-def installed(kind: type[Plugin]) -> Mapping[str, Found]:
+def installed(kind: type[Plugin]) -> Mapping[str, LoadedPlugin]:
     """Find all plug-ins by name: Tandem's, then those of other packages in alphabetical order.
 
     A plug-in of another package cannot be used if it cannot be imported, or if its name is taken.
@@ -156,32 +158,39 @@ def installed(kind: type[Plugin]) -> Mapping[str, Found]:
     Args:
         kind: :class:`Process` or :class:`Language`.
     """
-    found = {name: Found(load(reference, kind), "Tandem") for name, reference in BUILT_IN[kind.GROUP].items()}
+    plugins = {
+        name: LoadedPlugin(load(reference, kind), "Tandem")
+        for name, reference in BUILT_IN[kind.GROUP].items()
+    }
     noun = kind.__name__.lower()
-    for point in sorted(entry_points(group=kind.GROUP), key=lambda one: (one.name, one.value)):
+    for point in sorted(
+        entry_points(group=kind.GROUP), key=lambda entry_point: (entry_point.name, entry_point.value)
+    ):
         owner = f"package {point.dist.name}" if point.dist is not None else point.value
-        if point.name in found:
-            what = f"the {noun} {point.name!r} is claimed by {found[point.name].owner} and by {owner}"
+        if point.name in plugins:
+            what = f"the {noun} {point.name!r} is claimed by {plugins[point.name].owner} and by {owner}"
             hint = "uninstall one of them, or give its entry point another name"
-            found[point.name] = Found(None, found[point.name].owner, f"{what}; {hint}")
+            plugins[point.name] = LoadedPlugin(None, plugins[point.name].owner, f"{what}; {hint}")
             continue
         try:
-            found[point.name] = Found(load(point.value.partition("[")[0].strip(), kind), owner)
+            plugins[point.name] = LoadedPlugin(load(point.value.partition("[")[0].strip(), kind), owner)
         except PluginError as error:
             what = f"the {noun} {point.name!r} of {owner} {error}"
-            found[point.name] = Found(None, owner, f"{what}; mend or uninstall {owner} ({point.value})")
-    return found
+            plugins[point.name] = LoadedPlugin(
+                None, owner, f"{what}; repair or uninstall {owner} ({point.value})"
+            )
+    return plugins
 
 
 def usable(kind: type[T]) -> dict[str, T]:
     """Return the plug-ins that can be used, by name, in the order of :func:`installed`."""
-    some = installed(kind)  # type: ignore[arg-type]
-    return {name: found.plugin for name, found in some.items() if found.plugin is not None}
+    all_plugins = installed(kind)  # type: ignore[arg-type]
+    return {name: loaded.plugin for name, loaded in all_plugins.items() if loaded.plugin is not None}
 
 
 def language_of(family: str) -> Language | None:
     """Return the language that controllers of a family read, or None if there is none."""
-    return next((one for one in usable(Language).values() if family in one.families), None)
+    return next((language for language in usable(Language).values() if family in language.families), None)
 
 
 def is_built_in(kind: type[Plugin], name: str) -> bool:
@@ -206,8 +215,8 @@ def parts(kind: type[Plugin], member: str, part: type[T], names: frozenset[str] 
     seen: set[Reference] = set()
     for name, plugin in usable(kind).items():
         reference = getattr(plugin, member)
-        wanted = is_built_in(kind, name) or names is None or name in names
-        if reference is not None and reference not in seen and wanted:
+        is_included = is_built_in(kind, name) or names is None or name in names
+        if reference is not None and reference not in seen and is_included:
             seen.add(reference)
             yield part_of(kind, name, member, part)
 
@@ -224,12 +233,12 @@ def part_of(kind: type[Plugin], name: str, member: str, part: type[T]) -> T:
     Raises:
         PluginError: The part cannot be loaded. Here the message is a sentence without full stop.
     """
-    found = installed(kind)[name]  # type: ignore[arg-type]
+    loaded = installed(kind)[name]  # type: ignore[arg-type]
     try:
-        return load(getattr(found.plugin, member), part)
+        return load(getattr(loaded.plugin, member), part)
     except PluginError as error:
-        what = f"the {member} of the {kind.__name__.lower()} {name!r} of {found.owner} {error}"
-        raise PluginError(f"{what}; mend or uninstall {found.owner}") from error
+        what = f"the {member} of the {kind.__name__.lower()} {name!r} of {loaded.owner} {error}"
+        raise PluginError(f"{what}; repair or uninstall {loaded.owner}") from error
 
 
 @functools.cache

@@ -67,7 +67,7 @@ def exit_with_parent(parent: int) -> None:
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
         raise OSError(ctypes.get_errno(), "prctl(PR_SET_PDEATHSIG)")
-    if os.getppid() != parent:  # it ended before the call above
+    if os.getppid() != parent:  # the parent ended before the call above
         os._exit(1)
     with suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text(OOM_SCORE)
@@ -116,7 +116,7 @@ class SecondProcess:
         """Start a call with its arguments as they are now; the first request for an item waits for all."""
         try:
             parts = _pack((work, arguments))
-        except Exception:  # whatever pickling objects of an installed process raises
+        except Exception:  # pickling objects of an installed process may raise anything
             return work(*arguments)
         return self._items(self._thread.submit(self._call, parts), work, arguments)
 
@@ -151,7 +151,7 @@ def open_executor(processes: int, warm_up: str) -> Iterator[Executor]:
         ValueError: ``processes`` is less than one.
     """
     if processes < 1:
-        raise ValueError(f"got {processes} processes, at least one has to plan")
+        raise ValueError(f"got {processes} processes; required: at least 1")
     if processes == 1:
         yield SERIAL
         return

@@ -1,5 +1,5 @@
-"""Tandem as a service: jobs over HTTP, a store that outlives crashes, files by their content.
+"""HTTP service: a queue of jobs, a persistent store and content-addressed files.
 
-No planning happens here: worker processes run the pipeline. The parts need the extra ``service``; importing
-this package alone does not.
+Worker processes run the planning pipeline. The modules need the extra ``service``. Importing this package
+alone does not.
 """

@@ -1,8 +1,8 @@
-"""The application and its server: API and page, refusals, the life of the service, options and log.
+"""Application and server: API, web pages, error handlers, lifespan, options and log.
 
-The files of the page are in ``service/page/``. They carry no data of users: their scripts ask the
-API for it, as the user. Of a bundled problem, as a starting point, the page has what it is, its
-data with the cell inside, and its files.
+The files of the web pages are in ``service/page/``. They contain no user data: their scripts call the API
+with the user's credentials. For a bundled problem that serves as a starting point, the pages receive its
+description, its data with the cell inlined, and its files.
 """
 
 import asyncio
@@ -26,39 +26,40 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
-from planner.batch.cluster import Cluster
-from planner.batch.workers import Workers
-from planner.issues import Issue, has_errors, refusal
+from planner.batch.cluster import ClusterPlanners
+from planner.batch.workers import BatchWorkers
+from planner.issues import Issue, has_errors, issue_error
 from planner.report import view3d
 from planner.runtime.version import __version__
 from planner.service import (
-    bundled,
+    bundled_examples,
     draft_routes,
     element_routes,
-    finding_routes,
+    job_description_routes,
     logs,
-    look_routes,
     metrics,
     queue_routes,
     release_routes,
     routes,
+    view_link_routes,
     webhook_routes,
 )
-from planner.service.answers import Heads, Hurried, allowed
-from planner.service.models import Act
-from planner.service.routes import REFUSALS, Caller, Here
-from planner.service.runner import Team
-from planner.service.security import LOOPBACK, PROBLEM_JSON, Guard, RefusedError, issue_json
+from planner.service.http_responses import HeaderTimeoutProtocol, HeadMiddleware, allowed_methods
+from planner.service.models import AuditAct
+from planner.service.reading_result import ReadingOptions
+from planner.service.routes import REFUSALS, AuthorisedOwner, CurrentService
+from planner.service.runner import WorkerPool
+from planner.service.security import LOOPBACK, PROBLEM_JSON, RefusedError, RequestGuard, issue_json
 from planner.service.service import Options, Service
-from planner.service.storage import store_refusal, take_upload
+from planner.service.storage import refusal_of_error, store_upload
 from planner.service.upload_processes import connection_closed
 
 page_router: Final = APIRouter(include_in_schema=False)
 PAGE_FOLDER: Final = Path(__file__).resolve().parent / "page"
-"""The folder of the page."""
+"""Folder of the web pages."""
 STATIC: Final = PAGE_FOLDER / "static"
-"""The folder of the files that are sent as they are."""
-POLICY: Final = "; ".join(
+"""Folder of files that are sent unchanged."""
+CONTENT_SECURITY_POLICY: Final = "; ".join(
     (
         "default-src 'none'",
         "script-src 'self'",
@@ -72,15 +73,15 @@ POLICY: Final = "; ".join(
         "require-trusted-types-for 'script'",
     )
 )
-"""Nothing but this site's own files; no inline script or style, and no text becomes markup."""
-TYPES: Final = {
+"""Content security policy: own files only, no inline scripts or styles, text never becomes markup."""
+STATIC_TYPES: Final = {
     ".css": "text/css; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
     ".mjs": "text/javascript; charset=utf-8",
     ".svg": "image/svg+xml",
     ".txt": "text/plain; charset=utf-8",
 }
-"""Content types of these files."""
+"""Content types of static files, by suffix."""
 TEMPLATES: Final = Environment(
     loader=FileSystemLoader(PAGE_FOLDER / "templates"),
     autoescape=select_autoescape(default=True, default_for_string=True),
@@ -88,10 +89,10 @@ TEMPLATES: Final = Environment(
     trim_blocks=True,
     lstrip_blocks=True,
 )
-"""Templates of the pages; all that is put in them is escaped."""
-TEMPLATES.globals["ACTS"] = get_args(Act)
+"""Templates of the pages. All values are escaped."""
+TEMPLATES.globals["ACTS"] = get_args(AuditAct)
 LOG_IN_COOKIE: Final = "tandem_log_in"
-"""Name of the cookie of a browser that is at the provider."""
+"""Name of the cookie of a browser during log-in at the OpenID Connect provider."""
 PAGES: Final = {
     "new": "New job",
     "drafts": "Drafts, cells, tools, templates",
@@ -104,36 +105,40 @@ PAGES: Final = {
 
 
 @page_router.get("/")
-def home(here: Here) -> HTMLResponse:
-    """The history of jobs."""
-    return _page("jobs", "Jobs", here)
+def home(service: CurrentService) -> HTMLResponse:
+    """Page with the list of jobs."""
+    return _page("jobs", "Jobs", service)
 
 
 @page_router.get("/ui/jobs/{job}")
-def job(job: str, here: Here) -> HTMLResponse:
-    """One job; the script finds out whether there is one of that id."""
-    return _page("job", "Job", here, job=job)
+def job(job: str, service: CurrentService) -> HTMLResponse:
+    """Page of one job. Its script finds out whether the job exists."""
+    return _page("job", "Job", service, job=job)
 
 
 @page_router.get("/ui/look/{job}/{look}")
-def look(
-    request: Request, job: str, look: str, here: Here, signature: Annotated[str, Query(max_length=200)] = ""
+def shared_job_page(
+    request: Request,
+    job: str,
+    look: str,
+    service: CurrentService,
+    signature: Annotated[str, Query(max_length=200)] = "",
 ) -> HTMLResponse:
-    """One job, for who has a link to look; 404 in a sentence for one that does not hold."""
+    """Read-only page of one job, for holders of a view link. An invalid link gives 404 with a message."""
     try:
-        routes.looked_at(request, job, look, signature, here)
-        answer = _page("look", "Job", here, job=job, look=look, signature=signature)
+        routes.job_of_view_link(request, job, look, signature, service)
+        answer = _page("look", "Job", service, job=job, look=look, signature=signature)
     except RefusedError as refused:
-        answer = _page("look", "No such link", here, status=refused.status, fault=str(refused))
+        answer = _page("look", "No such link", service, status=refused.status, fault=str(refused))
         answer.headers.update(refused.headers)
-    answer.headers.update(look_routes.PRIVATE)
+    answer.headers.update(view_link_routes.PRIVATE_HEADERS)
     return answer
 
 
 @page_router.get("/ui/elements/{element}")
-def element(element: str, here: Here) -> HTMLResponse:
-    """One building element, as of a job."""
-    return _page("element", "Element", here, element=element)
+def element(element: str, service: CurrentService) -> HTMLResponse:
+    """Page of one building element."""
+    return _page("element", "Element", service, element=element)
 
 
 @page_router.get("/ui/static/{name:path}")
@@ -142,69 +147,72 @@ def static(name: str) -> Response:
     path = next(
         (folder / name for folder in (STATIC, view3d.FOLDER) if (folder / name).is_file()), STATIC / name
     )
-    kind = TYPES.get(path.suffix)
+    kind = STATIC_TYPES.get(path.suffix)
     if kind is None or ".." in name or not path.is_file():
-        raise _unknown(f"/ui/static/{name}")
+        raise _unknown_page(f"/ui/static/{name}")
     return FileResponse(path, media_type=kind, headers={"Cache-Control": "no-cache"})
 
 
 @page_router.get("/ui/examples")
-def examples(_: Caller) -> dict[str, Any]:
+def examples(_: AuthorisedOwner) -> dict[str, Any]:
     """Bundled problems."""
-    return bundled.problems()
+    return bundled_examples.problems()
 
 
 @page_router.get("/ui/example-elements")
-def example_elements(_: Caller) -> dict[str, Any]:
+def example_elements(_: AuthorisedOwner) -> dict[str, Any]:
     """Bundled building elements."""
-    return bundled.elements()
+    return bundled_examples.elements()
 
 
 @page_router.get("/ui/example")
-def one(_: Caller, name: Annotated[str, Query(max_length=200)]) -> dict[str, Any]:
+def example(_: AuthorisedOwner, name: Annotated[str, Query(max_length=200)]) -> dict[str, Any]:
     """A bundled problem as data."""
-    return bundled.problem(name)
+    return bundled_examples.problem(name)
 
 
 @page_router.get("/ui/example/file")
 def example_file(
-    _: Caller, name: Annotated[str, Query(max_length=200)], file: Annotated[str, Query(max_length=200)]
+    _: AuthorisedOwner,
+    name: Annotated[str, Query(max_length=200)],
+    file: Annotated[str, Query(max_length=200)],
 ) -> FileResponse:
     """A file of a bundled problem."""
-    return FileResponse(bundled.file(name, file), media_type="application/octet-stream")
+    return FileResponse(bundled_examples.file(name, file), media_type="application/octet-stream")
 
 
 @page_router.post("/ui/preview")
-async def preview(request: Request, owner: Caller, here: Here) -> JSONResponse:
-    """What is known of an upload without planning it, with the shapes that the page draws; 422 as for a
-    job."""
-    upload = await take_upload(request, here.storage, owner, here.limits)
-    read = await here.in_turn(
-        request, owner, lambda reading: here.examine(upload, draw=True, reading=reading)
+async def preview(request: Request, owner: AuthorisedOwner, service: CurrentService) -> JSONResponse:
+    """Read an upload without planning it and return the shapes to draw. Refuses with 422 as for a job."""
+    upload = await store_upload(request, service.storage, owner, service.limits)
+    result = await service.run_in_turn(
+        request, owner, lambda reading: service.examine(upload, ReadingOptions(draw=True), reading)
     )
     return JSONResponse(
         {
-            "ok": not has_errors(read.issues),
-            "name": read.name,
-            "digest": read.digest,
-            "processes": list(read.processes),
-            "summary": dict(read.summary),
-            "issues": [issue_json(issue) for issue in read.issues],
-            "shapes": list(read.shapes),
+            "ok": not has_errors(result.issues),
+            "name": result.name,
+            "digest": result.digest,
+            "processes": list(result.processes),
+            "summary": dict(result.summary),
+            "issues": [issue_json(issue) for issue in result.issues],
+            "shapes": list(result.shapes),
         }
     )
 
 
 @page_router.get("/ui/oidc/login")
-def log_in(request: Request, here: Here, after: Annotated[str, Query(max_length=500)] = "/") -> Response:
-    """To the provider, by which people log in."""
-    if here.log_in is None:
-        raise _unknown("/ui/oidc/login")
+def log_in(
+    request: Request, service: CurrentService, after: Annotated[str, Query(max_length=500)] = "/"
+) -> Response:
+    """Redirect to the OpenID Connect provider."""
+    if service.log_in is None:
+        raise _unknown_page("/ui/oidc/login")
     try:
-        routes.count_unknown(request, here, "logs in")
-        address, cookie = here.log_in.begin(_back(request), after)
+        routes.count_unauthenticated(request, service, "logs in")
+        address, cookie = service.log_in.start(_redirect_url(request), after)
     except RefusedError as refused:
-        return _not_logged_in(here, refused)
+        return _log_in_failed_page(service, refused)
     answer = RedirectResponse(address, 303, {"Cache-Control": "no-store"})
     answer.set_cookie(
         LOG_IN_COOKIE,
@@ -213,71 +221,75 @@ def log_in(request: Request, here: Here, after: Annotated[str, Query(max_length=
         path="/ui/oidc",
         secure=request.url.scheme == "https",
         httponly=True,
-        samesite="lax",  # the provider's page leads back
+        samesite="lax",  # the browser returns from the provider's page
     )
     return answer
 
 
 @page_router.get("/ui/oidc/callback")
-def logged_in(request: Request, here: Here) -> Response:
-    """Back from the provider."""
-    if here.log_in is None:
-        raise _unknown("/ui/oidc/callback")
+def logged_in(request: Request, service: CurrentService) -> Response:
+    """Finish the log-in when the browser returns from the provider."""
+    if service.log_in is None:
+        raise _unknown_page("/ui/oidc/callback")
     answer: Response
     try:
-        routes.count_unknown(request, here, "logs in")
-        who, after = here.log_in.end(str(request.url), _back(request), request.cookies.get(LOG_IN_COOKIE))
+        routes.count_unauthenticated(request, service, "logs in")
+        principal, after = service.log_in.finish(
+            str(request.url), _redirect_url(request), request.cookies.get(LOG_IN_COOKIE)
+        )
     except RefusedError as refused:
-        answer = _not_logged_in(here, refused)
+        answer = _log_in_failed_page(service, refused)
     else:
         answer = RedirectResponse(after, 303, {"Cache-Control": "no-store"})
-        routes.remember(request, answer, here, who)
+        routes.set_session_cookie(request, answer, service, principal)
     answer.delete_cookie(LOG_IN_COOKIE, path="/ui/oidc")
     return answer
 
 
-def _not_logged_in(here: Service, refused: RefusedError) -> Response:
-    answer = _page("login", PAGES["login"], here, status=refused.status, fault=str(refused))
+def _log_in_failed_page(service: Service, refused: RefusedError) -> Response:
+    answer = _page("login", PAGES["login"], service, status=refused.status, fault=str(refused))
     answer.headers.update(refused.headers)
     return answer
 
 
-def _back(request: Request) -> str:
-    """Where the provider sends browsers: the address under which the browser knows the service."""
+def _redirect_url(request: Request) -> str:
+    """Return the redirect URL for the provider: the address under which the browser knows the service."""
     return str(request.url_for("logged_in"))
 
 
 @page_router.get("/ui/{name}")
-def page(name: str, here: Here) -> HTMLResponse:
-    """The other pages."""
+def page(name: str, service: CurrentService) -> HTMLResponse:
+    """The other pages, by name."""
     if name not in PAGES:
-        raise _unknown(f"/ui/{name}")
-    return _page(name, PAGES[name], here)
+        raise _unknown_page(f"/ui/{name}")
+    return _page(name, PAGES[name], service)
 
 
-def _page(name: str, title: str, here: Any, status: int = 200, fault: str = "", **more: str) -> HTMLResponse:
+def _page(
+    name: str, title: str, service: Any, status: int = 200, fault: str = "", **variables: str
+) -> HTMLResponse:
     text = TEMPLATES.get_template(f"{name}.html").render(
         title=title,
         page=name,
         version=__version__,
-        tokens=here.options.tokens_required,
-        accounts=here.log_in is not None,
+        tokens=service.options.tokens_required,
+        accounts=service.log_in is not None,
         fault=fault,
-        **more,
+        **variables,
     )
-    headers = {"Content-Security-Policy": POLICY, "Cache-Control": "no-store"}
+    headers = {"Content-Security-Policy": CONTENT_SECURITY_POLICY, "Cache-Control": "no-store"}
     return HTMLResponse(text, status, headers)
 
 
-def _unknown(path: str) -> RefusedError:
-    return RefusedError(404, Issue("service.not_found", f"{path[:200]}: there is no such page; begin at /"))
+def _unknown_page(path: str) -> RefusedError:
+    return RefusedError(404, Issue("service.not_found", f"{path[:200]}: page not found. Start at /."))
 
 
 ROUTERS: Final = (
     routes.job_router,
-    finding_routes.router,
+    job_description_routes.router,
     release_routes.router,
-    look_routes.router,
+    view_link_routes.router,
     element_routes.router,
     webhook_routes.router,
     draft_routes.router,
@@ -285,20 +297,25 @@ ROUTERS: Final = (
     routes.about_router,
     page_router,
 )
-"""All addresses."""
+"""All routers, in the order in which addresses are matched."""
 LOG: Final = logging.getLogger("planner.service")
 """Log of the service."""
-ABOUT: Final = """Plans the motion of two industrial robots that share one job. Problems go in as files,
-programs come out if they are proven. Every refusal is a problem document (RFC 9457) with `issues`, each with
-a `code` and the `field`."""
-"""What the description of the interface begins with."""
+API_DESCRIPTION: Final = """\
+Plans the motion of two industrial robots that share one job. Upload problems as files and
+download proven programs. Every refusal is a problem document (RFC 9457) with `issues`, each with a `code`
+and the `field`."""
+"""Description of the API in the OpenAPI document."""
 
 
 def create_app(service: Service) -> FastAPI:
-    """The application over a service, which starts and ends with it."""
+    """Create the application. The service starts and stops with it.
+
+    Args:
+        service: Service that answers the requests.
+    """
 
     @contextlib.asynccontextmanager
-    async def life(app: FastAPI) -> AsyncIterator[None]:
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         del app
         service.start()
         news = asyncio.create_task(service.hub.run())
@@ -309,26 +326,33 @@ def create_app(service: Service) -> FastAPI:
             await asyncio.to_thread(service.close)
 
     app = FastAPI(
-        title="Tandem", version=__version__, description=ABOUT, lifespan=life, docs_url=None, redoc_url=None
+        title="Tandem",
+        version=__version__,
+        description=API_DESCRIPTION,
+        lifespan=lifespan,
+        docs_url=None,
+        redoc_url=None,
     )
     app.state.service = service
     for router in ROUTERS:
         app.include_router(router)
-    app.add_exception_handler(RefusedError, _refused)
-    app.add_exception_handler(RequestValidationError, _invalid)
-    app.add_exception_handler(HTTPException, _http)
-    app.add_exception_handler(ClientDisconnect, _gone)
+    app.add_exception_handler(RefusedError, _refused_error)
+    app.add_exception_handler(RequestValidationError, _validation_error)
+    app.add_exception_handler(HTTPException, _http_error)
+    app.add_exception_handler(ClientDisconnect, _client_disconnected)
     for kind in (SQLAlchemyError, OSError):
-        app.add_exception_handler(kind, _store)
-    app.add_exception_handler(Exception, _failed)
+        app.add_exception_handler(kind, _store_error)
+    app.add_exception_handler(Exception, _internal_error)
     options = service.options
     names = None if options.tokens_required else LOOPBACK | {options.host}
-    app.add_middleware(Heads)
-    app.add_middleware(Guard, upload_mb=service.limits.upload_mb, open_hosts=names, closed=service.closed)
-    every = [*app.routes, *(route for router in ROUTERS for route in router.routes)]
-    paths = [getattr(route, "path", "") for route in every]
-    app.add_middleware(metrics.Measured, routes=paths)
-    app.add_middleware(logs.Logged)
+    app.add_middleware(HeadMiddleware)
+    app.add_middleware(
+        RequestGuard, upload_mb=service.limits.upload_mb, open_hosts=names, closed=service.closed_refusal
+    )
+    all_routes = [*app.routes, *(route for router in ROUTERS for route in router.routes)]
+    paths = [getattr(route, "path", "") for route in all_routes]
+    app.add_middleware(metrics.MetricsMiddleware, routes=paths)
+    app.add_middleware(logs.RequestLogMiddleware)
     if options.tokens_required:  # without tokens, what a proxy passes on is refused
         app.add_middleware(ProxyHeadersMiddleware, trusted_hosts=list(options.trusted_proxies))
     app.openapi = lambda: _openapi(app)  # type: ignore[method-assign]
@@ -336,150 +360,178 @@ def create_app(service: Service) -> FastAPI:
 
 
 def _openapi(app: FastAPI) -> dict[str, Any]:
-    """OpenAPI with the schemas of problem files among its components."""
+    """Return the OpenAPI document, with the schemas of problem files among its components."""
     if app.openapi_schema is None:
         from planner.service.catalogue import (
-            IN_OPENAPI,
+            OPENAPI_REFERENCE,
             problem_schema,  # loads all processes
         )
 
-        made = get_openapi(
+        document = get_openapi(
             title=app.title, version=app.version, description=app.description, routes=app.routes
         )
-        made["components"]["schemas"] |= problem_schema(IN_OPENAPI)[1]
-        for name in ("HTTPValidationError", "ValidationError"):  # no answer has them
-            made["components"]["schemas"].pop(name, None)
+        document["components"]["schemas"] |= problem_schema(OPENAPI_REFERENCE)[1]
+        for name in ("HTTPValidationError", "ValidationError"):  # no answer uses them
+            document["components"]["schemas"].pop(name, None)
         refusal = {PROBLEM_JSON: {"schema": {"$ref": "#/components/schemas/Refusal"}}}
-        general = [str(one["description"]) for one in REFUSALS.values()]
-        for path in made["paths"].values():
+        refusal_texts = [str(row["description"]) for row in REFUSALS.values()]
+        for path in document["paths"].values():
             for method in path.values():
-                said = method["responses"].get("422", {}).get("description")
-                if said != REFUSALS[422]["description"]:  # the framework lists it for all that has parameters
+                description = method["responses"].get("422", {}).get("description")
+                if (
+                    description != REFUSALS[422]["description"]
+                ):  # FastAPI adds 422 to every route with parameters
                     method["responses"].pop("422", None)
                 for status, answer in method["responses"].items():
-                    # a problem document, whatever a good answer is
-                    if (status[0] == "4" and status != "416") or answer["description"] in general:
+                    # refusals are problem documents, whatever the type of a successful answer
+                    if (status[0] == "4" and status != "416") or answer["description"] in refusal_texts:
                         answer["content"] = refusal
-        app.openapi_schema = made
+        app.openapi_schema = document
     return app.openapi_schema
 
 
-async def _refused(request: Request, error: Exception) -> JSONResponse:
+async def _refused_error(request: Request, error: Exception) -> JSONResponse:
     del request
     if not isinstance(error, RefusedError):
         raise error
     return JSONResponse(error.body, error.status, headers=error.headers, media_type=PROBLEM_JSON)
 
 
-async def _invalid(request: Request, error: Exception) -> JSONResponse:
+async def _validation_error(request: Request, error: Exception) -> JSONResponse:
     if not isinstance(error, RequestValidationError):
         raise error
     issues = []
     for fault in error.errors():
         field = ".".join(str(step) for step in fault["loc"][1:]) or "body"
         got = "" if fault["type"] == "missing" else f", got {str(fault.get('input'))[:80]!r}"
-        what = f"{field}: {fault['msg']}{got}; correct it"
-        issues.append(Issue("service.request", what, field=field))
-    return await _refused(request, RefusedError(422, issues))
+        message = f"{field}: {fault['msg']}{got}. Correct the value."
+        issues.append(Issue("service.request", message, field=field))
+    return await _refused_error(request, RefusedError(422, issues))
 
 
-async def _http(request: Request, error: Exception) -> JSONResponse:
+async def _http_error(request: Request, error: Exception) -> JSONResponse:
     if not isinstance(error, HTTPException):
         raise error
     headers = dict(error.headers or {})
     if error.status_code == 405:
-        headers["Allow"] = allowed([route for router in ROUTERS for route in router.routes], request.scope)
-    way = f"; use {headers['Allow']}" if "Allow" in headers else ""
-    what = f"{request.method} {request.url.path[:200]}: {error.detail}{way}; see /openapi.json"
+        headers["Allow"] = allowed_methods(
+            [route for router in ROUTERS for route in router.routes], request.scope
+        )
+    advice = f" (allowed {headers['Allow']})" if "Allow" in headers else ""
+    message = f"{request.method} {request.url.path[:200]}: {error.detail}{advice}. See /openapi.json."
     code = "service.not_found" if error.status_code in (404, 405) else "service.request"
-    return await _refused(request, RefusedError(error.status_code, Issue(code, what), headers))
+    return await _refused_error(request, RefusedError(error.status_code, Issue(code, message), headers))
 
 
-async def _gone(request: Request, error: Exception) -> JSONResponse:
-    """Nobody hears it, and nothing is wrong with the service."""
+async def _client_disconnected(request: Request, error: Exception) -> JSONResponse:
+    """Handle a client that has disconnected.
+
+    Nobody receives the answer, and the service is not at fault.
+    """
     del error
-    return await _refused(request, connection_closed())
+    return await _refused_error(request, connection_closed())
 
 
-async def _store(request: Request, error: Exception) -> JSONResponse:
-    refused = store_refusal(error)
+async def _store_error(request: Request, error: Exception) -> JSONResponse:
+    refused = refusal_of_error(error)
     if refused is None:
-        return await _failed(request, error)
+        return await _internal_error(request, error)
     LOG.warning(
-        "%s %s: %s", request.method, request.url.path, type(error).__name__, extra=_of_request(request)
+        "%s %s: %s", request.method, request.url.path, type(error).__name__, extra=_request_fields(request)
     )
-    return await _refused(request, refused)
+    return await _refused_error(request, refused)
 
 
-async def _failed(request: Request, error: Exception) -> JSONResponse:
-    known = _of_request(request)
+async def _internal_error(request: Request, error: Exception) -> JSONResponse:
+    known = _request_fields(request)
     LOG.error("%s %s failed", request.method, request.url.path, exc_info=error, extra=known)
-    issue = Issue("internal.error", "the service itself failed, and has written down how; report this")
-    headers = {logs.HEADER: known["request"]} if known["request"] else {}  # this answer passes by the others
-    return await _refused(request, RefusedError(500, issue, headers))
+    issue = Issue("internal.error", "the service failed. Its log contains the details. Report this error.")
+    headers = {logs.HEADER: known["request"]} if known["request"] else {}  # bypasses the middleware
+    return await _refused_error(request, RefusedError(500, issue, headers))
 
 
-def _of_request(request: Request) -> dict[str, Any]:
+def _request_fields(request: Request) -> dict[str, Any]:
     known = getattr(request.state, "request_id", None)
     return {"request": known, "method": request.method, "path": request.url.path}
 
 
-STREAMS_END_S: Final = 3
-"""Streams that are open get so long to end when the service stops."""
+STREAM_SHUTDOWN_S: Final = 3
+"""Time [s] that open event streams have to end when the service stops."""
 
 
 def serve(
     options: Options, certificate: Path | None = None, key: Path | None = None, log: logs.Kind = "text"
 ) -> None:
-    """Serve until told to stop: after SIGTERM it returns. Raises ``TandemError`` where it cannot start."""
+    """Serve until SIGTERM or Ctrl-C, then return.
+
+    Args:
+        options: Options of the service.
+        certificate: TLS certificate (PEM), or None for plain HTTP.
+        key: Private key of the certificate (PEM).
+        log: Format of the log.
+
+    Raises:
+        TandemError: The service cannot start.
+    """
     if (certificate is None) != (key is None):
-        raise refusal("service.start", "TLS needs --certificate and --key, give both", field="certificate")
+        raise issue_error("service.start", "TLS needs both --certificate and --key", field="certificate")
     if certificate is not None and key is not None:
         try:
             ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(certificate, key)
         except (OSError, ssl.SSLError) as error:
-            message = f"certificate {certificate} with key {key}: cannot be used ({error}); give PEM files"
-            raise refusal("service.start", message, field="certificate") from error
-    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # a connection is a file
-    service = Service(options, make_team(options))
+            message = f"certificate {certificate} with key {key}: cannot be used ({error}). Give PEM files."
+            raise issue_error("service.start", message, field="certificate") from error
+    _, max_files = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(
+        resource.RLIMIT_NOFILE, (max_files, max_files)
+    )  # each connection needs a file descriptor
+    service = Service(options, worker_pool_factory(options))
     config = uvicorn.Config(
         create_app(service),
         host=options.host,
         port=options.port,
-        http=Hurried,
+        http=HeaderTimeoutProtocol,
         log_level="info",
-        access_log=log == "text",  # lines of JSON are about requests anyway
+        access_log=log == "text",  # the JSON log has its own line for each request
         server_header=False,
         proxy_headers=False,
         timeout_keep_alive=30,
-        timeout_graceful_shutdown=STREAMS_END_S,
+        timeout_graceful_shutdown=STREAM_SHUTDOWN_S,
         limit_concurrency=None,
         backlog=4096,
         h11_max_incomplete_event_size=64 * 1024,
         ssl_certfile=certificate,
         ssl_keyfile=key,
     )
-    logging.getLogger("uvicorn.access").addFilter(without_query)
+    logging.getLogger("uvicorn.access").addFilter(strip_query)
     if log == "json":
         logs.write_json(options.data)
-    # Uvicorn raises the signal that ended it again when all is stopped; to be asked to end is no failure, so
-    # nothing more is to be done then
+    # After shutdown Uvicorn raises the signal again that ended it. SIGTERM is a normal end, so it is ignored.
     signal.signal(signal.SIGTERM, lambda number, frame: None)
     _Server(config, service).run()
 
 
-def without_query(record: logging.LogRecord) -> bool:
-    """Take what follows a ? out of the address that a record of a request tells: a link's signature opens a
-    file for whoever reads the log."""
+def strip_query(record: logging.LogRecord) -> bool:
+    """Remove query strings from the address in an access log record.
+
+    Without this, every reader of the log could open the files of signed links.
+
+    Args:
+        record: Record to change.
+
+    Returns:
+        True, so that the record is logged.
+    """
     if isinstance(record.args, tuple):
-        record.args = tuple(one.split("?")[0] if isinstance(one, str) else one for one in record.args)
+        record.args = tuple(value.split("?")[0] if isinstance(value, str) else value for value in record.args)
     return True
 
 
 class _Server(uvicorn.Server):
-    """Ends streams of events and the reading of uploads as soon as it is told to stop: nobody waits for
-    them."""
+    """Server that ends event streams and uploads in progress as soon as it is asked to stop.
+
+    Nobody waits for them.
+    """
 
     def __init__(self, config: uvicorn.Config, service: Service) -> None:
         super().__init__(config)
@@ -491,12 +543,18 @@ class _Server(uvicorn.Server):
         await super().shutdown(sockets)  # type: ignore[arg-type]
 
 
-def make_team(options: Options) -> Callable[[], Team]:
-    """What plans the jobs: processes of this machine, or a cluster. Raises ``TandemError`` for a cluster that
-    cannot be used."""
+def worker_pool_factory(options: Options) -> Callable[[], WorkerPool]:
+    """Return a factory of the workers that plan jobs: processes on this machine, or a cluster.
+
+    Args:
+        options: Options of the service.
+
+    Raises:
+        TandemError: The cluster cannot be used.
+    """
     memory_mb, count = options.limits.job_memory_mb, options.workers
     if options.cluster is None:
-        return lambda: Workers(count, memory_mb=memory_mb)
+        return lambda: BatchWorkers(count, memory_mb=memory_mb)
     address = options.cluster
-    first = [Cluster(address, count, memory_mb)]  # what is wrong is told at the start
-    return lambda: first.pop() if first else Cluster(address, count, memory_mb)
+    prepared = [ClusterPlanners(address, count, memory_mb)]  # reports errors at the start
+    return lambda: prepared.pop() if prepared else ClusterPlanners(address, count, memory_mb)

@@ -1,14 +1,19 @@
-"""Backups of a store, made while it is used, and restored into an empty one.
+"""Online backup of a store, and restore into an empty one.
 
-A backup is a folder: ``tandem.db``, the database at one moment as an SQLite file; ``files``, all that it
-names, each under its SHA-256; and ``backup.json``, which says what it is and is written last, when all else
-is there. The moment of an SQLite store is that of one step of its online backup; that of a PostgreSQL one is
-a single transaction that is ``REPEATABLE READ``. So either can be restored into either.
+A backup is a folder with
 
-Files are copied after that moment, because they never change and are only ever added before a job names
-them. What may go meanwhile are files of jobs that are deleted: all are marked as wanted first, and where one
-is gone all the same, another moment is taken, at which its job is gone too. Each file is hashed as it is
-copied, here and there, so that a store that is damaged is told and not handed on.
+- ``tandem.db``: snapshot of the database as an SQLite file,
+- ``files``: every file that the database references, under its SHA-256,
+- ``backup.json``: description of the backup. It is written last, so that its presence means the backup is
+  complete.
+
+The snapshot of an SQLite store is taken in one step of SQLite's online backup. That of a PostgreSQL store
+is taken in one ``REPEATABLE READ`` transaction. A backup of either can be restored into either.
+
+Files are copied after the snapshot. They never change, and they are added before a job references them.
+Files of jobs that are deleted meanwhile may disappear. Therefore all files are marked as used first, and if
+one is missing nevertheless, another snapshot is taken, in which its job no longer exists. Each file is
+hashed while it is copied, on backup and on restore, so that a damaged store is reported and not passed on.
 """
 
 import contextlib
@@ -27,8 +32,8 @@ from typing import Final
 from sqlalchemy import Connection, Engine, insert, inspect, select, text
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
-from planner.files import write_whole
-from planner.issues import TandemError, refusal
+from planner.files import write_atomic
+from planner.issues import TandemError, issue_error
 from planner.runtime.version import __version__
 from planner.service.models import (
     METADATA,
@@ -36,33 +41,40 @@ from planner.service.models import (
     Database,
     cannot_open,
     default_url,
+    error_reason,
     open_engine,
-    reason,
-    shown,
+    redacted_url,
 )
 from planner.service.schema import VERSION, NoVersionError, create_or_check, has_store, version_of
 from planner.service.service import lock_data
-from planner.service.storage import GRACE_S, Files, is_sha
+from planner.service.storage import GRACE_S, ContentStore, is_sha
 
-DATABASE: Final = "tandem.db"
-"""The database in a backup."""
-FILES: Final = "files"
-"""The folder of the files in it."""
-ABOUT: Final = "backup.json"
-"""What says that a folder is a backup, and a whole one."""
-FORMAT: Final = 1
-"""Version of what is in the folder."""
-MOMENTS: Final = 10
-"""So many moments are taken until all files of one are there."""
-ROWS: Final = 1000
-"""Rows of a table that are held at once."""
-LOGS: Final = ("-wal", "-shm", "-journal")
-"""What SQLite adds to a database's name for its logs (https://www.sqlite.org/tempfiles.html)."""
+DATABASE_FILE: Final = "tandem.db"
+"""Name of the database file in a backup and in a data folder."""
+FILES_FOLDER: Final = "files"
+"""Name of the folder with the files."""
+DESCRIPTION_FILE: Final = "backup.json"
+"""Name of the file whose presence marks a complete backup."""
+FORMAT_VERSION: Final = 1
+"""Version of the backup format."""
+MAX_SNAPSHOTS: Final = 10
+"""Maximum number of snapshots taken until all files of one exist."""
+ROWS_PER_BATCH: Final = 1000
+"""Rows of a table that are held in memory at a time."""
+JOURNAL_SUFFIXES: Final = ("-wal", "-shm", "-journal")
+"""Suffixes of SQLite's journal files (https://www.sqlite.org/tempfiles.html)."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Backup:
-    """What is in a backup: version of its tables, jobs, files and their size [bytes]."""
+    """Summary of a backup.
+
+    Attributes:
+        version: Version of the tables.
+        jobs: Number of jobs.
+        files: Number of files.
+        size: Total size of the files [bytes].
+    """
 
     version: int
     jobs: int
@@ -71,130 +83,155 @@ class Backup:
 
 
 def back_up(data: Path, database: str | None, folder: Path) -> Backup:
-    """Back a store up into a new ``folder``: that of the data folder, or of ``database`` with the files in
-    the data folder. It may be in use.
+    """Back up a store, which may be in use, into a new folder.
 
-    Raises ``TandemError``: ``service.backup``, or ``service.database`` where it cannot be opened.
+    Args:
+        data: Data folder of the service.
+        database: URL of the database, or None for the SQLite file in the data folder.
+        folder: Folder of the backup. It must be missing or empty.
+
+    Raises:
+        TandemError: ``service.backup``, or ``service.database`` if the database cannot be opened.
     """
-    with _told(folder):
+    with _errors_as_issues(folder):
         if folder.exists() and any(folder.iterdir()):
-            raise _refused(f"folder {folder}: is not empty; name a new one, or remove what is in it")
-        if not (data / FILES).is_dir():
-            raise _refused(f"data folder {data}: there is no store in it; give --data as the service has it")
+            raise _backup_error(f"folder {folder}: is not empty. Name a new folder, or empty this one.")
+        if not (data / FILES_FOLDER).is_dir():
+            raise _backup_error(
+                f"data folder {data}: contains no store. Give the same --data as to the service."
+            )
         _make_private(folder)
         try:
-            made = _backed_up(data, database or default_url(data), folder)
-        except BaseException:  # nothing stands in the way of another try
-            shutil.rmtree(folder / FILES, ignore_errors=True)
-            (folder / DATABASE).unlink(missing_ok=True)
+            backup = _copy_snapshot(data, database or default_url(data), folder)
+        except BaseException:  # leave no files that would prevent another attempt
+            shutil.rmtree(folder / FILES_FOLDER, ignore_errors=True)
+            (folder / DATABASE_FILE).unlink(missing_ok=True)
             raise
-        about = dataclasses.asdict(made) | {"format": FORMAT, "program": __version__}
-        about["made"] = dt.datetime.now(dt.UTC).isoformat(timespec="seconds")
-        write_whole(folder / ABOUT, json.dumps(about, indent=1))
-        return made
+        description = dataclasses.asdict(backup) | {"format": FORMAT_VERSION, "program": __version__}
+        description["made"] = dt.datetime.now(dt.UTC).isoformat(timespec="seconds")
+        write_atomic(folder / DESCRIPTION_FILE, json.dumps(description, indent=1))
+        return backup
 
 
 def restore(folder: Path, data: Path, database: str | None) -> Backup:
-    """Restore a backup into an empty data folder, and into ``database`` where one is given.
+    """Restore a backup into an empty data folder. Nothing is overwritten.
 
-    Nothing is overwritten. Files come first and the database last, all at once. Raises ``TandemError`` as
-    :func:`back_up`.
+    The files are copied first, and the database last, in one step.
+
+    Args:
+        folder: Folder of the backup.
+        data: Data folder of the new store.
+        database: URL of an empty database, or None for an SQLite file in the data folder.
+
+    Raises:
+        TandemError: ``service.backup``, or ``service.database`` if the database cannot be opened.
     """
-    _check_about(folder)
-    with _told(folder), lock_data(data, database is None):
-        if database is None and (data / DATABASE).exists():
-            raise _refused(f"data folder {data}: a store is in it already; give --data a new folder")
-        _check_no_log(data / DATABASE)
+    _check_description(folder)
+    with _errors_as_issues(folder), lock_data(data, database is None):
+        if database is None and (data / DATABASE_FILE).exists():
+            raise _backup_error(f"data folder {data}: already contains a store. Give --data a new folder.")
+        _check_no_journal(data / DATABASE_FILE)
         if database is not None:
-            with _begun(database) as connection:
+            with _exclusive_transaction(database) as connection:
                 _check_empty(connection)
-        with tempfile.TemporaryDirectory(prefix=".restore-", dir=data) as room:
-            copy = Path(room) / DATABASE
-            copy.touch(mode=0o600)  # and so are its logs, which SQLite makes like it
-            shutil.copyfile(folder / DATABASE, copy)
-            _read(copy)
+        with tempfile.TemporaryDirectory(prefix=".restore-", dir=data) as temporary:
+            copy = Path(temporary) / DATABASE_FILE
+            copy.touch(mode=0o600)  # SQLite gives its journals the same mode
+            shutil.copyfile(folder / DATABASE_FILE, copy)
+            _read_database(copy)
             _check_tables(folder, copy)
-            made, named = _read(copy)  # again, because checking the tables switched the log on
-            lost = _copied(named, Files(folder / FILES), Files(data / FILES))
-            if lost is not None:
-                raise _refused(f"backup {folder}: file {lost} is missing; it is damaged, take another one")
+            backup, sizes = _read_database(copy)  # again, because checking the tables enabled the journal
+            missing = _copy_files(
+                sizes, ContentStore(folder / FILES_FOLDER), ContentStore(data / FILES_FOLDER)
+            )
+            if missing is not None:
+                raise _backup_error(
+                    f"backup {folder}: is damaged: file {missing} is missing. Use another backup."
+                )
             if database is None:
-                copy.rename(data / DATABASE)
+                copy.rename(data / DATABASE_FILE)
             else:
-                _fill(database, copy)
-        return made
+                _fill_database(database, copy)
+        return backup
 
 
 def _make_private(folder: Path) -> None:
-    """Make a folder that only its owner may enter, or make one that is there such."""
+    """Create a folder that only its owner may enter, or restrict an existing one."""
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     folder.chmod(0o700)
     mode = folder.stat().st_mode & 0o777
-    if mode & 0o077:  # some mounted disks take the call and keep the mode
-        what = f"got mode {mode:o}, so others may read the backup, and its disk does not let that be changed"
-        raise _refused(f"folder {folder}: {what}; name one on a disk that keeps permissions")
+    if mode & 0o077:  # some mounted disks accept the call but keep the mode
+        problem = f"other users may read it (got mode {mode:o}), and its disk does not allow a change"
+        raise _backup_error(f"folder {folder}: {problem}. Name a folder on a disk that keeps permissions.")
 
 
-def _backed_up(data: Path, url: str, folder: Path) -> Backup:
-    """Copy the database of a moment and all files that it names."""
-    source, target, copy = Files(data / FILES), Files(folder / FILES), folder / DATABASE
-    for _ in range(MOMENTS):
+def _copy_snapshot(data: Path, url: str, folder: Path) -> Backup:
+    """Copy a snapshot of the database and all files that it references."""
+    source, target, copy = (
+        ContentStore(data / FILES_FOLDER),
+        ContentStore(folder / FILES_FOLDER),
+        folder / DATABASE_FILE,
+    )
+    for _ in range(MAX_SNAPSHOTS):
         copy.unlink(missing_ok=True)
         copy.touch(mode=0o600)
-        _moment(url, copy)
-        made, named = _read(copy)
-        lost = _copied(named, source, target)
-        if lost is None:
-            return made
-    what = f"data folder {data}: file {lost} of a job is not there, however often it is looked for; "
-    raise _refused(what + "the store is damaged: find the file, or delete that job")
+        _write_snapshot(url, copy)
+        backup, sizes = _read_database(copy)
+        missing = _copy_files(sizes, source, target)
+        if missing is None:
+            return backup
+    problem = f"data folder {data}: the store is damaged: file {missing} of a job is missing. "
+    raise _backup_error(problem + "Restore the file, or delete the job.")
 
 
-def _moment(url: str, copy: Path) -> None:
-    """Write the database as it is at one moment."""
+def _write_snapshot(url: str, copy: Path) -> None:
+    """Write a snapshot of the database."""
     try:
         engine = open_engine(url)
     except (SQLAlchemyError, ImportError) as error:
         raise TandemError(cannot_open(url, error)) from error
     if engine.dialect.name == "sqlite":
         path = Path(engine.url.database or "")
-        with contextlib.closing(_opened(path)) as source, contextlib.closing(sqlite3.connect(copy)) as target:
-            source.backup(target)  # in one step, so in one transaction
+        with (
+            contextlib.closing(_connect(path)) as source,
+            contextlib.closing(sqlite3.connect(copy)) as target,
+        ):
+            source.backup(target)  # one step, therefore one transaction
         return
     try:
         with engine.connect().execution_options(isolation_level="AUTOCOMMIT") as guard:
-            # services take this lock while they create the tables, so the transaction below sees all or none
+            # Services hold this lock while they create the tables, so the transaction below sees all or none.
             guard.execute(text("SELECT pg_advisory_lock_shared(7223)"))
-            _moment_of_postgresql(engine, url, copy)
+            _write_postgresql_snapshot(engine, url, copy)
     except SQLAlchemyError as error:
         raise TandemError(cannot_open(url, error)) from error
     finally:
         engine.dispose()
 
 
-def _moment_of_postgresql(engine: Engine, url: str, copy: Path) -> None:
+def _write_postgresql_snapshot(engine: Engine, url: str, copy: Path) -> None:
     options = {"isolation_level": "REPEATABLE READ", "postgresql_readonly": True}
     with engine.connect().execution_options(**options) as source, source.begin():
-        found = version_of(source)
-        if found != VERSION:
-            if found is None:
-                raise _refused(f"database {shown(url)}: contains no store. Correct --database.")
-            problem = f"has tables of version {found} (expected {VERSION})"
+        version = version_of(source)
+        if version != VERSION:
+            if version is None:
+                raise _backup_error(f"database {redacted_url(url)}: contains no store. Correct --database.")
+            problem = f"has tables of version {version} (expected {VERSION})"
             remedy = "Use pg_dump, or the version of tandem-planner that created the store."
-            raise _refused(f"database {shown(url)}: {problem}. {remedy}")
-        target = Database(_sqlite(copy))
-        with target.write() as written:
-            _copy_rows(source, written)
+            raise _backup_error(f"database {redacted_url(url)}: {problem}. {remedy}")
+        target = Database(_sqlite_url(copy))
+        with target.write() as snapshot:
+            _copy_rows(source, snapshot)
         target.close()
 
 
-def _fill(url: str, copy: Path) -> None:
-    """Make the tables of an empty database, with the rows of the copy."""
-    source = Database(_sqlite(copy))
-    with _begun(url) as written, source.read() as read:
-        _check_empty(written)
-        create_or_check(written, METADATA)
-        _copy_rows(read, written)
+def _fill_database(url: str, copy: Path) -> None:
+    """Create the tables of an empty database and copy all rows into them."""
+    source = Database(_sqlite_url(copy))
+    with _exclusive_transaction(url) as target_connection, source.read() as source_connection:
+        _check_empty(target_connection)
+        create_or_check(target_connection, METADATA)
+        _copy_rows(source_connection, target_connection)
     source.close()
 
 
@@ -202,19 +239,19 @@ def _copy_rows(source: Connection, target: Connection) -> None:
     for table in METADATA.sorted_tables:
         if table is SCHEMA:
             continue
-        rows = source.execute(select(table), execution_options={"yield_per": ROWS}).mappings()
-        for part in rows.partitions():
-            target.execute(insert(table), [dict(row) for row in part])
+        rows = source.execute(select(table), execution_options={"yield_per": ROWS_PER_BATCH}).mappings()
+        for batch in rows.partitions():
+            target.execute(insert(table), [dict(row) for row in batch])
 
 
 @contextlib.contextmanager
-def _begun(url: str) -> Iterator[Connection]:
-    """A transaction that has a database to itself while its tables are made."""
+def _exclusive_transaction(url: str) -> Iterator[Connection]:
+    """Open a transaction that has exclusive use of a database while its tables are created."""
     try:
         engine = open_engine(url)
         try:
             if engine.dialect.name == "sqlite":
-                _check_no_log(Path(engine.url.database or ""))
+                _check_no_journal(Path(engine.url.database or ""))
             with engine.begin() as connection:
                 if engine.dialect.name != "sqlite":
                     connection.execute(text("SELECT pg_advisory_xact_lock(7223)"))
@@ -225,98 +262,112 @@ def _begun(url: str) -> Iterator[Connection]:
         raise TandemError(cannot_open(url, error)) from error
 
 
-def _check_no_log(path: Path) -> None:
-    """See that a database that is not there left no log: SQLite would write what that has over the one that
-    is made under its name, or remove it."""
+def _check_no_journal(path: Path) -> None:
+    """Check that a missing database has left no journal files.
+
+    SQLite would write their content over a new database of this name, or remove them.
+    """
     if path.exists() and path.stat().st_size:
-        return  # they are its own
-    left = [f"{path.name}{end}" for end in LOGS if os.path.lexists(f"{path}{end}")]
-    if left:
-        what = f"got {', '.join(left)}, which belong to a {path.name} that is not there"
-        way = "give --data or --database a new place, or move them to where that database is now"
-        raise _refused(f"folder {path.parent}: {what}; {way}")
+        return  # the journals belong to it
+    journals = [f"{path.name}{end}" for end in JOURNAL_SUFFIXES if os.path.lexists(f"{path}{end}")]
+    if journals:
+        problem = f"{', '.join(journals)} belong to a {path.name} that is missing"
+        remedy = "Give --data or --database another path, or move these files to that database."
+        raise _backup_error(f"folder {path.parent}: {problem}. {remedy}")
 
 
 def _check_empty(connection: Connection) -> None:
     if has_store(connection):
-        raise _refused("the database has Tandem's tables already; give --database an empty one")
+        raise _backup_error("the database already contains tables of Tandem. Give --database an empty one.")
 
 
-def _opened(path: Path) -> sqlite3.Connection:
+def _connect(path: Path) -> sqlite3.Connection:
     if not path.is_file():
-        raise _refused(f"database {path}: there is none; give --data and --database as the service has them")
+        raise _backup_error(
+            f"database {path}: not found. Give the same --data and --database as to the service."
+        )
     return sqlite3.connect(path, timeout=60.0)
 
 
-def _read(copy: Path) -> tuple[Backup, dict[str, int]]:
-    """What is in the database of a backup, and the sizes of files that it names; it is one file afterwards,
-    without a log beside it."""
-    with contextlib.closing(_opened(copy)) as db:
+def _read_database(copy: Path) -> tuple[Backup, dict[str, int]]:
+    """Read the summary of a backup's database and the sizes of the files that it references, by SHA-256.
+
+    Afterwards the database is a single file without a journal.
+    """
+    with contextlib.closing(_connect(copy)) as db:
         db.execute("PRAGMA journal_mode=DELETE")
-        (said,) = db.execute("PRAGMA quick_check(1)").fetchone()
-        if said != "ok":
-            raise _refused(f"database {copy}: is damaged ({said}); take another backup")
-    engine = open_engine(_sqlite(copy))
+        (check_result,) = db.execute("PRAGMA quick_check(1)").fetchone()
+        if check_result != "ok":
+            raise _backup_error(f"database {copy}: is damaged ({check_result}). Use another backup.")
+    engine = open_engine(_sqlite_url(copy))
     try:
         with engine.connect() as connection:
-            version, jobs = _jobs_of(connection, copy)
-            named = _files_of(connection, copy)
+            version, jobs = _read_version_and_job_count(connection, copy)
+            sizes = _read_file_sizes(connection, copy)
     finally:  # closing the last connection removes the logs
         engine.dispose()
-    with contextlib.closing(_opened(copy)) as db:
+    with contextlib.closing(_connect(copy)) as db:
         db.execute("PRAGMA journal_mode=DELETE")
-    return Backup(version, jobs, len(named), sum(named.values())), named
+    return Backup(version, jobs, len(sizes), sum(sizes.values())), sizes
 
 
-def _jobs_of(connection: Connection, copy: Path) -> tuple[int, int]:
-    """Check the version of a copied store; return the version and the number of jobs."""
+def _read_version_and_job_count(connection: Connection, copy: Path) -> tuple[int, int]:
+    """Check the version of a copied store. Return the version and the number of jobs."""
     version = version_of(connection)
     if version is None:
-        raise _refused(f"database {copy}: there is no store in it; give --data as the service has it")
+        raise _backup_error(f"database {copy}: contains no store. Give the same --data as to the service.")
     if version != VERSION:
         problem = f"has tables of version {version} (expected {VERSION})"
         remedy = "Use the version of tandem-planner that created the store."
-        raise _refused(f"database {copy}: {problem}. {remedy}")
+        raise _backup_error(f"database {copy}: {problem}. {remedy}")
     return version, int(connection.execute(text("SELECT count(*) FROM tandem_jobs")).scalar_one())
 
 
-def _files_of(connection: Connection, copy: Path) -> dict[str, int]:
+def _read_file_sizes(connection: Connection, copy: Path) -> dict[str, int]:
     """Read the sizes [bytes] of the files of a copied store, by SHA-256."""
     sizes: dict[str, int] = {}
     for sha, size in connection.execute(text("SELECT DISTINCT sha, size FROM tandem_files ORDER BY sha")):
         if not is_sha(sha) or not isinstance(size, int) or size < 0:
-            got = f"got the name {str(sha)[:80]!r} and the size {str(size)[:20]!r}"
-            way = "a SHA-256 of 64 hexadecimal digits and bytes are allowed; it is damaged, take another"
-            raise _refused(f"database {copy.name}: table tandem_files: {got}; {way} backup")
+            problem = f"invalid row (got name {str(sha)[:80]!r} and size {str(size)[:20]!r}, "
+            remedy = "allowed a SHA-256 of 64 hexadecimal digits and a number of bytes). Use another"
+            raise _backup_error(f"database {copy.name}: table tandem_files: {problem}{remedy} backup.")
         sizes[sha] = size
     return sizes
 
 
 def _check_tables(folder: Path, copy: Path) -> None:
-    """See that a database of this version has all that this version's has."""
-    engine = open_engine(_sqlite(copy))
+    """Check that a copied database has all tables and columns of this version."""
+    engine = open_engine(_sqlite_url(copy))
     try:
-        seen = inspect(engine)
-        there = set(seen.get_table_names())
+        inspector = inspect(engine)
+        table_names = set(inspector.get_table_names())
         for table in METADATA.sorted_tables:
-            has = {one["name"] for one in seen.get_columns(table.name)} if table.name in there else set()
-            lost = [one.name for one in table.columns if one.name not in has]
-            if lost:
-                what = f"table {table.name} has no {', '.join(lost)}" if has else f"has no table {table.name}"
-                raise _refused(f"backup {folder}: {what}; it is damaged, take another one")
+            columns = (
+                {column["name"] for column in inspector.get_columns(table.name)}
+                if table.name in table_names
+                else set()
+            )
+            missing = [column.name for column in table.columns if column.name not in columns]
+            if missing:
+                problem = (
+                    f"table {table.name} has no {', '.join(missing)}"
+                    if columns
+                    else f"has no table {table.name}"
+                )
+                raise _backup_error(f"backup {folder}: is damaged: {problem}. Use another backup.")
     finally:
         engine.dispose()
 
 
-def _copied(named: Mapping[str, int], source: Files, target: Files) -> str | None:
-    """Copy files that are not there yet; the first that is gone, or None."""
-    marked = -GRACE_S
-    for sha in named:
-        if time.monotonic() - marked > GRACE_S / 4:
-            marked = time.monotonic()
-            for one in named:
-                with contextlib.suppress(OSError):  # a store that may only be read has no sweep either
-                    os.utime(source.path(one))
+def _copy_files(sizes: Mapping[str, int], source: ContentStore, target: ContentStore) -> str | None:
+    """Copy files that the target lacks. Return the SHA-256 of the first missing one, or None."""
+    marked_at = -GRACE_S
+    for sha in sizes:
+        if time.monotonic() - marked_at > GRACE_S / 4:
+            marked_at = time.monotonic()
+            for used_sha in sizes:
+                with contextlib.suppress(OSError):  # a read-only store is not swept either
+                    os.utime(source.path(used_sha))
         if target.has(sha):
             continue
         try:
@@ -325,47 +376,55 @@ def _copied(named: Mapping[str, int], source: Files, target: Files) -> str | Non
             return sha
         if stored.sha != sha:
             target.path(stored.sha).unlink(missing_ok=True)
-            what = f"file {source.path(sha)}: its content is not that of its name; it is damaged"
-            raise _refused(f"{what}: take it from another backup, or delete the job that names it")
+            problem = f"file {source.path(sha)}: is damaged: its content does not match its name"
+            raise _backup_error(f"{problem}. Take it from another backup, or delete the job that uses it.")
     return None
 
 
-def _check_about(folder: Path) -> None:
+def _check_description(folder: Path) -> None:
     try:
-        about = json.loads((folder / ABOUT).read_text("utf-8"))
-        known = about["format"]
+        description = json.loads((folder / DESCRIPTION_FILE).read_text("utf-8"))
+        format_version = description["format"]
     except FileNotFoundError as error:
-        what = f"folder {folder}: is no backup, or one that did not come to its end: it has no {ABOUT}"
-        raise _refused(f"{what}; name one that `tandem backup` made") from error
+        what = f"folder {folder}: is not a complete backup: it has no {DESCRIPTION_FILE}"
+        raise _backup_error(f"{what}. Name a folder that `tandem backup` created.") from error
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise _refused(f"backup {folder}: {ABOUT} cannot be read; take another one") from error
-    if known != FORMAT:
-        what = f"backup {folder}: has format {str(known)[:20]}, this program knows {FORMAT}"
-        raise _refused(f"{what}; update tandem-planner on this machine")
+        raise _backup_error(
+            f"backup {folder}: {DESCRIPTION_FILE} cannot be read. Use another backup."
+        ) from error
+    if format_version != FORMAT_VERSION:
+        what = (
+            f"backup {folder}: unsupported format (got {str(format_version)[:20]}, allowed {FORMAT_VERSION})"
+        )
+        raise _backup_error(f"{what}. Update tandem-planner on this machine.")
 
 
 @contextlib.contextmanager
-def _told(folder: Path) -> Iterator[None]:
-    """Errors of disks and of SQLite files as issues."""
+def _errors_as_issues(folder: Path) -> Iterator[None]:
+    """Convert errors of the disk and of the database into issues."""
     try:
         yield
     except OSError as error:
-        where = error.filename or folder
-        raise _refused(f"{where}: {error.strerror or error}; see the disk and its permissions") from error
+        location = error.filename or folder
+        raise _backup_error(
+            f"{location}: {error.strerror or error}. Check the disk and its permissions."
+        ) from error
     except sqlite3.Error as error:
-        what = f"its database cannot be read or written ({str(error)[:200]})"
-        raise _refused(f"backup {folder}: {what}; it is damaged, take another one") from error
+        problem = f"its database cannot be read or written ({str(error)[:200]})"
+        raise _backup_error(f"backup {folder}: is damaged: {problem}. Use another backup.") from error
     except NoVersionError as error:
-        raise _refused(f"backup {folder}: {error}. The database is damaged. Use another backup.") from error
+        raise _backup_error(
+            f"backup {folder}: {error}. The database is damaged. Use another backup."
+        ) from error
     except SQLAlchemyError as error:
-        said = reason(error) if isinstance(error, DBAPIError) else type(error).__name__
-        what = f"its database cannot be read or written ({said})"
-        raise _refused(f"backup {folder}: {what}; it is damaged, take another one") from error
+        detail = error_reason(error) if isinstance(error, DBAPIError) else type(error).__name__
+        problem = f"its database cannot be read or written ({detail})"
+        raise _backup_error(f"backup {folder}: is damaged: {problem}. Use another backup.") from error
 
 
-def _sqlite(path: Path) -> str:
+def _sqlite_url(path: Path) -> str:
     return f"sqlite:///{path.resolve()}"
 
 
-def _refused(what: str) -> TandemError:
-    return refusal("service.backup", what)
+def _backup_error(message: str) -> TandemError:
+    return issue_error("service.backup", message)

@@ -1,8 +1,7 @@
-"""What is built in, as plain data: robots, cells, tools, materials, and schemas of problem files.
+"""Built-in robots, cells, tools, materials and the schemas of problem files, as plain data.
 
-JSON schemas come from the very models that read problem files: one file's schema knows the
-operations of all processes. Loading them takes seconds, so this module is imported when it is asked
-for.
+The JSON schemas are generated from the models that read problem files. The schema of a problem file
+contains the operations of all processes. Loading them takes seconds, so this module is imported on demand.
 """
 
 import functools
@@ -21,13 +20,13 @@ from planner.geometry.units import DEG, MM
 from planner.issues import Issue
 from planner.processes import registry
 from planner.reading import cell
-from planner.reading.loads import ForcesFile
 from planner.reading.problem import ProblemFile
+from planner.reading.process_forces import ForcesFile
 from planner.reading.stock import SetupFile
 from planner.service.models import Kind
 from planner.service.security import RefusedError
 
-TOOLS: Final[tuple[type[BaseModel], ...]] = (
+TOOL_MODELS: Final[tuple[type[BaseModel], ...]] = (
     cell.WireHolderFile,
     cell.BowFile,
     cell.GripperPlateFile,
@@ -38,12 +37,16 @@ TOOLS: Final[tuple[type[BaseModel], ...]] = (
     cell.MillFile,
     cell.PlainToolFile,
 )
-"""Schemas of the tools that a problem file may state."""
+"""Schemas of the tools that a problem file may contain."""
 
 
 @functools.cache
 def entries(kind: Kind) -> dict[str, dict[str, Any]]:
-    """The entries of one kind by name."""
+    """Return the catalogue entries of one kind, by name.
+
+    Args:
+        kind: Kind of entry.
+    """
     return dict({"robots": _robots, "cells": _cells, "tools": _tools, "materials": _materials}[kind]())
 
 
@@ -68,13 +71,13 @@ def _robots() -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def _cells() -> Iterator[tuple[str, dict[str, Any]]]:
-    """Cells as problem files may have them inside."""
+    """Yield cells in the form in which problem files may contain them."""
     for path in sorted((data_dir("problems") / "cells").glob("*.yaml")):
-        yield path.stem, _yaml(path)
+        yield path.stem, _load_yaml(path)
 
 
 def _tools() -> Iterator[tuple[str, dict[str, Any]]]:
-    for model in TOOLS:
+    for model in TOOL_MODELS:
         schema = model.model_json_schema()
         kind = str(schema["properties"]["kind"]["const"])
         yield kind, {"about": " ".join((model.__doc__ or "").split()), "schema": schema}
@@ -82,57 +85,68 @@ def _tools() -> Iterator[tuple[str, dict[str, Any]]]:
 
 def _materials() -> Iterator[tuple[str, dict[str, Any]]]:
     wires, foams_, sheets = wire_materials().values(), foams().values(), sheet_metals().values()
-    known = [("wire", m.name, m.title, m.sources) for m in wires]
-    known += [("foam", m.name, m.title, m.sources) for m in foams_]
-    known += [("sheet", m.name, m.title, m.sources) for m in sheets]
-    for kind, name, title, sources in known:
+    rows = [("wire", m.name, m.title, m.sources) for m in wires]
+    rows += [("foam", m.name, m.title, m.sources) for m in foams_]
+    rows += [("sheet", m.name, m.title, m.sources) for m in sheets]
+    for kind, name, title, sources in rows:
         yield name, {"kind": kind, "title": title, "sources": dict(sources)}
 
 
-def _yaml(path: Path) -> dict[str, Any]:
+def _load_yaml(path: Path) -> dict[str, Any]:
     data = yaml.safe_load(path.read_text(encoding="utf-8"))
     return data if isinstance(data, dict) else {}
 
 
-IN_OPENAPI: Final = "#/components/schemas/{model}"
-"""Where the description of the interface keeps a schema."""
+OPENAPI_REFERENCE: Final = "#/components/schemas/{model}"
+"""Reference to a schema in the OpenAPI document."""
 
 
 @functools.cache
 def problem_schema(template: str = "#/$defs/{model}") -> tuple[dict[str, Any], dict[str, Any]]:
-    """The schema of a problem file, and the definitions that it refers to by ``template``."""
+    """Return the schema of a problem file and the definitions that it references.
+
+    Args:
+        template: Format of a reference.
+    """
     models: list[type[BaseModel]] = [ProblemFile, SetupFile, ForcesFile, *registry.schemas().values()]
-    found, together = models_json_schema([(m, "validation") for m in models], ref_template=template)
-    definitions: dict[str, Any] = together["$defs"]
+    references, document = models_json_schema([(m, "validation") for m in models], ref_template=template)
+    definitions: dict[str, Any] = document["$defs"]
     choices: list[dict[str, Any]] = []
     for model in registry.schemas().values():
-        definition = definitions[_name(found[model, "validation"])]
-        definition["properties"]["setup"] = dict(found[SetupFile, "validation"])
-        stated = definitions[_name(found[ForcesFile, "validation"])]
-        definition["properties"]["forces"] = stated["properties"]["forces"]
-        choices.append(dict(found[model, "validation"]))
-    top = definitions[_name(found[ProblemFile, "validation"])]
-    top["properties"]["operations"]["items"] = {"oneOf": choices}
-    return dict(found[ProblemFile, "validation"]), definitions
+        definition = definitions[_model_name(references[model, "validation"])]
+        definition["properties"]["setup"] = dict(references[SetupFile, "validation"])
+        forces_definition = definitions[_model_name(references[ForcesFile, "validation"])]
+        definition["properties"]["forces"] = forces_definition["properties"]["forces"]
+        choices.append(dict(references[model, "validation"]))
+    root = definitions[_model_name(references[ProblemFile, "validation"])]
+    root["properties"]["operations"]["items"] = {"oneOf": choices}
+    return dict(references[ProblemFile, "validation"]), definitions
 
 
 def problem_file() -> dict[str, Any]:
-    """The schema of a whole problem file, by itself."""
+    """Return the self-contained schema of a whole problem file."""
     reference, definitions = problem_schema()
     return {**reference, "$defs": definitions}
 
 
-def process(name: str) -> dict[str, Any]:
-    """The schema of one process's operation, by itself; raises :class:`RefusedError`, 404."""
+def process_schema(name: str) -> dict[str, Any]:
+    """Return the self-contained schema of one process's operation.
+
+    Args:
+        name: Name of the process.
+
+    Raises:
+        RefusedError: 404, no such process.
+    """
     known = registry.schemas()
     if name not in known:
-        have = ", ".join(known)
+        names = ", ".join(known)
         raise RefusedError(
-            404, Issue("service.not_found", f"process {name[:80]!r}: known are {have}", field="name")
+            404, Issue("service.not_found", f"process {name[:80]!r}: unknown (allowed {names})", field="name")
         )
     _, definitions = problem_schema()
     return {"$ref": f"#/$defs/{known[name].__name__}", "$defs": definitions}
 
 
-def _name(reference: Any) -> str:
+def _model_name(reference: Any) -> str:
     return str(reference["$ref"]).rsplit("/", 1)[1]

@@ -1,4 +1,4 @@
-"""What the API sends of a cell: bodies with their triangles, their places in postures, maps of a freedom."""
+"""Response models of a cell: bodies with triangles, their poses in postures, and maps of a freedom."""
 
 from typing import Literal
 
@@ -7,12 +7,12 @@ from pydantic import Field
 from planner.issues import Issue
 from planner.service.models import Sent
 
-Rows = list[list[float | None]]
-"""Figures by target and value, nothing where there are none."""
+ValueGrid = list[list[float | None]]
+"""Numbers by target and value. None where a value does not exist."""
 
 
 class CellField(Sent):
-    """A field of the problem that says where something stands, with the pose that it states or has got."""
+    """A field of the problem that places something, with the pose that it states or that was found."""
 
     field: str
     xyz_mm: list[float]
@@ -20,7 +20,7 @@ class CellField(Sent):
 
 
 class CellMove(Sent):
-    """What stands where ``fields`` say, and the bodies that go along with it."""
+    """Something whose pose is given by ``fields``, and the bodies that move with it."""
 
     name: str
     kind: Literal["stock", "arm", "obstacle"]
@@ -29,8 +29,11 @@ class CellMove(Sent):
 
 
 class CellBody(Sent):
-    """Triangles in the frame of a body: ``vertices`` [mm], three numbers each, and ``faces``, three indices
-    each. ``color``: red, green, blue, opacity in 0..1."""
+    """Triangles in the frame of a body.
+
+    ``vertices`` [mm] has three numbers per vertex, and ``faces`` three indices per triangle. ``color`` is
+    red, green, blue and opacity, from 0 to 1.
+    """
 
     body: str
     kind: Literal["link", "tool", "edge", "stock", "support", "obstacle", "part"]
@@ -40,7 +43,7 @@ class CellBody(Sent):
 
 
 class CellArm(Sent):
-    """An arm and its joints; ``works``: whether it takes part in the operation."""
+    """An arm and its joints. ``works`` says whether it takes part in the operation."""
 
     name: str
     robot: str
@@ -51,8 +54,10 @@ class CellArm(Sent):
 
 
 class CellTarget(Sent):
-    """A target that was looked at: where its tool points are in the world, the number of its ``posture``, and
-    the ``faults`` where there is none."""
+    """A sampled target.
+
+    It has tool points in the world, and the number of its ``posture``, or ``faults`` if there is none.
+    """
 
     index: int
     name: str
@@ -62,37 +67,46 @@ class CellTarget(Sent):
 
 
 class FreedomOut(Sent):
-    """What there is a map of: a freedom of the targets, or a way of the block's place (``place x``)."""
+    """A freedom that can be mapped: of the targets, or of the block's placement (``place x``)."""
 
     name: str
     unit: Literal["deg", "mm", ""]
 
 
 class FreedomMap(Sent):
-    """A map of one freedom over the targets that were looked at: ``values`` by target. ``states`` by arm are
-    numbers of ``codes``, 0 where nothing fails; distances to joint limits and to singular postures are those
-    of the best state, ``clearance_mm`` is between bodies where nothing fails, at most 100. ``pairs``: bodies
-    that are too near each other."""
+    """A map of one freedom over the sampled targets.
+
+    - ``values``: values of the freedom, by target.
+    - ``states``: by arm, numbers of ``codes``, 0 if nothing fails.
+    - ``limit_deg``, ``singular_deg``: distances of the best posture from joint limits and from
+      singularities.
+    - ``clearance_mm``: distance between bodies where nothing fails, at most 100.
+    - ``pairs``: bodies that are too close to each other.
+    """
 
     freedom: str
     unit: Literal["deg", "mm", ""]
     values: list[list[float]]
     states: dict[str, list[list[int]]]
     codes: list[str]
-    limit_deg: dict[str, Rows]
-    singular_deg: dict[str, Rows]
-    clearance_mm: Rows
+    limit_deg: dict[str, ValueGrid]
+    singular_deg: dict[str, ValueGrid]
+    clearance_mm: ValueGrid
     pairs: list[list[str]]
     path: list[float | None] | None = Field(
-        default=None, description="values of a plan of the same targets, nothing at those that it left out"
+        default=None, description="values of a plan of the same targets, null at targets that it lacks"
     )
 
 
 class ReachOut(Sent):
-    """What each arm can do over a standing block, at places on a grid that is ``pitch_mm`` apart along its
-    edges: ``states`` by arm are numbers of ``codes``, 0 where it reaches within its limits. At a place the
-    tool is turned as at the nearest of so many working ``targets``; ``samples`` of what the process leaves
-    free were looked at, bodies were not held apart."""
+    """Reach of each arm over a fixed block, on a grid with the spacing ``pitch_mm`` along its edges.
+
+    - ``states``: by arm, numbers of ``codes``, 0 if the arm reaches the point within its limits.
+    - ``targets``: number of working targets. At each point the tool has the orientation of the nearest one.
+    - ``samples``: number of samples of the freedoms that the process leaves open.
+
+    Collisions between bodies are not tested.
+    """
 
     points_mm: list[list[float]]
     pitch_mm: list[float]
@@ -103,10 +117,14 @@ class ReachOut(Sent):
 
 
 class CellOut(Sent):
-    """What a cell looks like to an operation. ``poses``: of each body at home, then in every posture, twelve
-    numbers each: the upper rows of its matrix in the world, places in mm. ``joints_deg``: the joints of these
-    postures. ``placed``: whether the block's place is stated or found. ``of``: targets that there are,
-    ``thinned``: fewer than the plan will have."""
+    """A cell as an operation finds it.
+
+    - ``poses``: of each body at home, then in every posture. Each pose has twelve numbers: the upper three
+      rows of its matrix in the world, positions in mm.
+    - ``joints_deg``: joint values of these postures.
+    - ``placed``: whether the block's pose is stated or was found.
+    - ``of``: number of targets. ``thinned``: whether the plan will have more targets.
+    """
 
     name: str
     digest: str
@@ -124,7 +142,7 @@ class CellOut(Sent):
     targets: list[CellTarget] | None = None
     joints_deg: dict[str, list[list[float]]] | None = None
     wires_mm: list[list[list[float]]] | None = Field(
-        default=None, description="the bent wire between the arms in each posture but home"
+        default=None, description="the bent wire between the arms in each posture except home"
     )
     freedoms: list[FreedomOut] | None = None
     map: FreedomMap | None = None

@@ -1,11 +1,11 @@
-"""The client of the service, with problems, issues and outcomes of this package.
+"""Client of the service that uses the problems, issues and outcomes of this package.
 
 >>> import planner
 >>> client = planner.Client("https://plans.example.org", token)
 >>> outcome = client.plan(planner.load("wing"))
 
-All that is HTTP is in :mod:`planner.service.tandem_client`, which the distribution ``tandem-client`` has
-alone.
+The HTTP client is :mod:`planner.service.tandem_client`, which is also distributed alone as
+``tandem-client``.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from planner import pipeline, plans, spec
-from planner.files import PAGES, RESULT, write_folder
-from planner.issue_codes import all_codes
+from planner.files import PAGES, RESULT_ENTRIES, write_folder
+from planner.issue_codes import all_codes, format_message
 from planner.issues import Issue, TandemError
 from planner.pipeline import Outcome
 from planner.problem import Problem
@@ -31,43 +31,64 @@ from planner.service.tandem_client import PLANNED, Progress
 if TYPE_CHECKING:
     from planner.service.tandem_client import Content
 
-FIELDS: Final = frozenset(field.name for field in dataclasses.fields(Issue))
-"""What an issue of this version has."""
+ISSUE_FIELDS: Final = frozenset(field.name for field in dataclasses.fields(Issue))
+"""Names of the fields of an issue in this version."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Served(Outcome):
-    """An outcome that a service planned; ``files`` are those of its result folder, by name.
+    """Outcome of planning on a service.
 
-    Its proof has rules and issues, without the arrays that the report draws: the report is in ``files``.
+    The proof contains rules and issues, without the arrays that the report draws. The report is in
+    ``files``.
+
+    Attributes:
+        files: Content of the result folder, by name.
+        job: Id of the job.
     """
 
     files: Mapping[str, bytes] = dataclasses.field(default_factory=dict)
     job: str = ""
 
     def save(self, folder: str | Path, progress: Progress | None = None, pages: bool = True) -> None:
-        """Write the result folder as the service made it; ``pages`` as of an outcome."""
+        """Write the result folder as the service created it.
+
+        Args:
+            folder: Folder to write.
+            progress: Not used.
+            pages: Write HTML pages too.
+        """
         del progress
         files = {name: content for name, content in self.files.items() if pages or name not in PAGES}
-        write_folder(Path(folder), files, RESULT)
+        write_folder(Path(folder), files, RESULT_ENTRIES)
 
 
 class Client(tandem_client.Client):
-    """A service at ``url``; ``token`` where it asks for one. ``timeout_s``: how long an answer may take.
+    """Client of a service.
 
-    Problems are those of :func:`planner.load` or :class:`planner.spec.Problem` too. All methods raise
-    :class:`planner.TandemError` with the issues of a refusal, or ``service.answer`` where the service cannot
-    be reached.
+    Problems may also be results of :func:`planner.load` or instances of :class:`planner.spec.Problem`. All
+    methods raise :class:`planner.TandemError` with the issues of a refusal, or ``service.answer`` if the
+    service is unreachable.
+
+    Args:
+        url: Address of the service.
+        token: API token, if the service requires one.
+        timeout_s: Maximum time [s] of an answer.
     """
 
     _error = TandemError
 
     def plan(self, problem: Problem | spec.Problem, progress: Progress | None = None) -> Served:
-        """Plan a problem there, as :func:`planner.plan` does here; an interruption cancels the job.
+        """Plan a problem on the service. An interruption cancels the job.
 
-        Raises ``TandemError`` where no plan is feasible, or planning failed.
+        Args:
+            problem: Problem to plan.
+            progress: Callback for stage and fraction.
+
+        Raises:
+            TandemError: No feasible plan, or planning failed.
         """
-        problem = pipeline.built(problem)
+        problem = pipeline.ensure_problem(problem)
         job = self.submit(problem)
         try:
             done = self.wait(job, progress)
@@ -77,9 +98,18 @@ class Client(tandem_client.Client):
         return self.outcome(done, problem)
 
     def outcome(self, job: Mapping[str, Any], problem: Problem) -> Served:
-        """What a job that has ended gave; raises ``TandemError`` with its issues where there is no plan."""
+        """Return the outcome of a job that has ended.
+
+        Args:
+            job: Job as the service returned it.
+            problem: Problem of the job.
+
+        Raises:
+            TandemError: There is no plan. Contains the issues of the job.
+        """
         if job["state"] not in PLANNED:
-            stopped = Issue("service.answer", f"job {job['id']} is {job['state']}; there is no plan")
+            message = format_message("service.answer", job=job["id"], state=job["state"])
+            stopped = Issue("service.answer", message)
             raise TandemError([self._issue(issue) for issue in job["issues"]] or [stopped])
         files = self.files(str(job["id"]))
         with tempfile.TemporaryDirectory() as folder:
@@ -98,19 +128,19 @@ class Client(tandem_client.Client):
     def _bundle(self, problem: Any, files: Mapping[str, Content]) -> tuple[bytes, dict[str, bytes]]:
         if not isinstance(problem, Problem | spec.Problem):
             return super()._bundle(problem, files)
-        whole = problem_file.bundle(pipeline.built(problem))
+        whole = problem_file.bundle(pipeline.ensure_problem(problem))
         text, sent = super()._bundle(whole.pop("problem.yaml"), files)
         return text, {**sent, **whole}
 
     def _issue(self, data: Mapping[str, Any]) -> Issue:
-        """An issue as this version has it: what a newer service has besides is left out."""
-        known = {name: value for name, value in data.items() if name in FIELDS}
+        """Convert an issue from JSON. Fields that only newer services send are dropped."""
+        known = {name: value for name, value in data.items() if name in ISSUE_FIELDS}
         if known["code"] not in all_codes():
             known |= {"code": "service.answer", "message": f"[{data['code']}] {data['message']}"}
         return Issue.from_dict(known)
 
     def _proof(self, data: Mapping[str, Any], part: str) -> Proof:
-        names = {field.name for field in dataclasses.fields(RuleResult)}  # a newer service may have others
+        names = {field.name for field in dataclasses.fields(RuleResult)}  # a newer service may send others
         rules = tuple(
             RuleResult(**{name: value for name, value in rule.items() if name in names})
             for rule in data["rules"]

@@ -1,6 +1,7 @@
-"""The API's routes of drafts: problems in the making, and cells, tools and templates kept for later."""
+"""API routes of drafts: unfinished problems, and cells, tools and templates kept for later use."""
 
 import contextlib
+import dataclasses
 import datetime as dt
 import json
 from collections.abc import Sequence
@@ -13,50 +14,53 @@ from pydantic import ConfigDict, Field
 from sqlalchemy import RowMapping
 
 from planner.issues import Issue
-from planner.service.answers import stored_file
-from planner.service.drafts import tag_of, unknown_draft
+from planner.service.drafts import DraftEdit, entity_tag, unknown_draft
+from planner.service.http_responses import stored_file_response
 from planner.service.models import FileOut, JobOut, Sent, utc
 from planner.service.routes import (
-    ASKED,
+    AUTH_REFUSALS,
     CURSOR,
+    FILE_RESPONSES,
     JOB_ID,
-    PARTS,
-    UPLOADED,
-    Asker,
-    Caller,
-    Here,
-    job_of,
+    UPLOAD_REFUSALS,
+    AuthorisedOwner,
+    AuthorisedPrincipal,
+    CurrentPrincipal,
+    CurrentService,
     refusals,
+    visible_job,
 )
-from planner.service.security import RefusedError, Who
+from planner.service.security import Principal, RefusedError
 from planner.service.service import Service
-from planner.service.storage import Blob, documented, take_upload
-from planner.service.texts import Line, described, read_body
+from planner.service.storage import Blob, request_body_schema, store_upload
+from planner.service.user_texts import Line, body_description, read_body
 
-router: Final = APIRouter(prefix="/v1/drafts", tags=["drafts"], responses=ASKED)
+router: Final = APIRouter(prefix="/v1/drafts", tags=["drafts"], responses=AUTH_REFUSALS)
 DraftKind = Literal["draft", "cell", "tool", "template"]
-BINARY: Final = "application/octet-stream"
-"""Content type of what people made: it is never shown as anything."""
-SAVED: Final = {"requestBody": documented({"type": "object", "description": "a problem, right or wrong"})}
-"""How the description of the interface tells of a draft's body."""
+BINARY_TYPE: Final = "application/octet-stream"
+"""Content type of user content, so that no browser renders it."""
+SAVE_BODY: Final = {
+    "requestBody": request_body_schema({"type": "object", "description": "a problem, valid or not"})
+}
+"""OpenAPI description of the body of a draft."""
 
 
 class DraftOut(Sent):
-    """A draft; its `ETag` is its version."""
+    """A draft. Its `ETag` is its version."""
 
     id: str
     kind: DraftKind
     title: str
-    version: int = Field(description="the last one")
-    by: str = Field(description="name of the token that made it")
+    version: int = Field(description="number of the last version")
+    by: str = Field(description="name of the token that created it")
     created: dt.datetime
     changed: dt.datetime
-    sent: int | None = Field(None, description="the version that was planned last; what is newer was not")
-    job: str | None = Field(None, description="the job that it was planned as, while there is that")
+    sent: int | None = Field(None, description="last version that was submitted as a job")
+    job: str | None = Field(None, description="job of that version, if it exists")
 
 
 class VersionOut(Sent):
-    """What a draft was, by whom and since when."""
+    """A version of a draft: who saved it and when."""
 
     number: int
     at: dt.datetime
@@ -65,43 +69,47 @@ class VersionOut(Sent):
 
 
 class DraftVersions(DraftOut):
-    """A draft with its versions, the newest first; the oldest go."""
+    """A draft with its versions, newest first. The oldest versions are deleted."""
 
     versions: list[VersionOut]
 
 
 class DraftList(Sent):
-    """A page of drafts, what was changed last first; ``next`` is the ``cursor`` of the page that follows."""
+    """A page of drafts, last changed first. ``next`` is the ``cursor`` of the next page."""
 
     drafts: list[DraftOut]
     next: str | None = None
 
 
 class DraftContent(Sent):
-    """What a version consists of."""
+    """Problem and files of a version."""
 
     problem: FileOut
     files: list[FileOut]
 
 
 class Titled(Sent):
-    """What people call a draft."""
+    """The title of a draft."""
 
     model_config = ConfigDict(extra="forbid")
     title: Line
 
 
 class Planned(Sent):
-    """The job that a version was sent as."""
+    """The job as which a version was submitted."""
 
     model_config = ConfigDict(extra="forbid")
     version: int = Field(ge=1, lt=2**31)
     job: str = Field(pattern=JOB_ID.pattern, max_length=32)
 
 
-def own_draft(draft: str, _: Caller, who: Asker, here: Here) -> str:
-    """The id of a draft, if it is the caller's or his team's; raises :class:`RefusedError`, 404."""
-    if not JOB_ID.fullmatch(draft) or not here.auth.sees(who, here.drafts.owner(draft)):
+def own_draft(draft: str, _: AuthorisedOwner, principal: CurrentPrincipal, service: CurrentService) -> str:
+    """Return the id of a draft that the caller or its team owns (dependency).
+
+    Raises:
+        RefusedError: 404.
+    """
+    if not JOB_ID.fullmatch(draft) or not service.auth.sees(principal, service.drafts.owner(draft)):
         raise unknown_draft(draft)
     return draft
 
@@ -111,202 +119,258 @@ VersionOf = Annotated[str, Query(pattern="^[0-9a-f]{32}@[1-9][0-9]{0,8}$", max_l
 """A version of a draft, such as ``5e1c...@3``."""
 
 
-def versions_of(given: Sequence[str], owner: str, who: Who, here: Service) -> list[tuple[str, int]]:
-    """Drafts and numbers of their versions; raises :class:`RefusedError`, 404, for what the caller has not
-    got."""
-    out = []
-    for draft, _, number in (one.partition("@") for one in given):
-        here.drafts.version(own_draft(draft, owner, who, here), int(number))
-        out.append((draft, int(number)))
-    return out
+def parse_versions(
+    given: Sequence[str], owner: str, principal: Principal, service: Service
+) -> list[tuple[str, int]]:
+    """Parse and check versions of drafts.
+
+    Args:
+        given: Versions as ``DRAFT@NUMBER``.
+        owner: Token of the caller.
+        principal: Authenticated caller.
+        service: Service.
+
+    Returns:
+        Ids of drafts, and version numbers.
+
+    Raises:
+        RefusedError: 404, the caller has no such version.
+    """
+    versions = []
+    for draft, _, number in (version.partition("@") for version in given):
+        service.drafts.version(own_draft(draft, owner, principal, service), int(number))
+        versions.append((draft, int(number)))
+    return versions
 
 
-def mark_sent(sent: Sequence[tuple[str, int]], jobs: Sequence[JobOut], here: Service) -> None:
-    """Note of each of some versions that it was sent as one of the jobs, in their order."""
+def mark_sent(sent: Sequence[tuple[str, int]], jobs: Sequence[JobOut], service: Service) -> None:
+    """Record for each version that it was submitted as the job at the same position.
+
+    Args:
+        sent: Ids of drafts, and version numbers.
+        jobs: Jobs in the same order.
+        service: Service.
+    """
     for (draft, number), job in zip(sent, jobs, strict=False):
-        with contextlib.suppress(RefusedError):  # deleted meanwhile; the jobs are made
-            here.drafts.mark_sent(draft, number, job.id)
+        with contextlib.suppress(RefusedError):  # the draft was deleted meanwhile, the jobs exist
+            service.drafts.mark_sent(draft, number, job.id)
 
 
-Title = Annotated[Line, Query(description="what people call it, in any language")]
+Title = Annotated[Line, Query(description="title, in any language")]
 Number = Annotated[int, Path(ge=1, lt=2**31)]
 
 
 @router.post(
     "",
     status_code=201,
-    responses=UPLOADED,
-    openapi_extra=SAVED,
+    responses=UPLOAD_REFUSALS,
+    openapi_extra=SAVE_BODY,
     summary="Keep a problem, cell, tool or template",
 )
 async def create(
     request: Request,
     response: Response,
-    owner: Caller,
-    who: Asker,
-    here: Here,
+    principal: AuthorisedPrincipal,
+    service: CurrentService,
     title: Title = "",
-    kind: Annotated[DraftKind, Query(description="what the upload is")] = "draft",
+    kind: Annotated[DraftKind, Query(description="kind of the upload")] = "draft",
 ) -> DraftOut:
-    """As it is sent, right or wrong, with its files. Those of one's team may open and change it."""
-    upload = await take_upload(request, here.storage, owner, here.limits)
-    row = await anyio.to_thread.run_sync(here.drafts.create, who, kind, title, upload)
-    return _told(row, response)
+    """Keeps the upload and its files unchanged, valid or not.
+
+    Members of the team can open and change it.
+    """
+    upload = await store_upload(request, service.storage, principal.token, service.limits)
+    row = await anyio.to_thread.run_sync(service.drafts.create, principal, kind, title, upload)
+    return _draft_model(row, response)
 
 
 @router.get("", responses=refusals(422), summary="List your drafts")
 def page(
-    _: Caller,
-    who: Asker,
-    here: Here,
-    kind: Annotated[list[DraftKind] | None, Query(description="these kinds alone")] = None,
+    _: AuthorisedOwner,
+    principal: CurrentPrincipal,
+    service: CurrentService,
+    kind: Annotated[list[DraftKind] | None, Query(description="only these kinds")] = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 200,
     cursor: CURSOR = None,
 ) -> DraftList:
-    """Yours and those of your team, a page at a time."""
-    rows, following = here.drafts.page(here.auth.owners(who), kind or (), limit, cursor)
-    return DraftList(drafts=[_told(row) for row in rows], next=following)
+    """Drafts of the caller and its team, one page at a time."""
+    rows, next_cursor = service.drafts.page(service.auth.owners(principal), kind or (), limit, cursor)
+    return DraftList(drafts=[_draft_model(row) for row in rows], next=next_cursor)
 
 
 @router.get("/{draft}", responses=refusals(404), summary="A draft with its versions")
-def get(found: OwnDraft, here: Here, response: Response) -> DraftVersions:
+def get(draft_id: OwnDraft, service: CurrentService, response: Response) -> DraftVersions:
     """Who saved which version, and when."""
-    row, versions = here.drafts.get(found)
-    told = [_version(one) for one in versions]
-    return DraftVersions(**_told(row, response).model_dump(), versions=told)
+    row, versions = service.drafts.get(draft_id)
+    version_models = [_version_model(version) for version in versions]
+    return DraftVersions(**_draft_model(row, response).model_dump(), versions=version_models)
+
+
+@dataclasses.dataclass(frozen=True)
+class SaveRequest:
+    """Header and query parameters of a request that saves a draft (dependency).
+
+    Attributes:
+        if_match: Entity tags of the version that was edited, or None.
+        without: Files of the last version that are dropped, or None.
+        title: New title, or None to keep it.
+        instead: Set the title only if the present one is this, or None.
+    """
+
+    if_match: Annotated[
+        str | None, Header(max_length=100, description="`ETag` of the version that was edited")
+    ] = None
+    without: Annotated[
+        list[Annotated[str, Query(max_length=255)]] | None,
+        Query(max_length=64, description="files of the last version that are dropped"),
+    ] = None
+    title: Annotated[Line | None, Query(description="new title")] = None
+    instead: Annotated[Line | None, Query(description="set the title only if the present one is this")] = None
 
 
 @router.put(
     "/{draft}",
     responses={
         **refusals(404, 413, 422, 507),
-        412: {"description": "somebody else has saved it meanwhile"},
+        412: {"description": "the draft was saved since the version in `If-Match`"},
         428: {"description": "`If-Match` is missing"},
     },
-    openapi_extra=SAVED,
+    openapi_extra=SAVE_BODY,
     summary="Save a draft",
 )
 async def save(
     request: Request,
     response: Response,
-    found: OwnDraft,
-    owner: Caller,
-    who: Asker,
-    here: Here,
-    if_match: Annotated[
-        str | None, Header(max_length=100, description="`ETag` of the version that was changed")
-    ] = None,
-    without: Annotated[
-        list[Annotated[str, Query(max_length=255)]] | None,
-        Query(max_length=64, description="files of before that are no longer part of it"),
-    ] = None,
-    title: Annotated[Line | None, Query(description="what it is called from now on")] = None,
-    instead: Annotated[
-        Line | None, Query(description="if it is called so still: what somebody called it otherwise stays")
-    ] = None,
+    draft_id: OwnDraft,
+    principal: AuthorisedPrincipal,
+    service: CurrentService,
+    save_request: Annotated[SaveRequest, Depends(SaveRequest)],
 ) -> DraftOut:
-    """The next version: the upload, and files of the last one that are not sent anew. 412 where somebody else
-    has saved it since the version that `If-Match` names, so that nothing is overwritten unseen."""
-    if if_match is None:
-        what = "If-Match: is missing; send the ETag of the version that you changed"
+    """Saves the next version: the upload, and files of the last version that are not sent again.
+
+    412 if the draft was saved since the version in `If-Match`, so that no change is overwritten unseen.
+    """
+    if save_request.if_match is None:
+        what = "If-Match: is missing. Send the ETag of the version that you edited."
         raise RefusedError(428, Issue("service.draft", what, field="If-Match"))
-    tags = [one.strip().removeprefix("W/") for one in if_match.split(",")]
-    upload = await take_upload(request, here.storage, owner, here.limits)
-    of = await anyio.to_thread.run_sync(here.drafts.owner, found)
-    if of is not None and of != owner:  # whose files the versions of a draft are
+    owner = principal.token
+    tags = [tag.strip().removeprefix("W/") for tag in save_request.if_match.split(",")]
+    edit = DraftEdit(tags, save_request.without or (), save_request.title, save_request.instead)
+    upload = await store_upload(request, service.storage, owner, service.limits)
+    draft_owner = await anyio.to_thread.run_sync(service.drafts.owner, draft_id)
+    if draft_owner is not None and draft_owner != owner:  # files of a draft are charged to its owner
         blobs = [upload.problem, *upload.files.values()]
-        await anyio.to_thread.run_sync(here.storage.allow_of_other, of, blobs)
-    row = await anyio.to_thread.run_sync(
-        here.drafts.save, found, who, tags, upload, without or (), title, instead
-    )
-    return _told(row, response)
+        await anyio.to_thread.run_sync(service.storage.check_owner_space, draft_owner, blobs)
+    row = await anyio.to_thread.run_sync(service.drafts.save, draft_id, principal, upload, edit)
+    return _draft_model(row, response)
 
 
 @router.patch(
     "/{draft}",
     responses=refusals(404, 413, 422),
-    openapi_extra=described(Titled),
-    summary="Call a draft otherwise",
+    openapi_extra=body_description(Titled),
+    summary="Rename a draft",
 )
-async def rename(request: Request, response: Response, found: OwnDraft, here: Here) -> DraftOut:
-    """``{"title": "Gewölbe 3"}``; it is no new version."""
-    given = await read_body(request, Titled)
-    return _told(await anyio.to_thread.run_sync(here.drafts.rename, found, given.title), response)
+async def rename(
+    request: Request, response: Response, draft_id: OwnDraft, service: CurrentService
+) -> DraftOut:
+    """``{"title": "Gewölbe 3"}``. This creates no new version."""
+    body = await read_body(request, Titled)
+    return _draft_model(await anyio.to_thread.run_sync(service.drafts.rename, draft_id, body.title), response)
 
 
 @router.post(
     "/{draft}/sent",
     responses=refusals(404, 413, 422),
-    openapi_extra=described(Planned),
-    summary="Note that a draft was sent",
+    openapi_extra=body_description(Planned),
+    summary="Record that a draft was submitted",
 )
-async def sent(request: Request, response: Response, found: OwnDraft, who: Asker, here: Here) -> DraftOut:
-    """``{"version": 3, "job": "24d8..."}``: so the draft is no unsent work any more, until it is changed."""
-    given = await read_body(request, Planned)
-    await anyio.to_thread.run_sync(job_of, given.job, who, here)
-    row = await anyio.to_thread.run_sync(here.drafts.mark_sent, found, given.version, given.job)
-    return _told(row, response)
+async def sent(
+    request: Request,
+    response: Response,
+    draft_id: OwnDraft,
+    principal: CurrentPrincipal,
+    service: CurrentService,
+) -> DraftOut:
+    """``{"version": 3, "job": "24d8..."}``.
+
+    The draft no longer counts as unsubmitted until it is changed.
+    """
+    body = await read_body(request, Planned)
+    await anyio.to_thread.run_sync(visible_job, body.job, principal, service)
+    row = await anyio.to_thread.run_sync(service.drafts.mark_sent, draft_id, body.version, body.job)
+    return _draft_model(row, response)
 
 
 @router.delete("/{draft}", responses=refusals(404), status_code=204, summary="Delete a draft")
-def delete(found: OwnDraft, owner: Caller, here: Here) -> Response:
-    """With all its versions."""
-    here.drafts.delete(found, owner)
+def delete(draft_id: OwnDraft, owner: AuthorisedOwner, service: CurrentService) -> Response:
+    """Deletes all versions too."""
+    service.drafts.delete(draft_id, owner)
     return Response(status_code=204)
 
 
 @router.get("/{draft}/versions/{number}", responses=refusals(404, 422), summary="A version of a draft")
-def version(found: OwnDraft, number: Number, here: Here) -> DraftContent:
-    """Its problem and files, by name, size and hash."""
-    problem, files = here.drafts.version(found, number)
-    told = [_file(name, blob) for name, blob in sorted(files.items())]
-    return DraftContent(problem=_file("problem", problem), files=told)
+def version(draft_id: OwnDraft, number: Number, service: CurrentService) -> DraftContent:
+    """Name, size and hash of its problem and files."""
+    problem, files = service.drafts.version(draft_id, number)
+    file_models = [_file_model(name, blob) for name, blob in sorted(files.items())]
+    return DraftContent(problem=_file_model("problem", problem), files=file_models)
 
 
 @router.get(
     "/{draft}/versions/{number}/problem",
-    responses={200: {"content": {BINARY: {"schema": {"type": "string"}}}}, **PARTS, **refusals(404, 422)},
+    responses={
+        200: {"content": {BINARY_TYPE: {"schema": {"type": "string"}}}},
+        **FILE_RESPONSES,
+        **refusals(404, 422),
+    },
     response_class=FileResponse,
     summary="The problem of a version",
 )
-def problem(request: Request, found: OwnDraft, number: Number, here: Here) -> Response:
-    """As it was sent."""
-    return _sent(request, here, here.drafts.version(found, number)[0])
+def problem(request: Request, draft_id: OwnDraft, number: Number, service: CurrentService) -> Response:
+    """The problem file, unchanged."""
+    return _file_response(request, service, service.drafts.version(draft_id, number)[0])
 
 
 @router.get(
     "/{draft}/versions/{number}/files/{name:path}",
-    responses={200: {"content": {BINARY: {"schema": {"type": "string"}}}}, **PARTS, **refusals(404, 422)},
+    responses={
+        200: {"content": {BINARY_TYPE: {"schema": {"type": "string"}}}},
+        **FILE_RESPONSES,
+        **refusals(404, 422),
+    },
     response_class=FileResponse,
     summary="A file of a version",
 )
-def file(request: Request, found: OwnDraft, number: Number, name: str, here: Here) -> Response:
-    """As it was sent."""
-    blob = here.drafts.version(found, number)[1].get(name)
+def file(
+    request: Request, draft_id: OwnDraft, number: Number, name: str, service: CurrentService
+) -> Response:
+    """The file, unchanged."""
+    blob = service.drafts.version(draft_id, number)[1].get(name)
     if blob is None:
-        what = f"version {number} of draft {found} has no file {name[:200]!r}; its list has their names"
+        what = f"version {number} of draft {draft_id}: file {name[:200]!r} not found. List its files."
         raise RefusedError(404, Issue("service.unknown_file", what, field="name"))
-    return _sent(request, here, blob)
+    return _file_response(request, service, blob)
 
 
-def _sent(request: Request, here: Here, blob: Blob) -> Response:
+def _file_response(request: Request, service: CurrentService, blob: Blob) -> Response:
     headers = {"Cache-Control": "private, no-cache"}
-    return stored_file(request, here.files.path(blob.sha), blob.sha, BINARY, headers)
+    return stored_file_response(request, service.files.path(blob.sha), blob.sha, BINARY_TYPE, headers)
 
 
-def _told(row: RowMapping, response: Response | None = None) -> DraftOut:
-    known: dict[str, Any] = {name: row[name] for name in ("id", "kind", "title", "version")}
+def _draft_model(row: RowMapping, response: Response | None = None) -> DraftOut:
+    fields: dict[str, Any] = {name: row[name] for name in ("id", "kind", "title", "version")}
     if response is not None:
-        response.headers["ETag"] = tag_of(row)
-    known |= {"created": utc(row["created"]), "changed": utc(row["changed"]), "by": row["made_by"]}
-    known |= {"sent": row["sent"], "job": row["sent_as"]}
-    return DraftOut(**known)
+        response.headers["ETag"] = entity_tag(row)
+    fields |= {"created": utc(row["created"]), "changed": utc(row["changed"]), "by": row["made_by"]}
+    fields |= {"sent": row["sent"], "job": row["sent_as"]}
+    return DraftOut(**fields)
 
 
-def _version(row: RowMapping) -> VersionOut:
-    names = [one["name"] for one in json.loads(row["files"])]
+def _version_model(row: RowMapping) -> VersionOut:
+    names = [file["name"] for file in json.loads(row["files"])]
     return VersionOut(number=row["number"], at=utc(row["at"]), by=row["who"], files=names)
 
 
-def _file(name: str, blob: Blob) -> FileOut:
-    return FileOut(name=name, size=blob.size, sha256=blob.sha, content_type=BINARY)
+def _file_model(name: str, blob: Blob) -> FileOut:
+    return FileOut(name=name, size=blob.size, sha256=blob.sha, content_type=BINARY_TYPE)

@@ -1,5 +1,4 @@
-"""What the store has of the problems of an element, its panels and the jobs of its raw blocks, as answers
-tell it."""
+"""Response models for the problems of an element: its panels and the jobs that cut its raw blocks."""
 
 import json
 from collections.abc import Mapping
@@ -7,91 +6,115 @@ from typing import Any, Final, NamedTuple
 
 from sqlalchemy import Connection, RowMapping, select
 
-from planner.batch.job import Done
+from planner.batch.job import JobResult
 from planner.element import progress
 from planner.issues import Issue, Severity
-from planner.service.jobs import LAST_RELEASE, PICTURED, job_out, job_row
+from planner.service.jobs import HAS_THUMBNAIL, LAST_RELEASE, job_out, job_row
 from planner.service.models import CANCELLED, ELEMENT_JOBS, JOBS, RELEASES, BlockJobOut, JobOut, PanelOut
 
-_ALONE: Final = {"digest", "cycle_s", "thumbnail"}
-"""What a panel does not have of the job that cuts it together with others."""
+_FIELDS_OF_OWN_JOB: Final = {"digest", "cycle_s", "thumbnail"}
+"""Fields that a panel does not take from a job that cuts it together with others."""
 
 
-class Problem(NamedTuple):
-    """The last job of a panel, or of a job of a raw block."""
+class PlannedProblem(NamedTuple):
+    """Last job of a panel, or of a raw-block job.
+
+    Attributes:
+        job: Id of the job.
+        like: Id of the job whose plan was the reference plan.
+        row: Database row of the job.
+    """
 
     job: str
     like: str | None
     row: RowMapping
 
 
-def problems(db: Connection, element: str) -> dict[str, Problem]:
-    """The last job of each panel that was planned, by its id."""
-    asked = (
-        select(JOBS, PICTURED, ELEMENT_JOBS.c.panel, ELEMENT_JOBS.c.like)
+def last_jobs(db: Connection, element: str) -> dict[str, PlannedProblem]:
+    """Read the last job of each planned panel, by panel id."""
+    query = (
+        select(JOBS, HAS_THUMBNAIL, ELEMENT_JOBS.c.panel, ELEMENT_JOBS.c.like)
         .add_columns(RELEASES.c.withdrawn, RELEASES.c.number)
         .join_from(ELEMENT_JOBS, JOBS, ELEMENT_JOBS.c.job == JOBS.c.id)
         .outerjoin(RELEASES, LAST_RELEASE)
         .where(ELEMENT_JOBS.c.element == element, ELEMENT_JOBS.c.role == "panel", JOBS.c.cancel <= CANCELLED)
         .order_by(JOBS.c.created, JOBS.c.id)
     )
-    return {row["panel"]: Problem(row["id"], row["like"], row) for row in db.execute(asked).mappings()}
+    return {row["panel"]: PlannedProblem(row["id"], row["like"], row) for row in db.execute(query).mappings()}
 
 
-def report(db: Connection, element: str) -> JobOut | None:
-    """The last report on an element, if there is one."""
-    own = select(ELEMENT_JOBS.c.job).where(ELEMENT_JOBS.c.element == element, ELEMENT_JOBS.c.role == "report")
-    found = db.execute(select(JOBS.c.id).where(JOBS.c.id.in_(own)).order_by(JOBS.c.created.desc())).scalar()
-    return None if found is None else job_out(job_row(db, found, deleted_too=True))
+def last_report(db: Connection, element: str) -> JobOut | None:
+    """Read the last report on an element, or None."""
+    report_jobs = select(ELEMENT_JOBS.c.job).where(
+        ELEMENT_JOBS.c.element == element, ELEMENT_JOBS.c.role == "report"
+    )
+    job_id = db.execute(
+        select(JOBS.c.id).where(JOBS.c.id.in_(report_jobs)).order_by(JOBS.c.created.desc())
+    ).scalar()
+    return None if job_id is None else job_out(job_row(db, job_id, deleted_too=True))
 
 
-def _planned(planned: Problem | None) -> dict[str, Any]:
+def _job_fields(planned: PlannedProblem | None) -> dict[str, Any]:
     if planned is None:
         return {}
     job = planned.row
-    issues = [Issue.from_dict(one) for one in json.loads(job["issues"])]
-    wrong = [one for one in issues if one.severity is Severity.ERROR]
-    known: dict[str, Any] = {"job": planned.job, "state": job["state"], "stage": job["stage"]}
-    known["digest"] = job["digest"]
+    issues = [Issue.from_dict(issue) for issue in json.loads(job["issues"])]
+    error_issues = [issue for issue in issues if issue.severity is Severity.ERROR]
+    fields: dict[str, Any] = {"job": planned.job, "state": job["state"], "stage": job["stage"]}
+    fields["digest"] = job["digest"]
     if job["state"] == "verified":
-        held = "released" if job["withdrawn"] is None else "withdrawn"
-        known["release"] = "not-released" if job["number"] is None else held
-    known["cycle_s"] = json.loads(job["metrics"]).get("cycle_s")
-    known["thumbnail"] = bool(job["thumbnail"])
-    known["issue"] = wrong[0] if wrong and job["state"] != "verified" else None
-    return known
+        release_state = "released" if job["withdrawn"] is None else "withdrawn"
+        fields["release"] = "not-released" if job["number"] is None else release_state
+    fields["cycle_s"] = json.loads(job["metrics"]).get("cycle_s")
+    fields["thumbnail"] = bool(job["thumbnail"])
+    fields["issue"] = error_issues[0] if error_issues and job["state"] != "verified" else None
+    return fields
 
 
-def panel(row: Mapping[str, Any], planned: Mapping[str, Problem], found: progress.Progress) -> PanelOut:
-    """A panel, as ``element.json`` has it, with its last job, or that of its row, and its mark."""
+def panel_model(
+    row: Mapping[str, Any], planned: Mapping[str, PlannedProblem], marks: progress.ElementProgress
+) -> PanelOut:
+    """Combine a panel of ``element.json`` with its last job, or that of its row, and its mark.
+
+    Args:
+        row: Panel from ``element.json``.
+        planned: Last jobs by panel id.
+        marks: Progress of the element.
+    """
     name = str(row["id"])
     cut_in = str(row["cut_in"]["job"]) if "cut_in" in row and name not in planned else None
-    known = _planned(planned.get(cut_in or name))
+    fields = _job_fields(planned.get(cut_in or name))
     if cut_in is not None:
-        known = {key: value for key, value in known.items() if key not in _ALONE}
+        fields = {key: value for key, value in fields.items() if key not in _FIELDS_OF_OWN_JOB}
     return PanelOut(
         id=name,
         order=int(row["order"]) if "order" in row else None,
         block_mm=[float(row[f"block_{axis}_mm"]) for axis in "xyz"],
         cut_min=_minutes(row),
         cut_in=cut_in,
-        mark=found.state(name),
-        **known,
+        mark=marks.state(name),
+        **fields,
     )
 
 
-def block_job(
-    job: Mapping[str, Any], planned: Mapping[str, Problem], found: progress.Progress
+def block_job_model(
+    job: Mapping[str, Any], planned: Mapping[str, PlannedProblem], marks: progress.ElementProgress
 ) -> BlockJobOut:
-    """A job of a raw block, as ``element.json`` has it, with its last job and its mark."""
+    """Combine a raw-block job of ``element.json`` with its last job and its mark.
+
+    Args:
+        job: Raw-block job from ``element.json``.
+        planned: Last jobs by id.
+        marks: Progress of the element.
+    """
     return BlockJobOut(
         id=str(job["id"]),
         block=str(job["block"]),
         said=str(job["said"]),
         panels=list(job.get("panels", ())),
         cut_min=_minutes(job),
-        mark=found.job_state(job),
-        **_planned(planned.get(str(job["id"]))),
+        mark=marks.job_state(job),
+        **_job_fields(planned.get(str(job["id"]))),
     )
 
 
@@ -99,7 +122,7 @@ def _minutes(row: Mapping[str, Any]) -> dict[str, float]:
     return {str(arm): float(value) for arm, value in row.get("cut_min", {}).items()}
 
 
-def done(name: str, row: RowMapping) -> Done:
-    """How a panel's job ended."""
-    issues = tuple(Issue.from_dict(one) for one in json.loads(row["issues"]))
-    return Done(name, row["state"], issues, json.loads(row["metrics"]), row["seconds"] or 0.0)
+def finished_job(name: str, row: RowMapping) -> JobResult:
+    """Convert the end of a panel's job for the report."""
+    issues = tuple(Issue.from_dict(issue) for issue in json.loads(row["issues"]))
+    return JobResult(name, row["state"], issues, json.loads(row["metrics"]), row["seconds"] or 0.0)

@@ -1,6 +1,9 @@
-"""The API's routes of building elements. An element is also the job that divides it: its files, events and
-state are those of ``/v1/jobs/ID``."""
+"""API routes of building elements.
 
+An element is also the job that divides it. Its files, events and state are those of ``/v1/jobs/ID``.
+"""
+
+import dataclasses
 from typing import Annotated, Final, Literal
 
 import anyio.to_thread
@@ -8,10 +11,10 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 
 from planner.issues import Issue
 from planner.service import idempotency
-from planner.service.answers import tagged
-from planner.service.finding import Wanted
-from planner.service.finding_routes import Describing
-from planner.service.logs import about
+from planner.service.http_responses import conditional_json
+from planner.service.job_description_routes import Describing
+from planner.service.job_search import JobFilter
+from planner.service.logs import record_jobs
 from planner.service.models import (
     Change,
     Chosen,
@@ -23,42 +26,58 @@ from planner.service.models import (
     Marking,
 )
 from planner.service.routes import (
-    ASKED,
+    AUTH_REFUSALS,
     JOB_ID,
-    KNOWN,
     LIST_CURSOR,
+    LIST_RESPONSES,
     PAGE_SIZE,
-    UPLOADED,
-    Asker,
-    Caller,
-    Here,
+    UPLOAD_REFUSALS,
+    AuthorisedOwner,
+    AuthorisedPrincipal,
+    CurrentPrincipal,
+    CurrentService,
     Key,
     Search,
     Tags,
     refusals,
 )
-from planner.service.security import RefusedError, Who
+from planner.service.security import Principal, RefusedError
 from planner.service.service import Service
-from planner.service.storage import documented, take_upload
-from planner.service.texts import described, read_body
+from planner.service.storage import request_body_schema, store_upload
+from planner.service.user_texts import body_description, read_body
 
-router: Final = APIRouter(prefix="/v1", tags=["elements"], responses=ASKED)
-_FILE: Final = {"type": "object", "description": "an element file as data; see docs/element.md"}
-UPLOADS: Final = {"requestBody": documented(_FILE)}
-"""How the description of the interface tells of a body that is an element."""
-
-
-def own_element(element: str, _: Caller, who: Asker, here: Here) -> str:
-    """The id of an element, if it is the caller's or his team's; raises :class:`RefusedError`, 404."""
-    return element_of(element, who, here)
+router: Final = APIRouter(prefix="/v1", tags=["elements"], responses=AUTH_REFUSALS)
+_ELEMENT_SCHEMA: Final = {"type": "object", "description": "an element file as data; see docs/element.md"}
+ELEMENT_BODY: Final = {"requestBody": request_body_schema(_ELEMENT_SCHEMA)}
+"""OpenAPI description of a body that contains an element."""
 
 
-def element_of(element: str, who: Who, here: Service) -> str:
-    """The id of an element, if ``who`` sees it; raises :class:`RefusedError`, 404."""
-    if not JOB_ID.fullmatch(element) or not here.auth.sees(who, here.elements.owner(element)):
-        what = f"element {element[:40]!r}: there is none; list the elements"
+def own_element(
+    element: str, _: AuthorisedOwner, principal: CurrentPrincipal, service: CurrentService
+) -> str:
+    """Return the id of an element that the caller or its team owns (dependency).
+
+    Raises:
+        RefusedError: 404.
+    """
+    return visible_element_id(element, principal, service)
+
+
+def visible_element_id(element: str, principal: Principal, service: Service) -> str:
+    """Return the id of an element that the caller may see.
+
+    Args:
+        element: Id from the request.
+        principal: Authenticated caller.
+        service: Service.
+
+    Raises:
+        RefusedError: 404.
+    """
+    if not JOB_ID.fullmatch(element) or not service.auth.sees(principal, service.elements.owner(element)):
+        what = f"element {element[:40]!r}: not found. List the elements."
         raise RefusedError(404, Issue("service.unknown_job", what))
-    about(element)
+    record_jobs(element)
     return element
 
 
@@ -69,43 +88,63 @@ OwnElement = Annotated[str, Depends(own_element)]
     "/elements",
     status_code=201,
     response_model_exclude_none=True,
-    responses=UPLOADED,
-    openapi_extra=UPLOADS,
+    responses=UPLOAD_REFUSALS,
+    openapi_extra=ELEMENT_BODY,
     summary="Divide a building element",
 )
-async def create(request: Request, owner: Caller, here: Here, key: Key) -> ElementOut:
+async def create(request: Request, owner: AuthorisedOwner, service: CurrentService, key: Key) -> ElementOut:
     """Upload an element file as ``problem``, with all ``files`` that it names: meshes, templates, cells."""
-    upload = await take_upload(request, here.storage, owner, here.limits)
-    once = idempotency.once(owner, key, "elements", upload.content)
-    known = await anyio.to_thread.run_sync(here.elements.made, once)
+    upload = await store_upload(request, service.storage, owner, service.limits)
+    request_key = idempotency.hashed_key(owner, key, "elements", upload.content)
+    known = await anyio.to_thread.run_sync(service.elements.created_before, request_key)
     if known is not None:
         return known
-    return await here.in_turn(
-        request, owner, lambda reading: here.elements.create(owner, upload, reading, once)
+    return await service.run_in_turn(
+        request, owner, lambda reading: service.elements.create(owner, upload, reading, request_key)
     )
 
 
+@dataclasses.dataclass(frozen=True)
+class ElementListQuery:
+    """Query parameters of the list of elements (dependency).
+
+    Attributes:
+        limit: Maximum number of elements on the page.
+        cursor: Cursor from the previous page, or None.
+        search: Words that all occur in name, title, tags or notes.
+        tag: Only with all of these tags, or None.
+        sort: Order.
+    """
+
+    limit: Annotated[int, Query(ge=1, le=200)] = PAGE_SIZE
+    cursor: LIST_CURSOR = None
+    search: Search = ""
+    tag: Tags = None
+    sort: Annotated[
+        Literal["newest", "oldest", "title"], Query(description="order: by creation time, or title or name")
+    ] = "newest"
+
+
 @router.get(
-    "/elements", response_model=ElementList, responses=KNOWN | refusals(422), summary="List your elements"
+    "/elements",
+    response_model=ElementList,
+    responses=LIST_RESPONSES | refusals(422),
+    summary="List your elements",
 )
 def page(
     request: Request,
-    _: Caller,
-    who: Asker,
-    here: Here,
-    limit: Annotated[int, Query(ge=1, le=200)] = PAGE_SIZE,
-    cursor: LIST_CURSOR = None,
-    search: Search = "",
-    tag: Tags = None,
-    sort: Annotated[
-        Literal["newest", "oldest", "title"], Query(description="when made, or title or name")
-    ] = "newest",
+    _: AuthorisedOwner,
+    principal: CurrentPrincipal,
+    service: CurrentService,
+    query: Annotated[ElementListQuery, Depends(ElementListQuery)],
 ) -> Response:
-    """Yours and those of your team, a page at a time; 304 for who asks again with ``If-None-Match`` and has
-    it as it is."""
-    wanted = Wanted((), search, tag or (), sort, cursor)
-    found, following = here.elements.page(here.auth.owners(who), wanted, limit)
-    return tagged(request, ElementList(elements=found, next=following))
+    """Elements of the caller and its team, one page at a time.
+
+    304 if ``If-None-Match`` shows that nothing has changed.
+    """
+    job_filter = JobFilter((), query.search, query.tag or (), query.sort, query.cursor)
+    elements, next_cursor = service.elements.page(service.auth.owners(principal), job_filter, query.limit)
+    return conditional_json(request, ElementList(elements=elements, next=next_cursor))
 
 
 @router.get(
@@ -114,73 +153,84 @@ def page(
     response_model_exclude_none=True,
     summary="An element with its panels",
 )
-def get(found: OwnElement, here: Here) -> ElementPanels:
-    """State of the division, of each panel, and how far it is made."""
-    return here.elements.get(found)
+def get(element_id: OwnElement, service: CurrentService) -> ElementPanels:
+    """State of the division, state of each panel, and progress."""
+    return service.elements.get(element_id)
 
 
 @router.patch(
     "/elements/{element}",
     responses=refusals(404, 413, 422),
-    openapi_extra=described(Describing),
+    openapi_extra=body_description(Describing),
     response_model_exclude_none=True,
     summary="Give an element a title, tags, notes",
 )
-async def describe(request: Request, found: OwnElement, here: Here) -> ElementPanels:
-    """As a job; an element that is divided anew keeps them."""
-    given = await read_body(request, Describing)
-    await anyio.to_thread.run_sync(here.jobs.describe, found, given.change())
-    return await anyio.to_thread.run_sync(here.elements.get, found)
+async def describe(request: Request, element_id: OwnElement, service: CurrentService) -> ElementPanels:
+    """As for a job. An element that is divided again keeps them."""
+    body = await read_body(request, Describing)
+    await anyio.to_thread.run_sync(service.jobs.describe, element_id, body.changed_fields())
+    return await anyio.to_thread.run_sync(service.elements.get, element_id)
 
 
 @router.post(
     "/elements/{element}/divide",
     status_code=201,
     response_model_exclude_none=True,
-    responses=refusals(404) | UPLOADED,
-    openapi_extra=described(Change),
-    summary="Divide an element anew, with fields changed",
+    responses=refusals(404) | UPLOAD_REFUSALS,
+    openapi_extra=body_description(Change),
+    summary="Divide an element again with changed fields",
 )
 async def divide(
     request: Request,
     element: str,
-    owner: Caller,
-    who: Asker,
-    here: Here,
+    principal: AuthorisedPrincipal,
+    service: CurrentService,
     key: Key,
     instead: Annotated[
-        bool, Query(description="delete the former one if nothing was planned or marked of it")
+        bool, Query(description="delete the present element if none of its panels was planned or marked")
     ] = False,
 ) -> ElementOut:
-    """Another element, with the marks of this one: ``{"fields": {"panels.hexagons.count": 120}}``."""
+    """Creates another element with the marks of this one: ``{"fields": {"panels.hexagons.count": 120}}``."""
+    owner = principal.token
     change = await read_body(request, Change)
-    once = idempotency.once(owner, key, f"elements/{element}/divide", change.fields, instead)
-    made = await anyio.to_thread.run_sync(here.elements.made, once)
-    if made is None:  # a request that was done has perhaps taken this element away
-        await anyio.to_thread.run_sync(element_of, element, who, here)
-        made = await here.in_turn(
-            request, owner, lambda reading: here.elements.change(owner, element, change.fields, reading, once)
+    request_key = idempotency.hashed_key(owner, key, f"elements/{element}/divide", change.fields, instead)
+    created = await anyio.to_thread.run_sync(service.elements.created_before, request_key)
+    if created is None:  # an earlier request with this key may have deleted the element
+        await anyio.to_thread.run_sync(visible_element_id, element, principal, service)
+        created = await service.run_in_turn(
+            request,
+            owner,
+            lambda reading: service.elements.divide_again(
+                owner, element, change.fields, reading, request_key
+            ),
         )
-    if instead and here.auth.sees(who, here.elements.owner(element)):
-        await anyio.to_thread.run_sync(here.elements.give_up, element, owner)
-    return made
+    if instead and service.auth.sees(principal, service.elements.owner(element)):
+        await anyio.to_thread.run_sync(service.elements.delete_unused, element, owner)
+    return created
 
 
 @router.post(
     "/elements/{element}/plan",
     status_code=201,
     response_model_exclude_none=True,
-    responses=refusals(404) | UPLOADED,
-    openapi_extra=described(Chosen),
+    responses=refusals(404) | UPLOAD_REFUSALS,
+    openapi_extra=body_description(Chosen),
     summary="Plan panels of an element",
 )
-async def plan(request: Request, found: OwnElement, owner: Caller, here: Here, key: Key) -> JobList:
-    """A job for each panel that is not planned yet, or for those of ``{"panels": ["A01", ...]}``; each is
-    planned like one beside it."""
-    chosen = await read_body(request, Chosen)
-    once = idempotency.once(owner, key, f"elements/{found}/plan", chosen.panels)
-    jobs = await here.made_once(
-        request, owner, once, lambda reading: here.elements.plan(owner, found, chosen.panels, reading, once)
+async def plan(
+    request: Request, element_id: OwnElement, owner: AuthorisedOwner, service: CurrentService, key: Key
+) -> JobList:
+    """Creates a job for each panel that is not planned yet, or for those in ``{"panels": ["A01", ...]}``.
+
+    The plan of an adjacent panel is the reference plan.
+    """
+    body = await read_body(request, Chosen)
+    request_key = idempotency.hashed_key(owner, key, f"elements/{element_id}/plan", body.panels)
+    jobs = await service.create_idempotent(
+        request,
+        owner,
+        request_key,
+        lambda reading: service.elements.plan(owner, element_id, body.panels, reading, request_key),
     )
     return JobList(jobs=list(jobs))
 
@@ -189,14 +239,19 @@ async def plan(request: Request, found: OwnElement, owner: Caller, here: Here, k
     "/elements/{element}/mark",
     response_model_exclude_none=True,
     responses=refusals(404, 413, 422, 507),
-    openapi_extra=described(Marking),
+    openapi_extra=body_description(Marking),
     summary="Mark a panel as cut, glued or broken",
 )
-async def mark(request: Request, found: OwnElement, owner: Caller, here: Here) -> ElementPanels:
-    """As ``tandem element mark`` does: ``{"panel": "A01", "state": "cut"}``. ``told`` says what is next."""
-    given = await read_body(request, Marking)
-    await anyio.to_thread.run_sync(here.elements.mark, owner, found, given.panel, given.state)
-    return await anyio.to_thread.run_sync(here.elements.get, found)
+async def mark(
+    request: Request, element_id: OwnElement, owner: AuthorisedOwner, service: CurrentService
+) -> ElementPanels:
+    """Same as ``tandem element mark``: ``{"panel": "A01", "state": "cut"}``.
+
+    ``told`` lists the next steps.
+    """
+    body = await read_body(request, Marking)
+    await anyio.to_thread.run_sync(service.elements.mark, owner, element_id, body.panel, body.state)
+    return await anyio.to_thread.run_sync(service.elements.get, element_id)
 
 
 @router.post(
@@ -204,12 +259,16 @@ async def mark(request: Request, found: OwnElement, owner: Caller, here: Here) -
     status_code=201,
     responses=refusals(404, 422, 429, 507),
     response_model_exclude_none=True,
-    summary="Report on what was planned",
+    summary="Report on the planned panels",
 )
-def report(found: OwnElement, owner: Caller, here: Here, key: Key) -> JobOut:
-    """A job that writes what ``tandem element report`` does: ``element.html``, ``report.csv`` and
-    ``joints.csv``."""
-    return here.elements.report(owner, found, idempotency.once(owner, key, f"elements/{found}/report"))
+def report(element_id: OwnElement, owner: AuthorisedOwner, service: CurrentService, key: Key) -> JobOut:
+    """Creates a job that writes the same files as ``tandem element report``.
+
+    These are ``element.html``, ``report.csv`` and ``joints.csv``.
+    """
+    return service.elements.report(
+        owner, element_id, idempotency.hashed_key(owner, key, f"elements/{element_id}/report")
+    )
 
 
 @router.post(
@@ -218,14 +277,14 @@ def report(found: OwnElement, owner: Caller, here: Here, key: Key) -> JobOut:
     response_model_exclude_none=True,
     summary="Cancel an element",
 )
-def cancel(found: OwnElement, owner: Caller, here: Here) -> ElementPanels:
-    """What of it waits or runs is cancelled: its division, its panels, a report."""
-    here.elements.cancel(found, owner)
-    return here.elements.get(found)
+def cancel(element_id: OwnElement, owner: AuthorisedOwner, service: CurrentService) -> ElementPanels:
+    """Cancels its queued and running jobs: division, panels and report."""
+    service.elements.cancel(element_id, owner)
+    return service.elements.get(element_id)
 
 
 @router.delete("/elements/{element}", responses=refusals(404), status_code=204, summary="Delete an element")
-def delete(found: OwnElement, owner: Caller, here: Here) -> Response:
-    """What of it waits or runs is cancelled; panels that were planned stay as jobs."""
-    here.elements.delete(found, owner)
+def delete(element_id: OwnElement, owner: AuthorisedOwner, service: CurrentService) -> Response:
+    """Cancels its queued and running jobs. Planned panels remain as jobs."""
+    service.elements.delete(element_id, owner)
     return Response(status_code=204)

@@ -1,8 +1,7 @@
-"""Building elements of the service: uploaded, divided by the queue's workers, their panels and the jobs of
-their raw blocks planned as jobs like any others, and what became of them.
+"""Building elements of the service: division, planning of panels and raw-block jobs, marks, reports.
 
-An element is the job that divides it; its files are what ``tandem element`` writes, and ``progress.csv``
-where panels are marked. The store has which jobs are those of its panels.
+An element is the job that divides it. Its files are those that ``tandem element`` writes, and
+``progress.csv`` if panels are marked. The database records which jobs belong to its panels.
 """
 
 import dataclasses
@@ -18,23 +17,33 @@ from typing import Any, Final, Literal, Protocol
 
 from sqlalchemy import Connection, func, select
 
-from planner.batch.job import ELEMENT, PLANNED, PROBLEM
-from planner.batch.neighbours import like_within
+from planner.batch.job import ELEMENT_FILE, PLANNED_FILE, PROBLEM_FILE
+from planner.batch.reference_neighbours import reference_panels
 from planner.element import progress
 from planner.element.nested_output import PROBLEMS
 from planner.issues import Issue, TandemError
 from planner.service import audit, element_problems, idempotency
-from planner.service.element_problems import Problem
-from planner.service.examined import Examined
-from planner.service.finding import Wanted
-from planner.service.idempotency import Once
-from planner.service.jobs import Jobs, NewJob, OfElement, job_files, job_out, job_row, put_files, remove
+from planner.service.element_problems import PlannedProblem
+from planner.service.idempotency import IdempotencyKey
+from planner.service.job_search import JobFilter
+from planner.service.jobs import (
+    SERVICE_LIMITS_ONLY,
+    ElementRole,
+    Jobs,
+    NewJob,
+    PlanningLimits,
+    delete_job,
+    job_files,
+    job_out,
+    job_row,
+    put_files,
+)
 from planner.service.models import (
     CANCELLED,
     ELEMENT_JOBS,
     JOBS,
-    MARKS,
-    OPEN,
+    MARKS_FILE,
+    OPEN_STATES,
     Database,
     ElementOut,
     ElementPanels,
@@ -45,54 +54,55 @@ from planner.service.models import (
     PanelRelease,
     Shown,
 )
-from planner.service.pieces import Pieces
+from planner.service.reading_parts import Pieces
+from planner.service.reading_result import ReadingResult
 from planner.service.releases import Releases
-from planner.service.security import RefusedError, Who
-from planner.service.storage import Blob, Files, Storage, Upload
-from planner.service.upload_processes import Reading
+from planner.service.security import Principal, RefusedError
+from planner.service.storage import Blob, ContentStore, ProblemUpload, StorageQuota
+from planner.service.upload_processes import UploadReading
 
-DATA: Final = "element.json"
-"""The result of a division that has all of it as data."""
-OF_PLANS: Final = ("plan.json", "plan.npz", "simulated_part.obj")
-"""What a report reads of a panel's result."""
-AGAIN: Final = ("cancelled", "crashed")
-"""Panels whose jobs ended so are planned with those that were not planned yet."""
-_PARTS: Final = tuple(f"{folder}/" for folder in ("problem", *PROBLEMS))
-"""Files of a division that problems are read from."""
-KEPT: Final = 8
-"""So many elements' data are remembered."""
+DIVISION_DATA: Final = "element.json"
+"""Result file of a division that contains everything as data."""
+PLAN_FILES: Final = ("plan.json", "plan.npz", "simulated_part.obj")
+"""Files of a panel's result that a report reads."""
+REPLANNED_STATES: Final = ("cancelled", "crashed")
+"""States of jobs whose panels are planned again together with unplanned ones."""
+_PROBLEM_PREFIXES: Final = tuple(f"{folder}/" for folder in ("problem", *PROBLEMS))
+"""Prefixes of the files of a division that problems are read from."""
+CACHED_ELEMENTS: Final = 8
+"""Number of elements whose data are cached."""
 
 
-_OUT: Final = set(ElementOut.model_fields)
-"""What is told of an element without its panels."""
+_HEAD_FIELDS: Final = set(ElementOut.model_fields)
+"""Fields of an element that are sent without its panels."""
 
 
 class ElementService(Protocol):
-    """The parts of :class:`planner.service.service.Service` that :class:`Elements` uses."""
+    """The parts of :class:`planner.service.service.Service` that :class:`ElementStore` uses."""
 
     database: Database
     jobs: Jobs
-    files: Files
-    storage: Storage
+    files: ContentStore
+    storage: StorageQuota
     releases: Releases
     scratch: Path
 
     def examine_element(
-        self, sha: str, uploads: Mapping[str, Blob], fields: Mapping[str, Any], reading: Reading
-    ) -> Examined:
+        self, sha: str, uploads: Mapping[str, Blob], fields: Mapping[str, Any], reading: UploadReading
+    ) -> ReadingResult:
         """Read an uploaded element."""
         ...
 
     def examine_panels(
-        self, files: Mapping[str, Blob], panels: Sequence[str], reading: Reading
-    ) -> Pieces[dict[str, Examined]]:
+        self, files: Mapping[str, Blob], panels: Sequence[str], reading: UploadReading
+    ) -> Pieces[dict[str, ReadingResult]]:
         """Read panels of a divided element, by their ids."""
         ...
 
-    def stored(
+    def store_job_files(
         self,
         owner: str,
-        read: Mapping[str, Examined],
+        results: Mapping[str, ReadingResult],
         uploads: Mapping[str, Blob],
         document: str | None = None,
     ) -> dict[str, dict[str, Blob]]:
@@ -103,129 +113,200 @@ class ElementService(Protocol):
         self,
         owner: str,
         name: str,
-        read: Examined,
+        result: ReadingResult,
         files: Mapping[str, Blob],
-        timeout_s: float | None = None,
-        memory_mb: float | None = None,
-        of: OfElement | None = None,
-        after: str = "",
+        limits: PlanningLimits = SERVICE_LIMITS_ONLY,
+        of: ElementRole | None = None,
     ) -> NewJob:
         """Describe the job for what was read."""
         ...
 
 
-class Elements:
+@dataclasses.dataclass(frozen=True)
+class _PresentElement:
+    """An element that is divided again. The new one takes over its marks, title, tags and notes.
+
+    Attributes:
+        job: Job that divided it.
+        marks: File of its marks by name; empty if no panel is marked.
+    """
+
+    job: JobOut
+    marks: Mapping[str, Blob]
+
+
+class ElementStore:
     """The elements of a service."""
 
     def __init__(self, service: ElementService) -> None:
         self._service, self._database = service, service.database
         self._jobs, self._files = service.jobs, service.files
-        self._data = functools.lru_cache(KEPT)(self._read_data)
+        self._data = functools.lru_cache(CACHED_ELEMENTS)(self._read_data)
 
-    def made(self, once: Once | None) -> ElementOut | None:
-        """The element that a request made which is to be done ``once``, as it is now; None where it made none
-        yet. Raises :class:`RefusedError`, 422."""
-        known = self._jobs.made(once)
-        return ElementOut(**self.get(known[0].id).model_dump(include=_OUT)) if known else None
+    def created_before(self, idempotency_key: IdempotencyKey | None) -> ElementOut | None:
+        """Return the element that an earlier request with the same idempotency key created.
 
-    def create(self, owner: str, upload: Upload, reading: Reading, once: Once | None = None) -> ElementOut:
-        """Divide an uploaded element; raises :class:`RefusedError`, 413, 422, 429, 499 or 507."""
-        return self._divide(owner, upload.problem.sha, upload.files, {}, {}, None, reading, once)
+        Args:
+            idempotency_key: Idempotency key, or None.
 
-    def change(
-        self, owner: str, element: str, fields: Mapping[str, Any], reading: Reading, once: Once | None = None
+        Returns:
+            The element, or None if there is none yet.
+
+        Raises:
+            RefusedError: 422.
+        """
+        known = self._jobs.created_before(idempotency_key)
+        return ElementOut(**self.get(known[0].id).model_dump(include=_HEAD_FIELDS)) if known else None
+
+    def create(
+        self,
+        owner: str,
+        upload: ProblemUpload,
+        reading: UploadReading,
+        idempotency_key: IdempotencyKey | None = None,
     ) -> ElementOut:
-        """Divide an element anew with fields replaced, as another one with the marks of this one, and called
-        as it; raises as :meth:`create`."""
+        """Divide an uploaded element.
+
+        Args:
+            owner: Token.
+            upload: Element file and its files.
+            reading: Reading, which another thread can cancel.
+            idempotency_key: Idempotency key, or None.
+
+        Raises:
+            RefusedError: 413, 422, 429, 499 or 507.
+        """
+        return self._divide(owner, upload, {}, None, reading, idempotency_key)
+
+    def divide_again(
+        self,
+        owner: str,
+        element: str,
+        fields: Mapping[str, Any],
+        reading: UploadReading,
+        idempotency_key: IdempotencyKey | None = None,
+    ) -> ElementOut:
+        """Divide an element again with changed fields.
+
+        The result is another element with the same marks, title, tags and notes.
+
+        Args:
+            owner: Token.
+            element: Id of the present element.
+            fields: New values by field path.
+            reading: Reading, which another thread can cancel.
+            idempotency_key: Idempotency key, or None.
+
+        Raises:
+            RefusedError: 413, 422, 429, 499 or 507.
+        """
         files = self._jobs.files(element)
-        _, before = self._jobs.get(element)  # behind its files: they are none of one that is gone by now
+        _, present_job = self._jobs.get(element)  # after its files: refuses an element deleted meanwhile
         prefix = "problem/"
-        given = {name.removeprefix(prefix): blob for name, blob in files.items() if name.startswith(prefix)}
-        document = given.pop(ELEMENT)
-        marks = {MARKS: files[MARKS]} if MARKS in files else {}
-        return self._divide(owner, document.sha, given, fields, marks, before, reading, once)
+        uploads = {name.removeprefix(prefix): blob for name, blob in files.items() if name.startswith(prefix)}
+        document = uploads.pop(ELEMENT_FILE)
+        marks = {MARKS_FILE: files[MARKS_FILE]} if MARKS_FILE in files else {}
+        present = _PresentElement(present_job, marks)
+        return self._divide(
+            owner, ProblemUpload(document, uploads), fields, present, reading, idempotency_key
+        )
 
     def _divide(
         self,
         owner: str,
-        sha: str,
-        uploads: Mapping[str, Blob],
+        upload: ProblemUpload,
         fields: Mapping[str, Any],
-        more: Mapping[str, Blob],
-        before: JobOut | None,
-        reading: Reading,
-        once: Once | None,
+        present: _PresentElement | None,
+        reading: UploadReading,
+        idempotency_key: IdempotencyKey | None,
     ) -> ElementOut:
-        read = self._service.examine_element(sha, uploads, fields, reading)
-        of = OfElement("division", about=read.summary)
-        files = {**self._service.stored(owner, {ELEMENT: read}, uploads)[ELEMENT], **more}
-        new = self._service.new_job(owner, read.name, read, files, of=of)
-        if before is not None:
-            tags = tuple(before.tags)
-            new = dataclasses.replace(new, title=before.title, tags=tags, notes=before.notes)
-        made = self._jobs.create(new, once)
-        return self._head(made, json.dumps(read.summary), 0)
+        read = self._service.examine_element(upload.problem.sha, upload.files, fields, reading)
+        of = ElementRole("division", about=read.summary)
+        files = {
+            **self._service.store_job_files(owner, {ELEMENT_FILE: read}, upload.files)[ELEMENT_FILE],
+            **({} if present is None else present.marks),
+        }
+        new_job = self._service.new_job(owner, read.name, read, files, of=of)
+        if present is not None:
+            title, tags, notes = present.job.title, tuple(present.job.tags), present.job.notes
+            new_job = dataclasses.replace(new_job, title=title, tags=tags, notes=notes)
+        job = self._jobs.create(new_job, idempotency_key)
+        return self._head(job, json.dumps(read.summary), 0)
 
-    def page(self, owners: Sequence[str], wanted: Wanted, count: int) -> tuple[list[ElementOut], str | None]:
-        """Elements of the owners as :meth:`planner.service.jobs.Jobs.page` gives jobs."""
-        found, following = self._jobs.page(owners, wanted, count, "division")
-        own = [one.id for one in found]
-        about = select(ELEMENT_JOBS.c.job, ELEMENT_JOBS.c.about).where(ELEMENT_JOBS.c.job.in_(own))
+    def page(
+        self, owners: Sequence[str], job_filter: JobFilter, count: int
+    ) -> tuple[list[ElementOut], str | None]:
+        """Return a page of elements, as :meth:`planner.service.jobs.Jobs.page` does for jobs.
+
+        Args:
+            owners: Tokens whose elements are listed.
+            job_filter: Filter, order and cursor.
+            count: Maximum number of elements.
+        """
+        jobs, next_cursor = self._jobs.page(owners, job_filter, count, "division")
+        job_ids = [job.id for job in jobs]
+        about = select(ELEMENT_JOBS.c.job, ELEMENT_JOBS.c.about).where(ELEMENT_JOBS.c.job.in_(job_ids))
         planned = (
             select(ELEMENT_JOBS.c.element, func.count(ELEMENT_JOBS.c.panel.distinct()))
-            .where(ELEMENT_JOBS.c.element.in_(own), ELEMENT_JOBS.c.role == "panel")
+            .where(ELEMENT_JOBS.c.element.in_(job_ids), ELEMENT_JOBS.c.role == "panel")
             .group_by(ELEMENT_JOBS.c.element)
         )
         with self._database.read() as db:
             texts = dict(row.tuple() for row in db.execute(about))
             counts: dict[str, int] = dict(row.tuple() for row in db.execute(planned))
-        return [self._head(one, texts.get(one.id, "{}"), counts.get(one.id, 0)) for one in found], following
+        return [self._head(job, texts.get(job.id, "{}"), counts.get(job.id, 0)) for job in jobs], next_cursor
 
     def owner(self, element: str) -> str | None:
-        """Whose element it is; None where there is none of that id, or it is being deleted."""
-        asked = (
+        """Return the token that owns an element, or None if it does not exist or is being deleted."""
+        query = (
             select(JOBS.c.owner)
             .join_from(JOBS, ELEMENT_JOBS, JOBS.c.id == ELEMENT_JOBS.c.job)
             .where(JOBS.c.id == element, ELEMENT_JOBS.c.role == "division", JOBS.c.cancel <= CANCELLED)
         )
         with self._database.read() as db:
-            found: str | None = db.execute(asked).scalar()
-        return found
+            owner: str | None = db.execute(query).scalar()
+        return owner
 
     def get(self, element: str) -> ElementPanels:
-        """An element with its panels; raises :class:`RefusedError`, 404."""
+        """Return an element with its panels.
+
+        Raises:
+            RefusedError: 404.
+        """
         with self._database.read() as db:
-            asked = select(ELEMENT_JOBS.c.about).where(ELEMENT_JOBS.c.job == element)
-            about = str(db.execute(asked).scalar())
-            planned = element_problems.problems(db, element)
-            report = element_problems.report(db, element)
+            query = select(ELEMENT_JOBS.c.about).where(ELEMENT_JOBS.c.job == element)
+            about = str(db.execute(query).scalar())
+            planned = element_problems.last_jobs(db, element)
+            report = element_problems.last_report(db, element)
             files = job_files(db, element)
-        _, job = self._jobs.get(element)  # behind the rest, which is none of one that is gone by now
+        _, job = self._jobs.get(element)  # last: refuses an element deleted meanwhile
         head = self._head(job, about, len(planned)).model_dump()
-        if DATA not in files:
+        if DIVISION_DATA not in files:
             return ElementPanels(**head)
-        found, told = self._progress(files)
+        marks, next_steps = self._progress(files)
         jobs = [
-            element_problems.block_job(job, planned, found)
-            for job in progress.block_jobs(found.data).values()
+            element_problems.block_job_model(job, planned, marks)
+            for job in progress.block_jobs(marks.data).values()
         ]
-        panels = [element_problems.panel(row, planned, found) for row in found.data["panels"]]
+        panels = [element_problems.panel_model(row, planned, marks) for row in marks.data["panels"]]
         blocks = {
-            one["id"]: block["id"]
-            for block in (found.data.get("blocks") or {}).get("blocks", ())
-            for one in block["panels"]
+            item["id"]: block["id"]
+            for block in (marks.data.get("blocks") or {}).get("blocks", ())
+            for item in block["panels"]
         }
-        panels = [one.model_copy(update={"block": blocks.get(one.id, "")}) for one in panels]
+        panels = [item.model_copy(update={"block": blocks.get(item.id, "")}) for item in panels]
         minutes: Counter[str] = Counter()
-        for one in (*panels, *jobs):
-            minutes.update(one.cut_min)
+        for item in (*panels, *jobs):
+            minutes.update(item.cut_min)
         return ElementPanels(
             **head,
             panels=panels,
             block_jobs=jobs,
-            counts=dict(Counter([*(one.state for one in panels), *(one.mark for one in panels if one.mark)])),
+            counts=dict(
+                Counter([*(item.state for item in panels), *(item.mark for item in panels if item.mark)])
+            ),
             cut_h={arm: round(total / 60.0, 3) for arm, total in minutes.items()},
-            told=told,
+            told=next_steps,
             report=report,
         )
 
@@ -234,173 +315,283 @@ class Elements:
         owner: str,
         element: str,
         chosen: Sequence[str] | None,
-        reading: Reading,
-        once: Once | None = None,
+        reading: UploadReading,
+        idempotency_key: IdempotencyKey | None = None,
     ) -> Pieces[list[JobOut]]:
-        """Plan panels and jobs of raw blocks, those that are chosen or all that are not planned yet, each
-        panel like one beside it; raises :class:`RefusedError`, 404, 413, 422, 429, 499 or 507."""
+        """Plan panels and raw-block jobs. The plan of an adjacent panel is the reference plan.
+
+        Args:
+            owner: Token.
+            element: Id of the element.
+            chosen: Ids of panels and raw-block jobs, or None for all that are not planned yet.
+            reading: Reading, which another thread can cancel.
+            idempotency_key: Idempotency key, or None.
+
+        Raises:
+            RefusedError: 404, 413, 422, 429, 499 or 507.
+        """
         yield
-        name, files = self._divided(element)
-        data = self._data(files[DATA].sha)
+        name, files = self._divided_files(element)
+        data = self._data(files[DIVISION_DATA].sha)
         with self._database.read() as db:
-            before = element_problems.problems(db, element)
+            last_jobs = element_problems.last_jobs(db, element)
         panels = [str(row["id"]) for row in data["panels"]]
-        known = {str(row["id"]): "cut_in" not in row for row in data["panels"]}
-        known |= dict.fromkeys(progress.block_jobs(data), True)
-        wanted = _wanted(known, before, chosen)
-        if not wanted:
+        has_own_job = {str(row["id"]): "cut_in" not in row for row in data["panels"]}
+        has_own_job |= dict.fromkeys(progress.block_jobs(data), True)
+        panel_ids = _selected_ids(has_own_job, last_jobs, chosen)
+        if not panel_ids:
             return []
-        parts = {f: b for f, b in files.items() if f.startswith(_PARTS)}
-        read = yield from self._service.examine_panels(parts, wanted, reading)
-        with self._database.read() as db:  # others had their turns meanwhile
-            before = element_problems.problems(db, element)
-        wanted = [one for one in _wanted(known, before, chosen) if one in read]
-        read = {one: read[one] for one in wanted}
-        stored = self._service.stored(owner, read, parts, PROBLEM)
-        done = set(panels) & before.keys() - read.keys()
-        after = like_within(data, [one for one in panels if one in done or one in read], done)
-        made: dict[str, NewJob] = {}
-        keys = {one: panel.row["key"] for one, panel in before.items()}
-        for one in _in_turn(wanted, after):
-            like = after.get(one)
-            like_job = None if like is None else made[like].id if like in made else before[like].job
-            of = OfElement("panel", element, one, like_job)
-            key = "" if like is None else made[like].key if like in made else keys[like]
-            made[one] = self._service.new_job(
-                owner, f"{name}-{one}", read[one], stored[one], of=of, after=key
+        problem_files = {f: b for f, b in files.items() if f.startswith(_PROBLEM_PREFIXES)}
+        results = yield from self._service.examine_panels(problem_files, panel_ids, reading)
+        with self._database.read() as db:  # jobs may have changed while the panels were read
+            last_jobs = element_problems.last_jobs(db, element)
+        panel_ids = [
+            panel_id for panel_id in _selected_ids(has_own_job, last_jobs, chosen) if panel_id in results
+        ]
+        results = {panel_id: results[panel_id] for panel_id in panel_ids}
+        stored = self._service.store_job_files(owner, results, problem_files, PROBLEM_FILE)
+        planned_panels = set(panels) & last_jobs.keys() - results.keys()
+        references = reference_panels(
+            data,
+            [panel_id for panel_id in panels if panel_id in planned_panels or panel_id in results],
+            planned_panels,
+        )
+        new_jobs: dict[str, NewJob] = {}
+        keys = {panel_id: panel.row["key"] for panel_id, panel in last_jobs.items()}
+        for panel_id in _in_reference_order(panel_ids, references):
+            reference = references.get(panel_id)
+            reference_job = (
+                None
+                if reference is None
+                else new_jobs[reference].id
+                if reference in new_jobs
+                else last_jobs[reference].job
             )
-        return self._jobs.create_all(list(made.values()), once)
+            key = (
+                ""
+                if reference is None
+                else new_jobs[reference].key
+                if reference in new_jobs
+                else keys[reference]
+            )
+            of = ElementRole("panel", element, panel_id, reference_job, reference_key=key)
+            new_jobs[panel_id] = self._service.new_job(
+                owner, f"{name}-{panel_id}", results[panel_id], stored[panel_id], of=of
+            )
+        return self._jobs.create_all(list(new_jobs.values()), idempotency_key)
 
     def release(
-        self, element: str, shown: Mapping[str, Shown], who: Who, name: str | None, note: str
+        self, element: str, shown: Mapping[str, Shown], principal: Principal, name: str | None, note: str
     ) -> ElementReleases:
-        """Release the programs of panels and of jobs of raw blocks by one act, each as it was ``shown``:
-        those that are proven, not released, and still what was shown; the others are refused by name. Raises
-        :class:`RefusedError`: 404, 409 where none can be released, 422."""
-        _, files = self._divided(element)
+        """Release the programs of panels and of raw-block jobs in one act.
+
+        Released are those that are proven, not released yet, and still as they were shown. The others are
+        listed as refused.
+
+        Args:
+            element: Id of the element.
+            shown: Job and digest of each panel as the person saw it.
+            principal: Authenticated caller.
+            name: Name of the person, if the service requires no tokens.
+            note: Note for the audit log.
+
+        Raises:
+            RefusedError: 404, 409 if none can be released, 422.
+        """
+        _, files = self._divided_files(element)
         with self._database.read() as db:
-            strange = sorted(shown.keys() - element_problems.problems(db, element).keys())
-        if strange:
-            what = f"panels: got {_some(strange)}, of which none has a job of its own here; see its list"
-            rows = {str(one["id"]): one.get("cut_in") for one in self._data(files[DATA].sha)["panels"]}
-            own = [f"{one} in {row['job']}" for one in strange if (row := rows.get(one)) is not None]
-            hint = f"cut together with others: {', '.join(own[:5])}; release that" if own else None
-            raise RefusedError(422, Issue("service.request", what, field="panels", hint=hint))
-
-        def last(db: Connection) -> dict[str, str]:
-            return {panel: one.job for panel, one in element_problems.problems(db, element).items()}
-
-        made, refused = self._service.releases.release_panels(element, shown, last, who, name, note)
-        if not made:
-            told = [
-                dataclasses.replace(one, message=f"{panel}: {one.message}")
-                for panel in sorted(refused)
-                for one in refused[panel].issues
+            unknown_ids = sorted(shown.keys() - element_problems.last_jobs(db, element).keys())
+        if unknown_ids:
+            message = f"panels: no own job for {_quoted_names(unknown_ids)}. See the panels of the element."
+            rows = {
+                str(panel_id["id"]): panel_id.get("cut_in")
+                for panel_id in self._data(files[DIVISION_DATA].sha)["panels"]
+            }
+            rows_of_panels = [
+                f"{panel_id} in {row['job']}"
+                for panel_id in unknown_ids
+                if (row := rows.get(panel_id)) is not None
             ]
-            raise RefusedError(409, told)
+            hint = (
+                f"cut together with others: {', '.join(rows_of_panels[:5])}. Release that job."
+                if rows_of_panels
+                else None
+            )
+            raise RefusedError(422, Issue("service.request", message, field="panels", hint=hint))
+
+        def last_job_ids(db: Connection) -> dict[str, str]:
+            return {panel: planned.job for panel, planned in element_problems.last_jobs(db, element).items()}
+
+        releases, refused = self._service.releases.release_panels(
+            element, shown, last_job_ids, principal, name, note
+        )
+        if not releases:
+            issues = [
+                dataclasses.replace(panel_id, message=f"{panel}: {panel_id.message}")
+                for panel in sorted(refused)
+                for panel_id in refused[panel].issues
+            ]
+            raise RefusedError(409, issues)
         return ElementReleases(
-            releases=[PanelRelease(panel=one, **made[one].model_dump()) for one in shown if one in made],
+            releases=[
+                PanelRelease(panel=panel_id, **releases[panel_id].model_dump())
+                for panel_id in shown
+                if panel_id in releases
+            ],
             refused=[
-                PanelRefused(panel=one, issues=list(refused[one].issues)) for one in shown if one in refused
+                PanelRefused(panel=panel_id, issues=list(refused[panel_id].issues))
+                for panel_id in shown
+                if panel_id in refused
             ],
         )
 
-    def cancel(self, element: str, by: str) -> None:
-        """Cancel what of an element waits or runs, as the token ``by`` asks: its division, panels, and a
-        report."""
-        own = select(ELEMENT_JOBS.c.job).where(ELEMENT_JOBS.c.element == element)
-        asked = select(JOBS.c.id).where(JOBS.c.id.in_(own), JOBS.c.state.in_(OPEN))
-        with self._database.read() as db:
-            found = list(db.execute(asked.order_by(JOBS.c.created.desc())).scalars())
-        for job in found:
-            self._jobs.cancel(job, by)
+    def cancel(self, element: str, token_id: str) -> None:
+        """Cancel the queued and running jobs of an element: division, panels and report.
 
-    def delete(self, element: str, by: str) -> None:
-        """Cancel and delete an element; what was planned of it stays."""
-        self.cancel(element, by)
-        self._jobs.cancel(element, by, also_delete=True)
-
-    def give_up(self, element: str, by: str) -> None:
-        """Delete an element of which nothing was made: no panel was planned or marked. One that was deleted
-        meanwhile is gone as well."""
+        Args:
+            element: Id of the element.
+            token_id: Token that cancels.
+        """
+        element_jobs = select(ELEMENT_JOBS.c.job).where(ELEMENT_JOBS.c.element == element)
+        query = select(JOBS.c.id).where(JOBS.c.id.in_(element_jobs), JOBS.c.state.in_(OPEN_STATES))
         with self._database.read() as db:
-            used = element_problems.problems(db, element) or MARKS in job_files(db, element)
+            open_jobs = list(db.execute(query.order_by(JOBS.c.created.desc())).scalars())
+        for job in open_jobs:
+            self._jobs.cancel(job, token_id)
+
+    def delete(self, element: str, token_id: str) -> None:
+        """Cancel and delete an element. Jobs of its panels remain.
+
+        Args:
+            element: Id of the element.
+            token_id: Token that deletes.
+        """
+        self.cancel(element, token_id)
+        self._jobs.cancel(element, token_id, also_delete=True)
+
+    def delete_unused(self, element: str, token_id: str) -> None:
+        """Delete an element if no panel was planned or marked.
+
+        An element that is already deleted is ignored.
+
+        Args:
+            element: Id of the element.
+            token_id: Token that deletes.
+        """
+        with self._database.read() as db:
+            used = element_problems.last_jobs(db, element) or MARKS_FILE in job_files(db, element)
         if used:
             return
         try:
-            self.delete(element, by)
+            self.delete(element, token_id)
         except RefusedError as error:
             if error.status != 404:
                 raise
 
     def mark(self, owner: str, element: str, panel: str, state: Mark | Literal["open"]) -> None:
-        """Mark a panel as ``tandem element mark`` does; raises :class:`RefusedError`, 404, 422 or 507."""
-        self._divided(element)
+        """Mark a panel, as ``tandem element mark`` does.
+
+        Args:
+            owner: Token.
+            element: Id of the element.
+            panel: Id of a panel or raw-block job.
+            state: Mark, or open to remove it.
+
+        Raises:
+            RefusedError: 404, 422 or 507.
+        """
+        self._divided_files(element)
         with self._database.write() as db:
-            self._database.one_at_a_time(db, element)
+            self._database.lock(db, element)
             files = job_files(db, element)
             try:
-                found = progress.marked(self._progress(files)[0], panel, state)
+                progress_after = progress.mark(self._progress(files)[0], panel, state)
             except TandemError as error:
                 raise RefusedError(422, error.issues) from error
-            text = io.BytesIO(progress.text(found).encode())
-            put_files(db, element, {MARKS: self._service.storage.put(owner, [text])[0]})
+            progress_file = io.BytesIO(progress.progress_csv(progress_after).encode())
+            put_files(db, element, {MARKS_FILE: self._service.storage.put(owner, [progress_file])[0]})
 
-    def report(self, owner: str, element: str, once: Once | None = None) -> JobOut:
-        """Begin the report on what was planned; raises :class:`RefusedError`, 404, 422, 429 or 507."""
-        name, files = self._divided(element)
+    def report(self, owner: str, element: str, idempotency_key: IdempotencyKey | None = None) -> JobOut:
+        """Create the job that reports on the planned panels.
+
+        Args:
+            owner: Token.
+            element: Id of the element.
+            idempotency_key: Idempotency key, or None.
+
+        Raises:
+            RefusedError: 404, 422, 429 or 507.
+        """
+        name, files = self._divided_files(element)
         with self._database.write() as db:
-            known = [] if once is None else idempotency.made(db, once)
-            if known:
-                return job_out(job_row(db, known[0]))
-            panels = element_problems.problems(db, element)
-            ended = {one: panel for one, panel in panels.items() if panel.row["state"] not in OPEN}
-            if not ended:
-                what = f"element {name}: no panel was planned to its end; plan panels, and ask again"
+            earlier_jobs = [] if idempotency_key is None else idempotency.earlier_jobs(db, idempotency_key)
+            if earlier_jobs:
+                return job_out(job_row(db, earlier_jobs[0]))
+            panels = element_problems.last_jobs(db, element)
+            ended_panels = {
+                panel_id: panel for panel_id, panel in panels.items() if panel.row["state"] not in OPEN_STATES
+            }
+            if not ended_panels:
+                what = f"element {name}: no planned panel. Plan panels first."
                 raise RefusedError(404, Issue("service.unknown_file", what))
-            given = {f"problem/element/{f}": b for f, b in files.items() if not f.startswith("problem/")}
-            for one, panel in ended.items():
-                own = job_files(db, panel.job)
-                given |= {f"problem/run/{one}/{f}": own[f] for f in OF_PLANS if f in own}
-            old = element_problems.report(db, element)
-            if old is not None and old.state not in OPEN:
-                for gone in remove(db, old.id):
-                    audit.note(self._database, db, owner, "deleted", gone.id, {"name": gone.name})
+            report_files = {
+                f"problem/element/{f}": b for f, b in files.items() if not f.startswith("problem/")
+            }
+            for panel_id, panel in ended_panels.items():
+                panel_files = job_files(db, panel.job)
+                report_files |= {
+                    f"problem/run/{panel_id}/{f}": panel_files[f] for f in PLAN_FILES if f in panel_files
+                }
+            previous_report = element_problems.last_report(db, element)
+            if previous_report is not None and previous_report.state not in OPEN_STATES:
+                for deleted_job in delete_job(db, previous_report.id):
+                    event = audit.AuditEvent("deleted", deleted_job.id, {"name": deleted_job.name})
+                    audit.record_act(self._database, db, owner, event)
         text = json.dumps(
-            [element_problems.done(one, panel.row).to_dict() for one, panel in ended.items()]
+            [
+                element_problems.finished_job(panel_id, panel.row).to_dict()
+                for panel_id, panel in ended_panels.items()
+            ]
         ).encode()
-        (listed,) = self._service.storage.put(owner, [io.BytesIO(text)])
-        given[f"problem/{PLANNED}"] = listed
-        rows = json.dumps(sorted((file, blob.sha) for file, blob in given.items()))
+        (panel_list,) = self._service.storage.put(owner, [io.BytesIO(text)])
+        report_files[f"problem/{PLANNED_FILE}"] = panel_list
+        rows = json.dumps(sorted((file, blob.sha) for file, blob in report_files.items()))
         digest = hashlib.sha256(rows.encode()).hexdigest()
-        of = OfElement("report", element)
-        new = self._service.new_job(owner, name, Examined((), name, digest), given, of=of)
-        return self._jobs.create(new, once)
+        of = ElementRole("report", element)
+        new_job = self._service.new_job(owner, name, ReadingResult((), name, digest), report_files, of=of)
+        return self._jobs.create(new_job, idempotency_key)
 
-    def _divided(self, element: str) -> tuple[str, dict[str, Blob]]:
-        """Name and files of an element that is divided; raises :class:`RefusedError`, 404."""
+    def _divided_files(self, element: str) -> tuple[str, dict[str, Blob]]:
+        """Return name and files of an element that is divided.
+
+        Raises:
+            RefusedError: 404.
+        """
         _, job = self._jobs.get(element)
         files = self._jobs.files(element)
-        if DATA not in files:
-            what = f"element {job.name} is {job.state}, not divided; "
-            what += "ask again when it is" if job.state in OPEN else "see its issues, and change it"
+        if DIVISION_DATA not in files:
+            what = f"element {job.name}: is not divided (state {job.state}). "
+            what += "Try again when it is." if job.state in OPEN_STATES else "See its issues and change it."
             raise RefusedError(404, Issue("service.unknown_file", what))
         return job.name, files
 
     def _read_data(self, sha: str) -> Mapping[str, Any]:
-        found: dict[str, Any] = json.loads(self._files.read(sha))
-        return found
+        data: dict[str, Any] = json.loads(self._files.read(sha))
+        return data
 
-    def _progress(self, files: Mapping[str, Blob]) -> tuple[progress.Progress, list[str]]:
-        """How far an element is made, and that in lines."""
+    def _progress(self, files: Mapping[str, Blob]) -> tuple[progress.ElementProgress, list[str]]:
+        """Read the progress of an element, as data and as lines of text."""
         with tempfile.TemporaryDirectory(dir=self._service.scratch, prefix="element-") as folder:
             out = Path(folder)
-            for name in (DATA, MARKS, "stock.csv"):
+            for name in (DIVISION_DATA, MARKS_FILE, "stock.csv"):
                 if name in files:
                     (out / name).symlink_to(self._files.path(files[name].sha).resolve())
-            found = progress.read(out)
-            said = [*progress.told(found, out), *(issue.message for issue in progress.issues(found))]
-        return found, said
+            marks = progress.read_progress(out)
+            lines = [
+                *progress.progress_lines(marks, out),
+                *(issue.message for issue in progress.progress_issues(marks)),
+            ]
+        return marks, lines
 
     @staticmethod
     def _head(job: JobOut, about: str, planned: int) -> ElementOut:
@@ -408,44 +599,56 @@ class Elements:
         return ElementOut(**job.model_dump(), kind=known["kind"], fields=known["fields"], planned=planned)
 
 
-def _some(names: Sequence[str]) -> str:
-    """Names that somebody sent, the first few, as they are written where they hide or turn text."""
-    return ", ".join(repr(one[:32]) for one in names[:5])
+def _quoted_names(names: Sequence[str]) -> str:
+    """List the first five of some user-supplied names.
+
+    Characters that hide or reorder text are escaped.
+    """
+    return ", ".join(repr(name[:32]) for name in names[:5])
 
 
-def _wanted(
-    known: Mapping[str, bool], before: Mapping[str, Problem], chosen: Sequence[str] | None
+def _selected_ids(
+    has_own_job: Mapping[str, bool], last_jobs: Mapping[str, PlannedProblem], chosen: Sequence[str] | None
 ) -> list[str]:
-    """Panels and jobs of raw blocks to be planned, in the order of those that are ``known``, none twice at
-    once; where none is chosen, those that are not cut by another one's job. Raises :class:`RefusedError`,
-    422, for ids that the element does not have."""
+    """Select panels and raw-block jobs to plan, in the order of ``has_own_job``.
+
+    If ``chosen`` is None, panels that another job cuts are left out. Panels with a queued or running job
+    are never planned twice.
+
+    Raises:
+        RefusedError: 422, the element does not have an id.
+    """
     if chosen is None:
         return [
-            one
-            for one, own in known.items()
-            if own and (one not in before or before[one].row["state"] in AGAIN)
+            panel_id
+            for panel_id, plannable in has_own_job.items()
+            if plannable
+            and (panel_id not in last_jobs or last_jobs[panel_id].row["state"] in REPLANNED_STATES)
         ]
-    strange = sorted(set(chosen) - known.keys())
-    if strange:
-        names = list(known)
-        what = f"panels: got {_some(strange)}, the element has {len(names)} panels and jobs of raw blocks "
-        what += f"from {names[0]} to {names[-1]}; see its list"
-        raise RefusedError(422, Issue("service.request", what, field="panels"))
-    waiting = {one for one, panel in before.items() if panel.row["state"] in OPEN}
-    return [one for one in known if one in set(chosen) - waiting]
+    unknown_ids = sorted(set(chosen) - has_own_job.keys())
+    if unknown_ids:
+        names = list(has_own_job)
+        message = (
+            f"panels: unknown (got {_quoted_names(unknown_ids)}, allowed {len(names)} panels and raw-block "
+            "jobs "
+        )
+        message += f"from {names[0]} to {names[-1]}). See the panels of the element."
+        raise RefusedError(422, Issue("service.request", message, field="panels"))
+    open_ids = {panel_id for panel_id, panel in last_jobs.items() if panel.row["state"] in OPEN_STATES}
+    return [panel_id for panel_id in has_own_job if panel_id in set(chosen) - open_ids]
 
 
-def _in_turn(wanted: Sequence[str], after: Mapping[str, str]) -> list[str]:
-    """Panels, each after the one that it is planned like."""
+def _in_reference_order(panel_ids: Sequence[str], references: Mapping[str, str]) -> list[str]:
+    """Order panels so that each follows the panel whose plan is its reference plan."""
     out: dict[str, None] = {}
 
-    def put(one: str) -> None:
-        chain = [one]
-        while (like := after.get(chain[-1])) is not None and like in todo and like not in out:
+    def add_with_references(panel_id: str) -> None:
+        chain = [panel_id]
+        while (like := references.get(chain[-1])) is not None and like in todo and like not in out:
             chain.append(like)
         out.update(dict.fromkeys(reversed(chain)))
 
-    todo = set(wanted)
-    for one in wanted:
-        put(one)
+    todo = set(panel_ids)
+    for panel_id in panel_ids:
+        add_with_references(panel_id)
     return list(out)

@@ -1,4 +1,4 @@
-"""How long a job may still take: by medians of the times that like jobs took for each stage."""
+"""Estimates of the remaining time of a job: medians of the stage times of similar jobs."""
 
 import itertools
 import json
@@ -13,27 +13,27 @@ from sqlalchemy import RowMapping, select
 
 from planner.service.models import EVENTS, JOBS, Database, JobOut, Sent
 
-LIKE: Final = 20
-"""So many like jobs are looked at, those that ended last."""
-KNOWN_S: Final = 30.0
-"""Time [s] for which their medians are known again."""
+MAX_SIMILAR_JOBS: Final = 20
+"""Maximum number of similar jobs that are evaluated, the last ones that ended."""
+CACHE_S: Final = 30.0
+"""Time [s] for which medians are cached."""
 
 
 class StageTime(Sent):
-    """A stage, and what it took in the median [s]."""
+    """A stage and its median time [s]."""
 
     stage: str
     seconds: float
 
 
 class EstimateOut(Sent):
-    """What a job has taken and may still take, by ``like`` jobs; an estimate, nothing more."""
+    """Elapsed and estimated remaining time of a job, from ``like`` similar jobs."""
 
-    elapsed_s: float | None = Field(None, description="since it was begun [s], once it was")
-    left_s: float | None = Field(None, description="estimate [s], where there are like jobs and it has begun")
-    whole_s: float | None = Field(None, description="estimate of all stages [s], where there are like jobs")
-    like: int = Field(description="proven jobs of the same processes that it is estimated by")
-    stages: list[StageTime] = Field([], description="in their order")
+    elapsed_s: float | None = Field(None, description="time since the start [s], if it has started")
+    left_s: float | None = Field(None, description="estimated remaining time [s], if it has started")
+    whole_s: float | None = Field(None, description="estimated time of all stages [s]")
+    like: int = Field(description="number of proven jobs of the same processes; without any, no estimates")
+    stages: list[StageTime] = Field([], description="stages in order")
 
 
 class Estimates:
@@ -44,62 +44,76 @@ class Estimates:
         self._lock = threading.Lock()
         self._known: dict[tuple[str, ...], tuple[float, int, dict[str, float]]] = {}
 
-    def of(self, job: JobOut, owners: Sequence[str], now: float) -> EstimateOut:
-        """For a job, by those of these owners; ``now`` [s since 1970]."""
-        like, stages = self._medians(json.dumps(job.processes), owners)
-        told = [StageTime(stage=name, seconds=round(s, 3)) for name, s in stages.items()]
-        whole = round(sum(stages.values()), 3) if like else None
+    def estimate(self, job: JobOut, owners: Sequence[str], now: float) -> EstimateOut:
+        """Estimate the remaining time of a job.
+
+        Args:
+            job: Job.
+            owners: Tokens whose jobs are evaluated.
+            now: Present time [s since 1970].
+        """
+        job_count, stages = self._medians(json.dumps(job.processes), owners)
+        stage_times = [StageTime(stage=name, seconds=round(s, 3)) for name, s in stages.items()]
+        total = round(sum(stages.values()), 3) if job_count else None
         if job.state != "running" or job.started is None:
-            return EstimateOut(elapsed_s=None, left_s=None, whole_s=whole, like=like, stages=told)
+            return EstimateOut(elapsed_s=None, left_s=None, whole_s=total, like=job_count, stages=stage_times)
         elapsed = round(max(now - job.started.timestamp(), 0.0), 3)  # clocks may have been set back
-        left = None
-        if like:
+        remaining = None
+        if job_count:
             names = list(stages)
-            at = names.index(job.stage) if job.stage in names else 0
-            spent = max(elapsed - sum(stages[name] for name in names[:at]), 0.0)
-            begun = stages[names[at]] if names else 0.0
-            left = max(begun - spent, begun * (1 - job.fraction) if job.fraction else 0.0)
-            left = round(left + sum(stages[name] for name in names[at + 1 :]), 3)
-        return EstimateOut(elapsed_s=elapsed, left_s=left, whole_s=whole, like=like, stages=told)
+            stage_index = names.index(job.stage) if job.stage in names else 0
+            stage_elapsed = max(elapsed - sum(stages[name] for name in names[:stage_index]), 0.0)
+            stage_median = stages[names[stage_index]] if names else 0.0
+            remaining = max(
+                stage_median - stage_elapsed, stage_median * (1 - job.fraction) if job.fraction else 0.0
+            )
+            remaining = round(remaining + sum(stages[name] for name in names[stage_index + 1 :]), 3)
+        return EstimateOut(
+            elapsed_s=elapsed, left_s=remaining, whole_s=total, like=job_count, stages=stage_times
+        )
 
     def _medians(self, processes: str, owners: Sequence[str]) -> tuple[int, dict[str, float]]:
         key = (processes, *sorted(owners))
         with self._lock:
-            at, like, stages = self._known.get(key, (-KNOWN_S, 0, {}))
-            if time.monotonic() - at < KNOWN_S:
-                return like, stages
-        like, stages = self._read(processes, owners)
+            cached_at, job_count, stages = self._known.get(key, (-CACHE_S, 0, {}))
+            if time.monotonic() - cached_at < CACHE_S:
+                return job_count, stages
+        job_count, stages = self._read_medians(processes, owners)
         with self._lock:
             if len(self._known) > 1000:
                 self._known.clear()
-            self._known[key] = (time.monotonic(), like, stages)
-        return like, stages
+            self._known[key] = (time.monotonic(), job_count, stages)
+        return job_count, stages
 
-    def _read(self, processes: str, owners: Sequence[str]) -> tuple[int, dict[str, float]]:
-        alike = (JOBS.c.owner.in_(owners), JOBS.c.processes == processes, JOBS.c.state == "verified")
-        last = select(JOBS.c.id).where(*alike, JOBS.c.from_store == 0).order_by(JOBS.c.finished.desc())
+    def _read_medians(self, processes: str, owners: Sequence[str]) -> tuple[int, dict[str, float]]:
+        similar = (JOBS.c.owner.in_(owners), JOBS.c.processes == processes, JOBS.c.state == "verified")
+        last = select(JOBS.c.id).where(*similar, JOBS.c.from_store == 0).order_by(JOBS.c.finished.desc())
         with self._database.read() as db:
-            jobs = db.execute(last.limit(LIKE)).scalars().all()
+            jobs = db.execute(last.limit(MAX_SIMILAR_JOBS)).scalars().all()
             kinds = EVENTS.c.kind.in_(("state", "progress"))
             query = select(EVENTS).where(EVENTS.c.job.in_(jobs), kinds).order_by(EVENTS.c.job, EVENTS.c.seq)
             rows = list(db.execute(query).mappings())
-        taken: dict[str, dict[str, float]] = {job: {} for job in jobs}
-        for before, after in itertools.pairwise(rows):
-            if before["job"] == after["job"]:
-                _count(taken, before, max(after["at"] - before["at"], 0.0))
-        taken = {job: one for job, one in taken.items() if one}
-        order = dict.fromkeys(name for one in taken.values() for name in one)
-        medians = {n: statistics.median(one.get(n, 0.0) for one in taken.values()) for n in order}
-        return len(taken), {name: seconds for name, seconds in medians.items() if seconds}
+        times: dict[str, dict[str, float]] = {job: {} for job in jobs}
+        for event, next_event in itertools.pairwise(rows):
+            if event["job"] == next_event["job"]:
+                _add_stage_time(times, event, max(next_event["at"] - event["at"], 0.0))
+        times = {job: stage_times for job, stage_times in times.items() if stage_times}
+        order = dict.fromkeys(name for stage_times in times.values() for name in stage_times)
+        medians = {
+            n: statistics.median(stage_times.get(n, 0.0) for stage_times in times.values()) for n in order
+        }
+        return len(times), {name: seconds for name, seconds in medians.items() if seconds}
 
 
-def _count(taken: dict[str, dict[str, float]], event: RowMapping, seconds: float) -> None:
-    """Add the time from an event to the next one to the stage that it tells; a job that is begun anew, as
-    after a restart, is counted from there."""
-    told, own = json.loads(str(event["data"])), taken[str(event["job"])]
+def _add_stage_time(times: dict[str, dict[str, float]], event: RowMapping, seconds: float) -> None:
+    """Add the time from an event to the next one to the stage of the event.
+
+    A job that starts again, for instance after a restart of the service, is counted from there.
+    """
+    event_data, stage_times = json.loads(str(event["data"])), times[str(event["job"])]
     if event["kind"] == "state":
-        if told.get("state") == "running":
-            own.clear()
+        if event_data.get("state") == "running":
+            stage_times.clear()
         return
-    stage = str(told["stage"])
-    own[stage] = own.get(stage, 0.0) + seconds
+    stage = str(event_data["stage"])
+    stage_times[stage] = stage_times.get(stage, 0.0) + seconds

@@ -1,11 +1,13 @@
-"""Requests that are sent again, for instance because an answer was lost on its way: who sends the header
-``Idempotency-Key`` with a request that makes jobs gets the jobs that the first such request made.
+"""Idempotency keys: a request that is sent again returns the jobs that the first one created.
 
-A key belongs to the owner that sent it. With it the store keeps a hash of what was asked, made of the parts
-as they were read: the boundary of a form is another one each time. Rows are written in the transaction that
-makes the jobs, so that there are both or neither. A key goes with the last of its jobs, or by age.
+A client may send a request again because the answer was lost. If it sends the header ``Idempotency-Key``,
+the service creates the jobs only once.
 
-The header is an Internet-Draft of the IETF, draft-ietf-httpapi-idempotency-key-header; its value is taken as
+A key belongs to the owner that sent it. The store keeps it with a hash of the request content as it was
+parsed, because the boundary of a multipart form differs each time. Rows are written in the transaction that
+creates the jobs, so that both exist or neither. A key is deleted with the last of its jobs, or by age.
+
+The header is an Internet-Draft of the IETF, draft-ietf-httpapi-idempotency-key-header. Its value is used as
 it is, quoted or not.
 """
 
@@ -24,71 +26,111 @@ from planner.service.security import RefusedError
 
 HEADER: Final = "Idempotency-Key"
 """Name of the header."""
-LONGEST: Final = 255
-"""Characters that a key may have."""
-KEPT_S: Final = 86400.0
-"""Time [s] for which a key is kept at least, if its jobs are."""
-_KEY: Final = re.compile(rf"[\x21-\x7e]{{1,{LONGEST}}}")
+MAX_KEY_LENGTH: Final = 255
+"""Maximum number of characters of a key."""
+MIN_KEY_AGE_S: Final = 86400.0
+"""Minimum time [s] for which a key is kept if its jobs are."""
+_KEY: Final = re.compile(rf"[\x21-\x7e]{{1,{MAX_KEY_LENGTH}}}")
 """A key: printable ASCII without spaces."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Once:
-    """A request of ``owner`` that is to be done once: SHA-256 of its key, and of its content."""
+class IdempotencyKey:
+    """Idempotency key of a request.
+
+    Attributes:
+        owner: Token that sent it.
+        key: SHA-256 of the key.
+        content: SHA-256 of the request content.
+    """
 
     owner: str
     key: str
     content: str
 
 
-def checked(keys: Sequence[str]) -> str | None:
-    """The key of a request by its headers of that name; None where there is none. Raises
-    :class:`RefusedError`, 422."""
+def checked_header(keys: Sequence[str]) -> str | None:
+    """Return the key of a request, or None.
+
+    Args:
+        keys: Values of the header.
+
+    Raises:
+        RefusedError: 422.
+    """
     if not keys:
         return None
     if len(keys) > 1 or not _KEY.fullmatch(keys[0]):
         got = f"{len(keys)} keys" if len(keys) > 1 else f"{keys[0][:40]!r} of {len(keys[0])} characters"
-        what = f"got {got}; send one of 1 to {LONGEST} printable ASCII characters without spaces, a UUID say"
-        raise RefusedError(422, Issue("service.idempotency", f"{HEADER}: {what}", field=HEADER))
+        message = (
+            f"invalid (got {got}, allowed one key of 1 to {MAX_KEY_LENGTH} printable ASCII characters "
+            "without spaces). Send a UUID, for example."
+        )
+        raise RefusedError(422, Issue("service.idempotency", f"{HEADER}: {message}", field=HEADER))
     return keys[0]
 
 
-def once(owner: str, key: str | None, route: str, *parts: Any) -> Once | None:
-    """What is to be done once: ``route`` and ``parts`` (plain data) are all that the answer depends on. None
-    without a key."""
+def hashed_key(owner: str, key: str | None, route: str, *parts: Any) -> IdempotencyKey | None:
+    """Combine a key with the content of its request. Returns None without a key.
+
+    Args:
+        owner: Token.
+        key: Value of the header, or None.
+        route: Route of the request.
+        parts: All other plain data that the answer depends on.
+    """
     if key is None:
         return None
     content = json.dumps([route, *parts], sort_keys=True)
-    return Once(owner, _sha(key), _sha(content))
+    return IdempotencyKey(owner, _sha(key), _sha(content))
 
 
-def made(db: Connection, asked: Once) -> list[str]:
-    """The jobs that the first such request made, in its order, without those that were deleted since; empty
-    where there are none. Raises :class:`RefusedError`, 422, where the key came with another content."""
+def earlier_jobs(db: Connection, key: IdempotencyKey) -> list[str]:
+    """Return the jobs that an earlier request with the key created, in its order, without deleted ones.
+
+    Args:
+        db: Database connection.
+        key: Idempotency key.
+
+    Raises:
+        RefusedError: 422, the key was sent with another content.
+    """
     query = (
         select(KEYS.c.job, KEYS.c.content)
         .join_from(KEYS, JOBS, KEYS.c.job == JOBS.c.id)
-        .where(KEYS.c.owner == asked.owner, KEYS.c.hash == asked.key, JOBS.c.cancel <= CANCELLED)
+        .where(KEYS.c.owner == key.owner, KEYS.c.hash == key.key, JOBS.c.cancel <= CANCELLED)
         .order_by(KEYS.c.number)
     )
     rows = db.execute(query).all()
-    if any(row.content != asked.content for row in rows):
-        what = "this key was sent with another request before; send that one again as it was, or another key"
-        raise RefusedError(422, Issue("service.idempotency", f"{HEADER}: {what}", field=HEADER))
+    if any(row.content != key.content for row in rows):
+        message = "was already used for another request. Repeat that request unchanged, or send another key."
+        raise RefusedError(422, Issue("service.idempotency", f"{HEADER}: {message}", field=HEADER))
     return [row.job for row in rows]
 
 
-def keep(database: Database, db: Connection, asked: Once, jobs: Sequence[str]) -> None:
-    """Write down which jobs a request made."""
-    db.execute(delete(KEYS).where(KEYS.c.owner == asked.owner, KEYS.c.hash == asked.key))
+def record_jobs(database: Database, db: Connection, key: IdempotencyKey, jobs: Sequence[str]) -> None:
+    """Record the jobs that a request created.
+
+    Args:
+        database: Database.
+        db: Open write transaction.
+        key: Idempotency key.
+        jobs: Ids of the jobs.
+    """
+    db.execute(delete(KEYS).where(KEYS.c.owner == key.owner, KEYS.c.hash == key.key))
     for number, job in enumerate(jobs):
-        row = {"owner": asked.owner, "hash": asked.key, "number": number, "job": job}
-        db.execute(insert(KEYS).values(**row, content=asked.content, created=database.clock()))
+        row = {"owner": key.owner, "hash": key.key, "number": number, "job": job}
+        db.execute(insert(KEYS).values(**row, content=key.content, created=database.clock()))
 
 
-def forget(database: Database, db: Connection) -> None:
-    """Remove keys that are old enough."""
-    db.execute(delete(KEYS).where(KEYS.c.created < database.clock() - KEPT_S))
+def delete_old_keys(database: Database, db: Connection) -> None:
+    """Delete keys that are older than `MIN_KEY_AGE_S`.
+
+    Args:
+        database: Database.
+        db: Open write transaction.
+    """
+    db.execute(delete(KEYS).where(KEYS.c.created < database.clock() - MIN_KEY_AGE_S))
 
 
 def _sha(text: str) -> str:

@@ -1,8 +1,8 @@
-"""Links, which open something of one job without a token: a file for a while, or what there is to look at.
+"""Links that open something of one job without a token: a file, or a read-only page of the job.
 
-Both are signed with a secret that all hosts of one database share (HMAC, RFC 2104). A link to look is a row
-of the store too, which says who made it and when it ends. It goes when it is withdrawn or found over, or its
-job deleted: without the row the signature opens nothing.
+Both are signed with a secret that all hosts of one database share (HMAC, RFC 2104). A view link is also a
+row of the store, with its creator and its end. The row is deleted when the link is withdrawn or found
+expired, or when its job is deleted. Without the row the signature opens nothing.
 """
 
 import datetime as dt
@@ -19,22 +19,22 @@ from sqlalchemy import and_, delete, func, insert, select
 from planner.issues import Issue
 from planner.service import audit
 from planner.service.models import LINKS, Database, JobOut, LinkMade, LookLink, utc
-from planner.service.security import RefusedError, Who, shared_secret
+from planner.service.security import Principal, RefusedError, shared_secret
 
-LINK_S: Final = 3600
-"""Time [s] after which a link to a file ends, where nothing is said."""
-LONGEST_LINK_S: Final = 86400
-"""Time [s] after which any link to a file ends."""
-LOOK_S: Final = 7 * 86400
-"""Time [s] after which a link to look ends, where nothing is said."""
-LONGEST_LOOK_S: Final = 30 * 86400
-"""Time [s] after which any link to look ends."""
-MOST_LOOKS: Final = 20
-"""Links to look at one job that may be in force at once."""
-SKEW_S: Final = 60.0
-"""A link opens nothing while the clock is further than this [s] before the moment at which it was made."""
-TO_LOOK_AT: Final = ("report.html", "replay.html")
-"""Files of a job that a link to look opens."""
+DEFAULT_LINK_S: Final = 3600
+"""Default lifetime [s] of a link to a file."""
+MAX_LINK_S: Final = 86400
+"""Maximum lifetime [s] of a link to a file."""
+DEFAULT_VIEW_LINK_S: Final = 7 * 86400
+"""Default lifetime [s] of a view link."""
+MAX_VIEW_LINK_S: Final = 30 * 86400
+"""Maximum lifetime [s] of a view link."""
+MAX_VIEW_LINKS: Final = 20
+"""Maximum number of view links of one job that are in force at once."""
+MAX_CLOCK_SKEW_S: Final = 60.0
+"""Maximum time [s] by which the clock may be before the creation of a link that opens something."""
+VIEWABLE_FILES: Final = ("report.html", "replay.html")
+"""Files of a job that a view link opens."""
 
 
 class Links:
@@ -44,47 +44,78 @@ class Links:
         self._database = database
         self._secret = bytes.fromhex(shared_secret(database, "links"))
 
-    def sign(self, job: str, name: str, expires: int, by: str | None = None) -> str:
-        """The signature for a file of a job until ``expires`` [s since 1970], of the token ``by``, or of its
-        owner."""
-        return self._hmac("tandem link", job, name, expires, *([] if by is None else [by]))
+    def sign(self, job: str, name: str, expires: int, token_id: str | None = None) -> str:
+        """Return the signature of a link to a file.
+
+        Args:
+            job: Id of the job.
+            name: Name of the file.
+            expires: End of the link [s since 1970].
+            token_id: Token that makes the link, or None for the owner of the job.
+        """
+        return self._hmac("tandem link", job, name, expires, *([] if token_id is None else [token_id]))
 
     def check(
-        self, job: str, name: str, expires: int | None, signature: str, mates: Sequence[str] = ()
+        self, job: str, name: str, expires: int | None, signature: str, team_tokens: Sequence[str] = ()
     ) -> str | None:
-        """Which of the ``mates`` of the job's owner made the link, None for the owner himself, if the
-        signature is that of this file of this job, and is not over. Raises :class:`RefusedError`, 403."""
-        for by in (None, *mates):
-            wanted = "" if expires is None else self.sign(job, name, expires, by)
-            if expires is None or not _same(wanted, signature):
+        """Verify a link to a file.
+
+        Args:
+            job: Id of the job.
+            name: Name of the file.
+            expires: End of the link [s since 1970].
+            signature: Signature of the link.
+            team_tokens: Other tokens of the owner's team.
+
+        Returns:
+            The one of ``team_tokens`` that made the link, or None for the owner.
+
+        Raises:
+            RefusedError: 403, the signature is wrong or the link has expired.
+        """
+        for token_id in (None, *team_tokens):
+            expected = "" if expires is None else self.sign(job, name, expires, token_id)
+            if expires is None or not _equal_signatures(expected, signature):
                 continue
             if expires <= time.time():
-                raise bad_link("it is over; ask for a new one")
-            return by
-        raise bad_link("it is not one that this service signed; copy it whole, or ask for a new one")
+                raise file_link_refusal("has expired. Ask for a new one.")
+            return token_id
+        raise file_link_refusal("has an invalid signature. Copy the whole link, or ask for a new one.")
 
-    def make(self, job: JobOut, who: Who, seconds: int) -> LinkMade:
-        """A new link to look at a job. Raises :class:`RefusedError`, 409, where it has too many."""
-        look = secrets.token_hex(16)
+    def create_view_link(self, job: JobOut, principal: Principal, seconds: int) -> LinkMade:
+        """Create a view link.
+
+        Args:
+            job: Job.
+            principal: Caller.
+            seconds: Lifetime [s].
+
+        Raises:
+            RefusedError: 409, the job has too many.
+        """
+        link_id = secrets.token_hex(16)
         with self._database.write() as db:
-            self._database.one_at_a_time(db, job.id)
+            self._database.lock(db, job.id)
             now = self._database.clock()
             db.execute(delete(LINKS).where(LINKS.c.job == job.id, LINKS.c.expires <= now))
             count = db.execute(select(func.count()).where(LINKS.c.job == job.id)).scalar_one()
-            if count >= MOST_LOOKS:
-                what = f"job {job.id}: {count} links to look at it are in force, {MOST_LOOKS} may be; "
-                raise RefusedError(409, Issue("service.link", f"{what}withdraw one first"))
-            row = {"id": look, "job": job.id, "token": who.token, "who": who.name}
+            if count >= MAX_VIEW_LINKS:
+                message = f"job {job.id}: too many view links (got {count}, allowed {MAX_VIEW_LINKS}). "
+                raise RefusedError(409, Issue("service.link", f"{message}Withdraw one first."))
+            row = {"id": link_id, "job": job.id, "token": principal.token, "who": principal.name}
             db.execute(insert(LINKS).values(**row, created=now, expires=now + float(seconds)))
-            made, over = db.execute(select(LINKS.c.created, LINKS.c.expires).where(LINKS.c.id == look)).one()
-            said = {"name": job.name, "link": look, "until": utc(over).isoformat()}
-            audit.note(self._database, db, who.token, "linked", job.id, said)
-        signed = self._hmac("tandem look", job.id, look)
-        path = f"/ui/look/{job.id}/{look}?signature={signed}"
-        return LinkMade(id=look, by=who.name, created=utc(made), expires=utc(over), path=path)
+            created, expires = db.execute(
+                select(LINKS.c.created, LINKS.c.expires).where(LINKS.c.id == link_id)
+            ).one()
+            details = {"name": job.name, "link": link_id, "until": utc(expires).isoformat()}
+            event = audit.AuditEvent("linked", job.id, details)
+            audit.record_act(self._database, db, principal.token, event)
+        signature = self._hmac("tandem look", job.id, link_id)
+        path = f"/ui/look/{job.id}/{link_id}?signature={signature}"
+        return LinkMade(id=link_id, by=principal.name, created=utc(created), expires=utc(expires), path=path)
 
-    def all(self, job: str) -> list[LookLink]:
-        """Links to look at a job that are not over, the newest first."""
+    def view_links(self, job: str) -> list[LookLink]:
+        """Return the view links of a job that are in force, newest first."""
         now = self._database.clock()
         query = select(LINKS).where(LINKS.c.job == job, LINKS.c.expires > now)
         with self._database.read() as db:
@@ -94,55 +125,77 @@ class Links:
             for r in rows
         ]
 
-    def withdraw(self, job: JobOut, look: str, who: Who) -> None:
-        """End a link to look before its time. Raises :class:`RefusedError`, 404."""
-        own = and_(LINKS.c.id == look, LINKS.c.job == job.id)
-        with self._database.write() as db:
-            by = db.execute(select(LINKS.c.who).where(own)).scalar()
-            if not db.execute(delete(LINKS).where(own)).rowcount:
-                what = f"job {job.id} has no link {look[:80]!r}, or it was withdrawn; list its links"
-                raise RefusedError(404, Issue("service.link", what, field="look"))
-            said = {"name": job.name, "link": look, "made_by": by}
-            audit.note(self._database, db, who.token, "unlinked", job.id, said)
+    def withdraw(self, job: JobOut, link_id: str, principal: Principal) -> None:
+        """End a view link early.
 
-    def looker(self, job: str, look: str, signature: str) -> tuple[str, dt.datetime]:
-        """The token that made this link to look, and the link's end, if it holds by the clock that all hosts
-        share. One that is found over stays so. Raises :class:`RefusedError`, 404."""
-        if not _same(self._hmac("tandem look", job, look), signature):
-            raise no_look()
+        Args:
+            job: Job.
+            link_id: Id of the link.
+            principal: Caller.
+
+        Raises:
+            RefusedError: 404.
+        """
+        link_filter = and_(LINKS.c.id == link_id, LINKS.c.job == job.id)
+        with self._database.write() as db:
+            creator = db.execute(select(LINKS.c.who).where(link_filter)).scalar()
+            if not db.execute(delete(LINKS).where(link_filter)).rowcount:
+                message = f"job {job.id}: link {link_id[:80]!r} not found. List its links."
+                raise RefusedError(404, Issue("service.link", message, field="look"))
+            details = {"name": job.name, "link": link_id, "made_by": creator}
+            event = audit.AuditEvent("unlinked", job.id, details)
+            audit.record_act(self._database, db, principal.token, event)
+
+    def check_view_link(self, job: str, link_id: str, signature: str) -> tuple[str, dt.datetime]:
+        """Verify a view link by the clock that all hosts share. An expired link stays expired.
+
+        Args:
+            job: Id of the job.
+            link_id: Id of the link.
+            signature: Signature of the link.
+
+        Returns:
+            Token that made the link, and the end of the link.
+
+        Raises:
+            RefusedError: 404.
+        """
+        if not _equal_signatures(self._hmac("tandem look", job, link_id), signature):
+            raise view_link_refusal()
         now = self._database.clock()
-        own = and_(LINKS.c.id == look, LINKS.c.job == job)
+        link_filter = and_(LINKS.c.id == link_id, LINKS.c.job == job)
         query = select(
-            LINKS.c.token, LINKS.c.expires, LINKS.c.expires <= now, LINKS.c.created <= now + SKEW_S
+            LINKS.c.token, LINKS.c.expires, LINKS.c.expires <= now, LINKS.c.created <= now + MAX_CLOCK_SKEW_S
         )
         with self._database.read() as db:
-            found = db.execute(query.where(own)).first()
-        if found is None:
-            raise no_look()
-        maker, expires, over, made = found
-        if over:  # a clock that is set back revives none
+            row = db.execute(query.where(link_filter)).first()
+        if row is None:
+            raise view_link_refusal()
+        maker, expires, expired, created_before = row
+        if expired:  # a clock that is set back must not revive the link
             with self._database.write() as db:
-                db.execute(delete(LINKS).where(own, LINKS.c.expires <= self._database.clock()))
-        if over or not made:
-            raise no_look()
+                db.execute(delete(LINKS).where(link_filter, LINKS.c.expires <= self._database.clock()))
+        if expired or not created_before:
+            raise view_link_refusal()
         return maker, utc(expires)
 
     def _hmac(self, *signed: str | int) -> str:
         return hmac.new(self._secret, json.dumps(signed).encode(), hashlib.sha256).hexdigest()
 
 
-def _same(wanted: str, given: str) -> bool:
-    return hmac.compare_digest(wanted.encode(), given.encode("utf-8", "surrogatepass"))
+def _equal_signatures(expected: str, given: str) -> bool:
+    return hmac.compare_digest(expected.encode(), given.encode("utf-8", "surrogatepass"))
 
 
-def bad_link(why: str) -> RefusedError:
-    """403, of a link to a file."""
-    return RefusedError(403, Issue("service.link", f"the link: {why}", field="signature"))
+def file_link_refusal(why: str) -> RefusedError:
+    """Return the refusal of a link to a file: 403."""
+    return RefusedError(403, Issue("service.link", f"link: {why}", field="signature"))
 
 
-def no_look() -> RefusedError:
-    """404, of a link to look, whatever is wrong with it: who has none learns nothing."""
-    what = (
-        "there is no such link: it is over, was withdrawn, or is not whole; copy it anew, or ask who sent it"
-    )
+def view_link_refusal() -> RefusedError:
+    """Return the refusal of a view link: 404.
+
+    All causes give an equal refusal, so that guessing reveals nothing.
+    """
+    what = "link: expired, withdrawn or incomplete. Copy the whole link again, or ask the person who sent it."
     return RefusedError(404, Issue("service.link", what))

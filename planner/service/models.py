@@ -1,10 +1,10 @@
-"""Data models of the service: the tables of its store, and what the API sends.
+"""Data models of the service: tables of its store, and models of the API.
 
-**Store** (`Database`): tables, the connection to SQLite or PostgreSQL, and the clock all hosts
-share. Tables are the same on both. Times are seconds since 1970 (UTC). A transaction is on the disk
-when it ends.
+**Store** (`Database`): tables, the connection to SQLite or PostgreSQL, and the clock that all hosts share.
+The tables are the same on both databases. Times are seconds since 1970 (UTC). A transaction is on disk when
+it ends.
 
-**API** (`Sent`): models that give its OpenAPI too. Problems are read by the models of
+**API** (`Sent`): models from which the OpenAPI document is generated. Problems are read by the models of
 :mod:`planner.reading.problem`.
 """
 
@@ -41,11 +41,11 @@ from sqlalchemy.engine import make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError
 from sqlalchemy.sql.elements import ColumnElement
 
-from planner.issues import Issue, TandemError, refusal
+from planner.issues import Issue, TandemError, issue_error
 from planner.service.schema import VERSION, NoVersionError, SchemaVersionError, create_or_check
 
-LONGEST_TAG: Final = 40
-"""Characters of a tag of jobs."""
+MAX_TAG_LENGTH: Final = 40
+"""Maximum number of characters of a tag."""
 METADATA: Final = MetaData()
 """The tables of the service."""
 
@@ -61,9 +61,9 @@ TOKENS: Final = Table(
     Column("team", String(64)),
     Column("expires", Float),
     Column("scope", String(16)),
-    Column("tag", String(LONGEST_TAG)),
+    Column("tag", String(MAX_TAG_LENGTH)),
 )
-"""Who may use the service, and for what. Only the SHA-256 of a token is kept."""
+"""API tokens and what they permit. Only the SHA-256 of a token is stored."""
 
 SESSIONS: Final = Table(
     "tandem_sessions",
@@ -72,7 +72,7 @@ SESSIONS: Final = Table(
     Column("token", String(32), nullable=False),
     Column("expires", Float, nullable=False),
 )
-"""Browsers that showed a token once: the SHA-256 of their cookie."""
+"""Sessions of browsers that sent a token once: the SHA-256 of their cookie."""
 
 JOBS: Final = Table(
     "tandem_jobs",
@@ -109,16 +109,23 @@ JOBS: Final = Table(
     Column("turn", Float, nullable=False, default=0.0),
     Index("tandem_jobs_by_owner", "owner", "created", "id"),
 )
-"""``key``: what the answer depends on, the problem's digest and the versions. ``host`` works on the job until
-``lease``. ``seq`` is the number of the job's last event. ``cancel``: 1 cancelled, 2 deleted too. ``releases``
-is the number of the job's last release. ``tags`` are framed by line ends. Without capitals, ``label`` is the
-title, or name, by which jobs are sorted, and ``sought`` all words by which they are found. Jobs that wait
-are planned in the order of ``turn``, which is when they came unless their owner has changed it."""
+"""Jobs.
+
+- ``key``: hash of all that the answer depends on: the digest of the problem and the program versions.
+- ``host`` works on the job until ``lease``.
+- ``seq``: number of the last event.
+- ``cancel``: 1 cancelled, 2 deleted too.
+- ``releases``: number of the last release.
+- ``tags``: each between line ends.
+- ``label``: case-folded title or name, by which jobs are sorted.
+- ``sought``: case-folded text that is searched.
+- ``turn``: order in which queued jobs are planned. It is the creation time unless the owner has changed it.
+"""
 
 CANCELLED: Final = 1
-"""In a job's column `cancel`: its owner wants it to end."""
+"""Value of the column `cancel`: the owner wants the job to stop."""
 DELETED: Final = 2
-"""In a job's column `cancel`: its owner wants it to end and to go."""
+"""Value of the column `cancel`: the owner wants the job to stop and to be deleted."""
 
 FILES: Final = Table(
     "tandem_files",
@@ -128,7 +135,7 @@ FILES: Final = Table(
     Column("sha", String(64), nullable=False, index=True),
     Column("size", Integer, nullable=False),
 )
-"""A job's problem (``problem/...``) and its results, by the names of a result folder."""
+"""Problem (``problem/...``) and results of a job, by the names of a result folder."""
 
 SECRETS: Final = Table(
     "tandem_secrets",
@@ -136,7 +143,7 @@ SECRETS: Final = Table(
     Column("name", String(32), primary_key=True),
     Column("value", String(64), nullable=False),
 )
-"""What all hosts of a store sign with, by what it is for."""
+"""Secrets with which all hosts of a store sign, by purpose."""
 ELEMENT_JOBS: Final = Table(
     "tandem_element_jobs",
     METADATA,
@@ -147,9 +154,14 @@ ELEMENT_JOBS: Final = Table(
     Column("like", String(32)),
     Column("about", Text, nullable=False, default="{}"),
 )
-"""Jobs of building elements, by ``role``: ``division``, by whose job the element is called and which has
-``about`` it what may be changed; ``panel``, that plans the panel or the job of a raw block of that id,
-``like`` the job of one beside it; ``report`` on what was planned."""
+"""Jobs of building elements, by ``role``.
+
+- ``division``: divides the element, whose id is that of this job. ``about`` contains the fields that may be
+  changed.
+- ``panel``: plans the panel or raw-block job with that id. ``like`` is the job whose plan is the reference
+  plan.
+- ``report``: reports on planned panels.
+"""
 
 EVENTS: Final = Table(
     "tandem_events",
@@ -160,7 +172,7 @@ EVENTS: Final = Table(
     Column("data", Text, nullable=False),
     Column("at", Float, nullable=False),
 )
-"""What happened to jobs, numbered, for the streams of events."""
+"""Numbered events of jobs, for event streams."""
 
 KEYS: Final = Table(
     "tandem_keys",
@@ -172,8 +184,10 @@ KEYS: Final = Table(
     Column("content", String(64), nullable=False),
     Column("created", Float, nullable=False),
 )
-"""The jobs, by ``number``, that a request with an idempotency key made: SHA-256 of the key, and of the
-request's ``content``."""
+"""Jobs that a request with an idempotency key created, by ``number``.
+
+Stored are the SHA-256 of the key, and of the ``content`` of the request.
+"""
 
 WEBHOOKS: Final = Table(
     "tandem_webhooks",
@@ -187,8 +201,11 @@ WEBHOOKS: Final = Table(
     Column("outcome", String(200)),
     Column("off", Float),
 )
-"""Addresses that are told when a job of the owner has ended: when the last one was ``told`` and its
-``outcome``; ``off`` since it answered that it is gone."""
+"""Addresses that are notified when a job of the owner has ended.
+
+- ``told``: time of the last attempt. ``outcome``: its result.
+- ``off``: time since which the address has answered that it is gone.
+"""
 
 DELIVERIES: Final = Table(
     "tandem_deliveries",
@@ -199,7 +216,7 @@ DELIVERIES: Final = Table(
     Column("due", Float, nullable=False, index=True),
     Column("attempts", Integer, nullable=False),
 )
-"""What webhooks are still to be told, from when on, and how often that was tried."""
+"""Pending notifications of webhooks, the time from which each is due, and the number of attempts."""
 
 RELEASES: Final = Table(
     "tandem_releases",
@@ -218,8 +235,11 @@ RELEASES: Final = Table(
     Column("withdrawn_who", String(200)),
     Column("reason", Text),
 )
-"""Who released the programs of a job, by ``number`` from 1: the problem's digest, the SHA-256 of proof and
-of each program by its name; and who took that back. Only the last one may hold."""
+"""Releases of the programs of a job, by ``number`` from 1.
+
+A release records who released, the digest of the problem, the SHA-256 of the proof and of each program by
+name, and who withdrew it. Only the last release of a job can be in force.
+"""
 
 AUDIT: Final = Table(
     "tandem_audit",
@@ -233,7 +253,7 @@ AUDIT: Final = Table(
     Column("job", String(32), nullable=False, index=True),
     Column("about", Text, nullable=False),
 )
-"""Who did what, in the order of ``number``; it outlives jobs and tokens."""
+"""Audit log in the order of ``number``. Entries outlive jobs and tokens."""
 
 LINKS: Final = Table(
     "tandem_links",
@@ -245,7 +265,7 @@ LINKS: Final = Table(
     Column("created", Float, nullable=False),
     Column("expires", Float, nullable=False),
 )
-"""Links to look at a job that were made and not withdrawn, by whom, and until when they are good."""
+"""View links of jobs that were not withdrawn: creator and expiry time."""
 
 DRAFTS: Final = Table(
     "tandem_drafts",
@@ -260,9 +280,11 @@ DRAFTS: Final = Table(
     Column("job", String(32)),
     Column("sent", Integer),
 )
-"""Problems in the making, and cells, tools and templates that people keep, by ``kind``; the number of the
-last ``version``, and the one that was ``sent`` last, with its ``job``. Their content is in `FILES`, by its
-hash, under the draft's id."""
+"""Drafts: unfinished problems, and kept cells, tools and templates, by ``kind``.
+
+``version`` is the number of the last version, ``sent`` the one that was submitted last, and ``job`` its
+job. The content is in `FILES` under the id of the draft, by its hash.
+"""
 
 DRAFT_VERSIONS: Final = Table(
     "tandem_draft_versions",
@@ -274,7 +296,7 @@ DRAFT_VERSIONS: Final = Table(
     Column("problem", String(64), nullable=False),
     Column("files", Text, nullable=False),
 )
-"""What a draft was: SHA-256 of its ``problem``, and of its ``files`` by name."""
+"""Versions of drafts: SHA-256 of the ``problem``, and of the ``files`` by name."""
 
 SCHEMA: Final = Table(
     "tandem_schema", METADATA, Column("version", Integer, primary_key=True, autoincrement=False)
@@ -282,21 +304,28 @@ SCHEMA: Final = Table(
 """Version of these tables, :data:`planner.service.schema.VERSION`."""
 
 POOL_SIZE: Final = 20
-"""Connections to the database that stay open; as many more may come for a while."""
-WAIT_S: Final = 120.0
-"""How long a request waits for a connection or for another writer."""
-CONNECT_S: Final = 10
-"""How long PostgreSQL may take to answer a new connection."""
+"""Number of database connections that stay open. As many more may be opened temporarily."""
+MAX_WAIT_S: Final = 120.0
+"""Maximum time [s] that a request waits for a connection or for another writer."""
+MAX_CONNECT_S: Final = 10
+"""Maximum time [s] of a new connection to PostgreSQL."""
 
 
 class Database:
-    """One database; threads may share it."""
+    """One database. Threads may share it."""
 
     def __init__(self, url: str) -> None:
-        """Raises ``TandemError`` with ``service.database`` where it cannot be opened."""
+        """Open the database and create or check its tables.
+
+        Args:
+            url: URL of the database.
+
+        Raises:
+            TandemError: ``service.database``, it cannot be opened.
+        """
         self._lock = threading.Lock()
-        self.newer: SchemaVersionError | None = None
-        """What is told once the tables have become those of a version that this program does not know."""
+        self.newer_version: SchemaVersionError | None = None
+        """Set once another program has changed the tables to a newer version."""
         try:
             self._engine = open_engine(url)
             self.sqlite = self._engine.dialect.name == "sqlite"
@@ -307,21 +336,21 @@ class Database:
         except (SchemaVersionError, NoVersionError) as error:
             self._engine.dispose()
             remedy = error.remedy if isinstance(error, SchemaVersionError) else "Restore a backup."
-            message = f"database {shown(url)}: {error}. {remedy}"
-            raise refusal("service.database", message, field="database") from error
+            message = f"database {redacted_url(url)}: {error}. {remedy}"
+            raise issue_error("service.database", message, field="database") from error
         except (DBAPIError, ArgumentError, NoSuchModuleError, ImportError) as error:
             raise TandemError(cannot_open(url, error)) from error
         self._writer = self._engine.execution_options(write=True)
 
     @contextmanager
     def read(self) -> Iterator[Connection]:
-        """A transaction that only reads."""
+        """Open a read-only transaction."""
         with self._engine.begin() as connection:
             yield connection
 
     @contextmanager
     def write(self) -> Iterator[Connection]:
-        """A transaction that writes; all of it is kept, or nothing."""
+        """Open a transaction that writes all or nothing."""
         if self.sqlite:
             with self._lock, self._writer.begin() as connection:
                 yield connection
@@ -330,27 +359,40 @@ class Database:
                 yield connection
 
     def ping(self) -> None:
-        """Ask it something; raises ``SQLAlchemyError`` where it is away."""
+        """Run a trivial query.
+
+        Raises:
+            SQLAlchemyError: The database is unavailable.
+        """
         with self.read() as db:
             db.execute(text("SELECT 1"))
 
-    def look(self, connection: Connection) -> None:
-        """Raise ``SchemaVersionError`` if another program has changed the tables to a newer version."""
-        found = connection.execute(text("SELECT max(version) FROM tandem_schema")).scalar()
-        if isinstance(found, int) and found > VERSION:
-            self.newer = SchemaVersionError(found)
-            raise self.newer
+    def check_version(self, connection: Connection) -> None:
+        """Check that no other program has changed the tables to a newer version.
+
+        Raises:
+            SchemaVersionError: The tables have a newer version.
+        """
+        version = connection.execute(text("SELECT max(version) FROM tandem_schema")).scalar()
+        if isinstance(version, int) and version > VERSION:
+            self.newer_version = SchemaVersionError(version)
+            raise self.newer_version
 
     def clock(self) -> ColumnElement[float]:
-        """Seconds since 1970, by the one clock that all hosts of this database share."""
+        """Return the present time [s since 1970] by the clock that all hosts of this database share."""
         if self.sqlite:
             return literal(time.time(), Float)
         return cast(extract("epoch", func.clock_timestamp()), Float)
 
-    def one_at_a_time(self, connection: Connection, what: str) -> None:
-        """Let other transactions about ``what`` wait until this one ends; SQLite has one writer anyway."""
+    def lock(self, connection: Connection, name: str) -> None:
+        """Take an advisory lock until the transaction ends. SQLite has a single writer anyway.
+
+        Args:
+            connection: Open transaction.
+            name: Name of the lock.
+        """
         if not self.sqlite:
-            number = zlib.crc32(what.encode())
+            number = zlib.crc32(name.encode())
             connection.execute(text("SELECT pg_advisory_xact_lock(7224, :n)"), {"n": number - 2**31})
 
     def close(self) -> None:
@@ -359,23 +401,31 @@ class Database:
 
 
 def utc(seconds: float) -> dt.datetime:
-    """A time of the store as it is sent."""
+    """Convert a time of the store [s since 1970] to a time of the API."""
     return dt.datetime.fromtimestamp(seconds, dt.UTC)
 
 
-def moment(at: dt.datetime) -> str:
-    """A time as people are told it."""
+def format_time(at: dt.datetime) -> str:
+    """Format a time for messages."""
     return f"{at:%Y-%m-%d %H:%M:%S UTC}"
 
 
 def default_url(data: Path) -> str:
-    """The URL of the SQLite file in the data folder."""
+    """Return the URL of the SQLite file in the data folder."""
     return f"sqlite:///{data.resolve() / 'tandem.db'}"
 
 
 def open_engine(url: str) -> Engine:
-    """Connections to a database as it is. Raises ``ArgumentError``, ``NoSuchModuleError`` or ``ImportError``
-    for what is no URL, is an SQLite database in memory, or has no driver."""
+    """Create the connection pool of a database. Its tables are not touched.
+
+    Args:
+        url: URL of the database.
+
+    Raises:
+        ArgumentError: Not a URL, or an SQLite database in memory.
+        NoSuchModuleError: Unknown driver.
+        ImportError: The driver is not installed.
+    """
     if url.startswith(("postgres://", "postgresql://")):
         url = "postgresql+psycopg://" + url.split("://", 1)[1]
     try:
@@ -385,18 +435,18 @@ def open_engine(url: str) -> Engine:
             raise ArgumentError(f"got {kind}")
         name = parts.database or ""
         if "\0" in url or (kind == "sqlite" and name in ("", ":memory:")):
-            raise ArgumentError("names no file")  # one in memory goes with its connection
-        waits = {"timeout": WAIT_S} if kind == "sqlite" else {"connect_timeout": CONNECT_S}
+            raise ArgumentError("names no file")  # an in-memory database ends with its connection
+        waits = {"timeout": MAX_WAIT_S} if kind == "sqlite" else {"connect_timeout": MAX_CONNECT_S}
         engine = create_engine(
             url,
             pool_size=POOL_SIZE,
             max_overflow=POOL_SIZE,
-            pool_timeout=WAIT_S,
+            pool_timeout=MAX_WAIT_S,
             pool_pre_ping=kind != "sqlite",
             connect_args=waits,
-            hide_parameters=True,  # errors go to the log, hashes of tokens and users' data do not
+            hide_parameters=True,  # keeps token hashes and user data out of logged errors
         )
-    except (ValueError, TypeError) as error:  # of a port or an option that is no number
+    except (ValueError, TypeError) as error:  # a port or an option that is not a number
         raise ArgumentError("has a part that cannot be read") from error
     if kind == "sqlite":
         event.listen(engine, "connect", _prepare_sqlite)
@@ -405,8 +455,10 @@ def open_engine(url: str) -> Engine:
 
 
 def _prepare_sqlite(connection: Any, record: Any) -> None:
-    """Write-ahead log, so that readers never wait; what is committed survives a power cut. The driver starts
-    no transactions of its own."""
+    """Enable the write-ahead log and full synchronisation.
+
+    Readers never wait, and commits survive a power cut. The driver must not start transactions of its own.
+    """
     del record
     connection.isolation_level = None
     for pragma in ("journal_mode=WAL", "synchronous=FULL"):
@@ -418,38 +470,57 @@ def _begin_sqlite(connection: Connection) -> None:
     connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
 
-def reason(error: DBAPIError) -> str:
-    """What a database said, in a line, without the statement and its values."""
+def error_reason(error: DBAPIError) -> str:
+    """Return the error text of a database in one line, without the statement and its values."""
     return (str(error.orig).splitlines() or [type(error.orig).__name__])[0][:200]
 
 
 def cannot_open(url: str, error: Exception) -> Issue:
-    """What to say of a database that cannot be opened."""
+    """Return the issue for a database that cannot be opened.
+
+    Args:
+        url: URL of the database.
+        error: Error of the database.
+    """
     if isinstance(error, ImportError):
-        what = "PostgreSQL needs its driver; pip install 'tandem-planner[service,postgres]'"
+        what = "the PostgreSQL driver is missing. Run pip install 'tandem-planner[service,postgres]'."
     elif isinstance(error, DBAPIError):
-        what = f"cannot be opened ({reason(error)}); see that it runs and may be written"
+        what = f"cannot be opened ({error_reason(error)}). Check that it is running and writable."
     else:
-        what = "is no such URL; give sqlite:///FILE or postgresql://USER:PASSWORD@HOST/NAME"
-    return Issue("service.database", f"database {shown(url)}: {what}", field="database")
+        what = "invalid URL. Give sqlite:///FILE or postgresql://USER:PASSWORD@HOST/NAME."
+    return Issue("service.database", f"database {redacted_url(url)}: {what}", field="database")
 
 
-def shown(url: str) -> str:
-    """An URL for a message, without user, password and options, which may have a password too."""
+def redacted_url(url: str) -> str:
+    """Return a database URL for messages, without user, password and options.
+
+    Options may contain a password too.
+    """
     return url.split("@")[-1].split("?")[0]
 
 
 API: Final = 17
-"""Number of the interface under ``/v1``: one more when something is added. 2: links. 3: elements, motions as
-data. 4: readiness, jobs that are tried again. 5: first looks, lists that are known.
-6: keys of requests that are done once. 7: webhooks. 8: roles and teams of tokens. 9: releases. 10: the audit
-log. 11: titles, tags and notes, search, deleting many. 12: what a cell looks like, maps of a freedom.
-13: drafts, the order of the queue, sweeps, estimates of what is left, links to look. 14: pages of drafts, and
-which of them were sent, releases of panels, several problems at once, titles of elements.
-15: pictures for lists, titles of drafts that go with the name of the problem. 16: scopes of tokens, pictures
-of panels, first looks at coarser paths. 17: jobs of raw blocks of elements."""
-OLDEST_API: Final = 1
-"""Clients that were made for this number or a later one are served; one more when something goes."""
+"""Number of the API under ``/v1``. It is increased when something is added.
+
+- 2: links
+- 3: elements, motion as data
+- 4: readiness, retry
+- 5: quick checks, ETags of lists
+- 6: idempotency keys
+- 7: webhooks
+- 8: roles and teams of tokens
+- 9: releases
+- 10: audit log
+- 11: titles, tags and notes, search, deletion of many jobs
+- 12: drawing of a cell, maps of a freedom
+- 13: drafts, order of the queue, sweeps, estimates, view links
+- 14: pages of drafts and which were submitted, releases of panels, batches, titles of elements
+- 15: thumbnails of jobs, titles of drafts that follow the name of the problem
+- 16: scopes of tokens, thumbnails of panels, quick checks of coarser paths
+- 17: raw-block jobs of elements
+"""
+MIN_CLIENT_API: Final = 1
+"""Smallest API number of clients that are served. It is increased when something is removed."""
 State = Literal[
     "queued",
     "running",
@@ -464,23 +535,33 @@ State = Literal[
     "cancelled",
 ]
 Kind = Literal["robots", "cells", "tools", "materials"]
-OPEN: Final = ("queued", "running")
+OPEN_STATES: Final = ("queued", "running")
 """States of jobs that have not ended."""
-SETTLED: Final = ("verified", "done", "infeasible", "unproven")
-"""States that the problem alone decides, so that an identical one needs no planning."""
-MARKS: Final = "progress.csv"
-"""The file of an element's job that says which panels are cut, glued or broken; no part of its result."""
+FINAL_STATES: Final = ("verified", "done", "infeasible", "unproven")
+"""States that depend on the problem alone, so that an identical problem needs no planning."""
+MARKS_FILE: Final = "progress.csv"
+"""File of an element's job that records which panels are cut, glued or broken.
+
+It is not part of the result.
+"""
 Role = Literal["division", "panel", "report"]
 TokenRole = Literal["view", "plan", "release"]
 TOKEN_ROLES: Final[tuple[TokenRole, ...]] = ("view", "plan", "release")
-"""Roles of tokens, each of which includes the former: to look at everything; to make, change and delete
-jobs, and to hand links out; to release programs."""
+"""Roles of tokens. Each role includes the previous ones.
+
+- view: read everything
+- plan: create, change and delete jobs, and create links
+- release: release programs
+"""
 TokenScope = Literal["submit", "released"]
-"""Scopes of tokens, narrower than a role: to send jobs and read those, for a script; to read what is
-released, for a screen at the cell."""
-Sort = Literal["newest", "oldest", "title", "turn"]
+"""Scopes of tokens, which are narrower than a role.
+
+- submit: submit jobs and read them, for a script
+- released: read released jobs, for a screen at the cell
+"""
+JobOrder = Literal["newest", "oldest", "title", "turn"]
 Mark = Literal["cut", "glued", "broken"]
-Act = Literal[
+AuditAct = Literal[
     "submitted",
     "cancelled",
     "retried",
@@ -495,7 +576,7 @@ Act = Literal[
 
 
 class Sent(BaseModel):
-    """Base of what is sent."""
+    """Base class of API models."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -503,16 +584,16 @@ class Sent(BaseModel):
 class Refusal(Sent):
     """Why a request was refused, as a problem document (RFC 9457)."""
 
-    type: Literal["about:blank"] = Field(description="the status says the kind, codes of issues the rest")
+    type: Literal["about:blank"] = Field(description="always about:blank; see status and issue codes")
     title: str = Field(description="the status in words")
     status: int
     detail: str = Field(description="the messages of all issues")
-    issues: list[Issue] = Field(description="all that is wrong, by code and field")
-    of: list[int] = Field([], description="of several problems, which one each issue is of, from 0")
+    issues: list[Issue] = Field(description="everything that is wrong, by code and field")
+    of: list[int] = Field([], description="index from 0 of the problem of each issue, if several were sent")
 
 
 class Withdrawal(Sent):
-    """Who took a release back, when, and why."""
+    """Who withdrew a release, when, and why."""
 
     by: str
     at: dt.datetime
@@ -520,9 +601,9 @@ class Withdrawal(Sent):
 
 
 class Release(Sent):
-    """Who released the programs of a job; what was withdrawn is no longer released."""
+    """Who released the programs of a job. A withdrawn release is no longer in force."""
 
-    by: str = Field(description="name of the token, or of who said so where no tokens are asked for")
+    by: str = Field(description="name of the token, or the stated name if no tokens are required")
     at: dt.datetime
     note: str = ""
     withdrawn: Withdrawal | None = None
@@ -539,45 +620,48 @@ class ReleaseOut(Release):
 
 
 class ReleaseList(Sent):
-    """The releases of a job, the newest first; only that one may hold."""
+    """The releases of a job, newest first. Only the newest can be in force."""
 
     releases: list[ReleaseOut]
 
 
 class JobOut(Sent):
-    """A job. ``fraction`` is that of its stage; ``from_store``: an identical problem had been planned."""
+    """A job.
+
+    ``fraction`` refers to its stage. ``from_store``: an identical problem had been planned before.
+    """
 
     id: str
     name: str = Field(description="the problem's name")
     state: State
-    stage: str = Field("", description="what is being done")
-    fraction: float = Field(0.0, ge=0, le=1, description="how much of the stage is done")
+    stage: str = Field("", description="present stage")
+    fraction: float = Field(0.0, ge=0, le=1, description="completed fraction of the stage")
     processes: list[str] = []
-    by: str | None = Field(None, description="name of the token that made it")
+    by: str | None = Field(None, description="name of the token that submitted it")
     digest: str = Field(description="SHA-256 over the problem's values and files")
     created: dt.datetime
     started: dt.datetime | None = None
     finished: dt.datetime | None = None
     seconds: float | None = Field(None, description="time of planning [s]")
-    attempts: int = Field(0, description="how often planning began: more than once after a restart")
+    attempts: int = Field(0, description="number of times planning started; more than one after restarts")
     from_store: bool = False
-    ahead: int | None = Field(None, description="queued jobs that came before it")
+    ahead: int | None = Field(None, description="number of queued jobs before it")
     timeout_s: float
     memory_mb: float
     issues: list[Issue] = []
     metrics: dict[str, float] = {}
-    title: str = Field("", description="what people call it, in any language")
+    title: str = Field("", description="title, in any language")
     tags: list[str] = []
     notes: str = ""
     released: bool = Field(
-        False, description="whether a named person released the programs, and none withdrew"
+        False, description="whether a named person has released the programs, and nobody has withdrawn it"
     )
     release: Release | None = Field(None, description="the last release")
     thumbnail: bool = Field(False, description="whether its file `thumbnail.png` shows the cell")
 
 
 class Shown(Sent):
-    """The job of a panel as it was shown to who releases it."""
+    """The job of a panel as the releasing person saw it."""
 
     model_config = ConfigDict(extra="forbid")
     job: str = Field(pattern="^[0-9a-f]{32}$", max_length=32)
@@ -598,112 +682,119 @@ class PanelRefused(Sent):
 
 
 class ElementReleases(Sent):
-    """What one act released of an element, and what it did not."""
+    """The panels of an element that one act released, and those that it refused."""
 
     releases: list[PanelRelease]
     refused: list[PanelRefused]
 
 
 class Deleted(Sent):
-    """Which of the jobs that were to be deleted were, and which there are not."""
+    """The jobs that were deleted, and ids that do not exist."""
 
     deleted: list[str]
     unknown: list[str]
 
 
 class JobList(Sent):
-    """A page of jobs, the newest first; ``next`` is the ``cursor`` of the page that follows."""
+    """A page of jobs, newest first. ``next`` is the ``cursor`` of the next page."""
 
     jobs: list[JobOut]
     next: str | None = None
 
 
 class ElementOut(JobOut):
-    """An element: the job that divides it, and what may be changed."""
+    """An element: the job that divides it, and the fields that may be changed."""
 
-    kind: str = Field("", description="of its panels")
+    kind: str = Field("", description="kind of its panels")
     fields: dict[str, float | list[float]] = Field(
-        {}, description="what may be changed, by its place in the element file, as it is"
+        {}, description="fields that may be changed, by path in the element file, with present values"
     )
-    planned: int = Field(0, description="panels and jobs of raw blocks that were given to the planner")
+    planned: int = Field(0, description="number of panels and raw-block jobs that were submitted")
 
 
 class ElementList(Sent):
-    """A page of elements, as of jobs."""
+    """A page of elements."""
 
     elements: list[ElementOut]
     next: str | None = None
 
 
 class PlannedOut(Sent):
-    """A problem of an element and what became of it."""
+    """A problem of an element and its job."""
 
     id: str
-    cut_min: dict[str, float] = Field({}, description="estimate of the cuts alone [min], by arm")
+    cut_min: dict[str, float] = Field({}, description="estimated cutting time [min], by arm")
     job: str | None = Field(None, description="the job that plans it")
     digest: str | None = Field(None, description="SHA-256 over the values and files of its problem")
     state: State | Literal["not_planned"] = "not_planned"
     release: Literal["not-released", "released", "withdrawn"] | None = Field(
-        None, description="of its programs, where they are proven"
+        None, description="release state of its programs, if they are proven"
     )
     stage: str = ""
     cycle_s: float | None = Field(None, description="time from first to last target [s]")
     thumbnail: bool = Field(False, description="whether its job has the file thumbnail.png")
-    issue: Issue | None = Field(None, description="the first of what stands in its way")
+    issue: Issue | None = Field(None, description="first error, if it is not proven")
 
 
 class PanelOut(PlannedOut):
-    """A panel of an element. One that is ``cut_in`` a job together with others has job and state of that."""
+    """A panel of an element.
 
-    order: int | None = Field(None, description="when it is put in, from 1")
-    block_mm: list[float] = Field(description="its block")
-    block: str = Field("", description="the raw block that this is cut from")
+    A panel that is ``cut_in`` a job together with others has the job and state of that.
+    """
+
+    order: int | None = Field(None, description="position in the assembly order, from 1")
+    block_mm: list[float] = Field(description="size of its block [mm]")
+    block: str = Field("", description="the raw block that its block is cut from")
     cut_in: str | None = Field(
-        None, description="the job of a raw block that cuts it together with others, until it has its own"
+        None, description="raw-block job that cuts it together with others, until it has its own job"
     )
     mark: Mark | None = None
 
 
 class BlockJobOut(PlannedOut):
-    """A job that cuts a raw block apart, or several panels out of a part of it, together."""
+    """A job that divides a raw block, or cuts several panels out of a part of it together."""
 
     block: str = Field(description="the raw block")
-    said: str = Field(description="what of the block it cuts, and how that lies")
-    panels: list[str] = Field([], description="those that it cuts; none where it cuts the block apart")
-    mark: Literal["cut"] | None = Field(None, description="done: of panels, when all of them are marked")
+    said: str = Field(description="the part of the block that it cuts, and its orientation")
+    panels: list[str] = Field([], description="panels that it cuts; empty if it divides the block")
+    mark: Literal["cut"] | None = Field(None, description="cut, when all of its panels are marked")
 
 
 class ElementPanels(ElementOut):
     """An element with its panels, once it is divided."""
 
     panels: list[PanelOut] = []
-    block_jobs: list[BlockJobOut] = Field(
-        [], description="jobs of raw blocks, those of a block in the order in which it is cut"
-    )
-    counts: dict[str, int] = Field({}, description="panels by state, and by mark")
-    cut_h: dict[str, float] = Field({}, description="estimate of all cuts [h], by arm")
-    told: list[str] = Field([], description="how far it is made, what to cut and to glue next")
-    report: JobOut | None = Field(None, description="the last report on its panels; its files have it")
+    block_jobs: list[BlockJobOut] = Field([], description="raw-block jobs, those of a block in cutting order")
+    counts: dict[str, int] = Field({}, description="number of panels by state, and by mark")
+    cut_h: dict[str, float] = Field({}, description="estimated time of all cuts [h], by arm")
+    told: list[str] = Field([], description="progress, and what to cut and glue next")
+    report: JobOut | None = Field(None, description="job of the last report on its panels")
 
 
 class Change(Sent):
-    """Fields of an element file by their places, with their new values."""
+    """New values of fields of an element file, by their paths."""
 
     model_config = ConfigDict(extra="forbid")
     fields: dict[str, Any] = Field(max_length=100)
 
 
 class Chosen(Sent):
-    """Panels and jobs of raw blocks by their ids; none: all that are not planned yet, each panel that is cut
-    together with others by its row."""
+    """Panels and raw-block jobs by id.
+
+    None: all that are not planned yet; panels that are cut together with others are planned by the job of
+    their row.
+    """
 
     model_config = ConfigDict(extra="forbid")
     panels: list[str] | None = Field(None, max_length=10_000)
 
 
 class Marking(Sent):
-    """A panel and what it is now; ``open`` takes its mark away. The id of a job of a raw block stands for all
-    panels that it cuts, or where it cuts the block apart, for itself."""
+    """A panel and its new mark.
+
+    ``open`` removes the mark. The id of a raw-block job means all panels that it cuts, or the job itself if
+    it divides the block.
+    """
 
     model_config = ConfigDict(extra="forbid")
     panel: str = Field(max_length=32)
@@ -711,20 +802,23 @@ class Marking(Sent):
 
 
 class AuditOut(Sent):
-    """Somebody did something. ``about``: the job's name and what else tells it from others: of a release the
-    digests, of a download the file and whether it was released then, by a link or not."""
+    """An action.
+
+    ``about`` contains the name of the job and further details: the digests of a release, or the file of a
+    download, whether it was released at that time, and whether a link was used.
+    """
 
     number: int
     at: dt.datetime
-    by: str = Field(description="name of the token, or of who said so where no tokens are asked for")
+    by: str = Field(description="name of the token, or the stated name if no tokens are required")
     team: str | None = None
-    act: Act
+    act: AuditAct
     job: str
     about: dict[str, Any] = {}
 
 
 class AuditList(Sent):
-    """A page of the log, the newest first; ``next`` is the ``cursor`` of the page that follows."""
+    """A page of the audit log, newest first. ``next`` is the ``cursor`` of the next page."""
 
     acts: list[AuditOut]
     next: int | None = None
@@ -734,7 +828,7 @@ class FileOut(Sent):
     """A file of a job: its problem (``problem/...``) or a result."""
 
     name: str
-    size: int = Field(description="bytes")
+    size: int = Field(description="size [bytes]")
     sha256: str
     content_type: str
 
@@ -746,35 +840,35 @@ class FileList(Sent):
 
 
 class LinkOut(Sent):
-    """A link to a file of a job, which asks for no token until it ends."""
+    """A link to a file of a job, which requires no token until it expires."""
 
-    path: str = Field(description="what follows the service's address")
+    path: str = Field(description="path to append to the address of the service")
     expires: dt.datetime
 
 
 class LookLink(Sent):
-    """A link to look at a job."""
+    """A view link of a job."""
 
     id: str
-    by: str = Field(description="name of the token that made it")
+    by: str = Field(description="name of the token that created it")
     created: dt.datetime
     expires: dt.datetime
 
 
 class LinkMade(LookLink):
-    """A new one, with its address."""
+    """A new view link with its address."""
 
-    path: str = Field(description="what follows the service's address, told this once")
+    path: str = Field(description="path to append to the address of the service; shown only once")
 
 
 class LookList(Sent):
-    """Links to look at a job, the newest first."""
+    """View links of a job, newest first."""
 
     links: list[LookLink]
 
 
 class LookOut(Sent):
-    """What a link to look shows of a job."""
+    """What a view link shows of a job."""
 
     name: str = Field(description="the problem's name")
     title: str = ""
@@ -786,34 +880,34 @@ class LookOut(Sent):
     seconds: float | None = Field(None, description="time of planning [s]")
     issues: list[Issue] = []
     metrics: dict[str, float] = {}
-    release: str | None = Field(None, description="of its programs: not-released, released or withdrawn")
+    release: str | None = Field(None, description="of its programs: not-released, released, withdrawn")
     files: list[str] = Field([], description="files of the job that this link opens")
     expires: dt.datetime = Field(description="end of the link")
 
 
 class NewWebhook(Sent):
-    """An address to be told of jobs that end."""
+    """An address to notify when jobs end."""
 
     model_config = ConfigDict(extra="forbid")
-    url: str = Field(max_length=500, description="https, at a host that the service's operator has named")
+    url: str = Field(max_length=500, description="https URL at a host that the operator has allowed")
 
 
 class WebhookOut(Sent):
-    """An address that is told of jobs that end, and how that went last."""
+    """An address that is notified when jobs end, and the result of the last attempt."""
 
     id: str
     url: str
     created: dt.datetime
-    told: dt.datetime | None = Field(None, description="when it was tried last")
-    outcome: str | None = Field(None, description="the status that was answered then, or why there was none")
-    off: dt.datetime | None = Field(None, description="since it answered 410: it is told nothing more")
-    waiting: int = Field(0, description="what it is still to be told")
+    told: dt.datetime | None = Field(None, description="time of the last attempt")
+    outcome: str | None = Field(None, description="HTTP status of the last attempt, or why there was none")
+    off: dt.datetime | None = Field(None, description="when it answered 410, since when it is disabled")
+    waiting: int = Field(0, description="number of pending notifications")
 
 
 class WebhookMade(WebhookOut):
-    """A new one, with what its requests are signed with."""
+    """A new webhook with the secret that signs its requests."""
 
-    secret: str = Field(description="`whsec_` and base64, told this once")
+    secret: str = Field(description="`whsec_` and base64; shown only once")
 
 
 class WebhookList(Sent):
@@ -823,65 +917,69 @@ class WebhookList(Sent):
 
 
 class LookedAt(Sent):
-    """At how many targets a check looked."""
+    """Number of targets that a check sampled."""
 
-    targets: int = Field(description="targets that were looked at")
-    of: int = Field(description="targets that there are")
+    targets: int = Field(description="number of sampled targets")
+    of: int = Field(description="number of all targets")
     placed: bool = Field(
-        description="whether the block's place is stated, or found: a first look tries few places"
+        description="whether the block's pose is stated or was found; a quick check tries few poses"
     )
-    thinned: bool = Field(False, description="whether there are fewer targets than the plan will have")
+    thinned: bool = Field(False, description="whether the plan will have more targets")
 
 
 class CheckOut(Sent):
-    """What is known of a problem without planning it. ``summary``: arms, operations, and the boxes of stock
-    and part [mm] in the stock's frame."""
+    """Result of a check without planning.
 
-    ok: bool = Field(description="whether nothing in the way of a plan was found")
+    ``summary``: arms, operations, and the boxes of stock and part [mm] in the frame of the stock.
+    """
+
+    ok: bool = Field(description="whether no error was found")
     name: str
     digest: str
     processes: list[str]
     summary: dict[str, Any]
     issues: list[Issue]
-    looked_at: LookedAt | None = Field(default=None, description="where reach was tested")
+    looked_at: LookedAt | None = Field(default=None, description="sampled targets, if reach was tested")
 
 
 class SessionOut(Sent):
-    """Who asks. Without tokens there is one user of this name, who may do all."""
+    """The authenticated caller. Without tokens there is one user with this name, who may do everything."""
 
-    name: str = Field(description="of the token")
+    name: str = Field(description="name of the token")
     role: TokenRole
-    team: str | None = Field(None, description="those of its tokens see one another's jobs")
-    tokens: bool = Field(description="whether this service asks for tokens")
-    expires: dt.datetime | None = Field(None, description="end of the token")
+    team: str | None = Field(None, description="tokens of a team see one another's jobs")
+    tokens: bool = Field(description="whether this service requires tokens")
+    expires: dt.datetime | None = Field(None, description="expiry time of the token")
     scope: TokenScope | None = Field(
-        None, description="sends jobs and reads its own; reads what is released; none: all that the role may"
+        None, description="submit: jobs of this token; released: released jobs; none: everything of the role"
     )
-    tag: str | None = Field(None, description="the scope's jobs are those with this tag")
+    tag: str | None = Field(None, description="the scope is limited to jobs with this tag")
 
 
 class Health(Sent):
-    """Whether the process works. Jobs are not counted while the database is away."""
+    """Whether the process works. Jobs are not counted while the database is unavailable."""
 
     status: Literal["ok", "degraded"]
     version: str
-    api: int = Field(description="number of this interface; it grows when something is added")
-    api_oldest: int = Field(description="the oldest number that clients may be made for")
+    api: int = Field(description="number of this API; it increases when something is added")
+    api_oldest: int = Field(description="smallest API number of clients that are served")
     workers: int
     queued: int | None = None
     running: int | None = None
 
 
 class Ready(Sent):
-    """Whether jobs are taken in and planned, and what is in the way."""
+    """Whether jobs are accepted and planned, and if not, why."""
 
     ready: bool
     issues: list[Issue]
 
 
 class Storage(Sent):
-    """What a token's files take: those of its jobs, and for an hour what was only checked. Content counts
-    once."""
+    """Size of a token's files: those of its jobs, and for an hour those that were only checked.
+
+    Equal content counts once.
+    """
 
     used_mb: float
     limit_mb: float

@@ -1,9 +1,9 @@
-"""Logging in by an OpenID Connect provider: people use the accounts that they have.
+"""Log-in through an OpenID Connect provider.
 
-The code flow with PKCE (OpenID Connect Core 1.0, section 3.1; RFC 7636), by Authlib. An account of the
-provider becomes a token of the store that no secret opens: jobs, roles, scopes, teams and the audit log are
-as of any other. They and its name are those that the provider tells at each log-in. In another team it is
-another token: what it did stays with the team that it was in.
+The authorization code flow with PKCE (OpenID Connect Core 1.0, section 3.1; RFC 7636), with Authlib. An
+account of the provider becomes a token of the store that no secret opens. Jobs, roles, scopes, teams and
+the audit log work as for any other token. Role, scope, team and name are taken from the provider at each
+log-in. In another team the account is another token, so that what it did stays with the earlier team.
 """
 
 import base64
@@ -29,59 +29,90 @@ from joserfc import jwt
 from joserfc.errors import ExpiredTokenError, InvalidKeyIdError, InvalidTokenError, JoseError
 from joserfc.jwk import KeySet
 
-from planner.issues import Issue, TandemError, refusal
+from planner.issues import Issue, TandemError, issue_error
 from planner.service.models import TOKEN_ROLES, Database, TokenRole, TokenScope
-from planner.service.scopes import ROLE_OF, scope_fault
-from planner.service.security import TOKEN_NAME, Auth, RefusedError, Who, in_clear, shared_secret
+from planner.service.scopes import ROLE_OF, scope_issue
+from planner.service.security import (
+    TOKEN_NAME,
+    Auth,
+    Principal,
+    RefusedError,
+    TokenPermissions,
+    is_unencrypted,
+    shared_secret,
+)
 
 ALGORITHMS: Final = ("RS256", "PS256", "ES256")
-"""How ID tokens may be signed: with keys of the provider alone."""
-ASKED_S: Final = 600.0
-"""Time [s] in which somebody logs in at the provider."""
+"""Signature algorithms of ID tokens: only those with keys of the provider."""
+MAX_LOG_IN_S: Final = 600.0
+"""Maximum time [s] of a log-in at the provider."""
 SESSION_S: Final = 12 * 3600.0
-"""Time [s] after which it is asked again who somebody is."""
-KNOWN_S: Final = 3600.0
-"""So long [s] what the provider tells of itself is believed."""
-ANSWER_S: Final = 15.0
-"""Time [s] in which the provider has to answer."""
-FAILED_S: Final = 10.0
-"""So long [s] a provider that did not answer is not asked again."""
-AT_ONCE: Final = 3
-"""Log-ins that ask the provider at once: one that hangs takes no more of the service's threads."""
-LEEWAY_S: Final = 60
-"""What clocks of provider and service may differ by [s]."""
-LONGEST_TOKEN: Final = 120_000
-"""Characters of an ID token at most."""
-ANY: Final = "*"
-"""Stands for every account of the provider that has none of the other values."""
-TIMES: Final = ("iat", "nbf", "exp")
+"""Time [s] after which a person must log in again."""
+METADATA_CACHE_S: Final = 3600.0
+"""Time [s] for which the metadata of the provider are cached."""
+PROVIDER_TIMEOUT_S: Final = 15.0
+"""Maximum time [s] of an answer of the provider."""
+RETRY_AFTER_FAILURE_S: Final = 10.0
+"""Time [s] for which a provider that did not answer is not asked again."""
+MAX_CONCURRENT_LOG_INS: Final = 3
+"""Maximum number of log-ins that query the provider at once.
+
+A provider that hangs takes no more of the service's threads.
+"""
+CLOCK_LEEWAY_S: Final = 60
+"""Maximum difference [s] between the clocks of provider and service."""
+MAX_ID_TOKEN_LENGTH: Final = 120_000
+"""Maximum number of characters of an ID token."""
+ANY_ACCOUNT: Final = "*"
+"""Claim value that stands for every account of the provider that has none of the other values."""
+TIME_CLAIMS: Final = ("iat", "nbf", "exp")
 """Claims that are times."""
-NAMES: Final = ("email", "preferred_username", "sub")
-"""Claims by which an account may be called, the first one that is there; of addresses those that the provider
-has verified: others may be anybody's."""
+NAME_CLAIMS: Final = ("email", "preferred_username", "sub")
+"""Claims that may name an account, in order of preference.
+
+Email addresses count only if the provider has verified them, because others may belong to anybody.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
 class Grant:
-    """What an account may: its ``role``, or less by a ``scope`` and its ``tag``, in its ``team``; ``own``:
-    that is the team of this grant alone, and not that of all accounts."""
+    """What an account may do.
+
+    Attributes:
+        role: Role.
+        team: Team.
+        scope: Scope that narrows the role.
+        tag: Tag that narrows the scope.
+        has_own_team: The team is that of this grant, not the team of all accounts.
+    """
 
     role: TokenRole
     team: str | None = None
     scope: TokenScope | None = None
     tag: str | None = None
-    own: bool = False
+    has_own_team: bool = False
 
 
-MOST_FIRST: Final = ("release", "plan", "submit", "view", "released")
-"""Roles and scopes, the one that may most first."""
+PERMISSION_ORDER: Final = ("release", "plan", "submit", "view", "released")
+"""Roles and scopes, from most to least permissive."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Oidc:
-    """How people log in. ``issuer``: the provider's address; ``client`` and its ``secret``, as registered
-    there. Whose ``claim`` has one of the values of ``grants``, else :data:`ANY`, may that, of several the one
-    that may most, of equal ones the first; others are refused."""
+class OidcSettings:
+    """Settings of the log-in through a provider.
+
+    An account whose claim has one of the values of ``grants`` gets that grant, else that of
+    :data:`ANY_ACCOUNT`. Of several grants the most permissive applies, and of equal ones the first. Other
+    accounts are refused.
+
+    Attributes:
+        issuer: Address of the provider.
+        client: Client id that is registered there.
+        secret: Client secret.
+        grants: Values of the claim, and their grants.
+        claim: Name of the claim.
+        scope: Requested OpenID scopes.
+    """
 
     issuer: str
     client: str
@@ -91,67 +122,114 @@ class Oidc:
     scope: str = "openid profile email"
 
 
-def read(
-    issuer: str,
-    client: str | None,
-    secret: Path | None,
-    roles: Sequence[str],
-    claim: str,
-    team: str | None,
-    scope: str,
-) -> Oidc:
-    """As the command line has it: ``roles`` as ``VALUE=ROLE``, the ``secret`` in a file. Raises
-    ``TandemError``."""
-    if in_clear(urlsplit(issuer)):
-        raise _wrong("oidc-issuer", f"got {issuer[:80]!r}; give the provider's address, https://...")
+@dataclasses.dataclass(frozen=True)
+class GrantOptions:
+    """Command-line options about what accounts may do.
+
+    Attributes:
+        roles: Grants as ``VALUE=ROLE``.
+        claim: Name of the claim.
+        team: Team of all accounts, or None.
+    """
+
+    roles: Sequence[str]
+    claim: str
+    team: str | None
+
+
+def read_settings(
+    issuer: str, client: str | None, secret: Path | None, grant_options: GrantOptions, scope: str
+) -> OidcSettings:
+    """Read the settings from command-line options.
+
+    Args:
+        issuer: Address of the provider.
+        client: Client id.
+        secret: File with the client secret.
+        grant_options: What accounts may do.
+        scope: Requested OpenID scopes.
+
+    Raises:
+        TandemError: An option is missing or invalid.
+    """
+    if is_unencrypted(urlsplit(issuer)):
+        raise _option_error("oidc-issuer", f"invalid address (got {issuer[:80]!r}). Give https://...")
     if not client or secret is None:
-        raise _wrong("oidc-client", "a provider asks who asks; give --oidc-client and --oidc-secret")
+        raise _option_error("oidc-client", "is missing. Give --oidc-client and --oidc-secret.")
     try:
-        word = secret.read_text().strip()
+        secret_text = secret.read_text().strip()
     except (OSError, UnicodeDecodeError) as error:
-        raise _wrong(
-            "oidc-secret", f"{secret} cannot be read ({error}); give a file with the secret"
+        raise _option_error(
+            "oidc-secret", f"{secret} cannot be read ({error}). Give a file with the client secret."
         ) from error
+    team = grant_options.team
     if team is not None and not TOKEN_NAME.fullmatch(team):
-        raise _wrong("oidc-team", f"got {team[:80]!r}; use letters, digits and _ . @ -, at most 64")
-    found = [_grant(one, team) for one in roles]
-    if not found:
-        raise _wrong(
-            "oidc-role", f"nobody could do anything; give --oidc-role VALUE=ROLE, {ANY}=view for all"
+        raise _option_error(
+            "oidc-team", f"invalid name (got {team[:80]!r}, allowed 64 letters, digits and _ . @ -)"
         )
-    return Oidc(issuer, client, word, tuple(found), claim, scope)
+    grants = [_parse_grant(role, team) for role in grant_options.roles]
+    if not grants:
+        raise _option_error(
+            "oidc-role", f"is missing. Give --oidc-role VALUE=ROLE, or {ANY_ACCOUNT}=view for all accounts."
+        )
+    return OidcSettings(issuer, client, secret_text, tuple(grants), grant_options.claim, scope)
 
 
-_GRANT: Final = re.compile(r"(?P<value>.+)=(?P<may>[a-z]+)(@(?P<team>[^:]*))?(:(?P<tag>.*))?", re.DOTALL)
+_GRANT_PATTERN: Final = re.compile(
+    r"(?P<value>.+)=(?P<may>[a-z]+)(@(?P<team>[^:]*))?(:(?P<tag>.*))?", re.DOTALL
+)
 """``VALUE=ROLE@TEAM``, or ``VALUE=SCOPE@TEAM:TAG``."""
 
 
-def _grant(text: str, team: str | None) -> tuple[str, Grant]:
-    """A value of the claim and what it may, in the ``team`` of all accounts unless it says another. Raises
-    ``TandemError``."""
-    found = _GRANT.fullmatch(text)
-    if found is None or found["may"] not in MOST_FIRST:
-        what = f"got {text[:80]!r}; give VALUE=ROLE, or VALUE=ROLE@TEAM, where ROLE is one of "
-        raise _wrong("oidc-role", f"{what}{', '.join(TOKEN_ROLES)}, or a scope, {' or '.join(ROLE_OF)}")
-    own, may, tag = found["team"], found["may"], found["tag"]
-    if own is not None and not TOKEN_NAME.fullmatch(own):
-        what = f"got {text[:80]!r}, whose team is {own[:64]!r}; use letters, digits and _ . @ -, at most 64"
-        raise _wrong("oidc-role", what)
-    scope: TokenScope | None = "submit" if may == "submit" else "released" if may == "released" else None
-    role = ROLE_OF[scope] if scope else next(one for one in TOKEN_ROLES if one == may)
-    given = Grant(role, team if own is None else own, scope, tag, own is not None)
-    if fault := scope_fault(role, given.team, scope, tag):
-        raise _wrong("oidc-role", f"got {text[:80]!r}; {fault.message}")
-    return found["value"], given
+def _parse_grant(text: str, team: str | None) -> tuple[str, Grant]:
+    """Parse a value of the claim and its grant.
+
+    The team is that of all accounts unless the text names another.
+
+    Raises:
+        TandemError: The text is invalid.
+    """
+    match = _GRANT_PATTERN.fullmatch(text)
+    if match is None or match["may"] not in PERMISSION_ORDER:
+        problem = f"invalid (got {text[:80]!r}, allowed VALUE=ROLE or VALUE=ROLE@TEAM). ROLE is one of "
+        raise _option_error(
+            "oidc-role", f"{problem}{', '.join(TOKEN_ROLES)}, or a scope, {' or '.join(ROLE_OF)}."
+        )
+    own_team, permission, tag = match["team"], match["may"], match["tag"]
+    if own_team is not None and not TOKEN_NAME.fullmatch(own_team):
+        problem = (
+            f"invalid team {own_team[:64]!r} (got {text[:80]!r}, allowed 64 letters, digits and _ . @ -)"
+        )
+        raise _option_error("oidc-role", problem)
+    scope: TokenScope | None = (
+        "submit" if permission == "submit" else "released" if permission == "released" else None
+    )
+    role = (
+        ROLE_OF[scope]
+        if scope
+        else next(token_role for token_role in TOKEN_ROLES if token_role == permission)
+    )
+    given = Grant(role, team if own_team is None else own_team, scope, tag, own_team is not None)
+    if fault := scope_issue(role, given.team, scope, tag):
+        raise _option_error("oidc-role", f"invalid (got {text[:80]!r}): {fault.message}")
+    return match["value"], given
 
 
-def _wrong(field: str, what: str) -> TandemError:
-    return refusal("service.start", f"--{field}: {what}", field=field)
+def _option_error(field: str, problem: str) -> TandemError:
+    return issue_error("service.start", f"--{field}: {problem}", field=field)
 
 
 @dataclasses.dataclass(frozen=True)
-class Asked:
-    """What a browser brings back from the provider: that it is the one that went, where it was to go."""
+class LogInState:
+    """State of a log-in, which the browser keeps in a cookie while it is at the provider.
+
+    Attributes:
+        state: Random value against forged requests.
+        nonce: Random value that the ID token must contain.
+        verifier: PKCE verifier.
+        next: Path of the page to show after log-in.
+        until: Time limit of the log-in [s since 1970].
+    """
 
     state: str
     nonce: str
@@ -161,163 +239,216 @@ class Asked:
 
 
 class LogIn:
-    """Logs people in by one provider. Threads may share it."""
+    """Log-in through one provider. Threads may share it."""
 
-    def __init__(self, database: Database, auth: Auth, oidc: Oidc) -> None:
+    def __init__(self, database: Database, auth: Auth, oidc: OidcSettings) -> None:
         self.oidc = oidc
         self._auth = auth
         self._secret = bytes.fromhex(shared_secret(database, "oidc"))
         self._lock = threading.Lock()
-        self._room = threading.BoundedSemaphore(AT_ONCE)
-        self._about: tuple[float, dict[str, Any], KeySet] | None = None
+        self._query_slots = threading.BoundedSemaphore(MAX_CONCURRENT_LOG_INS)
+        self._metadata: tuple[float, dict[str, Any], KeySet] | None = None
         self._asked_at = -math.inf
         self._failed_until = -math.inf
 
-    def begin(self, redirect: str, after: str) -> tuple[str, str]:
-        """Where the browser goes, and the cookie that it has to bring back to ``redirect``; ``after`` is a
-        path of this service. Raises :class:`RefusedError`: 502, or 503 while many log in."""
-        with self._one():
-            about, _ = self._provider()
+    def start(self, redirect: str, next_path: str) -> tuple[str, str]:
+        """Start a log-in.
+
+        Args:
+            redirect: Address to which the browser returns.
+            next_path: Path of this service to show after log-in.
+
+        Returns:
+            Address of the provider, and the cookie that the browser must bring back.
+
+        Raises:
+            RefusedError: 502, or 503 while many people log in.
+        """
+        with self._query_slot():
+            metadata, _ = self._provider_metadata()
         state, nonce, verifier = (secrets.token_urlsafe(32) for _ in range(3))
-        asked = Asked(state, nonce, verifier, inside(after), time.time() + ASKED_S)
+        log_in_state = LogInState(state, nonce, verifier, local_path(next_path), time.time() + MAX_LOG_IN_S)
         with self._client(redirect) as client:
             address, _ = client.create_authorization_url(
-                about["authorization_endpoint"], state=state, nonce=nonce, code_verifier=verifier
+                metadata["authorization_endpoint"], state=state, nonce=nonce, code_verifier=verifier
             )
-        return str(address), self._sealed(asked)
+        return str(address), self._encode_state(log_in_state)
 
-    def end(self, address: str, redirect: str, cookie: str | None) -> tuple[Who, str]:
-        """Who came back to the ``address``, and where to. Raises :class:`RefusedError`: 403 for who may not,
-        502 where the provider does not answer as it should."""
-        asked = self._opened(cookie)
-        given = {name: values[-1] for name, values in parse_qs(urlsplit(address).query).items()}
-        if not hmac.compare_digest(given.get("state", "").encode(), asked.state.encode()):
-            raise refused("it was not begun in this browser; begin at the log-in page")
-        if "error" in given or "code" not in given:
-            raise refused(f"the provider said no ({given.get('error', 'no code')[:60]}); log in again")
-        with self._one():
-            about, keys = self._provider()
+    def finish(self, address: str, redirect: str, cookie: str | None) -> tuple[Principal, str]:
+        """Finish a log-in.
+
+        Args:
+            address: Address at which the browser returned, with its query.
+            redirect: Address to which the browser was to return.
+            cookie: Cookie of :meth:`start`.
+
+        Returns:
+            Authenticated principal, and the path of the page to show.
+
+        Raises:
+            RefusedError: 403 for accounts without a role, 502 if the provider does not answer correctly.
+        """
+        log_in_state = self._decode_state(cookie)
+        parameters = {name: values[-1] for name, values in parse_qs(urlsplit(address).query).items()}
+        if not hmac.compare_digest(parameters.get("state", "").encode(), log_in_state.state.encode()):
+            raise log_in_refusal("was not started in this browser. Start at the log-in page.")
+        if "error" in parameters or "code" not in parameters:
+            raise log_in_refusal(
+                f"the provider refused it ({parameters.get('error', 'no code')[:60]}). Log in again."
+            )
+        with self._query_slot():
+            metadata, keys = self._provider_metadata()
             try:
                 with self._client(redirect) as client:
                     tokens = client.fetch_token(
-                        about["token_endpoint"], code=given["code"], code_verifier=asked.verifier
+                        metadata["token_endpoint"],
+                        code=parameters["code"],
+                        code_verifier=log_in_state.verifier,
                     )
             except AuthlibBaseError as error:
-                raise refused(f"the provider said no ({str(error.error)[:60]}); log in again") from error
+                raise log_in_refusal(
+                    f"the provider refused it ({str(error.error)[:60]}). Log in again."
+                ) from error
             except (httpx.HTTPError, ValueError) as error:
-                raise _away(error) from error
+                raise _provider_unavailable(error) from error
             token = str(tokens.get("id_token", ""))
             try:
-                claims = self._claims(token, about, keys, asked.nonce)
-            except InvalidKeyIdError:  # it may have changed its keys
-                claims = self._claims(token, *self._provider(anew=True), asked.nonce)
-        known = self._accounts(f"{about['issuer']} {claims['sub']}")
+                claims = self._claims(token, metadata, keys, log_in_state.nonce)
+            except InvalidKeyIdError:  # the provider may have changed its keys
+                claims = self._claims(token, *self._provider_metadata(refresh=True), log_in_state.nonce)
+        account_keys = self._account_keys(f"{metadata['issuer']} {claims['sub']}")
         try:
             grant = self.grant(claims)
         except RefusedError:
-            self._auth.close_accounts(list(known.values()))
+            self._auth.close_accounts(list(account_keys.values()))
             raise
-        who = self._auth.account(
-            known[grant.team if grant.own else None],
-            called(claims),
-            grant.role,
-            grant.team,
-            grant.scope,
-            grant.tag,
-            list(known.values()),
+        principal = self._auth.update_account(
+            account_keys[grant.team if grant.has_own_team else None],
+            display_name(claims),
+            TokenPermissions(grant.role, grant.team, grant.scope, grant.tag),
+            list(account_keys.values()),
         )
-        return dataclasses.replace(who, expires=time.time() + SESSION_S), asked.next
+        return dataclasses.replace(principal, expires=time.time() + SESSION_S), log_in_state.next
 
-    def _accounts(self, account: str) -> dict[str | None, str]:
-        """The keys of an account in each team that a grant says, and in that of all, None."""
-        teams = {grant.team for _, grant in self.oidc.grants if grant.own}
+    def _account_keys(self, account: str) -> dict[str | None, str]:
+        """Return the keys of an account in each team of a grant, and in that of all accounts (None)."""
+        teams = {grant.team for _, grant in self.oidc.grants if grant.has_own_team}
         return {None: account, **{team: f"{account} team {team}" for team in sorted(filter(None, teams))}}
 
     @contextlib.contextmanager
-    def _one(self) -> Iterator[None]:
-        """Of the few who ask the provider at once; raises :class:`RefusedError`, 503, where it is full."""
-        if not self._room.acquire(blocking=False):
-            issue = Issue("service.log_in", "log-in: many log in just now; try again in a moment")
+    def _query_slot(self) -> Iterator[None]:
+        """Reserve one of the few concurrent queries of the provider.
+
+        Raises:
+            RefusedError: 503, none is free.
+        """
+        if not self._query_slots.acquire(blocking=False):
+            issue = Issue("service.log_in", "log-in: too many log-ins at once. Try again in a moment.")
             raise RefusedError(503, issue, {"Retry-After": "5"})
         try:
             yield
         finally:
-            self._room.release()
+            self._query_slots.release()
 
     def grant(self, claims: Mapping[str, Any]) -> Grant:
-        """What claims give, of several grants the one that may most; an address counts if the provider has
-        verified it. Raises :class:`RefusedError`, 403."""
-        trusted = self.oidc.claim != "email" or claims.get("email_verified") is True
-        given = claims.get(self.oidc.claim) if trusted else None
-        listed = [given] if isinstance(given, str) else given if isinstance(given, list) else []
-        values = set(map(str, listed))
-        found = [grant for value, grant in self.oidc.grants if value != ANY and value in values]
-        found = found or [grant for value, grant in self.oidc.grants if value == ANY]
-        if not found:
-            what = f"the account {called(claims)} has no role here; ask who runs the service"
-            raise RefusedError(403, Issue("service.role", what, field=self.oidc.claim))
-        return min(found, key=lambda grant: MOST_FIRST.index(grant.scope or grant.role))
+        """Return the most permissive grant for some claims.
 
-    def _claims(self, token: str, about: Mapping[str, Any], keys: KeySet, nonce: str) -> dict[str, Any]:
-        """Those of an ID token that the provider has signed for this log-in (Core 1.0, section 3.1.3.7).
-        Raises :class:`RefusedError`, 403, and ``InvalidKeyIdError`` for a key that is not known."""
-        if len(token) > LONGEST_TOKEN:
-            what = f"the provider's ID token has {len(token):,} characters, allowed are {LONGEST_TOKEN:,}; "
-            what += f"most of it what {self.oidc.claim!r} lists; let the provider send for this service "
-            raise refused(f"{what}those groups alone that have a role here, by a filter of that claim")
+        An email address counts only if the provider has verified it.
+
+        Args:
+            claims: Claims of the ID token.
+
+        Raises:
+            RefusedError: 403, no grant applies.
+        """
+        trusted = self.oidc.claim != "email" or claims.get("email_verified") is True
+        claim = claims.get(self.oidc.claim) if trusted else None
+        listed = [claim] if isinstance(claim, str) else claim if isinstance(claim, list) else []
+        values = set(map(str, listed))
+        matching = [grant for value, grant in self.oidc.grants if value != ANY_ACCOUNT and value in values]
+        matching = matching or [grant for value, grant in self.oidc.grants if value == ANY_ACCOUNT]
+        if not matching:
+            what = f"account {display_name(claims)}: has no role on this service. Ask its operator."
+            raise RefusedError(403, Issue("service.role", what, field=self.oidc.claim))
+        return min(matching, key=lambda grant: PERMISSION_ORDER.index(grant.scope or grant.role))
+
+    def _claims(self, token: str, metadata: Mapping[str, Any], keys: KeySet, nonce: str) -> dict[str, Any]:
+        """Return the claims of an ID token signed for this log-in (Core 1.0, section 3.1.3.7).
+
+        Raises:
+            RefusedError: 403, the token is invalid.
+            InvalidKeyIdError: The key of the signature is unknown.
+        """
+        if len(token) > MAX_ID_TOKEN_LENGTH:
+            message = f"the provider's ID token is too long (got {len(token):,} characters, allowed "
+            message += (
+                f"{MAX_ID_TOKEN_LENGTH:,}). Most of it is the claim {self.oidc.claim!r}. Filter this claim "
+                "at "
+            )
+            raise log_in_refusal(
+                f"{message}the provider, so that it lists only groups that have a role here."
+            )
         try:
-            found = dict(jwt.decode(token, keys, algorithms=list(ALGORITHMS)).claims)
+            claims = dict(jwt.decode(token, keys, algorithms=list(ALGORITHMS)).claims)
             jwt.JWTClaimsRegistry(
-                leeway=LEEWAY_S,
-                iss={"essential": True, "value": about["issuer"]},
+                leeway=CLOCK_LEEWAY_S,
+                iss={"essential": True, "value": metadata["issuer"]},
                 aud={"essential": True, "value": self.oidc.client},
                 sub={"essential": True},
                 exp={"essential": True},
                 iat={"essential": True},
                 nonce={"essential": True, "value": nonce},
-            ).validate(found)
+            ).validate(claims)
         except InvalidKeyIdError:
             raise
-        except (ExpiredTokenError, InvalidTokenError) as error:  # by a clock that is wrong, as a rule
-            stamps = ", ".join(f"{name} {found[name]!s:.40}" for name in TIMES if name in found)
-            what = f"the provider's ID token is not of now ({stamps} s since 1970; this machine's clock says "
-            raise refused(f"{what}{time.time():.0f}): set both clocks, and log in again") from error
+        except (ExpiredTokenError, InvalidTokenError) as error:  # usually a wrong clock
+            stamps = ", ".join(f"{name} {claims[name]!s:.40}" for name in TIME_CLAIMS if name in claims)
+            message = (
+                f"the provider's ID token is not valid now ({stamps} s since 1970, clock of this machine "
+            )
+            raise log_in_refusal(f"{message}{time.time():.0f}). Set both clocks and log in again.") from error
         except (JoseError, ValueError, TypeError, KeyError) as error:
-            raise refused(
-                f"the provider's ID token is not good ({type(error).__name__}); log in again"
+            raise log_in_refusal(
+                f"the provider's ID token is invalid ({type(error).__name__}). Log in again."
             ) from error
-        if not str(found["sub"]).isprintable():
-            raise refused("the provider's ID token names an account by what is no text; ask who runs it")
-        if isinstance(found["aud"], list) and len(found["aud"]) > 1 and found.get("azp") != self.oidc.client:
-            raise refused("the provider's ID token is for another service; log in again")
-        return found
+        if not str(claims["sub"]).isprintable():
+            raise log_in_refusal("the provider's ID token has an unprintable account name. Ask the provider.")
+        if (
+            isinstance(claims["aud"], list)
+            and len(claims["aud"]) > 1
+            and claims.get("azp") != self.oidc.client
+        ):
+            raise log_in_refusal("the provider's ID token is for another service. Log in again.")
+        return claims
 
-    def _provider(self, anew: bool = False) -> tuple[dict[str, Any], KeySet]:
-        """What the provider tells of itself, and its keys (OpenID Connect Discovery 1.0); ``anew``: not what
-        is known, unless it was asked a moment ago."""
+    def _provider_metadata(self, refresh: bool = False) -> tuple[dict[str, Any], KeySet]:
+        """Return metadata and keys of the provider (OpenID Connect Discovery 1.0), cached unless ``refresh``.
+
+        Metadata that were queried a moment ago are not refreshed.
+        """
         with self._lock:
             now = time.monotonic()
-            old = anew and now - self._asked_at > FAILED_S
-            if self._about is not None and self._about[0] > now and not old:
-                return self._about[1:]
+            must_refresh = refresh and now - self._asked_at > RETRY_AFTER_FAILURE_S
+            if self._metadata is not None and self._metadata[0] > now and not must_refresh:
+                return self._metadata[1:]
             if now < self._failed_until:
-                raise _away(TimeoutError())
+                raise _provider_unavailable(TimeoutError())
             self._asked_at = now
             try:
-                with httpx.Client(timeout=ANSWER_S) as client:
+                with httpx.Client(timeout=PROVIDER_TIMEOUT_S) as client:
                     issuer = self.oidc.issuer.rstrip("/")
                     answer = client.get(f"{issuer}/.well-known/openid-configuration")
-                    about = answer.raise_for_status().json()
-                    if about["issuer"].rstrip("/") != issuer:
-                        raise ValueError("it calls itself otherwise")
+                    metadata = answer.raise_for_status().json()
+                    if metadata["issuer"].rstrip("/") != issuer:
+                        raise ValueError("the issuer in the metadata differs from its address")
                     for name in ("authorization_endpoint", "token_endpoint", "jwks_uri"):
-                        _checked(about[name])
-                    keys = KeySet.import_key_set(client.get(about["jwks_uri"]).raise_for_status().json())
+                        _check_encrypted(metadata[name])
+                    keys = KeySet.import_key_set(client.get(metadata["jwks_uri"]).raise_for_status().json())
             except (httpx.HTTPError, JoseError, ValueError, KeyError, TypeError, AttributeError) as error:
-                self._failed_until = time.monotonic() + FAILED_S
-                raise _away(error) from error
-            self._about = (time.monotonic() + KNOWN_S, about, keys)
-            return about, keys
+                self._failed_until = time.monotonic() + RETRY_AFTER_FAILURE_S
+                raise _provider_unavailable(error) from error
+            self._metadata = (time.monotonic() + METADATA_CACHE_S, metadata, keys)
+            return metadata, keys
 
     def _client(self, redirect: str) -> OAuth2Client:
         return OAuth2Client(
@@ -326,57 +457,61 @@ class LogIn:
             scope=self.oidc.scope,
             redirect_uri=redirect,
             code_challenge_method="S256",
-            timeout=ANSWER_S,
+            timeout=PROVIDER_TIMEOUT_S,
         )
 
-    def _sealed(self, asked: Asked) -> str:
-        body = base64.urlsafe_b64encode(json.dumps(dataclasses.asdict(asked)).encode()).decode()
-        return f"{body}.{self._seal(body)}"
+    def _encode_state(self, log_in_state: LogInState) -> str:
+        body = base64.urlsafe_b64encode(json.dumps(dataclasses.asdict(log_in_state)).encode()).decode()
+        return f"{body}.{self._signature(body)}"
 
-    def _seal(self, body: str) -> str:
+    def _signature(self, body: str) -> str:
         return hmac.new(self._secret, f"tandem log-in {body}".encode(), hashlib.sha256).hexdigest()
 
-    def _opened(self, cookie: str | None) -> Asked:
+    def _decode_state(self, cookie: str | None) -> LogInState:
         body, _, seal = (cookie or "").partition(".")
-        if not hmac.compare_digest(seal.encode(), self._seal(body).encode()):
-            raise refused("it was not begun in this browser; begin at the log-in page")
-        asked = Asked(**json.loads(base64.urlsafe_b64decode(body)))
-        if asked.until < time.time():
-            raise refused(f"it took more than {ASKED_S / 60.0:g} minutes; log in again")
-        return asked
+        if not hmac.compare_digest(seal.encode(), self._signature(body).encode()):
+            raise log_in_refusal("was not started in this browser. Start at the log-in page.")
+        log_in_state = LogInState(**json.loads(base64.urlsafe_b64decode(body)))
+        if log_in_state.until < time.time():
+            raise log_in_refusal(f"took more than {MAX_LOG_IN_S / 60.0:g} minutes. Log in again.")
+        return log_in_state
 
 
-def inside(path: str) -> str:
-    """The path, if it leads to a page of this service, else the first page."""
+def local_path(path: str) -> str:
+    """Return a path if it leads to a page of this service, else the path of the start page."""
     return path if re.match(r"/(?![/\\])[\x21-\x7e]*$", path) else "/"
 
 
-def called(claims: Mapping[str, Any]) -> str:
-    """What an account is called."""
-    known = {name: _plain(claims[name]) for name in NAMES if claims.get(name)}
+def display_name(claims: Mapping[str, Any]) -> str:
+    """Return the display name of an account."""
+    names = {name: _printable(claims[name]) for name in NAME_CLAIMS if claims.get(name)}
     if claims.get("email_verified") is not True:
-        known.pop("email", None)
-    if "@" in known.get("preferred_username", ""):  # an address that nobody has verified
-        known.pop("preferred_username")
-    return next(iter(known.values()))
+        names.pop("email", None)
+    if "@" in names.get("preferred_username", ""):  # an unverified email address
+        names.pop("preferred_username")
+    return next(iter(names.values()))
 
 
-def _plain(name: Any) -> str:
-    """A name that a message can hold: no halves of letters, and none that turn the text behind them."""
+def _printable(name: Any) -> str:
+    """Replace unprintable characters and bidirectional controls of a name by question marks."""
     return "".join(letter if letter.isprintable() else "?" for letter in str(name)[:200])
 
 
-def refused(why: str) -> RefusedError:
-    """403."""
+def log_in_refusal(why: str) -> RefusedError:
+    """Return the refusal of a log-in: 403."""
     return RefusedError(403, Issue("service.log_in", f"log-in: {why}"))
 
 
-def _checked(address: str) -> None:
-    """Raises ``ValueError`` for what is told in clear over a network."""
-    if in_clear(urlsplit(address)):
-        raise ValueError("it gives an address without TLS")
+def _check_encrypted(address: str) -> None:
+    """Check that an address uses TLS or is on this machine.
+
+    Raises:
+        ValueError: Plain HTTP over a network.
+    """
+    if is_unencrypted(urlsplit(address)):
+        raise ValueError("the metadata contain an address without TLS")
 
 
-def _away(error: Exception) -> RefusedError:
-    what = f"log-in: the provider does not answer as it should ({type(error).__name__}); try it later"
+def _provider_unavailable(error: Exception) -> RefusedError:
+    what = f"log-in: the provider does not answer correctly ({type(error).__name__}). Try again later."
     return RefusedError(502, Issue("service.log_in", what))

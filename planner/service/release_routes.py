@@ -1,4 +1,7 @@
-"""The API's routes of releases, who answers for the programs of a job, and of the log of who did what."""
+"""API routes of releases and of the audit log.
+
+A release names the person who is responsible for the programs of a job.
+"""
 
 from typing import Annotated, Final
 
@@ -7,9 +10,9 @@ from fastapi import APIRouter, Depends, Query, Request
 from pydantic import ConfigDict, Field
 
 from planner.service import audit
-from planner.service.element_routes import element_of
+from planner.service.element_routes import visible_element_id
 from planner.service.models import (
-    Act,
+    AuditAct,
     AuditList,
     ElementReleases,
     JobOut,
@@ -18,19 +21,28 @@ from planner.service.models import (
     Sent,
     Shown,
 )
-from planner.service.routes import ASKED, JOB_ID, PAGE_SIZE, Asker, Here, OwnJob, job_of, refusals
-from planner.service.security import Who
-from planner.service.texts import Line, Lines, described, read_body
+from planner.service.routes import (
+    AUTH_REFUSALS,
+    JOB_ID,
+    PAGE_SIZE,
+    CurrentPrincipal,
+    CurrentService,
+    OwnJob,
+    refusals,
+    visible_job,
+)
+from planner.service.security import Principal
+from planner.service.user_texts import Line, Lines, body_description, read_body
 
-router: Final = APIRouter(prefix="/v1", tags=["releases"], responses=ASKED)
+router: Final = APIRouter(prefix="/v1", tags=["releases"], responses=AUTH_REFUSALS)
 
 
-MOST_PANELS: Final = 5000
-"""Panels that one act releases."""
+MAX_PANELS: Final = 5000
+"""Maximum number of panels in one release."""
 
 
 class Releasing(Sent):
-    """A release to be: a note, and who releases where the service asks for no tokens."""
+    """A release: a note, and the name of the person if the service requires no tokens."""
 
     model_config = ConfigDict(extra="forbid")
     note: Lines = ""
@@ -38,31 +50,39 @@ class Releasing(Sent):
 
 
 class ReleasingPanels(Releasing):
-    """Panels to be released, as they were shown."""
+    """Panels to release, as the person saw them."""
 
-    panels: dict[str, Shown] = Field(min_length=1, max_length=MOST_PANELS)
+    panels: dict[str, Shown] = Field(min_length=1, max_length=MAX_PANELS)
 
 
 class Withdrawing(Sent):
-    """Why a release is taken back; ``name`` as of a release."""
+    """Reason of a withdrawal. ``name`` is the person if the service requires no tokens."""
 
     model_config = ConfigDict(extra="forbid")
     reason: Annotated[Lines, Field(min_length=1)]
     name: Line | None = None
 
 
-def releaser(who: Asker) -> Who:
-    """Who asks, if he may release; raises :class:`RefusedError`, 401 or 403."""
-    who.need("release")
-    return who
+def releaser(principal: CurrentPrincipal) -> Principal:
+    """Return the caller if it may release (dependency).
+
+    Raises:
+        RefusedError: 401 or 403.
+    """
+    principal.check_role("release")
+    return principal
 
 
-Releaser = Annotated[Who, Depends(releaser)]
+Releaser = Annotated[Principal, Depends(releaser)]
 
 
-def job_to_release(job: str, who: Releaser, here: Here) -> JobOut:
-    """The job, for who may release it; raises :class:`RefusedError`, 401, 403 or 404."""
-    return job_of(job, who, here)
+def job_to_release(job: str, principal: Releaser, service: CurrentService) -> JobOut:
+    """Return the job if the caller may release it (dependency).
+
+    Raises:
+        RefusedError: 401, 403 or 404.
+    """
+    return visible_job(job, principal, service)
 
 
 ToRelease = Annotated[JobOut, Depends(job_to_release)]
@@ -72,66 +92,79 @@ ToRelease = Annotated[JobOut, Depends(job_to_release)]
     "/jobs/{job}/release",
     status_code=201,
     responses=refusals(404, 409, 413, 422),
-    openapi_extra=described(Releasing),
+    openapi_extra=body_description(Releasing),
     response_model_exclude_none=True,
     summary="Release the programs of a job",
 )
-async def release(request: Request, found: ToRelease, who: Releaser, here: Here) -> ReleaseOut:
-    """By who asks, whose token has a name: ``{"note": "cut of Tuesday"}``. Written down are he, the moment,
-    the digest of the problem and the SHA-256 of proof and programs. 409 for what is not verified, or is
-    released already."""
-    given = await read_body(request, Releasing)
-    return await anyio.to_thread.run_sync(here.releases.release, found.id, who, given.name, given.note)
+async def release(
+    request: Request, job_out: ToRelease, principal: Releaser, service: CurrentService
+) -> ReleaseOut:
+    """Releases in the name of the token: ``{"note": "cut of Tuesday"}``.
+
+    Recorded are this name, the time, the digest of the problem and the SHA-256 of proof and programs. 409
+    if the job is not verified, or already released.
+    """
+    body = await read_body(request, Releasing)
+    return await anyio.to_thread.run_sync(
+        service.releases.release, job_out.id, principal, body.name, body.note
+    )
 
 
 @router.post(
     "/jobs/{job}/withdraw",
     responses=refusals(404, 409, 413, 422),
-    openapi_extra=described(Withdrawing),
+    openapi_extra=body_description(Withdrawing),
     response_model_exclude_none=True,
     summary="Withdraw a release",
 )
-async def withdraw(request: Request, found: ToRelease, who: Releaser, here: Here) -> ReleaseOut:
-    """With a ``reason``; the release stays written down. 409 where the job is not released."""
-    given = await read_body(request, Withdrawing)
-    return await anyio.to_thread.run_sync(here.releases.withdraw, found.id, who, given.name, given.reason)
+async def withdraw(
+    request: Request, job_out: ToRelease, principal: Releaser, service: CurrentService
+) -> ReleaseOut:
+    """Requires a ``reason``. The release stays in the audit log. 409 if the job is not released."""
+    body = await read_body(request, Withdrawing)
+    return await anyio.to_thread.run_sync(
+        service.releases.withdraw, job_out.id, principal, body.name, body.reason
+    )
 
 
 @router.post(
     "/elements/{element}/release",
     status_code=201,
     responses=refusals(404, 409, 413, 422),
-    openapi_extra=described(ReleasingPanels),
+    openapi_extra=body_description(ReleasingPanels),
     response_model_exclude_none=True,
     summary="Release the programs of panels of an element",
 )
-async def release_panels(request: Request, element: str, who: Releaser, here: Here) -> ElementReleases:
-    """By one act, each panel by the job and digest that it had when it was looked at:
-    ``{"panels": {"A01": {"job": "24d8...", "digest": "9f2c..."}}, "note": "north side"}``. Panels that are
-    not proven, were changed or planned again meanwhile, or are released already, are named in ``refused``;
-    409 where that is all of them."""
-    found = await anyio.to_thread.run_sync(element_of, element, who, here)
-    given = await read_body(request, ReleasingPanels)
+async def release_panels(
+    request: Request, element: str, principal: Releaser, service: CurrentService
+) -> ElementReleases:
+    """Releases panels in one act, each by the job and digest that the person saw.
+
+    Example: ``{"panels": {"A01": {"job": "24d8...", "digest": "9f2c..."}}, "note": "north side"}``. Panels
+    that are not proven, have changed, were planned again or are already released are listed in ``refused``.
+    409 if these are all of them.
+    """
+    element_id = await anyio.to_thread.run_sync(visible_element_id, element, principal, service)
+    body = await read_body(request, ReleasingPanels)
     return await anyio.to_thread.run_sync(
-        here.elements.release, found, given.panels, who, given.name, given.note
+        service.elements.release, element_id, body.panels, principal, body.name, body.note
     )
 
 
-@router.get("/audit", responses=refusals(422), response_model_exclude_none=True, summary="Who did what")
+@router.get("/audit", responses=refusals(422), response_model_exclude_none=True, summary="Audit log")
 def log(
-    who: Releaser,
-    here: Here,
+    principal: Releaser,
+    service: CurrentService,
     limit: Annotated[int, Query(ge=1, le=200)] = PAGE_SIZE,
-    cursor: Annotated[int | None, Query(ge=1, lt=2**31, description="`next` of the page before")] = None,
+    cursor: Annotated[int | None, Query(ge=1, lt=2**31, description="`next` of the previous page")] = None,
     job: Annotated[
-        str | None, Query(pattern=JOB_ID.pattern, max_length=32, description="of this job")
+        str | None, Query(pattern=JOB_ID.pattern, max_length=32, description="only this job")
     ] = None,
-    act: Annotated[list[Act] | None, Query(description="these acts alone")] = None,
+    act: Annotated[list[AuditAct] | None, Query(description="only these acts")] = None,
 ) -> AuditList:
-    """The audit log of the token's team, the newest first, also of jobs that were deleted. It needs the role
-    release."""
-    found, following = audit.page(here.database, who, job, tuple(act or ()), cursor, limit)
-    return AuditList(acts=found, next=following)
+    """Audit log of the token's team, newest first, including deleted jobs. Requires the role release."""
+    entries, next_cursor = audit.page(service.database, principal, job, tuple(act or ()), cursor, limit)
+    return AuditList(acts=entries, next=next_cursor)
 
 
 @router.get(
@@ -140,6 +173,6 @@ def log(
     response_model_exclude_none=True,
     summary="The releases of a job",
 )
-def releases(found: OwnJob, here: Here) -> ReleaseList:
-    """The newest first; at most that one holds."""
-    return ReleaseList(releases=here.releases.all(found.id))
+def releases(job_out: OwnJob, service: CurrentService) -> ReleaseList:
+    """Newest first. Only the newest can be in force."""
+    return ReleaseList(releases=service.releases.all(job_out.id))

@@ -1,8 +1,8 @@
-"""Plans the jobs of the store: hosts claim them for a time and plan on worker processes.
+"""Planning of the queued jobs: hosts claim jobs for a limited time and plan them on worker processes.
 
-A host holds a job by a lease that it renews; when a host is gone, another one takes its jobs over.
-Every change asks whether the job is still held, so that a host that was given up changes nothing.
-A thread plans as many jobs at once as there are worker processes.
+A host holds a job by a lease that it renews. If the host fails, another one takes its jobs over. Every
+change first checks that the job is still held, so that a host that was given up changes nothing. One thread
+plans as many jobs at once as there are worker processes.
 """
 
 import contextlib
@@ -20,34 +20,55 @@ from typing import Any, Final, Protocol
 from sqlalchemy import ColumnElement, Connection, Select, and_, case, delete, func, or_, select, update
 from sqlalchemy.exc import SQLAlchemyError
 
-from planner.batch.job import LIKE, Done, Event, Finished, Found, Job, Progress
+from planner.batch.job import (
+    REFERENCE_FOLDER,
+    BatchJob,
+    JobEvent,
+    JobFinished,
+    JobIssues,
+    JobProgress,
+    JobResult,
+)
 from planner.files import THUMBNAIL
+from planner.issue_codes import format_message
 from planner.issues import Issue, TandemError
 from planner.report.thumbnail import thumbnail
 from planner.service import audit, idempotency, metrics, webhooks
 from planner.service.jobs import (
-    STORE,
+    FROM_STORE,
     answer_from_store,
+    delete_job,
     issues_json,
     job_files,
     put_files,
     record_event,
-    remove,
 )
-from planner.service.models import DELETED, ELEMENT_JOBS, JOBS, OPEN, SESSIONS, Database, State
+from planner.service.models import DELETED, ELEMENT_JOBS, JOBS, OPEN_STATES, SESSIONS, Database, State
 from planner.service.schema import SchemaVersionError
 from planner.service.security import MB, issue_json
-from planner.service.storage import Blob, Files
+from planner.service.storage import Blob, ContentStore
 
-LONGEST_LEASE_S: Final = 86400.0
-"""No host's jobs are its own for longer [s] without a word of it."""
-MOST_ATTEMPTS: Final = 3
-"""So often a job may be at hand when a host goes down; then it is taken to be the cause."""
+MAX_LEASE_S: Final = 86400.0
+"""Maximum remaining time [s] of a lease.
+
+A longer lease was written by a clock that has been set back since.
+"""
+MAX_ATTEMPTS: Final = 3
+"""Number of times that a host may fail while it plans a job, before the job is taken to be the cause."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Claimed:
-    """A job that this host is to plan; ``name`` of its problem, ``files`` by name."""
+class ClaimedJob:
+    """A job that this host plans.
+
+    Attributes:
+        id: Id of the job.
+        name: Name of the problem.
+        attempt: Number of the attempt, from 1.
+        files: Files by name.
+        timeout_s: Time limit [s].
+        memory_mb: Memory limit [MB].
+    """
 
     id: str
     name: str
@@ -57,18 +78,23 @@ class Claimed:
     memory_mb: float
 
 
-class Work:
-    """The jobs of one database for one host."""
+class JobQueue:
+    """Queue of the jobs of one database, for one host."""
 
     def __init__(self, database: Database, host: str, lease_s: float) -> None:
         self._database, self._host, self._lease_s = database, host, lease_s
 
-    def claim(self) -> Claimed | None:
-        """The next job that waits, now held by this host; None where there is none.
+    @property
+    def lease_s(self) -> float:
+        """Duration of the leases [s]."""
+        return self._lease_s
 
-        Owners with fewer running jobs come first, then elements to divide or to report on, which somebody
-        looks at, then the job whose turn is earlier. A job whose like is running waits, and one whose like is
-        done gets that answer. A panel waits for the one beside it that it is planned like.
+    def claim(self) -> ClaimedJob | None:
+        """Claim the next queued job for this host. Returns None if there is none.
+
+        Order: owners with fewer running jobs first, then divisions and reports of elements, which somebody
+        waits for, then by turn. A job waits while an identical one is running, and gets the answer of an
+        identical one that is done. A panel waits for the panel whose plan is its reference plan.
         """
         waiting = select(JOBS.c.id).where(JOBS.c.state == "queued").limit(1)
         while True:
@@ -76,13 +102,13 @@ class Work:
                 if db.execute(waiting).first() is None:
                     return None
             with self._database.write() as db:
-                row = db.execute(self._next()).mappings().first()
+                row = db.execute(self._next_query()).mappings().first()
                 if row is None:
                     return None
                 job = row["id"]
                 if answer_from_store(db, job, row["key"]):
-                    metrics.ended(
-                        db.execute(select(JOBS.c.state).where(JOBS.c.id == job)).scalar_one(), STORE
+                    metrics.count_outcome(
+                        db.execute(select(JOBS.c.state).where(JOBS.c.id == job)).scalar_one(), FROM_STORE
                     )
                     continue
                 attempt = row["attempts"] + 1
@@ -92,7 +118,7 @@ class Work:
                     .values(
                         state="running",
                         host=self._host,
-                        lease=self._until(),
+                        lease=self._lease_end(),
                         attempts=attempt,
                         started=time.time(),
                         stage="",
@@ -100,84 +126,101 @@ class Work:
                     )
                 )
                 record_event(db, job, "state", {"state": "running", "attempt": attempt})
-                files = {**job_files(db, job), **_like(db, job)}
-                metrics.waited(time.time() - row["created"])
-                return Claimed(job, row["name"], attempt, files, row["timeout_s"], row["memory_mb"])
+                files = {**job_files(db, job), **_reference_files(db, job)}
+                metrics.observe_wait(time.time() - row["created"])
+                return ClaimedJob(job, row["name"], attempt, files, row["timeout_s"], row["memory_mb"])
 
-    def _next(self) -> Select[Any]:
+    def _next_query(self) -> Select[Any]:
         other = JOBS.alias()
         running = (
             select(func.count())
             .where(other.c.owner == JOBS.c.owner, other.c.state == "running")
             .scalar_subquery()
         )
-        like = JOBS.alias()
-        same = select(like.c.key).where(like.c.state == "running")
-        beside = JOBS.alias()
-        after = (
+        identical = JOBS.alias()
+        running_keys = select(identical.c.key).where(identical.c.state == "running")
+        reference = JOBS.alias()
+        waiting_panels = (
             select(ELEMENT_JOBS.c.job)
-            .join_from(ELEMENT_JOBS, beside, ELEMENT_JOBS.c.like == beside.c.id)
-            .where(beside.c.state.in_(OPEN))
+            .join_from(ELEMENT_JOBS, reference, ELEMENT_JOBS.c.like == reference.c.id)
+            .where(reference.c.state.in_(OPEN_STATES))
         )
-        seen = select(ELEMENT_JOBS.c.job).where(ELEMENT_JOBS.c.role != "panel")
+        awaited = select(ELEMENT_JOBS.c.job).where(ELEMENT_JOBS.c.role != "panel")
         return (
             select(JOBS)
-            .where(JOBS.c.state == "queued", JOBS.c.key.not_in(same), JOBS.c.id.not_in(after))
-            .order_by(running, case((JOBS.c.id.in_(seen), 0), else_=1), JOBS.c.turn, JOBS.c.id)
+            .where(
+                JOBS.c.state == "queued", JOBS.c.key.not_in(running_keys), JOBS.c.id.not_in(waiting_panels)
+            )
+            .order_by(running, case((JOBS.c.id.in_(awaited), 0), else_=1), JOBS.c.turn, JOBS.c.id)
             .limit(1)
             .with_for_update(of=JOBS, skip_locked=True)
         )
 
     def renew(self) -> None:
-        """Hold on to this host's jobs. Raises ``SchemaVersionError`` where the tables have become those of a
-        newer version."""
+        """Renew the leases of this host.
+
+        Raises:
+            SchemaVersionError: The tables have a newer version.
+        """
         mine = and_(JOBS.c.host == self._host, JOBS.c.state == "running")
         with self._database.write() as db:
-            self._database.look(db)
-            db.execute(update(JOBS).where(mine).values(lease=self._until()))
+            self._database.check_version(db)
+            db.execute(update(JOBS).where(mine).values(lease=self._lease_end()))
 
-    def drop_others(self, held: Collection[str]) -> None:
-        """Queue jobs that this host has by the store and does not plan: it failed as it took them. Such an
-        attempt does not count."""
+    def requeue_unplanned(self, held: Collection[str]) -> None:
+        """Queue jobs again that the store assigns to this host but that it does not plan.
+
+        It failed while it claimed them. Such an attempt does not count.
+
+        Args:
+            held: Ids of jobs that this host plans.
+        """
         mine = and_(JOBS.c.host == self._host, JOBS.c.state == "running", JOBS.c.id.not_in(held))
         with self._database.write() as db:
             for row in db.execute(select(JOBS).where(mine)).mappings().all():
-                self._give_back(db, row["id"], row["attempts"] - 1, row["cancel"])
+                self._requeue(db, row["id"], row["attempts"] - 1, row["cancel"])
 
-    def take_over(self, alone: bool = False) -> int:
-        """Queue the jobs of hosts that are gone; ``alone``: no other host can be at work. Their number."""
-        gone = and_(JOBS.c.state == "running", JOBS.c.host != self._host)
+    def requeue_orphans(self, alone: bool = False) -> int:
+        """Queue the jobs of failed hosts again.
+
+        Args:
+            alone: No other host can be running.
+
+        Returns:
+            Number of jobs.
+        """
+        orphans = and_(JOBS.c.state == "running", JOBS.c.host != self._host)
         if not alone:
-            now, most = self._database.clock(), max(self._lease_s, LONGEST_LEASE_S)
-            # a lease that ends later than any was given by a clock that has been set back since
-            gone = and_(gone, or_(JOBS.c.lease < now, JOBS.c.lease > now + most))
+            now, max_lease = self._database.clock(), max(self._lease_s, MAX_LEASE_S)
+            # a lease beyond the maximum was written by a clock that has been set back since
+            orphans = and_(orphans, or_(JOBS.c.lease < now, JOBS.c.lease > now + max_lease))
         with self._database.write() as db:
-            rows = db.execute(select(JOBS).where(gone).with_for_update(skip_locked=True)).mappings().all()
+            rows = db.execute(select(JOBS).where(orphans).with_for_update(skip_locked=True)).mappings().all()
             for row in rows:
-                self._give_back(db, row["id"], row["attempts"], row["cancel"])
+                self._requeue(db, row["id"], row["attempts"], row["cancel"])
         return len(rows)
 
-    def give_back(self, claimed: Claimed) -> None:
-        """Queue a job of this host again, because the service stops or has no room for its result; this
-        attempt does not count."""
-        with self._database.write() as db:
-            if self._held(db, claimed):
-                self._give_back(db, claimed.id, claimed.attempt - 1, 0)
+    def requeue(self, claimed: ClaimedJob) -> None:
+        """Queue a job of this host again, because the service stops or the disk is full.
 
-    def _give_back(self, db: Connection, job: str, attempts: int, cancel: int) -> None:
+        The attempt does not count.
+        """
+        with self._database.write() as db:
+            if self._is_held(db, claimed):
+                self._requeue(db, claimed.id, claimed.attempt - 1, 0)
+
+    def _requeue(self, db: Connection, job: str, attempts: int, cancel: int) -> None:
         if cancel == DELETED:
-            remove(db, job)
+            delete_job(db, job)
             return
         state: State = "queued"
         issues: tuple[Issue, ...] = ()
         if cancel:
             state = "cancelled"
-        elif attempts >= MOST_ATTEMPTS:
+        elif attempts >= MAX_ATTEMPTS:
             state = "crashed"
-            message = (
-                f"the service stopped {attempts} times while it planned this job, and does not try again"
-            )
-            issues = (Issue("service.gave_up", message, value=attempts, limit=MOST_ATTEMPTS),)
+            message = format_message("service.gave_up", attempt_count=attempts)
+            issues = (Issue("service.gave_up", message, value=attempts, limit=MAX_ATTEMPTS),)
         values = {"state": state, "host": None, "lease": None, "stage": "", "fraction": 0.0}
         values["attempts"] = attempts
         if issues:
@@ -185,46 +228,64 @@ class Work:
             record_event(db, job, "issues", {"issues": [issue_json(issue) for issue in issues]})
         if state != "queued":
             values["finished"] = time.time()
-            metrics.ended(state)
+            metrics.count_outcome(state)
         db.execute(update(JOBS).where(JOBS.c.id == job).values(**values))
         record_event(db, job, "state", {"state": state})
 
     def cancelled(self) -> set[str]:
-        """This host's jobs that are to stop."""
-        asked = and_(JOBS.c.host == self._host, JOBS.c.state == "running", JOBS.c.cancel > 0)
+        """Return the ids of this host's jobs that must stop."""
+        cancel_filter = and_(JOBS.c.host == self._host, JOBS.c.state == "running", JOBS.c.cancel > 0)
         with self._database.read() as db:
-            return set(db.execute(select(JOBS.c.id).where(asked)).scalars())
+            return set(db.execute(select(JOBS.c.id).where(cancel_filter)).scalars())
 
-    def progress(self, claimed: Claimed, stage: str, fraction: float) -> None:
-        """Tell how far a job is."""
+    def record_progress(self, claimed: ClaimedJob, stage: str, fraction: float) -> None:
+        """Record the progress of a job.
+
+        Args:
+            claimed: Job.
+            stage: Present stage.
+            fraction: Completed fraction of the stage.
+        """
         with self._database.write() as db:
-            if self._held(db, claimed):
+            if self._is_held(db, claimed):
                 values = {"stage": stage[:64], "fraction": fraction}
                 db.execute(update(JOBS).where(JOBS.c.id == claimed.id).values(**values))
                 record_event(db, claimed.id, "progress", {"stage": stage, "fraction": round(fraction, 4)})
 
-    def found(self, claimed: Claimed, issues: Collection[Issue]) -> None:
-        """Tell of issues as they appear."""
+    def record_issues(self, claimed: ClaimedJob, issues: Collection[Issue]) -> None:
+        """Record new issues of a running job."""
         with self._database.write() as db:
-            if issues and self._held(db, claimed):
+            if issues and self._is_held(db, claimed):
                 record_event(db, claimed.id, "issues", {"issues": [issue_json(issue) for issue in issues]})
 
     def finish(
         self,
-        claimed: Claimed,
+        claimed: ClaimedJob,
         state: State,
         issues: tuple[Issue, ...],
         metrics: Mapping[str, float],
         seconds: float,
         files: Mapping[str, Blob],
     ) -> bool:
-        """Store the end of a job, whole or not at all; False where the job is no longer this host's."""
+        """Store the end of a job, whole or not at all.
+
+        Args:
+            claimed: Job.
+            state: Final state.
+            issues: All issues.
+            metrics: Metrics.
+            seconds: Planning time [s].
+            files: Result files by name.
+
+        Returns:
+            False if this host no longer holds the job.
+        """
         with self._database.write() as db:
-            if not self._held(db, claimed):
+            if not self._is_held(db, claimed):
                 return False
-            asked = db.execute(select(JOBS.c.cancel).where(JOBS.c.id == claimed.id)).scalar_one()
-            if asked == DELETED:
-                remove(db, claimed.id)
+            cancel_state = db.execute(select(JOBS.c.cancel).where(JOBS.c.id == claimed.id)).scalar_one()
+            if cancel_state == DELETED:
+                delete_job(db, claimed.id)
                 return True
             values = {
                 "state": state,
@@ -243,28 +304,35 @@ class Work:
             record_event(db, claimed.id, "state", {"state": state})
             return True
 
-    def forget(self, older_s: float | None, audit_s: float | None = None) -> None:
-        """Delete jobs that were finished so long ago, sessions that are over, old idempotency keys, and
-        entries of the audit log that are older than ``audit_s``."""
+    def delete_old(self, older_s: float | None, audit_s: float | None = None) -> None:
+        """Delete old jobs, expired sessions, old idempotency keys and old entries of the audit log.
+
+        Args:
+            older_s: Minimum age [s] of deleted jobs, or None to keep all.
+            audit_s: Minimum age [s] of deleted audit entries, or None to keep all.
+        """
         now = self._database.clock()
         with self._database.write() as db:
             db.execute(delete(SESSIONS).where(SESSIONS.c.expires < now))
-            idempotency.forget(self._database, db)
-            webhooks.forget(self._database, db)
+            idempotency.delete_old_keys(self._database, db)
+            webhooks.drop_old_deliveries(self._database, db)
             if older_s is not None:
-                old = and_(JOBS.c.state.not_in(OPEN), JOBS.c.finished < now - older_s)
-                found = db.execute(select(JOBS.c.id).where(old).order_by(JOBS.c.id)).scalars().all()
-                gone = [one for job in found for one in remove(db, job)]  # other hosts do the same
-                for one in gone:  # behind: who writes entries waits for nothing else
-                    said = {"name": one.name}
-                    audit.note(self._database, db, one.owner, "deleted", one.id, said, audit.AGED)
+                old = and_(JOBS.c.state.not_in(OPEN_STATES), JOBS.c.finished < now - older_s)
+                old_jobs = db.execute(select(JOBS.c.id).where(old).order_by(JOBS.c.id)).scalars().all()
+                deleted_jobs = [
+                    deleted for job in old_jobs for deleted in delete_job(db, job)
+                ]  # other hosts do the same
+                for deleted in deleted_jobs:  # last, because audit entries take a lock until the end
+                    details = {"name": deleted.name}
+                    event = audit.AuditEvent("deleted", deleted.id, details)
+                    audit.record_act(self._database, db, deleted.owner, event, audit.DELETED_BY_AGE)
             if audit_s is not None:
-                audit.forget(self._database, db, audit_s)
+                audit.delete_old_entries(self._database, db, audit_s)
 
-    def _until(self) -> ColumnElement[float]:
+    def _lease_end(self) -> ColumnElement[float]:
         return self._database.clock() + self._lease_s
 
-    def _held(self, db: Connection, claimed: Claimed) -> bool:
+    def _is_held(self, db: Connection, claimed: ClaimedJob) -> bool:
         mine = and_(
             JOBS.c.id == claimed.id,
             JOBS.c.state == "running",
@@ -274,20 +342,22 @@ class Work:
         return db.execute(select(JOBS.c.id).where(mine).with_for_update()).first() is not None
 
 
-def _like(db: Connection, job: str) -> dict[str, Blob]:
-    """What a panel begins with: the plan of the panel that it is like, or where that has none, of the one
-    which that is like, and so on."""
-    asked = select(ELEMENT_JOBS.c.like, JOBS.c.state).join_from(
+def _reference_files(db: Connection, job: str) -> dict[str, Blob]:
+    """Return the files of the reference plan of a panel.
+
+    If that panel has no plan, its own reference plan is used instead, and so on.
+    """
+    query = select(ELEMENT_JOBS.c.like, JOBS.c.state).join_from(
         ELEMENT_JOBS, JOBS, ELEMENT_JOBS.c.like == JOBS.c.id
     )
-    row = db.execute(asked.where(ELEMENT_JOBS.c.job == job)).first()
+    row = db.execute(query.where(ELEMENT_JOBS.c.job == job)).first()
     while row is not None and row.state != "verified":
-        row = db.execute(asked.where(ELEMENT_JOBS.c.job == row.like)).first()
+        row = db.execute(query.where(ELEMENT_JOBS.c.job == row.like)).first()
     if row is None:
         return {}
     plan = ("plan.json", "plan.npz")
     return {
-        f"problem/{LIKE}/{name}": blob
+        f"problem/{REFERENCE_FOLDER}/{name}": blob
         for name, blob in job_files(db, row.like).items()
         if name in plan or name.startswith("problem/")
     }
@@ -295,161 +365,202 @@ def _like(db: Connection, job: str) -> dict[str, Blob]:
 
 LOG: Final = logging.getLogger("planner.service")
 """Log of the service."""
-LISTEN_S: Final = 0.2
-"""Time [s] for which events of the workers are waited for at once."""
-ASK_S: Final = 0.5
-"""Cancelled jobs, and jobs of other hosts, are looked for so often."""
-PROGRESS_EVERY_S: Final = 0.5
-"""Progress within a stage is told so often."""
-SWEEP_S: Final = 600.0
-"""Time [s] between two looks for what is old enough to be forgotten."""
-JUMP_S: Final = 3600.0
-"""A clock that has gone so much faster or slower than time [s] between two looks has jumped."""
-STEADY_S: Final = 86400.0
-"""Nothing is forgotten for so long [s] after a clock has jumped: by a wrong one all would be old."""
-AGAIN_S: Final = 2.0
-"""After an error of the database or the workers it is tried again so much later."""
-ROOM_MB: Final = 32.0
-"""With less room on the disk no job is begun."""
-ROOM_S: Final = 20.0
-"""After a job that found the disk full, none is begun for so long."""
+EVENT_WAIT_S: Final = 0.2
+"""Time [s] of one wait for events of the workers."""
+CANCEL_POLL_S: Final = 0.5
+"""Interval [s] of queries for cancelled jobs."""
+MIN_PROGRESS_INTERVAL_S: Final = 0.5
+"""Minimum interval [s] of progress records within a stage."""
+SWEEP_INTERVAL_S: Final = 600.0
+"""Interval [s] of the deletion of old data."""
+CLOCK_JUMP_S: Final = 3600.0
+"""Difference [s] between clock and elapsed time above which the clock has jumped."""
+CLOCK_SETTLE_S: Final = 86400.0
+"""Time [s] after a jump of the clock in which nothing is deleted by age.
+
+By a wrong clock everything may seem old.
+"""
+RETRY_WAIT_S: Final = 2.0
+"""Time [s] to wait after an error of the database or the workers."""
+MIN_FREE_MB: Final = 32.0
+"""Minimum free disk space [MB] for starting a job."""
+DISK_FULL_PAUSE_S: Final = 20.0
+"""Time [s] in which no job starts after one has found the disk full."""
 
 
-def _of(claimed: Claimed) -> dict[str, Any]:
+def _job_extra(claimed: ClaimedJob) -> dict[str, Any]:
     return {"jobs": [claimed.id]}
 
 
-class Team(Protocol):
-    """What plans: :class:`planner.batch.workers.Workers`, or a cluster."""
+class WorkerPool(Protocol):
+    """Interface of the workers: :class:`planner.batch.workers.BatchWorkers`, or a cluster."""
 
-    def start(self, job: Job, folder: Path) -> None: ...
+    def start(self, job: BatchJob, folder: Path) -> None:
+        """Start a job that writes its result to a folder."""
 
-    def cancel(self, name: str) -> bool: ...
+    def cancel(self, name: str) -> bool:
+        """Cancel a job, and return whether it was known."""
 
-    def events(self, timeout_s: float) -> Iterator[Event]: ...
+    def events(self, timeout_s: float) -> Iterator[JobEvent]:
+        """Yield what happens to jobs; wait up to ``timeout_s`` for the first event."""
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Stop all workers and cancel their jobs."""
 
 
-class Runner(threading.Thread):
-    """Claims jobs, hands them to a team, stores what comes back. ``shas`` tells which files are wanted.
-    It ends, and calls ``on_newer``, where the tables have become those of a newer version."""
+@dataclasses.dataclass(frozen=True)
+class WorkerSetup:
+    """Worker processes of a runner.
+
+    Attributes:
+        make_pool: Factory of the workers.
+        count: Number of worker processes.
+        scratch: Folder for work in progress.
+    """
+
+    make_pool: Callable[[], WorkerPool]
+    count: int
+    scratch: Path
+
+
+@dataclasses.dataclass(frozen=True)
+class RetentionPolicy:
+    """What a runner keeps, and how long.
+
+    Attributes:
+        keep_s: Age [s] at which ended jobs are deleted, or None.
+        audit_s: Age [s] at which audit entries are deleted, or None.
+        used_shas: Function that returns those hashes that a job references. Other files are deleted.
+    """
+
+    keep_s: float | None
+    audit_s: float | None
+    used_shas: Callable[[list[str]], set[str]]
+
+
+class JobRunner(threading.Thread):
+    """Thread that claims jobs, hands them to workers and stores the results.
+
+    It ends if the tables have been changed to a newer version.
+
+    Args:
+        work: Queue.
+        files: Stored files.
+        workers: Worker processes.
+        retention: What is kept, and how long.
+        alone: No other host uses the database.
+        on_newer: Called when the tables have a newer version.
+    """
 
     def __init__(
         self,
-        work: Work,
-        files: Files,
-        make_team: Callable[[], Team],
-        count: int,
-        scratch: Path,
+        work: JobQueue,
+        files: ContentStore,
+        workers: WorkerSetup,
+        retention: RetentionPolicy,
         *,
-        lease_s: float,
         alone: bool,
-        keep_s: float | None,
-        audit_s: float | None,
-        shas: Callable[[list[str]], set[str]],
         on_newer: Callable[[], None] = lambda: None,
     ) -> None:
         super().__init__(name="tandem-runner", daemon=True)
-        self._work, self._files, self._make_team, self._count = work, files, make_team, count
-        self._lease_s, self._alone, self._keep_s, self._shas = lease_s, alone, keep_s, shas
-        self._scratch, self._audit_s, self._on_newer = scratch, audit_s, on_newer
+        self._work, self._files, self._workers, self._retention = work, files, workers, retention
+        self._alone, self._on_newer = alone, on_newer
         self._ending = threading.Event()
-        self._claimed: dict[str, Claimed] = {}
+        self._claimed: dict[str, ClaimedJob] = {}
         self._last_progress: dict[str, tuple[str, float]] = {}
         self._stages: dict[str, tuple[str, float]] = {}
         self._folders: dict[str, Path] = {}
         self._due: dict[str, float] = {}
         self._clock: tuple[float, float] | None = None
-        self._steady_at = 0.0
+        self._clock_trusted_at = 0.0
         self.alive_at = time.monotonic()
-        self._troubled = False
-        self._room_at = 0.0
+        self._has_failed = False
+        self._start_allowed_at = 0.0
 
     @property
     def healthy(self) -> bool:
-        """Whether it has come round lately, be it to find the database away."""
-        return self.is_alive() and time.monotonic() - self.alive_at < max(30.0, self._lease_s)
+        """Whether the thread has completed a cycle lately, even if the database is unavailable."""
+        return self.is_alive() and time.monotonic() - self.alive_at < max(30.0, self._work.lease_s)
 
     @property
     def working(self) -> bool:
-        """Whether jobs are begun and their ends stored."""
-        return self.healthy and not self._troubled
+        """Whether jobs are started and their results stored."""
+        return self.healthy and not self._has_failed
 
     def stop(self) -> None:
-        """End the team; jobs that run wait again."""
+        """Stop the workers. Running jobs are queued again."""
         self._ending.set()
         if self.is_alive():
             self.join(30.0)
 
     def run(self) -> None:
-        """Until :meth:`stop`; the team belongs to this thread."""
-        team: Team | None = None
+        """Plan jobs until :meth:`stop`. The workers belong to this thread."""
+        team: WorkerPool | None = None
         while not self._ending.is_set():
             try:
-                team = team or self._make_team()
-                self._round(team)
-                self._troubled = False
+                team = team or self._workers.make_pool()
+                self._run_cycle(team)
+                self._has_failed = False
             except SchemaVersionError as error:
                 LOG.error(
                     "the database %s. This host stops accepting requests and jobs. %s", error, error.remedy
                 )
-                self._claimed.clear()  # their leases come to an end, and a host that knows the tables goes on
+                self._claimed.clear()  # their leases expire, and a host of the newer version takes them over
                 self._on_newer()
                 break
-            except TandemError:  # of the team: what it had under way nobody plans any more
-                self._without(team)
+            except TandemError:  # the workers failed with all jobs that they were planning
+                self._close_pool(team)
                 team = None
-                self._wait_again("what plans is started anew in %g s", AGAIN_S)
+                self._log_and_wait("the workers are restarted in %g s", RETRY_WAIT_S)
             except (SQLAlchemyError, OSError):
-                self._wait_again("the runner tries again in %g s", AGAIN_S)
-        self._without(team)
+                self._log_and_wait("the runner tries again in %g s", RETRY_WAIT_S)
+        self._close_pool(team)
 
-    def _without(self, team: Team | None) -> None:
-        """Let go of a team; what it had under way waits again."""
+    def _close_pool(self, team: WorkerPool | None) -> None:
+        """Close the workers and queue their jobs again."""
         if team is not None:
             team.close()
         for claimed in self._claimed.values():
             try:
-                self._work.give_back(claimed)
+                self._work.requeue(claimed)
             except SQLAlchemyError:
-                LOG.exception("job %s waits until its lease is over", claimed.id, extra=_of(claimed))
+                LOG.exception("job %s waits until its lease expires", claimed.id, extra=_job_extra(claimed))
         for folder in self._folders.values():
             shutil.rmtree(folder, ignore_errors=True)
         for known in (self._claimed, self._folders, self._last_progress, self._stages):
             known.clear()
 
-    def _wait_again(self, what: str, told: object) -> None:
-        LOG.exception(what, told)
-        self._troubled = True
-        self._ending.wait(AGAIN_S)
+    def _log_and_wait(self, what: str, argument: object) -> None:
+        LOG.exception(what, argument)
+        self._has_failed = True
+        self._ending.wait(RETRY_WAIT_S)
         self.alive_at = time.monotonic()
 
-    def _round(self, team: Team) -> None:
-        if self._is_due("lease", self._lease_s / 4):
+    def _run_cycle(self, team: WorkerPool) -> None:
+        if self._is_due("lease", self._work.lease_s / 4):
             self._work.renew()
-            self._work.drop_others([claimed.id for claimed in self._claimed.values()])
-            if self._work.take_over(alone=self._alone):
-                LOG.warning("jobs of a service that is gone wait again")
-        if self._is_due("sweep", SWEEP_S):
-            if self._is_steady():
-                self._work.forget(self._keep_s, self._audit_s)
-            self._files.sweep(self._shas)
-        while len(self._claimed) < self._count and self._has_room():
+            self._work.requeue_unplanned([claimed.id for claimed in self._claimed.values()])
+            if self._work.requeue_orphans(alone=self._alone):
+                LOG.warning("jobs of a failed host are queued again")
+        if self._is_due("sweep", SWEEP_INTERVAL_S):
+            if self._is_clock_steady():
+                self._work.delete_old(self._retention.keep_s, self._retention.audit_s)
+            self._files.sweep(self._retention.used_shas)
+        while len(self._claimed) < self._workers.count and self._has_disk_space():
             claimed = self._work.claim()
             if claimed is None:
                 break
-            self._begin(team, claimed)
-        if self._claimed and self._is_due("cancel", ASK_S):
+            self._start_job(team, claimed)
+        if self._claimed and self._is_due("cancel", CANCEL_POLL_S):
             for job in self._work.cancelled():
                 names = [name for name, claimed in self._claimed.items() if claimed.id == job]
                 for name in names:
                     team.cancel(name)
-        for event in team.events(LISTEN_S):
-            self._take(event)
+        for event in team.events(EVENT_WAIT_S):
+            self._handle_event(event)
         self.alive_at = time.monotonic()
 
-    def _begin(self, team: Team, claimed: Claimed) -> None:
+    def _start_job(self, team: WorkerPool, claimed: ClaimedJob) -> None:
         name = f"{claimed.name}-{claimed.id[:12]}"
         prefix = "problem/"
         bundle = {
@@ -457,55 +568,58 @@ class Runner(threading.Thread):
             for file, blob in claimed.files.items()
             if file.startswith(prefix)
         }
-        folder = Path(tempfile.mkdtemp(dir=self._scratch, prefix="job-"))
+        folder = Path(tempfile.mkdtemp(dir=self._workers.scratch, prefix="job-"))
         self._claimed[name], self._folders[name] = claimed, folder
-        job = Job(name, bundle, timeout_s=claimed.timeout_s, memory_mb=claimed.memory_mb)
-        LOG.info("job %s begins, attempt %d", claimed.id, claimed.attempt, extra=_of(claimed))
+        job = BatchJob(name, bundle, timeout_s=claimed.timeout_s, memory_mb=claimed.memory_mb)
+        LOG.info("job %s starts, attempt %d", claimed.id, claimed.attempt, extra=_job_extra(claimed))
         team.start(job, folder / "result")
 
-    def _take(self, event: Event) -> None:
+    def _handle_event(self, event: JobEvent) -> None:
         claimed = self._claimed.get(event.name)
         if claimed is None:
             return
-        if isinstance(event, Progress):
+        if isinstance(event, JobProgress):
             if self._stages.get(event.name, ("", 0.0))[0] != event.stage:
                 self._stage_ended(event.name)
                 self._stages[event.name] = (event.stage, time.monotonic())
             stage, at = self._last_progress.get(event.name, ("", 0.0))
-            if event.stage != stage or time.monotonic() - at >= PROGRESS_EVERY_S:
+            if event.stage != stage or time.monotonic() - at >= MIN_PROGRESS_INTERVAL_S:
                 self._last_progress[event.name] = (event.stage, time.monotonic())
-                self._work.progress(claimed, event.stage, event.fraction)
-        elif isinstance(event, Found):
-            self._work.found(claimed, self._told(event.issues))
-        elif isinstance(event, Finished):
+                self._work.record_progress(claimed, event.stage, event.fraction)
+        elif isinstance(event, JobIssues):
+            self._work.record_issues(claimed, self._without_paths(event.issues))
+        elif isinstance(event, JobFinished):
             self._finish(claimed, event.name, event.done)
 
-    def _finish(self, claimed: Claimed, name: str, done: Done) -> None:
-        """Store the end of a job, however long the database is away or its disk full."""
+    def _finish(self, claimed: ClaimedJob, name: str, done: JobResult) -> None:
+        """Store the end of a job, however long the database is unavailable or the disk is full."""
         folder = self._folders[name]
         while not self._ending.is_set():
             try:
                 if any(issue.code == "output.disk_full" for issue in done.issues):
-                    LOG.warning("job %s waits for room on the disk", claimed.id, extra=_of(claimed))
-                    self._room_at = time.monotonic() + ROOM_S
-                    self._work.give_back(claimed)
+                    LOG.warning("job %s waits for disk space", claimed.id, extra=_job_extra(claimed))
+                    self._start_allowed_at = time.monotonic() + DISK_FULL_PAUSE_S
+                    self._work.requeue(claimed)
                     break
-                stored, told = self._stored(folder / "result", done.state), self._told(done.issues)
-                kept = self._work.finish(claimed, done.state, told, done.metrics, done.seconds, stored)
-                if not kept:
-                    what = "job %s was taken over; what was planned here is dropped"
-                    LOG.warning(what, claimed.id, extra=_of(claimed))
+                stored, issues = (
+                    self._store_results(folder / "result", done.state),
+                    self._without_paths(done.issues),
+                )
+                was_held = self._work.finish(claimed, done.state, issues, done.metrics, done.seconds, stored)
+                if not was_held:
+                    what = "job %s was taken over by another host, its result is dropped"
+                    LOG.warning(what, claimed.id, extra=_job_extra(claimed))
                 else:
-                    LOG.info("job %s ended: %s", claimed.id, done.state, extra=_of(claimed))
+                    LOG.info("job %s ended: %s", claimed.id, done.state, extra=_job_extra(claimed))
                     self._stage_ended(name)
-                    metrics.ended(done.state)
+                    metrics.count_outcome(done.state)
                 break
             except (SQLAlchemyError, OSError):
-                self._wait_again("the end of job %s cannot be stored now", claimed.id)
+                self._log_and_wait("the end of job %s cannot be stored now", claimed.id)
                 with contextlib.suppress(SQLAlchemyError):
                     self._work.renew()
         else:
-            return  # it is planned again
+            return  # the job is planned again
         del self._claimed[name], self._folders[name]
         self._last_progress.pop(name, None)
         self._stages.pop(name, None)
@@ -514,43 +628,46 @@ class Runner(threading.Thread):
     def _stage_ended(self, name: str) -> None:
         stage, began = self._stages.pop(name, ("", 0.0))
         if stage:
-            metrics.staged(stage, time.monotonic() - began)
+            metrics.observe_stage(stage, time.monotonic() - began)
 
-    def _told(self, issues: Collection[Issue]) -> tuple[Issue, ...]:
-        """Without where on this host it was: users have no use for that, and others might."""
+    def _without_paths(self, issues: Collection[Issue]) -> tuple[Issue, ...]:
+        """Remove paths of this host from issues. Users have no use for them, and attackers might."""
 
-        def without(text: str) -> str:
-            return text.replace(str(self._scratch), "the service's folder")
+        def hide_folder(text: str) -> str:
+            return text.replace(str(self._workers.scratch), "the service's folder")
 
         return tuple(
             dataclasses.replace(
-                one,
-                message=without(one.message),
-                file=one.file and without(one.file),
-                hint=one.hint and without(one.hint),
+                issue,
+                message=hide_folder(issue.message),
+                file=issue.file and hide_folder(issue.file),
+                hint=issue.hint and hide_folder(issue.hint),
             )
-            for one in issues
+            for issue in issues
         )
 
-    def _has_room(self) -> bool:
-        free = shutil.disk_usage(self._scratch).free
-        return free >= ROOM_MB * MB and time.monotonic() >= self._room_at
+    def _has_disk_space(self) -> bool:
+        free = shutil.disk_usage(self._workers.scratch).free
+        return free >= MIN_FREE_MB * MB and time.monotonic() >= self._start_allowed_at
 
-    def _stored(self, result: Path, state: State) -> dict[str, Blob]:
-        small = thumbnail(result / "report.html") if state == "verified" else None
-        if small is not None:  # lists show the outcome of the others alone
-            (result / THUMBNAIL).write_bytes(small)
+    def _store_results(self, result: Path, state: State) -> dict[str, Blob]:
+        image = thumbnail(result / "report.html") if state == "verified" else None
+        if image is not None:  # lists show thumbnails of verified jobs only
+            (result / THUMBNAIL).write_bytes(image)
         paths = sorted(path for path in result.rglob("*") if path.is_file() and not path.is_symlink())
         return {path.relative_to(result).as_posix(): self._files.put_file(path) for path in paths}
 
-    def _is_steady(self) -> bool:
-        """Whether the clock has not jumped lately; not known at first: machines set it after they start."""
-        boot, clock = time.clock_gettime(time.CLOCK_BOOTTIME), time.time()  # it goes on in suspended machines
-        before, self._clock = self._clock, (boot, clock)
-        if before is not None and abs((clock - before[1]) - (boot - before[0])) > JUMP_S:
-            LOG.warning("the clock has jumped; nothing is forgotten by its age for a day")
-            self._steady_at = boot + STEADY_S
-        return before is not None and boot >= self._steady_at
+    def _is_clock_steady(self) -> bool:
+        """Report whether the clock has not jumped lately.
+
+        Unknown at first, because machines set it after they start.
+        """
+        boot, clock = time.clock_gettime(time.CLOCK_BOOTTIME), time.time()  # boot time includes suspension
+        previous, self._clock = self._clock, (boot, clock)
+        if previous is not None and abs((clock - previous[1]) - (boot - previous[0])) > CLOCK_JUMP_S:
+            LOG.warning("the clock has jumped, nothing is deleted by age for a day")
+            self._clock_trusted_at = boot + CLOCK_SETTLE_S
+        return previous is not None and boot >= self._clock_trusted_at
 
     def _is_due(self, what: str, every_s: float) -> bool:
         now = time.monotonic()

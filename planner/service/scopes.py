@@ -1,19 +1,19 @@
-"""What a token with a scope may ask: the addresses that are named here, and no other.
+"""Addresses that a token with a scope may use.
 
-A scope is narrower than the role that it has. A new address is closed to tokens with a scope until somebody
-names it; what an address shows to whom stands with the address.
+A scope is narrower than the role of the token. A new address is closed to such tokens until it is listed
+here. What an address returns to whom is decided at the address.
 """
 
 from collections.abc import Mapping
 from typing import Final
 
 from planner.issues import Issue
-from planner.service.models import LONGEST_TAG, TokenRole, TokenScope
+from planner.service.models import MAX_TAG_LENGTH, TokenRole, TokenScope
 
 ROLE_OF: Final[Mapping[TokenScope, TokenRole]] = {"submit": "plan", "released": "view"}
-"""The role that a token of each scope has."""
-_ALL: Final = frozenset({"GET /v1/session", "POST /v1/session"})
-_READ: Final = frozenset(
+"""Role of tokens with each scope."""
+_ALL_SCOPES: Final = frozenset({"GET /v1/session", "POST /v1/session"})
+_READ_ADDRESSES: Final = frozenset(
     {
         "GET /v1/jobs",
         "GET /v1/jobs/{job}",
@@ -23,7 +23,7 @@ _READ: Final = frozenset(
         "GET /v1/jobs/{job}/releases",
     }
 )
-_SEND: Final = frozenset(
+_SUBMIT_ADDRESSES: Final = frozenset(
     {
         "POST /v1/jobs",
         "POST /v1/check",
@@ -37,31 +37,45 @@ _SEND: Final = frozenset(
         "GET /v1/issues",
     }
 )
-OPEN_TO: Final[Mapping[TokenScope, frozenset[str]]] = {
-    "submit": _ALL | _READ | _SEND,
-    "released": _ALL | _READ,
+PERMITTED_ADDRESSES: Final[Mapping[TokenScope, frozenset[str]]] = {
+    "submit": _ALL_SCOPES | _READ_ADDRESSES | _SUBMIT_ADDRESSES,
+    "released": _ALL_SCOPES | _READ_ADDRESSES,
 }
-"""Method and address of what a token of each scope may ask."""
+"""Methods and addresses that each scope permits."""
 
 
-def scope_fault(role: TokenRole, team: str | None, scope: TokenScope | None, tag: str | None) -> Issue | None:
-    """What of a new token does not go with its scope."""
+def scope_issue(role: TokenRole, team: str | None, scope: TokenScope | None, tag: str | None) -> Issue | None:
+    """Return what is inconsistent in a new token with a scope, or None.
+
+    Args:
+        role: Role.
+        team: Team.
+        scope: Scope, or None.
+        tag: Tag of the scope, or None.
+    """
     if scope is not None and role != ROLE_OF[scope]:
-        what = f"role: got {role}, a token with the scope {scope} has the role {ROLE_OF[scope]}; leave it out"
+        what = f"role: does not fit scope {scope} (got {role}, allowed {ROLE_OF[scope]}). Leave it out."
         return Issue("service.token", what, field="role")
     if scope == "released" and team is None:
-        what = "team: is missing, and without one the scope released sees nothing; give the team"
-        return Issue("service.token", f"{what} whose released programs it reads", field="team")
+        what = "team: is missing, and the scope released sees nothing without one. Give the team"
+        return Issue("service.token", f"{what} whose released programs the token reads.", field="team")
     if tag is not None and scope != "released":
-        what = "tag: goes with the scope released alone, which then has jobs with this tag; leave it out"
-        return Issue("service.token", f"{what}, or give --scope released", field="tag")
-    if tag is not None and not 1 <= len(tag) <= LONGEST_TAG:
-        what = f"tag: got {len(tag)} characters, tags of jobs have 1 to {LONGEST_TAG}; give one of theirs"
+        what = "tag: requires the scope released, which it limits to jobs with this tag. Leave it out"
+        return Issue("service.token", f"{what}, or give --scope released.", field="tag")
+    if tag is not None and not 1 <= len(tag) <= MAX_TAG_LENGTH:
+        what = (
+            f"tag: wrong length (got {len(tag)} characters, allowed 1 to {MAX_TAG_LENGTH}). Shorten the tag."
+        )
         return Issue("service.token", what, field="tag")
     return None
 
 
-def is_open(scope: TokenScope, method: str, path: str) -> bool:
-    """Whether a token of that scope may send ``method`` to the address of a route, as the route names it;
-    HEAD where it may GET."""
-    return f"{'GET' if method == 'HEAD' else method} {path}" in OPEN_TO[scope]
+def is_permitted(scope: TokenScope, method: str, path: str) -> bool:
+    """Report whether a scope permits a request. HEAD is permitted where GET is.
+
+    Args:
+        scope: Scope.
+        method: HTTP method.
+        path: Address as the route states it.
+    """
+    return f"{'GET' if method == 'HEAD' else method} {path}" in PERMITTED_ADDRESSES[scope]

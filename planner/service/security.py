@@ -1,10 +1,9 @@
-"""Who asks, what one user may ask, and what stands before every request.
+"""Authentication, limits, and the checks before every request.
 
-Of a token only the hash is kept; browsers that showed one get a cookie, and a link to one file may be
-signed for a time. A token has a role, perhaps a team whose jobs it sees, perhaps a scope that is narrower,
-and perhaps an end. Before every
-request stand the size of its body, where it comes from, and what browsers may do with the answer. The
-service says no by an HTTP status and issues that say why.
+Only the hash of a token is stored. Browsers that sent a token get a cookie. A token has a role, and may
+have a team whose jobs it sees, a narrower scope, and an expiry time. Before every request the service
+checks the size of its body and its origin, and sets headers that restrict what browsers do with the answer.
+Refusals are an HTTP status with issues that give the reason.
 """
 
 import dataclasses
@@ -26,22 +25,35 @@ from sqlalchemy.exc import IntegrityError
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from planner.issues import Issue, TandemError, refusal
+from planner.issues import Issue, TandemError, issue_error
 from planner.runtime.version import __version__
 from planner.service.models import SECRETS, SESSIONS, TOKEN_ROLES, TOKENS, Database, TokenRole, TokenScope
-from planner.service.scopes import ROLE_OF, is_open, scope_fault
+from planner.service.scopes import ROLE_OF, is_permitted, scope_issue
 
 
 @dataclasses.dataclass(frozen=True)
-class Limits:
-    """``upload_mb`` of one request, ``mesh_mb`` and ``mesh_facets`` of one mesh (50 MB of STL are a million
-    facets; three times as many vertices may be), ``files`` of one upload; ``open_jobs`` that wait or run
-    and ``kept_jobs`` in all, of one token; ``token_disk_mb`` of a token's files and ``disk_mb`` of all files,
-    each content once, None for what the disk has; ``readings`` of uploads that wait or are under way, of one
-    token; ``job_s`` and ``job_memory_mb`` of one job's planning,
-    ``check_s`` and ``check_memory_mb`` of reading or checking a problem; ``streams`` of events at once, of
-    one token, and ``requests_per_s`` of it, None for any; ``keep_days`` until a finished job is deleted,
-    ``audit_days`` until an entry of the audit log is, None for never.
+class ServiceLimits:
+    """Limits of the service. None means no limit, unless stated otherwise.
+
+    Attributes:
+        upload_mb: Size of one request [MB].
+        mesh_mb: Size of one mesh file [MB]. 50 MB of STL are a million facets.
+        mesh_facets: Facets of one mesh. Three times as many vertices are allowed.
+        files: Files of one upload.
+        open_jobs: Queued and running jobs of one token.
+        kept_jobs: All jobs of one token.
+        token_disk_mb: Size of a token's files [MB]; equal content counts once.
+        disk_mb: Size of all files [MB]; equal content counts once. None: what the disk holds.
+        readings: Queued and running readings of uploads of one token.
+        job_s: Planning time of one job [s].
+        job_memory_mb: Planning memory of one job [MB].
+        check_s: Time for reading or checking a problem [s].
+        check_memory_mb: Memory for reading or checking a problem [MB].
+        streams: Concurrent event streams of one token.
+        requests_per_s: Request rate of one token [1/s].
+        drafts: Drafts, cells, tools and templates of one token.
+        keep_days: Days until an ended job is deleted. None: never.
+        audit_days: Days until an audit entry is deleted. None: never.
     """
 
     upload_mb: float = 200.0
@@ -69,8 +81,14 @@ PROBLEM_JSON: Final = "application/problem+json"
 
 
 class RefusedError(Exception):
-    """A request that is refused; ``issues`` carry code and field. Where several things were sent, ``of`` has
-    the number of one, from 0, for each issue."""
+    """A refused request.
+
+    Args:
+        status: HTTP status.
+        issues: Issues with code and field.
+        headers: Headers of the answer.
+        of: For each issue the index of the item that it concerns, if several were sent.
+    """
 
     def __init__(
         self,
@@ -87,8 +105,8 @@ class RefusedError(Exception):
 
     @property
     def body(self) -> dict[str, Any]:
-        """The answer as a problem document (RFC 9457), with the issues besides."""
-        known = {one.value: one.phrase for one in HTTPStatus}
+        """The answer as a problem document (RFC 9457) with issues."""
+        known = {status.value: status.phrase for status in HTTPStatus}
         return {
             "type": "about:blank",
             "title": known.get(self.status, "Refused"),
@@ -100,47 +118,60 @@ class RefusedError(Exception):
 
 
 def issue_json(issue: Issue) -> dict[str, Any]:
-    """The issue as JSON has it: numbers that are not finite are left out."""
+    """Convert an issue to JSON. Numbers that are not finite are omitted."""
     data = issue.to_dict()
     return {k: v for k, v in data.items() if not isinstance(v, float) or math.isfinite(v)}
 
 
 def unknown_job(job: str) -> RefusedError:
-    """404."""
-    return RefusedError(404, Issue("service.unknown_job", f"job {job[:40]!r}: there is none; list the jobs"))
+    """Return the refusal for an unknown job: 404."""
+    return RefusedError(404, Issue("service.unknown_job", f"job {job[:40]!r}: not found. List the jobs."))
 
 
 def too_many(what: str, again_s: int, limit: float | None = None, unit: str | None = None) -> RefusedError:
-    """429, for who may ask again in ``again_s`` [s]."""
+    """Return a refusal that may be retried: 429.
+
+    Args:
+        what: Message.
+        again_s: Time [s] to wait.
+        limit: Exceeded limit.
+        unit: Unit of the limit.
+    """
     issue = Issue("service.too_many", what, limit=limit, unit=unit)
     return RefusedError(429, issue, {"Retry-After": str(again_s)})
 
 
 def too_large(what: str, limit_mb: float, field: str | None = None) -> RefusedError:
-    """413."""
-    message = f"{what} is larger than the {limit_mb:g} MB that this service takes; send less, or fewer facets"
+    """Return the refusal of too much data: 413.
+
+    Args:
+        what: Subject of the message.
+        limit_mb: Limit [MB].
+        field: Field of the request.
+    """
+    message = f"{what} is too large (allowed {limit_mb:g} MB). Send less data, or meshes with fewer facets."
     return RefusedError(413, Issue("service.too_large", message, field=field, limit=limit_mb, unit="MB"))
 
 
 LOCAL: Final = "local"
-"""The owner of jobs that came without a token, over loopback."""
+"""Owner of jobs that were submitted without a token, over loopback."""
 SESSION_S: Final = 30 * 86400.0
-"""Time [s] after which a session of a browser ends."""
+"""Maximum duration [s] of a browser session."""
 TOKENS_PER_QUERY: Final = 500
-"""Tokens that one query of the database asks for."""
+"""Maximum number of tokens in one database query."""
 _TOKEN: Final = re.compile(r"tandem_([0-9a-f]{16})_[A-Za-z0-9_-]{43}")
-"""A token: the identifier that the database knows, and the secret."""
+"""A token: the identifier in the database, and the secret."""
 TOKEN_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}")
-"""A name that a token, or a team, may have."""
-_LASTS: Final = re.compile(r"([1-9][0-9]{0,3})([hdw])")
-"""How long a token is good for."""
+"""Name of a token or a team."""
+_LIFETIME: Final = re.compile(r"([1-9][0-9]{0,3})([hdw])")
+"""Lifetime of a token."""
 _UNITS_S: Final = {"h": 3600.0, "d": 86400.0, "w": 604800.0}
 """Seconds of an hour, a day, a week."""
 
 
 @dataclasses.dataclass(frozen=True)
 class TokenInfo:
-    """A token without its secret; times are seconds since 1970."""
+    """A token without its secret. Times are in seconds since 1970."""
 
     name: str
     created: float
@@ -153,9 +184,35 @@ class TokenInfo:
 
 
 @dataclasses.dataclass(frozen=True)
-class Who:
-    """Who asks: the identifier of a ``token``, which owns what is made with it, its name, what it may do,
-    its team, its end [s since 1970], and its scope, of jobs with a ``tag`` alone where it has one."""
+class TokenPermissions:
+    """What a token may do.
+
+    Attributes:
+        role: Role.
+        team: Team, or None.
+        scope: Scope, or None.
+        tag: Tag of the jobs in the scope, or None.
+    """
+
+    role: TokenRole
+    team: str | None = None
+    scope: TokenScope | None = None
+    tag: str | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Principal:
+    """Authenticated caller.
+
+    Attributes:
+        token: Identifier of the token, which owns what is created with it.
+        name: Name.
+        role: Role.
+        team: Team, or None.
+        expires: Expiry time [s since 1970], or None.
+        scope: Scope, or None.
+        tag: Tag of the jobs in the scope, or None.
+    """
 
     token: str
     name: str
@@ -165,32 +222,54 @@ class Who:
     scope: TokenScope | None = None
     tag: str | None = None
 
-    def ask(self, method: str, path: str) -> None:
-        """Raises :class:`RefusedError`, 403, beyond the token's scope; ``path`` as a route names it."""
-        if self.scope is not None and not is_open(self.scope, method, path):
-            what = f"this is beyond the scope {self.scope} of the token {self.name}"
-            way = "ask who runs the service for a token without a scope: tandem token add NAME"
-            raise RefusedError(403, Issue("service.role", what, field="Authorization", hint=way))
+    def check_scope(self, method: str, path: str) -> None:
+        """Check that the scope of the token permits a request.
 
-    def need(self, role: TokenRole) -> None:
-        """Raises :class:`RefusedError`, 403, where the token's role does not include ``role``."""
+        Args:
+            method: HTTP method.
+            path: Address as the route states it.
+
+        Raises:
+            RefusedError: 403.
+        """
+        if self.scope is not None and not is_permitted(self.scope, method, path):
+            message = f"token {self.name}: its scope {self.scope} does not permit this request"
+            remedy = "Ask the operator of the service for a token without a scope: tandem token add NAME."
+            raise RefusedError(403, Issue("service.role", message, field="Authorization", hint=remedy))
+
+    def check_role(self, role: TokenRole) -> None:
+        """Check that the role of the token includes another role.
+
+        Args:
+            role: Required role.
+
+        Raises:
+            RefusedError: 403.
+        """
         if TOKEN_ROLES.index(self.role) < TOKEN_ROLES.index(role):
-            what = f"this needs a token with the role {role}, the token {self.name} has the role {self.role}"
-            way = f"ask who runs the service for one: tandem token add NAME --role {role}"
-            raise RefusedError(403, Issue("service.role", what, field="Authorization", hint=way))
+            message = f"token {self.name}: role not sufficient (got {self.role}, required {role})"
+            remedy = f"Ask the operator of the service for a token: tandem token add NAME --role {role}."
+            raise RefusedError(403, Issue("service.role", message, field="Authorization", hint=remedy))
 
 
-ANYBODY: Final = Who(LOCAL, LOCAL, "release")
-"""Who asks where no tokens are asked for."""
+LOCAL_PRINCIPAL: Final = Principal(LOCAL, LOCAL, "release")
+"""Caller when no tokens are required."""
 
 
-def lasts(text: str) -> float:
-    """How long a token is good for [s], said as ``12h``, ``90d`` or ``4w``. Raises ``TandemError``."""
-    found = _LASTS.fullmatch(text)
-    if found is None:
-        what = f"expires: got {text[:40]!r}; give a whole number up to 9999 with h, d or w, such as 90d"
-        raise refusal("service.token", what, field="expires")
-    return float(found[1]) * _UNITS_S[found[2]]
+def parse_lifetime(text: str) -> float:
+    """Parse the lifetime of a token [s].
+
+    Args:
+        text: Lifetime, such as ``12h``, ``90d`` or ``4w``.
+
+    Raises:
+        TandemError: The text is invalid.
+    """
+    match = _LIFETIME.fullmatch(text)
+    if match is None:
+        what = f"expires: invalid (got {text[:40]!r}, allowed 1 to 9999 with h, d or w, such as 90d)"
+        raise issue_error("service.token", what, field="expires")
+    return float(match[1]) * _UNITS_S[match[2]]
 
 
 class Auth:
@@ -199,140 +278,194 @@ class Auth:
     def __init__(self, database: Database) -> None:
         self._database = database
 
-    def make(
+    def create_token(
         self,
         name: str,
         role: TokenRole | None = None,
         team: str | None = None,
-        lasts_s: float | None = None,
+        lifetime_s: float | None = None,
         scope: TokenScope | None = None,
         tag: str | None = None,
     ) -> str:
-        """A new token, which is told this once, good for ``lasts_s`` from now on. What is not said is the
-        role plan, or that of the scope. Raises ``TandemError`` for a name that is taken or odd, and a scope
-        that does not go with the rest."""
+        """Create a token. Its text is returned only once.
+
+        Args:
+            name: Name of the token.
+            role: Role. By default plan, or the role of the scope.
+            team: Team, or None.
+            lifetime_s: Lifetime [s], or None for ever.
+            scope: Scope, or None.
+            tag: Tag of the scope, or None.
+
+        Raises:
+            TandemError: The name is taken or invalid, or the scope does not fit the rest.
+        """
         role = role or (ROLE_OF[scope] if scope else "plan")
-        if fault := scope_fault(role, team, scope, tag):
+        if fault := scope_issue(role, team, scope, tag):
             raise TandemError(fault)
-        for one, field in ((name, "name"), (team, "team")):
-            if one is not None and not TOKEN_NAME.fullmatch(one):
-                raise TandemError(_bad_name(one, "use letters, digits and _ . @ -, at most 64", field))
-        number = secrets.token_hex(8)
-        token = f"tandem_{number}_{secrets.token_urlsafe(32)}"
+        for value, field in ((name, "name"), (team, "team")):
+            if value is not None and not TOKEN_NAME.fullmatch(value):
+                raise TandemError(_bad_name(value, "allowed are 64 letters, digits and _ . @ -", field))
+        token_id = secrets.token_hex(8)
+        token = f"tandem_{token_id}_{secrets.token_urlsafe(32)}"
         now = self._database.clock()
-        row: dict[str, Any] = {"id": number, "name": name, "hash": _hash(token), "role": role, "team": team}
-        row |= {"created": now, "expires": None if lasts_s is None else now + lasts_s}
+        row: dict[str, Any] = {"id": token_id, "name": name, "hash": _hash(token), "role": role, "team": team}
+        row |= {"created": now, "expires": None if lifetime_s is None else now + lifetime_s}
         row |= {"scope": scope, "tag": tag}
         try:
             with self._database.write() as db:
                 db.execute(insert(TOKENS).values(row))
         except IntegrityError as error:
-            raise TandemError(_bad_name(name, "there is a token of that name; choose another")) from error
+            raise TandemError(_bad_name(name, "already exists. Choose another name.")) from error
         return token
 
-    def account(
-        self,
-        key: str,
-        name: str,
-        role: TokenRole,
-        team: str | None,
-        scope: TokenScope | None = None,
-        tag: str | None = None,
-        every: Sequence[str] = (),
-    ) -> Who:
-        """The account ``key`` of a provider, as a token that no secret opens; another one that is called so
-        already has the ``name`` for itself. ``every``: the keys of the same account in all teams, whose
-        sessions end but those of this one. Raises :class:`RefusedError`, 403, where one was revoked."""
-        number, same = _account(key), {_account(one) for one in (key, *every)}
-        plain = re.sub(r"[^A-Za-z0-9_.@-]", "_", name).lstrip("_.@-")[:64] or number
+    def update_account(
+        self, key: str, name: str, permissions: TokenPermissions, all_keys: Sequence[str] = ()
+    ) -> Principal:
+        """Create or update the token of a provider's account. No secret opens it.
+
+        If another token has the name, the account gets the name with a suffix.
+
+        Args:
+            key: Key of the account.
+            name: Name of the account.
+            permissions: What the account may do.
+            all_keys: Keys of the same account in all teams. Their sessions end, except those of this one.
+
+        Raises:
+            RefusedError: 403, one of them was revoked.
+        """
+        token_id, account_ids = (
+            _account_id(key),
+            {_account_id(account_key) for account_key in (key, *all_keys)},
+        )
+        unique_name = re.sub(r"[^A-Za-z0-9_.@-]", "_", name).lstrip("_.@-")[:64] or token_id
         with self._database.write() as db:
-            self._database.one_at_a_time(db, "accounts")
-            rows = db.execute(select(TOKENS).where(TOKENS.c.id.in_(same))).mappings().all()
+            self._database.lock(db, "accounts")
+            rows = db.execute(select(TOKENS).where(TOKENS.c.id.in_(account_ids))).mappings().all()
             for row in rows:
                 if row["revoked"] is not None:
-                    raise RefusedError(403, Issue("service.log_in", f"the account {row['name']} was revoked"))
-            taken = select(TOKENS.c.id).where(TOKENS.c.name == plain, TOKENS.c.id != number)
+                    raise RefusedError(403, Issue("service.log_in", f"account {row['name']}: was revoked"))
+            taken = select(TOKENS.c.id).where(TOKENS.c.name == unique_name, TOKENS.c.id != token_id)
             if db.execute(taken).first() is not None:
-                plain = f"{plain[:55]}-{number[:8]}"
-            known = {"name": plain, "role": role, "team": team, "scope": scope, "tag": tag}
-            if number not in {row["id"] for row in rows}:
-                made = {"id": number, "hash": f"account {number}", "created": self._database.clock()}
-                db.execute(insert(TOKENS).values(made | known))
+                unique_name = f"{unique_name[:55]}-{token_id[:8]}"
+            values = {
+                "name": unique_name,
+                "role": permissions.role,
+                "team": permissions.team,
+                "scope": permissions.scope,
+                "tag": permissions.tag,
+            }
+            if token_id not in {row["id"] for row in rows}:
+                new_values = {
+                    "id": token_id,
+                    "hash": f"account {token_id}",
+                    "created": self._database.clock(),
+                }
+                db.execute(insert(TOKENS).values(new_values | values))
             else:
-                db.execute(update(TOKENS).where(TOKENS.c.id == number).values(known))
-            if others := same - {number}:
+                db.execute(update(TOKENS).where(TOKENS.c.id == token_id).values(values))
+            if others := account_ids - {token_id}:
                 db.execute(delete(SESSIONS).where(SESSIONS.c.token.in_(others)))
-        return Who(number, plain, role, team, scope=scope, tag=tag)
+        return Principal(
+            token_id,
+            unique_name,
+            permissions.role,
+            permissions.team,
+            scope=permissions.scope,
+            tag=permissions.tag,
+        )
 
     def close_accounts(self, keys: Sequence[str]) -> None:
-        """End the sessions of accounts of a provider."""
+        """End the sessions of some accounts of a provider."""
         with self._database.write() as db:
-            db.execute(delete(SESSIONS).where(SESSIONS.c.token.in_([_account(key) for key in keys])))
+            db.execute(delete(SESSIONS).where(SESSIONS.c.token.in_([_account_id(key) for key in keys])))
 
     def list(self) -> tuple[TokenInfo, ...]:
-        """All tokens, the oldest first."""
+        """Return all tokens, oldest first."""
         with self._database.read() as db:
             rows = db.execute(select(TOKENS).order_by(TOKENS.c.created)).mappings()
             fields = [field.name for field in dataclasses.fields(TokenInfo)]
             return tuple(TokenInfo(**{name: row[name] for name in fields}) for row in rows)
 
     def revoke(self, name: str) -> None:
-        """End a token and its sessions at once; its jobs stay. Raises ``TandemError`` where there is none."""
+        """Revoke a token and end its sessions at once. Its jobs remain.
+
+        Args:
+            name: Name of the token.
+
+        Raises:
+            TandemError: No such token.
+        """
         with self._database.write() as db:
             number = db.execute(select(TOKENS.c.id).where(TOKENS.c.name == name)).scalar()
             if number is None:
-                raise TandemError(_bad_name(name, "there is no token of that name; list them"))
+                raise TandemError(_bad_name(name, "not found. List the tokens."))
             db.execute(update(TOKENS).where(TOKENS.c.id == number).values(revoked=time.time()))
             db.execute(delete(SESSIONS).where(SESSIONS.c.token == number))
 
-    def any(self) -> bool:
-        """Whether a token is in force."""
+    def has_valid_token(self) -> bool:
+        """Report whether any token is valid."""
         with self._database.read() as db:
-            alive = select(func.count()).select_from(TOKENS).where(self._good())
-            return bool(db.execute(alive).scalar_one())
+            query = select(func.count()).select_from(TOKENS).where(self._is_valid_filter())
+            return bool(db.execute(query).scalar_one())
 
-    def who(self, token: str) -> Who:
-        """Whose token it is; raises :class:`RefusedError`, 401."""
-        found = _TOKEN.fullmatch(token)
+    def authenticate_token(self, token: str) -> Principal:
+        """Authenticate a token.
+
+        Args:
+            token: Text of the token.
+
+        Raises:
+            RefusedError: 401.
+        """
+        match = _TOKEN.fullmatch(token)
         row = None
-        if found:
-            query = select(TOKENS, self._good().label("good")).where(TOKENS.c.id == found[1])
+        if match:
+            query = select(TOKENS, self._is_valid_filter().label("good")).where(TOKENS.c.id == match[1])
             with self._database.read() as db:
                 row = db.execute(query).mappings().first()
-        kept = "" if row is None else row["hash"]
-        if not hmac.compare_digest(kept, _hash(token)) or row is None or row["revoked"] is not None:
-            raise unauthorised("the token is unknown or was revoked; ask for a new one")
+        stored_hash = "" if row is None else row["hash"]
+        if not hmac.compare_digest(stored_hash, _hash(token)) or row is None or row["revoked"] is not None:
+            raise unauthorised("the token is unknown or revoked. Ask for a new one.")
         if not row["good"]:
-            raise unauthorised("the token has come to its end; ask for a new one")
-        return _who(row)
+            raise unauthorised("the token has expired. Ask for a new one.")
+        return _principal_of_row(row)
 
-    def in_force(self, owner: str) -> bool:
-        """Whether the owner's token is known, was not revoked, and has not come to its end."""
-        query = select(TOKENS.c.id).where(TOKENS.c.id == owner, self._good())
+    def is_valid(self, owner: str) -> bool:
+        """Report whether a token exists, is not revoked and has not expired."""
+        query = select(TOKENS.c.id).where(TOKENS.c.id == owner, self._is_valid_filter())
         with self._database.read() as db:
             return db.execute(query).first() is not None
 
     def teams(self, tokens: Sequence[str]) -> dict[str, str | None]:
-        """Those of the tokens that are in force, with their teams."""
-        found: dict[str, str | None] = {}
+        """Return the valid ones of some tokens, with their teams."""
+        teams: dict[str, str | None] = {}
         with self._database.read() as db:
             for start in range(0, len(tokens), TOKENS_PER_QUERY):
-                some = TOKENS.c.id.in_(tokens[start : start + TOKENS_PER_QUERY])
-                rows = db.execute(select(TOKENS.c.id, TOKENS.c.team).where(some, self._good()))
-                found |= dict(row.tuple() for row in rows)
-        return found
+                batch = TOKENS.c.id.in_(tokens[start : start + TOKENS_PER_QUERY])
+                rows = db.execute(select(TOKENS.c.id, TOKENS.c.team).where(batch, self._is_valid_filter()))
+                teams |= dict(row.tuple() for row in rows)
+        return teams
 
-    def owners(self, who: Who) -> Sequence[str]:
-        """Tokens whose jobs ``who`` sees: its own, and those of its team, also such as are over. One that
-        only sends sees its own alone."""
-        return [who.token] if who.scope == "submit" else [who.token, *self.mates(who.token)]
+    def owners(self, principal: Principal) -> Sequence[str]:
+        """Return the tokens whose jobs a caller sees.
 
-    def sees(self, who: Who, owner: str | None) -> bool:
-        """Whether ``who`` sees jobs of that owner."""
-        return owner is not None and owner in self.owners(who)
+        These are its own, and those of its team, including expired and revoked ones. A token with the scope
+        submit sees its own jobs only.
+        """
+        return (
+            [principal.token]
+            if principal.scope == "submit"
+            else [principal.token, *self.team_tokens(principal.token)]
+        )
 
-    def mates(self, owner: str) -> Sequence[str]:
-        """The other tokens of the team of a token; none where it has no team."""
+    def sees(self, principal: Principal, owner: str | None) -> bool:
+        """Report whether a caller sees the jobs of an owner."""
+        return owner is not None and owner in self.owners(principal)
+
+    def team_tokens(self, owner: str) -> Sequence[str]:
+        """Return the other tokens of a token's team. Empty if it has no team."""
         team = select(TOKENS.c.team).where(TOKENS.c.id == owner).scalar_subquery()
         query = select(TOKENS.c.id).where(TOKENS.c.team == team, TOKENS.c.id != owner)
         if owner == LOCAL:
@@ -340,49 +473,69 @@ class Auth:
         with self._database.read() as db:
             return db.execute(query).scalars().all()
 
-    def open_session(self, who: Who) -> tuple[str, float]:
-        """A cookie for a browser whose user showed a token, and for how long [s] it is good: a session ends
-        with its token."""
+    def open_session(self, principal: Principal) -> tuple[str, float]:
+        """Create a session of a browser. A session ends with its token at the latest.
+
+        Args:
+            principal: Authenticated caller.
+
+        Returns:
+            Cookie, and its lifetime [s].
+        """
         cookie, now = secrets.token_urlsafe(32), time.time()
-        good_s = min(SESSION_S, SESSION_S if who.expires is None else max(who.expires - now, 0.0))
-        row = {"hash": _hash(cookie), "token": who.token, "expires": now + good_s}
+        lifetime_s = min(
+            SESSION_S, SESSION_S if principal.expires is None else max(principal.expires - now, 0.0)
+        )
+        row = {"hash": _hash(cookie), "token": principal.token, "expires": now + lifetime_s}
         with self._database.write() as db:
             db.execute(insert(SESSIONS).values(row))
-        return cookie, good_s
+        return cookie, lifetime_s
 
-    def session(self, cookie: str) -> Who:
-        """Whose cookie it is; raises :class:`RefusedError`, 401."""
+    def authenticate_session(self, cookie: str) -> Principal:
+        """Authenticate a session cookie.
+
+        Args:
+            cookie: Value of the cookie.
+
+        Raises:
+            RefusedError: 401.
+        """
         query = (
             select(TOKENS, SESSIONS.c.expires.label("over"))
             .join(SESSIONS, TOKENS.c.id == SESSIONS.c.token)
-            .where(SESSIONS.c.hash == _hash(cookie), self._good())
+            .where(SESSIONS.c.hash == _hash(cookie), self._is_valid_filter())
         )
         with self._database.read() as db:
             row = db.execute(query).mappings().first()
         if row is None or row["over"] < time.time():
-            raise unauthorised("the session is over; show the token again")
-        return _who(row)
+            raise unauthorised("the session has expired. Log in again.")
+        return _principal_of_row(row)
 
     def close_session(self, cookie: str) -> None:
         """End a session."""
         with self._database.write() as db:
             db.execute(delete(SESSIONS).where(SESSIONS.c.hash == _hash(cookie)))
 
-    def _good(self) -> ColumnElement[bool]:
-        """Of a token that may be used now, by the clock that all hosts share."""
-        lasting = or_(TOKENS.c.expires.is_(None), TOKENS.c.expires > self._database.clock())
-        return and_(TOKENS.c.revoked.is_(None), lasting)
+    def _is_valid_filter(self) -> ColumnElement[bool]:
+        """Return the condition for tokens that are valid now, by the clock that all hosts share."""
+        not_expired = or_(TOKENS.c.expires.is_(None), TOKENS.c.expires > self._database.clock())
+        return and_(TOKENS.c.revoked.is_(None), not_expired)
 
 
-def _who(row: RowMapping) -> Who:
-    return Who(*(row[name] for name in ("id", "name", "role", "team", "expires", "scope", "tag")))
+def _principal_of_row(row: RowMapping) -> Principal:
+    return Principal(*(row[name] for name in ("id", "name", "role", "team", "expires", "scope", "tag")))
 
 
 def shared_secret(database: Database, name: str) -> str:
-    """The secret of that name, 256 random bits in hex, made by the host that asks first."""
+    """Return a named secret of 256 random bits in hex. The first host that needs it creates it.
+
+    Args:
+        database: Database that the hosts share.
+        name: Name of the secret.
+    """
     query = select(SECRETS.c.value).where(SECRETS.c.name == name)
     with database.write() as db:
-        database.one_at_a_time(db, f"secret {name}")
+        database.lock(db, f"secret {name}")
         known = db.execute(query).scalar()
         if known is None:
             known = secrets.token_hex(32)
@@ -391,19 +544,22 @@ def shared_secret(database: Database, name: str) -> str:
 
 
 def unauthorised(why: str) -> RefusedError:
-    """401."""
+    """Return the refusal of a missing or invalid token: 401."""
     return RefusedError(
         401, Issue("service.token", why, field="Authorization"), {"WWW-Authenticate": "Bearer"}
     )
 
 
-def _account(key: str) -> str:
-    """The identifier of the token that an account of a provider is."""
+def _account_id(key: str) -> str:
+    """Return the identifier of the token of a provider's account."""
     return hashlib.sha256(key.encode()).hexdigest()[:16]
 
 
 def _hash(secret: str) -> str:
-    """SHA-256 is enough for a secret of 256 random bits: there is nothing to guess."""
+    """Return the SHA-256 of a secret.
+
+    Stretching is not needed for 256 random bits, which cannot be guessed.
+    """
     return hashlib.sha256(secret.encode("utf-8", "surrogatepass")).hexdigest()
 
 
@@ -413,9 +569,9 @@ def _bad_name(name: str, what: str, field: str = "name") -> Issue:
 
 
 SAFE_METHODS: Final = frozenset({"GET", "HEAD", "OPTIONS"})
-"""HTTP methods that change nothing, which other sites may send."""
+"""HTTP methods that change nothing. Other sites may send them."""
 LOOPBACK: Final = frozenset({"localhost", "127.0.0.1", "::1"})
-"""Hosts that are this machine."""
+"""Host names of this machine."""
 FORWARDING_HEADERS: Final = ("forwarded", "x-forwarded-for", "x-forwarded-host", "x-real-ip")
 """Headers that only a proxy adds."""
 MB: Final = 1_000_000
@@ -427,32 +583,39 @@ HEADERS: Final = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Tandem-Version": __version__,
 }
-"""Headers of every answer: nothing is guessed, framed or told to other sites; a page that was left open sees
-by the version that the service was updated."""
+"""Headers of every answer.
+
+They forbid content sniffing, framing and referrers to other sites. An open page notices by the version that
+the service was updated.
+"""
 
 
 PROBES: Final = frozenset({"/v1/health", "/v1/ready"})
-"""Addresses that tell how the process does."""
-HTTPS_ALONE: Final = "max-age=31536000"
-"""What browsers that came by TLS are told (RFC 6797): for a year they come by it alone."""
+"""Addresses that report the state of the process."""
+STRICT_TRANSPORT_SECURITY: Final = "max-age=31536000"
+"""Strict-Transport-Security header for clients that use TLS (RFC 6797): HTTPS only for a year."""
 
 
-DRAIN_S: Final = 20.0
-"""Time [s] for which the rest of a request that was refused is read."""
+MAX_DRAIN_S: Final = 20.0
+"""Maximum time [s] for reading the rest of a refused request."""
 
 
-IDLE_S: Final = 60.0
-"""Time [s] in which something of a request's body has to come."""
-LEAST_BYTES_S: Final = 1000.0
-"""A body that comes in slower [bytes/s], `IDLE_S` beside, is given up."""
+BODY_IDLE_S: Final = 60.0
+"""Maximum time [s] without any data of a request body."""
+MIN_BODY_RATE_BYTES_S: Final = 1000.0
+"""Minimum average rate [bytes/s] of a request body, after `BODY_IDLE_S`."""
 
 
-class _Body:
-    """A request's body as it is received. One that comes by the byte is given up as if its client had gone:
-    it would keep its connection for ever.
+class _RequestBody:
+    """Body of a request as it is received.
 
-    A connection that is closed on a client that still sends is reset, and the client never sees why it was
-    refused. So the answer goes out first, and the rest is read and dropped (RFC 9112, section 9.6)."""
+    A body that arrives too slowly is treated as a disconnected client, because it would occupy its connection
+    for ever.
+
+    Closing a connection while the client still sends resets it, and the client never sees the refusal.
+    Therefore the answer is sent first, and the rest of the body is read and dropped (RFC 9112, section
+    9.6).
+    """
 
     def __init__(self, receive: Receive) -> None:
         self._receive = receive
@@ -460,28 +623,34 @@ class _Body:
         self.ended = False
 
     async def __call__(self) -> Message:
-        if self.ended:  # what comes is that the client goes
+        if self.ended:  # the next message is the disconnection
             return await self._receive()
         now = time.monotonic()
         self._since = min(self._since, now)
-        rest_s = self._since + IDLE_S + self._got / LEAST_BYTES_S - now
+        rest_s = self._since + BODY_IDLE_S + self._got / MIN_BODY_RATE_BYTES_S - now
         message: Message = {"type": "http.disconnect"}
-        with anyio.move_on_after(min(max(rest_s, 0.0), IDLE_S)):
+        with anyio.move_on_after(min(max(rest_s, 0.0), BODY_IDLE_S)):
             message = await self._receive()
         self.ended = not message.get("more_body", False)
         self._got += len(message.get("body", b""))
         return message
 
     async def drain(self) -> None:
-        """Read on until the client has sent all, or went away, or it takes too long."""
-        with anyio.move_on_after(DRAIN_S):
+        """Read the rest of the body, until the client has sent all, disconnects, or takes too long."""
+        with anyio.move_on_after(MAX_DRAIN_S):
             while not self.ended:
                 await self()
 
 
-class Guard:
-    """Wraps the application. ``open_hosts``: the names by which an instance without tokens may be addressed;
-    None where tokens are required. ``closed`` gives the refusal of all but `PROBES`, while there is one."""
+class RequestGuard:
+    """ASGI middleware that checks size and origin of requests and sets security headers.
+
+    Args:
+        app: Application.
+        upload_mb: Maximum size of a request body [MB].
+        open_hosts: Host names of an instance without tokens, or None if tokens are required.
+        closed: Function that returns the refusal of everything except `PROBES`, or None.
+    """
 
     def __init__(
         self,
@@ -493,14 +662,15 @@ class Guard:
         self._app, self._limit_mb, self._open_hosts, self._closed = app, upload_mb, open_hosts, closed
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on and add security headers to its answer, or refuse the request."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
 
-        body = _Body(receive)
+        body = _RequestBody(receive)
         refused = False
 
-        async def hardened(message: Message) -> None:
+        async def send_with_headers(message: Message) -> None:
             nonlocal refused
             if message["type"] == "http.response.start":
                 refused = message["status"] >= 400
@@ -508,7 +678,7 @@ class Guard:
                 for name, value in HEADERS.items():
                     headers.setdefault(name, value)
                 if scope["scheme"] == "https":
-                    headers.setdefault("Strict-Transport-Security", HTTPS_ALONE)
+                    headers.setdefault("Strict-Transport-Security", STRICT_TRANSPORT_SECURITY)
             elif refused and not message.get("more_body") and not body.ended:
                 await send({**message, "more_body": True})
                 await body.drain()
@@ -520,51 +690,60 @@ class Guard:
             self._check_origin(scope, headers)
             if scope["path"] not in PROBES and (refusal := self._closed()) is not None:
                 raise refusal
-            await self._app(scope, self._counted(headers, body), hardened)
+            await self._app(scope, self._limit_body(headers, body), send_with_headers)
         except RefusedError as error:
-            await _answer(error, hardened)
+            await _send_refusal(error, send_with_headers)
 
     def _check_origin(self, scope: Scope, headers: Headers) -> None:
         host = headers.get("host", "")
         if self._open_hosts is not None:
             if _host_name(host) not in self._open_hosts:
-                raise _foreign(f"the host is {host[:80]!r}; without tokens only this machine may ask")
+                raise _foreign_request(
+                    f"host: only this machine is allowed without tokens (got {host[:80]!r})"
+                )
             if any(name in headers for name in FORWARDING_HEADERS):
-                raise _foreign("a proxy passed this on; start the service with --require-token behind one")
+                raise _foreign_request(
+                    "a proxy forwarded this request. Behind a proxy, start with --require-token."
+                )
         if scope["method"] not in SAFE_METHODS:
             origin = headers.get("origin")
             if headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none") or (
-                origin is not None and not _is_own(origin, host, scope["scheme"])
+                origin is not None and not _is_same_origin(origin, host, scope["scheme"])
             ):
-                raise _foreign("another site sent this request through a browser; use the service's own page")
+                raise _foreign_request(
+                    "another site sent this request through a browser. Use the service's pages."
+                )
 
-    def _counted(self, headers: Headers, receive: Receive) -> Receive:
-        """The body, refused when it is longer than may be: at once if it says so, else as soon as it is."""
+    def _limit_body(self, headers: Headers, receive: Receive) -> Receive:
+        """Limit the size of the body: by its declared length, else while it arrives."""
         allowed = int(self._limit_mb * MB)
-        said = headers.get("content-length", "0")
-        if said.isdecimal() and int(said[:20]) > allowed:
+        declared_length = headers.get("content-length", "0")
+        if declared_length.isdecimal() and int(declared_length[:20]) > allowed:
             raise too_large("the upload", self._limit_mb)
-        got = 0
+        received = 0
 
-        async def counted() -> MutableMapping[str, Any]:
-            nonlocal got
+        async def receive_limited() -> MutableMapping[str, Any]:
+            nonlocal received
             message = await receive()
-            got += len(message.get("body", b""))
-            if got > allowed:
+            received += len(message.get("body", b""))
+            if received > allowed:
                 raise too_large("the upload", self._limit_mb)
             return message
 
-        return counted
+        return receive_limited
 
 
-def in_clear(parts: SplitResult) -> bool:
-    """Whether an address is one without TLS, but of this machine."""
+def is_unencrypted(parts: SplitResult) -> bool:
+    """Report whether an address sends data unencrypted over a network: not HTTPS, and not this machine."""
     return parts.scheme != "https" and not (parts.scheme == "http" and parts.hostname in LOOPBACK)
 
 
-def _is_own(origin: str, host: str, scheme: str) -> bool:
-    """Whether a page of this service sends: one that came in clear is none of a service that is asked by TLS,
-    for anybody between may have made it. A proxy may have taken TLS away."""
+def _is_same_origin(origin: str, host: str, scheme: str) -> bool:
+    """Report whether a page of this service sent the request.
+
+    A page that was loaded without TLS is not trusted by a service that uses TLS, because anybody in between
+    may have changed it. A proxy may have removed TLS.
+    """
     try:
         parts = urlsplit(origin)
     except ValueError:
@@ -573,18 +752,18 @@ def _is_own(origin: str, host: str, scheme: str) -> bool:
 
 
 def _host_name(host: str) -> str:
-    """The host without its port."""
+    """Return the host name without its port."""
     if host.startswith("["):
         return host[1:].split("]")[0].lower()
     return host.rsplit(":", 1)[0].lower() if host.count(":") == 1 else host.lower()
 
 
-def _foreign(why: str) -> RefusedError:
+def _foreign_request(why: str) -> RefusedError:
     return RefusedError(403, Issue("service.foreign", why))
 
 
-async def _answer(refused: RefusedError, send: Send) -> None:
-    """Send a refusal that no handler of the application saw."""
+async def _send_refusal(refused: RefusedError, send: Send) -> None:
+    """Send a refusal that no handler of the application has seen."""
     body = json.dumps(refused.body).encode()
     headers = [(b"content-type", PROBLEM_JSON.encode()), (b"content-length", str(len(body)).encode())]
     headers += [(name.lower().encode(), value.encode()) for name, value in refused.headers.items()]

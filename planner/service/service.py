@@ -1,4 +1,4 @@
-"""All that a running service is made of, and what it was started with."""
+"""The running service: its parts, its options, and the operations that combine several parts."""
 
 from __future__ import annotations
 
@@ -24,42 +24,57 @@ import anyio.to_thread
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.requests import Request
 
-from planner.batch.job import PROBLEM, all_versions
-from planner.issues import Issue, refusal
-from planner.service.drafts import Drafts
-from planner.service.elements import Elements
+from planner.batch.job import PROBLEM_FILE, all_versions
+from planner.issue_codes import format_message
+from planner.issues import Issue, issue_error
+from planner.service.drafts import DraftStore
+from planner.service.elements import ElementStore
 from planner.service.estimates import Estimates
-from planner.service.examined import Examined
-from planner.service.idempotency import Once
-from planner.service.jobs import Hub, Jobs, NewJob, OfElement
+from planner.service.idempotency import IdempotencyKey
+from planner.service.jobs import SERVICE_LIMITS_ONLY, ElementRole, EventBroker, Jobs, NewJob, PlanningLimits
 from planner.service.links import Links
 from planner.service.models import Database, JobOut, default_url
-from planner.service.pieces import Pieces, Read
-from planner.service.rates import FAILURES_PER_S, Rates
+from planner.service.rate_limits import FAILURES_PER_S, RateLimiter
+from planner.service.reading_parts import Pieces, ReadResult
+from planner.service.reading_result import PROBLEM_ONLY, ReadingOptions, ReadingResult
 from planner.service.releases import Releases
-from planner.service.runner import Runner, Team, Work
-from planner.service.security import LOCAL, LOOPBACK, Auth, Limits, RefusedError, too_many
-from planner.service.storage import Blob, Files, Storage, Upload
-from planner.service.texts import begin
-from planner.service.upload_processes import Examiners, Reading, connection_closed
-from planner.service.webhooks import Sender, Webhooks
+from planner.service.runner import JobQueue, JobRunner, RetentionPolicy, WorkerPool, WorkerSetup
+from planner.service.security import LOCAL, LOOPBACK, Auth, RefusedError, ServiceLimits, too_many
+from planner.service.storage import Blob, ContentStore, ProblemUpload, StorageQuota
+from planner.service.upload_processes import ReaderPool, UploadReading, connection_closed
+from planner.service.user_texts import truncated_line
+from planner.service.webhooks import Webhooks, WebhookSender
 
 if TYPE_CHECKING:
-    from planner.service.oidc import LogIn, Oidc
+    from planner.service.oidc import LogIn, OidcSettings
 
-PID_MARK: Final = ".pid-"
-"""Stands before the process identifier in the name of a service's folder."""
-PANELS_AT_ONCE: Final = 20
-"""Panels of an element that are read before others have their turn."""
-REMEMBERED: Final = 256
-"""So many uploads that were read are known again."""
+PID_SEPARATOR: Final = ".pid-"
+"""Separator before the process id in the name of a service's work folder."""
+PANELS_PER_TURN: Final = 20
+"""Number of panels of an element that are read before other requests get a turn."""
+MAX_CACHED_RESULTS: Final = 256
+"""Number of results of reading that are cached."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """How a service is started. ``data``: folder of the files, and of the database where no URL is given.
-    ``trusted_proxies``: addresses, or networks, whose word is taken on how a request came to them.
-    ``webhook_hosts``: hosts that may be told of jobs that end."""
+    """Options with which a service is started.
+
+    Attributes:
+        data: Folder of the files, and of the database if no URL is given.
+        host: Address to listen on.
+        port: Port to listen on.
+        database: URL of the database, or None for SQLite in the data folder.
+        workers: Number of worker processes that plan jobs.
+        examiners: Number of processes that read uploads.
+        cluster: Address of a cluster, or None to plan on this machine.
+        require_token: Require tokens even on loopback.
+        trusted_proxies: Addresses or networks of proxies whose forwarding headers are trusted.
+        lease_s: Duration of leases of jobs [s].
+        oidc: Log-in through a provider, or None.
+        webhook_hosts: Hosts that webhooks may notify.
+        limits: Limits.
+    """
 
     data: Path
     host: str = "127.0.0.1"
@@ -71,151 +86,210 @@ class Options:
     require_token: bool = False
     trusted_proxies: tuple[str, ...] = ("127.0.0.1", "::1")
     lease_s: float = 30.0
-    oidc: Oidc | None = None
+    oidc: OidcSettings | None = None
     webhook_hosts: tuple[str, ...] = ()
-    limits: Limits = dataclasses.field(default_factory=Limits)
+    limits: ServiceLimits = dataclasses.field(default_factory=ServiceLimits)
 
     @property
     def tokens_required(self) -> bool:
-        """Off loopback always, and where people log in."""
+        """Whether tokens are required: except on loopback always, and with a log-in provider."""
         return self.require_token or self.oidc is not None or self.host not in LOOPBACK
 
     @property
     def url(self) -> str:
-        """The database."""
+        """URL of the database."""
         return self.database or default_url(self.data)
 
 
-class Service:
-    """One instance of the service; :meth:`start` and :meth:`close` belong to its server's life."""
+@dataclasses.dataclass(frozen=True)
+class FieldSweep:
+    """Values that a field of a problem takes, one for each job.
 
-    def __init__(self, options: Options, make_team: Callable[[], Team]) -> None:
-        """Raises ``TandemError``: the folder or the database cannot be had, or tokens are missing."""
+    Attributes:
+        field: Path of the field.
+        values: Values.
+        tag: Tag of the jobs.
+    """
+
+    field: str
+    values: Sequence[Any]
+    tag: str
+
+
+class Service:
+    """One instance of the service. The server calls :meth:`start` and :meth:`close`."""
+
+    def __init__(self, options: Options, make_team: Callable[[], WorkerPool]) -> None:
+        """Open the data folder and the database.
+
+        Args:
+            options: Options.
+            make_team: Factory of the workers that plan jobs.
+
+        Raises:
+            TandemError: The folder or the database is unavailable, or there are no tokens.
+        """
         self.options, self.limits = options, options.limits
         self._lock = lock_data(options.data, options.database is None)
         self.database = Database(options.url)
         self.auth = Auth(self.database)
-        if options.tokens_required and options.oidc is None and not self.auth.any():
+        if options.tokens_required and options.oidc is None and not self.auth.has_valid_token():
             self.database.close()
-            message = f"host {options.host}: whoever can reach it needs a token, and there is none yet"
-            hint = f"make one: tandem token add NAME --data {options.data}"
-            raise refusal("service.start", message, field="host", hint=hint)
+            message = f"host {options.host}: tokens are required, and there is none yet"
+            hint = f"Create one: tandem token add NAME --data {options.data}"
+            raise issue_error("service.start", message, field="host", hint=hint)
         self.links = Links(self.database)
-        self.log_in = None if options.oidc is None else _log_in(self.database, self.auth, options.oidc)
-        self.rates, self.failures = Rates(options.limits.requests_per_s), Rates(FAILURES_PER_S)
-        self.files = Files(options.data / "files")
-        self.host = f"{socket.gethostname()}{PID_MARK}{os.getpid()}-{secrets.token_hex(4)}"
+        self.log_in = None if options.oidc is None else _create_log_in(self.database, self.auth, options.oidc)
+        self.rates, self.failures = RateLimiter(options.limits.requests_per_s), RateLimiter(FAILURES_PER_S)
+        self.files = ContentStore(options.data / "files")
+        self.host = f"{socket.gethostname()}{PID_SEPARATOR}{os.getpid()}-{secrets.token_hex(4)}"
         self.scratch = _work_folder(options.data / "work", options.database is None, self.host)
         self.jobs = Jobs(self.database, self.limits)
-        self.storage = Storage(self.files, self.jobs.owned, self.limits)
-        self.hub = Hub(self.database, self.limits, self.auth)
+        self.storage = StorageQuota(self.files, self.jobs.owned_sizes, self.limits)
+        self.hub = EventBroker(self.database, self.limits, self.auth)
         limits = self.limits
-        self._examiners = Examiners(
+        self._examiners = ReaderPool(
             options.examiners, self.scratch, limits.check_s, limits.check_memory_mb, limits.mesh_facets
         )
         self.webhooks = Webhooks(self.database, options.webhook_hosts)
-        self._sender = Sender(self.webhooks)
-        self.runner = Runner(
-            Work(self.database, self.host, options.lease_s),
+        self._sender = WebhookSender(self.webhooks)
+        self.runner = JobRunner(
+            JobQueue(self.database, self.host, options.lease_s),
             self.files,
-            make_team,
-            options.workers,
-            self.scratch,
-            lease_s=options.lease_s,
+            WorkerSetup(make_team, options.workers, self.scratch),
+            RetentionPolicy(
+                keep_s=None if limits.keep_days is None else limits.keep_days * 86400.0,
+                audit_s=None if limits.audit_days is None else limits.audit_days * 86400.0,
+                used_shas=self.jobs.used_shas,
+            ),
             alone=options.database is None,
-            keep_s=None if limits.keep_days is None else limits.keep_days * 86400.0,
-            audit_s=None if limits.audit_days is None else limits.audit_days * 86400.0,
-            shas=self.jobs.shas,
             on_newer=self._sender.stop,
         )
-        self.elements = Elements(self)
+        self.elements = ElementStore(self)
         self.estimates = Estimates(self.database)
-        self.drafts = Drafts(self.database, self.limits)
+        self.drafts = DraftStore(self.database, self.limits)
         self.releases = Releases(self.database, self.files)
         self._turns: dict[str, anyio.Semaphore] = {}
-        self._readers = anyio.Semaphore(options.examiners)  # in the order of who asks
-        self._long: dict[str, anyio.Lock] = {}
+        self._readers = anyio.Semaphore(options.examiners)  # first come, first served
+        self._long_readings: dict[str, anyio.Lock] = {}
         self._waiting: Counter[str] = Counter()
-        self._read: OrderedDict[str, Examined] = OrderedDict()
+        self._results: OrderedDict[str, ReadingResult] = OrderedDict()
         self._read_lock = threading.Lock()
 
-    async def made_once(
+    async def create_idempotent(
         self,
         request: Request,
         owner: str,
-        once: Once | None,
-        make: Callable[[Reading], Pieces[Sequence[JobOut]]],
+        idempotency_key: IdempotencyKey | None,
+        make: Callable[[UploadReading], Pieces[Sequence[JobOut]]],
     ) -> Sequence[JobOut]:
-        """The jobs that a request made which is to be done ``once``, else those that are made now; raises as
-        :meth:`in_turns`, and 422 for a key that came with another request."""
-        known = await anyio.to_thread.run_sync(self.jobs.made, once)
-        return known or await self.in_turns(request, owner, make)
+        """Return the jobs that an earlier request with the key created, else create them.
 
-    async def in_turn(self, request: Request, owner: str, read: Callable[[Reading], Read]) -> Read:
-        """What ``read`` gives, in one piece; raises as :meth:`in_turns`."""
+        Args:
+            request: Request.
+            owner: Token.
+            idempotency_key: Idempotency key, or None.
+            make: Function that creates the jobs.
 
-        def whole(reading: Reading) -> Pieces[Read]:
+        Raises:
+            RefusedError: As :meth:`run_in_turns`, and 422 for a key of another request.
+        """
+        earlier_jobs = await anyio.to_thread.run_sync(self.jobs.created_before, idempotency_key)
+        return earlier_jobs or await self.run_in_turns(request, owner, make)
+
+    async def run_in_turn(
+        self, request: Request, owner: str, read: Callable[[UploadReading], ReadResult]
+    ) -> ReadResult:
+        """Run a reading in one part, in the owner's turn.
+
+        Args:
+            request: Request.
+            owner: Token.
+            read: Function that reads.
+
+        Raises:
+            RefusedError: As :meth:`run_in_turns`.
+        """
+
+        def in_one_piece(reading: UploadReading) -> Pieces[ReadResult]:
             yield
             return read(reading)
 
-        return await self.in_turns(request, owner, whole)
+        return await self.run_in_turns(request, owner, in_one_piece)
 
-    async def in_turns(self, request: Request, owner: str, read: Callable[[Reading], Pieces[Read]]) -> Read:
-        """What ``read`` gives, each of its pieces in a thread when it is the owner's turn: one token never
-        keeps all readers from the others, who wait for one piece of a long reading and not for the whole, and
-        has so many requests waiting at most. A connection that is closed meanwhile ends its reading. The
-        request's body has come in.
+    async def run_in_turns(
+        self, request: Request, owner: str, read: Callable[[UploadReading], Pieces[ReadResult]]
+    ) -> ReadResult:
+        """Run a reading in parts, each in a thread and in the owner's turn.
 
-        Raises what ``read`` does, and :class:`RefusedError`: 429 where too many wait, 499 where who asked
-        has gone.
+        One token never occupies all readers: others wait for one part of a long reading, not for all of it.
+        The number of waiting requests per token is limited. Closing the connection ends the reading. The
+        body of the request must have been received.
+
+        Args:
+            request: Request.
+            owner: Token.
+            read: Function that reads in parts.
+
+        Returns:
+            Result of the reading.
+
+        Raises:
+            RefusedError: 429, too many requests wait. 499, the client has disconnected.
+            Exception: Any exception of ``read``.
         """
-        reading = Reading()
-        found: list[Read] = []
-        failed: list[Exception] = []
+        reading = UploadReading()
+        results: list[ReadResult] = []
+        errors: list[Exception] = []
         async with anyio.create_task_group() as tasks:
 
             async def wait_and_read() -> None:
                 try:
-                    async with self._waits(owner):
-                        found.extend(await self._read_in_turns(owner, read(reading)))
-                except Exception as error:  # a task group would wrap it
-                    failed.append(error)
+                    async with self._waiting_slot(owner):
+                        results.extend(await self._read_in_turns(owner, read(reading)))
+                except Exception as error:  # a task group would wrap it in a group
+                    errors.append(error)
                 tasks.cancel_scope.cancel()
 
             tasks.start_soon(wait_and_read)
             while (await request.receive())["type"] != "http.disconnect":
                 pass
-            reading.break_off()  # the thread is not given up: it ends with its process
+            reading.cancel()  # the thread cannot be cancelled, it ends with its reader process
             tasks.cancel_scope.cancel()
-        if failed:
-            raise failed[0]
-        if not found:
+        if errors:
+            raise errors[0]
+        if not results:
             raise connection_closed()
-        return found[0]
+        return results[0]
 
-    async def _read_in_turns(self, owner: str, pieces: Pieces[Read]) -> list[Read]:
-        """What was read. Of several long readings of one owner one goes on, for what was read of each is held
-        in memory until its end."""
+    async def _read_in_turns(self, owner: str, pieces: Pieces[ReadResult]) -> list[ReadResult]:
+        """Run the parts of a reading.
+
+        Of several long readings of one owner only one proceeds, because each holds its results in memory
+        until its end.
+        """
         readers = self.options.examiners if owner == LOCAL else max(1, self.options.examiners - 1)
-        own = self._turns.setdefault(owner, anyio.Semaphore(readers))
+        owner_turns = self._turns.setdefault(owner, anyio.Semaphore(readers))
 
-        async def piece() -> list[Read]:
-            async with own, self._readers:
-                return await anyio.to_thread.run_sync(_go_on, pieces)
+        async def run_piece() -> list[ReadResult]:
+            async with owner_turns, self._readers:
+                return await anyio.to_thread.run_sync(_advance, pieces)
 
-        if found := _go_on(pieces) or await piece():
-            return found
-        async with self._long.setdefault(owner, anyio.Lock()):
-            while not (found := await piece()):
+        if result := _advance(pieces) or await run_piece():
+            return result
+        async with self._long_readings.setdefault(owner, anyio.Lock()):
+            while not (result := await run_piece()):
                 pass
-        return found
+        return result
 
     @contextlib.asynccontextmanager
-    async def _waits(self, owner: str) -> AsyncIterator[None]:
-        most = self.limits.readings
-        if owner != LOCAL and self._waiting[owner] >= most:
-            what = f"{most} uploads of this token wait to be read, as many as may; send this one later"
-            raise too_many(what, 5, most)
+    async def _waiting_slot(self, owner: str) -> AsyncIterator[None]:
+        max_readings = self.limits.readings
+        if owner != LOCAL and self._waiting[owner] >= max_readings:
+            message = (
+                f"too many uploads of this token wait to be read (allowed {max_readings}). Try again later."
+            )
+            raise too_many(message, 5, max_readings)
         self._waiting[owner] += 1
         try:
             yield
@@ -223,41 +297,41 @@ class Service:
             self._waiting[owner] -= 1
 
     def start(self) -> None:
-        """Begin to plan."""
+        """Start planning and sending of webhooks."""
         self.runner.start()
         self._sender.start()
 
-    def closed(self) -> RefusedError | None:
-        """Why no request is taken, whoever asks; None where some are."""
-        if self.database.newer is None:
+    def closed_refusal(self) -> RefusedError | None:
+        """Return the refusal if no requests are accepted at all, else None."""
+        if self.database.newer_version is None:
             return None
         remedy = "Update tandem-planner on this host, or use another host of the service."
-        message = f"the database {self.database.newer}. {remedy}"
+        message = f"the database {self.database.newer_version}. {remedy}"
         return RefusedError(503, Issue("service.database", message), {"Retry-After": "60"})
 
-    def unready(self) -> list[Issue]:
-        """Why jobs are not taken in or not planned now; nothing where they are."""
+    def unready_issues(self) -> list[Issue]:
+        """Return the reasons why jobs are not accepted or not planned now."""
         issues = []
         try:
             self.database.ping()
         except SQLAlchemyError:
-            issues.append(Issue("service.database", "the database is away"))
+            issues.append(Issue("service.database", "the database is unavailable"))
         try:
-            self.storage.allow()
+            self.storage.check_space()
         except RefusedError as refused:
             issues += refused.issues
-        if closed := self.closed():
+        if closed := self.closed_refusal():
             issues = list(closed.issues)
         elif not issues and not self.runner.working:
-            issues.append(Issue("service.not_planning", "jobs are taken in, and none is planned now"))
+            issues.append(Issue("service.not_planning", format_message("service.not_planning")))
         return issues
 
     def stop_reading(self) -> None:
-        """End the reading of uploads; requests that wait for it are told."""
+        """Stop reading uploads. Requests that wait for it are refused."""
         self._examiners.close()
 
     def close(self) -> None:
-        """Stop: jobs that run wait for the next start."""
+        """Stop the service. Running jobs are queued until the next start."""
         self.hub.close()
         self.runner.stop()
         self._sender.stop()
@@ -268,177 +342,259 @@ class Service:
 
     def examine(
         self,
-        upload: Upload,
-        reach: bool = False,
-        draw: bool = False,
-        reading: Reading | None = None,
-        targets: int | None = None,
-        cell: Mapping[str, Any] | None = None,
-        fields: Mapping[str, Any] | None = None,
-    ) -> Examined:
-        """Read an upload, with ``fields`` in place of its own; one that was read is known again. Raises
-        :class:`RefusedError`, 413, 422, or 499 where ``reading`` is broken off."""
+        upload: ProblemUpload,
+        options: ReadingOptions = PROBLEM_ONLY,
+        reading: UploadReading | None = None,
+    ) -> ReadingResult:
+        """Read an upload. Results are cached, except drawings.
+
+        Args:
+            upload: Problem and its files.
+            options: What is computed, and which fields are replaced.
+            reading: Reading, which another thread can cancel.
+
+        Raises:
+            RefusedError: 413, 422, or 499 if the reading is cancelled.
+        """
         rows = [
             upload.problem.sha,
-            reach,
-            draw,
-            targets,
-            sorted((cell or {}).items()),
-            sorted((fields or {}).items()),
+            options.reach,
+            options.draw,
+            options.targets,
+            sorted((options.cell or {}).items()),
+            sorted((options.fields or {}).items()),
             sorted((name, blob.sha) for name, blob in upload.files.items()),
         ]
         key = hashlib.sha256(json.dumps(rows).encode()).hexdigest()
         with self._read_lock:
-            known = self._read.get(key)
-        if known is None:
+            result = self._results.get(key)
+        if result is None:
             uploads = {name: self.files.path(blob.sha) for name, blob in upload.files.items()}
             problem = self.files.path(upload.problem.sha)
-            known = _readable(
-                self._examiners.examine(problem, uploads, reach, draw, reading, targets, cell, fields)
-            )
-            if draw or cell:  # pictures are large, and asked for once
-                return known
+            result = _check_readable(self._examiners.examine(problem, uploads, options, reading))
+            if options.draw or options.cell:  # drawings are large and requested once
+                return result
             with self._read_lock:
-                self._read[key] = known
-                while len(self._read) > REMEMBERED:
-                    self._read.popitem(last=False)
-        return known
+                self._results[key] = result
+                while len(self._results) > MAX_CACHED_RESULTS:
+                    self._results.popitem(last=False)
+        return result
 
     def create(
         self,
         owner: str,
-        upload: Upload,
-        timeout_s: float | None,
-        memory_mb: float | None,
-        reading: Reading | None = None,
-        once: Once | None = None,
+        upload: ProblemUpload,
+        limits: PlanningLimits,
+        reading: UploadReading | None = None,
+        idempotency_key: IdempotencyKey | None = None,
     ) -> Pieces[list[JobOut]]:
-        """The one job for an upload; raises :class:`RefusedError`, 413, 422, 429, 499 or 507."""
+        """Create the job for an upload.
+
+        Args:
+            owner: Token.
+            upload: Problem and its files.
+            limits: Requested limits.
+            reading: Reading, which another thread can cancel.
+            idempotency_key: Idempotency key, or None.
+
+        Raises:
+            RefusedError: 413, 422, 429, 499 or 507.
+        """
         yield
-        read = self.examine(upload, reading=reading)
-        files = self.stored(owner, {PROBLEM: read}, upload.files)[PROBLEM]
-        return [self.jobs.create(self.new_job(owner, read.name, read, files, timeout_s, memory_mb), once)]
+        result = self.examine(upload, reading=reading)
+        files = self.store_job_files(owner, {PROBLEM_FILE: result}, upload.files)[PROBLEM_FILE]
+        new_job = self.new_job(owner, result.name, result, files, limits)
+        return [self.jobs.create(new_job, idempotency_key)]
 
     def sweep(
         self,
         owner: str,
-        upload: Upload,
-        field: str,
-        values: Sequence[Any],
-        tag: str,
-        reading: Reading,
-        once: Once | None = None,
+        upload: ProblemUpload,
+        field_sweep: FieldSweep,
+        reading: UploadReading,
+        idempotency_key: IdempotencyKey | None = None,
     ) -> Pieces[list[JobOut]]:
-        """A job for each value of a field, all or none; raises as :meth:`create`."""
-        read: dict[str, Examined] = {}
+        """Create a job for each value of a field, all or none.
+
+        Args:
+            owner: Token.
+            upload: Problem and its files.
+            field_sweep: Field, and its values.
+            reading: Reading, which another thread can cancel.
+            idempotency_key: Idempotency key, or None.
+
+        Raises:
+            RefusedError: As :meth:`create`.
+        """
+        field, values = field_sweep.field, field_sweep.values
+        results: dict[str, ReadingResult] = {}
         for number, value in enumerate(values):
             yield
-            said = f"{field} = {json.dumps(value, ensure_ascii=False)[:80]}: "
-            with _said_of(said):
-                read[str(number)] = self.examine(upload, reading=reading, fields={field: value})
-        files = self.stored(owner, read, upload.files, PROBLEM)
+            prefix = f"{field} = {json.dumps(value, ensure_ascii=False)[:80]}: "
+            with _prefixed_refusals(prefix):
+                results[str(number)] = self.examine(upload, ReadingOptions(fields={field: value}), reading)
+        files = self.store_job_files(owner, results, upload.files, PROBLEM_FILE)
         jobs = []
-        for (name, one), value in zip(read.items(), values, strict=True):
+        for (name, result), value in zip(results.items(), values, strict=True):
             shown = value if isinstance(value, str) else json.dumps(value)
-            title = begin(f"{one.name}: {field} = {shown}")
-            new = self.new_job(owner, one.name, one, files[name])
-            jobs.append(dataclasses.replace(new, title=title, tags=(tag,)))
-        return self.jobs.create_all(jobs, once)
+            title = truncated_line(f"{result.name}: {field} = {shown}")
+            new_job = self.new_job(owner, result.name, result, files[name])
+            jobs.append(dataclasses.replace(new_job, title=title, tags=(field_sweep.tag,)))
+        return self.jobs.create_all(jobs, idempotency_key)
 
     def batch(
-        self, owner: str, uploads: Mapping[str, Upload], tag: str, reading: Reading, once: Once | None = None
+        self,
+        owner: str,
+        uploads: Mapping[str, ProblemUpload],
+        tag: str,
+        reading: UploadReading,
+        idempotency_key: IdempotencyKey | None = None,
     ) -> Pieces[list[JobOut]]:
-        """A job for each of several problems with common files, all or none; raises as :meth:`create`, for
-        all problems that cannot be read at once."""
-        read: dict[str, Examined] = {}
+        """Create a job for each of several problems with common files, all or none.
+
+        Args:
+            owner: Token.
+            uploads: Problems by file name.
+            tag: Tag of the jobs.
+            reading: Reading, which another thread can cancel.
+            idempotency_key: Idempotency key, or None.
+
+        Raises:
+            RefusedError: As :meth:`create`, with the issues of all problems that cannot be read.
+        """
+        results: dict[str, ReadingResult] = {}
         refused: list[tuple[int, Issue]] = []
         for number, (name, upload) in enumerate(uploads.items()):
             yield
             try:
-                with _said_of(f"{name[:80]}: "):
-                    read[name] = self.examine(upload, reading=reading)
+                with _prefixed_refusals(f"{name[:80]}: "):
+                    results[name] = self.examine(upload, reading=reading)
             except RefusedError as error:
                 if error.status != 422:
                     raise
                 refused += [(number, issue) for issue in error.issues]
         if refused:
-            raise RefusedError(422, [one for _, one in refused], of=[number for number, _ in refused])
+            raise RefusedError(422, [result for _, result in refused], of=[number for number, _ in refused])
         files = {name: blob for upload in uploads.values() for name, blob in upload.files.items()}
-        stored = self.stored(owner, read, files, PROBLEM)
-        same = Counter(one.name for one in read.values())
+        stored = self.store_job_files(owner, results, files, PROBLEM_FILE)
+        name_counts = Counter(result.name for result in results.values())
         jobs = []
-        for name, one in read.items():  # those that have one name are told apart by their files
-            title = begin(f"{one.name}: {name}") if same[one.name] > 1 else ""
-            new = self.new_job(owner, one.name, one, stored[name])
-            jobs.append(dataclasses.replace(new, title=title, tags=(tag,)))
-        return self.jobs.create_all(jobs, once)
+        for name, result in results.items():  # equal names are distinguished by their files
+            title = truncated_line(f"{result.name}: {name}") if name_counts[result.name] > 1 else ""
+            new_job = self.new_job(owner, result.name, result, stored[name])
+            jobs.append(dataclasses.replace(new_job, title=title, tags=(tag,)))
+        return self.jobs.create_all(jobs, idempotency_key)
 
     def examine_element(
-        self, sha: str, uploads: Mapping[str, Blob], fields: Mapping[str, Any], reading: Reading
-    ) -> Examined:
-        """Read an uploaded element; raises as :meth:`examine`."""
+        self, sha: str, uploads: Mapping[str, Blob], fields: Mapping[str, Any], reading: UploadReading
+    ) -> ReadingResult:
+        """Read an uploaded element.
+
+        Args:
+            sha: SHA-256 of the element file.
+            uploads: Files by name.
+            fields: New values by field path.
+            reading: Reading, which another thread can cancel.
+
+        Raises:
+            RefusedError: As :meth:`examine`.
+        """
         paths = {name: self.files.path(blob.sha) for name, blob in uploads.items()}
-        return _readable(self._examiners.examine_element(self.files.path(sha), paths, fields, reading))
+        return _check_readable(self._examiners.examine_element(self.files.path(sha), paths, fields, reading))
 
     def examine_panels(
-        self, files: Mapping[str, Blob], panels: Sequence[str], reading: Reading
-    ) -> Pieces[dict[str, Examined]]:
-        """Panels out of the files of a divided element, by their ids; raises as :meth:`examine`."""
-        paths = {name: self.files.path(blob.sha) for name, blob in files.items()}
-        read: dict[str, Examined] = {}
-        for start in range(0, len(panels), PANELS_AT_ONCE):
-            yield
-            some = panels[start : start + PANELS_AT_ONCE]
-            found = self._examiners.examine_panels(paths, some, reading)
-            read |= dict(zip(some, map(_readable, found), strict=True))
-        return read
+        self, files: Mapping[str, Blob], panels: Sequence[str], reading: UploadReading
+    ) -> Pieces[dict[str, ReadingResult]]:
+        """Read panels of a divided element.
 
-    def stored(
+        Args:
+            files: Files of the element by name.
+            panels: Ids of panels.
+            reading: Reading, which another thread can cancel.
+
+        Returns:
+            Results by panel.
+
+        Raises:
+            RefusedError: As :meth:`examine`.
+        """
+        paths = {name: self.files.path(blob.sha) for name, blob in files.items()}
+        results: dict[str, ReadingResult] = {}
+        for start in range(0, len(panels), PANELS_PER_TURN):
+            yield
+            batch = panels[start : start + PANELS_PER_TURN]
+            batch_results = self._examiners.examine_panels(paths, batch, reading)
+            results |= dict(zip(batch, map(_check_readable, batch_results), strict=True))
+        return results
+
+    def store_job_files(
         self,
         owner: str,
-        read: Mapping[str, Examined],
+        results: Mapping[str, ReadingResult],
         uploads: Mapping[str, Blob],
         document: str | None = None,
     ) -> dict[str, dict[str, Blob]]:
-        """Files of the jobs for what was read, by the same names; these are those of the document too, where
-        none is named. Raises :class:`RefusedError`, 507."""
+        """Store the files of the jobs for results of reading.
+
+        Args:
+            owner: Token.
+            results: Results of reading by name.
+            uploads: Stored uploads by name.
+            document: Name of the problem file of each job. By default the name of the result.
+
+        Returns:
+            For each name the files of its job.
+
+        Raises:
+            RefusedError: 507.
+        """
         sizes = {blob.sha: blob.size for blob in uploads.values()}
-        texts = self.storage.put(owner, [io.BytesIO(one.text.encode()) for one in read.values()])
-        out = {}
-        for (name, one), text in zip(read.items(), texts, strict=True):
-            files = {f"problem/{file}": Blob(sha, sizes[sha]) for file, sha in one.files.items()}
-            out[name] = {f"problem/{document or name}": text, **files}
-        return out
+        texts = self.storage.put(owner, [io.BytesIO(result.text.encode()) for result in results.values()])
+        files_by_name = {}
+        for (name, result), text in zip(results.items(), texts, strict=True):
+            files = {f"problem/{file}": Blob(sha, sizes[sha]) for file, sha in result.files.items()}
+            files_by_name[name] = {f"problem/{document or name}": text, **files}
+        return files_by_name
 
     def new_job(
         self,
         owner: str,
         name: str,
-        read: Examined,
+        result: ReadingResult,
         files: Mapping[str, Blob],
-        timeout_s: float | None = None,
-        memory_mb: float | None = None,
-        of: OfElement | None = None,
-        after: str = "",
+        limits: PlanningLimits = SERVICE_LIMITS_ONLY,
+        of: ElementRole | None = None,
     ) -> NewJob:
-        """A job for what was read; its answer depends on that, on what the files are called, for results name
-        them, and on the key of the one that it comes ``after``."""
+        """Describe the job for a result of reading.
+
+        Its answer depends on the problem, on the names of its files, because results contain them, and on
+        the key of the job before it.
+
+        Args:
+            owner: Token.
+            name: Name of the job.
+            result: Result of reading.
+            files: Stored files by name.
+            limits: Requested limits.
+            of: Role in an element, or None.
+        """
+        reference_key = "" if of is None else of.reference_key
         return NewJob(
             owner=owner,
             name=name,
-            digest=read.digest,
-            key=_key(" ".join((read.digest, *sorted(read.files), after)).strip()),
-            processes=read.processes,
+            digest=result.digest,
+            key=_answer_key(" ".join((result.digest, *sorted(result.files), reference_key)).strip()),
+            processes=result.processes,
             files=files,
-            timeout_s=min(timeout_s or self.limits.job_s, self.limits.job_s),
-            memory_mb=min(memory_mb or self.limits.job_memory_mb, self.limits.job_memory_mb),
-            issues=read.issues,
+            timeout_s=min(limits.timeout_s or self.limits.job_s, self.limits.job_s),
+            memory_mb=min(limits.memory_mb or self.limits.job_memory_mb, self.limits.job_memory_mb),
+            issues=result.issues,
             of=of,
         )
 
 
-def _go_on(pieces: Pieces[Read]) -> list[Read]:
-    """Read up to the next wait: what was read where that was all, else nothing."""
+def _advance(pieces: Pieces[ReadResult]) -> list[ReadResult]:
+    """Run a reading to its next wait. Return its result in a list, or an empty list if it continues."""
     try:
         next(pieces)
     except StopIteration as end:
@@ -446,32 +602,36 @@ def _go_on(pieces: Pieces[Read]) -> list[Read]:
     return []
 
 
-def _log_in(database: Database, auth: Auth, oidc: Oidc) -> LogIn:
+def _create_log_in(database: Database, auth: Auth, oidc: OidcSettings) -> LogIn:
     from planner.service.oidc import LogIn
 
     return LogIn(database, auth, oidc)
 
 
 @contextlib.contextmanager
-def _said_of(what: str) -> Iterator[None]:
-    """Refusals begin with ``what``: of which of several things they are."""
+def _prefixed_refusals(prefix: str) -> Iterator[None]:
+    """Prefix the messages of refusals, to name the item that they concern."""
     try:
         yield
     except RefusedError as refused:
-        issues = [dataclasses.replace(one, message=what + one.message) for one in refused.issues]
+        issues = [dataclasses.replace(issue, message=prefix + issue.message) for issue in refused.issues]
         raise RefusedError(refused.status, issues, refused.headers) from refused
 
 
-def _readable(read: Examined) -> Examined:
-    """The same; raises :class:`RefusedError`, 413 or 422, for what cannot be read."""
-    if not read.readable:
-        large = all(issue.code == "service.too_large" for issue in read.issues)
-        raise RefusedError(413 if large else 422, read.issues)
-    return read
+def _check_readable(result: ReadingResult) -> ReadingResult:
+    """Return a result of reading unchanged if the upload could be read.
+
+    Raises:
+        RefusedError: 413 or 422.
+    """
+    if not result.readable:
+        large = all(issue.code == "service.too_large" for issue in result.issues)
+        raise RefusedError(413 if large else 422, result.issues)
+    return result
 
 
-def _key(digest: str) -> str:
-    """What a problem's answer depends on: the problem, and the versions that plan it."""
+def _answer_key(digest: str) -> str:
+    """Return the hash of all that an answer depends on: problem and program versions."""
     return hashlib.sha256(f"{digest} {_versions()}".encode()).hexdigest()
 
 
@@ -480,32 +640,40 @@ def _versions() -> str:
     return json.dumps(all_versions(), sort_keys=True)
 
 
-def lock_data(data: Path, alone: bool) -> IO[str]:
-    """Make the data folder; where the database lies in it, keep other services out until this one ends."""
+def lock_data(data: Path, exclusive: bool) -> IO[str]:
+    """Create the data folder. Lock it if the database is in it.
+
+    Args:
+        data: Data folder.
+        exclusive: Lock out other services until the returned file is closed.
+
+    Raises:
+        TandemError: The folder is not writable or in use.
+    """
     try:
         data.mkdir(parents=True, exist_ok=True, mode=0o700)
         lock = (data / "service.lock").open("w")
     except OSError as error:
-        message = f"data folder {data}: cannot be written ({error.strerror}); give another one"
-        raise refusal("service.start", message, field="data") from error
+        message = f"data folder {data}: not writable ({error.strerror}). Give another folder."
+        raise issue_error("service.start", message, field="data") from error
     try:
-        if alone:
+        if exclusive:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         lock.close()
-        message = f"data folder {data}: a service is running on it; stop it, or give another folder"
-        raise refusal("service.start", message, field="data") from error
+        message = f"data folder {data}: in use by a running service. Stop it, or give another folder."
+        raise issue_error("service.start", message, field="data") from error
     return lock
 
 
-def _work_folder(work: Path, alone: bool, host: str) -> Path:
-    """A folder of this instance for what is under way; what killed ones of this machine left is removed."""
+def _work_folder(work: Path, exclusive: bool, host: str) -> Path:
+    """Create the work folder of this instance, and remove those of failed instances of this machine."""
     work.mkdir(exist_ok=True, mode=0o700)
-    for old in work.iterdir():
-        name, _, rest = old.name.partition(PID_MARK)
-        gone = name == socket.gethostname() and not Path("/proc", rest.split("-")[0]).exists()
-        if alone or gone:
-            shutil.rmtree(old, ignore_errors=True)
+    for folder_of_instance in work.iterdir():
+        name, _, rest = folder_of_instance.name.partition(PID_SEPARATOR)
+        is_orphaned = name == socket.gethostname() and not Path("/proc", rest.split("-")[0]).exists()
+        if exclusive or is_orphaned:
+            shutil.rmtree(folder_of_instance, ignore_errors=True)
     folder = work / host
     folder.mkdir(mode=0o700)
     return folder

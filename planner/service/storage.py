@@ -1,11 +1,11 @@
-"""Files by their content: uploads taken in, and room for what a token's files, and all, may take.
+"""Content-addressed files: storage of uploads, and limits for the files of a token and of the service.
 
-Each file is stored once, under its SHA-256, and whole or not at all; so content counts once,
-however often it is named. A token is charged with the content of its jobs, and for an hour with
-what it sent without making a job of it, because that stays on the disk for so long. Results are
-never refused: they are charged when they are there.
+Each file is stored once, under its SHA-256, and whole or not at all. Equal content therefore counts once,
+however many jobs use it. A token is charged for the content of its jobs, and for an hour for uploads
+without a job, because they stay on the disk for that time. Results are never refused: they are charged once
+they exist.
 
-What a user uploads (`take`), a problem and its files, is told all at once what is wrong with it.
+An upload is a problem and its files. All faults of an upload are reported at once.
 """
 
 import dataclasses
@@ -34,39 +34,48 @@ from starlette.requests import ClientDisconnect, Request
 from planner.files import base_name, is_disk_full
 from planner.issues import Issue
 from planner.reading.strict_yaml import MAX_YAML_BYTES
-from planner.service.security import MB, Limits, RefusedError, too_large
+from planner.service.security import MB, RefusedError, ServiceLimits, too_large
 
 CHUNK_BYTES: Final = 1 << 20
-"""Bytes of a file that are read at once."""
+"""Bytes of a file that are read at a time."""
 GRACE_S: Final = 3600.0
-"""A file that nobody names is kept for so long: the job that it belongs to may be about to be written."""
+"""Time [s] for which an unused file is kept, because its job may not have been written yet."""
 _SHA: Final = re.compile(r"[0-9a-f]{64}")
 """A SHA-256 in hexadecimal digits."""
 
 
 class Blob(NamedTuple):
-    """A stored file: its SHA-256 in hex, and its size [bytes]."""
+    """A stored file.
+
+    Attributes:
+        sha: SHA-256 in hexadecimal digits.
+        size: Size [bytes].
+    """
 
     sha: str
     size: int
 
 
-class Files:
-    """The stored files under ``root``, in folders by the first two digits of their hash."""
+class ContentStore:
+    """Content-addressed files in a folder, with subfolders by the first two digits of the hash."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
         self._incoming = root / "incoming"
         self._incoming.mkdir(parents=True, exist_ok=True)
         self._lock = threading.Lock()
-        self.used = self._measured()
-        """What all files take [bytes]; what other hosts store is known after the next sweep."""
+        self.used = self._total_size()
+        """Size of all files [bytes]. Files of other hosts are included after the next sweep."""
 
     def put(self, stream: BinaryIO, known: Blob | None = None) -> Blob:
-        """Store what ``stream`` holds from here on. With ``known``, what :func:`blob_of` said of it, it is
-        not hashed again, and only read if it is new.
+        """Store the rest of a stream.
+
+        Args:
+            stream: Stream.
+            known: Hash and size from :func:`blob_of`, if known. Then the content is not hashed again, and
+                is read only if it is new.
         """
-        if known is not None and self._wanted_again(known.sha):
+        if known is not None and self._touch(known.sha):
             return known
         digest, size = hashlib.sha256(), 0
         handle, name = tempfile.mkstemp(dir=self._incoming)
@@ -80,17 +89,17 @@ class Files:
                 out.flush()
                 os.fsync(out.fileno())
             blob = known or Blob(digest.hexdigest(), size)
-            if size != blob.size:  # no name may stand for other content
-                raise OSError(f"{size} bytes were read of a file of {blob.size}")
+            if size != blob.size:  # a hash must not name other content
+                raise OSError(f"read {size} bytes of a file of {blob.size}")
             target = self.path(blob.sha)
             with self._lock:
-                new = not self._wanted_again(blob.sha)
+                new = not self._touch(blob.sha)
                 if new:
                     target.parent.mkdir(exist_ok=True)
                     Path(name).replace(target)
                     self.used += size
             if new:
-                _to_disk(target.parent)
+                _sync_folder(target.parent)
         finally:
             Path(name).unlink(missing_ok=True)
         return blob
@@ -101,83 +110,95 @@ class Files:
             return self.put(stream)
 
     def path(self, sha: str) -> Path:
-        """Where the file with that hash lies; raises ``ValueError`` for what is no hash."""
+        """Return the path of the file with a hash.
+
+        Args:
+            sha: SHA-256 in hexadecimal digits.
+
+        Raises:
+            ValueError: Not a SHA-256.
+        """
         if not is_sha(sha):
-            raise ValueError(f"{sha!r} is no SHA-256")
+            raise ValueError(f"{sha!r} is not a SHA-256")
         return self.root / sha[:2] / sha
 
     def has(self, sha: str) -> bool:
-        """Whether it is stored."""
+        """Report whether a file is stored."""
         return self.path(sha).is_file()
 
     def read(self, sha: str) -> bytes:
-        """The content."""
+        """Return the content of a file."""
         return self.path(sha).read_bytes()
 
-    def sweep(self, wanted: Callable[[list[str]], set[str]]) -> int:
-        """Remove files that ``wanted`` does not keep, a folder at a time, and what killed uploads left; their
-        number.
+    def sweep(self, used_shas: Callable[[list[str]], set[str]]) -> int:
+        """Remove unused files, one folder at a time, and what interrupted uploads left.
+
+        Args:
+            used_shas: Function that returns those of some hashes that are in use.
+
+        Returns:
+            Number of removed files.
         """
-        before, removed = time.time() - GRACE_S, 0
+        limit_time, removed = time.time() - GRACE_S, 0
         for folder in sorted(self.root.iterdir()):
-            old = [path for path in folder.iterdir() if _older(path, before)]
+            old_paths = [path for path in folder.iterdir() if _is_older(path, limit_time)]
             if folder == self._incoming:
-                kept: set[str] = set()
+                used: set[str] = set()
             else:
-                old = [path for path in old if _SHA.fullmatch(path.name)]
-                kept = wanted([path.name for path in old]) if old else set()
-            for path in old:
-                if path.name not in kept and _older(path, before):
+                old_paths = [path for path in old_paths if _SHA.fullmatch(path.name)]
+                used = used_shas([path.name for path in old_paths]) if old_paths else set()
+            for path in old_paths:
+                if path.name not in used and _is_older(path, limit_time):
                     path.unlink(missing_ok=True)
                     removed += 1
         with self._lock:
-            self.used = self._measured()
+            self.used = self._total_size()
         return removed
 
-    def _wanted_again(self, sha: str) -> bool:
-        """Whether it is stored; the sweep leaves it from now on."""
+    def _touch(self, sha: str) -> bool:
+        """Report whether a file is stored, and protect it from the next sweep."""
         try:
             os.utime(self.path(sha))
         except FileNotFoundError:
             return False
         return True
 
-    def _measured(self) -> int:
+    def _total_size(self) -> int:
         folders = [folder for folder in self.root.iterdir() if folder != self._incoming and folder.is_dir()]
         return sum(_size(path) for folder in folders for path in folder.iterdir())
 
 
 def is_sha(value: object) -> bool:
-    """Whether it is a SHA-256 as a name of a stored file has it."""
+    """Report whether a value is a SHA-256, as in the names of stored files."""
     return isinstance(value, str) and _SHA.fullmatch(value) is not None
 
 
 def blob_of(stream: BinaryIO) -> Blob:
-    """What storing the rest of ``stream`` would give; the stream is where it was afterwards."""
-    begin, digest, size = stream.tell(), hashlib.sha256(), 0
+    """Return hash and size of the rest of a stream. The position of the stream is restored."""
+    position, digest, size = stream.tell(), hashlib.sha256(), 0
     while chunk := stream.read(CHUNK_BYTES):
         digest.update(chunk)
         size += len(chunk)
-    stream.seek(begin)
+    stream.seek(position)
     return Blob(digest.hexdigest(), size)
 
 
 def _size(path: Path) -> int:
     try:
         return path.stat().st_size
-    except FileNotFoundError:  # another host's sweep
+    except FileNotFoundError:  # removed by another host's sweep
         return 0
 
 
-def _older(path: Path, before: float) -> bool:
+def _is_older(path: Path, limit_time: float) -> bool:
     try:
-        return path.stat().st_mtime < before
+        return path.stat().st_mtime < limit_time
     except FileNotFoundError:
         return False
 
 
-def _to_disk(folder: Path) -> None:
-    """A rename is on the disk when its folder is."""
+def _sync_folder(folder: Path) -> None:
+    """Synchronise a folder, so that a rename in it is on disk."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -185,53 +206,80 @@ def _to_disk(folder: Path) -> None:
         os.close(handle)
 
 
-FREE_MB: Final = 256.0
-"""So much of the disk is left to the database and to the results of jobs that run."""
-KNOWN_S: Final = 10.0
-"""So long a token's use is taken to be what it was, unless that would be a refusal."""
+MIN_FREE_MB: Final = 256.0
+"""Disk space [MB] that is reserved for the database and for the results of running jobs."""
+USAGE_CACHE_S: Final = 10.0
+"""Time [s] for which the size of a token's files is cached, unless the result would be a refusal."""
 
 
-class Storage:
-    """The stored files with their limits. ``owned`` tells a token's content: sizes [bytes] by SHA-256."""
+class StorageQuota:
+    """The stored files with their limits.
 
-    def __init__(self, files: Files, owned: Callable[[str], Mapping[str, int]], limits: Limits) -> None:
-        self._files, self._read, self._limits = files, owned, limits
+    Args:
+        files: Stored files.
+        read_owned: Function that returns a token's content: sizes [bytes] by SHA-256.
+        limits: Limits.
+    """
+
+    def __init__(
+        self, files: ContentStore, read_owned: Callable[[str], Mapping[str, int]], limits: ServiceLimits
+    ) -> None:
+        self._files, self._read_owned, self._limits = files, read_owned, limits
         self._lock = threading.Lock()
-        self._known: dict[str, tuple[float, Mapping[str, int]]] = {}
+        self._usage: dict[str, tuple[float, Mapping[str, int]]] = {}
         self._sent: dict[str, dict[str, tuple[int, float]]] = {}
-        self._coming: Counter[Blob] = Counter()
+        self._incoming: Counter[Blob] = Counter()
 
     def put(self, owner: str, streams: Sequence[BinaryIO]) -> list[Blob]:
-        """Store what the streams hold, all or nothing where there is no room.
+        """Store streams, all or none.
 
-        Raises :class:`RefusedError`, 507.
+        Args:
+            owner: Token that is charged.
+            streams: Streams.
+
+        Raises:
+            RefusedError: 507.
         """
         blobs = [blob_of(stream) for stream in streams]
-        with self._room(owner, blobs):
-            return [self._files.put(*one) for one in zip(streams, blobs, strict=True)]
+        with self._reserved_space(owner, blobs):
+            return [self._files.put(*item) for item in zip(streams, blobs, strict=True)]
 
-    def allow(self) -> None:
-        """Raises :class:`RefusedError`, 507, where there is no room for anything."""
+    def check_space(self) -> None:
+        """Check that there is disk space at all.
+
+        Raises:
+            RefusedError: 507.
+        """
         with self._lock:
-            self._allow_all([])
+            self._check_disk_limits([])
 
-    def allow_of_other(self, owner: str, blobs: Sequence[Blob]) -> None:
-        """Raises :class:`RefusedError`, 507, where somebody whose draft these become has no room for them."""
-        self._allow_owner(owner, {blob.sha: blob.size for blob in blobs}, "the files of the draft's owner")
+    def check_owner_space(self, owner: str, blobs: Sequence[Blob]) -> None:
+        """Check that the owner of a draft has space for files that another person saves.
+
+        Args:
+            owner: Owner of the draft.
+            blobs: Files.
+
+        Raises:
+            RefusedError: 507.
+        """
+        self._check_owner_limit(
+            owner, {blob.sha: blob.size for blob in blobs}, "the files of the draft's owner"
+        )
 
     def used(self, owner: str) -> int:
-        """What a token's files take [bytes]."""
+        """Return the size of a token's files [bytes]."""
         return sum(self._charged(owner, fresh=True).values())
 
     @contextmanager
-    def _room(self, owner: str, blobs: Sequence[Blob]) -> Iterator[None]:
-        wanted = {blob.sha: blob.size for blob in blobs}
-        self._allow_owner(owner, wanted)
+    def _reserved_space(self, owner: str, blobs: Sequence[Blob]) -> Iterator[None]:
+        sizes = {blob.sha: blob.size for blob in blobs}
+        self._check_owner_limit(owner, sizes)
         with self._lock:
-            self._allow_all([blob for blob in set(blobs) if not self._files.has(blob.sha)])
-            self._coming.update(blobs)
+            self._check_disk_limits([blob for blob in set(blobs) if not self._files.has(blob.sha)])
+            self._incoming.update(blobs)
             now = time.monotonic()
-            self._sent.setdefault(owner, {}).update({sha: (size, now) for sha, size in wanted.items()})
+            self._sent.setdefault(owner, {}).update({sha: (size, now) for sha, size in sizes.items()})
         try:
             yield
         except OSError as error:
@@ -240,64 +288,70 @@ class Storage:
             raise
         finally:
             with self._lock:
-                self._coming.subtract(blobs)
-                self._coming += Counter()  # drops what is at zero
+                self._incoming.subtract(blobs)
+                self._incoming += Counter()  # drops zero counts
 
-    def _allow_owner(self, owner: str, wanted: Mapping[str, int], whose: str = "your files") -> None:
+    def _check_owner_limit(self, owner: str, sizes: Mapping[str, int], whose: str = "your files") -> None:
         limit = self._limits.token_disk_mb * MB
         for fresh in (False, True):
-            total = sum((dict(self._charged(owner, fresh)) | dict(wanted)).values())
+            total = sum((dict(self._charged(owner, fresh)) | dict(sizes)).values())
             if total <= limit:
                 return
-        what = f"with this upload {whose} take {_mb(total)}, at most {_mb(limit)} may be kept"
-        hint = "delete jobs and drafts that are not needed any more; what was only checked goes in an hour"
-        raise _full(what, total / MB, limit / MB, hint)
+        message = f"{whose} would be too large (got {_mb(total)}, allowed {_mb(limit)})"
+        hint = "Delete jobs and drafts that are no longer needed. Checked uploads are removed after an hour."
+        raise _storage_refusal(message, total / MB, limit / MB, hint)
 
-    def _allow_all(self, new: Sequence[Blob]) -> None:
-        there = sum(blob.size for blob in self._coming if not self._files.has(blob.sha))
-        more = sum(blob.size for blob in new)
+    def _check_disk_limits(self, new: Sequence[Blob]) -> None:
+        incoming = sum(blob.size for blob in self._incoming if not self._files.has(blob.sha))
+        new_bytes = sum(blob.size for blob in new)
         limit = self._limits.disk_mb
-        total = self._files.used + there + more
+        total = self._files.used + incoming + new_bytes
         if limit is not None and total > limit * MB:
-            what = (
-                f"with this upload all files of this service take {_mb(total)}, at most {limit:g} MB may be"
+            message = f"all files of the service would be too large (got {_mb(total)}, allowed {limit:g} MB)"
+            raise _storage_refusal(message, total / MB, limit)
+        free = shutil.disk_usage(self._files.root).free - incoming - new_bytes
+        if free < MIN_FREE_MB * MB:  # also for content that is already stored
+            message = (
+                f"too little free disk space would remain (got {_mb(max(free, 0))}, required {MIN_FREE_MB:g} "
+                "MB)"
             )
-            raise _full(what, total / MB, limit)
-        free = shutil.disk_usage(self._files.root).free - there - more
-        if free < FREE_MB * MB:  # what is stored already is asked about again all the same
-            what = (
-                f"this upload would leave {_mb(max(free, 0))} of the service's disk, {FREE_MB:g} MB must be"
-            )
-            raise _full(what, free / MB, FREE_MB)
+            raise _storage_refusal(message, free / MB, MIN_FREE_MB)
 
     def _charged(self, owner: str, fresh: bool) -> Mapping[str, int]:
-        at, known = self._known.get(owner, (-KNOWN_S, {}))
+        at, known = self._usage.get(owner, (-USAGE_CACHE_S, {}))
         now = time.monotonic()
-        if fresh or now - at >= KNOWN_S:
-            known = self._read(owner)
+        if fresh or now - at >= USAGE_CACHE_S:
+            known = self._read_owned(owner)
             with self._lock:
-                self._known[owner] = (now, known)
+                self._usage[owner] = (now, known)
         with self._lock:
             sent = {s: v for s, v in self._sent.get(owner, {}).items() if now - v[1] < GRACE_S}
             self._sent[owner] = sent
         return {sha: size for sha, (size, _) in sent.items()} | dict(known)
 
 
-def store_refusal(error: Exception) -> RefusedError | None:
-    """What to answer where the disk or the database fails: 507 where there is no room, 503 while the database
-    is away; None for faults of ours."""
+def refusal_of_error(error: Exception) -> RefusedError | None:
+    """Return the refusal for an error of the disk or the database.
+
+    Args:
+        error: Error.
+
+    Returns:
+        507 if the disk is full, 503 while the database is unavailable, None for faults of the service
+        itself.
+    """
     if is_disk_full(error) or (isinstance(error, DBAPIError) and _is_full(error.orig)):
         return _disk_full()
     if isinstance(error, OperationalError | InterfaceError | NoConnectionError) or (
         isinstance(error, DBAPIError) and error.connection_invalidated
     ):
-        issue = Issue("service.database", "the database of this service is away; send the request again")
+        issue = Issue("service.database", "the database of this service is unavailable. Try again.")
         return RefusedError(503, issue, {"Retry-After": "5"})
     return None
 
 
 def _is_full(error: BaseException | None) -> bool:
-    """By SQLite's code, and PostgreSQL's (disk_full)."""
+    """Report whether a database error means a full disk (codes of SQLite and PostgreSQL)."""
     code = getattr(error, "sqlite_errorcode", None)
     return code == sqlite3.SQLITE_FULL or getattr(error, "sqlstate", None) == "53100"
 
@@ -307,159 +361,206 @@ def _mb(size: float) -> str:
 
 
 def _disk_full() -> RefusedError:
-    """507, with nothing of where on the disk."""
-    return _full("the disk of this service is full", None, None)
+    """Return the refusal for a full disk: 507. It contains no path."""
+    return _storage_refusal("the disk of this service is full", None, None)
 
 
-def _full(what: str, value: float | None, limit: float | None, hint: str | None = None) -> RefusedError:
-    hint = hint or "ask who runs the service to delete old jobs or to give it more room"
+def _storage_refusal(
+    what: str, value: float | None, limit: float | None, hint: str | None = None
+) -> RefusedError:
+    hint = hint or "Ask the operator of the service to delete old jobs or to add disk space."
     issue = Issue("service.storage", what, field="files", value=value, limit=limit, unit="MB", hint=hint)
     return RefusedError(507, issue)
 
 
-PLAIN: Final = ("application/json", "application/yaml", "application/x-yaml", "text/yaml")
+PROBLEM_TYPES: Final = ("application/json", "application/yaml", "application/x-yaml", "text/yaml")
 """Content types of a body that is the problem itself."""
-MESHES: Final = (".obj", ".stl", ".ply", ".glb", ".3mf")
-"""Endings of files that are meshes, which have a limit of their own."""
-FIELDS: Final = ("problem", "files")
-"""Fields of a form that uploads a problem."""
-LONGEST_NAME: Final = 255
-"""Characters that the name of a file may have."""
+MESH_SUFFIXES: Final = (".obj", ".stl", ".ply", ".glb", ".3mf")
+"""Suffixes of mesh files, which have a limit of their own."""
+FORM_FIELDS: Final = ("problem", "files")
+"""Fields of a multipart form that uploads a problem."""
+MAX_NAME_LENGTH: Final = 255
+"""Maximum number of characters of a file name."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Upload:
-    """A stored problem file and the files that came with it, by the user's names."""
+class ProblemUpload:
+    """A stored problem file and its files, by the names that the user gave."""
 
     problem: Blob
     files: Mapping[str, Blob]
 
     @property
     def content(self) -> list[Any]:
-        """What tells it from others, as plain data."""
+        """Hashes that identify the upload, as plain data."""
         return [self.problem.sha, {name: blob.sha for name, blob in self.files.items()}]
 
 
-async def take_upload(request: Request, storage: Storage, owner: str, limits: Limits) -> Upload:
-    """The upload of a request: ``multipart/form-data`` with ``problem`` and ``files``, or the problem alone
-    as JSON or YAML.
+async def store_upload(
+    request: Request, storage: StorageQuota, owner: str, limits: ServiceLimits
+) -> ProblemUpload:
+    """Store the upload of a request.
 
-    Raises :class:`RefusedError`, 413, 422 or 507.
+    The body is ``multipart/form-data`` with ``problem`` and ``files``, or the problem alone as JSON or
+    YAML.
+
+    Args:
+        request: Request.
+        storage: Stored files.
+        owner: Token that is charged.
+        limits: Limits.
+
+    Raises:
+        RefusedError: 413, 422 or 507.
     """
-    (found,) = (await take_uploads(request, storage, owner, limits, 1)).values()
-    return found
+    (upload,) = (await store_uploads(request, storage, owner, limits, 1)).values()
+    return upload
 
 
-async def take_uploads(
-    request: Request, storage: Storage, owner: str, limits: Limits, most: int
-) -> dict[str, Upload]:
-    """The uploads of a request that may have up to ``most`` parts ``problem``, by the names of these, with
-    the ``files`` in common; raises as :func:`take_upload`."""
+async def store_uploads(
+    request: Request, storage: StorageQuota, owner: str, limits: ServiceLimits, max_problems: int
+) -> dict[str, ProblemUpload]:
+    """Store the uploads of a request with several parts ``problem`` and common ``files``.
+
+    Args:
+        request: Request.
+        storage: Stored files.
+        owner: Token that is charged.
+        limits: Limits.
+        max_problems: Maximum number of problems.
+
+    Returns:
+        Uploads by the names of the problems.
+
+    Raises:
+        RefusedError: As :func:`store_upload`.
+    """
     kind = request.headers.get("content-type", "").split(";")[0].strip().lower()
-    if kind in PLAIN:
+    if kind in PROBLEM_TYPES:
         body = bytearray()
         async for chunk in request.stream():
             body += chunk
             if len(body) > MAX_YAML_BYTES:
                 raise too_large("the problem", MAX_YAML_BYTES / MB, "problem")
         (blob,) = await anyio.to_thread.run_sync(storage.put, owner, [io.BytesIO(body)])
-        return {"problem": Upload(blob, {})}
+        return {"problem": ProblemUpload(blob, {})}
     if kind != "multipart/form-data":
-        what = f"got the content type {kind[:80]!r}; send multipart/form-data, or {', '.join(PLAIN)}"
-        raise RefusedError(422, _fault("Content-Type", what))
+        message = f"unsupported (got {kind[:80]!r}, allowed multipart/form-data, {', '.join(PROBLEM_TYPES)})"
+        raise RefusedError(422, _request_issue("Content-Type", message))
     try:
         async with request.form(
-            max_files=limits.files + most,
-            max_fields=len(FIELDS) - 1 + most,
-            max_part_size=MAX_YAML_BYTES // most,  # texts are held in memory, files are not
+            max_files=limits.files + max_problems,
+            max_fields=len(FORM_FIELDS) - 1 + max_problems,
+            max_part_size=MAX_YAML_BYTES // max_problems,  # text parts are held in memory, files are not
         ) as form:
-            problems, uploads = _sorted(form, limits, most)
-            return await anyio.to_thread.run_sync(_store, storage, owner, problems, uploads)
+            problems, uploads = _sort_form(form, limits, max_problems)
+            return await anyio.to_thread.run_sync(_store_form, storage, owner, problems, uploads)
     except HTTPException as error:
-        what = f"the form cannot be read: {error.detail}"
-        more = "; send problems as files" if most > 1 else ""
-        raise RefusedError(422, _fault("body", what + more)) from error
+        message = f"the form cannot be read: {error.detail}"
+        advice = " Send problems as files." if max_problems > 1 else ""
+        raise RefusedError(422, _request_issue("body", message + advice)) from error
     except ClientDisconnect as error:
-        raise RefusedError(422, _fault("body", "the upload broke off; send it again")) from error
+        raise RefusedError(
+            422, _request_issue("body", "the upload was interrupted. Send it again.")
+        ) from error
     except OSError as error:
         if not is_disk_full(error):
             raise
         raise _disk_full() from error
-    except (ValueError, LookupError) as error:  # charsets that are none, and the like
-        raise RefusedError(422, _fault("body", "the form cannot be read; send UTF-8")) from error
+    except (ValueError, LookupError) as error:  # unknown charsets, for example
+        raise RefusedError(422, _request_issue("body", "the form cannot be read. Send UTF-8.")) from error
 
 
-def _sorted(
-    form: FormData, limits: Limits, most: int
+def _sort_form(
+    form: FormData, limits: ServiceLimits, max_problems: int
 ) -> tuple[dict[str, UploadFile | str], dict[str, UploadFile]]:
-    """Up to ``most`` problems, and the files, by their names; raises :class:`RefusedError` with every fault
-    of the form."""
+    """Return the problems and the files of a form, by their names.
+
+    Raises:
+        RefusedError: The form has faults. All of them are reported.
+    """
     faults = [
-        _fault(name[:80], f"unknown field {name[:80]!r}; the fields are {', '.join(FIELDS)}")
+        _request_issue(name[:80], f"unknown field (got {name[:80]!r}, allowed {', '.join(FORM_FIELDS)})")
         for name in dict.fromkeys(form)
-        if name not in FIELDS
+        if name not in FORM_FIELDS
     ]
     problems, uploads = form.getlist("problem"), form.getlist("files")
-    if not 1 <= len(problems) <= most:
-        wanted = (
-            "one is wanted; add the problem file" if most == 1 else f"1 to {most} may be; send others apart"
+    if not 1 <= len(problems) <= max_problems:
+        remedy = (
+            "allowed one). Add the problem file."
+            if max_problems == 1
+            else f"allowed 1 to {max_problems}). Use several requests."
         )
-        faults.append(_fault("problem", f"got {len(problems)} problems, {wanted}"))
+        faults.append(_request_issue("problem", f"wrong number of problems (got {len(problems)}, {remedy}"))
     jobs: dict[str, UploadFile | str] = {}
     for number, problem in enumerate(problems, 1):
-        called = problem if isinstance(problem, str) else problem.filename
-        own = f"problem {number}" if isinstance(problem, str) or not called else called
-        if most > 1 and (len(own) > LONGEST_NAME or not own.isprintable()):  # of one, nobody asks its name
-            faults.append(_unnamed(own, "problem"))
-        elif own in jobs:
-            faults.append(_fault("problem", f"two problems have the name {own[:80]!r}; rename one"))
-        jobs[own] = problem
-    named: dict[str, UploadFile] = {}
-    for number, one in enumerate(uploads):
+        given_name = problem if isinstance(problem, str) else problem.filename
+        problem_name = f"problem {number}" if isinstance(problem, str) or not given_name else given_name
+        if max_problems > 1 and (
+            len(problem_name) > MAX_NAME_LENGTH or not problem_name.isprintable()
+        ):  # a single name is unused
+            faults.append(_name_issue(problem_name, "problem"))
+        elif problem_name in jobs:
+            faults.append(
+                _request_issue("problem", f"two problems have the name {problem_name[:80]!r}. Rename one.")
+            )
+        jobs[problem_name] = problem
+    files: dict[str, UploadFile] = {}
+    for number, upload in enumerate(uploads):
         field = f"files.{number}"
-        if isinstance(one, str):
-            faults.append(_fault(field, "is text, a file with a name is wanted; send it as a file"))
+        if isinstance(upload, str):
+            faults.append(_request_issue(field, "is a text field. Send it as a file with a name."))
             continue
-        name = one.filename or ""
-        if not base_name(name) or len(name) > LONGEST_NAME or not name.isprintable():
-            faults.append(_unnamed(name, field))
-        elif name in named:
-            what = f"two files have the name {name[:80]!r}; rename one"
+        name = upload.filename or ""
+        if not base_name(name) or len(name) > MAX_NAME_LENGTH or not name.isprintable():
+            faults.append(_name_issue(name, field))
+        elif name in files:
+            what = f"two files have the name {name[:80]!r}. Rename one."
             faults.append(Issue("service.file_name", f"{field}: {what}", field=field))
         else:
-            named[name] = one
-            if name.lower().endswith(MESHES) and (one.size or 0) > limits.mesh_mb * MB:
+            files[name] = upload
+            if name.lower().endswith(MESH_SUFFIXES) and (upload.size or 0) > limits.mesh_mb * MB:
                 raise too_large(f"{name[:80]!r}", limits.mesh_mb, field)
     if faults:
         raise RefusedError(422, faults)
-    return jobs, named
+    return jobs, files
 
 
-def _store(
-    storage: Storage, owner: str, problems: Mapping[str, UploadFile | str], uploads: Mapping[str, UploadFile]
-) -> dict[str, Upload]:
+def _store_form(
+    storage: StorageQuota,
+    owner: str,
+    problems: Mapping[str, UploadFile | str],
+    uploads: Mapping[str, UploadFile],
+) -> dict[str, ProblemUpload]:
     streams: list[BinaryIO] = [
-        io.BytesIO(one.encode()) if isinstance(one, str) else one.file for one in problems.values()
+        io.BytesIO(part.encode()) if isinstance(part, str) else part.file for part in problems.values()
     ]
-    blobs = storage.put(owner, [*streams, *(one.file for one in uploads.values())])
+    blobs = storage.put(owner, [*streams, *(part.file for part in uploads.values())])
     files = dict(zip(uploads, blobs[len(problems) :], strict=True))
-    return {name: Upload(blob, files) for name, blob in zip(problems, blobs, strict=False)}
+    return {name: ProblemUpload(blob, files) for name, blob in zip(problems, blobs, strict=False)}
 
 
-def _unnamed(name: str, field: str) -> Issue:
-    what = f"the name {name[:80]!r} of {len(name)} characters is empty, has more than {LONGEST_NAME} "
-    what += "or one that is not printable, or ends as a folder does; rename the file"
+def _name_issue(name: str, field: str) -> Issue:
+    what = (
+        f"invalid file name (got {name[:80]!r} with {len(name)} characters, allowed 1 to {MAX_NAME_LENGTH} "
+    )
+    what += "printable characters that do not name a folder). Rename the file."
     return Issue("service.file_name", f"{field}: {what}", field=field)
 
 
-def _fault(field: str, what: str) -> Issue:
+def _request_issue(field: str, what: str) -> Issue:
     return Issue("service.request", f"{field}: {what}", field=field)
 
 
-def documented(problem: Mapping[str, Any], most: int = 1) -> dict[str, Any]:
-    """The request body for OpenAPI, of up to ``most`` problems; ``problem`` is the schema of their files."""
-    longest = MAX_YAML_BYTES // most
-    text = {"type": "string", "maxLength": longest, "description": "the same as YAML or JSON text"}
+def request_body_schema(problem: Mapping[str, Any], max_problems: int = 1) -> dict[str, Any]:
+    """Return the OpenAPI description of a request body with problems.
+
+    Args:
+        problem: Schema of a problem file.
+        max_problems: Maximum number of problems.
+    """
+    longest = MAX_YAML_BYTES // max_problems
+    text = {"type": "string", "maxLength": longest, "description": "the problem as YAML or JSON text"}
     form: dict[str, Any] = {
         "type": "object",
         "required": ["problem"],
@@ -469,16 +570,21 @@ def documented(problem: Mapping[str, Any], most: int = 1) -> dict[str, Any]:
             "files": {
                 "type": "array",
                 "items": {"type": "string", "format": "binary"},
-                "description": "the files that the problem names, each under the name that it uses; folders "
-                "in names do not matter",
+                "description": "the files that the problem uses, each under the name that it states; folders "
+                "in names are ignored",
             },
         },
     }
     encoding = {"problem": {"contentType": "application/json"}}
     content: dict[str, Any] = {"multipart/form-data": {"schema": form, "encoding": encoding}}
-    if most > 1:
-        many = {"type": "array", "items": form["properties"]["problem"], "minItems": 1, "maxItems": most}
-        form["properties"] = {**form["properties"], "problem": many}
+    if max_problems > 1:
+        problem_list = {
+            "type": "array",
+            "items": form["properties"]["problem"],
+            "minItems": 1,
+            "maxItems": max_problems,
+        }
+        form["properties"] = {**form["properties"], "problem": problem_list}
         return {"required": True, "content": content}
     content["application/json"] = {"schema": dict(problem)}
     content["application/yaml"] = {"schema": dict(problem)}

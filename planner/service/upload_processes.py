@@ -1,8 +1,9 @@
-"""Processes that read what users upload, with limits of time and memory; a JSON line to and fro for each.
+"""Processes that read uploads, with limits of time and memory. Requests and answers are lines of JSON.
 
-A process that takes too long, too much memory or dies costs the one request that it was at. Who reads is
-forked from a parent that has imported what reading needs, Drake once it is asked for: a reading that is
-broken off, as each change of an edited problem breaks off the check of the one before, costs a fork.
+A process that takes too long, needs too much memory or dies costs only the request that it was reading.
+Readers are forked from a parent that has imported what reading needs, and Drake when it is needed.
+Cancelling a reading, as each edit of a problem cancels the check of the previous version, therefore costs
+only a fork.
 """
 
 import dataclasses
@@ -22,227 +23,284 @@ from concurrent.futures import CancelledError, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Final, TextIO
 
-from planner.batch.workers import THREADS
+from planner.batch.workers import THREAD_VARIABLES
+from planner.issue_codes import format_message
 from planner.issues import Issue
 from planner.runtime.second_process import module_path
-from planner.service.examined import Examined
+from planner.service.reading_result import PROBLEM_ONLY, ReadingOptions, ReadingResult
 from planner.service.security import RefusedError
 
 MB: Final = 1 << 20
-"""Bytes of a megabyte, as limits of memory are counted (2^20)."""
-KEPT: Final = "targets"
-"""The folder of targets that are kept, beside those of readings."""
+"""Bytes of a megabyte in memory limits (2^20)."""
+CACHE_FOLDER: Final = "targets"
+"""Name of the folder of cached targets, next to the folders of readings."""
 
 
-class Reader:
-    """A process that reads what it is asked, one at a time, and its parent, which forks the next one.
+class UploadReader:
+    """A process that reads one upload at a time, and its parent, which forks the next one.
 
-    Readings are numbered, and an answer has the number of its own. Who reads says how many were ended before
-    it: the one that was wanted to be ended may have ended by itself, and the next one in its place.
+    Requests are numbered, and an answer carries the number of its request. Each reader states how many
+    readers were killed before it: the one that was to be killed may have ended by itself, and the next one
+    have taken its place.
     """
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self._process = process
-        self._clean = False  # somebody has begun to read, and no line of a former reading is left
-        self._asked = self._unwanted = self._ending = False
-        self._number = self._ended = 0  # of the reading; of those who read, how many were to be ended
-        self._turn = threading.Lock()  # of who asks and who breaks that off
+        self._is_ready = False  # a reader has started, and no line of an earlier reading is left
+        self._is_asked = self._is_cancelled = self._is_ending = False
+        self._number = self._killed_count = 0  # number of the reading; number of readers that were killed
+        self._turn = threading.Lock()  # between the request and its cancellation
 
     @property
     def alive(self) -> bool:
-        """Whether it can be asked."""
+        """Whether the process accepts requests."""
         return self._process.poll() is None
 
-    def renew(self) -> None:
-        """End what is asked, and with it who reads that; another one takes its place. What was not asked yet
-        will not be: who is ended before it was asked, or before it has begun, would leave lines behind that
-        are taken for others."""
-        with self._turn:
-            self._unwanted = True
-            if self._asked and not self._ending:
-                self._end_who_reads()
+    def cancel(self) -> None:
+        """Cancel the present request by killing the reader. Its parent forks another one.
 
-    def end(self) -> None:
-        """End both."""
+        A request that was not sent yet will not be sent. A reader that is killed before it was asked or has
+        started would leave lines behind that are taken for others.
+        """
+        with self._turn:
+            self._is_cancelled = True
+            if self._is_asked and not self._is_ending:
+                self._kill_reader()
+
+    def kill(self) -> None:
+        """Kill the reader and its parent."""
         self._process.kill()
         self._process.wait()
 
     def ask(self, what: str) -> list[Any] | None:
-        """The answer to one line; None where who reads has ended, or nobody wants to know any more."""
-        if not self._clean and not self._wait():
+        """Send a request and wait for its answer.
+
+        Args:
+            what: Request as one line of JSON.
+
+        Returns:
+            Answer, or None if the reader has died or the request was cancelled.
+        """
+        if not self._is_ready and not self._wait_for_reader():
             return None
         if self._process.stdin is None:
             raise RuntimeError("a reader has no pipes")
         with self._turn:
-            if self._unwanted:
+            if self._is_cancelled:
                 return None
-            self._asked = True
+            self._is_asked = True
             self._number += 1
             try:
                 self._process.stdin.write(f"{self._number} {what}\n")
                 self._process.stdin.flush()
             except OSError:
-                self._clean = False
+                self._is_ready = False
                 return None
-        number, _, answer = self._line().partition(" ")
-        found = _json_of(answer) if number == str(self._number) else None
+        number, _, answer = self._read_line().partition(" ")
+        answer_data = _parse_answer(answer) if number == str(self._number) else None
         with self._turn:
-            self._asked = False
-        self._clean = found is not None
-        return found
+            self._is_asked = False
+        self._is_ready = answer_data is not None
+        return answer_data
 
     def settle(self) -> None:
-        """Wait for the one that takes the place of who was ended; nobody calls :meth:`renew` any more. Where
-        there was no answer, who reads now may have begun before, and is ended, too: what it was sent, and
-        what it has said, goes with it."""
-        if self._ending or not self._clean:
-            if not self._ending:
-                self._end_who_reads()
-            self._clean = False
-            if not self._wait():
-                self.end()
-        self._asked = self._unwanted = self._ending = False
+        """Wait for the reader that replaces a killed one. Nobody calls :meth:`cancel` any more.
 
-    def _end_who_reads(self) -> None:
-        self._ending = True
-        self._ended += 1
+        If there was no answer, the present reader may have started before and is killed too, together with
+        what it was sent and what it has written.
+        """
+        if self._is_ending or not self._is_ready:
+            if not self._is_ending:
+                self._kill_reader()
+            self._is_ready = False
+            if not self._wait_for_reader():
+                self.kill()
+        self._is_asked = self._is_cancelled = self._is_ending = False
+
+    def _kill_reader(self) -> None:
+        self._is_ending = True
+        self._killed_count += 1
         self._process.send_signal(signal.SIGUSR2)
 
-    def _wait(self) -> bool:
-        """Whether somebody reads from now on."""
-        while not self._clean:
-            line = self._line()
+    def _wait_for_reader(self) -> bool:
+        """Wait for the next reader. Return whether there is one."""
+        while not self._is_ready:
+            line = self._read_line()
             if not line:
                 return False
-            self._clean = line == f"{BEGUN} {self._ended}\n"
+            self._is_ready = line == f"{START_MARK} {self._killed_count}\n"
         return True
 
-    def _line(self) -> str:
+    def _read_line(self) -> str:
         if self._process.stdout is None:
             raise RuntimeError("a reader has no pipes")
         return self._process.stdout.readline()
 
 
-BEGUN: Final = "reading"
-"""The line with which a process that reads begins, with how many were ended before."""
+START_MARK: Final = "reading"
+"""First word of the line that a new reader writes, followed by the number of readers killed before it."""
 
 
-def _json_of(line: str) -> list[Any] | None:
-    """A whole answer; None of what is broken off."""
+def _parse_answer(line: str) -> list[Any] | None:
+    """Parse a complete answer. None if it is incomplete."""
     if not line.endswith("\n"):
         return None
     try:
-        found = json.loads(line)
+        answer = json.loads(line)
     except ValueError:
         return None
-    return found if isinstance(found, list) else None
+    return answer if isinstance(answer, list) else None
 
 
-class Reading:
-    """One reading of an upload, which another thread can break off."""
+class UploadReading:
+    """A reading of an upload, which another thread can cancel."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._reader: Reader | None = None
-        self.off = False
+        self._reader: UploadReader | None = None
+        self.cancelled = False
 
-    def by(self, reader: Reader | None) -> bool:
-        """Name who reads, or None when it has read; whether the reading is still wanted."""
-        with self._lock:
-            self._reader = None if self.off else reader
-            return not self.off
+    def set_reader(self, reader: UploadReader | None) -> bool:
+        """Set the reader in charge, or None when it is done.
 
-    def break_off(self) -> None:
-        """End the reading, and who reads with it."""
+        Return whether the reading is not cancelled.
+        """
         with self._lock:
-            self.off = True
+            self._reader = None if self.cancelled else reader
+            return not self.cancelled
+
+    def cancel(self) -> None:
+        """Cancel the reading and kill its reader."""
+        with self._lock:
+            self.cancelled = True
             if self._reader is not None:
-                self._reader.renew()
+                self._reader.cancel()
 
 
-class Examiners:
-    """A few processes that serve in turn; start on use, end with :meth:`close`."""
+class ReaderPool:
+    """Pool of readers. They start on demand, and end with :meth:`close`.
+
+    Args:
+        count: Number of readers.
+        scratch: Folder for work in progress.
+        seconds: Time limit of a reading [s].
+        memory_mb: Memory limit of a reading [MB].
+        mesh_facets: Maximum number of facets of one mesh.
+    """
 
     def __init__(self, count: int, scratch: Path, seconds: float, memory_mb: float, mesh_facets: int) -> None:
         self._scratch, self._seconds, self._memory = scratch, seconds, memory_mb
         self._facets = mesh_facets
-        self._idle: queue.LifoQueue[Reader | None] = queue.LifoQueue()  # the warm one before the others
+        self._idle: queue.LifoQueue[UploadReader | None] = queue.LifoQueue()  # warm readers are used first
         for _ in range(count):
             self._idle.put(None)
-        self._all: set[Reader] = set()
-        self._kept = scratch / KEPT
+        self._all: set[UploadReader] = set()
+        self._cache_folder = scratch / CACHE_FOLDER
         self._closed = False
-        # the kernel ends a process with the thread that made it, so one thread makes them all and stays
-        self._maker = ThreadPoolExecutor(1, "tandem-examiners")
+        # PR_SET_PDEATHSIG kills a child when the thread that forked it ends, so one lasting thread forks all
+        self._starter = ThreadPoolExecutor(1, "tandem-examiners")
 
     def examine(
         self,
         problem: Path,
         uploads: Mapping[str, Path],
-        reach: bool = False,
-        draw: bool = False,
-        reading: Reading | None = None,
-        targets: int | None = None,
-        cell: Mapping[str, Any] | None = None,
-        fields: Mapping[str, Any] | None = None,
-    ) -> Examined:
-        """As :func:`planner.service.upload_reader.examine`, in a process of its own; raises
-        :class:`RefusedError`, 503, where the service stops meanwhile, 499 where ``reading`` is broken off."""
-        more = {"problem": str(problem), "reach": reach, "draw": draw, "facets": self._facets}
-        more |= {"targets": targets, "kept": str(self._kept), "cell": cell, "fields": fields}
-        return self._asked("examine", uploads, more, reading)[0]
+        options: ReadingOptions = PROBLEM_ONLY,
+        reading: UploadReading | None = None,
+    ) -> ReadingResult:
+        """Run :func:`planner.service.upload_reader.examine` in a reader process.
+
+        Args:
+            problem: Problem file.
+            uploads: Files by the names that the user gave.
+            options: What is computed, and which fields are replaced.
+            reading: Reading, which another thread can cancel.
+
+        Raises:
+            RefusedError: 503 if the service stops, 499 if the reading is cancelled.
+        """
+        more: dict[str, Any] = {"problem": str(problem), "facets": self._facets}
+        more |= {"reach": options.reach, "draw": options.draw, "targets": options.targets}
+        more |= {"kept": str(self._cache_folder), "cell": options.cell, "fields": options.fields}
+        return self._run("examine", uploads, more, reading)[0]
 
     def examine_element(
         self,
         element: Path,
         uploads: Mapping[str, Path],
         fields: Mapping[str, Any],
-        reading: Reading | None = None,
-    ) -> Examined:
-        """As :func:`planner.service.upload_reader.examine_element`, in the same way."""
+        reading: UploadReading | None = None,
+    ) -> ReadingResult:
+        """Run :func:`planner.service.upload_reader.examine_element` in a reader process.
+
+        Args:
+            element: Element file.
+            uploads: Files by the names that the user gave.
+            fields: New values by field path.
+            reading: Reading, which another thread can cancel.
+
+        Raises:
+            RefusedError: 503 if the service stops, 499 if the reading is cancelled.
+        """
         more = {"element": str(element), "facets": self._facets, "fields": dict(fields)}
-        return self._asked("examine_element", uploads, more, reading)[0]
+        return self._run("examine_element", uploads, more, reading)[0]
 
     def examine_panels(
-        self, files: Mapping[str, Path], panels: Sequence[str], reading: Reading | None = None
-    ) -> list[Examined]:
-        """As :func:`planner.service.upload_reader.examine_panels`, in the same way; one with errors alone
-        where reading was stopped."""
-        return self._asked("examine_panels", files, {"panels": list(panels)}, reading)
+        self, files: Mapping[str, Path], panels: Sequence[str], reading: UploadReading | None = None
+    ) -> list[ReadingResult]:
+        """Run :func:`planner.service.upload_reader.examine_panels` in a reader process.
 
-    def _asked(
-        self, what: str, files: Mapping[str, Path], more: Mapping[str, Any], reading: Reading | None
-    ) -> list[Examined]:
-        reading = reading or Reading()
+        Args:
+            files: Files of the element by name.
+            panels: Ids of panels.
+            reading: Reading, which another thread can cancel.
+
+        Returns:
+            One result for each panel, or a single one with errors if a limit was reached.
+
+        Raises:
+            RefusedError: 503 if the service stops, 499 if the reading is cancelled.
+        """
+        return self._run("examine_panels", files, {"panels": list(panels)}, reading)
+
+    def _run(
+        self,
+        action: str,
+        files: Mapping[str, Path],
+        arguments: Mapping[str, Any],
+        reading: UploadReading | None,
+    ) -> list[ReadingResult]:
+        reading = reading or UploadReading()
         reader = self._idle.get()
         try:
             if self._closed:
-                raise _stopping()
+                raise _stopping_refusal()
             with tempfile.TemporaryDirectory(dir=self._scratch, prefix="examine-") as folder:
                 if reader is None or not reader.alive:
-                    reader = self._started()
+                    reader = self._start_reader()
                 given = {name: str(path) for name, path in files.items()}
-                return self._ask(reader, {"what": what, "folder": folder, "files": given, **more}, reading)
+                return self._ask_reader(
+                    reader, {"what": action, "folder": folder, "files": given, **arguments}, reading
+                )
         finally:
             self._idle.put(reader)
 
     def close(self) -> None:
-        """End the processes, and with them what they are asked."""
+        """Kill all processes, and with them the requests in progress."""
         self._closed = True
-        self._maker.shutdown(cancel_futures=True)
+        self._starter.shutdown(cancel_futures=True)
         for reader in list(self._all):
-            reader.end()
+            reader.kill()
 
-    def _started(self) -> Reader:
+    def _start_reader(self) -> UploadReader:
         try:
-            reader = self._maker.submit(self._start).result()
+            reader = self._starter.submit(self._start_process).result()
         except (RuntimeError, CancelledError):  # closed meanwhile
-            raise _stopping() from None
-        if self._closed:  # it began while the others were ended
-            reader.end()
+            raise _stopping_refusal() from None
+        if self._closed:  # it started while the others were killed
+            reader.kill()
         return reader
 
-    def _start(self) -> Reader:
+    def _start_process(self) -> UploadReader:
         self._all = {reader for reader in self._all if reader.alive}
         process = subprocess.Popen(
             [
@@ -257,67 +315,69 @@ class Examiners:
             stdout=subprocess.PIPE,
             text=True,
             encoding="utf-8",
-            env={**os.environ, **dict.fromkeys(THREADS, "1"), "PYTHONPATH": module_path()},
-            process_group=0,  # Ctrl-C is for the service, which ends them
+            env={**os.environ, **dict.fromkeys(THREAD_VARIABLES, "1"), "PYTHONPATH": module_path()},
+            process_group=0,  # Ctrl-C must reach only the service, which ends the readers
         )
-        reader = Reader(process)
+        reader = UploadReader(process)
         self._all.add(reader)
         return reader
 
-    def _ask(self, reader: Reader, asked: Mapping[str, Any], reading: Reading) -> list[Examined]:
-        limit = Reading()  # ends the reading as somebody who hangs up does
-        timer = threading.Timer(self._seconds, limit.break_off)
+    def _ask_reader(
+        self, reader: UploadReader, request: Mapping[str, Any], reading: UploadReading
+    ) -> list[ReadingResult]:
+        limit = UploadReading()  # cancels the reading when time is up, as a disconnection does
+        timer = threading.Timer(self._seconds, limit.cancel)
         timer.daemon = True
-        if not reading.by(reader):
+        if not reading.set_reader(reader):
             raise connection_closed()
-        limit.by(reader)
+        limit.set_reader(reader)
         timer.start()
         try:
-            answer = reader.ask(json.dumps(asked))
+            answer = reader.ask(json.dumps(request))
         finally:
-            reading.by(None)
-            limit.by(None)
+            reading.set_reader(None)
+            limit.set_reader(None)
             timer.cancel()
         if answer is not None:
             if not self._closed:
                 reader.settle()
-            return [_from_json(one) for one in answer]
+            return [_from_json(result) for result in answer]
         if self._closed:
-            raise _stopping()
+            raise _stopping_refusal()
         reader.settle()
-        if reading.off:
+        if reading.cancelled:
             raise connection_closed()
         what = (
             f"took more than {self._seconds:g} s"
-            if limit.off
-            else f"needs more than the {self._memory:g} MB that reading may take, or broke off"
+            if limit.cancelled
+            else f"needs more than {self._memory:g} MB to read, or its reader failed"
         )
-        message = f"the problem {what}; make its meshes, tables and step counts smaller"
-        return [Examined((Issue("service.check_stopped", message, field="problem"),))]
+        message = format_message("service.check_stopped", exceeded_limit=what)
+        return [ReadingResult((Issue("service.check_stopped", message, field="problem"),))]
 
 
-def _stopping() -> RefusedError:
-    what = "the service is stopping; send the request again when it runs"
-    return RefusedError(503, Issue("service.stopping", what), {"Retry-After": "10"})
+def _stopping_refusal() -> RefusedError:
+    issue = Issue("service.stopping", format_message("service.stopping"))
+    return RefusedError(503, issue, {"Retry-After": "10"})
 
 
 def connection_closed() -> RefusedError:
-    """What nobody is there to be told: who asked has gone."""
-    return RefusedError(499, Issue("service.request", "the connection was closed; send the request again"))
+    """Return the refusal for a client that has disconnected: 499. Nobody receives it."""
+    return RefusedError(499, Issue("service.request", "the connection was closed. Send the request again."))
 
 
-def _to_json(examined: Examined) -> dict[str, Any]:
+def _to_json(examined: ReadingResult) -> dict[str, Any]:
     return {**dataclasses.asdict(examined), "issues": [issue.to_dict() for issue in examined.issues]}
 
 
-def _from_json(data: dict[str, Any]) -> Examined:
+def _from_json(data: dict[str, Any]) -> ReadingResult:
     issues = tuple(Issue.from_dict(issue) for issue in data["issues"])
     tuples = {key: tuple(data[key]) for key in ("processes", "shapes")}
-    return Examined(**{**data, **tuples, "issues": issues})
+    return ReadingResult(**{**data, **tuples, "issues": issues})
 
 
 def serve() -> None:
-    """Fork who reads, and another one whenever it is ended, until standard input ends."""
+    """Fork a reader, and another one whenever it is killed, until standard input ends."""
     from planner.runtime.second_process import exit_with_parent
     from planner.service import upload_reader  # noqa: F401
 
@@ -326,43 +386,43 @@ def serve() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # what libraries print is no answer
-    child = ended = 0
+    os.dup2(2, 1)  # output of libraries must not mix with answers
+    child_pid = ended = 0
 
     def end_child(*_: object) -> None:
         nonlocal ended
         ended += 1
-        os.kill(child, signal.SIGKILL)  # it is there, perhaps at its end: signals are blocked else
+        os.kill(child_pid, signal.SIGKILL)  # the child exists, if only as a zombie: else signals are blocked
 
-    signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
-    signal.signal(signal.SIGUSR1, _get_ready)
+    signal.pthread_sigmask(signal.SIG_BLOCK, PARENT_SIGNALS)
+    signal.signal(signal.SIGUSR1, _import_drake)
     signal.signal(signal.SIGUSR2, end_child)
-    own, status = os.getpid(), -1
+    parent_pid, status = os.getpid(), -1
     while status != 0:
         gc.freeze()
-        child = os.fork()
-        if child == 0:
-            for number in SIGNALS:
+        child_pid = os.fork()
+        if child_pid == 0:
+            for number in PARENT_SIGNALS:
                 signal.signal(number, signal.SIG_DFL)
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
-            exit_with_parent(own)
-            _drain(0)
-            answers.write(f"\n{BEGUN} {ended}\n")  # what another one had begun to write ends here
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, PARENT_SIGNALS)
+            exit_with_parent(parent_pid)
+            _drain_request(0)
+            answers.write(f"\n{START_MARK} {ended}\n")  # terminates an incomplete line of a killed reader
             answers.flush()
-            _read_on(answers)
+            _serve_requests(answers)
             os._exit(0)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
-        os.waitid(os.P_PID, child, os.WEXITED | os.WNOWAIT)
-        signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
-        _, status = os.waitpid(child, 0)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, PARENT_SIGNALS)
+        os.waitid(os.P_PID, child_pid, os.WEXITED | os.WNOWAIT)
+        signal.pthread_sigmask(signal.SIG_BLOCK, PARENT_SIGNALS)
+        _, status = os.waitpid(child_pid, 0)
 
 
-SIGNALS: Final = (signal.SIGUSR1, signal.SIGUSR2)
-"""What the parent of who reads is told: that Drake is wanted, and that who reads is to be ended."""
+PARENT_SIGNALS: Final = (signal.SIGUSR1, signal.SIGUSR2)
+"""Signals to the parent of a reader: that Drake is needed, and that the reader must be killed."""
 
 
-def _drain(pipe: int) -> None:
-    """Drop the request that was on its way to another one that has been ended."""
+def _drain_request(pipe: int) -> None:
+    """Drop a request that was sent to a reader that has been killed."""
     last = b"\n"
     while last != b"\n" or select.select([pipe], [], [], 0.0)[0]:
         read = os.read(pipe, 1 << 16)
@@ -371,39 +431,45 @@ def _drain(pipe: int) -> None:
         last = read[-1:]
 
 
-def _get_ready(*_: object) -> None:
-    signal.signal(signal.SIGUSR1, signal.SIG_IGN)  # again in their midst they would begin within themselves
+def _import_drake(*_: object) -> None:
+    signal.signal(signal.SIGUSR1, signal.SIG_IGN)  # a second signal would start the imports recursively
     from planner import pipeline
 
-    pipeline.ready()
+    pipeline.import_dependencies()
 
 
-def _read_on(answers: TextIO) -> None:
+def _serve_requests(answers: TextIO) -> None:
     """Answer requests from standard input until it ends."""
     from planner.cell import plant
     from planner.service.upload_reader import examine, examine_element, examine_panels
 
-    models = plant.keep_models()
+    models = plant.ModelCache[plant.CellModel]()
     for line in sys.stdin:
         number, _, text = line.partition(" ")
-        asked = json.loads(text)
-        if (asked.get("reach") or asked.get("cell")) and "planner.motion.solve" not in sys.modules:
+        request = json.loads(text)
+        if (request.get("reach") or request.get("cell")) and "planner.motion.solve" not in sys.modules:
             os.kill(os.getppid(), signal.SIGUSR1)
-        folder, files = Path(asked["folder"]), {name: Path(path) for name, path in asked["files"].items()}
-        models.next_job()
+        folder, files = Path(request["folder"]), {name: Path(path) for name, path in request["files"].items()}
         try:
-            if asked["what"] == "examine_panels":
-                found = examine_panels(folder, files, asked["panels"])
-            elif asked["what"] == "examine_element":
-                element = Path(asked["element"])
-                found = [examine_element(folder, element, files, asked["facets"], asked["fields"])]
-            else:
-                given = (folder, Path(asked["problem"]), files, asked["facets"])
-                more = (asked["reach"], asked["draw"], asked["targets"], Path(asked["kept"]))
-                found = [examine(*given, *more, cell=asked["cell"], fields=asked["fields"])]
-            answer = json.dumps([_to_json(one) for one in found])
+            with models.job():
+                if request["what"] == "examine_panels":
+                    results = examine_panels(folder, files, request["panels"])
+                elif request["what"] == "examine_element":
+                    element = Path(request["element"])
+                    results = [examine_element(folder, element, files, request["facets"], request["fields"])]
+                else:
+                    inputs = (folder, Path(request["problem"]), files, request["facets"])
+                    options = ReadingOptions(
+                        reach=request["reach"],
+                        draw=request["draw"],
+                        targets=request["targets"],
+                        cell=request["cell"],
+                        fields=request["fields"],
+                    )
+                    results = [examine(*inputs, options, Path(request["kept"]))]
+            answer = json.dumps([_to_json(result) for result in results])
         except MemoryError:
-            os._exit(1)  # who asked says what it means
+            os._exit(1)  # the parent reports the memory limit
         answers.write(f"{number} {answer}\n")
         answers.flush()
 

@@ -1,17 +1,17 @@
-"""Reads an uploaded problem: its name, what stands in its way, its reach, what the page draws of it.
+"""Reader of uploaded problems: name, issues, reach, and the shapes that the web page draws.
 
-Files are found among the uploads by the names that the problem says, never on the disk; what is told calls
-them by the user's names. It gives the problem as it stands alone, too, and tests its reach if asked. How many
-facets and vertices a mesh file has is told from its text or header without building the mesh.
+Files are looked up among the uploads by the names in the problem, never on the disk. Messages use the names
+that the user gave. The reader also returns the problem in a self-contained form, and tests its reach if
+requested. The number of facets and vertices of a mesh file is read from its text or header, without
+building the mesh.
 
-**Drawn before it is planned**: surfaces, block, and ways of tool points, all as triangles; the ways
-of the tool points, of poses that a table gives, as thin bars.
+**Shapes**: surfaces and block as triangles, and the tool paths of pose tables as thin bars.
 
-**Elements** are read in the same way, with the templates of their jobs inside; panels, out of the folder of a
-divided element, as problems that stand alone.
+**Elements** are read in the same way, with the templates of their jobs inlined. Panels are read from the
+folder of a divided element, as self-contained problems.
 
-This runs in a process of its own (:mod:`planner.service.upload_processes`), because what people
-upload may be hostile; it loads all processes, so nothing else imports it.
+This module runs in a process of its own (:mod:`planner.service.upload_processes`), because uploads may be
+hostile. It loads all processes, so nothing else imports it.
 """
 
 import contextlib
@@ -30,15 +30,16 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from planner import plans
-from planner.batch.job import ELEMENT, PROBLEM
+from planner.batch.job import ELEMENT_FILE, PROBLEM_FILE
 from planner.element import element_file
 from planner.element.element_file import ElementFile
 from planner.element.nested_output import PROBLEMS
-from planner.files import FILE_KEYS, base_name, carried_name
+from planner.files import FILE_KEYS, base_name, bundled_name
 from planner.geometry.arrays import FloatArray, Mesh, spread_rows
-from planner.geometry.thinning import thinned
+from planner.geometry.decimation import decimate
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError, refusal
+from planner.issue_codes import format_message
+from planner.issues import Issue, TandemError, issue_error
 from planner.problem import Problem
 from planner.processes import registry
 from planner.reading import problem as problem_file
@@ -46,147 +47,182 @@ from planner.reading import strict_yaml
 from planner.reading.strict_yaml import Document
 from planner.report.raster import part_meshes
 from planner.runtime.memoize import use_cache
-from planner.service import kept_targets
-from planner.service.examined import Examined
-from planner.service.kept_files import KeptFiles
+from planner.service import target_cache
+from planner.service.file_cache import FileCache
+from planner.service.reading_result import PROBLEM_ONLY, ReadingOptions, ReadingResult
 
-NOWHERE: Final = "files/not-uploaded"
-"""Stands for a file that was not uploaded; there is none of this name."""
-PROCESS: Final = "targets"
-"""Its targets are as good as read from a file; those of other processes take planning."""
-MOST: Final = 3000
-"""Bars of one way; of longer ones some poses are left out."""
-DIVIDED_BY: Final = {
+MISSING_FILE: Final = "files/not-uploaded"
+"""Placeholder for a file that was not uploaded. No file has this name."""
+POSE_PROCESS: Final = "targets"
+"""Process whose targets are read from a file. Targets of other processes take planning."""
+MAX_BARS: Final = 3000
+"""Maximum number of bars of one drawn path. Longer paths are decimated."""
+DIVISION_FIELDS: Final = {
     "elastic": ("tolerance_mm", "joint_mm"),
     "hexagons": ("count", "off_surface_mm"),
     "boxes": ("least_height_mm",),
     "puzzle": ("lobe_mm", "cells"),
     "strips": ("tolerance_mm",),
 }
-"""Figures of the element file by which each kind of panels is divided."""
-WIDTH: Final = 0.004
-"""Of a bar, as a share of the way's extent and the block's."""
+"""Fields of the element file that control the division, by kind of panels."""
+BAR_WIDTH_FRACTION: Final = 0.004
+"""Width of a bar, as a fraction of the extent of path or block."""
 
 
-class Uploaded:
-    """The uploads of one problem: ``uploads`` {name that the user gave: stored file}, laid into ``folder``
-    under names of our own when the problem names them."""
+class LinkedUploads:
+    """The uploads of one problem, linked into a folder under safe names when the problem uses them.
+
+    Args:
+        folder: Empty folder.
+        uploads: Stored files by the names that the user gave.
+    """
 
     def __init__(self, folder: Path, uploads: Mapping[str, Path]) -> None:
         self._folder, self._uploads = folder, uploads
         self._names: dict[str, str] = {}
         self._cell: Document | None = None
-        self._inner: dict[Path, int] = {}  # how deep in the whole the file begins
+        self._inline_depth: dict[Path, int] = {}  # depth of each file's root in the inlined document
         self._faults: list[Issue] = []
         (folder / "files").mkdir()
 
-    def inside(self, document: Document) -> tuple[Document, list[Issue]]:
-        """The document with every file name changed to one in the folder and a cell's file written out, and
-        a fault for each name that is no upload's."""
-        data = self._changed(document.data, document, ())
+    def inline_problem(self, document: Document) -> tuple[Document, list[Issue]]:
+        """Inline the cell of a problem and replace all file names by those in the folder.
+
+        Args:
+            document: Problem file.
+
+        Returns:
+            Changed document, and an issue for each file that was not uploaded.
+        """
+        data = self._with_linked_files(document.data, document, ())
         if isinstance(data.get("cell"), str):
-            path = self._laid(data["cell"], document, ("cell",))
-            if path == NOWHERE:
-                data["cell"] = NOWHERE
+            path = self._link_upload(data["cell"], document, ("cell",))
+            if path == MISSING_FILE:
+                data["cell"] = MISSING_FILE
             else:
-                self._cell, data["cell"] = self._read(path, ("cell",))
+                self._cell, data["cell"] = self._read_inlined(path, ("cell",))
         return document.with_data(data), self._faults
 
-    def element_inside(self, document: Document) -> tuple[Document, list[Issue]]:
-        """The same of an element: the templates of its jobs and of its raw blocks are written out, with their
-        cells."""
-        data = self._changed(document.data, document, ())
+    def inline_element(self, document: Document) -> tuple[Document, list[Issue]]:
+        """Inline the templates of an element with their cells, and replace all file names.
+
+        Templates belong to its jobs and its raw blocks.
+
+        Args:
+            document: Element file.
+
+        Returns:
+            Changed document, and an issue for each file that was not uploaded.
+        """
+        data = self._with_linked_files(document.data, document, ())
         jobs, saw, raw = data.get("jobs"), data.get("cut_blocks"), data.get("raw_blocks")
         for number, job in enumerate(jobs if isinstance(jobs, list) else ()):
             if isinstance(job, dict) and "problem" in job:
-                job["problem"] = self._template(job["problem"], document, ("jobs", number, "problem"))
+                job["problem"] = self._inline_template(job["problem"], document, ("jobs", number, "problem"))
         if isinstance(saw, dict) and "problem" in saw:
-            saw["problem"] = self._template(saw["problem"], document, ("cut_blocks", "problem"))
+            saw["problem"] = self._inline_template(saw["problem"], document, ("cut_blocks", "problem"))
         if isinstance(raw, dict) and isinstance(raw.get("stock"), str):
-            raw["stock"] = self._laid(raw["stock"], document, ("raw_blocks", "stock"))
+            raw["stock"] = self._link_upload(raw["stock"], document, ("raw_blocks", "stock"))
         return document.with_data(data), self._faults
 
-    def _template(self, given: Any, document: Document, place: tuple[str | int, ...]) -> Any:
+    def _inline_template(self, given: Any, document: Document, path: tuple[str | int, ...]) -> Any:
         if isinstance(given, str):
-            path = self._laid(given, document, place)
-            if path == NOWHERE:
+            linked = self._link_upload(given, document, path)
+            if linked == MISSING_FILE:
                 return given
-            document, given = self._read(path, place)
+            document, given = self._read_inlined(linked, path)
         if isinstance(given, dict) and isinstance(given.get("cell"), str):
-            path = self._laid(given["cell"], document, (*place, "cell"))
-            if path != NOWHERE:
-                given["cell"] = self._read(path, (*place, "cell"))[1]
+            linked = self._link_upload(given["cell"], document, (*path, "cell"))
+            if linked != MISSING_FILE:
+                given["cell"] = self._read_inlined(linked, (*path, "cell"))[1]
         return given
 
-    def _read(self, path: str, place: tuple[str | int, ...]) -> tuple[Document, Any]:
-        """A file that is laid, and its values as the whole has them at ``place``."""
+    def _read_inlined(self, path: str, field_path: tuple[str | int, ...]) -> tuple[Document, Any]:
+        """Read a linked file. Return the document, and its values as they are inlined at a field path."""
         document = strict_yaml.read(self._folder / path)
-        self._inner[document.path] = len(place)
-        return document, self._changed(document.data, document, place)
+        self._inline_depth[document.path] = len(field_path)
+        return document, self._with_linked_files(document.data, document, field_path)
 
-    def in_user_names(self, issues: Iterable[Issue]) -> tuple[Issue, ...]:
-        """The issues without paths of this machine, those of a cell's file with its lines."""
-        return tuple(self._in_user_names(issue) for issue in issues)
+    def with_user_names(self, issues: Iterable[Issue]) -> tuple[Issue, ...]:
+        """Replace paths of this machine in issues by the user's names, and lines by those in the cell file.
 
-    def _in_user_names(self, issue: Issue) -> Issue:
-        place = (issue.field or "").split(".")
-        if self._cell is not None and place[0] == "cell" and len(place) > 1:
-            steps = tuple(int(step) if step.isdigit() else step for step in place[1:])
+        Args:
+            issues: Issues.
+        """
+        return tuple(self._with_user_names(issue) for issue in issues)
+
+    def _with_user_names(self, issue: Issue) -> Issue:
+        field_path = (issue.field or "").split(".")
+        if self._cell is not None and field_path[0] == "cell" and len(field_path) > 1:
+            steps = tuple(int(step) if step.isdigit() else step for step in field_path[1:])
             issue = dataclasses.replace(issue, file=str(self._cell.path), line=self._cell.line(steps))
         return dataclasses.replace(
             issue,
-            message=self._plain(issue.message) or "",
-            file=self._plain(issue.file),
-            field=self._plain(issue.field),
-            hint=self._plain(issue.hint),
+            message=self._replace_paths(issue.message) or "",
+            file=self._replace_paths(issue.file),
+            field=self._replace_paths(issue.field),
+            hint=self._replace_paths(issue.hint),
         )
 
-    def _plain(self, text: str | None) -> str | None:
+    def _replace_paths(self, text: str | None) -> str | None:
         if text is None:
             return None
         for path, name in self._names.items():
             text = text.replace(path, name).replace(base_name(path), base_name(name))
         return text.replace(f"{self._folder}{os.sep}", "")
 
-    def _changed(self, data: Any, document: Document, place: tuple[str | int, ...]) -> Any:
+    def _with_linked_files(self, data: Any, document: Document, field_path: tuple[str | int, ...]) -> Any:
         if isinstance(data, dict):
             return {
-                key: self._laid(value, document, (*place, key))
+                key: self._link_upload(value, document, (*field_path, key))
                 if key in FILE_KEYS and isinstance(value, str)
-                else self._changed(value, document, (*place, key))
+                else self._with_linked_files(value, document, (*field_path, key))
                 for key, value in data.items()
             }
         if isinstance(data, list):
-            return [self._changed(value, document, (*place, i)) for i, value in enumerate(data)]
+            return [
+                self._with_linked_files(value, document, (*field_path, i)) for i, value in enumerate(data)
+            ]
         return data
 
-    def _laid(self, name: str, document: Document, place: tuple[str | int, ...]) -> str:
-        """Lay the upload of that name into the folder; its path from there."""
-        found = (
+    def _link_upload(self, name: str, document: Document, field_path: tuple[str | int, ...]) -> str:
+        """Link the upload with a name into the folder. Return its path in the folder."""
+        matches = (
             [name] if name in self._uploads else [n for n in self._uploads if base_name(n) == base_name(name)]
         )
-        if len(found) != 1:
-            self._faults.append(self._not_uploaded(name, bool(found), document, place))
-            return NOWHERE
-        source = self._uploads[found[0]]
-        laid = f"files/{carried_name(found[0], source.name)}"
-        if not (self._folder / laid).exists():
-            _link_or_copy(source, self._folder / laid)
-        self._names[str(self._folder / laid)] = found[0]
-        return laid
+        if len(matches) != 1:
+            self._faults.append(self._missing_upload(name, bool(matches), document, field_path))
+            return MISSING_FILE
+        source = self._uploads[matches[0]]
+        linked = f"files/{bundled_name(matches[0], source.name)}"
+        if not (self._folder / linked).exists():
+            _link_or_copy(source, self._folder / linked)
+        self._names[str(self._folder / linked)] = matches[0]
+        return linked
 
-    def _not_uploaded(self, name: str, many: bool, document: Document, place: tuple[str | int, ...]) -> Issue:
-        field = ".".join(str(step) for step in place)
-        have = ", ".join(repr(one[:80]) for one in sorted(self._uploads)[:10]) or "no files"
-        what = f"{'several uploads are' if many else 'no upload is'} called {base_name(name)[:80]!r}"
-        inner = place[self._inner.get(document.path, 0) :]
+    def _missing_upload(
+        self, name: str, ambiguous: bool, document: Document, field_path: tuple[str | int, ...]
+    ) -> Issue:
+        field = ".".join(str(step) for step in field_path)
+        uploaded = (
+            ", ".join(repr(name_of_upload[:80]) for name_of_upload in sorted(self._uploads)[:10])
+            or "no files"
+        )
+        path_in_file = field_path[self._inline_depth.get(document.path, 0) :]
         return Issue(
             "service.not_uploaded",
-            f"{field}: got {name[:80]!r}, {what}; with the problem came {have}",
+            format_message(
+                "service.not_uploaded",
+                field=field,
+                matches="several uploads are" if ambiguous else "no upload is",
+                file_name=base_name(name)[:80],
+                stated_path=name[:80],
+                uploaded_files=uploaded,
+            ),
             file=str(document.path),
-            line=document.line(inner),
+            line=document.line(path_in_file),
             field=field,
-            hint="upload the file with the problem, under the name that the problem says",
+            hint="Upload the file together with the problem, under the name that the problem states.",
         )
 
 
@@ -197,12 +233,16 @@ def _link_or_copy(source: Path, target: Path) -> None:
         shutil.copyfile(source, target)
 
 
-def paths(problem: Problem) -> tuple[list[tuple[str, Mesh]], list[Issue]]:
-    """The ways by name, in the stock's frame [m], and what is wrong with their tables."""
-    found: list[tuple[str, Mesh]] = []
+def tool_paths(problem: Problem) -> tuple[list[tuple[str, Mesh]], list[Issue]]:
+    """Return the tool paths of pose tables by name, in the frame of the stock [m], and issues of the tables.
+
+    Args:
+        problem: Problem.
+    """
+    bars: list[tuple[str, Mesh]] = []
     faults: list[Issue] = []
     for index, operation in enumerate(problem.operations):
-        if operation.process != PROCESS:
+        if operation.process != POSE_PROCESS:
             continue
         try:
             targets = registry.job(problem, index).targets()
@@ -211,29 +251,34 @@ def paths(problem: Problem) -> tuple[list[tuple[str, Mesh]], list[Issue]]:
             continue
         stock = problem.setup_of(index).stock
         for arm in targets.arms:
-            places = targets.pose[arm][:, :3, 3]
+            positions = targets.pose[arm][:, :3, 3]
             if targets.frame[arm] == "world":
-                if stock.place is None:  # the search will say where the block is
+                if stock.place is None:  # planning will find the pose of the block
                     continue
-                places = (places - stock.place[:3, 3]) @ stock.place[:3, :3]
-            size = max(float(np.ptp(places, axis=0).max()), float(stock.size.max()))
-            found.append((f"{operation.name}, {arm}", path_bars(places, WIDTH * size)))
-    return found, faults
+                positions = (positions - stock.place[:3, 3]) @ stock.place[:3, :3]
+            size = max(float(np.ptp(positions, axis=0).max()), float(stock.size.max()))
+            bars.append((f"{operation.name}, {arm}", path_bars(positions, BAR_WIDTH_FRACTION * size)))
+    return bars, faults
 
 
-def path_bars(places: FloatArray, width: float) -> Mesh:
-    """Bars of a square section from each place (N, 3) to the next one; equal places have none."""
-    some = places[spread_rows(len(places), MOST + 1)]
-    start, way = some[:-1], np.diff(some, axis=0)
-    length = np.linalg.norm(way, axis=1)
-    start, way, length = start[length > 0.0], way[length > 0.0], length[length > 0.0]
-    along = way / length[:, None]
-    other = np.eye(3)[np.argmin(np.abs(along), axis=1)]
-    across = np.cross(along, other)
+def path_bars(positions: FloatArray, width: float) -> Mesh:
+    """Return bars with a square section between successive positions. Equal positions give none.
+
+    Args:
+        positions: Positions (N, 3) [m].
+        width: Width of the section [m].
+    """
+    sampled = positions[spread_rows(len(positions), MAX_BARS + 1)]
+    start, steps = sampled[:-1], np.diff(sampled, axis=0)
+    length = np.linalg.norm(steps, axis=1)
+    start, steps, length = start[length > 0.0], steps[length > 0.0], length[length > 0.0]
+    direction = steps / length[:, None]
+    least_aligned = np.eye(3)[np.argmin(np.abs(direction), axis=1)]
+    across = np.cross(direction, least_aligned)
     across *= 0.5 * width / np.linalg.norm(across, axis=1)[:, None]
-    up = np.cross(along, across)
+    up = np.cross(direction, across)
     ring = np.stack([across + up, up - across, -across - up, across - up], axis=1)
-    corners = np.concatenate([start[:, None] + ring, (start + way)[:, None] + ring], axis=1)
+    corners = np.concatenate([start[:, None] + ring, (start + steps)[:, None] + ring], axis=1)
     sides = [(i, (i + 1) % 4, 4 + i) for i in range(4)]
     sides += [((i + 1) % 4, 4 + (i + 1) % 4, 4 + i) for i in range(4)]
     caps = [(0, 2, 1), (0, 3, 2), (4, 5, 6), (4, 6, 7)]
@@ -241,19 +286,26 @@ def path_bars(places: FloatArray, width: float) -> Mesh:
     return Mesh(corners.reshape(-1, 3), faces.reshape(-1, 3))
 
 
-FINEST: Final = 60_000
-"""Meshes of more triangles are thinned out for the picture."""
+MAX_MESH_TRIANGLES: Final = 60_000
+"""Maximum number of triangles of a drawn mesh. Finer meshes are simplified."""
 
 
 def shapes(problem: Problem) -> tuple[list[dict[str, Any]], list[Issue]]:
-    """Bodies in the stock's frame [mm]: ``name``, ``kind`` (part, path, stock), ``vertices`` and ``faces``,
-    both flat lists; and what is wrong with tables of poses."""
+    """Return the shapes to draw, in the frame of the stock [mm].
+
+    Args:
+        problem: Problem.
+
+    Returns:
+        Shapes with ``name``, ``kind`` (part, path, stock), ``vertices`` and ``faces``, both flat lists, and
+        issues of pose tables.
+    """
     named = list(part_meshes(problem.part))
     if problem.part is not None and problem.part.formed is not None:
         named.append(("formed sheet", problem.part.formed.mesh))
     bodies = [_body(name, "part", mesh) for name, mesh in named if len(mesh.faces)]
-    ways, faults = paths(problem)
-    bodies += [_body(name, "path", mesh) for name, mesh in ways]
+    tool_path_meshes, faults = tool_paths(problem)
+    bodies += [_body(name, "path", mesh) for name, mesh in tool_path_meshes]
     bodies.append(_body("sheet" if problem.stock.sheet is not None else "block", "stock", _box_mesh(problem)))
     return bodies, faults
 
@@ -267,7 +319,7 @@ def _box_mesh(problem: Problem) -> Mesh:
 
 
 def _body(name: str, kind: str, mesh: Mesh) -> dict[str, Any]:
-    thin = thinned(mesh, FINEST) if kind == "part" else mesh
+    thin = decimate(mesh, MAX_MESH_TRIANGLES) if kind == "part" else mesh
     vertices: FloatArray = np.round(thin.vertices / MM, 3)
     return {
         "name": name,
@@ -277,101 +329,115 @@ def _body(name: str, kind: str, mesh: Mesh) -> dict[str, Any]:
     }
 
 
-LINES: Final = 1 << 22
-"""Text is read so many bytes at a time, to the end of a line."""
-STL_HEAD, STL_FACET = 84, 50
-"""Bytes of the head of a binary STL file, and of each facet after it."""
-PLY_BYTES: Final = {
+TEXT_CHUNK_BYTES: Final = 1 << 22
+"""Bytes of text that are read at a time, up to the end of a line."""
+STL_HEADER_BYTES, STL_FACET_BYTES = 84, 50
+"""Size [bytes] of the header of a binary STL file, and of each facet."""
+PLY_TYPE_BYTES: Final = {
     **dict.fromkeys(("char", "uchar", "int8", "uint8"), 1),
     **dict.fromkeys(("short", "ushort", "int16", "uint16"), 2),
     **dict.fromkeys(("int", "uint", "float", "int32", "uint32", "float32"), 4),
     **dict.fromkeys(("double", "float64"), 8),
 }
-"""Bytes of a value of each type in a binary PLY file."""
-PLY_HEAD_BYTES: Final = 1 << 16
-"""Bytes in which the head of a PLY file must end."""
-GLB_HEAD_BYTES: Final = 1 << 24
-"""Bytes of the JSON of a GLB file that are looked at."""
-PACKED_BYTES: Final = 400_000_000
-"""Bytes of an unpacked 3MF file at most."""
+"""Size [bytes] of a value of each type in a binary PLY file."""
+MAX_PLY_HEADER_BYTES: Final = 1 << 16
+"""Maximum size [bytes] of the header of a PLY file."""
+MAX_GLB_JSON_BYTES: Final = 1 << 24
+"""Maximum size [bytes] of the JSON of a GLB file that is parsed."""
+MAX_UNPACKED_BYTES: Final = 400_000_000
+"""Maximum size [bytes] of an unpacked 3MF file."""
 _OBJ_FACE: Final = re.compile(rb"^[ \t]*f[ \t][^\r\n]*", re.MULTILINE)
-"""A line of an OBJ file that is a face."""
+"""A face in an OBJ file."""
 _OBJ_VERTEX: Final = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
-"""How a line of an OBJ file begins that is a vertex."""
+"""Beginning of a vertex in an OBJ file."""
 _STL_FACET: Final = re.compile(rb"^[ \t]*facet\b", re.MULTILINE | re.IGNORECASE)
-"""How a line of an STL file in text begins that is a facet."""
+"""Beginning of a facet in an ASCII STL file."""
 
 
 class MeshSize(NamedTuple):
-    """Polygons count as the triangles that they become."""
+    """Size of a mesh file. Polygons count as the triangles that they become."""
 
     facets: int
     vertices: int
 
 
 def mesh_size(path: Path, suffix: str) -> MeshSize:
-    """The size of an OBJ, STL, PLY, GLB or 3MF file; zero for other kinds and for what is none."""
-    kind = suffix.lower()
-    if kind == ".obj":
-        return _obj(path)
-    if kind == ".stl":
-        return _stl(path)
-    if kind == ".glb":
-        return _glb(path)
-    if kind == ".3mf":
-        return _packed(path)
-    return _ply(path) if kind == ".ply" else MeshSize(0, 0)
+    """Count facets and vertices of an OBJ, STL, PLY, GLB or 3MF file.
+
+    Zero for other and for invalid files.
+
+    Args:
+        path: Path of the file.
+        suffix: Suffix of the name that the user gave.
+    """
+    file_suffix = suffix.lower()
+    if file_suffix == ".obj":
+        return _obj_size(path)
+    if file_suffix == ".stl":
+        return _stl_size(path)
+    if file_suffix == ".glb":
+        return _glb_size(path)
+    if file_suffix == ".3mf":
+        return _size_of_3mf(path)
+    return _ply_size(path) if file_suffix == ".ply" else MeshSize(0, 0)
 
 
-def _obj(path: Path) -> MeshSize:
+def _obj_size(path: Path) -> MeshSize:
     facets = vertices = 0
-    for text in _texts(path):
+    for text in _text_chunks(path):
         vertices += len(_OBJ_VERTEX.findall(text))
         facets += sum(max(len(face.split()) - 3, 0) for face in _OBJ_FACE.findall(text))
     return MeshSize(facets, vertices)
 
 
-def _stl(path: Path) -> MeshSize:
-    """A binary file is as long as its count says; others are text, or broken."""
+def _stl_size(path: Path) -> MeshSize:
+    """Count the facets of an STL file.
+
+    A file is binary if its length matches its count, else text or broken.
+    """
     with path.open("rb") as stream:
-        head = stream.read(STL_HEAD)
+        head = stream.read(STL_HEADER_BYTES)
     facets = int.from_bytes(head[80:84], "little")
-    if len(head) < STL_HEAD or STL_HEAD + STL_FACET * facets != path.stat().st_size:
-        facets = sum(len(_STL_FACET.findall(part)) for part in _texts(path))
+    if len(head) < STL_HEADER_BYTES or STL_HEADER_BYTES + STL_FACET_BYTES * facets != path.stat().st_size:
+        facets = sum(len(_STL_FACET.findall(part)) for part in _text_chunks(path))
     return MeshSize(facets, 3 * facets)
 
 
-def _glb(path: Path) -> MeshSize:
-    """As its JSON says, meshes that are shown more than once counted once."""
+def _glb_size(path: Path) -> MeshSize:
+    """Count by the JSON of a GLB file. Meshes with several instances count once."""
     with path.open("rb") as stream:
         length = int.from_bytes(stream.read(16)[12:16], "little")
-        text = stream.read(4 + min(length, GLB_HEAD_BYTES))[4:]
+        text = stream.read(4 + min(length, MAX_GLB_JSON_BYTES))[4:]
     try:
-        said = json.loads(text)
-        counts = [int(one["count"]) for one in said["accessors"]]
-        every = [one for mesh in said["meshes"] for one in mesh["primitives"]]
-        vertices = [counts[one["attributes"]["POSITION"]] for one in every]
+        data = json.loads(text)
+        counts = [int(primitive["count"]) for primitive in data["accessors"]]
+        every = [primitive for mesh in data["meshes"] for primitive in mesh["primitives"]]
+        vertices = [counts[primitive["attributes"]["POSITION"]] for primitive in every]
         corners = [
-            counts[one["indices"]] if "indices" in one else n for one, n in zip(every, vertices, strict=True)
+            counts[primitive["indices"]] if "indices" in primitive else n
+            for primitive, n in zip(every, vertices, strict=True)
         ]
     except (ValueError, TypeError, KeyError, IndexError):
         return MeshSize(0, 0)
     return MeshSize(sum(corners) // 3, sum(vertices))
 
 
-def _packed(path: Path) -> MeshSize:
-    """Of a 3MF file as far as it is unpacked; one that unpacks to more has as many facets as bytes."""
+def _size_of_3mf(path: Path) -> MeshSize:
+    """Count in a 3MF file as it is unpacked.
+
+    A file that unpacks to more than `MAX_UNPACKED_BYTES` counts as that many.
+    """
     facets = vertices = 0
     try:
-        with zipfile.ZipFile(path) as pack:
-            inside = pack.infolist()
-            if sum(one.file_size for one in inside) > PACKED_BYTES:
-                return MeshSize(PACKED_BYTES, PACKED_BYTES)
-            for one in inside:
-                if one.filename.lower().endswith(".model"):
-                    with pack.open(one) as stream:
+        with zipfile.ZipFile(path) as archive:
+            entries = archive.infolist()
+            if sum(entry.file_size for entry in entries) > MAX_UNPACKED_BYTES:
+                return MeshSize(MAX_UNPACKED_BYTES, MAX_UNPACKED_BYTES)
+            for entry in entries:
+                if entry.filename.lower().endswith(".model"):
+                    with archive.open(entry) as stream:
                         tail = b""
-                        while piece := stream.read(LINES):
+                        while piece := stream.read(TEXT_CHUNK_BYTES):
                             facets += (tail + piece).count(b"<triangle ") - tail.count(b"<triangle ")
                             vertices += (tail + piece).count(b"<vertex ") - tail.count(b"<vertex ")
                             tail = piece[-16:]
@@ -380,35 +446,40 @@ def _packed(path: Path) -> MeshSize:
     return MeshSize(facets, vertices)
 
 
-def _ply(path: Path) -> MeshSize:
+def _ply_size(path: Path) -> MeshSize:
     with path.open("rb") as stream:
-        head, found, _ = stream.read(PLY_HEAD_BYTES).partition(b"end_header")
-    if not found:
+        head, has_end, _ = stream.read(MAX_PLY_HEADER_BYTES).partition(b"end_header")
+    if not has_end:
         return MeshSize(0, 0)
-    elements = list(_elements(head.decode("latin-1")))
-    most = path.stat().st_size  # no file holds more rows than bytes; the reader refuses one that says so
-    counts = {name: min(count, most) for name, count, _ in elements}
+    elements = list(_ply_elements(head.decode("latin-1")))
+    max_rows = path.stat().st_size  # a file cannot have more rows than bytes; the reader refuses such a count
+    counts = {name: min(count, max_rows) for name, count, _ in elements}
     facets, vertices = counts.get("face", 0), counts.get("vertex", 0)
-    before, last = elements[:-1], elements[-1] if elements else ("", 0, [])
+    other_elements, last = elements[:-1], elements[-1] if elements else ("", 0, [])
     lists = [kind for kind in last[2] if kind[0] == "list"]
-    plain = not any(kind[0] == "list" for _, _, kinds in before for kind in kinds)
-    if last[0] != "face" or len(lists) != 1 or not plain:
+    fixed_size = not any(kind[0] == "list" for _, _, kinds in other_elements for kind in kinds)
+    if last[0] != "face" or len(lists) != 1 or not fixed_size:
         return MeshSize(facets, vertices)
     if b"ascii" in head:
-        rows = sum(count for _, count, _ in before)
-        polygons = _corners(path, rows) - 2 * facets if last[2][0] == lists[0] else 0
+        rows = sum(count for _, count, _ in other_elements)
+        polygons = _corner_count(path, rows) - 2 * facets if last[2][0] == lists[0] else 0
     else:
-        # what is left for the corners of all faces tells their number, and n corners make n - 2 triangles
-        fixed = sum(count * PLY_BYTES.get(kind[0], 0) for _, count, kinds in before for kind in kinds)
-        own = sum(PLY_BYTES.get(kind[0], 0) for kind in last[2] if kind[0] != "list")
-        left = most - len(head) - len(b"end_header\n") - fixed
-        left -= facets * (own + PLY_BYTES.get(lists[0][1], 1))
-        polygons = left // PLY_BYTES.get(lists[0][2], 4) - 2 * facets
+        # The rest of the file holds the corners of all faces. A face with n corners becomes n - 2 triangles.
+        fixed = sum(
+            count * PLY_TYPE_BYTES.get(kind[0], 0) for _, count, kinds in other_elements for kind in kinds
+        )
+        scalar_bytes = sum(PLY_TYPE_BYTES.get(kind[0], 0) for kind in last[2] if kind[0] != "list")
+        list_bytes = max_rows - len(head) - len(b"end_header\n") - fixed
+        list_bytes -= facets * (scalar_bytes + PLY_TYPE_BYTES.get(lists[0][1], 1))
+        polygons = list_bytes // PLY_TYPE_BYTES.get(lists[0][2], 4) - 2 * facets
     return MeshSize(max(facets, polygons), vertices)
 
 
-def _corners(path: Path, rows: int) -> int:
-    """The corners of all faces of a text file: each begins with its count, ``rows`` come before them."""
+def _corner_count(path: Path, rows: int) -> int:
+    """Sum the corners of all faces of an ASCII PLY file.
+
+    Each face starts with its number of corners. ``rows`` lines of other elements come first.
+    """
     corners = 0
     with path.open("rb") as stream:
         for line in stream:
@@ -421,8 +492,11 @@ def _corners(path: Path, rows: int) -> int:
     return corners
 
 
-def _elements(head: str) -> Iterator[tuple[str, int, list[tuple[str, ...]]]]:
-    """Name, count, and the types of the properties (``list``, its count's, its items') of each element."""
+def _ply_elements(head: str) -> Iterator[tuple[str, int, list[tuple[str, ...]]]]:
+    """Yield name, count and property types of each PLY element.
+
+    A list has ``list``, the type of its count, and of its items.
+    """
     name, count, kinds = "", 0, list[tuple[str, ...]]()
     for words in (line.split() for line in head.splitlines()):
         if words[:1] == ["element"] and len(words) == 3:
@@ -435,22 +509,22 @@ def _elements(head: str) -> Iterator[tuple[str, int, list[tuple[str, ...]]]]:
         yield name, count, kinds
 
 
-def _texts(path: Path) -> Iterator[bytes]:
-    """The file in parts that end with a line, without the line ends that a backslash takes away."""
+def _text_chunks(path: Path) -> Iterator[bytes]:
+    """Yield a file in parts that end with a line, with continued lines joined."""
     with path.open("rb") as stream:
-        while part := stream.read(LINES):
+        while part := stream.read(TEXT_CHUNK_BYTES):
             pieces = [part, stream.readline()]
-            while pieces[-1] and (pieces[-2] + pieces[-1]).endswith(CONTINUED):
+            while pieces[-1] and (pieces[-2] + pieces[-1]).endswith(LINE_CONTINUATIONS):
                 pieces.append(stream.readline())
             whole = b"".join(pieces)
-            for end in CONTINUED:
+            for end in LINE_CONTINUATIONS:
                 whole = whole.replace(end, b"")
             yield whole
 
 
-CONTINUED: Final = (b"\\\r\n", b"\\\n")
-"""How a line of an OBJ file ends that goes on in the next one."""
-ARCHIVES: Final = (
+LINE_CONTINUATIONS: Final = (b"\\\r\n", b"\\\n")
+"""Line ends of an OBJ file after which the line continues."""
+ARCHIVE_MAGIC: Final = (
     b"PK\x03\x04",
     b"PK\x05\x06",
     b"\x1f\x8b",
@@ -463,167 +537,204 @@ ARCHIVES: Final = (
     b"!<arch>\n",
     b"MSCF",
 )
-"""How zip, gzip, bzip2, xz, 7z, rar, zstd, lz4, ar and cab begin; tar has its word further on."""
+"""First bytes of zip, gzip, bzip2, xz, 7z, rar, zstd, lz4, ar and cab files.
+
+The mark of tar is further on.
+"""
 TAR_MAGIC: Final = slice(257, 262)
-"""Bytes at which a tar file says that it is one."""
+"""Position of the mark of a tar file."""
 
 
 def examine(
     folder: Path,
     problem: Path,
     uploads: Mapping[str, Path],
-    facets: int,
-    reach: bool = False,
-    draw: bool = False,
-    targets: int | None = None,
-    kept: Path | None = None,
-    cell: Mapping[str, Any] | None = None,
-    fields: Mapping[str, Any] | None = None,
-) -> Examined:
-    """Read the problem in the file ``problem``; ``uploads`` {name that the user gave: stored file}.
+    max_facets: int,
+    options: ReadingOptions = PROBLEM_ONLY,
+    cache_folder: Path | None = None,
+) -> ReadingResult:
+    """Read an uploaded problem.
 
-    ``folder`` is an empty one for this call alone. A mesh has at most ``facets``, three vertices for each.
-    With ``reach`` the targets are made and reach is tested, at about so many ``targets`` where they are
-    given. With ``kept``, those made and what is worked out of meshes are kept in that folder. With ``draw``
-    there are ``shapes`` for the page, with ``cell`` there is what :func:`planner.service.cell_view.view`
-    draws for these arguments. ``fields`` take the place of those that the problem has.
+    Args:
+        folder: Empty folder for this call.
+        problem: Problem file.
+        uploads: Stored files by the names that the user gave.
+        max_facets: Maximum number of facets of a mesh. Three times as many vertices are allowed.
+        options: What is computed, and which fields are replaced.
+        cache_folder: Folder that caches targets and results computed from meshes, or None.
     """
-    known = None if kept is None else KeptFiles(kept)
-    faults = [*_archives(uploads), *_large_meshes(uploads, facets)]
+    cache = None if cache_folder is None else FileCache(cache_folder)
+    faults = [*_archive_issues(uploads), *_large_mesh_issues(uploads, max_facets)]
     if faults:
-        return Examined(tuple(faults))
-    with use_cache(known):
-        uploaded = Uploaded(folder, uploads)
-        shutil.copyfile(problem, folder / PROBLEM)
+        return ReadingResult(tuple(faults))
+    with use_cache(cache):
+        uploaded = LinkedUploads(folder, uploads)
+        shutil.copyfile(problem, folder / PROBLEM_FILE)
         try:
-            document = strict_yaml.read(folder / PROBLEM)
-            wrong = [*_replaced(document.data, fields or {})]
-            document, faults = uploaded.inside(document)
-            faults = [*wrong, *faults]
+            document = strict_yaml.read(folder / PROBLEM_FILE)
+            field_issues = [*_replace_fields(document.data, options.fields or {})]
+            document, faults = uploaded.inline_problem(document)
+            faults = [*field_issues, *faults]
             if faults:
-                return Examined(uploaded.in_user_names([*faults, *_other_faults(document)]))
-            read = problem_file.build(document, registry.readers())
+                return ReadingResult(uploaded.with_user_names([*faults, *_remaining_issues(document)]))
+            problem_read = problem_file.build_problem(document, registry.readers())
         except TandemError as error:
-            return Examined(uploaded.in_user_names(error.issues))
-        files = problem_file.bundle(read)
-        text = files.pop(PROBLEM).decode()
-        found = [*(read.part.notes if read.part is not None else ()), *read.notes]
+            return ReadingResult(uploaded.with_user_names(error.issues))
+        files = problem_file.bundle(problem_read)
+        text = files.pop(PROBLEM_FILE).decode()
+        issues = [*(problem_read.part.notes if problem_read.part is not None else ()), *problem_read.notes]
         looked_at: dict[str, Any] | None = None
-        if reach:
+        if options.reach:
             from planner import pipeline  # loads Drake
 
-            make = None if known is None else kept_targets.maker(known, read, alike=targets is not None)
-            looked = pipeline.looked_over(read, targets, make)
-            found += [issue for issue in looked.issues if issue not in found]
-            if looked.of:
-                looked_at = {name: getattr(looked, name) for name in ("targets", "of", "placed", "thinned")}
-        seen: dict[str, Any] | None = None
-        if cell is not None:
+            make = (
+                None
+                if cache is None
+                else target_cache.cached_targets_maker(
+                    cache, problem_read, accept_equivalent=options.targets is not None
+                )
+            )
+            check_result = pipeline.quick_check(problem_read, options.targets, make)
+            issues += [issue for issue in check_result.issues if issue not in issues]
+            if check_result.total:
+                looked_at = {
+                    "targets": check_result.checked,
+                    "of": check_result.total,
+                    "placed": check_result.is_placed,
+                    "thinned": check_result.is_subsampled,
+                }
+        drawing: dict[str, Any] | None = None
+        if options.cell is not None:
             try:
-                seen, faults = _cell(read, folder, known, cell)
-                found += faults
+                drawing, faults = _draw_cell(problem_read, folder, cache, options.cell)
+                issues += faults
             except TandemError as error:
-                found += error.issues
-        drawn: list[dict[str, Any]] = []
-        if draw:
-            drawn, faults = shapes(read)
-            found += [issue for issue in faults if issue not in found]
-        return Examined(
-            issues=uploaded.in_user_names(found),
-            name=read.name,
-            digest=read.digest,
-            processes=tuple(dict.fromkeys(operation.process for operation in read.operations)),
+                issues += error.issues
+        drawn_shapes: list[dict[str, Any]] = []
+        if options.draw:
+            drawn_shapes, faults = shapes(problem_read)
+            issues += [issue for issue in faults if issue not in issues]
+        return ReadingResult(
+            issues=uploaded.with_user_names(issues),
+            name=problem_read.name,
+            digest=problem_read.digest,
+            processes=tuple(dict.fromkeys(operation.process for operation in problem_read.operations)),
             text=text,
             files={name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
-            summary=_summary(read),
-            shapes=tuple(drawn),
+            summary=_summary(problem_read),
+            shapes=tuple(drawn_shapes),
             looked_at=looked_at,
-            cell=seen,
+            cell=drawing,
         )
 
 
-def _cell(
-    problem: Problem, folder: Path, kept: KeptFiles | None, asked: Mapping[str, Any]
+def _draw_cell(
+    problem: Problem, folder: Path, cache: FileCache | None, arguments: Mapping[str, Any]
 ) -> tuple[dict[str, Any], list[Issue]]:
     count = len(problem.operations)
-    if asked["operation"] >= count:
-        what = f"operation: got {asked['operation']}, the problem has {count}; give 0 to {count - 1}"
-        raise refusal("service.request", what, field="operation")
-    from planner.service import cell_view  # loads Drake
+    if arguments["operation"] >= count:
+        what = f"operation: out of range (got {arguments['operation']}, allowed 0 to {count - 1} of {count})"
+        raise issue_error("service.request", what, field="operation")
+    from planner.service import cell_drawing  # loads Drake
 
-    make = None if kept is None else kept_targets.maker(kept, problem, alike=True)
+    make = (
+        None if cache is None else target_cache.cached_targets_maker(cache, problem, accept_equivalent=True)
+    )
     plan = None
-    if files := asked.get("plan"):
+    if files := arguments.get("plan"):
         for name, path in files:
             _link_or_copy(Path(path), folder / name)
-        with contextlib.suppress(TandemError):  # made by another version
+        with contextlib.suppress(TandemError):  # written by another version
             plan = plans.load(folder)
-    seen, faults = cell_view.view(problem, make=make, **{**asked, "plan": plan})
+    sampling = None
+    if arguments["max_samples"] is not None:
+        sampling = cell_drawing.TargetSampling(
+            arguments["max_samples"], arguments["freedom"], arguments["reach"]
+        )
+    seen, faults = cell_drawing.view(problem, arguments["operation"], sampling, make, plan)
     for target in seen.get("targets", ()):
         target["faults"] = [issue.to_dict() for issue in target["faults"]]
     return seen, faults
 
 
 def examine_element(
-    folder: Path, element: Path, uploads: Mapping[str, Path], facets: int, fields: Mapping[str, Any]
-) -> Examined:
-    """The same of an element file, with ``fields`` in place of those that it has; ``summary``: the ``kind``
-    of its panels and the ``fields`` that may be changed, as they are."""
-    faults = [*_archives(uploads), *_large_meshes(uploads, facets)]
+    folder: Path, element: Path, uploads: Mapping[str, Path], max_facets: int, fields: Mapping[str, Any]
+) -> ReadingResult:
+    """Read an uploaded element.
+
+    Args:
+        folder: Empty folder for this call.
+        element: Element file.
+        uploads: Stored files by the names that the user gave.
+        max_facets: Maximum number of facets of a mesh.
+        fields: New values by field path.
+
+    Returns:
+        Result whose ``summary`` contains the ``kind`` of its panels and the ``fields`` that may be changed.
+    """
+    faults = [*_archive_issues(uploads), *_large_mesh_issues(uploads, max_facets)]
     if faults:
-        return Examined(tuple(faults))
-    uploaded = Uploaded(folder, uploads)
-    shutil.copyfile(element, folder / ELEMENT)
+        return ReadingResult(tuple(faults))
+    uploaded = LinkedUploads(folder, uploads)
+    shutil.copyfile(element, folder / ELEMENT_FILE)
     try:
-        document = strict_yaml.read(folder / ELEMENT)
-        faults = [*_replaced(document.data, fields)]
-        document, missing = uploaded.element_inside(document)
+        document = strict_yaml.read(folder / ELEMENT_FILE)
+        faults = [*_replace_fields(document.data, fields)]
+        document, missing = uploaded.inline_element(document)
         if faults or missing:
-            return Examined(uploaded.in_user_names([*faults, *missing]))
+            return ReadingResult(uploaded.with_user_names([*faults, *missing]))
         text = strict_yaml.dump(document.data)
-        (folder / ELEMENT).write_text(text, "utf-8")
-        read = element_file.read(folder / ELEMENT)
+        (folder / ELEMENT_FILE).write_text(text, "utf-8")
+        element_read = element_file.read_element(folder / ELEMENT_FILE)
     except TandemError as error:
-        return Examined(uploaded.in_user_names(error.issues))
-    laid = {f"files/{path.name}": path.read_bytes() for path in sorted((folder / "files").iterdir())}
-    files = {name: hashlib.sha256(content).hexdigest() for name, content in laid.items() if name in text}
-    operations = [operation for template in read.templates for operation in template.data["operations"]]
-    named = [str(one["process"]) for one in operations if isinstance(one, dict) and "process" in one]
-    return Examined(
+        return ReadingResult(uploaded.with_user_names(error.issues))
+    linked_files = {f"files/{path.name}": path.read_bytes() for path in sorted((folder / "files").iterdir())}
+    files = {
+        name: hashlib.sha256(content).hexdigest() for name, content in linked_files.items() if name in text
+    }
+    operations = [
+        operation for template in element_read.templates for operation in template.data["operations"]
+    ]
+    process_names = [
+        str(operation_data["process"])
+        for operation_data in operations
+        if isinstance(operation_data, dict) and "process" in operation_data
+    ]
+    return ReadingResult(
         issues=(),
-        name=read.file.name,
+        name=element_read.file.name,
         digest=hashlib.sha256(text.encode()).hexdigest(),
-        processes=tuple(dict.fromkeys(named)),
+        processes=tuple(dict.fromkeys(process_names)),
         text=text,
         files=files,
-        summary={"kind": read.file.panels.kind, "fields": _fields(read.file)},
+        summary={"kind": element_read.file.panels.kind, "fields": _changeable_fields(element_read.file)},
     )
 
 
-_PLACE: Final = re.compile(r"[A-Za-z0-9_.-]{1,200}")
-"""The place of a field in a problem or an element."""
+_FIELD_PATH: Final = re.compile(r"[A-Za-z0-9_.-]{1,200}")
+"""Path of a field in a problem or an element."""
 
 
-def _replaced(data: dict[str, Any], fields: Mapping[str, Any]) -> Iterator[Issue]:
-    """Set fields by their places; what cannot be set."""
+def _replace_fields(data: dict[str, Any], fields: Mapping[str, Any]) -> Iterator[Issue]:
+    """Set fields by their paths. Yield an issue for each that cannot be set."""
     for field, value in fields.items():
-        if not _PLACE.fullmatch(field):  # it may turn or hide what is told of it
-            what = f"fields: got {field[:40]!a}; give the place of a field, such as stock.size_mm"
-            yield Issue("service.request", what, field="fields")
+        if not _FIELD_PATH.fullmatch(field):  # other characters could reorder or hide parts of the message
+            message = f"fields: invalid path (got {field[:40]!a}). Give a field path, such as stock.size_mm."
+            yield Issue("service.request", message, field="fields")
             continue
         try:
-            strict_yaml.changed_field(data, field, value, Path("/"))
+            strict_yaml.set_field(data, field, value, Path("/"))
         except ValueError as error:
-            yield Issue("service.request", f"{field[:80]}: {error}; correct it", field=field[:80])
+            yield Issue("service.request", f"{field[:80]}: {error}", field=field[:80])
 
 
-def _fields(spec: ElementFile) -> dict[str, Any]:
-    """What may be changed by hand: thickness, blocks, the figure by which its kind is divided."""
+def _changeable_fields(spec: ElementFile) -> dict[str, Any]:
+    """Return the fields that may be changed: thickness, blocks, and those that control the division."""
     kind = spec.panels.kind
-    wanted = getattr(spec.panels, kind)
+    panel_settings = getattr(spec.panels, kind)
     out: dict[str, Any] = {}
-    for name in DIVIDED_BY[kind]:
-        value = getattr(wanted, name)
+    for name in DIVISION_FIELDS[kind]:
+        value = getattr(panel_settings, name)
         if value is not None:
             out[f"panels.{kind}.{name}"] = list(value) if isinstance(value, tuple) else value
     out["thickness_mm"] = spec.thickness_mm
@@ -634,24 +745,31 @@ def _fields(spec: ElementFile) -> dict[str, Any]:
     return out
 
 
-def examine_panels(folder: Path, files: Mapping[str, Path], panels: Sequence[str]) -> list[Examined]:
-    """Panels and jobs of raw blocks of a divided element by their ids as problems that stand alone; ``files``
-    of the element's job, by name. Their targets are made when they are planned."""
+def examine_panels(folder: Path, files: Mapping[str, Path], panels: Sequence[str]) -> list[ReadingResult]:
+    """Read panels and raw-block jobs of a divided element as self-contained problems.
+
+    Their targets are computed when they are planned.
+
+    Args:
+        folder: Empty folder for this call.
+        files: Files of the element's job by name.
+        panels: Ids of panels and raw-block jobs.
+    """
     for name, path in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         _link_or_copy(path, folder / name)
     out = []
     for panel in panels:
-        path = next(path for one in PROBLEMS if (path := folder / one / f"{panel}.yaml").is_file())
-        source = problem_file.resolved(strict_yaml.read(path).data, path.parent)
-        stored = problem_file.packed(source)
-        text = stored.pop(PROBLEM).decode()
+        path = next(path for item in PROBLEMS if (path := folder / item / f"{panel}.yaml").is_file())
+        source = problem_file.resolve_files(strict_yaml.read(path).data, path.parent)
+        stored = problem_file.pack_files(source)
+        text = stored.pop(PROBLEM_FILE).decode()
         out.append(
-            Examined(
+            ReadingResult(
                 issues=(),
                 name=str(source["name"]),
-                digest=problem_file.digest(source),
-                processes=tuple(dict.fromkeys(str(one["process"]) for one in source["operations"])),
+                digest=problem_file.problem_digest(source),
+                processes=tuple(dict.fromkeys(str(item["process"]) for item in source["operations"])),
                 text=text,
                 files={name: hashlib.sha256(content).hexdigest() for name, content in stored.items()},
             )
@@ -659,41 +777,47 @@ def examine_panels(folder: Path, files: Mapping[str, Path], panels: Sequence[str
     return out
 
 
-def _other_faults(document: Document) -> list[Issue]:
-    """What else is wrong where files are missing."""
+def _remaining_issues(document: Document) -> list[Issue]:
+    """Return the other issues of a problem whose files are incomplete."""
     try:
-        problem_file.build(document, registry.readers())
+        problem_file.build_problem(document, registry.readers())
     except TandemError as error:
-        return [issue for issue in error.issues if NOWHERE not in f"{issue.message} {issue.file}"]
+        return [issue for issue in error.issues if MISSING_FILE not in f"{issue.message} {issue.file}"]
     return []
 
 
-def _archives(uploads: Mapping[str, Path]) -> Iterator[Issue]:
+def _archive_issues(uploads: Mapping[str, Path]) -> Iterator[Issue]:
     for name, path in uploads.items():
         with path.open("rb") as stream:
             head = stream.read(512)
         if Path(base_name(name)).suffix.lower() == ".3mf" and zipfile.is_zipfile(path):
-            continue  # a mesh, whose contents are counted below
-        if head.startswith(ARCHIVES) or head[TAR_MAGIC] == b"ustar":
-            message = f"{name[:80]!r} is an archive or compressed; unpack it and upload the files themselves"
+            continue  # a mesh, whose size is checked below
+        if head.startswith(ARCHIVE_MAGIC) or head[TAR_MAGIC] == b"ustar":
+            message = format_message("service.archive", file=name[:80])
             yield Issue("service.archive", message, file=name, field="files")
 
 
-def _large_meshes(uploads: Mapping[str, Path], most: int) -> Iterator[Issue]:
-    """Meshes are counted before they are read, which takes far more time and memory."""
+def _large_mesh_issues(uploads: Mapping[str, Path], max_facets: int) -> Iterator[Issue]:
+    """Yield an issue for each mesh that is too large.
+
+    Counting takes far less time and memory than reading.
+    """
     for name, path in uploads.items():
         size = mesh_size(path, Path(base_name(name)).suffix)
-        for what, count, limit in (("facets", size.facets, most), ("vertices", size.vertices, 3 * most)):
+        for quantity, count, limit in (
+            ("facets", size.facets, max_facets),
+            ("vertices", size.vertices, 3 * max_facets),
+        ):
             if count > limit:
                 message = (
-                    f"{name[:80]!r} has {count:,} {what}, this service takes meshes of at most {limit:,}; "
-                    "export it coarser, or simplify it"
+                    f"{name[:80]!r}: too many {quantity} (got {count:,}, allowed {limit:,}). "
+                    "Export it coarser, or simplify it."
                 )
                 yield Issue("service.too_large", message, file=name, field="files", value=count, limit=limit)
 
 
 def _summary(problem: Problem) -> dict[str, Any]:
-    """What is in the problem; boxes as lower and upper corner [mm] in the stock's frame."""
+    """Summarise a problem. Boxes are lower and upper corners [mm] in the frame of the stock."""
     arms = [{"name": arm.name, "robot": arm.robot, "tool": arm.tool.name} for arm in problem.cell.arms]
     operations = [{"name": o.name, "process": o.process, "arms": list(o.arms)} for o in problem.operations]
     out: dict[str, Any] = {"arms": arms, "operations": operations, "stock_mm": _box(problem.stock.box)}

@@ -1,9 +1,9 @@
-"""Webhooks: addresses that are told when a job has ended.
+"""Webhooks: notifications when a job has ended.
 
-What is to be told is written in the transaction that ends the job, so a crash loses none of it, and is sent
-by any host until it is answered by 2xx: an address may be told the same thing twice, by the same
-``webhook-id``. Form, headers and signature are those of Standard Webhooks 1.0 (standardwebhooks.com). An
-address is one of a host that the operator has named; redirections are not followed.
+A notification is written in the transaction that ends the job, so that a crash loses none. Any host sends
+it until the address answers 2xx. An address may therefore receive the same notification twice, with the
+same ``webhook-id``. Form, headers and signature are those of Standard Webhooks 1.0 (standardwebhooks.com).
+The operator must have allowed the host of the address. Redirects are not followed.
 """
 
 import base64
@@ -28,46 +28,62 @@ from urllib.parse import SplitResult, urlsplit
 from sqlalchemy import ColumnElement, Connection, RowMapping, and_, delete, func, insert, or_, select, update
 from sqlalchemy.exc import SQLAlchemyError
 
+from planner.issue_codes import format_message
 from planner.issues import Issue
 from planner.service.models import DELIVERIES, JOBS, TOKENS, WEBHOOKS, Database
-from planner.service.security import LOCAL, RefusedError, in_clear, too_many
+from planner.service.security import LOCAL, RefusedError, is_unencrypted, too_many
 
 LOG: Final = logging.getLogger("planner.service")
 """Log of the service."""
 SECRET_PREFIX: Final = "whsec_"
-"""What a secret of Standard Webhooks begins with; base64 follows."""
+"""Prefix of a secret of Standard Webhooks. Base64 follows."""
 SECRET_BYTES: Final = 32
-"""Length of a secret; Standard Webhooks asks for 24 to 64."""
-AGAIN_S: Final = (5.0, 300.0, 1800.0, 7200.0, 18000.0, 36000.0, 50400.0, 72000.0)
-"""Waiting times [s] behind each attempt that failed, as Standard Webhooks proposes them: 52 hours in all."""
-LATEST_S: Final = 1.1 * AGAIN_S[-1]
-"""Nothing is due later than in so long [s]."""
-ANSWER_S: Final = 15.0
-"""Time [s] in which an address has to answer."""
-HELD_S: Final = 90.0
-"""Another host sends what a host has held for so long [s] without telling how it went."""
-LOOK_S: Final = 1.0
-"""What is due is looked for so often [s]."""
-AT_ONCE: Final = 4
-"""Addresses that are told at once, one of each owner at most: one that is slow keeps no other owner
-waiting."""
-FORGOTTEN_S: Final = 3 * 86400.0
-"""What is due for so long [s] is told no more."""
-MOST: Final = 10
-"""Webhooks of one owner."""
-USUAL_PORTS: Final = {"https": 443, "http": 80}
-"""Ports of addresses that name none."""
-NUMBER: Final = re.compile(r"[0-9a-f]{32}")
-"""A webhook's identifier."""
-LONGEST_URL: Final = 500
-"""Characters of an address at most."""
-GONE: Final = 410
-"""The answer of an address that is not to be told anything any more."""
+"""Length [bytes] of a secret. Standard Webhooks requires 24 to 64."""
+RETRY_WAITS_S: Final = (5.0, 300.0, 1800.0, 7200.0, 18000.0, 36000.0, 50400.0, 72000.0)
+"""Waiting times [s] after failed attempts, as Standard Webhooks proposes: 52 hours in total."""
+MAX_DUE_S: Final = 1.1 * RETRY_WAITS_S[-1]
+"""Maximum time [s] until a notification is due.
+
+A later one was written by a clock that has been set back.
+"""
+ANSWER_TIMEOUT_S: Final = 15.0
+"""Maximum time [s] of an answer."""
+CLAIM_S: Final = 90.0
+"""Time [s] for which a host holds a notification. Then another host may send it."""
+POLL_S: Final = 1.0
+"""Interval [s] of queries for due notifications."""
+MAX_CONCURRENT: Final = 4
+"""Maximum number of concurrent notifications.
+
+Each owner has at most one, so that a slow address delays no other owner.
+"""
+MAX_PENDING_AGE_S: Final = 3 * 86400.0
+"""Time [s] after which an unsent notification is dropped."""
+MAX_WEBHOOKS: Final = 10
+"""Maximum number of webhooks of one owner."""
+DEFAULT_PORTS: Final = {"https": 443, "http": 80}
+"""Default ports."""
+WEBHOOK_ID: Final = re.compile(r"[0-9a-f]{32}")
+"""Pattern of webhook ids."""
+MAX_URL_LENGTH: Final = 500
+"""Maximum number of characters of an address."""
+GONE_STATUS: Final = 410
+"""HTTP status with which an address refuses all further notifications."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Due:
-    """Something to be told: ``id`` is told too, ``body`` is sent as it stands; ``attempt`` counts from 1."""
+class DueNotification:
+    """A due notification.
+
+    Attributes:
+        id: Id of the notification, which is sent too.
+        webhook: Id of the webhook.
+        owner: Token.
+        url: Address.
+        secret: Secret of the webhook.
+        body: Body, sent unchanged.
+        attempt: Number of the attempt, from 1.
+    """
 
     id: str
     webhook: str
@@ -78,48 +94,70 @@ class Due:
     attempt: int
 
 
-def checked(url: str, hosts: Collection[str]) -> SplitResult:
-    """An address that may be told. ``hosts``: those that the operator has named, in lower case, each by
-    itself for the usual port, or as ``HOST:PORT`` for another one.
+def check_url(url: str, hosts: Collection[str]) -> SplitResult:
+    """Check an address, and return its parts.
 
-    Raises :class:`RefusedError`, 422.
+    Args:
+        url: Address.
+        hosts: Allowed hosts in lower case: ``HOST`` for the default port, ``HOST:PORT`` for another one.
+
+    Raises:
+        RefusedError: 422.
     """
     try:
         parts = urlsplit(url)
         host, port = (parts.hostname or "").lower(), parts.port
     except ValueError:
-        raise refused(f"{url[:80]!r} is no address; give https://HOST/PATH") from None
+        raise webhook_refusal(f"invalid url (got {url[:80]!r}). Give https://HOST/PATH.") from None
     if not hosts:
-        raise refused("this service tells no addresses; ask its operator for --webhook-host")
-    if len(url) > LONGEST_URL or not url.isascii() or not url.isprintable() or " " in url:
-        raise refused(f"its url may have {LONGEST_URL} characters at most, printable ASCII without spaces")
-    if in_clear(parts):
-        raise refused(f"{parts.scheme or 'no scheme'} is not taken; give https://HOST/PATH")
+        raise webhook_refusal("this service allows no hosts. Ask its operator for --webhook-host.")
+    if len(url) > MAX_URL_LENGTH or not url.isascii() or not url.isprintable() or " " in url:
+        raise webhook_refusal(
+            f"invalid url (allowed {MAX_URL_LENGTH} printable ASCII characters without spaces)"
+        )
+    if is_unencrypted(parts):
+        raise webhook_refusal(
+            f"unsupported scheme (got {parts.scheme or 'no scheme'}). Give https://HOST/PATH."
+        )
     if parts.username is not None or parts.password is not None or parts.fragment:
-        raise refused("its url has a user, a password or a fragment; leave them out: requests are signed")
-    there = host if port in (None, USUAL_PORTS[parts.scheme]) else f"{host}:{port}"
-    if there not in hosts:
-        allowed = ", ".join(sorted(hosts))
-        raise refused(f"host {there[:80]!r} is none that this service tells; allowed: {allowed}")
+        raise webhook_refusal(
+            "its url has a user, password or fragment. Leave them out, requests are signed."
+        )
+    host_and_port = host if port in (None, DEFAULT_PORTS[parts.scheme]) else f"{host}:{port}"
+    if host_and_port not in hosts:
+        allowed_hosts = ", ".join(sorted(hosts))
+        raise webhook_refusal(f"host is not allowed (got {host_and_port[:80]!r}, allowed {allowed_hosts})")
     return parts
 
 
-def refused(why: str, status: int = 422) -> RefusedError:
-    """422, or another status."""
-    return RefusedError(status, Issue("service.webhook", f"webhook: {why}", field="url"))
+def webhook_refusal(why: str, status: int = 422) -> RefusedError:
+    """Return a refusal with a field ``url``.
+
+    Args:
+        why: Message.
+        status: HTTP status.
+    """
+    message = format_message("service.webhook", reason=why)
+    return RefusedError(status, Issue("service.webhook", message, field="url"))
 
 
 def record_end(db: Connection, job: str, state: str) -> None:
-    """In the transaction that ends a job: its owner's webhooks are to be told."""
+    """Record notifications of the end of a job, in the transaction that ends it.
+
+    Args:
+        db: Open write transaction.
+        job: Id of the job.
+        state: Final state.
+    """
     query = select(JOBS.c.owner, JOBS.c.name, JOBS.c.digest).where(JOBS.c.id == job)
     row = db.execute(query).mappings().one()
-    asked = select(WEBHOOKS.c.id).where(WEBHOOKS.c.owner == row["owner"], WEBHOOKS.c.off.is_(None))
+    webhook_query = select(WEBHOOKS.c.id).where(WEBHOOKS.c.owner == row["owner"], WEBHOOKS.c.off.is_(None))
     data = {"id": job, "name": row["name"], "digest": row["digest"], "state": state}
-    for webhook in db.execute(asked).scalars().all():
-        _put(db, webhook, "job.ended", data)
+    for webhook in db.execute(webhook_query).scalars().all():
+        _add_delivery(db, webhook, "job.ended", data)
 
 
-def _put(db: Connection, webhook: str, kind: str, data: dict[str, Any]) -> None:
+def _add_delivery(db: Connection, webhook: str, kind: str, data: dict[str, Any]) -> None:
     now = time.time()
     stamp = dt.datetime.fromtimestamp(now, dt.UTC).isoformat().replace("+00:00", "Z")
     body = json.dumps({"type": kind, "timestamp": stamp, "data": data})
@@ -128,48 +166,79 @@ def _put(db: Connection, webhook: str, kind: str, data: dict[str, Any]) -> None:
 
 
 def _is_due(now: ColumnElement[float]) -> ColumnElement[bool]:
-    """What is due later than anything may be was put in by a clock that has been set back since."""
-    return or_(DELIVERIES.c.due <= now, DELIVERIES.c.due > now + LATEST_S)
+    """Return the condition for due notifications.
+
+    A notification that is due later than is possible was written by a clock that has been set back since.
+    """
+    return or_(DELIVERIES.c.due <= now, DELIVERIES.c.due > now + MAX_DUE_S)
 
 
-def forget(database: Database, db: Connection) -> None:
-    """Drop what nobody has sent for long: no host of this store tells addresses, or the token was revoked."""
-    db.execute(delete(DELIVERIES).where(DELIVERIES.c.due < database.clock() - FORGOTTEN_S))
+def drop_old_deliveries(database: Database, db: Connection) -> None:
+    """Drop notifications that nobody has sent for long.
+
+    No host of this store sends webhooks, or the token was revoked.
+
+    Args:
+        database: Database.
+        db: Open write transaction.
+    """
+    db.execute(delete(DELIVERIES).where(DELIVERIES.c.due < database.clock() - MAX_PENDING_AGE_S))
 
 
-def signature(secret: str, number: str, seconds: int, body: str) -> str:
-    """The header ``webhook-signature``: HMAC-SHA256 over identifier, time and body, as of Standard Webhooks
-    1.0."""
+def signature(secret: str, delivery_id: str, seconds: int, body: str) -> str:
+    """Return the header ``webhook-signature``: HMAC-SHA256 over id, time and body (Standard Webhooks 1.0).
+
+    Args:
+        secret: Secret of the webhook.
+        delivery_id: Id of the notification.
+        seconds: Time [s since 1970].
+        body: Body.
+    """
     key = base64.b64decode(secret.removeprefix(SECRET_PREFIX))
-    signed = hmac.new(key, f"{number}.{seconds}.{body}".encode(), hashlib.sha256).digest()
+    signed = hmac.new(key, f"{delivery_id}.{seconds}.{body}".encode(), hashlib.sha256).digest()
     return f"v1,{base64.b64encode(signed).decode()}"
 
 
 class Webhooks:
-    """The webhooks of one database; ``hosts`` may be told."""
+    """The webhooks of one database.
+
+    Args:
+        database: Database.
+        hosts: Hosts that may be notified.
+    """
 
     def __init__(self, database: Database, hosts: Collection[str]) -> None:
         self._database = database
         self.hosts = frozenset(host.lower() for host in hosts)
 
     def add(self, owner: str, url: str) -> RowMapping:
-        """A new webhook with its secret, which is told this once. Raises :class:`RefusedError`, 422 or
-        429."""
-        checked(url, self.hosts)
-        number = secrets.token_hex(16)
+        """Create a webhook. Its secret is returned only once.
+
+        Args:
+            owner: Token.
+            url: Address.
+
+        Raises:
+            RefusedError: 422 or 429.
+        """
+        check_url(url, self.hosts)
+        webhook_id = secrets.token_hex(16)
         secret = SECRET_PREFIX + base64.b64encode(secrets.token_bytes(SECRET_BYTES)).decode()
-        row = {"id": number, "owner": owner, "url": url, "secret": secret, "created": time.time()}
+        row = {"id": webhook_id, "owner": owner, "url": url, "secret": secret, "created": time.time()}
         with self._database.write() as db:
-            self._database.one_at_a_time(db, f"webhooks {owner}")
+            self._database.lock(db, f"webhooks {owner}")
             mine = select(func.count()).select_from(WEBHOOKS).where(WEBHOOKS.c.owner == owner)
-            if db.execute(mine).scalar_one() >= MOST:
-                what = f"there are {MOST} webhooks of this token, as many as may be; delete one"
-                raise too_many(what, 60, MOST)
+            if db.execute(mine).scalar_one() >= MAX_WEBHOOKS:
+                message = f"too many webhooks of this token (allowed {MAX_WEBHOOKS}). Delete one."
+                raise too_many(message, 60, MAX_WEBHOOKS)
             db.execute(insert(WEBHOOKS).values(row))
-            return db.execute(select(WEBHOOKS).where(WEBHOOKS.c.id == number)).mappings().one()
+            return db.execute(select(WEBHOOKS).where(WEBHOOKS.c.id == webhook_id)).mappings().one()
 
     def list(self, owner: str) -> list[RowMapping]:
-        """The owner's webhooks, the oldest first, each with how many things are ``waiting``."""
+        """Return the webhooks of an owner, oldest first.
+
+        ``waiting`` is the number of pending notifications.
+        """
         left = select(func.count()).where(DELIVERIES.c.webhook == WEBHOOKS.c.id)
         waiting = left.scalar_subquery().label("waiting")
         query = select(WEBHOOKS, waiting).where(WEBHOOKS.c.owner == owner).order_by(WEBHOOKS.c.created)
@@ -177,31 +246,51 @@ class Webhooks:
             return list(db.execute(query).mappings())
 
     def remove(self, owner: str, number: str) -> None:
-        """Delete a webhook, with what it was still to be told. Raises :class:`RefusedError`, 404."""
+        """Delete a webhook and its pending notifications.
+
+        Args:
+            owner: Token.
+            number: Id of the webhook.
+
+        Raises:
+            RefusedError: 404.
+        """
         with self._database.write() as db:
-            self._own(db, owner, number)
+            self._check_owner(db, owner, number)
             db.execute(delete(DELIVERIES).where(DELIVERIES.c.webhook == number))
             db.execute(delete(WEBHOOKS).where(WEBHOOKS.c.id == number))
 
     def ping(self, owner: str, number: str) -> None:
-        """Let a webhook be told that it is one; it is on again. Raises :class:`RefusedError`, 404."""
+        """Send a test notification, and enable the webhook again.
+
+        Args:
+            owner: Token.
+            number: Id of the webhook.
+
+        Raises:
+            RefusedError: 404.
+        """
         with self._database.write() as db:
-            self._own(db, owner, number)
+            self._check_owner(db, owner, number)
             db.execute(update(WEBHOOKS).where(WEBHOOKS.c.id == number).values(off=None))
-            _put(db, number, "ping", {})
+            _add_delivery(db, number, "ping", {})
 
-    def _own(self, db: Connection, owner: str, number: str) -> None:
-        if not NUMBER.fullmatch(number):
-            raise refused(f"{number[:40]!r}: there is none; list them", 404)
-        own = select(WEBHOOKS.c.id).where(WEBHOOKS.c.id == number, WEBHOOKS.c.owner == owner)
-        if db.execute(own).first() is None:
-            raise refused(f"{number[:40]!r}: there is none; list them", 404)
+    def _check_owner(self, db: Connection, owner: str, number: str) -> None:
+        if not WEBHOOK_ID.fullmatch(number):
+            raise webhook_refusal(f"{number[:40]!r} not found. List the webhooks.", 404)
+        query = select(WEBHOOKS.c.id).where(WEBHOOKS.c.id == number, WEBHOOKS.c.owner == owner)
+        if db.execute(query).first() is None:
+            raise webhook_refusal(f"{number[:40]!r} not found. List the webhooks.", 404)
 
-    def claim(self, busy: Collection[str]) -> Due | None:
-        """The next thing that is due of an owner who is not ``busy``, held by this host for a while."""
+    def claim(self, busy: Collection[str]) -> DueNotification | None:
+        """Claim the next due notification for this host.
+
+        Args:
+            busy: Owners to skip, because they are being notified.
+        """
         now = self._database.clock()
-        lasting = or_(TOKENS.c.expires.is_(None), TOKENS.c.expires > now)
-        in_force = select(TOKENS.c.id).where(TOKENS.c.revoked.is_(None), lasting)
+        not_expired = or_(TOKENS.c.expires.is_(None), TOKENS.c.expires > now)
+        in_force = select(TOKENS.c.id).where(TOKENS.c.revoked.is_(None), not_expired)
         query = (
             select(DELIVERIES, WEBHOOKS.c.owner, WEBHOOKS.c.url, WEBHOOKS.c.secret)
             .join(WEBHOOKS, WEBHOOKS.c.id == DELIVERIES.c.webhook)
@@ -217,7 +306,7 @@ class Webhooks:
             .limit(1)
             .with_for_update(of=DELIVERIES, skip_locked=True)
         )
-        with self._database.read() as db:  # most looks find nothing, and readers keep no writer waiting
+        with self._database.read() as db:  # usually nothing is due, and readers do not block writers
             if db.execute(select(DELIVERIES.c.id).where(_is_due(now)).limit(1)).first() is None:
                 return None
         with self._database.write() as db:
@@ -225,32 +314,46 @@ class Webhooks:
             if row is None:
                 return None
             attempt = row["attempts"] + 1
-            held = {"due": now + HELD_S, "attempts": attempt}
-            db.execute(update(DELIVERIES).where(DELIVERIES.c.id == row["id"]).values(held))
-        told = (row["id"], row["webhook"], row["owner"], row["url"], row["secret"], row["body"])
-        return Due(*told, attempt)
+            claim_values = {"due": now + CLAIM_S, "attempts": attempt}
+            db.execute(update(DELIVERIES).where(DELIVERIES.c.id == row["id"]).values(claim_values))
+        values = (row["id"], row["webhook"], row["owner"], row["url"], row["secret"], row["body"])
+        return DueNotification(*values, attempt)
 
-    def sent(self, due: Due, status: int | None, why: str) -> None:
-        """How an attempt went: the ``status`` that was answered, or None and ``why`` there was none."""
-        good = status is not None and 200 <= status < 300
-        last = good or due.attempt > len(AGAIN_S)
-        told = {"told": time.time(), "outcome": f"{status}" if status is not None else why[:200]}
-        if status == GONE:
-            told["off"] = told["told"]
+    def record_attempt(self, due: DueNotification, status: int | None, why: str) -> None:
+        """Record the result of an attempt.
+
+        Args:
+            due: Notification.
+            status: HTTP status, or None without an answer.
+            why: Why there was no answer.
+        """
+        succeeded = status is not None and 200 <= status < 300
+        is_last = succeeded or due.attempt > len(RETRY_WAITS_S)
+        values = {"told": time.time(), "outcome": f"{status}" if status is not None else why[:200]}
+        if status == GONE_STATUS:
+            values["off"] = values["told"]
         with self._database.write() as db:
-            db.execute(update(WEBHOOKS).where(WEBHOOKS.c.id == due.webhook).values(told))
-            own = and_(DELIVERIES.c.id == due.id, DELIVERIES.c.attempts == due.attempt)
-            if last or status == GONE:
-                db.execute(delete(DELIVERIES).where(own))
+            db.execute(update(WEBHOOKS).where(WEBHOOKS.c.id == due.webhook).values(values))
+            delivery_filter = and_(DELIVERIES.c.id == due.id, DELIVERIES.c.attempts == due.attempt)
+            if is_last or status == GONE_STATUS:
+                db.execute(delete(DELIVERIES).where(delivery_filter))
             else:
-                later = self._database.clock() + AGAIN_S[due.attempt - 1]
-                db.execute(update(DELIVERIES).where(own).values(due=later))
+                later = self._database.clock() + RETRY_WAITS_S[due.attempt - 1]
+                db.execute(update(DELIVERIES).where(delivery_filter).values(due=later))
 
 
-def post(due: Due, hosts: Collection[str]) -> tuple[int | None, str]:
-    """Send it once: the status that was answered, or None and why there was none."""
+def send_notification(due: DueNotification, hosts: Collection[str]) -> tuple[int | None, str]:
+    """Send a notification once.
+
+    Args:
+        due: Notification.
+        hosts: Allowed hosts.
+
+    Returns:
+        HTTP status, or None and the reason why there was no answer.
+    """
     try:
-        parts = checked(due.url, hosts)
+        parts = check_url(due.url, hosts)
         seconds = int(time.time())
         headers = {
             "Content-Type": "application/json",
@@ -259,26 +362,28 @@ def post(due: Due, hosts: Collection[str]) -> tuple[int | None, str]:
             "webhook-timestamp": str(seconds),
             "webhook-signature": signature(due.secret, due.id, seconds, due.body),
         }
-        until = time.monotonic() + ANSWER_S
-        link = http.client.HTTPConnection(parts.netloc, timeout=ANSWER_S)
-        link.sock = _reached(parts, until)
-        over = threading.Event()
-        # a socket's own limit is one for each piece
-        ending = threading.Timer(max(until - time.monotonic(), 0.0), _cut, (link, over))
-        ending.daemon = True
-        ending.start()
+        until = time.monotonic() + ANSWER_TIMEOUT_S
+        connection = http.client.HTTPConnection(parts.netloc, timeout=ANSWER_TIMEOUT_S)
+        connection.sock = _connect(parts, until)
+        timed_out = threading.Event()
+        # a socket timeout applies to each read, so a timer limits the whole exchange
+        timer = threading.Timer(
+            max(until - time.monotonic(), 0.0), _close_connection, (connection, timed_out)
+        )
+        timer.daemon = True
+        timer.start()
         try:
-            if isinstance(link.sock, ssl.SSLSocket):
-                link.sock.do_handshake()
-            way = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
-            link.request("POST", way, due.body.encode(), headers)
-            status = link.getresponse().status
-            if over.is_set():  # a head that was cut off reads as one that ended
+            if isinstance(connection.sock, ssl.SSLSocket):
+                connection.sock.do_handshake()
+            target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
+            connection.request("POST", target, due.body.encode(), headers)
+            status = connection.getresponse().status
+            if timed_out.is_set():  # a truncated head looks like a complete one
                 raise TimeoutError
             return status, ""
         finally:
-            ending.cancel()
-            link.close()
+            timer.cancel()
+            connection.close()
     except RefusedError as no_longer:
         return None, str(no_longer)
     except (OSError, ValueError, http.client.HTTPException) as error:
@@ -286,45 +391,49 @@ def post(due: Due, hosts: Collection[str]) -> tuple[int | None, str]:
         return None, "no answer"
 
 
-def _reached(parts: SplitResult, until: float) -> socket.socket:
-    """A connection to an address, by the first of its host's that answers before ``until`` [s] by the
-    monotonic clock; with TLS, whose handshake is still to be made, where it asks for that. Raises
-    ``OSError``."""
-    host, port = parts.hostname or "", parts.port or USUAL_PORTS[parts.scheme]
-    last: OSError = TimeoutError("no address answered in time")
+def _connect(parts: SplitResult, until: float) -> socket.socket:
+    """Connect to the first address of a host that answers before ``until`` [s, monotonic clock].
+
+    With TLS the handshake is still to be made.
+
+    Raises:
+        OSError: No connection.
+    """
+    host, port = parts.hostname or "", parts.port or DEFAULT_PORTS[parts.scheme]
+    last_error: OSError = TimeoutError("no address answered in time")
     for family, kind, proto, _, address in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM):
-        if (left := until - time.monotonic()) <= 0.0:
+        if (remaining := until - time.monotonic()) <= 0.0:
             break
-        link = socket.socket(family, kind, proto)
+        connection = socket.socket(family, kind, proto)
         try:
-            link.settimeout(left)
-            link.connect(address)
+            connection.settimeout(remaining)
+            connection.connect(address)
         except OSError as error:
-            link.close()
-            last = error
+            connection.close()
+            last_error = error
             continue
         if parts.scheme != "https":
-            return link
+            return connection
         context = ssl.create_default_context()
-        return context.wrap_socket(link, server_hostname=host, do_handshake_on_connect=False)
-    raise last
+        return context.wrap_socket(connection, server_hostname=host, do_handshake_on_connect=False)
+    raise last_error
 
 
-def _cut(link: http.client.HTTPConnection, over: threading.Event) -> None:
-    over.set()
+def _close_connection(connection: http.client.HTTPConnection, timed_out: threading.Event) -> None:
+    timed_out.set()
     with contextlib.suppress(OSError):
-        if link.sock is not None:
-            link.sock.shutdown(socket.SHUT_RDWR)
+        if connection.sock is not None:
+            connection.sock.shutdown(socket.SHUT_RDWR)
 
 
-Post = Callable[[Due, Collection[str]], tuple[int | None, str]]
-"""What sends: the status, or None and why there was none."""
+Deliver = Callable[[DueNotification, Collection[str]], tuple[int | None, str]]
+"""Function that sends a notification, see :func:`send_notification`."""
 
 
-class Sender(threading.Thread):
-    """Sends what is due, on each host."""
+class WebhookSender(threading.Thread):
+    """Thread that sends due notifications, on each host."""
 
-    def __init__(self, webhooks: Webhooks, send: Post = post) -> None:
+    def __init__(self, webhooks: Webhooks, send: Deliver = send_notification) -> None:
         super().__init__(name="tandem-webhooks", daemon=True)
         self._webhooks, self._send = webhooks, send
         self._ending = threading.Event()
@@ -332,18 +441,18 @@ class Sender(threading.Thread):
         self._busy: set[str] = set()
 
     def stop(self) -> None:
-        """Send nothing more; what is under way is sent again if it is not answered."""
+        """Stop sending. Notifications in progress are sent again if they are not answered."""
         self._ending.set()
         if self.is_alive():
-            self.join(LOOK_S + 5.0)
+            self.join(POLL_S + 5.0)
 
     def run(self) -> None:
-        """Until :meth:`stop`."""
+        """Send due notifications until :meth:`stop`."""
         if not self._webhooks.hosts:
             return
-        while not self._ending.wait(LOOK_S):
+        while not self._ending.wait(POLL_S):
             try:
-                while not self._ending.is_set() and len(self._busy) < AT_ONCE:
+                while not self._ending.is_set() and len(self._busy) < MAX_CONCURRENT:
                     with self._lock:
                         busy = frozenset(self._busy)
                     due = self._webhooks.claim(busy)
@@ -351,17 +460,17 @@ class Sender(threading.Thread):
                         break
                     with self._lock:
                         self._busy.add(due.owner)
-                    threading.Thread(target=self._tell, args=(due,), daemon=True).start()
+                    threading.Thread(target=self._notify, args=(due,), daemon=True).start()
             except SQLAlchemyError:
-                LOG.exception("webhooks wait for the database")
+                LOG.exception("webhooks: the database is unavailable")
 
-    def _tell(self, due: Due) -> None:
+    def _notify(self, due: DueNotification) -> None:
         try:
             status, why = self._send(due, self._webhooks.hosts)
-            self._webhooks.sent(due, status, why)
+            self._webhooks.record_attempt(due, status, why)
             LOG.info("webhook %s: %s", due.webhook, status if status is not None else why)
         except SQLAlchemyError:
-            LOG.exception("webhook %s is told again", due.webhook)
+            LOG.exception("webhook %s is notified again", due.webhook)
         finally:
             with self._lock:
                 self._busy.discard(due.owner)

@@ -1,5 +1,8 @@
-"""The elastic sheet: thin shells of flat triangles under large displacements. Pure numerics: knows no
-process.
+"""Nonlinear shell analysis of thin elastic sheets.
 
-``mesh`` makes triangles of rings of contours, ``element`` their stiffness, ``corotation`` forces and tangent
-of displaced and turned triangles, ``newton`` the states under loads. All is in SI units: m, N, Pa, rad."""
+Flat triangles with large displacements and small strains. Pure numerics without process knowledge.
+
+``mesh`` generates triangles from the contours of walls, ``element`` computes their stiffness, ``corotation``
+the forces and tangent of displaced and rotated triangles, and ``newton`` the states under loads. All
+quantities are in SI units: m, N, Pa, rad.
+"""

@@ -1,21 +1,22 @@
-"""Linear stiffness of flat triangles: DKT in bending, a membrane with drilling freedoms or of constant
-strain.
+"""Linear stiffness of flat shell triangles: bending and membrane.
 
-Each triangle is looked at in its own frame: the first corner is the origin, the second lies on x, the third
-above it. Deflections are measured from the plane through the corners, so that three stretches and the turns
-of three corners are all there is: 12 deformations,
+DKT is used in bending. In plane it is a membrane with drilling freedoms, or one of constant strain.
 
-    (d x2, d x3, d y3, turn of corner 1 (x, y, z), of corner 2, of corner 3).
+Each triangle has its own frame: the first corner is the origin, the second lies on x, the third above it.
+Deflections are measured from the plane through the corners, so that three stretches and the rotations of
+three corners remain, 12 deformations:
 
-Bending (DKT): J.-L. Batoz, K.-J. Bathe, L.-W. Ho, A study of three-node triangular plate bending elements,
-International Journal for Numerical Methods in Engineering 15 (1980) 1771-1812. Rotations of the normal are
-quadratic over the triangle; along each side the rotation in the side's plane is minus the slope of a cubic
-deflection, the one across it is linear.
+    (d x2, d x3, d y3, rotation of corner 1 (x, y, z), of corner 2, of corner 3).
+
+Bending (DKT): the rotations of the normal are quadratic over the triangle. Along each side, the rotation in
+the side's plane is minus the slope of a cubic deflection, and the one across it is linear. Source: J.-L.
+Batoz, K.-J. Bathe, L.-W. Ho, A study of three-node triangular plate bending elements, International Journal
+for Numerical Methods in Engineering 15 (1980) 1771-1812.
 
 Membrane ("optimal"): C. A. Felippa, A study of optimal membrane triangles with drilling freedoms, Computer
-Methods in Applied Mechanics and Engineering 192 (2003) 2125-2168, of the ANDES template by C. A. Felippa and
-C. Militello (Computers & Structures 1992). "Constant strain" is the usual triangle of three corners; its
-drilling turns have a weak spring each against the turn of the triangle.
+Methods in Applied Mechanics and Engineering 192 (2003) 2125-2168, from the ANDES template by C. A. Felippa
+and C. Militello (Computers & Structures 1992). "Constant strain" is the usual triangle of three corners; each
+of its drilling rotations has a weak spring against the rotation of the triangle.
 """
 
 import dataclasses
@@ -26,29 +27,44 @@ import numpy as np
 from planner.geometry.arrays import FloatArray, IntArray, dots, lengths, unit
 
 Membrane = Literal["optimal", "constant strain"]
-"""Which membrane: with drilling freedoms of their own, or the triangle of constant strain."""
+"""Membrane formulation: with drilling freedoms, or the constant strain triangle."""
 
 DRILLING_SPRING = 1e-3
-"""Spring of a corner's drilling turn beside a triangle of constant strain, as a share of shear modulus x
-volume."""
-_BASIC_SHARE = 1.5
-"""alpha_b of the template: how drilling turns enter the part of constant strain (Felippa 2003, table of
-OPT)."""
+"""Spring stiffness of a drilling rotation of a constant strain triangle, as a fraction of shear modulus x
+volume.
+"""
+_ALPHA_B = 1.5
+"""Parameter alpha_b of the template, the weight of drilling rotations in the constant strain part (Felippa
+2003, table of OPT).
+"""
 _BETA = (1.0, 2.0, 1.0, 0.0, 1.0, -1.0, -1.0, -1.0, -2.0)
-"""beta_1 to beta_9 of the template, by which triangles bend in plane exactly (Felippa 2003, table of OPT)."""
-_LEAST_BETA_0 = 0.01
-"""beta_0 = (1 - 4 nu^2) / 2 at least: it vanishes at nu = 0.5, and with it the drilling stiffness."""
+"""Parameters beta_1 to beta_9 of the template, with which in-plane bending is exact (Felippa 2003, table of
+OPT).
+"""
+_MIN_BETA_0 = 0.01
+"""Minimum of beta_0 = (1 - 4 nu^2) / 2, which vanishes at nu = 0.5 together with the drilling stiffness."""
 _STRETCHES = (3, 6, 7)
-"""Which of the nine displacements (u, v, turn) x 3 of a membrane the frame leaves: u2, u3, v3."""
+"""Indices of u2, u3, v3 in the nine membrane displacements (u, v, rotation) x 3. The frame removes the
+others.
+"""
 _DRILLINGS = (2, 5, 8)
 
 
 @dataclasses.dataclass(frozen=True)
-class Sheet:
-    """An elastic sheet without stress: ``nodes`` (n, 3) [m] on its middle face, ``triangles`` (m, 3) of them.
+class ShellSheet:
+    """An elastic sheet, stress-free in its initial shape.
 
-    ``thickness`` (m,) [m]; ``youngs_modulus`` [Pa]; ``poisson`` from 0 to below 0.5. Raises ValueError where
-    a triangle has no area, a node has no triangle, or a figure is out of its range."""
+    Attributes:
+        nodes: Points (n, 3) [m] on the middle surface.
+        triangles: Node indices (m, 3).
+        thickness: Thickness (m,) [m] of each triangle.
+        youngs_modulus: Young's modulus [Pa].
+        poisson: Poisson's ratio, from 0 to below 0.5.
+        membrane: Membrane formulation.
+
+    Raises:
+        ValueError: If a triangle has no area, a node has no triangle, or a value is out of range.
+    """
 
     nodes: FloatArray
     triangles: IntArray
@@ -61,28 +77,32 @@ class Sheet:
         count = len(self.triangles)
         if count == 0 or self.thickness.shape != (count,):
             raise ValueError(
-                f"thickness: got shape {self.thickness.shape} for {count} triangles; give one each"
+                f"thickness: got shape {self.thickness.shape} for {count} triangles, allowed one for each"
             )
         if not (np.all(np.isfinite(self.nodes)) and np.all(self.thickness > 0.0)):
             raise ValueError("nodes and thickness: got values that are not finite or not positive")
         if not (self.youngs_modulus > 0.0 and 0.0 <= self.poisson < 0.5):
             raise ValueError(
-                f"got E {self.youngs_modulus:g}, nu {self.poisson:g}; allowed E > 0, 0 <= nu < 0.5"
+                f"got E {self.youngs_modulus:g}, nu {self.poisson:g}; allowed E > 0 and 0 <= nu < 0.5"
             )
         if set(np.unique(self.triangles).tolist()) != set(range(len(self.nodes))):
-            raise ValueError("triangles: each node has to be a corner of one, and each corner a node")
+            raise ValueError("triangles: each node must be a corner of a triangle, and each corner a node")
         a, b, c = (self.nodes[self.triangles[:, k]] for k in range(3))
         flat = lengths(np.cross(b - a, c - a)) <= 1e-9 * dots(b - a, b - a)
         if flat.any():
-            raise ValueError(f"triangle {int(np.argmax(flat))} has no area; leave it out")
+            raise ValueError(f"triangle {int(np.argmax(flat))} has no area; remove it")
 
 
 @dataclasses.dataclass(frozen=True)
 class Elements:
-    """What of a sheet does not change as it moves.
+    """Data of a sheet's triangles that does not change with the deformation.
 
-    ``frame`` (m, 3, 3): rows are a triangle's axes; ``corner`` (m, 3) its x2, x3, y3 [m]; ``stiffness`` (m,
-    12, 12) over the 12 deformations (stretches [m], turns [rad]), so in N/m, N and Nm; ``area`` (m,) [m^2].
+    Attributes:
+        frame: Axes (m, 3, 3), as rows.
+        corner: Coordinates x2, x3, y3 (m, 3) [m] in the frame.
+        stiffness: Stiffness (m, 12, 12) over the 12 deformations (stretches [m], rotations [rad]), in N/m, N
+            and Nm.
+        area: Area (m,) [m^2].
     """
 
     frame: FloatArray
@@ -92,7 +112,10 @@ class Elements:
 
 
 def frames(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Axes (m, 3, 3), as rows, and x2, x3, y3 (m, 3) of triangles with corners ``points`` (m, 3, 3)."""
+    """Axes (m, 3, 3), as rows, and coordinates x2, x3, y3 (m, 3) [m] of triangles.
+
+    The triangles have the corners ``points`` (m, 3, 3).
+    """
     one, two = points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]
     x = unit(one)
     z = unit(np.cross(one, two))
@@ -100,8 +123,8 @@ def frames(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.stack([x, y, z], axis=1), np.stack([dots(x, one), dots(x, two), dots(y, two)], axis=1)
 
 
-def elements(sheet: Sheet) -> Elements:
-    """Frames and stiffness of all triangles of a sheet."""
+def elements(sheet: ShellSheet) -> Elements:
+    """Compute frames and stiffness of all triangles of a sheet."""
     frame, corner = frames(sheet.nodes[sheet.triangles])
     xy = np.zeros((len(corner), 3, 2))
     xy[:, 1, 0], xy[:, 2, 0], xy[:, 2, 1] = corner.T
@@ -113,62 +136,85 @@ def elements(sheet: Sheet) -> Elements:
         inplane = constant_strain_membrane(xy, sheet.thickness, elastic, DRILLING_SPRING * shear)
     bending = dkt_bending(xy, sheet.thickness, elastic)
     stiffness = np.zeros((len(corner), 12, 12))
-    kept, place = list(_STRETCHES + _DRILLINGS), [0, 1, 2, 5, 8, 11]
-    stiffness[:, np.array(place)[:, None], place] = inplane[:, np.array(kept)[:, None], kept]
+    kept, targets = list(_STRETCHES + _DRILLINGS), [0, 1, 2, 5, 8, 11]
+    stiffness[:, np.array(targets)[:, None], targets] = inplane[:, np.array(kept)[:, None], kept]
     tilts = [3, 4, 6, 7, 9, 10]
     stiffness[:, np.array(tilts)[:, None], tilts] = bending
     return Elements(frame, corner, stiffness, 0.5 * corner[:, 0] * corner[:, 2])
 
 
 def plane_stress(youngs_modulus: float, poisson: float) -> FloatArray:
-    """Stress over strain (3, 3) [Pa] in (xx, yy, shear angle) of an isotropic metal, stress-free across."""
-    share = youngs_modulus / (1.0 - poisson**2)
-    return share * np.array([[1.0, poisson, 0.0], [poisson, 1.0, 0.0], [0.0, 0.0, 0.5 * (1.0 - poisson)]])
+    """Elasticity matrix (3, 3) [Pa] of an isotropic material in plane stress.
+
+    It is over the strains (xx, yy, shear angle):
+
+        E / (1 - nu^2) * [[1, nu, 0], [nu, 1, 0], [0, 0, (1 - nu) / 2]]
+    """
+    modulus = youngs_modulus / (1.0 - poisson**2)
+    return modulus * np.array([[1.0, poisson, 0.0], [poisson, 1.0, 0.0], [0.0, 0.0, 0.5 * (1.0 - poisson)]])
 
 
 def dkt_bending(xy: FloatArray, thickness: FloatArray, elastic: FloatArray) -> FloatArray:
-    """Stiffness (m, 6, 6) [Nm] over turns about x and y of each corner, none of which is deflected.
+    """Bending stiffness (m, 6, 6) [Nm] over the rotations about x and y of each corner (DKT).
 
-    ``xy`` (m, 3, 2) [m]. The normal turns by (bx, by) = (turn about y, - turn about x); curvatures are bx,x,
-    by,y and bx,y + by,x. At the middle of a side without deflections at its ends the slope along the side is
-    -1/4 of the sum at the ends, the one across it is their mean (Batoz, Bathe and Ho, section 2.3).
+    There are no deflections. The normal rotates by (bx, by) = (rotation about y, - rotation about x). The
+    curvatures are bx,x, by,y and bx,y + by,x. At the middle of a side without deflections at its ends, the
+    slope along the side is -1/4 of the sum of those at the ends, the one across it is their mean.
+
+    Args:
+        xy: Corners (m, 3, 2) [m].
+        thickness: Thickness (m,) [m].
+        elastic: Elasticity matrix (3, 3) [Pa].
+
+    Source: Batoz, Bathe and Ho 1980, section 2.3.
     """
     count = len(xy)
-    normal = np.zeros((count, 6, 2, 6))  # (bx, by) at corners and middles of sides 12, 23, 31, by turn
+    normal = np.zeros((count, 6, 2, 6))  # (bx, by) at corners and middles of sides 12, 23, 31, over rotations
     for corner in range(3):
         normal[:, corner, 0, 2 * corner + 1] = 1.0
         normal[:, corner, 1, 2 * corner] = -1.0
     for side, (i, j) in enumerate(((0, 1), (1, 2), (2, 0))):
         along = unit(xy[:, j] - xy[:, i])
         both = normal[:, i] + normal[:, j]
-        # 1/2 of the sum, and along the side -1/4: 3/4 less
+        # half of the sum, but -1/4 of it along the side: 1/2 - 3/4
         projected = along[:, :, None] * along[:, None, :]
         normal[:, 3 + side] = 0.5 * both - 0.75 * (projected @ both)
     gradient, area = _area_gradients(xy)
     out = np.zeros((count, 6, 6))
-    share = thickness**3 / 12.0 * area / 3.0  # of each of the three points that integrate squares exactly
+    weight = thickness**3 / 12.0 * area / 3.0  # weight of each of three points, exact for quadratic functions
     for point in ((0.5, 0.5, 0.0), (0.0, 0.5, 0.5), (0.5, 0.0, 0.5)):
+        # K = t^3 / 12 int B^T E B dA, B the curvatures (bx,x; by,y; bx,y + by,x) by the rotations
         slopes = np.swapaxes(_quadratic_slopes(point) @ gradient, 1, 2)
-        change = (slopes @ normal.reshape(count, 6, 12)).reshape(count, 2, 2, 6)  # axis, component, turn
+        change = (slopes @ normal.reshape(count, 6, 12)).reshape(count, 2, 2, 6)  # axis, component, rotation
         curvature = np.stack([change[:, 0, 0], change[:, 1, 1], change[:, 1, 0] + change[:, 0, 1]], axis=1)
-        out += share[:, None, None] * (np.swapaxes(curvature, 1, 2) @ elastic @ curvature)
+        out += weight[:, None, None] * (np.swapaxes(curvature, 1, 2) @ elastic @ curvature)
     return out
 
 
 def optimal_membrane(
     xy: FloatArray, thickness: FloatArray, elastic: FloatArray, poisson: float
 ) -> FloatArray:
-    """Stiffness (m, 9, 9) over (u, v, drilling turn) of each corner: Felippa's OPT.
+    """Membrane stiffness (m, 9, 9) over (u, v, drilling rotation) of each corner: Felippa's OPT.
 
-    Basic part (1 / V) L E L^T plus 3/4 beta_0 T^T K_theta T of the turns beyond the triangle's own (Felippa
-    2003, sections 4 and 5; beta_0 = (1 - 4 nu^2) / 2).
+    The basic part is (1 / V) L E L^T. The higher part is 3/4 beta_0 T^T K_theta T of the drilling rotations
+    relative to the triangle, with beta_0 = (1 - 4 nu^2) / 2.
+
+    Args:
+        xy: Corners (m, 3, 2) [m].
+        thickness: Thickness (m,) [m].
+        elastic: Elasticity matrix (3, 3) [Pa].
+        poisson: Poisson's ratio.
+
+    Source: Felippa 2003, sections 4 and 5.
     """
     _, area = _area_gradients(xy)
     x = {f"{i}{j}": xy[:, i - 1, 0] - xy[:, j - 1, 0] for i in (1, 2, 3) for j in (1, 2, 3) if i != j}
     y = {f"{i}{j}": xy[:, i - 1, 1] - xy[:, j - 1, 1] for i in (1, 2, 3) for j in (1, 2, 3) if i != j}
     square = {key: x[key] ** 2 + y[key] ** 2 for key in ("21", "32", "13")}
+    # L = t / 2 (y_jk, 0, x_kj; 0, x_kj, y_jk; alpha_b / 6 (y_jk (y_ik - y_ji), x_kj (x_ki - x_ij),
+    # 2 (x_ki y_ik - x_ij y_ji))), rows u, v, rotation of corner i, columns xx, yy, xy
     lumped = np.zeros((len(xy), 9, 3))
-    # corner i between the corner before (k) and the one after (j)
+    # corner i follows corner k and precedes corner j
     for corner, (i, j, k) in enumerate(((1, 2, 3), (2, 3, 1), (3, 1, 2))):
         yjk, xkj = y[f"{j}{k}"], x[f"{k}{j}"]
         yik, yji = y[f"{i}{k}"], y[f"{j}{i}"]
@@ -176,14 +222,16 @@ def optimal_membrane(
         lumped[:, 3 * corner, 0] = lumped[:, 3 * corner + 1, 2] = yjk
         lumped[:, 3 * corner + 1, 1] = lumped[:, 3 * corner, 2] = xkj
         lumped[:, 3 * corner + 2] = (
-            _BASIC_SHARE
+            _ALPHA_B
             / 6.0
             * np.stack([yjk * (yik - yji), xkj * (xki - xij), 2.0 * (xki * yik - xij * yji)], axis=1)
         )
     lumped *= 0.5 * thickness[:, None, None]
+    # basic stiffness L E L^T / V with V = A t
     basic = lumped @ elastic @ np.swapaxes(lumped, 1, 2) / (area * thickness)[:, None, None]
-    turns = _own_turns(xy, area)
+    turns = _drilling_rotations(xy, area)
     four = 1.0 / (4.0 * area**2)
+    # T_e: strains (xx, yy, xy) by the natural strains along the sides 21, 32, 13
     natural = four[:, None, None] * np.stack(
         [
             np.stack(
@@ -214,6 +262,7 @@ def optimal_membrane(
         axis=1,
     )
     along = np.swapaxes(natural, 1, 2) @ elastic @ natural
+    # Q_1 to Q_3: natural strains at the corners by the drilling rotations; their means are at the middles
     b1, b2, b3, b4, b5, b6, b7, b8, b9 = _BETA
     shares = np.array(
         [
@@ -225,8 +274,9 @@ def optimal_membrane(
     sides = np.stack([square["21"], square["32"], square["13"]], axis=1)
     corners = (2.0 * area / 3.0)[:, None, None, None] * shares / sides[:, None, :, None]
     middles = 0.5 * (corners + corners[:, [1, 2, 0]])
+    # higher stiffness 3/4 beta_0 A t T^T (sum over middles of Q^T T_e^T E T_e Q) T, T the drilling rotations
     higher = np.einsum("mqai,mab,mqbj->mij", middles, along, middles)
-    beta_0 = max(0.5 * (1.0 - 4.0 * poisson**2), _LEAST_BETA_0)
+    beta_0 = max(0.5 * (1.0 - 4.0 * poisson**2), _MIN_BETA_0)
     higher *= (0.75 * beta_0 * area * thickness)[:, None, None]
     return np.asarray(basic + np.swapaxes(turns, 1, 2) @ higher @ turns)
 
@@ -234,21 +284,31 @@ def optimal_membrane(
 def constant_strain_membrane(
     xy: FloatArray, thickness: FloatArray, elastic: FloatArray, drilling: float
 ) -> FloatArray:
-    """Stiffness (m, 9, 9) over (u, v, drilling turn) of each corner: constant strain, and a spring of
-    ``drilling`` [Pa] x volume between each corner's turn and the triangle's."""
+    """Membrane stiffness (m, 9, 9) over (u, v, drilling rotation) of each corner.
+
+    The triangle has constant strain and drilling springs.
+
+    Args:
+        xy: Corners (m, 3, 2) [m].
+        thickness: Thickness (m,) [m].
+        elastic: Elasticity matrix (3, 3) [Pa].
+        drilling: Stiffness [Pa] per volume between each corner's rotation and the triangle's.
+    """
     gradient, area = _area_gradients(xy)
     strain = np.zeros((len(xy), 3, 9))
     for corner in range(3):
         strain[:, 0, 3 * corner] = strain[:, 2, 3 * corner + 1] = gradient[:, corner, 0]
         strain[:, 1, 3 * corner + 1] = strain[:, 2, 3 * corner] = gradient[:, corner, 1]
-    turns = _own_turns(xy, area)
+    turns = _drilling_rotations(xy, area)
+    # K = A t (B^T E B + drilling T^T T), B the strains and T the drilling rotations by the displacements
     both = np.swapaxes(strain, 1, 2) @ elastic @ strain
     both += drilling * (np.swapaxes(turns, 1, 2) @ turns)
     return np.asarray((area * thickness)[:, None, None] * both)
 
 
-def _own_turns(xy: FloatArray, area: FloatArray) -> FloatArray:
-    """Drilling turns (m, 3, 9) of corners beyond the turn (v,x - u,y) / 2 of the triangle."""
+def _drilling_rotations(xy: FloatArray, area: FloatArray) -> FloatArray:
+    """Matrix (m, 3, 9) of the drilling rotations relative to the rotation (v,x - u,y) / 2 of the triangle."""
+    # rotation_i - (v,x - u,y) / 2 with u,y = sum over corners of u_k dL_k/dy
     gradient, _ = _area_gradients(xy)
     out = np.zeros((len(xy), 3, 9))
     for corner in range(3):
@@ -270,7 +330,10 @@ def _area_gradients(xy: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _quadratic_slopes(point: tuple[float, float, float]) -> FloatArray:
-    """Slopes (6, 3) of the six quadratic shape functions along each area coordinate at a point."""
+    """Derivatives (6, 3) of the six quadratic shape functions at a point.
+
+    They are with respect to the area coordinates.
+    """
     out = np.zeros((6, 3))
     for corner in range(3):
         out[corner, corner] = 4.0 * point[corner] - 1.0

@@ -1,8 +1,10 @@
-"""Triangles of a formed sheet by rings: contours from the top edge to the floor's edge, kinks on mesh lines.
+"""Triangle meshes of formed sheets, from the contours of their walls.
 
-Walls become bands between rows along the contours, so that no triangle lies across the top edge, the floor's
-edge, a kink of the profile or a corner: a triangle across a kink makes the sheet too stiff by percents
-however small it is. Floor and flange are flat and filled with rows at growing distances from their rims."""
+Walls are meshed in bands between rows along the contours, so that no triangle crosses the top edge, the
+floor's edge, a kink of the profile or a corner: a triangle across a kink, however small, makes the sheet too
+stiff by several percent. Floor and flange are flat and are filled with rows at growing distances from their
+rims.
+"""
 
 import dataclasses
 import functools
@@ -14,63 +16,68 @@ import shapely
 from scipy.spatial import Delaunay, cKDTree
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, lengths
-from planner.shell.bisection import bisected
+from planner.shell.bisection import bisect
 from planner.shell.contours import (
-    PLACES_AROUND,
+    POSITIONS_AROUND,
     along_contour,
     counterclockwise,
-    matched_contours,
+    match_contours,
     mean_gap,
-    nearest_on,
+    nearest_point_on,
 )
 
 FLANGE, WALL, FLOOR = 0, 1, 2
-"""Where a triangle lies."""
-KINK = np.radians(8.0)
-"""Turn of the profile at a contour [rad] from which this is a mesh line."""
+"""Zones of triangles."""
+KINK_ANGLE = np.radians(8.0)
+"""Bend [rad] of the profile at a contour above which the contour is a mesh line."""
 GROWTH = 0.3
-"""How much larger elements of the flange become by metre of distance from the top edge."""
-COARSEST = 5.0
-"""Elements of the flange over those of the wall at most."""
-LEVEL = 1e-6
-"""By how much heights of the first and the last contour may differ [m]."""
-OFF_RING = 5e-4
-"""How far from a contour a point of a wall may be to become a node of it [m]."""
-LEAST_STEP = 1e-3
-"""Distance down the wall [m] from which contours between kinks are worked with."""
-NEAREST = 0.2
-"""Elements about places over others at least."""
+"""Growth of flange elements per metre of distance from the top edge."""
+MAX_COARSENING = 5.0
+"""Maximum ratio of the size of flange elements to that of wall elements."""
+LEVEL_TOLERANCE_M = 1e-6
+"""Tolerance [m] of the heights of the first and last contour."""
+MAX_RING_DISTANCE_M = 5e-4
+"""Maximum distance [m] from a contour of a point that becomes a node of it."""
+MIN_STEP_M = 1e-3
+"""Minimum distance [m] down the wall between contours that are used, except at kinks."""
+MIN_SIZE_RATIO = 0.2
+"""Minimum ratio of the size of elements near given points to that of the others."""
 NEAR_GROWTH = 0.3
-"""How much larger elements about places become by metre of distance from there."""
-ROUND = np.radians(15.0)
-"""Turn of a profile [rad] between kinks for each row at least."""
+"""Growth of elements per metre of distance from the given points."""
+MAX_BEND_PER_ROW = np.radians(15.0)
+"""Maximum bend [rad] of the profile per row between kinks."""
 _ROW = 0.866
-"""Distance of rows of a flat region, in sizes of elements: that of equal-sided triangles."""
-_MOST_ROWS = 1000
+"""Distance between rows of a flat region in element sizes, as in equilateral triangles."""
+_MAX_ROWS = 1000
 _SLIVER = 1e-4
-"""Area of a triangle over the square of a side, below which it lies along a straight rim and is none."""
-_APART = 0.62
-"""Distance between points of a flat region at least, in sizes of elements."""
-_SPACED_LOOKS = 16
-"""Places at which sizes along a straight rim are asked for, in each length of the smallest element."""
+"""Ratio of area to squared side length below which a triangle lies along a straight rim and is dropped."""
+_MIN_SPACING_RATIO = 0.62
+"""Minimum distance between points of a flat region, in element sizes."""
+_SIZE_SAMPLES = 16
+"""Number of size samples along a straight rim per length of the smallest element."""
 _ROUNDS = 10
-"""Sizes that are tried for a wanted number of triangles."""
-_ENOUGH = 0.95
-"""Share of the triangles allowed with which a mesh is taken at once."""
+"""Maximum number of element sizes tried for a requested number of triangles."""
+_ACCEPTED_FRACTION = 0.95
+"""Fraction of the allowed triangles above which a mesh is accepted at once."""
 _LARGER = 1.03
-"""By how much elements become larger at least that were too many."""
+"""Minimum factor by which elements grow after too many triangles."""
 _NEAR_SHARE = 0.4
-"""Share of the triangles that those about places may be more where there are too many."""
+"""Maximum fraction of the triangles that refinement near given points may add if there are too many."""
 _LARGER_NEAR = 1.4
-"""By how much elements about places become larger then."""
+"""Factor by which elements near given points grow beyond that fraction."""
 _SMALLER = 0.85
-"""By how much elements become smaller that did not fit."""
+"""Factor by which elements shrink if they did not fit."""
 
 
 @dataclasses.dataclass(frozen=True)
-class SheetMesh:
-    """``nodes`` (n, 3) [m], ``triangles`` (m, 3), counterclockwise from above; ``zone`` (m,) of each
-    triangle: FLANGE, WALL or FLOOR."""
+class ShellMesh:
+    """Triangle mesh of a sheet.
+
+    Attributes:
+        nodes: Nodes (n, 3) [m].
+        triangles: Node indices (m, 3), counterclockwise from above.
+        zone: FLANGE, WALL or FLOOR for each triangle (m,).
+    """
 
     nodes: FloatArray
     triangles: IntArray
@@ -79,10 +86,14 @@ class SheetMesh:
 
 @dataclasses.dataclass(frozen=True)
 class Wall:
-    """A wall of a sheet: ``rings``, closed contours (k, 3) [m] (first point not repeated) from its edge
-    inwards, each inside of the one before as seen from above; the first and the last are level. Around the
-    first there is flange, or another wall's floor, in the last its own floor, on which other walls may begin:
-    those ``inside``, whose first rings are as high."""
+    """A wall of a sheet.
+
+    Attributes:
+        rings: Closed contours (k, 3) [m], first point not repeated, from the outer edge inwards. As seen from
+            above, each lies inside the one before. The first and last are level. Around the first is the
+            flange or another wall's floor; inside the last is the wall's own floor.
+        inside: Walls on this wall's floor. Their first contours have the height of the floor.
+    """
 
     rings: Sequence[FloatArray]
     inside: "Sequence[Wall]" = ()
@@ -92,87 +103,122 @@ def mesh_sheet(
     rings: Sequence[FloatArray],
     window: FloatArray,
     triangles: int,
-    places: FloatArray | None = None,
-    near: float = np.inf,
-) -> SheetMesh:
-    """A sheet that is clamped along a rectangle and has one wall of these ``rings``, or none.
+    points: FloatArray | None = None,
+    near_size: float = np.inf,
+) -> ShellMesh:
+    """Mesh a sheet that is clamped along a rectangle and has at most one wall.
 
-    ``window`` (2, 2) [m]: least and largest x and y of the clamp; otherwise as `mesh_walls`.
+    Args:
+        rings: Contours of the wall, or none.
+        window: Smallest and largest x and y of the clamp (2, 2) [m].
+        triangles: See `mesh_walls`.
+        points: See `mesh_walls`.
+        near_size: See `mesh_walls`.
+
+    Raises:
+        ValueError: See `mesh_walls`.
     """
     low, high = np.asarray(window, dtype=np.float64)
     outline = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
-    return mesh_walls([Wall(rings)] if len(rings) else [], outline, triangles, places, near)
+    return mesh_walls([Wall(rings)] if len(rings) else [], outline, triangles, points, near_size)
 
 
 def mesh_walls(
     walls: Sequence[Wall],
     outline: FloatArray,
     triangles: int,
-    places: FloatArray | None = None,
-    near: float = np.inf,
-) -> SheetMesh:
-    """A sheet clamped along an ``outline`` (k, 2) [m], with ``walls`` that begin on its flange, of at most so
-    many ``triangles``; without walls a flat one at z = 0.
+    points: FloatArray | None = None,
+    near_size: float = np.inf,
+) -> ShellMesh:
+    """Mesh a sheet that is clamped along its outline.
 
-    ``places`` (p, 2 or more) [m]: x, y of points that become nodes, on flange, floors or within `OFF_RING` of
-    a ring; about them elements are of ``near`` [m], or `NEAREST` of the others, and grow from there, but
-    larger, or as the others, where they do not do with a share of the triangles. Raises ValueError where a
-    ring crosses another or the outline, is not level where it has to be, a place is elsewhere, or so few
-    triangles do not do.
+    The mesh near the given points is made coarser, or as coarse as elsewhere, if it would take too many of
+    the triangles.
+
+    Args:
+        walls: Walls that begin on the flange. Without walls the sheet is flat at z = 0.
+        outline: Clamped outline (k, 2) [m].
+        triangles: Maximum number of triangles.
+        points: Points (p, 2 or more) [m] whose x, y become nodes, on the flange, on floors or within
+            `MAX_RING_DISTANCE_M` of a contour.
+        near_size: Element size [m] at these points, at least `MIN_SIZE_RATIO` times that elsewhere. It grows
+            with the distance.
+
+    Raises:
+        ValueError: If contours cross each other or the outline, contours are not level, a point lies
+            elsewhere, or the triangles are too few.
     """
-    some = (
-        np.empty((0, 2)) if places is None else np.asarray(places, dtype=np.float64).reshape(len(places), -1)
+    fixed_points = (
+        np.empty((0, 2)) if points is None else np.asarray(points, dtype=np.float64).reshape(len(points), -1)
     )
     frame = shapely.Polygon(counterclockwise(np.asarray(outline, dtype=np.float64)))
-    layout = _flat(frame, [_Outlines.of(wall) for wall in walls], some[:, :2])
+    layout = _lay_out_region(frame, [_Outlines.of(wall) for wall in walls], fixed_points[:, :2])
     size = float(np.sqrt(frame.area / triangles))
-    best: SheetMesh | None = None
-    why = "none could be made"
+    best: ShellMesh | None = None
+    why = "no mesh was possible"
     for _ in range(_ROUNDS):
         try:
-            made, even = _meshed(frame, layout, size, near)
+            mesh, even = _mesh_with_size(frame, layout, size, near_size)
         except _UnfilledError as unfilled:
             why = str(unfilled)
             size *= _SMALLER
             continue
-        count = len(made.triangles)
+        count = len(mesh.triangles)
         if count <= triangles and (best is None or count > len(best.triangles)):
-            best = made
-        if best is made and count > _ENOUGH * triangles:
+            best = mesh
+        if best is mesh and count > _ACCEPTED_FRACTION * triangles:
             break
         why = f"allow about {count}"
-        # those about places stay as many when others become larger
+        # the number of refined elements does not depend on the size of the others
         more = count - even
         if count > triangles and more > _NEAR_SHARE * triangles:
-            near = _LARGER_NEAR * max(near, NEAREST * size)
-        larger = float(np.sqrt(even / max(0.5 * (1.0 + _ENOUGH) * triangles - more, 0.5 * triangles)))
+            near_size = _LARGER_NEAR * max(near_size, MIN_SIZE_RATIO * size)
+        larger = float(
+            np.sqrt(even / max(0.5 * (1.0 + _ACCEPTED_FRACTION) * triangles - more, 0.5 * triangles))
+        )
         size *= max(larger, _LARGER) if count > triangles else larger
-    if best is None and np.isfinite(near):
-        wider = 2.0 * max(near, NEAREST * size)
-        return mesh_walls(walls, outline, triangles, places, wider if wider < size else np.inf)
+    if best is None and np.isfinite(near_size):
+        wider = 2.0 * max(near_size, MIN_SIZE_RATIO * size)
+        return mesh_walls(walls, outline, triangles, points, wider if wider < size else np.inf)
     if best is None:
         raise ValueError(f"got {triangles} triangles: {why}")
     return best
 
 
 class _UnfilledError(ValueError):
-    """Elements of a size do not fit."""
+    """A region cannot be meshed with elements of the current size."""
 
 
 def cone_rings(top_radius: float, wall_angle: float, depth: float, sides: int = 360) -> list[FloatArray]:
-    """Top and floor edge (sides, 3) of a cone about z, ``wall_angle`` [rad] from level, ``depth`` [m]
-    down."""
+    """Top and floor edge (sides, 3) [m] of a truncated cone about z that tapers downwards.
+
+    Args:
+        top_radius: Radius [m] at z = 0.
+        wall_angle: Angle [rad] of the wall from horizontal.
+        depth: Depth [m].
+        sides: Number of points of each edge.
+
+    Raises:
+        ValueError: If the tip of the cone lies above the depth.
+    """
     turn = 2.0 * np.pi * np.arange(sides) / sides
     level = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(sides)])
     low = top_radius - depth / np.tan(wall_angle)
     if low <= 0.0:
-        raise ValueError(f"depth: got {depth:g} m; this cone has its tip above")
+        raise ValueError(f"depth: got {depth:g} m, below the tip of this cone")
     return [top_radius * level, low * level - [0.0, 0.0, depth]]
 
 
 @dataclasses.dataclass(frozen=True)
 class _Outlines:
-    """A wall whose ``rings`` run counterclockwise, ``top`` and ``floor`` as polygons."""
+    """A wall with counterclockwise contours.
+
+    Attributes:
+        rings: Contours (k, 3) [m].
+        top: First contour as a polygon.
+        floor: Last contour as a polygon.
+        inside: Walls on the floor.
+    """
 
     rings: list[FloatArray]
     top: shapely.Polygon
@@ -181,173 +227,228 @@ class _Outlines:
 
     @staticmethod
     def of(wall: Wall) -> "_Outlines":
-        """Raises ValueError as `mesh_walls`."""
+        """Check and orient the contours of a wall.
+
+        Raises:
+            ValueError: See `mesh_walls`.
+        """
         rings = [counterclockwise(np.asarray(ring, dtype=np.float64)) for ring in wall.rings]
         shapes = [shapely.Polygon(ring[:, :2]) for ring in rings]
         for index, shape in enumerate(shapes):
             if not shape.is_valid or (index and not shapes[index - 1].buffer(1e-9).contains(shape)):
-                raise ValueError(f"ring {index}: crosses itself, or is not inside of the one before")
+                raise ValueError(f"ring {index}: crosses itself, or is not inside the one before")
         for name, level in (("first", rings[0]), ("last", rings[-1])):
-            if np.ptp(level[:, 2]) > LEVEL:
-                off = np.ptp(level[:, 2])
-                raise ValueError(f"{name} ring: heights differ by {off:.2g} m; allowed {LEVEL:g}")
+            if np.ptp(level[:, 2]) > LEVEL_TOLERANCE_M:
+                height_range = np.ptp(level[:, 2])
+                raise ValueError(
+                    f"{name} ring: heights differ by {height_range:.2g} m, allowed {LEVEL_TOLERANCE_M:g} m"
+                )
         return _Outlines(rings, shapes[0], shapes[-1], [_Outlines.of(other) for other in wall.inside])
 
 
 @dataclasses.dataclass(frozen=True)
-class _Flat:
-    """A flat region, flange or floor, at ``height`` [m]: ``fixed`` (f, 2) points in it that become nodes, and
-    ``walls`` that begin there."""
+class _FlatRegion:
+    """A flat region: flange or floor.
+
+    Attributes:
+        height: z [m].
+        fixed: Points (f, 2) [m] that become nodes.
+        walls: Walls that begin on the region.
+    """
 
     height: float
     fixed: FloatArray
-    walls: "list[_Layout]"
+    walls: "list[_WallLayout]"
 
 
 @dataclasses.dataclass(frozen=True)
-class _Layout:
-    """Where meshes of a wall agree, whatever their size: matched contours ``around`` (r, PLACES_AROUND, 3),
-    places of ``corners``, ``fixed``: by contour, places on it of points that become nodes, ``kept``: contours
-    that are rows, and its ``floor``."""
+class _WallLayout:
+    """Parts of a wall's mesh that do not depend on the element size.
+
+    Attributes:
+        around: Matched contours (r, PLACES_AROUND, 3) [m].
+        corners: Positions of corners.
+        fixed: Positions of points that become nodes, by contour.
+        kept: Contours that are rows.
+        floor: Floor of the wall.
+    """
 
     around: FloatArray
     corners: IntArray
     fixed: dict[int, list[float]]
     kept: list[int]
-    floor: _Flat
+    floor: _FlatRegion
 
     @functools.cached_property
     def reach(self) -> FloatArray:
-        """Mean way (r,) [m] down the wall to each contour."""
+        """Mean distance (r,) [m] down the wall to each contour."""
         step = lengths(np.diff(self.around, axis=0)).mean(axis=1)
         return np.concatenate([[0.0], np.cumsum(step)])
 
     @functools.cached_property
     def turn(self) -> FloatArray:
-        """By how much (r,) [rad] the profile has turned on the way to each contour, kinks at kept ones left
-        out."""
+        """Accumulated bend (r,) [rad] of the profile up to each contour, without kinks at kept contours."""
         down = np.diff(self.around, axis=0)
         slope = np.arctan2(-down[:, :, 2].mean(axis=1), lengths(down[:, :, :2]).mean(axis=1))
         turn = np.abs(np.diff(slope, prepend=slope[:1], append=slope[-1:]))
         turn[self.kept] = 0.0
         return np.cumsum(0.5 * np.append(0.0, turn[1:] + turn[:-1]))
 
-    def points(self, reach: FloatArray, place: FloatArray) -> FloatArray:
-        """Points (n, 3) [m] at ways down the wall (n,) [m] and places around it (n,), linear between."""
+    def points(self, reach: FloatArray, position: FloatArray) -> FloatArray:
+        """Points (n, 3) [m] by bilinear interpolation.
+
+        Args:
+            reach: Distances (n,) [m] down the wall.
+            position: Positions (n,) around the wall.
+        """
         ring = np.clip(np.searchsorted(self.reach, reach, side="right") - 1, 0, max(len(self.reach) - 2, 0))
         inner = np.minimum(ring + 1, len(self.reach) - 1)
         step = np.where(inner > ring, self.reach[inner] - self.reach[ring], 1.0)
-        low = np.floor(place).astype(np.int64)
-        down, on = ((reach - self.reach[ring]) / step)[:, None], (place - low)[:, None]
-        high = (low + 1) % PLACES_AROUND
-        low = low % PLACES_AROUND
+        low = np.floor(position).astype(np.int64)
+        down, on = ((reach - self.reach[ring]) / step)[:, None], (position - low)[:, None]
+        high = (low + 1) % POSITIONS_AROUND
+        low = low % POSITIONS_AROUND
         outer = (1.0 - on) * self.around[ring, low] + on * self.around[ring, high]
         return (1.0 - down) * outer + down * (
             (1.0 - on) * self.around[inner, low] + on * self.around[inner, high]
         )
 
 
-def _flat(region: shapely.Polygon, walls: list[_Outlines], places: FloatArray, height: float = 0.0) -> _Flat:
-    """A flat region with the walls that begin on it, and the ``places`` (p, 2) in it or in them."""
+def _lay_out_region(
+    region: shapely.Polygon, walls: list[_Outlines], points: FloatArray, height: float = 0.0
+) -> _FlatRegion:
+    """Assign points to a flat region or its walls, and lay out the walls.
+
+    Args:
+        region: Region.
+        walls: Walls that begin on it.
+        points: Points (p, 2) [m] in the region or on its walls.
+        height: z [m] of a region without walls.
+
+    Raises:
+        ValueError: See `mesh_walls`.
+    """
     tops = [wall.top for wall in walls]
     for index, top in enumerate(tops):
         others = shapely.union_all([*tops[:index], region.exterior])
         if not region.contains(top) or others.intersects(top):
-            raise ValueError(f"wall {index}: its first ring is not inside of the window or floor around it")
-    own: list[list[FloatArray]] = [[] for _ in walls]
+            raise ValueError(f"wall {index}: its first ring is not inside the window or floor around it")
+    wall_points: list[list[FloatArray]] = [[] for _ in walls]
     fixed = []
-    for place in places:
-        off = [min(nearest_on(ring[:, :2], place)[0] for ring in wall.rings) for wall in walls]
-        point = shapely.Point(place)
-        near = [k for k, wall in enumerate(walls) if wall.top.contains(point) or off[k] <= OFF_RING]
-        if near:
-            own[min(near, key=lambda k: off[k])].append(place)
+    for xy in points:
+        distances = [min(nearest_point_on(ring[:, :2], xy)[0] for ring in wall.rings) for wall in walls]
+        point = shapely.Point(xy)
+        candidates = [
+            k
+            for k, wall in enumerate(walls)
+            if wall.top.contains(point) or distances[k] <= MAX_RING_DISTANCE_M
+        ]
+        if candidates:
+            wall_points[min(candidates, key=lambda k: distances[k])].append(xy)
         elif region.contains(point):
-            fixed.append(place)
+            fixed.append(xy)
         else:
-            raise ValueError(f"place ({place[0]:.4g}, {place[1]:.4g}) m: not within the outline of the sheet")
-    layouts = [_laid_out(wall, some) for wall, some in zip(walls, own, strict=True)]
+            raise ValueError(f"point ({xy[0]:.4g}, {xy[1]:.4g}) m: not within the outline of the sheet")
+    layouts = [_lay_out_wall(wall, some) for wall, some in zip(walls, wall_points, strict=True)]
     level = float(walls[0].rings[0][:, 2].mean()) if walls else height
-    if any(abs(float(wall.rings[0][:, 2].mean()) - level) > LEVEL for wall in walls):
-        raise ValueError("walls: first rings on one flat are not equally high")
-    return _Flat(level, np.array(fixed).reshape(-1, 2), layouts)
+    if any(abs(float(wall.rings[0][:, 2].mean()) - level) > LEVEL_TOLERANCE_M for wall in walls):
+        raise ValueError("walls: first rings on the same flat region differ in height")
+    return _FlatRegion(level, np.array(fixed).reshape(-1, 2), layouts)
 
 
-def _laid_out(wall: _Outlines, places: Sequence[FloatArray]) -> _Layout:
-    """Which contours of a wall are rows, and where the points lie that become nodes."""
+def _lay_out_wall(wall: _Outlines, given_points: Sequence[FloatArray]) -> _WallLayout:
+    """Choose the contours of a wall that are rows, and match the contours.
+
+    Also locates the points that become nodes.
+
+    Raises:
+        ValueError: See `mesh_walls`.
+    """
     outlines = wall.rings
     gap = np.array([mean_gap(*pair) for pair in itertools.pairwise(outlines)])
     rise = np.diff([ring[:, 2].mean() for ring in outlines])
     slope = np.arctan2(rise, gap)
-    kept = {0, *(np.flatnonzero(np.abs(np.diff(slope)) > KINK) + 1).tolist(), len(outlines) - 1}
+    kept = {0, *(np.flatnonzero(np.abs(np.diff(slope)) > KINK_ANGLE) + 1).tolist(), len(outlines) - 1}
     on: dict[int, list[FloatArray]] = {}
     inner = []
-    for place in places:
-        off = [nearest_on(ring[:, :2], place)[0] for ring in outlines]
-        ring = int(np.argmin(off))
-        if off[ring] <= OFF_RING:
+    for place in given_points:
+        distances = [nearest_point_on(ring[:, :2], place)[0] for ring in outlines]
+        ring = int(np.argmin(distances))
+        if distances[ring] <= MAX_RING_DISTANCE_M:
             on.setdefault(ring, []).append(place)
             kept.add(ring)
         elif wall.floor.contains(shapely.Point(place)):
             inner.append(place)
         else:
             raise ValueError(
-                f"place ({place[0]:.4g}, {place[1]:.4g}) m: {off[ring]:.2g} m from the nearest contour,"
-                f" beyond floor and flange; allowed {OFF_RING:g}: give a contour that goes through it"
+                f"point ({place[0]:.4g}, {place[1]:.4g}) m: {distances[ring]:.2g} m from the nearest contour,"
+                f" outside of floor and flange, allowed {MAX_RING_DISTANCE_M:g} m; add a contour through it"
             )
-    # contours closer than elements are small would only be matched to one another
+    # contours much closer than the element size would only add matching errors
     reach = np.concatenate([[0.0], np.cumsum(np.hypot(gap, rise))])
     used: list[int] = []
     for index in range(len(outlines)):
-        if index in kept or reach[index] - reach[used[-1]] >= LEAST_STEP:
+        if index in kept or reach[index] - reach[used[-1]] >= MIN_STEP_M:
             used.append(index)
-    around, corners = matched_contours([outlines[index] for index in used])
+    around, corners = match_contours([outlines[index] for index in used])
     number = {index: place for place, index in enumerate(used)}
     fixed = {
-        number[index]: [nearest_on(around[number[index], :, :2], point)[1] for point in points]
+        number[index]: [nearest_point_on(around[number[index], :, :2], point)[1] for point in points]
         for index, points in on.items()
     }
     rows = sorted(number[index] for index in kept)
     height = float(outlines[-1][:, 2].mean())
-    floor = _flat(wall.floor, wall.inside, np.array(inner).reshape(-1, 2), height)
-    if abs(floor.height - height) > LEVEL:
-        raise ValueError("walls: a first ring is not as high as the floor it is on")
-    return _Layout(around, corners, fixed, rows, floor)
+    floor = _lay_out_region(wall.floor, wall.inside, np.array(inner).reshape(-1, 2), height)
+    if abs(floor.height - height) > LEVEL_TOLERANCE_M:
+        raise ValueError("walls: a first ring differs in height from the floor below it")
+    return _WallLayout(around, corners, fixed, rows, floor)
 
 
-def _rows(layout: _Layout, size: float) -> tuple[FloatArray, list[list[float]]]:
-    """Ways down the wall (r,) [m] of its rows, kept contours among them, and places of their fixed nodes."""
+def _rows(layout: _WallLayout, size: float) -> tuple[FloatArray, list[list[float]]]:
+    """Distances (r,) [m] of the rows down the wall, and the positions of their fixed nodes.
+
+    The rows include kept contours.
+    """
     reach = layout.reach
     at, fixed = [reach[:1]], [layout.fixed.get(0, [])]
     for low, high in zip(layout.kept, layout.kept[1:], strict=False):
         part = slice(low, high + 1)
         turn = layout.turn[part] - layout.turn[low]
-        elements = np.append(0.0, np.cumsum(np.maximum(np.diff(reach[part]) / size, np.diff(turn) / ROUND)))
+        elements = np.append(
+            0.0, np.cumsum(np.maximum(np.diff(reach[part]) / size, np.diff(turn) / MAX_BEND_PER_ROW))
+        )
         count = max(1, round(elements[-1]))
         at.append(np.interp(np.linspace(0.0, elements[-1], count + 1)[1:], elements, reach[part]))
         fixed += [[]] * (count - 1) + [layout.fixed.get(high, [])]
     return np.concatenate(at), fixed
 
 
-def _places(row: FloatArray, ends: FloatArray, size: float) -> FloatArray:
-    """Where along a row (in places around, rising) its nodes are, ``ends`` (e,) among them."""
+def _row_positions(row: FloatArray, ends: FloatArray, size: float) -> FloatArray:
+    """Ascending positions of the nodes of a row, with ``ends`` (e,) among them."""
     along = along_contour(row)
     long = np.concatenate([along[:-1], along + along[-1]])
     number = np.arange(len(long))
-    least = int(np.ceil(12.0 / len(ends)))
-    ends = np.interp(np.append(ends, ends[0] + PLACES_AROUND), number, long)
-    found = []
+    min_count = int(np.ceil(12.0 / len(ends)))
+    ends = np.interp(np.append(ends, ends[0] + POSITIONS_AROUND), number, long)
+    parts = []
     for low, high in itertools.pairwise(ends):
-        count = max(least, round((high - low) / size))
-        found.append(np.interp(np.linspace(low, high, count + 1)[:-1], long, number))
-    return np.sort(np.concatenate(found) % PLACES_AROUND)
+        count = max(min_count, round((high - low) / size))
+        parts.append(np.interp(np.linspace(low, high, count + 1)[:-1], long, number))
+    return np.sort(np.concatenate(parts) % POSITIONS_AROUND)
 
 
 def _band(outer: FloatArray, inner: FloatArray, first: int, second: int) -> IntArray:
-    """Triangles between two rows, by the places of their nodes; nodes are numbered from first and second."""
+    """Triangles between two rows.
 
-    def middles(places: FloatArray) -> FloatArray:
-        return np.asarray(0.5 * (places + np.append(places[1:], places[0] + PLACES_AROUND)))
+    Args:
+        outer: Positions of the nodes of the first row.
+        inner: Positions of the nodes of the second row.
+        first: Index of the first node of the first row.
+        second: Index of the first node of the second row.
+    """
+
+    def middles(positions: FloatArray) -> FloatArray:
+        return np.asarray(0.5 * (positions + np.append(positions[1:], positions[0] + POSITIONS_AROUND)))
 
     a, b = middles(outer), middles(inner)
     i, j = np.arange(len(a)), np.arange(len(b))
@@ -361,39 +462,44 @@ def _band(outer: FloatArray, inner: FloatArray, first: int, second: int) -> IntA
     )
 
 
-def _spots(flat: _Flat) -> Iterator[FloatArray]:
-    """Points (p, 3) [m] of a sheet that become nodes: of a flat region, and of the walls on it."""
+def _spots(flat: _FlatRegion) -> Iterator[FloatArray]:
+    """Points (p, 3) [m] that become nodes, of a flat region and then of the walls on it."""
     yield np.column_stack([flat.fixed, np.full(len(flat.fixed), flat.height)])
     for wall in flat.walls:
-        for ring, places in wall.fixed.items():
-            yield wall.points(np.full(len(places), wall.reach[ring]), np.array(places))
+        for ring, positions in wall.fixed.items():
+            yield wall.points(np.full(len(positions), wall.reach[ring]), np.array(positions))
         yield from _spots(wall.floor)
 
 
-class _Parts:
-    """Nodes and triangles, as they are made: of a ``size`` [m], of ``near`` [m] at ``spots`` (p, 3) [m] and
-    growing from there."""
+class _MeshParts:
+    """Nodes and triangles of a mesh under construction.
 
-    def __init__(self, size: float, spots: FloatArray, near: float) -> None:
+    Args:
+        size: Element size [m].
+        spots: Points (p, 3) [m] around which elements are smaller.
+        near_size: Element size [m] at these points.
+    """
+
+    def __init__(self, size: float, spots: FloatArray, near_size: float) -> None:
         self.size = size
-        near = max(near, NEAREST * size)
-        tree = cKDTree(spots) if near < size and len(spots) else None
+        near_size = max(near_size, MIN_SIZE_RATIO * size)
+        tree = cKDTree(spots) if near_size < size and len(spots) else None
 
         def size_at(points: FloatArray) -> FloatArray:
             if tree is None:
                 return np.full(len(points), np.inf)
-            wanted = near + NEAR_GROWTH * np.asarray(tree.query(points)[0])
+            wanted = near_size + NEAR_GROWTH * np.asarray(tree.query(points)[0])
             return np.where(wanted < size, wanted, np.inf)
 
         self.size_at, self.even = size_at, tree is None
-        self.walls: list[_Layout] = []
+        self.walls: list[_WallLayout] = []
         self.nodes: list[FloatArray] = []
         self.triangles: list[IntArray] = []
         self.zones: list[IntArray] = []
         self._count = 0
 
-    def begin(self, layout: _Layout) -> int:
-        """Add a wall; its number."""
+    def add_wall(self, layout: _WallLayout) -> int:
+        """Add a wall; returns its index."""
         self.walls.append(layout)
         return len(self.walls) - 1
 
@@ -402,153 +508,199 @@ class _Parts:
         nodes: FloatArray,
         wall: int = -1,
         reach: FloatArray | float = 0.0,
-        place: FloatArray | float = 0.0,
+        position: FloatArray | float = 0.0,
     ) -> IntArray:
-        """Add nodes (n, 3), where they are on a ``wall``: ``reach`` (n,) [m] down, ``place`` (n,) around it;
-        their numbers."""
-        on = np.column_stack(np.broadcast_arrays(np.full(len(nodes), wall), reach, place))
+        """Add nodes.
+
+        Args:
+            nodes: Points (n, 3) [m].
+            wall: Index of their wall, or -1.
+            reach: Distances (n,) [m] down the wall.
+            position: Positions (n,) around the wall.
+
+        Returns:
+            Indices (n,) of the nodes.
+        """
+        on = np.column_stack(np.broadcast_arrays(np.full(len(nodes), wall), reach, position))
         self.nodes.append(np.column_stack([nodes, on]))
         self._count += len(nodes)
         return np.arange(self._count - len(nodes), self._count)
 
     def join(self, triangles: IntArray, zone: int) -> None:
-        """Add triangles (m, 3) of nodes' numbers."""
+        """Add triangles (m, 3) of node indices."""
         self.triangles.append(triangles)
         self.zones.append(np.full(len(triangles), zone))
 
-    def finer(self) -> tuple[FloatArray, IntArray, IntArray]:
-        """Nodes, triangles and their zones, cut where they are larger than they may be about spots."""
+    def refine(self) -> tuple[FloatArray, IntArray, IntArray]:
+        """Nodes, triangles and zones, refined near the given points."""
         nodes, triangles = np.concatenate(self.nodes), np.concatenate(self.triangles).astype(np.int64)
         zones = np.concatenate(self.zones)
         if self.even:
             return nodes, triangles, zones
 
-        def middle(one: FloatArray, two: FloatArray, beside: IntArray) -> FloatArray:
-            new = 0.5 * (one + two)
-            new[:, 3] = np.where((zones[beside] == WALL).any(axis=1), one[:, 3], -1)
-            around = two[:, 5] - one[:, 5]
-            around -= PLACES_AROUND * np.round(around / PLACES_AROUND)
-            new[:, 5] = (one[:, 5] + 0.5 * around) % PLACES_AROUND
+        def middle(first: FloatArray, second: FloatArray, adjacent: IntArray) -> FloatArray:
+            new = 0.5 * (first + second)
+            new[:, 3] = np.where((zones[adjacent] == WALL).any(axis=1), first[:, 3], -1)
+            around = second[:, 5] - first[:, 5]
+            around -= POSITIONS_AROUND * np.round(around / POSITIONS_AROUND)
+            new[:, 5] = (first[:, 5] + 0.5 * around) % POSITIONS_AROUND
             for number, wall in enumerate(self.walls):
                 mine = new[:, 3] == number
                 new[mine, :3] = wall.points(new[mine, 4], new[mine, 5])
             return new
 
-        nodes, triangles, owner = bisected(nodes, triangles, self.size_at, middle)
+        nodes, triangles, owner = bisect(nodes, triangles, self.size_at, middle)
         return nodes, triangles, zones[owner]
 
 
-def _meshed(frame: shapely.Polygon, layout: _Flat, size: float, near: float) -> tuple[SheetMesh, int]:
-    """The sheet with elements of a ``size`` [m] on walls and floors, of ``near`` [m] about places; and how
-    many triangles it would have without those."""
-    parts = _Parts(size, np.concatenate(list(_spots(layout))), near)
-    tops = [_wall(wall, parts) for wall in layout.walls]
+def _mesh_with_size(
+    frame: shapely.Polygon, layout: _FlatRegion, size: float, near_size: float
+) -> tuple[ShellMesh, int]:
+    """Mesh a sheet with a given element size.
+
+    Args:
+        frame: Outline of the sheet.
+        layout: Layout of the flange.
+        size: Element size [m] of walls and floors.
+        near_size: Element size [m] at the given points.
+
+    Returns:
+        The mesh, and the number of triangles before refinement near the given points.
+
+    Raises:
+        _UnfilledError: If elements of this size do not fit.
+    """
+    parts = _MeshParts(size, np.concatenate(list(_spots(layout))), near_size)
+    tops = [_add_wall(wall, parts) for wall in layout.walls]
     corners = np.array(frame.exterior.coords[:-1])
     size_at, zone = _even(size), FLOOR
     if tops:
         holes = shapely.union_all([shapely.Polygon(points) for _, points in tops])
 
         def graded(distance: FloatArray) -> FloatArray:
-            return np.minimum(size + GROWTH * distance, COARSEST * size)
+            return np.minimum(size + GROWTH * distance, MAX_COARSENING * size)
 
-        rim = _spaced(corners, size, lambda points: graded(shapely.distance(holes, shapely.points(points))))
+        rim = _space_along(
+            corners, size, lambda points: graded(shapely.distance(holes, shapely.points(points)))
+        )
         size_at, zone = graded, FLANGE
     else:
-        rim = _spaced(corners, size, lambda points: np.full(len(points), size))
+        rim = _space_along(corners, size, lambda points: np.full(len(points), size))
     number = parts.add(np.column_stack([rim, np.full(len(rim), layout.height)]))
-    _filled(frame, (number, rim), tops, layout, size_at, zone, parts)
-    nodes, joined, zones = parts.finer()
+    _add_flat_region(_FlatOutline(frame, (number, rim), tops), layout, size_at, zone, parts)
+    nodes, joined, zones = parts.refine()
     if _folded(nodes, joined).any():
         raise _UnfilledError(_FOLDS)
-    return SheetMesh(nodes[:, :3], joined, zones), sum(map(len, parts.triangles))
+    return ShellMesh(nodes[:, :3], joined, zones), sum(map(len, parts.triangles))
 
 
-_FOLDS = "a wall folds between two rows; give more contours or allow more triangles"
+_FOLDS = "a wall folds over between two rows; add contours or allow more triangles"
 
 
 def _folded(nodes: FloatArray, triangles: IntArray) -> BoolArray:
-    """Triangles (m,) that do not run counterclockwise seen from above."""
+    """Whether triangles (m,) are not counterclockwise as seen from above."""
     a, b, c = (nodes[triangles[:, k], :2] for k in range(3))
     return np.asarray((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0] <= 0.0)
 
 
 def _even(size: float) -> Callable[[FloatArray], FloatArray]:
-    """Elements of one ``size`` [m] at any distance."""
+    """Size function of the distance: ``size`` [m] everywhere."""
     return lambda distance: np.full_like(distance, size)
 
 
 _Rim = tuple[IntArray, FloatArray]
-"""Numbers (n,) of nodes along a rim, and where they are in plan (n, 2)."""
+"""Indices (n,) of the nodes along a rim, and their x, y (n, 2) [m]."""
 
 
-def _wall(layout: _Layout, parts: _Parts) -> _Rim:
-    """Add a wall and its floor; its first row."""
+def _add_wall(layout: _WallLayout, parts: _MeshParts) -> _Rim:
+    """Add a wall and its floor; returns its first row."""
     rows, fixed = _rows(layout, parts.size)
-    number = np.arange(PLACES_AROUND, dtype=np.float64)
-    places: list[FloatArray] = []
+    number = np.arange(POSITIONS_AROUND, dtype=np.float64)
+    positions: list[FloatArray] = []
     numbers: list[IntArray] = []
-    wall = parts.begin(layout)
+    wall = parts.add_wall(layout)
     for reach, own in zip(rows, fixed, strict=True):
         ends = np.unique(np.concatenate([layout.corners, own]))
-        row = layout.points(np.full(PLACES_AROUND, reach), number)
-        places.append(_places(row, ends if len(ends) else np.zeros(1), parts.size))
-        down = np.full(len(places[-1]), reach)
-        numbers.append(parts.add(layout.points(down, places[-1]), wall, down, places[-1]))
+        row = layout.points(np.full(POSITIONS_AROUND, reach), number)
+        positions.append(_row_positions(row, ends if len(ends) else np.zeros(1), parts.size))
+        down = np.full(len(positions[-1]), reach)
+        numbers.append(parts.add(layout.points(down, positions[-1]), wall, down, positions[-1]))
     first = len(parts.nodes) - len(rows)
     for k in range(len(rows) - 1):
-        band = _band(places[k], places[k + 1], int(numbers[k][0]), int(numbers[k + 1][0]))
+        band = _band(positions[k], positions[k + 1], int(numbers[k][0]), int(numbers[k + 1][0]))
         rows_of_two = np.concatenate(parts.nodes[first + k : first + k + 2])
         own = band - numbers[k][0]
         folded = own[_folded(rows_of_two, own)]
-        # about spots they are cut to smaller ones, that may lie flat; elsewhere nothing of it changes
+        # refinement near given points may remove a fold; elsewhere it remains
         if len(folded) and np.isinf(parts.size_at(rows_of_two[folded, :3].mean(axis=1))).any():
             raise _UnfilledError(_FOLDS)
         parts.join(band, WALL)
     top, last = parts.nodes[first][:, :2], parts.nodes[-1][:, :2]
-    tops = [_wall(wall, parts) for wall in layout.floor.walls]
-    rim = (numbers[-1], last)
-    _filled(shapely.Polygon(last), rim, tops, layout.floor, _even(parts.size), FLOOR, parts)
+    tops = [_add_wall(wall, parts) for wall in layout.floor.walls]
+    outline = _FlatOutline(shapely.Polygon(last), (numbers[-1], last), tops)
+    _add_flat_region(outline, layout.floor, _even(parts.size), FLOOR, parts)
     return numbers[0], top
 
 
-def _filled(
-    region: shapely.Polygon,
-    rim: _Rim,
-    tops: Sequence[_Rim],
-    flat: _Flat,
+@dataclasses.dataclass(frozen=True, eq=False)
+class _FlatOutline:
+    """Outlines of a flat region: its rim, and those of the walls on it.
+
+    Attributes:
+        region: Region within the rim.
+        rim: Nodes along the rim.
+        tops: First rows of the walls on the region.
+    """
+
+    region: shapely.Polygon
+    rim: _Rim
+    tops: Sequence[_Rim]
+
+
+def _add_flat_region(
+    outline: _FlatOutline,
+    flat: _FlatRegion,
     size_at: Callable[[FloatArray], FloatArray],
     zone: int,
-    parts: _Parts,
+    parts: _MeshParts,
 ) -> None:
-    """Add the triangles of a flat region between its ``rim`` and the ``tops`` of the walls on it."""
+    """Add the triangles of a flat region between its outlines."""
+    rim, tops = outline.rim, outline.tops
     numbers = np.concatenate([rim[0], *(number for number, _ in tops)])
     around = np.concatenate([rim[1], *(points for _, points in tops)])
     holes = shapely.union_all([shapely.Polygon(points) for _, points in tops]) if tops else None
-    points, triangles = _fill(region, around, flat.fixed, size_at, holes)
+    points, triangles = _fill(outline.region, around, flat.fixed, size_at, holes)
     new = points[len(around) :]
     numbers = np.concatenate([numbers, parts.add(np.column_stack([new, np.full(len(new), flat.height)]))])
     parts.join(numbers[triangles], zone)
 
 
-def _spaced(polygon: FloatArray, least: float, size_at: Callable[[FloatArray], FloatArray]) -> FloatArray:
-    """Points (p, 2) along a closed polygon, its corners among them, as far apart as ``size_at`` says: nowhere
-    below ``least`` [m]."""
-    way = np.roll(polygon, -1, axis=0) - polygon
-    long = lengths(way)
-    looks = np.clip(np.ceil(_SPACED_LOOKS * long / least), 8, 200).astype(np.int64) + 1
-    shares = [np.linspace(0.0, 1.0, count) for count in looks]
-    points = np.repeat(polygon, looks, axis=0) + np.concatenate(shares)[:, None] * np.repeat(
-        way, looks, axis=0
+def _space_along(
+    polygon: FloatArray, min_spacing: float, size_at: Callable[[FloatArray], FloatArray]
+) -> FloatArray:
+    """Points (p, 2) [m] along a closed polygon, including its corners.
+
+    Args:
+        polygon: Corners (k, 2) [m].
+        min_spacing: Minimum distance [m] between points.
+        size_at: Requested distance (n,) [m] at points (n, 2).
+    """
+    side = np.roll(polygon, -1, axis=0) - polygon
+    long = lengths(side)
+    sample_counts = np.clip(np.ceil(_SIZE_SAMPLES * long / min_spacing), 8, 200).astype(np.int64) + 1
+    shares = [np.linspace(0.0, 1.0, count) for count in sample_counts]
+    points = np.repeat(polygon, sample_counts, axis=0) + np.concatenate(shares)[:, None] * np.repeat(
+        side, sample_counts, axis=0
     )
-    sizes = np.split(size_at(points), np.cumsum(looks)[:-1])
-    found = []
-    for start, step, far, share, size in zip(polygon, way, long, shares, sizes, strict=True):
-        density = far / size
-        total = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(share))])
+    sizes = np.split(size_at(points), np.cumsum(sample_counts)[:-1])
+    parts = []
+    for start, step, length, fractions, size in zip(polygon, side, long, shares, sizes, strict=True):
+        density = length / size
+        total = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(fractions))])
         count = max(2, round(total[-1]))
-        at = np.interp(np.arange(count) * total[-1] / count, total, share)
-        found.append(start + at[:, None] * step)
-    return np.concatenate(found)
+        at = np.interp(np.arange(count) * total[-1] / count, total, fractions)
+        parts.append(start + at[:, None] * step)
+    return np.concatenate(parts)
 
 
 def _fill(
@@ -558,11 +710,23 @@ def _fill(
     size_at: Callable[[FloatArray], FloatArray],
     hole: shapely.Geometry | None,
 ) -> tuple[FloatArray, IntArray]:
-    """Points (rim, ``fixed``, others) and triangles of a flat region: rows around its ``hole``, or in its
-    rim.
+    """Triangulate a flat region with rows around its holes, or along its rim if there are none.
 
-    Points keep so far from the rim that its edges are those of triangles; Delaunay's triangles of all points
-    are kept where they lie in the region, and their areas have to add up to it.
+    Points keep enough distance from the rim that its edges are triangle edges. Delaunay triangles are kept if
+    they lie in the region, and their areas must add up to its area.
+
+    Args:
+        region: Region.
+        rim: Points (n, 2) [m] on its rims.
+        fixed: Points (f, 2) [m] that become nodes.
+        size_at: Element size (d,) [m] at distances (d,) [m].
+        hole: Holes of the region.
+
+    Returns:
+        Points (rim, ``fixed``, others) and triangles.
+
+    Raises:
+        _UnfilledError: If the region cannot be filled.
     """
     border = region.exterior
     shapely.prepare(region)
@@ -571,7 +735,7 @@ def _fill(
     taken = cKDTree(np.concatenate(points))
     distance = 0.0
     across = float(np.hypot(*np.subtract(region.bounds[2:], region.bounds[:2])))
-    for row in range(_MOST_ROWS):
+    for row in range(_MAX_ROWS):
         distance += _ROW * float(size_at(np.array([distance]))[0])
         if hole is None:
             shape = region.buffer(-distance, join_style="mitre")
@@ -582,14 +746,14 @@ def _fill(
         size = float(size_at(np.array([distance]))[0])
         rings = shapely.get_rings(
             shapely.get_parts(shape)
-        )  # where rows around several holes meet they have holes
+        )  # where rows around several holes meet, they have holes
         loops = [shapely.get_coordinates(ring)[:-1] for ring in rings]
         new = np.concatenate([_loop(loop, size, 0.5 * (row % 2)) for loop in loops])
         new = new[shapely.contains_xy(region, new[:, 0], new[:, 1])]
-        new = new[~shapely.dwithin(border, shapely.points(new), _APART * size)]
-        new = new[taken.query(new)[0] > _APART * size] if len(new) else new
+        new = new[~shapely.dwithin(border, shapely.points(new), _MIN_SPACING_RATIO * size)]
+        new = new[taken.query(new)[0] > _MIN_SPACING_RATIO * size] if len(new) else new
         if len(new):
-            points.append(_thinned(new, _APART * size))
+            points.append(_thin_out(new, _MIN_SPACING_RATIO * size))
             taken = cKDTree(np.concatenate(points))
     whole = np.concatenate(points)
     triangles = Delaunay(whole).simplices.astype(np.int64)
@@ -598,12 +762,12 @@ def _fill(
     triangles = np.where((area < 0.0)[:, None], triangles[:, ::-1], triangles)
     area, middle = np.abs(area), (a + b + c) / 3.0
     kept = (area > _SLIVER * dots(b - a, b - a)) & shapely.contains_xy(region, middle[:, 0], middle[:, 1])
-    wanted = region.area
+    region_area = region.area
     if hole is not None:
         kept &= ~shapely.contains_xy(hole, middle[:, 0], middle[:, 1])
-        wanted -= hole.area
+        region_area -= hole.area
     used = np.unique(triangles[kept])
-    if abs(float(area[kept].sum()) - wanted) > 1e-6 * wanted or len(used) < len(whole):
+    if abs(float(area[kept].sum()) - region_area) > 1e-6 * region_area or len(used) < len(whole):
         raise _UnfilledError(
             "a flat region cannot be filled with elements of this size; allow more triangles"
         )
@@ -611,17 +775,17 @@ def _fill(
 
 
 def _loop(loop: FloatArray, size: float, shift: float) -> FloatArray:
-    """Points (p, 2) evenly along a closed line."""
+    """Evenly spaced points (p, 2) [m] along a closed line."""
     along = np.concatenate([[0.0], np.cumsum(lengths(np.roll(loop, -1, axis=0) - loop))])
     count = max(3, round(along[-1] / size))
-    wanted = (np.arange(count) + shift) / count * along[-1]
+    query = (np.arange(count) + shift) / count * along[-1]
     closed = np.concatenate([loop, loop[:1]])
-    return np.column_stack([np.interp(wanted, along, closed[:, axis]) for axis in range(2)])
+    return np.column_stack([np.interp(query, along, closed[:, axis]) for axis in range(2)])
 
 
-def _thinned(points: FloatArray, apart: float) -> FloatArray:
-    """Points without those that are too near to one before them."""
-    pairs = cKDTree(points).query_pairs(apart, output_type="ndarray")
+def _thin_out(points: FloatArray, min_distance: float) -> FloatArray:
+    """Points without those closer than ``min_distance`` [m] to an earlier one."""
+    pairs = cKDTree(points).query_pairs(min_distance, output_type="ndarray")
     keep: BoolArray = np.ones(len(points), dtype=bool)
     for i, j in pairs[np.lexsort(pairs.T[::-1])]:
         if keep[i]:

@@ -1,10 +1,15 @@
-"""States of a sheet under loads: Newton's method with step cuts, and the curve of displacement over force.
+"""Equilibrium states of a sheet under loads, and its load-displacement curves.
 
-The tangent is factorised once where a load begins. From there on the factors are corrected by the steps
-themselves (BFGS: H. Matthies, G. Strang, The solution of nonlinear finite element equations, International
-Journal for Numerical Methods in Engineering 14 (1979) 1613-1626), each step with a search along it, which
-costs a twentieth of new factors; where that no longer contracts, the tangent is made anew. A sheet that snaps
-through has no state in balance near by: steps are cut, and then the load that was reached is told."""
+They are computed by a quasi-Newton method with step cuts.
+
+The tangent is factorised once at the start of each load. From there on the factorisation is corrected with
+BFGS updates and a line search along each step, which costs a twentieth of a new factorisation. If that does
+not contract any more, the tangent is factorised again. A sheet that snaps through has no equilibrium nearby:
+steps are cut, and then the last load reached is reported.
+
+Source: H. Matthies, G. Strang, The solution of nonlinear finite element equations, International Journal for
+Numerical Methods in Engineering 14 (1979) 1613-1626.
+"""
 
 import dataclasses
 
@@ -13,50 +18,59 @@ import shapely
 from scipy.sparse.linalg import SuperLU, splu
 
 from planner.geometry.arrays import BoolArray, FloatArray, dots, lengths
-from planner.geometry.mesh_repair import border as border_edges
+from planner.geometry.mesh_repair import border_edges as border_edges
 from planner.shell.corotation import Assembly, State, TooFarError, at_rest
-from planner.shell.element import Sheet
+from planner.shell.element import ShellSheet
 
 TOLERANCE = 1e-6
-"""Largest displacement of the last correction, over the largest of the state."""
-LEAST_DISPLACEMENT = 1e-9
-"""Displacements [m] below which corrections are not asked to be smaller: a sheet without load."""
-ITERATIONS = 30
-"""Steps within one load at most, before it is cut in two."""
-PAIRS = 12
-"""Corrections of the factors that are remembered, after which the tangent is made anew."""
+"""Convergence limit: largest displacement of the last step over the largest of the state."""
+MIN_DISPLACEMENT_M = 1e-9
+"""Displacement [m] below which convergence is not relative, for a sheet without load."""
+MAX_ITERATIONS = 30
+"""Maximum number of iterations per load step before it is halved."""
+MAX_UPDATES = 12
+"""Number of BFGS updates after which the tangent is factorised again."""
 CONTRACTION = 0.5
-"""Share of the step before that a step may have, twice, before the tangent is made anew."""
-SEARCHES = 8
-"""Shares of a step that are looked at."""
-SEARCHED = 0.4
-"""Work left along a step, over that at its start, with which the search along it ends."""
-SHORTEST = 0.1
-"""Share of the way between two places of the search that the next one is ahead of the first at least."""
-CUTS = 6
-"""How often a load is cut in two before it counts as the limit."""
-LEAST_PIVOT = 1e-11
-"""Pivots, as shares of the stiffness of their freedoms, up to which a tangent is not positive definite."""
+"""Ratio of successive step lengths above which, twice in a row, the tangent is factorised again."""
+MAX_SEARCHES = 8
+"""Maximum number of trials of a line search."""
+SEARCH_TOLERANCE = 0.4
+"""Ratio of the work along a step to that at its start below which a line search ends."""
+MIN_BRACKET_FRACTION = 0.1
+"""Minimum fraction of the bracket of a line search by which the next trial is ahead of its lower end."""
+MAX_CUTS = 6
+"""Maximum number of halvings of a load step before the limit load is reported."""
+MIN_PIVOT_RATIO = 1e-11
+"""Pivot relative to the diagonal of the tangent up to which the tangent is not positive definite."""
 JUMP = 2.0
-"""Work of a load's step over the larger of those that the tangents at both ends foretell, at most: a sheet
-that has snapped through on the way has moved further than either says."""
+"""Maximum ratio of the work of a load step to the larger prediction by the tangents at its ends. A sheet that
+snapped through has moved further.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
 class Supports:
-    """What holds a sheet: ``fixed`` (n, 6) displacements and spins along the axes of space that are zero,
-    ``spring`` (n, 3) [N/m] springs of nodes to where they were at rest."""
+    """Supports of a sheet.
+
+    Attributes:
+        fixed: Freedoms (n, 6) that are zero: displacements and spins along the global axes.
+        spring: Stiffness (n, 3) [N/m] of springs between nodes and their initial positions.
+    """
 
     fixed: BoolArray
     spring: FloatArray
 
 
-def clamped(sheet: Sheet, border: str | float) -> Supports:
-    """A clamp around the border of a sheet, which keeps it level there.
+def clamped(sheet: ShellSheet, border: str | float) -> Supports:
+    """Supports of a sheet whose border is clamped and kept level.
 
-    ``border``: "sliding" (free in plane: of one corner both displacements, of the next one are held, which
-    makes no force), "immovable", or the stiffness in plane of a spring along the border [N/m per m]. Raises
-    ValueError for others and for springs that hold nothing.
+    Args:
+        sheet: Sheet.
+        border: "sliding" (free in plane except for three displacements of two corners, which cause no force),
+            "immovable", or the in-plane stiffness of a spring along the border [N/m per m].
+
+    Raises:
+        ValueError: For other values and stiffnesses that are not positive.
     """
     count = len(sheet.nodes)
     fixed = np.zeros((count, 6), dtype=np.bool_)
@@ -79,70 +93,95 @@ def clamped(sheet: Sheet, border: str | float) -> Supports:
     return Supports(fixed, spring)
 
 
-def column(sheet: Sheet, place: FloatArray, width: float) -> FloatArray:
-    """Shares (n,) of nodes, sum 1, of a load on all nodes in a column of a square of ``width`` [m] about x, y
-    of ``place``. Raises ValueError where none is: meshes have nodes at places that they are told."""
-    off = np.abs(sheet.nodes[:, :2] - np.asarray(place, dtype=np.float64)[:2]).max(axis=1)
-    within = off <= 0.5 * width + 1e-9
+def column_weights(sheet: ShellSheet, centre: FloatArray, width: float) -> FloatArray:
+    """Weights (n,) with sum 1 that distribute a load equally to the nodes in a square seen from above.
+
+    Args:
+        sheet: Sheet.
+        centre: Centre [m]; x and y are used.
+        width: Side [m].
+
+    Raises:
+        ValueError: If no node is there. Meshes have nodes at the points they are given.
+    """
+    distance = np.abs(sheet.nodes[:, :2] - np.asarray(centre, dtype=np.float64)[:2]).max(axis=1)
+    within = distance <= 0.5 * width + 1e-9
     if not within.any():
         raise ValueError(
-            f"place ({place[0]:.4g}, {place[1]:.4g}) m: the next node is {off.min():.2g} m away, allowed"
-            f" {0.5 * width:.2g}; give the place to the mesh"
+            f"point ({centre[0]:.4g}, {centre[1]:.4g}) m: the next node is {distance.min():.2g} m away, "
+            f"allowed {0.5 * width:.2g} m; give the point to the mesh"
         )
     return np.asarray(within / np.count_nonzero(within))
 
 
-def pressure(sheet: Sheet, place: FloatArray, width: float) -> FloatArray:
-    """Shares (n,) of nodes, sum 1, of an even pressure along z on a square of ``width`` [m] about x, y of
-    ``place``, by the linear shapes of triangles: what it does hangs on no mesh, where `column` counts nodes.
-    Raises ValueError where no triangle is there."""
-    x, y = np.asarray(place, dtype=np.float64)[:2]
+def pressure_weights(sheet: ShellSheet, centre: FloatArray, width: float) -> FloatArray:
+    """Weights (n,) with sum 1 of a uniform pressure along z on a square seen from above.
+
+    They use the linear shape functions of the triangles, so the effect does not depend on the mesh, unlike
+    that of `column_weights`.
+
+    Args:
+        sheet: Sheet.
+        centre: Centre [m]; x and y are used.
+        width: Side [m].
+
+    Raises:
+        ValueError: If no triangle is there.
+    """
+    x, y = np.asarray(centre, dtype=np.float64)[:2]
     half = 0.5 * width
     corners = sheet.nodes[sheet.triangles][:, :, :2]
-    near = (corners.min(axis=1) < [x + half, y + half]).all(axis=1)
-    near &= (corners.max(axis=1) > [x - half, y - half]).all(axis=1)
-    rows = np.flatnonzero(near)
+    is_near = (corners.min(axis=1) < [x + half, y + half]).all(axis=1)
+    is_near &= (corners.max(axis=1) > [x - half, y - half]).all(axis=1)
+    rows = np.flatnonzero(is_near)
     plan = shapely.polygons(corners[rows])
     both = shapely.intersection(plan, shapely.box(x - half, y - half, x + half, y + half))
     area = shapely.area(both)
     rows, both, area = rows[area > 0.0], both[area > 0.0], area[area > 0.0]
     if not len(rows):
-        raise ValueError(f"place ({x:.4g}, {y:.4g}) m: the sheet is elsewhere; give a place on it")
+        raise ValueError(f"point ({x:.4g}, {y:.4g}) m: not on the sheet; give a point on it")
+    # the integral of a linear function over a piece is its value at the centroid times the area
     middle = shapely.get_coordinates(shapely.centroid(both))
     a, b, c = (corners[rows, k] for k in range(3))
     whole = _plan_cross(b - a, c - a)
     second = _plan_cross(middle - a, c - a) / whole
     third = _plan_cross(b - a, middle - a) / whole
     out = np.zeros(len(sheet.nodes))
-    for corner, share in enumerate((1.0 - second - third, second, third)):
-        np.add.at(out, sheet.triangles[rows, corner], area * share)
+    for corner, weight in enumerate((1.0 - second - third, second, third)):
+        np.add.at(out, sheet.triangles[rows, corner], area * weight)
     return out / float(out.sum())
 
 
-def _plan_cross(one: FloatArray, two: FloatArray) -> FloatArray:
-    return np.asarray(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
+def _plan_cross(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Cross products (n,) of vectors in the plane."""
+    return np.asarray(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
 
 
 class LimitLoadError(ArithmeticError):
-    """No state in balance was found beyond a load: the sheet snaps through, or buckles, there.
+    """No equilibrium was found beyond a load: the sheet snaps through or buckles there.
 
-    ``reached`` (3,) [N]: the largest load on the way to the wanted one at which it still held;
-    ``displacements`` (k, 3) [m] of the loads before.
+    Attributes:
+        reached: Largest load (3,) [N] that was reached on the way to the requested one.
+        requested: Requested load (3,) [N].
+        displacements: Displacements (k, 3) [m] under the loads before.
     """
 
-    def __init__(self, reached: FloatArray, wanted: FloatArray, displacements: FloatArray) -> None:
-        self.reached, self.wanted, self.displacements = reached, wanted, displacements
-        last, asked = (", ".join(f"{value:.4g}" for value in load) for load in (reached, wanted))
+    def __init__(self, reached: FloatArray, requested: FloatArray, displacements: FloatArray) -> None:
+        self.reached, self.requested, self.displacements = reached, requested, displacements
+        last, asked = (", ".join(f"{value:.4g}" for value in load) for load in (reached, requested))
         super().__init__(
-            f"no balance was found beyond ({last}) N on the way to a load of ({asked}) N, in steps down to"
-            f" 1/{2**CUTS} of it: it snaps through or buckles there, or bends further than small strains"
-            " allow; give less load, loads in between, or a thicker sheet"
+            f"no equilibrium was found beyond ({last}) N on the way to a load of ({asked}) N, in steps down"
+            f" to 1/{2**MAX_CUTS} of it: the sheet snaps through or buckles there, or exceeds small strains;"
+            " give a smaller load, loads in between, or a thicker sheet"
         )
 
 
 @dataclasses.dataclass
 class Effort:
-    """What a curve took: factors made, steps solved by them, forces worked out, loads cut."""
+    """Computational effort of the solution.
+
+    It counts factorisations, solves, force evaluations, and halvings of load steps.
+    """
 
     factors: int = 0
     solves: int = 0
@@ -151,25 +190,43 @@ class Effort:
 
 
 def curve(
-    sheet: Sheet, supports: Supports, place: FloatArray, loads: FloatArray, width: float = 3e-3
+    sheet: ShellSheet, supports: Supports, centre: FloatArray, loads: FloatArray, width: float = 3e-3
 ) -> FloatArray:
-    """Displacements (k, 3) [m] of a place under ``loads`` (k, 3) [N], one after the other from rest.
+    """Displacements (k, 3) [m] of a point under successive loads from rest.
 
-    The place is a square of ``width`` [m] about x, y of ``place``; its displacement is the mean that the load
-    does work on. Raises LimitLoadError, ValueError where supports let the sheet move freely.
+    The displacement is the mean over the nodes in a square, which is conjugate to the load.
+
+    Args:
+        sheet: Sheet.
+        supports: Supports.
+        centre: Centre of the square [m]; x and y are used.
+        loads: Loads (k, 3) [N].
+        width: Side of the square [m].
+
+    Raises:
+        LimitLoadError: If the sheet snaps through or buckles.
+        ValueError: If the supports let the sheet move freely.
     """
-    return Loading(sheet, supports).curve(column(sheet, place, width), loads)
+    return Loading(sheet, supports).curve(column_weights(sheet, centre, width), loads)
 
 
 class Loading:
-    """A supported sheet of which several curves are wanted: what does not depend on the load is made once."""
+    """A supported sheet for several load cases, with the data that does not depend on the load.
 
-    def __init__(self, sheet: Sheet, supports: Supports) -> None:
-        _check(sheet, supports)
+    Args:
+        sheet: Sheet.
+        supports: Supports.
+
+    Raises:
+        ValueError: If the supports let the sheet move freely.
+    """
+
+    def __init__(self, sheet: ShellSheet, supports: Supports) -> None:
+        _check_supports(sheet, supports)
         self.sheet = sheet
         self.assembly = Assembly(sheet, ~supports.fixed, supports.spring)
         self.effort = Effort()
-        loose = "supports: got a sheet that can move without forces; hold it"
+        loose = "supports: got a sheet that can move without forces; add supports"
         try:
             self._rest = self._start(at_rest(sheet))
         except TooFarError:
@@ -177,65 +234,91 @@ class Loading:
         if self._rest.unstable:
             raise ValueError(loose)
 
-    def curve(self, shares: FloatArray, loads: FloatArray) -> FloatArray:
-        """Displacements (k, 3) [m], the mean over ``shares`` (n,), under ``loads`` (k, 3) [N]: see
-        `curve`."""
-        return np.array([shares @ state.u for state in self.states(shares, loads)]).reshape(-1, 3)
+    def curve(self, weights: FloatArray, loads: FloatArray) -> FloatArray:
+        """Weighted mean displacements (k, 3) [m] under successive loads from rest.
 
-    def states(self, shares: FloatArray, loads: FloatArray) -> list[State]:
-        """The states (k,) under ``loads`` (k, 3) [N], one after the other from rest.
+        Args:
+            weights: Weights (n,) of the nodes.
+            loads: Loads (k, 3) [N].
 
-        Raises LimitLoadError, ValueError for loads or shares that are no numbers or of another shape.
+        Raises:
+            LimitLoadError: If the sheet snaps through or buckles.
+            ValueError: For invalid loads or weights.
+        """
+        return np.array([weights @ state.u for state in self.states(weights, loads)]).reshape(-1, 3)
+
+    def states(self, weights: FloatArray, loads: FloatArray) -> list[State]:
+        """States (k,) under successive loads from rest.
+
+        Args:
+            weights: Weights (n,) of the nodes.
+            loads: Loads (k, 3) [N].
+
+        Raises:
+            LimitLoadError: If the sheet snaps through or buckles.
+            ValueError: For loads or weights that are not finite or have a wrong shape.
         """
         loads = np.asarray(loads, dtype=np.float64)
         count = len(self.sheet.nodes)
         if loads.ndim != 2 or loads.shape[1] != 3 or not np.all(np.isfinite(loads)):
             raise ValueError(
-                f"loads: got shape {loads.shape}, or no numbers; allowed finite forces (k, 3) [N]"
+                f"loads: got shape {loads.shape}, or not finite; allowed finite forces (k, 3) [N]"
             )
-        if shares.shape != (count,) or not np.all(np.isfinite(shares)):
+        if weights.shape != (count,) or not np.all(np.isfinite(weights)):
             raise ValueError(
-                f"shares: got shape {shares.shape}, or no numbers; allowed one of each of {count} nodes"
+                f"shares: got shape {weights.shape}, or not finite; allowed one for each of {count} nodes"
             )
-        found: list[State] = []
+        states: list[State] = []
         now, at = np.zeros(3), self._rest
         for load in loads:
-            reached, at = self._reached(at, shares, now, load)
+            reached, at = self._advance(at, weights, now, load)
             if reached < 1.0:
-                before = np.array([shares @ state.u for state in found]).reshape(-1, 3)
-                raise LimitLoadError(now + reached * (load - now), load, before)
+                displacements = np.array([weights @ state.u for state in states]).reshape(-1, 3)
+                raise LimitLoadError(now + reached * (load - now), load, displacements)
             now = load
-            found.append(at.state)
-        return found
+            states.append(at.state)
+        return states
 
-    def _reached(
-        self, at: "_At", shares: FloatArray, now: FloatArray, load: FloatArray
-    ) -> "tuple[float, _At]":
-        """How far (0 to 1) from the load ``now`` to ``load`` a sheet comes, in steps that are cut where they
-        fail, and its state there."""
+    def _advance(
+        self, at: "_BalancedState", weights: FloatArray, now: FloatArray, load: FloatArray
+    ) -> "tuple[float, _BalancedState]":
+        """Advance from one load to the next in steps that are halved if they fail.
+
+        Args:
+            at: Current state.
+            weights: Weights (n,) of the nodes.
+            now: Current load (3,) [N].
+            load: Next load (3,) [N].
+
+        Returns:
+            Fraction (0 to 1) of the load difference that was reached, and the state there.
+        """
         done, part = 0.0, 1.0
-        while done < 1.0 and part >= 0.5**CUTS:
-            found = self._step(at, shares, now + done * (load - now), part * (load - now))
-            if found is None:
+        while done < 1.0 and part >= 0.5**MAX_CUTS:
+            next_state = self._step(at, weights, now + done * (load - now), part * (load - now))
+            if next_state is None:
                 self.effort.cuts += 1
                 part *= 0.5
             else:
-                at, done = found, done + part
+                at, done = next_state, done + part
                 part = min(part, 1.0 - done)
         return done, at
 
-    def _step(self, at: "_At", shares: FloatArray, base: FloatArray, more: FloatArray) -> "_At | None":
-        """The state after ``more`` [N], or None where there is none near by."""
-        load = np.zeros((len(shares), 6))
-        load[:, :3] = shares[:, None] * (base + more)
+    def _step(
+        self, at: "_BalancedState", weights: FloatArray, base: FloatArray, more: FloatArray
+    ) -> "_BalancedState | None":
+        """State after an additional load ``more`` (3,) [N], or None if there is none nearby."""
+        load = np.zeros((len(weights), 6))
+        load[:, :3] = weights[:, None] * (base + more)
         try:
-            end = self._balanced(at, load)
+            end = self._find_balance(at, load)
         except TooFarError:
             return None
         if end is None:
             return None
+        # A snap-through has moved too far: work p.du > JUMP max(p.K^-1 p) with the tangents K at both ends.
         first = np.zeros_like(load)
-        first[:, :3] = shares[:, None] * more
+        first[:, :3] = weights[:, None] * more
         push = first.reshape(-1)[self.assembly.free]
         work = float(np.sum(first[:, :3] * (end.state.u - at.state.u)))
         foretold = [float(dots(push, self._solve(one.factors, push))) for one in (at, end)]
@@ -243,88 +326,114 @@ class Loading:
             return None
         return end
 
-    def _balanced(self, at: "_At", load: FloatArray) -> "_At | None":
-        """The state in balance with ``load`` (n, 6) from that ``at``, with its own factors. Raises
-        TooFarError."""
+    def _find_balance(self, at: "_BalancedState", load: FloatArray) -> "_BalancedState | None":
+        """Equilibrium with ``load`` (n, 6) [N, Nm] from the state ``at``; None if not converged.
+
+        It has its own factorisation.
+
+        Raises:
+            TooFarError: If a step is too long.
+        """
         free = self.assembly.free
-        wanted = load.reshape(-1)[free]
+        target = load.reshape(-1)[free]
         state, factors = at.state, at.factors
-        left = wanted - at.force
+        left = target - at.force
         pairs: list[tuple[FloatArray, FloatArray, float]] = []
-        last, slow = np.inf, 0
-        for _ in range(ITERATIONS):
-            step = self._corrected(factors, pairs, left)
+        last, slow_count = np.inf, 0
+        for _ in range(MAX_ITERATIONS):
+            # step against the residual r = load - force, until it is small
+            step = self._bfgs_step(factors, pairs, left)
             size = float(np.abs(self._whole(step)[:, :3]).max())
-            if size <= TOLERANCE * max(float(np.abs(state.u).max()), LEAST_DISPLACEMENT):
+            if size <= TOLERANCE * max(float(np.abs(state.u).max()), MIN_DISPLACEMENT_M):
                 return self._start(state.moved(self._whole(step)))
-            slow = slow + 1 if size > CONTRACTION * last else 0
+            # a factorisation that no longer contracts is replaced by one of the present state
+            slow_count = slow_count + 1 if size > CONTRACTION * last else 0
             last = size
-            if slow >= 2 or len(pairs) >= PAIRS:
+            if slow_count >= 2 or len(pairs) >= MAX_UPDATES:
                 again = self._start(state)
-                factors, pairs, last, slow = again.factors, [], np.inf, 0
-                left = wanted - again.force
+                factors, pairs, last, slow_count = again.factors, [], np.inf, 0
+                left = target - again.force
                 continue
-            share, state, force = self._searched(state, step, left, wanted)
-            change = left - (wanted - force)
-            taken = share * step
+            # s = fraction * step, y = change of the forces; s.y > 0 keeps the matrix positive definite
+            fraction, state, force = self._line_search(state, step, left, target)
+            change = left - (target - force)
+            taken = fraction * step
             if float(dots(taken, change)) > 0.0:
                 pairs.append((taken, change, 1.0 / float(dots(taken, change))))
-            left = wanted - force
+            left = target - force
         return None
 
-    def _searched(
-        self, state: State, step: FloatArray, left: FloatArray, wanted: FloatArray
+    def _line_search(
+        self, state: State, step: FloatArray, left: FloatArray, target: FloatArray
     ) -> tuple[float, State, FloatArray]:
-        """Share of a step after which the forces left do little work along it, with state and forces
-        there. Raises TooFarError where the step leads away from balance, or no share of it can be taken."""
+        """Line search: fraction of a step after which the residual does little work along it.
+
+        Args:
+            state: Start of the step.
+            step: Step over the free freedoms.
+            left: Residual forces at the start.
+            target: Loads.
+
+        Returns:
+            The fraction, and the state and forces there.
+
+        Raises:
+            TooFarError: If the step leads away from equilibrium, or no fraction of it is possible.
+        """
+        # Find f with |g| <= SEARCH_TOLERANCE g(0), g(f) = step.(target - force(f)), or g > 0 at once.
         whole = self._whole(step)
         start = float(dots(step, left))
         if start <= 0.0:
             raise TooFarError
         low: tuple[float, float] = (0.0, start)
         high: tuple[float, float] | None = None
-        found: tuple[float, State, FloatArray] | None = None
-        share = 1.0
-        for _ in range(SEARCHES):
+        best: tuple[float, State, FloatArray] | None = None
+        fraction = 1.0
+        for _ in range(MAX_SEARCHES):
             try:
-                state_there = state.moved(share * whole)
+                state_there = state.moved(fraction * whole)
                 force = self._force(state_there)
             except TooFarError:
-                share = 0.5 * (low[0] + share)
+                fraction = 0.5 * (low[0] + fraction)
                 continue
-            found = share, state_there, force
-            work = float(dots(step, wanted - force))
-            if abs(work) <= SEARCHED * start or (work > 0.0 and high is None):
+            best = fraction, state_there, force
+            work = float(dots(step, target - force))
+            if abs(work) <= SEARCH_TOLERANCE * start or (work > 0.0 and high is None):
                 break
             if work > 0.0:
-                low = (share, work)
+                low = (fraction, work)
             else:
-                high = (share, work)
+                high = (fraction, work)
             if high is not None:
-                # forces grow faster than the step, so that the secant's root is short of the true one
+                # forces grow faster than the step, so the secant's root is below the true one
                 root = low[0] + (high[0] - low[0]) * low[1] / (low[1] - high[1])
-                share = max(root, low[0] + SHORTEST * (high[0] - low[0]))
-        if found is None:
+                fraction = max(root, low[0] + MIN_BRACKET_FRACTION * (high[0] - low[0]))
+        if best is None:
             raise TooFarError
-        return found
+        return best
 
-    def _corrected(
+    def _bfgs_step(
         self, factors: SuperLU, pairs: list[tuple[FloatArray, FloatArray, float]], left: FloatArray
     ) -> FloatArray:
-        """The step against forces ``left``, by factors corrected by the steps before (two loops)."""
+        """Step against the residual ``left``, by a factorisation with BFGS updates (two-loop recursion)."""
+        # H = (1 - s y^T / y.s) H' (1 - y s^T / y.s) + s s^T / y.s for each pair, from H' = K^-1; step = H r
         left = left.copy()
         shares = []
         for taken, change, inverse in reversed(pairs):
-            share = inverse * float(dots(taken, left))
-            left -= share * change
-            shares.append(share)
+            weight = inverse * float(dots(taken, left))
+            left -= weight * change
+            shares.append(weight)
         step = self._solve(factors, left)
-        for (taken, change, inverse), share in zip(pairs, reversed(shares), strict=True):
-            step += (share - inverse * float(dots(change, step))) * taken
+        for (taken, change, inverse), weight in zip(pairs, reversed(shares), strict=True):
+            step += (weight - inverse * float(dots(change, step))) * taken
         return step
 
-    def _start(self, state: State) -> "_At":
-        """A state with its forces and the factors of its tangent."""
+    def _start(self, state: State) -> "_BalancedState":
+        """A state with its forces and the factorised tangent.
+
+        Raises:
+            TooFarError: If the tangent is singular.
+        """
         force, matrix = self.assembly.tangent(state)
         self.effort.factors += 1
         try:
@@ -333,10 +442,10 @@ class Loading:
             )
         except RuntimeError:  # exactly singular
             raise TooFarError from None
-        # pivots of a symmetric elimination count directions in which a sheet would leave by itself
+        # negative pivots of a symmetric factorisation count unstable directions
         pivots = factors.U.diagonal() / matrix.diagonal()[np.argsort(factors.perm_c)]
-        unstable = bool(np.any(factors.perm_r != factors.perm_c) or pivots.min() <= LEAST_PIVOT)
-        return _At(state, force.reshape(-1)[self.assembly.free], factors, unstable)
+        unstable = bool(np.any(factors.perm_r != factors.perm_c) or pivots.min() <= MIN_PIVOT_RATIO)
+        return _BalancedState(state, force.reshape(-1)[self.assembly.free], factors, unstable)
 
     def _solve(self, factors: SuperLU, left: FloatArray) -> FloatArray:
         self.effort.solves += 1
@@ -353,8 +462,15 @@ class Loading:
 
 
 @dataclasses.dataclass(frozen=True)
-class _At:
-    """A state, its forces over the free freedoms, its factors, and whether it would leave by itself."""
+class _BalancedState:
+    """A state and its linearisation.
+
+    Attributes:
+        state: State.
+        force: Forces over the free freedoms.
+        factors: Factorised tangent.
+        unstable: Whether the tangent is not positive definite.
+    """
 
     state: State
     force: FloatArray
@@ -362,7 +478,7 @@ class _At:
     unstable: bool
 
 
-def _check(sheet: Sheet, supports: Supports) -> None:
+def _check_supports(sheet: ShellSheet, supports: Supports) -> None:
     count = len(sheet.nodes)
     if supports.fixed.shape != (count, 6) or supports.spring.shape != (count, 3):
         raise ValueError(f"supports: got {supports.fixed.shape}, {supports.spring.shape} for {count} nodes")

@@ -1,1 +1,1 @@
-"""The shop floor: base poses from probed points, programs on controllers, scans of formed parts."""
+"""Shop floor: base poses from probed points, programs on controllers, scans of formed parts."""

@@ -1,4 +1,4 @@
-"""Tools on flanges: a sum type of their kinds, and what makes each of them from sizes."""
+"""Tools on flanges: a sum type of their kinds, and functions that make each of them from sizes."""
 
 from typing import assert_never
 
@@ -8,43 +8,47 @@ from planner.tooling.holding_tools import (
     BOW_THROAT,
     BOW_WIRE_DIAMETER,
     GRIPPER_REACH,
-    REACH,
+    HOLDER_REACH_M,
     Bow,
     Gripper,
+    HolderBody,
     PlainTool,
     WireHolder,
     bow,
     gripper_plate,
-    plain,
+    plain_tool,
     vacuum_cup,
     wire_holder,
 )
 from planner.tooling.knife import KNIFE_BODY, Blade, Knife, knife
 from planner.tooling.torch import TORCH_SIZE, Torch, TorchKind, torch
 from planner.tooling.working_tools import (
-    DISK_RIM,
+    DISK_RIM_M,
     MILL_HOLDER,
     MILL_SPINDLE,
     Cutter,
+    CutterGeometry,
     CutterKind,
     FormingHead,
     FormingTool,
     Mill,
     ball_tool,
     disk_tool,
+    head_outline,
     heat_tool,
     mill,
-    profile,
 )
 
 Tool = WireHolder | Bow | Gripper | FormingTool | Mill | Torch | Knife | PlainTool
-"""A tool on a flange: one of these kinds, each with what it really has."""
+"""A tool on a flange: one of these kinds, each with its own properties."""
 
 
 def working_solid(tool: Tool) -> Shape | None:
-    """The solid, in the flange frame, with which a tool works the stock: the wire of a bow, the head of a
-    forming tool, a mill's cutter, a torch with its nozzle, a knife's blade; it alone may touch the stock, in
-    segments that work it. None for tools that work with nothing rigid of their own."""
+    """Return the solid, in the flange frame, with which a tool works the stock.
+
+    None for tools without a rigid one. It is the wire of a bow, the head of a forming tool, a mill's cutter,
+    a torch with its nozzle, or a knife's blade. It alone may touch the stock, in segments that work it.
+    """
     match tool:
         case Bow():
             return tool.wire
@@ -60,20 +64,22 @@ __all__ = [
     "BOW_SPAN",
     "BOW_THROAT",
     "BOW_WIRE_DIAMETER",
-    "DISK_RIM",
+    "DISK_RIM_M",
     "GRIPPER_REACH",
+    "HOLDER_REACH_M",
     "KNIFE_BODY",
     "MILL_HOLDER",
     "MILL_SPINDLE",
-    "REACH",
     "TORCH_SIZE",
     "Blade",
     "Bow",
     "Cutter",
+    "CutterGeometry",
     "CutterKind",
     "FormingHead",
     "FormingTool",
     "Gripper",
+    "HolderBody",
     "Knife",
     "Mill",
     "PlainTool",
@@ -85,11 +91,11 @@ __all__ = [
     "bow",
     "disk_tool",
     "gripper_plate",
+    "head_outline",
     "heat_tool",
     "knife",
     "mill",
-    "plain",
-    "profile",
+    "plain_tool",
     "torch",
     "vacuum_cup",
     "wire_holder",

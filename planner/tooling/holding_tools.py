@@ -1,8 +1,8 @@
-"""What every tool on a flange has, and tools that hold: a wire's end, a taut wire, a block of foam.
+"""Common properties of tools on flanges, and tools that hold: a wire's end, a taut wire, a block of foam.
 
-The wire holder is a sliding clamp. The bow is a fork that keeps a straight hot wire taut between
-two prongs, carried by one arm. Grippers hold a block by its bottom face: a plate with needles, and
-a vacuum cup. A plain tool is one of the user's own, of which no more is known.
+The wire holder is a sliding clamp. The bow is a fork that keeps a straight hot wire taut between two
+prongs, carried by one arm. Grippers hold a block by its bottom face: a plate with needles, and a vacuum
+cup. A plain tool is a user's tool without further properties.
 """
 
 import dataclasses
@@ -10,7 +10,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from planner.geometry.arrays import FloatArray, Shape, corners, from_parts, from_rpy, inverse, transform
+from planner.geometry.arrays import FloatArray, Shape, from_parts, from_rpy, hull_points, inverse, transform
 
 ALUMINIUM_DENSITY: Final = 2700.0
 """Density [kg/m^3] of aluminium."""
@@ -18,8 +18,15 @@ ALUMINIUM_DENSITY: Final = 2700.0
 
 @dataclasses.dataclass(frozen=True)
 class OnFlange:
-    """What all tools have: ``tcp`` (4, 4) and the solids ``shapes``, which may touch nothing, in the flange
-    frame; mass [kg], centre of gravity (3,) [m]."""
+    """Common properties of all tools, in the flange frame.
+
+    Attributes:
+        name: Name of the tool.
+        tcp: TCP (4, 4).
+        mass: Mass [kg].
+        cog: Centre of gravity (3,) [m].
+        shapes: Solids, which may touch nothing.
+    """
 
     name: str
     tcp: FloatArray
@@ -28,35 +35,48 @@ class OnFlange:
     shapes: tuple[Shape, ...]
 
 
-def leaning(tilt: float) -> FloatArray:
-    """How (3, 3) a tool stands on the flange that leans by ``tilt`` [rad] about the flange's y."""
+def tilted_rotation(tilt: float) -> FloatArray:
+    """Return the rotation (3, 3) of a tool on the flange with a ``tilt`` [rad].
+
+    The tilt is about the flange's y axis.
+    """
     return np.array([[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]])
 
 
-def ahead(distance: float, turn: FloatArray | None = None) -> FloatArray:
-    """The pose (4, 4) so far [m] along the z axis of a tool that is turned by ``turn`` (3, 3)."""
-    turn = np.eye(3) if turn is None else turn
-    return from_parts(turn, turn @ np.array([0.0, 0.0, distance]))
+def pose_along_z(distance: float, rotation: FloatArray | None = None) -> FloatArray:
+    """Return the pose (4, 4) at a distance [m] along the z axis of a tool.
+
+    The tool has the rotation ``rotation`` (3, 3).
+    """
+    rotation = np.eye(3) if rotation is None else rotation
+    return from_parts(rotation, rotation @ np.array([0.0, 0.0, distance]))
 
 
 def hull(points: FloatArray, pose: FloatArray) -> Shape:
-    """The convex solid around points (N, 3) in the frame ``pose``."""
+    """Return the convex solid around points (N, 3) in the frame ``pose``."""
     import trimesh  # slow to import
 
-    found = trimesh.convex.convex_hull(points)
-    return Shape("mesh", (), pose, np.asarray(found.vertices), np.asarray(found.faces, dtype=np.int64))
+    mesh = trimesh.convex.convex_hull(points)
+    return Shape("mesh", (), pose, np.asarray(mesh.vertices), np.asarray(mesh.faces, dtype=np.int64))
 
 
 @dataclasses.dataclass(frozen=True)
 class PlainTool(OnFlange):
-    """A tool of the user's own, of which no more is known."""
+    """A user's tool without further properties."""
 
 
-def plain(
+def plain_tool(
     name: str, tcp: FloatArray, shapes: tuple[Shape, ...], mass: float, cog: FloatArray | None = None
 ) -> PlainTool:
-    """A tool of the user's own: ``tcp`` (4, 4) and shapes in the flange frame, mass [kg]; cog (3,) [m] or
-    half way."""
+    """Return a user's tool.
+
+    Args:
+        name: Name of the tool.
+        tcp: TCP (4, 4) in the flange frame.
+        shapes: Solids in the flange frame.
+        mass: Mass [kg].
+        cog: Centre of gravity (3,) [m]. By default half way to the TCP.
+    """
     centre = 0.5 * tcp[:3, 3] if cog is None else cog
     return PlainTool(name=name, tcp=tcp, mass=mass, cog=centre, shapes=shapes)
 
@@ -66,21 +86,44 @@ Side = Literal["start", "end"]
 
 TILT_DEG: Final[dict[Mounting, float]] = {"along": 0.0, "diagonal": 45.0, "across": 90.0}
 """Angle [deg] between the flange axis and the clamp's slide, by how the holder is mounted."""
-REACH: Final[dict[Mounting, float]] = {"along": 0.120, "diagonal": 0.110, "across": 0.100}
+HOLDER_REACH_M: Final[dict[Mounting, float]] = {"along": 0.120, "diagonal": 0.110, "across": 0.100}
 """Distance [m] of the TCP from the flange's face, on the flange axis, with the slide at zero."""
 
-HOLDER_MASS: Final = 0.6
-"""[kg], assumed: an aluminium plate and post, a ceramic block and a brass clamp of the sizes below."""
+HOLDER_MASS_KG: Final = 0.6
+"""Mass [kg] of a wire holder, assumed: an aluminium plate and post, a ceramic block and a brass clamp
+of the sizes below.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
 class WireHolder(OnFlange):
-    """A holder for the ``side`` end of a wire, which leaves it as the ``mounting`` says; ``slide`` [m]: how
-    far its clamp is moved outward."""
+    """A holder for one end of a wire.
+
+    Attributes:
+        mounting: Direction in which the wire leaves the holder.
+        side: End of the wire.
+        slide: Distance [m] by which the clamp is moved outward.
+    """
 
     mounting: Mounting
     side: Side
     slide: float
+
+
+@dataclasses.dataclass(frozen=True)
+class HolderBody:
+    """Body of a wire holder.
+
+    Attributes:
+        plate_radius: Radius [m] of the flange plate.
+        mass: Mass [kg] of the holder.
+    """
+
+    plate_radius: float = 0.034
+    mass: float = HOLDER_MASS_KG
+
+
+_STANDARD_BODY: Final = HolderBody()
 
 
 def wire_holder(
@@ -88,11 +131,10 @@ def wire_holder(
     side: Side = "start",
     slide: float = 0.0,
     reach: float | None = None,
-    plate_radius: float = 0.034,
-    mass: float = HOLDER_MASS,
+    body: HolderBody = _STANDARD_BODY,
     name: str | None = None,
 ) -> WireHolder:
-    """A holder for one end of a wire: flange plate, post, insulated slide block, clamp.
+    """Return a holder for one end of a wire: flange plate, post, insulated slide block, clamp.
 
     The TCP is where the wire leaves the clamp. Its x axis is the wire's tangent from the start arm to the
     end arm, so it points out of the start arm's holder and into the end arm's. The wire leaves along the
@@ -101,13 +143,21 @@ def wire_holder(
     TCP's y axis points from the wire back to the flange ("across") or along the flange's -x ("along"),
     which is up in these postures; z = x cross y.
 
-    ``slide`` [m] moves the clamp and the TCP outward along the wire; ``reach`` [m] replaces the TCP's
-    distance from the flange. Raises ``KeyError`` for another mounting and ``ValueError`` for another side,
-    or sizes that do not fit.
+    Args:
+        mounting: Direction of the wire.
+        side: End of the wire.
+        slide: Distance [m] by which clamp and TCP are moved outward along the wire.
+        reach: Distance [m] of the TCP from the flange. By default that of the mounting.
+        body: Body of the holder.
+        name: Name of the holder.
+
+    Raises:
+        KeyError: Unknown mounting.
+        ValueError: Unknown side, or sizes that do not fit.
     """
     if side not in ("start", "end"):
         raise ValueError(f"side is {side!r}; it must be 'start' or 'end'")
-    distance = REACH[mounting] if reach is None else reach
+    distance = HOLDER_REACH_M[mounting] if reach is None else reach
     if not distance >= 0.080:
         raise ValueError(f"reach is {distance * 1e3:g} mm; the holder needs at least 80 mm")
     if not 0.0 <= slide <= 0.040:
@@ -116,14 +166,14 @@ def wire_holder(
     out = np.array([-np.sin(tilt), 0.0, np.cos(tilt)])
     up = np.array([-np.cos(tilt), 0.0, -np.sin(tilt)])
     tangent = out if side == "start" else -out
-    turn = np.stack([tangent, up, np.cross(tangent, up)], axis=-1).round(15) + 0.0
+    rotation = np.stack([tangent, up, np.cross(tangent, up)], axis=-1).round(15) + 0.0
     corner = np.array([0.0, 0.0, distance])
     along = np.stack([np.cross(up, out), up, out], axis=-1)
     clamp = 0.028 + slide
     block = corner - 0.046 * out
     post = 0.72 * block[0]
     shapes = (
-        _flange(plate_radius),
+        _flange(body.plate_radius),
         Shape(
             "box",
             (0.026, 0.034, block[2] - 0.010),
@@ -134,8 +184,8 @@ def wire_holder(
     )
     return WireHolder(
         name=name or f"wire_holder_{mounting}_{side}",
-        tcp=from_parts(turn, corner + slide * out),
-        mass=mass,
+        tcp=from_parts(rotation, corner + slide * out),
+        mass=body.mass,
         cog=np.array([0.45 * block[0], 0.0, 0.45 * distance]),
         shapes=shapes,
         mounting=mounting,
@@ -144,24 +194,30 @@ def wire_holder(
     )
 
 
-STEM_LENGTH: Final = 0.060
-"""[m] from the flange's face to the middle of the beam."""
+STEM_LENGTH_M: Final = 0.060
+"""Distance [m] from the flange's face to the middle of the beam."""
 BEAM_WIDTH: Final = 0.030
 """Side [m] of the square tube of the beam, assumed."""
 PRONG_WIDTH: Final = 0.020
 """Side [m] of the square tubes of the prongs, assumed."""
 TIP_SIZE: Final = (0.024, 0.036, 0.030)
-"""[m] the insulated clamp with its spring at a prong's end: along the wire, across it, along the prong."""
+"""Size [m] of the insulated clamp with its spring at a prong's end: along the wire, across it, along
+the prong.
+"""
 TUBE_LINE_DENSITY: Final = 0.6
-"""[kg/m] of the tubes: aluminium, 2 mm walls, assumed."""
+"""Mass per length [kg/m] of the tubes: aluminium, 2 mm walls, assumed."""
 BOW_HEAD_MASS: Final = 0.35
-"""[kg] flange plate, stem, clamps and spring, assumed."""
+"""Mass [kg] of flange plate, stem, clamps and spring, assumed."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Bow(OnFlange):
-    """A bow: its straight ``wire`` between the clamps is a capsule in the flange frame, along x of the TCP,
-    which is its middle."""
+    """A bow.
+
+    Attributes:
+        wire: Straight wire between the clamps, a capsule in the flange frame along x of the TCP, which is
+            its middle.
+    """
 
     wire: Shape
 
@@ -177,11 +233,11 @@ class Bow(OnFlange):
 
     @property
     def throat(self) -> float:
-        """Free depth [m] behind the middle of the wire: to the nearest solid of the bow there."""
+        """Free depth [m] behind the middle of the wire, to the nearest solid of the bow."""
         to_tcp = inverse(self.tcp)
         nearest = [-np.inf]
         for shape in self.shapes:
-            points = transform(to_tcp @ shape.pose, corners(shape))
+            points = transform(to_tcp @ shape.pose, hull_points(shape))
             low, high = points.min(axis=0), points.max(axis=0)
             if low[0] < 0.4 * self.span and high[0] > -0.4 * self.span:
                 nearest.append(float(high[2]))
@@ -189,14 +245,14 @@ class Bow(OnFlange):
 
     @property
     def stated_throat(self) -> float:
-        """The throat [m] as cells state it: from the middle of the beam."""
+        """Throat [m] as cells state it: from the middle of the beam."""
         return self.throat + 0.5 * BEAM_WIDTH
 
 
 BOW_SPAN: Final = 0.4
 BOW_THROAT: Final = 0.4
 BOW_WIRE_DIAMETER: Final = 0.0004
-"""Sizes [m] of a bow of which no other are stated."""
+"""Default sizes [m] of a bow."""
 
 
 def bow(
@@ -206,28 +262,37 @@ def bow(
     tilt: float = 0.0,
     name: str | None = None,
 ) -> Bow:
-    """A bow whose wire is ``span`` [m] long between its clamps and ``throat`` [m] away from the beam.
+    """Return a bow.
 
-    Seed 004, 2.1.2.3 and 2.2.2.3, uses bows of 400 x 400 mm and 650 x 650 mm. The TCP is the middle of the
-    wire, its x axis runs along the wire, its z axis from the beam to the wire, in the flange's frame turned
-    by ``tilt`` [rad] about x: with no tilt the wire crosses the flange's axis. A spring keeps the hot wire
-    straight and at its length. Raises ``ValueError`` for sizes that make no bow.
+    The TCP is the middle of the wire. Its x axis runs along the wire, its z axis from the beam to the wire.
+    Without tilt the wire crosses the flange's axis. A spring keeps the hot wire straight and at its length.
+    Seed 004, 2.1.2.3 and 2.2.2.3, uses bows of 400 x 400 mm and 650 x 650 mm.
+
+    Args:
+        span: Length [m] of the wire between its clamps.
+        throat: Distance [m] of the wire from the beam.
+        wire_diameter: Diameter [m] of the wire.
+        tilt: Rotation [rad] of the bow about x of the flange's frame.
+        name: Name of the bow.
+
+    Raises:
+        ValueError: Sizes out of range.
     """
     if not (0.05 <= span <= 3.0 and 0.05 <= throat <= 3.0 and 1e-5 <= wire_diameter <= 0.01):
         raise ValueError(
             f"a bow of span {span * 1e3:g} mm, throat {throat * 1e3:g} mm, wire {wire_diameter * 1e3:g} mm; "
             "span and throat go from 50 to 3000 mm, the wire from 0.01 to 10 mm"
         )
-    turn = from_rpy((0.0, 0.0, STEM_LENGTH), (tilt, 0.0, 0.0))
+    frame = from_rpy((0.0, 0.0, STEM_LENGTH_M), (tilt, 0.0, 0.0))
 
     def at(x: float, z: float) -> FloatArray:
-        """A pose in the flange frame: x along the wire, z from the middle of the beam."""
-        return turn @ from_parts(np.eye(3), np.array([x, 0.0, z]))
+        """Return a pose in the flange frame: x along the wire, z from the middle of the beam."""
+        return frame @ from_parts(np.eye(3), np.array([x, 0.0, z]))
 
     half = 0.5 * span + 0.5 * TIP_SIZE[0]
     shapes = [
         _flange(),
-        Shape("box", (0.040, 0.040, STEM_LENGTH), ahead(0.5 * STEM_LENGTH)),
+        Shape("box", (0.040, 0.040, STEM_LENGTH_M), pose_along_z(0.5 * STEM_LENGTH_M)),
         Shape("box", (2.0 * half + PRONG_WIDTH, BEAM_WIDTH, BEAM_WIDTH), at(0.0, 0.0)),
     ]
     for side in (-1.0, 1.0):
@@ -241,47 +306,59 @@ def bow(
         name=name or f"bow_{span * 1e3:.0f}",
         tcp=at(0.0, throat),
         mass=round(mass, 3),
-        cog=np.asarray(turn @ np.array([0.0, 0.0, lever, 1.0]))[:3].round(6),
+        cog=np.asarray(frame @ np.array([0.0, 0.0, lever, 1.0]))[:3].round(6),
         shapes=tuple(shapes),
         wire=Shape("capsule", (0.5 * wire_diameter, span), along),
     )
 
 
 PLATE_THICKNESS: Final = 0.012
-"""[m] thickness of the plate that lies on the foam."""
+"""Thickness [m] of the plate that lies on the foam."""
 NEEDLE_PRESSURE: Final = 8e3
-"""[Pa] what slanted needles hold per area of their plate in foam, assumed."""
+"""Holding force per area [Pa] of a plate with slanted needles in foam, assumed."""
 SUCTION_PRESSURE: Final = 25e3
-"""[Pa] below the air's pressure under a cup on foam, which leaks, assumed."""
+"""Vacuum [Pa] under a cup on foam, which leaks, assumed."""
 GRIPPER_HEAD_MASS: Final = 0.25
-"""[kg] flange plate and needle drive or suction unit, assumed."""
+"""Mass [kg] of flange plate and needle drive or suction unit, assumed."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Gripper(OnFlange):
-    """A tool that holds a block by its bottom face: ``footprint``, width and depth [m] of the face that does,
-    centred on the TCP in its x and y, and ``holding``, the force [N] it holds with."""
+    """A tool that holds a block by its bottom face.
+
+    Attributes:
+        footprint: Width and depth [m] of the holding face, centred on the TCP in its x and y.
+        holding_force: Holding force [N].
+    """
 
     footprint: tuple[float, float]
-    holding: float
+    holding_force: float
 
 
 GRIPPER_REACH: Final = 0.080
-"""From the flange to the block [m] where nothing else is stated."""
+"""Default distance [m] from the flange to the block."""
 
 
 def gripper_plate(
     width: float,
     depth: float,
     reach: float = GRIPPER_REACH,
-    holding: float | None = None,
+    holding_force: float | None = None,
     name: str | None = None,
 ) -> Gripper:
-    """A plate ``width`` x ``depth`` [m] with slanted needles that holds a block by its bottom face, with the
-    force ``holding`` [N] or what its area gives.
+    """Return a plate with slanted needles that holds a block by its bottom face.
 
-    The TCP is the middle of the plate's face, ``reach`` [m] from the flange; z points into the block, x along
-    the width. Raises ``ValueError`` for sizes that make no gripper.
+    The TCP is the middle of the plate's face; z points into the block, x along the width.
+
+    Args:
+        width: Width [m] of the plate.
+        depth: Depth [m] of the plate.
+        reach: Distance [m] of the TCP from the flange.
+        holding_force: Holding force [N]. By default from the area.
+        name: Name of the gripper.
+
+    Raises:
+        ValueError: Sizes out of range.
     """
     if not (0.02 <= width <= 2.0 and 0.02 <= depth <= 2.0 and 0.03 <= reach <= 0.5):
         raise ValueError(
@@ -291,21 +368,27 @@ def gripper_plate(
     stem = reach - PLATE_THICKNESS
     shapes = (
         _flange(),
-        Shape("box", (0.050, 0.050, stem), ahead(0.5 * stem)),
-        Shape("box", (width, depth, PLATE_THICKNESS), ahead(reach - 0.5 * PLATE_THICKNESS)),
+        Shape("box", (0.050, 0.050, stem), pose_along_z(0.5 * stem)),
+        Shape("box", (width, depth, PLATE_THICKNESS), pose_along_z(reach - 0.5 * PLATE_THICKNESS)),
     )
     plate = ALUMINIUM_DENSITY * width * depth * PLATE_THICKNESS
-    force = NEEDLE_PRESSURE * width * depth if holding is None else holding
+    force = NEEDLE_PRESSURE * width * depth if holding_force is None else holding_force
     return _gripper(name or "gripper_plate", reach, shapes, plate, (width, depth), force)
 
 
 def vacuum_cup(
-    radius: float, reach: float = GRIPPER_REACH, holding: float | None = None, name: str | None = None
+    radius: float, reach: float = GRIPPER_REACH, holding_force: float | None = None, name: str | None = None
 ) -> Gripper:
-    """A suction cup of ``radius`` [m] with its TCP in the middle of the lip, ``reach`` [m] from the flange,
-    that holds with the force ``holding`` [N] or what its area gives.
+    """Return a suction cup with its TCP in the middle of the lip; z points into the block.
 
-    z points into the block. Raises ``ValueError`` for sizes that make no cup.
+    Args:
+        radius: Radius [m] of the cup.
+        reach: Distance [m] of the TCP from the flange.
+        holding_force: Holding force [N]. By default from the area.
+        name: Name of the cup.
+
+    Raises:
+        ValueError: Sizes out of range.
     """
     if not (0.01 <= radius <= 0.5 and 0.03 <= reach <= 0.5):
         raise ValueError(
@@ -315,16 +398,16 @@ def vacuum_cup(
     stem = reach - PLATE_THICKNESS
     shapes = (
         _flange(),
-        Shape("cylinder", (0.020, stem), ahead(0.5 * stem)),
-        Shape("cylinder", (radius, PLATE_THICKNESS), ahead(reach - 0.5 * PLATE_THICKNESS)),
+        Shape("cylinder", (0.020, stem), pose_along_z(0.5 * stem)),
+        Shape("cylinder", (radius, PLATE_THICKNESS), pose_along_z(reach - 0.5 * PLATE_THICKNESS)),
     )
     plate = 0.5 * ALUMINIUM_DENSITY * np.pi * radius**2 * PLATE_THICKNESS
-    force = SUCTION_PRESSURE * np.pi * radius**2 if holding is None else holding
+    force = SUCTION_PRESSURE * np.pi * radius**2 if holding_force is None else holding_force
     return _gripper(name or "vacuum_cup", reach, shapes, plate, (2.0 * radius, 2.0 * radius), float(force))
 
 
 def _flange(radius: float = 0.034) -> Shape:
-    return Shape("cylinder", (radius, 0.010), ahead(0.005))
+    return Shape("cylinder", (radius, 0.010), pose_along_z(0.005))
 
 
 def _gripper(
@@ -333,16 +416,16 @@ def _gripper(
     shapes: tuple[Shape, ...],
     plate: float,
     footprint: tuple[float, float],
-    holding: float,
+    holding_force: float,
 ) -> Gripper:
     mass = GRIPPER_HEAD_MASS + plate
     middle = (GRIPPER_HEAD_MASS * 0.03 + plate * (reach - 0.006)) / mass
     return Gripper(
         name=name,
-        tcp=ahead(reach),
+        tcp=pose_along_z(reach),
         mass=round(float(mass), 3),
         cog=np.array([0.0, 0.0, round(float(middle), 6)]),
         shapes=shapes,
         footprint=footprint,
-        holding=holding,
+        holding_force=holding_force,
     )

@@ -6,25 +6,31 @@ from typing import Final
 import numpy as np
 
 from planner.geometry.arrays import FloatArray, Shape, from_parts
-from planner.tooling.holding_tools import ALUMINIUM_DENSITY, OnFlange, ahead, hull, leaning
+from planner.tooling.holding_tools import ALUMINIUM_DENSITY, OnFlange, hull, pose_along_z, tilted_rotation
 from planner.tooling.working_tools import STEEL_DENSITY
 
 KNIFE_BODY: Final = (0.025, 0.200)
-"""Radius of the body, and length from the flange to the blade's tip [m], where no other are stated; assumed,
-about those of an oscillating knife."""
+"""Default radius of the body, and length from the flange to the blade's tip [m].
+Assumed, about those of an oscillating knife.
+"""
 KNIFE_HOLDER: Final = (0.038, 0.060)
 """Radius and length [m] of the holder between flange and body, assumed."""
 KNIFE_DENSITY: Final = 2700.0
-"""Density [kg/m^3] of a body with its drive, assumed; state ``mass_kg`` where it is known."""
+"""Density [kg/m^3] of a body with its drive, assumed. State ``mass_kg`` if it is known."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Blade:
-    """A plate of ``thickness`` [m] in the plane of the tool's x and z axes, its edge toward x.
+    """A plate in the plane of the tool's x and z axes, with its edge toward x.
 
-    The TCP is the front of its straight end, which is ``end`` [m] long; from there the edge goes up and
-    forward, until over ``ground`` [m] the blade has its whole ``width`` [m]. It sticks ``length`` [m] out of
-    its body.
+    The TCP is the front of its straight end. From there the edge rises and advances to the full width.
+
+    Attributes:
+        thickness: Thickness [m].
+        width: Full width [m].
+        end: Length [m] of the straight end.
+        ground: Height [m] over which the blade reaches its full width.
+        length: Length [m] out of its body.
     """
 
     thickness: float
@@ -34,14 +40,16 @@ class Blade:
     length: float
 
     def front(self, height: FloatArray | float) -> FloatArray:
-        """How far [m] before the TCP its edge is at some height [m] over its end."""
+        """Return how far [m] ahead of the TCP the edge is at some height [m] over its end."""
         full = self.width - self.end
-        share = np.ones_like(height) if self.ground <= 0.0 else np.clip(np.divide(height, self.ground), 0, 1)
-        return np.asarray(full * share)
+        fraction = (
+            np.ones_like(height) if self.ground <= 0.0 else np.clip(np.divide(height, self.ground), 0, 1)
+        )
+        return np.asarray(full * fraction)
 
     @property
     def corners(self) -> FloatArray:
-        """Its outline (5, 2) [m]: before the TCP, and over it."""
+        """Outline (5, 2) [m]: distance ahead of the TCP, and height over it."""
         full = self.width - self.end
         return np.array(
             [[-self.end, 0.0], [0.0, 0.0], [full, self.ground], [full, self.length], [-self.end, self.length]]
@@ -50,10 +58,13 @@ class Blade:
 
 @dataclasses.dataclass(frozen=True)
 class Knife(OnFlange):
-    """A knife, whose TCP is the front of its blade's end: z out of the tool, x the way it cuts.
+    """A knife. Its TCP is the front of its blade's end: z out of the tool, x in the cutting direction.
 
-    Behind its ``blade`` the body has the radius ``body`` [m], which goes on to ``back`` [m] behind the TCP,
-    where the holder begins. ``solid`` is the blade in the flange frame.
+    Attributes:
+        blade: The blade.
+        body: Radius [m] of the body behind the blade.
+        back: Distance [m] behind the TCP at which the holder starts.
+        solid: Blade in the flange frame.
     """
 
     blade: Blade
@@ -65,13 +76,22 @@ class Knife(OnFlange):
 def knife(
     blade: Blade,
     body: tuple[float, float] = KNIFE_BODY,
-    turn: float = 0.0,
+    rotation: float = 0.0,
     tilt: float = 0.0,
     mass: float | None = None,
 ) -> Knife:
-    """A knife whose ``body`` has that radius and is so far [m] from the flange to the tip. The edge is
-    turned by ``turn`` [rad] about the tool's axis from the flange's x, and the tool leans by ``tilt`` [rad]
-    about the flange's y. Raises ``ValueError`` for sizes that make no tool."""
+    """Return a knife.
+
+    Args:
+        blade: The blade.
+        body: Radius of the body, and length from the flange to the tip [m].
+        rotation: Angle [rad] of the edge about the tool's axis from the flange's x axis.
+        tilt: Tilt [rad] of the tool about the flange's y axis.
+        mass: Mass [kg]. By default from sizes and densities.
+
+    Raises:
+        ValueError: Sizes that make no tool.
+    """
     if not 0.0 < blade.thickness <= blade.width or not 0.0 <= blade.end <= blade.width:
         raise ValueError(
             f"a blade {blade.width * 1e3:g} mm wide and {blade.thickness * 1e3:g} mm thick with an end of "
@@ -80,33 +100,37 @@ def knife(
         )
     if not 0.0 <= blade.ground <= blade.length or (blade.ground == 0.0) != (blade.end == blade.width):
         raise ValueError(
-            f"a blade ground over {blade.ground * 1e3:g} mm of {blade.length * 1e3:g} mm: it is no more than "
-            "the blade is long, and zero where the end is as long as the blade is wide, only there"
+            f"a blade ground over {blade.ground * 1e3:g} mm of {blade.length * 1e3:g} mm: it must not exceed "
+            "the blade's length, and is zero exactly where the end is as long as the blade is wide"
         )
     radius, length = body
     if length - blade.length - KNIFE_HOLDER[1] < 0.01 or radius < 0.5 * blade.width:
         raise ValueError(
             f"a knife of {length * 1e3:g} mm with a body {2e3 * radius:g} mm thick: its holder of "
             f"{KNIFE_HOLDER[1] * 1e3:g} mm, 10 mm of body and the blade must fit into the length, and the "
-            "body is no thinner than the blade is wide"
+            "body must be at least as thick as the blade is wide"
         )
-    lean = leaning(tilt)
-    around = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
-    tcp = from_parts(lean @ around, lean @ np.array([0.0, 0.0, length]))
-    middles = (0.5 * KNIFE_HOLDER[1], 0.5 * (KNIFE_HOLDER[1] + length - blade.length))
-    held = length - blade.length - KNIFE_HOLDER[1]
-    sizes = (KNIFE_HOLDER, (radius, held))
-    shapes = tuple(Shape("cylinder", size, ahead(z, lean)) for size, z in zip(sizes, middles, strict=True))
+    tilted = tilted_rotation(tilt)
+    around = np.array(
+        [[np.cos(rotation), -np.sin(rotation), 0], [np.sin(rotation), np.cos(rotation), 0], [0, 0, 1]]
+    )
+    tcp = from_parts(tilted @ around, tilted @ np.array([0.0, 0.0, length]))
+    shape_centres = (0.5 * KNIFE_HOLDER[1], 0.5 * (KNIFE_HOLDER[1] + length - blade.length))
+    body_length = length - blade.length - KNIFE_HOLDER[1]
+    sizes = (KNIFE_HOLDER, (radius, body_length))
+    shapes = tuple(
+        Shape("cylinder", size, pose_along_z(z, tilted)) for size, z in zip(sizes, shape_centres, strict=True)
+    )
     densities = (ALUMINIUM_DENSITY, KNIFE_DENSITY)
-    flesh = [np.pi * r**2 * size * d for (r, size), d in zip(sizes, densities, strict=True)]
-    flesh.append(STEEL_DENSITY * blade.thickness * blade.width * blade.length)
-    places = np.array([*middles, length - 0.5 * blade.length])
-    weights = np.array(flesh)
+    masses = [np.pi * r**2 * size * d for (r, size), d in zip(sizes, densities, strict=True)]
+    masses.append(STEEL_DENSITY * blade.thickness * blade.width * blade.length)
+    centres = np.array([*shape_centres, length - 0.5 * blade.length])
+    weights = np.array(masses)
     return Knife(
         name="knife",
         tcp=tcp,
         mass=float(weights.sum()) if mass is None else mass,
-        cog=lean @ np.array([0.0, 0.0, float(weights @ places / weights.sum())]),
+        cog=tilted @ np.array([0.0, 0.0, float(weights @ centres / weights.sum())]),
         shapes=shapes,
         blade=blade,
         body=radius,

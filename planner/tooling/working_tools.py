@@ -1,7 +1,7 @@
-"""Tools that form and mill, and their working ends: what of them touches the stock.
+"""Tools that form and mill, and their working ends, which touch the stock.
 
-Ball tools form sheets, also on a larger shaft, as do the flat disk and a heat nozzle. A mill is a
-cutter in a holder on a spindle, which sits on the flange or leans against it.
+Ball tools form sheets, also on a larger shaft, as do the flat disk and a heat nozzle. A mill is a cutter in
+a holder on a spindle, which sits straight on the flange or tilted.
 """
 
 import dataclasses
@@ -11,18 +11,25 @@ from typing import Final, Literal
 import numpy as np
 
 from planner.geometry.arrays import FloatArray, Shape, from_parts
-from planner.tooling.holding_tools import ALUMINIUM_DENSITY, OnFlange, ahead, hull, leaning
+from planner.tooling.holding_tools import ALUMINIUM_DENSITY, OnFlange, hull, pose_along_z, tilted_rotation
 
 
 @dataclasses.dataclass(frozen=True)
 class FormingHead:
-    """The working end of a forming tool, a body of revolution about the TCP's z axis, which points out of it.
+    """The working end of a forming tool, a body of revolution about the TCP's z axis.
 
-    ``kind`` "ball": a ball of ``radius`` [m] about the TCP, its centre, on a shaft of ``shaft_radius`` [m]
-    that begins ``neck`` [m] behind the centre; between them the neck is as thick as the thinner of both.
-    "disk": a flat disk of ``radius`` about the TCP, the middle of its face, with a rim rounded by ``rim``
-    [m], as thick as ``neck``, on the shaft. "heat": a nozzle of that radius whose TCP is ``standoff`` [m]
-    before it, at the place to be heated. ``length`` [m] of head and shaft behind the TCP.
+    The axis points out of it. "ball": a ball about the TCP on a shaft. "disk": a flat disk with a rounded rim
+    on a shaft; the TCP is the middle of its face. "heat": a nozzle; the TCP is the point to be heated.
+
+    Attributes:
+        kind: Kind of the head.
+        radius: Radius [m] of ball, disk or nozzle.
+        shaft_radius: Radius [m] of the shaft.
+        neck: Distance [m] behind a ball's centre at which the shaft starts, with a neck as thick as the
+            thinner of both between them; thickness [m] of a disk.
+        length: Length [m] of head and shaft behind the TCP.
+        rim: Rounding [m] of a disk's rim.
+        standoff: Distance [m] of a nozzle from the TCP.
     """
 
     kind: Literal["ball", "disk", "heat"]
@@ -39,13 +46,19 @@ CutterKind = Literal["cylinder", "ball", "bull"]
 
 @dataclasses.dataclass(frozen=True)
 class Cutter:
-    """The cutter of a milling tool, a body of revolution about the TCP's z axis, which points out of it; the
-    TCP is its tip, the middle of its end.
+    """The cutter of a milling tool, a body of revolution about the TCP's z axis.
 
-    ``radius`` [m]; ``corner`` [m] rounds its end: 0 for a cylinder, the radius for a ball nose, between for a
-    bull nose. It cuts along ``flute`` [m] behind its tip; behind that its shank of radius ``shank`` [m] goes
-    on to the nose of the holder, ``overhang`` [m] behind the tip. ``behind`` (K, 2) [m] is the outline of
-    holder and spindle: distance behind the tip and radius there.
+    The axis points out of it. The TCP is its tip, the middle of its end.
+
+    Attributes:
+        kind: Kind of the cutter.
+        radius: Radius [m].
+        corner: Rounding [m] of its end: 0 for a cylinder, the radius for a ball nose, between for a bull
+            nose.
+        flute: Cutting length [m] from the tip.
+        overhang: Distance [m] from the tip to the nose of the holder.
+        shank: Radius [m] of the shank behind the flute.
+        holder_outline: Outline (K, 2) [m] of holder and spindle: distance behind the tip and radius there.
     """
 
     kind: CutterKind
@@ -54,13 +67,14 @@ class Cutter:
     flute: float
     overhang: float
     shank: float
-    behind: FloatArray
+    holder_outline: FloatArray
 
 
-def profile(head: FormingHead) -> FloatArray:
-    """Outline (K, 2) [m] of a head: distance behind the TCP along its axis and radius there, ascending.
+def head_outline(head: FormingHead) -> FloatArray:
+    """Return the outline (K, 2) [m] of a head.
 
-    A ball begins ``radius`` before the TCP, a disk at it, a nozzle ``standoff`` behind it.
+    It is the ascending distance behind the TCP along its axis, and the radius there. A ball starts ``radius``
+    ahead of the TCP, a disk at it, a nozzle ``standoff`` behind it.
     """
     if head.kind == "heat":
         return np.array([[head.standoff, head.radius], [head.length, head.radius]])
@@ -77,16 +91,22 @@ def profile(head: FormingHead) -> FloatArray:
 
 
 FORMING_HOLDER_SIZE: Final = (0.038, 0.090)
-"""Radius and length [m] of the holder on the flange, a shaft of 3 inches as in Fischer's thesis on
-roboforming (Carnegie Mellon); its length is assumed."""
+"""Radius and length [m] of the holder on the flange.
+The radius is that of a shaft of 3 inches as in Fischer's thesis on roboforming (Carnegie Mellon).
+The length is assumed.
+"""
 STEEL_DENSITY: Final = 7800.0
 """Density [kg/m^3] of tools and plates of steel."""
 
 
 @dataclasses.dataclass(frozen=True)
 class FormingTool(OnFlange):
-    """A tool that forms or heats a sheet with its ``head``, whose ``solid`` in the flange frame goes from the
-    TCP to the holder."""
+    """A tool that forms or heats a sheet.
+
+    Attributes:
+        head: Its working end.
+        solid: Working end as a solid in the flange frame, from the TCP to the holder.
+    """
 
     head: FormingHead
     solid: Shape
@@ -95,11 +115,20 @@ class FormingTool(OnFlange):
 def ball_tool(
     radius: float, length: float, shaft_radius: float | None = None, neck: float = 0.0, tilt: float = 0.0
 ) -> FormingTool:
-    """A ball of ``radius`` [m] whose centre is ``length`` [m] before the flange, on a shaft.
+    """Return a ball on a shaft.
 
-    The TCP is the ball's centre, so that turning the tool never moves the ball; its z axis points from the
-    shaft to the ball. ``tilt`` [rad] leans the tool against the flange's axis about its y axis. Raises
-    ``ValueError`` for sizes that make no tool.
+    The TCP is the ball's centre, so that rotating the tool never moves the ball. Its z axis points from the
+    shaft to the ball.
+
+    Args:
+        radius: Radius [m] of the ball.
+        length: Distance [m] of its centre from the flange.
+        shaft_radius: Radius [m] of the shaft. By default that of the ball.
+        neck: Distance [m] behind the centre at which the shaft starts.
+        tilt: Tilt [rad] of the tool about the flange's y axis.
+
+    Raises:
+        ValueError: Sizes that make no tool.
     """
     shaft = radius if shaft_radius is None else shaft_radius
     if not (radius > 0.0 and shaft > 0.0 and neck >= 0.0 and length - neck - FORMING_HOLDER_SIZE[1] >= 0.01):
@@ -116,16 +145,26 @@ def ball_tool(
     return _forming_tool("ball_tool", head, length, tilt)
 
 
-DISK_RIM: Final = 0.002
-"""Rounding [m] of a disk's edge where no other is stated."""
+DISK_RIM_M: Final = 0.002
+"""Default rounding [m] of a disk's edge."""
 
 
 def disk_tool(
-    radius: float, length: float, thickness: float, shaft_radius: float, rim: float = DISK_RIM
+    radius: float, length: float, thickness: float, shaft_radius: float, rim: float = DISK_RIM_M
 ) -> FormingTool:
-    """A flat disk that lies on the sheet's back along the border; its TCP is the middle of its face.
+    """Return a flat disk that lies on the sheet's back along the border.
 
-    Raises ``ValueError`` for sizes that make no tool.
+    Its TCP is the middle of its face.
+
+    Args:
+        radius: Radius [m] of the disk.
+        length: Distance [m] of the TCP from the flange.
+        thickness: Thickness [m] of the disk.
+        shaft_radius: Radius [m] of the shaft.
+        rim: Rounding [m] of its edge.
+
+    Raises:
+        ValueError: Sizes that make no tool.
     """
     if not (0.0 < shaft_radius <= radius and thickness > 0.0 and 0.0 <= rim <= min(thickness, radius)):
         raise ValueError(
@@ -138,9 +177,15 @@ def disk_tool(
 
 
 def heat_tool(radius: float, length: float, standoff: float) -> FormingTool:
-    """A heat gun or laser head whose TCP is the place that it heats, ``standoff`` [m] before its nozzle.
+    """Return a heat gun or laser head. Its TCP is the point that it heats.
 
-    Raises ``ValueError`` for sizes that make no tool.
+    Args:
+        radius: Radius [m] of the nozzle.
+        length: Distance [m] of the nozzle's end from the flange.
+        standoff: Distance [m] of the TCP from the nozzle.
+
+    Raises:
+        ValueError: Sizes that make no tool.
     """
     if not (radius > 0.0 and standoff > 0.0 and length - FORMING_HOLDER_SIZE[1] >= 0.01):
         raise ValueError("a heat tool needs a radius, a stand-off and a length above that of its holder")
@@ -149,10 +194,10 @@ def heat_tool(radius: float, length: float, standoff: float) -> FormingTool:
 
 
 def _forming_tool(name: str, head: FormingHead, length: float, tilt: float) -> FormingTool:
-    turn = leaning(tilt)
-    frame = ahead(length, turn)
-    holder = Shape("cylinder", FORMING_HOLDER_SIZE, ahead(0.5 * FORMING_HOLDER_SIZE[1], turn))
-    outline = profile(head)
+    rotation = tilted_rotation(tilt)
+    frame = pose_along_z(length, rotation)
+    holder = Shape("cylinder", FORMING_HOLDER_SIZE, pose_along_z(0.5 * FORMING_HOLDER_SIZE[1], rotation))
+    outline = head_outline(head)
     steel = np.pi * float(np.trapezoid(outline[:, 1] ** 2, outline[:, 0])) * STEEL_DENSITY
     aluminium = np.pi * FORMING_HOLDER_SIZE[0] ** 2 * FORMING_HOLDER_SIZE[1] * ALUMINIUM_DENSITY
     cog = (steel * 0.5 * (FORMING_HOLDER_SIZE[1] + length) + aluminium * 0.5 * FORMING_HOLDER_SIZE[1]) / (
@@ -162,7 +207,7 @@ def _forming_tool(name: str, head: FormingHead, length: float, tilt: float) -> F
         name=name,
         tcp=frame,
         mass=steel + aluminium,
-        cog=turn @ np.array([0.0, 0.0, cog]),
+        cog=rotation @ np.array([0.0, 0.0, cog]),
         shapes=(holder,),
         head=head,
         solid=_forming_solid(head, frame),
@@ -170,13 +215,15 @@ def _forming_tool(name: str, head: FormingHead, length: float, tilt: float) -> F
 
 
 def _forming_solid(head: FormingHead, tcp: FloatArray) -> Shape:
-    """The head as one convex solid in the flange frame: a capsule where shaft and ball are alike, or the
-    hull of rings."""
+    """Return the head as one convex solid in the flange frame.
+
+    It is a capsule if the shaft is no thicker than the ball, else the hull of rings.
+    """
     if head.kind == "ball" and head.shaft_radius <= head.radius:
         shaft = head.length - head.radius
-        return Shape("capsule", (head.radius, shaft), tcp @ ahead(-0.5 * shaft))
-    outline, around = profile(head), np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
-    out = 1.0 / np.cos(np.pi / 24)  # rings around the circles, so that the hull holds them
+        return Shape("capsule", (head.radius, shaft), tcp @ pose_along_z(-0.5 * shaft))
+    outline, around = head_outline(head), np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    out = 1.0 / np.cos(np.pi / 24)  # polygons around the circles, so that the hull contains these
     ring = np.stack([np.cos(around), np.sin(around)], axis=1) * out
     rows = [np.column_stack([r * ring, np.full(len(ring), -back)]) for back, r in outline if r > 0.0]
     return hull(np.concatenate(rows), tcp)
@@ -185,16 +232,21 @@ def _forming_solid(head: FormingHead, tcp: FloatArray) -> Shape:
 SPINDLE_PLATE_SIZE: Final = (0.060, 0.020)
 """Radius and thickness [m] of the plate between flange and spindle, assumed."""
 BRACKET_WIDTH_RATIO: Final = 0.6
-"""Width of the bracket that carries a spindle which leans, over the spindle's diameter, assumed."""
+"""Ratio between the width of the bracket of a tilted spindle and the spindle's diameter, assumed."""
 SPINDLE_DENSITY: Final = 4500.0
-"""Densities [kg/m^3]: of cutter, holder and plate, and of a spindle, taken as half steel, half copper and
-air (assumed; state ``mass_kg`` where it is known)."""
+"""Density [kg/m^3] of a spindle, taken as half steel, half copper and air.
+Assumed. State ``mass_kg`` if it is known.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
 class Mill(OnFlange):
-    """A milling tool: its ``cutter``, and the ``solid`` in the flange frame that holds it from the tip to the
-    nose of the holder."""
+    """A milling tool.
+
+    Attributes:
+        cutter: Its cutter.
+        solid: Solid in the flange frame that contains the cutter from the tip to the nose of the holder.
+    """
 
     cutter: Cutter
     solid: Shape
@@ -202,68 +254,96 @@ class Mill(OnFlange):
 
 MILL_HOLDER: Final = ((0.040, 0.025),)
 MILL_SPINDLE: Final = (0.050, 0.220)
-"""Pieces of a mill's holder (length, radius) and its spindle (radius, length) [m] where no other are
-stated."""
+"""Default pieces of a mill's holder (length, radius) and its spindle (radius, length) [m]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class CutterGeometry:
+    """Kind and sizes of a cutter as it is clamped in its holder.
+
+    Attributes:
+        kind: Kind of the cutter.
+        radius: Radius [m] of the cutter.
+        corner: Rounding [m] of the end of a bull nose, otherwise 0.
+        flute: Cutting length [m] from the tip.
+        overhang: Distance [m] from the tip to the nose of the holder.
+        shank: Radius [m] of the shank. By default that of the cutter.
+    """
+
+    kind: CutterKind
+    radius: float
+    corner: float
+    flute: float
+    overhang: float
+    shank: float | None = None
+
+    @property
+    def shank_radius(self) -> float:
+        """Radius [m] of the shank."""
+        return self.radius if self.shank is None else self.shank
 
 
 def mill(
-    kind: CutterKind,
-    radius: float,
-    corner: float,
-    flute: float,
-    overhang: float,
-    shank: float | None = None,
+    geometry: CutterGeometry,
     holder: Sequence[tuple[float, float]] = MILL_HOLDER,
     spindle: tuple[float, float] = MILL_SPINDLE,
     tilt: float = 0.0,
     mass: float | None = None,
 ) -> Mill:
-    """A cutter of ``radius`` [m] whose tip is ``overhang`` [m] before the nose of its holder.
+    """Return a milling tool.
 
-    ``holder``: (length, radius) [m] of its pieces from the nose to the spindle; ``spindle``: radius and
-    length [m]. ``tilt`` [rad] leans the spindle against the flange's axis about its y axis. The TCP is the
-    cutter's tip, the middle of its end, on its axis; its z axis points out of the spindle. Raises
-    ``ValueError`` for sizes that make no tool.
+    The TCP is the cutter's tip, the middle of its end, on its axis. Its z axis points out of the spindle.
+
+    Args:
+        geometry: Kind and sizes of the cutter.
+        holder: (length, radius) [m] of the pieces of the holder from the nose to the spindle.
+        spindle: Radius and length [m] of the spindle.
+        tilt: Tilt [rad] of the spindle about the flange's y axis.
+        mass: Mass [kg]. By default from sizes and densities.
+
+    Raises:
+        ValueError: Sizes that make no tool.
     """
-    thick = radius if shank is None else shank
-    _check_mill(kind, radius, corner, flute, overhang, thick)
+    _check_cutter(geometry)
+    kind, radius, overhang = geometry.kind, geometry.radius, geometry.overhang
     if not holder or min(min(piece) for piece in holder) <= 0.0 or min(spindle) <= 0.0:
         raise ValueError(
-            "a holder has one piece at least, and lengths and radii above zero, as a spindle has"
+            "a holder needs one piece or more; lengths and radii of holder and spindle must be positive"
         )
     rings: list[tuple[float, float]] = []
     back = overhang
-    for length, around in (*holder, (spindle[1], spindle[0])):
-        rings += [(back, around), (back + length, around)]
+    for length, radius_here in (*holder, (spindle[1], spindle[0])):
+        rings += [(back, radius_here), (back + length, radius_here)]
         back += length
-    corner = radius if kind == "ball" else corner
-    cutter = Cutter(kind, radius, corner, flute, overhang, thick, np.array(rings))
+    corner = radius if kind == "ball" else geometry.corner
+    cutter = Cutter(kind, radius, corner, geometry.flute, overhang, geometry.shank_radius, np.array(rings))
     middle = SPINDLE_PLATE_SIZE[1] + spindle[0] * abs(np.sin(tilt)) + 0.5 * spindle[1] * abs(np.cos(tilt))
-    turn = leaning(tilt)
-    tip = np.array([0.0, 0.0, middle]) + (back - 0.5 * spindle[1]) * turn[:, 2]
-    tcp = from_parts(turn, tip)
-    shapes = [Shape("cylinder", SPINDLE_PLATE_SIZE, ahead(0.5 * SPINDLE_PLATE_SIZE[1]))]
-    for (start, around), (end, _) in zip(rings[::2], rings[1::2], strict=True):
-        shapes.append(Shape("cylinder", (around, end - start), tcp @ ahead(-0.5 * (start + end))))
+    rotation = tilted_rotation(tilt)
+    tip = np.array([0.0, 0.0, middle]) + (back - 0.5 * spindle[1]) * rotation[:, 2]
+    tcp = from_parts(rotation, tip)
+    shapes = [Shape("cylinder", SPINDLE_PLATE_SIZE, pose_along_z(0.5 * SPINDLE_PLATE_SIZE[1]))]
+    for (start, radius_here), (end, _) in zip(rings[::2], rings[1::2], strict=True):
+        shapes.append(Shape("cylinder", (radius_here, end - start), tcp @ pose_along_z(-0.5 * (start + end))))
     if abs(np.sin(tilt)) > 1e-6:
         wide, high = 2.0 * BRACKET_WIDTH_RATIO * spindle[0], middle
-        shapes.append(Shape("box", (wide, wide, high), ahead(0.5 * high)))
-    weights, places = _weights(cutter, tcp, shapes[0])
+        shapes.append(Shape("box", (wide, wide, high), pose_along_z(0.5 * high)))
+    weights, centres = _masses_and_centres(cutter, tcp, shapes[0])
     return Mill(
         name=f"{kind}_mill",
         tcp=tcp,
         mass=float(weights.sum()) if mass is None else mass,
-        cog=np.asarray(weights @ places / weights.sum()),
+        cog=np.asarray(weights @ centres / weights.sum()),
         shapes=tuple(shapes),
         cutter=cutter,
         solid=_mill_solid(cutter, tcp),
     )
 
 
-def _check_mill(
-    kind: CutterKind, radius: float, corner: float, flute: float, overhang: float, shank: float
-) -> None:
-    if not (radius > 0.0 and shank > 0.0 and 0.0 < flute <= overhang):
+def _check_cutter(geometry: CutterGeometry) -> None:
+    """Raise ``ValueError`` for sizes that make no cutter."""
+    kind, radius, corner, flute = geometry.kind, geometry.radius, geometry.corner, geometry.flute
+    overhang = geometry.overhang
+    if not (radius > 0.0 and geometry.shank_radius > 0.0 and 0.0 < flute <= overhang):
         raise ValueError(
             f"a cutter of radius {radius * 1e3:g} mm with a flute of {flute * 1e3:g} mm, "
             f"{overhang * 1e3:g} mm "
@@ -276,30 +356,37 @@ def _check_mill(
     if kind != "bull" and corner != 0.0:
         raise ValueError(f"corners of {corner * 1e3:g} mm belong to a bull nose, not to kind {kind}")
     if kind == "ball" and flute < radius:
-        raise ValueError("the flute of a ball nose is as long as its radius at least")
+        raise ValueError("the flute of a ball nose must be at least as long as its radius")
     if kind == "bull" and flute < corner:
-        raise ValueError("the flute of a bull nose is as long as its corner's radius at least")
+        raise ValueError("the flute of a bull nose must be at least as long as its corner's radius")
 
 
 def _mill_solid(cutter: Cutter, tcp: FloatArray) -> Shape:
-    """The cutter as one solid in the flange frame: a capsule for a ball nose on a shank no thicker than
-    itself, else a cylinder that holds it."""
+    """Return the cutter as one solid in the flange frame.
+
+    It is a capsule for a ball nose on a shank no thicker than itself, else a cylinder that contains it.
+    """
     if cutter.kind == "ball" and cutter.shank <= cutter.radius and cutter.overhang > 2.0 * cutter.radius:
         size = (cutter.radius, cutter.overhang - 2.0 * cutter.radius)
-        return Shape("capsule", size, tcp @ ahead(-0.5 * cutter.overhang))
+        return Shape("capsule", size, tcp @ pose_along_z(-0.5 * cutter.overhang))
     around = max(cutter.radius, cutter.shank)
-    return Shape("cylinder", (around, cutter.overhang), tcp @ ahead(-0.5 * cutter.overhang))
+    return Shape("cylinder", (around, cutter.overhang), tcp @ pose_along_z(-0.5 * cutter.overhang))
 
 
-def _weights(cutter: Cutter, tcp: FloatArray, plate: Shape) -> tuple[FloatArray, FloatArray]:
-    """Masses (K,) [kg] of plate, cutter, pieces of the holder and spindle, and their middles (K, 3) [m] in
-    the flange frame."""
-    flesh = [np.pi * plate.size[0] ** 2 * plate.size[1] * STEEL_DENSITY]
-    places = [plate.pose[:3, 3]]
+def _masses_and_centres(cutter: Cutter, tcp: FloatArray, plate: Shape) -> tuple[FloatArray, FloatArray]:
+    """Return masses (K,) [kg] and centres (K, 3) [m] in the flange frame.
+
+    They are those of plate, cutter, pieces of the holder and spindle.
+    """
+    masses = [np.pi * plate.size[0] ** 2 * plate.size[1] * STEEL_DENSITY]
+    centres = [plate.pose[:3, 3]]
     rows = [(0.0, cutter.overhang, max(cutter.radius, cutter.shank))]
-    rows += [(a[0], b[0], a[1]) for a, b in zip(cutter.behind[::2], cutter.behind[1::2], strict=True)]
+    rows += [
+        (a[0], b[0], a[1])
+        for a, b in zip(cutter.holder_outline[::2], cutter.holder_outline[1::2], strict=True)
+    ]
     for k, (start, end, around) in enumerate(rows):
         density = SPINDLE_DENSITY if k == len(rows) - 1 else STEEL_DENSITY
-        flesh.append(np.pi * around**2 * (end - start) * density)
-        places.append((tcp @ ahead(-0.5 * (start + end)))[:3, 3])
-    return np.array(flesh), np.array(places)
+        masses.append(np.pi * around**2 * (end - start) * density)
+        centres.append((tcp @ pose_along_z(-0.5 * (start + end)))[:3, 3])
+    return np.array(masses), np.array(centres)

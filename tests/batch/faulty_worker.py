@@ -1,4 +1,4 @@
-"""A worker for tests, which starts at once: jobs go wrong as their names say, and nothing is planned."""
+"""A worker for tests that starts at once: jobs fail as their names say, and nothing is planned."""
 
 from __future__ import annotations
 
@@ -8,29 +8,21 @@ import re
 import signal
 import sys
 import time
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from planner.batch import worker
-from planner.batch.job import Done, Reports
+from planner.batch.job import JobOrder, JobResult
 from planner.issues import Issue
 
 KEPT: list[Any] = []
 
 
-def faulty(
-    name: str,
-    source: Path,
-    result: Path,
-    origins: Mapping[str, str],
-    on_progress: Any,
-    on_issues: Any,
-    reports: Reports,
-) -> Done:
-    """What `planner.batch.solve.solve` would do, or the fault that the name asks for."""
+def faulty(order: JobOrder, on_progress: Any, on_issues: Any) -> JobResult:
+    """What `planner.batch.solve.solve_job` would do, or the fault that the name asks for."""
+    name, source, result = order.name, order.source, order.result
     kind = re.split("[-_]", name)[0]
     on_progress("fault", 0.5)
     result.mkdir()
@@ -57,12 +49,12 @@ def faulty(
 
         solve.pipeline.load = _wrong  # type: ignore[assignment]
         (result / "half").unlink()
-        return solve.solve(name, source, result, origins, on_progress, on_issues, reports)
+        return solve.solve_job(order, on_progress, on_issues)
     (result / "half").unlink()
-    written = "report.html" if reports == "all" else "plan.json"
+    written = "report.html" if order.reports == "all" else "plan.json"
     (result / written).write_text(f"{name} {os.getpid()}")
     on_issues([Issue("mesh.unit", f"{source / 'problem.yaml'}: a note")])
-    return Done(name, "verified", (), {"targets": 3.0}, 0.5)
+    return JobResult(name, "verified", (), {"targets": 3.0}, 0.5)
 
 
 def _wrong(path: Path) -> None:

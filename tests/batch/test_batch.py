@@ -1,4 +1,4 @@
-"""A batch: results as one by one, nothing lost or repeated when it is killed, summaries, exit codes."""
+"""A batch: results as one by one, nothing lost or repeated when it is killed, summaries, and exit codes."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ import pytest
 from planner import pipeline, spec
 from planner.batch import compare
 from planner.batch import run as batch
-from planner.batch.job import Done, Event, Finished, Job, Record, State
-from planner.batch.rows import RECORDS, Item, Row
-from planner.batch.run import Settings, bundled_job, collect
-from planner.batch.workers import Workers
+from planner.batch.job import BatchJob, JobEvent, JobFinished, JobRecord, JobResult, JobState
+from planner.batch.rows import RECORDS_FOLDER, BatchItem, BatchRow
+from planner.batch.run import BatchSettings, collect_items, make_bundled_job
+from planner.batch.workers import BatchWorkers
 from planner.cli import batch as batch_commands
 from planner.cli import command_line
 from planner.cli.batch import Batch
@@ -30,16 +30,16 @@ from planner.issues import Issue, Severity, TandemError
 from tests import small_problem
 from tests.batch.jobs import FAULTY, alive, content, items
 
-PLAIN = Settings()
+PLAIN = BatchSettings()
 BAD = small_problem.PROBLEM.replace("irb140", "irb9000")
 
 
 def plan(
-    found: Sequence[Item], out: Path, settings: Settings = PLAIN, count: int = 2
-) -> tuple[list[Row], list[Event]]:
-    heard: list[Event] = []
-    with batch.claimed_folder(out), Workers(count, module=FAULTY) as workers:
-        return batch.run(found, out, workers, settings, heard.append), heard
+    items: Sequence[BatchItem], out: Path, settings: BatchSettings = PLAIN, count: int = 2
+) -> tuple[list[BatchRow], list[JobEvent]]:
+    events: list[JobEvent] = []
+    with batch.claimed_folder(out), BatchWorkers(count, module=FAULTY) as workers:
+        return batch.run_batch(items, out, workers, settings, events.append), events
 
 
 def test_results_are_those_of_planning_one_by_one(tmp_path: Path) -> None:
@@ -101,10 +101,10 @@ def test_reports_may_be_made_later(tmp_path: Path) -> None:
 
 
 def test_without_reports_what_has_none_is_planned_again_where_all_are_asked_for(tmp_path: Path) -> None:
-    found, out = items(tmp_path, ["good-1"]), tmp_path / "out"
+    result, out = items(tmp_path, ["good-1"]), tmp_path / "out"
     for resume, reports, kept in ((False, "failed", False), (True, "failed", True), (True, "all", False)):
-        rows, _ = plan(found, out, Settings(resume=resume, reports=reports))  # type: ignore[arg-type]
-        assert [(row.done.state, row.kept) for row in rows] == [("verified", kept)]
+        rows, _ = plan(result, out, BatchSettings(resume=resume, reports=reports))  # type: ignore[arg-type]
+        assert [(row.done.state, row.is_kept) for row in rows] == [("verified", kept)]
         assert (out / "good-1" / "report.html").is_file() == (reports == "all")
 
 
@@ -113,15 +113,15 @@ def test_without_reports_what_has_none_is_planned_again_where_all_are_asked_for(
 def test_a_batch_that_is_killed_at_many_moments_goes_on(tmp_path: Path, whom: str, rounds: int) -> None:
     moments, out = random.Random(whom), tmp_path / "out"
     names = [f"slow-{i:02d}" for i in range(3 * rounds)]
-    found = items(tmp_path, names)
+    result = items(tmp_path, names)
     finished: dict[str, tuple[int, bytes]] = {}
     for _ in range(rounds):
         wait = moments.randint(0, 3), moments.uniform(0.0, 0.15)
         child = os.fork()
         if child == 0:
-            _batch_in_child(found, out, wait if whom == "worker" else None)
+            _batch_in_child(result, out, wait if whom == "worker" else None)
         if whom == "parent":
-            _until_finished(out, len(finished) + wait[0])
+            _wait_until_finished(out, len(finished) + wait[0])
             time.sleep(wait[1])
             os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
@@ -133,70 +133,70 @@ def test_a_batch_that_is_killed_at_many_moments_goes_on(tmp_path: Path, whom: st
             assert [p.name for p in (out / name).iterdir()] == ["report.html"]
         finished |= {n: s for n, s in now.items() if b"batch.crashed" not in s[1]}
         assert len([p for p in out.iterdir() if p.name.startswith(".tandem-")]) <= 2
-    rows, _ = plan(found, out, Settings(resume=True))
+    rows, _ = plan(result, out, BatchSettings(resume=True))
     assert [row.done.state for row in rows] == ["verified"] * len(names)
-    assert sum(row.kept for row in rows) == len(finished) > 0
+    assert sum(row.is_kept for row in rows) == len(finished) > 0
     for name, standing in finished.items():
         assert _standing(out / name) == standing
-    assert {p.name for p in out.iterdir()} == {RECORDS, *names}
-    assert {p.name for p in (out / RECORDS).iterdir()} == {f"{name}.json" for name in names}
+    assert {p.name for p in out.iterdir()} == {RECORDS_FOLDER, *names}
+    assert {p.name for p in (out / RECORDS_FOLDER).iterdir()} == {f"{name}.json" for name in names}
 
 
-def _until_finished(out: Path, count: int) -> None:
+def _wait_until_finished(out: Path, count: int) -> None:
     until = time.monotonic() + 60.0
     while len(list(out.glob("slow-*"))) < count and time.monotonic() < until:
         time.sleep(0.005)
 
 
-def _batch_in_child(found: Sequence[Item], out: Path, kill: tuple[int, float] | None) -> None:
+def _batch_in_child(items: Sequence[BatchItem], out: Path, kill: tuple[int, float] | None) -> None:
     """A batch in a forked process, which never comes back; a worker is killed when so many jobs have
     finished, and so many seconds have gone by since."""
     try:
         ended, since = 0, 0.0
-        with batch.claimed_folder(out), Workers(2, module=FAULTY) as workers:
+        with batch.claimed_folder(out), BatchWorkers(2, module=FAULTY) as workers:
 
-            def tell(event: Event) -> None:
+            def tell(event: JobEvent) -> None:
                 nonlocal ended, since, kill
-                ended += isinstance(event, Finished)
+                ended += isinstance(event, JobFinished)
                 if kill is not None and ended >= kill[0]:
                     since = since or time.monotonic()
                     if time.monotonic() - since > kill[1]:
                         kill = None
                         os.kill(workers.pids[-1], signal.SIGKILL)
 
-            rest = [item for item in found if not (out / item.name).exists()]
-            some = found if kill is None else [*rest[:5], *[i for i in found if i not in rest]]
-            batch.run(some, out, workers, Settings(resume=True), tell)
+            rest = [item for item in items if not (out / item.name).exists()]
+            subset = items if kill is None else [*rest[:5], *[i for i in items if i not in rest]]
+            batch.run_batch(subset, out, workers, BatchSettings(resume=True), tell)
     finally:
         os._exit(0)
 
 
 @pytest.mark.parametrize("moment", ["before the record", "after the record", "before the rename of the old"])
 def test_a_kill_between_two_steps_of_the_end_of_a_job(tmp_path: Path, moment: str) -> None:
-    found, out = items(tmp_path, ["good-1"]), tmp_path / "out"
-    plan(found, out)
+    result, out = items(tmp_path, ["good-1"]), tmp_path / "out"
+    plan(result, out)
     old = _standing(out / "good-1")
     child = os.fork()
     if child == 0:
-        real = Record.write
+        real = JobRecord.write
 
-        def killed(self: Record, done: Done) -> None:
+        def killed(self: JobRecord, done: JobResult) -> None:
             if moment == "after the record":
                 real(self, done)
             os._exit(9)
 
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(Record, "write", killed)
+            patch.setattr(JobRecord, "write", killed)
             if moment == "before the rename of the old":
                 patch.setattr(Path, "rename", lambda *_: os._exit(9))
-            plan(found, out)
+            plan(result, out)
         os._exit(0)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 9
     assert not (out / "good-1").exists() or _standing(out / "good-1") == old
-    ((row,), _) = plan(found, out, Settings(resume=True))
+    ((row,), _) = plan(result, out, BatchSettings(resume=True))
     assert row.done.state == "verified"
-    assert row.kept == (moment == "before the rename of the old")
-    assert sorted(p.name for p in out.iterdir()) == [RECORDS, "good-1"]
+    assert row.is_kept == (moment == "before the rename of the old")
+    assert sorted(p.name for p in out.iterdir()) == [RECORDS_FOLDER, "good-1"]
 
 
 def _standing(folder: Path) -> tuple[int, bytes]:
@@ -204,32 +204,32 @@ def _standing(folder: Path) -> tuple[int, bytes]:
 
 
 def test_what_is_tried_again(tmp_path: Path) -> None:
-    found = items(tmp_path, ["exit-1", "hang-1", "good-1"])
+    result = items(tmp_path, ["exit-1", "hang-1", "good-1"])
     out = tmp_path / "out"
-    rows, _ = plan(found, out, Settings(timeout_s=3.0))
+    rows, _ = plan(result, out, BatchSettings(timeout_s=3.0))
     assert [row.done.state for row in rows] == ["crashed", "timeout", "verified"]
     assert batch.exit_code(rows) == 1
-    rows, heard = plan(found, out, Settings(timeout_s=3.0, resume=True))
-    assert [row.kept for row in rows] == [False, True, True]
-    assert [e.name for e in heard if isinstance(e, Finished)].count("good-1") == 1
-    rows, _ = plan(found[1:], out, Settings(timeout_s=3.5, resume=True))
-    assert [row.kept for row in rows] == [False, True]
+    rows, heard = plan(result, out, BatchSettings(timeout_s=3.0, resume=True))
+    assert [row.is_kept for row in rows] == [False, True, True]
+    assert [e.name for e in heard if isinstance(e, JobFinished)].count("good-1") == 1
+    rows, _ = plan(result[1:], out, BatchSettings(timeout_s=3.5, resume=True))
+    assert [row.is_kept for row in rows] == [False, True]
     assert rows[0].done.issues[0].limit == 3.5
-    rows, _ = plan(found[2:], out)
-    assert [row.kept for row in rows] == [False]
+    rows, _ = plan(result[2:], out)
+    assert [row.is_kept for row in rows] == [False]
     (tmp_path / "targets.csv").write_text((tmp_path / "targets.csv").read_text() + "\n")
-    rows, _ = plan(found[2:], out, Settings(resume=True))
-    assert [row.kept for row in rows] == [False]  # a file of the problem has changed
-    (out / RECORDS / "good-1.json").write_text("{")
-    rows, _ = plan(found[2:], out, Settings(resume=True))
-    assert [row.kept for row in rows] == [False]
+    rows, _ = plan(result[2:], out, BatchSettings(resume=True))
+    assert [row.is_kept for row in rows] == [False]  # a file of the problem has changed
+    (out / RECORDS_FOLDER / "good-1.json").write_text("{")
+    rows, _ = plan(result[2:], out, BatchSettings(resume=True))
+    assert [row.is_kept for row in rows] == [False]
 
 
 def test_one_folder_that_cannot_be_replaced_fails_its_job_alone(tmp_path: Path) -> None:
-    found = items(tmp_path, ["good-1", "good-2"])
+    result = items(tmp_path, ["good-1", "good-2"])
     (tmp_path / "out" / "good-1").mkdir(parents=True)
     (tmp_path / "out" / "good-1" / "mine.txt").write_text("mine")
-    rows, _ = plan(found, tmp_path / "out")
+    rows, _ = plan(result, tmp_path / "out")
     assert [row.done.state for row in rows] == ["bad_input", "verified"]
     assert rows[0].done.issues[0].code == "output.folder"
     assert (tmp_path / "out" / "good-1" / "mine.txt").read_text() == "mine"
@@ -245,22 +245,22 @@ def test_two_batches_do_not_share_a_folder(tmp_path: Path) -> None:
 
 
 def test_workers_are_gone_after_ctrl_c(tmp_path: Path) -> None:
-    found = items(tmp_path, ["hang-1"])
+    result = items(tmp_path, ["hang-1"])
     pids: list[int] = []
     with (
         pytest.raises(KeyboardInterrupt),
         batch.claimed_folder(tmp_path / "out"),
-        Workers(1, module=FAULTY) as w,
+        BatchWorkers(1, module=FAULTY) as w,
     ):
 
-        def stop(_: Event) -> None:
+        def stop(_: JobEvent) -> None:
             pids.extend(w.pids)
             raise KeyboardInterrupt
 
-        batch.run(found, tmp_path / "out", w, Settings(), stop)
+        batch.run_batch(result, tmp_path / "out", w, BatchSettings(), stop)
     assert len(pids) == 1
     assert not alive(pids[0])
-    assert [p.name for p in (tmp_path / "out").iterdir()] == [RECORDS]
+    assert [p.name for p in (tmp_path / "out").iterdir()] == [RECORDS_FOLDER]
 
 
 def test_files_folders_and_bundled_names_are_found(tmp_path: Path) -> None:
@@ -270,19 +270,19 @@ def test_files_folders_and_bundled_names_are_found(tmp_path: Path) -> None:
     (tmp_path / "a" / "small.yaml").write_text(small_problem.PROBLEM)
     (tmp_path / "a" / "cell.yaml").write_text("arms: []\n")
     (tmp_path / "a" / "broken.yaml").write_text("tandem: [")
-    found = collect([tmp_path], tmp_path / "out")
-    assert [item.name for item in found] == ["B", "a-broken", "a-deep", "a", "a-small"]
-    again = collect([tmp_path / "a" / "problem.yaml", tmp_path / "a", Path("wing")], tmp_path / "out")
+    result = collect_items([tmp_path], tmp_path / "out")
+    assert [item.name for item in result] == ["B", "a-broken", "a-deep", "a", "a-small"]
+    again = collect_items([tmp_path / "a" / "problem.yaml", tmp_path / "a", Path("wing")], tmp_path / "out")
     assert [item.name for item in again] == ["a", "broken", "deep", "a-2", "small", "wing"]
     (tmp_path / "empty").mkdir()
     with pytest.raises(TandemError) as caught:
-        collect([tmp_path / "nowhere", tmp_path / "empty"], tmp_path / "out")
+        collect_items([tmp_path / "nowhere", tmp_path / "empty"], tmp_path / "out")
     assert [issue.code for issue in caught.value.issues] == ["problem.missing_file"] * 2
 
 
-def row(state: State = "verified", name: str = "a", **more: object) -> Row:
-    item = Item(name, "p.yaml", lambda: pipeline.load("p"), {"settings.seed": 3})
-    return Row(item, dataclasses.replace(Done(name, state), **more))  # type: ignore[arg-type]
+def row(state: JobState = "verified", name: str = "a", **more: object) -> BatchRow:
+    item = BatchItem(name, "p.yaml", lambda: pipeline.load("p"), {"settings.seed": 3})
+    return BatchRow(item, dataclasses.replace(JobResult(name, state), **more))  # type: ignore[arg-type]
 
 
 def test_a_file_that_is_no_yaml_is_a_row_of_its_own(
@@ -313,12 +313,12 @@ def test_a_file_that_is_no_yaml_is_a_row_of_its_own(
 def test_the_line_of_a_job_that_ended_names_its_error(capsys: pytest.CaptureFixture[str]) -> None:
     doubt = Issue("kerf.doubt", "the kerf is not sure", Severity.WARNING)
     error = Issue("stock.footprint", "the gripper stands out of the block")
-    item = Item("one", "one.yaml", lambda: pytest.fail("nobody reads it"))
-    for issues, said in (((doubt, error), "stock.footprint"), ((doubt,), "kerf.doubt")):
-        with batch_commands._progress([item]) as shown:
-            shown.show(Finished("one", Done("one", "infeasible", issues)))
-        told = capsys.readouterr().err
-        assert said in told and (said == "kerf.doubt" or "kerf.doubt" not in told)
+    item = BatchItem("one", "one.yaml", lambda: pytest.fail("nobody reads it"))
+    for issues, expected_text in (((doubt, error), "stock.footprint"), ((doubt,), "kerf.doubt")):
+        with batch_commands._show_progress([item]) as shown:
+            shown.show(JobFinished("one", JobResult("one", "infeasible", issues)))
+        output = capsys.readouterr().err
+        assert expected_text in output and (expected_text == "kerf.doubt" or "kerf.doubt" not in output)
 
 
 @pytest.mark.parametrize(
@@ -333,7 +333,7 @@ def test_the_line_of_a_job_that_ended_names_its_error(capsys: pytest.CaptureFixt
         (("crashed",), 1),
     ],
 )
-def test_exit_codes(states: tuple[State, ...], code: int) -> None:
+def test_exit_codes(states: tuple[JobState, ...], code: int) -> None:
     assert batch.exit_code([row(state) for state in states]) == code
 
 
@@ -359,7 +359,7 @@ def test_tables_hold_what_people_wrote_as_text(tmp_path: Path) -> None:
 
 def test_records_that_are_none_are_not_believed(tmp_path: Path) -> None:
     path = tmp_path / "r.json"
-    good = Done("a", "verified").to_dict()
+    good = JobResult("a", "verified").to_dict()
     for wrong in (
         [],
         {},
@@ -368,9 +368,9 @@ def test_records_that_are_none_are_not_believed(tmp_path: Path) -> None:
         {**good, "metrics": 1},
     ):
         path.write_text(json.dumps(wrong))
-        assert Record.read(path) is None
-    Record(path, {"identity": "i"}).write(Done("a", "verified"))
-    assert Record.read(path) is not None
+        assert JobRecord.read(path) is None
+    JobRecord(path, {"identity": "i"}).write(JobResult("a", "verified"))
+    assert JobRecord.read(path) is not None
 
 
 def test_numbers_and_names_of_a_command_are_told_at_once(tmp_path: Path) -> None:
@@ -383,10 +383,10 @@ def test_numbers_and_names_of_a_command_are_told_at_once(tmp_path: Path) -> None
 def test_issues_call_files_as_the_problem_does(tmp_path: Path) -> None:
 
     small_problem.write(tmp_path)
-    made = bundled_job("a", pipeline.load(tmp_path / "problem.yaml"))
+    made = make_bundled_job("a", pipeline.load(tmp_path / "problem.yaml"))
     (name,) = (file for file in made.files if file.startswith("files/"))
     assert made.origins == {name: str(tmp_path / "targets.csv")}
-    assert isinstance(made, Job)
+    assert isinstance(made, BatchJob)
 
 
 def test_problems_of_python_end_by_their_names(tmp_path: Path) -> None:

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from planner.batch.batch_file import RangeFile, changed_field, read_batch
-from planner.batch.run import collect
+from planner.batch.batch_file import RangeFile, read_batch, set_field
+from planner.batch.run import collect_items
 from planner.issues import TandemError
 from tests import small_problem
 
@@ -35,19 +35,19 @@ def test_all_combinations_in_order(tmp_path: Path) -> None:
         "batch: 1\nproblem: base\nvary:\n  settings.clearance_mm: [5, 10.5]\n"
         "  operations.poses.arms: [[left]]\n  settings.seed: {from: 1, to: 3, count: 3}\n",
     )
-    found = read_batch(path)
-    assert [v.name for v in found] == ["001", "002", "003", "004", "005", "006"]
-    assert [tuple(v.values.values()) for v in found[:4]] == [
+    result = read_batch(path)
+    assert [v.name for v in result] == ["001", "002", "003", "004", "005", "006"]
+    assert [tuple(v.values.values()) for v in result[:4]] == [
         (5, ["left"], 1),
         (5, ["left"], 2),
         (5, ["left"], 3),
         (10.5, ["left"], 1),
     ]
-    problem = found[3].read()
+    problem = result[3].read()
     assert problem.settings.clearance == pytest.approx(0.0105)
     assert problem.settings.seed == 1
     assert problem.path == tmp_path / "base" / "problem.yaml"
-    items = collect([path], tmp_path / "out")
+    items = collect_items([path], tmp_path / "out")
     assert [item.name for item in items][:2] == ["many-001", "many-002"]
     assert items[3].varied["settings.clearance_mm"] == 10.5
 
@@ -60,15 +60,15 @@ def test_values_side_by_side_and_a_table_of_parts(tmp_path: Path) -> None:
     table = "name, operations.0.file,settings.speed_fraction\nfirst,mine.csv,0.5\n\nsecond,,0.7\n"
     path = write(tmp_path, text, parts=table)
     (tmp_path / "mine.csv").write_text("\n".join([small_problem.COLUMNS, *small_problem.ROWS[:3]]))
-    found = read_batch(path)
-    assert [v.name for v in found] == ["first-001", "first-002", "second-003", "second-004"]
-    assert found[1].values == {
+    result = read_batch(path)
+    assert [v.name for v in result] == ["first-001", "first-002", "second-003", "second-004"]
+    assert result[1].values == {
         "operations.0.file": "mine.csv",
         "settings.speed_fraction": 0.5,
         "settings.seed": 2,
         "settings.clearance_mm": 6,
     }
-    first, last = found[0].read(), found[3].read()
+    first, last = result[0].read(), result[3].read()
     assert first.source["operations"][0]["file"] == str(tmp_path / "mine.csv")
     assert last.source["operations"][0]["file"] == str(tmp_path / "base" / "targets.csv")
     assert last.settings.speed_fraction == 0.7
@@ -97,21 +97,21 @@ def test_all_faults_at_once_with_their_lines(tmp_path: Path) -> None:
         "batch: 2\nproblem: base\nspeed: 3\nvary:\n  settings.seed: []\n  settings.x: {from: 1, to: 2}\n"
         "combine: all\n",
     )
-    found = faults(path)
-    assert {code for code, _, _ in found} == {"batch.field"}
-    lines = {line for _, line, _ in found}
+    result = faults(path)
+    assert {code for code, _, _ in result} == {"batch.field"}
+    lines = {line for _, line, _ in result}
     assert {1, 3, 5, 6, 7} <= lines
-    assert any("a range has a count or a step" in message for _, _, message in found)
-    assert any("speed: unknown key" in message for _, _, message in found)
+    assert any("a range has either a count or a step" in message for _, _, message in result)
+    assert any("speed: unknown key" in message for _, _, message in result)
 
 
 @pytest.mark.parametrize(
-    ("text", "line", "said"),
+    ("text", "line", "expected_text"),
     [
         ("batch: 1\nproblem: base\n", 1, "nothing varies"),
         ("batch: 1\nproblem: nowhere\nvary: {settings.seed: [1]}\n", 2, "no bundled problem"),
         ("batch: 1\nproblem: base\ncombine: zip\nvary: {a.b: [1], c.d: [1, 2]}\n", 1, "c.d has 2"),
-        ("batch: 1\nproblem: base\nvary: {a: {from: 0, to: 1, step: 1.0e-9}}\n", 3, "over 100000"),
+        ("batch: 1\nproblem: base\nvary: {a: {from: 0, to: 1, step: 1.0e-9}}\n", 3, "more than 100000"),
         (
             "batch: 1\nproblem: base\n"
             "vary: {a: {from: 0, to: 1, count: 1000}, b: {from: 0, to: 1, count: 101}}",
@@ -121,27 +121,27 @@ def test_all_faults_at_once_with_their_lines(tmp_path: Path) -> None:
         ("batch: 1\nproblem: base\nvary: {a: {from: .nan, to: 1, count: 3}}\n", 3, "finite"),
     ],
 )
-def test_faults_of_a_batch_file(tmp_path: Path, text: str, line: int, said: str) -> None:
-    found = faults(write(tmp_path, text))
-    assert [(code, at) for code, at, _ in found] == [("batch.field", line)] * len(found)
-    assert any(said in message for _, _, message in found)
+def test_faults_of_a_batch_file(tmp_path: Path, text: str, line: int, expected_text: str) -> None:
+    result = faults(write(tmp_path, text))
+    assert [(code, at) for code, at, _ in result] == [("batch.field", line)] * len(result)
+    assert any(expected_text in message for _, _, message in result)
 
 
 @pytest.mark.parametrize(
-    ("table", "said"),
+    ("table", "expected_text"),
     [
-        ("", "no heading"),
+        ("", "no valid heading"),
         ("a,a\n1,2\n", "none twice"),
-        ("a,\n1,2\n", "no heading"),
+        ("a,\n1,2\n", "no valid heading"),
         ("a\n\n", "no lines below"),
         ("a,b\n1\n1,2,3\n", "1 cells, but the heading has 2"),
     ],
 )
-def test_faults_of_a_table(tmp_path: Path, table: str, said: str) -> None:
-    found = faults(write(tmp_path, "batch: 1\nproblem: base\ncsv: t.csv\n", t=table))
-    assert {code for code, _, _ in found} == {"batch.csv"}
-    assert said in found[0][2]
-    assert len(found) == (2 if "cells" in said else 1)
+def test_faults_of_a_table(tmp_path: Path, table: str, expected_text: str) -> None:
+    result = faults(write(tmp_path, "batch: 1\nproblem: base\ncsv: t.csv\n", t=table))
+    assert {code for code, _, _ in result} == {"batch.csv"}
+    assert expected_text in result[0][2]
+    assert len(result) == (2 if "cells" in expected_text else 1)
     missing = faults(write(tmp_path, "batch: 1\nproblem: nowhere\ncsv: none.csv\n"))
     assert [code for code, _, _ in missing] == ["batch.field", "batch.csv"]
 
@@ -180,8 +180,8 @@ def test_a_fault_of_the_problem_itself_is_told_at_its_own_line(tmp_path: Path) -
 
 def test_names_of_files_start_at_the_batch_file(tmp_path: Path) -> None:
     data: dict[str, Any] = {"part": {"mesh": {"file": "/a"}}, "list": [{"name": "x", "file": "/b"}]}
-    changed_field(data, "part.mesh", {"file": "c.stl", "more": [{"file": "d"}]}, tmp_path)
-    changed_field(data, "list.x.file", "e", tmp_path)
+    set_field(data, "part.mesh", {"file": "c.stl", "more": [{"file": "d"}]}, tmp_path)
+    set_field(data, "list.x.file", "e", tmp_path)
     assert data["part"]["mesh"] == {"file": str(tmp_path / "c.stl"), "more": [{"file": str(tmp_path / "d")}]}
     assert data["list"][0]["file"] == str(tmp_path / "e")
 
@@ -190,11 +190,11 @@ def test_the_batch_file_of_the_documentation_reads(tmp_path: Path) -> None:
     text = (Path(__file__).parents[2] / "docs" / "batch.md").read_text()
     path = tmp_path / "many.yaml"
     path.write_text(text.split("```yaml\n")[1].split("```")[0])
-    found = read_batch(path)
-    assert len(found) == 2 * 3 * 4
-    assert found[-1].values == {
+    result = read_batch(path)
+    assert len(result) == 2 * 3 * 4
+    assert result[-1].values == {
         "settings.clearance_mm": 10,
         "operations.wing.feed_mm_s": 8,
         "settings.seed": 6,
     }
-    assert found[-1].read().operations[0].name == "wing"
+    assert result[-1].read().operations[0].name == "wing"

@@ -8,9 +8,9 @@ import pytest
 import yaml
 
 import planner
-from planner.batch import fit
-from planner.batch.job import Done
-from planner.batch.rows import Item, Row
+from planner.batch import cell_ranking
+from planner.batch.job import JobResult
+from planner.batch.rows import BatchItem, BatchRow
 from planner.cli.batch import Fit, run_fit
 from planner.issues import TandemError
 from planner.problem import Settings
@@ -18,15 +18,15 @@ from tests import small_forming
 
 
 def cells(folder: Path) -> dict[str, dict]:
-    """The dish's own cell, one whose arm has another name, one without a tool for it, and what is no cell."""
+    """The dish's own cell, one whose arm has another name, one without a suitable tool, an invalid file."""
     own = small_forming.problem()["cell"]
     renamed = {**own, "arms": [{**own["arms"][0], "name": "big"}]}
     wire = yaml.safe_load((small_forming.CELLS / "irb140_bow.yaml").read_text())
-    found = {"renamed": renamed, "wire": wire, "notes": {"title": "no cell"}}
+    result = {"renamed": renamed, "wire": wire, "notes": {"title": "no cell"}}
     folder.mkdir()
-    for name, data in found.items():
+    for name, data in result.items():
         (folder / f"{name}.yaml").write_text(yaml.safe_dump(data))
-    return found
+    return result
 
 
 def test_cells_are_ranked_and_the_others_say_why_not(
@@ -48,8 +48,8 @@ def test_cells_are_ranked_and_the_others_say_why_not(
     assert [arm.name for arm in problem.cell.arms] == ["robot"]
 
 
-def row(name: str, state: str, **metrics: float) -> Row:
-    return Row(Item(name, name, lambda: None), Done(name, state, (), metrics))  # type: ignore[arg-type]
+def row(name: str, state: str, **metrics: float) -> BatchRow:
+    return BatchRow(BatchItem(name, name, lambda: None), JobResult(name, state, (), metrics))  # type: ignore[arg-type]
 
 
 def test_proof_comes_first_then_margins_then_time() -> None:
@@ -61,15 +61,15 @@ def test_proof_comes_first_then_margins_then_time() -> None:
         row("ample", "verified", clearance_mm=11.0, cycle_s=20.0),
         row("unproven", "unproven", clearance_mm=100.0, cycle_s=1.0),
     ]
-    names = [one.item.name for one in fit.ranked(rows, asked)]
+    names = [item.item.name for item in cell_ranking.rank_cells(rows, asked)]
     assert names == ["ample", "ample and slow", "tight and fast", "refused", "unproven"]
 
 
 def test_too_few_arms_and_folders_without_cells_are_told(tmp_path: Path) -> None:
     problem = planner.load("cone_dpif_l")
-    (one,) = (i for i in fit.items(problem, small_forming.CELLS) if i.name == "irb140_ball")
+    (one,) = (i for i in cell_ranking.cell_items(problem, small_forming.CELLS) if i.name == "irb140_ball")
     with pytest.raises(TandemError, match="got a cell of 1 arm, cone_dpif_l uses 2"):
         one.read()
     (tmp_path / "readme.yaml").write_text("title: none\n")
-    with pytest.raises(TandemError, match="got no cell in this folder"):
-        fit.items(problem, tmp_path)
+    with pytest.raises(TandemError, match="contains no cell"):
+        cell_ranking.cell_items(problem, tmp_path)

@@ -1,4 +1,4 @@
-"""Batches in which one problem is planned like another: who is like whom, and in which order."""
+"""Batches in which one problem takes its plan from a neighbour: which panel is whose reference, and order."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ import pytest
 
 from planner import pipeline
 from planner.batch import run as batch
-from planner.batch.job import Done, Event, Finished, Job, Record
-from planner.batch.neighbours import RINGS, like_neighbours, like_within
-from planner.batch.rows import Item
-from planner.batch.run import Settings
+from planner.batch.job import BatchJob, JobEvent, JobFinished, JobRecord, JobResult
+from planner.batch.reference_neighbours import MAX_RINGS, assign_reference_neighbours, reference_panels
+from planner.batch.rows import BatchItem
+from planner.batch.run import BatchSettings
 from planner.cli import command_line
 from planner.cli.batch import Batch
 from planner.cli.batch import run_batch as command
@@ -29,7 +29,7 @@ BEYOND = {"A": "BC", "B": "ADE", "C": "AE", "D": "B", "E": "BC", "F": "", "X": "
 """Panels with their neighbours; X is of another job."""
 
 
-def element(folder: Path, names: str = "ABCDEFX") -> list[Item]:
+def element(folder: Path, names: str = "ABCDEFX") -> list[BatchItem]:
     """Panels of an element, each a small problem, as items of a batch."""
     panels = folder / "panels"
     panels.mkdir(parents=True)
@@ -41,20 +41,22 @@ def element(folder: Path, names: str = "ABCDEFX") -> list[Item]:
     for name in names:
         (panels / f"{name}.yaml").write_text(small_problem.PROBLEM.replace("name: small", f"name: {name}"))
     (panels / "targets.csv").write_text("\n".join([small_problem.COLUMNS, *small_problem.ROWS]) + "\n")
-    return batch.collect([panels], folder / "out")
+    return batch.collect_items([panels], folder / "out")
 
 
-FOUND = {"A": "B", "B": None, "C": "A", "D": "B", "E": "B", "F": None, "X": None}
+REFERENCE_PANELS = {"A": "B", "B": None, "C": "A", "D": "B", "E": "B", "F": None, "X": None}
 """Who is like whom: B is the fewest steps from all others."""
 
 
 def test_each_panel_is_like_the_neighbour_from_which_it_is_reached_first(tmp_path: Path) -> None:
-    assert {item.name: item.like for item in like_neighbours(element(tmp_path))} == FOUND
+    assert {
+        item.name: item.reference for item in assign_reference_neighbours(element(tmp_path))
+    } == REFERENCE_PANELS
 
 
-def rows_of(beyond: Mapping[str, list[str]]) -> dict[str, Any]:
-    """What an ``element.json`` says of panels with these neighbours."""
-    return {"panels": [{"id": one, "job": "one", "neighbours": [*some]} for one, some in beyond.items()]}
+def panel_rows(beyond: Mapping[str, list[str]]) -> dict[str, Any]:
+    """Return the rows of ``element.json`` of panels with these neighbours."""
+    return {"panels": [{"id": item, "job": "one", "neighbours": [*some]} for item, some in beyond.items()]}
 
 
 def depths(like: Mapping[str, str], names: Iterable[str]) -> list[int]:
@@ -70,24 +72,24 @@ def depths(like: Mapping[str, str], names: Iterable[str]) -> list[int]:
 def test_a_row_of_panels_is_planned_from_the_fewest_middles(count: int) -> None:
     """A path of n panels needs ceil(n / 13) firsts for none to be more than six steps away."""
     beyond = {f"{i}": [f"{k}" for k in (i - 1, i + 1) if 0 <= k < count] for i in range(count)}
-    like = like_within(rows_of(beyond), list(beyond))
-    firsts = math.ceil(count / (2 * RINGS + 1))
-    found = depths(like, beyond)
-    assert found.count(0) == firsts and max(found) <= RINGS
-    assert found.count(1) >= min(2 * firsts, count - firsts)  # both ways from each, so two are at hand
+    like = reference_panels(panel_rows(beyond), list(beyond))
+    firsts = math.ceil(count / (2 * MAX_RINGS + 1))
+    result = depths(like, beyond)
+    assert result.count(0) == firsts and max(result) <= MAX_RINGS
+    assert result.count(1) >= min(2 * firsts, count - firsts)  # both ways from each, so two are at hand
 
 
 def test_panels_begin_with_those_that_are_done_where_these_are_near() -> None:
     beyond = {f"{i}": [f"{k}" for k in (i - 1, i + 1) if 0 <= k < 20] for i in range(20)}
-    like = like_within(rows_of(beyond), list(beyond), ["0"])
-    assert [one for one in beyond if one not in like] == ["0", "13"]
+    like = reference_panels(panel_rows(beyond), list(beyond), ["0"])
+    assert [item for item in beyond if item not in like] == ["0", "13"]
     assert like["1"] == "0"
 
 
 def test_panels_whose_element_names_no_jobs_are_alike() -> None:
     """Elastic ones were written so, and lie in stores of services."""
     rows = [{"id": "A", "neighbours": ["B"]}, {"id": "B", "neighbours": ["A", None]}]
-    assert like_within({"panels": rows}, ["A", "B"]) in ({"A": "B"}, {"B": "A"})
+    assert reference_panels({"panels": rows}, ["A", "B"]) in ({"A": "B"}, {"B": "A"})
 
 
 def test_panels_of_a_shell_wait_for_few_others_and_for_neighbours_alone() -> None:
@@ -96,17 +98,17 @@ def test_panels_of_a_shell_wait_for_few_others_and_for_neighbours_alone() -> Non
     beyond = {
         f"{i}-{k}": [f"{i + a}-{k + b}" for a, b in steps if (i + a, k + b) in set(cells)] for i, k in cells
     }
-    like = like_within(rows_of(beyond), list(beyond))
-    assert all(other in beyond[one] for one, other in like.items())
-    found = depths(like, beyond)
-    assert max(found) <= RINGS
+    like = reference_panels(panel_rows(beyond), list(beyond))
+    assert all(other in beyond[item] for item, other in like.items())
+    result = depths(like, beyond)
+    assert max(result) <= MAX_RINGS
     assert (
-        2 <= found.count(0) <= len(cells) // 40
+        2 <= result.count(0) <= len(cells) // 40
     )  # six rings of hexagons are 127 in the open, fewer at a rim
 
 
 def test_of_panels_that_are_not_planned_nobody_is_like(tmp_path: Path) -> None:
-    like = {item.name: item.like for item in like_neighbours(element(tmp_path, "ADE"))}
+    like = {item.name: item.reference for item in assign_reference_neighbours(element(tmp_path, "ADE"))}
     assert like == {"A": None, "D": None, "E": None}
 
 
@@ -118,88 +120,100 @@ def test_problems_that_are_no_panels_are_refused(tmp_path: Path, text: str | Non
     else:
         (tmp_path / "element.json").write_text(text)
     with pytest.raises(TandemError) as error:
-        like_neighbours(items)
+        assign_reference_neighbours(items)
     assert [issue.code for issue in error.value.issues] == ["batch.field"]
 
 
-class Slow:
+class SlowPlanners:
     """Planners that end one job at a time, the last one begun first or the first (``turn`` 0); what fails is
     no plan."""
 
     ahead = 4
 
     def __init__(self, failing: str = "", turn: int = -1) -> None:
-        self.jobs: list[Job] = []
+        self.jobs: list[BatchJob] = []
         self._failing, self._turn = failing, turn
-        self._open: list[tuple[Job, Path]] = []
+        self._open: list[tuple[BatchJob, Path]] = []
 
     @property
     def busy(self) -> bool:
         return bool(self._open)
 
-    def start(self, job: Job, folder: Path, record: Record | None = None) -> None:
+    def start(self, job: BatchJob, folder: Path, record: JobRecord | None = None) -> None:
         self.jobs.append(job)
         self._open.append((job, folder))
 
-    def events(self, timeout_s: float) -> Iterator[Event]:
+    def events(self, timeout_s: float) -> Iterator[JobEvent]:
         job, folder = self._open.pop(self._turn)
         folder.mkdir(parents=True)
         for name in ("plan.json", "plan.npz", "problem/problem.yaml"):
             (folder / name).parent.mkdir(exist_ok=True)
             (folder / name).write_text(job.name)
-        yield Finished(job.name, Done(job.name, "infeasible" if job.name in self._failing else "verified"))
+        yield JobFinished(
+            job.name, JobResult(job.name, "infeasible" if job.name in self._failing else "verified")
+        )
 
 
-def planned(items: list[Item], out: Path, failing: str = "", settings: Settings | None = None) -> list[Job]:
-    planners = Slow(failing)
-    rows = batch.run(items, out, planners, settings or Settings(), lambda event: None)
+def plan_items(
+    items: list[BatchItem], out: Path, failing: str = "", settings: BatchSettings | None = None
+) -> list[BatchJob]:
+    planners = SlowPlanners(failing)
+    rows = batch.run_batch(items, out, planners, settings or BatchSettings(), lambda event: None)
     assert [row.item.name for row in rows] == [item.name for item in items]
     return planners.jobs
 
 
-def taken(jobs: list[Job]) -> Mapping[str, str | None]:
+def reference_plans(jobs: list[BatchJob]) -> Mapping[str, str | None]:
     """Whose plan goes with each job."""
     out = {job.name: job.files.get("like/plan.npz", b"").decode() or None for job in jobs}
     for job in jobs:
         like = {name for name in job.files if name.startswith("like/")}
-        wanted = {"like/plan.json", "like/plan.npz", "like/problem/problem.yaml"} if out[job.name] else set()
-        assert like == wanted
+        expected = (
+            {"like/plan.json", "like/plan.npz", "like/problem/problem.yaml"} if out[job.name] else set()
+        )
+        assert like == expected
     return out
 
 
 def test_a_panel_waits_for_its_neighbour_and_gets_its_plan(tmp_path: Path) -> None:
-    items = like_neighbours(element(tmp_path))
-    found = taken(planned(items, tmp_path / "out"))
-    assert found == FOUND
+    items = assign_reference_neighbours(element(tmp_path))
+    result = reference_plans(plan_items(items, tmp_path / "out"))
+    assert result == REFERENCE_PANELS
 
 
 @pytest.mark.parametrize(("ahead", "turn"), [(1, 0), (2, 0), (7, 0), (7, -1)])
 def test_whose_plan_a_panel_gets_hangs_on_nobody_who_is_free(tmp_path: Path, ahead: int, turn: int) -> None:
     """With one worker or seven, whoever ends first, and where some were finished before."""
-    items = like_neighbours(element(tmp_path))
-    planners = Slow(turn=turn)
+    items = assign_reference_neighbours(element(tmp_path))
+    planners = SlowPlanners(turn=turn)
     planners.ahead = ahead
-    batch.run(items, tmp_path / "out", planners, Settings(), lambda event: None)
-    assert taken(planners.jobs) == FOUND
+    batch.run_batch(items, tmp_path / "out", planners, BatchSettings(), lambda event: None)
+    assert reference_plans(planners.jobs) == REFERENCE_PANELS
 
 
 def test_those_that_most_others_wait_for_come_first(tmp_path: Path) -> None:
-    planners = Slow(turn=0)
+    planners = SlowPlanners(turn=0)
     planners.ahead = 1
-    batch.run(like_neighbours(element(tmp_path)), tmp_path / "out", planners, Settings(), lambda event: None)
+    batch.run_batch(
+        assign_reference_neighbours(element(tmp_path)),
+        tmp_path / "out",
+        planners,
+        BatchSettings(),
+        lambda event: None,
+    )
     assert [job.name for job in planners.jobs] == ["B", "A", "C", "D", "E", "F", "X"]
 
 
 def test_a_neighbour_without_a_plan_stands_aside_for_its_own(tmp_path: Path) -> None:
-    items = like_neighbours(element(tmp_path))
-    assert taken(planned(items, tmp_path / "one", failing="A"))["C"] == "B"
-    assert taken(planned(items, tmp_path / "two", failing="AB"))["C"] is None
+    items = assign_reference_neighbours(element(tmp_path))
+    assert reference_plans(plan_items(items, tmp_path / "one", failing="A"))["C"] == "B"
+    assert reference_plans(plan_items(items, tmp_path / "two", failing="AB"))["C"] is None
 
 
 def test_items_that_wait_for_one_another_are_planned_all_the_same(tmp_path: Path) -> None:
     a, b, *_ = element(tmp_path)
-    pair = [dataclasses.replace(a, like="B"), dataclasses.replace(b, like="A")]
-    assert taken(planned(pair, tmp_path / "out")) == {"A": None, "B": "A"}
+    pair = [dataclasses.replace(a, reference="B"), dataclasses.replace(b, reference="A")]
+    assert reference_plans(plan_items(pair, tmp_path / "out")) == {"A": None, "B": "A"}
 
 
 def test_a_job_is_another_one_where_what_it_is_like_has_changed(tmp_path: Path) -> None:
@@ -209,16 +223,18 @@ def test_a_job_is_another_one_where_what_it_is_like_has_changed(tmp_path: Path) 
     for text in ("one", "other"):
         (before / "problem").mkdir(parents=True, exist_ok=True)
         (before / "plan.json").write_text(text)
-        identities.add(batch.bundled_job("A", item.read(), like=before).identity({}))
-    identities.add(batch.bundled_job("A", item.read()).identity({}))
+        identities.add(batch.make_bundled_job("A", item.read(), reference=before).identity({}))
+    identities.add(batch.make_bundled_job("A", item.read()).identity({}))
     assert len(identities) == 3
 
 
 def test_an_earlier_batch_gives_its_plans_by_name(tmp_path: Path) -> None:
     items = element(tmp_path)
-    planned(items[:2], tmp_path / "before")
-    found = taken(planned(items, tmp_path / "out", settings=Settings(like=tmp_path / "before")))
-    assert found == {"A": "A", "B": "B", "C": None, "D": None, "E": None, "F": None, "X": None}
+    plan_items(items[:2], tmp_path / "before")
+    result = reference_plans(
+        plan_items(items, tmp_path / "out", settings=BatchSettings(reference_folder=tmp_path / "before"))
+    )
+    assert result == {"A": "A", "B": "B", "C": None, "D": None, "E": None, "F": None, "X": None}
     with pytest.raises(TandemError) as error:
         command(Batch((tmp_path / "panels",), tmp_path / "new", like=str(tmp_path / "none")))
     assert "holds no plan of any" in error.value.issues[0].message
@@ -255,6 +271,6 @@ def test_a_folder_that_is_no_plan_or_was_tampered_with_is_refused(
     packed[-40] ^= 1
     (out / "plan.npz").write_bytes(packed)
     with pytest.raises(TandemError) as error:
-        pipeline.plan(pipeline.load(problem), like=out)
+        pipeline.plan(pipeline.load(problem), reference=out)
     assert [issue.code for issue in error.value.issues] == ["plan.damaged"]
     assert not list(new.iterdir())

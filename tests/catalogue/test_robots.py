@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from planner.catalogue import robots
 from planner.catalogue.robots import OpwParameters
-from planner.cell.kinematics import forward, link_frames
+from planner.cell.kinematics import forward_kinematics, link_frames
 from planner.issues import TandemError
 
 ALL = robots.robot_names()
@@ -88,7 +88,7 @@ def test_the_flange_goes_as_the_joints_of_the_makers_file_do(name: str) -> None:
         turn = turn * Rotation.from_rotvec(angle[:, None] * vector)
     place = place + turn.apply(np.array(flange[:3], dtype=np.float64))
     turn = turn * Rotation.from_euler("xyz", np.array(flange[3:], dtype=np.float64), degrees=True)
-    pose = forward(robots.robot(name), q)
+    pose = forward_kinematics(robots.robot(name), q)
     np.testing.assert_allclose(pose[:, :3, 3], place, atol=1e-12)
     np.testing.assert_allclose(pose[:, :3, :3], turn.as_matrix(), atol=1e-12)
 
@@ -197,7 +197,7 @@ def test_values_cannot_be_changed_by_accident() -> None:
 
 @pytest.mark.parametrize("name", ALL)
 def test_every_robot_has_a_home_with_its_upper_arm_upright_and_its_forearm_level(name: str) -> None:
-    """What a cell without ``home_deg`` gets: the zero pose of an ABB arm, of whatever maker the arm is."""
+    """The home of a cell without ``home_deg``: the zero pose of an ABB arm, for every maker."""
     robot = robots.robot(name)
     assert robot.limit_margin(robot.home) > 0.0
     theta = robot.form.signs * robot.home - robot.form.offsets

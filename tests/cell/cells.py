@@ -7,7 +7,7 @@ import numpy as np
 from planner.catalogue import robots
 from planner.geometry.arrays import Shape, from_rpy
 from planner.problem import Arm, Cell, Controller, Obstacle, Stock
-from planner.tooling import Tool, plain, wire_holder
+from planner.tooling import Tool, plain_tool, wire_holder
 
 BLOCK = Stock(np.array([0.16, 0.70, 0.10]), None, np.eye(3))
 UP = (0.0, 0.0, 0.0)
@@ -30,11 +30,11 @@ def facing(robot: str = "irb140", half: float = 0.85) -> Cell:
 def ball(radius: float = 0.03, out: float = 0.30) -> Tool:
     """A ball on the flange axis, whose distances to boxes are known in closed form."""
     place = from_rpy((0.0, 0.0, out), UP)
-    return plain("ball", place, (Shape("sphere", (radius,), place),), 0.5)
+    return plain_tool("ball", place, (Shape("sphere", (radius,), place),), 0.5)
 
 
 def alone(robot: str, tool: Tool | None = None, obstacles: tuple[Obstacle, ...] = ()) -> Cell:
-    """One arm at the origin, at its own home: the upper arm upright, the forearm level."""
+    """One arm at the origin, at its own home: upper arm upright, forearm level."""
     arm = Arm("arm", robot, np.eye(4), tool or ball(), robots.robot(robot).home)
     return Cell("alone", (arm,), obstacles, Controller())
 

@@ -11,4 +11,4 @@ from tests.cell.cells import BLOCK, UP, facing
 
 @pytest.fixture(scope="module")
 def pair() -> plant.CellModel:
-    return plant.build(facing(), BLOCK, from_rpy((0.0, 0.0, 0.5), UP))
+    return plant.build_cell_model(facing(), BLOCK, from_rpy((0.0, 0.0, 0.5), UP))

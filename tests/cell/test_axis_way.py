@@ -1,4 +1,4 @@
-"""The ways of tracks, turntables and positioners: their bounds against plain trials, and where they end."""
+"""Motion of tracks, turntables and positioners: bounds against plain trials, and the final poses."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 from shapely.affinity import rotate
 
-from planner.cell import axis_way, clearance, plant
+from planner.cell import clearance, external_axis_motion, plant
 from planner.problem import RotaryAxis, Turntable
 from tests import positioner_job, table_job, track_job
 
@@ -21,20 +21,20 @@ from tests import positioner_job, table_job, track_job
 def test_no_plain_trial_is_nearer_than_the_bound(tmp_path: Path, side: float, clear: bool) -> None:
     pose = {"xyz_mm": [side, 300, 350]}
     post = {"name": "post", "shapes": [{"kind": "box", "size_mm": [60, 50, 700], "pose": pose}]}
-    problem = track_job.problem(tmp_path, obstacles=[post]).stationed({0: {"left": -0.5}})
+    problem = track_job.problem(tmp_path, obstacles=[post]).with_stations({0: {"left": -0.5}})
     setup = problem.setups[0]
     assert setup.stock.place is not None
-    model = plant.build(setup.cell, setup.stock, setup.stock.place)
+    model = plant.build_cell_model(setup.cell, setup.stock, setup.stock.place)
     arm = setup.cell.arm("left")
     assert arm.track is not None
-    way = axis_way.along(model, "left", (-0.5, 0.9), {"left": arm.home}, 0.01)
+    way = external_axis_motion.check_linear_motion(model, "left", (-0.5, 0.9), {"left": arm.home}, 0.01)
     assert way.clear == clear
     least = np.inf
     for value in np.linspace(-0.5, way.at if not clear else 0.9, 101):
-        there = model.with_bases({"left": arm.track.moved(problem.cell.arms[0].base, value)})
-        least = min(least, float(clearance.least(there, {"left": arm.home[None]}, 0.5).distance[0]))
-    assert way.least <= least + 1e-9
-    assert len(way.looked) < 2000
+        there = model.with_bases({"left": arm.track.translate(problem.cell.arms[0].base, value)})
+        least = min(least, float(clearance.min_clearance(there, {"left": arm.home[None]}, 0.5).distance[0]))
+    assert way.min_distance <= least + 1e-9
+    assert len(way.samples) < 2000
 
 
 def _box(size: list[float], at: list[float]) -> dict[str, Any]:
@@ -46,7 +46,7 @@ def _rail(top: float = 0.0, size: tuple[float, float] = (500.0, 7000.0), y: floa
 
 
 STOP = _box([200, 100, 100], [0, 300, 50])
-"""What stands on a rail, lower than all of an arm but its base."""
+"""A body on a rail that is lower than all of an arm but its base."""
 
 
 @pytest.mark.parametrize(
@@ -81,15 +81,15 @@ def test_a_mesh_of_rail_and_stop_is_its_hull(tmp_path: Path, stop: bool, clear: 
     assert clear or way.pair == ("left/base_link", "rail")
 
 
-def _along(folder: Path, body: list[Any]) -> axis_way.AxisWay:
+def _along(folder: Path, body: list[Any]) -> external_axis_motion.AxisMotionCheck:
     """The way of a base from -0.5 to 0.9 m over the one body of its cell."""
     made = track_job.problem(folder, obstacles=[{"name": "rail", "shapes": body}])
-    setup = made.stationed({0: {"left": -0.5}}).setups[0]
+    setup = made.with_stations({0: {"left": -0.5}}).setups[0]
     assert setup.stock.place is not None
-    model = plant.build(setup.cell, setup.stock, setup.stock.place)
+    model = plant.build_cell_model(setup.cell, setup.stock, setup.stock.place)
     arm = setup.cell.arm("left")
     assert arm.track is not None
-    return axis_way.along(model, "left", (-0.5, 0.9), {"left": arm.home}, 0.01)
+    return external_axis_motion.check_linear_motion(model, "left", (-0.5, 0.9), {"left": arm.home}, 0.01)
 
 
 @pytest.mark.parametrize(("side", "clear"), [(470.0, True), (430.0, True), (405.0, False)])
@@ -101,11 +101,11 @@ def test_a_turning_block_is_no_nearer_than_the_bound(
     pose = {"xyz_mm": [900, float(np.sign(end)) * side, 300]}
     post = {"name": "post", "shapes": [{"kind": "box", "size_mm": [40, 20, 600], "pose": pose}]}
     problem = table_job.problem(tmp_path, obstacles=[post])
-    setup, table = problem.setups[0], problem.cell.turntable
-    assert setup.stock.place is not None and table is not None
-    model = plant.build(setup.cell, setup.stock, setup.stock.place)
+    setup = problem.setups[0]
+    assert setup.stock.place is not None
+    model = plant.build_cell_model(setup.cell, setup.stock, setup.stock.place)
     homes = {arm.name: arm.home for arm in setup.cell.arms}
-    way = axis_way.turning(model, table, "stock", 0.0, (0.0, np.deg2rad(end)), homes, 0.01)
+    way = external_axis_motion.check_rotary_motion(model, "stock", 0.0, (0.0, np.deg2rad(end)), homes, 0.01)
     assert way.clear == clear
     block = rotate(shapely.box(630, -180, 1230, 220), 10.0, origin=(930, 20))
     corner = np.sign(end) * side
@@ -114,20 +114,20 @@ def test_a_turning_block_is_no_nearer_than_the_bound(
         rotate(block, angle, origin=(900, 0)).distance(fixed)
         for angle in np.linspace(0.0, end if clear else np.rad2deg(way.at), 401)
     )
-    assert 1e3 * way.least <= least + 1e-6
+    assert 1e3 * way.min_distance <= least + 1e-6
     if clear:  # looks are dense enough to be of use
-        assert 1e3 * way.least > 0.5 * (least + 10.0) - 0.1
+        assert 1e3 * way.min_distance > 0.5 * (least + 10.0) - 0.1
         assert way.pair == ("stock", "post")
-    assert len(way.looked) < 2000
+    assert len(way.samples) < 2000
 
 
 def test_the_plate_and_what_stands_on_it_do_not_come_nearer(tmp_path: Path) -> None:
     problem = table_job.problem(tmp_path)
-    setup, table = problem.setups[0], problem.cell.turntable
-    assert setup.stock.place is not None and table is not None
-    model = plant.build(setup.cell, setup.stock, setup.stock.place)
+    setup = problem.setups[0]
+    assert setup.stock.place is not None
+    model = plant.build_cell_model(setup.cell, setup.stock, setup.stock.place)
     homes = {arm.name: arm.home for arm in setup.cell.arms}
-    way = axis_way.turning(model, table, "stock", 0.0, (0.0, np.pi), homes, 0.01)
+    way = external_axis_motion.check_rotary_motion(model, "stock", 0.0, (0.0, np.pi), homes, 0.01)
     assert way.clear and "turntable" not in way.pair
 
 
@@ -141,12 +141,14 @@ def test_a_tilting_block_is_no_nearer_than_the_bound(tmp_path: Path, x: float, z
     post = {"name": "post", "shapes": [box]}
     stock = {**positioner_job.STOCK, "place": {"xyz_mm": [920, 0, 540]}}
     problem = positioner_job.problem(tmp_path, obstacles=(positioner_job.CRADLE, post), stock=stock)
-    start = problem.stationed({0: {"stock": 0.0, "stock/tilt": 0.0}})
-    setup, table = start.setups[0], start.cell.turntable
-    assert setup.stock.place is not None and table is not None
-    model = plant.build(setup.cell, setup.stock, setup.stock.place)
+    start = problem.with_stations({0: {"stock": 0.0, "stock/tilt": 0.0}})
+    setup = start.setups[0]
+    assert setup.stock.place is not None
+    model = plant.build_cell_model(setup.cell, setup.stock, setup.stock.place)
     homes = {arm.name: arm.home for arm in setup.cell.arms}
-    way = axis_way.turning(model, table, "stock/tilt", 0.0, (0.0, np.deg2rad(70.0)), homes, 0.01)
+    way = external_axis_motion.check_rotary_motion(
+        model, "stock/tilt", 0.0, (0.0, np.deg2rad(70.0)), homes, 0.01
+    )
     assert way.clear == clear
     riding = shapely.union_all(
         [
@@ -161,9 +163,9 @@ def test_a_tilting_block_is_no_nearer_than_the_bound(tmp_path: Path, x: float, z
         rotate(riding, -angle, origin=(900, 470)).distance(fixed)
         for angle in np.linspace(0.0, 70.0 if clear else np.rad2deg(way.at), 401)
     )
-    assert way.least <= 1e-3 * least + 1e-9
+    assert way.min_distance <= 1e-3 * least + 1e-9
     if clear:
-        assert way.least > 0.01 and len(way.looked) < 200
+        assert way.min_distance > 0.01 and len(way.samples) < 200
 
 
 def test_what_is_tilted_keeps_off_the_floor(tmp_path: Path) -> None:
@@ -174,12 +176,14 @@ def test_what_is_tilted_keeps_off_the_floor(tmp_path: Path) -> None:
     cradle["shapes"][0]["pose"] = {"xyz_mm": [900, 0, 110]}
     arm = {**table_job.ARM, "base": {"xyz_mm": [0, 0, 0]}}
     problem = positioner_job.problem(tmp_path, given, [cradle], stock, arms=(arm,))
-    setup, table = problem.setups[0], problem.cell.turntable
-    assert setup.stock.place is not None and table is not None
-    model = plant.build(setup.cell, setup.stock, setup.stock.place)
+    setup = problem.setups[0]
+    assert setup.stock.place is not None
+    model = plant.build_cell_model(setup.cell, setup.stock, setup.stock.place)
     homes = {arm.name: arm.home for arm in setup.cell.arms}
-    way = axis_way.turning(model, table, "stock/tilt", 0.0, (0.0, np.deg2rad(70.0)), homes, 0.01)
-    assert not way.clear and way.pair[1] == axis_way.FLOOR
+    way = external_axis_motion.check_rotary_motion(
+        model, "stock/tilt", 0.0, (0.0, np.deg2rad(70.0)), homes, 0.01
+    )
+    assert not way.clear and way.pair[1] == external_axis_motion.FLOOR
     # the block's far lower corner: 180 mm (turned home, so on the other side) and 70 mm above the axis
     angle = np.rad2deg(way.at)
     outline = rotate(shapely.box(680, 200, 1080, 250), -angle, origin=(900, 130))
@@ -219,19 +223,21 @@ def test_shapes_beside_a_bearing_are_looked_at(
     """Posts bear the cradle, 2 mm off its ends; other shapes of the same two bodies do not for that."""
     obstacles = ({"name": "cradle", "shapes": bracket}, {"name": "posts", "shapes": fixed})
     problem = positioner_job.problem(tmp_path, obstacles=obstacles)
-    setup, table = problem.setups[0], problem.cell.turntable
-    assert setup.stock.place is not None and table is not None
-    model = plant.build(setup.cell, setup.stock, setup.stock.place)
+    setup = problem.setups[0]
+    assert setup.stock.place is not None
+    model = plant.build_cell_model(setup.cell, setup.stock, setup.stock.place)
     homes = {arm.name: arm.home for arm in setup.cell.arms}
-    way = axis_way.turning(model, table, "stock/tilt", 0.0, (0.0, np.deg2rad(70.0)), homes, 0.01)
+    way = external_axis_motion.check_rotary_motion(
+        model, "stock/tilt", 0.0, (0.0, np.deg2rad(70.0)), homes, 0.01
+    )
     assert way.clear == clear
     if not clear:
         assert way.pair == ("cradle", "posts")
 
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])
-@pytest.mark.parametrize("lean", [0.7, -0.4])
-def test_a_tilted_turn_is_scipys(sense: float, lean: float) -> None:
+@pytest.mark.parametrize("tilt_angle", [0.7, -0.4])
+def test_a_tilted_turn_is_scipys(sense: float, tilt_angle: float) -> None:
     """Where axes take a block, and where the turn axis then lies, by scipy's rotations about axes of either
     sense whose centres lie apart."""
     across = np.array([0.6, 0.8, 0.0])
@@ -243,17 +249,20 @@ def test_a_tilted_turn_is_scipys(sense: float, lean: float) -> None:
     place[:3, 3] = 1.0, 0.2, 0.6
 
     def seated(turn: float) -> np.ndarray:
-        about, over = Rotation.from_rotvec([0.0, 0.0, sense * turn]), Rotation.from_rotvec(lean * across)
+        about, over = (
+            Rotation.from_rotvec([0.0, 0.0, sense * turn]),
+            Rotation.from_rotvec(tilt_angle * across),
+        )
         out = np.eye(4)
         out[:3, :3] = (over * about).as_matrix() @ place[:3, :3]
         out[:3, 3] = tilt.centre + over.apply(centre + about.apply(place[:3, 3] - centre) - tilt.centre)
         return out
 
-    first = {"stock": 0.5, "stock/tilt": lean}
-    np.testing.assert_allclose(table.placed(place, first), seated(0.5), atol=1e-14)
-    second = table.placed(seated(0.5), {"stock": 1.4, "stock/tilt": lean}, first)
+    first = {"stock": 0.5, "stock/tilt": tilt_angle}
+    np.testing.assert_allclose(table.move_pose(place, first), seated(0.5), atol=1e-14)
+    second = table.move_pose(seated(0.5), {"stock": 1.4, "stock/tilt": tilt_angle}, first)
     np.testing.assert_allclose(second, seated(1.4), atol=1e-14)
-    pivot = table.pivot("stock", lean)
-    np.testing.assert_allclose(pivot.turned(seated(0.5), 0.9), seated(1.4), atol=1e-14)
-    np.testing.assert_allclose(pivot.axis, Rotation.from_rotvec(lean * across).apply([0.0, 0.0, sense]))
-    assert table.pivot("stock/tilt", lean) is tilt
+    pivot = table.axis_at_tilt("stock", tilt_angle)
+    np.testing.assert_allclose(pivot.rotate(seated(0.5), 0.9), seated(1.4), atol=1e-14)
+    np.testing.assert_allclose(pivot.axis, Rotation.from_rotvec(tilt_angle * across).apply([0.0, 0.0, sense]))
+    assert table.axis_at_tilt("stock/tilt", tilt_angle) is tilt

@@ -7,6 +7,7 @@ import pytest
 
 from planner.cell import clearance, plant
 from planner.cell.bodies import Solid, signed_distance
+from planner.cell.clearance import FlexibleEdge
 from planner.geometry.arrays import Shape, from_rpy
 from planner.problem import Obstacle
 from tests.cell.cells import BLOCK, UP, alone, random_joints
@@ -27,14 +28,14 @@ def test_a_straight_wire_over_the_block_has_the_height_above_it(
 ) -> None:
     """The block's top is at 0.600 m; between few points the wire is met where no point lies."""
     wire = _line(np.array([-0.3, 0.1, height]), np.array([0.3, 0.1, height]), count)
-    found = clearance.edge(pair, _home(pair), wire, 0.001, 0.03)
+    found = clearance.edge_clearance(pair, _home(pair), FlexibleEdge(wire, 0.001, 0.03))
     assert found.distance[0] == pytest.approx(height - 0.600 - 0.001, abs=1e-8)
     assert found.pair[0] == ("edge", "stock")
 
 
 def test_no_stock_leaves_the_stock_out(pair: plant.CellModel) -> None:
     wire = _line(np.array([-0.3, 0.1, 0.55]), np.array([0.3, 0.1, 0.55]), 20)
-    found = clearance.edge(pair, _home(pair), wire, 0.001, 0.03, "no_stock")
+    found = clearance.edge_clearance(pair, _home(pair), FlexibleEdge(wire, 0.001, 0.03), "no_stock")
     assert found.distance[0] == pytest.approx(0.050 - 0.001, abs=1e-8)
     assert found.pair[0] == ("edge", "table")
 
@@ -42,7 +43,7 @@ def test_no_stock_leaves_the_stock_out(pair: plant.CellModel) -> None:
 def test_a_slanting_wire_past_an_edge_of_the_block(pair: plant.CellModel) -> None:
     """Nearest to the block's upper edge, x = 0.08, z = 0.6: a point and a line in the xz plane."""
     start, end = np.array([0.0, 0.0, 0.72]), np.array([0.3, 0.0, 0.56])
-    found = clearance.edge(pair, _home(pair), _line(start, end, 4), 0.0, 0.0)
+    found = clearance.edge_clearance(pair, _home(pair), FlexibleEdge(_line(start, end, 4), 0.0, 0.0))
     along = (end - start) / np.linalg.norm(end - start)
     ray = np.array([0.08, 0.0, 0.6]) - start
     exact = np.linalg.norm(ray - (ray @ along) * along)
@@ -53,11 +54,11 @@ def test_the_ends_are_not_held_against_their_own_holder(pair: plant.CellModel) -
     q = _home(pair)
     tcp = pair.tcp(q)
     wire = _line(tcp["left"][0, :3, 3], tcp["right"][0, :3, 3] + [0.0, 0.0, 0.25], 30)
-    held = clearance.edge(pair, q, wire, 0.001, 0.0, "no_stock")
+    held = clearance.edge_clearance(pair, q, FlexibleEdge(wire, 0.001, 0.0), "no_stock")
     assert held.distance[0] < 0.0
-    free = clearance.edge(pair, q, wire, 0.001, 0.03, "no_stock")
+    free = clearance.edge_clearance(pair, q, FlexibleEdge(wire, 0.001, 0.03), "no_stock")
     assert free.distance[0] > 0.02
-    swapped = clearance.edge(pair, q, wire[:, ::-1], 0.001, 0.03, "no_stock")
+    swapped = clearance.edge_clearance(pair, q, FlexibleEdge(wire[:, ::-1], 0.001, 0.03), "no_stock")
     assert swapped.distance[0] < 0.0
 
 
@@ -65,7 +66,9 @@ def test_the_cut_at_the_ends_does_not_depend_on_where_points_lie(pair: plant.Cel
     q = _home(pair)
     tcp = pair.tcp(q)
     ends = tcp["left"][0, :3, 3], tcp["right"][0, :3, 3]
-    coarse, fine = (clearance.edge(pair, q, _line(*ends, n), 0.001, 0.03) for n in (24, 2001))
+    coarse, fine = (
+        clearance.edge_clearance(pair, q, FlexibleEdge(_line(*ends, n), 0.001, 0.03)) for n in (24, 2001)
+    )
     assert coarse.distance[0] == pytest.approx(fine.distance[0], abs=1e-6)
 
 
@@ -76,8 +79,8 @@ def test_random_wires_against_drakes_point_query(pair: plant.CellModel) -> None:
     start, end = rng.uniform(-0.5, 0.5, (2, 6, 3)) + np.array([0.0, 0.0, 0.8])
     bow = np.sin(np.pi * np.linspace(0.0, 1.0, 25))[:, None] * [0.0, 0.05, 0.1]
     wires = np.concatenate([_line(a, b, 25) for a, b in zip(start, end, strict=True)]) + bow
-    found = clearance.edge(pair, q, wires, 0.0, 0.0)
-    for i, row in enumerate(pair.stack(q)):
+    found = clearance.edge_clearance(pair, q, FlexibleEdge(wires, 0.0, 0.0))
+    for i, row in enumerate(pair.stack_rows(q)):
         context = pair.checker.UpdatePositions(row)
         query = pair.plant.get_geometry_query_input_port().Eval(context)
         inspector = query.inspector()
@@ -98,9 +101,9 @@ def test_one_arm_and_a_mesh() -> None:
     points = np.array([[0.0, 0.0, 0.3], [0.2, 0.0, 0.0], [-0.1, 0.2, 0.0], [-0.1, -0.2, 0.0]])
     faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
     peak = Obstacle("peak", (Shape("mesh", (), from_rpy((1.5, 0.0, 0.0), UP), points, faces),))
-    model = plant.build(alone("irb140", obstacles=(peak,)), BLOCK, from_rpy((50.0, 0.0, 0.0), UP))
+    model = plant.build_cell_model(alone("irb140", obstacles=(peak,)), BLOCK, from_rpy((50.0, 0.0, 0.0), UP))
     wire = _line(np.array([1.5, -0.4, 0.34]), np.array([1.5, 0.4, 0.34]), 9)
-    found = clearance.edge(model, _home(model), wire, 0.0, 0.0)
+    found = clearance.edge_clearance(model, _home(model), FlexibleEdge(wire, 0.0, 0.0))
     assert found.distance[0] == pytest.approx(0.04, abs=1e-8)
     assert found.pair[0] == ("edge", "peak")
 
@@ -146,11 +149,11 @@ def test_whether_a_wire_keeps_a_distance_is_what_its_least_distance_says(
     start, end = rng.uniform(-0.6, 0.6, (2, count, 3)) + np.array([0.0, 0.0, 0.8])
     bow = np.sin(np.pi * np.linspace(0.0, 1.0, 19))[:, None] * [0.0, 0.05, 0.1]
     wires = np.concatenate([_line(a, b, 19) for a, b in zip(start, end, strict=True)]) + bow
-    found = clearance.edge(pair, q, wires, 0.001, skip, against).distance
+    found = clearance.edge_clearance(pair, q, FlexibleEdge(wires, 0.001, skip), against).distance
     for padding in (0.0, 0.01, 0.1, *np.sort(found)[[10, 30, 50]] + 1e-7):
-        free = clearance.edge_free(pair, q, wires, 0.001, skip, float(padding), against)
+        free = clearance.is_edge_clear(pair, q, FlexibleEdge(wires, 0.001, skip), float(padding), against)
         assert np.array_equal(free, found >= padding)
-    some = clearance.edge_free(pair, q, wires, 0.001, skip, 0.05, against)
+    some = clearance.is_edge_clear(pair, q, FlexibleEdge(wires, 0.001, skip), 0.05, against)
     assert 0 < some.sum() < count
 
 
@@ -163,12 +166,12 @@ def test_whether_a_wire_is_free_is_what_its_least_distance_says(pair: plant.Cell
     count = int(rng.integers(2, 40))
     tcp = pair.tcp(q)
     start, end = (tcp[arm][:, None, :3, 3] for arm in ("left", "right"))
-    share = np.linspace(0.0, 1.0, count)[:, None]
-    bend = rng.normal(scale=0.15, size=(rows, 1, 3)) * np.sin(np.pi * share)
-    points = start + share * (end - start) + bend + rng.normal(scale=0.01, size=(rows, count, 3))
+    fraction = np.linspace(0.0, 1.0, count)[:, None]
+    bend = rng.normal(scale=0.15, size=(rows, 1, 3)) * np.sin(np.pi * fraction)
+    points = start + fraction * (end - start) + bend + rng.normal(scale=0.01, size=(rows, count, 3))
     for against in ("all", "no_stock"):
-        least = clearance.edge(pair, q, points, 0.001, 0.05, against).distance
+        least = clearance.edge_clearance(pair, q, FlexibleEdge(points, 0.001, 0.05), against).distance
         for padding in (0.0, 0.01, 0.05, float(np.median(least))):
-            free = clearance.edge_free(pair, q, points, 0.001, 0.05, padding, against)
+            free = clearance.is_edge_clear(pair, q, FlexibleEdge(points, 0.001, 0.05), padding, against)
             sure = np.abs(least - padding) > 1e-7
             assert np.array_equal(free[sure], least[sure] >= padding), f"seed {seed}, {against}, {padding}"

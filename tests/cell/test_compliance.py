@@ -1,4 +1,4 @@
-"""Compliance of a TCP by the joints' stiffness: against Drake's Jacobian, and as loads move it."""
+"""Compliance of a TCP due to joint stiffness: against Drake's Jacobian, and under loads."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from pydrake.multibody.tree import JacobianWrtVariable
 
 from planner.catalogue import robots
 from planner.catalogue.robots import JointStiffness
-from planner.cell.compliance import PointLoad, from_drives, given_way, tcp_compliance
-from planner.cell.kinematics import forward
+from planner.cell.compliance import PointLoad, drive_to_serial, joint_deflection, tcp_compliance
+from planner.cell.kinematics import forward_kinematics
 from planner.geometry.arrays import from_rpy
 from tests.robot_sample import SAMPLE
 
@@ -50,27 +50,27 @@ def test_it_is_drakes_jacobian_with_springs_between(name: str) -> None:
 def test_loads_move_the_tcp_as_its_compliance_says(name: str) -> None:
     robot = robots.robot(name)
     q = np.random.default_rng(3).uniform(0.5 * robot.lower, 0.5 * robot.upper, (50, 6))
-    hand = forward(robot, q) @ TCP
+    hand = forward_kinematics(robot, q) @ TCP
     force, point = np.array([30.0, -80.0, 55.0]), (hand @ [0.05, 0.02, -0.1, 1.0])[:, :3]
     moment = np.cross(point - hand[:, :3, 3], force)
-    way = given_way(robot, STIFF, q, (PointLoad(point, np.broadcast_to(force, point.shape)),))
-    moved = forward(robot, q + way) @ TCP
+    way = joint_deflection(robot, STIFF, q, (PointLoad(point, np.broadcast_to(force, point.shape)),))
+    moved = forward_kinematics(robot, q + way) @ TCP
     wrench = np.concatenate([moment, np.broadcast_to(force, moment.shape)], axis=1)
-    told = np.einsum("nij,nj->ni", tcp_compliance(robot, STIFF, q, TCP, np.eye(4)), wrench)
+    reported = np.einsum("nij,nj->ni", tcp_compliance(robot, STIFF, q, TCP, np.eye(4)), wrench)
     # what is of second order in the turns, of 2e-4 rad over 3 m, is left
-    np.testing.assert_allclose(moved[:, :3, 3] - hand[:, :3, 3], told[:, 3:], atol=1e-6)
+    np.testing.assert_allclose(moved[:, :3, 3] - hand[:, :3, 3], reported[:, 3:], atol=1e-6)
 
 
 def test_springs_take_up_the_work_of_the_load() -> None:
     """Half of force times way is what is stored in the springs: sum of k x^2 / 2 over the drives."""
     robot = robots.robot("irb4400_60")
     q = np.array([0.2, 0.3, -0.2, 0.4, 0.5, -0.3])
-    hand = (forward(robot, q) @ TCP)[:3, 3]
+    hand = (forward_kinematics(robot, q) @ TCP)[:3, 3]
     force = np.array([0.0, 40.0, -700.0])
-    way = given_way(robot, STIFF, q, (PointLoad(hand, force),))
-    drives = np.linalg.solve(from_drives(robot), way)
-    told = tcp_compliance(robot, STIFF, q, TCP, np.eye(4))[3:, 3:] @ force
-    assert force @ told == pytest.approx(np.sum(STIFF.joints * drives**2), rel=1e-12)
+    way = joint_deflection(robot, STIFF, q, (PointLoad(hand, force),))
+    drives = np.linalg.solve(drive_to_serial(robot), way)
+    reported = tcp_compliance(robot, STIFF, q, TCP, np.eye(4))[3:, 3:] @ force
+    assert force @ reported == pytest.approx(np.sum(STIFF.joints * drives**2), rel=1e-12)
 
 
 def test_twice_as_stiff_gives_way_half_as_far() -> None:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from planner.cell import clearance, plant
 from planner.cell.bodies import Solid, signed_distance
-from planner.cell.distance import AGREED_M, between_segments, cores, distances
+from planner.cell.distance import DISTANCE_TOLERANCE_M, make_cores, measure_distances, segment_vectors
 from planner.geometry.arrays import Shape, from_rpy
 from tests.cell.cells import BLOCK, UP, facing
 from tests.cell.test_clearance import random_joints
@@ -56,8 +56,8 @@ def poses(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray,
     return one, other, way / np.linalg.norm(way, axis=1)[:, None]
 
 
-def coal_shape(coal: Any, own: Solid) -> Any:
-    shape = own.shape
+def coal_shape(coal: Any, convex_solid: Solid) -> Any:
+    shape = convex_solid.shape
     if shape.vertices is not None:
         points = coal.StdVec_Vec3s()
         for corner in shape.vertices:
@@ -68,7 +68,7 @@ def coal_shape(coal: Any, own: Solid) -> Any:
     ](*shape.size)
 
 
-def against_coal(first: str, second: str, count: int, seed: int) -> None:
+def compare_with_coal(first: str, second: str, count: int, seed: int) -> None:
     coal = pytest.importorskip("coal", reason="coal, the referee of distances, is not installed")
     rng = np.random.default_rng(seed)
     solids = [solid(kind, rng) for kind in [first] * 30 + [second] * 30]
@@ -83,16 +83,16 @@ def against_coal(first: str, second: str, count: int, seed: int) -> None:
         there, here = places
         return float(coal.distance(shapes[a[k]], there, shapes[b[k]], here, request, coal.DistanceResult()))
 
-    wanted = np.empty(count)
+    expected = np.empty(count)
     for k in range(count):
         one[k, :3, 3] = 2.0 * way[k]
         for _ in range(3):  # until they are about as far apart as wanted
             one[k, :3, 3] -= (truth(k) - rng.uniform(0.002, 0.1)) * way[k]
-        wanted[k] = truth(k)
-    got, ray, place = distances(cores(solids), a, b, one, other)
-    apart = wanted > ALLOWED
+        expected[k] = truth(k)
+    got, ray, place = measure_distances(make_cores(solids), a, b, one, other)
+    apart = expected > ALLOWED
     assert apart.mean() > 0.9
-    off = (got - wanted)[apart]
+    off = (got - expected)[apart]
     assert off.max() < NEVER_OVER, f"{first} {second}, seed {seed}: {np.argmax(off)}"
     if {first, second} <= {"sphere", "capsule"}:
         # nearer than coal has axes that are nearly parallel: both ends of the line are on the axes
@@ -112,13 +112,13 @@ def against_coal(first: str, second: str, count: int, seed: int) -> None:
 
 @pytest.mark.parametrize(("first", "second"), PAIRS)
 def test_distances_are_those_of_coal_and_never_above(first: str, second: str) -> None:
-    against_coal(first, second, 300, 11)
+    compare_with_coal(first, second, 300, 11)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(("first", "second"), PAIRS)
 def test_ten_thousand_distances_are_those_of_coal(first: str, second: str) -> None:
-    against_coal(first, second, 10_000, 12)
+    compare_with_coal(first, second, 10_000, 12)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -130,7 +130,7 @@ def test_a_sphere_has_the_distance_of_its_centre(kind: str) -> None:
     one, other, _ = poses(rng, 400)
     one[:, :3, 3] = rng.uniform(-1.0, 1.0, (400, 3))
     where = np.zeros(400, dtype=np.intp)
-    got, _, _ = distances(cores([own, ball]), where, where + 1, other, one)
+    got, _, _ = measure_distances(make_cores([own, ball]), where, where + 1, other, one)
     local = np.einsum("mc,mcd->md", one[:, :3, 3] - other[:, :3, 3], other[:, :3, :3])
     exact = signed_distance(own, local) - 0.02
     assert got[exact > 0] == pytest.approx(exact[exact > 0], abs=1e-7)
@@ -144,7 +144,7 @@ def test_a_capsule_and_a_box_have_the_least_distance_along_its_axis() -> None:
         box, capsule = solid("box", rng), solid("capsule", rng)
         one, other, way = poses(rng, 1)
         one[0, :3, 3] = way[0] * rng.uniform(0.1, 1.0)
-        got, _, _ = distances(cores([capsule, box]), np.array([0]), np.array([1]), one, other)
+        got, _, _ = measure_distances(make_cores([capsule, box]), np.array([0]), np.array([1]), one, other)
         t = np.linspace(-0.5, 0.5, 20_001) * capsule.shape.size[1]
         axis = one[0, :3, 3] + t[:, None] * one[0, :3, 2]
         sampled = signed_distance(box, axis @ other[0, :3, :3]).min() - capsule.shape.size[0]
@@ -163,7 +163,7 @@ def test_axes_that_are_nearly_parallel_are_as_near_as_any_of_their_points(tilt: 
         across = np.array([[0.0, 0.0, 1.0]])
         along = Rotation.from_rotvec([tilt, 0.0, 0.0]).apply(across)
         between = rng.normal(size=(1, 3)) * [0.1, 0.1, 0.3]
-        way, place = between_segments(between, along, across, *half)
+        way, place = segment_vectors(between, along, across, *half)
         first = between + (half[0] * t)[:, None] * along
         second = (half[1] * t)[:, None] * across
         sampled = np.linalg.norm(first[:, None] - second[None], axis=2).min()
@@ -175,11 +175,11 @@ def test_bounds_of_convergence_are_what_is_returned() -> None:
     """Cylinders, whose rims GJK nears step by step: planes across the line part both by what is returned."""
     rng = np.random.default_rng(7)
     own = [solid("cylinder", rng) for _ in range(20)]
-    table = cores(own)
+    table = make_cores(own)
     first, second = rng.integers(0, 10, 500), rng.integers(10, 20, 500)
     one, other, way = poses(rng, 500)
     one[:, :3, 3] = way
-    got, ray, _ = distances(table, first, second, one, other)
+    got, ray, _ = measure_distances(table, first, second, one, other)
     ends = []
     for which, pose, way in ((first, one, -ray), (second, other, ray)):
         local = np.einsum("mc,mcd->md", way, pose[:, :3, :3])
@@ -188,18 +188,18 @@ def test_bounds_of_convergence_are_what_is_returned() -> None:
     apart = got > 0
     assert apart.sum() > 300
     assert (between - ends[0] - ends[1])[apart] == pytest.approx(got[apart], abs=1e-12)
-    assert AGREED_M <= ALLOWED
+    assert DISTANCE_TOLERANCE_M <= ALLOWED
 
 
 @pytest.fixture(scope="module")
 def pair() -> plant.CellModel:
-    return plant.build(facing(), BLOCK, from_rpy((0.0, 0.0, 0.5), UP))
+    return plant.build_cell_model(facing(), BLOCK, from_rpy((0.0, 0.0, 0.5), UP))
 
 
 def test_a_cell_never_has_less_room_by_drake(pair: plant.CellModel) -> None:
     """Drake (libccd) sees round solids too far apart, never too near; all agree where it converges."""
     q = random_joints(8, 400)
-    ours, drake = clearance.least(pair, q, 0.1), clearance.witness(pair, q, 0.1)
+    ours, drake = clearance.min_clearance(pair, q, 0.1), clearance.drake_min_clearance(pair, q, 0.1)
     apart = (ours.distance > 0.0) & (ours.distance < 0.099)
     over = (drake.distance - ours.distance)[apart]
     assert apart.sum() > 50
@@ -209,8 +209,8 @@ def test_a_cell_never_has_less_room_by_drake(pair: plant.CellModel) -> None:
 
 def test_rows_by_themselves_and_in_batches_agree(pair: plant.CellModel) -> None:
     q = random_joints(9, 1500)
-    whole = clearance.least(pair, q, 0.08)
+    whole = clearance.min_clearance(pair, q, 0.08)
     for i in (0, 700, 1400):
-        one = clearance.least(pair, {arm: rows[i : i + 1] for arm, rows in q.items()}, 0.08)
+        one = clearance.min_clearance(pair, {arm: rows[i : i + 1] for arm, rows in q.items()}, 0.08)
         assert one.distance[0] == whole.distance[i]
         assert one.pair[0] == whole.pair[i]

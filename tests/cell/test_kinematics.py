@@ -11,7 +11,7 @@ from pydrake.multibody.plant import MultibodyPlant
 
 from planner.catalogue import robots
 from planner.catalogue.robots import OpwParameters
-from planner.cell.kinematics import forward, jacobian, link_frames
+from planner.cell.kinematics import forward_kinematics, jacobian, link_frames
 
 # Flange positions [m] with all axes at zero: tool0 of the ROS-Industrial URDFs that the catalogue names.
 ZERO = {
@@ -71,7 +71,7 @@ def _postures(name: str, count: int = 60) -> np.ndarray:
 @pytest.mark.parametrize("name", ZERO)
 def test_the_flange_at_zero_is_where_the_published_models_have_it(name: str) -> None:
     """z forward and x down at zero: quaternion [0.70711, 0, 0.70711, 0], as a controller shows tool0."""
-    pose = forward(robots.robot(name), np.zeros(6))
+    pose = forward_kinematics(robots.robot(name), np.zeros(6))
     np.testing.assert_allclose(pose[:3, 3], ZERO[name], atol=1e-9)
     np.testing.assert_allclose(pose[:3, :3], [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], atol=1e-9)
 
@@ -81,7 +81,7 @@ def test_kukas_flange_at_home(name: str) -> None:
     """At 0, -90, 90, 0, 0, 0 the arm stands and the forearm is level; $POS_ACT shows A = 0, B = 90, C = 0."""
     robot = robots.robot(name)
     p = robot.opw
-    pose = forward(robot, np.deg2rad([0, -90, 90, 0, 0, 0]))
+    pose = forward_kinematics(robot, np.deg2rad([0, -90, 90, 0, 0, 0]))
     np.testing.assert_allclose(pose[:3, 3], [p.a1 + p.c3 + p.c4, 0.0, p.c1 + p.c2 - p.a2], atol=1e-9)
     np.testing.assert_allclose(pose[:3, :3], [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], atol=1e-9)
 
@@ -92,7 +92,7 @@ def test_drake_and_the_form_agree(name: str) -> None:
     context = plant.CreateDefaultContext()
     frame = plant.GetFrameByName("tool0")
     q = _postures(name)
-    ours = forward(robot, q)
+    ours = forward_kinematics(robot, q)
     for row, pose in zip(q, ours, strict=True):
         plant.SetPositions(context, row)
         drake = plant.CalcRelativeTransform(context, plant.world_frame(), frame).GetAsMatrix4()
@@ -112,7 +112,7 @@ def test_another_library_agrees(name: str) -> None:
         degrees=False,
     )  # fmt: skip
     q = _postures(name)
-    for row, pose in zip(q, forward(robot, q), strict=True):
+    for row, pose in zip(q, forward_kinematics(robot, q), strict=True):
         np.testing.assert_allclose(pose, other.forward(tuple(row)).as_matrix(), atol=1e-9)
 
 
@@ -147,5 +147,5 @@ def test_batches_keep_their_shape() -> None:
     robot = robots.robot("irb140")
     q = _postures("irb140", 6).reshape(2, 3, 6)
     assert link_frames(robot, q).shape == (2, 3, 7, 4, 4)
-    np.testing.assert_array_equal(forward(robot, q)[1, 2], forward(robot, q[1, 2]))
-    assert RigidTransform(forward(robot, q)[0, 0]).rotation().IsValid()
+    np.testing.assert_array_equal(forward_kinematics(robot, q)[1, 2], forward_kinematics(robot, q[1, 2]))
+    assert RigidTransform(forward_kinematics(robot, q)[0, 0]).rotation().IsValid()

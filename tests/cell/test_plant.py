@@ -12,28 +12,28 @@ from planner.cell import clearance, plant
 from planner.geometry.arrays import Shape, from_rpy
 from planner.issues import TandemError
 from planner.problem import Obstacle
-from planner.tooling import Tool, plain
+from planner.tooling import Tool, plain_tool
 from tests.cell.cells import BLOCK, TABLE, UP, alone, facing, random_joints
 from tests.robot_sample import SAMPLE
 
-PLACE = from_rpy((0.0, 0.0, 0.5), UP)
+STOCK_POSE = from_rpy((0.0, 0.0, 0.5), UP)
 
 
 @pytest.fixture(scope="module")
 def model() -> plant.CellModel:
-    return plant.build(facing(), BLOCK, PLACE)
+    return plant.build_cell_model(facing(), BLOCK, STOCK_POSE)
 
 
 def test_q_is_stacked_in_the_order_of_the_arms_and_others_stay_at_home(model: plant.CellModel) -> None:
     q = np.arange(12.0).reshape(2, 6)
-    rows = model.stack({"right": q})
+    rows = model.stack_rows({"right": q})
     np.testing.assert_array_equal(rows[:, 6:], q)
     np.testing.assert_array_equal(rows[:, :6], np.tile(model.cell.arm("left").home, (2, 1)))
-    assert model.stack({}).shape == (1, 12)
+    assert model.stack_rows({}).shape == (1, 12)
     with pytest.raises(ValueError, match="cell has"):
-        model.stack({"middle": q})
+        model.stack_rows({"middle": q})
     with pytest.raises(ValueError, match="rows"):
-        model.stack({"left": q, "right": q[:1]})
+        model.stack_rows({"left": q, "right": q[:1]})
 
 
 def test_poses_of_all_bodies_are_drakes(model: plant.CellModel) -> None:
@@ -41,7 +41,7 @@ def test_poses_of_all_bodies_are_drakes(model: plant.CellModel) -> None:
         {"left": from_rpy((-0.75, 0.1, 0.05), (0.02, 0.0, 0.1))}
     )
     q = random_joints(0, 5)
-    poses, rows = moved.poses(q), moved.stack(q)
+    poses, rows = moved.poses(q), moved.stack_rows(q)
     for i, row in enumerate(rows):
         context = moved.checker.UpdatePositions(row)
         for name, ours in poses.items():
@@ -67,17 +67,17 @@ def test_a_moved_stock_or_base_gives_what_a_new_model_gives(model: plant.CellMod
     pose, base = from_rpy((0.05, 0.0, 0.62), (0.0, 0.0, 0.4)), from_rpy((-0.7, 0.1, 0.05), (0.0, 0.0, 0.2))
     q = random_joints(1, 300)
     moved = model.with_stock(pose).with_bases({"left": base})
-    fresh = plant.build(facing(), BLOCK, pose, {"left": base})
-    before = clearance.free(model, q, 0.0)
-    np.testing.assert_array_equal(clearance.free(moved, q, 0.0), clearance.free(fresh, q, 0.0))
-    ours, theirs = clearance.least(moved, q, 0.05), clearance.least(fresh, q, 0.05)
+    fresh = plant.build_cell_model(facing(), BLOCK, pose, {"left": base})
+    before = clearance.is_free(model, q, 0.0)
+    np.testing.assert_array_equal(clearance.is_free(moved, q, 0.0), clearance.is_free(fresh, q, 0.0))
+    ours, theirs = clearance.min_clearance(moved, q, 0.05), clearance.min_clearance(fresh, q, 0.05)
     np.testing.assert_allclose(ours.distance, theirs.distance, atol=1e-6)
-    np.testing.assert_array_equal(clearance.free(model, q, 0.0), before)
+    np.testing.assert_array_equal(clearance.is_free(model, q, 0.0), before)
 
 
 def test_the_filter_is_listed_with_reasons_and_leaves_what_matters(model: plant.CellModel) -> None:
-    listed = {frozenset(pair[:2]): pair[2] for pair in model.pairs_filtered}
-    assert len(listed) == len(model.pairs_filtered)
+    listed = {frozenset(pair[:2]): pair[2] for pair in model.filtered_pairs}
+    assert len(listed) == len(model.filtered_pairs)
     assert listed[frozenset({"left/link_1", "left/link_2"})] == "neighbours in the chain"
     assert "fixed" in listed[frozenset({"stock", "table"})]
     for pair in listed:
@@ -85,7 +85,7 @@ def test_the_filter_is_listed_with_reasons_and_leaves_what_matters(model: plant.
         assert len(arms) == 1 or all("/" not in n or n.endswith("base_link") for n in pair), pair
     for kept in (("left/tool", "right/tool"), ("left/tool", "stock"), ("left/link_4", "table")):
         assert frozenset(kept) not in listed
-    assert "the others are held apart" in listed[frozenset({"left/tool", "left/link_4"})]
+    assert "the others are checked" in listed[frozenset({"left/tool", "left/link_4"})]
     for kept in (("left/tool", "left/base_link"), ("left/link_2", "left/link_5")):
         assert frozenset(kept) not in listed
 
@@ -94,7 +94,7 @@ def _mounted(radius: float) -> Tool:
     """A plate flat on the flange and a bar across it 60 mm out, which reaches an IRB 140's own forearm."""
     plate = Shape("cylinder", (radius, 0.008), from_rpy((0.0, 0.0, 0.004), UP))
     bar = Shape("box", (0.44, 0.03, 0.03), from_rpy((0.0, 0.0, 0.06), UP))
-    return plain("bar", from_rpy((0.0, 0.0, 0.12), UP), (plate, bar), 0.5)
+    return plain_tool("bar", from_rpy((0.0, 0.0, 0.12), UP), (plate, bar), 0.5)
 
 
 @pytest.mark.parametrize(
@@ -103,11 +103,11 @@ def _mounted(radius: float) -> Tool:
 def test_what_is_left_out_at_the_wrist_is_the_plate_and_no_more(radius: float, why: str) -> None:
     """Whatever is mounted on the flange of an IRB 140 is 8 mm from its fork, however it is bent; the bar
     behind is held off the forearm, which it reaches where axis 5 is at its end. Drake says the same."""
-    model = plant.build(alone("irb140", _mounted(radius)), BLOCK, from_rpy((50.0, 0.0, 0.0), UP))
-    (reason,) = (pair[2] for pair in model.pairs_filtered if set(pair[:2]) == {"arm/link_4", "arm/tool"})
-    assert why in reason and "the others are held apart" in reason
-    parts = model.held_in_part[frozenset({"arm/link_4", "arm/tool"})]
-    given = model.bounds.given
+    model = plant.build_cell_model(alone("irb140", _mounted(radius)), BLOCK, from_rpy((50.0, 0.0, 0.0), UP))
+    (reason,) = (pair[2] for pair in model.filtered_pairs if set(pair[:2]) == {"arm/link_4", "arm/tool"})
+    assert why in reason and "the others are checked" in reason
+    parts = model.partially_checked[frozenset({"arm/link_4", "arm/tool"})]
+    given = model.bounds.all_solids
     kinds = [{given[k].body: given[k].shape.kind for k in pair}["arm/tool"] for pair in parts]
     links = sum(solid.body == "arm/link_4" for solid in given)
     assert kinds.count("box") == links and kinds.count("cylinder") < links
@@ -119,19 +119,22 @@ def test_what_is_left_out_at_the_wrist_is_the_plate_and_no_more(radius: float, w
         for b in {s.body for s in model.solids}
         if {a, b} != {"arm/link_4", "arm/tool"}
     )
-    ours, drake = (ask(model, {"arm": bent}, 0.5, others) for ask in (clearance.least, clearance.witness))
+    ours, drake = (
+        ask(model, {"arm": bent}, 0.5, others)
+        for ask in (clearance.min_clearance, clearance.drake_min_clearance)
+    )
     apart = ours.distance > 0.0
     assert apart[:12].all() and not apart[-1]
     np.testing.assert_allclose(drake.distance[apart], ours.distance[apart], atol=2e-4)
     assert (drake.distance[~apart] <= 0.0).all()
-    assert list(clearance.free(model, {"arm": bent}, 0.0, others)) == list(apart)
+    assert list(clearance.is_free(model, {"arm": bent}, 0.0, others)) == list(apart)
 
 
 @pytest.mark.parametrize("name", SAMPLE)
 def test_pairs_of_one_arm_filtered_by_sampling_are_near_in_nearly_every_posture(name: str) -> None:
     """Against Drake's own query on other postures."""
-    model = plant.build(alone(name), BLOCK, from_rpy((50.0, 0.0, 0.0), UP))
-    sampled = [pair for pair in model.pairs_filtered if "always near" in pair[2]]
+    model = plant.build_cell_model(alone(name), BLOCK, from_rpy((50.0, 0.0, 0.0), UP))
+    sampled = [pair for pair in model.filtered_pairs if "always near" in pair[2]]
     robot = robots.robot(name)
     q = np.random.default_rng(9).uniform(robot.lower, robot.upper, (60, 6))
     for a, b, _ in sampled:
@@ -155,13 +158,13 @@ def test_names_that_clash_are_refused() -> None:
     for bad in ("stock", "left", "table", "left/tool"):
         cell = dataclasses.replace(facing(), obstacles=(TABLE, Obstacle(bad, (box,))))
         with pytest.raises(TandemError) as caught:
-            plant.build(cell, BLOCK, PLACE)
+            plant.build_cell_model(cell, BLOCK, STOCK_POSE)
         assert caught.value.issues[0].code == "cell.body_name"
 
 
 def test_a_support_moves_with_the_stock() -> None:
     post = Shape("cylinder", (0.05, 0.4), from_rpy((0.0, 0.0, -0.2), UP))
-    model = plant.build(facing(), dataclasses.replace(BLOCK, support=(post,)), PLACE)
+    model = plant.build_cell_model(facing(), dataclasses.replace(BLOCK, support=(post,)), STOCK_POSE)
     moved = model.with_stock(from_rpy((0.0, 0.3, 0.9), UP))
     context = moved.checker.UpdatePositions(moved.home)
     pose = moved.plant.EvalBodyPoseInWorld(context, moved.body("support"))

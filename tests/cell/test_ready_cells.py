@@ -49,11 +49,11 @@ def test_the_cells_are_there() -> None:
 @pytest.mark.parametrize("path", CELLS, ids=lambda p: p.stem)
 def test_a_cell_is_sound(path: Path) -> None:
     spec = cell_file.CellFile.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
-    cell = cell_file.build(spec, path.parent)
+    cell = cell_file.build_cell(spec, path.parent)
     facing = "facing" in path.stem or path.stem == "two_irb1200"
-    model = plant.build(cell, BLOCK, from_rpy((0.0, 0.0, 0.6) if facing else (0.0, 0.0, 9.0), UP))
-    assert clearance.overlaps(model) == ()
-    assert clearance.free(model, {}, 0.012).all()
+    model = plant.build_cell_model(cell, BLOCK, from_rpy((0.0, 0.0, 0.6) if facing else (0.0, 0.0, 9.0), UP))
+    assert clearance.find_overlaps(model) == ()
+    assert clearance.is_free(model, {}, 0.012).all()
     for arm in cell.arms:
         assert model.robots[arm.name].limit_margin(arm.home) > np.deg2rad(20.0)
     if not all(arm.tool.kind == "wire_holder" for arm in spec.arms):

@@ -1,4 +1,4 @@
-"""The URDF files on disk are what the script writes, and their solids make sense."""
+"""The URDF files on disk match the output of the script, and their solids are plausible."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from planner.cell.bodies import Solid, signed_distance
 from planner.geometry.arrays import Shape, from_rpy, inverse, transform
 from tests.cell.cells import BLOCK, alone
 
-FAR = from_rpy((50.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+DISTANT_POSE = from_rpy((50.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 def _script(name: str) -> ModuleType:
@@ -49,8 +49,8 @@ def _solid(solid: object) -> Solid:
 
 
 def _outside(solids: list, points: np.ndarray) -> np.ndarray:
-    """How far points (P, 3) [mm] are out of the nearest solid [mm]; below zero inside."""
-    made = [_solid(one) for one in solids]
+    """Return the distance of points (P, 3) [mm] from the nearest solid [mm]; negative inside."""
+    made = [_solid(solid) for solid in solids]
     each = [signed_distance(s, transform(inverse(s.shape.pose), 1e-3 * points)) for s in made]
     return 1e3 * np.min(each, axis=0)
 
@@ -104,23 +104,23 @@ def test_stretched_bodies_reach_as_far_as_the_arm() -> None:
 @pytest.mark.parametrize("name", robots.robot_names())
 def test_a_robot_is_clear_of_itself_at_home_and_in_most_postures(name: str) -> None:
     robot = robots.robot(name)
-    model = plant.build(alone(name), BLOCK, FAR)
-    assert clearance.free(model, {}, 0.010).all()
+    model = plant.build_cell_model(alone(name), BLOCK, DISTANT_POSE)
+    assert clearance.is_free(model, {}, 0.010).all()
     q = np.random.default_rng(2).uniform(robot.lower, robot.upper, (400, 6))
-    share = clearance.free(model, {"arm": q}, 0.0)[robot.limit_margin(q) > 0.0].mean()
-    assert share > 0.6
+    fraction = clearance.is_free(model, {"arm": q}, 0.0)[robot.limit_margin(q) > 0.0].mean()
+    assert fraction > 0.6
 
 
 @pytest.mark.parametrize("name", EXTREMES)
 def test_a_robot_folded_into_its_foot_is_seen(name: str) -> None:
     """The 300 mm ball tool inside the base's solids."""
     robot = robots.robot(name)
-    model = plant.build(alone(name), BLOCK, FAR)
+    model = plant.build_cell_model(alone(name), BLOCK, DISTANT_POSE)
     q = np.random.default_rng(3).uniform(robot.lower, robot.upper, (4000, 6))
     tip = model.tcp({"arm": q})["arm"][:, :3, 3]
     inside = _outside(MAKE.bodies(robot)["base_link"], 1e3 * tip) < 0.0
     if inside.any():
-        assert not clearance.free(model, {"arm": q[inside]}, 0.0).any()
+        assert not clearance.is_free(model, {"arm": q[inside]}, 0.0).any()
 
 
 BALANCED = """<robot name="arm">

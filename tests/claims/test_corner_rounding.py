@@ -1,4 +1,4 @@
-"""Corners between moves: what zones and their rounding may take of them."""
+"""Corners between moves: limits of zones and of their rounding."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from planner.processes.forming.plan import job as forming_job
 from planner.processes.hotwire.plan.straight import job as straight_job
 from planner.processes.milling.claims import MillsProgram, SparesPart
 from planner.processes.milling.plan import job as milling_job
-from planner.proof.replay.moves import end_rates, time_law_of
-from planner.targets import Rounding, lever
+from planner.proof.replay.moves import end_rates, time_law
+from planner.targets import CornerRounding, tool_reach
 from planner.tooling import bow
 from tests.languages.writing import synthetic
 from tests.languages.writing.reading import moves, numbers, programs
@@ -57,10 +57,15 @@ def test_zones_take_at_most_half_a_segment():
     assert {row[6][:6] for row in rows[30:-1]} == {"z_turn"}
 
 
-def passed(before, after, zone):
-    """How far the quadratic Bezier curve that rounds a corner off over the length ``zone`` on each side stays
-    off the corner, by its points: of two moves, their steps and lengths."""
-    (way0, far0), (way1, far1) = before, after
+def corner_deviation(incoming, outgoing, zone):
+    """Return the distance of a corner from the quadratic Bezier curve that rounds it, by sampled points.
+
+    Args:
+        incoming: Step and length of the move before the corner.
+        outgoing: Step and length of the move after it.
+        zone: Length of the curve on each side of the corner.
+    """
+    (way0, far0), (way1, far1) = incoming, outgoing
     t = np.linspace(0.0, 1.0, 20_001)[:, None]
     curve = -((1.0 - t) ** 2) * zone * np.asarray(way0) / far0 + t**2 * zone * np.asarray(way1) / far1
     return float(np.linalg.norm(curve, axis=1).min())
@@ -75,13 +80,13 @@ def test_corners_stay_within_what_is_allowed_by_the_points_of_their_curves():
         ways = rng.normal(size=(2, 3)) * rng.uniform(0.01, 10.0, (2, 1))
         far = np.linalg.norm(ways, axis=1)
         position = np.concatenate([np.zeros((1, 3)), np.cumsum(ways, axis=0)])
-        zone = corner_rounding.room(position, still, np.array([False, True]))[0][0]
-        off = passed((ways[0], far[0]), (ways[1], far[1]), zone)
+        zone = corner_rounding.max_zones(position, still, np.array([False, True]))[0][0]
+        deviation = corner_deviation((ways[0], far[0]), (ways[1], far[1]), zone)
         if zone < 0.5 * far.min() * (1.0 - 1e-12):
-            assert off == pytest.approx(corner_rounding.CORNER_DEVIATION_MM, rel=1e-3)
+            assert deviation == pytest.approx(corner_rounding.CORNER_DEVIATION_MM, rel=1e-3)
             exact += 1
         else:
-            assert off <= corner_rounding.CORNER_DEVIATION_MM * (1.0 + 1e-6)
+            assert deviation <= corner_rounding.CORNER_DEVIATION_MM * (1.0 + 1e-6)
     assert 100 < exact < 200
 
 
@@ -89,27 +94,27 @@ def test_corners_are_rounded_over_no_less_time_than_the_clock_counts_with():
     """Random corners and times, by the proof's law of time for the zone that is written: that of a slow move
     behind a fast one is left as fast as that."""
     rng = np.random.default_rng(8)
-    sizes = np.sort([15.0, 8.0, 1.0, 0.3, *rapid_syntax.OWN_ZONES.values()])
+    sizes = np.sort([15.0, 8.0, 1.0, 0.3, *rapid_syntax.DECLARED_ZONES.values()])
     still = np.tile([1.0, 0.0, 0.0, 0.0], (3, 1))
     counted = 0
     for _ in range(200):
         ways = rng.normal(size=(2, 3)) * rng.uniform(0.1, 3.0, (2, 1))
         times = rng.uniform(0.05, 1.0, 2)
         position = np.concatenate([np.zeros((1, 3)), np.cumsum(ways, axis=0)])
-        stop, even = np.array([False, True]), (np.ones(2), np.ones(2))
-        reach = corner_rounding.room(position, still, stop)[0][0]
-        share = corner_rounding.shares(position, still, times, even, np.full(3, 100.0), np.full(2, 0.02))[0][
-            0
-        ]
+        stop, timing = np.array([False, True]), corner_rounding.MoveTiming(times, np.ones(2), np.ones(2))
+        reach = corner_rounding.max_zones(position, still, stop)[0][0]
+        fraction = corner_rounding.corner_fractions(
+            position, still, timing, np.full(3, 100.0), np.full(2, 0.02)
+        )[0][0]
         if reach < sizes[0]:
-            assert share == 0.0
+            assert fraction == 0.0
             continue
         zone = sizes[sizes <= reach][-1]
         far = np.linalg.norm(ways, axis=1)
         part = np.array([[0.5, 0.5], zone / far, [0.5, 0.5]])
-        window = time_law_of(times, far, np.array([True, False, True]), part, np.zeros(3)).window[1]
-        assert share * times.min() <= window * (1.0 + 1e-9)
-        counted += share > 0.0
+        window = time_law(times, far, np.array([True, False, True]), part, np.zeros(3)).window[1]
+        assert fraction * times.min() <= window * (1.0 + 1e-9)
+        counted += fraction > 0.0
     assert counted > 100
 
 
@@ -119,7 +124,7 @@ def test_planner_and_proof_match_speeds_beside_stops_alike():
         duration, length = np.exp(rng.normal(size=(2, 20)))
         stop = rng.uniform(size=21) < 0.3
         stop[[0, -1]] = True
-        got = joint_path.end_rates(length, duration, stop)
+        got = joint_path.end_speed_ratios(length, duration, stop)
         np.testing.assert_allclose(got, end_rates(duration, length, stop), rtol=1e-12)
 
 
@@ -130,7 +135,7 @@ def test_a_tool_that_only_gets_faster_has_all_of_its_moves_for_zones():
     angle = 0.01 * place
     turned = np.stack([np.cos(0.5 * angle), 0.0 * angle, 0.0 * angle, np.sin(0.5 * angle)], axis=1)
     turned[2::2] *= -1.0  # the same orientations
-    reach, turn = corner_rounding.room(position, turned, np.arange(5) == 4)
+    reach, turn = corner_rounding.max_zones(position, turned, np.arange(5) == 4)
     step = np.linalg.norm(np.diff(position, axis=0), axis=1)
     assert reach[:4] == pytest.approx(0.5 * np.minimum(step[:-1], step[1:]))
     assert turn[:4] == pytest.approx(
@@ -142,40 +147,40 @@ def test_a_cutter_may_spin_as_its_way_asks():
     """Its spin is worth 4 mm/rad, its lean 100 where a surface is claimed, else what its angle allows."""
     way = MillsProgram("a", "left", None, None, 2e-4, 0.01, True)
     allowed = 0.15 * 0.2  # mm: a share of its tolerance
-    lean = allowed / (0.15 * 0.01)
+    tilt = allowed / (0.15 * 0.01)
     spin = 100.0 * allowed / 0.5
     alone = milling_job.rounding((way,))
-    assert 1e3 * alone.turning("left", synthetic.tool()) == pytest.approx([lean, lean, spin])
-    assert 1e3 * alone.work == pytest.approx(allowed) and alone.air == alone.entry == Rounding.air
+    assert 1e3 * alone.rotation_lever("left", synthetic.tool()) == pytest.approx([tilt, tilt, spin])
+    assert 1e3 * alone.work == pytest.approx(allowed) and alone.air == alone.approach == CornerRounding.air
     spared = SparesPart((Segment.read("mill/a"),), "left", None, *FACE, 0.0, 2e-4)
     both = milling_job.rounding((way, spared))
-    assert 1e3 * both.turning("left", synthetic.tool()) == pytest.approx([100.0, 100.0, spin])
-    assert 1e3 * both.turning("right", synthetic.tool()) == pytest.approx([100.0] * 3)
-    assert alone.curves == {"left": ((0.0, 1e-4),)}
-    assert both.curves == {"left": ((0.0, 1e-4), (0.0, 0.75 * 2e-4))}
+    assert 1e3 * both.rotation_lever("left", synthetic.tool()) == pytest.approx([100.0, 100.0, spin])
+    assert 1e3 * both.rotation_lever("right", synthetic.tool()) == pytest.approx([100.0] * 3)
+    assert alone.spline_deviations == {"left": ((0.0, 1e-4),)}
+    assert both.spline_deviations == {"left": ((0.0, 1e-4), (0.0, 0.75 * 2e-4))}
 
 
 def test_a_tight_cutter_takes_half_of_what_is_allowed_and_a_ball_its_share():
     tight = milling_job.rounding((MillsProgram("a", "left", None, None, 2e-5, 0.01, True),))
-    assert (tight.work, tight.entry, tight.air) == pytest.approx((1e-5, 1e-5, 1e-5))
-    for gouge, share in ((3e-5, 0.4), (1e-3, 0.02)):
+    assert (tight.work, tight.approach, tight.air) == pytest.approx((1e-5, 1e-5, 1e-5))
+    for gouge, fraction in ((3e-5, 0.4), (1e-3, 0.02)):
         face = FormsSheet(Segment.read("form/a"), "left", 1, 0.005, *FACE, 0.0, 0.0, gouge, 1e-3, 0.9)
-        made = forming_job.rounding((face,))
-        assert (made.work, made.entry, made.air) == pytest.approx((share * gouge,) * 3)
-    assert forming_job.rounding(()) == Rounding()
+        made = forming_job.corner_rounding((face,))
+        assert (made.work, made.approach, made.air) == pytest.approx((fraction * gouge,) * 3)
+    assert forming_job.corner_rounding(()) == CornerRounding()
 
 
 def test_sizes_of_zones_are_no_farther_apart_than_the_clock_counts_with():
-    rapid = sorted([15.0, 8.0, 1.0, 0.3, *rapid_syntax.OWN_ZONES.values()])
+    rapid = sorted([15.0, 8.0, 1.0, 0.3, *rapid_syntax.DECLARED_ZONES.values()])
     for sizes in (
         rapid,
-        rapid_syntax.TURN_ZONES.values(),
+        rapid_syntax.ROTATION_ZONES.values(),
         syntax.APPROXIMATION_DISTANCES,
         syntax.APPROXIMATION_ANGLES,
     ):
         found = np.sort(np.array(list(sizes)))
         coarse = found[1:] > corner_rounding.PATH_ACCURACY_MM
-        assert (found[1:] / found[:-1] <= corner_rounding.ZONE_STEP + 1e-9)[coarse].all()
+        assert (found[1:] / found[:-1] <= corner_rounding.MAX_ZONE_RATIO + 1e-9)[coarse].all()
 
 
 def test_a_rounded_corner_passes_its_target_closely():
@@ -186,14 +191,14 @@ def test_a_rounded_corner_passes_its_target_closely():
     # from here in another direction
     position[40:] += np.array([40.0, 0.0, 0.0]) * np.arange(count - 40)[:, None]
     still = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
-    reach, turn = corner_rounding.room(position, still, np.zeros(count - 1, dtype=bool))
+    reach, turn = corner_rounding.max_zones(position, still, np.zeros(count - 1, dtype=bool))
     steps = np.diff(position, axis=0)
     half = 0.5 * np.minimum(*np.linalg.norm([steps[:-1], steps[1:]], axis=2))
     assert np.allclose(reach[:38], half[:38], rtol=1e-12)
     far = np.linalg.norm(steps[39:41], axis=1)
     assert 0.0 < reach[39] < 0.1 * far.min()
-    off = passed((steps[39], far[0]), (steps[40], far[1]), reach[39])
-    assert off == pytest.approx(corner_rounding.CORNER_DEVIATION_MM, rel=1e-3)
+    deviation = corner_deviation((steps[39], far[0]), (steps[40], far[1]), reach[39])
+    assert deviation == pytest.approx(corner_rounding.CORNER_DEVIATION_MM, rel=1e-3)
     assert reach[-1] == 0.0 and not turn.any()
 
 
@@ -208,7 +213,9 @@ def test_a_wire_turns_a_sharp_corner_in_foam_without_a_stop():
         [np.linspace([0.0, 0, 0], [30.0, 0, 0], 11), np.linspace([30.0, 3, 0], [30.0, 30, 0], 10)]
     )
     turn = np.concatenate([still, turned])
-    reach, reach_turn = corner_rounding.room(way, turn, np.arange(20) == 19, 1e3 * lever(bow(span=0.65)))
+    reach, reach_turn = corner_rounding.max_zones(
+        way, turn, np.arange(20) == 19, 1e3 * tool_reach(bow(span=0.65))
+    )
     assert (reach[:19] > 0.0).all() and reach[19] == 0.0
     step = np.linalg.norm(np.diff(way, axis=0), axis=1)
     assert (reach[:19] <= 0.5 * np.minimum(step[:-1], step[1:]) + 1e-12).all()
@@ -216,13 +223,15 @@ def test_a_wire_turns_a_sharp_corner_in_foam_without_a_stop():
     # the wire's end, 325 mm away, is at a corner too: from the way of the TCP into that of the turn
     leave = np.append(way[11] - way[10], 325.0 * np.sqrt(2.0))  # turning is taken by its chord
     come = np.append(way[10] - way[9], 0.0)
-    off = passed((come, step[9]), (leave, step[10]), reach[9])
-    assert 0.1 * corner_rounding.CORNER_DEVIATION_MM <= off <= corner_rounding.CORNER_DEVIATION_MM
+    deviation = corner_deviation((come, step[9]), (leave, step[10]), reach[9])
+    assert 0.1 * corner_rounding.CORNER_DEVIATION_MM <= deviation <= corner_rounding.CORNER_DEVIATION_MM
 
 
 def test_turning_counts_at_the_end_of_the_wire():
-    assert lever(bow(span=0.65)) == pytest.approx(0.325)
-    assert lever(bow(span=0.1)) == 1e-3 * corner_rounding.TURNING_LEVER_MM == lever(synthetic.tool())
+    assert tool_reach(bow(span=0.65)) == pytest.approx(0.325)
+    assert (
+        tool_reach(bow(span=0.1)) == 1e-3 * corner_rounding.ROTATION_LEVER_MM == tool_reach(synthetic.tool())
+    )
 
 
 def test_a_corner_without_room_for_a_zone_is_passed_all_the_same():
@@ -245,9 +254,9 @@ def test_a_straight_wire_turns_wider_in_the_air_than_in_the_foam():
     expected = [0.5, 0.045, 0.045, 0.045, 0.5, 0.5]
     np.testing.assert_allclose(1e3 * wire.deviations(segments), expected)
     np.testing.assert_allclose(
-        1e3 * Rounding().deviations(segments), corner_rounding.CORNER_DEVIATION_MM, rtol=1e-12
+        1e3 * CornerRounding().deviations(segments), corner_rounding.CORNER_DEVIATION_MM, rtol=1e-12
     )
     position = np.stack([np.arange(7.0) * 3.0, np.abs(np.arange(7.0) - 3.0), np.zeros(7)], axis=1)
     still = np.tile([1.0, 0, 0, 0], (7, 1))
-    reach, _ = corner_rounding.room(position, still, np.arange(6) == 5, 100.0, np.array(expected))
+    reach, _ = corner_rounding.max_zones(position, still, np.arange(6) == 5, 100.0, np.array(expected))
     assert reach[2] == pytest.approx(0.045 / (0.25 * 2.0 / np.hypot(3.0, 1.0)))

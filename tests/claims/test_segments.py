@@ -1,4 +1,4 @@
-"""Segments: one label and one name in programs for each, read back alike, whatever users call their faces."""
+"""Segments: one label and one program name for each, read back alike, for any face names of users."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from hypothesis import strategies as st
 from planner import pipeline
 from planner.catalogue.robots import data_dir
 from planner.claims.claim import FeedWindow
-from planner.claims.segments import Segment, clash, fold
-from planner.issues import Severity, TandemError, given_wrong
+from planner.claims.segments import Segment, first_clash, fold
+from planner.issues import Severity, TandemError, is_input_error
 from planner.languages.krl.reader.parser import marked_comment as marked
 from planner.languages.krl.writer.syntax import comment
 from planner.languages.rapid.writer.syntax import procedure
 from planner.languages.writing import write
-from planner.languages.writing.layout import mark
+from planner.languages.writing.layout import segment_mark
 from planner.processes import registry
 from planner.programs.text import segment_of_name
 from planner.proof import prove
@@ -46,13 +46,13 @@ alike, of lengths that RAPID takes with any kind and phase."""
 KINDS = st.one_of(
     st.sampled_from(["cut", "mill", "form", "link"]), st.from_regex(r"\A[A-Za-z][A-Za-z0-9_]{0,4}\Z")
 )
-"""Kinds of a user's own (``process: targets``) have underscores, too."""
+"""User-defined kinds (``process: targets``) have underscores too."""
 SEGMENTS = st.builds(Segment, KINDS, FILE, PHASES)
 
 
 def test_labels_of_plain_names_are_what_they_look_like() -> None:
     wall = Segment("cut", "wall")
-    assert [str(s) for s in (*wall.ways, Segment("link"))] == [
+    assert [str(s) for s in (*wall.all_phases, Segment("link"))] == [
         "cut/wall_in",
         "cut/wall",
         "cut/wall_out",
@@ -71,7 +71,7 @@ def test_a_name_that_ends_like_a_phase_is_no_phase() -> None:
     programs always had."""
     own, way = Segment.of("cut/wall_in"), Segment.read("cut/wall_in")
     assert (own.name, own.phase, way.name, way.phase) == ("wall_in", "", "wall", "in")
-    assert [str(s) for s in own.ways] == ["cut/wall_in_in", "cut/wall_in_on", "cut/wall_in_out"]
+    assert [str(s) for s in own.all_phases] == ["cut/wall_in_in", "cut/wall_in_on", "cut/wall_in_out"]
     assert procedure(way) == "cut_wall_in" and procedure(own) == "cut_wall_in_on"
     assert segment_of_name("cut_wall_in") == way and segment_of_name("CUT_wall_in_on__12") == own
     assert str(Segment("cut", "in")) == "cut/in" and str(Segment("cut", "wall_on")) == "cut/wall_on_on"
@@ -106,11 +106,11 @@ def test_every_label_reads_back(kind: str, name: str, phase: Any) -> None:
 def test_every_name_in_programs_reads_back(segment: Segment, visit: int) -> None:
     """The proof's reading, by code of its own, gives back what the posts wrote: kind, name and phase but for
     what RAPID cannot tell apart."""
-    wanted = (fold(segment.kind), fold(segment.name), segment.phase)
+    expected = (fold(segment.kind), fold(segment.name), segment.phase)
     name = procedure(segment)
     assert (again := segment_of_name(name if visit == 1 else f"{name}__{visit}")) == segment.folded
-    assert (again.kind, again.name, again.phase) == wanted
-    (line,) = comment(f"Segment {mark(segment)}: 12 moves, 3 s.")
+    assert (again.kind, again.name, again.phase) == expected
+    (line,) = comment(f"Segment {segment_mark(segment)}: 12 moves, 3 s.")
     (found,) = marked(1, line)
     assert segment_of_name(found.text) == segment.folded
 
@@ -121,10 +121,10 @@ def test_every_name_in_programs_reads_back(segment: Segment, visit: int) -> None
 def test_no_two_segments_share_a_name(segments: list[Segment]) -> None:
     """All phases of all names: what programs call alike is alike in all but case and runs of underscores,
     and is refused."""
-    every = {way for segment in segments for way in segment.ways}
+    every = {way for segment in segments for way in segment.all_phases}
     for one, other in itertools.combinations(every, 2):
         same = procedure(one).lower() == procedure(other).lower()
-        assert same == (one.key == other.key) == (clash((one, other)) is not None)
+        assert same == (one.key == other.key) == (first_clash((one, other)) is not None)
         assert same == (one.folded == other.folded) and str(one) != str(other)
 
 
@@ -193,7 +193,7 @@ def test_labels_of_users_come_back_as_they_meant_them(tmp_path: Path) -> None:
 
 
 def _milled(flanks: list[str], **first: Any) -> dict[str, Any]:
-    """A block with walls, one beside the other, each milled by its flank."""
+    """Return a block with adjacent walls, each milled by its flank."""
     data = copy.deepcopy(small_mill.WALL)
     (wall,) = data["part"]["ruled"]
     data["part"]["ruled"] = [wall | {"name": name} for name in flanks]
@@ -232,7 +232,7 @@ def test_names_that_collide_are_refused_before_anything_is_planned(tmp_path: Pat
         found = [i for i in pipeline.check(pipeline.load(path)) if i.severity is Severity.ERROR]
     except TandemError as error:
         found = list(error.issues)
-    assert {issue.code for issue in found} == {code} and given_wrong(found)  # exit code 2
+    assert {issue.code for issue in found} == {code} and is_input_error(found)  # exit code 2
     for issue in found:
         assert issue.field is not None and issue.field.startswith(field)
         assert re.search("rename|shorten|at most", f"{issue.message} {issue.hint}")
@@ -293,7 +293,7 @@ def test_programs_of_both_languages_tell_such_faces_apart(
 ) -> None:
     """Written by the posts and proven: ``wall`` by the first operation, ``wall_in`` by the second."""
     monkeypatch.setattr(straight_job, "NAMES", ("wall", "wall_in"))
-    texts = line_ends.bare(write.programs(straight_job.plan(model=model), straight_job.problem(model)))
+    texts = line_ends.bare(write.program_files(straight_job.plan(model=model), straight_job.problem(model)))
     proof = prove.prove(straight_job.problem(model), straight_job.claims(), texts)
     assert proof.ok, proof.issues
     played = list(dict.fromkeys(proof.series["targets/label"].tolist()))

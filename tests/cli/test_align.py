@@ -27,32 +27,32 @@ WORLD = np.array(
 HEAD = "name,left.x_mm,left.y_mm,left.z_mm,right.x_mm,right.y_mm,right.z_mm\n"
 
 
-def probed(world: NDArray[np.float64], base: NDArray[np.float64]) -> NDArray[np.float64]:
+def probe(world: NDArray[np.float64], base: NDArray[np.float64]) -> NDArray[np.float64]:
     into = inverse(base)
     return (world * MM @ into[:3, :3].T + into[:3, 3]) / MM
 
 
-def points(path: Path, off: float = 0.0) -> Path:
-    both = np.concatenate([probed(WORLD, LEFT), probed(WORLD, TRUE)], axis=1)
-    both[2, 4] += off
+def points(path: Path, error_m: float = 0.0) -> Path:
+    both = np.concatenate([probe(WORLD, LEFT), probe(WORLD, TRUE)], axis=1)
+    both[2, 4] += error_m
     rows = [f"p{k + 1}," + ",".join(f"{v:.4f}" for v in row) for k, row in enumerate(both)]
     path.write_text(HEAD + "\n".join(rows) + "\n")
     return path
 
 
-def align(folder: Path, off: float = 0.0, **given: object) -> align_commands.Align:
-    csv = points(folder / "points.csv", off)
+def align(folder: Path, error_m: float = 0.0, **given: object) -> align_commands.Align:
+    csv = points(folder / "points.csv", error_m)
     return align_commands.Align(**({"cell": CELL, "points": csv, "output": folder / "new.yaml"} | given))  # type: ignore[arg-type]
 
 
-def refused(request: align_commands.Align) -> list[str]:
+def expect_refusal(request: align_commands.Align) -> list[str]:
     with pytest.raises(TandemError) as caught:
         align_commands.run_align(request)
     assert not request.output.exists()
     return [issue.code for issue in caught.value.issues]
 
 
-def cell_with(folder: Path, old: str, new: str) -> Path:
+def write_cell(folder: Path, old: str, new: str) -> Path:
     path = folder / "cell.yaml"
     text = (path if path.exists() else CELL).read_text()
     assert text.count(old) == 1
@@ -75,8 +75,8 @@ def test_the_first_arm_can_be_aligned_to_the_second(tmp_path: Path) -> None:
     right = np.array([850, 0, 0]), [0.0, 0.0, 180 * DEG]
     align_commands.run_align(align(tmp_path, arm="left"))
     cell = read_cell(strict_yaml.read(tmp_path / "new.yaml"))
-    wanted = from_rpy(right[0] * MM, right[1]) @ inverse(TRUE) @ LEFT
-    assert np.allclose(cell.arms[0].base, wanted, atol=1e-6)
+    expected = from_rpy(right[0] * MM, right[1]) @ inverse(TRUE) @ LEFT
+    assert np.allclose(cell.arms[0].base, expected, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -92,8 +92,8 @@ def test_the_first_arm_can_be_aligned_to_the_second(tmp_path: Path) -> None:
     ],
 )
 def test_every_layout_keeps_its_comments(tmp_path: Path, layout: str) -> None:
-    cell = cell_with(tmp_path, "[3200, 2400, 100]", "[3.2e3, 2400, 1e2]")
-    cell = cell_with(tmp_path, "\n    base: {xyz_mm: [850, 0, 0], rpy_deg: [0, 0, 180]}\n", layout)
+    cell = write_cell(tmp_path, "[3200, 2400, 100]", "[3.2e3, 2400, 1e2]")
+    cell = write_cell(tmp_path, "\n    base: {xyz_mm: [850, 0, 0], rpy_deg: [0, 0, 180]}\n", layout)
     align_commands.run_align(align(tmp_path, cell=cell))
     text = (tmp_path / "new.yaml").read_text()
     new = read_cell(strict_yaml.read(tmp_path / "new.yaml"))
@@ -104,27 +104,27 @@ def test_every_layout_keeps_its_comments(tmp_path: Path, layout: str) -> None:
 
 
 def test_an_alias_is_refused_with_a_remedy(tmp_path: Path) -> None:
-    cell = cell_with(tmp_path, "{xyz_mm: [-850, 0, 0], rpy_deg: [0, 0, 0]}", "&b {xyz_mm: [-850, 0, 0]}")
+    cell = write_cell(tmp_path, "{xyz_mm: [-850, 0, 0], rpy_deg: [0, 0, 0]}", "&b {xyz_mm: [-850, 0, 0]}")
     cell.write_text(cell.read_text().replace("{xyz_mm: [850, 0, 0], rpy_deg: [0, 0, 180]}", "*b"))
-    assert refused(align(tmp_path, cell=cell)) == ["align.cell"]
+    assert expect_refusal(align(tmp_path, cell=cell)) == ["align.cell"]
 
 
 def test_a_bad_point_stops_it_until_it_is_left_out(tmp_path: Path) -> None:
-    assert refused(align(tmp_path, off=2.0)) == ["align.bad_point"]
-    align_commands.run_align(align(tmp_path, off=2.0, leave_out=("p3",)))
+    assert expect_refusal(align(tmp_path, error_m=2.0)) == ["align.bad_point"]
+    align_commands.run_align(align(tmp_path, error_m=2.0, leave_out=("p3",)))
     cell = read_cell(strict_yaml.read(tmp_path / "new.yaml"))
     assert np.allclose(cell.arms[1].base, TRUE, atol=1e-6)
 
 
 def test_what_else_is_refused(tmp_path: Path) -> None:
-    assert refused(align(tmp_path, arm="middle")) == ["align.cell"]
-    assert refused(align(tmp_path, leave_out=("p9",))) == ["align.file"]
-    assert refused(align(tmp_path, leave_out=("p1", "p2", "p3", "p4"))) == ["align.few_points"]
-    assert refused(align(tmp_path, tolerance_mm=0.0)) == ["align.file"]
-    searched = cell_with(tmp_path, "rpy_deg: [0, 0, 0]}\n", "rpy_deg: [0, 0, 0]}\n    base_auto: true\n")
-    assert refused(align(tmp_path, cell=searched)) == ["align.cell"]
-    assert refused(align(tmp_path, cell=CELL.parent / "irb140_bow.yaml")) == ["align.cell"]
-    assert refused(align(tmp_path, cell=tmp_path / "none.yaml")) == ["problem.missing_file"]
+    assert expect_refusal(align(tmp_path, arm="middle")) == ["align.cell"]
+    assert expect_refusal(align(tmp_path, leave_out=("p9",))) == ["align.file"]
+    assert expect_refusal(align(tmp_path, leave_out=("p1", "p2", "p3", "p4"))) == ["align.few_points"]
+    assert expect_refusal(align(tmp_path, tolerance_mm=0.0)) == ["align.file"]
+    searched = write_cell(tmp_path, "rpy_deg: [0, 0, 0]}\n", "rpy_deg: [0, 0, 0]}\n    base_auto: true\n")
+    assert expect_refusal(align(tmp_path, cell=searched)) == ["align.cell"]
+    assert expect_refusal(align(tmp_path, cell=CELL.parent / "irb140_bow.yaml")) == ["align.cell"]
+    assert expect_refusal(align(tmp_path, cell=tmp_path / "none.yaml")) == ["problem.missing_file"]
     (tmp_path / "file").write_text("")
     request = align(tmp_path)
     there = align(tmp_path, output=tmp_path / "file" / "new.yaml")
@@ -136,7 +136,7 @@ def test_what_else_is_refused(tmp_path: Path) -> None:
         for row in text[1:]
     ]
     request.points.write_text("".join(inches))
-    assert set(refused(request)) == {"align.units"}
+    assert set(expect_refusal(request)) == {"align.units"}
 
 
 def test_meshes_that_the_cell_names_must_be_found_from_the_new_place(tmp_path: Path) -> None:
@@ -147,8 +147,8 @@ def test_meshes_that_the_cell_names_must_be_found_from_the_new_place(tmp_path: P
     )
     shape = "{kind: box, size_mm: [3200, 2400, 100], pose: {xyz_mm: [0, 0, -50]}}"
     mesh = "{kind: mesh, file: box.obj, unit: m, pose: {xyz_mm: [0, 0, -1500]}}"
-    cell = cell_with(tmp_path / "a", shape, mesh)
-    assert refused(align(tmp_path, cell=cell, output=tmp_path / "b" / "new.yaml")) == ["align.cell"]
+    cell = write_cell(tmp_path / "a", shape, mesh)
+    assert expect_refusal(align(tmp_path, cell=cell, output=tmp_path / "b" / "new.yaml")) == ["align.cell"]
     align_commands.run_align(align(tmp_path, cell=cell, output=tmp_path / "a" / "new.yaml"))
 
 
@@ -206,7 +206,7 @@ def test_the_command_and_its_exit_codes(tmp_path: Path) -> None:
             env={**os.environ, "COLUMNS": "200"},
         )
 
-    done = run(points(tmp_path / "bad.csv", off=2.0))
+    done = run(points(tmp_path / "bad.csv", error_m=2.0))
     assert done.returncode == 2
     assert "align.bad_point" in done.stderr
     assert "BAD" in done.stdout

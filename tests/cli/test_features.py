@@ -21,7 +21,7 @@ from tests.processes.forming.plan.nests import dome, frustum, revolved, sheet
 PROFILE = [(60, 0), (50, 0), (44, -10), (36, -10), (20, 4), (0, 4)]
 
 
-def written(folder: Path, mesh: Mesh) -> Path:
+def write_part(folder: Path, mesh: Mesh) -> Path:
     path = folder / "part.stl"
     trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(path)
     return path
@@ -29,7 +29,7 @@ def written(folder: Path, mesh: Mesh) -> Path:
 
 @pytest.fixture
 def part(tmp_path: Path) -> Path:
-    return written(tmp_path, revolved([(float(r), float(z)) for r, z in PROFILE]))
+    return write_part(tmp_path, revolved([(float(r), float(z)) for r, z in PROFILE]))
 
 
 def tandem(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -43,11 +43,11 @@ def test_the_tree_and_the_order_are_printed(part: Path) -> None:
     assert "2 features, flat at z = 0.000 mm" in done.stdout
     assert "1 concave (down) 0.00 to -10.00 mm, 99.9 x 99.9 mm across" in done.stdout  # a radius of 50
     assert "2 convex (up) -10.00 to 4.00 mm" in done.stdout
-    assert "order of forming: 2 (moved by +10.00 mm), 1" in done.stdout
+    assert "forming order: 2 (moved by +10.00 mm), 1" in done.stdout
 
 
 def test_bad_parts_end_with_the_code_of_bad_input(tmp_path: Path) -> None:
-    part = written(tmp_path, revolved([(60.0, 0.0), (50.0, 0.0), (51.0, -20.0), (0.0, -20.0)]))
+    part = write_part(tmp_path, revolved([(60.0, 0.0), (50.0, 0.0), (51.0, -20.0), (0.0, -20.0)]))
     done = tandem(str(part))
     assert done.returncode == 2
     assert "forming.undercut" in done.stderr
@@ -76,7 +76,7 @@ def test_other_drawings_and_folders_that_are_not_are_refused(part: Path, tmp_pat
 def test_a_table_has_centres_depths_and_wall_angles(tmp_path: Path) -> None:
     """Against the part as it was made: a pit of 59.04 degrees and a knob of 41.19 degrees, 10 and 14 mm."""
     moved = revolved([(float(r), float(z)) for r, z in PROFILE])
-    part = written(tmp_path, Mesh(moved.vertices + np.array([30.0, -5.0, 2.0]), moved.faces))
+    part = write_part(tmp_path, Mesh(moved.vertices + np.array([30.0, -5.0, 2.0]), moved.faces))
     table = tmp_path / "tree.json"
     run_features(Features(part, output=table, strategy="virgin"))
     read = json.loads(table.read_text("utf-8"))
@@ -86,16 +86,16 @@ def test_a_table_has_centres_depths_and_wall_angles(tmp_path: Path) -> None:
     assert (knob["kind"], knob["parent"], knob["children"]) == ("convex", 1, [])
     assert (pit["start_mm"], pit["end_mm"], pit["depth_mm"]) == pytest.approx((2.0, -8.0, 10.0), abs=1e-3)
     assert (knob["start_mm"], knob["end_mm"], knob["depth_mm"]) == pytest.approx((-8.0, 6.0, 14.0), abs=1e-3)
-    for one, angle, across in ((pit, np.arctan2(10, 6), 100.0), (knob, np.arctan2(14, 16), 72.0)):
-        assert one["centre_mm"] == pytest.approx([30.0, -5.0], abs=0.01)
-        assert one["size_mm"] == pytest.approx([across, across], rel=2e-3)
-        assert one["wall_angle_deg"] == pytest.approx(np.rad2deg(angle), abs=0.1)
-        assert one["mean_wall_angle_deg"] == pytest.approx(np.rad2deg(angle), abs=0.1)
+    for item, angle, across in ((pit, np.arctan2(10, 6), 100.0), (knob, np.arctan2(14, 16), 72.0)):
+        assert item["centre_mm"] == pytest.approx([30.0, -5.0], abs=0.01)
+        assert item["size_mm"] == pytest.approx([across, across], rel=2e-3)
+        assert item["wall_angle_deg"] == pytest.approx(np.rad2deg(angle), abs=0.1)
+        assert item["mean_wall_angle_deg"] == pytest.approx(np.rad2deg(angle), abs=0.1)
     assert read["order"] == [{"feature": 2, "shift_mm": 10.0}, {"feature": 1, "shift_mm": 0.0}]
 
 
 def test_the_noise_of_a_scan_is_no_feature(tmp_path: Path) -> None:
-    """A dish with a dome and a dimple on its floor, of which each vertex is off by 0.1 mm."""
+    """A dish with a dome and a dimple on its floor, with noise of 0.1 mm at each vertex."""
 
     def height(x: FloatArray, y: FloatArray) -> FloatArray:
         dish = -frustum(x, y, (0.0, 0.0), 0.05, 0.012, 45.0)
@@ -103,7 +103,7 @@ def test_the_noise_of_a_scan_is_no_feature(tmp_path: Path) -> None:
 
     clean = sheet(height, 0.06, 1e-3)
     noise = np.random.default_rng(7).normal(0.0, 1e-4, clean.vertices.shape)
-    part = written(tmp_path, Mesh((clean.vertices + noise) / MM, clean.faces))
+    part = write_part(tmp_path, Mesh((clean.vertices + noise) / MM, clean.faces))
     table = tmp_path / "tree.json"
     (note,) = run_features(Features(part, output=table))
     assert note.code == "part.mesh_noise"

@@ -17,46 +17,46 @@ import yaml
 
 from planner import pipeline
 from planner.cli import forming
-from planner.cli.forming import Springback, run_springback
+from planner.cli.forming import SpringbackCommand, run_springback
 from planner.cli.loop import LawOptions, NextLoop, SimulateLoop, run_next_loop, run_simulate_loop
 from planner.issues import TandemError
-from planner.loops.loop_plan import read_plan
-from planner.loops.next_loop import springback
+from planner.loops.level_correction import model_springback
+from planner.loops.loop_plan import read_loop_plan
 from planner.processes import registry
 from planner.processes.forming.plan.job import FormingJob
 from planner.processes.forming.plan.springback import forecast
-from planner.processes.forming.plan.springback.curves import Curve, Point
+from planner.processes.forming.plan.springback.curves import SpringbackCurve, SpringbackPoint
 from tests import small_forming
 from tests.processes.forming.plan.springback import springback_files
-from tests.remedies.advice import said
+from tests.remedies.advice import find_in_issues
 
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder that has what the loop reads of a result: the problem, and curves."""
+    """A folder with what the loop reads of a result: the problem, and curves."""
     folder = tmp_path_factory.mktemp("result")
     (folder / "problem").mkdir()
     path = small_forming.write(folder / "problem", small_forming.problem(stepdown_mm=0.5, force_n=300))
     curves = folder / "springback.json"
-    run_springback(Springback(path, most_points=3, triangles=400, curves=curves), pipeline.load(path))
+    run_springback(SpringbackCommand(path, most_points=3, triangles=400, curves=curves), pipeline.load(path))
     return folder
 
 
-def forces(result: Path, levels: int, share: float = 1.0) -> str:
-    plan = read_plan(result / "springback.json")
+def forces(result: Path, levels: int, force_fraction: float = 1.0) -> str:
+    plan = read_loop_plan(result / "springback.json")
     rows = [
-        f"{k},{p},{share * 0.5 * plan.levels[k].force[p]:.2f}"
+        f"{k},{p},{force_fraction * 0.5 * plan.levels[k].force[p]:.2f}"
         for k in range(levels)
-        for p in range(len(plan.levels[k].place))
+        for p in range(len(plan.levels[k].path_index))
     ]
     return "\n".join(["level,point,force_n", *rows])
 
 
 def test_lifts_stand_in_the_picture_of_springback_over_force(result: Path, tmp_path: Path) -> None:
-    plan = read_plan(result / "springback.json")
+    plan = read_loop_plan(result / "springback.json")
     rows = forces(result, 2).splitlines()
     rows = [f"{rows[0]},springback_mm", *(f"{row}," for row in rows[1:])]
-    lift = 1.1 * 1e3 * float(springback(plan.levels[1], 0.5 * plan.levels[1].force)[3])
+    lift = 1.1 * 1e3 * float(model_springback(plan.levels[1], 0.5 * plan.levels[1].force)[3])
     at = next(k for k, row in enumerate(rows) if row.startswith("1,3,"))
     rows[at] += f"{lift:.4f}"
     (tmp_path / "forces.csv").write_text("\n".join(rows))
@@ -74,20 +74,20 @@ def test_lifts_stand_in_the_picture_of_springback_over_force(result: Path, tmp_p
     assert np.interp(x, curve[:, 0], curve[:, 1]) == pytest.approx(y, abs=4.0)
 
 
-def refused(request: NextLoop | SimulateLoop) -> Any:
+def expect_refusal(request: NextLoop | SimulateLoop) -> Any:
     with pytest.raises(TandemError) as error:
         run_next_loop(request) if isinstance(request, NextLoop) else run_simulate_loop(request)
     return error.value.issues[0]
 
 
 def test_curves_are_those_of_the_forecast_at_every_level(result: Path) -> None:
-    plan = read_plan(result / "springback.json")
+    plan = read_loop_plan(result / "springback.json")
     assert plan.digest == pipeline.load_result(result).digest
     depth = [level.depth for level in plan.levels]
     assert len(depth) > 6
     assert np.all(np.diff(depth) > 0.0)
     for level in plan.levels:
-        assert len(level.place) >= 48
+        assert len(level.path_index) >= 48
         assert level.force == pytest.approx(300.0)
         assert level.loads[0, -1] == pytest.approx(1.4 * 300.0)
         assert np.ptp(level.path[:, 2]) < 1e-3
@@ -99,7 +99,7 @@ def test_offsets_of_the_next_level_are_written_along_its_path(result: Path, tmp_
     out = tmp_path / "next.csv"
     assert run_next_loop(NextLoop(result, LawOptions(), file, output=out)) == ()
     rows = list(csv.DictReader(out.open()))
-    level = read_plan(result / "springback.json").levels[4]
+    level = read_loop_plan(result / "springback.json").levels[4]
     assert len(rows) == len(level.path)
     assert {row["level"] for row in rows} == {"4"}
     offset = np.array([float(row["offset_mm"]) for row in rows])
@@ -138,7 +138,7 @@ def test_lifts_in_the_file_scale_the_offsets(result: Path, tmp_path: Path) -> No
     model = json.loads(out.read_text())
     lines = text.replace("force_n", "force_n,springback_mm").splitlines()
     lines[1:] = [f"{line}," for line in lines[1:]]
-    plan = read_plan(result / "springback.json")
+    plan = read_loop_plan(result / "springback.json")
     true = 1.2 * float(
         np.interp(float(lines[3].split(",")[2]), plan.levels[0].loads[2], plan.levels[0].springback[2])
     )
@@ -153,11 +153,11 @@ def test_lifts_in_the_file_scale_the_offsets(result: Path, tmp_path: Path) -> No
 
 def test_a_gain_that_swings_up_is_refused_and_the_one_advised_is_not(result: Path) -> None:
     law = LawOptions(rule="half", gain=4.0)
-    issue = refused(NextLoop(result, law))
+    issue = expect_refusal(NextLoop(result, law))
     assert issue.code == "forming.loop_unstable"
     assert issue.limit is not None
     assert f"{issue.limit:.2f}" in issue.message
-    gain = float(said([issue], r"gain ([\d.]+) at most"))
+    gain = float(find_in_issues([issue], r"gain ([\d.]+) at most"))
     run_next_loop(NextLoop(result, dataclasses.replace(law, gain=gain)))
 
 
@@ -168,11 +168,11 @@ def test_curves_of_another_problem_are_refused_and_writing_them_again_helps(
     data["digest"] = "0" * 64
     other = tmp_path / "other.json"
     other.write_text(json.dumps(data))
-    issue = refused(NextLoop(result, LawOptions(springback=other)))
+    issue = expect_refusal(NextLoop(result, LawOptions(springback=other)))
     assert issue.code == "forming.loop_curves"
     file = re.search(r"tandem springback (\S+) --curves (\S+)", str(issue.hint))
     assert file is not None
-    request = Springback(Path(file[1]), most_points=3, triangles=400, curves=Path(file[2]))
+    request = SpringbackCommand(Path(file[1]), most_points=3, triangles=400, curves=Path(file[2]))
     run_springback(request, pipeline.load(request.problem))
     run_next_loop(NextLoop(result, LawOptions(springback=other)))
 
@@ -185,15 +185,15 @@ def test_a_figure_out_of_range_is_named_and_the_default_serves(
     result: Path, field: str, value: float
 ) -> None:
     options: dict[str, Any] = {field: value}
-    issue = refused(NextLoop(result, LawOptions(**options)))
+    issue = expect_refusal(NextLoop(result, LawOptions(**options)))
     assert (issue.code, issue.field) == ("forming.loop_law", field)
     run_next_loop(NextLoop(result, LawOptions()))
 
 
 def test_forces_of_the_last_level_leave_nothing_to_correct(result: Path, tmp_path: Path) -> None:
     file = tmp_path / "forces.csv"
-    file.write_text(forces(result, len(read_plan(result / "springback.json").levels)))
-    assert refused(NextLoop(result, LawOptions(), file)).code == "forming.loop_forces"
+    file.write_text(forces(result, len(read_loop_plan(result / "springback.json").levels)))
+    assert expect_refusal(NextLoop(result, LawOptions(), file)).code == "forming.loop_forces"
 
 
 def test_offsets_beyond_their_range_are_cut_and_told_and_more_range_ends_it(
@@ -212,24 +212,24 @@ def test_offsets_beyond_their_range_are_cut_and_told_and_more_range_ends_it(
 def test_a_simulation_prints_and_draws_what_is_left(
     result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    plan = read_plan(result / "springback.json")
+    plan = read_loop_plan(result / "springback.json")
     level = plan.levels[len(plan.levels) // 2]
     plant = tmp_path / "plant.yaml"
     curve = {
         "forces_n": level.loads[0, 1:].tolist(),
         "springback_mm": (1050.0 * level.springback[0, 1:]).tolist(),
     }
-    some = {"tandem_plant": 1, "curves": [{"depth_mm": 3, **curve}], "force_n": 280}
-    plant.write_text(yaml.safe_dump(some))
+    subset = {"tandem_plant": 1, "curves": [{"depth_mm": 3, **curve}], "force_n": 280}
+    plant.write_text(yaml.safe_dump(subset))
     page = tmp_path / "loop.html"
     run_simulate_loop(SimulateLoop(result, LawOptions(), plant, sheets=5, lifts_mm=(1.0, 2.0), output=page))
     printed = capsys.readouterr().out
     assert "5 sheets of plant" in printed
     text = page.read_text("utf-8")
-    assert "border, rule half" in text
+    assert "limit, rule half" in text
     assert "not corrected" in text
     plant.write_text(yaml.safe_dump({"tandem_plant": 1, "sheet": "pyramid"}))
-    issue = refused(SimulateLoop(result, LawOptions(), plant))
+    issue = expect_refusal(SimulateLoop(result, LawOptions(), plant))
     assert issue.code == "forming.loop_plant"
 
 
@@ -253,29 +253,29 @@ def test_the_commands_end_with_the_codes_of_what_is_wrong(result: Path, tmp_path
     assert "forming.loop_unstable" in done.stderr
 
 
-@pytest.mark.parametrize("before", [float("nan"), float("inf"), -3.0, 50.0])
-def test_offsets_to_go_on_from_are_within_their_range(result: Path, before: float) -> None:
-    issue = refused(NextLoop(result, LawOptions(), before_mm=before))
+@pytest.mark.parametrize("offset_mm", [float("nan"), float("inf"), -3.0, 50.0])
+def test_offsets_to_go_on_from_are_within_their_range(result: Path, offset_mm: float) -> None:
+    issue = expect_refusal(NextLoop(result, LawOptions(), before_mm=offset_mm))
     assert (issue.code, issue.field) == ("forming.loop_law", "before_mm")
     assert "allowed 0 to 10" in issue.message
 
 
 def test_before_the_first_level_there_is_no_offset(result: Path) -> None:
-    issue = refused(NextLoop(result, LawOptions(), before_mm=0.3))
+    issue = expect_refusal(NextLoop(result, LawOptions(), before_mm=0.3))
     assert (issue.code, issue.field) == ("forming.loop_law", "before_mm")
-    assert "none is before it" in issue.message
+    assert "allowed 0 for level 0" in issue.message
 
 
 @pytest.mark.parametrize("lift", ["35", "0.0003", "0"])
 def test_lifts_in_other_units_are_refused_by_level_and_point(result: Path, tmp_path: Path, lift: str) -> None:
     lines = forces(result, 3).replace("force_n", "force_n,springback_mm").splitlines()
     lines[1:] = [f"{line}," for line in lines[1:]]
-    points = len(read_plan(result / "springback.json").levels[0].place)
+    points = len(read_loop_plan(result / "springback.json").levels[0].path_index)
     row = 1 + 2 * points
     lines[row] += lift
     file = tmp_path / "forces.csv"
     file.write_text("\n".join(lines))
-    issue = refused(NextLoop(result, LawOptions(), file))
+    issue = expect_refusal(NextLoop(result, LawOptions(), file))
     assert (issue.code, issue.field) == ("forming.loop_forces", "springback_mm")
     assert f"level 2, point 0: got {float(lift):g} mm" in issue.message
 
@@ -283,7 +283,7 @@ def test_lifts_in_other_units_are_refused_by_level_and_point(result: Path, tmp_p
 def test_numbers_of_levels_are_short(result: Path, tmp_path: Path) -> None:
     file = tmp_path / "forces.csv"
     file.write_text(forces(result, 1) + f"\n{'9' * 5000},0,100")
-    issue = refused(NextLoop(result, LawOptions(), file))
+    issue = expect_refusal(NextLoop(result, LawOptions(), file))
     assert (issue.code, issue.field) == ("forming.loop_forces", "level")
     assert len(issue.message) < 200
 
@@ -297,34 +297,40 @@ def test_seeds_and_lifts_of_a_simulation_are_within_their_range(
 ) -> None:
     plant = tmp_path / "plant.yaml"
     plant.write_text("tandem_plant: 1\nsheet: cone\n")
-    issue = refused(SimulateLoop(result, LawOptions(), plant, sheets=2, **wrong))
+    issue = expect_refusal(SimulateLoop(result, LawOptions(), plant, sheets=2, **wrong))
     assert (issue.code, issue.field) == ("forming.loop_law", field)
 
 
 def test_a_springback_file_wants_sheets_as_fine_as_the_proof(result: Path, tmp_path: Path) -> None:
     path = result / "problem" / "problem.yaml"
     with pytest.raises(TandemError) as error:
-        run_springback(Springback(path, triangles=1500, write=tmp_path / "back.json"), pipeline.load(path))
+        run_springback(
+            SpringbackCommand(path, triangles=1500, write=tmp_path / "back.json"), pipeline.load(path)
+        )
     assert error.value.issues[0].field == "triangles"
-    assert "allowed 3000" in error.value.issues[0].message
+    assert "allowed at least 3000" in error.value.issues[0].message
     assert not (tmp_path / "back.json").exists()
 
 
 def test_sheets_of_springback_files_are_so_fine_that_a_finer_one_agrees(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def solved(_: Any, some: list[Point], triangles: int, shares: Any = None) -> list[Curve]:
+    def fake_solve(
+        _: Any, points: list[SpringbackPoint], triangles: int, shares: Any = None
+    ) -> list[SpringbackCurve]:
         # what is left out of a sheet of triangles falls with their number: 7 % at 3,000
         n = np.array([0.0, 100.0, 200.0])
-        return [Curve(n, n * 1e-5 * (1.0 - 200.0 / triangles), False) for _ in some]
+        return [SpringbackCurve(n, n * 1e-5 * (1.0 - 200.0 / triangles), False) for _ in points]
 
-    monkeypatch.setattr(forming, "_solved", solved)
-    points = [Point(0, np.zeros(3), 150.0, 150.0)] * 9
-    assert forming._settled(cast(Any, None), [(cast(Any, None), points)]) == 6750
-    assert "3.5 % other than with 6750" in capsys.readouterr().out
-    snapped = Curve(np.array([0.0, 100.0]), np.array([0.0, 1e-3]), True)
-    assert forecast.apart(points[:1], [snapped], [snapped]) == 0.0
-    assert forecast.apart(points[:1], [snapped], solved(None, points[:1], 4000)) == np.inf
+    monkeypatch.setattr(forming, "_solve_curves", fake_solve)
+    points = [SpringbackPoint(0, np.zeros(3), 150.0, 150.0)] * 9
+    assert forming._converged_triangles(cast(Any, None), [(cast(Any, None), points)]) == 6750
+    assert "3.5 % from that with 6750" in capsys.readouterr().out
+    snapped = SpringbackCurve(np.array([0.0, 100.0]), np.array([0.0, 1e-3]), True)
+    assert forecast.max_relative_difference(points[:1], [snapped], [snapped]) == 0.0
+    assert (
+        forecast.max_relative_difference(points[:1], [snapped], fake_solve(None, points[:1], 4000)) == np.inf
+    )
 
 
 def test_offsets_of_a_plan_with_a_springback_file_are_beyond_what_that_does(
@@ -346,11 +352,11 @@ def test_offsets_of_a_plan_with_a_springback_file_are_beyond_what_that_does(
     file, table, plain = tmp_path / "forces.csv", tmp_path / "offsets.csv", tmp_path / "plain.csv"
     file.write_text(forces(result, 5))
     assert run_next_loop(NextLoop(folder, LawOptions(), file, before_mm=0.9, output=table)) == ()
-    assert "less that" in capsys.readouterr().out
+    assert "minus that" in capsys.readouterr().out
     run_next_loop(NextLoop(result, LawOptions(), file, before_mm=0.9, output=plain))
-    both, one = (np.genfromtxt(each, delimiter=",", names=True) for each in (table, plain))
+    both, item = (np.genfromtxt(each, delimiter=",", names=True) for each in (table, plain))
     assert both["file_mm"].max() == pytest.approx(1.2 - 0.05 * 3.0, abs=0.05)
-    assert both["offset_mm"] + both["file_mm"] == pytest.approx(one["offset_mm"], abs=2e-4)
+    assert both["offset_mm"] + both["file_mm"] == pytest.approx(item["offset_mm"], abs=2e-4)
     as_json = tmp_path / "offsets.json"
     run_next_loop(NextLoop(folder, LawOptions(), file, before_mm=0.9, output=as_json))
     places = json.loads(as_json.read_text())["places"]
@@ -358,9 +364,9 @@ def test_offsets_of_a_plan_with_a_springback_file_are_beyond_what_that_does(
     # curves of another path, and a file that is cut short
     data["passes"][0]["levels"][5]["path_mm"].pop()
     (folder / "springback.json").write_text(json.dumps(data))
-    assert refused(NextLoop(folder, LawOptions(), file)).code == "forming.loop_curves"
+    assert expect_refusal(NextLoop(folder, LawOptions(), file)).code == "forming.loop_curves"
     (folder / "problem" / "back.json").write_text("{}")
-    assert refused(NextLoop(folder, LawOptions(), file)).code == "forming.loop_curves"
+    assert expect_refusal(NextLoop(folder, LawOptions(), file)).code == "forming.loop_curves"
 
 
 def test_the_next_level_is_written_as_a_problem_of_its_own(result: Path, tmp_path: Path) -> None:
@@ -398,9 +404,9 @@ def test_a_level_overwrites_levels_and_nothing_else(result: Path, tmp_path: Path
         assert pipeline.load(path).operations[0].level.number == number  # type: ignore[attr-defined]
     own = result / "problem" / "problem.yaml"
     path.write_text(own.read_text())
-    for taken, what in ((own, "own problem"), (path, "another file")):
+    for taken, what in ((own, "own problem"), (path, "exists and is not a problem with a level")):
         before = taken.read_bytes()
-        issue = refused(NextLoop(result, LawOptions(), file, before_mm=0.1, problem=taken))
+        issue = expect_refusal(NextLoop(result, LawOptions(), file, before_mm=0.1, problem=taken))
         assert issue.code == "output.folder"
         assert what in issue.message
         assert taken.read_bytes() == before
@@ -416,5 +422,5 @@ def test_a_level_as_a_problem_wants_to_know_where_the_one_before_ended(
     file = tmp_path / "forces.csv"
     file.write_text(forces(result, 2))
     more = {"problem": tmp_path / more["problem"]}
-    assert refused(NextLoop(result, LawOptions(), file, **more)).field == field
+    assert expect_refusal(NextLoop(result, LawOptions(), file, **more)).field == field
     assert not more["problem"].exists()

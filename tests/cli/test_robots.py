@@ -1,5 +1,7 @@
-"""``tandem robots add``: the lines that it writes are an arm of a cell, the picture shows its axes; what is
-wrong with a URDF is told with what to do."""
+"""``tandem robots add``: the lines that it writes are an arm of a cell, and the picture shows its axes.
+
+Faults of a URDF are reported with a remedy.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ import yaml
 
 from planner import pipeline
 from planner.catalogue import robots
-from planner.cli.robots import Add, run_add
+from planner.cli.robots import AddRobot, run_add
 from planner.issues import TandemError
 from tests import small_problem
 from tests.refusals import POSES, change
@@ -38,9 +40,9 @@ def urdf(tmp_path: Path) -> Path:
     return path
 
 
-def refused(**given: object) -> list[str]:
+def expect_refusal(**given: object) -> list[str]:
     with pytest.raises(TandemError) as caught:
-        run_add(Add(**{"family": "abb", "payload_kg": 6.0, **given}))
+        run_add(AddRobot(**{"family": "abb", "payload_kg": 6.0, **given}))
     return [str(issue) for issue in caught.value.issues]
 
 
@@ -69,7 +71,7 @@ def test_what_is_stated_is_no_longer_assumed(urdf: Path, tmp_path: Path) -> None
     path = tmp_path / "new" / "arm.yaml"
     home = (0.0, 10.0, -10.0, 0.0, 45.0, 0.0)
     run_add(
-        Add(
+        AddRobot(
             urdf, "kuka", 5.5, path, "arm", title="An arm", full_speed_after_s=0.2, home_deg=home, source="me"
         )
     )
@@ -84,13 +86,13 @@ def test_what_is_stated_is_no_longer_assumed(urdf: Path, tmp_path: Path) -> None
 
 def test_meshes_that_lie_elsewhere_are_looked_for(urdf: Path, tmp_path: Path) -> None:
     urdf.write_text(BARE.replace("MESH", MESH), "utf-8")
-    (told,) = refused(urdf=urdf, output=tmp_path / "arm.yaml")
-    assert "hand.stl" in told
-    assert "--meshes FOLDER" in told
+    (issue,) = expect_refusal(urdf=urdf, output=tmp_path / "arm.yaml")
+    assert "hand.stl" in issue
+    assert "--meshes FOLDER" in issue
     for folder in ("a/our_support/meshes", "b/other_support/meshes"):
         (tmp_path / folder).mkdir(parents=True)
         trimesh.creation.box((0.06, 0.06, 0.02)).export(tmp_path / folder / "hand.stl")
-    run_add(Add(urdf, "abb", 6.0, tmp_path / "arm.yaml", meshes=tmp_path))
+    run_add(AddRobot(urdf, "abb", 6.0, tmp_path / "arm.yaml", meshes=tmp_path))
     (mesh,) = yaml.safe_load((tmp_path / "arm.yaml").read_text("utf-8"))["robot"]["meshes"]
     assert mesh["file"] == "../a/our_support/meshes/hand.stl"
 
@@ -100,13 +102,13 @@ def test_meshes_that_are_not_read_are_told_and_what_they_became_is_taken(urdf: P
     folder = urdf.parent / "our_support" / "meshes"
     folder.mkdir(parents=True)
     (folder / "hand.dae").write_text("<COLLADA/>", "utf-8")
-    (told,) = refused(urdf=urdf, output=tmp_path / "arm.yaml")
-    assert "robot.bodies" in told
-    assert "meshes/hand.dae" in told
+    (issue,) = expect_refusal(urdf=urdf, output=tmp_path / "arm.yaml")
+    assert "robot.bodies" in issue
+    assert "meshes/hand.dae" in issue
     trimesh.creation.box((0.06, 0.06, 0.02)).export(tmp_path / "hand.stl")
-    run_add(Add(urdf, "abb", 6.0, tmp_path / "arm.yaml", meshes=tmp_path))
+    run_add(AddRobot(urdf, "abb", 6.0, tmp_path / "arm.yaml", meshes=tmp_path))
     lines = yaml.safe_load((tmp_path / "arm.yaml").read_text("utf-8"))["robot"]
-    assert [one["file"] for one in lines["meshes"]] == ["../hand.stl"]
+    assert [mesh["file"] for mesh in lines["meshes"]] == ["../hand.stl"]
     small_problem.write(tmp_path)
     path = tmp_path / "problem.yaml"
     path.write_text(yaml.safe_dump(change(POSES, "cell.arms.0.robot", lines)), "utf-8")
@@ -117,14 +119,14 @@ def test_meshes_that_are_not_read_are_told_and_what_they_became_is_taken(urdf: P
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"name": "irb140"}, "is a robot that is built in; give --name another one"),
-        ({"name": "2 arms"}, "a letter of A to Z first"),
+        ({"name": "irb140"}, "is a built-in robot; choose another --name"),
+        ({"name": "2 arms"}, "start with a letter A to Z"),
         ({"payload_kg": 0.0}, "payload_kg"),
         ({"family": "irc5"}, "family: Input should be 'abb'"),
         ({"base": "foot"}, "the URDF has no link 'foot', it has base_link"),
         ({"tip": "base_link"}, "robot."),
         ({"home_deg": (0.0, 0.0, 200.0, 0.0, 0.0, 0.0)}, "beyond the limits"),
-        ({"coupled_deg": (400.0, 500.0)}, "their sum is within -320 to 160 deg"),
+        ({"coupled_deg": (400.0, 500.0)}, "give a sum within -320 to 160 deg"),
         ({"full_speed_after_s": 0.0}, "full_speed_after_s"),
     ],
 )
@@ -132,7 +134,7 @@ def test_wrong_options_are_told_and_nothing_is_written(
     urdf: Path, tmp_path: Path, given: dict[str, object], words: str
 ) -> None:
     path = tmp_path / "arm.yaml"
-    assert words in " ".join(refused(urdf=urdf, output=path, **given))
+    assert words in " ".join(expect_refusal(urdf=urdf, output=path, **given))
     assert not path.exists()
     assert not path.with_suffix(".svg").exists()
 
@@ -141,12 +143,12 @@ def test_wrong_options_are_told_and_nothing_is_written(
 def test_it_writes_over_nothing_but_its_own(urdf: Path, tmp_path: Path, name: str) -> None:
     cell = tmp_path / "cell.yaml"
     cell.write_text("arms: []\n", "utf-8")
-    (told,) = refused(urdf=urdf, output=tmp_path / name)
-    assert "output.folder" in told
+    (issue,) = expect_refusal(urdf=urdf, output=tmp_path / name)
+    assert "output.folder" in issue
     assert {path.name for path in tmp_path.iterdir()} == {"cell.yaml", "files"}
     assert cell.read_text("utf-8") == "arms: []\n"
     for _ in range(2):
-        run_add(Add(urdf, "abb", 6.0, tmp_path / "own.yaml"))
+        run_add(AddRobot(urdf, "abb", 6.0, tmp_path / "own.yaml"))
 
 
 def test_an_arm_of_another_class_ends_with_bad_input(urdf: Path, tmp_path: Path) -> None:

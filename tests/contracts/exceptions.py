@@ -35,7 +35,7 @@ class Exceptions(NamedTuple):
 
     @property
     def missing(self) -> frozenset[str]:
-        """Imports that break the contract as it stands."""
+        """Imports that break the current contract."""
         return self.needed - self.listed
 
 
@@ -50,7 +50,7 @@ def read_contracts(config: Path = CONFIG) -> dict[str, Contract]:
     return {options["id"]: options for options in api.read_configuration(str(config))["contracts_options"]}
 
 
-def lines_of(contract: Contract, option: str) -> list[str]:
+def option_lines(contract: Contract, option: str) -> list[str]:
     """Return the lines of an option. A missing option has none."""
     value = contract.get(option, [])
     return [value] if isinstance(value, str) else value
@@ -63,7 +63,7 @@ def is_intended(line: str) -> bool:
 
 def find_exceptions(graph: grimp.ImportGraph, contract: Contract) -> Exceptions:
     """Compare the exceptions of a contract with the imports that break it."""
-    lines = lines_of(contract, "ignore_imports")
+    lines = option_lines(contract, "ignore_imports")
     intended = {
         (match["importer"], match["imported"])
         for line in lines
@@ -108,10 +108,10 @@ def _upward_imports(graph: grimp.ImportGraph, contract: Contract) -> set[tuple[s
     """Find the imports that break a contract of the type ``layers``."""
     layers = [
         grimp.Layer(*re.split(r" *[:|] *", line), independent=":" not in line)
-        for line in lines_of(contract, "layers")
+        for line in option_lines(contract, "layers")
     ]
     illegal = graph.find_illegal_dependencies_for_layers(
-        layers, containers=set(lines_of(contract, "containers"))
+        layers, containers=set(option_lines(contract, "containers"))
     )
     return {
         pair
@@ -125,8 +125,8 @@ def _upward_imports(graph: grimp.ImportGraph, contract: Contract) -> set[tuple[s
 
 def _forbidden_imports(graph: grimp.ImportGraph, contract: Contract) -> set[tuple[str, str]]:
     """Find the imports that break a contract of the type ``forbidden``, direct imports alone."""
-    sources = _packages(graph, lines_of(contract, "source_modules"))
-    forbidden = _packages(graph, lines_of(contract, "forbidden_modules"))
+    sources = _packages(graph, option_lines(contract, "source_modules"))
+    forbidden = _packages(graph, option_lines(contract, "forbidden_modules"))
     broken = set()
     for source, target in itertools.product(sources, forbidden):
         if not f"{source}.".startswith(f"{target}.") and not f"{target}.".startswith(f"{source}."):
@@ -142,9 +142,9 @@ def _forbidden_imports(graph: grimp.ImportGraph, contract: Contract) -> set[tupl
 
 def _packages(graph: grimp.ImportGraph, expressions: Iterable[str]) -> set[str]:
     """Find the packages and modules that expressions name."""
-    return set().union(*(modules_of(graph, expression) for expression in expressions))
+    return set().union(*(match_modules(graph, expression) for expression in expressions))
 
 
-def modules_of(graph: grimp.ImportGraph, expression: str) -> set[str]:
+def match_modules(graph: grimp.ImportGraph, expression: str) -> set[str]:
     """Find the packages and modules that an expression with wildcards, or a name, matches."""
     return graph.find_matching_modules(expression) if "*" in expression else {expression} & graph.modules

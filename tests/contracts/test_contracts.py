@@ -19,8 +19,8 @@ from tests.contracts.exceptions import (
     Contract,
     find_exceptions,
     import_graph,
-    lines_of,
-    modules_of,
+    match_modules,
+    option_lines,
     read_contracts,
     write_exceptions,
 )
@@ -124,8 +124,8 @@ def test_each_name_in_a_contract_is_a_module(name: str) -> None:
     """A contract on a room that was renamed would hold for nothing."""
     contract = read_contracts()[name]
     for option in ("source_modules", "forbidden_modules"):
-        for expression in lines_of(contract, option):
-            assert modules_of(import_graph(), expression), f"{option}: no module is named {expression}"
+        for expression in option_lines(contract, option):
+            assert match_modules(import_graph(), expression), f"{option}: no module is named {expression}"
 
 
 def copy_packages(folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""Shells as element files, and what was written for them, read again by code of the tests' own."""
+"""Shells as element files, and the written panels, read again by independent test code."""
 
 from __future__ import annotations
 
@@ -60,20 +60,20 @@ def shell(folder: Path, mesh: TriangleMesh | None = None, hexagons: Any = None, 
 
 
 @dataclasses.dataclass(frozen=True)
-class Written:
+class WrittenPanel:
     """A panel as its problem file has it: outlines (C, 3) [mm] in its block's frame and in the element's,
     ``block`` (3,) [mm] in the middle of whose bottom face that is, and its row of ``element.json``."""
 
     bottom: np.ndarray
     top: np.ndarray
-    own: tuple[np.ndarray, np.ndarray]
+    local_outlines: tuple[np.ndarray, np.ndarray]
     block: np.ndarray
     row: dict[str, Any]
 
 
-def written(files: dict[str, str]) -> dict[str, Written]:
+def read_panels(files: dict[str, str]) -> dict[str, WrittenPanel]:
     """All panels by their ids, out of the texts of a folder."""
-    found = {}
+    result = {}
     for row in json.loads(files["element.json"])["panels"]:
         data = yaml.load(
             files[f"panels/{row['id']}.yaml"], Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -85,5 +85,7 @@ def written(files: dict[str, str]) -> dict[str, Written]:
         own = tuple(np.array(sides[end]["polyline_mm"]) for end in ("start", "end"))
         pose = np.array(row["block_pose"])
         bottom, top = (ring @ pose[:3, :3].T + pose[:3, 3] for ring in own)
-        found[row["id"]] = Written(bottom, top, (own[0], own[1]), np.array(data["stock"]["size_mm"]), row)
-    return found
+        result[row["id"]] = WrittenPanel(
+            bottom, top, (own[0], own[1]), np.array(data["stock"]["size_mm"]), row
+        )
+    return result

@@ -1,4 +1,4 @@
-"""The page and the labels that an element is written with: what they say, read by code of the tests' own."""
+"""The page and the labels of an element: their content, read by independent test code."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ def out(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     return folder / "out"
 
 
-def data_of(out: Path) -> dict[str, Any]:
+def read_data(out: Path) -> dict[str, Any]:
     loaded: dict[str, Any] = json.loads((out / "element.json").read_text())
     return loaded
 
 
 def test_outlines_meet_where_neighbours_are_named_and_cover_the_element_once(out: Path) -> None:
-    panels = {panel["id"]: panel for panel in data_of(out)["panels"]}
+    panels = {panel["id"]: panel for panel in read_data(out)["panels"]}
     shapes = {name: shapely.Polygon(panel["outline_mm"]) for name, panel in panels.items()}
     whole = shapely.unary_union(list(shapes.values()))
     assert whole.area == pytest.approx(sum(shape.area for shape in shapes.values()), rel=1e-3)
@@ -55,7 +55,7 @@ def test_outlines_meet_where_neighbours_are_named_and_cover_the_element_once(out
         assert len(panel["neighbours"]) == len(ring)
         for i, beyond in enumerate(panel["neighbours"]):
             edge = shapely.LineString([ring[i], ring[(i + 1) % len(ring)]])
-            near = {n for n, one in shapes.items() if n != name and one.buffer(0.1).contains(edge)}
+            near = {n for n, item in shapes.items() if n != name and item.buffer(0.1).contains(edge)}
             assert near == ({beyond} if beyond is not None else set())
 
 
@@ -67,8 +67,8 @@ def test_ids_are_drawn_within_their_outlines(out: Path) -> None:
     bold = FontProperties(family="DejaVu Sans", weight="bold")
     alone = (out / "panels.svg").read_text()
     for drawn in (on_page[0], *([alone] if "<polygon" in alone else [])):  # elastic ones stand in rectangles
-        found = ET.fromstring(re.sub(r' xmlns="[^"]*"', "", drawn))
-        marks = [one for one in found.iter() if one.tag in ("polygon", "text")]
+        result = ET.fromstring(re.sub(r' xmlns="[^"]*"', "", drawn))
+        marks = [item for item in result.iter() if item.tag in ("polygon", "text")]
         outline, ids = None, 0
         for mark in marks:
             if mark.tag == "polygon":
@@ -87,11 +87,11 @@ def test_ids_are_drawn_within_their_outlines(out: Path) -> None:
                     mark.text
                 )
                 outline, ids = None, ids + 1
-        assert ids == len(data_of(out)["panels"])
+        assert ids == len(read_data(out)["panels"])
 
 
 def test_the_page_shows_all_panels_blocks_totals_and_an_estimate_and_needs_no_network(out: Path) -> None:
-    data = data_of(out)
+    data = read_data(out)
     page = (out / "element.html").read_text()
     names = [panel["id"] for panel in data["panels"]]
     drawing = page[page.index('aria-label="panels"') : page.index("</svg>")]
@@ -101,7 +101,7 @@ def test_the_page_shows_all_panels_blocks_totals_and_an_estimate_and_needs_no_ne
     places = r'<text x="([0-9.]+)" y="([0-9.]+)"[^>]*>{}<'
     for name in names:  # left and right change places, up and down do not
         (x, y), (other, also) = (
-            map(float, re.findall(places.format(name), one)[0]) for one in (drawing, behind)
+            map(float, re.findall(places.format(name), item)[0]) for item in (drawing, behind)
         )
         assert (x + other, y) == pytest.approx((1000.0, also), abs=40.0)
     rows = page[page.index('id="panels"') :]
@@ -116,9 +116,9 @@ def test_the_page_shows_all_panels_blocks_totals_and_an_estimate_and_needs_no_ne
         assert f"{len(nest['blocks'])} of 2400 x 1200 x 150 mm" in page
         assert all(f"<td>{block['id']}</td>" in page for block in nest["blocks"])
         volume = sum(float(panel["volume_l"]) for panel in data["panels"]) / 1e3
-        share = volume / (len(nest["blocks"]) * 2.4 * 1.2 * 0.15)
-        assert nest["yield_volume"] == pytest.approx(share, abs=1e-3)
-        assert f"{100 * share:.0f} % are panels" in page
+        fraction = volume / (len(nest["blocks"]) * 2.4 * 1.2 * 0.15)
+        assert nest["yield_volume"] == pytest.approx(fraction, abs=1e-3)
+        assert f"{100 * fraction:.0f} % are panels" in page
     assert all(issue["code"] in page for issue in data["issues"])
     metres = 0.06 * hours * 60.0 * (6.0 if "hexagon" in out.parent.name else 8.0)
     assert re.search(rf"wire through foam</\w+>.*?{metres:.0f} m<", page)
@@ -127,7 +127,7 @@ def test_the_page_shows_all_panels_blocks_totals_and_an_estimate_and_needs_no_ne
 
 def test_the_estimate_is_the_way_of_the_wire_at_its_feed(out: Path) -> None:
     """6 mm/s round a hexagon; 8 mm/s twice along the block of an elastic panel."""
-    for panel in data_of(out)["panels"]:
+    for panel in read_data(out)["panels"]:
         if "front_mm" in panel:
             sides = [np.array(panel[key]) for key in ("front_mm", "back_mm")]
             way = sum(np.linalg.norm(np.roll(ring, -1, axis=0) - ring, axis=1).sum() / 2 for ring in sides)
@@ -139,55 +139,55 @@ def test_the_estimate_is_the_way_of_the_wire_at_its_feed(out: Path) -> None:
 
 
 def test_what_is_said_of_an_element_is_on_its_page_as_text(out: Path) -> None:
-    data = data_of(out)
+    data = read_data(out)
     said = {"code": "element.held", "severity": "warning", "message": "2 <b>panels</b>: A01, A02"}
-    page = element_page.element_page(run_report.unplanned({**data, "issues": [said]}))
+    page = element_page.element_page(run_report.unplanned_run({**data, "issues": [said]}))
     assert "2 &lt;b&gt;panels&lt;/b&gt;: A01, A02" in page
 
 
-def words_of(label: ET.Element) -> list[tuple[str, shapely.Polygon, float]]:
+def label_words(label: ET.Element) -> list[tuple[str, shapely.Polygon, float]]:
     """Words with the room they take [mm], a letter 0.6 of its type wide, capitals 0.72 high, and the size of
     their type."""
-    found = []
+    result = []
     for text in label.iter(f"{SVG}text"):
         words, size = str(text.text), float(text.attrib["font-size"])
         x, y, half = float(text.attrib["x"]), float(text.attrib["y"]), 0.3 * size * len(str(text.text))
-        found.append((words, shapely.box(x - half, y - 0.72 * size, x + half, y), size))
-    return found
+        result.append((words, shapely.box(x - half, y - 0.72 * size, x + half, y), size))
+    return result
 
 
 def test_labels_are_at_full_size_legible_and_say_whom_each_edge_meets(out: Path) -> None:
-    data = data_of(out)
+    data = read_data(out)
     sheet = ET.parse(out / "labels.svg").getroot()
     high = float(sheet.attrib["viewBox"].split()[3])
     assert (sheet.attrib["width"], sheet.attrib["height"]) == ("210mm", f"{high:g}mm")
     assert sheet.attrib["viewBox"] == f"0 0 210 {high:g}"
     assert high % 297 == 0
-    found = {group.attrib["id"]: group for group in sheet.iter(f"{SVG}g")}
-    assert list(found) == [panel["id"] for panel in data["panels"]]
-    corners = {group.attrib["transform"] for group in found.values()}
-    assert len(corners) == len(found)
+    result = {group.attrib["id"]: group for group in sheet.iter(f"{SVG}g")}
+    assert list(result) == [panel["id"] for panel in data["panels"]]
+    corners = {group.attrib["transform"] for group in result.values()}
+    assert len(corners) == len(result)
     for panel in data["panels"]:
-        label = found[panel["id"]]
-        words = words_of(label)
+        label = result[panel["id"]]
+        words = label_words(label)
         assert sorted(w for w, _, _ in words) == sorted(
             [panel["id"], "front", *filter(None, panel["neighbours"])]
         )
         assert min(0.72 * size for _, _, size in words) >= 5.0
-        for (_, one, _), (_, other, _) in itertools.combinations(words, 2):
-            assert not one.intersects(other)
+        for (_, item, _), (_, other, _) in itertools.combinations(words, 2):
+            assert not item.intersects(other)
         (shape,) = label.iter(f"{SVG}polygon")
         ring = np.array([[float(v) for v in at.split(",")] for at in shape.attrib["points"].split()])
         label_room = shapely.box(3.0, 3.0, 102.0, 71.25)
-        assert all(label_room.contains(one) for _, one, _ in words)
-        assert not any(shapely.Polygon(ring).intersects(one) for _, one, _ in words)
+        assert all(label_room.contains(item) for _, item, _ in words)
+        assert not any(shapely.Polygon(ring).intersects(item) for _, item, _ in words)
         assert sum(line.attrib["stroke-width"] == "1.4" for line in label.iter(f"{SVG}line")) == (
             panel["neighbours"].count(None)
         )
 
 
 def test_each_id_stands_nearest_to_its_own_edge_and_up_is_up(out: Path) -> None:
-    data = data_of(out)
+    data = read_data(out)
     sheet = ET.parse(out / "labels.svg").getroot()
     for group, panel in zip(sheet.iter(f"{SVG}g"), data["panels"], strict=True):
         (shape,) = group.iter(f"{SVG}polygon")
@@ -198,7 +198,7 @@ def test_each_id_stands_nearest_to_its_own_edge_and_up_is_up(out: Path) -> None:
         flat = np.stack([own @ [y, -x], own @ [x, y]], axis=1) * [1.0, -1.0]
         scale = np.ptp(ring[:, 1]) / np.ptp(flat[:, 1])
         np.testing.assert_allclose(ring - ring.mean(axis=0), scale * (flat - flat.mean(axis=0)), atol=0.05)
-        words = {text: at for text, at, _ in words_of(group)}
+        words = {text: at for text, at, _ in label_words(group)}
         for i, beyond in enumerate(panel["neighbours"]):
             if beyond is None or panel["neighbours"].count(beyond) > 1:
                 continue
@@ -208,8 +208,10 @@ def test_each_id_stands_nearest_to_its_own_edge_and_up_is_up(out: Path) -> None:
 
 
 def test_the_document_of_the_labels_is_sheets_of_a4_with_the_same_words_in_the_same_places(out: Path) -> None:
-    """Read by the rules of ISO 32000-1 (a table at the end says where each object begins), with the widths of
-    Adobe's metrics, as Matplotlib brings them."""
+    """Read by the rules of ISO 32000-1 (a table at the end states where each object begins).
+
+    Text widths are Adobe's metrics, which Matplotlib includes.
+    """
     text = (out / "labels.pdf").read_text("ascii")
     table = int(text.split("startxref\n")[1].split("\n")[0])
     rows = text[table:].split("trailer")[0].split("\n")[3:-1]
@@ -221,12 +223,12 @@ def test_the_document_of_the_labels_is_sheets_of_a4_with_the_same_words_in_the_s
     assert [float(v) / 72.0 * 25.4 for v in box.groups()] == pytest.approx([210.0, 297.0], abs=1e-3)
     pages = re.findall(r"<< /Length (\d+) >>\nstream\n(.*?)endstream", text, re.DOTALL)
     assert [int(length) for length, _ in pages] == [len(page) for _, page in pages]
-    assert f"/Count {len(pages)} " in text and len(pages) == math.ceil(len(data_of(out)["panels"]) / 8)
+    assert f"/Count {len(pages)} " in text and len(pages) == math.ceil(len(read_data(out)["panels"]) / 8)
     metrics = [
         {chr(int(code)): int(width) for code, width in re.findall(r"C (\d+) ; WX (\d+)", file.read_text())}
         for file in (CORE / "Helvetica.afm", CORE / "Helvetica-Bold.afm")
     ]
-    found = []
+    result = []
     for number, (_, page) in enumerate(pages):
         left = top = 0.0
         for line in page.split("\n"):
@@ -236,17 +238,17 @@ def test_the_document_of_the_labels_is_sheets_of_a4_with_the_same_words_in_the_s
                 bold, size, x, y, words = re.findall(
                     r"/F(\d) (\S+) Tf 1 0 0 -1 (\S+) (\S+) Tm \((.*)\)", line
                 )[0]
-                width = sum(metrics[int(bold)][one] for one in words) / 2000.0 * float(size)
-                found.append((words, left + float(x) + width, number * 297.0 + top + float(y)))
-    wanted = []
+                width = sum(metrics[int(bold)][item] for item in words) / 2000.0 * float(size)
+                result.append((words, left + float(x) + width, number * 297.0 + top + float(y)))
+    expected = []
     for group in ET.parse(out / "labels.svg").getroot().iter(f"{SVG}g"):
         left, top = map(float, re.findall(r"[\d.]+", group.attrib["transform"]))
-        wanted += [
-            (str(one.text), left + float(one.attrib["x"]), top + float(one.attrib["y"]))
-            for one in group.iter(f"{SVG}text")
+        expected += [
+            (str(item.text), left + float(item.attrib["x"]), top + float(item.attrib["y"]))
+            for item in group.iter(f"{SVG}text")
         ]
-    assert [one[0] for one in found] == [one[0] for one in wanted]
-    places = [np.array([one[1:] for one in some]) for some in (found, wanted)]
+    assert [item[0] for item in result] == [item[0] for item in expected]
+    places = [np.array([item[1:] for item in some]) for some in (result, expected)]
     assert np.abs(places[0] - places[1]).max() < 0.01
 
 

@@ -1,4 +1,4 @@
-"""What is kept of an element as it is made: marks, what comes next, from what a broken panel is cut again."""
+"""Progress of an element: marks, the next panel, and what a broken panel is cut from again."""
 
 from __future__ import annotations
 
@@ -35,42 +35,42 @@ def out(file: Path, tmp_path: Path) -> Path:
     return tmp_path
 
 
-def data_of(out: Path) -> dict[str, Any]:
+def read_data(out: Path) -> dict[str, Any]:
     loaded: dict[str, Any] = json.loads((out / "element.json").read_text())
     return loaded
 
 
-def rows_of(out: Path) -> list[dict[str, str]]:
+def read_rows(out: Path) -> list[dict[str, str]]:
     return list(csv.DictReader((out / "progress.csv").open()))
 
 
 def lines(out: Path) -> str:
-    return "\n".join(progress.told(progress.read(out), out))
+    return "\n".join(progress.progress_lines(progress.read_progress(out), out))
 
 
-def mark(out: Path, name: str, state: progress.State) -> tuple[Issue, ...]:
+def mark(out: Path, name: str, state: progress.PanelState) -> tuple[Issue, ...]:
     return run_element_mark(ElementMark(out, name, state))
 
 
 def test_marks_are_kept_once_and_stay_where_the_element_is_divided_again(file: Path, out: Path) -> None:
-    names = [panel["id"] for panel in data_of(out)["panels"]]
+    names = [panel["id"] for panel in read_data(out)["panels"]]
     mark(out, names[3], "cut")
     mark(out, names[1], "cut")
     written = (out / "progress.csv").read_bytes()
     mark(out, names[1], "cut")
     assert (out / "progress.csv").read_bytes() == written
-    assert [(row["id"], row["state"]) for row in rows_of(out)] == [(names[1], "cut"), (names[3], "cut")]
+    assert [(row["id"], row["state"]) for row in read_rows(out)] == [(names[1], "cut"), (names[3], "cut")]
     run_element(ElementRequest(file, out))
     assert (out / "progress.csv").read_bytes() == written
     assert mark(out, names[1], "glued") == ()
-    assert rows_of(out)[0]["state"] == "glued"
+    assert read_rows(out)[0]["state"] == "glued"
 
 
 def test_the_next_panel_is_one_of_the_block_that_is_begun_and_the_next_to_glue_by_the_order(
     out: Path,
 ) -> None:
-    data = data_of(out)
-    blocks = [[one["id"] for one in block["panels"]] for block in data["blocks"]["blocks"]]
+    data = read_data(out)
+    blocks = [[item["id"] for item in block["panels"]] for block in data["blocks"]["blocks"]]
     assert f"next to be cut: {blocks[0][0]}" in lines(out)
     mark(out, blocks[2][0], "cut")
     assert f"next to be cut: {blocks[2][1]}" in lines(out)
@@ -91,7 +91,7 @@ def test_the_next_panel_is_one_of_the_block_that_is_begun_and_the_next_to_glue_b
 def test_a_broken_panel_is_cut_again_from_what_is_left_over_and_holds_it_or_from_a_new_block(
     out: Path,
 ) -> None:
-    data = data_of(out)
+    data = read_data(out)
     panel, other = data["panels"][:2]
     size = {axis: float(panel[f"block_{axis}_mm"]) for axis in "xyz"}
     name = data["name"]
@@ -108,21 +108,21 @@ def test_a_broken_panel_is_cut_again_from_what_is_left_over_and_holds_it_or_from
     mark(out, panel["id"], "broken")
     assert "1 broken" in lines(out)
     # RB01 is not cut yet, the old piece is at hand
-    assert f"{panel['id']} again" in lines(out) and "left over, old (" in lines(out)
-    for one in data["blocks"]["blocks"][0]["panels"]:
-        if one["id"] != panel["id"]:
-            mark(out, one["id"], "cut")
-    assert f"left over, {name}-RB01-1 (" in lines(out)
+    assert f"{panel['id']} again" in lines(out) and "offcut old (" in lines(out)
+    for item in data["blocks"]["blocks"][0]["panels"]:
+        if item["id"] != panel["id"]:
+            mark(out, item["id"], "cut")
+    assert f"offcut {name}-RB01-1 (" in lines(out)
     mark(out, other["id"], "broken")  # which no piece serves twice
     said = [line for line in lines(out).splitlines() if " again, " in line]
     assert [line.split()[0] for line in said] == [panel["id"], other["id"]]
-    assert said[0] != said[1] and "left over, old (" in said[1]
+    assert said[0] != said[1] and "offcut old (" in said[1]
     (out / "stock.csv").write_text(rows[0] + "\n")
     assert "from a raw block of 2400 x 1200 x 150 mm" in lines(out)
 
 
 def test_an_element_without_raw_blocks_goes_by_ids(out: Path) -> None:
-    data = data_of(out)
+    data = read_data(out)
     del data["blocks"]
     (out / "element.json").write_text(json.dumps(data))
     names = [panel["id"] for panel in data["panels"]]
@@ -132,29 +132,29 @@ def test_an_element_without_raw_blocks_goes_by_ids(out: Path) -> None:
 
 
 def test_what_is_no_panel_or_no_list_is_refused_and_what_is_advised_helps(out: Path) -> None:
-    def refused(name: str) -> Issue:
+    def expect_refusal(name: str) -> Issue:
         with pytest.raises(TandemError) as caught:
             mark(out, name, "cut")
         (issue,) = caught.value.issues
         assert issue.code == "element.mark"
         return issue
 
-    names = [panel["id"] for panel in data_of(out)["panels"]]
-    issue = refused("Z99")
+    names = [panel["id"] for panel in read_data(out)["panels"]]
+    issue = expect_refusal("Z99")
     assert "'Z99'" in issue.message and names[0] in issue.message
     assert not (out / "progress.csv").exists()
     mark(out, names[0], "cut")
     good = (out / "progress.csv").read_text()
     (out / "progress.csv").write_text(good + f"{names[1]},lost,1 x 2 x 3\n")
-    assert refused(names[2]).line == 3
+    assert expect_refusal(names[2]).line == 3
     (out / "progress.csv").write_text(good)  # that line taken out
     mark(out, names[2], "cut")
     (out / "element.json").unlink()
-    assert "tandem element" in str(refused(names[0]).hint)
+    assert "tandem element" in str(expect_refusal(names[0]).hint)
 
 
 def test_marks_of_panels_that_are_others_now_are_told_until_they_are_marked_again(out: Path) -> None:
-    names = [panel["id"] for panel in data_of(out)["panels"]]
+    names = [panel["id"] for panel in read_data(out)["panels"]]
     rows = f"id,state,block_mm\n{names[0]},cut,1 x 2 x 3\nQ07,glued,1 x 2 x 3\n"
     (out / "progress.csv").write_text(rows)
     told = {str(issue.message) for issue in mark(out, names[1], "cut")}
@@ -162,16 +162,16 @@ def test_marks_of_panels_that_are_others_now_are_told_until_they_are_marked_agai
     assert any("Q07" in words for words in told) and any(names[0] in words for words in told)
     (left,) = mark(out, names[0], "cut")
     assert "Q07" in left.message
-    assert rows_of(out)[-1]["id"] == "Q07"
+    assert read_rows(out)[-1]["id"] == "Q07"
 
 
 def test_mark_is_a_word_of_the_command(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    name = data_of(out)["panels"][0]["id"]
+    name = read_data(out)["panels"][0]["id"]
     monkeypatch.setattr(sys, "argv", ["tandem", "element", "mark", str(out), name, "cut"])
     with pytest.raises(SystemExit) as ended:
         command_line.main()
     assert ended.value.code == 0
-    assert rows_of(out)[0]["state"] == "cut"
+    assert read_rows(out)[0]["state"] == "cut"
 
 
 def test_jobs_of_raw_blocks_are_marked_with_the_panels_that_they_cut(tmp_path: Path) -> None:
@@ -196,7 +196,7 @@ def test_jobs_of_raw_blocks_are_marked_with_the_panels_that_they_cut(tmp_path: P
     assert f"{said}; before that, what cuts it apart: B1" in lines(tmp_path)
 
     def marks() -> dict[str, str]:
-        return {row["id"]: row["state"] for row in rows_of(tmp_path)}
+        return {row["id"]: row["state"] for row in read_rows(tmp_path)}
 
     mark(tmp_path, "P4", "cut")  # what is begun comes first
     assert "next to be cut: P5 of block B2" in lines(tmp_path)
@@ -209,20 +209,20 @@ def test_jobs_of_raw_blocks_are_marked_with_the_panels_that_they_cut(tmp_path: P
     assert marks() == {"P0": "broken", "P1": "glued", "P2": "cut", "P4": "cut", "P5": "cut", "B1": "cut"}
     assert "next to be cut: P3 of block B1 (a raw block of 60 x 30 x 9 mm)" in lines(tmp_path).splitlines()
     assert "P0 again, 9 x 9 x 9 mm: from a raw block" in lines(tmp_path)
-    assert lines(tmp_path).endswith("; by itself, again/P0.yaml")
+    assert lines(tmp_path).endswith("; alone, again/P0.yaml")
     mark(tmp_path, "B1-2", "broken")  # the row fell down: what is glued is not
     assert [marks()[name] for name in ("P0", "P1", "P2")] == ["broken", "glued", "broken"]
     run_element_mark(ElementMark(tmp_path, "P2", "open"))
     run_element_mark(ElementMark(tmp_path, "B1", "open"))
     assert marks().keys() == {"P0", "P1", "P4", "P5"}
-    with pytest.raises(TandemError, match="a job that cuts block B1 apart; allowed are cut and open"):
+    with pytest.raises(TandemError, match="a job that cuts block B1 apart; allowed: cut and open"):
         mark(tmp_path, "B1", "glued")
     mark(tmp_path, "B1", "cut")
     jobs[0]["size_mm"] = [60, 40, 9]
     (tmp_path / "element.json").write_text(json.dumps(data))
-    (told,) = progress.issues(progress.read(tmp_path))
-    assert "have blocks of another size now: B1" in told.message
+    (issue,) = progress.progress_issues(progress.read_progress(tmp_path))
+    assert "have blocks of another size now: B1" in issue.message
     jobs[0]["panels"] = {"P3": []}  # divided anew, it cuts a panel
     (tmp_path / "element.json").write_text(json.dumps(data))
     run_element_mark(ElementMark(tmp_path, "B1", "open"))
-    assert progress.issues(progress.read(tmp_path)) == ()
+    assert progress.progress_issues(progress.read_progress(tmp_path)) == ()

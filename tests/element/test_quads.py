@@ -1,4 +1,4 @@
-"""Shells of planar quads along conjugate directions: what their files say, read by the tests' own code."""
+"""Shells of planar quads along conjugate directions: their files, read by independent test code."""
 
 from __future__ import annotations
 
@@ -14,9 +14,16 @@ import shapely
 
 from planner.cli.batch import Batch, run_batch
 from planner.cli.element import ElementReport, ElementRequest, run_element, run_element_report
-from planner.geometry.mesh import TriangleMesh, merge
-from tests.element.shells import THICK, Written, patch, saddle, shell, written
-from tests.element.test_hexagons import divided, off_plane, refusals, require_convex_panel, sides, told
+from planner.geometry.mesh import TriangleMesh, merge_vertices
+from tests.element.shells import THICK, WrittenPanel, patch, read_panels, saddle, shell
+from tests.element.test_hexagons import (
+    divide,
+    divide_with_issues,
+    plane_deviation,
+    refusals,
+    require_convex_panel,
+    sides,
+)
 
 
 def wavy() -> TriangleMesh:
@@ -24,14 +31,14 @@ def wavy() -> TriangleMesh:
     return patch(lambda x, y: 0.2 * np.sin(1.5 * x + 0.6 * y) + 0.1 * np.cos(2.6 * y - 0.5 * x), 61)
 
 
-def turned() -> TriangleMesh:
+def rotated_saddle() -> TriangleMesh:
     """A saddle whose principal directions run across its rim."""
     return patch(lambda x, y: 0.2 * x * y)
 
 
 SURFACES = {
     "saddle": (saddle, {}),
-    "turned": (turned, {}),
+    "turned": (rotated_saddle, {}),
     "wavy": (wavy, {"count": 70, "off_surface_mm": 45}),
 }
 THIN = {"wavy": {"thickness_mm": 60, "blocks": [{"size_mm": [1200, 1000, 60], "foam": "eps_a120"}]}}
@@ -39,25 +46,25 @@ THIN = {"wavy": {"thickness_mm": 60, "blocks": [{"size_mm": [1200, 1000, 60], "f
 
 @pytest.fixture(scope="module", params=SURFACES)
 def quads(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """A surface's name, the panels that are written, and what is said of them."""
+    """The name of a surface, its written panels, and the issues."""
     mesh, own = SURFACES[request.param]
     folder = tmp_path_factory.mktemp(request.param)
     path = shell(folder, mesh(), {"shape": "quad", **own}, **THIN.get(request.param, {}))
-    files, said = told(path)
-    return request.param, written(files), said
+    files, said = divide_with_issues(path)
+    return request.param, read_panels(files), said
 
 
 @pytest.mark.sampled(every=3)
 def test_panels_are_planar_do_not_cross_and_keep_the_limits(quads: Any) -> None:
-    name, panels, said = quads
+    name, panels, expected_text = quads
     thick = 60.0 if name == "wavy" else THICK
     assert len(panels) == SURFACES[name][1].get("count", 40)
-    assert not [issue.code for issue in said if issue.code in ("element.count", "element.concave")]
+    assert not [issue.code for issue in expected_text if issue.code in ("element.count", "element.concave")]
     four = 0
     for panel in panels.values():
         four += len(panel.top) == 4
         require_convex_panel(panel, thick, 40.0)
-        rise = np.linalg.norm(panel.own[1] - panel.own[0], axis=1)
+        rise = np.linalg.norm(panel.local_outlines[1] - panel.local_outlines[0], axis=1)
         assert rise.max() <= 1.15 * thick
         assert np.degrees(np.arccos(thick / rise)).max() <= 30.0
     assert four >= 0.6 * len(panels)
@@ -73,20 +80,24 @@ def test_neighbours_have_one_plane_between_them_and_backs_end_nearly_alike(quads
                 continue
             beyond = panels[other]
             k = beyond.row["neighbours"].index(name)
-            here, there = sides(panel)[i][[1, 0, 3, 2]], sides(beyond)[k]
-            assert off_plane(np.concatenate([here, there])) < 1e-6
-            np.testing.assert_allclose(here[2:], there[2:], atol=1e-6)  # fronts have one edge
+            side, neighbour_side = sides(panel)[i][[1, 0, 3, 2]], sides(beyond)[k]
+            assert plane_deviation(np.concatenate([side, neighbour_side])) < 1e-6
+            np.testing.assert_allclose(side[2:], neighbour_side[2:], atol=1e-6)  # fronts have one edge
             met += 1
             for back, front in ((0, 3), (1, 2)):
                 if at_rim(panel, i, back) or at_rim(beyond, k, 1 - back):
                     continue
                 # one line from front to back, of two lengths: four planes moved by one have no common point
-                step = np.linalg.norm(here[back] - there[back])
+                step = np.linalg.norm(side[back] - neighbour_side[back])
                 assert step < 3.0
-                for one in (name, other):
-                    apart[one] = max(apart[one], float(step))
-                way = here[back] - here[front]
-                assert np.linalg.norm(np.cross(way, there[back] - there[front])) / np.linalg.norm(way) < 1e-6
+                for item in (name, other):
+                    apart[item] = max(apart[item], float(step))
+                way = side[back] - side[front]
+                assert (
+                    np.linalg.norm(np.cross(way, neighbour_side[back] - neighbour_side[front]))
+                    / np.linalg.norm(way)
+                    < 1e-6
+                )
     assert met > 1.3 * len(panels)
     stated = {name: panel.row["backs_apart_mm"] for name, panel in panels.items()}
     assert max(stated.values()) > 0.1
@@ -94,7 +105,7 @@ def test_neighbours_have_one_plane_between_them_and_backs_end_nearly_alike(quads
         assert own - 2e-3 <= stated[name] <= 2.0 * max(apart.values()) + 2e-3
 
 
-def at_rim(panel: Written, side: int, end: int) -> bool:
+def at_rim(panel: WrittenPanel, side: int, end: int) -> bool:
     """Whether a side's first (0) or second corner, as its neighbour counts them, is on the rim."""
     beside = panel.row["neighbours"]
     return beside[(side + 1) % len(beside) if end == 0 else side - 1] is None
@@ -104,8 +115,8 @@ def test_no_two_solids_have_anything_in_common(quads: Any) -> None:
     """Pair by pair: a union of all is not exact where many faces nearly lie in one plane."""
     panels = list(quads[1].values())
     corners = [np.concatenate([p.bottom, p.top]) / 1e3 for p in panels]
-    bodies = [manifold3d.Manifold.hull_points(one) for one in corners]
-    low, high = (np.array([extreme(one, axis=0) for one in corners]) for extreme in (np.min, np.max))
+    bodies = [manifold3d.Manifold.hull_points(corner) for corner in corners]
+    low, high = (np.array([extreme(corner, axis=0) for corner in corners]) for extreme in (np.min, np.max))
     met = 0
     for a in range(len(bodies)):
         for b in range(a):
@@ -128,12 +139,12 @@ def test_panels_leave_nothing_bare(quads: Any) -> None:
 @pytest.mark.long
 def test_the_same_file_gives_the_same_bytes_and_a_billionth_changes_no_id(tmp_path: Path) -> None:
     quad = {"shape": "quad"}
-    first = divided(shell(tmp_path / "one", saddle(), quad))
-    assert divided(shell(tmp_path / "two", saddle(), quad)) == first
+    first = divide(shell(tmp_path / "one", saddle(), quad))
+    assert divide(shell(tmp_path / "two", saddle(), quad)) == first
     mesh = saddle()
     moved = mesh.vertices + np.random.default_rng(1).uniform(-1e-9, 1e-9, mesh.vertices.shape)
-    near = written(divided(shell(tmp_path / "three", TriangleMesh(moved, mesh.faces), quad)))
-    for name, panel in written(first).items():
+    near = read_panels(divide(shell(tmp_path / "three", TriangleMesh(moved, mesh.faces), quad)))
+    for name, panel in read_panels(first).items():
         assert panel.row["neighbours"] == near[name].row["neighbours"]
         np.testing.assert_allclose(panel.top, near[name].top, atol=0.1)
 
@@ -141,23 +152,23 @@ def test_the_same_file_gives_the_same_bytes_and_a_billionth_changes_no_id(tmp_pa
 @pytest.mark.long
 def test_a_count_that_rows_cannot_make_is_told_and_narrower_panels_make_it(tmp_path: Path) -> None:
     quad = {"shape": "quad", "count": 37}
-    files, said = told(shell(tmp_path / "one", saddle(), {**quad, "least_width_mm": 380}))
-    (issue,) = (one for one in said if one.code == "element.count")
-    count = len(written(files))
-    assert issue.message.startswith(f"{count} panels are as near to the 37 asked")
+    files, said = divide_with_issues(shell(tmp_path / "one", saddle(), {**quad, "least_width_mm": 380}))
+    (issue,) = (item for item in said if item.code == "element.count")
+    count = len(read_panels(files))
+    assert issue.message.startswith(f"{count} panels: rows of quads over")
     assert 0 < abs(count - 37) <= 4
     assert "a smaller least_width_mm" in str(issue.hint)
-    files, said = told(shell(tmp_path / "two", saddle(), {**quad, "least_width_mm": 100}))
-    assert len(written(files)) == 37
-    assert not [one for one in said if one.code == "element.count"]
+    files, said = divide_with_issues(shell(tmp_path / "two", saddle(), {**quad, "least_width_mm": 100}))
+    assert len(read_panels(files)) == 37
+    assert not [item for item in said if item.code == "element.count"]
 
 
 @pytest.mark.long
 def test_quads_are_advised_where_hexagons_fail_as_the_surface_bends_both_ways(tmp_path: Path) -> None:
     limits = {"least_edge_mm": 150, "least_width_mm": 200}
-    found = refusals(shell(tmp_path, saddle(), limits))
-    assert all("shape: quad was tried: all panels can be made then" in str(i.hint) for i in found.values())
-    assert divided(shell(tmp_path, saddle(), {**limits, "shape": "quad"}))
+    result = refusals(shell(tmp_path, saddle(), limits))
+    assert all("shape: quad was tried: all panels can be made then" in str(i.hint) for i in result.values())
+    assert divide(shell(tmp_path, saddle(), {**limits, "shape": "quad"}))
 
 
 def test_a_surface_that_cannot_be_laid_out_is_refused_with_a_place(tmp_path: Path) -> None:
@@ -165,7 +176,7 @@ def test_a_surface_that_cannot_be_laid_out_is_refused_with_a_place(tmp_path: Pat
     mesh = patch(lambda x, y: 0 * x, 41)
     x, y = mesh.vertices[:, 0], mesh.vertices[:, 1].copy()
     mesh.vertices[:] = np.stack([y, np.cos(np.pi * x / 2.0), np.sin(np.pi * x / 2.0)], axis=1)
-    issue = refusals(shell(tmp_path, merge(mesh), {"shape": "quad"}))["panels.hexagons.count"]
+    issue = refusals(shell(tmp_path, merge_vertices(mesh), {"shape": "quad"}))["panels.hexagons.count"]
     assert issue.code == "element.surface"
     assert re.search(r"near \(-?\d+, -?\d+, -?\d+\) mm", issue.message)
     assert "shape: hexagon" in str(issue.hint)
@@ -191,4 +202,4 @@ def test_two_quads_are_planned_proven_and_meet(tmp_path: Path) -> None:
     rows = {row["id"]: row for row in csv.DictReader((out / "report.csv").open())}
     assert [rows[name]["state"] for name in pair] == ["verified", "verified"]
     assert all(rows[name]["backs_apart_mm"] == panels[name]["backs_apart_mm"] for name in panels)
-    assert "backs apart mm" in (out / "element.html").read_text()
+    assert "gap of backs mm" in (out / "element.html").read_text()

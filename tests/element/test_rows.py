@@ -1,4 +1,4 @@
-"""Panels that are cut out of a raw block together: which are, where they lie, and what their problems cut."""
+"""Panels that are cut from one raw block together: which panels, their position, and their cuts."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from planner import pipeline, plans
 from planner.batch import run as batch
 from planner.claims.segments import Segment
 from planner.cli.element import ElementReport, ElementRequest, run_element, run_element_report
-from planner.element.rows import FRONTS, Limits, Piece, Row, Shape, rows_of
-from planner.geometry.cut_tree import Bow, CutTree
-from planner.geometry.line_nest import in_lines
+from planner.element.rows import FRONTS, PanelRow, PanelShape, RowLimits, RowPiece, find_rows
+from planner.geometry.cut_tree import BowSize, CutTree
+from planner.geometry.line_nesting import nest_in_lines
 from planner.geometry.units import MM
 from planner.processes.hotwire.claims import CutsSurface, KerfCurve
 from tests.element.shells import shell
-from tests.element.test_run_report import data_of
-from tests.element.test_saw_jobs import KERF, SAW, jobs_of, planes, upwards
+from tests.element.test_run_report import read_data
+from tests.element.test_saw_jobs import KERF, SAW, planes, saw_jobs, upwards
 from tests.element.walls import ROOT
 from tests.test_plans import some_plan
 
@@ -56,26 +56,26 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def rows_in(out: Path) -> list[tuple[dict[str, Any], dict[str, Any], dict[str, Any]]]:
     """Blocks, their jobs that cut several panels, and the problems of these."""
-    found = []
-    for block, job in jobs_of(data_of(out)):
+    result = []
+    for block, job in saw_jobs(read_data(out)):
         if "panels" in job:
             loaded = yaml.safe_load((out / "blocks" / f"{job['id']}.yaml").read_text())
-            found.append((block, job, loaded))
-    return found
+            result.append((block, job, loaded))
+    return result
 
 
-def rings(one: dict[str, Any]) -> np.ndarray:
-    return np.array([one[end]["polyline_mm"] for end in ("start", "end")])
+def rings(part: dict[str, Any]) -> np.ndarray:
+    return np.array([part[end]["polyline_mm"] for end in ("start", "end")])
 
 
-def own_ring(out: Path, name: str) -> np.ndarray:
-    """The outline (2, C, 3) [mm] of a panel in the problem of its own."""
+def local_ring(out: Path, name: str) -> np.ndarray:
+    """Return the outline (2, C, 3) [mm] of a panel in its own problem."""
     (sides,) = yaml.safe_load((out / "again" / f"{name}.yaml").read_text())["part"]["ruled"]
     return rings(sides)
 
 
 def test_every_panel_is_cut_once_alone_or_in_a_row(out: Path) -> None:
-    data = data_of(out)
+    data = read_data(out)
     rows = [name for _, job, _ in rows_in(out) for name in job["panels"]]
     alone = {path.stem for path in (out / "panels").glob("*.yaml")}
     assert len(set(rows)) == len(rows) >= 70
@@ -94,16 +94,16 @@ def test_panels_lie_in_their_row_as_the_problem_of_their_own_has_them(out: Path)
         size = np.array(problem["stock"]["size_mm"])
         low = np.array(job["corner_mm"])
         assert (low + size[:2] <= np.array(block["size_mm"][:2]) + 0.01).all()
-        cut = {one["name"]: one for one in problem["part"]["ruled"]}
+        cut = {item["name"]: item for item in problem["part"]["ruled"]}
         for name, pose in job["panels"].items():
             pose = np.array(pose)
-            wanted = own_ring(out, name) @ pose[:3, :3].T + pose[:3, 3]
+            expected = local_ring(out, name) @ pose[:3, :3].T + pose[:3, 3]
             back, front = rings(cut[name])
-            assert np.allclose(back, wanted[0], atol=1e-6)
+            assert np.allclose(back, expected[0], atol=1e-6)
             rise = (front - back)[:, 2:] / 150.0  # goes on beyond the front, straight on
-            assert np.allclose((front - back) / rise, wanted[1] - back, atol=1e-5)
+            assert np.allclose((front - back) / rise, expected[1] - back, atol=1e-5)
             assert ((rise > 1.0) & (rise <= 1.03)).all()
-            assert (np.abs(wanted[..., :2]) < 0.5 * size[:2] - FOAM + 0.06).all()
+            assert (np.abs(expected[..., :2]) < 0.5 * size[:2] - FOAM + 0.06).all()
         rest = [shapely.Polygon(rings(cut[name])[1, :, :2]) for name in job["panels"]]
         assert all(a.distance(b) > 2.0 * FOAM for a, b in itertools.combinations(rest, 2))
 
@@ -123,10 +123,10 @@ def test_the_front_of_all_is_one_plane_and_outlines_follow_from_the_top_on_edge(
         assert upwards(problem)[2] == pytest.approx(1.0)
         up = upwards({"stock": outlines["setup"]})
         assert abs(up[2]) < 1e-9
-        assert "Tie its layers together" in outlines["setup"]["note"]
+        assert "tie the layers together" in outlines["setup"]["note"]
         assert {cut["surface"] for cut in outlines["cuts"]} == set(job["panels"])
-        cut = {one["name"]: rings(one) for one in problem["part"]["ruled"]}
-        tops = [float((cut[one["surface"]] @ up).max()) for one in outlines["cuts"]]
+        cut = {item["name"]: rings(item) for item in problem["part"]["ruled"]}
+        tops = [float((cut[item["surface"]] @ up).max()) for item in outlines["cuts"]]
         assert all(a > b - 0.1 for a, b in itertools.pairwise(tops))
         assert float(np.abs(up[:2]) @ size[:2]) + 20.0 <= 650.0  # throat of the bow
 
@@ -139,8 +139,8 @@ def test_what_bears_a_row_on_edge_is_clear_of_the_wire(out: Path) -> None:
         half = 0.5 * np.array(problem["stock"]["size_mm"])
         lines = [
             shapely.LinearRing(ring[:, [1 - axis, axis]])
-            for one in problem["part"]["ruled"][1:]
-            for ring in rings(one)
+            for item in problem["part"]["ruled"][1:]
+            for ring in rings(item)
         ]
         low, high = np.inf, -np.inf
         for box in setup["support"]:
@@ -160,9 +160,9 @@ def test_no_further_block_is_taken_for_panels_to_be_cut_together(out: Path, tmp_
     data["cut_blocks"].pop("together")
     path.write_text(yaml.safe_dump(data))
     run_element(ElementRequest(path, tmp_path / "out"))
-    alone, both = data_of(tmp_path / "out")["blocks"], data_of(out)["blocks"]
+    alone, both = read_data(tmp_path / "out")["blocks"], read_data(out)["blocks"]
     assert len(both["blocks"]) <= len(alone["blocks"])
-    jobs = [sum(len(block["jobs"]) for block in one["blocks"]) for one in (alone, both)]
+    jobs = [sum(len(block["jobs"]) for block in item["blocks"]) for item in (alone, both)]
     assert jobs[1] < 0.5 * jobs[0]
     header = (tmp_path / "out" / "blocks.csv").read_text().splitlines()[0]
     assert "together" not in header
@@ -178,24 +178,26 @@ def test_blocks_as_thick_as_their_panels_are_cut_round_on_edge_alone(tmp_path: P
         assert {cut["surface"] for cut in outlines["cuts"]} == set(job["panels"])
         assert abs(upwards(problem)[2]) < 1e-9
     name = next(iter(rows[0][1]["panels"]))
-    cut = {one["name"]: rings(one) for one in rows[0][2]["part"]["ruled"]}[name]
+    cut = {item["name"]: rings(item) for item in rows[0][2]["part"]["ruled"]}[name]
     assert set(np.unique(cut[..., 2])) == {0.0, 150.0}
 
 
-PIECE = Shape(
+PIECE = PanelShape(
     np.array(
         [[[x, y, z] for x, y in ((-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1))] for z in (0.0, 0.1)]
     )
 )
-WIDE = Shape(PIECE.outline * [[[1.1, 1.0, 0.9]], [[1.2, 1.0, 0.9]]])
-TREE = next(in_lines([(0.24, 0.24)] * 2, (0.24, 0.5), 0.002, False))[0]
+WIDE = PanelShape(PIECE.outline * [[[1.1, 1.0, 0.9]], [[1.2, 1.0, 0.9]]])
+TREE = next(nest_in_lines([(0.24, 0.24)] * 2, (0.24, 0.5), 0.002, False))[0]
 
 
 @pytest.mark.parametrize("block", [(0.24, 0.5), (0.5, 0.24)])
 def test_the_slot_that_takes_a_slab_to_its_thickness_is_above_its_panels(block: tuple[float, float]) -> None:
-    tree = next(trees[0] for trees in in_lines([(0.24, 0.24)] * 2, block, 0.002, True) if len(trees) == 1)
-    limits = Limits(Bow(0.65, 0.65), 0.02, 0.2, 0.013)
-    (row,) = rows_of(tree, [Piece(n, 0.1, PIECE) for n in "ab"], 0.12, limits)[0].values()
+    tree = next(
+        trees[0] for trees in nest_in_lines([(0.24, 0.24)] * 2, block, 0.002, True) if len(trees) == 1
+    )
+    limits = RowLimits(BowSize(0.65, 0.65), 0.02, 0.2, 0.013)
+    (row,) = find_rows(tree, [RowPiece(n, 0.1, PIECE) for n in "ab"], 0.12, limits)[0].values()
     ((start, end),) = row.faces[FRONTS]
     assert np.allclose([start[:, 2], end[:, 2]], 0.1)
     assert np.cross(start[1] - start[0], end[0] - start[0])[2] > 0.0
@@ -211,8 +213,8 @@ def test_what_bears_a_row_ends_where_the_wire_comes_in_below_it() -> None:
 
     low = 0.025 - 0.5 * np.maximum(np.abs(y) - 0.08, 0.0)
     shape = dataclasses.replace(PIECE, faces=(face(low), face(low + 0.06)))
-    limits = Limits(Bow(0.65, 0.65), 0.02, 0.2, 0.013)
-    (row,) = rows_of(TREE, [Piece(n, 0.1, shape) for n in "ab"], 0.1, limits)[0].values()
+    limits = RowLimits(BowSize(0.65, 0.65), 0.02, 0.2, 0.013)
+    (row,) = find_rows(TREE, [RowPiece(n, 0.1, shape) for n in "ab"], 0.1, limits)[0].values()
     ends = max(float(np.abs(ring[..., 1]).max()) for ring in row.outlines.values())  # 15 mm high there
     beyond = ends + (0.015 - 0.013) / 0.5
     assert -row.beams[0][0] < beyond - 0.012
@@ -223,27 +225,40 @@ def test_what_bears_a_row_ends_where_the_wire_comes_in_below_it() -> None:
     ("shapes", "thick", "limits", "why"),
     [
         ((PIECE, None), (0.1, 0.1), {}, "a bent wire"),
-        ((PIECE, PIECE), (0.1, 0.08), {}, "not of one thickness"),
-        ((PIECE, PIECE), (0.1, 0.1), {"bow": Bow(0.6, 0.25)}, "throat of 250 mm has room for 230"),
-        ((PIECE, PIECE), (0.1, 0.1), {"bow": Bow(0.13, 0.6)}, "takes a span of 140 mm, and the bow has 130"),
-        ((PIECE, PIECE), (0.09, 0.09), {"bow": Bow(0.26, 0.6)}, "to their thickness takes a span of 280 mm"),
+        ((PIECE, PIECE), (0.1, 0.08), {}, "different thicknesses"),
+        ((PIECE, PIECE), (0.1, 0.1), {"bow": BowSize(0.6, 0.25)}, "throat of 250 mm allows 230"),
+        (
+            (PIECE, PIECE),
+            (0.1, 0.1),
+            {"bow": BowSize(0.13, 0.6)},
+            "needs a span of 140 mm, but the bow has 130",
+        ),
+        (
+            (PIECE, PIECE),
+            (0.09, 0.09),
+            {"bow": BowSize(0.26, 0.6)},
+            "to their thickness needs a span of 280 mm",
+        ),
         ((PIECE, PIECE), (0.1, 0.1), {"room": 0.05}, "within 20.0 mm of what bears them"),
         ((PIECE, PIECE), (0.0999, 0.0999), {}, "0.1 mm thicker than they are"),
-        ((WIDE, WIDE), (0.09, 0.09), {}, "come out of the part; 0.33 mm more foam beside them"),
+        ((WIDE, WIDE), (0.09, 0.09), {}, "leave the part; 0.33 mm more foam beside them"),
     ],
 )
 def test_panels_that_are_no_row_are_told_why(
-    shapes: tuple[Shape | None, Shape | None], thick: tuple[float, float], limits: dict[str, Any], why: str
+    shapes: tuple[PanelShape | None, PanelShape | None],
+    thick: tuple[float, float],
+    limits: dict[str, Any],
+    why: str,
 ) -> None:
-    given = {"bow": Bow(0.65, 0.65), "margin": 0.02, "kept": 0.2, "room": 0.013}
+    given = {"bow": BowSize(0.65, 0.65), "margin": 0.02, "kept": 0.2, "room": 0.013}
     assert isinstance(TREE, CutTree)
-    good, none = rows_of(TREE, [Piece(n, 0.1, PIECE) for n in "ab"], 0.1, Limits(**given))
+    good, none = find_rows(TREE, [RowPiece(n, 0.1, PIECE) for n in "ab"], 0.1, RowLimits(**given))
     (row,) = good.values()
-    assert isinstance(row, Row)
+    assert isinstance(row, PanelRow)
     assert len(row.outlines) == 2
     assert not none
-    pieces = [Piece(n, t, s) for n, t, s in zip("ab", thick, shapes, strict=True)]
-    rows, alone = rows_of(TREE, pieces, 0.1, Limits(**{**given, **limits}))
+    pieces = [RowPiece(n, t, s) for n, t, s in zip("ab", thick, shapes, strict=True)]
+    rows, alone = find_rows(TREE, pieces, 0.1, RowLimits(**{**given, **limits}))
     assert not rows
     assert set(alone) == {0, 1}
     assert why in alone[0]
@@ -252,13 +267,15 @@ def test_panels_that_are_no_row_are_told_why(
 @pytest.mark.long
 def test_a_bow_without_room_is_named_for_each_panel(tmp_path: Path) -> None:
     run_element(ElementRequest(slab(tmp_path, bow=400.0), tmp_path / "out"))
-    data = data_of(tmp_path / "out")
-    told = [one["alone"] for block in data["blocks"]["blocks"] for one in block["panels"] if "alone" in one]
+    data = read_data(tmp_path / "out")
+    told = [
+        item["alone"] for block in data["blocks"]["blocks"] for item in block["panels"] if "alone" in item
+    ]
     assert len(told) == len(data["panels"])
-    assert all(re.search("throat of 400 mm|nothing else|left over", one) for one in told)
+    assert all(re.search("throat of 400 mm|nothing else|offcut", item) for item in told)
     rows = list(csv.DictReader((tmp_path / "out" / "blocks.csv").open()))
-    assert "throat of 400 mm has room for 380" in rows[0]["by_themselves"]
-    assert "throat of 400 mm has room for 380" in (tmp_path / "out" / "element.html").read_text()
+    assert "throat of 400 mm allows 380" in rows[0]["by_themselves"]
+    assert "throat of 400 mm allows 380" in (tmp_path / "out" / "element.html").read_text()
 
 
 @pytest.fixture(scope="module")
@@ -270,12 +287,12 @@ def wall(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.long
 def test_faces_of_a_ruled_wall_are_one_surface_from_panel_to_panel(wall: Path) -> None:
-    data = data_of(wall)
+    data = read_data(wall)
     rows = rows_in(wall)
     assert sum(len(job["panels"]) for _, job, _ in rows) > 0.9 * len(data["panels"])
     assert len(data["blocks"]["blocks"]) == 10
     for _, job, problem in rows[:4]:
-        cut = {one["name"]: one for one in problem["part"]["ruled"]}
+        cut = {item["name"]: item for item in problem["part"]["ruled"]}
         for whole, face in (("fronts", "front"), ("backs", "back")):
             start, end = rings(cut[whole])
             corners = np.array(cut[whole]["start"]["corners_mm"])
@@ -283,14 +300,14 @@ def test_faces_of_a_ruled_wall_are_one_surface_from_panel_to_panel(wall: Path) -
             for name, pose in job["panels"].items():
                 pose = np.array(pose)
                 own = yaml.safe_load((wall / "again" / f"{name}.yaml").read_text())["part"]["ruled"]
-                (one,) = [each for each in own if each["name"] == face]
-                assert one.get("flip") == cut[whole].get("flip")
-                for ring in rings(one) @ pose[:3, :3].T + pose[:3, 3]:
+                (item,) = [each for each in own if each["name"] == face]
+                assert item.get("flip") == cut[whole].get("flip")
+                for ring in rings(item) @ pose[:3, :3].T + pose[:3, 3]:
                     # each ruling of the panel lies on one of the row, which may be longer
                     way = end - start
-                    share = ((ring[:, None] - start) * way).sum(-1) / (way * way).sum(-1)
-                    off = np.linalg.norm(ring[:, None] - start - share[..., None] * way, axis=-1)
-                    assert off.min(axis=1).max() < 1e-5
+                    fraction = ((ring[:, None] - start) * way).sum(-1) / (way * way).sum(-1)
+                    deviation = np.linalg.norm(ring[:, None] - start - fraction[..., None] * way, axis=-1)
+                    assert deviation.min(axis=1).max() < 1e-5
 
 
 def plan_rows(out: Path, names: list[str], run: Path) -> dict[str, str]:
@@ -312,18 +329,18 @@ def test_rows_of_a_wall_and_of_a_shell_are_proven_and_reported(out: Path, wall: 
             assert float(rows[name]["off_written_largest_mm"]) < 0.4, block["id"]
 
 
-def cut_as_asked(problem: dict[str, Any]) -> str:
-    """A simulated part of a row in which every cut is where its problem has it, wound as that says."""
+def simulate_cut(problem: dict[str, Any]) -> str:
+    """Simulate the part of a row with every cut where its problem has it, in the winding that it states."""
     lines, count = [], 1
-    for one in problem["part"]["ruled"]:
-        start, end = rings(one)
-        if one.get("closed"):
+    for item in problem["part"]["ruled"]:
+        start, end = rings(item)
+        if item.get("closed"):
             start, end = (np.concatenate([ring, ring[:1]]) for ring in (start, end))
         fine = np.linspace(0, len(start) - 1, 40 * (len(start) - 1) + 1)
         ends = [np.stack([np.interp(fine, range(len(r)), c) for c in r.T], axis=1) for r in (start, end)]
-        share = np.linspace(0.0, 1.0, 12)[:, None, None]
-        grid = (1.0 - share) * ends[0] + share * ends[1]
-        lines += [f"o cut_{one['name']}", *(f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in grid.reshape(-1, 3))]
+        fraction = np.linspace(0.0, 1.0, 12)[:, None, None]
+        grid = (1.0 - fraction) * ends[0] + fraction * ends[1]
+        lines += [f"o cut_{item['name']}", *(f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in grid.reshape(-1, 3))]
         number = np.arange(grid.shape[0] * grid.shape[1]).reshape(grid.shape[:2]) + count
         a, b, c = number[:-1, :-1].ravel(), number[:-1, 1:].ravel(), number[1:, :-1].ravel()
         lines += [f"f {i} {j} {k}" for i, j, k in np.stack([a, b, c], axis=1).tolist()]
@@ -347,18 +364,18 @@ def test_a_slot_on_the_side_of_the_panels_is_named_by_the_report_and_none_once_p
         run = tmp_path / f"run{k}"
         (run / job["id"]).mkdir(parents=True)
         plans.save(plan, run / job["id"])
-        (fronts,) = [one for one in problem["part"]["ruled"] if one["name"] == "fronts"]
+        (fronts,) = [item for item in problem["part"]["ruled"] if item["name"] == "fronts"]
         turned = {**fronts, "start": fronts["end"], "end": fronts["start"]} if wrong else fronts
-        ruled = [turned if one is fronts else one for one in problem["part"]["ruled"]]
-        text = cut_as_asked({"part": {"ruled": ruled}})
+        ruled = [turned if item is fronts else item for item in problem["part"]["ruled"]]
+        text = simulate_cut({"part": {"ruled": ruled}})
         (run / job["id"] / "simulated_part.obj").write_text(text)
         (run / "summary.csv").write_text(f"name,state,issues,message\n{job['id']},verified,,\n")
         issues = [
             issue for issue in run_element_report(ElementReport(out, run)) if issue.code == "element.face"
         ]
         rows = {row["id"]: row for row in csv.DictReader((out / "report.csv").open())}
-        off = [float(rows[name]["off_written_largest_mm"]) for name in job["panels"]]
-        assert off == pytest.approx([KERF if wrong else 0.0] * len(off), abs=2e-3)
-        assert len(issues) == (len(off) if wrong else 0)
-        assert all("the slot of 2 mm is on the panel's side" in issue.message for issue in issues)
+        deviations = [float(rows[name]["off_written_largest_mm"]) for name in job["panels"]]
+        assert deviations == pytest.approx([KERF if wrong else 0.0] * len(deviations), abs=2e-3)
+        assert len(issues) == (len(deviations) if wrong else 0)
+        assert all("the slot of 2 mm is in the panel" in issue.message for issue in issues)
         assert {issue.message.split()[3] for issue in issues} == (set(job["panels"]) if wrong else set())

@@ -1,4 +1,4 @@
-"""Problems that cut raw blocks apart: what they leave are the panels' blocks, in stages that can be made."""
+"""Problems that saw raw blocks apart: the remainders are the panels' blocks, in stages that can be made."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from planner.element import element_file
 from planner.issues import TandemError
 from planner.processes import registry
 from tests.element.shells import cap, shell
-from tests.element.test_run_report import data_of
+from tests.element.test_run_report import read_data
 from tests.element.walls import ROOT
 from tests.test_plans import some_plan
 
@@ -49,7 +49,7 @@ def sawn_shell(folder: Path, template: Any = SAW, **changes: Any) -> Path:
     return path
 
 
-def together(folder: Path, **changes: Any) -> list[Path]:
+def write_small_shell(folder: Path, **changes: Any) -> list[Path]:
     """The files of a small shell as a user has them on disk, the element file first; its 24 panels are cut
     together, three out of each raw block."""
     (saw,) = SAW["operations"]
@@ -59,11 +59,11 @@ def together(folder: Path, **changes: Any) -> list[Path]:
     cut = {"problem": "saw.yaml", "together": True}
     path = sawn_shell(folder, template, cut_blocks=cut, **given, **changes)
     cells = []
-    for one in ("held.yaml", "saw.yaml"):
-        data = yaml.safe_load((folder / one).read_text())
+    for item in ("held.yaml", "saw.yaml"):
+        data = yaml.safe_load((folder / item).read_text())
         cells.append(Path(data["cell"]))
-        (folder / one).write_text(yaml.safe_dump({**data, "cell": cells[-1].name}))
-    return [path, *(folder / one for one in ("shell.obj", "held.yaml", "saw.yaml")), *cells]
+        (folder / item).write_text(yaml.safe_dump({**data, "cell": cells[-1].name}))
+    return [path, *(folder / item for item in ("shell.obj", "held.yaml", "saw.yaml")), *cells]
 
 
 @pytest.fixture(scope="module")
@@ -82,30 +82,30 @@ def planes(problem: dict[str, Any]) -> list[tuple[np.ndarray, np.ndarray]]:
     """Corners (4, 3) [mm] and the unit normal (3,) of each cut in the order of the operation, by the rule of
     the docs: way of the start guide times rulings, `flip` the other side."""
     ruled = {one["name"]: one for one in problem["part"]["ruled"]}
-    found = []
+    result = []
     for cut in problem["operations"][0]["cuts"]:
         one = ruled[cut["surface"]]
         start, end = (np.array(one[side]["polyline_mm"]) for side in ("start", "end"))
         normal = np.cross(start[1] - start[0], end[0] - start[0])
         normal = normal / np.linalg.norm(normal) * (-1.0 if one.get("flip") else 1.0)
-        found.append((np.concatenate([start, end]), normal))
-    return found
+        result.append((np.concatenate([start, end]), normal))
+    return result
 
 
 def upwards(problem: dict[str, Any]) -> np.ndarray:
-    """The direction (3,) of the part's frame that is up where it stands."""
+    """Return the up direction (3,) in the frame of the part."""
     roll, pitch = np.deg2rad(problem["stock"]["roll_pitch_deg"])
     about_x = np.array([[1, 0, 0], [0, np.cos(roll), -np.sin(roll)], [0, np.sin(roll), np.cos(roll)]])
     about_y = np.array([[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]])
     return (about_y @ about_x)[2]
 
 
-def jobs_of(data: dict[str, Any]) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+def saw_jobs(data: dict[str, Any]) -> list[tuple[dict[str, Any], dict[str, Any]]]:
     return [(block, job) for block in data["blocks"]["blocks"] for job in block["jobs"]]
 
 
 def test_jobs_cut_raw_blocks_into_the_blocks_of_all_panels(out: Path) -> None:
-    data = data_of(out)
+    data = read_data(out)
     boxes = 0
     for block in data["blocks"]["blocks"]:
         pieces = [np.array([[0.0, 0.0, 0.0], block["size_mm"]])]
@@ -133,19 +133,19 @@ def test_jobs_cut_raw_blocks_into_the_blocks_of_all_panels(out: Path) -> None:
                 new += [below] + [above] * bool(above[0, axis] < above[1, axis] - 1e-6)
             pieces += new
             done += job["cuts"]
-        levels = [one for one in block["panels"] if one["level_cut"]]
+        levels = [panel for panel in block["panels"] if panel["level_cut"]]
         assert sorted(done) == list(range(1, len(block["cuts"]) + len(levels) + 1))
-        for one in block["panels"]:
-            low = np.array([*one["corner_mm"], 0.0])
-            box = np.array([low, [*low[:2] + one["size_mm"], 150.0]])
-            assert any(np.allclose(piece, box, atol=0.02) for piece in pieces), one["id"]
+        for panel in block["panels"]:
+            low = np.array([*panel["corner_mm"], 0.0])
+            box = np.array([low, [*low[:2] + panel["size_mm"], 150.0]])
+            assert any(np.allclose(piece, box, atol=0.02) for piece in pieces), panel["id"]
             boxes += 1
     assert boxes == len(data["panels"])
 
 
 def test_parts_lie_flat_where_the_bow_spans_their_cuts_and_stand_on_edge_else(out: Path) -> None:
     kinds = set()
-    for _, job in jobs_of(data_of(out)):
+    for _, job in saw_jobs(read_data(out)):
         problem = job_file(out, job["id"])
         cuts, up = planes(problem), upwards(problem)
         axis = int(np.argmax(cuts[0][1]))
@@ -173,28 +173,28 @@ def test_the_wire_comes_to_parts_that_lie_flat_from_above_and_leaves_upwards(out
     """Below are the beams, between which there is no way in for a bow."""
     seen = set()
     for folder in (out, small):
-        for _, job in jobs_of(data_of(folder)):
+        for _, job in saw_jobs(read_data(folder)):
             written = job_file(folder, job["id"])
             axis = int(np.argmax(planes(written)[0][1]))
             if axis == 2 or abs(upwards(written)[2]) < 0.999 or (folder, axis) in seen:
                 continue
             seen.add((folder, axis))
             problem = pipeline.load(folder / "blocks" / f"{job['id']}.yaml")
-            (one,) = registry.jobs(problem)
-            ends = one.targets().pose["robot"][[0, -1], 2, 3]
+            (item,) = registry.jobs(problem)
+            ends = item.targets().pose["robot"][[0, -1], 2, 3]
             assert (ends > problem.stock.size[2]).all(), job["id"]
     assert {axis for _, axis in seen} == {0, 1}
 
 
 def test_what_bears_a_part_is_below_it_and_beside_its_slots(out: Path) -> None:
-    for _, job in jobs_of(data_of(out)):
+    for _, job in saw_jobs(read_data(out)):
         problem = job_file(out, job["id"])
         up, size = upwards(problem), np.array(problem["stock"]["size_mm"])
         low = np.array([-0.5 * size[0], -0.5 * size[1], 0.0])
-        least = float(np.minimum(low * up, (low + size) * up).sum())
+        minimum = float(np.minimum(low * up, (low + size) * up).sum())
         for box in problem["stock"]["support"]:
             middle, half = np.array(box["pose"]["xyz_mm"]), 0.5 * np.array(box["size_mm"])
-            assert float(middle @ up + half @ np.abs(up)) == pytest.approx(least, abs=0.01)
+            assert float(middle @ up + half @ np.abs(up)) == pytest.approx(minimum, abs=0.01)
             assert 2.0 * float(half @ np.abs(up)) == pytest.approx(700.0)
             for k in (k for k in range(3) if abs(up[k]) < 0.5):
                 assert low[k] + 5.0 < middle[k] - half[k]
@@ -206,26 +206,26 @@ def test_what_bears_a_part_is_below_it_and_beside_its_slots(out: Path) -> None:
 
 
 def test_problems_are_read_and_blocks_have_other_names_than_panels(out: Path) -> None:
-    data = data_of(out)
+    data = read_data(out)
     panels = {panel["id"] for panel in data["panels"]}
     assert "B01" in panels
     rows = list(csv.DictReader((out / "blocks.csv").open()))
     named = [name for row in rows for name in row["jobs"].split()]
-    assert named == [job["id"] for _, job in jobs_of(data)]
+    assert named == [job["id"] for _, job in saw_jobs(data)]
     assert sorted(named) == sorted(path.stem for path in (out / "blocks").iterdir())
     assert not panels & {*named, *(row["block"] for row in rows)}
     for name in named[:4]:
         problem = pipeline.load(out / "blocks" / f"{name}.yaml")
         assert problem.name.startswith(data["name"][:10])
-    found = batch.collect([out / "panels", out / "blocks"], out / "run")
-    assert {item.name for item in found} == panels | set(named)
+    result = batch.collect_items([out / "panels", out / "blocks"], out / "run")
+    assert {item.name for item in result} == panels | set(named)
 
 
 def test_slots_are_those_of_the_nest_or_narrower_by_power(tmp_path: Path, out: Path) -> None:
-    name = data_of(out)["blocks"]["blocks"][0]["id"]
+    name = read_data(out)["blocks"]["blocks"][0]["id"]
     assert job_file(out, name)["operations"][0]["kerf_mm"] == KERF
     hot = {**SAW, "operations": [{**SAW["operations"][0], "power_w": 76}]}
-    element = element_file.read(sawn_shell(tmp_path, hot))
+    element = element_file.read_element(sawn_shell(tmp_path, hot))
     assert element.saw is not None
     (operation,) = element.saw.data["operations"]
     assert operation["kerf_range_mm"][1] == KERF
@@ -233,47 +233,47 @@ def test_slots_are_those_of_the_nest_or_narrower_by_power(tmp_path: Path, out: P
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "expected_text"),
     [
         ({"operations": [{**SAW["operations"][0], "cuts": "all"}]}, "without cuts"),
         ({"operations": [{**SAW["operations"][0], "kerf_mm": 3}]}, "kerf_mm"),
         ({"operations": SAW["operations"] * 2}, "one operation"),
         ({"operations": [{**SAW["operations"][0], "process": "milling"}]}, "straight_wire"),
         ({"operations": [{**SAW["operations"][0], "arms": ["other"]}]}, "no bow on the first"),
-        ({"stock": {"support": []}}, "stock.support, which each piece of a block brings"),
-        ({"part": {}}, "part, which each piece"),
+        ({"stock": {"support": []}}, "stock.support, which is added for each piece of a block"),
+        ({"part": {}}, "part, which is added for each piece"),
     ],
 )
 def test_templates_that_bring_what_blocks_bring_are_refused(
-    tmp_path: Path, change: dict[str, Any], told: str
+    tmp_path: Path, change: dict[str, Any], expected_text: str
 ) -> None:
     with pytest.raises(TandemError) as caught:
-        element_file.read(sawn_shell(tmp_path, {**SAW, **change}))
+        element_file.read_element(sawn_shell(tmp_path, {**SAW, **change}))
     (issue,) = caught.value.issues
     assert (issue.code, issue.field) == ("element.jobs", "cut_blocks")
-    assert told in issue.message
+    assert expected_text in issue.message
 
 
 def test_jobs_of_blocks_need_raw_blocks(tmp_path: Path) -> None:
     with pytest.raises(TandemError) as caught:
-        element_file.read(sawn_shell(tmp_path, raw_blocks=None))
+        element_file.read_element(sawn_shell(tmp_path, raw_blocks=None))
     assert "cut_blocks" in caught.value.issues[0].message
 
 
 @pytest.mark.long
 def test_jobs_out_of_reach_are_named_with_a_bow_that_reaches_them(tmp_path: Path, out: Path) -> None:
-    assert not [i for i in data_of(out)["issues"] if i["field"] == "cut_blocks"]
+    assert not [i for i in read_data(out)["issues"] if i["field"] == "cut_blocks"]
     small = {**SAW["operations"][0], "setup": {"tools": {"robot": {"kind": "bow", "span_mm": 400}}}}
     run_element(ElementRequest(sawn_shell(tmp_path, {**SAW, "operations": [small]}), tmp_path / "out"))
-    (issue,) = [i for i in data_of(tmp_path / "out")["issues"] if i["field"] == "cut_blocks"]
+    (issue,) = [i for i in read_data(tmp_path / "out")["issues"] if i["field"] == "cut_blocks"]
     assert issue["code"] == "element.cut"
     assert "a span of 400 and a throat of 400 mm: RB" in issue["message"]
-    found = re.search(r"span_mm: (\d+), throat_mm: (\d+)", issue["hint"])
-    assert found is not None
-    wide = {"kind": "bow", "span_mm": int(found[1]), "throat_mm": int(found[2])}
+    match = re.search(r"span_mm: (\d+), throat_mm: (\d+)", issue["hint"])
+    assert match is not None
+    wide = {"kind": "bow", "span_mm": int(match[1]), "throat_mm": int(match[2])}
     small = {**small, "setup": {"tools": {"robot": wide}}}
     run_element(ElementRequest(sawn_shell(tmp_path, {**SAW, "operations": [small]}), tmp_path / "out"))
-    assert not [i for i in data_of(tmp_path / "out")["issues"] if i["field"] == "cut_blocks"]
+    assert not [i for i in read_data(tmp_path / "out")["issues"] if i["field"] == "cut_blocks"]
 
 
 @pytest.fixture(scope="module")
@@ -289,7 +289,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_report_tells_states_and_minutes_of_the_jobs_that_cut_blocks(small: Path, tmp_path: Path) -> None:
-    jobs = [job["id"] for _, job in jobs_of(data_of(small))]
+    jobs = [job["id"] for _, job in saw_jobs(read_data(small))]
     before = (small / "element.html").read_text()
     assert f"{len(jobs)} jobs that cut them" in before
     assert "to cut raw blocks, arm robot" in before
@@ -298,8 +298,8 @@ def test_the_report_tells_states_and_minutes_of_the_jobs_that_cut_blocks(small: 
     plans.save(dataclasses.replace(plan, operations=(operation,)), tmp_path / jobs[0])
     rows = [f"{jobs[0]},verified,,", f"{jobs[1]},infeasible,motion.entry,no way in"]
     (tmp_path / "summary.csv").write_text("\n".join(["name,state,issues,message", *rows]) + "\n")
-    told = [issue.message for issue in run_element_report(ElementReport(small, tmp_path))]
-    (left,) = [message for message in told if "jobs of raw blocks" in message]
+    messages = [issue.message for issue in run_element_report(ElementReport(small, tmp_path))]
+    (left,) = [message for message in messages if "jobs of raw blocks" in message]
     assert left.startswith(f"{len(jobs) - 1} of {len(jobs)} jobs of raw blocks are not proven: ")
     assert f"{jobs[1]} (motion.entry)" in left
     page = (small / "element.html").read_text()
@@ -315,14 +315,14 @@ def plan_all(out: Path, names: list[str], run: Path) -> dict[str, str]:
 
 
 def test_a_level_cut_is_proven_as_it_is_written(small: Path, tmp_path: Path) -> None:
-    name = data_of(small)["blocks"]["blocks"][0]["jobs"][-1]["id"]
+    name = read_data(small)["blocks"]["blocks"][0]["jobs"][-1]["id"]
     assert plan_all(small, [name], tmp_path) == {name: "verified"}
 
 
 @pytest.mark.long
 def test_a_raw_block_is_cut_apart_by_proven_jobs(tmp_path: Path) -> None:
     run_element(ElementRequest(ROOT / "problems" / "ruled_wall_108" / "boxes.yaml", tmp_path / "out"))
-    block = data_of(tmp_path / "out")["blocks"]["blocks"][1]  # whose parts are cut along x and along y
+    block = read_data(tmp_path / "out")["blocks"]["blocks"][1]  # whose parts are cut along x and along y
     names = [job["id"] for job in block["jobs"]]
     assert names[:2] == ["B02", "B02-2"]
     assert set(plan_all(tmp_path / "out", names, tmp_path / "run").values()) == {"verified"}

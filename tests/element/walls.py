@@ -46,7 +46,7 @@ def write_obj(path: Path, mesh: TriangleMesh) -> None:
     path.write_text("\n".join(lines) + "\n")
 
 
-def refused(divide: Callable[[], object]) -> Issue:
+def expect_refusal(divide: Callable[[], object]) -> Issue:
     """The one issue that an element is refused with."""
     with pytest.raises(TandemError) as caught:
         divide()

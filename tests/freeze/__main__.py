@@ -29,10 +29,10 @@ def main(arguments: list[str]) -> int:
 
 
 def _write(names: list[str], resume: bool) -> int:
-    from planner.service import bundled
+    from planner.service import bundled_examples
     from tests.freeze import lists
 
-    known = sorted(bundled.problems())
+    known = sorted(bundled_examples.problems())
     if unknown := set(names) - {*known, *LISTS}:
         print(f"unknown: {', '.join(sorted(unknown))}; known: {', '.join([*LISTS, *known])}", file=sys.stderr)
         return 2

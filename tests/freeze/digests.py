@@ -1,10 +1,10 @@
 """SHA-256 digests of everything that planning a bundled problem writes.
 
-Planning is deterministic: result folders of two runs are equal byte by byte, whatever the folder, the time,
-the hash seed and the number of processes. A file with words has two rows, one of all bytes, and one ``without
-words`` (:mod:`tests.freeze.wordless`), which a change of wording leaves as it is. Two values that do not
-describe behaviour are fixed while digests are computed (:func:`plan`): the version of Tandem, which is in
-every program header, and the patch level of Python, which ``plan.json`` and ``report.html`` state.
+Planning is deterministic: result folders of two runs are identical, whatever the folder, the time, the hash
+seed and the number of processes. A file with words has two rows: one of all bytes, and one ``without words``
+(:mod:`tests.freeze.wordless`), which a change of wording does not affect. Two values that do not describe
+behaviour are fixed while digests are computed (:func:`plan`): the version of Tandem, which is in every
+program header, and the patch level of Python, which ``plan.json`` and ``report.html`` state.
 
 Floating-point results depend on the kernels that OpenBLAS and NumPy choose for the processor.
 :data:`PINNED_KERNELS` fixes them in the process that plans. Files whose digests differ from those with pinned

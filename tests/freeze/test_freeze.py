@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from planner.service import bundled
+from planner.service import bundled_examples
 from tests.freeze import digests, lists, wordless
 from tests.freeze.startup_imports import IMPORTS
 
@@ -24,7 +24,7 @@ KRL, and refusals of forming, elastic wire and the problem file."""
     "name",
     [
         pytest.param(name, marks=() if name in FAST else pytest.mark.long)
-        for name in sorted(bundled.problems())
+        for name in sorted(bundled_examples.problems())
     ],
 )
 def test_results_of_a_bundled_problem_are_unchanged(name: str) -> None:
@@ -41,7 +41,7 @@ def test_results_of_a_bundled_problem_are_unchanged(name: str) -> None:
 
 
 def test_every_stored_problem_is_bundled() -> None:
-    removed = sorted(set(digests.read_table()["problems"]) - set(bundled.problems()))
+    removed = sorted(set(digests.read_table()["problems"]) - set(bundled_examples.problems()))
     assert not removed, f"no longer bundled: {removed}; remove their rows or run `{digests.WRITE_COMMAND}`"
 
 

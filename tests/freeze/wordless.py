@@ -13,6 +13,7 @@ Digests (hex texts of eight or more characters) are left out everywhere: they fo
 """
 
 import hashlib
+import html
 import io
 import json
 import re
@@ -62,7 +63,8 @@ def digest(name: str, content: bytes) -> str:
     elif suffix == ".npz":
         kept = _arrays(content)
     else:
-        kept = "\n".join(sorted(numbers(content.decode("utf-8"))))
+        text = content.decode("utf-8")
+        kept = "\n".join(sorted(numbers(html.unescape(text) if suffix == ".html" else text)))
     return hashlib.sha256(kept.encode()).hexdigest()
 
 

@@ -1,5 +1,7 @@
-"""The order in which bodies are put up and their ways in, against directions on a grid, closed forms and
-bodies that are locked by construction."""
+"""The assembly order of bodies and their directions of insertion.
+
+The references are directions on a grid, closed forms and bodies that are locked by construction.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +11,15 @@ import trimesh
 from scipy.optimize import nnls
 
 from planner.geometry.assembly import (
-    CLEAR,
+    CONTACT_TOLERANCE_M,
     NONE,
     Slab,
+    assemble,
+    assembly_rows,
     bodies_beyond,
-    in_the_way,
-    middle_way,
+    middle_direction,
+    obstruction_depth,
     outline_faces,
-    put_up,
-    rows_up,
 )
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -46,7 +48,7 @@ def test_the_middle_way_is_the_farthest_from_all_sides_there_is(count: int) -> N
     for spread in (0.3, 0.8, 3.0):
         normals = rng.normal(size=(count, 3)) * spread + [0.0, 0.0, -1.0]
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        way, margin = middle_way(normals)
+        way, margin = middle_direction(normals)
         assert np.linalg.norm(way) == pytest.approx(1.0)
         assert -(normals @ way).max() == pytest.approx(margin, abs=1e-12)
         many = rng.normal(size=(40000, 3))
@@ -54,29 +56,29 @@ def test_the_middle_way_is_the_farthest_from_all_sides_there_is(count: int) -> N
         assert (-(many @ normals.T).max(axis=1)).max() <= margin + 1e-12
         if margin > 0.0:  # then it is how far the hull of the normals is from the origin
             heavy = np.concatenate([normals.T, np.full((1, count), 1e4)])
-            share = nnls(heavy, np.array([0.0, 0.0, 0.0, 1e4]))[0]
-            assert np.linalg.norm(normals.T @ share) == pytest.approx(margin, abs=1e-4)
+            fraction = nnls(heavy, np.array([0.0, 0.0, 0.0, 1e4]))[0]
+            assert np.linalg.norm(normals.T @ fraction) == pytest.approx(margin, abs=1e-4)
 
 
 def test_a_slot_has_a_way_out_along_its_sides_and_a_hole_has_none() -> None:
     sides = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
-    way, margin = middle_way(sides)
+    way, margin = middle_direction(sides)
     assert margin == pytest.approx(0.0, abs=1e-12) and abs(way[0]) < 1e-12
-    assert middle_way(np.concatenate([np.eye(3), -np.eye(3)]))[1] < -0.5
+    assert middle_direction(np.concatenate([np.eye(3), -np.eye(3)]))[1] < -0.5
 
 
 def test_what_is_above_on_the_way_is_in_it_and_what_is_beside_is_not() -> None:
     body = box((0, 0, 0), (1, 1, 1))
     over = box((0.2, 0.2, 2), (0.8, 0.8, 3))
-    assert in_the_way(body, over, UP, 1.1) == pytest.approx(2.0)
-    assert in_the_way(body, over, UP, 0.9) == 0.0  # it does not come so far
-    assert in_the_way(body, box((0.2, 0.2, 1.5), (0.8, 0.8, 90.0)), UP, 0.6) > 1.0
-    assert in_the_way(body, box((0, 0, 7), (1, 1, 8)), UP, 3.0) == 0.0
-    assert in_the_way(body, over, -UP, 5.0) == 0.0
-    assert in_the_way(body, box((1, 0, 0), (2, 1, 1)), UP, 5.0) == 0.0  # beside it, touching
-    assert in_the_way(body, box((1 - 1e-3, 0, 1), (2, 1, 2)), UP, 5.0) > 0.5
-    assert in_the_way(body, box((1 - 1e-3, 0, 1), (2, 1, 2)), UP, 5.0, 2e-3) == 0.0
-    assert in_the_way(body, box((0, 0, -1), (1, 1, 0)), UP, 5.0) == 0.0  # below it, touching
+    assert obstruction_depth(body, over, UP, 1.1) == pytest.approx(2.0)
+    assert obstruction_depth(body, over, UP, 0.9) == 0.0  # it does not come so far
+    assert obstruction_depth(body, box((0.2, 0.2, 1.5), (0.8, 0.8, 90.0)), UP, 0.6) > 1.0
+    assert obstruction_depth(body, box((0, 0, 7), (1, 1, 8)), UP, 3.0) == 0.0
+    assert obstruction_depth(body, over, -UP, 5.0) == 0.0
+    assert obstruction_depth(body, box((1, 0, 0), (2, 1, 1)), UP, 5.0) == 0.0  # beside it, touching
+    assert obstruction_depth(body, box((1 - 1e-3, 0, 1), (2, 1, 2)), UP, 5.0) > 0.5
+    assert obstruction_depth(body, box((1 - 1e-3, 0, 1), (2, 1, 2)), UP, 5.0, 2e-3) == 0.0
+    assert obstruction_depth(body, box((0, 0, -1), (1, 1, 0)), UP, 5.0) == 0.0  # below it, touching
 
 
 def test_sides_that_lean_open_to_one_face_alone() -> None:
@@ -84,8 +86,8 @@ def test_sides_that_lean_open_to_one_face_alone() -> None:
     stone = slab(ring, np.full(4, 0.1), [NONE] * 4)
     wide = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, 1.5], [-0.5, 1.5]])
     beside = slab(wide, np.array([-0.1, 0.0, 0.0, 0.0]), [NONE] * 4)
-    assert in_the_way(stone.triangles, beside.triangles, UP, 3.0) < 1e-9
-    assert in_the_way(stone.triangles, beside.triangles, -UP, 3.0) > 0.01
+    assert obstruction_depth(stone.triangles, beside.triangles, UP, 3.0) < 1e-9
+    assert obstruction_depth(stone.triangles, beside.triangles, -UP, 3.0) > 0.01
 
 
 def test_faces_of_outlines_fill_them_and_bodies_are_closed() -> None:
@@ -106,7 +108,7 @@ def test_bodies_beyond_and_rows_follow_from_outlines_side_by_side() -> None:
     beyond = bodies_beyond(plans, 1e-6)
     assert [one.tolist() for one in beyond[:2]] == [[NONE, 1, 3, NONE], [NONE, 2, 4, 0]]
     first = np.arange(9) < 3
-    assert rows_up(beyond, first, np.zeros(9)).tolist() == [0, 0, 0, 1, 1, 1, 2, 2, 2]
+    assert assembly_rows(beyond, first, np.zeros(9)).tolist() == [0, 0, 0, 1, 1, 1, 2, 2, 2]
 
 
 def honeycomb(leans: np.ndarray, around: int) -> list[Slab]:
@@ -128,10 +130,10 @@ def test_a_body_that_its_neighbours_would_lock_comes_before_them() -> None:
     """Every other side of the one in the middle leans in: once all six stand it has no way, and by the wanted
     order it would be the last."""
     slabs = honeycomb(np.where(np.arange(6) % 2, 0.2, -0.2), 6)
-    assert middle_way(slabs[0].normals.reshape(-1, 3))[1] < -0.1
+    assert middle_direction(slabs[0].normals.reshape(-1, 3))[1] < -0.1
     rank = np.array([9, 1, 2, 3, 4, 5, 6])
     rests = [np.arange(1, 7), *([np.array([], dtype=int)] * 6)]
-    steps = put_up(slabs, rank, rests, UP, CLEAR)
+    steps = assemble(slabs, rank, rests, UP, CONTACT_TOLERANCE_M)
     assert sorted(step.body for step in steps) == list(range(7))
     assert max(step.depth for step in steps) == 0.0
     assert [step.body for step in steps].index(0) < 6
@@ -140,9 +142,9 @@ def test_a_body_that_its_neighbours_would_lock_comes_before_them() -> None:
 def test_a_keystone_is_the_last_and_comes_from_the_side_to_which_it_is_wide() -> None:
     slabs = honeycomb(np.full(6, 0.1), 6)
     rests = [np.arange(1, 7), *([np.array([], dtype=int)] * 6)]
-    steps = put_up(slabs, np.array([9, 1, 2, 3, 4, 5, 6]), rests, UP, CLEAR)
+    steps = assemble(slabs, np.array([9, 1, 2, 3, 4, 5, 6]), rests, UP, CONTACT_TOLERANCE_M)
     assert steps[-1].body == 0
-    np.testing.assert_allclose(steps[-1].way, -UP, atol=1e-9)
+    np.testing.assert_allclose(steps[-1].direction, -UP, atol=1e-9)
 
 
 def test_a_body_without_a_way_in_any_order_is_told_by_how_much_is_in_it() -> None:
@@ -155,7 +157,7 @@ def test_a_body_without_a_way_in_any_order_is_told_by_how_much_is_in_it() -> Non
     rim = np.arange(36)
     ring = Ring(front, back, np.concatenate(number), rim, np.full(36, NONE))
     empty = np.array([], dtype=int)
-    steps = put_up([one, ring], np.array([1, 0]), [np.array([1]), empty], UP, CLEAR)
+    steps = assemble([one, ring], np.array([1, 0]), [np.array([1]), empty], UP, CONTACT_TOLERANCE_M)
     assert sorted(step.body for step in steps) == [0, 1]
     assert steps[0].depth == 0.0 and 2e-3 < steps[1].depth < 9e-3
 
@@ -166,6 +168,6 @@ class Ring(Slab):
     @property
     def mesh(self) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[override]
         parts = [np.arange(6 * k, 6 * k + 6) for k in range(6)]
-        sides = [Slab(self.front, self.back, self.faces[:0], one, one).mesh[1] for one in parts]
+        sides = [Slab(self.front, self.back, self.faces[:0], part, part).mesh[1] for part in parts]
         caps = [self.faces, len(self.front) + self.faces[:, ::-1]]
         return np.concatenate([self.front, self.back]), np.concatenate([*sides, *caps])

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import BSpline
 
-from planner.geometry.curves import ArcRail, Loft, curve_points, tessellate
+from planner.geometry.curves import ArcRail, LoftSurface, curve_points, tessellate
 
 
 def de_casteljau(control: np.ndarray, t: float) -> np.ndarray:
@@ -34,10 +34,10 @@ def test_a_clamped_cubic_b_spline_starts_and_ends_at_its_outer_control_points() 
     np.testing.assert_allclose(got[[0, 2]], control[[0, -1]], atol=1e-13)
 
 
-def cylinder(radius: float = 0.3, height: float = 0.68) -> Loft:
+def cylinder(radius: float = 0.3, height: float = 0.68) -> LoftSurface:
     straight = np.array([[0.0, 0.0], [0.0, height / 2], [0.0, height]])
     rail = ArcRail(radius, 0.1, 0.9, np.array([0.01, 0.02, 0.03]))
-    return Loft("bezier", np.array([0.0, 1.0]), np.stack([straight, straight]), rail)
+    return LoftSurface("bezier", np.array([0.0, 1.0]), np.stack([straight, straight]), rail)
 
 
 def test_equal_straight_profiles_on_an_arc_make_a_cylinder() -> None:
@@ -60,7 +60,7 @@ def test_facets_stay_within_the_stated_chord_error(chord: float) -> None:
             [[0.0, 0.0], [0.01, 0.3], [0.05, 0.4], [0.15, 0.68]],
         ]
     )
-    loft = Loft("bezier", np.array([0.0, 0.4, 1.0]), control, ArcRail(0.3, 0.0, 1.0, np.zeros(3)))
+    loft = LoftSurface("bezier", np.array([0.0, 0.4, 1.0]), control, ArcRail(0.3, 0.0, 1.0, np.zeros(3)))
     vertices, _, faces = tessellate(loft, (0.2, 0.5), (0.0, 1.0), chord)
     middle = vertices[faces].mean(axis=1)
     dense_u, dense_v = np.meshgrid(np.linspace(0.2, 0.5, 400), np.linspace(0, 1, 1600), indexing="ij")
@@ -79,7 +79,7 @@ def test_a_loft_through_curves_in_space_passes_through_them() -> None:
     rng = np.random.default_rng(3)
     control = rng.normal(size=(5, 4, 3))
     at = np.array([0.0, 0.2, 0.5, 0.8, 1.0])
-    loft = Loft("bezier", at, control, None)
+    loft = LoftSurface("bezier", at, control, None)
     v = np.linspace(0, 1, 9)
     for i, u in enumerate(at):
         want = curve_points("bezier", control[i], v)
@@ -87,7 +87,7 @@ def test_a_loft_through_curves_in_space_passes_through_them() -> None:
 
 
 def test_normals_agree_with_finite_differences() -> None:
-    loft = Loft("bspline", np.linspace(0, 1, 4), np.random.default_rng(5).normal(size=(4, 6, 3)), None)
+    loft = LoftSurface("bspline", np.linspace(0, 1, 4), np.random.default_rng(5).normal(size=(4, 6, 3)), None)
     u, v, h = np.array([0.3, 0.71]), np.array([0.2, 0.55]), 1e-6
     du = loft.points(u + h, v) - loft.points(u - h, v)
     dv = loft.points(u, v + h) - loft.points(u, v - h)

@@ -1,4 +1,4 @@
-"""Guillotine divisions are the best there are, by a programme of the test's own."""
+"""Guillotine divisions are optimal, by an independent program of the test."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.optimize import Bounds, LinearConstraint, milp
 
-from planner.geometry.guillotine import Division, divide
+from planner.geometry.guillotine import GridDivision, divide_grid
 
 
-def random_prices(nx: int, ny: int, seed: int, share: float) -> np.ndarray:
+def random_prices(nx: int, ny: int, seed: int, allowed_fraction: float) -> np.ndarray:
     rng = np.random.default_rng(seed)
     price = rng.integers(1, 9, size=(nx, ny, nx, ny)).astype(float)
-    price[rng.random(price.shape) > share] = np.inf
+    price[rng.random(price.shape) > allowed_fraction] = np.inf
     price[0, 0] = rng.integers(1, 9, size=(nx, ny))  # a single cell always goes
     return price
 
@@ -35,27 +35,29 @@ def best(price: np.ndarray) -> tuple[int, float]:
     return int(found[0]), found[1]
 
 
-def check_cover(found: Division, price: np.ndarray) -> None:
-    """The pieces cover each cell once, each is allowed, and the largest price is told truly."""
+def check_cover(division: GridDivision, price: np.ndarray) -> None:
+    """The pieces cover each cell once, each is allowed, and the reported largest price is correct."""
     cells = np.zeros(price.shape[:2], dtype=int)
     prices = []
-    for x0, x1, y0, y1 in found.rectangles:
+    for x0, x1, y0, y1 in division.rectangles:
         cells[x0:x1, y0:y1] += 1
         prices.append(price[x1 - x0 - 1, y1 - y0 - 1, x0, y0])
     assert (cells == 1).all()
-    assert max(prices) == found.largest < np.inf
+    assert max(prices) == division.max_price < np.inf
 
 
 @pytest.mark.parametrize("seed", range(12))
-@pytest.mark.parametrize(("nx", "ny", "share"), [(1, 1, 1.0), (5, 3, 0.3), (4, 6, 0.1), (7, 7, 0.15)])
+@pytest.mark.parametrize(
+    ("nx", "ny", "allowed_fraction"), [(1, 1, 1.0), (5, 3, 0.3), (4, 6, 0.1), (7, 7, 0.15)]
+)
 def test_the_division_is_the_best_that_a_plain_recursion_finds(
-    nx: int, ny: int, share: float, seed: int
+    nx: int, ny: int, allowed_fraction: float, seed: int
 ) -> None:
-    price = random_prices(nx, ny, seed, share)
-    found = divide(price)
+    price = random_prices(nx, ny, seed, allowed_fraction)
+    found = divide_grid(price)
     assert found is not None
     check_cover(found, price)
-    assert (len(found.rectangles), found.largest) == best(price)
+    assert (len(found.rectangles), found.max_price) == best(price)
 
 
 def test_no_partition_at_all_has_fewer_pieces_where_pieces_are_bounded_boxes() -> None:
@@ -80,22 +82,22 @@ def test_no_partition_at_all_has_fewer_pieces_where_pieces_are_bounded_boxes() -
         integrality=np.ones(len(rows)),
         bounds=Bounds(0, 1),
     )
-    found = divide(price)
+    found = divide_grid(price)
     assert found is not None and len(found.rectangles) == round(least.fun) == 6
 
 
 def test_what_cannot_be_divided_is_told() -> None:
     price = np.full((3, 2, 3, 2), 1.0)
-    assert divide(price) is not None
+    assert divide_grid(price) is not None
     price = np.full((3, 2, 3, 2), np.inf)
     price[0, 0] = 1.0
     price[0, 0, 1, 1] = np.inf
-    assert divide(price) is None
+    assert divide_grid(price) is None
 
 
 def test_pieces_are_in_the_order_of_rows_and_equal_prices_give_even_halves() -> None:
     price = np.full((4, 4, 4, 4), np.inf)
     price[:3, :3] = 1.0
-    found = divide(price)
+    found = divide_grid(price)
     assert found is not None
     assert found.rectangles.tolist() == [[0, 2, 0, 2], [2, 4, 0, 2], [0, 2, 2, 4], [2, 4, 2, 4]]

@@ -1,4 +1,4 @@
-"""Mesh files: what is read right, and what is refused with which code."""
+"""Mesh files: correct reading, and refusals with their codes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from planner.geometry import mesh
-from planner.geometry.mesh import TriangleMesh, check_surface, offset, vertex_normals
+from planner.geometry.mesh import TriangleMesh, check_surface, offset_mesh, vertex_normals
 from planner.geometry.mesh_files import read_mesh
 from planner.issues import TandemError
 
@@ -26,13 +26,13 @@ def grid(n: int = 5, size: float = 0.4) -> TriangleMesh:
 
 @pytest.mark.parametrize("suffix", ["obj", "stl", "ply"])
 def test_what_trimesh_writes_is_read_in_the_stated_unit(tmp_path: Path, suffix: str) -> None:
-    wanted = grid()
+    expected = grid()
     path = tmp_path / f"face.{suffix}"
-    trimesh.Trimesh(wanted.vertices * 1e3, wanted.faces, process=False).export(path)
+    trimesh.Trimesh(expected.vertices * 1e3, expected.faces, process=False).export(path)
     got = read_mesh(path, 1e-3)
-    assert len(got.vertices) == len(wanted.vertices)
-    assert len(got.faces) == len(wanted.faces)
-    assert mesh.face_areas(got).sum() == pytest.approx(mesh.face_areas(wanted).sum(), rel=1e-6)
+    assert len(got.vertices) == len(expected.vertices)
+    assert len(got.faces) == len(expected.faces)
+    assert mesh.face_areas(got).sum() == pytest.approx(mesh.face_areas(expected).sum(), rel=1e-6)
     assert check_surface(got, "part.front") == []
 
 
@@ -108,12 +108,14 @@ def test_a_surface_must_be_open_manifold_oriented_and_one_piece() -> None:
 def sphere_cap(radius: float) -> TriangleMesh:
     ball = trimesh.creation.icosphere(subdivisions=4, radius=radius)
     keep = (np.array(ball.vertices)[ball.faces][:, :, 2] > 0).all(axis=1)
-    return mesh.merge(TriangleMesh(np.array(ball.vertices), np.array(ball.faces, dtype=np.int64)[keep]))
+    return mesh.merge_vertices(
+        TriangleMesh(np.array(ball.vertices), np.array(ball.faces, dtype=np.int64)[keep])
+    )
 
 
 def test_offsetting_a_sphere_changes_its_radius() -> None:
     cap = sphere_cap(0.3)
-    inner = offset(cap, -0.02)
+    inner = offset_mesh(cap, -0.02)
     high = cap.vertices[:, 2] > 0.05  # at the rim the averaged normals lean
     np.testing.assert_allclose(np.linalg.norm(inner.vertices[high], axis=1), 0.28, atol=2e-6)
     np.testing.assert_allclose(vertex_normals(cap)[high], cap.vertices[high] / 0.3, atol=3e-3)
@@ -121,7 +123,7 @@ def test_offsetting_a_sphere_changes_its_radius() -> None:
 
 def test_an_offset_beyond_the_radius_is_refused() -> None:
     with pytest.raises(TandemError) as caught:
-        offset(sphere_cap(0.015), -0.02)
+        offset_mesh(sphere_cap(0.015), -0.02)
     assert caught.value.issues[0].code == "part.offset"
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from planner.geometry.mesh_queries import FEW_CORNERS, outer_hull
+from planner.geometry.mesh_queries import MAX_HULL_CORNERS, outer_hull
 
 
 def test_a_simple_hull_is_taken_as_it_is() -> None:
@@ -22,7 +22,7 @@ def test_a_round_solid_is_held_by_few_corners() -> None:
     found = outer_hull(points)
     solid = trimesh.Trimesh(found.vertices, found.faces)
     solid.fix_normals()
-    assert FEW_CORNERS < len(found.vertices) < 400
+    assert MAX_HULL_CORNERS < len(found.vertices) < 400
     away = np.einsum("fd,pfd->pf", solid.face_normals, points[:, None] - solid.triangles[None, :, 0])
     assert away.max() < 1e-9
     assert solid.volume < 1.15 * 4.0 / 3.0 * np.pi * 0.2 * 0.2 * 0.1
@@ -30,7 +30,7 @@ def test_a_round_solid_is_held_by_few_corners() -> None:
 
 def test_flat_points_are_refused() -> None:
     square = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
-    turned = square @ np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0] + [5.0, -3.0, 2.0]
-    for points in (square, turned, np.repeat(turned, 30, axis=0), square[:3], square[[0, 1, 1, 0, 1]]):
+    rotated = square @ np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0] + [5.0, -3.0, 2.0]
+    for points in (square, rotated, np.repeat(rotated, 30, axis=0), square[:3], square[[0, 1, 1, 0, 1]]):
         with pytest.raises(ValueError, match="plane"):
             outer_hull(points)

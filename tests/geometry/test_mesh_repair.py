@@ -1,13 +1,20 @@
-"""Noise that was put on faces in closed form is found, and taken away without what is no noise."""
+"""Known noise on closed-form faces is estimated and removed, and true features stay."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from planner.geometry.mesh import TriangleMesh, check_surface, face_normals, merge
-from planner.geometry.mesh_repair import border, fitted_face, levelled, rims_levelled, sewn, vertex_noise
-from planner.proof.part_files.sheets import tolerance_of
+from planner.geometry.mesh import TriangleMesh, check_surface, face_normals, merge_vertices
+from planner.geometry.mesh_repair import (
+    border_edges,
+    fit_face,
+    level_flats,
+    level_rims,
+    sew_cracks,
+    vertex_noise,
+)
+from planner.proof.part_files.sheets import mesh_noise
 from tests.processes.forming.plan import nests, shapes
 
 SPACING = 1.5e-3
@@ -42,7 +49,7 @@ def noisy(height, noise, seed=3, spacing=SPACING):
 def test_the_noise_of_a_mesh_is_found_by_both_estimates(height, noise):
     mesh = noisy(height, noise)
     assert vertex_noise(mesh) == pytest.approx(noise, rel=0.2)
-    assert tolerance_of(mesh.vertices, mesh.faces) / 3.0 == pytest.approx(noise, rel=0.3)
+    assert mesh_noise(mesh.vertices, mesh.faces) / 3.0 == pytest.approx(noise, rel=0.3)
 
 
 @pytest.mark.parametrize(
@@ -57,13 +64,13 @@ def test_the_noise_of_a_mesh_is_found_by_both_estimates(height, noise):
 def test_a_mesh_without_noise_has_none(mesh):
     one = TriangleMesh(mesh.vertices, mesh.faces)
     assert vertex_noise(one) == 0.0
-    assert tolerance_of(mesh.vertices, mesh.faces) == 0.0
+    assert mesh_noise(mesh.vertices, mesh.faces) == 0.0
 
 
 @pytest.mark.parametrize("noise", [2e-5, 1e-4])
 def test_the_fitted_face_is_nearer_to_the_meant_one_than_its_vertices(noise):
     mesh = noisy(bowl, noise)
-    face = fitted_face(mesh, noise, 0.0)
+    face = fit_face(mesh, noise, 0.0)
     x, y, z = face.vertices.T
     assert np.sqrt(np.mean((z - bowl(x, y)) ** 2)) < 0.6 * noise
     # its facets lean as the sphere does
@@ -71,21 +78,21 @@ def test_the_fitted_face_is_nearer_to_the_meant_one_than_its_vertices(noise):
     inner = np.hypot(middle[:, 0], middle[:, 1]) < 0.02
     meant = np.column_stack([-middle[:, :2], 0.058 - middle[:, 2]])[inner]
     meant /= np.linalg.norm(meant, axis=1, keepdims=True)
-    off = np.arccos(np.clip((meant * face_normals(face)[inner]).sum(axis=1), -1.0, 1.0))
-    assert np.rad2deg(np.sqrt(np.mean(off**2))) < 2.0
+    deviation = np.arccos(np.clip((meant * face_normals(face)[inner]).sum(axis=1), -1.0, 1.0))
+    assert np.rad2deg(np.sqrt(np.mean(deviation**2))) < 2.0
     moved = np.linalg.norm(face.vertices - mesh.vertices, axis=1)
     assert np.sqrt(np.mean(moved**2)) < 2.0 * noise
 
 
 def test_sharp_edges_stay_where_they_are():
     mesh = noisy(pit, 5e-5)
-    face = fitted_face(mesh, 5e-5, 0.0)
+    face = fit_face(mesh, 5e-5, 0.0)
     x, y, z = face.vertices.T
     assert np.abs(z - pit(x, y)).max() < 9.0 * 5e-5
 
 
 def test_flats_become_level_and_walls_stay():
-    face = levelled(fitted_face(noisy(pit, 5e-5), 5e-5, 0.0), 2.5e-5, 0.0)
+    face = level_flats(fit_face(noisy(pit, 5e-5), 5e-5, 0.0), 2.5e-5, 0.0)
     x, y, z = face.vertices.T
     away = np.hypot(x, y)
     assert (z[away > 0.038] == 0.0).mean() > 0.96
@@ -101,23 +108,23 @@ def clean():
     return TriangleMesh(mesh.vertices, mesh.faces)
 
 
-def divided(mesh, share, closed):
+def split_every_tenth_face(mesh, fraction, closed):
     """Every tenth face divided at a point of its first edge, of which its neighbour knows nothing;
     ``closed``: with the triangle of no area between them."""
     vertices, faces = mesh.vertices.tolist(), mesh.faces.tolist()
     for k in range(0, len(mesh.faces), 10):
         a, b, c = faces[k]
-        point = (1.0 - share) * mesh.vertices[a] + share * mesh.vertices[b]
+        point = (1.0 - fraction) * mesh.vertices[a] + fraction * mesh.vertices[b]
         faces[k] = [a, len(vertices), c]
         faces.append([len(vertices), b, c])
         if closed:
             faces.append([a, b, len(vertices)])
         vertices.append(point.tolist())
-    return merge(TriangleMesh(np.array(vertices), np.array(faces)))
+    return merge_vertices(TriangleMesh(np.array(vertices), np.array(faces)))
 
 
 def soup(mesh, by):
-    """Each face with corners of its own, off by up to ``by`` [m]."""
+    """Return the mesh with separate corners for each face, shifted by up to ``by`` [m]."""
     corners = mesh.vertices[mesh.faces].reshape(-1, 3)
     corners = corners + np.random.default_rng(1).uniform(-by, by, corners.shape)
     return TriangleMesh(corners, np.arange(len(corners)).reshape(-1, 3))
@@ -127,16 +134,16 @@ def soup(mesh, by):
     "flaw",
     [
         lambda mesh: TriangleMesh(mesh.vertices, np.concatenate([mesh.faces, mesh.faces[:40, ::-1]])),
-        lambda mesh: divided(mesh, 0.4, closed=False),
-        lambda mesh: divided(mesh, 0.5, closed=True),
+        lambda mesh: split_every_tenth_face(mesh, 0.4, closed=False),
+        lambda mesh: split_every_tenth_face(mesh, 0.5, closed=True),
         lambda mesh: soup(mesh, 2e-6),
     ],
     ids=["faces twice", "corners on edges", "slivers of no area", "soup"],
 )
 def test_flawed_meshes_become_one_surface(flaw):
-    whole = sewn(flaw(clean()))
+    whole = sew_cracks(flaw(clean()))
     assert check_surface(whole, "part") == []
-    rim = border(whole.faces)
+    rim = border_edges(whole.faces)
     assert len(np.unique(rim)) == len(rim)
     x, y = whole.vertices[np.unique(rim), :2].T
     assert np.maximum(np.abs(x), np.abs(y)) == pytest.approx(0.06, abs=1e-5)  # no hole is left inside
@@ -145,24 +152,24 @@ def test_flawed_meshes_become_one_surface(flaw):
         axis=1,
     )
     meant = clean()
-    wanted = np.linalg.norm(
+    expected = np.linalg.norm(
         np.cross(*(meant.vertices[meant.faces][:, k] - meant.vertices[meant.faces][:, 0] for k in (1, 2))),
         axis=1,
     )
-    assert area.sum() == pytest.approx(wanted.sum(), rel=1e-4)
+    assert area.sum() == pytest.approx(expected.sum(), rel=1e-4)
 
 
 def test_a_mesh_without_flaws_stays_the_very_mesh():
     mesh = clean()
-    assert sewn(mesh) is mesh
-    assert rims_levelled(mesh, 0.0, 0.0) is mesh
+    assert sew_cracks(mesh) is mesh
+    assert level_rims(mesh, 0.0, 0.0) is mesh
 
 
 def test_a_hole_stays_a_hole():
     mesh = clean()
     middle = mesh.vertices[mesh.faces].mean(axis=1)
     holed = TriangleMesh(mesh.vertices, mesh.faces[np.hypot(middle[:, 0], middle[:, 1]) > 0.01])
-    assert len(border(sewn(holed).faces)) == len(border(holed.faces))
+    assert len(border_edges(sew_cracks(holed).faces)) == len(border_edges(holed.faces))
 
 
 def test_corners_of_a_sharp_rim_and_bumps_of_the_flat_are_put_onto_it():
@@ -171,7 +178,7 @@ def test_corners_of_a_sharp_rim_and_bumps_of_the_flat_are_put_onto_it():
     )
     bumped = mesh.vertices.copy()
     bumped[130, 2] = 8e-6
-    level = rims_levelled(TriangleMesh(bumped, mesh.faces), 0.0, 2e-5).vertices
+    level = level_rims(TriangleMesh(bumped, mesh.faces), 0.0, 2e-5).vertices
     assert (level[:480, 2] == 0.0).all()
     assert np.array_equal(level[480:], mesh.vertices[480:])
 
@@ -181,4 +188,4 @@ def test_a_fillet_that_begins_gently_is_no_flaw():
         [(0.06, 0.0), (0.05, 0.0), (0.049, -1e-5), (0.048, -4e-5), (0.03, -0.002), (0.0, -0.002)]
     )
     one = TriangleMesh(mesh.vertices, mesh.faces)
-    assert np.array_equal(rims_levelled(one, 0.0, 2e-5).vertices, mesh.vertices)
+    assert np.array_equal(level_rims(one, 0.0, 2e-5).vertices, mesh.vertices)

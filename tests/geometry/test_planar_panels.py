@@ -1,4 +1,4 @@
-"""Planar panels of domes, saddles and others, measured from their corners by code of the tests' own."""
+"""Planar panels of domes, saddles and others, measured from their corners by independent code."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ import numpy as np
 import pytest
 import shapely
 
-from planner.geometry.even_points import bending, cells, cut_fine, spread
-from planner.geometry.face_offset import ThickPanel, solid
+from planner.geometry.even_points import assign_cells, distribute_points, refine_surface, surface_curvature
+from planner.geometry.face_offset import ThickPanel, panel_mesh
+from planner.geometry.guided_projection import PanelRequirements
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.mesh_queries import Nearness
-from planner.geometry.panel_pattern import RIM, PatternError, pattern_of
+from planner.geometry.mesh_queries import MeshDistance
+from planner.geometry.panel_pattern import RIM, PatternError, dual_pattern
 from planner.geometry.planar_panels import PanelShell, planar_shell
 
 THICK = 0.2
-LEAST_EDGE = 0.04
+MIN_EDGE = 0.04
 
 
 def grid(x, y, z, u: tuple[float, float], v: tuple[float, float], n: int = 41) -> TriangleMesh:
@@ -75,11 +76,13 @@ SURFACES = {
 
 @functools.cache
 def shell(name: str) -> PanelShell:
-    return planar_shell(dome() if name == "dome" else SURFACES[name](), 267, THICK, LEAST_EDGE)
+    return planar_shell(
+        dome() if name == "dome" else SURFACES[name](), 267, PanelRequirements(THICK, MIN_EDGE)
+    )
 
 
 def flat(ring: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """A ring as it is seen against the normal (C, 2)."""
+    """Return a ring as seen against the normal (C, 2)."""
     one = np.cross(normal, [0.31, 0.52, 0.79])
     one /= np.linalg.norm(one)
     return np.stack([ring @ one, ring @ np.cross(normal, one)], axis=1)
@@ -101,7 +104,7 @@ def crossing(panel: ThickPanel) -> bool:
 def manifolds(panels: tuple[ThickPanel, ...]) -> list[manifold3d.Manifold]:
     found = []
     for panel in panels:
-        body = solid(panel)
+        body = panel_mesh(panel)
         found.append(manifold3d.Manifold(manifold3d.Mesh64(body.vertices, body.faces.astype(np.uint64))))
     return found
 
@@ -123,7 +126,7 @@ def test_a_dome_has_the_asked_count_of_convex_panels_with_planar_faces_and_sides
             assert abs((panel.top[j] - panel.bottom[i]) @ side) / np.linalg.norm(side) < 1e-9
         longest.append(np.linalg.norm(panel.bottom[:, None] - panel.bottom[None], axis=2).max())
     assert not made.check.concave.any()
-    assert not made.check.faulty(LEAST_EDGE).any()
+    assert not made.check.faulty(MIN_EDGE).any()
     assert made.check.off_surface.max() <= 0.03 * np.median(longest)
     assert made.check.zones == ()
     assert (made.check.bend > 0.0).all()
@@ -134,8 +137,8 @@ def test_the_farthest_place_off_the_surface_is_that_of_the_analytic_dome() -> No
     for panel in shell("dome").panels:
         x, y, z = np.concatenate([panel.bottom, panel.bottom.mean(axis=0)[None]]).T
         inner = (x / 5) ** 2 + (y / 4) ** 2 < 0.9
-        wanted = 2.5 * (np.sqrt(np.maximum(1.25 - (x / 5) ** 2 - (y / 4) ** 2, 0.02)) - np.sqrt(0.25))
-        worst = max(worst, float(np.abs(z - wanted)[inner].max(initial=0.0)))
+        expected = 2.5 * (np.sqrt(np.maximum(1.25 - (x / 5) ** 2 - (y / 4) ** 2, 0.02)) - np.sqrt(0.25))
+        worst = max(worst, float(np.abs(z - expected)[inner].max(initial=0.0)))
     # upright heights are more than distances, by up to the steepness of the rim
     assert 0.5 * shell("dome").check.off_surface.max() < worst < 0.025
 
@@ -176,7 +179,7 @@ def test_neighbours_share_the_plane_of_their_side(name: str) -> None:
 def test_what_is_not_a_dome_is_whole_or_says_which_panels_are_not(name: str) -> None:
     made = shell(name)
     assert len(made.panels) == 267
-    check, faulty = made.check, made.check.faulty(LEAST_EDGE)
+    check, faulty = made.check, made.check.faulty(MIN_EDGE)
     if name in ("saddle", "cylinder"):
         assert not faulty.any()
     assert faulty.sum() <= 8
@@ -197,7 +200,7 @@ def test_what_is_not_a_dome_is_whole_or_says_which_panels_are_not(name: str) -> 
 
 def test_ids_stay_when_the_surface_moves_by_a_billionth_and_take_three_seconds() -> None:
     before = resource.getrusage(resource.RUSAGE_SELF)
-    two = planar_shell(dome(1e-9), 267, THICK, LEAST_EDGE)
+    two = planar_shell(dome(1e-9), 267, PanelRequirements(THICK, MIN_EDGE))
     after = resource.getrusage(resource.RUSAGE_SELF)
     used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     one = shell("dome")
@@ -209,7 +212,8 @@ def test_ids_stay_when_the_surface_moves_by_a_billionth_and_take_three_seconds()
 
 
 def test_a_rim_stands_level_on_the_ground_and_upright_elsewhere() -> None:
-    made = planar_shell(dome(), 60, THICK, ground=float(dome().vertices[:, 2].min()))
+    ground = float(dome().vertices[:, 2].min())
+    made = planar_shell(dome(), 60, PanelRequirements(THICK, ground=ground))
     level = 0
     for panel in made.panels:
         for i in np.flatnonzero(panel.level):
@@ -218,7 +222,7 @@ def test_a_rim_stands_level_on_the_ground_and_upright_elsewhere() -> None:
             np.testing.assert_allclose(heights, dome().vertices[:, 2].min(), atol=1e-9)
             level += 1
     assert level > 20
-    upright = planar_shell(dome(), 60, THICK, rim="upright")
+    upright = planar_shell(dome(), 60, PanelRequirements(THICK), rim="upright")
     for panel in upright.panels:
         for i in np.flatnonzero(panel.across == RIM):
             j = (i + 1) % len(panel.bottom)
@@ -227,33 +231,33 @@ def test_a_rim_stands_level_on_the_ground_and_upright_elsewhere() -> None:
 
 
 def test_panels_below_the_surface_have_it_on_top() -> None:
-    made = planar_shell(dome(), 60, -0.1)
-    near = Nearness(dome(), 0.1)
+    made = planar_shell(dome(), 60, PanelRequirements(-0.1))
+    near = MeshDistance(dome(), 0.1)
     for panel in made.panels:
         assert near.distance(panel.top)[0].max() < near.distance(panel.bottom)[0].min()
         assert (panel.top - panel.bottom) @ panel.normal == pytest.approx(0.1)
 
 
 def test_bending_is_that_of_the_closed_form() -> None:
-    surface = cut_fine(SURFACES["torus"](), 267)
-    points = spread(surface, 267)
+    surface = refine_surface(SURFACES["torus"](), 267)
+    points = distribute_points(surface, 267)
     around = np.hypot(points[:, 0], points[:, 1]) - 5.0
     angle = np.arctan2(points[:, 2], around)
     inner = (angle > 0.6) & (angle < 2.2) & (points[:, 0] > 1.0) & (points[:, 1] > 1.0)
-    curvature = np.sort(np.abs(bending(surface, points)[1][inner]), axis=1)
+    curvature = np.sort(np.abs(surface_curvature(surface, points)[1][inner]), axis=1)
     np.testing.assert_allclose(curvature[:, 1], 0.5, atol=0.04)
-    wanted = np.abs(np.cos(angle) / (5.0 + 2.0 * np.cos(angle)))[inner]
-    np.testing.assert_allclose(curvature[:, 0], wanted, atol=0.04)
+    expected = np.abs(np.cos(angle) / (5.0 + 2.0 * np.cos(angle)))[inner]
+    np.testing.assert_allclose(curvature[:, 0], expected, atol=0.04)
 
 
 def test_counts_and_surfaces_that_cannot_be_divided_are_refused() -> None:
-    with pytest.raises(ValueError, match="allowed are 4 to 5000"):
-        planar_shell(dome(), 1, THICK)
-    with pytest.raises(ValueError, match="allowed are 4 to 5000"):
-        planar_shell(dome(), 100_000, THICK)
+    with pytest.raises(ValueError, match="allowed 4 to 5000"):
+        planar_shell(dome(), 1, PanelRequirements(THICK))
+    with pytest.raises(ValueError, match="allowed 4 to 5000"):
+        planar_shell(dome(), 100_000, PanelRequirements(THICK))
     with pytest.raises(ValueError, match="thickness"):
-        planar_shell(dome(), 60, 0.0)
-    surface = cut_fine(dome(), 4)
-    label = cells(surface, spread(surface, 4))
-    with pytest.raises(PatternError, match="ask for more panels"):
-        pattern_of(surface, np.zeros_like(label), 4)
+        planar_shell(dome(), 60, PanelRequirements(0.0))
+    surface = refine_surface(dome(), 4)
+    label = assign_cells(surface, distribute_points(surface, 4))
+    with pytest.raises(PatternError, match="request more panels"):
+        dual_pattern(surface, np.zeros_like(label), 4)

@@ -1,4 +1,4 @@
-"""Meshes with fewer triangles stay within the cell that vertices are joined in, and keep their edges."""
+"""Meshes with fewer triangles: vertices stay within the cell that merges them, and edges are kept."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import Mesh
-from planner.geometry.thinning import creased, joined
+from planner.geometry.decimation import merge_cells, split_creases
 
 CELL = 0.008
 
@@ -25,7 +25,7 @@ def drum() -> Mesh:
 @pytest.mark.parametrize("edges", [False, True])
 def test_no_vertex_is_farther_than_the_diagonal_from_the_one_that_stands_for_it(edges: bool) -> None:
     fine = drum()
-    few = joined(fine, CELL, edges)
+    few = merge_cells(fine, CELL, edges)
     assert len(few.faces) < len(fine.faces) / 3
     assert cKDTree(few.vertices).query(fine.vertices)[0].max() < CELL * np.sqrt(3.0)
     assert cKDTree(fine.vertices).query(few.vertices)[0].max() < CELL * np.sqrt(3.0)
@@ -34,7 +34,7 @@ def test_no_vertex_is_farther_than_the_diagonal_from_the_one_that_stands_for_it(
 @pytest.mark.long
 def test_edges_stay_where_they_are() -> None:
     """Means are inside of the rim by millimetres; what is nearest to the planes is on it."""
-    few = joined(drum(), CELL, edges=True)
+    few = merge_cells(drum(), CELL, edges=True)
     x, y, z = few.vertices.T
     ends = np.abs(z) > 0.149
     assert np.abs(np.abs(z[ends]) - 0.15).max() < 1e-5
@@ -51,9 +51,9 @@ def test_edges_stay_where_they_are() -> None:
 def test_faces_that_are_turned_share_no_vertex() -> None:
     """A box gets four vertices a side, a ball keeps its own."""
     box = trimesh.creation.box((1.0, 1.0, 1.0))
-    apart = creased(Mesh(np.asarray(box.vertices), np.asarray(box.faces)), np.deg2rad(30.0))
+    apart = split_creases(Mesh(np.asarray(box.vertices), np.asarray(box.faces)), np.deg2rad(30.0))
     assert len(apart.vertices) == 24
     np.testing.assert_array_equal(apart.vertices[apart.faces], box.vertices[box.faces])
     ball = trimesh.creation.icosphere(3)
-    same = creased(Mesh(np.asarray(ball.vertices), np.asarray(ball.faces)), np.deg2rad(30.0))
+    same = split_creases(Mesh(np.asarray(ball.vertices), np.asarray(ball.faces)), np.deg2rad(30.0))
     assert len(same.vertices) == len(ball.vertices)

@@ -9,11 +9,11 @@ import pytest
 import shapely
 import trimesh
 
-from planner.geometry.rulings import outward, tessellate
+from planner.geometry.rulings import outward_normals, tessellate
 from planner.geometry.wing import (
-    Panel,
+    WingPanel,
     leading_point,
-    naca,
+    naca_section,
     read_airfoil,
     section_guide,
     thickened,
@@ -33,7 +33,7 @@ NACA_23012 = """1.25 2.67 -1.23; 2.5 3.61 -1.71; 5 4.91 -2.26; 7.5 5.80 -2.61; 1
 @pytest.mark.parametrize(("digits", "table"), [("2412", NACA_2412), ("23012", NACA_23012)])
 def test_sections_have_the_published_ordinates(digits: str, table: str) -> None:
     station, upper, lower = np.array([[float(v) for v in row.split()] for row in table.split(";")]).T
-    points = 100.0 * naca(digits, 400)
+    points = 100.0 * naca_section(digits, 400)
     nose = leading_point(points)
     top, bottom = points[nose::-1], points[nose:]
     np.testing.assert_allclose(np.interp(station, *top.T), upper, atol=0.03)
@@ -41,7 +41,7 @@ def test_sections_have_the_published_ordinates(digits: str, table: str) -> None:
 
 
 def camber_slope(digits: str, theta: np.ndarray) -> np.ndarray:
-    points = naca(digits, 20000)
+    points = naca_section(digits, 20000)
     middle = 0.5 * (points[:20001][::-1] + points[20000:])
     x = 0.5 * (1.0 - np.cos(theta))
     return np.interp(x, 0.5 * (middle[1:, 0] + middle[:-1, 0]), np.diff(middle[:, 1]) / np.diff(middle[:, 0]))
@@ -64,10 +64,10 @@ def test_camber_lines_of_five_digits_have_their_design_lift_and_reflexed_ones_no
 
 
 def test_the_first_digit_scales_the_camber_and_the_trailing_edge_is_as_blunt_as_the_formula() -> None:
-    weak, strong = naca("23012"), naca("43012")
+    weak, strong = naca_section("23012"), naca_section("43012")
     camber = [p + p[::-1] for p in (weak, strong)]
     assert camber[1][:, 1].max() == pytest.approx(2.0 * camber[0][:, 1].max(), rel=0.02)
-    gap = np.linalg.norm(naca("0012")[0] - naca("0012")[-1])
+    gap = np.linalg.norm(naca_section("0012")[0] - naca_section("0012")[-1])
     assert gap == pytest.approx(0.00252, abs=1e-6)
 
 
@@ -76,7 +76,7 @@ def test_the_first_digit_scales_the_camber_and_the_trailing_edge_is_as_blunt_as_
 )
 def test_digits_without_a_section_are_refused(digits: str) -> None:
     with pytest.raises(TandemError) as caught:
-        naca(digits)
+        naca_section(digits)
     assert caught.value.issues[0].code == "part.naca"
 
 
@@ -91,7 +91,7 @@ def read(path: Path) -> tuple[np.ndarray, list[Issue]]:
 
 
 def test_both_formats_give_the_same_section(tmp_path: Path) -> None:
-    points = naca("2412", 30)
+    points = naca_section("2412", 30)
     selig, notes = read(written(tmp_path, points))
     assert notes == []
     np.testing.assert_allclose(selig, points, atol=1e-7)
@@ -108,14 +108,14 @@ def test_both_formats_give_the_same_section(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "word"),
     [
-        (lambda p: p[::-1], "lower side first"),
+        (lambda p: p[::-1], "began with the lower side"),
         (lambda p: np.concatenate([p[30:], p[:31]]), "leading edge"),
         (lambda p: 250.0 * p + [10.0, 3.0], "chord"),
         (lambda p: np.repeat(p, 2, axis=0), "repeat"),
     ],
 )
 def test_what_can_be_put_right_is_put_right_and_told(change, word: str, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
-    points = naca("2412", 30)
+    points = naca_section("2412", 30)
     got, notes = read(written(tmp_path, change(points)))
     assert [(n.code, n.severity) for n in notes] == [("part.airfoil_note", Severity.NOTE)]
     assert word in notes[0].message
@@ -137,7 +137,7 @@ def test_what_can_be_put_right_is_put_right_and_told(change, word: str, tmp_path
 )
 def test_what_cannot_is_refused_by_name(change, code: str, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(TandemError) as caught:
-        read(written(tmp_path, change(naca("2412", 30))))
+        read(written(tmp_path, change(naca_section("2412", 30))))
     issue = caught.value.issues[0]
     assert issue.code == code
     assert issue.field == "part.wing.root.file"
@@ -176,15 +176,15 @@ def test_files_that_are_not_there_or_too_large_are_refused(tmp_path: Path) -> No
 
 
 def test_a_coarse_file_is_smoothed_by_a_spline(tmp_path: Path) -> None:
-    coarse, _ = read(written(tmp_path, naca("2412", 30)))
-    fine = 0.2 * naca("2412", 2000)
+    coarse, _ = read(written(tmp_path, naca_section("2412", 30)))
+    fine = 0.2 * naca_section("2412", 2000)
     guide = section_guide(coarse, 0.2, 1e-6, blunt=True)
     outline = shapely.LinearRing(guide.points[:, :2])
     assert shapely.distance(shapely.points(fine), outline).max() < 2e-5
 
 
 def test_a_trailing_edge_is_thickened_to_what_foam_can_hold() -> None:
-    points = naca("0012")
+    points = naca_section("0012")
     thick = thickened(points, 0.01)
     assert np.linalg.norm(thick[0] - thick[-1]) == pytest.approx(0.01)
     np.testing.assert_allclose(thick[160], points[160])
@@ -192,8 +192,8 @@ def test_a_trailing_edge_is_thickened_to_what_foam_can_hold() -> None:
 
 
 def test_a_plain_wing_has_its_volume_and_faces_outwards() -> None:
-    section = naca("0012", 400)
-    wing = wing_surface(Panel(section, section, 0.2, 0.1, 0.3))
+    section = naca_section("0012", 400)
+    wing = wing_surface(WingPanel(section, section, 0.2, 0.1, 0.3))
     mesh = tessellate(wing)
     x, y = section.T
     area = 0.5 * abs(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
@@ -209,9 +209,9 @@ def test_a_plain_wing_has_its_volume_and_faces_outwards() -> None:
 
 
 def test_a_wing_joins_leading_edges_and_places_its_tip() -> None:
-    panel = Panel(
-        naca("2412"),
-        naca("23112"),
+    panel = WingPanel(
+        naca_section("2412"),
+        naca_section("23112"),
         0.2,
         0.12,
         0.4,
@@ -240,16 +240,16 @@ def test_a_wing_joins_leading_edges_and_places_its_tip() -> None:
     ]
     assert nose[0] == nose[1]
     top = wing.start[:, 2] > 0.01
-    assert (outward(wing)[0][top][:, 2] > 0).all()
+    assert (outward_normals(wing)[0][top][:, 2] > 0).all()
 
 
 def test_a_sharp_and_a_blunt_section_share_two_corners() -> None:
-    blunt, sharp = naca("0012"), naca("0012").copy()
+    blunt, sharp = naca_section("0012"), naca_section("0012").copy()
     sharp[[0, -1], 1] = 0.0
-    wing = wing_surface(Panel(blunt, sharp, 0.2, 0.2, 0.1))
+    wing = wing_surface(WingPanel(blunt, sharp, 0.2, 0.2, 0.1))
     first, second = np.flatnonzero(wing.corner)
     np.testing.assert_allclose(wing.end[first], wing.end[second], atol=1e-12)
     assert np.linalg.norm(wing.start[first] - wing.start[second]) > 4e-4
-    assert np.isfinite(np.concatenate(outward(wing))).all()
-    both = wing_surface(Panel(sharp, sharp, 0.2, 0.2, 0.1))
+    assert np.isfinite(np.concatenate(outward_normals(wing))).all()
+    both = wing_surface(WingPanel(sharp, sharp, 0.2, 0.2, 0.1))
     assert both.corner.sum() == 1

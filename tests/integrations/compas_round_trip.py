@@ -1,4 +1,4 @@
-"""What a Python with COMPAS FAB makes of a result, as JSON on stdout; started by test_compas.py.
+"""What a Python with COMPAS FAB reads from a result, as JSON on stdout; started by test_compas.py.
 
 Arguments: a result folder, a URDF of its arm, a service, and the file of a cell with two arms.
 """
@@ -22,23 +22,23 @@ def main() -> None:
     client = tandem_client.Client(url)
     motion = tandem_compas.read(out)
     frames = tandem_compas.frames(motion, "left", "poses")
-    assert all(isinstance(one, compas.geometry.Frame) for one in frames)
-    said = {"frames": [[*one.point, *one.xaxis, *one.yaxis] for one in frames]}
+    assert all(isinstance(item, compas.geometry.Frame) for item in frames)
+    said = {"frames": [[*item.point, *item.xaxis, *item.yaxis] for item in frames]}
 
     # its own kinematics of the same URDF lead to the same frames, by names of joints
     model = compas_robots.RobotModel.from_urdf_file(urdf)
     rows = tandem_compas.configurations(motion, "left", "poses")
     said["flange"] = [
-        [*one.point, *one.xaxis, *one.yaxis]
-        for one in (model.forward_kinematics(row, link_name="tool0") for row in rows)
+        [*item.point, *item.xaxis, *item.yaxis]
+        for item in (model.forward_kinematics(row, link_name="tool0") for row in rows)
     ]
     said["joints"] = rows[0].joint_names
 
     trajectory = tandem_compas.trajectory(motion, "left", "poses", [f"cell_{i}" for i in range(6)])
     assert isinstance(trajectory, compas_fab.robots.JointTrajectory)
     assert trajectory.points[-1].joint_names == [f"cell_{i}" for i in range(6)]
-    said["times"] = [one.time_from_start.seconds for one in trajectory.points]
-    said["trajectory"] = [list(one.joint_values) for one in trajectory.points]
+    said["times"] = [item.time_from_start.seconds for item in trajectory.points]
+    said["trajectory"] = [list(item.joint_values) for item in trajectory.points]
     again = compas_fab.robots.JointTrajectory.__from_data__(trajectory.__data__)
     assert again.time_from_start == trajectory.time_from_start
 
@@ -84,7 +84,7 @@ def main() -> None:
     job = client.submit(problem, files={"t.json": tandem_compas.targets({"left": frames}, 20)})
     said["state"] = client.wait(job)["state"]
     planned = tandem_compas.frames(client.motion(job), "left")
-    said["planned"] = [[*one.point, *one.xaxis, *one.yaxis] for one in planned]
+    said["planned"] = [[*item.point, *item.xaxis, *item.yaxis] for item in planned]
 
     # a mesh as a part, in its own unit, and meshes of a result
     points = [

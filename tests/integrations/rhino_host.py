@@ -1,8 +1,8 @@
-"""The few names of Rhino 8 and Grasshopper that the components use, to try them without Rhino.
+"""Stand-ins for the few names of Rhino 8 and Grasshopper that the components use, to test them without Rhino.
 
-They do what RhinoCommon's and Grasshopper's documentation says of them, and nothing else, and refuse to be
-touched by any other thread than the canvas's, which is the one that imports this file. Standard library
-alone, Python 3.9.
+They behave as the documentation of RhinoCommon and Grasshopper says, and do nothing else. They refuse access
+from any thread except the canvas's, which is the one that imports this file. Standard library only,
+Python 3.9.
 """
 
 import enum
@@ -19,8 +19,8 @@ CANVAS = threading.get_ident()
 COMPONENTS = Path(__file__).parents[2] / "integrations" / "grasshopper"
 
 
-def here():
-    """Raise where another thread than the canvas's asks."""
+def require_canvas_thread():
+    """Raise an error if the caller is not in the thread of the canvas."""
     if threading.get_ident() != CANVAS:
         raise RuntimeError("Rhino was touched by another thread")
 
@@ -36,7 +36,7 @@ class UnitSystem(enum.Enum):
 
 class Point3d:
     def __init__(self, x, y, z):
-        here()
+        require_canvas_thread()
         self.X, self.Y, self.Z = float(x), float(y), float(z)
 
     def __iter__(self):
@@ -49,7 +49,7 @@ class Vector3d(Point3d):
 
 class Plane:
     def __init__(self, origin, x, y):
-        here()
+        require_canvas_thread()
         self.Origin, self.XAxis, self.YAxis = origin, x, y
 
 
@@ -58,11 +58,11 @@ class Vertices:
         self.points = []
 
     def Add(self, x, y, z):
-        here()
+        require_canvas_thread()
         self.points.append(Point3d(x, y, z))
 
     def ToPoint3dArray(self):
-        here()
+        require_canvas_thread()
         return tuple(self.points)
 
 
@@ -71,20 +71,20 @@ class Faces:
         self.rows = []
 
     def AddFace(self, a, b, c):
-        here()
+        require_canvas_thread()
         self.rows.append((a, b, c))
 
     def ToIntArray(self, as_triangles):
-        here()
+        require_canvas_thread()
         assert as_triangles is True
-        return tuple(one for row in self.rows for one in row)
+        return tuple(item for row in self.rows for item in row)
 
 
 class Mesh:
     def __init__(self):
-        here()
+        require_canvas_thread()
         self.Vertices, self.Faces = Vertices(), Faces()
-        self.Normals = types.SimpleNamespace(ComputeNormals=here)
+        self.Normals = types.SimpleNamespace(ComputeNormals=require_canvas_thread)
 
 
 class Polyline(list):
@@ -96,19 +96,19 @@ class PolylineCurve:
         self.points = points
 
     def ToPolyline(self):
-        here()
+        require_canvas_thread()
         return Polyline(self.points)
 
 
 class ArcCurve:
-    """A quarter of a circle about the z axis, which a polyline stands for within a tolerance."""
+    """A quarter of a circle about the z axis, approximated by a polyline within a tolerance."""
 
     def __init__(self, radius, z):
         self.radius, self.z = radius, z
 
-    def ToPolyline(self, tolerance, angle, least, most):
-        here()
-        assert (angle, least, most) == (0.0, 0.0, 0.0)
+    def ToPolyline(self, tolerance, angle, min_length, max_length):
+        require_canvas_thread()
+        assert (angle, min_length, max_length) == (0.0, 0.0, 0.0)
         pieces = math.ceil(math.pi / 4 / math.acos(1 - tolerance / self.radius))
         turns = [math.pi / 2 * k / pieces for k in range(pieces + 1)]
         return PolylineCurve(
@@ -129,11 +129,11 @@ class DataTree:
         return cls
 
     def __init__(self):
-        here()
+        require_canvas_thread()
         self.branches = {}
 
     def Add(self, value, path):
-        here()
+        require_canvas_thread()
         self.branches.setdefault(path.branch, []).append(value)
 
 
@@ -143,20 +143,20 @@ class ScheduleDelegate:
 
 
 class Document:
-    """What is to be solved again."""
+    """Records the components that are to be solved again."""
 
     def __init__(self):
         self.scheduled = []
 
     def ScheduleSolution(self, milliseconds, delegate):
-        here()
+        require_canvas_thread()
         assert isinstance(milliseconds, int)
         assert isinstance(delegate, ScheduleDelegate)
         self.scheduled.append((milliseconds, delegate))
 
 
 class Component:
-    """A script component with its file; ``solve`` is what the canvas does."""
+    """A script component with its file. ``solve`` does what the canvas does."""
 
     def __init__(self, name, document):
         self.file, self.document = COMPONENTS / f"{name}.py", document
@@ -165,36 +165,36 @@ class Component:
         self.longest_s = 0.0
 
     def OnPingDocument(self):
-        here()
+        require_canvas_thread()
         return self.document
 
     def ExpireSolution(self, recompute):
-        here()
+        require_canvas_thread()
         assert recompute is False, "only from the callback of a scheduled solution"
         self.expired = True
 
     def AddRuntimeMessage(self, level, text):
-        here()
+        require_canvas_thread()
         self.told.append((level, text))
 
     def solve(self, **inputs):
-        """What the script's outputs are, by name."""
+        """Return the script's outputs by name."""
         self.told, self.expired = [], False
         began = time.perf_counter()
-        found = runpy.run_path(
+        result = runpy.run_path(
             str(self.file), {"ghenv": types.SimpleNamespace(Component=self), **inputs}, "__main__"
         )
         self.longest_s = max(self.longest_s, time.perf_counter() - began)
-        return found
+        return result
 
     def settle(self, timeout_s=120.0, **inputs):
-        """Outputs when the document asks for no further solution."""
+        """Return the outputs when the document schedules no further solution."""
         until = time.monotonic() + timeout_s
         while True:
             self.document.scheduled.clear()
-            found = self.solve(**inputs)
+            result = self.solve(**inputs)
             if not self.document.scheduled:
-                return found
+                return result
             if time.monotonic() > until:
                 raise TimeoutError(self.Message)
             ((milliseconds, delegate),) = self.document.scheduled
@@ -218,8 +218,8 @@ def install(unit=UnitSystem.Millimeters):
     rhino.Geometry = types.SimpleNamespace(Point3d=Point3d, Vector3d=Vector3d, Plane=Plane, Mesh=Mesh)
     grasshopper.Kernel, grasshopper.DataTree = kernel, DataTree
     context.sticky = {}
-    for one in (rhino, grasshopper, context):
-        sys.modules[one.__name__] = one
+    for item in (rhino, grasshopper, context):
+        sys.modules[item.__name__] = item
     for folder in (COMPONENTS, COMPONENTS.parents[1] / "client"):
         if str(folder) not in sys.path:
             sys.path.insert(0, str(folder))

@@ -1,5 +1,7 @@
-"""Results in COMPAS and COMPAS FAB, by a Python that has them and that ``TANDEM_COMPAS_PYTHON`` names: what
-they pull in makes trimesh behave otherwise, so they stay out of the planner's own environment."""
+"""Results in COMPAS and COMPAS FAB, run by the separate Python that ``TANDEM_COMPAS_PYTHON`` names.
+
+Their dependencies change the behaviour of trimesh, so they stay out of the planner's own environment.
+"""
 
 from __future__ import annotations
 
@@ -49,20 +51,22 @@ def test_a_result_is_read_by_compas(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     said = json.loads(done.stdout)
 
-    wanted = np.array([[float(word) for word in row.split(",")] for row in small_problem.ROWS])
+    expected = np.array([[float(word) for word in row.split(",")] for row in small_problem.ROWS])
     own, arm = outcome.plan.operations[0], problem.cell.arms[0]
     frames = poses(said["frames"])
-    assert np.abs(frames[:, :3, 3] - wanted[:, :3] * 1e-3).max() < 1e-9
+    assert np.abs(frames[:, :3, 3] - expected[:, :3] * 1e-3).max() < 1e-9
     assert np.abs(inverse(poses(said["flange"])) @ frames - arm.tool.tcp).max() < 1e-6
     assert said["joints"] == list(arm.data.joints)
     assert np.abs(np.array(said["trajectory"]) - own.q["left"]).max() < 1e-9
     assert np.abs(np.array(said["times"]) - own.time + own.time[0]).max() < 1e-6
     assert (said["base"], said["block"]) == ([0, 0, 0], [0.45, 0, 0])
     assert np.abs(np.array(said["held"]) - frames[2, :3, 3] - 0.01 * frames[2, :3, 2]).max() < 1e-9
-    asked = ("operation: got None, allowed are poses, again", "arm: got 'right'", "arm: got 'right'")
+    asked = ("operation: got None, allowed: poses, again", "arm: got 'right'", "arm: got 'right'")
     asked += ("joints: got 1 names", "frames: got {'left': 6, 'right': 0}")
     assert len(said["refused"]) == len(asked)
-    assert all(words in told for words, told in zip(asked, said["refused"], strict=True)), said["refused"]
+    assert all(words in expected_text for words, expected_text in zip(asked, said["refused"], strict=True)), (
+        said["refused"]
+    )
     assert said["pose"]["xyz_mm"] == pytest.approx([100, 200, 300])
     assert said["pose"]["rpy_deg"] == pytest.approx([90, 0, 90])
     assert said["state"] == "verified"

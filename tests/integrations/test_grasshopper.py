@@ -1,5 +1,7 @@
-"""The components for Grasshopper, as a canvas runs them, against a real service. Of Rhino there are the few
-names that they use (rhino_host.py); no Rhino ran."""
+"""The components for Grasshopper, as a canvas runs them, against a real service.
+
+The names of Rhino that they use are stand-ins (rhino_host.py). No Rhino ran.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,7 @@ from tests.service.test_tandem_client import interpreter
 SOLUTION_S = 0.4
 """A solution of one component takes no longer, on a machine that has other work too."""
 OURS = ("Rhino", "Grasshopper", "scriptcontext", "tandem_client", "tandem_grasshopper")
-WANTED = np.array([[float(word) for word in row.split(",")] for row in small_problem.ROWS])
+EXPECTED_ROWS = np.array([[float(word) for word in row.split(",")] for row in small_problem.ROWS])
 
 
 @pytest.fixture(scope="module")
@@ -65,18 +67,18 @@ def problem(**changes: Any) -> str:
 
 
 def client(url: str) -> Any:
-    found = Component("connect", Document()).settle(url=url, token=None)
-    assert found["version"] == "0.1.0"
-    return found["client"]
+    result = Component("connect", Document()).settle(url=url, token=None)
+    assert result["version"] == "0.1.0"
+    return result["client"]
 
 
-def pressed(name: str, button: str = "run", **inputs: Any) -> tuple[Component, dict[str, Any]]:
-    """A component after its button was pressed, and what it gives in the end."""
+def press_button(name: str, button: str = "run", **inputs: Any) -> tuple[Component, dict[str, Any]]:
+    """Press the button of a component; return the component and its final outputs."""
     buttons = {"job": ("check", "run", "cancel"), "divide": ("run", "cancel")}[name]
     given = {"mesh": None, "files": None, **({"curves": None} if name == "job" else {}), **inputs}
     component = Component(name, Document())
     component.solve(**given, **dict.fromkeys(buttons, False))
-    component.solve(**given, **{one: one == button for one in buttons})
+    component.solve(**given, **{item: item == button for item in buttons})
     return component, component.settle(**given, **dict.fromkeys(buttons, False))
 
 
@@ -84,7 +86,7 @@ def pressed(name: str, button: str = "run", **inputs: Any) -> tuple[Component, d
 def job(module: ModuleType, url: str, tmp_path_factory: pytest.TempPathFactory) -> str:
     table = tmp_path_factory.mktemp("table") / "targets.csv"
     table.write_text("\n".join([small_problem.COLUMNS, *small_problem.ROWS]))
-    component, found = pressed("job", client=client(url), problem=problem(), files=[str(table)])
+    component, found = press_button("job", client=client(url), problem=problem(), files=[str(table)])
     assert (found["state"], found["issues"], component.told) == ("verified", [], [])
     assert component.Message == "verified"
     assert component.longest_s < SOLUTION_S
@@ -94,35 +96,35 @@ def job(module: ModuleType, url: str, tmp_path_factory: pytest.TempPathFactory) 
 def test_a_result_comes_in_the_unit_of_the_document(canvas: Any, url: str, job: str, tmp_path: Path) -> None:
     component = Component("result", Document())
     given = {"client": client(url), "job": job, "folder": str(tmp_path), "refresh": False}
-    found = component.settle(**given)
-    assert (found["state"], found["issues"]) == ("verified", [])
+    result = component.settle(**given)
+    assert (result["state"], result["issues"]) == ("verified", [])
     assert component.longest_s < SOLUTION_S
-    planes = found["planes"].branches[(0, 0)]
-    assert np.abs(np.array([[*one.Origin] for one in planes]) - WANTED[:, :3] / 1e3).max() < 1e-9
+    planes = result["planes"].branches[(0, 0)]
+    assert np.abs(np.array([[*item.Origin] for item in planes]) - EXPECTED_ROWS[:, :3] / 1e3).max() < 1e-9
     assert np.allclose([*planes[0].XAxis], [0, 0, -1], atol=1e-9)
     assert np.allclose([*planes[0].YAxis], [-1, 0, 0], atol=1e-9)
-    assert found["names"].branches == {(0, 0): [f"joint_{i}" for i in range(1, 7)]}
-    assert sorted(found["joints"].branches) == [(0, 0, k) for k in range(6)]
-    assert {len(one) for one in found["joints"].branches.values()} == {len(WANTED)}
-    times = found["times"].branches[(0,)]
+    assert result["names"].branches == {(0, 0): [f"joint_{i}" for i in range(1, 7)]}
+    assert sorted(result["joints"].branches) == [(0, 0, k) for k in range(6)]
+    assert {len(item) for item in result["joints"].branches.values()} == {len(EXPECTED_ROWS)}
+    times = result["times"].branches[(0,)]
     assert times[0] == 0.0
-    assert len(times) == len(WANTED) == len(set(times))
-    assert found["targets"].branches[(0,)][0].endswith("/1")
-    assert [*found["blocks"].branches[(0,)][0].Origin] == [0.45, 0, 0]
-    assert found["part"] == [], "poses leave none"
-    texts = [Path(path).read_text() for path in found["programs"]]
+    assert len(times) == len(EXPECTED_ROWS) == len(set(times))
+    assert result["targets"].branches[(0,)][0].endswith("/1")
+    assert [*result["blocks"].branches[(0,)][0].Origin] == [0.45, 0, 0]
+    assert result["part"] == [], "poses leave none"
+    texts = [Path(path).read_text() for path in result["programs"]]
     assert any("MODULE" in text for text in texts)
-    assert {Path(path).relative_to(tmp_path).parts[0] for path in found["programs"]} == {f"small-{job[:8]}"}
-    for link in (found["report"], found["replay"]):
+    assert {Path(path).relative_to(tmp_path).parts[0] for path in result["programs"]} == {f"small-{job[:8]}"}
+    for link in (result["report"], result["replay"]):
         with urllib.request.urlopen(link, timeout=60) as answer:
             assert answer.read(15).lower() == b"<!doctype html>"
     canvas.ModelUnitSystem = UnitSystem.Inches
     planes = component.solve(**given)["planes"].branches[(0, 0)]
-    assert np.abs(np.array([[*one.Origin] for one in planes]) - WANTED[:, :3] / 25.4).max() < 1e-9
+    assert np.abs(np.array([[*item.Origin] for item in planes]) - EXPECTED_ROWS[:, :3] / 25.4).max() < 1e-9
     canvas.ModelUnitSystem = UnitSystem.Unset
-    found = component.solve(**given)
-    assert (found["state"], found["planes"]) == ("verified", None)
-    assert "Unset; set one" in found["issues"][0] and component.told[0][0] == "Error"
+    result = component.solve(**given)
+    assert (result["state"], result["planes"]) == ("verified", None)
+    assert "Unset. Set one" in result["issues"][0] and component.told[0][0] == "Error"
 
 
 def test_a_part_is_a_mesh_of_the_document(canvas: Any, module: ModuleType, url: str) -> None:
@@ -153,7 +155,7 @@ def test_a_part_is_a_mesh_of_the_document(canvas: Any, module: ModuleType, url: 
     }
     files = [str(ROOT / "problems" / "cells" / "two_irb140_facing.yaml")]
     given = {"client": client(url), "problem": json.dumps(said), "files": files}
-    component, found = pressed("job", "check", mesh=face, **given)
+    component, found = press_button("job", "check", mesh=face, **given)
     assert (found["state"], found["issues"], found["job"]) == ("checked", [], "")
     assert component.longest_s < SOLUTION_S
     canvas.ModelUnitSystem = UnitSystem.Inches
@@ -191,24 +193,24 @@ def test_a_problem_file_goes_along_with_its_mesh(canvas: Any, url: str, tmp_path
     face.Faces.AddFace(0, 2, 3)
     path = small_problem.write(tmp_path)
     given = {"client": client(url), "problem": str(path), "files": [str(tmp_path / "targets.csv")]}
-    _, found = pressed("job", "check", mesh=face, **given)
+    _, found = press_button("job", "check", mesh=face, **given)
     assert (found["state"], found["issues"]) == ("checked", [])
 
 
 @pytest.mark.parametrize(
     ("inputs", "words"),
     [
-        ({"problem": "nowhere.yaml"}, "is no file"),
-        ({"problem": "{"}, "problem: is no JSON"),
-        ({"problem": "{}", "files": ["a/cell.yaml", "b/cell.yaml"]}, "two are called cell.yaml"),
+        ({"problem": "nowhere.yaml"}, "is not a file"),
+        ({"problem": "{"}, "problem: invalid JSON"),
+        ({"problem": "{}", "files": ["a/cell.yaml", "b/cell.yaml"]}, "two are named cell.yaml"),
         ({"problem": "{}", "curves": [None]}, "two for each surface"),
         ({"problem": "{}"}, "required"),
         ({"problem": "{}", "files": ["nowhere.csv"]}, "nowhere.csv"),
     ],
 )
 def test_what_is_wrong_stands_at_the_component(canvas: Any, url: str, inputs: Any, words: str) -> None:
-    component, found = pressed("job", "check", client=client(url), **inputs)
-    assert any(words in one for one in found["issues"]), found["issues"]
+    component, found = press_button("job", "check", client=client(url), **inputs)
+    assert any(words in issue for issue in found["issues"]), found["issues"]
     assert component.told[0][0] == "Error"
 
 
@@ -244,7 +246,7 @@ def test_a_job_is_cancelled(canvas: Any, url: str, tmp_path: Path) -> None:
     assert (result["state"], result["report"], result["planes"].branches) == ("cancelled", None, {})
 
 
-class Sending:
+class FakeSender:
     """A client that has not sent a job yet until ``go`` is set."""
 
     def __init__(self) -> None:
@@ -274,7 +276,7 @@ class Sending:
     ],
 )
 def test_what_is_still_being_sent_is_cancelled(canvas: Any, name: str, inputs: Any, sent: str) -> None:
-    service = Sending()
+    service = FakeSender()
     given = {"client": service, "mesh": None, "files": None, **inputs}
     component = Component(name, Document())
     for run, cancel in ((False, False), (True, False), (False, True), (False, False)):
@@ -285,7 +287,7 @@ def test_what_is_still_being_sent_is_cancelled(canvas: Any, name: str, inputs: A
 
 
 def test_a_job_that_was_tried_again_is_asked_for_anew(canvas: Any) -> None:
-    service = Sending()
+    service = FakeSender()
     service.report_url = service.replay_url = lambda job: None
     given = {"client": service, "job": "a", "folder": None}
     service.cancelled.append("a")
@@ -315,14 +317,14 @@ def test_panels_of_an_element_are_meshes_of_the_document(canvas: Any, url: str) 
     }
     service = client(url)
     cell = str(problems / "cells" / "two_irb4600_bow_gripper.yaml")
-    _, found = pressed("divide", client=service, definition=definition, mesh=shape, files=[cell])
+    _, found = press_button("divide", client=service, definition=definition, mesh=shape, files=[cell])
     assert found["state"] == "done", found["issues"]
     component = Component("panels", Document())
     given = {"client": service, "element": found["element"]}
     shown = component.settle(**given, refresh=False)
     assert len(shown["ids"]) == len(shown["meshes"]) == 30
     assert set(shown["states"]) == {"not_planned"}
-    sizes = [np.ptp([[*one] for one in mesh.Vertices.points], axis=0) for mesh in shown["meshes"]]
+    sizes = [np.ptp([[*item] for item in mesh.Vertices.points], axis=0) for mesh in shown["meshes"]]
     assert 0.15 < np.max(sizes) < 1.7, "metres"
     (own,) = service.plan_panels(found["element"], [shown["ids"][0]])
     service.cancel(own)
@@ -354,29 +356,29 @@ def test_a_service_that_is_away_is_told_at_the_component(canvas: Any) -> None:
     assert level == "Error"
     assert "does not answer" in text
     component.settle(url="ftp://x", token=None)
-    assert "is no http" in component.told[0][1]
+    assert "is not an http" in component.told[0][1]
 
 
 @pytest.mark.parametrize("name", ["../a.mod", "/a.mod", "C:/a.mod", "a\\b.mod", "", "T/../../a"])
 def test_programs_stay_in_their_folder(module: ModuleType, tmp_path: Path, name: str) -> None:
-    with pytest.raises(ValueError, match="names a program"):
+    with pytest.raises(ValueError, match="sent a program"):
         module.save({name: "x"}, tmp_path / "own")
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
 def test_the_stand_in_refuses_other_threads() -> None:
-    found: list[Exception] = []
+    result: list[Exception] = []
 
     def touch() -> None:
         try:
             rhino_host.Point3d(0, 0, 0)
         except RuntimeError as error:
-            found.append(error)
+            result.append(error)
 
     thread = threading.Thread(target=touch)
     thread.start()
     thread.join()
-    assert len(found) == 1
+    assert len(result) == 1
     assert math.isfinite(rhino_host.Point3d(0, 0, 0).X)
 
 
@@ -400,4 +402,4 @@ def test_they_run_by_the_python_of_rhino(url: str, tmp_path: Path) -> None:
     command = [python, "-I", "-S", "-W", "error", "-c", code, str(Path(rhino_host.__file__).parent), url]
     command += [problem(name="ninth"), str(table)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
-    assert done.stdout == f"(3, 9) verified {len(WANTED)}\n", done.stderr
+    assert done.stdout == f"(3, 9) verified {len(EXPECTED_ROWS)}\n", done.stderr

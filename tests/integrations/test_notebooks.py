@@ -1,5 +1,8 @@
-"""The notebooks in docs/notebooks run from top to bottom, in a kernel of Jupyter, which
-``TANDEM_JUPYTER_PYTHON`` has: in CI an environment of its own, that sees the planner and what it needs."""
+"""The notebooks in docs/notebooks run from top to bottom, in a kernel of Jupyter.
+
+``TANDEM_JUPYTER_PYTHON`` names the Python that has Jupyter: in CI an environment of its own that sees the
+planner and what it needs.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,7 @@ SHOWN: dict[str, tuple[tuple[str, str], ...]] = {
             r"^clearance +\d+\.?\d*  limit 9 mm .*\nown_clearance +\d+\.?\d*  limit 4\.5 mm .*\n"
             r"singularity +\d+\.\d+  limit 5 deg",
         ),
-        ("wider", r"error \[motion\.collision\] .*robot/tool with stock.* allowed is 60\.0 mm"),
+        ("wider", r"error \[motion\.collision\] .*robot/tool with stock.*at least 60\.0 mm"),
         ("save", r"\.mod \d+ lines\n(.*\n)*\['motion\.json', .*'programs', .*'replay\.html', 'report\.html'"),
         ("motion", r"^0\.00 s, .*/1: TCP at \[.*'joint_6': -?\d"),
     )
@@ -61,15 +64,15 @@ def test_a_notebook_runs_whole(path: Path, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     cells = json.loads((tmp_path / "run.ipynb").read_text("utf-8"))["cells"]
     shown = {cell["id"]: text(cell) for cell in cells if cell["cell_type"] == "code"}
-    for name, wanted in SHOWN[path.stem]:
-        assert re.search(wanted, shown[name]), shown[name][:500]
+    for name, expected in SHOWN[path.stem]:
+        assert re.search(expected, shown[name]), shown[name][:500]
 
 
 def text(cell: dict[str, Any]) -> str:
-    """What a cell shows."""
+    """Return the displayed text of a cell."""
     out = ""
-    for one in cell["outputs"]:
-        assert one.get("name") != "stderr", one["text"]
-        data = one.get("data", {})
-        out += "".join(one.get("text", data.get("text/html", data.get("text/plain", ""))))
+    for output in cell["outputs"]:
+        assert output.get("name") != "stderr", output["text"]
+        data = output.get("data", {})
+        out += "".join(output.get("text", data.get("text/html", data.get("text/plain", ""))))
     return out

@@ -1,5 +1,7 @@
-"""The runner of trajectories goes through proven files with stand-ins for a cell and for the names of ROS 2
-that it uses; no ROS runs here."""
+"""The trajectory runner executes proven files with stand-ins for a cell and for the ROS 2 names that it uses.
+
+No ROS runs here.
+"""
 
 from __future__ import annotations
 
@@ -29,9 +31,11 @@ def rows():
     return runner.rows_of(text().encode())
 
 
-class Cell:
-    """A cell that does as it is told, but for ``fails``: {name of a call: at which one, and what it
-    raises}."""
+class FakeCell:
+    """A cell that does as it is commanded.
+
+    ``fails`` contains the exceptions: {name of a call: the number of the call, and what it raises}.
+    """
 
     def __init__(self, fails=None, broken=()):
         self.fails, self.broken = fails or {}, broken
@@ -76,18 +80,18 @@ class Cell:
     def wait_for(self, name, value, seconds):
         self._call("wait_for", name, value)
 
-    def ask(self, asked):
-        self._call("ask", asked)
+    def ask(self, question):
+        self._call("ask", question)
 
-    def tell(self, told):
-        self.said.append(told)
+    def tell(self, message):
+        self.said.append(message)
 
     def sleep(self, seconds):
         self._call("sleep", seconds)
 
 
 def test_a_file_is_gone_through_to_its_end():
-    cell = Cell()
+    cell = FakeCell()
     runner.run(rows(), cell)
     names = [call[0] for call in cell.calls]
     assert names[0] == "check" and "cancel" not in names
@@ -107,19 +111,19 @@ GOAL = sum("move" in row for row, _ in list(runner.steps(rows()))[: HOT + 1])
 
 
 @pytest.mark.parametrize(
-    ("fails", "said"),
+    ("fails", "expected_text"),
     [
-        ({"follow": (GOAL, runner.StoppedError("the move did not end: status 6"))}, "status 6"),
+        ({"follow": (GOAL, runner.StoppedError("the move failed: status 6"))}, "status 6"),
         ({"follow": (GOAL, KeyboardInterrupt())}, "KeyboardInterrupt"),
-        ({"ask": (3, runner.StoppedError("no yes"))}, "no yes"),
+        ({"ask": (3, runner.StoppedError("not answered"))}, "not answered"),
         ({"sleep": (1, KeyboardInterrupt())}, "KeyboardInterrupt"),
-        ({"posture": (GOAL, runner.StoppedError("nothing new is heard"))}, "heard"),
+        ({"posture": (GOAL, runner.StoppedError("no new states received"))}, "received"),
         ({"switch": (2, runner.StoppedError("not switched"))}, "not switched"),
     ],
 )
-def test_whatever_fails_power_goes_off_and_nothing_more_moves(fails, said):
-    cell = Cell(fails)
-    with pytest.raises(runner.StoppedError, match=said):
+def test_whatever_fails_power_goes_off_and_nothing_more_moves(fails, expected_text):
+    cell = FakeCell(fails)
+    with pytest.raises(runner.StoppedError, match=expected_text):
         runner.run(rows(), cell)
     names = [call[0] for call in cell.calls]
     stop = names.index("cancel")
@@ -131,7 +135,7 @@ def test_whatever_fails_power_goes_off_and_nothing_more_moves(fails, said):
 
 @pytest.mark.parametrize("how", [False, runner.StoppedError("no answer"), KeyboardInterrupt()])
 def test_a_goal_that_nobody_says_has_ended_is_told(how, monkeypatch):
-    cell = Cell({"follow": (2, KeyboardInterrupt())})
+    cell = FakeCell({"follow": (2, KeyboardInterrupt())})
 
     def rests():
         if how is not False:
@@ -144,21 +148,21 @@ def test_a_goal_that_nobody_says_has_ended_is_told(how, monkeypatch):
 
 
 def test_an_output_that_does_not_fall_is_told():
-    cell = Cell({"follow": (GOAL, runner.StoppedError("aborted"))}, broken=("doWirePower",))
-    some = [row for row in rows() if row.get("set") is None or row["to"]]  # the first row switches it off
+    cell = FakeCell({"follow": (GOAL, runner.StoppedError("aborted"))}, broken=("doWirePower",))
+    subset = [row for row in rows() if row.get("set") is None or row["to"]]  # the first row switches it off
     with pytest.raises(runner.StoppedError, match="NOT SWITCHED OFF: doWirePower"):
-        runner.run(some, cell)
+        runner.run(subset, cell)
 
 
 def test_arms_that_stand_elsewhere_do_not_move():
-    cell = Cell()
+    cell = FakeCell()
     cell.here = [0.5] * 12
-    with pytest.raises(runner.StoppedError, match="left_joint_1 stands at"):
+    with pytest.raises(runner.StoppedError, match="left_joint_1 is at"):
         runner.run(rows(), cell)
     assert not [call for call in cell.calls if call[0] == "follow"]
-    cell = Cell()
+    cell = FakeCell()
     cell.here = [float("nan")] * 12
-    with pytest.raises(runner.StoppedError, match="stands at nan"):
+    with pytest.raises(runner.StoppedError, match="is at nan"):
         runner.run(rows(), cell)
 
 
@@ -183,10 +187,10 @@ def test_only_the_file_that_was_proven_is_run(tmp_path):
         (
             ({"ok": False}, "does not hold"),
             ({"digest": "0" * 64}, "not the file that was proven"),
-            ({"name": "wing.script"}, "one file is run"),
-            ({"content": text().replace('"within":0.006981', '"within":0.906981', 1)}, "closed with"),
-            ({"content": text()[:-40]}, "cut off"),
-            ({"content": text().replace("ab12ab12", "cd34cd34", 1)}, "closed with"),
+            ({"name": "wing.script"}, "required is one trajectory file"),
+            ({"content": text().replace('"within":0.006981', '"within":0.906981', 1)}, "do not match"),
+            ({"content": text()[:-40]}, "file is incomplete"),
+            ({"content": text().replace("ab12ab12", "cd34cd34", 1)}, "do not match"),
         ),
         start=1,
     ):
@@ -195,25 +199,25 @@ def test_only_the_file_that_was_proven_is_run(tmp_path):
     assert runner.main([str(tmp_path / "nowhere")]) == 2
 
 
-@pytest.mark.parametrize("place", ["release.json", "programs/release.json"])
-def test_programs_whose_release_was_withdrawn_are_not_run(tmp_path, place):
+@pytest.mark.parametrize("file_name", ["release.json", "programs/release.json"])
+def test_programs_whose_release_was_withdrawn_are_not_run(tmp_path, file_name):
     folder = result(tmp_path)
     proof = json.loads((folder / "proof.json").read_text())
     given = {"digest": proof["problem_digest"], "programs": proof["programs"], "says": "withdrawn\x1b by A"}
 
-    def told(**values):
-        (folder / place).write_text(json.dumps({**given, **values}))
+    def write_and_read(**values):
+        (folder / file_name).write_text(json.dumps({**given, **values}))
         return runner.proven(folder)
 
-    assert told(released=True, release=1) == told(released=False, release=None) == rows()
+    assert write_and_read(released=True, release=1) == write_and_read(released=False, release=None) == rows()
     for values, said in (
         ({"released": False, "release": 1}, "withdrawn by A"),
         ({"released": True, "release": 1, "programs": {}}, "other programs"),
         ({"released": True, "release": 1, "digest": "0" * 64}, "other programs"),
-        ({"released": True}, "no release"),
+        ({"released": True}, "not a valid release"),
     ):
         with pytest.raises(runner.StoppedError, match=said):
-            told(**values)
+            write_and_read(**values)
 
 
 class Future:
@@ -242,7 +246,7 @@ class Goal:
 
 @pytest.fixture
 def ros(monkeypatch):
-    """Stand-ins for the names of ROS 2 that the runner uses."""
+    """Stand-ins for the ROS 2 names that the runner uses."""
     said = types.SimpleNamespace(
         goals=[],
         cancelled=0,
@@ -338,12 +342,14 @@ def test_goals_have_points_velocities_and_tolerances_by_name(ros):
     assert ros.switched == [("/tandem/doWirePower", True)]
 
 
-@pytest.mark.parametrize(("values", "said"), [({"status": 6}, "status 6"), ({"code": -4}, "error -4 why")])
-def test_a_goal_that_is_aborted_stops(ros, values, said):
+@pytest.mark.parametrize(
+    ("values", "expected_text"), [({"status": 6}, "status 6"), ({"code": -4}, "error -4 why")]
+)
+def test_a_goal_that_is_aborted_stops(ros, values, expected_text):
     ros.__dict__.update(values)
     joints = ["a"]
     move, points = {"path": [0.1], "goal": [0.1], "goal_time": 1.0}, [{"t": 1.0, "q": [0.0], "v": [0.0]}]
-    with pytest.raises(runner.StoppedError, match=said):
+    with pytest.raises(runner.StoppedError, match=expected_text):
         ros.cell.follow(joints, move, points)
     ros.cell.cancel()
     assert ros.cancelled == 1 and ros.cell.rests()
@@ -395,19 +401,19 @@ def test_a_terminal_that_is_closed_is_a_stop(ros, monkeypatch, tmp_path):
         module = types.ModuleType(name)
         module.__dict__.update(values)
         monkeypatch.setitem(sys.modules, name, module)
-    monkeypatch.setattr(runner, "RosCell", lambda *given: Cell())
+    monkeypatch.setattr(runner, "RosCell", lambda *given: FakeCell())
     assert runner.main([str(result(tmp_path))]) == 0
-    wanted = [getattr(runner.signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP")]
-    assert caught == dict.fromkeys(wanted, runner.signal.SIG_DFL)  # the run is over
+    expected = [getattr(runner.signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP")]
+    assert caught == dict.fromkeys(expected, runner.signal.SIG_DFL)  # the run is over
     with pytest.raises(KeyboardInterrupt):
         runner.stop(runner.signal.SIGINT, None)
-    assert caught == dict.fromkeys(wanted, runner.signal.SIG_IGN)  # a second one keeps nothing on
+    assert caught == dict.fromkeys(expected, runner.signal.SIG_IGN)  # a second one keeps nothing on
 
 
 def test_a_goal_that_is_refused_and_an_output_that_answers_no_stop(ros):
     ros.accepted, ros.success = False, False
     move, points = {"path": [0.1], "goal": [0.1], "goal_time": 1.0}, [{"t": 1.0, "q": [0.0], "v": [0.0]}]
-    with pytest.raises(runner.StoppedError, match="refuses"):
+    with pytest.raises(runner.StoppedError, match="rejected"):
         ros.cell.follow(["a"], move, points)
     ros.heard["/joint_states"](Message(name=["a"], position=[0.0]))
     ros.cell.check(["a"], ["x"], [])
@@ -416,12 +422,12 @@ def test_a_goal_that_is_refused_and_an_output_that_answers_no_stop(ros):
     with pytest.raises(KeyError):
         ros.cell.posture(["b"])
     ros.cell.states["a"] = (-10.0, 0.0)
-    with pytest.raises(runner.StoppedError, match="nothing new"):
+    with pytest.raises(runner.StoppedError, match="no new states"):
         ros.cell.posture(["a"])
 
 
 def test_a_driver_that_dies_on_the_way_stops_at_once(ros, monkeypatch):
-    """Nobody answers any more: no abort comes, and the wire would burn until the move is late."""
+    """No answer and no abort arrive: the wire would burn until the move is late."""
     move, points = {"path": [0.1], "goal": [0.1], "goal_time": 1.0}, [{"t": 900.0, "q": [0], "v": [0.0]}]
     ros.heard["/joint_states"](Message(name=["a"], position=[0.0]))
     ros.cell.check(["a"], [], [])
@@ -429,9 +435,9 @@ def test_a_driver_that_dies_on_the_way_stops_at_once(ros, monkeypatch):
     monkeypatch.setattr(runner, "LOOK_S", 0.01)
     ros.ends = None
     before = runner.time.monotonic()
-    with pytest.raises(runner.StoppedError, match="nothing new is heard of the joints a"):
+    with pytest.raises(runner.StoppedError, match="no new states received of the joints a"):
         ros.cell.follow(["a"], move, points)
-    with pytest.raises(runner.StoppedError, match="nothing new is heard"):
+    with pytest.raises(runner.StoppedError, match="no new states received"):
         ros.cell.sleep(900.0)
     assert runner.time.monotonic() - before < 60.0
     assert isinstance(ros.goals[0].trajectory.points[0].positions[0], float)  # ROS takes no whole number

@@ -1,4 +1,4 @@
-"""Passes for the loop from level to level: round walls whose springback follows a power law; their files."""
+"""Passes for the loop from level to level: round walls with power-law springback, and their files."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from planner.geometry.units import MM
-from planner.loops.loop_plan import Level, LoopPlan
+from planner.loops.loop_plan import FormingLevel, LoopPlan
 
 LOADS = np.concatenate([[0.0], np.geomspace(20.0, 2400.0, 25)])
 
@@ -21,19 +21,23 @@ def power_plan(
     exponent: float = 0.6,
     force: float = 600.0,
     force_exponent: float = 0.18,
-    places: int = 24,
+    points_per_level: int = 24,
     points: int = 6,
     radius: float = 50.0 * MM,
 ) -> LoopPlan:
     """A wall straight down, S = ``springback`` (F / ``force``)^``exponent`` everywhere."""
-    turn = 2.0 * np.pi * np.arange(places) / places
+    turn = 2.0 * np.pi * np.arange(points_per_level) / points_per_level
     curve = np.tile(springback * (LOADS / force) ** exponent, (points, 1))
     some = []
     for depth in step * np.arange(1, levels + 1):
-        path = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.full(places, -depth)])
-        place = np.arange(points) * (places // points)
+        path = np.column_stack(
+            [radius * np.cos(turn), radius * np.sin(turn), np.full(points_per_level, -depth)]
+        )
+        place = np.arange(points) * (points_per_level // points)
         some.append(
-            Level(path, float(depth), place, np.tile(LOADS, (points, 1)), curve, np.full(points, force))
+            FormingLevel(
+                path, float(depth), place, np.tile(LOADS, (points, 1)), curve, np.full(points, force)
+            )
         )
     return LoopPlan("wall", "d" * 64, 1, 5.0 * MM, force_exponent, tuple(some))
 
@@ -46,12 +50,12 @@ def file_data(plan: LoopPlan) -> dict[str, Any]:
             "path_mm": (level.path / MM).tolist(),
             "points": [
                 {
-                    "place": int(level.place[k]),
+                    "place": int(level.path_index[k]),
                     "forces_n": level.loads[k].tolist(),
                     "springback_mm": (level.springback[k] / MM).tolist(),
                     "expected_n": float(level.force[k]),
                 }
-                for k in range(len(level.place))
+                for k in range(len(level.path_index))
             ],
         }
         for level in plan.levels

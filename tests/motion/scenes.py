@@ -1,4 +1,4 @@
-"""Small scenes for the tests of motion."""
+"""Small scenes for the motion tests."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bench.motion_jobs import HOME, arc_wire, block, s_curve, two_arms
 from planner.cell import plant
 from planner.geometry.arrays import FloatArray, Shape, from_parts
 from planner.motion.planning_scene import Scene
-from planner.motion.search.subsampling import subset
+from planner.motion.search.subsampling import select_targets
 from planner.problem import Obstacle, Problem, Settings
 from planner.targets import Targets
 
@@ -35,16 +35,16 @@ __all__ = [
 
 
 def box(name: str, size: tuple[float, float, float], centre: tuple[float, float, float]) -> Obstacle:
-    """A box that stands in the world."""
+    """Return a box at a fixed pose in the world."""
     return Obstacle(name, (Shape("box", size, from_parts(np.eye(3), np.array(centre))),))
 
 
 def pair(
     count: int = 60, obstacles: tuple[Obstacle, ...] = (), solid: bool = True, stock: FloatArray = HIGH
 ) -> tuple[Scene, Targets]:
-    """Two arms with an arc of wire, every so many targets of the whole sweep."""
+    """Return two arms with an arc of wire and every n-th target of the whole sweep."""
     cell, targets = two_arms(obstacles=obstacles), arc_wire(count)
-    model = plant.build(cell, block(SIZE, stock), stock) if solid else None
+    model = plant.build_cell_model(cell, block(SIZE, stock), stock) if solid else None
     return Scene.of(cell, targets.arms, stock, Settings(), model), targets
 
 
@@ -52,15 +52,24 @@ def one_arm(count: int = 40, settings: Settings | None = None) -> tuple[Scene, T
     """One arm on an S-curve, without anything around."""
     cell, targets = s_curve(400)
     rows = np.linspace(0, 399, count).round().astype(np.intp)
-    few = subset(targets, rows)
-    place = few.pose["arm"][:, :3, 3]
-    travel = np.append(0.0, np.linalg.norm(np.diff(place, axis=0), axis=1))
+    few = select_targets(targets, rows)
+    points = few.pose["arm"][:, :3, 3]
+    travel = np.append(0.0, np.linalg.norm(np.diff(points, axis=0), axis=1))
     few = dataclasses.replace(few, travel=travel)
     return Scene.of(cell, few.arms, np.eye(4), settings or Settings()), few
 
 
-def problem(cell, targets: Targets, place: np.ndarray | None, settings: Settings | None = None) -> Problem:  # type: ignore[no-untyped-def]
+def problem(
+    cell, targets: Targets, stock_pose: np.ndarray | None, settings: Settings | None = None
+) -> Problem:  # type: ignore[no-untyped-def]
     operation = SimpleNamespace(name="faces", process="elastic_wire", arms=targets.arms, leaves=lambda b: b)
     return Problem(
-        "job", cell, block(SIZE, place), None, (operation,), settings or Settings(), Path("job.yaml"), "0"
+        "job",
+        cell,
+        block(SIZE, stock_pose),
+        None,
+        (operation,),
+        settings or Settings(),
+        Path("job.yaml"),
+        "0",
     )

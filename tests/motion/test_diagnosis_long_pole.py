@@ -1,4 +1,4 @@
-"""A block that no turning of the holder's last axis brings within reach of the wire, wherever it is held."""
+"""A block that no rotation of the holder's last axis brings within reach of the wire, wherever it is held."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def turning_only(folder: Path, seed: int) -> Problem:
     cells = FILE.parents[1] / "cells"
     copy = folder / "turning.yaml"
     copy.write_text(text.replace("../cells", cells.as_posix()), "utf-8")
-    problem = problem_file.read(copy, registry.schemas())
+    problem = problem_file.read_problem(copy, registry.schemas())
     assert problem.stock.place is None, "the place is searched"
     return dataclasses.replace(problem, settings=dataclasses.replace(problem.settings, seed=seed))
 

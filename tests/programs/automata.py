@@ -1,23 +1,23 @@
-"""Programs that meet by signals, as automata made by hand: what two files of tests build them of."""
+"""Hand-made automata of programs that meet by signals, shared by two test files."""
 
 from __future__ import annotations
 
-from planner.programs.handshake.model import Action
+from planner.programs.handshake.model import AutomatonAction
 
 LEAD, FOLLOW = 0, 1
 WIRES = 2
 
 
 def put(wire, value, resets=()):
-    return Action("set", wire, value, resets)
+    return AutomatonAction("set", wire, value, resets)
 
 
 def wait(wire, value, resets=()):
-    return Action("wait", wire, value, resets)
+    return AutomatonAction("wait", wire, value, resets)
 
 
 def work(interval):
-    return [Action("go", value=interval), Action("done", value=interval)]
+    return [AutomatonAction("go", value=interval), AutomatonAction("done", value=interval)]
 
 
 def with_(row, i, value):

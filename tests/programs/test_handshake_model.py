@@ -1,5 +1,8 @@
-"""The check of two programs that meet by signals, on automata made by hand: classical faults, and random ones
-against a plain search that knows nothing of how the check saves work."""
+"""The check of two programs that meet by signals, on hand-made automata.
+
+The automata have classical faults, or random ones. The reference is a plain search without the reductions of
+the check.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from planner.programs.handshake.model import Action, check
+from planner.programs.handshake.model import AutomatonAction, check_handshake
 from tests.programs.automata import FOLLOW, LEAD, WIRES, put, wait, with_, work
 
 
@@ -27,7 +30,7 @@ def meeting(lead, phase, four):
 def start(lead):
     """Both lines are reset and read, and the lead asks the operator whether the other one is ready."""
     if lead:
-        return [*work(0), put(0, 0), Action("gate", value=4), wait(1, 0)]
+        return [*work(0), put(0, 0), AutomatonAction("gate", value=4), wait(1, 0)]
     return [*work(0), put(1, 0), wait(0, 0)]
 
 
@@ -44,7 +47,7 @@ def both(**options):
 
 
 def kinds(programs, gates=True):
-    return {finding.kind for finding in check(programs, WIRES, gates).findings}
+    return {finding.kind for finding in check_handshake(programs, WIRES, gates).findings}
 
 
 @pytest.mark.parametrize("four", [True, False])
@@ -65,7 +68,12 @@ def test_both_setting_first_and_then_waiting_loses_an_edge(four):
     programs = [[], []]
     for mine, other in ((0, 1), (1, 0)):
         row = programs[mine]
-        row += [put(mine, 0), Action("gate", value=1), wait(other, 0), Action("gate", value=3)]
+        row += [
+            put(mine, 0),
+            AutomatonAction("gate", value=1),
+            wait(other, 0),
+            AutomatonAction("gate", value=3),
+        ]
         for k in range(1, 4):
             steps = [(mine, 1), (mine, 0)] if four else [(mine, k % 2)]
             for wire, value in steps:
@@ -146,11 +154,11 @@ def test_a_move_before_the_other_arm_has_arrived():
     moved = programs[LEAD]
     place = next(i for i, a in enumerate(moved) if a.kind == "go" and a.value == 2)
     moved[place - 4 : place + 2] = [*moved[place : place + 2], *moved[place - 4 : place]]
-    (finding,) = check(programs, WIRES).findings
+    (finding,) = check_handshake(programs, WIRES).findings
     assert finding.kind == "apart" and finding.program == LEAD
-    at = programs[LEAD][finding.places[LEAD]]
+    at = programs[LEAD][finding.positions[LEAD]]
     assert (at.kind, at.value) == ("go", 2)
-    assert programs[FOLLOW][finding.places[FOLLOW]].value < 2 or finding.places[FOLLOW] < 11
+    assert programs[FOLLOW][finding.positions[FOLLOW]].value < 2 or finding.positions[FOLLOW] < 11
 
 
 def test_error_handlers_that_touch_the_lines_are_taken_for_arrivals():
@@ -177,12 +185,12 @@ def test_outputs_that_fall_with_their_controller_need_four_phases():
 def test_the_trace_leads_from_the_start_to_the_fault():
     programs = both()
     del programs[FOLLOW][len(start(False)) + 2]  # does not wait until the lead takes its signal back
-    (finding,) = check(programs, WIRES, trace=10_000).findings
+    (finding,) = check_handshake(programs, WIRES, trace=10_000).findings
     places = [0, 0]
     for event in finding.trace:
-        assert event.place == places[event.program]
+        assert event.position == places[event.program]
         places[event.program] += 1
-    assert tuple(places) == finding.places and len(finding.trace) == finding.steps
+    assert tuple(places) == finding.positions and len(finding.trace) == finding.steps
 
 
 def plain_search(programs, gates):
@@ -192,8 +200,8 @@ def plain_search(programs, gates):
     here = {((0, 0), level, level, (0, 0), (0, 0)) for level in levels}
     count = 0
 
-    def finished(who, place):
-        ahead = [a.value for a in programs[who][place:] if a.kind in ("go", "done")]
+    def finished(who, position):
+        ahead = [a.value for a in programs[who][position:] if a.kind in ("go", "done")]
         return ahead[0] - 1 if ahead else 10**9
 
     while here:
@@ -269,7 +277,7 @@ def test_random_programs_against_a_plain_search():
                 case 3:
                     row[place] = dataclasses.replace(action, resets=((int(rng.integers(2)), 0),))
         for gates in (True, False):
-            verdict = check(programs, WIRES, gates)
+            verdict = check_handshake(programs, WIRES, gates)
             got = (
                 {finding.kind for finding in verdict.findings},
                 min((finding.steps for finding in verdict.findings), default=-1),
@@ -280,11 +288,11 @@ def test_random_programs_against_a_plain_search():
 
 
 def test_long_programs_are_checked_in_proportion():
-    few, many = (check(both(meetings=count), WIRES) for count in (2_500, 25_000))
+    few, many = (check_handshake(both(meetings=count), WIRES) for count in (2_500, 25_000))
     assert not many.findings and many.states > 1_000_000
     assert many.states < 10.01 * few.states
 
 
 def test_two_programs_are_needed():
     with pytest.raises(ValueError, match="two"):
-        check([program(True)], WIRES)
+        check_handshake([program(True)], WIRES)

@@ -17,7 +17,7 @@ LANGUAGES = {"abb": "rapid", "kuka": "krl", "ur": "urscript", "ros": "trajectori
 def with_family(family: str) -> Problem:
     problem = straight_job.problem()
     arms = tuple(
-        dataclasses.replace(arm, given=dataclasses.replace(arm.data, family=family))
+        dataclasses.replace(arm, custom_data=dataclasses.replace(arm.data, family=family))
         for arm in problem.cell.arms
     )
     return dataclasses.replace(problem, cell=dataclasses.replace(problem.cell, arms=arms))
@@ -33,5 +33,5 @@ def test_each_language_has_a_reader(family: str, name: str) -> None:
 
 
 def test_an_arm_without_a_language_has_no_programs() -> None:
-    found = job.read(with_family("generic"), {"T_ROB1/a.mod": "MODULE a\nENDMODULE\n"})
+    found = job.read_job(with_family("generic"), {"T_ROB1/a.mod": "MODULE a\nENDMODULE\n"})
     assert (found.tasks, found.strays) == ((), ("T_ROB1/a.mod",))

@@ -1,5 +1,7 @@
-"""Program files as bytes: what encodings, ends of lines and odd characters do to the proof; and harmless ways
-in which a controller writes a program again."""
+"""Program files as bytes: effects of encodings, line ends and odd characters on the proof.
+
+Harmless rewrites by a controller pass.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,7 @@ def programs():
 
 
 def refused(texts, krl=False):
-    """Whether a rule of the text refuses programs, with a line."""
+    """Return whether a rule of the text refuses programs, with a line."""
     proof = prover("krl" if krl else "straight").prove(texts, last="verify.decimals")
     found = [issue for issue in proof.issues if issue.severity is Severity.ERROR]
     return bool(found) and all(issue.line or not issue.file for issue in found)
@@ -47,12 +49,12 @@ def modules(change):
     return {file: change(text) if file.endswith(".mod") else text for file, text in programs().items()}
 
 
-def short(found):
-    return repr(float(found.group()))
+def short(match):
+    return repr(float(match.group()))
 
 
-def exponent(found):
-    return f"{float(found.group()):.9E}"
+def exponent(match):
+    return f"{float(match.group()):.9E}"
 
 
 POINT = r"(?<![\w.])-?\d+\.\d+(?![\w.])"
@@ -95,8 +97,8 @@ def test_what_is_rewritten_without_harm_is_proven(kind):
     proof = prover("straight").prove(texts)
     assert [str(i) for i in proof.issues if i.severity is Severity.ERROR] == []
     assert proof.ok
-    told = {i.message for i in proof.issues}
-    assert bool(told) == (kind in ("a byte order mark", "lines of an old Mac"))
+    messages = {i.message for i in proof.issues}
+    assert bool(messages) == (kind in ("a byte order mark", "lines of an old Mac"))
 
 
 ENDS = (
@@ -197,7 +199,7 @@ def test_what_a_kuka_controller_rewrites_is_proven(kind):
 
 def test_numbers_are_those_that_a_controller_holds():
     """0.1 is no number in binary; of 123.4567 single precision keeps seven digits or so."""
-    found = job.read(small_job.problem(), small_job.programs(COUNT))
+    found = job.read_job(small_job.problem(), small_job.programs(COUNT))
     moves = [step for task in found.tasks for step in task.steps if isinstance(step, MoveStep)]
     for move in moves:
         if not move.by_joints:

@@ -1,5 +1,7 @@
-"""Plans made by hand: poses are given, joints follow by the proof's own inverse kinematics in the posture of
-home; nothing is searched."""
+"""Plans made by hand: poses are given, joints follow by the proof's inverse kinematics near home.
+
+Nothing is searched.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +9,18 @@ import dataclasses
 
 import numpy as np
 
-from planner.cell.kinematics import forward
+from planner.cell.kinematics import forward_kinematics
 from planner.claims.dialogue import OperatorDialogue, power_off_steps, power_on_steps
 from planner.claims.segments import Segment
 from planner.geometry.arrays import inverse
 from planner.plans import OperationPlan
 from planner.proof.kinematics import arm_model, inverse_kinematics
-from planner.targets import Action, Targets
+from planner.targets import TargetAction, Targets
 
 
 @dataclasses.dataclass(frozen=True)
 class Operation:
-    """The least that an operation is. ``trims``: the block has no oversize behind it."""
+    """Minimal operation. ``trims``: the block has no oversize after it."""
 
     name: str
     process: str
@@ -31,18 +33,20 @@ class Operation:
 
 
 def dialogue(arms, signal):
-    """What programs of `operation_plan` switch and wait for; they tell nothing."""
+    """Outputs and waits of programs of `operation_plan`, which show no messages."""
     return OperatorDialogue(arms, power_on_steps(signal, 5.0), power_off_steps(signal, 2.0))
 
 
 def joints(arm, tcp):
     """Joints (N, 6) of TCP poses (N, 4, 4) in the world."""
-    machine = arm_model.machine_of(arm.data)
+    machine = arm_model.robot_machine(arm.data)
     flange = inverse(arm.base) @ tcp @ inverse(arm.tool.tcp)
     branch = np.full(len(tcp), int(inverse_kinematics.branch_of(machine, arm.home)))
-    q = inverse_kinematics.continued(machine, inverse_kinematics.solve(machine, flange, branch), arm.home)
+    q = inverse_kinematics.unwrapped_path(
+        machine, inverse_kinematics.solve(machine, flange, branch), arm.home
+    )
     assert np.isfinite(q).all(), arm.name
-    assert np.abs(forward(machine.data, q) - flange).max() < 1e-9
+    assert np.abs(forward_kinematics(machine.data, q) - flange).max() < 1e-9
     assert (q > machine.data.lower).all(), (arm.name, np.rad2deg(q.min(axis=0)))
     assert (q < machine.data.upper).all(), (arm.name, np.rad2deg(q.max(axis=0)))
     return q
@@ -65,7 +69,7 @@ def frames(start, end, down):
 
 
 def way_of(start, end):
-    """How far (N,) the faster one of two points moves to each row."""
+    """Distance (N,) that the faster one of two points moves to each row."""
     steps = [np.linalg.norm(np.diff(points, axis=0), axis=1) for points in (start, end)]
     return np.concatenate([[0.0], np.max(steps, axis=0)])
 
@@ -106,10 +110,10 @@ def operation_plan(name, cell, poses, frame, world, rows, travel, signal, entry,
         stop=stop,
         segment=tuple(map(Segment.read, label)),
         actions=(
-            Action(0, "on", signal=signal),
-            Action(0, "wait", seconds=5.0),
-            Action(last, "off", signal=signal),
-            Action(last, "wait", seconds=2.0),
+            TargetAction(0, "on", signal=signal),
+            TargetAction(0, "wait", seconds=5.0),
+            TargetAction(last, "off", signal=signal),
+            TargetAction(last, "wait", seconds=2.0),
         ),
         claims=claims,
     )
@@ -119,9 +123,9 @@ def operation_plan(name, cell, poses, frame, world, rows, travel, signal, entry,
         q=q,
         values=np.zeros((len(rows), 0)),
         time=np.cumsum(duration),
-        entry={arm: way[0] for arm, way in ways.items()},
-        exit={arm: way[1] for arm, way in ways.items()},
-        order=order,
+        approach={arm: way[0] for arm, way in ways.items()},
+        retreat={arm: way[1] for arm, way in ways.items()},
+        arm_order=order,
         metrics={},
     )
 

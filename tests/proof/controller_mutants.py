@@ -1,4 +1,4 @@
-"""Faults in the files for controllers, by kind; each gets a generator of random numbers and the files."""
+"""Faults in the files for controllers, by kind. Each mutator takes a random generator and the files."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ def question_changed(rng, texts):
         ("answer=2 AND", "answer=2 OR"),
         ("WHILE", "IF"),
         ("is 1 again", "is 0 again"),
-        ("are out of", "are still in"),
+        ("block none of", "block some of"),
         ('"Stop"', '"Yes"'),
     ][rng.integers(7)]
     assert old in texts[HOME + "TandemPower.sys"], old

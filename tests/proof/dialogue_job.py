@@ -1,5 +1,7 @@
-"""Jobs whose operators are told and asked what processes say: the bent wire of ``small_job``, and the bow of
-``straight_job``, which leaves spacers in its first slot. The figures are worked out by hand."""
+"""Jobs with operator dialogues: the bent wire of ``small_job`` and the bow of ``straight_job``.
+
+The bow leaves spacers in its first slot. The figures are computed by hand.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,7 @@ from planner.claims.segments import Segment
 from planner.languages.writing import write
 from planner.processes.hotwire import sentences as hotwire_sentences
 from planner.processes.hotwire.claims import WireJoins
-from planner.targets import Action
+from planner.targets import TargetAction
 from tests.processes.hotwire.proof import straight_job
 from tests.proof import small_job
 from tests.proof.small_job import AWAY, LENGTH, SIGNAL
@@ -38,28 +40,30 @@ def clamps():
 
 
 def bent(count=12):
-    """The plan of the bent wire, with all that its operator is told and asked."""
+    """The plan of the bent wire, with its whole operator dialogue."""
     whole = small_job.plan(count)
     (operation,) = whole.operations
     last = operation.targets.count - 1
     apart, start, end = clamps()
     actions = (
-        Action(0, "message", hotwire_sentences.MOUNT.filled(cold_mm=COLD_MM)),
-        Action(0, "message", hotwire_sentences.CLAMPS.filled(apart_mm=apart, start_deg=start, end_deg=end)),
-        Action(0, "confirm", hotwire_sentences.CLAMPED.filled()),
-        Action(0, "on", signal=SIGNAL),
-        Action(0, "wait", seconds=10.0),
-        Action(0, "confirm", hotwire_sentences.LOCKED.filled(hot_mm=1e3 * LENGTH)),
-        Action(last, "off", signal=SIGNAL),
-        Action(last, "wait", seconds=30.0),
-        Action(last, "confirm", hotwire_sentences.TAKEN_OFF.filled()),
+        TargetAction(0, "message", hotwire_sentences.MOUNT.format(cold_mm=COLD_MM)),
+        TargetAction(
+            0, "message", hotwire_sentences.CLAMPS.format(apart_mm=apart, start_deg=start, end_deg=end)
+        ),
+        TargetAction(0, "confirm", hotwire_sentences.CLAMPED.format()),
+        TargetAction(0, "on", signal=SIGNAL),
+        TargetAction(0, "wait", seconds=10.0),
+        TargetAction(0, "confirm", hotwire_sentences.LOCKED.format(hot_mm=1e3 * LENGTH)),
+        TargetAction(last, "off", signal=SIGNAL),
+        TargetAction(last, "wait", seconds=30.0),
+        TargetAction(last, "confirm", hotwire_sentences.TAKEN_OFF.format()),
     )
     targets = dataclasses.replace(operation.targets, actions=actions)
     return dataclasses.replace(whole, operations=(dataclasses.replace(operation, targets=targets),))
 
 
 def bent_claims():
-    """What its process claims."""
+    """The claims of its process."""
     spoken = OperatorDialogue(
         ("left", "right"),
         (
@@ -72,24 +76,26 @@ def bent_claims():
         (*power_off_steps(SIGNAL, 30.0), question_step(hotwire_sentences.TAKEN_OFF)),
         joined=True,
     )
-    return {"panel": _with(small_job.claims()["panel"], spoken)}
+    return {"panel": _with_dialogue(small_job.claims()["panel"], spoken)}
 
 
 LONGER_MM = 20.0
-"""By how much the other wire of :func:`choice_claims` is longer."""
+"""Additional length of the other wire of :func:`choice_claims`."""
 
 
 def choice():
     """The plan of the bent wire where the problem leaves open which one it is."""
     whole = bent()
     (operation,) = whole.operations
-    named = Action(0, "message", hotwire_sentences.WIRE.filled(material="spring_steel", size="1.5 mm round"))
+    named = TargetAction(
+        0, "message", hotwire_sentences.WIRE.format(material="spring_steel", size="1.5 mm round")
+    )
     targets = dataclasses.replace(operation.targets, actions=(named, *operation.targets.actions))
     return dataclasses.replace(whole, operations=(dataclasses.replace(operation, targets=targets),))
 
 
 def choice_claims():
-    """What its process claims: one of two wires of one section, or a thinner one."""
+    """The claims of its process: one of two wires of one section, or a thinner one."""
     return {"panel": (OneOf((_wire(LONGER_MM), _wire(0.0), _wire(0.0, "1 mm round"))),)}
 
 
@@ -100,7 +106,7 @@ def _wire(longer, size="1.5 mm round"):
     first = [named, *spoken.first]
     first[1] = message_step(hotwire_sentences.MOUNT, cold_mm=COLD_MM + longer)
     first[-1] = question_step(hotwire_sentences.LOCKED, hot_mm=1e3 * LENGTH + longer)
-    group = _with(group, dataclasses.replace(spoken, first=tuple(first)))
+    group = _with_dialogue(group, dataclasses.replace(spoken, first=tuple(first)))
     return tuple(
         dataclasses.replace(claim, length=LENGTH + 1e-3 * longer) if isinstance(claim, WireJoins) else claim
         for claim in group
@@ -110,11 +116,11 @@ def _wire(longer, size="1.5 mm round"):
 @functools.cache
 def choice_programs():
     """The texts of :func:`choice` as the planner writes them."""
-    return write.programs(choice(), small_job.problem())
+    return write.program_files(choice(), small_job.problem())
 
 
 def bow(model="irb140", count=12):
-    """The plan of the bow: told, asked, powered in both operations, spacers behind the first cut."""
+    """The plan of the bow, with its dialogue, power in both operations, and spacers after the first cut."""
     whole = straight_job.plan(count, model=model)
     operations = []
     for number, operation in enumerate(whole.operations):
@@ -123,26 +129,26 @@ def bow(model="irb140", count=12):
         last = targets.count - 1
         wire = {"diameter_mm": 0.4, "material": " nichrome", "power_w": POWER_W}
         actions = [
-            Action(0, "message", hotwire_sentences.BOW_POWER.filled(**wire)),
-            Action(0, "confirm", hotwire_sentences.TAUT.filled()),
-            Action(0, "on", signal=SIGNAL),
-            Action(0, "wait", seconds=5.0),
+            TargetAction(0, "message", hotwire_sentences.BOW_POWER.format(**wire)),
+            TargetAction(0, "confirm", hotwire_sentences.TAUT.format()),
+            TargetAction(0, "on", signal=SIGNAL),
+            TargetAction(0, "wait", seconds=5.0),
         ]
         stop = targets.stop.copy()
         if number == 0:
             stop[ends[-1]] = True
             actions += [
-                Action(ends[-1], "off", signal=SIGNAL),
-                Action(ends[-1], "wait", seconds=10.0),
-                Action(ends[-1], "message", hotwire_sentences.SPACERS.filled(kerf_mm=SLOT_MM)),
-                Action(ends[-1], "confirm", hotwire_sentences.SPACED.filled()),
-                Action(ends[-1], "on", signal=SIGNAL),
-                Action(ends[-1], "wait", seconds=5.0),
+                TargetAction(ends[-1], "off", signal=SIGNAL),
+                TargetAction(ends[-1], "wait", seconds=10.0),
+                TargetAction(ends[-1], "message", hotwire_sentences.SPACERS.format(kerf_mm=SLOT_MM)),
+                TargetAction(ends[-1], "confirm", hotwire_sentences.SPACED.format()),
+                TargetAction(ends[-1], "on", signal=SIGNAL),
+                TargetAction(ends[-1], "wait", seconds=5.0),
             ]
         actions += [
-            Action(last, "off", signal=SIGNAL),
-            Action(last, "wait", seconds=10.0),
-            Action(last, "confirm", hotwire_sentences.COLD.filled()),
+            TargetAction(last, "off", signal=SIGNAL),
+            TargetAction(last, "wait", seconds=10.0),
+            TargetAction(last, "confirm", hotwire_sentences.COLD.format()),
         ]
         targets = dataclasses.replace(targets, actions=tuple(actions), stop=stop)
         operations.append(dataclasses.replace(operation, targets=targets))
@@ -150,7 +156,7 @@ def bow(model="irb140", count=12):
 
 
 def bow_claims():
-    """What its process claims."""
+    """The claims of its process."""
     on, off = power_on_steps(SIGNAL, 5.0), power_off_steps(SIGNAL, 10.0)
     wire = {"diameter_mm": 0.4, "material": " nichrome", "power_w": POWER_W}
     out = {}
@@ -168,20 +174,20 @@ def bow_claims():
             (*off, question_step(hotwire_sentences.COLD)),
             (DialogueStop(segment, "behind", steps),) if number == 0 else (),
         )
-        out[name] = _with(group, spoken)
+        out[name] = _with_dialogue(group, spoken)
     return out
 
 
-def _with(group, spoken):
+def _with_dialogue(group, dialogue):
     """Claims with another dialogue."""
     assert any(isinstance(claim, ContactOnlyIn) for claim in group)
-    return (*(claim for claim in group if not isinstance(claim, OperatorDialogue)), spoken)
+    return (*(claim for claim in group if not isinstance(claim, OperatorDialogue)), dialogue)
 
 
 @functools.cache
 def bent_programs():
     """The texts of the bent wire as the planner writes them."""
-    return write.programs(bent(), small_job.problem())
+    return write.program_files(bent(), small_job.problem())
 
 
 @functools.cache
@@ -194,4 +200,4 @@ def bow_problem(model="irb140", dialect="krc4"):
 
 def bow_programs(model="irb140", dialect="krc4"):
     """The texts of the bow as the planner writes them."""
-    return write.programs(bow(model), bow_problem(model, dialect))
+    return write.program_files(bow(model), bow_problem(model, dialect))

@@ -1,4 +1,4 @@
-"""Faults put into what programs say to their operators, by kind, for RAPID and for KRL."""
+"""Faults in the operator dialogue of programs, by kind, for RAPID and for KRL."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ OPPOSITES = (
     ("cold", "hot"),
     ("taken off", "left on"),
     ("locked", "open"),
-    ("done as told", "left as it was"),
+    ("done as instructed", "left as it was"),
     ("in the slot", "on the table"),
 )
 
@@ -154,14 +154,14 @@ def moved(rng, texts):
     own = rows[first : last + 1]
     places = [i for i in range(len(rows)) if re.match(r"\s*(\w+;$|MoveAbsJ|WaitTime|SetDO)", rows[i])]
     places = [i for i in places if "EXIT" not in rows[i] and not (first - 1 <= i <= last)]
-    inside = {j for a, b in _ways(rows) for j in range(a, b)}
+    inside = {j for a, b in _operation_bodies(rows) for j in range(a, b)}
     at = pick(rng, [i for i in places if i in inside])
     kept = [row for i, row in enumerate(rows) if not first <= i <= last]
     at = at + 1 - (len(own) if at > last else 0)
     return put(texts, file, [*kept[:at], *own, *kept[at:]])
 
 
-def _ways(rows: list[str]) -> list[tuple[int, int]]:
+def _operation_bodies(rows: list[str]) -> list[tuple[int, int]]:
     """Bodies of operations, without their handlers."""
     heads = [i for i, row in enumerate(rows) if "PROC operation" in row and "END" not in row]
     return [(i + 1, next(j for j in range(i, len(rows)) if rows[j].strip() == "ERROR")) for i in heads]
@@ -225,7 +225,7 @@ def _all_bodies(rows: list[str]) -> list[tuple[int, int]]:
 
 @rapid
 def erased(rng, texts):
-    """What was told is gone when the question comes."""
+    """The message is erased before the question appears."""
     file = main_of(texts)
     rows, _, last = chosen(rng, texts[file], "TPWrite")
     rows.insert(last + 1, "    TPErase;")
@@ -365,7 +365,7 @@ def krl_doubled(rng, texts):
 
 @krl
 def krl_extra(rng, texts):
-    """A line more that is told or asked, in the main program or among moves."""
+    """An additional message or question, in the main program or among moves."""
     file = pick(rng, sorted(f for f in texts if f.endswith(".src")))
     rows = texts[file].split("\r\n")
     places = [i for i, row in enumerate(rows) if re.match(r"(PTP|SLIN|LIN|\$OUT|WAIT SEC|\$TOOL)", row)]

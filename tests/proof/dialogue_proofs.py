@@ -1,4 +1,4 @@
-"""Jobs whose dialogue is proven: problems, claims, programs, and what the rules up to the dialogue's say."""
+"""Jobs with a proven dialogue: problems, claims, programs, and issues of the rules up to the dialogue's."""
 
 from __future__ import annotations
 

@@ -8,13 +8,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.cell.bodies import Easing
+from planner.cell.bodies import ClearanceEasing
 from planner.geometry.arrays import exp_twist
 from tests.proof.planner_faults import Fault, fields, given, result
 
 
-def _scaled(share: float) -> Any:
-    return lambda old: share * old
+def _scaled(factor: float) -> Any:
+    return lambda old: factor * old
 
 
 def _twice(old: Any) -> Any:
@@ -30,7 +30,7 @@ def _twice(old: Any) -> Any:
     return pose
 
 
-def _before(old: Any) -> Any:
+def _turn_in_pose_frame(old: Any) -> Any:
     """Screws turn about the axes of the frame that the poses are in, and not about the tool's."""
 
     def pose(targets: Any, arm: str, values: Any, rows: Any, *known: Any) -> Any:
@@ -55,23 +55,23 @@ def _moved_pose(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Any:
     return move
 
 
-def _turned(axis: int, degrees: float) -> Any:
+def _rotate_pose(axis: int, degrees: float) -> Any:
     twist = np.zeros(6)
     twist[axis] = np.deg2rad(degrees)
     return lambda pose: pose @ exp_twist(twist)
 
 
 def _joint_off(joint: int, degrees: float) -> Any:
-    def off(q: Any) -> Any:
+    def shift_joint(q: Any) -> Any:
         out = np.array(q)
         out[..., joint] += np.deg2rad(degrees)
         return out
 
-    return off
+    return shift_joint
 
 
 def _link(name: str, more: float) -> Any:
-    """A length of the arm is off by so much [m] for the planner's solver."""
+    """Change a length of the arm by an amount [m] for the planner's solver."""
     return given(0, lambda opw: dataclasses.replace(opw, **{name: getattr(opw, name) + more}))
 
 
@@ -85,7 +85,7 @@ def _all_eased(old: Any) -> Any:
     def eased(model: Any, settings: Any) -> Any:
         names = {solid.body for solid in model.solids}
         pairs = frozenset(map(frozenset, itertools.combinations(sorted(names), 2)))
-        return model.with_easing(Easing(pairs, 0.2))
+        return model.with_easing(ClearanceEasing(pairs, 0.2))
 
     return eased
 
@@ -116,26 +116,30 @@ def _other_axis(freedom: Any) -> Any:
 
 FREEDOMS: Final = (
     Fault("spin_beyond_its_range", "posed", {"targets:Targets._pose": _twice}),
-    Fault("spin_of_wrong_frame", "posed", {"targets:Targets._pose": _before}),
-    Fault("posed_axis_wrong", "posed", {"processes.poses.plan.job:_freedom": result(_other_axis)}),
+    Fault("spin_of_wrong_frame", "posed", {"targets:Targets._pose": _turn_in_pose_frame}),
+    Fault("posed_axis_wrong", "posed", {"processes.poses.plan.job:_screw_freedom": result(_other_axis)}),
     Fault(
         "posed_range_wide",
         "posed",
         {
-            "processes.poses.plan.job:_freedom": fields(
+            "processes.poses.plan.job:_screw_freedom": fields(
                 lower=lambda v: v * 0 + 1.0, upper=lambda v: v * 0 + 1.5
             )
         },
     ),
-    Fault("posed_turned", "posed", {"processes.poses.plan.job:_poses": result(_turned(0, 2.0))}),
+    Fault("posed_turned", "posed", {"processes.poses.plan.job:_parse_poses": result(_rotate_pose(0, 2.0))}),
     Fault(
-        "posed_position_shifted", "posed", {"processes.poses.plan.job:_poses": result(_moved_pose(x=0.001))}
+        "posed_position_shifted",
+        "posed",
+        {"processes.poses.plan.job:_parse_poses": result(_moved_pose(x=0.001))},
     ),
-    Fault("posed_inch", "posed_two", {"processes.poses.plan.job:_poses": result(_moved_pose(z=0.0254))}),
+    Fault(
+        "posed_inch", "posed_two", {"processes.poses.plan.job:_parse_poses": result(_moved_pose(z=0.0254))}
+    ),
     Fault(
         "posed_row_lost",
         "posed",
-        {"processes.poses.plan.job:_rows": result(lambda rows: rows[:3] + rows[4:])},
+        {"processes.poses.plan.job:_read_rows": result(lambda rows: rows[:3] + rows[4:])},
     ),
 )
 
@@ -181,9 +185,9 @@ KINEMATICS: Final = (
     ),
 )
 
-WAYS: Final = (
-    Fault("ways_unchecked", "behind", {"motion.ways:_way": _straight_way}),
-    Fault("own_clearance_of_all", "behind", {"motion.own_clearance:eased": _all_eased}),
+HOMING: Final = (
+    Fault("ways_unchecked", "behind", {"motion.homing:_plan_arm": _straight_way}),
+    Fault("own_clearance_of_all", "behind", {"motion.self_clearance:with_counted_distances": _all_eased}),
 )
 
 TIME: Final = (
@@ -216,16 +220,18 @@ TIME: Final = (
         "posed_fast",
         {
             "motion.operation:speed_limits": result(_scaled(100.0)),
-            "motion.trajectory.timing:Limits": given(1, _scaled(1e4)),
+            "motion.trajectory.timing:ClockLimits": given(1, _scaled(1e4)),
         },
     ),
     Fault(
-        "acceleration_unbounded", "posed_fast", {"motion.trajectory.timing:Limits": given(1, _scaled(1e4))}
+        "acceleration_unbounded",
+        "posed_fast",
+        {"motion.trajectory.timing:ClockLimits": given(1, _scaled(1e4))},
     ),
-    Fault("tcp_speed_lost", "elastic", {"motion.trajectory.timing:least_times": result(_scaled(0.05))}),
+    Fault("tcp_speed_lost", "elastic", {"motion.trajectory.timing:min_times": result(_scaled(0.05))}),
     Fault(
         "posed_too_fast", "posed_two", {"motion.solve:solve": _plan_moved(lambda op: {"time": 0.2 * op.time})}
     ),
 )
 
-FAULTS: Final = (*FREEDOMS, *KINEMATICS, *WAYS, *TIME)
+FAULTS: Final = (*FREEDOMS, *KINEMATICS, *HOMING, *TIME)

@@ -1,4 +1,4 @@
-"""Faults in what processes make of a part: sides, kerf, thickness, order, ways, freedoms, feeds, signals."""
+"""Faults in the planning of processes: sides, kerf, thickness, order, paths, freedoms, feeds, signals."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from typing import Any, Final
 import numpy as np
 
 from planner.processes.hotwire.claims import KerfCurve
-from planner.processes.hotwire.plan.straight.order import Lines
-from planner.targets import Action, ScrewFreedom, Targets
-from tests.proof.planner_faults import Fault, always, fields, given, of, result, value
+from planner.processes.hotwire.plan.straight.order import WireLines
+from planner.targets import ScrewFreedom, TargetAction, Targets
+from tests.proof.planner_faults import Fault, always, change_fields, fields, given, result, value
 
 
 def _nearer(figures: Any) -> Any:
-    """Clamps are told to be 2 mm nearer to each other than they are."""
+    """Report clamps 2 mm nearer to each other than they are."""
     chord, angles = figures
     return chord - 0.002, angles
 
 
-def _scaled(share: float) -> Any:
-    return lambda old: share * old
+def _scaled(factor: float) -> Any:
+    return lambda old: factor * old
 
 
-def _off(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Any:
+def _shift_points(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Any:
     return lambda points: None if points is None else points + np.array([x, y, z])
 
 
@@ -35,20 +35,21 @@ def _without(*kinds: str) -> Any:
     return lambda actions: tuple(a for a in actions if a.kind not in kinds)
 
 
-def _renamed(actions: tuple[Action, ...]) -> tuple[Action, ...]:
+def _renamed(actions: tuple[TargetAction, ...]) -> tuple[TargetAction, ...]:
     return tuple(dataclasses.replace(a, signal="doOther") if a.signal else a for a in actions)
 
 
-def _short_waits(actions: tuple[Action, ...]) -> tuple[Action, ...]:
+def _short_waits(actions: tuple[TargetAction, ...]) -> tuple[TargetAction, ...]:
     return tuple(dataclasses.replace(a, seconds=1e-3 * a.seconds) for a in actions)
 
 
-def _late(actions: tuple[Action, ...]) -> tuple[Action, ...]:
+def _late(actions: tuple[TargetAction, ...]) -> tuple[TargetAction, ...]:
     """What is switched on at the start is switched on at the end of the job."""
-    last = max(a.at for a in actions)
+    last = max(a.target for a in actions)
     return tuple(
         sorted(
-            (dataclasses.replace(a, at=last) if a.kind == "on" else a for a in actions), key=lambda a: a.at
+            (dataclasses.replace(a, target=last) if a.kind == "on" else a for a in actions),
+            key=lambda a: a.target,
         )
     )
 
@@ -59,7 +60,7 @@ def _poses(arm: int, move: Any) -> Any:
 
 
 def _own_poses(move: Any, arm: int = 0) -> Any:
-    """The same in the tool's own frame."""
+    """Change poses in the tool's own frame."""
     return result(lambda targets: _changed(targets, arm, lambda pose: pose @ move))
 
 
@@ -103,32 +104,32 @@ def _swapped_arms(targets: Targets) -> Targets:
 # ---- helpers of single faults ----
 
 
-def _curve_wider(share: float) -> Any:
+def _curve_wider(factor: float) -> Any:
     def wider(curve: KerfCurve) -> KerfCurve:
-        return KerfCurve(curve.speed, share * curve.width, share * curve.low, share * curve.high)
+        return KerfCurve(curve.speed, factor * curve.width, factor * curve.low, factor * curve.high)
 
     return result(wider)
 
 
-def _narrow(found: tuple[float, float]) -> tuple[float, float]:
-    return found[0] + 0.02, found[1] - 0.02
+def _narrow(interval: tuple[float, float]) -> tuple[float, float]:
+    return interval[0] + 0.02, interval[1] - 0.02
 
 
-def _thin_out(places: Any) -> Any:
-    return places[[0, len(places) // 2, -1]]
+def _thin_out(rows: Any) -> Any:
+    return rows[[0, len(rows) // 2, -1]]
 
 
 def _lifted(height: float) -> Any:
     def change(on: Any) -> Any:
         up = np.array([0.0, 0.0, height])
-        foot = Lines(on.row.foot.start + up, on.row.foot.end + up)
+        foot = WireLines(on.row.foot.start + up, on.row.foot.end + up)
         return dataclasses.replace(on, row=dataclasses.replace(on.row, foot=foot))
 
     return change
 
 
 def _far_slide(freedoms: tuple[Any, ...]) -> tuple[Any, ...]:
-    """The slide along the wire takes a clamp nearer to the foam than the problem allows."""
+    """The slide along the wire moves a clamp nearer to the foam than the problem allows."""
     return tuple(
         dataclasses.replace(f, lower=f.upper + 0.006, upper=f.upper + 0.008) if f.name == "slide" else f
         for f in freedoms
@@ -136,7 +137,7 @@ def _far_slide(freedoms: tuple[Any, ...]) -> tuple[Any, ...]:
 
 
 def _through(start: Any) -> Any:
-    return dataclasses.replace(start, way=_turn(2, 0.9)[:3, :3] @ start.way)
+    return dataclasses.replace(start, direction=_turn(2, 0.9)[:3, :3] @ start.direction)
 
 
 def _half_path(old: Any) -> Any:
@@ -150,7 +151,7 @@ def _half_path(old: Any) -> Any:
 
 
 def _wide_tilts(freedoms: Any) -> Any:
-    """Tilts of a cone of 0.5 rad, whatever the user allows, and wanted at its end."""
+    """Use tilts of a cone of 0.5 rad, whatever the user allows, and prefer those at its end."""
     out = []
     for one in freedoms:
         out.append(one)
@@ -163,8 +164,8 @@ def _wide_tilts(freedoms: Any) -> Any:
 
 
 def _leaning(axis: Any) -> Any:
-    lean = axis + np.array([0.15, 0.0, 0.0])
-    return lean / np.linalg.norm(lean, axis=1, keepdims=True)
+    tilt = axis + np.array([0.15, 0.0, 0.0])
+    return tilt / np.linalg.norm(tilt, axis=1, keepdims=True)
 
 
 def _no_sine(old: Any) -> Any:
@@ -203,7 +204,7 @@ def _late_pulses(count: Any) -> Any:
 
 
 def _run_moved(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Any:
-    return lambda run: of(run, path=lambda path: of(path, tip=_off(x, y, z)))
+    return lambda run: change_fields(run, path=lambda path: change_fields(path, tip=_shift_points(x, y, z)))
 
 
 def _rows_lost(rows: Any) -> Any:
@@ -212,7 +213,9 @@ def _rows_lost(rows: Any) -> Any:
 
 
 def _program_moved(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Any:
-    return lambda program: of(program, path=lambda path: of(path, tip=_off(x, y, z)))
+    return lambda program: change_fields(
+        program, path=lambda path: change_fields(path, tip=_shift_points(x, y, z))
+    )
 
 
 def _coarse(old: Any) -> Any:
@@ -221,7 +224,7 @@ def _coarse(old: Any) -> Any:
 
 
 def _long_way(old: Any) -> Any:
-    """Arcs go the other way round."""
+    """Replace arcs by the complementary arcs."""
 
     def sweep(*args: Any) -> float:
         angle = float(old(*args))
@@ -238,10 +241,10 @@ def _always_absolute(old: Any) -> Any:
 
 
 ELASTIC: Final = (
-    Fault("trim_no_kerf", "trim", {"processes.trim.plan.slots:offset": given(2, _scaled(0.1))}),
-    Fault("elastic_other_side_of_kerf", "elastic", {"geometry.mesh:offset": given(1, lambda d: -d)}),
-    Fault("elastic_no_kerf", "elastic", {"geometry.mesh:offset": given(1, _scaled(0.0))}),
-    Fault("elastic_half_kerf", "elastic", {"geometry.mesh:offset": given(1, _scaled(0.5))}),
+    Fault("trim_no_kerf", "trim", {"processes.trim.plan.slots:offset_curve": given(2, _scaled(0.1))}),
+    Fault("elastic_other_side_of_kerf", "elastic", {"geometry.mesh:offset_mesh": given(1, lambda d: -d)}),
+    Fault("elastic_no_kerf", "elastic", {"geometry.mesh:offset_mesh": given(1, _scaled(0.0))}),
+    Fault("elastic_half_kerf", "elastic", {"geometry.mesh:offset_mesh": given(1, _scaled(0.5))}),
     Fault(
         "elastic_kerf_curve",
         "elastic_heat",
@@ -250,32 +253,32 @@ ELASTIC: Final = (
     Fault(
         "elastic_wire_too_soft",
         "elastic_thin",
-        {"processes.hotwire.plan.wire:Wire.bending": result(_scaled(0.3))},
+        {"processes.hotwire.plan.wire:HeatedWire.bending_stiffness": result(_scaled(0.3))},
     ),
     Fault(
         "elastic_weight_upward",
         "elastic_thin",
-        {"processes.hotwire.plan.wire:Wire.load": result(_scaled(-1.0))},
+        {"processes.hotwire.plan.wire:HeatedWire.load_over_stiffness": result(_scaled(-1.0))},
     ),
     Fault(
         "elastic_wire_shifted",
         "elastic",
-        {"processes.hotwire.plan.elastic.job:_targets": _poses(0, _shift(z=0.002))},
+        {"processes.hotwire.plan.elastic.job:_make_targets": _poses(0, _shift(z=0.002))},
     ),
     Fault(
         "elastic_clamp_turned",
         "elastic",
-        {"processes.hotwire.plan.elastic.job:_targets": _own_poses(_turn(2, 0.03))},
+        {"processes.hotwire.plan.elastic.job:_make_targets": _own_poses(_turn(2, 0.03))},
     ),
     Fault(
         "elastic_feed_times_ten",
         "elastic",
-        {"processes.hotwire.plan.elastic.job:_targets": fields(feed=_scaled(10.0))},
+        {"processes.hotwire.plan.elastic.job:_make_targets": fields(feed=_scaled(10.0))},
     ),
     Fault(
         "elastic_travel_in_mm",
         "elastic",
-        {"processes.hotwire.plan.elastic.job:_targets": fields(travel=_scaled(1e-3))},
+        {"processes.hotwire.plan.elastic.job:_make_targets": fields(travel=_scaled(1e-3))},
     ),
     Fault(
         "elastic_no_heating", "elastic", {"processes.hotwire.plan.elastic.job:_actions": result(_short_waits)}
@@ -292,7 +295,7 @@ ELASTIC: Final = (
     Fault(
         "elastic_told_too_long",
         "elastic",
-        {"processes.hotwire.plan.wire:Wire.cold_length": result(_scaled(1.01))},
+        {"processes.hotwire.plan.wire:HeatedWire.cold_length": result(_scaled(1.01))},
     ),
     Fault(
         "elastic_told_too_near",
@@ -302,12 +305,12 @@ ELASTIC: Final = (
     Fault(
         "elastic_section_lost",
         "elastic",
-        {"processes.hotwire.plan.elastic.path:cut_places": result(_thin_out)},
+        {"processes.hotwire.plan.elastic.path:cut_positions": result(_thin_out)},
     ),
     Fault(
         "elastic_length_longer",
         "elastic",
-        {"processes.hotwire.plan.elastic.path:from_states": given(2, _scaled(1.02))},
+        {"processes.hotwire.plan.elastic.path:wires_from_states": given(2, _scaled(1.02))},
     ),
 )
 
@@ -323,22 +326,22 @@ STRAIGHT: Final = (
     Fault(
         "straight_other_side_of_kerf",
         "ruled",
-        {"processes.hotwire.plan.straight.offset:beside": fields(half=_scaled(-1.0))},
+        {"processes.hotwire.plan.straight.offset:wire_offset": fields(half=_scaled(-1.0))},
     ),
     Fault(
         "straight_half_kerf",
         "ruled",
-        {"processes.hotwire.plan.straight.offset:beside": fields(half=_scaled(0.3))},
+        {"processes.hotwire.plan.straight.offset:wire_offset": fields(half=_scaled(0.3))},
     ),
     Fault(
         "straight_no_kerf",
         "plate",
-        {"processes.hotwire.plan.straight.offset:beside": fields(half=_scaled(0.0))},
+        {"processes.hotwire.plan.straight.offset:wire_offset": fields(half=_scaled(0.0))},
     ),
     Fault(
         "straight_kerf_ends_swapped",
         "tapered",
-        {"processes.hotwire.plan.straight.offset:beside": fields(half=_swapped_halves)},
+        {"processes.hotwire.plan.straight.offset:wire_offset": fields(half=_swapped_halves)},
     ),
     Fault(
         "straight_kerf_doubled",
@@ -348,67 +351,79 @@ STRAIGHT: Final = (
     Fault(
         "straight_shifted",
         "ruled",
-        {"processes.hotwire.plan.straight.cut:make_cut": result(lambda c: of(c, on=_lifted(0.0008)))},
+        {
+            "processes.hotwire.plan.straight.cut:make_cut": result(
+                lambda c: change_fields(c, on=_lifted(0.0008))
+            )
+        },
     ),
     Fault(
         "straight_pose_off",
         "ruled",
-        {"processes.hotwire.plan.straight.job:poses": result(lambda p: p @ _shift(z=0.0008))},
+        {"processes.hotwire.plan.straight.job:bow_poses": result(lambda p: p @ _shift(z=0.0008))},
     ),
     Fault(
         "straight_pose_turned",
         "wing",
-        {"processes.hotwire.plan.straight.job:poses": result(lambda p: p @ _turn(2, 0.01))},
+        {"processes.hotwire.plan.straight.job:bow_poses": result(lambda p: p @ _turn(2, 0.01))},
     ),
     Fault(
         "straight_slide_too_far",
         "ruled",
-        {"processes.hotwire.plan.straight.job:freedoms": result(_far_slide)},
+        {"processes.hotwire.plan.straight.job:bow_freedoms": result(_far_slide)},
     ),
     Fault(
         "straight_slit_through_part",
         "plate",
-        {"processes.hotwire.plan.straight.cut:choose": result(_through)},
+        {"processes.hotwire.plan.straight.cut:choose_start": result(_through)},
     ),
     Fault(
         "straight_outline_first",
         "plate",
-        {"processes.hotwire.plan.straight.order:wanted_surfaces": result(lambda w: w[::-1])},
+        {"processes.hotwire.plan.straight.order:nominal_surfaces": result(lambda w: w[::-1])},
     ),
     Fault(
         "straight_surface_lost",
         "plate",
-        {"processes.hotwire.plan.straight.order:wanted_surfaces": result(lambda w: w[:-1])},
+        {"processes.hotwire.plan.straight.order:nominal_surfaces": result(lambda w: w[:-1])},
     ),
     Fault(
         "straight_feed_times_ten",
         "ruled",
-        {"processes.hotwire.plan.straight.job:_feeds": result(_scaled(10.0))},
+        {"processes.hotwire.plan.straight.job:_max_feeds": result(_scaled(10.0))},
     ),
     Fault(
-        "straight_feed_tenth", "ruled", {"processes.hotwire.plan.straight.job:_feeds": result(_scaled(0.1))}
+        "straight_feed_tenth",
+        "ruled",
+        {"processes.hotwire.plan.straight.job:_max_feeds": result(_scaled(0.1))},
     ),
     Fault(
         "straight_no_heating",
         "ruled",
-        {"processes.hotwire.plan.straight.route:actions": result(_short_waits)},
+        {"processes.hotwire.plan.straight.route:operator_actions": result(_short_waits)},
     ),
-    Fault("straight_power_late", "ruled", {"processes.hotwire.plan.straight.route:actions": result(_late)}),
     Fault(
-        "straight_signal_other", "ruled", {"processes.hotwire.plan.straight.route:actions": result(_renamed)}
+        "straight_power_late",
+        "ruled",
+        {"processes.hotwire.plan.straight.route:operator_actions": result(_late)},
+    ),
+    Fault(
+        "straight_signal_other",
+        "ruled",
+        {"processes.hotwire.plan.straight.route:operator_actions": result(_renamed)},
     ),
     Fault(
         "held_grip_off",
         "held_side",
-        {"processes.hotwire.plan.straight.job:_targets": _poses(0, _shift(x=0.001))},
+        {"processes.hotwire.plan.straight.job:_make_targets": _poses(0, _shift(x=0.001))},
     ),
     Fault(
         "held_grip_upside_down",
         "held",
-        {"processes.hotwire.plan.straight.job:_targets": _poses(0, _turn(2, 0.02))},
+        {"processes.hotwire.plan.straight.job:_make_targets": _poses(0, _turn(2, 0.02))},
     ),
-    Fault("held_mass_lost", "held", {"languages.writing.steps:_load": fields(mass=_scaled(0.3))}),
-    Fault("held_load_forgotten", "held", {"languages.writing.steps:carries": always({})}),
+    Fault("held_mass_lost", "held", {"languages.writing.steps:_held_load": fields(mass=_scaled(0.3))}),
+    Fault("held_load_forgotten", "held", {"languages.writing.steps:load_changes": always({})}),
     Fault("straight_sampled_coarsely", "wing", {"geometry.rulings:resample": _coarse}),
 )
 
@@ -419,27 +434,43 @@ FORMING: Final = (
     Fault(
         "form_ball_too_deep",
         "spif",
-        {"processes.forming.plan.paths.contact_path:make_path": fields(centre=_off(z=-0.0003))},
+        {
+            "processes.forming.plan.paths.contact_path:make_contact_path": fields(
+                centre=_shift_points(z=-0.0003)
+            )
+        },
     ),
     Fault(
         "form_ball_too_high",
         "spif",
-        {"processes.forming.plan.paths.contact_path:make_path": fields(centre=_off(z=0.0005))},
+        {
+            "processes.forming.plan.paths.contact_path:make_contact_path": fields(
+                centre=_shift_points(z=0.0005)
+            )
+        },
     ),
     Fault(
         "form_ball_aside",
         "spif",
-        {"processes.forming.plan.paths.contact_path:make_path": fields(centre=_off(x=0.0008))},
+        {
+            "processes.forming.plan.paths.contact_path:make_contact_path": fields(
+                centre=_shift_points(x=0.0008)
+            )
+        },
     ),
     Fault(
         "form_ball_smaller",
         "spif",
-        {"processes.forming.plan.paths.contact_path:make_path": given(1, _scaled(0.9))},
+        {"processes.forming.plan.paths.contact_path:make_contact_path": given(1, _scaled(0.9))},
     ),
     Fault(
         "form_step_doubled",
         "spif",
-        {"processes.forming.plan.process_plan:Work.options": result(lambda o: of(o, stepdown=_scaled(1.6)))},
+        {
+            "processes.forming.plan.process_plan:FormingWork.options": result(
+                lambda o: change_fields(o, stepdown=_scaled(1.6))
+            )
+        },
     ),
     Fault(
         "form_level_left_out",
@@ -450,13 +481,25 @@ FORMING: Final = (
             )
         },
     ),
-    Fault("form_half_the_depth", "spif", {"processes.forming.plan.paths.contact_path:make_path": _half_path}),
+    Fault(
+        "form_half_the_depth",
+        "spif",
+        {"processes.forming.plan.paths.contact_path:make_contact_path": _half_path},
+    ),
     Fault(
         "form_thickness_lost",
         "spif",
-        {"processes.forming.plan.passes:_final": fields(vertices=_off(z=-0.001), start=_scaled(1.0))},
+        {
+            "processes.forming.plan.passes:_final_pass": fields(
+                vertices=_shift_points(z=-0.001), start=_scaled(1.0)
+            )
+        },
     ),
-    Fault("form_tip_for_centre", "spif", {"processes.forming.plan.job:poses": given(0, _off(z=-0.006))}),
+    Fault(
+        "form_tip_for_centre",
+        "spif",
+        {"processes.forming.plan.job:tool_poses": given(0, _shift_points(z=-0.006))},
+    ),
     Fault("form_feed_times_ten", "spif", {"processes.forming.plan.job:_targets": fields(feed=_scaled(10.0))}),
     Fault(
         "form_feed_in_wrong_unit",
@@ -466,34 +509,46 @@ FORMING: Final = (
     Fault(
         "form_support_shifted",
         "dsif",
-        {"processes.forming.plan.support.modes:opposite_path": fields(support=_off(x=0.0005))},
+        {
+            "processes.forming.plan.support.modes:make_opposite_path": fields(
+                support_centre=_shift_points(x=0.0005)
+            )
+        },
     ),
     Fault(
         "form_support_farther",
         "dsif",
-        {"processes.forming.plan.support.modes:opposite_path": fields(support=_off(z=-0.0003))},
+        {
+            "processes.forming.plan.support.modes:make_opposite_path": fields(
+                support_centre=_shift_points(z=-0.0003)
+            )
+        },
     ),
     Fault(
         "form_gap_without_sine",
         "dsif",
         {
-            "processes.forming.plan.sheet_mechanics:_least_up": _no_sine,
-            "processes.forming.plan.sheet_mechanics:by_corner": _flat_corners,
+            "processes.forming.plan.sheet_mechanics:_min_normal_z": _no_sine,
+            "processes.forming.plan.sheet_mechanics:face_by_corner": _flat_corners,
         },
     ),
     Fault(
         "form_squeeze_lost",
         "dsif_squeezed",
         {
-            "processes.forming.plan.support.opposite:opposite_path": given(
-                2, lambda op: op.model_copy(update={"squeeze": 1.0})
+            "processes.forming.plan.support.opposite:make_opposite_path": given(
+                1, lambda op: op.model_copy(update={"squeeze": 1.0})
             )
         },
     ),
     Fault(
         "form_support_turned",
         "dpif_l_shifted",
-        {"processes.forming.plan.support.modes:opposite_path": fields(support=_off(y=0.0008))},
+        {
+            "processes.forming.plan.support.modes:make_opposite_path": fields(
+                support_centre=_shift_points(y=0.0008)
+            )
+        },
     ),
     Fault(
         "form_border_off",
@@ -512,13 +567,17 @@ FORMING: Final = (
     Fault(
         "form_border_without_radius",
         "dpif_p",
-        {"processes.forming.plan.support.modes:border_curve": given(1, lambda h: of(h, radius=_scaled(0.8)))},
+        {
+            "processes.forming.plan.support.modes:border_curve": given(
+                1, lambda h: change_fields(h, radius=_scaled(0.8))
+            )
+        },
     ),
     Fault(
         "form_heat_other_place",
         "heat",
         {
-            "processes.forming.plan.support.modes:heated": result(
+            "processes.forming.plan.support.modes:heat_path": result(
                 lambda r: (r[0], r[1] + np.array([0.006, 0, 0]), r[2])
             )
         },
@@ -526,15 +585,17 @@ FORMING: Final = (
     Fault(
         "form_children_first",
         "two_features",
-        {"processes.forming.plan.features.tree:in_place": result(lambda order: order[::-1])},
+        {"processes.forming.plan.features.tree:in_place_order": result(lambda order: order[::-1])},
     ),
     Fault(
-        "form_feature_lost", "two_features", {"processes.forming.plan.passes:passes": result(lambda p: p[:1])}
+        "form_feature_lost",
+        "two_features",
+        {"processes.forming.plan.passes:make_passes": result(lambda p: p[:1])},
     ),
     Fault(
         "form_feature_twice",
         "two_features",
-        {"processes.forming.plan.passes:passes": result(lambda p: (*p, p[-1]))},
+        {"processes.forming.plan.passes:make_passes": result(lambda p: (*p, p[-1]))},
     ),
     Fault(
         "form_feature_level",
@@ -546,46 +607,48 @@ FORMING: Final = (
         "adsif_small",
         {
             "processes.forming.plan.paths.adsif_path:adsif_tool_path": fields(
-                former=_off(x=0.003), support=_off(x=0.003)
+                forming_centre=_shift_points(x=0.003), support_centre=_shift_points(x=0.003)
             )
         },
     ),
     Fault(
         "adsif_mirrored_angle",
         "adsif",
-        {"processes.forming.plan.paths.adsif_response:invert": result(lambda r: (-r[0], r[1]))},
+        {"processes.forming.plan.paths.adsif_response:invert_response": result(lambda r: (-r[0], r[1]))},
     ),
     Fault(
         "adsif_angle_off",
         "adsif",
-        {"processes.forming.plan.paths.adsif_response:invert": result(lambda r: (0.8 * r[0], r[1]))},
+        {"processes.forming.plan.paths.adsif_response:invert_response": result(lambda r: (0.8 * r[0], r[1]))},
     ),
     Fault(
         "adsif_gap_in_sheets",
         "adsif",
-        {"processes.forming.plan.paths.adsif_response:invert": result(lambda r: (r[0], 1.5 * r[1]))},
+        {"processes.forming.plan.paths.adsif_response:invert_response": result(lambda r: (r[0], 1.5 * r[1]))},
     ),
     Fault(
         "adsif_pitch_tripled",
         "adsif",
-        {"processes.forming.plan.paths.adsif_path:_levels": given(1, _scaled(3.0))},
+        {"processes.forming.plan.paths.adsif_path:_loop_levels": given(1, _scaled(3.0))},
     ),
     Fault(
         "adsif_too_shallow",
         "adsif",
         {
             "processes.forming.plan.paths.adsif_path:adsif_tool_path": fields(
-                former=_off(z=0.001), support=_off(z=0.001)
+                forming_centre=_shift_points(z=0.001), support_centre=_shift_points(z=0.001)
             )
         },
     ),
     Fault(
         "adsif_wall_steeper",
         "adsif",
-        {"processes.forming.plan.paths.adsif_path:_contact": fields(angle=lambda a: a + 0.05)},
+        {"processes.forming.plan.paths.adsif_path:_contact_path": fields(angle=lambda a: a + 0.05)},
     ),
-    Fault("tpif_pulse_lost", "tpif", {"processes.forming.plan.two_point:pulses": result(_one_less)}),
-    Fault("tpif_pulses_late", "tpif", {"processes.forming.plan.two_point:pulses": result(_late_pulses)}),
+    Fault("tpif_pulse_lost", "tpif", {"processes.forming.plan.two_point:pulse_counts": result(_one_less)}),
+    Fault(
+        "tpif_pulses_late", "tpif", {"processes.forming.plan.two_point:pulse_counts": result(_late_pulses)}
+    ),
     Fault("tpif_step_halved", "tpif", {"processes.forming.plan.two_point:holder_step": result(_scaled(0.5))}),
     Fault("tpif_signal_other", "tpif", {"processes.forming.plan.job:_actions": result(_renamed)}),
 )
@@ -595,36 +658,58 @@ FORMING: Final = (
 
 MILLING: Final = (
     Fault(
-        "flank_other_side", "flank", {"processes.milling.plan.cutter_contact:axes": given(1, _scaled(-1.0))}
+        "flank_other_side",
+        "flank",
+        {"processes.milling.plan.cutter_contact:cutter_axes": given(1, _scaled(-1.0))},
     ),
-    Fault("flank_half_radius", "flank", {"processes.milling.plan.flank_cut:placed": given(3, _scaled(0.5))}),
+    Fault(
+        "flank_half_radius",
+        "flank",
+        {"processes.milling.plan.flank_cut:place_cutter": given(3, _scaled(0.5))},
+    ),
     Fault(
         "flank_diameter_for_radius",
         "flank",
-        {"processes.milling.plan.flank_cut:placed": given(3, _scaled(2.0))},
+        {"processes.milling.plan.flank_cut:place_cutter": given(3, _scaled(2.0))},
     ),
-    Fault("flank_tip_high", "flank", {"processes.milling.plan.flank_cut:under": result(lambda u: u - 0.006)}),
-    Fault("flank_shifted", "flank", {"processes.milling.plan.flank_cut:_run": result(_run_moved(y=0.001))}),
-    Fault("form_tools_lean", "dsif", {"processes.forming.plan.support.directions:axes": result(_leaning)}),
+    Fault(
+        "flank_tip_high",
+        "flank",
+        {"processes.milling.plan.flank_cut:tip_overrun": result(lambda u: u - 0.006)},
+    ),
+    Fault(
+        "flank_shifted",
+        "flank",
+        {"processes.milling.plan.flank_cut:_build_pass": result(_run_moved(y=0.001))},
+    ),
+    Fault(
+        "form_tools_lean", "dsif", {"processes.forming.plan.support.directions:tool_axes": result(_leaning)}
+    ),
     Fault(
         "form_lean_in_degrees",
         "spif",
-        {"processes.forming.plan.support.directions:axes": given(1, lambda lean: lean + 0.2)},
+        {"processes.forming.plan.support.directions:tool_axes": given(1, lambda lean: lean + 0.2)},
     ),
-    Fault("form_cone_wide", "spif", {"processes.forming.plan.job:freedoms": result(_wide_tilts)}),
-    Fault("flank_axis_leans", "flank", {"processes.milling.plan.job:poses": given(1, _leaning)}),
+    Fault("form_cone_wide", "spif", {"processes.forming.plan.job:tool_freedoms": result(_wide_tilts)}),
+    Fault("flank_axis_leans", "flank", {"processes.milling.plan.job:tool_poses": given(1, _leaning)}),
     Fault(
         "lines_step_doubled", "lines", {"processes.milling.plan.point_cut:ridge_step": result(_scaled(2.5))}
     ),
-    Fault("lines_tip_for_centre", "lines", {"processes.milling.plan.point_cut:tips": result(_off(z=-0.001))}),
     Fault(
-        "lines_last_lost", "lines", {"processes.milling.plan.point_cut:_offsets": result(lambda o: o[:-4])}
+        "lines_tip_for_centre",
+        "lines",
+        {"processes.milling.plan.point_cut:tool_tips": result(_shift_points(z=-0.001))},
+    ),
+    Fault(
+        "lines_last_lost",
+        "lines",
+        {"processes.milling.plan.point_cut:_line_offsets": result(lambda o: o[:-4])},
     ),
     Fault(
         "engrave_depth_doubled",
         "engrave",
         {
-            "processes.milling.plan.point_cut:engraved_runs": given(
+            "processes.milling.plan.point_cut:plan_engraving": given(
                 1, lambda c: c.model_copy(update={"depth_mm": 2.0 * c.depth_mm})
             )
         },
@@ -632,26 +717,28 @@ MILLING: Final = (
     Fault(
         "engrave_mirrored",
         "engrave",
-        {"processes.milling.plan.point_cut:_along": result(lambda p: p * [1.0, -1.0, 1.0])},
+        {"processes.milling.plan.point_cut:_resample_curve": result(lambda p: p * [1.0, -1.0, 1.0])},
     ),
     Fault(
         "engrave_depth_up",
         "engrave",
         {
-            "processes.milling.plan.point_cut:engraved_runs": given(
+            "processes.milling.plan.point_cut:plan_engraving": given(
                 1, lambda c: c.model_copy(update={"depth_mm": -c.depth_mm})
             )
         },
     ),
     Fault(
-        "engrave_curve_moved", "engrave", {"geometry.face_places:Over.at": given(1, lambda xy: xy + 0.001)}
+        "engrave_curve_moved",
+        "engrave",
+        {"geometry.face_from_above:FaceFromAbove.at": given(1, lambda xy: xy + 0.001)},
     ),
     Fault(
         "gcode_shifted",
         "gcode",
-        {"processes.milling.plan.gcode.reader:read": result(_program_moved(x=0.002))},
+        {"processes.milling.plan.gcode.reader:read_gcode": result(_program_moved(x=0.002))},
     ),
-    Fault("gcode_inch_as_mm", "gcode", {"processes.milling.plan.gcode.state:INCH": value(0.025)}),
+    Fault("gcode_inch_as_mm", "gcode", {"processes.milling.plan.gcode.state:INCH_M": value(0.025)}),
     Fault(
         "gcode_offset_lost",
         "gcode",
@@ -664,35 +751,43 @@ MILLING: Final = (
     Fault(
         "gcode_origin_lost",
         "gcode",
-        {"processes.milling.plan.operation:GCodeFile.dialect": fields(place=lambda p: np.eye(4))},
+        {"processes.milling.plan.operation:GCodeFile.dialect": fields(frame=lambda p: np.eye(4))},
     ),
-    Fault("gcode_arcs_other_way", "gcode", {"processes.milling.plan.gcode.moves:sweep_of": _long_way}),
+    Fault("gcode_arcs_other_way", "gcode", {"processes.milling.plan.gcode.moves:arc_sweep": _long_way}),
     Fault(
         "gcode_arcs_as_chords",
         "gcode",
-        {"processes.milling.plan.gcode.moves:points": result(lambda p: p[-1:])},
+        {"processes.milling.plan.gcode.moves:arc_points": result(lambda p: p[-1:])},
     ),
     Fault(
-        "gcode_increments_absolute", "gcode", {"processes.milling.plan.gcode.moves:_place": _always_absolute}
+        "gcode_increments_absolute",
+        "gcode",
+        {"processes.milling.plan.gcode.moves:_target_position": _always_absolute},
     ),
     Fault(
-        "gcode_feed_per_second", "gcode", {"processes.milling.plan.gcode.moves:_feed": result(_scaled(60.0))}
+        "gcode_feed_per_second",
+        "gcode",
+        {"processes.milling.plan.gcode.moves:_cut_feed": result(_scaled(60.0))},
     ),
-    Fault("gcode_line_lost", "gcode", {"processes.milling.plan.process_plan:_kept": result(_rows_lost)}),
-    Fault("gcode_thinned", "gcode", {"processes.milling.plan.process_plan:CHORD_SHARE": value(20.0)}),
+    Fault("gcode_line_lost", "gcode", {"processes.milling.plan.process_plan:_kept_rows": result(_rows_lost)}),
+    Fault("gcode_thinned", "gcode", {"processes.milling.plan.process_plan:CHORD_FRACTION": value(20.0)}),
     Fault(
         "gcode_rotary_sign",
         "gcode_rotary",
         {
-            "processes.milling.plan.gcode.state:convention": result(
-                lambda c: of(c, chain=lambda x: tuple((a, -s) for a, s in x))
+            "processes.milling.plan.gcode.state:find_convention": result(
+                lambda c: change_fields(c, chain=lambda x: tuple((a, -s) for a, s in x))
             )
         },
     ),
     Fault(
         "gcode_rotary_order",
         "gcode_rotary",
-        {"processes.milling.plan.gcode.state:convention": result(lambda c: of(c, chain=lambda x: x[::-1]))},
+        {
+            "processes.milling.plan.gcode.state:find_convention": result(
+                lambda c: change_fields(c, chain=lambda x: x[::-1])
+            )
+        },
     ),
     Fault(
         "gcode_degrees",
@@ -702,21 +797,25 @@ MILLING: Final = (
     Fault(
         "mill_rapid_plunge",
         "engrave",
-        {"processes.milling.plan.tool_path:lay_out": fields(feed=_scaled(5.0))},
+        {"processes.milling.plan.tool_path:plan_route": fields(feed=_scaled(5.0))},
     ),
     Fault(
-        "mill_feed_times_ten", "flank", {"processes.milling.plan.job:_targets": fields(feed=_scaled(10.0))}
+        "mill_feed_times_ten",
+        "flank",
+        {"processes.milling.plan.job:_build_targets": fields(feed=_scaled(10.0))},
     ),
-    Fault("mill_spindle_off", "flank", {"processes.milling.plan.job:_actions": result(_without("on"))}),
-    Fault("mill_no_spin_up", "flank", {"processes.milling.plan.job:_actions": result(_short_waits)}),
-    Fault("mill_signal_other", "flank", {"processes.milling.plan.job:_actions": result(_renamed)}),
+    Fault("mill_spindle_off", "flank", {"processes.milling.plan.job:_build_actions": result(_without("on"))}),
+    Fault("mill_no_spin_up", "flank", {"processes.milling.plan.job:_build_actions": result(_short_waits)}),
+    Fault("mill_signal_other", "flank", {"processes.milling.plan.job:_build_actions": result(_renamed)}),
     Fault(
         "mill_pass_lost",
         "flank_rough",
-        {"processes.milling.plan.process_plan:Work.runs": result(lambda r: r[1:])},
+        {"processes.milling.plan.process_plan:MillingPlan.passes": result(lambda r: r[1:])},
     ),
     Fault(
-        "mill_longer_cutter", "engrave", {"processes.milling.plan.job:_targets": _own_poses(_shift(z=0.001))}
+        "mill_longer_cutter",
+        "engrave",
+        {"processes.milling.plan.job:_build_targets": _own_poses(_shift(z=0.001))},
     ),
 )
 

@@ -1,4 +1,4 @@
-"""Faults in how programs are written: units, frames, quaternions, rounding, order, arms, zones, signals."""
+"""Faults in the writing of programs: units, frames, quaternions, rounding, order, arms, zones, signals."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.languages.writing.handshake import Ask, AwaitLine, AwaitRunning, Halt, SetLine
-from tests.proof.planner_faults import Fault, always, fields, given, of, result
+from planner.languages.writing.handshake import AskOperator, AwaitLine, AwaitRunning, SetLine, StopAndAsk
+from tests.proof.planner_faults import Fault, always, change_fields, fields, given, result
 
-_STATION = "languages.writing.steps:outer_values"
+_STATION = "languages.writing.steps:external_axis_values"
 """Values of external axes in a setup, as programs have them."""
 
 
-def _scaled(share: float) -> Any:
-    return lambda old: share * old
+def _scaled(factor: float) -> Any:
+    return lambda old: factor * old
 
 
 def _positions(change: Any) -> Any:
@@ -74,7 +74,7 @@ def _moved(x: float = 0.0, z: float = 0.0) -> Any:
 
 
 def _tool(tcp: Any) -> Any:
-    return lambda tool: of(tool, tcp=tcp)
+    return lambda tool: change_fields(tool, tcp=tcp)
 
 
 def _ids_off(old: Any) -> Any:
@@ -97,7 +97,7 @@ def _no_look(steps: Any) -> Any:
 
 def _goes_on(steps: Any) -> Any:
     """The lead asks without stopping."""
-    return [Ask(step.text) if isinstance(step, Halt) else step for step in steps]
+    return [AskOperator(step.text) if isinstance(step, StopAndAsk) else step for step in steps]
 
 
 def _every_other_call(old: Any) -> Any:
@@ -105,7 +105,7 @@ def _every_other_call(old: Any) -> Any:
 
 
 def _first_alone(old: Any) -> Any:
-    """Nobody waits for the other arm to stand at home, nor at its first target."""
+    """Do not wait for the other arm at home or at its first target."""
 
     def meet(self: Any, reached: str, *more: Any) -> None:
         if "first target" not in reached and "at home" not in reached:
@@ -120,7 +120,7 @@ def _inverted(lines: Any) -> Any:
 
 
 def _slack_off(plan: Any) -> Any:
-    """The split of the slack is written 2 cm off what was planned."""
+    """Write a split of the slack that is 2 cm off the planned one."""
     values = plan.values.copy()
     values[:, 0] += 0.02
     return dataclasses.replace(plan, values=values)
@@ -151,58 +151,74 @@ def _other_columns(along: Any) -> Any:
 
 
 RAPID: Final = (
-    Fault("post_metres", "posed", {"languages.writing.steps:_written": _positions(_scaled(1e-3))}),
-    Fault("post_rounded_to_mm", "posed", {"languages.writing.steps:_written": _positions(np.round)}),
-    Fault("post_rounded_wing", "wing", {"languages.writing.steps:_written": _positions(np.round)}),
-    Fault("post_rounded_dish", "dsif", {"languages.writing.steps:_written": _positions(np.round)}),
+    Fault("post_metres", "posed", {"languages.writing.steps:_written_poses": _positions(_scaled(1e-3))}),
+    Fault("post_rounded_to_mm", "posed", {"languages.writing.steps:_written_poses": _positions(np.round)}),
+    Fault("post_rounded_wing", "wing", {"languages.writing.steps:_written_poses": _positions(np.round)}),
+    Fault("post_rounded_dish", "dsif", {"languages.writing.steps:_written_poses": _positions(np.round)}),
     Fault(
         "post_quaternion_last",
         "posed",
-        {"languages.writing.steps:_written": _quaternions(lambda q: np.roll(q, -1, axis=1))},
+        {"languages.writing.steps:_written_poses": _quaternions(lambda q: np.roll(q, -1, axis=1))},
     ),
     Fault(
         "post_quaternion_conjugate",
         "flank",
-        {"languages.writing.steps:_written": _quaternions(lambda q: q * [1, -1, -1, -1])},
+        {"languages.writing.steps:_written_poses": _quaternions(lambda q: q * [1, -1, -1, -1])},
     ),
     Fault(
         "post_mirrored",
         "ruled",
-        {"languages.writing.steps:_written": _positions(lambda p: p * [1.0, -1.0, 1.0])},
+        {"languages.writing.steps:_written_poses": _positions(lambda p: p * [1.0, -1.0, 1.0])},
     ),
     Fault(
         "post_axes_swapped",
         "oval",
-        {"languages.writing.steps:_written": _positions(lambda p: p[:, [1, 0, 2]])},
+        {"languages.writing.steps:_written_poses": _positions(lambda p: p[:, [1, 0, 2]])},
     ),
-    Fault("post_arms_swapped", "dsif", {"languages.writing.steps:_written": result(_swapped)}),
-    Fault("post_arms_swapped_wire", "elastic", {"languages.writing.steps:_written": result(_swapped)}),
+    Fault("post_arms_swapped", "dsif", {"languages.writing.steps:_written_poses": result(_swapped)}),
+    Fault("post_arms_swapped_wire", "elastic", {"languages.writing.steps:_written_poses": result(_swapped)}),
     Fault(
         "post_spin_lost",
         "posed",
-        {"languages.writing.steps:_written": given(0, lambda plan: of(plan, values=_scaled(0.0)))},
+        {
+            "languages.writing.steps:_written_poses": given(
+                0, lambda plan: change_fields(plan, values=_scaled(0.0))
+            )
+        },
     ),
     Fault(
         "post_slide_lost",
         "held",
-        {"languages.writing.steps:_written": given(0, lambda plan: of(plan, values=_scaled(0.0)))},
+        {
+            "languages.writing.steps:_written_poses": given(
+                0, lambda plan: change_fields(plan, values=_scaled(0.0))
+            )
+        },
     ),
     Fault(
         "post_spin_twice",
         "posed",
-        {"languages.writing.steps:_written": given(0, lambda plan: of(plan, values=_scaled(2.0)))},
+        {
+            "languages.writing.steps:_written_poses": given(
+                0, lambda plan: change_fields(plan, values=_scaled(2.0))
+            )
+        },
     ),
     Fault(
         "post_tilt_twice",
         "dsif",
-        {"languages.writing.steps:_written": given(0, lambda plan: of(plan, values=_scaled(2.0)))},
+        {
+            "languages.writing.steps:_written_poses": given(
+                0, lambda plan: change_fields(plan, values=_scaled(2.0))
+            )
+        },
     ),
-    Fault("post_slack_off", "elastic", {"languages.writing.steps:_written": given(0, _slack_off)}),
+    Fault("post_slack_off", "elastic", {"languages.writing.steps:_written_poses": given(0, _slack_off)}),
     Fault("gantry_value_off", "gantry", {_STATION: result(_first_off)}),
     Fault("gantry_values_swapped", "gantry", {_STATION: result(_values_swapped)}),
     Fault("gantry_values_swapped_krl", "gantry_krl", {_STATION: result(_values_swapped)}),
     Fault("gantry_in_metres", "gantry", {_STATION: result(_in_metres)}),
-    Fault("gantry_order_reversed", "gantry", {"problem:in_turn": result(lambda names: names[::-1])}),
+    Fault("gantry_order_reversed", "gantry", {"problem:motion_order": result(lambda names: names[::-1])}),
     Fault(
         "gantry_unit_off",
         "gantry",
@@ -213,9 +229,9 @@ RAPID: Final = (
         "gantry_krl",
         {"languages.krl.writer.syntax:robroot_check": given(2, _other_columns)},
     ),
-    Fault("post_every_second", "posed", {"languages.writing.steps:_kept": result(_every_second)}),
-    Fault("post_every_second_cut", "wing", {"languages.writing.steps:_kept": result(_every_second)}),
-    Fault("post_target_lost", "posed", {"languages.writing.steps:_kept": result(_one_lost)}),
+    Fault("post_every_second", "posed", {"languages.writing.steps:_moved_targets": result(_every_second)}),
+    Fault("post_every_second_cut", "wing", {"languages.writing.steps:_moved_targets": result(_every_second)}),
+    Fault("post_target_lost", "posed", {"languages.writing.steps:_moved_targets": result(_one_lost)}),
     Fault("post_times_halved", "ruled", {"languages.writing.steps:_durations": result(_scaled(0.5))}),
     Fault("post_times_doubled", "elastic", {"languages.writing.steps:_durations": result(_scaled(3.0))}),
     Fault(
@@ -236,8 +252,8 @@ RAPID: Final = (
         "post_place_moved",
         "flank",
         {
-            "languages.rapid.writer.data:_wobjs": given(
-                2, lambda plan: of(plan, places=lambda ps: tuple(map(_moved(x=0.005), ps)))
+            "languages.rapid.writer.data:_wobj_declarations": given(
+                2, lambda plan: change_fields(plan, stock_poses=lambda ps: tuple(map(_moved(x=0.005), ps)))
             )
         },
     ),
@@ -245,36 +261,42 @@ RAPID: Final = (
         "post_held_frame_lost",
         "held",
         {
-            "languages.rapid.writer.data:_held": given(
-                1, lambda op: of(op, arm=lambda a: of(a, tool=lambda t: of(t, tcp=lambda p: np.eye(4))))
+            "languages.rapid.writer.data:_held_wobjdata": given(
+                1,
+                lambda op: change_fields(
+                    op,
+                    arm=lambda a: change_fields(a, tool=lambda t: change_fields(t, tcp=lambda p: np.eye(4))),
+                ),
             )
         },
     ),
     Fault(
         "post_tool_length",
         "posed",
-        {"languages.rapid.writer.data:_tool": given(0, lambda t: of(t, tcp=_moved(z=0.001)))},
+        {"languages.rapid.writer.data:_tooldata": given(0, lambda t: change_fields(t, tcp=_moved(z=0.001)))},
     ),
     Fault(
         "post_tool_turned",
         "ruled",
         {
-            "languages.rapid.writer.data:_tool": given(
-                0, lambda t: of(t, tcp=lambda p: p @ np.diag([-1.0, -1.0, 1.0, 1.0]))
+            "languages.rapid.writer.data:_tooldata": given(
+                0, lambda t: change_fields(t, tcp=lambda p: p @ np.diag([-1.0, -1.0, 1.0, 1.0]))
             )
         },
     ),
     Fault(
         "post_tool_weightless",
         "ruled",
-        {"languages.rapid.writer.data:_tool": given(0, lambda t: of(t, mass=_scaled(0.1)))},
+        {"languages.rapid.writer.data:_tooldata": given(0, lambda t: change_fields(t, mass=_scaled(0.1)))},
     ),
     Fault(
         "post_base_frame_off",
         "elastic",
         {
-            "languages.writing.steps:build": result(
-                lambda job: of(job, tasks=lambda ts: tuple(of(t, base=_moved(x=0.01)) for t in ts))
+            "languages.writing.steps:build_job": result(
+                lambda job: change_fields(
+                    job, tasks=lambda ts: tuple(change_fields(t, base=_moved(x=0.01)) for t in ts)
+                )
             )
         },
     ),
@@ -300,7 +322,7 @@ RAPID: Final = (
     Fault(
         "post_corners_wide",
         "flank_rough",
-        {"geometry.corner_rounding:room": result(lambda r: tuple(8.0 * v for v in r))},
+        {"geometry.corner_rounding:max_zones": result(lambda r: tuple(8.0 * v for v in r))},
     ),
     Fault(
         "post_joints_degrees", "posed", {"languages.rapid.writer.syntax:jointtarget": given(0, np.deg2rad)}
@@ -308,39 +330,45 @@ RAPID: Final = (
     Fault(
         "post_waits_ms",
         "ruled",
-        {"languages.rapid.writer.syntax:action_lines": given(0, lambda a: of(a, seconds=_scaled(1e-3)))},
+        {
+            "languages.rapid.writer.syntax:action_lines": given(
+                0, lambda a: change_fields(a, seconds=_scaled(1e-3))
+            )
+        },
     ),
     Fault(
         "post_signal_inverted", "elastic", {"languages.rapid.writer.syntax:action_lines": result(_inverted)}
     ),
-    Fault("post_question_lost", "elastic", {"languages.rapid.writer.syntax:box": always([])}),
-    Fault("post_meeting_lost", "posed_two", {"languages.writing.steps:_Builder._meet": _first_alone}),
+    Fault("post_question_lost", "elastic", {"languages.rapid.writer.syntax:message_box": always([])}),
+    Fault("post_meeting_lost", "posed_two", {"languages.writing.steps:_JobBuilder._meet": _first_alone}),
     Fault("post_ids_off", "posed_two", {"languages.rapid.writer.program:_moves": _ids_off}),
-    Fault("post_load_moved", "held", {"languages.writing.steps:_load": fields(cog=lambda c: c + 0.1)}),
+    Fault("post_load_moved", "held", {"languages.writing.steps:_held_load": fields(cog=lambda c: c + 0.1)}),
 )
 
 HANDSHAKE: Final = (
     Fault(
-        "handshake_no_wait", "handshake", {"languages.writing.handshake:Partner.meeting": result(_no_wait)}
+        "handshake_no_wait",
+        "handshake",
+        {"languages.writing.handshake:HandshakeSide.meeting": result(_no_wait)},
     ),
     Fault(
         "handshake_levels_inverted",
         "handshake",
-        {"languages.writing.handshake:Partner.meeting": result(_set_twice)},
+        {"languages.writing.handshake:HandshakeSide.meeting": result(_set_twice)},
     ),
     Fault(
         "handshake_both_lead",
         "handshake",
         {
-            "languages.writing.handshake:Partner.of": result(
-                lambda p: None if p is None else of(p, lead=lambda v: True)
+            "languages.writing.handshake:HandshakeSide.of": result(
+                lambda p: None if p is None else change_fields(p, lead=lambda v: True)
             )
         },
     ),
     Fault(
         "handshake_wires_swapped",
         "handshake",
-        {"languages.writing.handshake:Partner.of": result(_other_names)},
+        {"languages.writing.handshake:HandshakeSide.of": result(_other_names)},
     ),
     Fault(
         "handshake_fewer_meetings",
@@ -350,13 +378,17 @@ HANDSHAKE: Final = (
     Fault(
         "running_not_looked_at",
         "handshake",
-        {"languages.writing.handshake:Partner.meeting": result(_no_look)},
+        {"languages.writing.handshake:HandshakeSide.meeting": result(_no_look)},
     ),
     Fault(
-        "running_not_seen_at_0", "handshake", {"languages.writing.handshake:Partner.start": result(_no_look)}
+        "running_not_seen_at_0",
+        "handshake",
+        {"languages.writing.handshake:HandshakeSide.start_steps": result(_no_look)},
     ),
     Fault(
-        "running_lead_goes_on", "handshake", {"languages.writing.handshake:Partner.start": result(_goes_on)}
+        "running_lead_goes_on",
+        "handshake",
+        {"languages.writing.handshake:HandshakeSide.start_steps": result(_goes_on)},
     ),
     Fault(
         "handshake_meetings_lost",
@@ -366,7 +398,7 @@ HANDSHAKE: Final = (
     Fault(
         "handshake_not_stretched",
         "dsif_handshake",
-        {"languages.writing.handshake:stretched": lambda old: lambda duration, *more: duration},
+        {"languages.writing.handshake:lengthen_for_stops": lambda old: lambda duration, *more: duration},
     ),
 )
 
@@ -383,7 +415,7 @@ URSCRIPT: Final = (
     Fault(
         "ur_never_watches",
         "handshake_ur",
-        {"languages.urscript.writer.program:_Main._watch": lambda old: lambda *a: []},
+        {"languages.urscript.writer.program:_ProgramWriter._watch": lambda old: lambda *a: []},
     ),
     Fault(
         "ur_watches_the_line",
@@ -403,17 +435,23 @@ KRL: Final = (
     Fault(
         "krl_base_world",
         "gcode_krl",
-        {"languages.krl.writer.data:Data.base_pose": result(lambda r: (np.eye(4), r[1]))},
+        {"languages.krl.writer.data:TaskDeclarations.base_pose": result(lambda r: (np.eye(4), r[1]))},
     ),
     Fault(
         "krl_base_inverse",
         "gcode_krl",
-        {"languages.krl.writer.data:Data.base_pose": result(lambda r: (np.linalg.inv(r[0]), r[1]))},
+        {
+            "languages.krl.writer.data:TaskDeclarations.base_pose": result(
+                lambda r: (np.linalg.inv(r[0]), r[1])
+            )
+        },
     ),
     Fault("krl_status", "posed_krl", {"languages.krl.writer.data:status": result(lambda s: s ^ 2)}),
     Fault("krl_turn", "posed_krl", {"languages.krl.writer.data:turn": result(lambda t: t ^ 2)}),
-    Fault("krl_speed_mm", "posed_krl", {"languages.krl.writer.syntax:rows": fields(speed=_scaled(1e3))}),
-    Fault("krl_speed_tenth", "gcode_krl", {"languages.krl.writer.syntax:rows": fields(speed=_scaled(10.0))}),
+    Fault("krl_speed_mm", "posed_krl", {"languages.krl.writer.syntax:krl_moves": fields(speed=_scaled(1e3))}),
+    Fault(
+        "krl_speed_tenth", "gcode_krl", {"languages.krl.writer.syntax:krl_moves": fields(speed=_scaled(10.0))}
+    ),
     Fault(
         "krl_corners_wide",
         "gcode_krl",
@@ -422,21 +460,33 @@ KRL: Final = (
     Fault(
         "krl_tool_off",
         "posed_krl",
-        {"languages.krl.writer.data:Data.tool": given(1, lambda t: of(t, tcp=_moved(z=0.001)))},
+        {
+            "languages.krl.writer.data:TaskDeclarations.tool": given(
+                1, lambda t: change_fields(t, tcp=_moved(z=0.001))
+            )
+        },
     ),
     Fault("krl_joints_off", "posed_krl", {"languages.krl.writer.syntax:e6axis": given(0, lambda d: d + 1.0)}),
     Fault(
-        "krl_positions_metres", "gcode_krl", {"languages.writing.steps:_written": _positions(_scaled(1e-3))}
+        "krl_positions_metres",
+        "gcode_krl",
+        {"languages.writing.steps:_written_poses": _positions(_scaled(1e-3))},
     ),
-    Fault("krl_rounded", "gcode_krl", {"languages.writing.steps:_written": _positions(np.round)}),
+    Fault("krl_rounded", "gcode_krl", {"languages.writing.steps:_written_poses": _positions(np.round)}),
     Fault(
-        "krl_spindle_other_output", "gcode_krl", {"problem:Controller.number": result(lambda n: n and n + 1)}
+        "krl_spindle_other_output",
+        "gcode_krl",
+        {"problem:Controller.signal_number": result(lambda n: n and n + 1)},
     ),
     Fault("krl_ptp_fast", "posed_krl", {"languages.krl.writer.program:ptp_percent": always(100)}),
     Fault(
         "krl_wait_ms",
         "gcode_krl",
-        {"languages.krl.writer.program:Main._action": given(1, lambda a: of(a, seconds=_scaled(1e-3)))},
+        {
+            "languages.krl.writer.program:MainProgram._action": given(
+                1, lambda a: change_fields(a, seconds=_scaled(1e-3))
+            )
+        },
     ),
     Fault("krl_nobody_asked", "posed_krl", {"languages.krl.writer.syntax:question_lines": always([])}),
     Fault(

@@ -1,5 +1,8 @@
-"""Program texts as no writer makes them: tokens of real programs swapped, dropped, repeated, spliced and cut,
-numbers and lines of absurd size, deep nesting, odd bytes. Seeded."""
+"""Program texts that no writer produces. Seeded.
+
+Tokens of real programs are swapped, dropped, repeated, spliced and cut. Numbers and lines have absurd sizes,
+nesting is deep, and bytes are odd.
+"""
 
 from __future__ import annotations
 
@@ -157,7 +160,7 @@ def _repeat(rng, text, texts, krl):
 
 
 def _other(rng, text, texts, krl):
-    """A token of another place or file."""
+    """Insert a token of another place or file."""
     a, b = _pick(rng, _tokens(rng, text))
     source = texts[_pick(rng, sorted(texts))]
     c, d = _pick(rng, _tokens(rng, source))

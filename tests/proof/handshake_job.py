@@ -1,4 +1,4 @@
-"""A small job of two arms on controllers of their own: both go along their sides of a block, and meet."""
+"""A small job of two arms with a controller each: both move along their sides of a block, and meet."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from planner.claims.handshake import Handshake
 from planner.claims.sentences import Sentence
 from planner.languages.writing import write
 from planner.problem import Controller
-from planner.targets import Action
+from planner.targets import TargetAction
 from tests import line_ends
 from tests.proof import small_job
 
@@ -27,16 +27,19 @@ def problem(kind="four_phase", every=1):
 
 
 def plan(count=8):
-    """The plan: the way of the small job's arms, without the wire between them."""
+    """The plan: the path of the small job's arms, without the wire between them."""
     whole = small_job.plan(count)
     (operation,) = whole.operations
-    actions = (Action(0, "confirm", text="Is the block in place?"), Action(0, "wait", seconds=1.0))
+    actions = (
+        TargetAction(0, "confirm", text="Is the block in place?"),
+        TargetAction(0, "wait", seconds=1.0),
+    )
     targets = dataclasses.replace(operation.targets, coupled=False, actions=actions)
     return dataclasses.replace(whole, operations=(dataclasses.replace(operation, targets=targets),))
 
 
 def claims():
-    """Nothing is claimed but what the operator is asked, and what always has to hold."""
+    """Only the operator dialogue and the claims of every job."""
     first = (question_step(Sentence("Is the block in place?")), DialogueStep("wait", seconds=1.0))
     return {"panel": (OperatorDialogue(ARMS, first),)}
 
@@ -44,4 +47,4 @@ def claims():
 @functools.cache
 def programs(kind="four_phase", every=1, count=8):
     """The texts of the job as the planner writes them."""
-    return line_ends.bare(write.programs(plan(count), problem(kind, every)))
+    return line_ends.bare(write.program_files(plan(count), problem(kind, every)))

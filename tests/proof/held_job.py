@@ -1,8 +1,7 @@
-"""A small job with a known answer: one arm holds a block that the other one's bow cuts while both move; then
-the block is put down and cut once more, with the holder waiting at home.
+"""A small job with a known answer: one arm holds a block that the other arm's bow cuts while both move.
 
-The holder lifts and tilts the block as it likes; in the block's own frame the wire runs as it does in
-``straight_job``.
+Then the block is put down and cut once more, with the holder waiting at home. The holder lifts and tilts the
+block freely. In the block's own frame the wire moves as in ``straight_job``.
 """
 
 from __future__ import annotations
@@ -12,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.catalogue.materials import Foam
+from planner.catalogue.materials import FoamMaterial
 from planner.claims.claim import ContactOnlyIn, FeedWindow, HoldsStock
 from planner.claims.segments import Segment
 from planner.geometry.arrays import exp_twist, from_rpy
 from planner.languages.writing import write
 from planner.plans import Plan
-from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock
+from planner.problem import Arm, Cell, Controller, Problem, Settings, SetupChange, Stock
 from planner.processes.hotwire.claims import CutsSurface, FollowsRulings, KerfWithin, StraightWire
 from planner.tooling import bow, gripper_plate
 from tests import line_ends
@@ -31,7 +30,7 @@ BASES = {
     "right": from_rpy([0.75, 0.0, 0.0], [0.0, 0.0, np.pi]),
 }
 GRIP = from_rpy([0.01, -0.005, 0.0], [0.0, 0.0, 0.1])
-PLACE = from_rpy([-0.15, 0.0, 0.0], [0.0, 0.0, -np.pi / 2.0])
+STOCK_POSE = from_rpy([-0.15, 0.0, 0.0], [0.0, 0.0, -np.pi / 2.0])
 DOWN = np.array([0.0, 0.0, -1.0])
 HALF = 0.2
 OVER = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.01]])
@@ -113,7 +112,7 @@ def cell():
 
 def stock():
     """The block as the first setup holds it."""
-    foam = Foam("test", "test", 30.0, {})
+    foam = FoamMaterial("test", "test", 30.0, {})
     return Stock(
         SIZE, None, np.eye(3), any_attitude=True, oversize=OVER, foam=foam, held_by="right", grip=GRIP
     )
@@ -121,7 +120,7 @@ def stock():
 
 def problem(**settings):
     """The problem of the job."""
-    down = {"held_by": None, "place": PLACE, "attitude": PLACE[:3, :3], "any_attitude": False}
+    down = {"held_by": None, "place": STOCK_POSE, "attitude": STOCK_POSE[:3, :3], "any_attitude": False}
     return Problem(
         "held",
         cell(),
@@ -134,7 +133,7 @@ def problem(**settings):
         Settings(**settings),
         Path("held.yaml"),
         DIGEST,
-        changes={0: Change(steps=STEPS[0]), 1: Change(stock=down, steps=STEPS[1])},
+        changes={0: SetupChange(steps=STEPS[0]), 1: SetupChange(stock=down, steps=STEPS[1])},
     )
 
 
@@ -147,7 +146,7 @@ def load():
 
 
 def claims():
-    """What the process claims."""
+    """The claims of the process."""
     out = {}
     for k, name in enumerate(("end", "back")):
         segment, u = Segment("cut", name), np.linspace(-1.0, 1.0, 41)
@@ -159,7 +158,7 @@ def claims():
             CutsSurface(segment, np.concatenate([start, end]), strip(u), KERF, TOLERANCE),
             FollowsRulings(segment, start, end, KERF, TOLERANCE),
             KerfWithin(segment, KERF, 0.0008, 0.0016),
-            *(FeedWindow(way, 0.003, 0.012) for way in segment.ways),
+            *(FeedWindow(way, 0.003, 0.012) for way in segment.all_phases),
             *((HoldsStock("right", GRIP, *load()),) if k == 0 else ()),
         )
     return out
@@ -188,7 +187,7 @@ def plan(count=24):
             entry = {"left": moved(world["left"][:1], -0.13, 0.31), "right": held[:0]}
             leave = {"left": moved(world["left"][-1:], -0.2, 0.12), "right": held[:0]}
         else:
-            poses, frame, world = {"left": pose}, {"left": "stock"}, {"left": PLACE @ pose}
+            poses, frame, world = {"left": pose}, {"left": "stock"}, {"left": STOCK_POSE @ pose}
             entry = {"left": moved(world["left"][:1], world["left"][0, 0, 3], 0.17)}
             leave = {"left": moved(world["left"][-1:], world["left"][-1, 0, 3], 0.22)}
         travel = way_of(start, end)
@@ -197,10 +196,10 @@ def plan(count=24):
                 name, cell(), poses, frame, world, rows, travel, SIGNAL, entry, leave, order, claims()[name]
             )
         )
-    return Plan("held", DIGEST, {}, (np.eye(4), PLACE), BASES, tuple(parts), {})
+    return Plan("held", DIGEST, {}, (np.eye(4), STOCK_POSE), BASES, tuple(parts), {})
 
 
 @functools.cache
 def programs(count=24):
     """The texts of the job as the planner writes them."""
-    return line_ends.bare(write.programs(plan(count), problem()))
+    return line_ends.bare(write.program_files(plan(count), problem()))

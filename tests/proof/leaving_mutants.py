@@ -1,6 +1,9 @@
-"""Faults in what surrounds the motion, by kind and seeded: first moves, power while nothing moves, meetings
-with a limit of time, leaving a program by the side. RAPID on a bent wire (``small_job``), on one arm's bow
-(``straight_job``) and of two controllers (``handshake_job``); KRL (``krl_job``)."""
+"""Seeded faults in the surroundings of the motion, by kind.
+
+They are first moves, power without motion, meetings with a time limit, and handlers. RAPID on a bent wire
+(``small_job``), on one arm's bow (``straight_job``) and of two controllers (``handshake_job``); KRL
+(``krl_job``).
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ import re
 
 from planner.languages.krl.writer import syntax
 from tests.languages.krl import krl_edits
-from tests.languages.rapid.rapid_edits import edit, lines, name, one, put, segment, timed
+from tests.languages.rapid.rapid_edits import edit, lines, name, put, random_task, segment, timed
 from tests.proof.registry import Table, mutator, pick
 
 SMALL: Table = {}
@@ -21,7 +24,7 @@ SIGNAL = "doWirePower"
 
 def task_of(rng, texts):
     """A task that the texts have."""
-    return one(rng) if name("Main", 2) in texts else 1
+    return random_task(rng) if name("Main", 2) in texts else 1
 
 
 def replaced(rng, texts, task, kind, pattern, new, which=None):
@@ -111,11 +114,11 @@ def heats_for_long(rng, texts):
     return put(texts, 1, rows, "Main")
 
 
-def _before(texts, task, row, what):
+def _insert_before(texts, task, row, what):
     return edit(texts, name("Main", task), f"    {row}", f"    {what}\n    {row}")
 
 
-PLACES = {
+STATEMENTS = {
     1: ["WaitSyncTask meet_4,", "SyncMoveOn", "approach;", "link;", "retreat;", "SyncMoveOff"],
     2: ["WaitSyncTask meet_4,", "SyncMoveOn", "approach;", "link;", "retreat;", "SyncMoveOff"],
 }
@@ -125,9 +128,9 @@ ALONE = ["approach;", "cut_top_in;", "retreat;"]
 def _anywhere(rng, texts, what):
     """A statement at a place at which the power is on and the wire not in the foam, in any task."""
     if name("Main", 2) not in texts:
-        return _before(texts, 1, pick(rng, ALONE), what)
-    task = one(rng)
-    return _before(texts, task, pick(rng, PLACES[task]), what)
+        return _insert_before(texts, 1, pick(rng, ALONE), what)
+    task = random_task(rng)
+    return _insert_before(texts, task, pick(rng, STATEMENTS[task]), what)
 
 
 @mutator("verify.power_idle", SMALL, STRAIGHT)
@@ -160,8 +163,8 @@ def asks_sometimes(rng, texts):
 
 @mutator("verify.power_idle", SMALL)
 def the_other_task_asks(rng, texts):
-    place = pick(rng, [place for place in PLACES[2] if place != "SyncMoveOff"])
-    return _before(texts, 2, place, 'UIMsgBox "Is it clear?"\\Buttons:=btnOK\\Icon:=iconInfo;')
+    place = pick(rng, [place for place in STATEMENTS[2] if place != "SyncMoveOff"])
+    return _insert_before(texts, 2, place, 'UIMsgBox "Is it clear?"\\Buttons:=btnOK\\Icon:=iconInfo;')
 
 
 @mutator("verify.power_idle", STRAIGHT)
@@ -209,14 +212,14 @@ def power_that_nobody_claims(rng, texts):
 
 @mutator("verify.meeting_time", SMALL)
 def meeting_with_a_limit(rng, texts):
-    task, limit = one(rng), f"\\TimeOut:={pick(rng, [1, 30, 600, 86400])};"
+    task, limit = random_task(rng), f"\\TimeOut:={pick(rng, [1, 30, 600, 86400])};"
     return replaced(rng, texts, task, "Main", r"WaitSyncTask|SyncMoveOn", lambda r: r.replace(";", limit))
 
 
 @mutator("verify.meeting_time", SMALL)
 def end_of_a_block_with_a_limit(rng, texts):
     limit = f"\\TimeOut:={pick(rng, [0.1, 60])};"
-    return replaced(rng, texts, one(rng), "Main", r"SyncMoveOff", lambda r: r.replace(";", limit))
+    return replaced(rng, texts, random_task(rng), "Main", r"SyncMoveOff", lambda r: r.replace(";", limit))
 
 
 def _side(rng, kind):
@@ -232,7 +235,7 @@ def _limit(rng, texts, pattern, new):
     return {**texts, file: "\n".join(rows)}
 
 
-BUSY = {"left": "right (stands|is home)", "right": "left (stands|is home)|what this stop asks"}
+BUSY = {"left": "right is (at|home)", "right": "left is (at|home)|the actions at this stop"}
 """Of an arm's meetings those before which the other one moves alone, or asks."""
 
 
@@ -372,7 +375,7 @@ def system_module(rng, texts):
 @mutator("verify.zone_kind", SMALL)
 def stop_by_another_name(rng, texts):
     """A zone of one's own that stops, or the other way round."""
-    task = one(rng)
+    task = random_task(rng)
     finep, old = pick(rng, [("TRUE", "z5mm"), ("FALSE", "fine")])
     row = f"CONST zonedata z_own:=[{finep},0.5,0.5,0.5,0.05,0.5,0.05];\n  CONST zonedata z5mm"
     texts = edit(texts, name("Data", task), "CONST zonedata z5mm", row)
@@ -387,9 +390,9 @@ def first_ptp_faster(rng, texts):
     """One axis, or all."""
     rows = krl_edits.rows_of(texts, krl_edits.MAIN)
     first = krl_edits.where(rows, r"^\$VEL_AXIS")[:6]
-    share = int(rng.integers(11, 101))
+    fraction = int(rng.integers(11, 101))
     for i in first if rng.random() < 0.5 else [pick(rng, first)]:
-        rows[i] = re.sub(r"=\d+", f"={share}", rows[i])
+        rows[i] = re.sub(r"=\d+", f"={fraction}", rows[i])
     return krl_edits.put(texts, krl_edits.MAIN, rows)
 
 

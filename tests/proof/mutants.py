@@ -1,7 +1,7 @@
-"""Faults in data, motion and process, by kind; and with them all kinds for the texts of ``small_job``.
+"""Faults in data, motion and process, by kind, together with all kinds for the texts of ``small_job``.
 
-Each mutator takes a generator of random numbers and the texts and returns changed texts; it never returns
-texts that mean the same. Geometric faults are twice the tolerance that they violate.
+Each mutator takes a random generator and the texts and returns changed texts. It never returns texts with the
+same meaning. Geometric faults are twice the tolerance that they violate.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from tests.languages.rapid.rapid_edits import (
     lines,
     moves,
     name,
-    one,
     put,
+    random_task,
     segment,
     shifted,
     timed,
@@ -55,7 +55,7 @@ def _bump(row: str, rng, size: float) -> str:
 
 @mutator("verify.tool_data")
 def wrong_tcp(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     rows, i = _data_row(texts, task, "PERS tooldata")
     rows[i] = _bump(rows[i], rng, FRAME)
     return put(texts, task, rows, "Data")
@@ -63,7 +63,7 @@ def wrong_tcp(rng, texts):
 
 @mutator("verify.tool_data")
 def wrong_mass(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     rows, i = _data_row(texts, task, "PERS tooldata")
     rows[i] = re.sub(r"\]\],\[([\d.]+),", lambda m: f"]],[{float(m.group(1)) + 0.002:.3f},", rows[i], count=1)
     return put(texts, task, rows, "Data")
@@ -71,7 +71,7 @@ def wrong_mass(rng, texts):
 
 @mutator("verify.tool_data")
 def not_held(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     rows, i = _data_row(texts, task, "PERS tooldata")
     rows[i] = rows[i].replace("[TRUE", "[FALSE", 1)
     return put(texts, task, rows, "Data")
@@ -79,13 +79,13 @@ def not_held(rng, texts):
 
 @mutator("verify.tool_data")
 def no_tool(rng, texts):
-    task, k = one(rng), int(rng.integers(len(moves(texts, 1))))
+    task, k = random_task(rng), int(rng.integers(len(moves(texts, 1))))
     return change(texts, task, k, tool="tool0")
 
 
 @mutator("verify.work_object")
 def wrong_work_object(rng, texts):
-    for task in TASKS if rng.random() < 0.5 else (one(rng),):
+    for task in TASKS if rng.random() < 0.5 else (random_task(rng),):
         state = np.random.default_rng(int(rng.integers(2**31))) if task == 1 else rng
         rows, i = _data_row(texts, task, "PERS wobjdata")
         rows[i] = _bump(rows[i], state, FRAME)
@@ -95,13 +95,13 @@ def wrong_work_object(rng, texts):
 
 @mutator("verify.continuity")
 def world_for_stock(rng, texts):
-    task, k = one(rng), int(rng.integers(len(moves(texts, 1))))
+    task, k = random_task(rng), int(rng.integers(len(moves(texts, 1))))
     return change(texts, task, k, wobj="wobj0")
 
 
 @mutator("verify.base_frames")
 def wrong_base(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     rows, i = _data_row(texts, task, "base_frame")
     # a pose literal opens with two brackets as every position does
     rows[i] = _bump(rows[i], rng, FRAME)
@@ -110,7 +110,7 @@ def wrong_base(rng, texts):
 
 @mutator("verify.base_frames")
 def no_base(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     rows, i = _data_row(texts, task, "CONST pose base_frame")
     rows.pop(i)
     return put(texts, task, rows, "Data")
@@ -119,7 +119,7 @@ def no_base(rng, texts):
 @mutator("verify.move_kinds")
 def joint_path(rng, texts):
     k = int(rng.integers(len(moves(texts, 1))))
-    for task in TASKS if rng.random() < 0.5 else (one(rng),):
+    for task in TASKS if rng.random() < 0.5 else (random_task(rng),):
         rows = lines(texts, task)
         i = moves(texts, task)[k]
         rows[i] = rows[i].replace("MoveL", "MoveJ")
@@ -129,14 +129,14 @@ def joint_path(rng, texts):
 
 @mutator("verify.move_kinds")
 def free_configuration(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     new = pick(rng, ["ConfL\\Off;", ""])
     return edit(texts, name("Main", task), "ConfL\\On;", new)
 
 
 @mutator("verify.move_kinds")
 def external_axis(rng, texts):
-    task, k = one(rng), int(rng.integers(len(moves(texts, 1))))
+    task, k = random_task(rng), int(rng.integers(len(moves(texts, 1))))
     return change(texts, task, k, ext=f"{rng.uniform(0, 100):.2f},9E9,9E9,9E9,9E9,9E9")
 
 
@@ -152,7 +152,7 @@ def wide_zone(rng, texts):
 
 @mutator("verify.confdata")
 def wrong_quadrant(rng, texts):
-    task, k = one(rng), int(rng.integers(len(moves(texts, 1))))
+    task, k = random_task(rng), int(rng.integers(len(moves(texts, 1))))
     conf = [int(v) for v in field(texts, task, k, "conf").split(",")]
     conf[int(rng.integers(3))] += pick(rng, [-4, -2, -1, 1, 2, 4])
     return change(texts, task, k, conf=",".join(map(str, conf)))
@@ -160,7 +160,7 @@ def wrong_quadrant(rng, texts):
 
 @mutator("verify.confdata")
 def wrong_posture(rng, texts):
-    task, k = one(rng), int(rng.integers(len(moves(texts, 1))))
+    task, k = random_task(rng), int(rng.integers(len(moves(texts, 1))))
     conf = [int(v) for v in field(texts, task, k, "conf").split(",")]
     conf[3] = pick(rng, [c for c in range(8) if c != conf[3]])
     return change(texts, task, k, conf=",".join(map(str, conf)))
@@ -169,7 +169,7 @@ def wrong_posture(rng, texts):
 @mutator("verify.reach")
 def out_of_reach(rng, texts):
     k = int(rng.integers(len(moves(texts, 1))))
-    task = one(rng)
+    task = random_task(rng)
     away = np.array([-1.0 if task == 2 else 1.0, 0.0, 0.0]) * rng.uniform(500.0, 900.0)
     return change(shifted(texts, task, k, away), task, k, speed="v7000")
 
@@ -177,7 +177,7 @@ def out_of_reach(rng, texts):
 @mutator("verify.joint_limits")
 def beyond_limits(rng, texts):
     """An axis of a waypoint beyond its limit by two degrees or more."""
-    task = one(rng)
+    task = random_task(rng)
     rows, i = _data_row(texts, task, "j_1_entry_1")
     values = [float(v) for v in re.search(r"\[\[([^\]]*)\]", rows[i]).group(1).split(",")]
     axis, value = pick(
@@ -198,7 +198,7 @@ def too_quick(rng, texts):
 @mutator("verify.clearance")
 def entry_through_block(rng, texts):
     """A waypoint of the entry that leads an arm through the block."""
-    task = one(rng)
+    task = random_task(rng)
     rows, i = _data_row(texts, task, "j_1_entry_1")
     arm = problem().cell.arms[task - 1]
     pose = ends(np.array([rng.uniform(-0.02, 0.02)]), False)[arm.name]
@@ -212,7 +212,7 @@ def entry_through_block(rng, texts):
 def tool_against_its_forearm(rng, texts):
     """A waypoint of the entry at which a bent wrist brings the tool within 3 mm of the arm's own forearm, or
     into it."""
-    return bent(texts, one(rng), rng.uniform(106.5, 113.0))
+    return bent(texts, random_task(rng), rng.uniform(106.5, 113.0))
 
 
 def bent(texts: Texts, task: int, degrees: float) -> Texts:
@@ -317,7 +317,7 @@ def torn(rng, texts):
     """The ends farther apart than the wire is long."""
     air = [k for proc in ("approach", "retreat", "link") for k in segment(texts, proc)]
     k = pick(rng, air)
-    task = one(rng)
+    task = random_task(rng)
     away = 2.0 * 18.5 * (-1.0 if task == 1 else 1.0)
     return timed(shifted(texts, task, k, np.array([away, 0.0, 0.0])), k, 4.0)
 
@@ -344,7 +344,7 @@ def moved_face(rng, texts):
 def turned_end(rng, texts):
     """One end turned at one target by so much that the middle of the wire moves by twice the tolerance or
     more."""
-    k, task = cutting(rng, texts), one(rng)
+    k, task = cutting(rng, texts), random_task(rng)
     # an end turned by 0.024 rad about the section normal moves this wire by 0.53 mm inside the block
     angle = 48.0 * 2.0 * TOLERANCE * pick(rng, [-1.0, 1.0])
     w, x, y, z = (float(v) for v in field(texts, task, k, "orient").split(","))
@@ -357,7 +357,7 @@ def turned_end(rng, texts):
 def swapped_targets(rng, texts):
     """Two neighbouring targets change places, on one arm or both."""
     k = pick(rng, [k for proc in ("cut_front", "cut_back") for k in segment(texts, proc)[1:-2]])
-    for task in TASKS if rng.random() < 0.5 else (one(rng),):
+    for task in TASKS if rng.random() < 0.5 else (random_task(rng),):
         a = {f: field(texts, task, k, f) for f in ("pos", "orient", "conf")}
         b = {f: field(texts, task, k + 1, f) for f in ("pos", "orient", "conf")}
         texts = change(change(texts, task, k, **b), task, k + 1, **a)

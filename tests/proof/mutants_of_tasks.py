@@ -1,7 +1,7 @@
-"""Faults in what two tasks have to do side by side, by kind.
+"""Faults in the synchronisation of two tasks, by kind.
 
-Each mutator takes a generator of random numbers and the texts and returns changed texts; it never returns
-texts that mean the same.
+Each mutator takes a random generator and the texts and returns changed texts. It never returns texts with the
+same meaning.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from tests.languages.rapid.rapid_edits import (
     lines,
     moves,
     name,
-    one,
     put,
+    random_task,
 )
 from tests.proof.registry import Table, Texts, into, pick
 
@@ -31,10 +31,10 @@ mutator = into(TASKS_APART)
 
 @mutator("verify.task_list")
 def lone_task(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     rows = lines(texts, task, "Data")
     i = next(i for i, row in enumerate(rows) if "PERS tasks" in row)
-    rows[i] = rows[i].replace("{2}", "{1}").replace('["T_ROB1"],["T_ROB2"]', f'["T_ROB{one(rng)}"]')
+    rows[i] = rows[i].replace("{2}", "{1}").replace('["T_ROB1"],["T_ROB2"]', f'["T_ROB{random_task(rng)}"]')
     return put(texts, task, rows, "Data")
 
 
@@ -46,7 +46,7 @@ def _sync_rows(texts: Texts, task: int) -> list[int]:
 
 @mutator("verify.sync_order")
 def swapped_meets(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     rows = lines(texts, task, "Main")
     meets = [i for i in _sync_rows(texts, task) if "WaitSyncTask" in rows[i]]
     k = int(rng.integers(len(meets) - 1))
@@ -57,7 +57,7 @@ def swapped_meets(rng, texts):
 
 @mutator("verify.sync_order")
 def dropped_sync(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     rows = lines(texts, task, "Main")
     rows.pop(pick(rng, _sync_rows(texts, task)))
     return put(texts, task, rows, "Main")
@@ -89,7 +89,7 @@ def _handler(texts: Texts, rng, task: int) -> tuple[str, list[str], int]:
 
 @mutator("verify.error_handler")
 def handler_leaves_power(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     kind, rows, i = _handler(texts, rng, task)
     rows.pop(i + 1)
     return put(texts, task, rows, kind)
@@ -97,7 +97,7 @@ def handler_leaves_power(rng, texts):
 
 @mutator("verify.error_handler")
 def handler_late(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     kind, rows, i = _handler(texts, rng, task)
     rows[i + 1], rows[i + 2] = rows[i + 2], rows[i + 1]
     return put(texts, task, rows, kind)
@@ -105,7 +105,7 @@ def handler_late(rng, texts):
 
 @mutator("verify.error_handler")
 def handler_retries(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     kind, rows, i = _handler(texts, rng, task)
     end = next(j for j in range(i, len(rows)) if rows[j].strip() == "EXIT;")
     rows[end] = pick(rng, ["    RETRY;", "    TRYNEXT;"])
@@ -114,7 +114,7 @@ def handler_retries(rng, texts):
 
 @mutator("verify.error_handler")
 def no_handler(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     kind, rows, i = _handler(texts, rng, task)
     end = next(j for j in range(i, len(rows)) if rows[j].strip() in ("ENDPROC", "UNDO"))
     del rows[i:end]
@@ -123,7 +123,7 @@ def no_handler(rng, texts):
 
 @mutator("verify.error_handler")
 def handler_does_not_stop(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     kind, rows, i = _handler(texts, rng, task)
     end = next(j for j in range(i, len(rows)) if "StopMove" in rows[j])
     rows.pop(end)
@@ -132,7 +132,7 @@ def handler_does_not_stop(rng, texts):
 
 @mutator("verify.motion_settings")
 def slow_settings(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     new = pick(rng, ["AccSet 50,100;", "VelSet 50,5000;", "AccSet 100,20;"])
     if new.endswith("20;"):
         new = "AccSet 20,20;"
@@ -141,7 +141,7 @@ def slow_settings(rng, texts):
 
 @mutator("verify.move_count")
 def dropped_move(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     rows = lines(texts, task)
     rows.pop(pick(rng, moves(texts, task)))
     return put(texts, task, rows)
@@ -159,7 +159,7 @@ def dropped_pair(rng, texts):
 
 @mutator("verify.move_ids")
 def wrong_id(rng, texts):
-    task, k = one(rng), int(rng.integers(len(moves(texts, 1))))
+    task, k = random_task(rng), int(rng.integers(len(moves(texts, 1))))
     ident = int(field(texts, task, k, "id"))
     return change(
         texts, task, k, id=str(max(1, ident + pick(rng, [-2, -1, 1, 2, 1000])) if ident > 2 else ident + 1000)
@@ -169,7 +169,7 @@ def wrong_id(rng, texts):
 @mutator("verify.move_ids")
 def swapped_ids(rng, texts):
     k = int(rng.integers(len(moves(texts, 1)) - 1))
-    for task in TASKS if rng.random() < 0.5 else (one(rng),):
+    for task in TASKS if rng.random() < 0.5 else (random_task(rng),):
         a, b = field(texts, task, k, "id"), field(texts, task, k + 1, "id")
         texts = change(change(texts, task, k, id=b), task, k + 1, id=a)
     return texts
@@ -177,7 +177,7 @@ def swapped_ids(rng, texts):
 
 @mutator("verify.move_ids")
 def lost_id(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     rows = lines(texts, task)
     i = pick(rng, moves(texts, task))
     rows[i] = re.sub(r"\\ID:=\d+", "", rows[i])
@@ -186,7 +186,7 @@ def lost_id(rng, texts):
 
 @mutator("verify.move_ids")
 def id_outside(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     return edit(texts, name("Main", task), "MoveAbsJ j_home\\NoEOffs,", "MoveAbsJ j_home\\ID:=5\\NoEOffs,")
 
 
@@ -217,28 +217,28 @@ def duplicated_place(rng, texts):
 
 @mutator("verify.zone_kind")
 def one_stops(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     k = pick(rng, [k for k in range(len(moves(texts, 1))) if field(texts, task, k, "zone") != "fine"])
     return change(texts, task, k, zone="fine")
 
 
 @mutator("verify.zone_kind")
 def one_does_not_stop(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     k = pick(rng, [k for k in range(len(moves(texts, 1))) if field(texts, task, k, "zone") == "fine"])
     return change(texts, task, k, zone="z0")
 
 
 @mutator("verify.move_time")
 def wrong_time(rng, texts):
-    task, k = one(rng), int(rng.integers(len(moves(texts, 1))))
+    task, k = random_task(rng), int(rng.integers(len(moves(texts, 1))))
     time = float(field(texts, task, k, "time"))
     return change(texts, task, k, time=f"{time * rng.uniform(0.3, 0.95):.5f}", speed="v7000")
 
 
 @mutator("verify.move_time")
 def no_time(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     rows = lines(texts, task)
     i = pick(rng, moves(texts, task))
     rows[i] = re.sub(r"\\T:=[\d.]+", "", rows[i])
@@ -247,7 +247,7 @@ def no_time(rng, texts):
 
 @mutator("verify.speed_data")
 def slow_speed(rng, texts):
-    task, k = one(rng), int(rng.integers(1, len(moves(texts, 1))))
+    task, k = random_task(rng), int(rng.integers(1, len(moves(texts, 1))))
     if _fast(texts, task, k):
         return change(texts, task, k, speed="v5")
     return both(texts, k, lambda t, arm, i: change(t, arm, i, time="0.01000"))
@@ -287,7 +287,7 @@ def flies_into_logic(rng, texts):
     last = len(moves(texts, 1)) - 1
     if rng.random() < 0.5:
         return both(texts, last, lambda t, task, k: change(t, task, k, zone="z0"))
-    task = one(rng)
+    task = random_task(rng)
     rows = lines(texts, task, "Main")
     alone = [i for i, row in enumerate(rows) if "MoveAbsJ" in row and "MoveAbsJ" not in rows[i + 1]]
     i = pick(rng, alone)

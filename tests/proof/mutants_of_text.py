@@ -1,14 +1,14 @@
-"""Faults of text: what cannot be read, is not declared or is not there, by kind.
+"""Faults of text, by kind: unreadable, undeclared or missing items.
 
-Each mutator takes a generator of random numbers and the texts and returns changed texts; it never returns
-texts that mean the same.
+Each mutator takes a random generator and the texts and returns changed texts. It never returns texts with the
+same meaning.
 """
 
 from __future__ import annotations
 
 import re
 
-from tests.languages.rapid.rapid_edits import change, edit, field, lines, moves, name, one, put
+from tests.languages.rapid.rapid_edits import change, edit, field, lines, moves, name, put, random_task
 from tests.proof.registry import Table, into, pick
 
 TEXT: Table = {}
@@ -17,7 +17,7 @@ mutator = into(TEXT)
 
 @mutator("verify.syntax")
 def no_semicolon(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     rows = lines(texts, task)
     i = pick(rng, moves(texts, task))
     rows[i] = rows[i].rstrip(";")
@@ -26,7 +26,7 @@ def no_semicolon(rng, texts):
 
 @mutator("verify.syntax")
 def misspelt(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     rows = lines(texts, task)
     i = pick(rng, moves(texts, task))
     rows[i] = rows[i].replace("MoveL", pick(rng, ["MovL", "Move", "MoveC"]))
@@ -35,19 +35,19 @@ def misspelt(rng, texts):
 
 @mutator("verify.syntax")
 def lost_end(rng, texts):
-    file = name(pick(rng, ["Main", "Cut1", "Data"]), one(rng))
+    file = name(pick(rng, ["Main", "Cut1", "Data"]), random_task(rng))
     return edit(texts, file, "ENDMODULE", "")
 
 
 @mutator("verify.syntax")
 def run_time_branch(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     return edit(texts, name("Main", task), "cut_front;", "IF DOutput(doWirePower)=1 cut_front;")
 
 
 @mutator("verify.declarations")
 def undeclared(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     k = int(rng.integers(len(moves(texts, task))))
     which = pick(rng, ["zone", "tool", "wobj", "speed"])
     return change(texts, task, k, **{which: field(texts, task, k, which) + "_x"})
@@ -55,7 +55,7 @@ def undeclared(rng, texts):
 
 @mutator("verify.declarations")
 def lost_declaration(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     rows = lines(texts, task, "Data")
     known = [
         i
@@ -68,7 +68,7 @@ def lost_declaration(rng, texts):
 
 @mutator("verify.pers_literal")
 def pers_expression(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     rows = lines(texts, task, "Data")
     i = next(i for i, row in enumerate(rows) if "PERS tooldata" in row)
     rows.insert(i, f"  PERS num extra:=1+{int(rng.integers(9))};")
@@ -77,7 +77,7 @@ def pers_expression(rng, texts):
 
 @mutator("verify.names")
 def bad_name(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     rows = lines(texts, task, "Data")
     i = next(i for i, row in enumerate(rows) if "PERS tooldata" in row)
     wrong = pick(rng, ["n" * 33, "while", "1st", "fine", "MoveL"])
@@ -87,7 +87,7 @@ def bad_name(rng, texts):
 
 @mutator("verify.names")
 def double_name(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     rows = lines(texts, task, "Data")
     known = [i for i, row in enumerate(rows) if "CONST" in row or "VAR" in row]
     i = pick(rng, known)
@@ -97,7 +97,7 @@ def double_name(rng, texts):
 
 @mutator("verify.line_length")
 def long_line(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     rows = lines(texts, task)
     i = pick(rng, moves(texts, task))
     rows[i] += " ! " + "x" * 250
@@ -106,7 +106,7 @@ def long_line(rng, texts):
 
 @mutator("verify.module_size")
 def huge(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     rows = lines(texts, task)
     rows[1:1] = ["  ! " + "x" * 200] * 5200
     return put(texts, task, rows)
@@ -115,7 +115,7 @@ def huge(rng, texts):
 def numeral(rng, texts, new, parts=(0, 2)):
     """Texts with one number of a target rewritten by ``new``, a function of it as written; ``parts``: of its
     place."""
-    task, k = one(rng), int(rng.integers(len(moves(texts, 1))))
+    task, k = random_task(rng), int(rng.integers(len(moves(texts, 1))))
     place = field(texts, task, k, "pos").split(",")
     i = pick(rng, parts)
     place[i] = new(place[i])
@@ -148,7 +148,7 @@ def exponent_turned(rng, texts):
 
 @mutator("verify.decimals")
 def not_a_unit(rng, texts):
-    task, k = one(rng), int(rng.integers(len(moves(texts, 1))))
+    task, k = random_task(rng), int(rng.integers(len(moves(texts, 1))))
     factor = 1.0 + 10.0 ** rng.uniform(-4.9, -2)
     orient = [float(v) * factor for v in field(texts, task, k, "orient").split(",")]
     return change(texts, task, k, orient=",".join(f"{v:.8f}" for v in orient))
@@ -156,7 +156,7 @@ def not_a_unit(rng, texts):
 
 @mutator("verify.files")
 def lost_file(rng, texts):
-    gone = name(pick(rng, ["Main", "Cut1", "Data"]), one(rng))
+    gone = name(pick(rng, ["Main", "Cut1", "Data"]), random_task(rng))
     return {file: text for file, text in texts.items() if file != gone}
 
 
@@ -167,7 +167,7 @@ def stray_file(rng, texts):
 
 @mutator("verify.files")
 def short_list(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     file = f"T_ROB{task}/Tandem_{task}.pgf"
     rows = texts[file].split("\n")
     listed = [i for i, row in enumerate(rows) if "<Module>" in row]
@@ -177,7 +177,7 @@ def short_list(rng, texts):
 
 @mutator("verify.digest")
 def other_problem(rng, texts):
-    task = one(rng)
+    task = random_task(rng)
     rows = lines(texts, task, "Data")
     i = next(i for i, row in enumerate(rows) if "problem_digest" in row)
     rows[i] = rows[i].replace(pick(rng, ["ab12ab", "12ab12"]), "ffffff", 1)

@@ -1,8 +1,8 @@
-"""Faults put into the planner's own code, in memory, and what the proof says of the programs that come out.
+"""Faults in the planner's own code, in memory, and the verdict of the proof on the resulting programs.
 
 A fault stays in force from reading the problem to the proof's last rule, as a defect of the code base would,
-while the planner's own checks are off. Faults are in what the planner alone decides or reads; none is
-in what the proof may share by decision 0001: constants, the cell, plain vector algebra.
+while the planner's own checks are off. The faults are in code that only the planner uses. None is in code
+that the proof may share by decision 0001: constants, the cell, plain vector algebra.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from planner.proof.verdict import Proof
 from tests.proof.planner_jobs import JOBS
 
 Change = Callable[[Any], Any]
-"""Makes what stands in for something, of that thing itself."""
+"""Function that returns the replacement of an object, given the object."""
 
 LEFT_OUT: Final = ("planner.service", "planner.batch", "planner.__main__")
 """Packages that no plan is made by."""
@@ -36,49 +36,49 @@ LEFT_OUT: Final = ("planner.service", "planner.batch", "planner.__main__")
 CHECKS: Final[Mapping[str, Change]] = {
     target: lambda old: lambda *args, **more: []
     for target in (
-        "processes.hotwire.plan.elastic.check:check",
+        "processes.hotwire.plan.elastic.check:check_job",
         "processes.hotwire.plan.elastic.check:check_driven",
         "processes.hotwire.plan.elastic.check:check_heat",
         "processes.hotwire.plan.elastic.check:check_shape",
-        "processes.hotwire.plan.elastic.check:misfit",
-        "processes.hotwire.plan.elastic.job:_driven",
-        "processes.hotwire.plan.elastic.job:_long_enough",
-        "processes.hotwire.plan.least_feed:check_least",
+        "processes.hotwire.plan.elastic.check:misfit_issues",
+        "processes.hotwire.plan.elastic.job:_drive_issues",
+        "processes.hotwire.plan.elastic.job:_check_length",
+        "processes.hotwire.plan.min_feed_check:check_min_feed",
         "processes.hotwire.plan.straight.check:check_bow",
         "processes.hotwire.plan.straight.check:check_cut",
         "processes.hotwire.plan.straight.check:check_holder",
         "processes.hotwire.plan.straight.check:check_model",
         "processes.hotwire.plan.straight.slot_check:check_heat",
         "processes.hotwire.plan.straight.slot_check:check_driven",
-        "processes.hotwire.plan.straight.slot_check:check_inner",
-        "processes.hotwire.plan.straight.slot_check:check_passed",
+        "processes.hotwire.plan.straight.slot_check:check_inner_corners",
+        "processes.hotwire.plan.straight.slot_check:check_path",
         "processes.hotwire.plan.straight.route:check_drops",
         "processes.forming.plan.check:check",
-        "processes.forming.plan.check:clamped_issues",
-        "processes.forming.plan.check:of_die",
+        "processes.forming.plan.check:clamp_reach_issues",
+        "processes.forming.plan.check:die_check",
         "processes.forming.plan.check:shift_issues",
-        "processes.forming.plan.springback.compensation:steeper",
+        "processes.forming.plan.springback.compensation:steepening_issues",
         "processes.forming.plan.two_point:holder_issues",
-        "processes.milling.plan.check:check",
-        "processes.milling.plan.flank_cut:check",
-        "processes.milling.plan.process_plan:_speeds",
+        "processes.milling.plan.check:check_work",
+        "processes.milling.plan.flank_cut:check_flank",
+        "processes.milling.plan.process_plan:_speed_issues",
         "geometry.mesh:check_surface",
-        "geometry.placing:check_ruled",
+        "geometry.part_placement:check_ruled",
         "reading.part_surfaces:check_size",
         "reading.part_surfaces:_check_sides",
         "reading.part:_refuse_shapes",
-        "reading.part:_refuse_small",
+        "reading.part:_require_enclosed",
         "reading.sheet:_require_fits",
         "reading.sheet:_require_flat_rim",
-        "motion.diagnosis:require_moves",
-        "motion.ways:require_home",
-        "motion.sag:_beyond",
-        "motion.sag:_least_feed",
-        "motion.sag:_uneven",
+        "motion.diagnosis:require_linear_moves",
+        "motion.homing:require_free_home",
+        "motion.sag:_range_issues",
+        "motion.sag:_min_feed_issues",
+        "motion.sag:_uneven_sag_issues",
         "languages.writing.write:refusals",
     )
 }
-"""The planner's own checks, which find nothing while a fault is in force."""
+"""The planner's own checks, which are disabled while a fault is in force."""
 
 
 def _none(old: Callable[..., Any]) -> Callable[..., Any]:
@@ -86,11 +86,14 @@ def _none(old: Callable[..., Any]) -> Callable[..., Any]:
 
 
 SOONER: Final[Mapping[str, Change]] = {
-    "motion.operation:_avoid": _none,
-    "processes.forming.plan.springback.forecast:estimate": _none,
+    "motion.operation:_clearance_penalty": _none,
+    "processes.forming.plan.springback.forecast:estimate_springback": _none,
 }
-"""Paths are optimised without asking for distances, which takes most of the time of planning; they stay free,
-as the search and the look at moves see to that. What a sheet springs back by is not foretold to people."""
+"""Changes that save planning time.
+
+Paths are optimised without distance queries, which take most of the time; the search and the clearance check
+keep them collision-free. Springback is not forecast.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,7 +121,7 @@ class Verdict:
 
 
 def result(change: Callable[..., Any]) -> Change:
-    """Whatever a function gives back is changed."""
+    """Change the return value of a function."""
 
     def wrap(old: Callable[..., Any]) -> Callable[..., Any]:
         return functools.wraps(old)(lambda *args, **more: change(old(*args, **more)))
@@ -127,14 +130,14 @@ def result(change: Callable[..., Any]) -> Change:
 
 
 def fields(**changes: Callable[[Any], Any]) -> Change:
-    """Fields of the value that a function gives back are changed."""
-    return result(lambda made: of(made, **changes))
+    """Change fields of the return value of a function."""
+    return result(lambda made: change_fields(made, **changes))
 
 
-def of(made: Any, **changes: Callable[[Any], Any]) -> Any:
+def change_fields(instance: Any, **changes: Callable[[Any], Any]) -> Any:
     """A dataclass with changed fields."""
     return dataclasses.replace(
-        made, **{name: change(getattr(made, name)) for name, change in changes.items()}
+        instance, **{name: change(getattr(instance, name)) for name, change in changes.items()}
     )
 
 
@@ -156,7 +159,7 @@ def value(new: Any) -> Change:
 
 
 def always(new: Any) -> Change:
-    """A function gives back this, whatever it is asked."""
+    """Replace a function by one that always returns this value."""
     return lambda old: lambda *args, **more: new
 
 
@@ -165,7 +168,7 @@ def always(new: Any) -> Change:
 
 @functools.cache
 def modules() -> tuple[Any, ...]:
-    """All modules by which problems are read, planned, written and proven."""
+    """All modules that read, plan, write and prove problems."""
     for found in pkgutil.walk_packages(planner.__path__, "planner."):
         if not found.name.startswith(LEFT_OUT):
             importlib.import_module(found.name)
@@ -178,7 +181,7 @@ def modules() -> tuple[Any, ...]:
 
 @functools.cache
 def _held() -> Mapping[int, tuple[tuple[Any, str, Any], ...]]:
-    """Where in the planner each thing of its modules is known: (module, name, thing) by the thing's id."""
+    """References in the planner to each object of its modules: (module, name, object) by the object's id."""
     out: dict[int, list[tuple[Any, str, Any]]] = {}
     for module in modules():
         for name, thing in vars(module).items():
@@ -188,7 +191,7 @@ def _held() -> Mapping[int, tuple[tuple[Any, str, Any], ...]]:
 
 @functools.cache
 def _caches() -> tuple[Any, ...]:
-    """All functions of the planner that remember what they gave back."""
+    """All memoised functions of the planner."""
     things = {id(t): t for places in _held().values() for _, _, t in places}
     return tuple(t for t in things.values() if callable(getattr(t, "cache_clear", None)))
 
@@ -197,22 +200,22 @@ def _caches() -> tuple[Any, ...]:
 def changed(changes: Mapping[str, Change]) -> Iterator[None]:
     """The targets are something else everywhere in the planner, also where they were imported by name."""
     _caches()
-    before: list[tuple[Any, str, Any]] = []
+    originals: list[tuple[Any, str, Any]] = []
     try:
         for target, change in changes.items():
             for place, name, old, new in _changes(target, change):
-                before.append((place, name, old))
+                originals.append((place, name, old))
                 setattr(place, name, new)
         _forget()
         yield
     finally:
-        for place, name, old in reversed(before):
+        for place, name, old in reversed(originals):
             setattr(place, name, old)
         _forget()
 
 
 def thing(target: str) -> Any:
-    """What a target names."""
+    """Return the object that a target names."""
     where, _, name = target.partition(":")
     held: Any = importlib.import_module(f"planner.{where}")
     for part in name.split("."):
@@ -248,9 +251,10 @@ def _forget() -> None:
 
 
 def run(job: str, folder: Path, changes: Mapping[str, Change], first_error: bool = False) -> Verdict:
-    """A job's plan, programs and proof while ``changes`` are in force and the planner's checks are off.
-    ``first_error``: the proof stops at the first rule that is broken, by which it does not hold, and the plan
-    is made :data:`SOONER`."""
+    """Plan and prove a job while ``changes`` are in force and the planner's checks are off.
+
+    ``first_error``: the proof stops at the first broken rule, and the plan is made with :data:`SOONER`.
+    """
     modules()
     path = JOBS[job](folder)
     with changed({**CHECKS, **(SOONER if first_error else {}), **changes}):
@@ -287,7 +291,7 @@ def clean(job: str) -> Verdict:
 
 
 def instructions(programs: Mapping[str, str]) -> dict[str, list[str]]:
-    """What the programs do, without their comments."""
+    """Return the programs without their comments."""
     return {
         name: [line for line in text.splitlines() if not re.match(r"\s*[!;](?![*?])", line)]
         for name, text in programs.items()

@@ -1,6 +1,6 @@
-"""Small jobs over all processes and modes, as problem files, for faults that are put into the planner.
+"""Small jobs for all processes and modes, as problem files, for faults that are put into the planner.
 
-Each maker writes its files into a folder and gives back the path of the problem file.
+Each function writes its files into a folder and returns the path of the problem file.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import trimesh
 import yaml
 
 from planner.catalogue.robots import data_dir, robot
-from planner.cell.kinematics import forward
+from planner.cell.kinematics import forward_kinematics
 from planner.geometry.arrays import Mesh, from_rpy, to_quaternion
 from tests import gantry_job, small_forming, urdf_text
 from tests.processes.forming.plan.shapes import cone
@@ -78,7 +78,9 @@ def _standing(arm: Mapping[str, Any]) -> np.ndarray:
     )
     tool = from_rpy(np.array(tcp["xyz_mm"]) / 1e3, np.deg2rad(tcp.get("rpy_deg", [0, 0, 0])))
     model = urdf_text.UR10E if isinstance(arm["robot"], dict) else robot(arm["robot"])
-    return np.asarray(base @ forward(model, np.deg2rad(np.array(arm["home_deg"], dtype=float))) @ tool)
+    return np.asarray(
+        base @ forward_kinematics(model, np.deg2rad(np.array(arm["home_deg"], dtype=float))) @ tool
+    )
 
 
 def posed(
@@ -90,9 +92,9 @@ def posed(
     feed: float = 20.0,
     ur: bool = False,
 ) -> Path:
-    """One or two arms pass poses of a table, near home, turning as they go; the spin is free.
+    """One or two arms pass poses of a table, near home, with rotation and a free spin.
 
-    ``aside`` [m]: the poses lie so far to the right, behind a post. ``feed`` [mm/s].
+    ``aside`` [m]: the poses are shifted to the right by this, behind a post. ``feed`` [mm/s].
     """
     used = copy.deepcopy(list(ARMS[:arms]))
     if kuka:
@@ -244,7 +246,7 @@ def tapered(folder: Path) -> Path:
 
 
 def ruled_file(folder: Path) -> Path:
-    """A bow cuts a ruled face whose guide lines stand in a DXF drawing."""
+    """A bow cuts a ruled face whose guide lines are in a DXF drawing."""
     import ezdxf
 
     drawing = ezdxf.new(units=4)
@@ -281,9 +283,11 @@ def ruled_mesh(folder: Path) -> Path:
     u = np.linspace(-1.0, 1.0, 41)
     rows = []
     for x in np.linspace(-80.0, 80.0, 9):
-        share = (x + 80.0) / 160.0
+        fraction = (x + 80.0) / 160.0
         low, high = 66.0 + 6.0 * np.cos(2.0 * u), 70.0 - 5.0 * u
-        rows.append(np.stack([np.full_like(u, x), 100.0 * u, (1.0 - share) * low + share * high], axis=-1))
+        rows.append(
+            np.stack([np.full_like(u, x), 100.0 * u, (1.0 - fraction) * low + fraction * high], axis=-1)
+        )
     grid = np.array(rows)
     index = np.arange(grid.shape[0] * 41).reshape(-1, 41)
     a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
@@ -373,7 +377,7 @@ def oval(folder: Path) -> Path:
 
 
 def forming_handshake(folder: Path) -> Path:
-    """A dish by two arms, each with a controller of its own."""
+    """A dish by two arms with a controller each."""
     data = small_forming.problem("dsif", tangent_deg=3, handshake_gap_mm=10)
     data["cell"]["controller"] = {
         "tasks": ["T_ROB1"] * 2,
@@ -531,8 +535,8 @@ JOBS: Final[Mapping[str, Callable[[Path], Path]]] = {
         folder, small_trim.data(outlines=[ROUND]), small_forming.dish()
     ),
     "posed_two": lambda folder: posed(folder, 2),
-    "gantry": gantry_job.made,
-    "gantry_krl": lambda folder: gantry_job.made(folder, **gantry_job.KUKA),
+    "gantry": gantry_job.write_problem,
+    "gantry_krl": lambda folder: gantry_job.write_problem(folder, **gantry_job.KUKA),
     "posed_krl": lambda folder: posed(folder, 1, kuka=True),
     "handshake": lambda folder: posed(folder, 2, handshake=True),
     "handshake_ur": lambda folder: posed(folder, 2, handshake=True, ur=True),

@@ -1,4 +1,4 @@
-"""Provers of the jobs with known answers, kept for all tests of a process, and what they refuse."""
+"""Cached provers of the jobs with known answers, and the codes of the rules that fail."""
 
 from __future__ import annotations
 
@@ -29,6 +29,6 @@ def broken(proof: Proof) -> set[str]:
 
 
 def prover_of(outcome: Outcome) -> Prover:
-    """The prover of a planned job that knows nothing of where its plan has external axes stand."""
+    """Return the prover of a planned job without the plan's positions of external axes."""
     made = dataclasses.replace(outcome.problem, stations={})
     return Prover(made, registry.claims(made))

@@ -1,4 +1,4 @@
-"""Tables of faults that are put into texts: each by its name, with the rule that is named for it."""
+"""Tables of text faults by name, each with the rule that has to catch it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Table = dict[str, tuple[str, Mutator]]
 
 
 def mutator(code: str, *tables: Table) -> Callable[[Mutator], Mutator]:
-    """Registers a mutator with the rule that is named for its fault (others may see it first)."""
+    """Register a mutator with the rule for its fault. Other rules may report the fault first."""
 
     def register(function: Mutator) -> Mutator:
         for table in tables:
@@ -24,12 +24,12 @@ def mutator(code: str, *tables: Table) -> Callable[[Mutator], Mutator]:
 
 
 def into(table: Table) -> Callable[[str], Callable[[Mutator], Mutator]]:
-    """:func:`mutator` for a file with one table."""
+    """Return :func:`mutator` for a file with one table."""
     return lambda code: mutator(code, table)
 
 
 def named(table: dict[str, Any]) -> Callable[[Any], Any]:
-    """Registers a function under its name alone."""
+    """Register a function under its name alone."""
 
     def register(function: Any) -> Any:
         table[function.__name__] = function
@@ -39,5 +39,5 @@ def named(table: dict[str, Any]) -> Callable[[Any], Any]:
 
 
 def pick(rng: np.random.Generator, options):
-    """One of the options."""
+    """Return a random item of the options."""
     return options[int(rng.integers(len(options)))]

@@ -1,9 +1,9 @@
 """A small job with a known answer: a weightless wire bent to circular arcs cuts both faces of a panel.
 
 Two arms stand face to face with the wire between them, across their hands. The wire's end tangents and its
-chord are those of a circular arc of the wire's length, so its shape is that arc (the one stable shape
-without a force); the half angle changes slowly along the sweep. The wanted faces are those arcs, half a kerf
-nearer to the part.
+chord are those of a circular arc of the wire's length, so its shape is that arc (the one stable shape without
+a force). The half angle changes slowly along the sweep. The nominal faces are those arcs, half a kerf nearer
+to the part.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.cell.kinematics import forward
+from planner.cell.kinematics import forward_kinematics
 from planner.claims.claim import ContactOnlyIn, FeedWindow
 from planner.claims.dialogue import (
     OperatorDialogue,
@@ -31,7 +31,7 @@ from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Cell, Controller, Problem, Settings, Stock
 from planner.processes.hotwire.claims import CutsSurface, KerfCurve, WireJoins
 from planner.proof.kinematics import arm_model, inverse_kinematics
-from planner.targets import Action, Targets
+from planner.targets import TargetAction, Targets
 from planner.tooling import wire_holder
 from tests import line_ends
 
@@ -62,7 +62,7 @@ class Operation:
     arms: tuple[str, ...] = ("left", "right")
 
     def leaves(self, stock):
-        """The block stays as it was."""
+        """Return the block unchanged."""
         return stock
 
 
@@ -95,7 +95,7 @@ def ends(y, low, lift=0.0):
 
 
 def face(low, count=41):
-    """The wanted face: front (upper) or back (lower), as a mesh with normals away from the part."""
+    """The nominal face: front (upper) or back (lower), as a mesh with normals away from the part."""
     side = -1.0 if low else 1.0
     y = np.linspace(-0.5 * SIZE[1], 0.5 * SIZE[1], count)
     radius = 0.5 * LENGTH / half_angle(y) - side * 0.5 * KERF
@@ -131,7 +131,7 @@ def problem(**settings):
 
 
 def claims():
-    """What the process claims."""
+    """The claims of the process."""
     wire = WireJoins(("left", "right"), LENGTH, 0.02, 0.02, 0.0154, 0.0, True, 8.0, 0.0006, 5e-5)
     faces = [
         CutsSurface(Segment.read(f"cut/{name}"), *face(low), KerfCurve.constant(KERF), TOLERANCE)
@@ -142,7 +142,7 @@ def claims():
 
 
 def dialogue():
-    """What the operator is told and asked."""
+    """The operator dialogue of the job."""
     first = (
         message_step(Sentence("Mount a wire of 495 mm, cold.")),
         question_step(Sentence("Press OK when the wire is mounted.")),
@@ -153,7 +153,7 @@ def dialogue():
     return OperatorDialogue(("left", "right"), first, last, joined=True)
 
 
-def way(count=24):
+def wire_path(count=24):
     """Sections of the job: y, whether low, lift, speed, label, stop."""
     rows = [(AWAY, False, 0.0, AIR, "mount", True)]
 
@@ -173,19 +173,23 @@ def way(count=24):
 
 def joints_at(arm, pose):
     """Joints (N, 6) of TCP poses (N, 4, 4) in the stock frame, in the posture of home."""
-    machine = arm_model.machine_of(arm.data)
+    machine = arm_model.robot_machine(arm.data)
     flange = inverse(arm.base) @ STOCK @ pose @ inverse(arm.tool.tcp)
     branch = np.full(len(pose), int(inverse_kinematics.branch_of(machine, arm.home)))
-    q = inverse_kinematics.continued(machine, inverse_kinematics.solve(machine, flange, branch), arm.home)
+    q = inverse_kinematics.unwrapped_path(
+        machine, inverse_kinematics.solve(machine, flange, branch), arm.home
+    )
     assert np.isfinite(q).all(), arm.name
-    assert np.abs(forward(machine.data, q) - flange).max() < 1e-9
+    assert np.abs(forward_kinematics(machine.data, q) - flange).max() < 1e-9
     return q
 
 
 def plan(count=24):
-    """The plan, its joints by the proof's own inverse kinematics (the posture is chosen, nothing is
-    searched)."""
-    rows = way(count)
+    """The plan, with joints by the proof's own inverse kinematics.
+
+    The posture is chosen, nothing is searched.
+    """
+    rows = wire_path(count)
     y, lift, speed = (np.array([row[i] for row in rows], dtype=float) for i in (0, 2, 3))
     low = np.array([row[1] for row in rows])
     pose = {}
@@ -205,14 +209,14 @@ def plan(count=24):
     duration[0] = 0.0
     last = len(y) - 1
     actions = (
-        Action(0, "message", text="Mount a wire of 495 mm, cold."),
-        Action(0, "confirm", text="Press OK when the wire is mounted."),
-        Action(0, "on", signal=SIGNAL),
-        Action(0, "wait", seconds=10.0),
-        Action(0, "confirm", text="Take up the slack at the slide, then press OK."),
-        Action(last, "off", signal=SIGNAL),
-        Action(last, "wait", seconds=5.0),
-        Action(last, "confirm", text="Take the wire off, then press OK."),
+        TargetAction(0, "message", text="Mount a wire of 495 mm, cold."),
+        TargetAction(0, "confirm", text="Press OK when the wire is mounted."),
+        TargetAction(0, "on", signal=SIGNAL),
+        TargetAction(0, "wait", seconds=10.0),
+        TargetAction(0, "confirm", text="Take up the slack at the slide, then press OK."),
+        TargetAction(last, "off", signal=SIGNAL),
+        TargetAction(last, "wait", seconds=5.0),
+        TargetAction(last, "confirm", text="Take the wire off, then press OK."),
     )
     targets = Targets(
         arms=("left", "right"),
@@ -234,9 +238,9 @@ def plan(count=24):
         q=q,
         values=np.zeros((len(y), 0)),
         time=np.cumsum(duration),
-        entry={arm: np.stack([HOME, aside[arm], joints[0]]) for arm, joints in q.items()},
-        exit={arm: np.stack([joints[-1], aside[arm], HOME]) for arm, joints in q.items()},
-        order=("left", "right"),
+        approach={arm: np.stack([HOME, aside[arm], joints[0]]) for arm, joints in q.items()},
+        retreat={arm: np.stack([joints[-1], aside[arm], HOME]) for arm, joints in q.items()},
+        arm_order=("left", "right"),
         metrics={},
     )
     return Plan("small", DIGEST, {}, (STOCK,), BASES, (operation,), {})
@@ -245,4 +249,4 @@ def plan(count=24):
 @functools.cache
 def programs(count=24):
     """The texts of the job as the planner writes them."""
-    return line_ends.bare(write.programs(plan(count), problem()))
+    return line_ends.bare(write.program_files(plan(count), problem()))

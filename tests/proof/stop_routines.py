@@ -1,5 +1,6 @@
-"""Runs what files for controllers say of stops: the event routines of an ABB module, the lines of a KUKA
-submit interpreter. Readers of their own, which know neither the planner's nor the proof's wanted texts.
+"""Interpreters of stop routines in controller files: ABB event routines, lines of a KUKA submit interpreter.
+
+They have their own readers, which use neither the planner's nor the proof's expected texts.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ class Routines:
         }
 
     def holds(self, condition: str, answer: int) -> bool:
-        """Whether a condition is true now."""
+        """Return whether a condition is true now."""
         text = re.sub(r"DOutput\((\w+)\)=(\d)", lambda m: str(self.signals[m[1]] == int(m[2])), condition)
         text = re.sub(r"answer=(\d)", lambda m: str(answer == int(m[1])), text)
         text = re.sub(r"tandem_\w+", lambda m: str(self.flags[m[0]]), text)
@@ -41,7 +42,7 @@ class Routines:
                 if self.holds(found[2], answer):
                     loops += [at] if found[1] == "WHILE" else []
                 else:
-                    at = self._behind(body, at, found[1], answer)
+                    at = self._skip_branch(body, at, found[1], answer)
                     continue
             elif re.match(r"ELSE", one):
                 at = self._end(body, at)  # the branch before it was run
@@ -68,7 +69,7 @@ class Routines:
             at += 1
 
     def _end(self, body: list[str], at: int) -> int:
-        """Where the IF ends in which a place is."""
+        """Return the end of the IF that encloses a row."""
         depth = 0
         for k in range(at, len(body)):
             depth += body[k].startswith("IF ")
@@ -78,8 +79,8 @@ class Routines:
                 depth -= 1
         raise AssertionError("IF without ENDIF")
 
-    def _behind(self, body: list[str], at: int, word: str, answer: int) -> int:
-        """Where it goes on if the condition at a place is false."""
+    def _skip_branch(self, body: list[str], at: int, word: str, answer: int) -> int:
+        """Return the row to continue at if the condition of a row is false."""
         depth = 0
         for k in range(at + 1, len(body)):
             opens = body[k].startswith(f"{word} ")
@@ -107,7 +108,7 @@ class Submit:
         self.values: dict[str, object] = {"TANDEM_CUT": False, "TANDEM_LIT": False, "$OV_PRO": 100}
 
     def value(self, text: str) -> object:
-        """What an expression is now."""
+        """Evaluate an expression in the current state."""
         text = re.sub(r"\$OUT\[(\d+)\]", lambda m: str(self.out[int(m[1])]), text)
         text = re.sub(r"\$PRO_STATE1==(#\w+)", lambda m: str(self.values["$PRO_STATE1"] == m[1]), text)
         text = re.sub(r"\$?[A-Z]\w*_\w+", lambda m: str(self.values[m[0]]), text)

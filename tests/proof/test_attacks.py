@@ -1,6 +1,6 @@
-"""Programs that somebody wrote so that they pass the proof and do harm: each is refused, and by which rule.
+"""Malicious programs that try to pass the proof and do harm: each is refused by the expected rule.
 
-The base are clean programs of the jobs with a bow; every attack keeps them readable and changes one thing.
+The base are clean programs of the jobs with a bow. Every attack keeps them readable and changes one thing.
 """
 
 from __future__ import annotations
@@ -417,7 +417,7 @@ def test_a_gap_between_two_visits_is_not_cut():
 def test_raw_foam_beside_the_datum_block_is_in_the_way():
     """A way home that is clear of the datum block alone."""
     job = straight_job.problem()
-    texts = straight_job.write.programs(straight_job.plan(COUNT, over=0.112), job)
+    texts = straight_job.write.program_files(straight_job.plan(COUNT, over=0.112), job)
     assert broken("straight", texts) & {"verify.contact", "verify.clearance"}
     bare = dataclasses.replace(job, stock=dataclasses.replace(job.stock, oversize=np.zeros((2, 3))))
     assert Prover(bare, straight_job.claims()).prove(texts).ok

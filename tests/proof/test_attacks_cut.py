@@ -1,5 +1,7 @@
-"""Cuts in another order, ways in and out through the part, wires on the wrong side of a surface: each is
-refused, and by which rule; and the distances to walls by which the proof sees it, against closed forms."""
+"""Cuts in another order, approach and retreat through the part, wires on the wrong side of a surface.
+
+Each is refused by the expected rule. The wall distances that the proof uses are compared with closed forms.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +15,12 @@ import trimesh
 
 from planner.claims.segments import Segment
 from planner.processes.hotwire.claims import Contour, CutsSurface, FollowsRulings, KerfCurve, SlitsAllowed
-from planner.processes.hotwire.proof.rules.straight_wire import between, guide_normals, off_guide
-from planner.processes.hotwire.proof.walls import walls
+from planner.processes.hotwire.proof.rules.straight_wire import (
+    guide_deviation,
+    guide_normals,
+    interpolate_moves,
+)
+from planner.processes.hotwire.proof.walls import make_walls
 from planner.proof.prove import Prover
 from tests.languages.rapid.rapid_edits import edit, name
 from tests.processes.hotwire.proof import straight_job
@@ -93,7 +99,7 @@ def lowered(row, by, back):
 
 
 def through_the_part(by):
-    """On its way out the wire goes back through the block beneath the face, and out again."""
+    """On its retreat the wire goes back through the block beneath the face, and out again."""
     texts = straight_job.programs(COUNT)
     rows = rows_of(texts, 1, "Cut1")
     last = moves(texts, 1, "cut_top_out")[-1]
@@ -128,14 +134,14 @@ def test_a_slit_is_one_plane_on_the_outer_side_of_its_contour(contours, by):
 def test_a_bent_wire_that_goes_up_through_the_other_face(monkeypatch, rise, good):
     """Beyond the rim of the face that it cuts, which ends 10 mm before the middle of the block, the wire
     rises smoothly through the front, 25 mm above it: the face itself is as it should be."""
-    end, way = -0.01, small_job.way
+    end, way = -0.01, small_job.wire_path
 
     def rising(count=60):
         for y, low, lift, speed, label, stop in way(count):
             share = np.clip((y - end) / 0.06, 0.0, 1.0) if low and label in ("cut/back", "retreat") else 0.0
             yield y, low, lift + rise * share * share * (3.0 - 2.0 * share), speed, label, stop
 
-    monkeypatch.setattr(small_job, "way", lambda count=60: list(rising(count)))
+    monkeypatch.setattr(small_job, "wire_path", lambda count=60: list(rising(count)))
     claims = [
         dataclasses.replace(c, faces=c.faces[c.vertices[c.faces].mean(axis=1)[:, 1] < end])
         if isinstance(c, CutsSurface) and c.segment.name == "back"
@@ -158,35 +164,37 @@ def corner(inner=False):
     return FollowsRulings(Segment.read("cut/x"), line, line + np.array([0.0, 0.2, 0.0]), KERF, 0.0003)
 
 
-def wire_at(*places):
-    start = np.array([[x, -0.1, z] for x, z in places])
+def wire_at(*positions):
+    start = np.array([[x, -0.1, z] for x, z in positions])
     return np.stack([start, start + np.array([0.0, 0.4, 0.0])], axis=1)
 
 
-def off(claim, points):
+def deviation_from_guide(claim, points):
     speed = np.full(points.shape[:2], 0.005)
-    points, speed, _ = between(points, speed, np.arange(len(points)))
+    points, speed, _ = interpolate_moves(points, speed, np.arange(len(points)))
     normals = guide_normals(claim)
-    return off_guide(points, speed, claim.start, normals[0], claim)[0]
+    return guide_deviation(points, speed, claim.start, normals[0], claim)[0]
 
 
 @pytest.mark.parametrize("inner", [False, True])
 def test_half_a_kerf_into_the_part_is_not_half_a_kerf_off_it(inner):
     claim = corner(inner)
-    assert off(claim, wire_at((-0.05, 0.0005)))[0] == pytest.approx(0.0, abs=1e-9)
-    assert off(claim, wire_at((-0.05, -0.0005)))[0] == pytest.approx(0.001, abs=1e-9)
+    assert deviation_from_guide(claim, wire_at((-0.05, 0.0005)))[0] == pytest.approx(0.0, abs=1e-9)
+    assert deviation_from_guide(claim, wire_at((-0.05, -0.0005)))[0] == pytest.approx(0.001, abs=1e-9)
     side = 0.0005 if inner else -0.0005
-    assert off(claim, wire_at((side, 0.05 if inner else -0.05)))[0] == pytest.approx(0.001, abs=1e-9)
+    assert deviation_from_guide(claim, wire_at((side, 0.05 if inner else -0.05)))[0] == pytest.approx(
+        0.001, abs=1e-9
+    )
 
 
 def test_a_corner_is_not_cut_off_between_two_looks():
     """Both looks are half a kerf off the surface; the way between them passes the corner inside."""
     ways = wire_at((-0.0016, 0.0005), (0.0005, -0.0016))
-    assert off(corner(), ways[:1]).max() < 1e-9
-    assert off(corner(), ways[1:]).max() < 1e-9
-    assert off(corner(), ways).max() > 2.0 * corner().tolerance
+    assert deviation_from_guide(corner(), ways[:1]).max() < 1e-9
+    assert deviation_from_guide(corner(), ways[1:]).max() < 1e-9
+    assert deviation_from_guide(corner(), ways).max() > 2.0 * corner().tolerance
     around = wire_at((-0.0016, 0.0005), (0.0, 0.0005), (0.00035, 0.00035), (0.0005, 0.0), (0.0005, -0.0016))
-    assert off(corner(), around).max() < 1e-4
+    assert deviation_from_guide(corner(), around).max() < 1e-4
 
 
 # ---- walls ----------------------------------------
@@ -206,7 +214,9 @@ def box_off(points):
 
 def test_distances_to_a_closed_wall():
     points = np.random.default_rng(3).uniform([-0.03, -0.03, -0.03], [0.13, 0.08, 0.05], (4000, 3))
-    found, owner = walls((CutsSurface(Segment.read("cut/box"), CUBE, SIDES, KERF, 0.0003),)).off(points)
+    found, owner = make_walls(
+        (CutsSurface(Segment.read("cut/box"), CUBE, SIDES, KERF, 0.0003),)
+    ).signed_distance(points)
     assert np.abs(found - box_off(points)).max() < 1e-9
     assert (owner == 0).all()
 
@@ -215,7 +225,7 @@ def test_distances_to_an_open_wall():
     """The top of the box alone: what is beside it is not known, what is beneath it is inside."""
     top = CutsSurface(Segment.read("cut/top"), CUBE, np.array(TOP), KERF, 0.0003)
     points = np.random.default_rng(4).uniform([-0.03, -0.03, -0.03], [0.13, 0.08, 0.05], (2000, 3))
-    found, _ = walls((top,)).off(points)
+    found, _ = make_walls((top,)).signed_distance(points)
     over = ((points > CUBE.min(axis=0)) & (points < CUBE.max(axis=0)))[:, :2].all(axis=1)
     assert np.isnan(found[~over]).all()
     assert np.abs(found[over] - (points[over, 2] - 0.02)).max() < 1e-9
@@ -241,11 +251,11 @@ def test_what_lies_behind_a_sharp_edge_is_outside(degrees: float) -> None:
     random = np.random.default_rng(8)
     behind = random.uniform([1e-4, 0.02, -0.02], [0.08, 0.18, 0.02], (3000, 3))
     behind[:, 2] *= np.minimum(1.0, behind[:, 0] / 0.02) * 0.5
-    found, _ = walls((claim,)).off(behind)
+    found, _ = make_walls((claim,)).signed_distance(behind)
     assert (found > 0.0).all()
     inside = random.uniform([-0.08, 0.02, -0.9], [-0.005, 0.18, 0.9], (500, 3))
     inside[:, 2] *= -inside[:, 0] * t
-    assert (walls((claim,)).off(inside)[0] < 0.0).all()
+    assert (make_walls((claim,)).signed_distance(inside)[0] < 0.0).all()
 
 
 def test_walls_are_as_far_as_the_nearest_of_all_their_triangles_and_end_at_their_rims() -> None:
@@ -258,16 +268,16 @@ def test_walls_are_as_far_as_the_nearest_of_all_their_triangles_and_end_at_their
     faces = np.concatenate([np.stack([a, c, d], 1), np.stack([a, d, b], 1)])
     claim = CutsSurface(Segment.read("cut/strip"), grid.reshape(-1, 3), faces, KERF, 0.0003)
     points = np.random.default_rng(7).uniform([-0.1, -0.1, -0.1], [0.4, 0.2, 0.15], (300, 3))
-    found, _ = walls((claim,)).off(points)
+    found, _ = make_walls((claim,)).signed_distance(points)
     triangles = claim.vertices[faces]
     every = (np.repeat(point[None], len(faces), axis=0) for point in points)
     near = np.array([trimesh.triangles.closest_point(triangles, one) for one in every])
-    apart = np.linalg.norm(near - points[:, None], axis=2)
-    k = apart.argmin(axis=1)
+    distance = np.linalg.norm(near - points[:, None], axis=2)
+    k = distance.argmin(axis=1)
     foot = near[np.arange(len(points)), k]
     on_rim = np.array([min(np.linalg.norm(_foot(side, p) - p) for side in _sides(grid)) < 1e-9 for p in foot])
     assert (np.isnan(found) == on_rim).all()
-    assert np.abs(found[~on_rim]) == pytest.approx(apart.min(axis=1)[~on_rim], abs=1e-9)
+    assert np.abs(found[~on_rim]) == pytest.approx(distance.min(axis=1)[~on_rim], abs=1e-9)
     assert 20 < on_rim.sum() < 290
 
 
@@ -276,8 +286,8 @@ def _sides(grid: np.ndarray) -> list[np.ndarray]:
 
 
 def _foot(side: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """The place of a polyline (N, 3) nearest to a point (3,)."""
+    """The point of a polyline (N, 3) nearest to a point (3,)."""
     a, way = side[:-1], np.diff(side, axis=0)
-    share = np.clip(((point - a) * way).sum(axis=1) / (way * way).sum(axis=1), 0.0, 1.0)
-    feet = a + share[:, None] * way
+    fraction = np.clip(((point - a) * way).sum(axis=1) / (way * way).sum(axis=1), 0.0, 1.0)
+    feet = a + fraction[:, None] * way
     return feet[np.argmin(np.linalg.norm(feet - point, axis=1))]

@@ -1,5 +1,7 @@
-"""Programs whose text a controller takes for something else than a careless reader does, or that state
-numbers which nobody looks at: each is refused, and by which rule."""
+"""Programs that a controller reads differently from a careless reader, or with numbers that nobody checks.
+
+Each is refused by the expected rule.
+"""
 
 from __future__ import annotations
 

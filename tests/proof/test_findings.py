@@ -1,4 +1,4 @@
-"""What a rule collects: the worst value with its place and limit, and whether it examined anything."""
+"""Findings of a rule: the worst value with its place and limit, and whether the rule examined anything."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner.proof.findings import Findings, in_degrees, in_mm, in_percent
+from planner.proof.findings import Findings, measure_in_degrees, measure_in_mm, measure_in_percent
 from planner.proof.rule import mm
 
 CONTEXT: Any = SimpleNamespace(motion=None)
@@ -20,7 +20,7 @@ def findings(values: list[float], method: str = "highest") -> Findings:
     if method == "lowest":
         out.worst = math.inf
     for index, value in enumerate(values):
-        getattr(out, method)(value, where=f"row {index}", limit=0.01)
+        getattr(out, f"note_{method}")(value, where=f"row {index}", limit=0.01)
     return out
 
 
@@ -44,7 +44,7 @@ def test_the_worst_value_is_shown_with_its_place_and_limit(
 def test_a_rule_that_examined_nothing_states_why() -> None:
     found = findings([]).outcome(mm, "mm", nothing="nothing is there")
     assert found.nothing == "nothing is there" and found.worst is None
-    assert findings([]).outcome_beyond("nothing is there").nothing == "nothing is there"
+    assert findings([]).excess_outcome("nothing is there").nothing == "nothing is there"
 
 
 @pytest.mark.parametrize("method", ["highest", "lowest"])
@@ -56,15 +56,15 @@ def test_a_value_that_is_no_number_is_never_passed_over(method: str, values: lis
 
 def test_the_value_farthest_beyond_its_own_limit_is_the_worst() -> None:
     out = Findings("verify.toy", CONTEXT)
-    out.beyond(np.array([0.004, 0.005]), 0.001, "narrow")
-    out.beyond(0.02, 0.018, "wide")
-    found = out.outcome_beyond("nothing is there")
+    out.note_excess(np.array([0.004, 0.005]), 0.001, "narrow")
+    out.note_excess(0.02, 0.018, "wide")
+    found = out.excess_outcome("nothing is there")
     assert (found.worst, found.limit, found.where) == (pytest.approx(5.0), 1.0, "narrow")
-    out.beyond(math.nan, 0.001, "unknown")
+    out.note_excess(math.nan, 0.001, "unknown")
     assert out.where == "unknown"
 
 
 def test_measures_are_shown_as_people_read_them() -> None:
-    assert in_mm(0.0015, 0.001) == (1.5, 1.0, "mm")
-    assert in_degrees(math.pi, 0.0)[::2] == (pytest.approx(180.0), "deg")
-    assert in_percent(0.5, 0.25) == (50.0, 25.0, "%")
+    assert measure_in_mm(0.0015, 0.001) == (1.5, 1.0, "mm")
+    assert measure_in_degrees(math.pi, 0.0)[::2] == (pytest.approx(180.0), "deg")
+    assert measure_in_percent(0.5, 0.25) == (50.0, 25.0, "%")

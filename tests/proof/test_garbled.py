@@ -1,4 +1,4 @@
-"""Whatever the texts, readers and proof come to a verdict: no exception but ``TandemError``, no hang."""
+"""Readers and proof reach a verdict on any text: no exception but ``TandemError``, no hang."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tests.languages.rapid.reader.rapid_texts import FULL
 from tests.processes.hotwire.proof import straight_job
 from tests.proof import small_job
 from tests.proof.garbled import garble
-from tests.work import counted
+from tests.work import count_calls
 
 COUNT = 4
 JOBS = {"small": small_job, "straight": straight_job, "krl": krl_job}
@@ -52,8 +52,8 @@ def read(which, seed):
     """Reads a garbled text; all that is wrong has a line."""
     kind = {"full": "straight", "short": "krl"}.get(which, which)
     texts = garble(np.random.default_rng(seed), programs(which), krl=kind == "krl")
-    found = job.read(problem(kind), texts)
-    for fault in (*found.faults, *found.flow):
+    found = job.read_job(problem(kind), texts)
+    for fault in (*found.faults, *found.flow_faults):
         assert fault.line >= 1 and fault.message, fault
     return found
 
@@ -79,7 +79,7 @@ def prove(which, seed):
 
 
 def moves(which, texts):
-    found = job.read(problem(which), texts)
+    found = job.read_job(problem(which), texts)
     return [step for task in found.tasks for step in task.steps if isinstance(step, MoveStep)]
 
 
@@ -121,8 +121,8 @@ def test_any_bytes_in_a_program_are_read(data, at, krl):
         files[file] = decode(files[file].encode()[:cut] + data + files[file].encode()[cut:])
     else:
         files = {"T_ROB1/Left.mod": decode(FULL.encode()[:at] + data + FULL.encode()[at:])}
-    found = job.read(problem("krl" if krl else "straight"), files)
-    assert all(fault.line >= 1 for fault in (*found.faults, *found.flow))
+    found = job.read_job(problem("krl" if krl else "straight"), files)
+    assert all(fault.line >= 1 for fault in (*found.faults, *found.flow_faults))
 
 
 ENDLESS = (
@@ -143,7 +143,10 @@ ENDLESS = (
 
 
 SOON = 3_000_000
-"""Functions that reading may enter, about a second; the worst of these loops takes 1.7 million."""
+"""Number of function calls that reading may make, about a second.
+
+The worst of these loops takes 1.7 million.
+"""
 
 
 @pytest.mark.parametrize("code", ENDLESS)
@@ -153,10 +156,10 @@ def test_programs_without_end_end_in_a_verdict_soon(code):
     rows = texts[file].split("\n")
     at = next(i for i, row in enumerate(rows) if row == "    approach;")
     rows.insert(at, f"    {code}")
-    found, work = counted(job.read, problem("straight"), {**texts, file: "\n".join(rows)})
+    found, work = count_calls(job.read_job, problem("straight"), {**texts, file: "\n".join(rows)})
     assert work < SOON
-    assert all(fault.file and fault.line > 1 for fault in (*found.faults, *found.flow))
-    assert found.faults or found.flow
+    assert all(fault.file and fault.line > 1 for fault in (*found.faults, *found.flow_faults))
+    assert found.faults or found.flow_faults
 
 
 def test_calls_that_branch_without_end_end_too():
@@ -164,9 +167,9 @@ def test_calls_that_branch_without_end_end_too():
     procedures = [f"  PROC p{k}()\n    p{k + 1};\n    p{k + 1};\n  ENDPROC" for k in range(40)]
     body = "\n".join([*procedures, "  PROC p40()\n    Stop;\n  ENDPROC"])
     text = f"MODULE a\n  PROC main()\n    p0;\n  ENDPROC\n{body}\nENDMODULE\n"
-    found, work = counted(job.read, problem("straight"), {"T_ROB1/a.mod": text})
+    found, work = count_calls(job.read_job, problem("straight"), {"T_ROB1/a.mod": text})
     assert work < SOON
-    assert any("no end" in fault.message for fault in found.flow)
+    assert any("no end" in fault.message for fault in found.flow_faults)
 
 
 @pytest.mark.parametrize(
@@ -176,7 +179,7 @@ def test_loops_of_krl_are_refused_by_line(code):
     texts = krl_job.programs(COUNT)
     file = "left/straight.src"
     text = texts[file].replace("straight_1()", code.replace("\n", "\r\n") + "\r\nstraight_1()", 1)
-    found = job.read(problem("krl"), {**texts, file: text})
+    found = job.read_job(problem("krl"), {**texts, file: text})
     at = text.split("\r\n").index(code.split("\n")[0]) + 1
     assert (file, at) in {(fault.file, fault.line) for fault in found.faults}
 

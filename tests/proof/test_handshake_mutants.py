@@ -1,5 +1,4 @@
-"""Faults put into the handshake of written programs, every one at every place: all have to be caught, and
-programs as they are written have to pass."""
+"""Faults in the handshake of written programs, each at every place: all are caught, clean programs pass."""
 
 from __future__ import annotations
 
@@ -32,11 +31,11 @@ def texts(kind, every):
 def broken(problem, programs):
     """Codes of what the rules on the handshake find; "text" where the text has no straight way."""
     context = Context(problem, handshake_job.claims(), programs)
-    if not context.readable:
+    if not context.is_readable:
         return {"text"}
     outcome = rules_handshake.handshake(context)
     found = {issue.code for issue in outcome.issues}
-    if context.playable:
+    if context.is_replayable:
         found |= {
             issue.code
             for rule in (synchronisation.move_count, synchronisation.sync_order)
@@ -49,7 +48,7 @@ def with_lines(programs, file, rows):
     return {**programs, file: "\n".join(rows)}
 
 
-def places(programs, pattern):
+def matching_lines(programs, pattern):
     """Every line that matches: file, rows of the file, index."""
     for files in FILES.values():
         for file in files:
@@ -103,8 +102,8 @@ def test_every_fault_in_every_line_is_caught(kind, every):
         flag[data] = flag[data].replace("ENDMODULE", "  VAR bool b_late;\nENDMODULE")
     assert not broken(problem, flag)
     count, missed = 0, []
-    free = next(i for file, _, i in places(flag, LINE) if file.startswith("right"))
-    for file, rows, i in places(flag, LINE):
+    free = next(i for file, _, i in matching_lines(flag, LINE) if file.startswith("right"))
+    for file, rows, i in matching_lines(flag, LINE):
         for what, changed in line_faults(rows, i):
             if (file, i, what) == ("right/TandemMain_2.mod", free, "swapped kinds"):
                 continue  # in which order the answering program resets and looks at the start does not matter
@@ -120,7 +119,7 @@ def test_every_fault_in_every_line_is_caught(kind, every):
 def test_every_fault_at_a_step_is_caught(kind, every):
     problem, good = handshake_job.problem(kind, every), texts(kind, every)
     count, missed = 0, []
-    calls = list(places(good, CALL))
+    calls = list(matching_lines(good, CALL))
     for file, rows, i in [*calls[::3], *calls[-1:]]:
         row, move = rows[i], rows[i - 1]
         assert "MoveL" in move
@@ -154,7 +153,7 @@ def test_handlers_that_say_the_arm_has_arrived_are_caught():
     """A toggle's line is 1 during every other step: either level that a handler leaves is an arrival at
     some."""
     problem, good = handshake_job.problem("toggle"), texts("toggle", 1)
-    moving = [f for f in places(good, HANDLER) if "Cut" in f[0]]
+    moving = [f for f in matching_lines(good, HANDLER) if "Cut" in f[0]]
     assert moving
     for file, rows, i in moving:
         found = set()
@@ -186,7 +185,7 @@ def test_questions_of_the_start_are_needed():
 def test_wiring_belongs_to_the_automata():
     good = texts("four_phase", 1)
     problem = handshake_job.problem()
-    straight = problem.cell.controller.handshake.wired(handshake_job.ARMS)
+    straight = problem.cell.controller.handshake.meeting_wires(handshake_job.ARMS)
     there, back = straight
 
     def wired(*wires):
@@ -229,5 +228,5 @@ def test_a_fault_is_told_in_words():
     (issue,) = (i for i in issues if "wait" in i.message)
     assert issue.arm in handshake_job.ARMS and issue.line
     assert "left waits for diPartner to be 1 (line" in issue.message
-    assert "doPartner of right is 0" in issue.message and "right has come to its end" in issue.message
+    assert "doPartner of right is 0" in issue.message and "right is at its end" in issue.message
     assert "left sets doPartner to 1 (line" in issue.message

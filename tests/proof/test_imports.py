@@ -1,4 +1,4 @@
-"""What the proof shares with the planner is the table of docs/proof.md, and no more."""
+"""The proof shares with the planner exactly the modules in the table of docs/proof.md."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ NEVER = (
     "planner.languages.writing",
     "planner.report",
 )
-"""Packages and modules of which nothing may be imported in the proof, by any way of writing it."""
+"""Packages and modules that the proof must not import in any form."""
 ROW = re.compile(r"^\| (`planner\.[^|]*) \| [^|]{10,} \|$", re.MULTILINE)
 
 
@@ -59,7 +59,7 @@ def is_module(name: str) -> bool:
 
 @functools.cache
 def read(path: Path) -> tuple[set[str], set[str], set[str]]:
-    """What a file imports anywhere, also inside of functions; names and attributes in it."""
+    """Return the imports of a file, also inside functions, with names and attributes in it."""
     found, names, attributes = set[str](), set[str](), set[str]()
     for node in ast.walk(ast.parse(path.read_text("utf-8"))):
         if isinstance(node, ast.Name):

@@ -1,6 +1,7 @@
-"""What surrounds the motion: first moves, power while nothing moves, meetings, leaving by the side. Faults of
-each kind are caught by the rule that is named for them, seeded mutants are all caught, and programs that say
-the same in other words pass."""
+"""The surroundings of the motion: first moves, power without motion, meetings, handlers.
+
+Faults of each kind are caught by their rule, all seeded mutants are caught, and equivalent rewrites pass.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ from planner.languages.writing import write
 from planner.proof.context import Context
 from planner.proof.prove import Prover
 from planner.proof.rules import waiting_time
-from planner.targets import Action
+from planner.targets import TargetAction
 from tests import line_ends
 from tests.languages.krl import krl_job
 from tests.languages.rapid.rapid_edits import edit, lines, put
@@ -186,22 +187,22 @@ def powered():
     whole = handshake_job.plan(2)
     last = whole.operations[0].targets.count - 1
     actions = (
-        Action(0, "confirm", text="Is the block in place?"),
-        Action(0, "on", signal=small_job.SIGNAL),
-        Action(0, "wait", seconds=2.0),
-        Action(last, "off", signal=small_job.SIGNAL),
+        TargetAction(0, "confirm", text="Is the block in place?"),
+        TargetAction(0, "on", signal=small_job.SIGNAL),
+        TargetAction(0, "wait", seconds=2.0),
+        TargetAction(last, "off", signal=small_job.SIGNAL),
     )
     targets = dataclasses.replace(whole.operations[0].targets, actions=actions)
     plan = dataclasses.replace(whole, operations=(dataclasses.replace(whole.operations[0], targets=targets),))
     problem = handshake_job.problem(*SHAKEN_FORM)
     claims = {"panel": (ContactOnlyIn(("cut",), small_job.SIGNAL, 2.0),)}
 
-    def found(texts):
+    def messages_of(texts):
         context = Context(problem, claims, texts)
         rules = (waiting_time.meeting_time, waiting_time.power_idle, settings.undo)
         return [issue.message for rule in rules for issue in rule(context).issues]
 
-    return found, line_ends.bare(write.programs(plan, problem))
+    return messages_of, line_ends.bare(write.program_files(plan, problem))
 
 
 def test_a_controller_of_its_own_switches_its_power_off_by_the_side():
@@ -211,7 +212,7 @@ def test_a_controller_of_its_own_switches_its_power_off_by_the_side():
     assert "  UNDO\n" in texts[left]
     assert "SyncMoveUndo" not in texts[left]
     assert "UNDO" not in texts[right]
-    comment = "    ! Meeting: what this stop asks for is done"
+    comment = "    ! Meeting: the actions at this stop are done"
     for what in ("WaitTime 60;", 'UIMsgBox "Well?"\\Buttons:=btnOK\\Icon:=iconInfo;'):
         late = edit(texts, right, comment, f"    {what}\n{comment}")
         assert any("is on" in message for message in found(late)), what

@@ -1,4 +1,4 @@
-"""A cell of two arms with a controller each, and a job that needs one of them: its program meets nobody."""
+"""A cell of two arms with a controller each, and a job that needs one of them: its program has no meeting."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LINES = ("doPartner", "diPartner", "doRunning", "diPartnerRunning", "doMoveEnabl
 KRL_IO = {
     arm: {name: first + i for i, name in enumerate(LINES)} for arm, first in (("left", 1), ("right", 11))
 }
-BESIDE = {
+EXTRA_STATEMENT = {
     "abb": ("left/TandemMain_1.mod", "    MoveAbsJ ", "    SetDO doPartner,1;\n"),
     "kuka": ("left/poses.src", "PTP ", "$OUT[1]=TRUE\n"),
     "ur": ("left/poses.script", "movej(", "set_standard_digital_out(0,True)\n"),
@@ -26,7 +26,7 @@ BESIDE = {
 
 
 def problem_of(folder, family):
-    """Poses of two arms, of which the left one alone is to pass its own."""
+    """Poses for two arms. Only the left one has to pass its poses."""
     path = planner_jobs.posed(folder, 2, handshake=True, ur=family == "ur")
     data = yaml.safe_load(path.read_text("utf-8"))
     (operation,) = data["operations"]
@@ -46,16 +46,16 @@ def problem_of(folder, family):
 @pytest.mark.parametrize("family", ["abb", "kuka", "ur"])
 def test_one_arm_of_two_controllers_works_alone(tmp_path, family):
     problem = problem_of(tmp_path, family)
-    made = pipeline.plan(problem)
-    assert [str(issue) for issue in made.proof.issues] == []
-    assert made.proof.ok
-    assert {path.split("/")[0] for path in made.programs} == {"left"}
-    sheet = str(setup_sheet.controller_checks(problem, made.plan))
+    outcome = pipeline.plan(problem)
+    assert [str(issue) for issue in outcome.proof.issues] == []
+    assert outcome.proof.ok
+    assert {path.split("/")[0] for path in outcome.programs} == {"left"}
+    sheet = str(setup_sheet.controller_checks(problem, outcome.plan))
     assert "right meanwhile" in sheet and "doPartner" not in sheet
-    file, begins, row = BESIDE[family]
-    text = made.programs[file].replace("\r\n", "\n")
-    meets = {**made.programs, file: text.replace(f"\n{begins}", f"\n{row}{begins}", 1)}
+    file, begins, row = EXTRA_STATEMENT[family]
+    text = outcome.programs[file].replace("\r\n", "\n")
+    meets = {**outcome.programs, file: text.replace(f"\n{begins}", f"\n{row}{begins}", 1)}
     assert meets[file] != text
     context = Context(problem, {}, meets)
-    assert context.readable
-    assert "there is no other program to answer this" in str(handshake.handshake(context).issues)
+    assert context.is_readable
+    assert "no other program answers this signal" in str(handshake.handshake(context).issues)

@@ -1,4 +1,4 @@
-"""Programs of others: what is not read is named by line, and what of the motion is proven is told."""
+"""Third-party programs: unread lines are named, and the proven part of the motion is reported."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from planner import pipeline
 from planner.cli import command_line
 from planner.issues import TandemError
-from planner.proof.partial import read_partly
+from planner.proof.partial import prove_partly
 from tests.languages.krl import krl_job
 from tests.languages.rapid.rapid_edits import name
 from tests.languages.urscript import ur_job
@@ -38,13 +38,13 @@ def changed(kind, old, new):
     return {**texts, kind: texts[kind].replace(old, new, 1)}
 
 
-def found(texts):
-    return read_partly(problem(), texts)
+def read_partial(texts):
+    return prove_partly(problem(), texts)
 
 
 @functools.cache
 def clean():
-    return found(programs())
+    return read_partial(programs())
 
 
 def lines(partial, file):
@@ -58,12 +58,12 @@ def line(text, part):
 def test_programs_that_are_read_are_proven_but_for_their_first_move():
     """From where an arm starts nobody knows."""
     partial = clean()
-    share = partial.share
+    fraction = partial.proven
     assert [issue.code for issue in partial.issues] == ["verify.unread"]
-    assert "where the move begins" in partial.issues[0].message
-    assert share.moves_proven == share.moves - 1 > 25
-    assert share.way_proven == share.way > 1.0 and share.time_proven == share.time > 20.0
-    assert f"{share.moves - 1} of {share.moves} moves (" in str(share)
+    assert "the start of the move" in partial.issues[0].message
+    assert fraction.moves_proven == fraction.moves - 1 > 25
+    assert fraction.path_proven == fraction.path > 1.0 and fraction.time_proven == fraction.time > 20.0
+    assert f"{fraction.moves - 1} of {fraction.moves} moves (" in str(fraction)
 
 
 UNKNOWN = {
@@ -82,11 +82,11 @@ def test_what_is_not_known_is_named_by_line(kind):
     """And the move behind it begins who knows where: it is not proven, nor any that follows by its start."""
     code, count = UNKNOWN[kind]
     texts = changed(MAIN, "    approach;", f"{code}\n    approach;")
-    partial = found(texts)
+    partial = read_partial(texts)
     first = line(texts[MAIN], code.split("\n")[0])
     assert first in lines(partial, MAIN)
     assert len(partial.issues) > len(clean().issues)
-    assert clean().share.moves_proven - 3 - count < partial.share.moves_proven < clean().share.moves_proven
+    assert clean().proven.moves_proven - 3 - count < partial.proven.moves_proven < clean().proven.moves_proven
     assert all(issue.code == "verify.unread" and "not proven" in issue.message for issue in partial.issues)
 
 
@@ -96,10 +96,10 @@ def test_moves_of_unknown_kinds_count_as_not_proven():
     at = [i for i, row in enumerate(rows) if "MoveL" in row][5]
     for word in ("TriggL p1,v10,trg,z1,t;", "MoveC p1,p2,v10,z1,t;", "ArcL p1,v10,s,w,fine,t;"):
         rows[at] = f"    {word}"
-        partial = found({**texts, CUTS: "\n".join(rows)})
+        partial = read_partial({**texts, CUTS: "\n".join(rows)})
         assert {at + 1, at + 2} <= lines(partial, CUTS)  # the one behind it too
-        assert partial.share.moves == clean().share.moves
-        assert partial.share.moves_proven < clean().share.moves_proven
+        assert partial.proven.moves == clean().proven.moves
+        assert partial.proven.moves_proven < clean().proven.moves_proven
 
 
 @pytest.mark.parametrize(
@@ -107,8 +107,8 @@ def test_moves_of_unknown_kinds_count_as_not_proven():
 )
 def test_behind_what_shifts_all_targets_nothing_is_proven(word):
     texts = changed(MAIN, "    approach;", f"    {word}\n    approach;")
-    partial = found(texts)
-    assert partial.share.moves_proven <= 3
+    partial = read_partial(texts)
+    assert partial.proven.moves_proven <= 3
     assert any("may shift" in issue.message for issue in partial.issues)
 
 
@@ -117,20 +117,20 @@ def test_what_an_arm_cannot_do_is_not_proven():
     rows = texts[CUTS].split("\n")
     at = [i for i, row in enumerate(rows) if "MoveL" in row][8]
     rows[at] = re.sub(r"MoveL \[\[[^\]]*\]", "MoveL [[2500.0,0.0,70.0]", rows[at])
-    partial = found({**texts, CUTS: "\n".join(rows)})
+    partial = read_partial({**texts, CUTS: "\n".join(rows)})
     assert at + 1 in lines(partial, CUTS)
-    assert partial.share.way_proven < partial.share.way
-    assert partial.share.time_proven < partial.share.time
+    assert partial.proven.path_proven < partial.proven.path
+    assert partial.proven.time_proven < partial.proven.time
 
 
 def test_branches_that_hang_on_the_run_are_not_proven():
     texts = changed(MAIN, "    cut_top;", "    IF DInput(di1)=1 THEN\n    cut_top;\n    ENDIF")
-    partial = found(texts)
+    partial = read_partial(texts)
     assert line(texts[MAIN], "IF DInput") in lines(partial, MAIN)
     straight = sum(
         "MoveL" in row for row in texts[CUTS].split("PROC cut_top()")[1].split("ENDPROC")[0].split("\n")
     )
-    assert partial.share.moves_proven <= clean().share.moves_proven - straight
+    assert partial.proven.moves_proven <= clean().proven.moves_proven - straight
 
 
 def test_joint_moves_to_poses_are_joint_moves():
@@ -138,36 +138,36 @@ def test_joint_moves_to_poses_are_joint_moves():
     rows = programs()[CUTS].split("\n")
     at = next(i for i, row in enumerate(rows) if "MoveL" in row)
     rows[at] = rows[at].replace("MoveL", "MoveJ")
-    partial = found({**programs(), CUTS: "\n".join(rows)})
-    assert partial.share.moves_proven >= partial.share.moves - 3
+    partial = read_partial({**programs(), CUTS: "\n".join(rows)})
+    assert partial.proven.moves_proven >= partial.proven.moves - 3
     rows[at] = re.sub(r"\],\[-?\d,-?\d,-?\d,-?\d\],\[9E9", "],[3,3,3,7],[9E9", rows[at])
-    assert at + 1 in lines(found({**programs(), CUTS: "\n".join(rows)}), CUTS)
+    assert at + 1 in lines(read_partial({**programs(), CUTS: "\n".join(rows)}), CUTS)
 
 
 def test_files_of_one_arm_need_no_task_in_their_names():
     bare = {path.rpartition("/")[2]: text for path, text in programs().items()}
-    assert found(bare).share == clean().share
-    assert "notes.txt" in {issue.file for issue in found({**bare, "notes.txt": "hello"}).issues}
+    assert read_partial(bare).proven == clean().proven
+    assert "notes.txt" in {issue.file for issue in read_partial({**bare, "notes.txt": "hello"}).issues}
 
 
 def test_krl_is_read_as_far_as_it_goes():
     texts = krl_job.programs(COUNT)
-    whole = read_partly(krl_job.problem(), texts)
-    assert whole.share.moves_proven == whole.share.moves - 1 > 25
+    whole = prove_partly(krl_job.problem(), texts)
+    assert whole.proven.moves_proven == whole.proven.moves - 1 > 25
     file = "left/straight_1.src"
     rows = texts[file].split("\r\n")
     at = [i for i, row in enumerate(rows) if row.startswith("SLIN")][4]
     rows[at : at + 1] = ["CIRC {X 1.0},{X 2.0}", "LOOP", rows[at], "ENDLOOP"]
-    partial = read_partly(krl_job.problem(), {**texts, file: "\r\n".join(rows)})
+    partial = prove_partly(krl_job.problem(), {**texts, file: "\r\n".join(rows)})
     assert {at + 1, at + 2, at + 3, at + 4} <= lines(partial, file)
-    assert partial.share.moves == whole.share.moves + 1
-    assert 10 < partial.share.moves_proven < whole.share.moves_proven - 5
+    assert partial.proven.moves == whole.proven.moves + 1
+    assert 10 < partial.proven.moves_proven < whole.proven.moves_proven - 5
 
 
 def test_garbled_programs_are_answered_too():
     for k in range(3):
-        partial = found(garble(np.random.default_rng([5, k]), straight_job.programs(4)))
-        assert 0 <= partial.share.moves_proven <= partial.share.moves
+        partial = read_partial(garble(np.random.default_rng([5, k]), straight_job.programs(4)))
+        assert 0 <= partial.proven.moves_proven <= partial.proven.moves
         assert partial.issues
 
 
@@ -177,9 +177,9 @@ def test_hundreds_of_garbled_programs_are_answered_too():
         krl = k % 2 == 1
         texts = krl_job.programs(4) if krl else straight_job.programs(4)
         job = krl_job.problem() if krl else problem()
-        partial = read_partly(job, garble(np.random.default_rng([6, k]), texts, krl))
-        assert 0 <= partial.share.moves_proven <= partial.share.moves
-        assert partial.share.way_proven <= partial.share.way + 1e-9
+        partial = prove_partly(job, garble(np.random.default_rng([6, k]), texts, krl))
+        assert 0 <= partial.proven.moves_proven <= partial.proven.moves
+        assert partial.proven.path_proven <= partial.proven.path + 1e-9
 
 
 FOREIGN = r"""MODULE Weld
@@ -210,11 +210,11 @@ def test_tandem_verify_reads_a_folder_of_others(tmp_path, capsys):
     (tmp_path / "cell" / "Weld.mod").write_bytes(FOREIGN.replace("\n", "\r\n").encode("latin-1"))
     job = root / "problems" / "gauge_lanes" / "problem.yaml"
     assert command_line.verify(tmp_path / "cell", job) == command_line.NOT_PROVEN == 4
-    told = " ".join("".join(capsys.readouterr()).split())
-    assert "verify.unread" in told and "NOT proven" in told
-    assert "Weld.mod, line 8" in told and "not read, not proven" in told
-    assert "of 5 moves" in told
-    with pytest.raises(TandemError, match="no programs there"):
+    reported = " ".join("".join(capsys.readouterr()).split())
+    assert "verify.unread" in reported and "NOT proven" in reported
+    assert "Weld.mod, line 8" in reported and "not read, not proven" in reported
+    assert "of 5 moves" in reported
+    with pytest.raises(TandemError, match="no programs found"):
         pipeline.read_programs(tmp_path / "cell")
 
 
@@ -222,12 +222,12 @@ def test_a_urscript_program_is_proven_as_a_whole_or_named_line_by_line():
     """All moves behind the first are known; with one statement that is not read none is."""
     problem, texts = ur_job.problem(), ur_job.programs()
     (name_,) = texts
-    partial = read_partly(problem, texts)
+    partial = prove_partly(problem, texts)
     moves = len(re.findall("^move", texts[name_], re.MULTILINE))
-    assert (partial.share.moves, partial.share.moves_proven) == (moves, moves - 1)
+    assert (partial.proven.moves, partial.proven.moves_proven) == (moves, moves - 1)
     assert [issue.code for issue in partial.issues] == ["verify.unread"]
     other = {name_: texts[name_].replace("sleep(5.0)", "sync()", 1)}
-    partial = read_partly(problem, other)
-    assert (partial.share.moves, partial.share.moves_proven) == (moves, 0)
-    assert "sync: no statement" in partial.issues[0].message
+    partial = prove_partly(problem, other)
+    assert (partial.proven.moves, partial.proven.moves_proven) == (moves, 0)
+    assert "sync: not a statement" in partial.issues[0].message
     assert partial.issues[0].line == line(other[name_], "sync()")

@@ -1,4 +1,4 @@
-"""No fault of the planner gets programs proven: faults are put into its code, its own checks being off."""
+"""No fault of the planner leads to proven programs: faults are put into its code, with its own checks off."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_the_sample_has_every_process_mode_and_language(tmp_path: Path) -> None:
 def test_a_planner_with_a_fault_gets_nothing_proven(name: str, tmp_path: Path) -> None:
     fault = FAULTS[name]
     verdict = run(fault.job, tmp_path, fault.changes, first_error=True)
-    _told(fault, verdict.broken)
+    _report(fault, verdict.broken)
     assert verdict.programs, f"no programs came out: {verdict.refused}; another fault would say more"
     assert not verdict.proven
 
@@ -93,11 +93,11 @@ def test_every_fault_changes_proven_programs_and_ends_not_proven(name: str, tmp_
     fault = FAULTS[name]
     before, after = clean(fault.job), run(fault.job, tmp_path, fault.changes)
     assert before.proven, (before.refused, before.broken)
-    _told(fault, after.broken)
+    _report(fault, after.broken)
     assert after.programs, f"no programs came out: {after.refused}; another fault would say more"
     assert instructions(after.programs) != instructions(before.programs)
     assert not after.proven
 
 
-def _told(fault: Fault, broken: tuple[str, ...]) -> None:
+def _report(fault: Fault, broken: tuple[str, ...]) -> None:
     print(f"{fault.name} ({fault.job}): {', '.join(broken) or 'not caught'}")

@@ -1,4 +1,4 @@
-"""Every kind of claim has rules that prove it, and nothing else may be claimed."""
+"""Every kind of claim has rules that prove it, and no other claims are allowed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from planner.claims.claim import Claim, HoldsStock
 from planner.issues import TandemError
 from planner.processes import Process, registry
 from planner.processes.poses.plan.job import PosedJob
-from planner.proof.prove import prove, unproven
+from planner.proof.prove import prove, unproven_claims
 from planner.proof.rule_table import built_in, proven_by
 from planner.runtime import plugins
 
@@ -45,26 +45,26 @@ def test_two_kinds_of_claims_cannot_have_the_same_name() -> None:
 
 
 def test_what_no_rule_looks_at_is_refused_by_name() -> None:
-    (issue,) = unproven({"panel": (GluesParts("cut/a"), GluesParts("cut/b"))})
+    (issue,) = unproven_claims({"panel": (GluesParts("cut/a"), GluesParts("cut/b"))})
     assert issue.code == "claims.unproven"
-    assert "panel: its process claims GluesParts, which no rule of the proof looks at" in issue.message
-    (empty,) = unproven({"panel": ()})
+    assert "panel: its process claims GluesParts, which no rule of the proof checks" in issue.message
+    (empty,) = unproven_claims({"panel": ()})
     assert empty.code == "claims.none"
-    assert unproven({}) == []
+    assert unproven_claims({}) == []
     problem = pipeline.load("gauge_lanes")
     with pytest.raises(TandemError, match="GluesParts"):
         prove(problem, {"lanes": (GluesParts("cut/a"),)}, {})
 
 
 class _Glue:
-    """A job of gauge_lanes that claims more than there are rules for."""
+    """A job of gauge_lanes with claims for which no rules exist."""
 
     def __init__(self, operation, setup, part, more) -> None:  # type: ignore[no-untyped-def]
-        self.own = PosedJob(operation, setup, part)
+        self.inner = PosedJob(operation, setup, part)
         self.more = more
 
     def targets(self):  # type: ignore[no-untyped-def]
-        return self.own.targets()
+        return self.inner.targets()
 
     def claims(self):  # type: ignore[no-untyped-def]
         return self.more

@@ -1,10 +1,10 @@
-"""A header may change comments of proven programs and nothing else."""
+"""A header may change only comments of proven programs."""
 
 import pytest
 
-from planner.proof.same_program import same_program
+from planner.proof.same_program import is_same_program
 from tests.proof import small_job
-from tests.work import counted
+from tests.work import count_calls
 
 TEXT = """MODULE M
   ! header
@@ -18,7 +18,7 @@ ENDMODULE
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "same"),
+    ("original", "after", "same"),
     [
         ("! header", "! header\n  ! Proven: clearance 3 mm.", True),
         ("  ! header\n", "", True),
@@ -33,9 +33,9 @@ ENDMODULE
         ("ENDPROC", "! ENDPROC", False),
     ],
 )
-def test_only_comments_and_white_space(before, after, same):
-    assert TEXT.count(before) == 1
-    assert same_program({"a.mod": TEXT}, {"a.mod": TEXT.replace(before, after)}) == same
+def test_only_comments_and_white_space(original, after, same):
+    assert TEXT.count(original) == 1
+    assert is_same_program({"a.mod": TEXT}, {"a.mod": TEXT.replace(original, after)}) == same
 
 
 KRL = """&ACCESS RVP
@@ -52,7 +52,7 @@ END
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "same"),
+    ("original", "after", "same"),
     [
         ("; header", "; header\n; Proven: clearance 3 mm.", True),
         ("; header\n", "", True),
@@ -69,17 +69,19 @@ END
         ("END\n", "HALT\nEND\n", False),
     ],
 )
-def test_krl_comments_that_the_proof_reads_count(before, after, same):
-    assert same_program({"a.src": KRL}, {"a.src": KRL.replace(before, after)}) == same
+def test_krl_comments_that_the_proof_reads_count(original, after, same):
+    assert is_same_program({"a.src": KRL}, {"a.src": KRL.replace(original, after)}) == same
 
 
 def test_no_file_more_or_less():
-    assert not same_program({"a.mod": TEXT}, {"a.mod": TEXT, "b.mod": TEXT})
+    assert not is_same_program({"a.mod": TEXT}, {"a.mod": TEXT, "b.mod": TEXT})
 
 
 def test_long_programs_are_compared_with_work_in_proportion():
     text = small_job.programs()["T_ROB1/TandemCut1_1.mod"] * 200
-    _, few = counted(same_program, {"a.mod": text[: len(text) // 10]}, {"a.mod": text[: len(text) // 10]})
-    same, many = counted(same_program, {"a.mod": text}, {"a.mod": "! Proven.\n" + text})
+    _, few = count_calls(
+        is_same_program, {"a.mod": text[: len(text) // 10]}, {"a.mod": text[: len(text) // 10]}
+    )
+    same, many = count_calls(is_same_program, {"a.mod": text}, {"a.mod": "! Proven.\n" + text})
     assert same
     assert many < 10.5 * few

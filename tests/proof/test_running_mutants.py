@@ -1,5 +1,7 @@
-"""Faults put into what programs do with the wires that say who runs, in RAPID and in KRL, and into the wires
-themselves: all have to be caught; rewrites that mean the same end without alarm."""
+"""Faults in the use of the running wires, in RAPID and in KRL, and in the wires themselves.
+
+All are caught. Equivalent rewrites raise no alarm.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,7 @@ from tests.proof import handshake_job
 
 FORMS = [("four_phase", 1), ("toggle", 3)]
 KUKAS = ("kr10_r1100", "kr10_r1100")
-LOOK = re.compile(r"^( *)WaitDI diPartnerRunning,([01])\\MaxTime:=(\d+);$")
+RUNNING_CHECK = re.compile(r"^( *)WaitDI diPartnerRunning,([01])\\MaxTime:=(\d+);$")
 LINE = re.compile(r"^ *(SetDO\\Sync,doPartner|WaitDI diPartner),")
 WHILE = re.compile(r"^WHILE \$IN\[2\]==(TRUE|FALSE)$")
 GUARD = 11
@@ -36,13 +38,13 @@ def rapid(kind="four_phase", every=1):
 @functools.cache
 def krl(kind="four_phase", every=1):
     plan, problem = krl_job.two(KUKAS, kind, every)
-    return problem, write.programs(plan, problem)
+    return problem, write.program_files(plan, problem)
 
 
 def faults(problem, programs):
     """What the rule finds; the text itself where it has no straight way."""
     context = Context(problem, {"panel": ()}, programs)
-    if not context.readable:
+    if not context.is_readable:
         return ["no straight way"]
     return [str(issue) for issue in rules_handshake.handshake(context).issues]
 
@@ -58,13 +60,13 @@ def joined(programs, file, rows):
     return {**programs, file: ("\r\n" if file.endswith("src") else "\n").join(rows)}
 
 
-def looks(programs):
+def check_faults(programs):
     """(kind, programs with one fault) at every look of RAPID programs."""
     for file, rows in rows_of(programs, "Main"):
-        places = [i for i, row in enumerate(rows) if LOOK.match(row)]
+        places = [i for i, row in enumerate(rows) if RUNNING_CHECK.match(row)]
         for i in places:
             row = rows[i]
-            indent, level, _ = LOOK.match(row).groups()
+            indent, level, _ = RUNNING_CHECK.match(row).groups()
             changed = {
                 "left out": [],
                 "inverted": [row.replace(f",{level}\\", f",{1 - int(level)}\\")],
@@ -116,7 +118,7 @@ def starts(programs):
             continue
         stop = next(i for i, row in enumerate(rows) if row.strip() == "Stop;")
         told = next(i for i, row in enumerate(rows) if "Start the program of" in row)
-        look = next(i for i, row in enumerate(rows) if LOOK.match(row))
+        look = next(i for i, row in enumerate(rows) if RUNNING_CHECK.match(row))
         yield "no stop", joined(programs, file, [*rows[:stop], *rows[stop + 1 :]])
         early = [*rows[:look], rows[stop], *rows[look:stop], *rows[stop + 1 :]]
         yield "stop before the look", joined(programs, file, early)
@@ -159,9 +161,9 @@ def krl_faults(programs):
             yield "other one not called", joined(programs, file, [*rows[:i], *rows[i + 1 :]])
 
 
-def missed(problem, found, count, chosen=None):
+def missed_kinds(problem, mutants, count, chosen=None):
     """Kinds of faults that pass, of all or of ``count`` by chance; and how many of each kind there were."""
-    every = list(found)
+    every = list(mutants)
     if chosen is not None:
         rows = np.random.default_rng(chosen).permutation(len(every))[:count]
         every = [every[i] for i in rows]
@@ -181,7 +183,7 @@ def test_some_faults_are_caught_in_rapid():
     problem, good = rapid()
     programs = with_flag(good)
     assert faults(problem, programs) == []
-    passed, tried = missed(problem, [*looks(programs), *starts(programs)], 25, 5)
+    passed, tried = missed_kinds(problem, [*check_faults(programs), *starts(programs)], 25, 5)
     assert passed == [] and len(tried) > 10
 
 
@@ -190,7 +192,7 @@ def test_some_faults_are_caught_in_rapid():
 def test_every_fault_is_caught_in_rapid(kind, every):
     problem, good = rapid(kind, every)
     programs = with_flag(good)
-    passed, tried = missed(problem, [*looks(programs), *starts(programs)], 0)
+    passed, tried = missed_kinds(problem, [*check_faults(programs), *starts(programs)], 0)
     assert passed == []
     assert tried.total() > 150 and len(tried) > 30
 
@@ -198,7 +200,7 @@ def test_every_fault_is_caught_in_rapid(kind, every):
 def test_some_faults_are_caught_in_krl():
     problem, good = krl()
     assert faults(problem, good) == []
-    passed, tried = missed(problem, krl_faults(good), 15, 6)
+    passed, tried = missed_kinds(problem, krl_faults(good), 15, 6)
     assert passed == [] and len(tried) > 6
 
 
@@ -206,7 +208,7 @@ def test_some_faults_are_caught_in_krl():
 @pytest.mark.parametrize(("kind", "every"), FORMS)
 def test_every_fault_is_caught_in_krl(kind, every):
     problem, good = krl(kind, every)
-    passed, tried = missed(problem, krl_faults(good), 0)
+    passed, tried = missed_kinds(problem, krl_faults(good), 0)
     assert passed == []
     assert tried.total() > 60 and len(tried) > 12
 
@@ -220,8 +222,8 @@ def with_handshake(problem, **fields):
 
 def test_wires_that_do_not_say_who_runs_are_refused():
     problem, good = rapid()
-    there, back = problem.cell.controller.handshake.wired_running(handshake_job.ARMS)
-    meet = problem.cell.controller.handshake.wired(handshake_job.ARMS)
+    there, back = problem.cell.controller.handshake.running_wires(handshake_job.ARMS)
+    meet = problem.cell.controller.handshake.meeting_wires(handshake_job.ARMS)
     assert faults(with_handshake(problem, running=(there, back)), good) == []
     wrong = {
         "one is missing": (there,),
@@ -259,7 +261,7 @@ def test_rewrites_that_mean_the_same_end_without_alarm():
     problem, good = rapid()
     main = "left/TandemMain_1.mod"
     rows = good[main].split("\n")
-    look = next(i for i, row in enumerate(rows) if LOOK.match(row))
+    look = next(i for i, row in enumerate(rows) if RUNNING_CHECK.match(row))
     told = next(i for i, row in enumerate(rows) if "Start the program of" in row)
     stop = next(i for i, row in enumerate(rows) if row.strip() == "Stop;")
     text = " ".join(re.search(r'"(.*)"', row).group(1) for row in rows[told:stop])
@@ -271,7 +273,7 @@ def test_rewrites_that_mean_the_same_end_without_alarm():
         "in capitals": [*rows[:look], rows[look].upper(), *rows[look + 1 :]],
         "comments between": [*rows[:look], "    ! the other one", rows[look], "", *rows[look + 1 :]],
         "told in other lines": [*rows[:told], *other, *rows[stop:]],
-        "more is told": [*rows[:told], '    TPWrite "All is well here.";', "    TPErase;", *rows[told:]],
+        "more is stated": [*rows[:told], '    TPWrite "All is well here.";', "    TPErase;", *rows[told:]],
     }
     for what, changed in rewrites.items():
         assert faults(problem, joined(good, main, changed)) == [], what
@@ -282,12 +284,12 @@ def test_rewrites_with_a_branch_or_more_looks_end_without_alarm():
     problem, good = rapid()
     main = "left/TandemMain_1.mod"
     rows = good[main].split("\n")
-    look = next(i for i, row in enumerate(rows) if LOOK.match(row))
+    look = next(i for i, row in enumerate(rows) if RUNNING_CHECK.match(row))
     late = rows[look].replace("\\MaxTime", "\\TimeFlag:=b_late\\MaxTime")
     flagged = with_flag(good)
     ends = [*rows[:look], late, "    IF b_late THEN", "      EXIT;", "    ENDIF", *rows[look + 1 :]]
     assert faults(problem, joined(flagged, main, ends)) == []
-    twice = "\n".join(row if not LOOK.match(row) else f"{row}\n{row}" for row in rows)
+    twice = "\n".join(row if not RUNNING_CHECK.match(row) else f"{row}\n{row}" for row in rows)
     assert faults(problem, {**good, main: twice}) == []
 
 
@@ -297,7 +299,7 @@ def test_names_of_the_cells_own_pass_and_the_default_ones_then_fail():
     own = Handshake("four_phase", 1, dict.fromkeys(handshake_job.ARMS, names))
     controller = dataclasses.replace(problem.cell.controller, handshake=own)
     named = dataclasses.replace(problem, cell=dataclasses.replace(problem.cell, controller=controller))
-    written = write.programs(handshake_job.plan(2), named)
+    written = write.program_files(handshake_job.plan(2), named)
     assert faults(named, written) == []
     assert "WaitDI diOtherAlive,0" in written["left/TandemMain_1.mod"]
     assert faults(named, good) and faults(problem, written)

@@ -1,4 +1,4 @@
-"""Ways that both arms go at once in a synchronised block: written, proven, refused where they are wrong."""
+"""Simultaneous approaches and retreats of both arms in a synchronised block: written, proven, or refused."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ BLOCK = re.compile(r"MoveAbsJ (\w+)\\ID:=(\d+)\\NoEOffs,v_entry,fine,\w+;")
 
 
 def plan(together=("entry", "exit")):
-    """The small job, its ways in and out in one block each."""
+    """The small job, with approach and retreat in one block each."""
     own = small_job.plan(COUNT)
     (operation,) = own.operations
-    return dataclasses.replace(own, operations=(dataclasses.replace(operation, together=together),))
+    return dataclasses.replace(own, operations=(dataclasses.replace(operation, synchronised=together),))
 
 
 @functools.cache
 def texts(together=("entry", "exit")):
-    return line_ends.bare(write.programs(plan(together), small_job.problem()))
+    return line_ends.bare(write.program_files(plan(together), small_job.problem()))
 
 
 def refused(programs):
@@ -38,7 +38,7 @@ def refused(programs):
 
 
 def in_block(task):
-    """Rows of the joint moves of a task's main module that stand in blocks."""
+    """Rows of the joint moves in blocks of a task's main module."""
     return [i for i, row in enumerate(lines(texts(), task, "Main")) if BLOCK.search(row)]
 
 

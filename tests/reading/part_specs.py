@@ -1,4 +1,4 @@
-"""Parts as problem files give them, built in a block or refused by it."""
+"""Parts as problem files describe them, built in a block or refused by it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Stock
-from planner.reading.part import PartFile, build
+from planner.reading.part import PartFile, build_part
 
 BLOCK = np.array([0.3, 0.6, 0.1])
 SQUARE = [[0, 0], [100, 0], [100, 100], [0, 100]]
@@ -27,12 +27,12 @@ WING = {
 
 
 def make(spec: dict[str, Any], folder: Path = Path(), size: np.ndarray = BLOCK) -> Part:
-    return build(
+    return build_part(
         PartFile.model_validate_json(json.dumps(spec), strict=True), folder, Stock(size, None, np.eye(3))
     )
 
 
-def refused(spec: dict[str, Any], folder: Path = Path(), size: np.ndarray = BLOCK) -> list[Issue]:
+def expect_refusal(spec: dict[str, Any], folder: Path = Path(), size: np.ndarray = BLOCK) -> list[Issue]:
     with pytest.raises(TandemError) as caught:
         make(spec, folder, size)
     return list(caught.value.issues)

@@ -1,4 +1,4 @@
-"""Hostile and clumsy input: every wrong file gets issues with their place, never another exception."""
+"""Hostile and clumsy input: every wrong file gives issues with their location, never another exception."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import yaml
 from planner import pipeline
 from planner.issues import TandemError
 from tests import small_problem
-from tests.refusals import CAPITAL, CELL, HYPAR, OPERATION, change, codes, refused
+from tests.refusals import CAPITAL, CELL, HYPAR, OPERATION, change, codes, expect_refusal
 
 BILLION = "a: &a [1,1,1,1,1,1,1,1,1,1]\n" + "".join(
     f"{chr(98 + i)}: &{chr(98 + i)} [{','.join(['*' + chr(97 + i)] * 10)}]\n" for i in range(12)
@@ -65,7 +65,7 @@ def test_what_is_no_problem_file_is_refused(tmp_path: Path, name: str) -> None:
     content, code = NOT_PROBLEMS[name]
     path = tmp_path / "p.yaml"
     path.write_bytes(content)
-    assert code in codes(refused(path))
+    assert code in codes(expect_refusal(path))
 
 
 def test_paths_that_lead_nowhere(tmp_path: Path) -> None:
@@ -77,14 +77,14 @@ def test_paths_that_lead_nowhere(tmp_path: Path) -> None:
         Path("/dev/null"),
         Path("a\0b"),
     ):
-        assert codes(refused(path)) == {"problem.missing_file"}
+        assert codes(expect_refusal(path)) == {"problem.missing_file"}
 
 
 def test_a_problem_file_of_100_mb_is_not_read(tmp_path: Path) -> None:
     path = tmp_path / "p.yaml"
     with path.open("wb") as stream:
         stream.truncate(100_000_000)
-    (issue,) = refused(path)
+    (issue,) = expect_refusal(path)
     assert issue.code == "problem.too_large"
     assert issue.unit == "MB"
 
@@ -197,18 +197,18 @@ WRONG = [
 def test_each_wrong_field_is_named(tmp_path: Path, field: str, value: Any, code: str) -> None:
     path = tmp_path / "p.yaml"
     path.write_text(yaml.safe_dump(change(CAPITAL, field, value)))
-    found = refused(path)
-    assert code in codes(found)
-    first = next(issue for issue in found if issue.code == code)
+    issues = expect_refusal(path)
+    assert code in codes(issues)
+    first = next(issue for issue in issues if issue.code == code)
     assert first.line or first.file != str(path)
 
 
 def test_a_name_of_other_letters_is_told_in_words(tmp_path: Path) -> None:
     path = tmp_path / "p.yaml"
     path.write_text(yaml.safe_dump(change(CAPITAL, "name", "Straße")))
-    (found,) = refused(path)
-    assert "letter of A to Z first" in found.message and "24 characters" in found.message
-    assert "Straße" in found.message and "^[" not in found.message
+    (issue,) = expect_refusal(path)
+    assert "start with a letter A to Z" in issue.message and "24 characters" in issue.message
+    assert "Straße" in issue.message and "^[" not in issue.message
 
 
 MESHES = {
@@ -237,13 +237,13 @@ MESHES = {
 @pytest.mark.parametrize("name", MESHES)
 @pytest.mark.parametrize("where", ["front", "back"])
 def test_each_wrong_mesh_is_named(tmp_path: Path, name: str, where: str) -> None:
-    text, wanted = MESHES[name]
+    text, expected = MESHES[name]
     (tmp_path / "m.obj").write_text(text)
     data = change(CAPITAL, f"part.{where}", {"mesh": {"file": "m.obj", "unit": "mm"}})
     (tmp_path / "p.yaml").write_text(yaml.safe_dump(data))
-    found = refused(tmp_path / "p.yaml")
-    assert codes(found) & wanted
-    assert all("m.obj" in str(issue.file) for issue in found)
+    issues = expect_refusal(tmp_path / "p.yaml")
+    assert codes(issues) & expected
+    assert all("m.obj" in str(issue.file) for issue in issues)
 
 
 def test_meshes_of_other_kinds_and_sizes(tmp_path: Path) -> None:
@@ -254,7 +254,7 @@ def test_meshes_of_other_kinds_and_sizes(tmp_path: Path) -> None:
     for file, code in (("m.step", "mesh.unreadable"), ("m.ply", "problem.too_large"), ("m.stl", "mesh.")):
         data = change(CAPITAL, "part.front", {"mesh": {"file": file, "unit": "mm"}})
         (tmp_path / "p.yaml").write_text(yaml.safe_dump(data))
-        assert all(issue.code.startswith(code) for issue in refused(tmp_path / "p.yaml"))
+        assert all(issue.code.startswith(code) for issue in expect_refusal(tmp_path / "p.yaml"))
 
 
 def test_a_back_face_in_front_of_the_front_is_refused(tmp_path: Path) -> None:
@@ -266,7 +266,7 @@ def test_a_back_face_in_front_of_the_front_is_refused(tmp_path: Path) -> None:
         "back": {"mesh": {"file": "back.obj", "unit": "mm"}},
     }
     (tmp_path / "p.yaml").write_text(yaml.safe_dump({**CAPITAL, "part": part}))
-    (issue,) = refused(tmp_path / "p.yaml")
+    (issue,) = expect_refusal(tmp_path / "p.yaml")
     assert issue.code == "part.faces"
     assert issue.field == "part.back"
     assert issue.line
@@ -340,5 +340,5 @@ def test_a_list_whose_entries_have_faults_is_not_called_too_short(tmp_path: Path
     data = yaml.safe_load(path.read_text())
     data["operations"] = [straight]
     path.write_text(yaml.safe_dump(data))
-    (issue,) = refused(path)
-    assert "across the side" in issue.message
+    (issue,) = expect_refusal(path)
+    assert "normal to the side" in issue.message

@@ -1,4 +1,4 @@
-"""The controller part of a cell: one controller, or two that share digital signals."""
+"""The controller section of a cell: one controller, or two that share digital signals."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pydantic import ValidationError
 
 from planner.claims.handshake import SignalWire
 from planner.issues import TandemError
-from planner.reading.controller import ControllerFile, controllers
+from planner.reading.controller import ControllerFile, build_controller
 
 ARMS = ("left", "right")
 TWICE = {"output": "DIPARTNER"}
@@ -20,31 +20,31 @@ def wire(source, output, sink, given):
 RUNNING = [wire(a, "doRunning", b, "diPartnerRunning") for a, b in (ARMS, ARMS[::-1])]
 
 
-def made(arms=ARMS, **fields):
-    return controllers(ControllerFile.model_validate(fields), arms)
+def parse_controllers(arms=ARMS, **fields):
+    return build_controller(ControllerFile.model_validate(fields), arms)
 
 
-def refused(arms=ARMS, **fields):
+def expect_refusal(arms=ARMS, **fields):
     with pytest.raises(TandemError) as error:
-        made(arms, **fields)
+        parse_controllers(arms, **fields)
     return error.value.issues[0]
 
 
 def test_one_controller_has_a_task_and_a_unit_for_each_arm():
-    got = made()
+    got = parse_controllers()
     assert (got.sync, got.tasks, got.units) == ("multimove", ("T_ROB1", "T_ROB2"), ("ROB_1", "ROB_2"))
-    assert refused(tasks=["T_A", "t_a"]).code == "problem.duplicate_name"
+    assert expect_refusal(tasks=["T_A", "t_a"]).code == "problem.duplicate_name"
 
 
 def test_two_controllers_may_have_tasks_of_one_name():
-    got = made(sync="handshake")
+    got = parse_controllers(sync="handshake")
     assert (got.tasks, got.units) == (("T_ROB1", "T_ROB1"), ("ROB_1", "ROB_1"))
     assert (got.handshake.kind, got.handshake.every) == ("four_phase", 1)
-    assert made(sync="handshake", tasks=["T_A", "T_A"]).tasks == ("T_A", "T_A")
+    assert parse_controllers(sync="handshake", tasks=["T_A", "T_A"]).tasks == ("T_A", "T_A")
 
 
 def test_outputs_drive_the_other_controllers_inputs_unless_stated():
-    assert made(sync="handshake").handshake.wired(ARMS) == (
+    assert parse_controllers(sync="handshake").handshake.meeting_wires(ARMS) == (
         SignalWire("left", "doPartner", "right", "diPartner"),
         SignalWire("right", "doPartner", "left", "diPartner"),
     )
@@ -54,10 +54,16 @@ def test_outputs_drive_the_other_controllers_inputs_unless_stated():
         {"output": {"arm": "right", "signal": "doPartner"}, "input": {"arm": "left", "signal": "DI_A"}},
         *RUNNING,
     ]
-    got = made(sync="handshake", handshake={"kind": "toggle", "signals": names, "wires": wires}).handshake
-    assert got.wired(ARMS)[0] == SignalWire("left", "DO_A", "right", "diPartner")
+    got = parse_controllers(
+        sync="handshake", handshake={"kind": "toggle", "signals": names, "wires": wires}
+    ).handshake
+    assert got.meeting_wires(ARMS)[0] == SignalWire("left", "DO_A", "right", "diPartner")
     assert got.of("left").input == "DI_A" and got.of("right").input == "diPartner"
-    assert got.wired_running(ARMS) == got.running == made(sync="handshake").handshake.wired_running(ARMS)
+    assert (
+        got.running_wires(ARMS)
+        == got.running
+        == parse_controllers(sync="handshake").handshake.running_wires(ARMS)
+    )
     assert got.running == (
         SignalWire("left", "doRunning", "right", "diPartnerRunning"),
         SignalWire("right", "doRunning", "left", "diPartnerRunning"),
@@ -73,9 +79,9 @@ def test_wiring_that_does_not_join_the_signals_is_refused():
         "output": {"arm": "right", "signal": "doPartner"},
         "input": {"arm": "left", "signal": "diPartner"},
     }
-    assert made(sync="handshake", handshake={"wires": [there, back, *RUNNING]}).handshake.wires
+    assert parse_controllers(sync="handshake", handshake={"wires": [there, back, *RUNNING]}).handshake.wires
     for wires in ([there], [there, there], [there, {**back, "input": {"arm": "left", "signal": "diOther"}}]):
-        issue = refused(sync="handshake", handshake={"wires": [*wires, *RUNNING]})
+        issue = expect_refusal(sync="handshake", handshake={"wires": [*wires, *RUNNING]})
         assert issue.field == "controller.handshake.wires" and "from doPartner of right" in issue.message
 
 
@@ -84,24 +90,28 @@ def test_wires_without_those_that_say_who_runs_are_refused():
     meet = [wire(a, "doPartner", b, "diPartner") for a, b in (ARMS, ARMS[::-1])]
     own = wire("right", "doRunning", "right", "diPartnerRunning")
     for wires in ([], RUNNING[:1], [RUNNING[0]] * 2, [RUNNING[0], own]):
-        issue = refused(sync="handshake", handshake={"wires": [*meet, *wires]})
+        issue = expect_refusal(sync="handshake", handshake={"wires": [*meet, *wires]})
         assert (
-            issue.field == "controller.handshake.wires" and "no wire leads from doRunning of" in issue.message
+            issue.field == "controller.handshake.wires" and "no wire goes from doRunning of" in issue.message
         )
     shared = {"left": {"running": "doPartner"}}
     assert (
-        refused(sync="handshake", handshake={"signals": shared}).field == "controller.handshake.signals.left"
+        expect_refusal(sync="handshake", handshake={"signals": shared}).field
+        == "controller.handshake.signals.left"
     )
     with pytest.raises(ValidationError):
-        made(sync="handshake", handshake={"wires": [*meet, *RUNNING, RUNNING[0]]})
+        parse_controllers(sync="handshake", handshake={"wires": [*meet, *RUNNING, RUNNING[0]]})
 
 
 def test_running_inputs_and_outputs_count_apart_too():
     numbers = {"doPartner": 1, "diPartner": 1, "doRunning": 2, "diPartnerRunning": 2}
-    assert made(sync="handshake", io={"left": numbers}).number("left", "diPartnerRunning") == 2
+    assert (
+        parse_controllers(sync="handshake", io={"left": numbers}).signal_number("left", "diPartnerRunning")
+        == 2
+    )
     for more in ({"diPartnerRunning": 1}, {"doRunning": 1}):
-        issue = refused(sync="handshake", io={"left": {**numbers, **more}})
-        assert issue.field == "controller.io.left" and "cannot be told apart" in issue.message
+        issue = expect_refusal(sync="handshake", io={"left": {**numbers, **more}})
+        assert issue.field == "controller.io.left" and "cannot be distinguished" in issue.message
 
 
 @pytest.mark.parametrize(
@@ -115,7 +125,7 @@ def test_running_inputs_and_outputs_count_apart_too():
     ],
 )
 def test_what_cannot_be_meant_is_refused_by_name(arms, fields, field):
-    issue = refused(arms, **fields)
+    issue = expect_refusal(arms, **fields)
     assert (issue.code, issue.field) == ("problem.field", f"controller.handshake{field}")
 
 

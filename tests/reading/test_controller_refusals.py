@@ -1,4 +1,4 @@
-"""What a problem file asks of controllers in vain: each is refused when it is read, by field and line."""
+"""Invalid controller sections of problem files: each is refused on reading, by field and line."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from planner import pipeline
 from planner.issues import TandemError
 from planner.languages.rapid import sentences
 from planner.languages.rapid.writer.syntax import (
-    BOX_LINE,
-    STRING_LENGTH,
-    box,
+    BOX_LINE_LENGTH,
+    MAX_STRING_LENGTH,
     identifier,
+    message_box,
     quoted,
     write_lines,
 )
-from planner.languages.writing.layout import plain
+from planner.languages.writing.layout import to_ascii
 from tests.reading.test_bad_input import CAPITAL, change
 
 LONG = "doAVeryLongNameOfASignal"  # 24 characters, as long as a name may be
@@ -30,8 +30,8 @@ LOCK = FIELD + ".interlock"
 OUT = LOCK + ".outputs"
 SIGNAL = "operations.0.signal"
 SIGNALS = FIELD + ".handshake.signals."
-PLACES = LOCK + ".places."
-PLACE = {"device": "D1", "device_map": 3}
+PLACES_FIELD = LOCK + ".places."
+SIGNAL_PLACE = {"device": "D1", "device_map": 3}
 
 WRONG: list[tuple[str, Any, str, str]] = [
     (FIELD, {"robotware": 5}, "problem.field", FIELD + ".robotware"),
@@ -91,23 +91,25 @@ WRONG: list[tuple[str, Any, str, str]] = [
      "problem.field", SIGNALS + "right"),
     (FIELD, HANDSHAKE | {"handshake": {"signals": {"right": {"partner_running": "doWirePowerOut"}}}},
      "problem.field", SIGNALS + "right"),
-    (FIELD, {"interlock": {"places": {"left": {"doRunning": PLACE}}}}, "problem.field", PLACES + "left"),
-    (FIELD, HANDSHAKE | {"interlock": {"places": {"middle": {"doRunning": PLACE}}}},
-     "problem.field", PLACES + "middle"),
-    (FIELD, HANDSHAKE | {"interlock": {"places": {"left": {"doNobody": PLACE}}}},
-     "problem.field", PLACES + "left"),
+    (FIELD, {"interlock": {"places": {"left": {"doRunning": SIGNAL_PLACE}}}},
+     "problem.field", PLACES_FIELD + "left"),
+    (FIELD, HANDSHAKE | {"interlock": {"places": {"middle": {"doRunning": SIGNAL_PLACE}}}},
+     "problem.field", PLACES_FIELD + "middle"),
+    (FIELD, HANDSHAKE | {"interlock": {"places": {"left": {"doNobody": SIGNAL_PLACE}}}},
+     "problem.field", PLACES_FIELD + "left"),
     (FIELD, HANDSHAKE | {"interlock": {"places": {"left": {"doRunning": {"device": "D", "device_map": -1}}}}},
-     "problem.field", PLACES + "left.doRunning.device_map"),
+     "problem.field", PLACES_FIELD + "left.doRunning.device_map"),
     (FIELD, HANDSHAKE | {"interlock": {"places": {"left": {"doRunning": {"device_map": 1}}}}},
-     "problem.field", PLACES + "left.doRunning.device"),
+     "problem.field", PLACES_FIELD + "left.doRunning.device"),
     (FIELD, HANDSHAKE | {"interlock": {"outputs": {"doWirePower": {"device": "d1", "device_map": 3}},
-                                       "places": {"left": {"doRunning": PLACE}}}},
-     "problem.field", PLACES + "left"),
+                                       "places": {"left": {"doRunning": SIGNAL_PLACE}}}},
+     "problem.field", PLACES_FIELD + "left"),
     (FIELD, HANDSHAKE | {"interlock": {"outputs": {"doWirePower": {"device": "d1", "device_map": 3}},
-                                       "places": {"left": {"doPartner": PLACE}}}},
-     "problem.field", PLACES + "left"),
-    (FIELD, HANDSHAKE | {"interlock": {"places": {"left": {"doPartner": PLACE, "doRunning": PLACE}}}},
-     "problem.field", PLACES + "left"),
+                                       "places": {"left": {"doPartner": SIGNAL_PLACE}}}},
+     "problem.field", PLACES_FIELD + "left"),
+    (FIELD, HANDSHAKE | {"interlock": {"places": {"left": {"doPartner": SIGNAL_PLACE,
+                                                          "doRunning": SIGNAL_PLACE}}}},
+     "problem.field", PLACES_FIELD + "left"),
 ]  # fmt: skip
 
 
@@ -122,9 +124,9 @@ def test_what_controllers_cannot_do_is_refused_by_field_and_line(
     path.write_text(yaml.safe_dump(change(CAPITAL, field, value), allow_unicode=True), "utf-8")
     with pytest.raises(TandemError) as refused:
         pipeline.load(path)
-    found = [issue for issue in refused.value.issues if issue.field == named]
-    assert [issue.code for issue in found][:1] == [code], refused.value.issues
-    assert found[0].line is not None and found[0].file == str(path)
+    issues = [issue for issue in refused.value.issues if issue.field == named]
+    assert [issue.code for issue in issues][:1] == [code], refused.value.issues
+    assert issues[0].line is not None and issues[0].file == str(path)
 
 
 @pytest.mark.parametrize(
@@ -138,7 +140,7 @@ def test_what_controllers_cannot_do_is_refused_by_field_and_line(
         | {
             "interlock": {
                 "outputs": {"doWirePower": {"device": "D1", "device_map": 4}},
-                "places": {"left": {"DORUNNING": PLACE, "diPartnerRunning": PLACE}},
+                "places": {"left": {"DORUNNING": SIGNAL_PLACE, "diPartnerRunning": SIGNAL_PLACE}},
             }
         },
         HANDSHAKE
@@ -174,31 +176,31 @@ def test_texts_to_the_operator_fit_the_panel() -> None:
     signal, name = "x" * 28, "y" * 24
     texts = sentences
     lines = [
-        texts.OFF_BY_MM,
-        texts.OFF_BY_DEGREES,
-        texts.NOT_AS_PLANNED,
-        *texts.NOTHING_MOVES,
-        *texts.REFUSED,
+        texts.POSITION_DEVIATION,
+        texts.ROTATION_DEVIATION,
+        texts.DIFFERS_FROM_PLAN,
+        *texts.MOTION_BLOCKED,
+        *texts.RESTART_REFUSED,
     ]
-    lines += [texts.BASE_OF.filled(arm=name)]
+    lines += [texts.BASE_OF.format(arm=name)]
     compared = (texts.OBJECT_FRAME_OF, texts.USER_FRAME_OF, texts.HOLDER_OF)
-    lines += [sentence.filled(name="w_stock_100") for sentence in compared]
-    assert max(map(len, lines)) <= STRING_LENGTH // 2
-    assert max(map(len, texts.again(signal))) <= BOX_LINE
-    assert len(texts.again(signal)) <= 11
+    lines += [sentence.format(name="w_stock_100") for sentence in compared]
+    assert max(map(len, lines)) <= MAX_STRING_LENGTH // 2
+    assert max(map(len, texts.restart_question(signal))) <= BOX_LINE_LENGTH
+    assert len(texts.restart_question(signal)) <= 11
 
 
 @pytest.mark.parametrize(
     "text", ["Klemmen schließen: Böcke, Stöße – 90°", "ä" * 400, "漢字", "\t\n", "œuvre"]
 )
 def test_any_text_is_written_in_ascii_within_the_panel(text: str) -> None:
-    lines = [*write_lines(text), *box("Tandem", text)]
+    lines = [*write_lines(text), *message_box("Tandem", text)]
     assert all(line.isascii() for line in lines)
     shown = [part for line in write_lines(text) for part in [line.removeprefix("TPWrite ").removesuffix(";")]]
-    assert all(len(part) - 2 <= STRING_LENGTH // 2 for part in shown)
-    assert quoted(plain(text)).isascii()
+    assert all(len(part) - 2 <= MAX_STRING_LENGTH // 2 for part in shown)
+    assert quoted(to_ascii(text)).isascii()
 
 
 def test_umlauts_in_names_are_spelt_or_dropped() -> None:
-    assert plain("Straße Größe œuvre Ærø") == "Strasse Grosse oeuvre Aero"
+    assert to_ascii("Straße Größe œuvre Ærø") == "Strasse Grosse oeuvre Aero"
     assert identifier("cut/Größe") == "cut_Grosse"

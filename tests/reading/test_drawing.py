@@ -1,5 +1,4 @@
-"""DXF drawings: what is hidden is left out, their own unit is held against the problem's, and pieces are
-joined."""
+"""DXF drawings: hidden objects are ignored, units are compared with the problem's, pieces are joined."""
 
 from __future__ import annotations
 
@@ -11,7 +10,7 @@ import pytest
 
 from planner.issues import Severity, TandemError
 from planner.proof.part_files import curves as proof
-from planner.reading.drawing import joined, read_dxf
+from planner.reading.drawing import join_curves, read_dxf
 
 ezdxf = pytest.importorskip("ezdxf")
 
@@ -31,35 +30,35 @@ def drawing(path: Path, units: int = 4, **radius: float) -> Path:
     return path
 
 
-def sizes(found: Any) -> list[float]:
-    return [round(float(np.linalg.norm(curve.points[0])), 9) for curve in found]
+def sizes(curves: Any) -> list[float]:
+    return [round(float(np.linalg.norm(curve.points[0])), 9) for curve in curves]
 
 
 def test_what_is_hidden_is_left_out_by_planner_and_proof(tmp_path: Path) -> None:
     path = drawing(tmp_path / "a.dxf", cut=10, off=20, frozen=30, unseen=40)
-    found, (note,) = read_dxf(path, 1e-3, None, "part")
+    result, (note,) = read_dxf(path, 1e-3, None, "part")
     assert (note.code, note.severity) == ("part.dxf_left_out", Severity.NOTE)
     assert "left out 3 hidden" in note.message
-    assert sizes(found) == sizes(proof.read_curves(path, 1e-3, None)) == [0.01]
-    with pytest.raises(TandemError, match=r"no curves on layer OFF, but 1 hidden; show what is invisible"):
+    assert sizes(result) == sizes(proof.read_curves(path, 1e-3, None)) == [0.01]
+    with pytest.raises(TandemError, match=r"no curves on layer OFF, but 1 hidden; show objects"):
         read_dxf(path, 1e-3, "OFF", "part")
     assert proof.read_curves(path, 1e-3, "off") == []
 
 
-@pytest.mark.parametrize(("units", "told"), [(1, "in"), (6, "m"), (4, None), (0, None)])
-def test_another_unit_than_the_drawings_is_told(tmp_path: Path, units: int, told: str | None) -> None:
+@pytest.mark.parametrize(("units", "unit_name"), [(1, "in"), (6, "m"), (4, None), (0, None)])
+def test_another_unit_than_the_drawings_is_told(tmp_path: Path, units: int, unit_name: str | None) -> None:
     _, notes = read_dxf(drawing(tmp_path / "a.dxf", units, cut=10), 1e-3, None, "part.plate.dxf")
     assert [(note.code, note.severity, note.field) for note in notes] == (
-        [("part.dxf_unit", Severity.WARNING, "part.plate.dxf")] if told else []
+        [("part.dxf_unit", Severity.WARNING, "part.plate.dxf")] if unit_name else []
     )
     assert all(
-        f"lengths are in {told} " in note.message and "reads them in mm" in note.message for note in notes
+        f"lengths in {unit_name} " in note.message and "reads them in mm" in note.message for note in notes
     )
 
 
 def test_a_drawing_of_a_town_is_refused_before_its_points_are_made(tmp_path: Path) -> None:
     """A circle of 10,000 km in metres took 1.8 GB."""
-    with pytest.raises(TandemError, match=r"is 2e\+07 m across, up to 100 m are read; see the unit"):
+    with pytest.raises(TandemError, match=r"is 2e\+07 m across, allowed 100 m; check the unit"):
         read_dxf(drawing(tmp_path / "a.dxf", 6, cut=1e7), 1.0, None, "part")
 
 
@@ -87,9 +86,9 @@ def test_pieces_are_joined_as_one_by_one() -> None:
     for _ in range(20):
         nodes = rng.integers(0, 4, (12, 2, 3)) * 0.01
         pieces = [np.linspace(a, b, 3) for a, b in nodes if (a != b).any()]
-        assert [(curve.closed, len(curve.points)) for curve in joined(pieces)] == naive(pieces)
+        assert [(curve.closed, len(curve.points)) for curve in join_curves(pieces)] == naive(pieces)
     lines = [np.array([[2.0 * i, 0, 0], [2.0 * i + 1.0, 0, 0]]) for i in range(300)]
-    assert len(joined(lines)) == len(proof.chained(lines)) == 300
+    assert len(join_curves(lines)) == len(proof.join_pieces(lines)) == 300
 
 
 CLOSED = {
@@ -114,7 +113,7 @@ def test_what_ends_where_it_begins_is_run_as_it_is_drawn(tmp_path: Path, kind: s
     (other,) = proof.read_curves(tmp_path / "a.dxf", 1e-3, None)
     assert own.closed and other.closed
     ways = []
-    for points in (own.run(), np.concatenate([other.points, other.points[:1]])):
+    for points in (own.run_points(), np.concatenate([other.points, other.points[:1]])):
         gone = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
         at = np.linspace(0.0, gone[-1], 17)
         ways.append(np.stack([np.interp(at, gone, points[:, k]) for k in range(3)], axis=1))
@@ -140,5 +139,7 @@ def test_where_three_lines_meet_planner_and_proof_go_on_with_the_nearest(tmp_pat
     document.saveas(tmp_path / "a.dxf")
     own, _ = read_dxf(tmp_path / "a.dxf", 1e-3, None, "part")
     other = proof.read_curves(tmp_path / "a.dxf", 1e-3, None)
-    assert [curve.run()[-1].tolist() for curve in own] == [curve.points[-1].tolist() for curve in other]
-    assert own[0].run()[-1, 1] == pytest.approx(-5e-3)
+    assert [curve.run_points()[-1].tolist() for curve in own] == [
+        curve.points[-1].tolist() for curve in other
+    ]
+    assert own[0].run_points()[-1, 1] == pytest.approx(-5e-3)

@@ -1,4 +1,4 @@
-"""Seeded mutations of good problem files: they load, or are refused by field; nothing else happens."""
+"""Seeded mutations of good problem files: they load, or are refused by field. Nothing else happens."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from tests import small_problem
 from tests.refusals import CAPITAL, POSES
 
 
-def places(data: Any, prefix: tuple[str | int, ...] = ()) -> list[tuple[str | int, ...]]:
+def value_paths(data: Any, prefix: tuple[str | int, ...] = ()) -> list[tuple[str | int, ...]]:
     """The places of all values within plain data."""
     steps = list(data) if isinstance(data, dict) else list(range(len(data))) if isinstance(data, list) else []
-    found: list[tuple[str | int, ...]] = []
+    paths: list[tuple[str | int, ...]] = []
     for step in steps:
-        found += [(*prefix, step), *places(data[step], (*prefix, step))]
-    return found
+        paths += [(*prefix, step), *value_paths(data[step], (*prefix, step))]
+    return paths
 
 
 ANYTHING = st.one_of(
@@ -51,7 +51,7 @@ ANYTHING = st.one_of(
 def test_mutated_problems_load_or_are_refused_by_field(
     tmp_path: Path, base: Any, count: int, number: int
 ) -> None:
-    where = places(base)
+    where = value_paths(base)
     (tmp_path / "targets.csv").write_text("\n".join([small_problem.COLUMNS, *small_problem.ROWS]))
 
     @seed(number)

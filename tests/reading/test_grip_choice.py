@@ -1,4 +1,4 @@
-"""Which gripper holds a block, and where: held against distances from sampled wires and plates."""
+"""The choice of gripper and grip for a block, compared with distances from sampled wires and plates."""
 
 from __future__ import annotations
 
@@ -87,12 +87,12 @@ def load(folder: Path, given: dict[str, Any]) -> Problem:
 
 
 def errors(problem: Problem) -> list[Issue]:
-    """What is said before any place is searched: the choice is made, or refused, with the targets."""
+    """Collect the issues before any placement search: the grip is chosen or refused with the targets."""
     try:
-        found = [issue for job in registry.jobs(problem) for issue in job.targets().issues]
+        result = [issue for job in registry.jobs(problem) for issue in job.targets().issues]
     except TandemError as error:
-        found = list(error.issues)
-    return [issue for issue in found if issue.severity is Severity.ERROR]
+        result = list(error.issues)
+    return [issue for issue in result if issue.severity is Severity.ERROR]
 
 
 def least_distance(problem: Problem) -> float:
@@ -108,8 +108,8 @@ def least_distance(problem: Problem) -> float:
     tool = setup.cell.arm("right").tool
     local = transform(setup.stock.grip, wires)  # in the TCP's frame
     half = np.array([*(0.5 * np.array(tool.footprint)), 0.006])  # type: ignore[union-attr]
-    off = np.maximum(np.abs(local - [0.0, 0.0, -0.006]) - half, 0.0)
-    return float(np.linalg.norm(off, axis=1).min())
+    deviation = np.maximum(np.abs(local - [0.0, 0.0, -0.006]) - half, 0.0)
+    return float(np.linalg.norm(deviation, axis=1).min())
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
@@ -120,16 +120,16 @@ def test_the_wires_stay_away_from_what_is_chosen(tmp_path: Path, seed: int) -> N
         np.stack([np.cos(turn), np.sin(turn)], 1) * rng.uniform(0.7, 1.0, (9, 1)) * [165, 118]
     ).tolist()
     problem = load(tmp_path, data(outline, LIST[1:]))
-    found = grip_choice.choose(problem.setups[0], problem.part, 10 * MM)
-    assert found is not None
+    result = grip_choice.choose_grip(problem.setups[0], problem.part, 10 * MM)
+    assert result is not None
     setup = problem.setups[0]
     tool = setup.cell.arm("right").tool
-    assert tool.name == found.tool.name
+    assert tool.name == result.tool.name
     assert least_distance(problem) >= 10 * MM
     middle = inverse(setup.stock.grip)[:3, 3]
     assert np.abs(np.round(middle[:2] / MM) * MM - middle[:2]).max() < 1e-9
     half = 0.5 * np.array(tool.footprint)  # type: ignore[union-attr]
-    half = half if abs(np.sin(found.turn)) < 0.5 else half[::-1]
+    half = half if abs(np.sin(result.rotation)) < 0.5 else half[::-1]
     assert (np.abs(middle[:2]) + half <= 0.5 * setup.stock.size[:2] + 1e-9).all()
     assert not [i for i in errors(problem) if i.code.startswith("stock.")]
 
@@ -149,13 +149,13 @@ def test_the_choice_is_told_everywhere(tmp_path: Path) -> None:
     (note,) = problem.notes
     assert (note.code, note.severity) == ("stock.grip_chosen", Severity.NOTE)
     assert "plate_220x90 of arm right (one of 4 in the cell)" in note.message
-    assert note in pipeline.looked_over(problem, 4).issues
+    assert note in pipeline.quick_check(problem, 4).issues
     assert problem.setups[0].steps[0] == "Mount the tool plate_220x90 on arm right."
     x, y = inverse(problem.stock.grip)[:2, 3] / MM
     assert f"[{x:g}, {y:g}] mm" in note.message
-    (place, _), (_, by) = setup_sheet._clamped_by(problem.stock), ("", "Tandem")
+    (place, _), (_, by) = setup_sheet._grip_rows(problem.stock), ("", "Tandem")
     assert f"{x + 180:.1f} mm from edge" in str(place[1])
-    assert setup_sheet._clamped_by(problem.stock)[1][1] == by
+    assert setup_sheet._grip_rows(problem.stock)[1][1] == by
 
 
 def test_a_problem_may_state_gripper_and_grip(tmp_path: Path) -> None:
@@ -182,9 +182,9 @@ def test_faults_of_the_list_are_refused_by_field(
 ) -> None:
     with pytest.raises(TandemError) as caught:
         load(tmp_path, data(WEDGE, grippers, **more))
-    found = [i for i in caught.value.issues if i.field == field]
-    assert [i.code for i in found] == [code]
-    assert word in found[0].message
+    issues = [i for i in caught.value.issues if i.field == field]
+    assert [i.code for i in issues] == [code]
+    assert word in issues[0].message
 
 
 @pytest.mark.parametrize("stated", [False, True])
@@ -194,7 +194,7 @@ def test_what_is_advised_where_none_fits_does_fit(tmp_path: Path, stated: bool) 
     (refused,) = errors(load(tmp_path, data(thin, [LIST[0]], **more)))
     assert refused.code == "stock.footprint"
     size = re.search(
-        r"width_mm: (\d+), depth_mm: (\d+), with its middle at \[(\S+), (\S+)\] mm", str(refused)
+        r"width_mm: (\d+), depth_mm: (\d+), with its centre at \[(\S+), (\S+)\] mm", str(refused)
     )
     assert size is not None
     width, depth = float(size[1]), float(size[2])
@@ -212,8 +212,8 @@ def test_a_gripper_that_is_too_weak_is_passed_over(tmp_path: Path) -> None:
     weak = {**LIST[1], "holding_n": 1.0}
     problem = load(tmp_path, data(WEDGE, [weak, LIST[2]]))
     assert problem.cell.arm("right").tool.name == "plate_100x100"
-    assert grip_choice.choose(problem.setups[0], problem.part, 10 * MM) is not None
-    assert problem.notes[0].message.count("turned") == int(abs(problem.stock.grip[0, 1]) > np.sin(1 * DEG))
+    assert grip_choice.choose_grip(problem.setups[0], problem.part, 10 * MM) is not None
+    assert problem.notes[0].message.count("rotated") == int(abs(problem.stock.grip[0, 1]) > np.sin(1 * DEG))
 
 
 def test_of_later_setups_too(tmp_path: Path) -> None:

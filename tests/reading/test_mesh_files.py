@@ -1,4 +1,4 @@
-"""GLB and 3MF files as parts: made here, read twice, and refused where they cannot be meant."""
+"""GLB and 3MF files as parts: written here, read twice, and refused where they are ambiguous."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from planner.geometry.mesh_files import read_mesh
 from planner.issues import TandemError
 from planner.proof.part_files import UnreadError, packed_meshes
 from planner.proof.part_files.meshes import mesh_face, read_facets
-from planner.reading.part_surfaces import FaceMeshFile, FrontFile, build_faces, surface
+from planner.reading.part_surfaces import FaceMeshFile, FrontFile, build_faces, build_surface
 from planner.service.upload_reader import mesh_size
 
 CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
@@ -35,7 +35,7 @@ SQUARE = SHEET.format(
 )
 
 
-def packed(path: Path, inside: str, unit: str = ' unit="millimeter"', model: str | None = None) -> Path:
+def write_3mf(path: Path, inside: str, unit: str = ' unit="millimeter"', model: str | None = None) -> Path:
     text = model or f'<model xmlns="{CORE}"{unit}>{inside}</model>'
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as pack:
         pack.writestr("_rels/.rels", LINKS)
@@ -43,7 +43,7 @@ def packed(path: Path, inside: str, unit: str = ' unit="millimeter"', model: str
     return path
 
 
-def one(transform: str = "", kind: str = "") -> str:
+def single_object(transform: str = "", kind: str = "") -> str:
     moved = f' transform="{transform}"' if transform else ""
     return (
         f'<resources><object id="1"{kind}>{SQUARE}</object></resources>'
@@ -81,7 +81,7 @@ def test_a_3mf_is_in_its_own_unit(tmp_path: Path, unit: str) -> None:
     ]
     shrunk = 0.3 / (300 * metres)
     pose = f"{shrunk} 0 0 0 {shrunk} 0 0 0 {shrunk} 0 0 0"
-    path = packed(tmp_path / "a.3mf", one(pose), f' unit="{unit}"' if unit else "")
+    path = write_3mf(tmp_path / "a.3mf", single_object(pose), f' unit="{unit}"' if unit else "")
     mesh = read_mesh(path, None)
     assert np.ptp(mesh.vertices, axis=0) == pytest.approx([0.3, 0.12, 0.0], rel=1e-9)
     again = mesh_face({"file": str(path)})
@@ -97,7 +97,7 @@ def test_components_turn_move_and_mirror(tmp_path: Path) -> None:
         "</components></object></resources>"
         '<build><item objectid="2" transform="1 0 0 0 1 0 0 0 1 0 0 100"/></build>'
     )
-    path = packed(tmp_path / "a.3mf", text)
+    path = write_3mf(tmp_path / "a.3mf", text)
     mesh = read_mesh(path, None)
     assert mesh.vertices.min(axis=0) == pytest.approx([-0.3, 0.0, 0.107])
     assert mesh.vertices.max(axis=0) == pytest.approx([0.005, 0.306, 0.19])
@@ -112,11 +112,11 @@ def test_components_turn_move_and_mirror(tmp_path: Path) -> None:
 def test_a_glb_stands_up(tmp_path: Path) -> None:
     path = glb(tmp_path / "a.glb")
     given = FrontFile(mesh=FaceMeshFile(file="a.glb"))
-    mesh, normals, (note,) = surface(given, tmp_path, "part.front")
+    mesh, normals, (note,) = build_surface(given, tmp_path, "part.front")
     assert mesh.vertices.min(axis=0) == pytest.approx([0, 0, 0.05])
     assert mesh.vertices.max(axis=0) == pytest.approx([0.3, 0.12, 0.05])
     assert (normals[:, 2] > 0.99).all()
-    assert "metres" in note.message and "z is up" in note.message
+    assert "metres" in note.message and "z up" in note.message
     assert mesh_face({"file": str(path)}).vertices.max(axis=0) == pytest.approx([0.3, 0.12, 0.05])
     assert build_faces(given, None, tmp_path).notes[0].code == "mesh.file_unit"
 
@@ -125,22 +125,22 @@ def test_a_glb_stands_up(tmp_path: Path) -> None:
     ("text", "words"),
     [
         ("<build/>", "no faces"),
-        ('<build><item objectid="4"/></build>', "an object 4 that it names is not there"),
-        (one(kind=' type="support"'), "no faces"),
-        (one("1 2 3"), "cannot be read"),
+        ('<build><item objectid="4"/></build>', "an object 4 that it names is missing"),
+        (single_object(kind=' type="support"'), "no faces"),
+        (single_object("1 2 3"), "cannot be read"),
         (
             '<resources><object id="1"><components><component objectid="1"/></components></object>'
             "</resources>"
             '<build><item objectid="1"/></build>',
             "nested too deep",
         ),
-        (one().replace('v3="3"', 'v3="7"'), "a vertex that is not there"),
-        (one().replace('x="300"', 'x="nan"'), "not finite"),
-        (one("1e-3 0 0 0 1e-3 0 0 0 1e-3 0 0 0"), "export it anew"),
+        (single_object().replace('v3="3"', 'v3="7"'), "a face names a missing vertex"),
+        (single_object().replace('x="300"', 'x="nan"'), "not finite"),
+        (single_object("1e-3 0 0 0 1e-3 0 0 0 1e-3 0 0 0"), "export it again"),
     ],
 )
 def test_bad_3mf_files_are_refused_in_words(tmp_path: Path, text: str, words: str) -> None:
-    path = packed(tmp_path / "a.3mf", text)
+    path = write_3mf(tmp_path / "a.3mf", text)
     with pytest.raises(TandemError, match=words):
         read_mesh(path, None)
 
@@ -164,14 +164,14 @@ def test_components_that_multiply_are_refused(
     """A file of a few kilobytes that is placed in itself again and again: it was read for ever, or filled
     the memory with facets of few vertices."""
     for module in (mesh_files, packed_meshes):
-        monkeypatch.setattr(module, "_MOST_PLACES", 1000)
-        monkeypatch.setattr(module, "_MOST_TRIANGLES", 100_000)
+        monkeypatch.setattr(module, "_MAX_PLACEMENTS", 1000)
+        monkeypatch.setattr(module, "_MAX_TRIANGLES", 100_000)
     part = "".join(
         f'<object id="{k}"><components>{f"""<component objectid="{k - 1}"/>""" * count}</components></object>'
         for k in range(1, 12)
     )
     text = f'<resources><object id="0">{mesh}</object>{part}</resources><build><item objectid="11"/></build>'
-    path = packed(tmp_path / "a.3mf", text)
+    path = write_3mf(tmp_path / "a.3mf", text)
     with pytest.raises(TandemError, match=words):
         read_mesh(path, None)
     with pytest.raises(UnreadError, match="too often"):
@@ -179,7 +179,7 @@ def test_components_that_multiply_are_refused(
 
 
 def test_damaged_files_are_refused_in_words(tmp_path: Path) -> None:
-    whole = packed(tmp_path / "a.3mf", one()).read_bytes()
+    whole = write_3mf(tmp_path / "a.3mf", single_object()).read_bytes()
     wrong = {
         "b.3mf": whole[:200],
         "c.3mf": b"solid",
@@ -194,13 +194,13 @@ def test_damaged_files_are_refused_in_words(tmp_path: Path) -> None:
         assert caught.value.issues[0].code in ("mesh.unreadable", "mesh.empty")
         with pytest.raises(UnreadError):
             read_facets(tmp_path / name)
-    bad = packed(tmp_path / "g.3mf", "", model=f'<model xmlns="{CORE}" unit="parsec"/>')
+    bad = write_3mf(tmp_path / "g.3mf", "", model=f'<model xmlns="{CORE}" unit="parsec"/>')
     with pytest.raises(TandemError, match="parsec"):
         read_mesh(bad, None)
     big = '<!DOCTYPE m [<!ENTITY a "aaaaaaaaaa">' + "".join(
         f'<!ENTITY {chr(98 + k)} "{f"&{chr(97 + k)};" * 10}">' for k in range(9)
     )
-    bomb = packed(tmp_path / "h.3mf", "", model=f'{big}]><model xmlns="{CORE}">&j;</model>')
+    bomb = write_3mf(tmp_path / "h.3mf", "", model=f'{big}]><model xmlns="{CORE}">&j;</model>')
     with pytest.raises(TandemError, match=r"cannot be read|no faces"):
         read_mesh(bomb, None)
 
@@ -226,7 +226,7 @@ def test_a_file_without_a_unit_wants_one() -> None:
 
 
 def test_a_service_counts_before_it_reads(tmp_path: Path) -> None:
-    assert mesh_size(packed(tmp_path / "a.3mf", one()), ".3mf") == (2, 4)
+    assert mesh_size(write_3mf(tmp_path / "a.3mf", single_object()), ".3mf") == (2, 4)
     assert mesh_size(glb(tmp_path / "a.glb"), ".glb") == (2, 4)
     (tmp_path / "b.glb").write_bytes(b"glTF" + bytes(40))
     (tmp_path / "b.3mf").write_bytes(io.BytesIO(b"no").getvalue())

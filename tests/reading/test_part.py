@@ -1,4 +1,4 @@
-"""The part of a problem file: placing in the block, offsets, and refusals."""
+"""The part of a problem file: placement in the block, offsets, and refusals."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from planner.geometry.mesh import TriangleMesh, face_normals, vertex_normals
 from planner.issues import TandemError
 from planner.problem import Stock
-from planner.reading.part import PartFile, build
+from planner.reading.part import PartFile, build_part
 
 SIZE = np.array([0.17, 0.70, 0.10])
 PROFILES = [
@@ -32,7 +32,7 @@ def capital(**more: Any) -> dict[str, Any]:
 
 
 def make(spec: dict[str, Any], folder: Path = Path(), size: np.ndarray = SIZE) -> Any:
-    return build(PartFile.model_validate(spec), folder, Stock(size, None, np.eye(3)))
+    return build_part(PartFile.model_validate(spec), folder, Stock(size, None, np.eye(3)))
 
 
 def test_a_panel_is_laid_front_up_along_the_block_and_inside_it() -> None:
@@ -71,7 +71,7 @@ def test_a_turned_plate_from_a_file_is_found_and_laid_flat(tmp_path: Path) -> No
     np.testing.assert_allclose(np.ptp(again.front.vertices, axis=0)[:2], [0.3, 0.1], atol=1e-6)
 
 
-def code_of(spec: dict[str, Any], folder: Path = Path(), size: np.ndarray = SIZE) -> str:
+def issue_code(spec: dict[str, Any], folder: Path = Path(), size: np.ndarray = SIZE) -> str:
     with pytest.raises(TandemError) as caught:
         make(spec, folder, size)
     return caught.value.issues[0].code
@@ -84,7 +84,7 @@ def test_a_block_smaller_than_the_part_is_refused_and_says_by_how_much() -> None
     assert issue.code == "part.stock_too_small"
     assert issue.value is not None
     assert 680 < issue.value < 700
-    assert code_of(capital(in_stock={"xyz_mm": [0, 0, 0]})) == "part.stock_too_small"
+    assert issue_code(capital(in_stock={"xyz_mm": [0, 0, 0]})) == "part.stock_too_small"
 
 
 def wave(folder: Path, height: float = 20.0) -> dict[str, Any]:
@@ -120,7 +120,7 @@ def test_a_part_fits_its_block_where_a_tilt_does_and_is_refused_where_none_does(
     assert np.ptp(flattest, axis=0)[0] > low[0]
     assert (np.ptp(make(spec, tmp_path, low).front.vertices, axis=0) < low + 1e-6).all()
     assert not ((wide < tight[0]) & (high < tight[2])).any()
-    assert code_of(spec, tmp_path, tight) == "part.stock_too_small"
+    assert issue_code(spec, tmp_path, tight) == "part.stock_too_small"
 
 
 def test_a_back_face_on_the_wrong_side_is_refused(tmp_path: Path) -> None:
@@ -129,20 +129,20 @@ def test_a_back_face_on_the_wrong_side_is_refused(tmp_path: Path) -> None:
         trimesh.Trimesh(square, [[0, 1, 2], [0, 2, 3]], process=False).export(tmp_path / f"{name}.ply")
     front = {"mesh": {"file": "front.ply", "unit": "mm"}}
     above = {"mesh": {"file": "above.ply", "unit": "mm", "flip": True}}
-    assert code_of({"front": front, "back": above}, tmp_path) == "part.faces"
+    assert issue_code({"front": front, "back": above}, tmp_path) == "part.faces"
     inward = {"mesh": {"file": "front.ply", "unit": "mm", "flip": True}}
     below = {"mesh": {"file": "above.ply", "unit": "mm"}}
     part = {"front": inward, "back": below}
     assert make(part, tmp_path, np.array([0.1, 0.1, 0.03])).back is not None
     part["back"] = {"mesh": {"file": "above.ply", "unit": "mm", "flip": True}}
-    assert code_of(part, tmp_path) == "part.faces"
+    assert issue_code(part, tmp_path) == "part.faces"
 
 
 def test_a_part_thicker_than_its_radius_is_refused() -> None:
     spec = capital()
     spec["front"]["loft"]["rail"]["radius_mm"] = 15
     spec["front"]["loft"]["flip"] = False
-    assert code_of(spec) == "part.offset"
+    assert issue_code(spec) == "part.offset"
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Plates, as problem files give them: outlines and holes, drawn or from drawings."""
+"""Plates in problem files: outlines and holes, given as points or taken from drawings."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import ezdxf
 import numpy as np
 import pytest
 
-from planner.geometry.rulings import outward
-from tests.reading.part_specs import SQUARE, circle, make, outline, refused
+from planner.geometry.rulings import outward_normals
+from tests.reading.part_specs import SQUARE, circle, expect_refusal, make, outline
 
 
 def test_outlines_go_through_the_plate_with_holes_first_and_pieces_in_holes_before_them() -> None:
@@ -27,7 +27,7 @@ def test_outlines_go_through_the_plate_with_holes_first_and_pieces_in_holes_befo
         assert ruled.closed
         np.testing.assert_allclose(ruled.start[:, 2], 0.0)
         np.testing.assert_allclose(ruled.end[:, 2], 0.1)
-        out = np.sum(outward(ruled)[0] * (ruled.start - ruled.start.mean(axis=0)), axis=1)
+        out = np.sum(outward_normals(ruled)[0] * (ruled.start - ruled.start.mean(axis=0)), axis=1)
         assert ((out < 0) if ruled.hole else (out > 0)).all()
     ring = part.ruled[1].start[:, :2]
     centre = 0.5 * (ring.min(axis=0) + ring.max(axis=0))
@@ -54,7 +54,7 @@ def test_outlines_are_turned_by_a_quarter_where_they_fit_only_so() -> None:
     ],
 )
 def test_faults_of_outlines_are_named(more: dict[str, Any], code: str) -> None:
-    issues = refused(outline(more))
+    issues = expect_refusal(outline(more))
     assert [issue.code for issue in issues] == [code]
     assert issues[0].field == "part.plate.outlines.1"
 
@@ -89,13 +89,18 @@ def test_outlines_from_a_drawing_are_joined_from_their_pieces(tmp_path: Path) ->
 def test_drawings_that_do_not_hold_what_is_wanted_are_refused(tmp_path: Path) -> None:
     drawing(tmp_path / "plate.dxf")
     dxf = {"file": "plate.dxf", "unit": "mm"}
-    assert refused({"plate": {"dxf": dxf | {"layer": "open"}}}, tmp_path)[0].code == "part.outline_open"
-    issue = refused({"plate": {"dxf": dxf | {"layer": "nothing"}}}, tmp_path)[0]
+    assert (
+        expect_refusal({"plate": {"dxf": dxf | {"layer": "open"}}}, tmp_path)[0].code == "part.outline_open"
+    )
+    issue = expect_refusal({"plate": {"dxf": dxf | {"layer": "nothing"}}}, tmp_path)[0]
     assert issue.code == "part.dxf"
     assert "cut" in issue.message
     (tmp_path / "junk.dxf").write_text("not a drawing")
-    assert refused({"plate": {"dxf": dxf | {"file": "junk.dxf"}}}, tmp_path)[0].code == "part.dxf"
-    assert refused({"plate": {"dxf": dxf | {"file": "no.dxf"}}}, tmp_path)[0].code == "problem.missing_file"
+    assert expect_refusal({"plate": {"dxf": dxf | {"file": "junk.dxf"}}}, tmp_path)[0].code == "part.dxf"
+    assert (
+        expect_refusal({"plate": {"dxf": dxf | {"file": "no.dxf"}}}, tmp_path)[0].code
+        == "problem.missing_file"
+    )
 
 
 def test_a_guide_comes_from_a_drawing(tmp_path: Path) -> None:
@@ -107,7 +112,7 @@ def test_a_guide_comes_from_a_drawing(tmp_path: Path) -> None:
     flat = {**own, "start": {"dxf": dxf | {"z_mm": 5}}}
     assert make({"ruled": [flat]}, tmp_path).ruled
     every = {**own, "start": {"dxf": {"file": "plate.dxf", "unit": "mm"}}}
-    assert refused({"ruled": [every]}, tmp_path)[0].code == "part.dxf"
+    assert expect_refusal({"ruled": [every]}, tmp_path)[0].code == "part.dxf"
 
 
 def test_without_the_extra_a_drawing_says_what_to_install(
@@ -115,7 +120,7 @@ def test_without_the_extra_a_drawing_says_what_to_install(
 ) -> None:
     drawing(tmp_path / "plate.dxf")
     monkeypatch.setitem(sys.modules, "ezdxf", None)
-    (issue,) = refused({"plate": {"dxf": {"file": "plate.dxf", "unit": "mm"}}}, tmp_path)
+    (issue,) = expect_refusal({"plate": {"dxf": {"file": "plate.dxf", "unit": "mm"}}}, tmp_path)
     assert issue.code == "part.extra_missing"
     assert "tandem-planner[cad]" in issue.message
 

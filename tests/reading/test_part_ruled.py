@@ -1,4 +1,4 @@
-"""Parts cut by rulings, as problem files give them: edges of faces, guides, wings; what is no part."""
+"""Parts cut by rulings, as problem files describe them: edges of faces, guides, wings, and invalid parts."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ import trimesh
 import yaml
 from pydantic import ValidationError
 
-from planner.geometry.rulings import outward, outward_sides, points, tessellate
+from planner.geometry.rulings import outward_normals, outward_sides, ruling_points, tessellate
 from planner.reading.part import PartFile
-from tests.reading.part_specs import SQUARE, WING, guides, make, outline, refused
+from tests.reading.part_specs import SQUARE, WING, expect_refusal, guides, make, outline
 from tests.rhino_files import LOWER, UPPER, Model, ruled_surface
 from tests.rhino_files import curve as rhino_curve
 
@@ -39,8 +39,8 @@ def test_a_panel_has_four_smooth_edges_with_corners_between() -> None:
     np.testing.assert_allclose(np.linalg.norm(edges.end - edges.start, axis=1), 0.020, atol=2e-5)
     front = trimesh.Trimesh(part.front.vertices, part.front.faces, process=False)
     assert np.abs(trimesh.proximity.closest_point(front, edges.start)[1]).max() < 1e-5
-    middle = points(edges, np.array([0.5]))[:, 0]
-    normal = outward(edges)[0]
+    middle = ruling_points(edges, np.array([0.5]))[:, 0]
+    normal = outward_normals(edges)[0]
     assert (np.sum((middle - middle.mean(axis=0)) * normal, axis=1) > 0).all()
     before, after = outward_sides(edges)
     turn = np.rad2deg(np.arccos(np.clip(np.sum(before[:, 0] * after[:, 0], axis=1), -1, 1)))
@@ -69,9 +69,14 @@ def test_a_back_of_its_own_is_joined_corner_to_corner(tmp_path: Path) -> None:
     }
     (edges,) = make(spec, tmp_path).ruled
     got = 1e3 * np.stack([edges.start, edges.end], axis=1)[edges.corner] + [100, 45, 0]
-    wanted = {(0, 0, 40, 5, 5, 0), (200, 0, 40, 190, 5, 0), (200, 90, 50, 190, 80, 0), (0, 90, 40, 5, 80, 0)}
-    assert {tuple(np.round(row.ravel()).astype(int)) for row in got} == wanted
-    assert (np.sum(outward(edges)[1] * (edges.end - edges.end.mean(axis=0)), axis=1) > 0).all()
+    expected = {
+        (0, 0, 40, 5, 5, 0),
+        (200, 0, 40, 190, 5, 0),
+        (200, 90, 50, 190, 80, 0),
+        (0, 90, 40, 5, 80, 0),
+    }
+    assert {tuple(np.round(row.ravel()).astype(int)) for row in got} == expected
+    assert (np.sum(outward_normals(edges)[1] * (edges.end - edges.end.mean(axis=0)), axis=1) > 0).all()
 
 
 def test_faces_that_cannot_be_joined_say_so_in_a_note(tmp_path: Path) -> None:
@@ -89,11 +94,11 @@ def test_two_closed_guides_make_a_prism_that_faces_outwards_and_a_hole_inwards()
     (sides,) = make(guides()).ruled
     assert sides.corner.sum() == 4
     np.testing.assert_allclose(np.ptp(sides.start, axis=0).max(), 0.1, atol=1e-9)
-    out = np.sum(outward(sides)[0] * (sides.start - sides.start.mean(axis=0)), axis=1)
+    out = np.sum(outward_normals(sides)[0] * (sides.start - sides.start.mean(axis=0)), axis=1)
     assert (out > 0).all()
     (hole,) = make(guides(hole=True)).ruled
     assert hole.hole
-    assert (np.sum(outward(hole)[0] * (hole.start - hole.start.mean(axis=0)), axis=1) < 0).all()
+    assert (np.sum(outward_normals(hole)[0] * (hole.start - hole.start.mean(axis=0)), axis=1) < 0).all()
 
 
 def test_an_open_surface_is_turned_by_flip_and_a_crossing_guide_is_run_the_other_way() -> None:
@@ -105,14 +110,14 @@ def test_an_open_surface_is_turned_by_flip_and_a_crossing_guide_is_run_the_other
     assert [note.code for note in part.notes] == ["part.guide_turned"]
     (roof,) = part.ruled
     np.testing.assert_allclose(roof.end[[0, -1], 0], [-0.1, 0.1], atol=1e-9)
-    assert (outward(roof)[0][:, 2] > 0).all()
+    assert (outward_normals(roof)[0][:, 2] > 0).all()
     (other,) = make({"ruled": [own | {"flip": True}], "in_stock": place}).ruled
-    assert (outward(other)[0][:, 2] < 0).all()
+    assert (outward_normals(other)[0][:, 2] < 0).all()
 
 
 def test_unequal_corners_name_both_counts_and_can_be_given() -> None:
     bent = {"polyline_mm": [[0, 0, 60], [100, 0, 60], [100, 100, 60], [50, 130, 60], [0, 100, 60]]}
-    (issue,) = refused(guides(end=bent))
+    (issue,) = expect_refusal(guides(end=bent))
     assert issue.code == "part.corners"
     assert "4 corners" in issue.message
     assert "end guide 5" in issue.message
@@ -133,7 +138,7 @@ def test_unequal_corners_name_both_counts_and_can_be_given() -> None:
 def test_guides_without_size_that_cross_themselves_or_meet_are_refused(
     change: dict[str, Any], code: str
 ) -> None:
-    assert [issue.code for issue in refused(guides(**change))] == [code]
+    assert [issue.code for issue in expect_refusal(guides(**change))] == [code]
 
 
 def test_a_surface_that_folds_over_itself_is_refused() -> None:
@@ -145,7 +150,7 @@ def test_a_surface_that_folds_over_itself_is_refused() -> None:
         "end": {"polyline_mm": [[0, 30, 1], [120, 30, 1], [80, 30, 1], [200, 30, 1]], "corners_mm": []},
     }
     assert make({"ruled": [fold]}).ruled
-    assert refused({"ruled": [bad]})[0].code == "part.ruled_shape"
+    assert expect_refusal({"ruled": [bad]})[0].code == "part.ruled_shape"
 
 
 def test_surfaces_of_no_area_and_many_corners_are_taken_as_they_are() -> None:
@@ -155,7 +160,7 @@ def test_surfaces_of_no_area_and_many_corners_are_taken_as_they_are() -> None:
         "start": {"polyline_mm": line},
         "end": {"polyline_mm": [[x + 150, 0, 0] for x in (0, 9, 99)]},
     }
-    assert refused({"ruled": [flat]})[0].code == "part.ruled_shape"
+    assert expect_refusal({"ruled": [flat]})[0].code == "part.ruled_shape"
     angle = np.arange(800) * 2 * np.pi / 800
     wheel = (90 + 10 * (np.arange(800) % 2)) * np.array([np.cos(angle), np.sin(angle)])
     start, end = ([[x, y, z] for x, y in np.roll(wheel.T, shift, axis=0)] for z, shift in ((0, 0), (80, 250)))
@@ -174,7 +179,7 @@ def test_a_wing_lies_along_the_longest_axis_of_its_block(size: list[float]) -> N
     lower, upper = np.array([-0.5, -0.5, 0.0]) * size, np.array([0.5, 0.5, 1.0]) * size
     assert (both > lower - 1e-6).all()
     assert (both < upper + 1e-6).all()
-    centre = points(skin, np.array([0.5]))[:, 0].mean(axis=0)
+    centre = ruling_points(skin, np.array([0.5]))[:, 0].mean(axis=0)
     facets = tessellate(skin)
     body = trimesh.Trimesh(facets.vertices, facets.faces, process=False)
     across = body.triangles_center - centre
@@ -186,7 +191,7 @@ def test_a_wing_may_be_twisted_as_little_as_can_be() -> None:
     (even,), (least,) = (make({"wing": WING | {"match": m}}).ruled for m in ("arc_length", "least_twist"))
     angle = []
     for skin in (even, least):
-        start, end = outward(skin)
+        start, end = outward_normals(skin)
         angle.append(np.mean(np.arccos(np.clip(np.sum(start * end, axis=1), -1.0, 1.0))))
     assert angle[1] < angle[0]
 
@@ -195,12 +200,12 @@ def test_wings_from_files_and_their_faults_by_field(tmp_path: Path) -> None:
     rows = [f"{x:.6f} {y:.6f}" for x, y in np.array([[1, 0.001], [0, 0], [1, -0.001]])]
     (tmp_path / "bad.dat").write_text("bad\n" + "\n".join(rows))
     wing = {**WING, "root": {"file": "bad.dat", "chord_mm": 200}, "tip": {"naca": "0099", "chord_mm": 100}}
-    assert {(i.code, i.field) for i in refused({"wing": wing}, tmp_path)} == {
+    assert {(i.code, i.field) for i in expect_refusal({"wing": wing}, tmp_path)} == {
         ("part.airfoil_points", "part.wing.root.file"),
         ("part.naca", "part.wing.tip.naca"),
     }
-    assert [i.code for i in refused({"wing": WING | {"trailing_edge_mm": 20}})] == ["part.wing"] * 2
-    assert refused({"wing": WING}, size=np.array([0.2, 0.4, 0.06]))[0].code == "part.stock_too_small"
+    assert [i.code for i in expect_refusal({"wing": WING | {"trailing_edge_mm": 20}})] == ["part.wing"] * 2
+    assert expect_refusal({"wing": WING}, size=np.array([0.2, 0.4, 0.06]))[0].code == "part.stock_too_small"
 
 
 @pytest.mark.parametrize(
@@ -262,4 +267,4 @@ def test_a_shell_piece_stands_on_its_base_though_its_sides_lean(tmp_path: Path) 
     assert sides.corner.sum() == 6
     assert np.ptp(sides.start[:, 2]) < 1e-12
     np.testing.assert_allclose(np.ptp(sides.start, axis=0)[:2], [0.96, 0.56 * np.sin(np.pi / 3)], atol=1e-9)
-    assert (np.sum((outward(sides)[0] * sides.start)[:, :2], axis=1) > 0).all()
+    assert (np.sum((outward_normals(sides)[0] * sides.start)[:, :2], axis=1) > 0).all()

@@ -1,4 +1,4 @@
-"""Problem files: all faults at once, each with its field and line; a good file becomes values in SI units."""
+"""Problem files: all faults at once, each with its field and line. A good file becomes values in SI units."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from planner.issues import Issue, TandemError
 from planner.pipeline import load
 from planner.problem import Controller, Settings
 from planner.reading import cell
-from planner.reading.controller import ControllerFile, controllers
+from planner.reading.controller import ControllerFile, build_controller
 from planner.reading.problem import SettingsFile, bundle
-from planner.tooling import Tool, bow, disk_tool, gripper_plate, mill, vacuum_cup
+from planner.tooling import CutterGeometry, Tool, bow, disk_tool, gripper_plate, mill, vacuum_cup
 
 GOOD = """\
 tandem: 1
@@ -45,7 +45,7 @@ operations:
 """
 
 
-def refused(folder: Path, text: str) -> tuple[Issue, ...]:
+def expect_refusal(folder: Path, text: str) -> tuple[Issue, ...]:
     path = folder / "problem.yaml"
     path.write_text(text)
     with pytest.raises(TandemError) as caught:
@@ -83,12 +83,12 @@ def test_all_faults_come_at_once_with_their_lines(tmp_path: Path) -> None:
         .replace("settings: {clearance_mm: 15}", "settings: {clearence_mm: 15}")
         .replace("process: targets", "process: lasers")
     )
-    issues = refused(tmp_path, text)
-    found = {(issue.code, issue.field, issue.line) for issue in issues}
-    assert ("problem.field", "stock.size_mm.1", 17) in found
-    assert ("problem.not_finite", "stock.size_mm.2", 17) in found
-    assert ("problem.field", "settings.clearence_mm", 18) in found
-    assert ("problem.unknown_process", "operations.0.process", 21) in found
+    issues = expect_refusal(tmp_path, text)
+    result = {(issue.code, issue.field, issue.line) for issue in issues}
+    assert ("problem.field", "stock.size_mm.1", 17) in result
+    assert ("problem.not_finite", "stock.size_mm.2", 17) in result
+    assert ("problem.field", "settings.clearence_mm", 18) in result
+    assert ("problem.unknown_process", "operations.0.process", 21) in result
     messages = "\n".join(issue.message for issue in issues)
     assert "unknown key" in messages
     assert "known are elastic_wire, forming, milling, straight_wire, targets" in messages
@@ -112,7 +112,7 @@ FAULTS = [
 @pytest.mark.parametrize(("old", "new", "code", "words"), FAULTS)
 def test_each_fault_has_its_code(tmp_path: Path, old: str, new: str, code: str, words: str) -> None:
     assert old in GOOD
-    issues = refused(tmp_path, GOOD.replace(old, new))
+    issues = expect_refusal(tmp_path, GOOD.replace(old, new))
     hits = [issue for issue in issues if issue.code == code]
     assert hits, [str(issue) for issue in issues]
     assert words in str(hits[0])
@@ -120,14 +120,14 @@ def test_each_fault_has_its_code(tmp_path: Path, old: str, new: str, code: str, 
 
 def test_a_missing_cell_file_is_named(tmp_path: Path) -> None:
     start, end = GOOD.index("cell:"), GOOD.index("stock:")
-    (issue,) = refused(tmp_path, GOOD[:start] + "cell: no_cell.yaml\n" + GOOD[end:])
+    (issue,) = expect_refusal(tmp_path, GOOD[:start] + "cell: no_cell.yaml\n" + GOOD[end:])
     assert issue.code == "problem.missing_file"
     assert issue.field == "cell"
     assert issue.line == 3
 
 
 def test_no_operation_is_no_problem(tmp_path: Path) -> None:
-    issues = refused(tmp_path, GOOD[: GOOD.index("operations:")] + "operations: []\n")
+    issues = expect_refusal(tmp_path, GOOD[: GOOD.index("operations:")] + "operations: []\n")
     assert issues[0].field == "operations"
 
 
@@ -152,12 +152,12 @@ def test_a_bundle_reads_as_the_same_problem(tmp_path: Path) -> None:
 
 def test_what_a_file_leaves_out_is_what_values_in_python_leave_out() -> None:
     """To the last bit, as the same plan comes of both."""
-    assert SettingsFile().build() == Settings()
+    assert SettingsFile().to_settings() == Settings()
     assert Settings() == Settings(0.01, None, 0.9, 0.8, np.deg2rad(2.0), np.deg2rad(5.0), 0.25, 0)
     arms = ["left", "right"]
-    assert controllers(ControllerFile.model_validate({}), arms) == Controller()
-    assert controllers(ControllerFile.model_validate({"max_kilobytes": 1000}), arms) == Controller()
-    two = controllers(ControllerFile.model_validate({"sync": "handshake"}), arms)
+    assert build_controller(ControllerFile.model_validate({}), arms) == Controller()
+    assert build_controller(ControllerFile.model_validate({"max_kilobytes": 1000}), arms) == Controller()
+    two = build_controller(ControllerFile.model_validate({"sync": "handshake"}), arms)
     assert two.tasks == ("T_ROB1", "T_ROB1") and two.units == ("ROB_1", "ROB_1")
     meets, usual = two.handshake, Handshake()
     assert (meets.kind, meets.every, meets.timeout, meets.patience) == ("four_phase", 1, 30.0, 3600.0)
@@ -166,7 +166,7 @@ def test_what_a_file_leaves_out_is_what_values_in_python_leave_out() -> None:
 
 
 @pytest.mark.parametrize(
-    ("fields", "made"),
+    ("fields", "expected_tool"),
     [
         ({"kind": "bow"}, bow()),
         ({"kind": "gripper_plate"}, gripper_plate(0.16, 0.16)),
@@ -174,14 +174,16 @@ def test_what_a_file_leaves_out_is_what_values_in_python_leave_out() -> None:
         ({"kind": "disk_tool"}, disk_tool(25.4e-3, 0.3, 0.012, 9.525e-3)),
         (
             {"kind": "mill", "diameter_mm": 12, "flute_mm": 40, "overhang_mm": 60},
-            mill("cylinder", 0.006, 0.0, 0.04, 0.06),
+            mill(CutterGeometry("cylinder", 0.006, 0.0, 0.04, 0.06)),
         ),
     ],
 )
-def test_sizes_of_tools_that_a_file_leaves_out_are_those_of_their_makers(fields: Any, made: Tool) -> None:
-    read = cell.tool(TypeAdapter(cell.ToolFile).validate_python(fields), Path())
-    np.testing.assert_array_equal(read.tcp, made.tcp)
-    assert read.mass == made.mass
-    for ours, theirs in zip(read.shapes, made.shapes, strict=True):
+def test_sizes_of_tools_that_a_file_leaves_out_are_those_of_their_makers(
+    fields: Any, expected_tool: Tool
+) -> None:
+    read = cell.build_tool(TypeAdapter(cell.ToolFile).validate_python(fields), Path())
+    np.testing.assert_array_equal(read.tcp, expected_tool.tcp)
+    assert read.mass == expected_tool.mass
+    for ours, theirs in zip(read.shapes, expected_tool.shapes, strict=True):
         assert ours.size == theirs.size
         np.testing.assert_array_equal(ours.pose, theirs.pose)

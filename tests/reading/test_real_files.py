@@ -1,4 +1,4 @@
-"""Files that other programs wrote (tests/real_files), against sizes that others state."""
+"""Files that other programs wrote (tests/real_files), compared with sizes that other sources state."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from planner.reading import rhino
 from planner.reading.drawing import read_dxf
 from planner.reading.rhino import RhinoFaceFile, RhinoFile
 
-HERE = Path(__file__).parents[1] / "real_files"
+REAL_FILES = Path(__file__).parents[1] / "real_files"
 
 # unit, faces, sides and area in it, as trimesh has them (3MF by its own reader, with lxml and networkx)
 MESHES = {
@@ -52,7 +52,7 @@ def area(corners: np.ndarray) -> float:
 @pytest.mark.parametrize("name", MESHES)
 def test_meshes_have_the_size_that_they_were_given(name: str) -> None:
     unit, count, sides, stated = MESHES[name]
-    path = HERE / name
+    path = REAL_FILES / name
     own = stated_unit(path)
     assert own.name == unit
     mesh = read_mesh(path, None)
@@ -62,29 +62,29 @@ def test_meshes_have_the_size_that_they_were_given(name: str) -> None:
     (note,) = unit_note(path, "part")
     assert note.severity is Severity.NOTE and unit in note.message
     # and the proof's own reader
-    found = read_facets(path)
-    assert found.unit == pytest.approx(own.metres, rel=1e-15)
-    assert area(found.corners * found.unit) == pytest.approx(area(mesh.vertices[mesh.faces]), rel=1e-9)
-    low, high = (edge(found.corners.reshape(-1, 3) * found.unit, axis=0) for edge in (np.min, np.max))
+    result = read_facets(path)
+    assert result.unit == pytest.approx(own.metres, rel=1e-15)
+    assert area(result.corners * result.unit) == pytest.approx(area(mesh.vertices[mesh.faces]), rel=1e-9)
+    low, high = (edge(result.corners.reshape(-1, 3) * result.unit, axis=0) for edge in (np.min, np.max))
     assert low == pytest.approx(mesh.vertices.min(axis=0), abs=1e-12)
     assert high == pytest.approx(mesh.vertices.max(axis=0), abs=1e-12)
 
 
 @pytest.mark.parametrize("name", ["Pass.3mf", "NotListed.3mf"])
 def test_a_mesh_that_needs_an_extension_is_refused_in_words(name: str) -> None:
-    with pytest.raises(TandemError, match=r"needs the extension .*, which is not read"):
-        read_mesh(HERE / name, None)
+    with pytest.raises(TandemError, match=r"needs the extension .*, which is not supported"):
+        read_mesh(REAL_FILES / name, None)
 
 
 @pytest.mark.parametrize(
     ("name", "other"), [("Helix.3mf", "in"), ("Color_093.3mf", "mm"), ("heart_token.glb", "mm")]
 )
 def test_another_unit_than_the_file_s_is_refused(name: str, other: str) -> None:
-    with pytest.raises(TandemError, match=f"the problem says {other}; take unit out") as caught:
-        read_mesh(HERE / name, LENGTH_UNITS[other])
+    with pytest.raises(TandemError, match=f"the problem states {other}; remove unit") as caught:
+        read_mesh(REAL_FILES / name, LENGTH_UNITS[other])
     assert caught.value.issues[0].code == "mesh.unit"
-    same = {"millimeter": "mm", "meter": "m", "m": "m"}[stated_unit(HERE / name).name]
-    assert len(read_mesh(HERE / name, LENGTH_UNITS[same]).faces)
+    same = {"millimeter": "mm", "meter": "m", "m": "m"}[stated_unit(REAL_FILES / name).name]
+    assert len(read_mesh(REAL_FILES / name, LENGTH_UNITS[same]).faces)
 
 
 # sides in the drawing's own lengths, as ezdxf's bounding boxes have them
@@ -100,10 +100,10 @@ DRAWINGS = {
 @pytest.mark.parametrize("name", DRAWINGS)
 def test_drawings_have_their_sides(name: str) -> None:
     pytest.importorskip("ezdxf")
-    curves, _ = read_dxf(HERE / name, 1e-3, None, "part")
+    curves, _ = read_dxf(REAL_FILES / name, 1e-3, None, "part")
     points = np.concatenate([curve.points for curve in curves])
     assert np.ptp(points, axis=0)[:2] == pytest.approx(np.array(DRAWINGS[name]) * 1e-3, abs=1.5e-5)
-    again = np.concatenate([curve.points for curve in read_curves(HERE / name, 1e-3, None)])
+    again = np.concatenate([curve.points for curve in read_curves(REAL_FILES / name, 1e-3, None)])
     assert np.ptp(again, axis=0) == pytest.approx(np.ptp(points, axis=0), abs=5e-6)
 
 
@@ -114,37 +114,42 @@ RHINO = {"3in_x_2in.3dm": (2.0, 3.0)}
 @pytest.mark.parametrize("name", RHINO)
 def test_faces_of_rhino_have_their_sides(name: str) -> None:
     pytest.importorskip("rhino3dm")
-    found = rhino.face(RhinoFaceFile(file=name), HERE, "part.front.rhino")
-    assert "inches" in found.notes[0].message
-    assert np.ptp(found.mesh.vertices, axis=0)[:2] == pytest.approx(np.array(RHINO[name]) * 0.0254, abs=1e-9)
-    again = proof.face({"file": str(HERE / name)}).vertices
-    assert np.ptp(again, axis=0) == pytest.approx(np.ptp(found.mesh.vertices, axis=0), abs=1e-9)
+    result = rhino.read_face(RhinoFaceFile(file=name), REAL_FILES, "part.front.rhino")
+    assert "inches" in result.notes[0].message
+    assert np.ptp(result.mesh.vertices, axis=0)[:2] == pytest.approx(np.array(RHINO[name]) * 0.0254, abs=1e-9)
+    again = proof.face({"file": str(REAL_FILES / name)}).vertices
+    assert np.ptp(again, axis=0) == pytest.approx(np.ptp(result.mesh.vertices, axis=0), abs=1e-9)
 
 
 def test_rhino_files_that_have_no_such_thing_say_what_they_have() -> None:
     pytest.importorskip("rhino3dm")
-    with pytest.raises(TandemError, match=r"is cut along other lines than its own|has holes"):
-        rhino.face(RhinoFaceFile(file="complex_shape.3dm"), HERE, "part.front.rhino")
+    with pytest.raises(TandemError, match=r"is not trimmed along its parameter lines|has holes"):
+        rhino.read_face(RhinoFaceFile(file="complex_shape.3dm"), REAL_FILES, "part.front.rhino")
     with pytest.raises(TandemError, match=r"has no layer none; its layers are 0, CAULK"):
-        rhino.curves(RhinoFile(file="compound_shape.3dm", layer="none"), HERE, "part.plate.rhino")
+        rhino.read_curves(RhinoFile(file="compound_shape.3dm", layer="none"), REAL_FILES, "part.plate.rhino")
 
 
 def test_a_subd_of_rhino_is_refused_with_what_makes_a_face_of_it() -> None:
-    """Its 235 faces are no NURBS, and what a SubD is between them no reader here knows."""
+    """Its 235 faces are no NURBS, and no reader here knows the shape of a SubD between them."""
     pytest.importorskip("rhino3dm")
-    for read, said in (
-        (lambda: rhino.face(RhinoFaceFile(file="subd_8.3dm"), HERE, "part"), "no face and no mesh"),
-        (lambda: rhino.curves(RhinoFile(file="subd_8.3dm"), HERE, "part"), "no curve"),
+    for read, expected_text in (
+        (
+            lambda: rhino.read_face(RhinoFaceFile(file="subd_8.3dm"), REAL_FILES, "part"),
+            "no face and no mesh",
+        ),
+        (lambda: rhino.read_curves(RhinoFile(file="subd_8.3dm"), REAL_FILES, "part"), "no curve"),
     ):
-        with pytest.raises(TandemError, match=rf"has {said}, but 1 SubD; turn SubD into NURBS") as told:
+        with pytest.raises(
+            TandemError, match=rf"has {expected_text}, but 1 SubD; convert SubD to NURBS"
+        ) as caught:
             read()
-        (issue,) = told.value.issues
+        (issue,) = caught.value.issues
         assert issue.code == "part.rhino" and "explode" not in issue.message
 
 
 def test_every_file_has_its_source() -> None:
-    table = (HERE / "SOURCES.md").read_text()
-    files = [path for path in HERE.iterdir() if path.suffix != ".md"]
+    table = (REAL_FILES / "SOURCES.md").read_text()
+    files = [path for path in REAL_FILES.iterdir() if path.suffix != ".md"]
     assert len(files) >= 30
     assert sum(path.stat().st_size for path in files) < 6_000_000
     for path in files:

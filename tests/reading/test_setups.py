@@ -37,7 +37,7 @@ def load(tmp_path: Path, stock: dict, *operations: dict) -> planner.Problem:
 
 
 def codes(tmp_path: Path, stock: dict, *operations: dict) -> list[tuple[str, str]]:
-    """Codes and messages of what is refused."""
+    """Return codes and messages of a refusal."""
     with pytest.raises(TandemError) as caught:
         load(tmp_path, stock, *operations)
     return [(issue.code, issue.message) for issue in caught.value.issues]
@@ -114,9 +114,9 @@ def test_a_held_block_weighs_what_its_foam_weighs(tmp_path: Path) -> None:
     ],
 )
 def test_what_cannot_be_held_is_refused(tmp_path: Path, stock: dict, code: str, word: str) -> None:
-    found = codes(tmp_path, stock)
-    assert [c for c, _ in found] == [code]
-    assert word in found[0][1]
+    result = codes(tmp_path, stock)
+    assert [c for c, _ in result] == [code]
+    assert word in result[0][1]
 
 
 def test_a_gripper_must_hold_three_times_the_blocks_weight(

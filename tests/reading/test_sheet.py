@@ -16,10 +16,10 @@ from planner.geometry.arrays import Mesh
 from planner.geometry.units import DEG, MM
 from planner.issues import Severity, TandemError
 from planner.problem import Problem
-from planner.processes.forming.plan.features.tree import build
+from planner.processes.forming.plan.features.tree import build_feature_tree
 from tests import small_forming
 from tests.processes.forming.plan import nests
-from tests.refusals import change, codes, refused
+from tests.refusals import change, codes, expect_refusal
 
 SHEET_FIELDS = [
     ("sheet.size_mm", [160], "size_mm"),
@@ -65,7 +65,7 @@ def load(folder: Path, part: Mesh | None = None, **fields: Any) -> Problem:
     return pipeline.load(small_forming.write(folder, data, part))
 
 
-def formed(problem: Problem) -> Mesh:
+def formed_mesh(problem: Problem) -> Mesh:
     assert problem.part is not None
     assert problem.part.formed is not None
     return problem.part.formed.mesh
@@ -74,7 +74,7 @@ def formed(problem: Problem) -> Mesh:
 @pytest.mark.parametrize(("field", "value", "named"), SHEET_FIELDS)
 def test_a_wrong_field_is_refused_by_its_name(tmp_path: Path, field: str, value: Any, named: str) -> None:
     data = change(small_forming.problem(), field, value)
-    issues = refused(small_forming.write(tmp_path, data))
+    issues = expect_refusal(small_forming.write(tmp_path, data))
     assert codes(issues) == {"problem.field"}
     assert any(named in str(issue.field) for issue in issues)
     assert all(issue.line for issue in issues)
@@ -106,23 +106,25 @@ def test_an_upright_sheet_stands_with_its_y_up(tmp_path: Path) -> None:
 def test_a_part_in_any_frame_is_found_with_its_x_kept(tmp_path: Path) -> None:
     part = small_forming.dish()
     oval = Mesh(part.vertices * [1.0, 0.8, 1.0], part.faces)
-    wanted = formed(load(tmp_path, oval)).vertices
+    expected = formed_mesh(load(tmp_path, oval)).vertices
     turn = trimesh.transformations.rotation_matrix(25.0 * DEG, [0.0, 1.0, 0.0])
     moved = Mesh(trimesh.transform_points(oval.vertices, turn) + np.array([0.3, -0.2, 0.5]), oval.faces)
-    found = formed(load(tmp_path, moved, part__sheet_mesh__frame="find")).vertices
-    np.testing.assert_allclose(found, wanted, atol=2e-6)
-    assert codes(refused(small_forming.write(tmp_path, small_forming.problem(), moved))) == {"forming.border"}
+    result = formed_mesh(load(tmp_path, moved, part__sheet_mesh__frame="find")).vertices
+    np.testing.assert_allclose(result, expected, atol=2e-6)
+    assert codes(expect_refusal(small_forming.write(tmp_path, small_forming.problem(), moved))) == {
+        "forming.border"
+    }
 
 
 def test_normals_of_either_side_and_a_soup_of_triangles_give_the_same_part(tmp_path: Path) -> None:
     part = small_forming.dish()
-    wanted = formed(load(tmp_path)).vertices
-    turned = formed(load(tmp_path, Mesh(part.vertices, part.faces[:, ::-1])))
-    np.testing.assert_allclose(turned.vertices, wanted)
+    expected = formed_mesh(load(tmp_path)).vertices
+    turned = formed_mesh(load(tmp_path, Mesh(part.vertices, part.faces[:, ::-1])))
+    np.testing.assert_allclose(turned.vertices, expected)
     corners = turned.vertices[turned.faces]
     assert (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0.0).all()
     soup = Mesh(part.vertices[part.faces].reshape(-1, 3), np.arange(3 * len(part.faces)).reshape(-1, 3))
-    assert len(formed(load(tmp_path, soup)).vertices) == len(wanted)
+    assert len(formed_mesh(load(tmp_path, soup)).vertices) == len(expected)
 
 
 def _without(part: Mesh, away: float) -> Mesh:
@@ -135,11 +137,11 @@ def _two(part: Mesh) -> Mesh:
     return Mesh(vertices, np.concatenate([part.faces, part.faces + len(part.vertices)]))
 
 
-def _scaled(scale: float) -> Edit:
+def _scale(scale: float) -> Edit:
     return lambda part: Mesh(part.vertices * scale, part.faces)
 
 
-def _moved(vertex: int, value: float) -> Edit:
+def _move_vertex(vertex: int, value: float) -> Edit:
     def edit(part: Mesh) -> Mesh:
         vertices = part.vertices.copy()
         vertices[vertex, 2] = value
@@ -148,29 +150,29 @@ def _moved(vertex: int, value: float) -> Edit:
     return edit
 
 
-def _some_turned(part: Mesh) -> Mesh:
+def _flip_some_faces(part: Mesh) -> Mesh:
     faces = part.faces.copy()
     faces[::3] = faces[::3, ::-1]
     return Mesh(part.vertices, faces)
 
 
 def _leaning(part: Mesh) -> Mesh:
-    """All below 3 mm is half as wide again as it was: a tenth of the faces and more look down."""
+    """Widen everything below 3 mm by half: more than a tenth of the faces point down."""
     low = part.vertices[:, 2] < -0.003
     wide = np.where(low[:, None], [1.5, 1.5, 1.0], [1.0, 1.0, 1.0])
     return Mesh(part.vertices * wide, part.faces)
 
 
 MESHES: dict[str, tuple[Edit, str, str]] = {
-    "0.07 mm": (_scaled(1e-3), "mesh.unit", "unit"),
-    "70 m": (_scaled(1e3), "mesh.unit", "unit"),
-    "five times too large": (_scaled(5.0), "part.stock_too_small", "larger sheet"),
+    "0.07 mm": (_scale(1e-3), "mesh.unit", "unit"),
+    "70 m": (_scale(1e3), "mesh.unit", "unit"),
+    "five times too large": (_scale(5.0), "part.stock_too_small", "larger sheet"),
     "flat": (lambda part: Mesh(part.vertices * [1, 1, 0.01], part.faces), "forming.flat", "unit"),
     "hole in the floor": (lambda part: _without(part, 0.01), "forming.border", "hole"),
-    "rim 3 mm up": (_moved(0, 0.003), "forming.border", "allowed"),
-    "not a number": (_moved(50, np.nan), "problem.not_finite", "repair"),
-    "infinite": (_moved(50, np.inf), "problem.not_finite", "repair"),
-    "two pieces": (_two, "mesh.pieces", "1 is wanted"),
+    "rim 3 mm up": (_move_vertex(0, 0.003), "forming.border", "allowed"),
+    "not a number": (_move_vertex(50, np.nan), "problem.not_finite", "repair"),
+    "infinite": (_move_vertex(50, np.inf), "problem.not_finite", "repair"),
+    "two pieces": (_two, "mesh.pieces", "1 is required"),
     "three faces at an edge": (
         lambda part: Mesh(
             np.concatenate([part.vertices, [[0.0, 0.0, 0.01]]]),
@@ -179,7 +181,7 @@ MESHES: dict[str, tuple[Edit, str, str]] = {
         "mesh.non_manifold",
         "delete",
     ),
-    "faces turned at random": (_some_turned, "forming.inside_out", "orient"),
+    "faces turned at random": (_flip_some_faces, "forming.inside_out", "orient"),
     "one triangle": (lambda part: Mesh(np.eye(3) * 0.02, np.array([[0, 1, 2]])), "forming.border", "allowed"),
     "no faces": (lambda part: Mesh(part.vertices, part.faces[:0]), "mesh.empty", "export"),
 }
@@ -187,23 +189,23 @@ MESHES: dict[str, tuple[Edit, str, str]] = {
 
 @pytest.mark.parametrize("name", MESHES)
 def test_a_mesh_that_is_no_part_is_named_with_the_remedy(tmp_path: Path, name: str) -> None:
-    edit, code, said = MESHES[name]
+    edit, code, expected_text = MESHES[name]
     path = small_forming.write(tmp_path, small_forming.problem(), edit(small_forming.dish()))
-    (issue, *more) = refused(path)
+    (issue, *more) = expect_refusal(path)
     assert not more
     assert (issue.code, issue.severity) == (code, Severity.ERROR)
-    assert said in f"{issue.message} {issue.hint}"
+    assert expected_text in f"{issue.message} {issue.hint}"
 
 
 def test_a_closed_mesh_is_refused(tmp_path: Path) -> None:
     ball = trimesh.creation.icosphere(2, 20.0 * MM)
     path = small_forming.write(tmp_path, small_forming.problem(), Mesh(ball.vertices, ball.faces))
-    assert codes(refused(path)) == {"forming.closed_mesh"}
+    assert codes(expect_refusal(path)) == {"forming.closed_mesh"}
 
 
 def test_a_part_moved_out_of_the_opening_is_refused_with_the_place(tmp_path: Path) -> None:
     data = change(small_forming.problem(), "part.in_stock", {"xyz_mm": [30, 0, 0]})
-    (issue,) = refused(small_forming.write(tmp_path, data))
+    (issue,) = expect_refusal(small_forming.write(tmp_path, data))
     assert issue.code == "part.stock_too_small"
     assert issue.field == "sheet.opening_mm"
 
@@ -213,7 +215,7 @@ def test_solids_hold_all_that_stands_out_of_the_sheet(tmp_path: Path) -> None:
     assert problem.stock.sheet is not None
     (solid,) = problem.stock.sheet.formed
     hull = trimesh.Trimesh(solid.vertices, solid.faces)
-    below = formed(problem).vertices
+    below = formed_mesh(problem).vertices
     below = below[below[:, 2] < -0.2 * MM]
     assert (trimesh.proximity.signed_distance(hull, below) > -1e-9).all()
 
@@ -228,7 +230,7 @@ def _noisy(noise: float, seed: int = 5) -> Edit:
     return edit
 
 
-def _scan(noise: float = 1e-4, apart: float = 1.5e-3) -> Mesh:
+def _scan(noise: float = 1e-4, spacing: float = 1.5e-3) -> Mesh:
     """A dish of 60 mm on irregular triangles as a scan has it."""
     line = small_forming.dish().vertices
     away, height = np.hypot(line[:, 0], line[:, 1]), line[:, 2]
@@ -237,10 +239,10 @@ def _scan(noise: float = 1e-4, apart: float = 1.5e-3) -> Mesh:
     def dish(x: Any, y: Any) -> Any:
         return np.asarray(np.interp(np.hypot(x, y), away[order], height[order]))
 
-    return _noisy(noise)(nests.sheet(dish, 0.045, apart, 2))
+    return _noisy(noise)(nests.sheet(dish, 0.045, spacing, 2))
 
 
-def _said(tmp_path: Path, tolerance: object, part: Mesh) -> Path:
+def _write_with_tolerance(tmp_path: Path, tolerance: object, part: Mesh) -> Path:
     data = change(small_forming.problem(), "part.sheet_mesh.tolerance_mm", tolerance)
     return small_forming.write(tmp_path, data, part)
 
@@ -249,15 +251,15 @@ def test_noise_of_a_scan_is_found_told_and_taken_away(tmp_path: Path) -> None:
     problem = pipeline.load(small_forming.write(tmp_path, small_forming.problem(), _scan()))
     assert problem.part is not None and problem.part.formed is not None
     part = problem.part.formed
-    assert part.tolerance == pytest.approx(3e-4, rel=0.2) and part.stated is None
+    assert part.tolerance == pytest.approx(3e-4, rel=0.2) and part.stated_tolerance is None
     (note,) = problem.part.notes
     assert (note.code, note.severity) == ("part.mesh_noise", Severity.NOTE)
     assert note.value == pytest.approx(part.tolerance / MM)
-    off = np.linalg.norm(part.mesh.vertices - part.source.vertices, axis=1)
-    assert np.quantile(off, 0.9) < part.tolerance
-    assert len(build(part.mesh, 1e-3, part.tolerance).features) == 1
+    deviation = np.linalg.norm(part.mesh.vertices - part.source.vertices, axis=1)
+    assert np.quantile(deviation, 0.9) < part.tolerance
+    assert len(build_feature_tree(part.mesh, 1e-3, part.tolerance).features) == 1
     with pytest.raises(TandemError):  # as it was given it is a heap of features, or turns over
-        build(part.source, 1e-3)
+        build_feature_tree(part.source, 1e-3)
 
 
 def test_a_mesh_without_noise_is_formed_as_it_is(tmp_path: Path) -> None:
@@ -270,54 +272,56 @@ def test_a_mesh_without_noise_is_formed_as_it_is(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("tolerance", [0, -0.1, "much"])
 def test_a_tolerance_that_is_no_length_is_refused_by_field(tmp_path: Path, tolerance: object) -> None:
-    found = refused(_said(tmp_path, tolerance, small_forming.dish()))
-    assert {issue.code for issue in found} == {"problem.field"}
-    assert all("part.sheet_mesh.tolerance_mm" in str(issue.field) for issue in found)
+    issues = expect_refusal(_write_with_tolerance(tmp_path, tolerance, small_forming.dish()))
+    assert {issue.code for issue in issues} == {"problem.field"}
+    assert all("part.sheet_mesh.tolerance_mm" in str(issue.field) for issue in issues)
 
 
 @pytest.mark.parametrize("tolerance", [1.5, 50.0])
 def test_a_tolerance_as_large_as_the_part_is_refused_and_its_remedy_works(
     tmp_path: Path, tolerance: float
 ) -> None:
-    (issue,) = refused(_said(tmp_path, tolerance, small_forming.dish()))
+    (issue,) = expect_refusal(_write_with_tolerance(tmp_path, tolerance, small_forming.dish()))
     assert (issue.code, issue.field) == ("part.mesh_tolerance", "part.sheet_mesh.tolerance_mm")
     assert issue.limit == pytest.approx(6.0 / 5.0, rel=1e-3)
-    pipeline.load(_said(tmp_path, issue.limit * 0.99, small_forming.dish()))
-    pipeline.load(_said(tmp_path, "auto", small_forming.dish()))
+    pipeline.load(_write_with_tolerance(tmp_path, issue.limit * 0.99, small_forming.dish()))
+    pipeline.load(_write_with_tolerance(tmp_path, "auto", small_forming.dish()))
 
 
 def test_noise_beyond_the_stated_tolerance_is_told_and_its_remedy_works(tmp_path: Path) -> None:
-    problem = pipeline.load(_said(tmp_path, 0.1, _scan()))
+    problem = pipeline.load(_write_with_tolerance(tmp_path, 0.1, _scan()))
     assert problem.part is not None
     _, warning = problem.part.notes
     assert (warning.code, warning.severity) == ("part.mesh_noise", Severity.WARNING)
     assert warning.value is not None
-    again = pipeline.load(_said(tmp_path, round(warning.value, 3), _scan()))
+    again = pipeline.load(_write_with_tolerance(tmp_path, round(warning.value, 3), _scan()))
     assert again.part is not None and len(again.part.notes) == 1
 
 
 @pytest.mark.parametrize("high", [0.25, -0.3])
 def test_a_narrow_ridge_is_not_taken_for_noise_and_its_remedy_works(tmp_path: Path, high: float) -> None:
-    """1 mm wide and 16 mm long, in a scan with noise of 0.05 mm and vertices 1 mm apart; without it there is
-    nothing to tell."""
+    """A ridge 1 mm wide and 16 mm long, in a scan with noise of 0.05 mm and vertices 1 mm apart.
+
+    Without it there is nothing to report.
+    """
     part = _scan(5e-5, 1e-3)
     x, y = part.vertices[:, 0], part.vertices[:, 1]
     ridge = high * MM * ((np.abs(y) < 0.5 * MM) & (np.abs(x) < 8.0 * MM))
     marked = Mesh(part.vertices + ridge[:, None] * [0.0, 0.0, 1.0], part.faces)
-    pipeline.load(_said(tmp_path, "auto", part))
-    (issue,) = refused(_said(tmp_path, "auto", marked))
+    pipeline.load(_write_with_tolerance(tmp_path, "auto", part))
+    (issue,) = expect_refusal(_write_with_tolerance(tmp_path, "auto", marked))
     assert issue.code == "part.mesh_tolerance"
     assert ("ridge" if high > 0.0 else "groove") in issue.message
     assert issue.hint is not None
     stated = float(issue.hint.rsplit("tolerance_mm: ", 1)[1])
     assert stated == pytest.approx(issue.value, abs=0.011)
-    pipeline.load(_said(tmp_path, stated, marked))
+    pipeline.load(_write_with_tolerance(tmp_path, stated, marked))
 
 
 def test_a_part_that_is_all_noise_is_refused(tmp_path: Path) -> None:
     part = _scan(0.0)
     shallow = _noisy(1e-4)(Mesh(part.vertices * [1.0, 1.0, 0.15], part.faces))
-    (issue,) = refused(small_forming.write(tmp_path, small_forming.problem(), shallow))
+    (issue,) = expect_refusal(small_forming.write(tmp_path, small_forming.problem(), shallow))
     assert issue.code == "part.mesh_tolerance"
     assert "fifth of the depth" in issue.message
 
@@ -326,19 +330,19 @@ def test_faces_given_twice_and_a_soup_of_triangles_are_one_part(tmp_path: Path) 
     part = small_forming.dish()
     twice = Mesh(part.vertices, np.concatenate([part.faces, part.faces[:200]]))
     soup = Mesh(part.vertices[part.faces].reshape(-1, 3), np.arange(part.faces.size).reshape(-1, 3))
-    whole = formed(load(tmp_path))
+    whole = formed_mesh(load(tmp_path))
     for flawed in (twice, soup):
         problem = pipeline.load(small_forming.write(tmp_path, small_forming.problem(), flawed))
-        assert len(formed(problem).faces) == len(whole.faces)
+        assert len(formed_mesh(problem).faces) == len(whole.faces)
 
 
 def test_walls_that_lean_over_are_told_as_that_and_not_as_faces_that_look_to_different_sides(
     tmp_path: Path,
 ) -> None:
-    found = pipeline.load(
+    result = pipeline.load(
         small_forming.write(tmp_path, small_forming.problem(), _leaning(small_forming.dish()))
     )
-    errors = [issue for issue in pipeline.check(found) if issue.severity is Severity.ERROR]
+    errors = [issue for issue in pipeline.check(result) if issue.severity is Severity.ERROR]
     assert [issue.code for issue in errors] == ["forming.undercut"]
 
 

@@ -1,4 +1,4 @@
-"""Sizes of blocks that are named are tried: which ones, and what is told of them."""
+"""Block sizes that a hint recommends are tried first: which sizes, and what is reported of them."""
 
 from __future__ import annotations
 
@@ -20,46 +20,58 @@ Size = list[float]
 Wrong = Callable[[Size], str | None]
 
 
-def told(size: Size, needed: tuple[float, ...], wrong: Wrong, **part: Any) -> tuple[Issue, list[Size]]:
-    """What is told of a block of that size [mm] where ``needed`` holds the part, and the sizes tried;
-    ``wrong`` is the code of what is wrong with a size."""
+def advise(size: Size, needed: tuple[float, ...], wrong: Wrong, **part: Any) -> tuple[Issue, list[Size]]:
+    """Run the size advice for a block.
+
+    Args:
+        size: Size of the block [mm].
+        needed: Size that holds the part.
+        wrong: Returns the code of the fault of a size, or None.
+
+    Returns:
+        The issue, and the sizes that were tried.
+    """
     tried: list[Size] = []
 
-    def check(document: Document, far: bool) -> list[Issue]:
-        assert far
+    def check(document: Document, is_thorough: bool) -> list[Issue]:
+        assert is_thorough
         tried.append(document.data["stock"]["size_mm"])
         code = wrong(tried[-1])
         return [] if code is None else [Issue(code, f"{code} is wrong", hint="mend it")]
 
     first = Issue("part.stock_too_small", "out", remedy=Remedy("size", "stock", size_mm=needed))
     document = Document(Path("p.yaml"), {"stock": {"size_mm": size}, "part": part}, None, b"")
-    (issue,) = size_advice.advised(document, [first], check, wider_mm)
+    (issue,) = size_advice.add_size_advice(document, [first], check, wider_mm)
     return issue, tried
 
 
 def test_the_tightest_block_is_named_where_it_serves() -> None:
-    issue, tried = told([90, 200, 80], (166, 313, 80), lambda size: None)
+    issue, tried = advise([90, 200, 80], (166, 313, 80), lambda size: None)
     assert tried == [[166, 313, 80]]
-    assert issue.hint == "take size_mm: [166, 313, 80] (tried)"
+    assert issue.hint == "set size_mm: [166, 313, 80] (tried)"
 
 
 def test_a_part_may_be_meant_the_other_way_round() -> None:
     def wrong(size: Size) -> str | None:
         return "milling.off_surface" if size[0] < size[1] else None
 
-    issue, _ = told([90, 206, 80], (166, 313, 80), wrong)
-    assert issue.hint == "take size_mm: [313, 206, 80] (tried)"
+    issue, _ = advise([90, 206, 80], (166, 313, 80), wrong)
+    assert issue.hint == "set size_mm: [313, 206, 80] (tried)"
     assert issue.remedy == Remedy("size", "stock", size_mm=(313, 206, 80))
-    placed, tried = told([90, 206, 80], (166, 313, 80), wrong, in_stock={})
+    placed, tried = advise([90, 206, 80], (166, 313, 80), wrong, in_stock={})
     assert tried == [[166, 313, 80]]  # a stated place is not turned
     assert placed.hint is not None
-    assert placed.hint.endswith("then there is still: milling.off_surface is wrong; mend it")
+    assert placed.hint.endswith("then remains: milling.off_surface is wrong; mend it")
 
 
-@pytest.mark.parametrize(("least", "named"), [(50, "55] (tried)"), (80, "85] (tried)"), (90, "25]; then")])
-def test_a_higher_block_is_named_where_arms_have_no_room(least: float, named: str) -> None:
-    issue, tried = told(
-        [170, 231, 16], (170, 239, 25), lambda size: "motion.no_placement" if size[2] < least else None
+@pytest.mark.parametrize(
+    ("min_height_mm", "named"), [(50, "55] (tried)"), (80, "85] (tried)"), (90, "25]; then")]
+)
+def test_a_higher_block_is_named_where_arms_have_no_room(min_height_mm: float, named: str) -> None:
+    issue, tried = advise(
+        [170, 231, 16],
+        (170, 239, 25),
+        lambda size: "motion.no_placement" if size[2] < min_height_mm else None,
     )
     assert issue.hint is not None
     assert named in issue.hint
@@ -67,7 +79,7 @@ def test_a_higher_block_is_named_where_arms_have_no_room(least: float, named: st
 
 
 def test_a_part_in_another_unit_is_not_tried() -> None:
-    issue, tried = told([90, 200, 80], (1660, 3130, 80), lambda size: None)
+    issue, tried = advise([90, 200, 80], (1660, 3130, 80), lambda size: None)
     assert tried == []
     assert issue.hint is None
 
@@ -78,8 +90,8 @@ def test_the_file_is_refused_with_the_size_that_was_tried(tmp_path: Path) -> Non
         pipeline.load(small_forming.write(tmp_path, data))
     (issue,) = refused.value.issues
     assert issue.hint is not None
-    assert issue.hint.startswith("take opening_mm: ")
-    (same,) = size_advice.advised(
+    assert issue.hint.startswith("set opening_mm: ")
+    (same,) = size_advice.add_size_advice(
         Document(tmp_path, {**data}, None, b""), [issue, issue], lambda *_: [], wider_mm
     )[:1]
     assert same is issue  # of two errors neither is tried

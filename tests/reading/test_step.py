@@ -1,4 +1,4 @@
-"""What is read of STEP and IGES files, against Open CASCADE's own values of surfaces; and what is refused."""
+"""Reading of STEP and IGES files, compared with Open CASCADE's own values of surfaces; and refusals."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from planner.issues import TandemError
 from planner.proof.part_files import UnreadError
 from planner.proof.part_files import step as proof
 from planner.reading import step
+from planner.reading.cad_faces import RulingOptions
 from planner.reading.part_surfaces import FrontFile, build_faces
 from planner.reading.step import StepFaceFile, StepRuledFile
 
-HERE = Path(__file__).parents[1] / "real_files"
+REAL_FILES = Path(__file__).parents[1] / "real_files"
 MM = 1e-3
 LOWER = [(0, 0, 0), (60, 25, 0), (140, -20, 10), (200, 5, 0), (300, 0, 5)]
 UPPER = [(0, 0, 100), (50, 40, 100), (150, 0, 110), (220, -15, 100), (300, 10, 100)]
@@ -23,7 +24,8 @@ UPPER = [(0, 0, 100), (50, 40, 100), (150, 0, 110), (220, -15, 100), (300, 10, 1
 
 def ruled(path: Path, closed: bool = False, flip: bool = False, **spec: Any) -> Any:
     own = StepRuledFile(file=path.name, **spec)
-    return step.ruled("wall", own, closed, flip, False, path.parent, "part.ruled.0.step")
+    options = RulingOptions(own.rulings, closed, flip, hole=False)
+    return step.read_ruled("wall", own, options, path.parent, "part.ruled.0.step")
 
 
 def refusal(read: Any) -> str:
@@ -35,10 +37,10 @@ def refusal(read: Any) -> str:
 
 def off_line(points: np.ndarray, line: np.ndarray) -> float:
     """The largest distance of points from a polyline."""
-    way = np.diff(line, axis=0)
-    size = np.maximum(np.sum(way * way, axis=1), 1e-30)
-    share = np.clip(np.sum((points[:, None] - line[:-1]) * way, axis=2) / size, 0.0, 1.0)[..., None]
-    return float(np.linalg.norm(line[:-1] + share * way - points[:, None], axis=2).min(axis=1).max())
+    segments = np.diff(line, axis=0)
+    size = np.maximum(np.sum(segments * segments, axis=1), 1e-30)
+    fraction = np.clip(np.sum((points[:, None] - line[:-1]) * segments, axis=2) / size, 0.0, 1.0)[..., None]
+    return float(np.linalg.norm(line[:-1] + fraction * segments - points[:, None], axis=2).min(axis=1).max())
 
 
 def test_without_the_extra_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -51,7 +53,7 @@ def test_without_the_extra_it_says_what_to_install(tmp_path: Path, monkeypatch: 
 def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
     assert "problem.missing_file" in refusal(lambda: ruled(tmp_path / "a.step"))
     (tmp_path / "a.sldprt").write_text("")
-    assert "read are STEP" in refusal(lambda: ruled(tmp_path / "a.sldprt"))
+    assert "allowed STEP" in refusal(lambda: ruled(tmp_path / "a.sldprt"))
 
 
 @pytest.fixture(scope="module")
@@ -71,27 +73,27 @@ def test_a_ruled_face_gives_its_own_rulings(
     tmp_path: Path, files: Any, name: str, unit: str, raised: int
 ) -> None:
     rails = np.array([LOWER, UPPER], dtype=float)
-    share = np.linspace(0, 1, raised + 1)[:, None, None]
-    surface = files.bspline(np.swapaxes((1 - share) * rails[0] + share * rails[1], 0, 1), (3, raised))
+    fraction = np.linspace(0, 1, raised + 1)[:, None, None]
+    surface = files.bspline(np.swapaxes((1 - fraction) * rails[0] + fraction * rails[1], 0, 1), (3, raised))
     path = files.write(tmp_path / name, [files.face(surface)], unit)
-    found, (note,) = ruled(path)
+    result, (note,) = ruled(path)
     assert {"MM": "millimet", "M": "met", "INCH": "inch"}[
         unit
     ] in note.message and note.code == "part.step_unit"
-    for side, v in ((found.start, 0.0), (found.end, 1.0)):
+    for side, v in ((result.start, 0.0), (result.end, 1.0)):
         t = np.linspace(0.0, 2.0, 8001)
         line = np.array([(p.X(), p.Y(), p.Z()) for p in (surface.Value(float(u), v) for u in t)]) * MM
         assert off_line(side, line) < 5e-6  # chords within 0.002 mm, as all guides have
         assert off_line(line[::40], side) < 5e-6
     again = proof.ruled_face({"file": str(path)})
     assert (
-        max(off_line(a, b) for a, b in ((again.start[::20], found.start), (again.end[::20], found.end)))
+        max(off_line(a, b) for a, b in ((again.start[::20], result.start), (again.end[::20], result.end)))
         < 5e-6
     )
-    ways = [line[-1] - line[0] for line in (again.start, found.start)]
+    ways = [line[-1] - line[0] for line in (again.start, result.start)]
     assert ways[0] @ ways[1] > 0  # the same side is outside
     # exact: the surface that is read is the one that was written, to 1e-6 mm
-    face, *_ = step._face(StepRuledFile(file=path.name), tmp_path, "part")
+    face, *_ = step._selected_face(StepRuledFile(file=path.name), tmp_path, "part")
     region = np.array(face.region)
     for a, b in np.random.default_rng(1).random((20, 2)):
         u, v = region[:, 0] + np.array([a, b]) * np.ptp(region, axis=1)
@@ -116,21 +118,23 @@ def test_a_free_face_is_as_near_as_it_says(tmp_path: Path, files: Any, chord: fl
 
     surface = free(files)
     path = files.write(tmp_path / "a.step", [files.face(surface)])
-    found = step.face(StepFaceFile(file="a.step", chord_mm=chord), tmp_path, "part.front.step")
-    told = next(note for note in found.notes if note.code == "part.step_facets")
+    result = step.read_face(StepFaceFile(file="a.step", chord_mm=chord), tmp_path, "part.front.step")
+    told = next(note for note in result.notes if note.code == "part.step_facets")
     assert told.value <= chord
-    middles = found.mesh.vertices[found.mesh.faces].mean(axis=1)
+    middles = result.mesh.vertices[result.mesh.faces].mean(axis=1)
     middles = middles[:: max(1, len(middles) // 150)] / MM
-    off = [GeomAPI_ProjectPointOnSurf(gp_Pnt(*map(float, p)), surface).LowerDistance() for p in middles]
-    assert max(off) <= 1.001 * told.value
+    deviations = [
+        GeomAPI_ProjectPointOnSurf(gp_Pnt(*map(float, p)), surface).LowerDistance() for p in middles
+    ]
+    assert max(deviations) <= 1.001 * told.value
     again = proof.face({"file": str(path)})
     assert np.ptp(again.vertices, axis=0) == pytest.approx(
-        np.ptp(found.mesh.vertices, axis=0), abs=chord * MM
+        np.ptp(result.mesh.vertices, axis=0), abs=chord * MM
     )
-    assert (again.up.mean(axis=0) @ found.normals.mean(axis=0)) > 0
+    assert (again.up.mean(axis=0) @ result.normals.mean(axis=0)) > 0
     faces = build_faces(FrontFile(step=StepFaceFile(file="a.step", flip=True)), None, tmp_path)
     assert faces.front.vertices.shape[1] == 3
-    assert "bends both ways" in refusal(lambda: ruled(path))
+    assert "is curved both ways" in refusal(lambda: ruled(path))
 
 
 @pytest.mark.long
@@ -141,18 +145,20 @@ def test_a_face_is_cut_along_its_own_lines_or_refused(tmp_path: Path, files: Any
 
     surface = free(files)
     piece = files.write(tmp_path / "piece.step", [files.face(surface, 0.5, 2.5, 0.25, 1.5)])
-    found = step.face(StepFaceFile(file="piece.step", chord_mm=0.05), tmp_path, "part.front.step")
+    result = step.read_face(StepFaceFile(file="piece.step", chord_mm=0.05), tmp_path, "part.front.step")
     true = [surface.Value(u, v) for u in (0.5, 2.5) for v in (0.25, 1.5)]
     for p in true:
-        near = np.linalg.norm(found.mesh.vertices - np.array([p.X(), p.Y(), p.Z()]) * MM, axis=1)
+        near = np.linalg.norm(result.mesh.vertices - np.array([p.X(), p.Y(), p.Z()]) * MM, axis=1)
         assert near.min() < 1e-9
     again = proof.face({"file": str(piece)})
-    assert np.ptp(again.vertices, axis=0) == pytest.approx(np.ptp(found.mesh.vertices, axis=0), abs=5e-5)
-    for x, words in ((0.0, "cut along other lines than its own"), (120.0, "has holes")):
+    assert np.ptp(again.vertices, axis=0) == pytest.approx(np.ptp(result.mesh.vertices, axis=0), abs=5e-5)
+    for x, words in ((0.0, "not trimmed along its parameter lines"), (120.0, "has holes")):
         tool = BRepPrimAPI_MakeCylinder(gp_Ax2(gp_Pnt(x, 80.0, -100.0), gp_Dir(0, 0, 1)), 25.0, 200.0).Shape()
         path = files.write(tmp_path / "cut.step", [BRepAlgoAPI_Cut(files.face(surface), tool).Shape()])
-        said = refusal(lambda p=path: step.face(StepFaceFile(file=p.name), tmp_path, "part.front.step"))
-        assert words in said and "make it anew between its edges" in said
+        refusal_text = refusal(
+            lambda p=path: step.read_face(StepFaceFile(file=p.name), tmp_path, "part.front.step")
+        )
+        assert words in refusal_text and "create it again from its edges" in refusal_text
 
 
 @pytest.mark.long
@@ -162,36 +168,36 @@ def test_faces_of_several_bodies_are_told_and_picked(
     del files
     (tmp_path / "planner.py").write_text("raise SystemExit('the user has a file of this name')")
     monkeypatch.chdir(tmp_path)
-    many = refusal(lambda: ruled(HERE / "two_disconnected_cubes.stp"))
-    assert "has 12 faces in 2 bodies, 1 is wanted" in many and "1 (plane, 'Unnamed', 'Cube'" in many
+    many = refusal(lambda: ruled(REAL_FILES / "two_disconnected_cubes.stp"))
+    assert "has 12 faces in 2 bodies, expected 1" in many and "1 (plane, 'Unnamed', 'Cube'" in many
     assert "has 6 faces of colour #FFBB00" in refusal(
-        lambda: ruled(HERE / "extrude_rectangle.stp", colour="#FFBB00")
+        lambda: ruled(REAL_FILES / "extrude_rectangle.stp", colour="#FFBB00")
     )
-    assert "has 0 faces of name roof" in refusal(lambda: ruled(HERE / "single_cube.stp", name="roof"))
-    assert "straight both ways" in refusal(lambda: ruled(HERE / "single_cube.stp", face=2))
-    found, (note,) = ruled(HERE / "single_cube.stp", face=2, rulings="u")
-    assert np.linalg.norm(found.end - found.start, axis=1) == pytest.approx(0.01, abs=1e-9)
+    assert "has 0 faces of name roof" in refusal(lambda: ruled(REAL_FILES / "single_cube.stp", name="roof"))
+    assert "straight both ways" in refusal(lambda: ruled(REAL_FILES / "single_cube.stp", face=2))
+    result, (note,) = ruled(REAL_FILES / "single_cube.stp", face=2, rulings="u")
+    assert np.linalg.norm(result.end - result.start, axis=1) == pytest.approx(0.01, abs=1e-9)
     assert "millimetre" in note.message
-    again = proof.ruled_face({"file": str(HERE / "single_cube.stp"), "face": 2, "rulings": "u"})
+    again = proof.ruled_face({"file": str(REAL_FILES / "single_cube.stp"), "face": 2, "rulings": "u"})
     assert np.linalg.norm(again.end - again.start, axis=1) == pytest.approx(0.01, abs=1e-9)
-    with pytest.raises(UnreadError, match="12 faces of what is asked for"):
-        proof.face({"file": str(HERE / "two_disconnected_cubes.stp")})
+    with pytest.raises(UnreadError, match="12 of its faces match the selection"):
+        proof.face({"file": str(REAL_FILES / "two_disconnected_cubes.stp")})
 
 
 def test_units_that_contradict_or_are_missing_are_told(tmp_path: Path, files: Any) -> None:
-    assert "is in millimetre, the problem says in; take unit out" in refusal(
-        lambda: ruled(HERE / "single_cube.stp", face=2, unit="in")
+    assert "is in millimetre, but the problem states in; remove unit" in refusal(
+        lambda: ruled(REAL_FILES / "single_cube.stp", face=2, unit="in")
     )
     path = files.write(tmp_path / "a.step", [files.face(free(files))])
     text = path.read_text()
     unit = text.index("GLOBAL_UNIT_ASSIGNED_CONTEXT")
     path.write_text(text[:unit] + "GLOBAL_UNIT_ASSIGNED_CONTEXT(())" + text[text.index("))", unit) + 2 :])
     path.write_text(path.read_text().replace("LENGTH_UNIT()", ""))
-    assert "says no unit of length; state it" in refusal(
-        lambda: step.face(StepFaceFile(file="a.step"), tmp_path, "part.front.step")
+    assert "states no unit of length; state it" in refusal(
+        lambda: step.read_face(StepFaceFile(file="a.step"), tmp_path, "part.front.step")
     )
-    found = step.face(StepFaceFile(file="a.step", unit="cm", chord_mm=1.0), tmp_path, "part.front.step")
-    assert np.ptp(found.mesh.vertices[:, 0]) == pytest.approx(2.5, rel=1e-6)
+    result = step.read_face(StepFaceFile(file="a.step", unit="cm", chord_mm=1.0), tmp_path, "part.front.step")
+    assert np.ptp(result.mesh.vertices[:, 0]) == pytest.approx(2.5, rel=1e-6)
     again = proof.face({"file": str(path), "unit": "cm"})
     assert np.ptp(again.vertices[:, 0]) == pytest.approx(2.5, rel=1e-6)
 
@@ -216,13 +222,13 @@ REAL = {
 @pytest.mark.parametrize("name", REAL)
 def test_files_of_other_writers_are_read(files: Any, name: str) -> None:
     del files
-    said = refusal(lambda: step.face(StepFaceFile(file=name), HERE, "part.front.step"))
-    assert f"has {REAL[name]} faces in" in said
+    refusal_text = refusal(lambda: step.read_face(StepFaceFile(file=name), REAL_FILES, "part.front.step"))
+    assert f"has {REAL[name]} faces in" in refusal_text
 
 
 def test_damaged_files_are_refused_in_words(tmp_path: Path, files: Any) -> None:
     del files
-    whole = (HERE / "single_cube.stp").read_bytes()
+    whole = (REAL_FILES / "single_cube.stp").read_bytes()
     for data in (b"", b"solid", whole[: len(whole) // 2]):
         (tmp_path / "a.step").write_bytes(data)
         assert "part.step: a.step: " in refusal(lambda: ruled(tmp_path / "a.step", face=2, rulings="u"))
@@ -235,24 +241,28 @@ def test_what_the_planner_reads_wrongly_the_proof_does_not(
     path = files.write(tmp_path / "a.step", [files.face(free(files))], "INCH")
     spec = StepFaceFile(file="a.step", chord_mm=0.2)
     true = proof.face({"file": str(path)})
-    read = step._asked
+    read = step._query_file
 
-    def off(change: Any) -> tuple[float, float]:
+    def proof_deviation(change: Any) -> tuple[float, float]:
         def wrong(*given: Any) -> Any:
             out = read(*given)
             change(out["surface"])
             return out
 
-        monkeypatch.setattr(step, "_asked", wrong)
-        found = step.face(spec, tmp_path, "part.front.step")
-        ends = [[edge(one.vertices, axis=0) for edge in (np.min, np.max)] for one in (found.mesh, true)]
-        apart = np.abs(np.array(ends[0]) - np.array(ends[1])).max()
-        return float(apart), float(found.normals.mean(axis=0) @ true.up.mean(axis=0))
+        monkeypatch.setattr(step, "_query_file", wrong)
+        result = step.read_face(spec, tmp_path, "part.front.step")
+        ends = [[edge(item.vertices, axis=0) for edge in (np.min, np.max)] for item in (result.mesh, true)]
+        difference = np.abs(np.array(ends[0]) - np.array(ends[1])).max()
+        return float(difference), float(result.normals.mean(axis=0) @ true.up.mean(axis=0))
 
-    def scaled(own: Any, factors: Any) -> None:
-        own["control"] = (np.array(own["control"]) * factors).tolist()
+    def scale_control_points(surface: Any, factors: Any) -> None:
+        surface["control"] = (np.array(surface["control"]) * factors).tolist()
 
-    assert off(lambda own: None)[0] < 0.2 * MM
-    assert off(lambda own: scaled(own, [1.05, 1.05, 1.05, 1]))[0] > 5 * MM
-    assert off(lambda own: scaled(own, [1, -1, 1, 1]))[0] > 5 * MM
-    assert off(lambda own: None)[1] > 0 > off(lambda own: own.update(reversed=not own["reversed"]))[1]
+    assert proof_deviation(lambda own: None)[0] < 0.2 * MM
+    assert proof_deviation(lambda own: scale_control_points(own, [1.05, 1.05, 1.05, 1]))[0] > 5 * MM
+    assert proof_deviation(lambda own: scale_control_points(own, [1, -1, 1, 1]))[0] > 5 * MM
+    assert (
+        proof_deviation(lambda own: None)[1]
+        > 0
+        > proof_deviation(lambda own: own.update(reversed=not own["reversed"]))[1]
+    )

@@ -1,4 +1,4 @@
-"""Stiffness of joints in cell files and in the catalogue: what is read, and what is refused."""
+"""Joint stiffness in cell files and in the catalogue: what is read, and what is refused."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STIFFNESS: dict[str, Any] = {
 
 
 def problem(folder: Path, **arm: Any) -> Path:
-    """A job of one arm, with further keys of that arm."""
+    """Return a job of one arm with additional keys of that arm."""
     path = JOBS["posed"](folder)
     data = yaml.safe_load(path.read_text())
     data["cell"]["arms"][0] |= arm
@@ -53,7 +53,7 @@ def test_no_robot_of_the_catalogue_has_any_and_an_arm_without_it_has_none(tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "expected_text"),
     [
         ({"joints_nm_rad": [3.1e5, 3.3e5, 2.2e5, 6.0e4, 6.0e4]}, "entry 5, counted from 0, is missing"),
         ({"joints_nm_rad": [1e5] * 7}, "joints_nm_rad"),
@@ -68,14 +68,14 @@ def test_no_robot_of_the_catalogue_has_any_and_an_arm_without_it_has_none(tmp_pa
     ],
 )
 def test_what_is_no_stiffness_of_six_joints_is_refused_by_field(
-    change: dict[str, Any], said: str, tmp_path: Path
+    change: dict[str, Any], expected_text: str, tmp_path: Path
 ) -> None:
     with pytest.raises(TandemError) as refused:
         pipeline.load(problem(tmp_path, stiffness={**STIFFNESS, **change}))
     issues = refused.value.issues
     assert {issue.code for issue in issues} <= {"problem.field", "problem.not_finite"}
     assert all("cell.arms.0.stiffness" in (issue.field or "") for issue in issues)
-    assert any(said in issue.message for issue in issues)
+    assert any(expected_text in issue.message for issue in issues)
 
 
 def test_a_catalogue_entry_without_a_source_is_a_damaged_one() -> None:

@@ -1,4 +1,4 @@
-"""YAML files with the line of every field; what is not a problem file is refused with its line."""
+"""YAML files with the line of every field. A file that is no problem file is refused with its line."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from planner.issues import TandemError
 from planner.reading import strict_yaml
 
 
-def refused(path: Path) -> tuple[str, int | None]:
+def expect_refusal(path: Path) -> tuple[str, int | None]:
     with pytest.raises(TandemError) as caught:
         strict_yaml.read(path)
     (issue,) = caught.value.issues
@@ -50,28 +50,29 @@ def test_what_is_not_a_problem_file_is_refused_with_its_line(
 ) -> None:
     path = tmp_path / "p.yaml"
     path.write_text(text)
-    assert refused(path) == (code, line)
+    assert expect_refusal(path) == (code, line)
 
 
 def test_missing_binary_and_huge_files_are_refused(tmp_path: Path) -> None:
-    assert refused(tmp_path / "no.yaml")[0] == "problem.missing_file"
+    assert expect_refusal(tmp_path / "no.yaml")[0] == "problem.missing_file"
     (tmp_path / "b.yaml").write_bytes(b"\xff\xfe\x00\x01")
-    assert refused(tmp_path / "b.yaml")[0] == "problem.not_yaml"
+    assert expect_refusal(tmp_path / "b.yaml")[0] == "problem.not_yaml"
     with (tmp_path / "h.yaml").open("wb") as stream:
         stream.truncate(100_000_001)
-    assert refused(tmp_path / "h.yaml")[0] == "problem.too_large"
+    assert expect_refusal(tmp_path / "h.yaml")[0] == "problem.too_large"
 
 
 @pytest.mark.parametrize(
-    ("text", "told"), [("a: [" + "1, " * 1_000_001 + "1]", "values"), ("a: " + "[" * 100_000, "deep")]
+    ("text", "expected_text"),
+    [("a: [" + "1, " * 1_000_001 + "1]", "values"), ("a: " + "[" * 100_000, "deep")],
 )
 def test_values_and_depth_are_counted_before_anything_is_built(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, told: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, expected_text: str
 ) -> None:
     def build(*_: object, **__: object) -> None:
         pytest.fail("it was built")
 
     monkeypatch.setattr(yaml, "compose", build)
     (tmp_path / "large.yaml").write_text(text)
-    with pytest.raises(TandemError, match=told):
+    with pytest.raises(TandemError, match=expected_text):
         strict_yaml.read(tmp_path / "large.yaml")

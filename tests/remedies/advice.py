@@ -1,4 +1,4 @@
-"""Figures and words that are taken from what issues advise."""
+"""Figures and words that are extracted from the advice of issues."""
 
 from __future__ import annotations
 
@@ -11,19 +11,26 @@ from typing import Any
 from planner.issues import Issue
 
 
-def said(issues: Sequence[Issue], pattern: str) -> str:
-    """The one group of a pattern in the issues' words; raises ``ValueError`` where it is not there."""
+def find_in_issues(issues: Sequence[Issue], pattern: str) -> str:
+    """Return the only group of a pattern in the text of issues.
+
+    Raises:
+        ValueError: The pattern does not match.
+    """
     text = "; ".join(f"{issue.message}; {issue.hint or ''}" for issue in issues)
-    found = re.search(pattern, text)
-    if found is None:
+    match = re.search(pattern, text)
+    if match is None:
         raise ValueError(f"{pattern!r} is not said in: {text}")
-    return found[1]
+    return match[1]
 
 
 @dataclasses.dataclass(frozen=True)
-class Said:
-    """A figure that is taken from an issue's words, where ``#`` stands in ``words``: ``times`` so much, added
-    to what the field has if ``more``, rounded to ``step``, up or ``down``."""
+class ReportedFigure:
+    """A figure of an issue's text, at ``#`` in ``words``.
+
+    It is multiplied by ``times``, added to the value of the field if ``more``, and rounded to ``step``, up or
+    ``down``.
+    """
 
     words: str
     step: float = 1.0
@@ -32,7 +39,7 @@ class Said:
     more: bool = False
 
     def of(self, issues: Sequence[Issue], now: Any) -> float:
-        figure = said(issues, re.escape(self.words).replace(r"\#", r"(-?\d+(?:\.\d+)?)"))
+        figure = find_in_issues(issues, re.escape(self.words).replace(r"\#", r"(-?\d+(?:\.\d+)?)"))
         rounded = (math.floor if self.down else math.ceil)(round(float(figure) * self.times / self.step, 6))
         return round(rounded * self.step + (now if self.more else 0.0), 9)
 
@@ -45,7 +52,7 @@ class Word:
 
     def of(self, issues: Sequence[Issue], now: Any) -> str:
         del now
-        return said(issues, self.pattern)
+        return find_in_issues(issues, self.pattern)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Rows of ``test_remedies_of_data``: controllers, and programs that are written for them.
 
-What comes up only when a plan is written is tried on plans of the writers' own tests, which need no search.
+Issues that appear only when a plan is written are tested on plans of the writers' own tests, which need no
+search.
 """
 
 from __future__ import annotations
@@ -16,14 +17,14 @@ from scipy.spatial.transform import Rotation
 from planner.claims.handshake import Handshake
 from planner.issues import Issue
 from planner.languages.krl.writer import controller_files as krl_files
-from planner.languages.writing.steps import build
-from planner.languages.writing.write import notes, programs
+from planner.languages.writing.steps import build_job
+from planner.languages.writing.write import program_files, program_notes
 from planner.problem import Controller
-from planner.targets import Action
+from planner.targets import TargetAction
 from tests.languages.writing import krl_job, synthetic, test_layout
 from tests.refusals import change
-from tests.remedies.advice import Said, Word
-from tests.remedies.remedy_rows import BOTH, HELD, ON_TABLE, STRAIGHT, Row, Yaml, found, lay, load
+from tests.remedies.advice import ReportedFigure, Word
+from tests.remedies.remedy_rows import BOTH, HELD, ON_TABLE, STRAIGHT, Row, Yaml, collect_issues, lay, load
 
 ARM_COLUMNS: Final = [
     f"{arm}.{one}" for arm in ("left", "right") for one in ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
@@ -51,7 +52,7 @@ CONTROLLERS: Final = [
     Row("post.controller", lay, change(KUKA, "cell.controller", {"io": NUMBERS}),
         "set controller: {sync: handshake}",
         {"cell.controller.sync": Word("set controller: \\{sync: (\\w+)")}, {"targets.csv": PAIRS}),
-    Row("post.signal", lay, change(STANDING, "operations.0.signal", "doHeat"), "state the numbers",
+    Row("post.signal", lay, change(STANDING, "operations.0.signal", "doHeat"), "state the actual numbers",
         {"cell.controller": Yaml("controller: (\\{.*\\}\\})")}),
     Row("post.option", load, change({**HELD, "operations": [BOTH]}, "cell.controller", {"options": []}), "",
         {"cell.controller.options": [Word("(604-1 MultiMove Coordinated)")]}),
@@ -64,7 +65,7 @@ CONTROLLERS: Final = [
 
 
 def with_tools(problem: Any, mass: float) -> Any:
-    """The problem with tools of that mass [kg]."""
+    """Return the problem with tools of that mass [kg]."""
     arms = [dataclasses.replace(a, tool=dataclasses.replace(a.tool, mass=mass)) for a in problem.cell.arms]
     return dataclasses.replace(problem, cell=dataclasses.replace(problem.cell, arms=tuple(arms)))
 
@@ -81,7 +82,7 @@ def small(mass: float = 1.0, frame: str = "stock", action_at: int = 0, stop: int
     plan, problem = synthetic.small()
     stops = np.isin(np.arange(9), [0, stop, 8])
     fields = {"stop": stops, "frame": {"left": frame, "right": frame}}
-    plan = with_targets(plan, **fields, actions=(Action(action_at, "message", text="?"),))
+    plan = with_targets(plan, **fields, actions=(TargetAction(action_at, "message", text="?"),))
     return plan, with_tools(problem, mass)
 
 
@@ -99,8 +100,10 @@ def kuka(
     stop: float = 6,
     mass: float = 1.0,
 ) -> Any:
-    """An arm of KUKA whose first axis begins at ``a1`` [deg], through ``count`` targets on a way of that
-    size, which bends in its middle by ``kink``."""
+    """Return a KUKA arm whose first axis begins at ``a1`` [deg].
+
+    It moves through ``count`` targets on a path of that size with a bend by ``kink`` in its middle.
+    """
     count, stop = int(count), int(stop)  # figures of an issue are no whole numbers by their type
     start = np.array([np.deg2rad(a1), *krl_job.START[1:]])
     q = synthetic.sweep(count, size=size, start=start)
@@ -111,7 +114,7 @@ def kuka(
 
 
 def turning(step_deg: float = 5.0) -> Any:
-    """An arm of KUKA with one controller of old, whose tool turns by so much in each move."""
+    """Return a KUKA arm with an old controller whose tool rotates by the given angle in each move."""
     plan, problem = krl_job.alone(q=synthetic.sweep(9, start=krl_job.START), actions=(), dialect="krc2")
     pose = plan.operations[0].targets.pose["left"].copy()
     for k in range(9):
@@ -130,38 +133,44 @@ def pair(sync: str = "handshake", coupled: bool = False) -> Any:
 
 
 def carried(mass: float = 0.9) -> Any:
-    """A held block of that mass [kg]."""
+    """Return a held block of that mass [kg]."""
     plan, problem = synthetic.held()
     claims = plan.operations[0].targets.claims
-    return with_targets(plan, claims=tuple(dataclasses.replace(one, mass=mass) for one in claims)), problem
+    return with_targets(
+        plan, claims=tuple(dataclasses.replace(claim, mass=mass) for claim in claims)
+    ), problem
 
 
-MADE: Final[Mapping[str, Callable[..., Any]]] = {
+PLAN_BUILDERS: Final[Mapping[str, Callable[..., Any]]] = {
     own.__name__: own for own in (small, long, kuka, turning, pair, carried)
 }
 
 
-def posted(folder: Path, data: Any) -> list[Issue]:
-    """Programs of a plan that is made by hand, and what is told beside them."""
-    plan, problem = MADE[data["made"]](**{key: value for key, value in data.items() if key != "made"})
+def write_programs(folder: Path, data: Any) -> list[Issue]:
+    """Write the programs of a handmade plan; return the issues and notes."""
+    plan, problem = PLAN_BUILDERS[data["made"]](
+        **{key: value for key, value in data.items() if key != "made"}
+    )
 
     def work() -> Iterable[Issue]:
-        programs(plan, problem)
-        return notes(plan, problem)
+        program_files(plan, problem)
+        return program_notes(plan, problem)
 
-    return found(work)
+    return collect_issues(work)
 
 
-def sized(folder: Path, data: Any) -> list[Issue]:
-    """What is told of programs of so many bytes that are parted into so many problems."""
+def write_programs_of_size(folder: Path, data: Any) -> list[Issue]:
+    """Return the issues of programs of a given total size that are split into a given number of problems."""
     plan, problem = kuka()
     text = {"left/test.src": "x" * (data["bytes"] // data["problems"])}
-    return list(krl_files.notes(build(plan, problem).tasks, plan, problem, text))
+    return list(krl_files.notes(build_job(plan, problem).tasks, plan, problem, text))
 
 
-def made(code: str, own: Callable[..., Any], given: Mapping[str, Any], says: str, remedy: Any) -> Row:
+def program_row(
+    code: str, build_plan: Callable[..., Any], given: Mapping[str, Any], says: str, remedy: Any
+) -> Row:
     slow = given.get("count", 9) > 100
-    return Row(code, posted, {"made": own.__name__, **given}, says, remedy, long=slow)
+    return Row(code, write_programs, {"made": build_plan.__name__, **given}, says, remedy, long=slow)
 
 
 POSTED: Final = [
@@ -169,32 +178,37 @@ POSTED: Final = [
         {"cell.controller.path": Word(r"path: (\w+)\}")}),
     Row("problem.field", load, change(ON_TABLE, "cell.arms.0.tool", {"kind": "plain", "mass_kg": 0.0001,
         "tcp": {"xyz_mm": [0, 0, 100]}}), "greater than or equal to",
-        {"cell.arms.0.tool.mass_kg": Said("greater than or equal to #", 0.001)}),
-    made("post.tool", small, {"mass": 0.0}, "state the tool's mass", {"mass": Said("mass_kg, #", 0.001)}),
-    made("post.tool", kuka, {"mass": 0.0}, "state the tool's mass", {"mass": Said("mass_kg, #", 0.001)}),
-    made("post.frame", small, {"frame": "table"}, "allowed", {"frame": Word(r"allowed: (\w+)")}),
-    made("post.action", small, {"action_at": 4}, "let the motion stop", {"stop": Said("stop at target #")}),
-    made("post.no_split", long, {"max_moves": 30}, "allow larger modules",
-        {"max_moves": Said("max_moves: #"), "max_kilobytes": Said("max_kilobytes: #")}),
-    made("post.no_split", long, {"max_kilobytes": 6}, "allow larger modules",
-        {"max_moves": Said("max_moves: #"), "max_kilobytes": Said("max_kilobytes: #")}),
-    made("post.load", carried, {"mass": 0.0005}, "a larger block", {"mass": Said("it needs # kg", 0.001)}),
-    made("post.handshake_process", pair, {"coupled": True}, "use one MultiMove controller",
+        {"cell.arms.0.tool.mass_kg": ReportedFigure("greater than or equal to #", 0.001)}),
+    program_row("post.tool", small, {"mass": 0.0}, "state the tool's mass",
+        {"mass": ReportedFigure("mass_kg, #", 0.001)}),
+    program_row("post.tool", kuka, {"mass": 0.0}, "state the tool's mass",
+        {"mass": ReportedFigure("mass_kg, #", 0.001)}),
+    program_row("post.frame", small, {"frame": "table"}, "allowed", {"frame": Word(r"allowed: (\w+)")}),
+    program_row("post.action", small, {"action_at": 4}, "stop the motion",
+        {"stop": ReportedFigure("stop the motion at target #")}),
+    program_row("post.no_split", long, {"max_moves": 30}, "allow larger modules",
+        {"max_moves": ReportedFigure("max_moves: #"), "max_kilobytes": ReportedFigure("max_kilobytes: #")}),
+    program_row("post.no_split", long, {"max_kilobytes": 6}, "allow larger modules",
+        {"max_moves": ReportedFigure("max_moves: #"), "max_kilobytes": ReportedFigure("max_kilobytes: #")}),
+    program_row("post.load", carried, {"mass": 0.0005}, "a larger block",
+        {"mass": ReportedFigure("at least # kg", 0.001)}),
+    program_row("post.handshake_process", pair, {"coupled": True}, "use one MultiMove controller",
         {"sync": Word(r"sync: (\w+)")}),
-    made("post.handshake_drift", pair, {}, "one MultiMove controller",
+    program_row("post.handshake_drift", pair, {}, "one MultiMove controller",
         {"sync": Word(r"sync: (\w+)")}),
-    made("post.turn_near_zero", kuka, {"a1": 1.0}, "farther off zero",
-        {"a1": Said("is within # degrees", 0.1, times=1.05)}),
-    made("post.krl_turn", turning, {"step_deg": 25.0}, "put targets closer",
-        {"step_deg": Said("by # degrees or less", 0.1, down=True)}),
-    Row("post.krl_size", sized, {"bytes": 9_000_000, "problems": 1}, "split the job",
+    program_row("post.turn_near_zero", kuka, {"a1": 1.0}, "farther from zero",
+        {"a1": ReportedFigure("is within # degrees", 0.1, times=1.05)}),
+    program_row("post.krl_turn", turning, {"step_deg": 25.0}, "put targets closer",
+        {"step_deg": ReportedFigure("by # degrees or less", 0.1, down=True)}),
+    Row("post.krl_size", write_programs_of_size, {"bytes": 9_000_000, "problems": 1}, "split the job",
         {"problems": Yaml(r"into (\d+) problems")}),
-    made("post.spline", kuka, {"path": "spline"}, "path: slin", {"path": Word(r"path: (\w+)\}")}),
-    made("post.spline_left", kuka, {"path": "spline", "size": 1.0, "stop": 0}, "times as close",
-        {"count": Said("put targets # times", times=9.0)}),
-    made("post.spline_left", kuka, {"path": "spline", "kink": 0.08, "stop": 0}, "has a kink", {"stop": 4}),
-    made("post.spline_left", kuka, {"path": "spline", "count": 520, "stop": 0}, "let the motion stop every",
-        {"stop": Said("stop every # moves")}),
+    program_row("post.spline", kuka, {"path": "spline"}, "path: slin", {"path": Word(r"path: (\w+)\}")}),
+    program_row("post.spline_left", kuka, {"path": "spline", "size": 1.0, "stop": 0}, "times as close",
+        {"count": ReportedFigure("put targets # times", times=9.0)}),
+    program_row("post.spline_left", kuka, {"path": "spline", "kink": 0.08, "stop": 0}, "has a kink",
+        {"stop": 4}),
+    program_row("post.spline_left", kuka, {"path": "spline", "count": 520, "stop": 0},
+        "stop the motion every", {"stop": ReportedFigure("stop the motion every # moves")}),
 ]  # fmt: skip
 
 ROWS: Final = [*CONTROLLERS, *POSTED]

@@ -1,4 +1,4 @@
-"""Rows of ``test_remedies_of_data`` of forming: sheets, tools, dies, tables and what is asked of paths."""
+"""Rows of ``test_remedies_of_data`` for forming: sheets, tools, dies, tables and requirements of paths."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from tests import small_forming
 from tests.processes.forming.plan import shapes
 from tests.processes.forming.plan.paths.path_faces import bowl
 from tests.refusals import change
-from tests.remedies.advice import Said, Word
-from tests.remedies.remedy_rows import DISH, SPIF, Row, Yaml, exported, found, lay
+from tests.remedies.advice import ReportedFigure, Word
+from tests.remedies.remedy_rows import DISH, SPIF, Row, Yaml, collect_issues, export_ply, lay
 
 
 @dataclasses.dataclass(frozen=True)
-class Sum(Said):
-    """A figure of an issue's words and a known one besides."""
+class Sum(ReportedFigure):
+    """The sum of a figure of an issue's text and a known one."""
 
     besides: float = 0.0
 
@@ -43,7 +43,7 @@ SQUARE: Final = shapely.box(-0.03, -0.03, 0.03, 0.03)
 
 
 def row(code: str, says: str, remedy: Mapping[str, Any], data: Any, part: Mesh = DISH, **files: Mesh) -> Row:
-    made = {f"{name}.ply": exported(mesh) for name, mesh in (files | {"part": part}).items()}
+    made = {f"{name}.ply": export_ply(mesh) for name, mesh in (files | {"part": part}).items()}
     return Row(code, lay, data, says, remedy, made)
 
 
@@ -69,11 +69,11 @@ def wide(mode: str, **operation: Any) -> Any:
     return change(data, "sheet", {**data["sheet"], "size_mm": [240, 240], "opening_mm": 160})
 
 
-def dishes(apart: float) -> Mesh:
-    """Two pits of 40 mm across whose middles are so far [mm] apart."""
+def dishes(distance: float) -> Mesh:
+    """Return two pits, 40 mm across, whose centres are the given distance [mm] apart."""
     line = np.linspace(-0.06, 0.06, 121)
     x, y = np.meshgrid(line, line)
-    near = np.minimum(np.hypot(x - 0.5 * apart * MM, y), np.hypot(x + 0.5 * apart * MM, y))
+    near = np.minimum(np.hypot(x - 0.5 * distance * MM, y), np.hypot(x + 0.5 * distance * MM, y))
     z = np.interp(near, [0.0, 0.005, 0.020], [-0.006, -0.006, 0.0])
     at = np.arange(x.size).reshape(x.shape)
     a, b, c, d = (part.ravel() for part in (at[:-1, :-1], at[:-1, 1:], at[1:, :-1], at[1:, 1:]))
@@ -81,7 +81,7 @@ def dishes(apart: float) -> Mesh:
     return Mesh(np.column_stack([x.ravel(), y.ravel(), z.ravel()]), faces)
 
 
-def torn(*faces: int) -> Mesh:
+def torn_mesh(*faces: int) -> Mesh:
     return dataclasses.replace(DISH, faces=np.delete(DISH.faces, list(faces), axis=0))
 
 
@@ -89,63 +89,66 @@ DISK: Final = change(small_forming.problem("dpif_p"), "cell.arms.1.tool", dict(s
 THICK: Final = tool(SPIF, 0, radius_mm=2, shaft_radius_mm=15, neck_mm=2.1)
 SLIM: Final = tool(SPIF, 0, radius_mm=4.5, shaft_radius_mm=4.5)
 TABLE: Final = adsif_response.BUILT_IN_FILE.read_text("utf-8")
-OWN: Final = change(wide("adsif"), "operations.0.adsif", {"file": "own.csv"})
+CUSTOM_TABLE: Final = change(wide("adsif"), "operations.0.adsif", {"file": "own.csv"})
 SOFT: Final = {"force_n": 12000, "stiffness_n_mm": 5000}
 FILLETS: Final = small_forming.dish(30.0, 8.0, 45.0, 6.05)
 STEPS: Final = change(die("male", step_mm=0.3), "operations.0.path", "contour")
 SHEET: Final = {"sheet.opening_mm": Yaml(r"opening_mm: (\[[^]]*\]|[0-9.]+)"),
     "sheet.size_mm": Yaml(r"size_mm: (\[[^]]*\])")}  # fmt: skip
-ADSIF: Final = {"part.ply": exported(CONE)}
+ADSIF: Final = {"part.ply": export_ply(CONE)}
 
 JOBS: Final = [
-    row("forming.wall_angle", "make the wall lean", {"@part.ply": exported(shapes.pit(SQUARE, 60.0, 0.006))},
-        SPIF, shapes.pit(SQUARE, 89.9, 0.006)),
-    row("forming.shift", "take a smaller", {"operations.0.shift_deg": Said("allowed is 0 to #", 0.1,
-        down=True)}, small_forming.problem("dpif_l", shift_deg=41)),
+    row("forming.wall_angle", "make the wall less steep", {"@part.ply": export_ply(shapes.pit(SQUARE, 60.0,
+        0.006))}, SPIF, shapes.pit(SQUARE, 89.9, 0.006)),
+    row("forming.shift", "reduce shift_deg",
+        {"operations.0.shift_deg": ReportedFigure("allowed is 0 to #", 0.1, down=True)},
+        small_forming.problem("dpif_l", shift_deg=41)),
     row("forming.clamp", "make the opening", {"sheet.opening_mm": Sum("make the opening # mm wider",
         more=True, besides=10.0), "sheet.size_mm": [240, 240]}, DISK),
-    row("part.stock_too_small", "with room for the tools (tried)", SHEET, change(DISK,
+    row("part.stock_too_small", "with space for the tools (tried)", SHEET, change(DISK,
         "sheet.opening_mm", 56)),
-    row("part.stock_too_small", "with room for the tools (tried)", SHEET, change(SPIF, "sheet.opening_mm",
+    row("part.stock_too_small", "with space for the tools (tried)", SHEET, change(SPIF, "sheet.opening_mm",
         [70, 50])),
-    row("forming.hole", "close it", {"@part.ply": exported(DISH)}, SPIF, torn(700)),
-    row("forming.hole", "meet in a point", {"@part.ply": exported(DISH)}, SPIF, torn(700, 701)),
+    row("forming.hole", "close it", {"@part.ply": export_ply(DISH)}, SPIF, torn_mesh(700)),
+    row("forming.hole", "meet in a point", {"@part.ply": export_ply(DISH)}, SPIF, torn_mesh(700, 701)),
 ]  # fmt: skip
 DIES: Final = [
     row("forming.die_far", "state full: false", {"operations.0.die.full": False}, die("female"), DISH,
         die=lower(DISH, 3.0)),
-    row("forming.holder", "stands through the flat sheet", {"operations.0.die.holder":
+    row("forming.holder", "penetrates the flat sheet", {"operations.0.die.holder":
         Word("state holder: (\\w+)")}, die("male", holder="fixed"), UP, die=lower(UP)),
     row("forming.holder", "a clamp that sinks", {"operations.0.die.holder": Word("state holder: (\\w+)")},
         die("female", holder="sinking", step_mm=1), DISH, die=lower(DISH)),
-    row("forming.holder_step", "take path: helical", {"operations.0.path": Word("take path: (\\w+)")},
+    row("forming.holder_step", "use path: helical", {"operations.0.path": Word("use path: (\\w+)")},
         change(STEPS, "operations.0.stepdown_mm", 2.5), UP, die=lower(UP)),
 ]  # fmt: skip
 LONG: Final = [
-    row("forming.wall_angle", "take passes: auto", {"operations.0.passes": Word("take passes: (auto)")},
+    row("forming.wall_angle", "use passes: auto", {"operations.0.passes": Word("use passes: (auto)")},
         change(SLIM, "operations.0.passes", [70]), STEEP),
     row("forming.support_radius", "the largest that fits", {"cell.arms.1.tool.radius_mm":
-        Said("largest that fits is # mm", 0.01, down=True)}, small_forming.problem("dsif"), FILLETS),
+        ReportedFigure("largest that fits is # mm", 0.01, down=True)}, small_forming.problem("dsif"),
+        FILLETS),
     row("forming.support_tool", "needs two balls", {"cell.arms.1.tool.radius_mm":
-        Said("mount a ball of # mm")}, tool(wide("adsif"), 1, radius_mm=6), CONE),
-    row("forming.clear", "slimmer tool", {"cell.arms.0.tool.shaft_radius_mm": Said("shaft_radius_mm: #", 0.1,
-        down=True)}, THICK),
-    row("forming.unreached", "unreached_mm allows", {"operations.0.unreached_mm": Said("or allow # mm",
-        0.001)}, small_forming.problem(unreached_mm=0.1), shapes.pit(SQUARE, 40.0, 0.006)),
-    row("forming.touching", "leave a strip of flat", {"@part.ply": exported(dishes(42.0))}, wide("spif"),
+        ReportedFigure("mount a ball of # mm")}, tool(wide("adsif"), 1, radius_mm=6), CONE),
+    row("forming.clear", "slimmer tool",
+        {"cell.arms.0.tool.shaft_radius_mm": ReportedFigure("shaft_radius_mm: #", 0.1, down=True)}, THICK),
+    row("forming.unreached", "unreached_mm allows",
+        {"operations.0.unreached_mm": ReportedFigure("or allow # mm", 0.001)},
+        small_forming.problem(unreached_mm=0.1), shapes.pit(SQUARE, 40.0, 0.006)),
+    row("forming.touching", "leave a strip of flat", {"@part.ply": export_ply(dishes(42.0))}, wide("spif"),
         dishes(40.0)),
-    row("forming.die_gouge", "stands 0.98 mm in the part", {"@die.ply": exported(lower(DISH))},
+    row("forming.die_gouge", "protrudes 0.98 mm into the part", {"@die.ply": export_ply(lower(DISH))},
         die("female"), DISH, die=lower(DISH, -0.98)),
     row("forming.die_far", "check its unit", {"operations.0.die.unit": "mm"}, die("female", unit="cm"), DISH,
         die=lower(DISH)),
-    row("forming.holder_step", "divide the depth", {"operations.0.die.step_mm": 3}, die("male", step_mm=4),
+    row("forming.holder_step", "divides the depth", {"operations.0.die.step_mm": 3}, die("male", step_mm=4),
         UP, die=lower(UP)),
-    Row("forming.adsif_table", lay, OWN, "add a line '# metal: ...'", {"@own.csv": TABLE},
+    Row("forming.adsif_table", lay, CUSTOM_TABLE, "add a line '# metal: ...'", {"@own.csv": TABLE},
         {**ADSIF, "own.csv": TABLE.replace("# metal: aa5754_o\n", "")}),
     Row("forming.adsif_conditions", lay, change(wide("adsif"), "sheet.metal", "aa1100_o"),
-        "take what the table holds for", {"sheet.metal": Word("holds for '(\\w+)'")}, ADSIF),
+        "use the conditions of the table", {"sheet.metal": Word("is valid for '(\\w+)'")}, ADSIF),
     Row("forming.adsif_compliance", lay, change(wide("adsif"), "operations.0.adsif", SOFT),
-        "state a smaller force", {"operations.0.adsif.force_n": Said("give way by up to # mm", down=True,
+        "state a smaller force", {"operations.0.adsif.force_n": ReportedFigure("mm to # mm: state", down=True,
         times=5000.0)}, ADSIF),
 ]  # fmt: skip
 
@@ -154,29 +157,31 @@ LONG: Final = [
 
 
 def refusal(work: Callable[[], object]) -> list[Issue]:
-    """The issues of what is refused."""
+    """Return the issues of a refusal."""
 
     def done() -> list[Issue]:
         work()
         return []
 
-    return found(done)
+    return collect_issues(done)
 
 
 def respond(folder: Path, data: Any) -> list[Issue]:
     """The wall angle at a position [deg] and a gap over the thickness."""
     table = adsif_response.built_in_table()
-    return refusal(lambda: adsif_response.wall_angle(table, data["position"] * DEG, data["gap"]))
+    return refusal(lambda: adsif_response.formed_wall_angle(table, data["position"] * DEG, data["gap"]))
 
 
 def estimate(folder: Path, data: Any) -> list[Issue]:
     """The force of a step [mm] on walls of 40 degrees."""
     metal = sheet_metal("aa1100_o")
-    return refusal(lambda: sheet_mechanics.estimate(metal, MM, 12 * MM, data["step"] * MM, [40.0 * DEG]))
+    return refusal(
+        lambda: sheet_mechanics.estimate_force(metal, MM, 12 * MM, data["step"] * MM, [40.0 * DEG])
+    )
 
 
 def features(folder: Path, data: Any) -> list[Issue]:
-    return refusal(lambda: tree.build(DISH, data["step"] * MM))
+    return refusal(lambda: tree.build_feature_tree(DISH, data["step"] * MM))
 
 
 def path(folder: Path, data: Any) -> list[Issue]:
@@ -185,17 +190,17 @@ def path(folder: Path, data: Any) -> list[Issue]:
     faces = np.delete(one.faces, data["torn"], axis=0)
     one = dataclasses.replace(one, region=one.region + data["aside"] * MM, faces=faces)
     options = PathOptions(stepdown=data["step"] * MM)
-    return refusal(lambda: contact_path.make_path(one, 0.005, options))
+    return refusal(lambda: contact_path.make_contact_path(one, 0.005, options))
 
 
 BOWL: Final = {"step": 1.0, "aside": 0.0, "torn": []}
 CALLS: Final = [
     Row("forming.adsif_unstable", respond, {"position": 30.0, "gap": 0.65}, "the sheet buckles",
-        {"gap": Said("take a gap of #", 0.01)}),
+        {"gap": ReportedFigure("use a gap of #", 0.01)}),
     Row("forming.force_input", estimate, {"step": -1.0}, "correct it", {"step": 1.0}),
-    Row("forming.step", features, {"step": 1e-9}, "state such a length",
+    Row("forming.step", features, {"step": 1e-9}, "state a larger one",
         {"step": 1.0}),
-    Row("forming.path_options", path, {**BOWL, "step": 1e-4}, "take a stepdown of",
+    Row("forming.path_options", path, {**BOWL, "step": 1e-4}, "use a stepdown of",
         {"step": 1.0}),
     Row("forming.no_contour", path, {**BOWL, "aside": 1e3}, "check that levels and outline",
         {"aside": 0.0}),

@@ -27,8 +27,8 @@ from tests import small_problem
 from tests.proof import small_job
 from tests.reading.test_setups import CELL as BOW_AND_GRIPPER
 from tests.refusals import POSES, change
-from tests.remedies.advice import Said, Word, Words
-from tests.remedies.remedy_rows import GONE, Row, found, write
+from tests.remedies.advice import ReportedFigure, Word, Words
+from tests.remedies.remedy_rows import GONE, Row, collect_issues, write
 
 WORLD: Final = np.array(
     [[0, -300, 400], [0, 300, 400], [50, 250, 800], [-50, -280, 750], [30, 10, 500], [-40, 0, 900]]
@@ -36,7 +36,7 @@ WORLD: Final = np.array(
 LINE: Final = np.array([[0, -300, 400], [0, 0, 500], [0, 300, 600]])
 
 
-def probed(world: Any, **more: Any) -> Any:
+def probe_rows(world: Any, **more: Any) -> Any:
     """Rows of points [mm] as two robots that stand 850 mm on both sides probe them."""
     first = world + np.array([850.0, 0.0, 0.0])
     second = (world - np.array([850.0, 0.0, 0.0])) * [-1, -1, 1]
@@ -53,7 +53,7 @@ def align(folder: Path, data: Any) -> list[Issue]:
     given = {"tolerance_mm": data.get("tolerance_mm", 0.5), "leave_out": tuple(data.get("leave_out", ()))}
     output = folder / data.get("output", "new.yaml")
     request = align_commands.Align(folder / "cell.yaml", folder / "points.csv", output, **given)
-    return found(lambda: align_commands.run_align(request))
+    return collect_issues(lambda: align_commands.run_align(request))
 
 
 def batch(folder: Path, data: Any) -> list[Issue]:
@@ -64,28 +64,28 @@ def batch(folder: Path, data: Any) -> list[Issue]:
         read_batch(write(folder, data))
         return []
 
-    return found(work)
+    return collect_issues(work)
 
 
-GOOD: Final = probed(WORLD)
+GOOD: Final = probe_rows(WORLD)
 BATCH: Final = {"batch": 1, "problem": "base.yaml", "vary": {"settings.seed": [1, 2]}}
 OTHERS: Final = [
     Row("align.file", align, change(GOOD, "rows.0.2", "4OO"), "correct it", {"rows": GOOD["rows"]}),
     Row("align.cell", align, {**GOOD, "arms": 1}, "take a cell of two robots", {"arms": 2}),
-    Row("align.few_points", align, probed(WORLD[:2]), "probe four or more", {"rows": GOOD["rows"]}),
-    Row("align.same_points", align, probed(WORLD[[0, 0, 0]]), "probe points far apart",
+    Row("align.few_points", align, probe_rows(WORLD[:2]), "probe four or more", {"rows": GOOD["rows"]}),
+    Row("align.same_points", align, probe_rows(WORLD[[0, 0, 0]]), "probe points far apart",
         {"rows": GOOD["rows"]}),
-    Row("align.collinear", align, probed(LINE), "probe one more point off the line by",
-        {"rows": probed(np.vstack([LINE, [200, 0, 500]]))["rows"]}),
+    Row("align.collinear", align, probe_rows(LINE), "probe one more point off the line by",
+        {"rows": probe_rows(np.vstack([LINE, [200, 0, 500]]))["rows"]}),
     Row("align.mirrored", align, {"rows": [[a, b, c, x, -y, z] for a, b, c, x, y, z in GOOD["rows"]]},
         "an axis with the wrong sign", {"rows": GOOD["rows"]}),
     Row("align.units", align, {"rows": [[a, b, c, x / 10, y / 10, z / 10] for a, b, c, x, y,
-        z in GOOD["rows"]]}, "were in 'cm', not mm", {"rows": GOOD["rows"]}),
+        z in GOOD["rows"]]}, "seem to be in 'cm', not mm", {"rows": GOOD["rows"]}),
     Row("align.bad_point", align, change(GOOD, "rows.2.4", GOOD["rows"][2][4] + 3.0), "--leave-out p3",
         {"leave_out": [Word("--leave-out (\\w+)")]}),
     Row("align.large_residual", align, {"rows": (np.array(GOOD["rows"]) + np.random.default_rng(3).normal(0,
         5.0, (6, 6))).tolist()}, "allow more: --tolerance-mm",
-        {"tolerance_mm": Said("points are up to # mm from their fit")}),
+        {"tolerance_mm": ReportedFigure("points are up to # mm from the fit")}),
     Row("batch.field", batch, {**BATCH, "sped": 3}, "remove it", {"sped": GONE}),
     Row("batch.csv", batch, {"batch": 1, "problem": "base.yaml", "csv": "t.csv"}, "give one for each",
         {"@t.csv": "settings.seed,settings.clearance_mm\n1,10\n"},
@@ -103,10 +103,10 @@ def claim(folder: Path, data: Any) -> list[Issue]:
     problem.write_text(small_problem.PROBLEM)
 
     def work() -> Iterable[Issue]:
-        files.claim_folder(folder / data["output"], files.RESULT, problem)
+        files.prepare_folder(folder / data["output"], files.RESULT_ENTRIES, problem)
         return []
 
-    return found(work)
+    return collect_issues(work)
 
 
 def prove(folder: Path, data: Any) -> list[Issue]:
@@ -134,12 +134,14 @@ def prove(folder: Path, data: Any) -> list[Issue]:
             path.write_bytes(b"\xff\x00" if data.get("text") == name else text.encode("latin-1"))
 
     def work() -> Iterable[Issue]:
-        with mock.patch.object(playback, "LONGEST_MOTION", data.get("longest", playback.LONGEST_MOTION)):
+        with mock.patch.object(
+            playback, "MAX_MOTION_TIME_S", data.get("longest", playback.MAX_MOTION_TIME_S)
+        ):
             last = "verify.continuity" if "longest" in data else "verify.files"
             prover = Prover(small_job.problem(), small_job.claims())
             return prover.prove(pipeline.read_programs(folder), last=last).issues
 
-    return found(work)
+    return collect_issues(work)
 
 
 def compare(folder: Path, data: Any) -> list[Issue]:
@@ -174,21 +176,21 @@ def use_key(folder: Path, data: Any) -> list[Issue]:
         (statement.read_private_key if data["sign"] else statement.read_public_keys)(folder / data["key"])
         return []
 
-    return found(work)
+    return collect_issues(work)
 
 
 ALLOWED: Final = 'me namespaces="file" PUBLIC'
 PLANNED: Final = "T_ROB1/TandemMain_1.mod"
 RESULTS: Final = [
-    Row("output.folder", claim, {"output": "mine"}, "choose a folder of your own", {"output": "new"}),
+    Row("output.folder", claim, {"output": "mine"}, "choose another folder", {"output": "new"}),
     Row("output.folder", claim, {"output": "a"}, "choose another", {"output": "b"}),
-    Row("output.folder", align, {**GOOD, "output": "points.csv/new.yaml"}, "choose a place of your own",
+    Row("output.folder", align, {**GOOD, "output": "points.csv/new.yaml"}, "choose another path",
         {"output": "new.yaml"}),
     Row("verify.no_programs", prove, {"planned": False}, "plan the problem first", {"planned": True}),
     Row("verify.files", prove, {"text": PLANNED}, "plan again", {"text": GONE}),
-    Row("verify.files", prove, {"stray": "T_ROB9/stray.mod"}, "take it away", {"stray": GONE}),
+    Row("verify.files", prove, {"stray": "T_ROB9/stray.mod"}, "remove it", {"stray": GONE}),
     Row("verify.files", prove, {"missing": "T_ROB2"}, "copy all files", {"missing": GONE}),
-    Row("verify.files", prove, {"line_ends": "\n"}, "copy the file byte by byte", {"line_ends": GONE}),
+    Row("verify.files", prove, {"line_ends": "\n"}, "copy the file unchanged", {"line_ends": GONE}),
     Row("verify.files", prove, {"listed": True}, "list every module once", {"listed": GONE}),
     Row("verify.files", prove, {"renamed": "Main.mod"}, "rename the file",
         {"renamed": Word(r"rename the file (\S+?\.mod)")}),
@@ -199,7 +201,7 @@ RESULTS: Final = [
         {"key": Word(r"sign with (\w+)")}),
     Row("sign.key", use_key, {"sign": False, "key": "KEY"}, "check with KEY.pub",
         {"key": Word(r"check with ([\w.]+)")}),
-    Row("sign.key", use_key, {"sign": False, "key": "allowed", "line": ALLOWED}, "where it may sign here",
+    Row("sign.key", use_key, {"sign": False, "key": "allowed", "line": ALLOWED}, "if it may sign here",
         {"line": Words(r"add (\S+) to these", ALLOWED.replace("file", "file,#"))}),
 ]  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Codes whose remedies are tried elsewhere, cannot be tried, or are still to be: see ``remedy_rows``."""
+"""Codes whose remedies are tested elsewhere, cannot be tested, or are not tested yet: see ``remedy_rows``."""
 
 from __future__ import annotations
 
@@ -309,7 +309,7 @@ NONE: Final = {
     "sign.signature": "a text or signature that somebody changed cannot be mended, only signed again",
     "sign.content": "a result that somebody changed is planned or fetched again",
     "sign.missing": "who made the result signs it; the reader cannot",
-    "wire.no_equilibrium": "of the solver, for callers of the library; jobs are told wire.shape and its kin",
+    "wire.no_equilibrium": "of the solver, for callers of the library; jobs get wire.shape and related codes",
     "verify.unread": "tells by line what of somebody else's programs is not read or proven; as nobody knows "
     "where an arm starts, its first move is always among it",
     "wire.touches": "ways in the air are laid clear of the block: a guard, which no job is known to meet; "

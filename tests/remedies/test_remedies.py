@@ -1,4 +1,4 @@
-"""Remedies work: what an issue advises is done to the problem, by its own figures, and it is gone.
+"""Remedies work: the advice of an issue is applied to the problem, by its own figures, and the issue is gone.
 
 Each row is a bundled problem that cannot be solved; ``problems/infeasible/expect.yaml`` has its codes.
 """
@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 from tests.refusals import change
-from tests.remedies.advice import Said, Word
+from tests.remedies.advice import ReportedFigure, Word
 from tests.test_infeasible import EXPECT, FOLDER, errors
 
 PLATE = [[-90, -70], [90, -70], [90, 70], [-90, 70]]
@@ -29,21 +29,21 @@ def guide(*points: list[float]) -> dict[str, Any]:
 REMEDIES: dict[str, Mapping[str, Any]] = {
     # hot wire
     "wire_too_short": {
-        "operations.0.wire.length_mm": Said("length_mm: #"),
+        "operations.0.wire.length_mm": ReportedFigure("length_mm: #"),
         "operations.0.sweep": Word("sweep: ([xy])"),
     },
     "wire_too_thick": {
-        "operations.0.wire.diameter_mm": Said("diameter_mm: #", 0.01),
-        "operations.0.wire.length_mm": Said("length_mm: #"),
+        "operations.0.wire.diameter_mm": ReportedFigure("diameter_mm: #", 0.01),
+        "operations.0.wire.length_mm": ReportedFigure("length_mm: #"),
         "operations.0.sweep": Word("sweep: ([xy])"),
     },
-    "waves": {"operations.0.shape_tol_mm": Said("within # mm", 0.1)},
+    "waves": {"operations.0.shape_tol_mm": ReportedFigure("within # mm", 0.1)},
     "flat_wall": {"part.front.loft.sections": ARCH},
     "thin_wire_on_edge": {
-        "operations.0.wire.length_mm": Said("length_mm: #"),
+        "operations.0.wire.length_mm": ReportedFigure("length_mm: #"),
         "operations.0.sweep": Word("sweep: ([xy])"),
     },
-    "block_too_small": {"stock.size_mm.1": Said("by # mm in y", more=True)},
+    "block_too_small": {"stock.size_mm.1": ReportedFigure("by # mm in y", more=True)},
     "bent_tighter_than_thick": {"part.back.offset_mm": 15},
     "no_back_face": {"operations.0.faces": ["front"]},
     "far_cell": {"stock.place": "auto"},
@@ -52,36 +52,38 @@ REMEDIES: dict[str, Mapping[str, Any]] = {
         "part.ruled.0.end.corners_mm": [[0, 0, 80], [90, 0, 80], [0, 90, 80]],
     },
     "crossing_outline": {"part.plate.outlines.0.polyline_mm": PLATE},
-    "wider_than_the_wire": {"cell.arms.0.tool.span_mm": Said("need a wire of # mm")},
-    "deeper_than_the_throat": {"cell.arms.0.tool.throat_mm": Said("is # mm deeper", more=True)},
+    "wider_than_the_wire": {"cell.arms.0.tool.span_mm": ReportedFigure("need a wire of # mm")},
+    "deeper_than_the_throat": {"cell.arms.0.tool.throat_mm": ReportedFigure("is # mm deeper", more=True)},
     "block_too_heavy": {"stock.size_mm": [700, 600, 300]},
     "gripper_in_the_way": {
-        "cell.arms.1.tool.width_mm": Said("has width_mm: #"),
-        "cell.arms.1.tool.depth_mm": Said("depth_mm: #"),
+        "cell.arms.1.tool.width_mm": ReportedFigure("has width_mm: #"),
+        "cell.arms.1.tool.depth_mm": ReportedFigure("depth_mm: #"),
     },
     "foam_without_data": {"stock.foam": "eps_a120"},
     "no_such_surface": {"operations.0.cuts.0.surface": "outline_a"},
     # mill
-    "mill_short_flute": {"cell.arms.0.tool.flute_mm": Said("needs # mm of flute")},
+    "mill_short_flute": {"cell.arms.0.tool.flute_mm": ReportedFigure("needs # mm of flute")},
     "mill_too_thick": {
-        "cell.arms.0.tool.diameter_mm": Said("radius that fits there is # mm", 0.01, down=True, times=2.0)
+        "cell.arms.0.tool.diameter_mm": ReportedFigure(
+            "radius that fits there is # mm", 0.01, down=True, times=2.0
+        )
     },
     "mill_twisted": {
-        "cell.arms.0.tool.diameter_mm": Said("radius of # mm or less", 0.01, down=True, times=2.0)
+        "cell.arms.0.tool.diameter_mm": ReportedFigure("radius of # mm or less", 0.01, down=True, times=2.0)
     },
-    "mill_lies_flat": {"operations.0.safe_side": Word("take safe_side: (\\w+)")},
+    "mill_lies_flat": {"operations.0.safe_side": Word("use safe_side: (\\w+)")},
     "mill_guides_cross": {"part.ruled.0.end": guide([-30, 0, 50], [30, 0, 50])},
     "mill_inner_corner": {
         "part.ruled.0.start": guide([-40, 0, 36], [0, 20, 36]),
         "part.ruled.0.end": guide([-40, 0, 50], [0, 20, 50]),
     },
-    "mill_unreachable": {"stock.place.xyz_mm.0": Said("move the stock by (#, 0, 0) mm", more=True)},
+    "mill_unreachable": {"stock.place.xyz_mm.0": ReportedFigure("move the stock by (#, 0, 0) mm", more=True)},
     # sheet
     "sheet_tool_too_big": {
-        "cell.arms.0.tool.radius_mm": Said("largest radius that fits is # mm", 0.01, down=True)
+        "cell.arms.0.tool.radius_mm": ReportedFigure("largest radius that fits is # mm", 0.01, down=True)
     },
     "sheet_part_too_wide": {
-        "sheet.opening_mm": Said("stands # mm out", times=2.0, more=True),
+        "sheet.opening_mm": ReportedFigure("extends # mm beyond", times=2.0, more=True),
         "sheet.size_mm": [220, 220],
     },
     "sheet_wrong_unit": {"part.sheet_mesh.unit": "m"},
@@ -104,8 +106,8 @@ def follow(name: str, folder: Path) -> Path:
 
     def figures(value: Any, now: Any) -> Any:
         if isinstance(value, dict):
-            return {key: figures(one, None) for key, one in value.items()}
-        return value.of(issues, now) if isinstance(value, Said | Word) else value
+            return {key: figures(item, None) for key, item in value.items()}
+        return value.of(issues, now) if isinstance(value, ReportedFigure | Word) else value
 
     for field, value in REMEDIES[Path(name).stem].items():
         now: Any = data

@@ -1,4 +1,4 @@
-"""Remedies of every room work: each issue's advice is done to the bad data, and the issue is gone.
+"""Remedies of every room work: each issue's advice is applied to the bad data, and the issue is gone.
 
 The rows of ``remedy_rows`` are problems, files and tables as data; those of ``test_remedies`` are bundled.
 """
@@ -27,7 +27,7 @@ from tests.remedies import (
     remedy_rows_wires,
 )
 from tests.remedies import remedy_tables as tables
-from tests.remedies.advice import Said, Word
+from tests.remedies.advice import ReportedFigure, Word
 from tests.remedies.remedy_rows import GONE, Row
 from tests.remedies.remedy_rows_parts import block
 from tests.remedies.test_remedies import REMEDIES
@@ -45,7 +45,7 @@ SUBJECTS = (
 ROWS = [*rows.ROWS, *(row for subject in SUBJECTS for row in subject.ROWS)]
 
 
-def taken_out(data: Any, field: str) -> Any:
+def remove_value(data: Any, field: str) -> Any:
     out = copy.deepcopy(data)
     inner = out
     *steps, last = [int(step) if step.isdigit() else step for step in field.split(".")]
@@ -55,7 +55,7 @@ def taken_out(data: Any, field: str) -> Any:
     return out
 
 
-def now(data: Any, field: str) -> Any:
+def current_value(data: Any, field: str) -> Any:
     for step in field.split("."):
         data = data[int(step)] if isinstance(data, list) else data.get(step)
         if data is None:
@@ -64,12 +64,12 @@ def now(data: Any, field: str) -> Any:
 
 
 def figures(value: Any, issues: Sequence[Issue], was: Any) -> Any:
-    """The value with what the issues say."""
-    if isinstance(value, Said | Word):
+    """Replace placeholders of the value by the figures of the issues."""
+    if isinstance(value, ReportedFigure | Word):
         return value.of(issues, was)
     if isinstance(value, dict):
-        return {key: figures(one, issues, None) for key, one in value.items()}
-    return [figures(one, issues, None) for one in value] if isinstance(value, list) else value
+        return {key: figures(item, issues, None) for key, item in value.items()}
+    return [figures(item, issues, None) for item in value] if isinstance(value, list) else value
 
 
 def put(folder: Path, name: str, content: str | bytes) -> None:
@@ -87,9 +87,9 @@ def follow(row: Row, data: Any, issues: Sequence[Issue], folder: Path) -> Any:
         elif field.startswith("@"):
             put(folder, field[1:], figures(value, issues, None))
         elif value is GONE:
-            data = taken_out(data, field)
+            data = remove_value(data, field)
         else:
-            data = change(data, field, figures(value, issues, now(data, field)))
+            data = change(data, field, figures(value, issues, current_value(data, field)))
     return data
 
 
@@ -100,7 +100,7 @@ def prepare(folder: Path, *given: Row) -> None:
             put(folder, name, content)
 
 
-def tried(row: Row, folder: Path) -> tuple[list[Issue], list[Issue]]:
+def try_remedy(row: Row, folder: Path) -> tuple[list[Issue], list[Issue]]:
     """The issues before and after the remedy is followed."""
     prepare(folder, row)
     before = row.how(folder, row.data)
@@ -116,8 +116,8 @@ EACH = [pytest.param(row, marks=[pytest.mark.long] * row.long, id=row.code) for 
 @pytest.mark.sampled(every=6)
 @pytest.mark.parametrize("row", EACH)
 def test_what_an_issue_advises_ends_it_and_leaves_no_other_fault(row: Row, tmp_path: Path) -> None:
-    """What was an error may stay as a note: foam that is left, where more is allowed to be."""
-    before, after = tried(row, tmp_path)
+    """An error may remain as a note: remaining foam, where more is allowed."""
+    before, after = try_remedy(row, tmp_path)
     was = {issue.severity for issue in before if issue.code == row.code} | {Severity.ERROR}
     assert not [
         str(i) for i in after if i.severity in was and (i.code == row.code or i.severity is Severity.ERROR)
@@ -166,9 +166,9 @@ TWO = {
 
 @pytest.mark.parametrize("name", TWO)
 def test_two_faults_at_once_are_both_named(name: str, tmp_path: Path) -> None:
-    one, other, how, data = TWO[name]
+    item, other, how, data = TWO[name]
     prepare(tmp_path)
-    assert {one, other} <= {issue.code for issue in how(tmp_path, data)}
+    assert {item, other} <= {issue.code for issue in how(tmp_path, data)}
 
 
 # ---- every code ----------------------------------------

@@ -1,4 +1,4 @@
-"""A made-up job of two arms and a bowed wire, for tests of the report: believable motion, invented proof."""
+"""A synthetic job of two arms and a bowed wire, for tests of the report: plausible motion, invented proof."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Cell, Controller, Obstacle, Part, Problem, Settings, Stock
 from planner.processes.hotwire.claims import CutsSurface, KerfCurve, WireJoins
 from planner.proof.verdict import CutFace, Proof, RuleResult
-from planner.targets import Action, Edge, ScrewFreedom, Targets
+from planner.targets import FlexibleTool, ScrewFreedom, TargetAction, Targets
 from planner.tooling import PlainTool
 
 ARMS = ("left", "right")
 SIZE = np.array([0.4, 0.1, 0.34])
-PLACE = from_rpy([0.0, 0.0, 0.24], [0.0, 0.0, 0.0])
+STOCK_POSE = from_rpy([0.0, 0.0, 0.24], [0.0, 0.0, 0.0])
 LENGTH = 0.64
 
 
@@ -40,7 +40,7 @@ class WireWork:
 
 
 def tool(arm: str) -> PlainTool:
-    """A holder whose TCP looks along the flange's z (left arm) or against it (right arm)."""
+    """Return a holder whose TCP points along the flange's z (left arm) or against it (right arm)."""
     turn = [0, -0.5 * np.pi, 0] if arm == "left" else [0, 0.5 * np.pi, np.pi]
     body = Shape("box", (0.05, 0.03, 0.12), from_rpy([0, 0, 0.07], [0, 0, 0]))
     clamp = Shape("cylinder", (0.012, 0.05), from_rpy([0, 0, 0.145], [0, 0, 0]))
@@ -55,7 +55,7 @@ def amplitude(z: np.ndarray) -> np.ndarray:
 
 
 def face(offset: float, outward: float) -> Mesh:
-    """The wanted face: the wire's cubic, moved by ``offset`` in y."""
+    """Return the nominal face: the wire's cubic, moved by ``offset`` in y."""
     x, z = np.meshgrid(np.linspace(-0.2, 0.2, 25), np.linspace(0.0, SIZE[2], 21), indexing="ij")
     y = amplitude(z) * (0.3 - x**2 / 0.3) * 0.5 + offset - 0.04
     grid = np.arange(x.size).reshape(x.shape)
@@ -71,7 +71,7 @@ def problem() -> Problem:
     arms = tuple(Arm(name, "irb140", bases[name], tool(name), home) for name in ARMS)
     floor = Obstacle("table", (Shape("box", (0.5, 0.3, 0.02), from_rpy([0, 0, 0.01], [0, 0, 0])),))
     pedestal = Shape("box", (0.12, 0.08, 0.22), from_rpy([0, 0, -0.11], [0, 0, 0]))
-    stock = Stock(SIZE, PLACE, np.eye(3), (pedestal,))
+    stock = Stock(SIZE, STOCK_POSE, np.eye(3), (pedestal,))
     cell = Cell("two irb140", arms, (floor,), Controller())
     part = Part(face(0.01, 1.0), face(-0.01, -1.0))
     return Problem(
@@ -108,14 +108,14 @@ def _rows(count: int) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
 def _follow(arm: Arm, poses: np.ndarray) -> np.ndarray:
     """Joint angles (N, 6) that take the TCP along world poses, by Newton steps from a start posture."""
     robot = robots.robot(arm.robot)
-    wanted = inverse(arm.base) @ poses @ inverse(arm.tool.tcp)
+    expected = inverse(arm.base) @ poses @ inverse(arm.tool.tcp)
     q = np.deg2rad([0.0, 10.0, 30.0, 0.0, -40.0, 0.0])
     out = np.empty((len(poses), 6))
-    for i, goal in enumerate(wanted):
+    for i, goal in enumerate(expected):
         for _ in range(30 if i == 0 else 5):
-            here = kinematics.forward(robot, q)
-            twist = log_pose(inverse(here) @ goal)
-            step = np.concatenate([here[:3, :3] @ twist[:3], here[:3, :3] @ twist[3:]])
+            reached = kinematics.forward_kinematics(robot, q)
+            twist = log_pose(inverse(reached) @ goal)
+            step = np.concatenate([reached[:3, :3] @ twist[:3], reached[:3, :3] @ twist[3:]])
             jacobian = kinematics.jacobian(robot, q)
             damped = jacobian.T @ jacobian + 1e-6 * np.eye(6)
             q = q + np.clip(np.linalg.solve(damped, jacobian.T @ step), -0.3, 0.3)
@@ -140,7 +140,7 @@ def plan(count: int = 90) -> Plan:
     points = np.stack(
         [np.tile(s, (n, 1)), bow + y[:, None] - 0.04, np.repeat(z[:, None], 25, axis=1)], axis=-1
     )
-    q = {arm: _follow(job.cell.arm(arm), PLACE @ pose[arm]) for arm in ARMS}
+    q = {arm: _follow(job.cell.arm(arm), STOCK_POSE @ pose[arm]) for arm in ARMS}
     travel = np.concatenate([[0.0], np.linalg.norm(np.diff(points, axis=0), axis=-1).max(axis=1)])
     cutting = np.array([label.startswith("cut") for label in segment])
     feed = np.where(cutting, 0.006, 0.05)
@@ -161,11 +161,11 @@ def plan(count: int = 90) -> Plan:
         FeedWindow(Segment.read("cut/front"), 0.002, 0.006),
     )
     actions = (
-        Action(0, "confirm", "Mount the wire: 638.2 mm of Kanthal D 1.2 mm"),
-        Action(0, "on", signal="doWirePower"),
-        Action(0, "wait", seconds=4.0),
-        Action(n - 1, "off", signal="doWirePower"),
-        Action(n - 1, "confirm", "Take the wire off"),
+        TargetAction(0, "confirm", "Mount the wire: 638.2 mm of Kanthal D 1.2 mm"),
+        TargetAction(0, "on", signal="doWirePower"),
+        TargetAction(0, "wait", seconds=4.0),
+        TargetAction(n - 1, "off", signal="doWirePower"),
+        TargetAction(n - 1, "confirm", "Take the wire off"),
     )
     targets = Targets(
         ARMS,
@@ -178,7 +178,7 @@ def plan(count: int = 90) -> Plan:
         stop,
         tuple(map(Segment.read, segment)),
         True,
-        Edge(points, 6e-4),
+        FlexibleTool(points, 6e-4),
         actions,
         held,
         _exhibits(points[cutting]),
@@ -198,7 +198,7 @@ def plan(count: int = 90) -> Plan:
     done = OperationPlan("faces", targets, q, np.zeros((n, 1)), time, entry, leave, ARMS, metrics)
     bases = {arm.name: arm.base for arm in job.cell.arms}
     versions = {"planner": "0.1.0", "drake": "1.45", "numpy": np.__version__, "python": "3.11"}
-    return Plan(job.name, job.digest, versions, (PLACE,), bases, (done,), {"stages": stages})
+    return Plan(job.name, job.digest, versions, (STOCK_POSE,), bases, (done,), {"stages": stages})
 
 
 def _placement() -> dict[str, object]:
@@ -279,9 +279,11 @@ def proof(rows: int = 1500) -> Proof:
         weights = rng.dirichlet(np.ones(3), (len(corners), 4))
         p = np.einsum("fkc,fjc->fkj", weights, corners.transpose(0, 2, 1)).reshape(-1, 3)
         d = 3e-4 * np.sin(30 * p[:, 0]) * np.cos(20 * p[:, 2]) + 3e-5 * rng.normal(size=len(p))
-        share = float((np.abs(d) < 5e-4).mean())
+        fraction = float((np.abs(d) < 5e-4).mean())
         rms, worst = float(np.sqrt((d**2).mean())), float(np.abs(d).max())
-        faces.append(CutFace(Segment.read(name), p, d, np.full(len(p), 1e-5), 5e-4, share, 0.95, rms, worst))
+        faces.append(
+            CutFace(Segment.read(name), p, d, np.full(len(p), 1e-5), 5e-4, fraction, 0.95, rms, worst)
+        )
     rules = (
         RuleResult("internal.error", "joint limits hold on the replayed motion", True, 18.2, 2.0, "deg"),
         RuleResult(

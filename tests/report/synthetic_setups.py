@@ -1,4 +1,4 @@
-"""Made-up jobs with a bow: one of two setups, and one whose block an arm holds."""
+"""Synthetic jobs with a bow: one of two setups, and one whose block is held by an arm."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import numpy as np
 
 from planner.catalogue.materials import foam
 from planner.catalogue.robots import robot
-from planner.cell.kinematics import forward
+from planner.cell.kinematics import forward_kinematics
 from planner.claims.claim import ContactOnlyIn, FeedWindow, HoldsStock
 from planner.claims.segments import Segment
-from planner.geometry.arrays import Ruled, from_parts, from_rpy, inverse
+from planner.geometry.arrays import RuledSurface, from_parts, from_rpy, inverse
 from planner.issues import Issue, Severity
 from planner.plans import OperationPlan, Plan
-from planner.problem import Arm, Change, Part, Problem, Setup, Stock
+from planner.problem import Arm, Part, Problem, Setup, SetupChange, Stock
 from planner.processes.hotwire.claims import CutsSurface, KerfCurve, StraightWire
-from planner.targets import Action, Targets
+from planner.targets import TargetAction, Targets
 from planner.tooling import bow, gripper_plate
 from tests.report import synthetic_job as job
 
@@ -38,31 +38,40 @@ class Trim(job.WireWork):
         return dataclasses.replace(stock, oversize=np.zeros((2, 3)))
 
 
-def side(name: str, x: float, size: np.ndarray) -> Ruled:
+def side(name: str, x: float, size: np.ndarray) -> RuledSurface:
     """A ruled face across x, with rulings along y."""
     z = np.linspace(size[2], 0.0, 12)
     bulge = x + 0.03 * np.sin(np.pi * z / size[2]) * np.sign(x)
     start = np.stack([bulge, np.full(12, -0.5 * size[1]), z], axis=1)
-    return Ruled(name, start, start * [1.0, -1.0, 1.0], np.zeros(12, dtype=bool))
+    return RuledSurface(name, start, start * [1.0, -1.0, 1.0], np.zeros(12, dtype=bool))
 
 
-def _bow_pose(place: np.ndarray, points: np.ndarray) -> np.ndarray:
+def _bow_pose(stock_pose: np.ndarray, points: np.ndarray) -> np.ndarray:
     """World poses (N, 4, 4) of a bow's TCP at stock points (N, 3): the wire along world y, the beam at -x."""
     turn = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-    return from_parts(np.tile(turn, (len(points), 1, 1)), points @ place[:3, :3].T + place[:3, 3])
+    return from_parts(np.tile(turn, (len(points), 1, 1)), points @ stock_pose[:3, :3].T + stock_pose[:3, 3])
 
 
 def _straight(
-    setup: Setup, name: str, labels: list[str], points: np.ndarray, place: np.ndarray, held: np.ndarray | None
+    setup: Setup,
+    name: str,
+    labels: list[str],
+    points: np.ndarray,
+    stock_pose: np.ndarray,
+    held: np.ndarray | None,
 ) -> OperationPlan:
     """An operation of the left arm's bow with its TCP at points (N, 3) of the stock; ``held``: (N, 4, 4) how
     the stock moves in the world."""
     n = len(points)
-    poses = _bow_pose(place, points) if held is None else held @ inverse(place) @ _bow_pose(place, points)
+    poses = (
+        _bow_pose(stock_pose, points)
+        if held is None
+        else held @ inverse(stock_pose) @ _bow_pose(stock_pose, points)
+    )
     left = setup.cell.arm("left")
     q = {"left": job._follow(left, poses)}
     arms: tuple[str, ...] = ("left",)
-    pose = {"left": inverse(place) @ poses}
+    pose = {"left": inverse(stock_pose) @ poses}
     frame = {"left": "stock"}
     bows = left.tool
     half = 0.5 * bows.span
@@ -80,7 +89,7 @@ def _straight(
         tcp = held @ inverse(setup.stock.grip)
         q["right"] = job._follow(right, tcp)
         arms = ("left", "right")
-        pose = {"left": inverse(tcp) @ poses, "right": inverse(place) @ tcp}
+        pose = {"left": inverse(tcp) @ poses, "right": inverse(stock_pose) @ tcp}
         frame = {"left": "held:right", "right": "stock"}
         cog = setup.stock.grip[:3, :3] @ (0.5 * (setup.stock.lower + setup.stock.upper))
         claims.append(HoldsStock("right", setup.stock.grip, float(setup.stock.mass or 0.0), cog))
@@ -88,7 +97,7 @@ def _straight(
     cutting = np.array([label.startswith("cut") for label in labels])
     feed = np.where(cutting, 0.005, 0.05)
     stop = np.array([i in (0, n - 1) for i in range(n)])
-    actions = (Action(0, "on", signal="doWirePower"), Action(0, "wait", seconds=5.0))
+    actions = (TargetAction(0, "on", signal="doWirePower"), TargetAction(0, "wait", seconds=5.0))
     targets = Targets(
         arms,
         pose,
@@ -119,10 +128,12 @@ def two_setups() -> tuple[Problem, Plan]:
     assert base.part is not None
     part = Part(base.part.front, base.part.back, (side("left", -0.17, job.SIZE),), (note,))
     changes = {
-        0: Change(steps=("Mount the tool bow_400 on arm left.", "Clamp the block as the setup sheet says.")),
-        1: Change(
+        0: SetupChange(
+            steps=("Mount the tool bow_400 on arm left.", "Clamp the block as the setup sheet says.")
+        ),
+        1: SetupChange(
             tools={"left": base.cell.arms[0].tool},
-            stock={"place": job.PLACE},
+            stock={"place": job.STOCK_POSE},
             steps=("Mount the tool holder_left on arm left.", "Clamp the block in its new place."),
         ),
     }
@@ -144,12 +155,12 @@ def two_setups() -> tuple[Problem, Plan]:
     first = _straight(problem.setups[0], "sides", [*labels, "retreat"], points, FIRST, None)
     bent = job.plan(90)
     plan = dataclasses.replace(
-        bent, places=(FIRST, job.PLACE), operations=(first, *bent.operations), metrics={}
+        bent, stock_poses=(FIRST, job.STOCK_POSE), operations=(first, *bent.operations), metrics={}
     )
     return problem, plan
 
 
-def held() -> tuple[Problem, Plan]:
+def held_block_job() -> tuple[Problem, Plan]:
     """The right arm holds a block of foam and turns it while the left one cuts two sides with a bow."""
     base = job.problem()
     size = np.array([0.2, 0.24, 0.18])
@@ -162,8 +173,8 @@ def held() -> tuple[Problem, Plan]:
     stock = Stock(size, place, place[:3, :3], foam=foam("eps"), held_by="right", grip=grip)
     z = np.linspace(0.0, 0.18, 12)
     wavy = np.stack([0.07 + 0.02 * np.sin(20 * z), np.full(12, -0.12), z], axis=1)
-    ruled = Ruled("side", wavy, wavy * [1.0, -1.0, 1.0], np.zeros(12, dtype=bool))
-    changes = {0: Change(steps=("Fix the block to the gripper of arm right as the setup sheet says.",))}
+    ruled = RuledSurface("side", wavy, wavy * [1.0, -1.0, 1.0], np.zeros(12, dtype=bool))
+    changes = {0: SetupChange(steps=("Fix the block to the gripper of arm right as the setup sheet says.",))}
     problem = dataclasses.replace(
         base,
         name="synthetic held block",
@@ -185,14 +196,14 @@ def held() -> tuple[Problem, Plan]:
     return problem, Plan(problem.name, problem.digest, {}, (place,), bases, (operation,), {})
 
 
-def reached(problem: Problem, plan: Plan, arm: str) -> np.ndarray:
+def tcp_distance(problem: Problem, plan: Plan, arm: str) -> np.ndarray:
     """How far [m] (N,) the TCP of an arm of the first operation is from where its targets want it."""
     setup, operation = problem.setups[0], plan.operations[0]
 
     def tcp(name: str) -> np.ndarray:
         item = setup.cell.arm(name)
-        return item.base @ forward(robot(item.robot), operation.q[name]) @ item.tool.tcp
+        return item.base @ forward_kinematics(robot(item.robot), operation.q[name]) @ item.tool.tcp
 
     frame = operation.targets.frame[arm]
-    work = plan.places[0] if frame == "stock" else tcp(frame.removeprefix("held:"))
+    work = plan.stock_poses[0] if frame == "stock" else tcp(frame.removeprefix("held:"))
     return np.linalg.norm((work @ operation.targets.pose[arm])[:, :3, 3] - tcp(arm)[:, :3, 3], axis=1)

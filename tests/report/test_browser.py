@@ -1,4 +1,4 @@
-"""Report and replay in a real browser without a network: they show something, and ask nobody for anything."""
+"""Report and replay in a real browser without a network: they show something, and request nothing."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ def files() -> dict[str, str]:
     return output.files(job.problem(), job.plan(), job.proof())
 
 
-def look(html: str, folder: Path, *more: str, at: str = "") -> tuple[np.ndarray, str]:
-    """A screenshot (H, W, 3) of a page at a fragment of its address, and what the browser logged."""
+def take_screenshot(html: str, folder: Path, *more: str, at: str = "") -> tuple[np.ndarray, str]:
+    """Return a screenshot (H, W, 3) of a page at a fragment of its address, and the browser's log."""
     page, shot = folder / "page.html", folder / "shot.png"
     page.write_text(html, encoding="utf-8")
     command = [
@@ -67,7 +67,7 @@ def console_errors(log: str) -> list[str]:
 
 
 def test_the_report_shows(files: dict[str, str], tmp_path: Path) -> None:
-    shot, log = look(files["report.html"], tmp_path)
+    shot, log = take_screenshot(files["report.html"], tmp_path)
     assert not console_errors(log)
     assert len(np.unique(shot.reshape(-1, 3), axis=0)) > 200
     assert "http" not in re.sub(r"http://www\.w3\.org/\S+", "", files["report.html"])
@@ -75,7 +75,7 @@ def test_the_report_shows(files: dict[str, str], tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_the_replay_draws_orange_robots(files: dict[str, str], tmp_path: Path) -> None:
-    shot, log = look(files["replay.html"], tmp_path, "--timeout=15000")
+    shot, log = take_screenshot(files["replay.html"], tmp_path, "--timeout=15000")
     assert not console_errors(log)
     red, green, blue = (shot[..., i].astype(int) for i in range(3))
     orange = (red > 150) & (red - blue > 90) & (green - blue > 10)
@@ -89,13 +89,13 @@ def test_a_notebook_shows_the_replay_in_its_cell(tmp_path: Path) -> None:
     cell = f"<!doctype html><html><body>{viewer._repr_html_()}</body></html>"
     assert viewer.url not in cell
     del viewer
-    shot, log = look(cell, tmp_path, "--timeout=15000")
+    shot, log = take_screenshot(cell, tmp_path, "--timeout=15000")
     assert not console_errors(log)
     red, green, blue = (shot[:450, :, i].astype(int) for i in range(3))
     assert ((red > 150) & (red - blue > 90) & (green - blue > 10)).mean() > 0.005
 
 
-def with_a_released_sheet(plan: Plan) -> Plan:
+def add_released_sheet(plan: Plan) -> Plan:
     """The plan with a sheet that is too deep everywhere, wide over the block."""
     x = np.linspace(-0.3, 0.3, 12)
     flat = np.zeros((12, 12))
@@ -119,13 +119,13 @@ def with_a_released_sheet(plan: Plan) -> Plan:
 def test_the_replay_draws_a_released_sheet_in_the_colour_of_its_key(tmp_path: Path) -> None:
     plan = job.plan()
     shares = []
-    for name, one in (("none", plan), ("sheet", with_a_released_sheet(plan))):
-        html = output.files(job.problem(), one, None)["replay.html"]
+    for name, item in (("none", plan), ("sheet", add_released_sheet(plan))):
+        html = output.files(job.problem(), item, None)["replay.html"]
         (tmp_path / name).mkdir()
         # Standing at its start: the tools are blue as well, and how much of it shows turns with them.
-        shot, log = look(html, tmp_path / name, "--timeout=15000", at="#t=0")
+        shot, log = take_screenshot(html, tmp_path / name, "--timeout=15000", at="#t=0")
         assert not console_errors(log)
         red, green, blue = (shot[..., i].astype(int) for i in range(3))
         shares.append(((blue > 1.6 * green) & (blue > 2.5 * red) & (blue > 90)).mean())
-        assert ("let go" in html) is (name == "sheet")
+        assert ("after release" in html) is (name == "sheet")
     assert shares[1] > 2.0 * shares[0] + 0.002

@@ -1,4 +1,4 @@
-"""What CAD programs get of a plan: positions against the table of poses it came from, units, layers."""
+"""Exports of a plan for CAD programs: positions against the table of poses of the job, units, and layers."""
 
 from __future__ import annotations
 
@@ -23,30 +23,30 @@ AT = (450.0, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")
-def planned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def result_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("small")
     outcome = planner.plan(planner.load(small_problem.write(folder)))
     outcome.save(folder / "out")
     return folder / "out"
 
 
-def exported(folder: Path, name: str, seconds: float = 0.0) -> Path:
-    return results.export(folder, folder.parent / name, seconds)
+def export(folder: Path, name: str, seconds: float = 0.0) -> Path:
+    return results.export_result(folder, folder.parent / name, seconds)
 
 
-def test_a_3dm_file_has_targets_where_the_table_has_them(planned: Path) -> None:
-    model = rhino3dm.File3dm.Read(str(exported(planned, "cell.3dm")))
+def test_a_3dm_file_has_targets_where_the_table_has_them(result_folder: Path) -> None:
+    model = rhino3dm.File3dm.Read(str(export(result_folder, "cell.3dm")))
     assert model.Settings.ModelUnitSystem == rhino3dm.UnitSystem.Millimeters
     by_layer: dict[str, list] = {}
-    for one in model.Objects:
-        by_layer.setdefault(model.Layers[one.Attributes.LayerIndex].FullPath, []).append(one)
+    for item in model.Objects:
+        by_layer.setdefault(model.Layers[item.Attributes.LayerIndex].FullPath, []).append(item)
     points = by_layer["targets::poses::left"]
     table = np.array([[float(v) for v in row.split(",")[:3]] for row in small_problem.ROWS])
-    found = np.array([(p.Geometry.Location.X, p.Geometry.Location.Y, p.Geometry.Location.Z) for p in points])
-    assert len(found) >= len(table)
+    result = np.array([(p.Geometry.Location.X, p.Geometry.Location.Y, p.Geometry.Location.Z) for p in points])
+    assert len(result) >= len(table)
     for row in table:
-        assert np.linalg.norm(found - row, axis=1).min() < 1e-3
-    text = [dict(one.Attributes.GetUserStrings()) for one in points]
+        assert np.linalg.norm(result - row, axis=1).min() < 1e-3
+    text = [dict(item.Attributes.GetUserStrings()) for item in points]
     times = [float(own["time_s"]) for own in text]
     assert times[0] == 0.0
     assert times == sorted(times)
@@ -64,8 +64,8 @@ def test_a_3dm_file_has_targets_where_the_table_has_them(planned: Path) -> None:
     assert middle[:2] == pytest.approx(AT[:2])
 
 
-def test_a_glb_file_is_in_metres_with_y_up(planned: Path) -> None:
-    scene = trimesh.load(io.BytesIO(exported(planned, "cell.glb").read_bytes()), file_type="glb")
+def test_a_glb_file_is_in_metres_with_y_up(result_folder: Path) -> None:
+    scene = trimesh.load(io.BytesIO(export(result_folder, "cell.glb").read_bytes()), file_type="glb")
     names = {name.rpartition(" ")[0]: name for name in scene.graph.nodes_geometry}
     assert {"cell::stock", "cell::left::link_1", "cell::left::tool"} <= set(names)
     pose, geometry = scene.graph.get(names["cell::stock"])
@@ -76,14 +76,14 @@ def test_a_glb_file_is_in_metres_with_y_up(planned: Path) -> None:
     assert scene.bounds[1][1] > 0.5
 
 
-def test_the_arm_is_where_it_is_at_that_time(planned: Path) -> None:
+def test_the_arm_is_where_it_is_at_that_time(result_folder: Path) -> None:
     tips = []
     for seconds in (0.0, 2.5):
-        model = rhino3dm.File3dm.Read(str(exported(planned, f"at{seconds}.3dm", seconds)))
+        model = rhino3dm.File3dm.Read(str(export(result_folder, f"at{seconds}.3dm", seconds)))
         tool = [
-            one.Geometry.GetBoundingBox().Center.Y
-            for one in model.Objects
-            if model.Layers[one.Attributes.LayerIndex].FullPath == "cell::left::tool"
+            item.Geometry.GetBoundingBox().Center.Y
+            for item in model.Objects
+            if model.Layers[item.Attributes.LayerIndex].FullPath == "cell::left::tool"
         ]
         tips.append(float(np.mean(tool)))
     assert tips[1] - tips[0] > 10.0  # the table goes along y at 20 mm/s
@@ -91,17 +91,17 @@ def test_the_arm_is_where_it_is_at_that_time(planned: Path) -> None:
 
 def test_wanted_and_simulated_part_lie_in_the_block(tmp_path: Path) -> None:
     planner.plan(planner.load(ruled(tmp_path))).save(tmp_path / "out")
-    model = rhino3dm.File3dm.Read(str(results.export(tmp_path / "out", tmp_path / "w.3dm")))
+    model = rhino3dm.File3dm.Read(str(results.export_result(tmp_path / "out", tmp_path / "w.3dm")))
     boxes: dict[str, list[np.ndarray]] = {}
-    for one in model.Objects:
-        box = one.Geometry.GetBoundingBox()
+    for item in model.Objects:
+        box = item.Geometry.GetBoundingBox()
         ends = np.array([[p.X, p.Y, p.Z] for p in (box.Min, box.Max)])
-        boxes.setdefault(model.Layers[one.Attributes.LayerIndex].FullPath, []).append(ends)
-    wanted, cut = boxes["part::wanted::front"][0], boxes["part::simulated::cut_front"][0]
+        boxes.setdefault(model.Layers[item.Attributes.LayerIndex].FullPath, []).append(ends)
+    expected, cut = boxes["part::wanted::front"][0], boxes["part::simulated::cut_front"][0]
     stock = boxes["cell::stock"][0]
-    assert (wanted > stock[0] - 1e-3).all()
-    assert (wanted < stock[1] + 1e-3).all()
-    assert np.abs(wanted - cut).max() < 12.0  # the wire goes on through the block
+    assert (expected > stock[0] - 1e-3).all()
+    assert (expected < stock[1] + 1e-3).all()
+    assert np.abs(expected - cut).max() < 12.0  # the wire goes on through the block
     wires = np.array(boxes["wire::setup 1"])
     assert len(wires) > 20
     assert wires[:, 1].max() > stock[1].min()
@@ -109,15 +109,15 @@ def test_wanted_and_simulated_part_lie_in_the_block(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "seconds", "says"),
-    [("a.step", 0.0, "allowed are files that end in .glb or .3dm"), ("a.glb", 1e6, "the plan goes from 0 to"),
-     ("a.glb", -1.0, "the plan goes from 0 to"), ("a.glb", float("nan"), "the plan goes from 0 to")],
+    [("a.step", 0.0, "allowed suffixes: .glb or .3dm"), ("a.glb", 1e6, "allowed 0 to"),
+     ("a.glb", -1.0, "allowed 0 to"), ("a.glb", float("nan"), "allowed 0 to")],
 )  # fmt: skip
-def test_other_files_and_times_are_refused(planned: Path, name: str, seconds: float, says: str) -> None:
+def test_other_files_and_times_are_refused(result_folder: Path, name: str, seconds: float, says: str) -> None:
     with pytest.raises(TandemError, match=says):
-        exported(planned, name, seconds)
+        export(result_folder, name, seconds)
 
 
 def test_a_folder_without_a_plan_is_refused(tmp_path: Path) -> None:
     with pytest.raises(TandemError):
-        results.export(tmp_path, tmp_path / "a.glb")
-    assert cad_export.simulated(tmp_path / "simulated_part.obj") == {}
+        results.export_result(tmp_path, tmp_path / "a.glb")
+    assert cad_export.read_simulated_part(tmp_path / "simulated_part.obj") == {}

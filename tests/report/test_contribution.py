@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from planner import report
-from planner.report import contribution, output
-from planner.report.charts import FaceWords, Line
-from planner.report.contribution import ProcessMotion, ReportOfLanguage, ReportOfProcess, TimeChart
+from planner.report import output, plugin_contributions
+from planner.report.charts import ChartLine, FaceWords
 from planner.report.markup import Tile
+from planner.report.plugin_contributions import ProcessMotion, ReportOfLanguage, ReportOfProcess, TimeChart
 from planner.runtime import plugins
-from planner.runtime.plugins import Found, Language, Process
+from planner.runtime.plugins import Language, LoadedPlugin, Process
 from tests.report import synthetic_job as job
 
-CHART = TimeChart("Glow of the toy", (Line("glow", np.arange(3.0), np.arange(3.0)),), "W", "bright")
+CHART = TimeChart("Glow of the toy", (ChartLine("glow", np.arange(3.0), np.arange(3.0)),), "W", "bright")
 PROCESS = ReportOfProcess(
     tiles=lambda plan, proof: (Tile("toys", "7", "kg"),),
     setup_rows=lambda *_: [("paint of the toy", "blue")],
@@ -34,11 +34,13 @@ LANGUAGE = ReportOfLanguage(
 def test_the_report_draws_what_plug_ins_supply(monkeypatch: pytest.MonkeyPatch) -> None:
     families = tuple({arm.data.family for arm in job.problem().cell.arms})
     toys = {
-        Process: {"elastic_wire": Found(Process("", "", report=f"{__name__}:PROCESS"), "")},
-        Language: {"toy": Found(Language("toy", families, (), "", "", report=f"{__name__}:LANGUAGE"), "")},
+        Process: {"elastic_wire": LoadedPlugin(Process("", "", report=f"{__name__}:PROCESS"), "")},
+        Language: {
+            "toy": LoadedPlugin(Language("toy", families, (), "", "", report=f"{__name__}:LANGUAGE"), "")
+        },
     }
     monkeypatch.setattr(plugins, "installed", toys.__getitem__)
-    text = output.render(job.problem(), job.plan(60), job.proof(200))
+    text = output.report_html(job.problem(), job.plan(60), job.proof(200))
     for words in ("toys", "paint of the toy", "Glow of the toy", "too blue", "switch of the toy"):
         assert words in text
     assert "on, the toy in doWirePower" in text and "toys of" in text and "left and right" in text
@@ -47,18 +49,18 @@ def test_the_report_draws_what_plug_ins_supply(monkeypatch: pytest.MonkeyPatch) 
 
 def test_processes_that_a_problem_does_not_name_add_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     other = Process("", "", report="no_such_module:REPORT")
-    monkeypatch.setattr(plugins, "installed", {Process: {"other": Found(other, "")}}.__getitem__)
-    assert contribution.of_processes(job.problem()) == ()
+    monkeypatch.setattr(plugins, "installed", {Process: {"other": LoadedPlugin(other, "")}}.__getitem__)
+    assert plugin_contributions.process_reports(job.problem()) == ()
 
 
 def test_the_report_names_no_plug_in_and_no_family() -> None:
     names = {name for group in plugins.BUILT_IN.values() for name in group} - {"targets"}  # a common word
     names |= {family for language in plugins.usable(Language).values() for family in language.families}
     (folder,) = map(Path, report.__path__)
-    found = [
+    result = [
         f"{path.name}:{node.lineno}: {node.value}"
         for path in folder.rglob("*.py")
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         if isinstance(node, ast.Constant) and node.value in names
     ]
-    assert not found
+    assert not result

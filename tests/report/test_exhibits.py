@@ -1,4 +1,4 @@
-"""Exhibits are drawn by kind; a malformed one is named and left out; maps and charts keep the extremes."""
+"""Exhibits are drawn by kind. A malformed one is reported and left out. Maps and charts keep the extremes."""
 
 from __future__ import annotations
 
@@ -92,11 +92,11 @@ def test_a_malformed_exhibit_is_named_and_left_out(bad: object) -> None:
 
 @given(st.floats(-1e6, 1e6), st.floats(1e-6, 1e6))
 def test_ticks_are_round_and_inside(low: float, span: float) -> None:
-    found = charts.ticks(low, low + span, 5)
-    assert 2 <= len(found) <= 12
-    step = found[1] - found[0]
+    result = charts.ticks(low, low + span, 5)
+    assert 2 <= len(result) <= 12
+    step = result[1] - result[0]
     slack = 1e-6 * span + 1e-9 * abs(low)
-    assert found[0] >= low - slack and found[-1] <= low + span + slack
+    assert result[0] >= low - slack and result[-1] <= low + span + slack
     digits = step / 10.0 ** np.floor(np.log10(step) + 1e-9)
     assert min(abs(digits - d) for d in (1.0, 2.0, 2.5, 5.0, 10.0)) < 1e-3 * 10
 
@@ -105,10 +105,12 @@ def test_long_curves_keep_their_peaks() -> None:
     y = np.sin(np.linspace(0, 300, 50_000))
     y[31_234] = 9.0
     y[777] = -7.0
-    text = markup.render(charts.chart([charts.Line("y", np.arange(50_000.0), y)], x_label="", y_label=""))
-    found = re.search(r'points="([^"]*)"', text)
-    assert found is not None
-    heights = np.array([float(p.split(",")[1]) for p in found.group(1).split()])
+    text = markup.render(
+        charts.chart([charts.ChartLine("y", np.arange(50_000.0), y)], charts.ChartAxes("", ""))
+    )
+    match = re.search(r'points="([^"]*)"', text)
+    assert match is not None
+    heights = np.array([float(p.split(",")[1]) for p in match.group(1).split()])
     bottom, top, y0, y1 = (float(v) for v in re.search(r'data-y="([^"]*)"', text).group(1).split())  # type: ignore[union-attr]
     values = y0 + (bottom - heights) / (bottom - top) * (y1 - y0)
     assert values.max() == pytest.approx(9.0, abs=0.1) and values.min() == pytest.approx(-7.0, abs=0.1)
@@ -117,9 +119,9 @@ def test_long_curves_keep_their_peaks() -> None:
 
 def test_gaps_split_a_curve() -> None:
     y = np.array([0.0, 1.0, np.nan, 1.0, 0.0])
-    chart = charts.chart([charts.Line("y", np.arange(5.0), y)], x_label="", y_label="")
+    chart = charts.chart([charts.ChartLine("y", np.arange(5.0), y)], charts.ChartAxes("", ""))
     assert markup.render(chart).count("<polyline") == 2
-    empty = charts.chart([charts.Line("y", np.arange(5.0), y * np.nan)], x_label="", y_label="")
+    empty = charts.chart([charts.ChartLine("y", np.arange(5.0), y * np.nan)], charts.ChartAxes("", ""))
     assert "no data" in markup.render(empty)
 
 
@@ -129,7 +131,7 @@ def test_map_shows_the_worst_of_each_cell_and_what_was_missed() -> None:
     value = np.full(len(uv), 1e-4)
     value[1000] = -2e-3
     value[(uv[:, 0] > 0.35) & (uv[:, 1] > 0.25)] = np.nan
-    grid, (u0, u1, v0, v1) = charts.binned(uv, value)
+    grid, (u0, u1, v0, v1) = charts.bin_values(uv, value)
     assert np.nanmin(np.where(np.isfinite(grid), grid, np.nan)) == -2e-3
     assert np.isnan(grid[0, -2]) and not np.isnan(grid[-1, 0])
     assert u0 == 0.0 and v0 == 0.0 and u1 >= 0.4 and v1 >= 0.3
@@ -140,7 +142,7 @@ def test_view_looks_along_the_normal(normal: tuple[float, float, float]) -> None
     n = np.array(normal) / np.linalg.norm(normal)
     points = np.random.default_rng(0).normal(size=(200, 3))
     points -= np.outer(points @ n, n)
-    across, up, found = charts.view(points)
+    across, up, found = charts.plane_axes(points)
     assert abs(abs(found @ n) - 1.0) < 1e-9
     np.testing.assert_allclose(np.cross(across, up), found, atol=1e-12)
 
@@ -151,12 +153,12 @@ def test_a_ruled_surface_is_laid_flat() -> None:
     ring = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
     start, end = 0.2 * ring, 0.1 * ring + np.array([0.0, 0.0, 0.3])
     rng = np.random.default_rng(1)
-    row, share = rng.integers(0, 200, 500), rng.random(500)
-    points = start[row] + share[:, None] * (end - start)[row]
-    uv = charts.unrolled(points, start, end)
+    row, fraction = rng.integers(0, 200, 500), rng.random(500)
+    points = start[row] + fraction[:, None] * (end - start)[row]
+    uv = charts.unroll(points, start, end)
     np.testing.assert_allclose(uv[:, 0], 0.15 * angle[row], atol=5e-4)
     np.testing.assert_allclose(
-        uv[:, 1], np.hypot(0.1, 0.3) * share, atol=0.5 * np.hypot(0.1, 0.3) / 40 + 1e-4
+        uv[:, 1], np.hypot(0.1, 0.3) * fraction, atol=0.5 * np.hypot(0.1, 0.3) / 40 + 1e-4
     )
 
 
@@ -186,7 +188,7 @@ def test_paths_are_coloured_by_their_value_with_dots() -> None:
     (figure,), issues = exhibits.draw({"paths": {**shown, **rows, "near": True}}, BLOCK)
     html = markup.render(figure)
     assert not issues
-    one, two, three = re.findall(r'<polyline class="thin" style="stroke:(.*?)"', html)
-    assert one == three != two
+    item, two, three = re.findall(r'<polyline class="thin" style="stroke:(.*?)"', html)
+    assert item == three != two
     assert html.count('<circle class="dot"') == 4
     assert "part of a loop" in html

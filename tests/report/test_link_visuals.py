@@ -1,5 +1,7 @@
-"""A robot of the user's own is seen as its maker drew it, in the replay and in what the page draws of a cell;
-distances, programs and digests know nothing of that."""
+"""The visual meshes of a user's own robot are shown in the replay and in the cell view of the page.
+
+Distances, programs and digests do not depend on them.
+"""
 
 from __future__ import annotations
 
@@ -26,12 +28,12 @@ from planner.reading import link_visuals
 from planner.reading import problem as problem_file
 from planner.report import replay
 from planner.report import scene as scenes
-from planner.service import cell_view
+from planner.service import cell_drawing
 from tests import small_problem, urdf_text
 from tests.refusals import POSES, change
 
 PLATE = (0.06, 0.06, 0.02)
-HULL = urdf_text.drawn("mesh", (), np.eye(4), "package://mine_support/meshes/plate.stl")
+HULL = urdf_text.geometry_tag("mesh", (), np.eye(4), "package://mine_support/meshes/plate.stl")
 AT = from_rpy([0.01, -0.02, 0.03], [0.3, -0.2, 0.9])
 """Where the visual of link 6 is in it."""
 RED = '<material name="red"><color rgba="0.8 0.1 0.2 0.0"/></material>'
@@ -54,18 +56,18 @@ def ring(folder: Path) -> trimesh.Trimesh:
 
 
 def visual(file: str = RING, scale: float = 1e-3, pose: np.ndarray = AT, inside: str = RED) -> str:
-    return urdf_text.drawn("mesh", (scale,) * 3, pose, file, "visual", inside)
+    return urdf_text.geometry_tag("mesh", (scale,) * 3, pose, file, "visual", inside)
 
 
-def with_visuals(**links: str) -> str:
-    """The arm with what is seen of some links."""
+def add_visuals(**links: str) -> str:
+    """Return the URDF of the arm with visual elements for some links."""
     text = BARE
     for link, own in links.items():
         text = text.replace(f'<link name="{link}">', f'<link name="{link}">{own}')
     return text
 
 
-def loaded(folder: Path, text: str, **lines: Any) -> Problem:
+def load_problem(folder: Path, text: str, **lines: Any) -> Problem:
     small_problem.write(folder)
     (folder / "mine.urdf").write_text(text, "utf-8")
     robot = {"urdf": "mine.urdf", "name": "mine", "family": "abb", "payload_kg": 6, **lines}
@@ -73,23 +75,23 @@ def loaded(folder: Path, text: str, **lines: Any) -> Problem:
     return pipeline.load(folder / "own.yaml")
 
 
-def modelled(problem: Problem) -> CellModel:
-    return plant.build(problem.cell, problem.stock, problem.stock.place)
+def build_model(problem: Problem) -> CellModel:
+    return plant.build_cell_model(problem.cell, problem.stock, problem.stock.place)
 
 
-def seen(model: CellModel, body: str) -> list[scenes.Piece]:
-    return [piece for piece in scenes.extract(model).pieces if piece.body == body]
+def visual_pieces(model: CellModel, body: str) -> list[scenes.VisiblePiece]:
+    return [piece for piece in scenes.extract_scene(model).pieces if piece.body == body]
 
 
-def unseen(problem: Problem) -> list[Any]:
+def visual_issues(problem: Problem) -> list[Any]:
     return [issue for issue in pipeline.check(problem) if issue.code == "robot.unseen"]
 
 
-def filmed(page: str) -> dict[str, Any]:
-    """What a replay has: its data, with ``bodies`` as (frame, colour, vertices (V, 3) [mm])."""
-    found = re.search(r"<script type='application/json' id='film'>(.*?)</script>", page)
-    assert found is not None
-    data = json.loads(found[1])
+def read_replay(page: str) -> dict[str, Any]:
+    """Return the data of a replay, with ``bodies`` as (frame, colour, vertices (V, 3) [mm])."""
+    match = re.search(r"<script type='application/json' id='film'>(.*?)</script>", page)
+    assert match is not None
+    data = json.loads(match[1])
     raw = base64.b64decode(data["arrays"])
 
     def vertices(mesh: int) -> np.ndarray:
@@ -99,61 +101,63 @@ def filmed(page: str) -> dict[str, Any]:
     return {**data, "bodies": [(b["body"], b["color"], vertices(b["mesh"])) for b in data["bodies"]]}
 
 
-def same_points(one: np.ndarray, other: np.ndarray, atol: float) -> bool:
+def same_points(points: np.ndarray, other: np.ndarray, atol: float) -> bool:
     """Whether two clouds are one, each point as often as it likes."""
-    gaps = (cKDTree(one).query(other)[0].max(), cKDTree(other).query(one)[0].max())
+    gaps = (cKDTree(points).query(other)[0].max(), cKDTree(other).query(points)[0].max())
     return max(gaps) <= atol
 
 
 @pytest.fixture(scope="module")
-def own(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, trimesh.Trimesh, Problem, Any]:
+def custom_robot_job(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, trimesh.Trimesh, Problem, Any]:
     folder = tmp_path_factory.mktemp("own")
     made = ring(folder)
-    problem = loaded(folder, with_visuals(link_6=visual()))
+    problem = load_problem(folder, add_visuals(link_6=visual()))
     return folder, made, problem, pipeline.plan(problem)
 
 
-def test_the_replay_has_the_visuals_vertices_in_the_urdfs_colour(own: Any) -> None:
-    _, made, problem, outcome = own
+def test_the_replay_has_the_visuals_vertices_in_the_urdfs_colour(custom_robot_job: Any) -> None:
+    _, made, problem, outcome = custom_robot_job
     assert outcome.proof.ok
-    film = filmed(replay.document(modelled(problem), problem, outcome.plan, outcome.proof))
-    ((_, color, points),) = [one for one in film["bodies"] if one[0] == "left/link_6"]
+    film = read_replay(replay.replay_html(build_model(problem), problem, outcome.plan, outcome.proof))
+    ((_, color, points),) = [item for item in film["bodies"] if item[0] == "left/link_6"]
     assert color == [0.8, 0.1, 0.2, 1.0]  # a link that cannot be seen helps nobody
     assert same_points(points, 1e3 * transform(AT, made.vertices), atol=2e-3)
-    others = [one for one in film["bodies"] if one[0] == "left/link_3"]
-    assert others and all(one[1] == pytest.approx(ROBOT_COLOUR.tolist()) for one in others)
+    others = [item for item in film["bodies"] if item[0] == "left/link_3"]
+    assert others and all(item[1] == pytest.approx(ROBOT_COLOUR.tolist()) for item in others)
 
 
-def test_the_page_draws_the_same(own: Any) -> None:
-    _, made, problem, _ = own
-    found, _ = cell_view.view(problem)
-    ((points, color),) = [(b["vertices"], b["color"]) for b in found["bodies"] if b["body"] == "left/link_6"]
+def test_the_page_draws_the_same(custom_robot_job: Any) -> None:
+    _, made, problem, _ = custom_robot_job
+    result, _ = cell_drawing.view(problem)
+    ((points, color),) = [(b["vertices"], b["color"]) for b in result["bodies"] if b["body"] == "left/link_6"]
     assert color == [0.8, 0.1, 0.2, 1.0]
     assert same_points(np.reshape(points, (-1, 3)), 1e3 * transform(AT, made.vertices), atol=0.02)
 
 
-def test_a_crowded_cell_is_drawn_with_hulls_as_before(own: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_crowded_cell_is_drawn_with_hulls_as_before(
+    custom_robot_job: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Where all there is to be drawn has room only without the visuals."""
-    _, _, problem, _ = own
-    count = sum(len(body["faces"]) // 3 for body in cell_view.view(problem)[0]["bodies"])
-    monkeypatch.setattr(cell_view, "MOST_TRIANGLES", count - 1)
-    (hand,) = [body for body in cell_view.view(problem)[0]["bodies"] if body["body"] == "left/link_6"]
+    _, _, problem, _ = custom_robot_job
+    count = sum(len(body["faces"]) // 3 for body in cell_drawing.view(problem)[0]["bodies"])
+    monkeypatch.setattr(cell_drawing, "MAX_TRIANGLES", count - 1)
+    (hand,) = [body for body in cell_drawing.view(problem)[0]["bodies"] if body["body"] == "left/link_6"]
     assert hand["color"] == pytest.approx(ROBOT_COLOUR.tolist())
     assert np.ptp(np.reshape(hand["vertices"], (-1, 3)), axis=0) == pytest.approx([60.0, 60.0, 20.0])
 
 
-def test_distances_know_nothing_of_it(own: Any, tmp_path: Path) -> None:
+def test_distances_know_nothing_of_it(custom_robot_job: Any, tmp_path: Path) -> None:
     """The ring stands out of the plate by 30 mm; with and without it all bodies are as far apart."""
-    _, _, problem, outcome = own
+    _, _, problem, outcome = custom_robot_job
     ring(tmp_path)
-    bare = loaded(tmp_path, BARE)
-    assert bare.cell.arms[0].data.file.looks == ()
-    one, other = modelled(problem), modelled(bare)
+    bare = load_problem(tmp_path, BARE)
+    assert bare.cell.arms[0].data.file.visuals == ()
+    item, other = build_model(problem), build_model(bare)
     q = {"left": np.random.default_rng(4).uniform(-1.0, 1.0, (12, 6))}
-    near = [clearance.least(model, q, 1.0) for model in (one, other)]
+    near = [clearance.min_clearance(model, q, 1.0) for model in (item, other)]
     np.testing.assert_array_equal(near[0].distance, near[1].distance)
     assert near[0].pair == near[1].pair
-    (solid,) = [one for one in one.solids if one.body == "left/link_6"]
+    (solid,) = [item for item in item.solids if item.body == "left/link_6"]
     assert np.ptp(solid.shape.vertices, axis=0) == pytest.approx(PLATE)
     again = pipeline.plan(bare)
     assert all(len(text) > 100 for text in again.programs.values())
@@ -161,45 +165,47 @@ def test_distances_know_nothing_of_it(own: Any, tmp_path: Path) -> None:
         np.testing.assert_array_equal(values, outcome.plan.operations[0].q[name])
 
 
-def test_a_copy_carries_the_visuals_and_a_result_stays_what_it_is_without(own: Any, tmp_path: Path) -> None:
-    _, _, problem, _ = own
+def test_a_copy_carries_the_visuals_and_a_result_stays_what_it_is_without(
+    custom_robot_job: Any, tmp_path: Path
+) -> None:
+    _, _, problem, _ = custom_robot_job
     for name, content in problem_file.bundle(problem).items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes(content)
     again = pipeline.load(tmp_path / "problem.yaml")
-    assert (again.digest, unseen(again)) == (problem.digest, [])
-    both = [seen(modelled(one), "left/link_6")[0].solid.vertices for one in (problem, again)]
+    assert (again.digest, visual_issues(again)) == (problem.digest, [])
+    both = [visual_pieces(build_model(item), "left/link_6")[0].solid.vertices for item in (problem, again)]
     np.testing.assert_array_equal(*both)
     (file,) = (tmp_path / "files").glob("ring-*.obj")
     file.unlink()
     without = pipeline.load(tmp_path / "problem.yaml")
     assert without.digest == problem.digest
-    assert [issue.severity.value for issue in unseen(without)] == ["note"]
+    assert [issue.severity.value for issue in visual_issues(without)] == ["note"]
 
 
 def test_what_cannot_be_read_is_told_once_and_the_bodies_are_seen(tmp_path: Path) -> None:
     ring(tmp_path)
     (tmp_path / "broken.stl").write_bytes(b"solid nothing\nfacet\n")
     (tmp_path / "hand.dae").write_text("<COLLADA/>")
-    text = with_visuals(
+    text = add_visuals(
         link_3=visual("broken.stl"),
         link_4=visual("hand.dae"),
         link_5="<visual><geometry/></visual>",
         link_6=visual() + visual("nowhere.stl"),
-        base_link=urdf_text.drawn("box", (0.2, 0.2, 0.3), np.eye(4), tag="visual"),
+        base_link=urdf_text.geometry_tag("box", (0.2, 0.2, 0.3), np.eye(4), tag="visual"),
     )
-    problem = loaded(tmp_path, text)
-    (issue,) = unseen(problem)
+    problem = load_problem(tmp_path, text)
+    (issue,) = visual_issues(problem)
     assert (issue.field, issue.severity.value) == ("cell.arms.0.robot.urdf", "note")
-    for words in ("of 4 links", "broken.stl (", "hand.dae (", "link_5", "nowhere.stl (not there)"):
+    for words in ("4 links of ", "broken.stl (", "hand.dae (", "link_5", "nowhere.stl (missing)"):
         assert words in issue.message, words
-    model = modelled(problem)
+    model = build_model(problem)
     for link in ("link_3", "link_4", "link_5", "link_6"):
-        pieces = seen(model, f"left/{link}")
-        assert len(pieces) == len([one for one in model.solids if one.body == f"left/{link}"])
+        pieces = visual_pieces(model, f"left/{link}")
+        assert len(pieces) == len([solid for solid in model.solids if solid.body == f"left/{link}"])
         assert all(piece.color == pytest.approx(tuple(ROBOT_COLOUR)) for piece in pieces)
-    (box,) = seen(model, "left/base_link")
-    assert box.color == (*link_visuals.NEUTRAL, 1.0)
+    (box,) = visual_pieces(model, "left/base_link")
+    assert box.color == (*link_visuals.NEUTRAL_COLOUR, 1.0)
     assert np.ptp(box.solid.vertices, axis=0) == pytest.approx([0.2, 0.2, 0.3])
 
 
@@ -244,17 +250,17 @@ PYRAMID = 0.01 * np.array([(0, 1, 0), (0, 7, 0), (-4, 7, 0), (-4, 1, 0), (-2, 4,
 
 
 def test_a_dae_is_seen_in_its_unit_and_its_colours(tmp_path: Path) -> None:
-    """Scaled by two along z; what has no colour of its own has the URDF's."""
+    """Scaled by two along z; parts without a colour have that of the URDF."""
     pytest.importorskip("collada", reason="pycollada is not installed (pip install 'tandem-planner[dae]')")
     ring(tmp_path)
     (tmp_path / "hand.dae").write_text(DAE)
-    drawn = urdf_text.drawn("mesh", (1.0, 1.0, 2.0), AT, "hand.dae", "visual", RED)
-    problem = loaded(tmp_path, with_visuals(link_6=drawn))
-    assert unseen(problem) == []
-    foot, sides = seen(modelled(problem), "left/link_6")
+    drawn = urdf_text.geometry_tag("mesh", (1.0, 1.0, 2.0), AT, "hand.dae", "visual", RED)
+    problem = load_problem(tmp_path, add_visuals(link_6=drawn))
+    assert visual_issues(problem) == []
+    foot, sides = visual_pieces(build_model(problem), "left/link_6")
     assert (foot.color, sides.color) == ((0.0, 0.2, 1.0, 1.0), (0.8, 0.1, 0.2, 1.0))
-    wanted = PYRAMID * [1.0, 1.0, 2.0]
-    for piece, corners in ((foot, wanted[:4]), (sides, wanted)):
+    expected = PYRAMID * [1.0, 1.0, 2.0]
+    for piece, corners in ((foot, expected[:4]), (sides, expected)):
         assert same_points(transform(AT, piece.shape.vertices), transform(AT, corners), atol=1e-7)
     assert len(foot.shape.faces) == 2 and len(sides.shape.faces) == 4
     a, b, c = np.swapaxes(sides.shape.vertices[sides.shape.faces], 0, 1)
@@ -263,7 +269,7 @@ def test_a_dae_is_seen_in_its_unit_and_its_colours(tmp_path: Path) -> None:
         (tmp_path / "copy" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "copy" / name).write_bytes(content)
     again = pipeline.load(tmp_path / "copy" / "problem.yaml")
-    assert unseen(again) == [] and len(again.cell.arms[0].data.file.looks[6]) == 2
+    assert visual_issues(again) == [] and len(again.cell.arms[0].data.file.visuals[6]) == 2
 
 
 @pytest.mark.parametrize(
@@ -276,17 +282,17 @@ def test_a_dae_is_seen_in_its_unit_and_its_colours(tmp_path: Path) -> None:
         (DAE.replace('url="#shape"', 'url="#other"'), "it cannot be read ("),
         (DAE[:900], "it cannot be read ("),
         (DAE.replace('<scene><instance_visual_scene url="#scene"/></scene>', ""), "it has no scene"),
-        ("PK\x03\x04", "it is packed; unpack it"),
+        ("PK\x03\x04", "it is compressed; unpack it"),
     ],
 )
 def test_a_bad_dae_is_told_and_the_bodies_are_seen(tmp_path: Path, text: str, words: str) -> None:
     pytest.importorskip("collada", reason="pycollada is not installed (pip install 'tandem-planner[dae]')")
     ring(tmp_path)
     (tmp_path / "hand.dae").write_text(text)
-    problem = loaded(tmp_path, with_visuals(link_6=visual("hand.dae", 1.0)))
-    (issue,) = unseen(problem)
+    problem = load_problem(tmp_path, add_visuals(link_6=visual("hand.dae", 1.0)))
+    (issue,) = visual_issues(problem)
     assert words in issue.message
-    assert problem.cell.arms[0].data.file.looks == ()
+    assert problem.cell.arms[0].data.file.visuals == ()
 
 
 def test_without_its_reader_a_dae_is_told_with_what_to_install(
@@ -295,7 +301,7 @@ def test_without_its_reader_a_dae_is_told_with_what_to_install(
     monkeypatch.setitem(sys.modules, "collada", None)
     ring(tmp_path)
     (tmp_path / "hand.dae").write_text(DAE)
-    (issue,) = unseen(loaded(tmp_path, with_visuals(link_6=visual("hand.dae", 1.0))))
+    (issue,) = visual_issues(load_problem(tmp_path, add_visuals(link_6=visual("hand.dae", 1.0))))
     assert "hand.dae (DAE needs pycollada: pip install 'tandem-planner[dae]')" in issue.message
 
 
@@ -303,33 +309,34 @@ def test_where_visuals_lie_may_be_stated(tmp_path: Path) -> None:
     ring(tmp_path)
     (tmp_path / "mine_support" / "visual" / "ring.obj").rename(tmp_path / "elsewhere.obj")
     stated = [{"name": RING, "file": "elsewhere.obj"}]
-    problem = loaded(tmp_path, with_visuals(link_6=visual()), visuals=stated)
-    assert unseen(problem) == []
-    assert len(problem.cell.arms[0].data.file.looks[6]) == 1
+    problem = load_problem(tmp_path, add_visuals(link_6=visual()), visuals=stated)
+    assert visual_issues(problem) == []
+    assert len(problem.cell.arms[0].data.file.visuals[6]) == 1
 
 
 @pytest.mark.long
-def test_a_million_triangles_stay_within_the_size(own: Any, tmp_path: Path) -> None:
+def test_a_million_triangles_stay_within_the_size(custom_robot_job: Any, tmp_path: Path) -> None:
     """A ring of 500 mm on link 3: every point of it has a vertex near by that is shown, and none is beside
     it, by the diagonal of a cell of 10 mm."""
-    _, _, _, outcome = own
+    _, _, _, outcome = custom_robot_job
     ring(tmp_path)
     big = trimesh.creation.torus(0.2, 0.05, major_sections=1250, minor_sections=400)
     assert len(big.faces) == 1_000_000
     big.export(tmp_path / "big.stl")
-    text = with_visuals(link_3=visual("big.stl", 1.0, np.eye(4), ""), link_6=visual())
-    problem = loaded(tmp_path, text)
-    assert unseen(problem) == []
-    model = modelled(problem)
-    (piece,) = seen(model, "left/link_3")
-    assert len(piece.solid.faces) <= link_visuals.MOST_TRIANGLES
+    text = add_visuals(link_3=visual("big.stl", 1.0, np.eye(4), ""), link_6=visual())
+    problem = load_problem(tmp_path, text)
+    assert visual_issues(problem) == []
+    model = build_model(problem)
+    (piece,) = visual_pieces(model, "left/link_3")
+    assert len(piece.solid.faces) <= link_visuals.MAX_TRIANGLES
     points = piece.solid.vertices
-    off = np.hypot(np.hypot(points[:, 0], points[:, 1]) - 0.2, points[:, 2]) - 0.05
+    deviation = np.hypot(np.hypot(points[:, 0], points[:, 1]) - 0.2, points[:, 2]) - 0.05
     diagonal = 0.010 * np.sqrt(3.0)
-    assert np.abs(off).max() < diagonal
+    assert np.abs(deviation).max() < diagonal
     assert cKDTree(points).query(big.vertices[::97])[0].max() < diagonal
     usual, page = (
-        replay.document(modelled(one), one, outcome.plan, outcome.proof) for one in (own[2], problem)
+        replay.replay_html(build_model(item), item, outcome.plan, outcome.proof)
+        for item in (custom_robot_job[2], problem)
     )
     assert len(page) - len(usual) < 700_000
-    assert len(json.dumps(cell_view.view(problem)[0])) < 1_500_000
+    assert len(json.dumps(cell_drawing.view(problem)[0])) < 1_500_000

@@ -1,4 +1,4 @@
-"""`motion.json`: what it says of arms and targets is what was asked for and what was planned."""
+"""`motion.json`: its arms and targets are those requested, and its motion is the planned one."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ def outcome(tmp_path_factory: pytest.TempPathFactory) -> planner.Outcome:
 def motion(outcome: planner.Outcome, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("out") / "out"
     outcome.save(folder, pages=False)
-    found: dict[str, Any] = json.loads((folder / "motion.json").read_text())
-    return found
+    data: dict[str, Any] = json.loads((folder / "motion.json").read_text())
+    return data
 
 
 def test_planes_are_the_poses_that_were_asked_for(motion: dict[str, Any]) -> None:
     own = motion["operations"][0]
-    wanted = np.array([[float(word) for word in row.split(",")] for row in small_problem.ROWS])
+    expected = np.array([[float(word) for word in row.split(",")] for row in small_problem.ROWS])
     planes = np.array(own["arms"]["left"]["tcp"])
-    assert planes.shape == (len(wanted), 9)
-    assert np.abs(planes[:, :3] - wanted[:, :3]).max() < 1e-6
+    assert planes.shape == (len(expected), 9)
+    assert np.abs(planes[:, :3] - expected[:, :3]).max() < 1e-6
     turn = exp_rotation(2 * np.pi / 3 * np.array([-1.0, 1.0, 1.0]) / np.sqrt(3.0))  # 0.5, -0.5, 0.5, 0.5
     assert np.abs(planes[:, 3:6] - turn[:, 0]).max() < 1e-9
     assert np.abs(planes[:, 6:9] - turn[:, 1]).max() < 1e-9
@@ -53,7 +53,7 @@ def test_joints_and_times_are_those_of_the_plan(outcome: planner.Outcome, motion
     assert left["base"] == [0, 0, 0, 1, 0, 0, 0, 1, 0]
     way = own["arms"]["left"]
     assert np.abs(np.radians(way["joints_deg"]) - planned.q["left"]).max() < 1e-10
-    assert np.shape(way["entry_deg"]) == planned.entry["left"].shape
+    assert np.shape(way["entry_deg"]) == planned.approach["left"].shape
     assert np.abs(np.array(own["time_s"]) - planned.time + planned.time[0]).max() < 1e-6
     assert own["names"] == [planned.targets.name(k) for k in range(planned.targets.count)]
     assert own["segments"] == [str(segment) for segment in planned.targets.segment]
@@ -70,9 +70,9 @@ def test_operations_follow_one_another_on_the_clock(outcome: planner.Outcome, mo
 def test_a_held_block_stands_in_its_holder() -> None:
     problem = planner.load("shell_piece_held")
     (setup, *_) = problem.setups
-    found = motion_file._block(setup, np.eye(4))
-    assert found["held_by"] == setup.stock.held_by
-    assert found["in_tcp"][:3] == pytest.approx((setup.stock.grip[:3, 3] * 1e3).tolist(), abs=1e-8)
+    result = motion_file._block_plane(setup, np.eye(4))
+    assert result["held_by"] == setup.stock.held_by
+    assert result["in_tcp"][:3] == pytest.approx((setup.stock.grip[:3, 3] * 1e3).tolist(), abs=1e-8)
 
 
 def test_joints_of_ones_own_arm_have_the_names_of_its_urdf(tmp_path: Path) -> None:

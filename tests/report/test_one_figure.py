@@ -1,4 +1,4 @@
-"""One figure for one thing: job page, report, replay, programs' headers, proof and console say the same."""
+"""One figure for each quantity: job page, report, replay, program headers, proof and console agree."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 
 from planner import pipeline
-from planner.batch.rows import figures
+from planner.batch.rows import result_figures
 from planner.cli import console
 from tests import small_problem
 
 TAGS = re.compile(r"<(script|style|svg)\b.*?</\1>|<[^>]+>", re.DOTALL)
 TILES = {
-    "clearance_mm": ("least clearance", "verify.clearance", "clearance", "mm"),
-    "own_clearance_mm": ("of an arm to itself", "verify.own_clearance", "own clearance", "mm"),
+    "clearance_mm": ("minimum clearance", "verify.clearance", "clearance", "mm"),
+    "own_clearance_mm": ("self-clearance", "verify.own_clearance", "own clearance", "mm"),
     "joint_limits_deg": ("to a joint limit", "verify.joint_limits", "joint limits", "deg margin"),
-    "singularity_deg": ("from a singular posture", "verify.singularity", "singularity", "deg"),
-    "joint_speed_percent": ("highest joint speed", "verify.joint_speed", "joint speed", "% of the limit"),
+    "singularity_deg": ("from singularity", "verify.singularity", "singularity", "deg"),
+    "joint_speed_percent": ("maximum joint speed", "verify.joint_speed", "joint speed", "% of the limit"),
 }
 
 
@@ -44,11 +44,11 @@ def report(folder: Path) -> str:
     return " ".join(html.unescape(words).split())
 
 
-def shown(pattern: str, text: str) -> float:
+def figure_in(pattern: str, text: str) -> float:
     """The one figure that a text has there."""
-    found = {float(one) for one in re.findall(pattern, text)}
-    assert len(found) == 1, f"{pattern}: {found}"
-    return found.pop()
+    result = {float(item) for item in re.findall(pattern, text)}
+    assert len(result) == 1, f"{pattern}: {result}"
+    return result.pop()
 
 
 @pytest.mark.parametrize("name", TILES)
@@ -56,48 +56,52 @@ def test_margins_are_the_proof_s_own_everywhere(
     outcome: pipeline.Outcome, folder: Path, report: str, name: str
 ) -> None:
     title, code, header, unit = TILES[name]
-    page = figures(outcome.plan, outcome.proof.rules)[name]
-    (rule,) = (one for one in json.loads((folder / "proof.json").read_text())["rules"] if one["code"] == code)
+    page = result_figures(outcome.plan, outcome.proof.rules)[name]
+    (rule,) = (
+        item for item in json.loads((folder / "proof.json").read_text())["rules"] if item["code"] == code
+    )
     assert rule["worst"] == page
-    tile = shown(rf"([\d.]+) (?:°|mm|% of limit) {title}", report)
+    tile = figure_in(rf"([\d.]+) (?:°|mm|% of limit) {title}", report)
     assert tile == pytest.approx(page, abs=0.5 if "percent" in name else 0.05)
-    row = shown(rf"([\d.]+) {unit} [\d.]+ {unit} (?:(?!verify).)*{code} ", report)
+    row = figure_in(rf"([\d.]+) {unit} [\d.]+ {unit} (?:(?!verify).)*{code} ", report)
     assert row == pytest.approx(page, abs=0.006)
     for path in (folder / "programs").rglob("*.mod"):
         told = re.findall(rf"! Proven: {header} ([\d.]+) ", path.read_text())
-        assert [float(one) for one in told] == [row], path.name
+        assert [float(item) for item in told] == [row], path.name
 
 
 def test_charts_tell_the_least_that_tiles_tell(report: str) -> None:
     for chart, tile in (
-        (r"Distance to the nearest joint limit least: ([\d.]+)°", r"([\d.]+) ° to a joint limit"),
+        (r"Distance to the nearest joint limit minimum: ([\d.]+)°", r"([\d.]+) ° to a joint limit"),
         (
-            r"Distance to the nearest singular posture least where tools move straight: ([\d.]+)°",
-            r"([\d.]+) ° from a singular posture",
+            r"Distance to the nearest singular posture minimum during linear moves: ([\d.]+)°",
+            r"([\d.]+) ° from singularity",
         ),
-        (r"Clearance to everything else least: ([\d.]+) mm", r"([\d.]+) mm least clearance"),
-        (r"Clearance of each arm to itself least: ([\d.]+) mm", r"([\d.]+) mm of an arm to itself"),
+        (r"Clearance to everything else minimum: ([\d.]+) mm", r"([\d.]+) mm minimum clearance"),
+        (r"Clearance of each arm to itself minimum: ([\d.]+) mm", r"([\d.]+) mm self-clearance"),
     ):
-        assert shown(chart, report) == shown(tile, report)
+        assert figure_in(chart, report) == figure_in(tile, report)
 
 
 def test_the_curve_of_singular_postures_is_the_one_that_is_proven(outcome: pipeline.Outcome) -> None:
-    """Its least over the straight way is the rule's; the wrist alone is farther off here."""
+    """Its minimum over the straight path is that of the rule; the wrist alone has a larger distance here."""
     series = outcome.proof.series
     straight = np.array([str(label).startswith("cut/") for label in series["label"]])
-    least = float(np.rad2deg(np.min(series["singular/left"][straight])))
-    assert least == pytest.approx(outcome.proof.rule("verify.singularity").worst, abs=0.01)
+    minimum = float(np.rad2deg(np.min(series["singular/left"][straight])))
+    assert minimum == pytest.approx(outcome.proof.rule("verify.singularity").worst, abs=0.01)
 
 
 def test_the_time_from_first_to_last_target_is_one(
     outcome: pipeline.Outcome, folder: Path, report: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    page = figures(outcome.plan, outcome.proof.rules)["cycle_s"]
+    page = result_figures(outcome.plan, outcome.proof.rules)["cycle_s"]
     assert page == outcome.plan.duration > 1.0
-    assert shown(r"([\d.]+) s motion time from first to last target", report) == pytest.approx(page, abs=0.05)
+    assert figure_in(r"([\d.]+) s motion time from first to last target", report) == pytest.approx(
+        page, abs=0.05
+    )
     replay = (folder / "replay.html").read_text("utf-8")
     (minutes, seconds), *more = set(re.findall(r"(\d+):([\d.]+) from first to last target", replay))
     assert not more
     assert 60 * int(minutes) + float(seconds) == pytest.approx(page, abs=0.05)
     console.print_summary(outcome, folder, 1.0)
-    assert shown(r"([\d.]+) s of motion", capsys.readouterr().out) == pytest.approx(page, abs=0.05)
+    assert figure_in(r"([\d.]+) s of motion", capsys.readouterr().out) == pytest.approx(page, abs=0.05)

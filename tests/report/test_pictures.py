@@ -15,7 +15,7 @@ from planner.claims.segments import Segment
 from planner.plans import Plan
 from planner.problem import Problem
 from planner.report import raster, replay, scene
-from planner.report.scene import Scene, track
+from planner.report.scene import VisibleScene, sample_keyframes
 from tests.report import synthetic_job as job
 
 
@@ -30,11 +30,13 @@ def plan() -> Plan:
 
 
 @pytest.fixture(scope="module")
-def cell(problem: Problem, plan: Plan) -> Scene:
-    return scene.extract(plant.build(problem.cell, problem.stock, plan.stock_pose, plan.bases))
+def cell(problem: Problem, plan: Plan) -> VisibleScene:
+    return scene.extract_scene(
+        plant.build_cell_model(problem.cell, problem.stock, plan.stock_pose, plan.bases)
+    )
 
 
-def _volume(solid: raster.Solid) -> float:
+def _volume(solid: raster.RenderSolid) -> float:
     mesh = trimesh.Trimesh(solid.vertices, solid.faces, process=True, merge_norm=True)
     return float(mesh.volume)
 
@@ -62,7 +64,7 @@ def test_a_ball_is_drawn_as_large_and_as_far_as_it_is() -> None:
     ball = raster.sphere(radius, 96)
     moved = np.eye(4)
     moved[1, 3] = far
-    image = raster.rendered(camera, [raster.Thing(ball.moved(moved), (0.5, 0.5, 0.5))])
+    image = raster.render_items(camera, [raster.RenderItem(ball.moved(moved), (0.5, 0.5, 0.5))])
     seen = image.thing == 0
     outline = camera.focal * radius / np.sqrt(far**2 - radius**2)
     assert seen.sum() == pytest.approx(np.pi * outline**2, rel=0.03)
@@ -71,26 +73,26 @@ def test_a_ball_is_drawn_as_large_and_as_far_as_it_is() -> None:
 
 
 def test_nearer_things_hide_farther_ones() -> None:
-    camera = raster.frame(np.array([[-1.0, -1, -1], [1, 1, 1]]), np.array([0.0, 1.0, -0.3]), 320, 200)
+    camera = raster.frame_camera(np.array([[-1.0, -1, -1], [1, 1, 1]]), np.array([0.0, 1.0, -0.3]), 320, 200)
     moved = np.eye(4)
     moved[1, 3] = -0.9
     near, far = raster.box(0.3, 0.3, 0.3).moved(moved), raster.box(1.0, 1.0, 1.0)
     for order in ((near, far), (far, near)):
-        image = raster.rendered(camera, [raster.Thing(s, (0.5, 0.5, 0.5)) for s in order])
+        image = raster.render_items(camera, [raster.RenderItem(s, (0.5, 0.5, 0.5)) for s in order])
         x, y, _ = camera.project(np.array([0.0, -0.9, 0.0]))
         assert order[image.thing[int(y), int(x)]] is near
 
 
 def test_frame_sees_everything() -> None:
     points = np.random.default_rng(1).normal(size=(100, 3)) * [2.0, 0.5, 1.0]
-    camera = raster.frame(points, np.array([0.4, 1.0, -0.4]), 800, 450)
+    camera = raster.frame_camera(points, np.array([0.4, 1.0, -0.4]), 800, 450)
     seen = camera.project(points)
     assert (seen[:, 2] > 0).all()
     assert (seen[:, :2] >= 0).all() and (seen[:, :2] <= [800, 450]).all()
     assert np.ptp(seen[:, 0]) > 0.7 * 800 or np.ptp(seen[:, 1]) > 0.7 * 450
 
 
-def test_bodies_are_where_the_kinematics_say(cell: Scene, problem: Problem, plan: Plan) -> None:
+def test_bodies_are_where_the_kinematics_say(cell: VisibleScene, problem: Problem, plan: Plan) -> None:
     q = {arm: plan.operations[0].q[arm][::9] for arm in job.ARMS}
     poses = cell.poses(q)
     for arm in problem.cell.arms:
@@ -100,7 +102,7 @@ def test_bodies_are_where_the_kinematics_say(cell: Scene, problem: Problem, plan
 
 
 def test_track_runs_from_home_through_all_targets_and_home(problem: Problem, plan: Plan) -> None:
-    run = track(problem, plan, 480)
+    run = sample_keyframes(problem, plan, 480)
     assert (np.diff(run.time) > 0).all() and len(run.time) <= 600
     for arm in problem.cell.arms:
         np.testing.assert_allclose(run.q[arm.name][[0, -1]], np.tile(arm.home, (2, 1)), atol=1e-6)
@@ -111,22 +113,22 @@ def test_track_runs_from_home_through_all_targets_and_home(problem: Problem, pla
 
 def test_wire_of_the_replay_ends_at_the_tcps(problem: Problem, plan: Plan) -> None:
     """Between targets angles and points are mixed linearly, so the ends agree to part of a mm."""
-    run = track(problem, plan, 480)
+    run = sample_keyframes(problem, plan, 480)
     assert run.wire is not None and run.shown.any() and not run.shown[0] and not run.shown[-1]
     for arm, end in zip(problem.cell.arms, (0, -1), strict=True):
-        flange = kinematics.forward(robots.robot(arm.robot), run.q[arm.name][run.shown])
+        flange = kinematics.forward_kinematics(robots.robot(arm.robot), run.q[arm.name][run.shown])
         tcp = (arm.base @ flange @ arm.tool.tcp)[:, :3, 3]
         gap = np.linalg.norm(run.wire[run.shown][:, end] - tcp, axis=1)
         assert gap.max() < 1e-3
 
 
-def test_replay_is_one_small_offline_file(cell: Scene, problem: Problem, plan: Plan) -> None:
-    text = replay.document(cell.model, problem, plan)
+def test_replay_is_one_small_offline_file(cell: VisibleScene, problem: Problem, plan: Plan) -> None:
+    text = replay.replay_html(cell.model, problem, plan)
     assert len(text) < 10_000_000
     assert not re.search(r'<(script|link|img)[^>]+(src|href)="(?!data:)', text)
-    found = re.search(r"<script type='application/json' id='track'>(.*?)</script>", text)
-    assert found is not None
-    bar = json.loads(found.group(1))
+    match = re.search(r"<script type='application/json' id='track'>(.*?)</script>", text)
+    assert match is not None
+    bar = json.loads(match.group(1))
     assert [row[2] for row in bar["segments"] if "/" in row[2]] == ["cut/front", "cut/back"]
-    assert bar["end"] == pytest.approx(track(problem, plan, 480).time[-1], abs=0.02)
+    assert bar["end"] == pytest.approx(sample_keyframes(problem, plan, 480).time[-1], abs=0.02)
     assert "synthetic panel – Tandem replay" in text

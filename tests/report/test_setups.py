@@ -1,4 +1,4 @@
-"""Report and replay of jobs with several setups, bows, and a block that an arm holds."""
+"""Report and replay of jobs with several setups, with bows, and with a block that is held by an arm."""
 
 from __future__ import annotations
 
@@ -12,39 +12,39 @@ from planner.catalogue import robots
 from planner.cell import kinematics, plant
 from planner.claims.claim import FeedWindow
 from planner.claims.segments import Segment
-from planner.geometry.arrays import Ruled
+from planner.geometry.arrays import RuledSurface
 from planner.plans import Plan
 from planner.problem import Problem
 from planner.processes.hotwire import report
 from planner.processes.hotwire.claims import CutsSurface, KerfCurve
 from planner.proof.verdict import CutFace, Proof, RuleResult
 from planner.report import cell_picture, motion_charts, output, raster, replay, scene
-from planner.report.scene import SETUP_SEGMENT, track
+from planner.report.scene import SETUP_SEGMENT, sample_keyframes
 from tests.report import synthetic_job as job
 from tests.report import synthetic_setups as made
 
 
 @pytest.fixture(scope="module")
-def two() -> tuple[Problem, Plan]:
+def two_setups_job() -> tuple[Problem, Plan]:
     return made.two_setups()
 
 
 @pytest.fixture(scope="module")
-def held() -> tuple[Problem, Plan]:
-    return made.held()
+def held_block_job() -> tuple[Problem, Plan]:
+    return made.held_block_job()
 
 
-def ruling(count: int, corner: tuple[int, ...] = (), closed: bool = False) -> Ruled:
+def ruling(count: int, corner: tuple[int, ...] = (), closed: bool = False) -> RuledSurface:
     """A cylinder's rulings about z, counter-clockwise."""
     angle = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
     low = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
     corners = np.zeros(count, dtype=bool)
     corners[list(corner)] = True
-    return Ruled("side", low, low + np.array([0.0, 0.0, 1.0]), corners, closed)
+    return RuledSurface("side", low, low + np.array([0.0, 0.0, 1.0]), corners, closed)
 
 
 def test_a_ruled_surface_has_its_area_and_its_normals() -> None:
-    """A polygon of n sides inscribed in the unit circle is 2 n sin(pi / n) long; normals look outward."""
+    """A polygon of n sides inscribed in the unit circle is 2 n sin(pi / n) long; normals point outward."""
     for corner in ((), (0,), (0, 1, 7), tuple(range(12))):
         for closed, sides in ((True, 12), (False, 11)):
             mesh = raster.ruled_mesh(ruling(12, corner, closed))
@@ -69,10 +69,10 @@ def test_a_straight_wire_is_drawn_as_far_as_it_lies_in_the_block(seed: int) -> N
     lower, upper = np.array([-0.2, -0.1, 0.0]), np.array([0.2, 0.1, 0.3])
     ends = rng.uniform(-0.4, 0.5, (40, 2, 3))
     ends[:4, 1, 0] = ends[:4, 0, 0]  # across x
-    got = raster.clipped_wires(ends, lower, upper)
-    share = np.linspace(0.0, 1.0, 20_001)[:, None]
+    got = raster.clip_wires(ends, lower, upper)
+    fraction = np.linspace(0.0, 1.0, 20_001)[:, None]
     for wire, (start, end) in zip(got, ends, strict=True):
-        points = start + share * (end - start)
+        points = start + fraction * (end - start)
         inside = ((points >= lower) & (points <= upper)).all(axis=1)
         if not inside.any():
             assert np.isnan(wire).all() or np.linalg.norm(wire[-1] - wire[0]) < 1e-4
@@ -94,9 +94,11 @@ def test_what_a_wire_sweeps_has_the_area_of_the_cut() -> None:
     assert raster.swept_surface(ends + 5.0, np.array([-0.1, -0.1, 0.0]), np.array([0.1, 0.1, 0.3])) is None
 
 
-def test_a_change_of_setup_is_shown_at_home_with_what_is_to_be_done(two: tuple[Problem, Plan]) -> None:
-    problem, plan = two
-    run = track(problem, plan, 600)
+def test_a_change_of_setup_is_shown_at_home_with_what_is_to_be_done(
+    two_setups_job: tuple[Problem, Plan],
+) -> None:
+    problem, plan = two_setups_job
+    run = sample_keyframes(problem, plan, 600)
     assert (np.diff(run.time) > 0).all()
     pauses = np.array([label == SETUP_SEGMENT for label in run.segment])
     for arm in problem.cell.arms:
@@ -104,7 +106,7 @@ def test_a_change_of_setup_is_shown_at_home_with_what_is_to_be_done(two: tuple[P
     (change,) = np.flatnonzero(np.diff(run.setup))
     assert pauses[change] and pauses[change + 1]
     assert run.time[change + 1] - run.time[change] == pytest.approx(0.01, abs=1e-6)
-    for k, place in enumerate(plan.places):
+    for k, place in enumerate(plan.stock_poses):
         np.testing.assert_allclose(run.block[run.setup == k], np.tile(place, ((run.setup == k).sum(), 1, 1)))
     told = [text for _, text in run.stops]
     for setup in problem.setups:
@@ -112,113 +114,121 @@ def test_a_change_of_setup_is_shown_at_home_with_what_is_to_be_done(two: tuple[P
     assert min(at for at, _ in run.stops) >= run.time[0]
 
 
-def test_arms_that_go_at_once_do_so_in_the_replay(held: tuple[Problem, Plan]) -> None:
-    problem, plan = held
-    (one,) = plan.operations
-    at_once = dataclasses.replace(plan, operations=(dataclasses.replace(one, together=("entry", "exit")),))
-    alone, both = track(problem, plan, 600), track(problem, at_once, 600)
+def test_arms_that_go_at_once_do_so_in_the_replay(held_block_job: tuple[Problem, Plan]) -> None:
+    problem, plan = held_block_job
+    (operation,) = plan.operations
+    at_once = dataclasses.replace(
+        plan, operations=(dataclasses.replace(operation, synchronised=("entry", "exit")),)
+    )
+    alone, both = sample_keyframes(problem, plan, 600), sample_keyframes(problem, at_once, 600)
     assert both.time[-1] < alone.time[-1]
     for run, together in ((alone, False), (both, True)):
-        goes = [np.abs(np.diff(run.q[arm], axis=0)).max(axis=1) > 1e-9 for arm in one.order]
+        goes = [np.abs(np.diff(run.q[arm], axis=0)).max(axis=1) > 1e-9 for arm in operation.arm_order]
         entering = np.array([str(label) == "entry" for label in run.segment])[1:]
         shared = int((goes[0] & goes[1] & entering).sum())  # alone, one keyframe may hold a hand-over
         assert (shared > 1) == together
-    for arm, way in one.exit.items():
+    for arm, way in operation.retreat.items():
         np.testing.assert_allclose(both.q[arm][-1], way[-1], atol=0.01)  # times are rounded
 
 
-def test_a_held_block_moves_with_its_holder(held: tuple[Problem, Plan]) -> None:
-    problem, plan = held
-    run = track(problem, plan, 600)
+def test_a_held_block_moves_with_its_holder(held_block_job: tuple[Problem, Plan]) -> None:
+    problem, plan = held_block_job
+    run = sample_keyframes(problem, plan, 600)
     arm = problem.cell.arm("right")
-    flange = kinematics.forward(robots.robot(arm.robot), run.q["right"])
+    flange = kinematics.forward_kinematics(robots.robot(arm.robot), run.q["right"])
     np.testing.assert_allclose(run.block, arm.base @ flange @ arm.tool.tcp @ problem.stock.grip, atol=1e-9)
     assert np.ptp(run.block[:, :3, 3], axis=0).max() > 0.1
 
 
-def test_what_is_cut_lies_where_the_targets_are(held: tuple[Problem, Plan]) -> None:
+def test_what_is_cut_lies_where_the_targets_are(held_block_job: tuple[Problem, Plan]) -> None:
     """The middle of the wire passes the targets in the block, however the arms share the motion; between
     them the replay mixes joint angles, which is off by parts of a mm."""
-    problem, plan = held
+    problem, plan = held_block_job
     operation = plan.operations[0]
-    (cut,) = track(problem, plan, 600).sweeps
-    wanted = (np.linalg.inv(problem.stock.grip) @ operation.targets.pose["left"])[:, :3, 3]
+    (cut,) = sample_keyframes(problem, plan, 600).sweeps
+    expected = (np.linalg.inv(problem.stock.grip) @ operation.targets.pose["left"])[:, :3, 3]
     middle = cut.points.mean(axis=1)
-    gap = np.linalg.norm(middle[:, None] - wanted, axis=2).min(axis=1)
-    step = np.linalg.norm(np.diff(wanted, axis=0), axis=1).max()
+    gap = np.linalg.norm(middle[:, None] - expected, axis=2).min(axis=1)
+    step = np.linalg.norm(np.diff(expected, axis=0), axis=1).max()
     assert gap.max() < 0.55 * step
     assert np.linalg.norm(cut.points[:, 1] - cut.points[:, 0], axis=1) == pytest.approx(0.4)
 
 
-def test_scenes_have_the_tools_and_the_block_of_their_setup(two: tuple[Problem, Plan]) -> None:
-    problem, plan = two
+def test_scenes_have_the_tools_and_the_block_of_their_setup(two_setups_job: tuple[Problem, Plan]) -> None:
+    problem, plan = two_setups_job
     first, second = problem.setups
-    seen = scene.extract(plant.build(first.cell, first.stock, plan.places[0], plan.bases))
+    seen = scene.extract_scene(
+        plant.build_cell_model(first.cell, first.stock, plan.stock_poses[0], plan.bases)
+    )
     assert not any(p.body == "stock" or p.body.endswith("/tool") for p in seen.pieces)
-    one, other = scene.mounted(first, np.eye(4)), scene.mounted(second, np.eye(4))
-    assert {p.body for p in one} - {p.body for p in other} == {"left/edge"}
-    for setup, pieces in ((first, one), (second, other)):
+    item, other = scene.setup_pieces(first, np.eye(4)), scene.setup_pieces(second, np.eye(4))
+    assert {p.body for p in item} - {p.body for p in other} == {"left/edge"}
+    for setup, pieces in ((first, item), (second, other)):
         (block,) = [p for p in pieces if p.body == "stock"]
         corners = block.solid.moved(block.pose).vertices
         np.testing.assert_allclose(corners.min(axis=0), setup.stock.lower, atol=1e-12)
         np.testing.assert_allclose(corners.max(axis=0), setup.stock.upper, atol=1e-12)
     q = {"left": plan.operations[0].q["left"][:3]}
-    poses = scene.stand(seen, first, plan.places[0], q)
-    edge = next(p for p in one if p.body == "left/edge")
-    tcp = job.problem().cell.arm("left").base @ kinematics.forward(robots.robot("irb140"), q["left"])
+    poses = scene.scene_poses(seen, first, plan.stock_poses[0], q)
+    edge = next(p for p in item if p.body == "left/edge")
+    tcp = job.problem().cell.arm("left").base @ kinematics.forward_kinematics(
+        robots.robot("irb140"), q["left"]
+    )
     np.testing.assert_allclose(poses["left/edge"], tcp, atol=1e-9)
     np.testing.assert_allclose(
         scene.wire_ends(first.cell.arm("left")).mean(axis=0), edge.pose[:3, 3], atol=1e-12
     )
 
 
-def test_replay_of_setups_is_one_small_file(two: tuple[Problem, Plan]) -> None:
-    problem, plan = two
+def test_replay_of_setups_is_one_small_file(two_setups_job: tuple[Problem, Plan]) -> None:
+    problem, plan = two_setups_job
     first = problem.setups[0]
-    text = replay.document(plant.build(first.cell, first.stock, plan.places[0], plan.bases), problem, plan)
+    text = replay.replay_html(
+        plant.build_cell_model(first.cell, first.stock, plan.stock_poses[0], plan.bases), problem, plan
+    )
     assert len(text) < 10_000_000
     assert '"setup"' in text
 
 
-def test_there_is_a_picture_of_each_setup(two: tuple[Problem, Plan]) -> None:
-    problem, plan = two
+def test_there_is_a_picture_of_each_setup(two_setups_job: tuple[Problem, Plan]) -> None:
+    problem, plan = two_setups_job
     first = problem.setups[0]
-    model = plant.build(first.cell, first.stock, plan.places[0], plan.bases)
+    model = plant.build_cell_model(first.cell, first.stock, plan.stock_poses[0], plan.bases)
     shown = cell_picture.setup_pictures(model, problem, plan)
     assert [title for title, _ in shown] == ["Setup 1: sides", "Setup 2: faces"]
     assert all(picture.alpha.max() > 0.9 for _, picture in shown)
 
 
-def test_the_sheet_of_a_job_of_setups_says_what_to_do_in_each(two: tuple[Problem, Plan]) -> None:
-    problem, plan = two
-    text = output.render(problem, plan, None)
+def test_the_sheet_of_a_job_of_setups_says_what_to_do_in_each(two_setups_job: tuple[Problem, Plan]) -> None:
+    problem, plan = two_setups_job
+    text = output.report_html(problem, plan, None)
     sheet = text[text.index('id="setup"') :]
-    one, other = sheet.split("<h3>Setup 2: faces</h3>")
-    assert "<h3>Setup 1: sides</h3>" in one
-    for part, setup in ((one, problem.setups[0]), (other, problem.setups[1])):
+    item, other = sheet.split("<h3>Setup 2: faces</h3>")
+    assert "<h3>Setup 1: sides</h3>" in item
+    for part, setup in ((item, problem.setups[0]), (other, problem.setups[1])):
         assert all(f"<li>{step}</li>" in part for step in setup.steps) and setup.confirmation in part
-    assert "bow_400" in one and "bow_400" not in other and "holder_left" in other
-    assert "450.0 × 120.0 × 360.0" in one and "450.0" not in other  # with and without its oversize
-    assert "400.0 mm" in one and "0.389 kg" in one  # 0.45 x 0.12 x 0.36 m of 20 kg/m^3
+    assert "bow_400" in item and "bow_400" not in other and "holder_left" in other
+    assert "450.0 × 120.0 × 360.0" in item and "450.0" not in other  # with and without its oversize
+    assert "400.0 mm" in item and "0.389 kg" in item  # 0.45 x 0.12 x 0.36 m of 20 kg/m^3
     # lower corner -x -y of the block as found: 220 - 200 - 30, -50 - 10, 240
-    assert "−10.00, −60.00, 240.00" in one
-    assert "3.0 to 6.0 mm/s" in one
+    assert "−10.00, −60.00, 240.00" in item
+    assert "3.0 to 6.0 mm/s" in item
     assert "kinks of 3.1 deg between strips" in text
 
 
-def test_the_sheet_of_a_held_block_says_how_it_is_held(held: tuple[Problem, Plan]) -> None:
-    problem, plan = held
-    text = output.render(problem, plan, None)
+def test_the_sheet_of_a_held_block_says_how_it_is_held(held_block_job: tuple[Problem, Plan]) -> None:
+    problem, plan = held_block_job
+    text = output.report_html(problem, plan, None)
     assert "gripper_plate of arm right" in text and "120 × 120" in text
     assert "0.173 kg" in text and "0.173 kg at 0.00, 0.00, 90.00 mm" in text  # 0.2 x 0.24 x 0.18 m
     assert "bottom corner −x −y, TCP frame of right" in text
 
 
-def test_the_kerf_is_that_of_the_feeds(two: tuple[Problem, Plan]) -> None:
+def test_the_kerf_is_that_of_the_feeds(two_setups_job: tuple[Problem, Plan]) -> None:
     """The curve reads 1.75 mm at 3 mm/s and 1.3 mm at 6 mm/s; the bent wire's kerf lies between."""
-    problem, plan = two
-    text = output.render(problem, plan, None)
-    assert re.search(r"<b>1\.30–1\.75<small>mm</small></b><span>kerf at the feeds allowed</span>", text)
+    problem, plan = two_setups_job
+    text = output.report_html(problem, plan, None)
+    assert re.search(r"<b>1\.30–1\.75<small>mm</small></b><span>kerf at the allowed feeds</span>", text)
     table = KerfCurve(np.array([1e-3, 3e-3, 5e-3]), *(np.array([2e-3, 1e-3, 3e-3]),) * 3)
     triangle = np.zeros((3, 3)), np.array([[0, 1, 2]])
     cut = CutsSurface(Segment.read("cut/a"), *triangle, table, 1e-4)
@@ -240,13 +250,13 @@ def test_the_kerf_of_a_proven_cut_is_that_of_its_speeds() -> None:
     seen = np.array([4e-3, np.nan, 5e-3])
     face = CutFace(name, *three, 1e-4, 1.0, 0.95, 0.0, 0.0, speed=seen)
     proof = Proof("", (), (), {}, (face,), "")
-    assert report.kerf_shown([cut], [window], proof) == ("kerf of the cut", "1.33–1.67")
-    assert report.kerf_shown([cut], [window], None) == ("kerf at the feeds allowed", "1.00–2.00")
+    assert report.displayed_kerf([cut], [window], proof) == ("kerf of the cut", "1.33–1.67")
+    assert report.displayed_kerf([cut], [window], None) == ("kerf at the allowed feeds", "1.00–2.00")
 
 
-def test_series_of_straight_and_bent_wires_are_told_apart(two: tuple[Problem, Plan]) -> None:
+def test_series_of_straight_and_bent_wires_are_told_apart(two_setups_job: tuple[Problem, Plan]) -> None:
     """The proof counts all wires; only bent ones have a curvature and a limit of it."""
-    problem, plan = two
+    problem, plan = two_setups_job
     proof = job.proof(50)
     series = dict(proof.series)
     bent = {name: series.pop(name) for name in list(series) if name.startswith("wire/1/")}
@@ -260,17 +270,17 @@ def test_series_of_straight_and_bent_wires_are_told_apart(two: tuple[Problem, Pl
     assert len(motion.feed.time) == 2 * len(time) and motion.feed.upper[0] == 0.006
 
 
-def test_a_refused_problem_of_setups_has_a_picture(held: tuple[Problem, Plan]) -> None:
-    text = output.failure(held[0], ())
+def test_a_refused_problem_of_setups_has_a_picture(held_block_job: tuple[Problem, Plan]) -> None:
+    text = output.failure_report(held_block_job[0], ())
     assert 'id="cell"' in text
 
 
 @pytest.mark.parametrize("passed", [True, False])
-def test_the_proof_says_what_is_too_close(two: tuple[Problem, Plan], passed: bool) -> None:
-    """Between targets the proof allows a little less than what is asked for at them."""
+def test_the_proof_says_what_is_too_close(two_setups_job: tuple[Problem, Plan], passed: bool) -> None:
+    """Between targets the proof allows a little less than the clearance required at them."""
     rule = RuleResult("verify.clearance", "bodies keep apart", passed, 9.8, 10.0, "mm")
     series = {**job.proof(50).series, "clearance/distance": np.full(50, 0.0098)}
     proof = dataclasses.replace(job.proof(50), rules=(rule,), series=series)
-    text = output.render(*two, proof)
+    text = output.report_html(*two_setups_job, proof)
     (kind,) = re.findall(r'<div class="(tile[^"]*)"><b>9\.8<small>mm</small>', text)
     assert ("bad" in kind) != passed

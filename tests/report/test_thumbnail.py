@@ -1,4 +1,4 @@
-"""Small pictures of cells, out of saved reports."""
+"""Thumbnails of cells, extracted from saved reports."""
 
 from __future__ import annotations
 

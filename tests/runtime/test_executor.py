@@ -28,5 +28,7 @@ def test_serial_work_runs_when_its_items_are_requested() -> None:
 def test_the_runtime_imports_nothing_else_of_the_package() -> None:
     code = "import sys, planner.runtime.second_process\n"
     code += "print(*(name for name in sys.modules if name.startswith('planner.')))"
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert all(name.startswith("planner.runtime") for name in told.split())
+    completed = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
+    assert all(name.startswith("planner.runtime") for name in completed.split())

@@ -11,16 +11,16 @@ import pytest
 
 from planner.issues import Severity
 from planner.runtime.memoize import digest, memoized, use_cache
-from planner.service.kept_files import KeptFiles
+from planner.service.file_cache import FileCache
 
 
 @dataclasses.dataclass(frozen=True)
-class One:
+class First:
     value: Any
 
 
 @dataclasses.dataclass(frozen=True)
-class Other:
+class Second:
     value: Any
 
 
@@ -42,14 +42,14 @@ ALL = [
         "\ud800",
     ),
     *((), (0,), (0, 0), ((0,), 0), (0, (0,)), ("ab", "c"), ("a", "bc"), {}, {"a": 1}, {"a": "1"}),
-    *(One(1), Other(1), One("1"), Severity.ERROR, Severity.NOTE),
+    *(First(1), Second(1), First("1"), Severity.ERROR, Severity.NOTE),
     *(np.zeros(2), np.zeros(2, np.float32), np.zeros(2, np.int64), np.zeros((2, 1)), np.zeros((1, 2))),
     *(np.array([0.0, -0.0]), np.array([0.0, 5e-324])),
 ]
 
 
 def test_no_two_values_have_one_digest() -> None:
-    assert len({digest(one) for one in ALL}) == len(ALL)
+    assert len({digest(item) for item in ALL}) == len(ALL)
     assert digest(1, (2,)) != digest((1, 2)) != digest(1, 2)
     turned = np.arange(6.0).reshape(2, 3).T
     assert digest(turned) == digest(np.ascontiguousarray(turned)) != digest(turned.T)
@@ -65,34 +65,34 @@ def test_a_value_is_worked_out_once_and_nobody_can_write_into_it(tmp_path: Path)
     calls = []
 
     @memoized
-    def doubled(values: np.ndarray[Any, Any], by: float = 2.0) -> np.ndarray[Any, Any]:
+    def double(values: np.ndarray[Any, Any], by: float = 2.0) -> np.ndarray[Any, Any]:
         calls.append(by)
         if by == 0.0:
             raise ValueError("nothing")
         return by * values
 
-    doubled(np.ones(3)), doubled(np.ones(3))
+    double(np.ones(3)), double(np.ones(3))
     assert len(calls) == 2  # nobody keeps
-    with use_cache(KeptFiles(tmp_path / "kept")):
-        doubled(np.ones(3))[:] = 7.0
-        assert doubled(np.ones(3)).tolist() == [2.0, 2.0, 2.0]
+    with use_cache(FileCache(tmp_path / "kept")):
+        double(np.ones(3))[:] = 7.0
+        assert double(np.ones(3)).tolist() == [2.0, 2.0, 2.0]
         assert len(calls) == 3
-        assert doubled(np.ones(3), 3.0).tolist() == [3.0, 3.0, 3.0]
-        assert doubled(np.array([1.0, 1.0, np.nextafter(1.0, 2.0)]))[2] > 2.0
+        assert double(np.ones(3), 3.0).tolist() == [3.0, 3.0, 3.0]
+        assert double(np.array([1.0, 1.0, np.nextafter(1.0, 2.0)]))[2] > 2.0
         for _ in range(2):
             with pytest.raises(ValueError, match="nothing"):
-                doubled(np.ones(3), 0.0)
+                double(np.ones(3), 0.0)
         assert len(calls) == 7
         for path in (tmp_path / "kept").iterdir():  # cut off, as by a full disk of another time
             path.write_bytes(path.read_bytes()[:-3])
-        assert doubled(np.ones(3)).tolist() == [2.0, 2.0, 2.0]
-    doubled(np.ones(3))
+        assert double(np.ones(3)).tolist() == [2.0, 2.0, 2.0]
+    double(np.ones(3))
     assert len(calls) == 9
 
 
 def test_files_that_are_kept_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("planner.service.kept_files.MOST_BYTES", 100_000)
-    kept = KeptFiles(tmp_path)
+    monkeypatch.setattr("planner.service.file_cache.MAX_CACHE_BYTES", 100_000)
+    kept = FileCache(tmp_path)
     for number in range(20):
         kept.put(f"k{number}", np.full(1000, float(number)))
         assert sum(path.stat().st_size for path in tmp_path.iterdir()) <= 100_000

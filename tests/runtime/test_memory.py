@@ -12,11 +12,11 @@ import pytest
 from planner.runtime import memory
 
 
-class _Ring:
+class _Cycle:
     """Refers to itself: only the collector frees it."""
 
     def __init__(self) -> None:
-        self.own = self
+        self.reference = self
 
 
 @pytest.mark.parametrize("fails", [False, True])
@@ -40,7 +40,7 @@ def test_a_collector_that_is_off_stays_off() -> None:
 
 def test_a_user_s_process_keeps_nothing_of_it() -> None:
     with memory.gc_frozen():
-        ring = weakref.ref(_Ring())
+        ring = weakref.ref(_Cycle())
     gc.collect()
     assert ring() is None
 
@@ -49,6 +49,6 @@ def test_the_command_s_own_process_passes_modules_over() -> None:
     code = "import gc, sys; sys.argv[1:] = ['robots']\ntry:\n    from planner.__main__ import main; main()\n"
     code += "except SystemExit as end:\n    print(end.code, gc.isenabled(), gc.get_freeze_count())"
     command = [sys.executable, "-P", "-c", code]
-    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()[-3:]
-    assert said[:2] == ["0", "True"]
-    assert int(said[2]) > 10_000
+    completed = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()[-3:]
+    assert completed[:2] == ["0", "True"]
+    assert int(completed[2]) > 10_000

@@ -11,7 +11,7 @@ from planner.processes import registry
 from planner.programs.language import Reader
 from planner.proof.contribution import ProofOfProcess
 from planner.proof.language_contribution import ProofOfLanguage
-from planner.report.contribution import ReportOfLanguage, ReportOfProcess
+from planner.report.plugin_contributions import ReportOfLanguage, ReportOfProcess
 from planner.runtime import plugins
 from planner.runtime.plugins import BUILT_IN, Language, PluginError, Process
 from planner.targets import Job
@@ -53,7 +53,7 @@ def test_a_reference_that_names_nothing_is_refused(reference: str, reason: str) 
 def test_no_two_languages_share_a_family_or_an_ending() -> None:
     languages = plugins.usable(Language).values()
     for some in (
-        [family for one in languages for family in one.families],
-        [ending for one in languages for ending in one.file_endings],
+        [family for language in languages for family in language.families],
+        [ending for language in languages for ending in language.file_endings],
     ):
         assert len(some) == len(set(some))

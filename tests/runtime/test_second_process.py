@@ -33,7 +33,7 @@ from tests.processes.hotwire.proof import straight_job
 from tests.proof import small_job
 
 
-class Recorder(SecondProcess):
+class RecordingExecutor(SecondProcess):
     """Records which calls ran in the second process."""
 
     def __init__(self) -> None:
@@ -56,8 +56,8 @@ class Recorder(SecondProcess):
 
 
 @pytest.fixture(scope="module")
-def second() -> Iterator[Recorder]:
-    with Recorder() as process:
+def second() -> Iterator[RecordingExecutor]:
+    with RecordingExecutor() as process:
         yield process
 
 
@@ -90,24 +90,24 @@ def gives_no_pickle(parent: int) -> Iterator[object]:
     yield (lambda: parent) if os.getpid() != parent else "here"
 
 
-def test_results_come_back_as_they_are(second: Recorder) -> None:
+def test_results_come_back_as_they_are(second: RecordingExecutor) -> None:
     given = np.random.default_rng(3).normal(size=(SMALL_BYTES // 8, 3))
     first, again = (second.submit(arrays, given) for _ in range(2))
     pid, *found = first
     assert pid == next(again) != os.getpid()
-    _, *wanted = arrays(given)
-    for got, want in zip(found[:2], wanted[:2], strict=True):
+    _, *expected = arrays(given)
+    for got, want in zip(found[:2], expected[:2], strict=True):
         assert isinstance(got, np.ndarray) and isinstance(want, np.ndarray)
         assert got.tobytes() == want.tobytes()
         assert got.flags.writeable
-    assert str(found[2]) == str(wanted[2])
+    assert str(found[2]) == str(expected[2])
 
 
-def test_what_fails_there_is_raised_as_it_is_here(second: Recorder) -> None:
-    found = second.submit(refuses, os.getpid())
-    assert next(found) == "not lost"
+def test_what_fails_there_is_raised_as_it_is_here(second: RecordingExecutor) -> None:
+    result = second.submit(refuses, os.getpid())
+    assert next(result) == "not lost"
     with pytest.raises(TandemError, match=f"refused in {os.getpid()} of {os.getpid()}"):
-        next(found)
+        next(result)
     for work in (gives_up, gives_no_pickle):
         assert list(second.submit(work, os.getpid())) == ["here"]
     with SecondProcess(WARM_UP) as process:
@@ -130,37 +130,47 @@ def test_a_process_that_is_killed_is_not_missed() -> None:
 @pytest.mark.sampled(every=2)
 @pytest.mark.parametrize("settings", [{}, {"clearance": 0.3}])
 @pytest.mark.parametrize("job", [small_job, straight_job])
-def test_the_proof_is_the_same(second: Recorder, job: ModuleType, settings: dict[str, float]) -> None:
-    """As text, byte by byte; also where more clearance is wanted than there is, with the same issues in the
-    same order: those rules are looked at in the second process."""
+def test_the_proof_is_the_same(
+    second: RecordingExecutor, job: ModuleType, settings: dict[str, float]
+) -> None:
+    """The text is identical.
+
+    This includes the case of more required clearance than available, with the same issues in the same order:
+    those rules are checked in the second process.
+    """
     given = job.problem(**settings), job.claims(), job.programs()
     second.done.clear()
-    one, two = prove(*given), prove(*given, second)
+    item, two = prove(*given), prove(*given, second)
     assert second.done == [True, True]
-    assert bool(settings) == ("verify.clearance" in {issue.code for issue in one.issues})
-    assert output.proof_text(one, (), {}) == output.proof_text(two, (), {})
-    assert one.part_obj == two.part_obj
-    assert list(one.series) == list(two.series)
-    for name, values in one.series.items():
+    assert bool(settings) == ("verify.clearance" in {issue.code for issue in item.issues})
+    assert output.proof_json(item, (), {}) == output.proof_json(two, (), {})
+    assert item.part_obj == two.part_obj
+    assert list(item.series) == list(two.series)
+    for name, values in item.series.items():
         assert np.asarray(values).tobytes() == np.asarray(two.series[name]).tobytes(), name
 
 
 @pytest.mark.long
-def test_the_proof_of_a_long_motion_is_the_same(second: Recorder, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of one too long to be sent whole only the looks at clearance go, with what a ball sweeps and what is
-    inside of the heads; also where more clearance is wanted than there is."""
+def test_the_proof_of_a_long_motion_is_the_same(
+    second: RecordingExecutor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only the clearance checks of a motion too long to be sent whole run in the second process.
+
+    They include the swept volume of a ball and the bodies inside of the heads, also with more required
+    clearance than available.
+    """
     monkeypatch.setattr(context, "MAX_SENT_SAMPLES", 0)
     for settings in ({}, {"clearance": 0.3}):
         given = forming_job.problem(**settings), forming_job.claims(), forming_job.programs(24)
         second.done.clear()
-        one, two = prove(*given), prove(*given, second)
+        item, two = prove(*given), prove(*given, second)
         assert second.done
         assert all(second.done)
-        assert bool(settings) == ("verify.clearance" in {issue.code for issue in one.issues})
-        assert one.surfaces
-        assert output.proof_text(one, (), {}) == output.proof_text(two, (), {})
-        assert one.part_obj == two.part_obj
-        for name, values in one.series.items():
+        assert bool(settings) == ("verify.clearance" in {issue.code for issue in item.issues})
+        assert item.surfaces
+        assert output.proof_json(item, (), {}) == output.proof_json(two, (), {})
+        assert item.part_obj == two.part_obj
+        for name, values in item.series.items():
             assert np.asarray(values).tobytes() == np.asarray(two.series[name]).tobytes(), name
 
 
@@ -175,12 +185,12 @@ def test_a_result_is_the_same(tmp_path: Path) -> None:
         thread = threading.Thread(target=planned, args=(processes,))
         thread.start()
         thread.join()
-    one, two = ({p.relative_to(f): p for p in f.rglob("*.*")} for f in (tmp_path / "1", tmp_path / "2"))
-    assert one.keys() == two.keys()
-    for name in one.keys() - {Path("plan.json"), Path("report.html")}:
-        assert one[name].read_bytes() == two[name].read_bytes(), name
+    item, two = ({p.relative_to(f): p for p in f.rglob("*.*")} for f in (tmp_path / "1", tmp_path / "2"))
+    assert item.keys() == two.keys()
+    for name in item.keys() - {Path("plan.json"), Path("report.html")}:
+        assert item[name].read_bytes() == two[name].read_bytes(), name
     pictures = [
-        re.findall(r"data:image/png;base64,[^\"]*", f[Path("report.html")].read_text()) for f in (one, two)
+        re.findall(r"data:image/png;base64,[^\"]*", f[Path("report.html")].read_text()) for f in (item, two)
     ]
     assert pictures[0] == pictures[1] != []
 
@@ -189,9 +199,9 @@ AGAIN = "name: again, process: targets, arms: [left], frame: world, setup: {plac
 
 
 def test_later_setups_and_ways_home_are_planned_there_as_they_are_here(
-    second: Recorder, tmp_path: Path
+    second: RecordingExecutor, tmp_path: Path
 ) -> None:
-    """Byte by byte; and a setup that has no plan there has none here, with the same issues."""
+    """The results are identical. A setup without a plan there has none here, with the same issues."""
     columns, *rows = small_problem.COLUMNS, *small_problem.ROWS
     far = [row.replace("450,", "950,", 1) for row in rows]
     (tmp_path / "far.csv").write_text("\n".join([columns, *far]) + "\n")
@@ -207,14 +217,14 @@ def test_later_setups_and_ways_home_are_planned_there_as_they_are_here(
             except TandemError as error:
                 reasons.append([issue.to_dict() for issue in error.issues])
         assert second.done == [True] * 3  # the second setup, and the ways out and in of the first one
-    one, two = plans
-    for mine, own in zip(one.operations, two.operations, strict=True):
-        for name in ("q", "entry", "exit"):
+    item, two = plans
+    for mine, own in zip(item.operations, two.operations, strict=True):
+        for name in ("q", "approach", "retreat"):
             (rows,), (same,) = getattr(mine, name).values(), getattr(own, name).values()
             assert rows.tobytes() == same.tobytes()
         assert mine.time.tobytes() == own.time.tobytes()
         assert mine.issues == own.issues
-    assert list(one.metrics) == list(two.metrics)
+    assert list(item.metrics) == list(two.metrics)
     assert reasons[0] == reasons[1]
     assert {reason["code"] for reason in reasons[0]} == {"motion.no_reach"}
 

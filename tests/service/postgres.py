@@ -1,5 +1,7 @@
-"""A real PostgreSQL for tests, in a folder of its own; where none is installed, tests are skipped with the
-reason."""
+"""A real PostgreSQL server for tests, in its own folder.
+
+Tests are skipped with the reason if none is installed.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,7 @@ _NUMBERS = itertools.count()
 
 
 def fresh(folder: Path) -> str:
-    """The URL of a new database; skips the test where there is no PostgreSQL."""
+    """Return the URL of a new database; skip the test if there is no PostgreSQL."""
     del folder
     url = _server()
     if url is None:
@@ -36,9 +38,9 @@ def fresh(folder: Path) -> str:
 
 
 def _programs() -> Path | None:
-    found = shutil.which("initdb")
-    if found:
-        return Path(found).resolve().parent
+    result = shutil.which("initdb")
+    if result:
+        return Path(result).resolve().parent
     homes = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"), key=lambda p: int(p.parts[-3]))
     return homes[-1].parent if homes else None
 

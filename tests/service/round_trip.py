@@ -1,5 +1,8 @@
-"""``python -I -S tests/service/round_trip.py FOLDER URL TOKEN NAME``, by any Python from 3.9 on: all that a
-desk does with a service, by the file ``tandem_client.py`` of FOLDER; what came back is printed as JSON."""
+"""``python -I -S tests/service/round_trip.py FOLDER URL TOKEN NAME``: a round trip of a client script.
+
+Runs with any Python from 3.9 on, does everything that a desk does with a service, by the file
+``tandem_client.py`` of FOLDER, and prints the answers as JSON.
+"""
 
 from __future__ import annotations
 
@@ -52,8 +55,8 @@ def wave() -> tuple:
     return points, faces
 
 
-def opened(address: str) -> str:
-    """What a browser without a token gets."""
+def open_anonymously(address: str) -> str:
+    """Return the answer for a browser without a token."""
     with urllib.request.urlopen(address, timeout=60) as answer:
         return answer.read().decode("utf-8")
 
@@ -67,15 +70,15 @@ def main() -> None:
     files = {"targets.csv": TABLE.encode()}
     out["api"] = client.service()["api"]
     out["found"] = [str(issue) for issue in client.check(PROBLEM, files=files)]
-    heard = set()
+    events = set()
     job = client.submit(PROBLEM, files=files)
-    done = client.wait(job, lambda stage, fraction: heard.add(stage), timeout_s=300)
-    out["heard"] = sorted(heard)
+    done = client.wait(job, lambda stage, fraction: events.add(stage), timeout_s=300)
+    out["heard"] = sorted(events)
     out["state"] = done["state"]
     out["programs"] = client.programs(job)
     out["motion"] = client.motion(job)["operations"][0]["arms"]["left"]["tcp"][0]
-    out["report"] = opened(client.report_url(job, seconds=60))[:15]
-    out["replay"] = opened(client.replay_url(job))[:15]
+    out["report"] = open_anonymously(client.report_url(job, seconds=60))[:15]
+    out["replay"] = open_anonymously(client.replay_url(job))[:15]
     out["sent"] = client.file(job, "problem/problem.yaml").decode("utf-8")
     # a mesh goes with its unit
     stock = {"size_mm": [180, 400, 110], "support": "pedestal"}

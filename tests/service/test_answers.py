@@ -1,4 +1,4 @@
-"""What HTTP asks of every answer (RFC 9110, RFC 6797), and what the documented proxy passes on."""
+"""What HTTP requires of every answer (RFC 9110, RFC 6797), and what the documented proxy passes on."""
 
 from __future__ import annotations
 
@@ -18,36 +18,38 @@ from fastapi.testclient import TestClient
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from planner.service import security
-from planner.service.answers import HEAD_S
+from planner.service.http_responses import HEADER_TIMEOUT_S
 from planner.service.jobs import put_files
 from planner.service.models import Database, default_url
-from planner.service.security import Auth, Limits
+from planner.service.security import Auth, ServiceLimits
 from planner.service.upload_reader import mesh_size
-from tests.service.support import HERE, InProcess, Process, named
+from tests.service.support import BASE_URL, InProcess, Process, named_problem
 
 TLS = {"X-Forwarded-Proto": "https", "X-Forwarded-For": "203.0.113.9"}
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[InProcess, str]]:
+def service_with_job(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[InProcess, str]]:
     """A service, and the address of a job that has ended."""
-    with InProcess(tmp_path_factory.mktemp("answers") / "data", Limits(check_s=60), examiners=1) as made:
-        job = made.post(named("answers")).json()["id"]
-        made.ended(job)
-        yield made, f"/v1/jobs/{job}"
+    with InProcess(
+        tmp_path_factory.mktemp("answers") / "data", ServiceLimits(check_s=60), examiners=1
+    ) as running_service:
+        job = running_service.post(named_problem("answers")).json()["id"]
+        running_service.wait_for_end(job)
+        yield running_service, f"/v1/jobs/{job}"
 
 
 @pytest.fixture(scope="module")
-def closed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[InProcess, str]]:
+def closed_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[InProcess, str]]:
     """A service behind a proxy, and a token."""
     data = tmp_path_factory.mktemp("proxied") / "data"
     data.mkdir()
-    token = Auth(Database(default_url(data))).make("ann")
-    with InProcess(data, Limits(check_s=60), examiners=1, require_token=True) as made:
-        yield made, token
+    token = Auth(Database(default_url(data))).create_token("ann")
+    with InProcess(data, ServiceLimits(check_s=60), examiners=1, require_token=True) as running_service:
+        yield running_service, token
 
 
-class From:
+class AddressApp:
     """The application as a client at that address reaches it."""
 
     def __init__(self, app: ASGIApp, address: str) -> None:
@@ -58,14 +60,14 @@ class From:
 
 
 @pytest.mark.parametrize("path", ["", "/files", "/files/report.html", "/programs.zip", "/events"])
-def test_head_tells_what_get_tells_without_a_body(done: tuple[InProcess, str], path: str) -> None:
-    here, job = done
-    head, get = here.http.head(job + path), here.http.get(job + path)
+def test_head_tells_what_get_tells_without_a_body(service_with_job: tuple[InProcess, str], path: str) -> None:
+    running_service, job = service_with_job
+    head, get = running_service.http.head(job + path), running_service.http.get(job + path)
     assert (head.status_code, head.content) == (200, b"")
     for name in ("content-type", "content-length", "etag", "cache-control"):
         assert head.headers.get(name) == get.headers.get(name), name
-    assert here.http.head("/v1/jobs/nothing").status_code == 404
-    assert here.http.head("/").status_code == 200
+    assert running_service.http.head("/v1/jobs/nothing").status_code == 404
+    assert running_service.http.head("/").status_code == 200
 
 
 @pytest.mark.parametrize(
@@ -78,69 +80,71 @@ def test_head_tells_what_get_tells_without_a_body(done: tuple[InProcess, str], p
     ],
 )
 def test_a_wrong_method_is_told_all_right_ones(
-    done: tuple[InProcess, str], method: str, path: str, allowed: str
+    service_with_job: tuple[InProcess, str], method: str, path: str, allowed: str
 ) -> None:
-    here, job = done
-    answer = here.http.request(method, path if path.startswith("/v1") else job + path)
+    running_service, job = service_with_job
+    answer = running_service.http.request(method, path if path.startswith("/v1") else job + path)
     assert answer.status_code == 405
     assert answer.headers["allow"] == allowed
-    assert f"use {allowed}" in answer.json()["issues"][0]["message"]
+    assert f"allowed {allowed}" in answer.json()["issues"][0]["message"]
 
 
 @pytest.mark.parametrize("path", ["/files/report.html", "/programs.zip"])
-def test_what_a_browser_has_is_not_sent_again(done: tuple[InProcess, str], path: str) -> None:
-    here, job = done
-    tag = here.http.get(job + path).headers["etag"]
+def test_what_a_browser_has_is_not_sent_again(service_with_job: tuple[InProcess, str], path: str) -> None:
+    running_service, job = service_with_job
+    tag = running_service.http.get(job + path).headers["etag"]
     for known in (tag, f'"other", {tag}', f"W/{tag}", "*"):
-        again = here.http.get(job + path, headers={"If-None-Match": known})
+        again = running_service.http.get(job + path, headers={"If-None-Match": known})
         assert (again.status_code, again.content) == (304, b""), known
         assert again.headers["etag"] == tag
-    assert here.http.get(job + path, headers={"If-None-Match": '"other"'}).status_code == 200
+    assert running_service.http.get(job + path, headers={"If-None-Match": '"other"'}).status_code == 200
 
 
-def test_a_list_that_is_asked_for_again_is_sent_when_it_has_changed(done: tuple[InProcess, str]) -> None:
-    here, _ = done
+def test_a_list_that_is_asked_for_again_is_sent_when_it_has_changed(
+    service_with_job: tuple[InProcess, str],
+) -> None:
+    running_service, _ = service_with_job
     for path in ("/v1/jobs", "/v1/jobs?limit=1", "/v1/elements"):
-        first = here.http.get(path)
+        first = running_service.http.get(path)
         assert first.headers["content-type"] == "application/json"
-        again = here.http.get(path, headers={"If-None-Match": first.headers["etag"]})
+        again = running_service.http.get(path, headers={"If-None-Match": first.headers["etag"]})
         assert (again.status_code, again.content) == (304, b""), path
-    known = {"If-None-Match": here.http.get("/v1/jobs").headers["etag"]}
-    job = here.post(named("another")).json()["id"]
-    changed = here.http.get("/v1/jobs", headers=known)
+    known = {"If-None-Match": running_service.http.get("/v1/jobs").headers["etag"]}
+    job = running_service.post(named_problem("another")).json()["id"]
+    changed = running_service.http.get("/v1/jobs", headers=known)
     assert changed.status_code == 200 and changed.json()["jobs"][0]["id"] == job
-    here.ended(job)
-    last = here.http.get("/v1/jobs", headers={"If-None-Match": changed.headers["etag"]})
-    assert last.json()["jobs"][0] == here.http.get(f"/v1/jobs/{job}").json()
+    running_service.wait_for_end(job)
+    last = running_service.http.get("/v1/jobs", headers={"If-None-Match": changed.headers["etag"]})
+    assert last.json()["jobs"][0] == running_service.http.get(f"/v1/jobs/{job}").json()
 
 
-def test_a_broken_download_of_programs_goes_on_where_it_was(done: tuple[InProcess, str]) -> None:
-    here, job = done
-    whole = here.http.get(f"{job}/programs.zip")
+def test_a_broken_download_of_programs_goes_on_where_it_was(service_with_job: tuple[InProcess, str]) -> None:
+    running_service, job = service_with_job
+    whole = running_service.http.get(f"{job}/programs.zip")
     assert zipfile.ZipFile(io.BytesIO(whole.content)).namelist() == ["main.mod", "release.json"]
-    asked = {"Range": "bytes=20-", "If-Range": whole.headers["etag"]}
-    rest = here.http.get(f"{job}/programs.zip", headers=asked)
+    headers = {"Range": "bytes=20-", "If-Range": whole.headers["etag"]}
+    rest = running_service.http.get(f"{job}/programs.zip", headers=headers)
     assert rest.status_code == 206
     assert whole.content[:20] + rest.content == whole.content
-    beyond = here.http.get(f"{job}/programs.zip", headers={"Range": "bytes=100000-"})
+    beyond = running_service.http.get(f"{job}/programs.zip", headers={"Range": "bytes=100000-"})
     assert beyond.status_code == 416
-    other = here.http.get(f"{job}/programs.zip", headers={**asked, "If-Range": '"other"'})
+    other = running_service.http.get(f"{job}/programs.zip", headers={**headers, "If-Range": '"other"'})
     assert (other.status_code, other.content) == (200, whole.content)
-    left = [path for path in here.service.scratch.iterdir() if path.is_file()]
+    left = [path for path in running_service.service.scratch.iterdir() if path.is_file()]
     assert left == [], "an archive that was made for an answer stays"
 
 
-def test_large_texts_are_compressed_for_who_takes_that(done: tuple[InProcess, str]) -> None:
-    here, job = done
+def test_large_texts_are_compressed_for_who_takes_that(service_with_job: tuple[InProcess, str]) -> None:
+    running_service, job = service_with_job
     text = b"<p>replay</p>" * 5000
-    blob = here.service.files.put(io.BytesIO(text))
-    with here.service.database.write() as db:
+    blob = running_service.service.files.put(io.BytesIO(text))
+    with running_service.service.database.write() as db:
         put_files(db, job.rsplit("/", 1)[1], {"replay.html": blob})
     path = f"{job}/files/replay.html"
-    plain = here.http.get(path, headers={"Accept-Encoding": "identity"})
+    plain = running_service.http.get(path, headers={"Accept-Encoding": "identity"})
     assert plain.content == text
     assert "content-encoding" not in plain.headers
-    with here.http.stream("GET", path, headers={"Accept-Encoding": "br, gzip;q=0.5"}) as packed:
+    with running_service.http.stream("GET", path, headers={"Accept-Encoding": "br, gzip;q=0.5"}) as packed:
         raw = b"".join(packed.iter_raw())
         assert packed.headers["content-encoding"] == "gzip"
         assert packed.headers["vary"] == "Accept-Encoding"
@@ -148,49 +152,53 @@ def test_large_texts_are_compressed_for_who_takes_that(done: tuple[InProcess, st
         assert "sandbox" in packed.headers["content-security-policy"]
     assert len(raw) < len(text) / 20
     assert gzip.decompress(raw) == text
-    again = here.http.get(path, headers={"Accept-Encoding": "gzip", "If-None-Match": packed.headers["etag"]})
+    again = running_service.http.get(
+        path, headers={"Accept-Encoding": "gzip", "If-None-Match": packed.headers["etag"]}
+    )
     assert again.status_code == 304
     for headers in ({"Accept-Encoding": "gzip;q=0"}, {"Accept-Encoding": "gzip", "Range": "bytes=0-9"}):
-        answer = here.http.get(path, headers=headers)
+        answer = running_service.http.get(path, headers=headers)
         assert "content-encoding" not in answer.headers
     assert answer.content == text[:10]
-    saved = here.http.get(f"{path}?download=true", headers={"Accept-Encoding": "gzip"})
+    saved = running_service.http.get(f"{path}?download=true", headers={"Accept-Encoding": "gzip"})
     assert saved.headers["content-disposition"] == 'attachment; filename="replay.html"'
 
 
 def test_behind_the_proxy_cookies_are_secure_and_browsers_stay_with_tls(
-    closed: tuple[InProcess, str],
+    closed_service: tuple[InProcess, str],
 ) -> None:
-    here, token = closed
-    proxy = TestClient(From(here.http.app, "127.0.0.1"), base_url=HERE)
-    asked = {"Authorization": f"Bearer {token}"}
-    told = proxy.post("/v1/session", headers={**asked, **TLS})
-    assert told.status_code == 204
-    assert "; secure" in told.headers["set-cookie"].lower()
-    assert told.headers["strict-transport-security"] == "max-age=31536000"
-    clear = proxy.post("/v1/session", headers=asked)
+    running_service, token = closed_service
+    proxy = TestClient(AddressApp(running_service.http.app, "127.0.0.1"), base_url=BASE_URL)
+    headers = {"Authorization": f"Bearer {token}"}
+    response = proxy.post("/v1/session", headers={**headers, **TLS})
+    assert response.status_code == 204
+    assert "; secure" in response.headers["set-cookie"].lower()
+    assert response.headers["strict-transport-security"] == "max-age=31536000"
+    clear = proxy.post("/v1/session", headers=headers)
     assert "; secure" not in clear.headers["set-cookie"].lower()
     assert "strict-transport-security" not in clear.headers
 
 
-def test_a_page_that_came_in_clear_does_not_send_to_a_service_by_tls(closed: tuple[InProcess, str]) -> None:
-    """Of browsers that tell no ``Sec-Fetch-Site``: anybody on the way may have made that page."""
-    here, token = closed
-    proxy = TestClient(From(here.http.app, "127.0.0.1"), base_url=HERE)
-    asked = {"Authorization": f"Bearer {token}"}
-    clear, tls = {"Origin": HERE}, {"Origin": HERE.replace("http:", "https:")}
+def test_a_page_that_came_in_clear_does_not_send_to_a_service_by_tls(
+    closed_service: tuple[InProcess, str],
+) -> None:
+    """For browsers without ``Sec-Fetch-Site``: a man in the middle may have written that page."""
+    running_service, token = closed_service
+    proxy = TestClient(AddressApp(running_service.http.app, "127.0.0.1"), base_url=BASE_URL)
+    headers = {"Authorization": f"Bearer {token}"}
+    clear, tls = {"Origin": BASE_URL}, {"Origin": BASE_URL.replace("http:", "https:")}
     sent = [clear, tls, {**tls, **TLS}, {**clear, **TLS}]
-    answers = [proxy.post("/v1/session", headers={**asked, **one}) for one in sent]
-    assert [one.status_code for one in answers] == [204, 204, 204, 403]
+    answers = [proxy.post("/v1/session", headers={**headers, **item}) for item in sent]
+    assert [item.status_code for item in answers] == [204, 204, 204, 403]
 
 
-def test_nobody_else_is_believed_to_be_a_proxy(closed: tuple[InProcess, str]) -> None:
-    here, token = closed
-    stranger = TestClient(From(here.http.app, "203.0.113.77"), base_url=HERE)
-    told = stranger.post("/v1/session", headers={"Authorization": f"Bearer {token}", **TLS})
-    assert told.status_code == 204
-    assert "; secure" not in told.headers["set-cookie"].lower()
-    assert "strict-transport-security" not in told.headers
+def test_nobody_else_is_believed_to_be_a_proxy(closed_service: tuple[InProcess, str]) -> None:
+    running_service, token = closed_service
+    stranger = TestClient(AddressApp(running_service.http.app, "203.0.113.77"), base_url=BASE_URL)
+    response = stranger.post("/v1/session", headers={"Authorization": f"Bearer {token}", **TLS})
+    assert response.status_code == 204
+    assert "; secure" not in response.headers["set-cookie"].lower()
+    assert "strict-transport-security" not in response.headers
 
 
 def test_connections_without_a_whole_head_are_cut_off(tmp_path: Path) -> None:
@@ -200,14 +208,14 @@ def test_connections_without_a_whole_head_are_cut_off(tmp_path: Path) -> None:
         began = time.monotonic()
         silent, slow, second, kept = (socket.create_connection(("127.0.0.1", process.port)) for _ in range(4))
         slow.sendall(request[:30])
-        for one in (second, kept):
-            one.sendall(request)
-            assert _answer(one).startswith(b"HTTP/1.1 200")
+        for item in (second, kept):
+            item.sendall(request)
+            assert _answer(item).startswith(b"HTTP/1.1 200")
         second.sendall(request[:30])
-        for one in (silent, slow, second):
-            one.settimeout(3 * HEAD_S)
-            assert one.recv(100) == b"", "the connection is open still"
-        assert HEAD_S - 1 < time.monotonic() - began < 2 * HEAD_S
+        for item in (silent, slow, second):
+            item.settimeout(3 * HEADER_TIMEOUT_S)
+            assert item.recv(100) == b"", "the connection is open still"
+        assert HEADER_TIMEOUT_S - 1 < time.monotonic() - began < 2 * HEADER_TIMEOUT_S
         kept.sendall(request)
         assert _answer(kept).startswith(b"HTTP/1.1 200")
     finally:
@@ -222,7 +230,7 @@ def test_bodies_that_come_by_the_byte_are_given_up(
     monkeypatch: pytest.MonkeyPatch, sizes: list[int], every_s: float, whole: bool
 ) -> None:
     """Also one of which nothing more comes; a slow one that goes on is taken."""
-    monkeypatch.setattr(security, "IDLE_S", 0.5)
+    monkeypatch.setattr(security, "BODY_IDLE_S", 0.5)
     pieces = iter(sizes)
 
     async def receive() -> Message:
@@ -241,13 +249,13 @@ def test_bodies_that_come_by_the_byte_are_given_up(
     got: list[str] = []
     scope = {"type": "http", "method": "GET", "path": "/", "scheme": "http", "headers": []}
     with ThreadPoolExecutor(1) as pool:  # the pages' browser keeps a loop of its own running in this thread
-        pool.submit(anyio.run, security.Guard(app, 1.0, None), scope, receive, send).result(30)
+        pool.submit(anyio.run, security.RequestGuard(app, 1.0, None), scope, receive, send).result(30)
     assert got == ["http.request" if whole else "http.disconnect"]
 
 
 @pytest.mark.parametrize(("path", "kind"), [("/v1/webhooks", "json"), ("/v1/check", "yaml")])
 def test_a_connection_that_breaks_off_is_no_fault_of_the_service(
-    done: tuple[InProcess, str], caplog: pytest.LogCaptureFixture, path: str, kind: str
+    service_with_job: tuple[InProcess, str], caplog: pytest.LogCaptureFixture, path: str, kind: str
 ) -> None:
     said = [{"type": "http.request", "body": b"{", "more_body": True}, {"type": "http.disconnect"}]
     parts, told = iter(said), []
@@ -262,9 +270,9 @@ def test_a_connection_that_breaks_off_is_no_fault_of_the_service(
     scope = {"type": "http", "method": "POST", "path": path, "scheme": "http", "headers": headers}
     more = {"query_string": b"", "raw_path": path.encode(), "http_version": "1.1", "root_path": ""}
     with ThreadPoolExecutor(1) as pool:
-        pool.submit(anyio.run, done[0].http.app, {**scope, **more}, receive, send).result(30)
+        pool.submit(anyio.run, service_with_job[0].http.app, {**scope, **more}, receive, send).result(30)
     assert told[0]["status"] == 499
-    assert not [one for one in caplog.records if one.levelname == "ERROR"]
+    assert not [record for record in caplog.records if record.levelname == "ERROR"]
 
 
 def _answer(connection: socket.socket) -> bytes:

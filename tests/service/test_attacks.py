@@ -1,4 +1,4 @@
-"""The table of attacks and faults names tests that there are, that run, and that look at something."""
+"""The table of attacks and faults names tests that exist, that run, and that assert something."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ import pytest
 from tests.service.support import ROOT
 
 ROW: Final = re.compile(r"^\| (\d+)(?:–(\d+))? \|.*\| `([\w./]+)::(\w+)` \|$", re.MULTILINE)
-LOOKS: Final = ("raises", "expect")
+ASSERTING_CALLS: Final = ("raises", "expect")
 """Calls that fail a test beside an ``assert``: pytest's and Playwright's."""
 NEVER: Final = ("skip", "skipif", "xfail")
 """Marks by which a test is not run, or not held against anything."""
 
 
-def _called(call: ast.Call) -> str:
+def _called_name(call: ast.Call) -> str:
     return call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
 
 
-def _looks(function: ast.AST, helpers: dict[str, ast.FunctionDef], seen: frozenset[str]) -> bool:
+def _asserts(function: ast.AST, helpers: dict[str, ast.FunctionDef], seen: frozenset[str]) -> bool:
     """Whether it has an assertion of something that is not constant, or a function of its file that it calls
     does."""
     for node in ast.walk(function):
         if isinstance(node, ast.Assert) and not isinstance(node.test, ast.Constant):
             return True
         if isinstance(node, ast.Call):
-            name = _called(node)
-            if name in LOOKS:
+            name = _called_name(node)
+            if name in ASSERTING_CALLS:
                 return True
-            if name in helpers and name not in seen and _looks(helpers[name], helpers, seen | {name}):
+            if name in helpers and name not in seen and _asserts(helpers[name], helpers, seen | {name}):
                 return True
     return False
 
@@ -39,13 +39,13 @@ def _looks(function: ast.AST, helpers: dict[str, ast.FunctionDef], seen: frozens
 def _is_never(node: ast.expr) -> bool:
     """Whether it is a mark, or a call, by which a test never runs: without a condition, or with a constant
     one."""
-    name = _called(node) if isinstance(node, ast.Call) else getattr(node, "attr", "")
+    name = _called_name(node) if isinstance(node, ast.Call) else getattr(node, "attr", "")
     given = node.args if isinstance(node, ast.Call) else []
-    return name in NEVER and (name != "skipif" or all(isinstance(one, ast.Constant) for one in given[:1]))
+    return name in NEVER and (name != "skipif" or all(isinstance(item, ast.Constant) for item in given[:1]))
 
 
 def fault(source: str, name: str) -> str | None:
-    """What is wrong with the test of that name in a file; None where nothing is. It reads the text alone."""
+    """Return the fault of the named test in a file, or None. Only the source text is read."""
     tree = ast.parse(source)
     functions = {node.name: node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
     test = functions.get(name)
@@ -60,11 +60,11 @@ def fault(source: str, name: str) -> str | None:
     calls = [node.value for node in test.body if isinstance(node, ast.Expr)]
     if any(map(_is_never, [*test.decorator_list, *marks, *calls])):
         return "it never runs"
-    return None if _looks(test, functions, frozenset({name})) else "it asserts nothing"
+    return None if _asserts(test, functions, frozenset({name})) else "it asserts nothing"
 
 
-@pytest.mark.parametrize(("part", "least"), [("Attacks", 60), ("Faults", 30)])
-def test_each_row_is_a_test(part: str, least: int) -> None:
+@pytest.mark.parametrize(("part", "min_rows"), [("Attacks", 60), ("Faults", 30)])
+def test_each_row_is_a_test(part: str, min_rows: int) -> None:
     text = (ROOT / "docs" / "attacks.md").read_text("utf-8")
     text = text.partition(f"\n## {part}")[2].partition("\n## ")[0]
     rows = ROW.findall(text)
@@ -74,11 +74,11 @@ def test_each_row_is_a_test(part: str, least: int) -> None:
         assert int(first) == number + 1
         number = int(last or first)
         assert fault((ROOT / "tests" / "service" / path).read_text("utf-8"), name) is None, name
-    assert number >= least
+    assert number >= min_rows
 
 
 @pytest.mark.parametrize(
-    ("source", "said"),
+    ("source", "expected_fault"),
     [
         ("def other(): assert x()", "there is none"),
         ("def test_a(): run()", "it asserts nothing"),
@@ -95,5 +95,5 @@ def test_each_row_is_a_test(part: str, least: int) -> None:
         ("def test_a():\n if y: pytest.skip('r')\n assert x()", None),
     ],
 )
-def test_a_row_whose_test_looks_at_nothing_is_refused(source: str, said: str | None) -> None:
-    assert fault(source, "test_a") == said
+def test_a_row_whose_test_looks_at_nothing_is_refused(source: str, expected_fault: str | None) -> None:
+    assert fault(source, "test_a") == expected_fault

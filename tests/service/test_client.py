@@ -1,4 +1,4 @@
-"""The Python client against a real service with a real worker: it gives what planning here gives."""
+"""The Python client against a real service with a real worker: it returns what local planning returns."""
 
 from __future__ import annotations
 
@@ -21,41 +21,47 @@ from tests.service.support import Process
 
 
 @pytest.fixture(scope="module")
-def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Process, str]]:
+def server_process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Process, str]]:
     data = tmp_path_factory.mktemp("client") / "data"
     data.mkdir()
     database = Database(default_url(data))
-    token = Auth(database).make("ann")
+    token = Auth(database).create_token("ann")
     database.close()
     process = Process(data, "--require-token").wait()
     yield process, token
     assert process.stop() in (0, -signal.SIGTERM), process.log.read_text()
 
 
-def test_the_same_plan_comes_back_as_from_planning_here(served: tuple[Process, str], tmp_path: Path) -> None:
-    process, token = served
+def test_the_same_plan_comes_back_as_from_planning_here(
+    server_process: tuple[Process, str], tmp_path: Path
+) -> None:
+    process, token = server_process
     problem = planner.load(small_problem.write(tmp_path))
-    heard: list[str] = []
-    there = Client(process.url, token).plan(problem, lambda stage, fraction: heard.append(stage))
-    here = planner.plan(problem)
+    events: list[str] = []
+    there = Client(process.url, token).plan(problem, lambda stage, fraction: events.append(stage))
+    local_outcome = planner.plan(problem)
     assert there.verified
     assert isinstance(there, planner.Outcome)
-    assert dict(there.programs) == dict(here.programs)
-    assert plans.dump(there.plan) == plans.dump(here.plan)
-    np.testing.assert_array_equal(there.plan.operations[0].q["left"], here.plan.operations[0].q["left"])
-    assert there.proof.rules == here.proof.rules
-    assert there.issues == here.issues
-    assert "motion" in heard
+    assert dict(there.programs) == dict(local_outcome.programs)
+    assert plans.dump(there.plan) == plans.dump(local_outcome.plan)
+    np.testing.assert_array_equal(
+        there.plan.operations[0].q["left"], local_outcome.plan.operations[0].q["left"]
+    )
+    assert there.proof.rules == local_outcome.proof.rules
+    assert there.issues == local_outcome.issues
+    assert "motion" in events
     there.save(tmp_path / "there")
-    here.save(tmp_path / "here")
+    local_outcome.save(tmp_path / "here")
     for path in (tmp_path / "here").rglob("*"):
         if path.is_file():
             other = tmp_path / "there" / path.relative_to(tmp_path / "here")
             assert other.read_bytes() == path.read_bytes(), path
 
 
-def test_a_problem_without_a_plan_raises_its_issues(served: tuple[Process, str], tmp_path: Path) -> None:
-    process, token = served
+def test_a_problem_without_a_plan_raises_its_issues(
+    server_process: tuple[Process, str], tmp_path: Path
+) -> None:
+    process, token = server_process
     far = "\n".join([small_problem.COLUMNS, *(row.replace("450,", "4500,") for row in small_problem.ROWS)])
     problem = planner.load(small_problem.write(tmp_path, table=far))
     client = Client(process.url, token)
@@ -71,8 +77,8 @@ def test_a_problem_without_a_plan_raises_its_issues(served: tuple[Process, str],
     assert caught.value.issues[0].code == "service.unknown_job"
 
 
-def test_refusals_raise_their_issues(served: tuple[Process, str]) -> None:
-    process, token = served
+def test_refusals_raise_their_issues(server_process: tuple[Process, str]) -> None:
+    process, token = server_process
     with pytest.raises(TandemError) as caught:
         list(Client(process.url, token[:-2] + "xx").jobs())
     assert caught.value.issues[0].code == "service.token"

@@ -1,4 +1,4 @@
-"""Jobs found again: titles, tags and notes in any language, search, order, and deleting many."""
+"""Search for jobs: titles, tags and notes in any language, search, order, and deletion of many jobs."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import pytest
 
 from planner.service.jobs import NewJob
 from tests.service import postgres
-from tests.service.support import InProcess, codes
-from tests.service.test_roles import UNKNOWN, Shop, bearer, opened
+from tests.service.support import InProcess, issue_codes
+from tests.service.test_roles import UNKNOWN, Shop, bearer, open_service
 
 TITLES: Final = {
     "alpha": ("Gewölbe STRASSE 3", ["dome", "Ost"], "cut of Tuesday"),
@@ -29,9 +29,9 @@ def shop(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     """Five jobs of ann that wait, and one of eve."""
     folder = tmp_path_factory.mktemp("finding")
     database = postgres.fresh(folder) if request.param == "postgresql" else None
-    with opened(folder / "data", database) as here:
-        here.team.hold.set()
-        made = Shop(here)
+    with open_service(folder / "data", database) as running_service:
+        running_service.team.hold.set()
+        made = Shop(running_service)
         for name, (title, tags, notes) in TITLES.items():
             job = put(made, "ann", name)
             if title:
@@ -45,19 +45,19 @@ def shop(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
 def put(shop: Shop, owner: str, name: str) -> str:
     """A job as if it had been uploaded."""
     token = shop.tokens[owner][7:23]
-    files = {"problem/problem.yaml": shop.here.service.files.put(io.BytesIO(b"{}"))}
+    files = {"problem/problem.yaml": shop.running_service.service.files.put(io.BytesIO(b"{}"))}
     new = NewJob(token, name, "0" * 64, f"{owner} {name}", ("targets",), files, 1.0, 1.0)
-    return shop.here.service.jobs.create(new).id
+    return shop.running_service.service.jobs.create(new).id
 
 
 def names(shop: Shop, query: str = "", by: str = "ann") -> list[str]:
     answer = shop.ask(by, "GET", f"/v1/jobs?{query}")
     assert answer.status_code == 200, answer.text
-    return [one["name"] for one in answer.json()["jobs"]]
+    return [job["name"] for job in answer.json()["jobs"]]
 
 
 @pytest.mark.parametrize(
-    ("search", "found"),
+    ("search", "expected_names"),
     [
         ("gewölbe", ["alpha"]),
         ("GEWO\u0308LBE", ["alpha"]),  # as some keyboards send it
@@ -80,12 +80,12 @@ def names(shop: Shop, query: str = "", by: str = "ann") -> list[str]:
         ("  ", list(reversed(TITLES))),
     ],
 )
-def test_all_words_are_found_in_any_language(shop: Shop, search: str, found: list[str]) -> None:
+def test_all_words_are_found_in_any_language(shop: Shop, search: str, expected_names: list[str]) -> None:
     answer = shop.ask("ann", "GET", "/v1/jobs", params={"search": search})
-    assert [one["name"] for one in answer.json()["jobs"]] == found
+    assert [job["name"] for job in answer.json()["jobs"]] == expected_names
     assert [
-        one["name"] for one in shop.ask("lea", "GET", "/v1/jobs", params={"search": search}).json()["jobs"]
-    ] == found
+        job["name"] for job in shop.ask("lea", "GET", "/v1/jobs", params={"search": search}).json()["jobs"]
+    ] == expected_names
 
 
 def test_tags_are_whole_and_all_of_them(shop: Shop) -> None:
@@ -98,24 +98,24 @@ def test_tags_are_whole_and_all_of_them(shop: Shop) -> None:
     assert names(shop, "tag=dome", by="eve") == []
 
 
-@pytest.mark.parametrize("sort", ["newest", "oldest", "title"])
-def test_pages_of_each_order_miss_nothing(shop: Shop, sort: str) -> None:
-    whole = names(shop, f"sort={sort}&limit=50")
+@pytest.mark.parametrize("sort_order", ["newest", "oldest", "title"])
+def test_pages_of_each_order_miss_nothing(shop: Shop, sort_order: str) -> None:
+    whole = names(shop, f"sort={sort_order}&limit=50")
     assert len(whole) == len(TITLES)
-    assert sort != "oldest" or whole == list(TITLES)
-    assert sort != "title" or whole.index("delta") < whole.index("alpha")  # full, gewölbe
+    assert sort_order != "oldest" or whole == list(TITLES)
+    assert sort_order != "title" or whole.index("delta") < whole.index("alpha")  # full, gewölbe
     cursor, got = "", []
     while True:
-        page = shop.ask("ann", "GET", f"/v1/jobs?sort={sort}&limit=2{cursor}").json()
-        got += [one["name"] for one in page["jobs"]]
+        page = shop.ask("ann", "GET", f"/v1/jobs?sort={sort_order}&limit=2{cursor}").json()
+        got += [job["name"] for job in page["jobs"]]
         if page.get("next") is None:
             break
         cursor = f"&cursor={page['next']}"
     assert got == whole
-    others = {"newest", "oldest", "title"} - {sort} if sort == "title" else {"title"}
+    others = {"newest", "oldest", "title"} - {sort_order} if sort_order == "title" else {"title"}
     for other in others:
         answer = shop.ask("ann", "GET", f"/v1/jobs?sort={other}&limit=2{cursor}")
-        assert (answer.status_code, codes(answer)) == (422, [("service.request", "cursor")])
+        assert (answer.status_code, issue_codes(answer)) == (422, [("service.request", "cursor")])
 
 
 @pytest.mark.parametrize(
@@ -129,26 +129,21 @@ def test_what_is_left_out_stays_and_what_is_empty_goes(shop: Shop) -> None:
     job = put(shop, "ann", "changed")
     path = f"/v1/jobs/{job}"
     shop.ask("bob", "PATCH", path, json={"title": "One", "tags": ["a", "b"], "notes": "n"})
-    found = shop.ask("ann", "PATCH", path, json={"title": "  Two "}).json()
-    assert (found["title"], found["tags"], found["notes"], found["name"]) == (
-        "Two",
-        ["a", "b"],
-        "n",
-        "changed",
-    )
+    body = shop.ask("ann", "PATCH", path, json={"title": "  Two "}).json()
+    assert (body["title"], body["tags"], body["notes"], body["name"]) == ("Two", ["a", "b"], "n", "changed")
     assert names(shop, "search=one") == []
-    found = shop.ask("ann", "PATCH", path, json={"title": "", "tags": [], "notes": ""}).json()
-    assert (found["title"], found["tags"], found["notes"]) == ("", [], "")
+    body = shop.ask("ann", "PATCH", path, json={"title": "", "tags": [], "notes": ""}).json()
+    assert (body["title"], body["tags"], body["notes"]) == ("", [], "")
     assert names(shop, "search=changed") == ["changed"]
     for name, status, issues in (("lea", 403, [("service.role", "Authorization")]), ("eve", 404, UNKNOWN)):
         answer = shop.ask(name, "PATCH", path, json={"title": "mine"})
-        assert (answer.status_code, codes(answer)) == (status, issues)
+        assert (answer.status_code, issue_codes(answer)) == (status, issues)
     shop.ask("ann", "DELETE", path)
     assert shop.ask("ann", "PATCH", path, json={"title": "gone"}).status_code in (200, 404)
 
 
 @pytest.mark.parametrize(
-    ("said", "field"),
+    ("changes", "field"),
     [
         ({"title": "a\u202eb"}, "title"),
         ({"title": "a\nb"}, "title"),
@@ -167,10 +162,10 @@ def test_what_is_left_out_stays_and_what_is_empty_goes(shop: Shop) -> None:
         ({"name": "other"}, "name"),
     ],
 )
-def test_texts_that_hide_something_are_refused(shop: Shop, said: dict[str, Any], field: str) -> None:
+def test_texts_that_hide_something_are_refused(shop: Shop, changes: dict[str, Any], field: str) -> None:
     job = shop.ask("ann", "GET", "/v1/jobs").json()["jobs"][0]
-    answer = shop.ask("ann", "PATCH", f"/v1/jobs/{job['id']}", json=said)
-    assert (answer.status_code, codes(answer)) == (422, [("service.request", field)])
+    answer = shop.ask("ann", "PATCH", f"/v1/jobs/{job['id']}", json=changes)
+    assert (answer.status_code, issue_codes(answer)) == (422, [("service.request", field)])
     assert len(answer.content) < 2000
     assert shop.ask("ann", "GET", f"/v1/jobs/{job['id']}").json()["title"] == job["title"]
 
@@ -187,17 +182,17 @@ def test_texts_that_grow_may_be_as_long_as_others(shop: Shop) -> None:
 
 def test_a_zero_byte_in_an_address_is_no_500(shop: Shop) -> None:
     job = put(shop, "ann", "zero")
-    described = shop.here.http.get("/openapi.json", headers=bearer(shop.tokens["bob"])).json()
+    described = shop.running_service.http.get("/openapi.json", headers=bearer(shop.tokens["bob"])).json()
     asked = 0
     for path, ways in described["paths"].items():
         if "{" not in path or "/webhooks" in path:
             continue
-        for way in ways.keys() & {"get", "post", "patch", "delete"}:
+        for method in ways.keys() & {"get", "post", "patch", "delete"}:
             for first in ("%00", f"{job}%00", job if "{name}" in path else "0" * 31 + "%00"):
                 url = path.replace("{job}", first).replace("{element}", first).replace("{kind}", "a%00")
                 url = url.replace("{name}", "a%00.mod")
-                answer = shop.ask("bob", way.upper(), url, json={})
-                assert answer.status_code in (404, 422), (way, url, answer.text)
+                answer = shop.ask("bob", method.upper(), url, json={})
+                assert answer.status_code in (404, 422), (method, url, answer.text)
                 asked += 1
     assert asked > 30
     shop.ask("ann", "DELETE", f"/v1/jobs/{job}")
@@ -214,14 +209,14 @@ def test_many_are_deleted_at_once_and_no_others(shop: Shop) -> None:
     assert names(shop, "search=theirs", by="eve") == ["theirs"]
     for wrong in ({"jobs": []}, {"jobs": ["0" * 32] * 201}, {}, {"jobs": ["x" * 41]}):
         assert shop.ask("bob", "POST", "/v1/jobs/delete", json=wrong).status_code == 422, wrong
-    if shop.here.service.database.sqlite:
+    if shop.running_service.service.database.sqlite:
         told = shop.ask("bob", "GET", f"/v1/audit?job={jobs[0]}&act=deleted").json()["acts"]
-        assert [one["by"] for one in told] == ["bob"]
+        assert [item["by"] for item in told] == ["bob"]
 
 
 def test_jobs_without_titles_are_found_by_their_names(tmp_path: Path) -> None:
-    with InProcess(tmp_path / "data", examiners=1) as here:
-        job = here.post().json()["id"]
+    with InProcess(tmp_path / "data", examiners=1) as running_service:
+        job = running_service.post().json()["id"]
         for query in ("search=SMALL", "sort=title", "search=small&sort=title"):
-            (found,) = here.http.get(f"/v1/jobs?{query}").json()["jobs"]
+            (found,) = running_service.http.get(f"/v1/jobs?{query}").json()["jobs"]
             assert (found["id"], found["title"], found["tags"]) == (job, "", [])

@@ -14,15 +14,15 @@ from pathlib import Path
 import httpx
 import pytest
 
-from tests.service.support import TABLE, Process, named
+from tests.service.support import TABLE, Process, named_problem
 
 COUNT = 1000
 
 
 @pytest.fixture
-def served(tmp_path: Path) -> Iterator[Process]:
+def server_process(tmp_path: Path) -> Iterator[Process]:
     data = tmp_path / "data"
-    process = Process(data, module="tests.service.pretend", arguments=(str(data), "")).wait()
+    process = Process(data, module="tests.service.fake_team", arguments=(str(data), "")).wait()
     yield process
     process.stop()
 
@@ -31,7 +31,7 @@ POOL = 40
 """Threads that answer requests: what AnyIO has where nothing else is said."""
 
 
-def held(process: Process) -> int:
+def open_files(process: Process) -> int:
     """Open files of a process."""
     return len(list(Path(f"/proc/{process.pid}/fd").iterdir()))
 
@@ -48,14 +48,14 @@ async def storm(url: str, jobs: dict[str, str]) -> collections.Counter[tuple[str
 
         async def upload(number: int) -> None:
             name = f"many{number % 100}"
-            files = [("problem", ("p.yaml", named(name))), ("files", ("targets.csv", TABLE))]
+            files = [("problem", ("p.yaml", named_problem(name))), ("files", ("targets.csv", TABLE))]
             answer = await client.post("/v1/jobs", files=files)
             seen["upload", answer.status_code] += 1
             if answer.status_code == 201:
                 jobs[answer.json()["id"]] = name
 
         async def broken(number: int) -> None:
-            files = [("problem", ("p.yaml", named("broken").replace("robot", f"robo{number}")))]
+            files = [("problem", ("p.yaml", named_problem("broken").replace("robot", f"robo{number}")))]
             seen["broken", (await client.post("/v1/jobs", files=files)).status_code] += 1
 
         async def read(path: str) -> None:
@@ -82,19 +82,19 @@ async def storm(url: str, jobs: dict[str, str]) -> collections.Counter[tuple[str
 
 
 def run(url: str, jobs: dict[str, str]) -> collections.Counter[tuple[str, int]]:
-    """As :func:`storm`, in a thread: the pages' browser keeps a loop of its own running in this one."""
+    """Run :func:`storm` in a thread, because the browser of the page tests keeps a loop in this one."""
     with ThreadPoolExecutor(1) as pool:
         return pool.submit(asyncio.run, storm(url, jobs)).result()
 
 
 @pytest.mark.long
-def test_a_thousand_requests_at_once(served: Process, tmp_path: Path) -> None:
-    with httpx.Client(base_url=served.url, timeout=600.0) as client:
-        run(served.url, {})  # pools and readers have started
-        files, megabytes = held(served), memory_mb(served)
+def test_a_thousand_requests_at_once(server_process: Process, tmp_path: Path) -> None:
+    with httpx.Client(base_url=server_process.url, timeout=600.0) as client:
+        run(server_process.url, {})  # pools and readers have started
+        files, megabytes = open_files(server_process), memory_mb(server_process)
         jobs: dict[str, str] = {}
         began = time.monotonic()
-        seen = run(served.url, jobs)
+        seen = run(server_process.url, jobs)
         print(f"{COUNT} requests in {time.monotonic() - began:.1f} s: {dict(seen)}")
         assert not [key for key in seen if key[1] >= 500], seen
         assert sum(seen.values()) == COUNT
@@ -104,16 +104,19 @@ def test_a_thousand_requests_at_once(served: Process, tmp_path: Path) -> None:
         until = time.monotonic() + 300.0
         while time.monotonic() < until:
             states = {job: client.get(f"/v1/jobs/{job}").json() for job in jobs}
-            if all(one["state"] == "verified" for one in states.values()):
+            if all(state["state"] == "verified" for state in states.values()):
                 break
             time.sleep(0.5)
-        assert {one["state"] for one in states.values()} == {"verified"}
-        assert {job: one["name"] for job, one in states.items()} == jobs
+        assert {state["state"] for state in states.values()} == {"verified"}
+        assert {job: state["name"] for job, state in states.items()} == jobs
         time.sleep(2.0)
-        print(f"files {files} -> {held(served)}, memory {megabytes:.0f} -> {memory_mb(served):.0f} MB")
+        print(
+            f"files {files} -> {open_files(server_process)}, "
+            f"memory {megabytes:.0f} -> {memory_mb(server_process):.0f} MB"
+        )
         # each thread of the pool that has asked the store keeps a connection, of two files; how many have
         # by the first measurement depends on the machine
-        assert held(served) <= files + 20 + 2 * POOL
-        assert memory_mb(served) <= megabytes * 1.25 + 20
+        assert open_files(server_process) <= files + 20 + 2 * POOL
+        assert memory_mb(server_process) <= megabytes * 1.25 + 20
     assert not list((tmp_path / "data" / "files" / "incoming").iterdir())
-    assert "Traceback" not in served.log.read_text()
+    assert "Traceback" not in server_process.log.read_text()

@@ -1,5 +1,8 @@
-"""Logging in by a provider of accounts: against a real one (npm's oidc-provider, where there is one), and
-against one that forges what it can."""
+"""Login through an OpenID Connect provider.
+
+Tested against a real provider (npm's oidc-provider, if it is installed), and against a provider that forges
+whatever it can.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ import socket
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -32,8 +35,17 @@ from joserfc.jwk import ECKey, KeySet, RSAKey
 from planner.issues import TandemError
 from planner.service import oidc
 from planner.service.models import Database, default_url
-from planner.service.oidc import ASKED_S, Grant, LogIn, Oidc, called, inside, read
-from planner.service.rates import Rates
+from planner.service.oidc import (
+    MAX_LOG_IN_S,
+    Grant,
+    GrantOptions,
+    LogIn,
+    OidcSettings,
+    display_name,
+    local_path,
+    read_settings,
+)
+from planner.service.rate_limits import RateLimiter
 from planner.service.security import Auth, RefusedError
 from tests.service.support import InProcess, free_port
 
@@ -44,14 +56,14 @@ KEY = RSAKey.generate_key(2048, {"kid": "one"})
 OTHER = RSAKey.generate_key(2048, {"kid": "one"})
 
 
-class Forger:
-    """A provider that answers a code with whatever ID token it is told to make."""
+class FakeProvider:
+    """A fake provider that answers a code with any requested ID token."""
 
     def __init__(self) -> None:
-        self.token: Callable[[dict[str, Any]], str] = lambda claims: signed(claims)
+        self.token: Callable[[dict[str, Any]], str] = lambda claims: sign_token(claims)
         self.claims: dict[str, Any] = {}
         self.about: dict[str, Any] = {}
-        self.asked: dict[str, list[str]] = {}
+        self.token_request: dict[str, list[str]] = {}
         self.nonce = ""
         forger = self
 
@@ -68,8 +80,8 @@ class Forger:
                 self._send(known[self.path])
 
             def do_POST(self) -> None:
-                forger.asked = parse_qs(self.rfile.read(int(self.headers["Content-Length"])).decode())
-                if forger.asked["code"] == ["spent"]:
+                forger.token_request = parse_qs(self.rfile.read(int(self.headers["Content-Length"])).decode())
+                if forger.token_request["code"] == ["spent"]:
                     self._send({"error": "invalid_grant"}, 400)
                 else:
                     self._send(
@@ -96,29 +108,29 @@ class Forger:
         self._server.server_close()
 
 
-def signed(claims: dict[str, Any], key: Any = KEY, alg: str = "RS256", kid: str = "one") -> str:
+def sign_token(claims: dict[str, Any], key: Any = KEY, alg: str = "RS256", kid: str = "one") -> str:
     text = json.dumps(claims)  # with halves of letters, which jwt.encode does not take
     return jws.serialize_compact({"alg": alg, "kid": kid}, text, key, algorithms=[alg])
 
 
 @pytest.fixture
-def forger() -> Iterator[Forger]:
-    made = Forger()
+def forger() -> Iterator[FakeProvider]:
+    made = FakeProvider()
     yield made
     made.close()
 
 
 @pytest.fixture
-def log_in(forger: Forger, tmp_path: Path) -> Iterator[LogIn]:
+def log_in(forger: FakeProvider, tmp_path: Path) -> Iterator[LogIn]:
     database = Database(default_url(tmp_path))
-    yield LogIn(database, Auth(database), Oidc(forger.issuer, "tandem", SECRET, GRANTS))
+    yield LogIn(database, Auth(database), OidcSettings(forger.issuer, "tandem", SECRET, GRANTS))
     database.close()
 
 
-def went(log_in: LogIn, forger: Forger, after: str = "/") -> tuple[str, str]:
+def visit_provider(log_in: LogIn, forger: FakeProvider, after: str = "/") -> tuple[str, str]:
     """(the address to which the browser comes back, its cookie); the provider knows somebody of the shop."""
-    address, cookie = log_in.begin(REDIRECT, after)
-    asked = parse_qs(urlsplit(address).query)
+    address, cookie = log_in.start(REDIRECT, after)
+    query = parse_qs(urlsplit(address).query)
     now = int(time.time())
     forger.claims = {
         "iss": forger.issuer,
@@ -126,39 +138,41 @@ def went(log_in: LogIn, forger: Forger, after: str = "/") -> tuple[str, str]:
         "sub": "7",
         "iat": now,
         "exp": now + 60,
-        "nonce": asked["nonce"][0],
+        "nonce": query["nonce"][0],
         "email": "ann@shop.example",
         "email_verified": True,
         "groups": ["shop"],
     }
-    return f"{REDIRECT}?code=good&state={asked['state'][0]}", cookie
+    return f"{REDIRECT}?code=good&state={query['state'][0]}", cookie
 
 
-def test_what_is_asked_is_the_code_flow_with_a_challenge(log_in: LogIn, forger: Forger) -> None:
-    address, cookie = log_in.begin(REDIRECT, "/ui/new")
-    asked = {name: values[0] for name, values in parse_qs(urlsplit(address).query).items()}
+def test_what_is_asked_is_the_code_flow_with_a_challenge(log_in: LogIn, forger: FakeProvider) -> None:
+    address, cookie = log_in.start(REDIRECT, "/ui/new")
+    query = {name: values[0] for name, values in parse_qs(urlsplit(address).query).items()}
     assert address.startswith(f"{forger.issuer}/auth?")
-    assert (asked["response_type"], asked["client_id"], asked["redirect_uri"]) == ("code", "tandem", REDIRECT)
-    assert asked["code_challenge_method"] == "S256" and "openid" in asked["scope"].split()
-    others = parse_qs(urlsplit(log_in.begin(REDIRECT, "/")[0]).query)
+    assert (query["response_type"], query["client_id"], query["redirect_uri"]) == ("code", "tandem", REDIRECT)
+    assert query["code_challenge_method"] == "S256" and "openid" in query["scope"].split()
+    others = parse_qs(urlsplit(log_in.start(REDIRECT, "/")[0]).query)
     for name in ("state", "nonce", "code_challenge"):
-        assert others[name] != [asked[name]] and len(asked[name]) >= 43
+        assert others[name] != [query[name]] and len(query[name]) >= 43
     assert SECRET not in address and SECRET not in cookie
 
 
-def test_who_comes_back_is_an_account_with_the_role_that_was_told(log_in: LogIn, forger: Forger) -> None:
-    address, cookie = went(log_in, forger, "/ui/new?from=x")
-    who, after = log_in.end(address, REDIRECT, cookie)
+def test_who_comes_back_is_an_account_with_the_role_that_was_told(
+    log_in: LogIn, forger: FakeProvider
+) -> None:
+    address, cookie = visit_provider(log_in, forger, "/ui/new?from=x")
+    who, after = log_in.finish(address, REDIRECT, cookie)
     assert (who.name, who.role, who.team, after) == ("ann@shop.example", "plan", "shop", "/ui/new?from=x")
     assert who.expires is not None and 11 * 3600 < who.expires - time.time() < 13 * 3600
-    assert forger.asked["code_verifier"][0]
-    address, cookie = went(log_in, forger)
+    assert forger.token_request["code_verifier"][0]
+    address, cookie = visit_provider(log_in, forger)
     forger.claims |= {"groups": ["shop", "release"], "email": "ann.b@shop.example"}  # promoted, and married
-    again, _ = log_in.end(address, REDIRECT, cookie)
+    again, _ = log_in.finish(address, REDIRECT, cookie)
     assert (again.token, again.role, again.name) == (who.token, "release", "ann.b@shop.example")
-    address, cookie = went(log_in, forger)
+    address, cookie = visit_provider(log_in, forger)
     forger.claims |= {"sub": "8", "email": "ann.b@shop.example"}  # another account that is called so
-    third, _ = log_in.end(address, REDIRECT, cookie)
+    third, _ = log_in.finish(address, REDIRECT, cookie)
     assert third.token != who.token and third.name == f"ann.b@shop.example-{third.token[:8]}"
 
 
@@ -176,66 +190,68 @@ WRONG: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_an_id_token_that_is_not_for_this_is_refused(log_in: LogIn, forger: Forger, name: str) -> None:
-    address, cookie = went(log_in, forger)
+def test_an_id_token_that_is_not_for_this_is_refused(log_in: LogIn, forger: FakeProvider, name: str) -> None:
+    address, cookie = visit_provider(log_in, forger)
     forger.claims |= WRONG[name]
     forger.claims = {key: value for key, value in forger.claims.items() if value is not None}
     with pytest.raises(RefusedError) as error:
-        log_in.end(address, REDIRECT, cookie)
+        log_in.finish(address, REDIRECT, cookie)
     assert (error.value.status, error.value.issues[0].code) == (403, "service.log_in")
 
 
 @pytest.mark.parametrize("jump", [7200.0, -7200.0])
 def test_a_clock_that_is_wrong_is_told_as_that(
-    log_in: LogIn, forger: Forger, monkeypatch: pytest.MonkeyPatch, jump: float
+    log_in: LogIn, forger: FakeProvider, monkeypatch: pytest.MonkeyPatch, jump: float
 ) -> None:
-    address, cookie = went(log_in, forger)
+    address, cookie = visit_provider(log_in, forger)
     now = time.time
-    monkeypatch.setattr(oidc, "ASKED_S", 1e9)
-    address, cookie = went(log_in, forger)
+    monkeypatch.setattr(oidc, "MAX_LOG_IN_S", 1e9)
+    address, cookie = visit_provider(log_in, forger)
     monkeypatch.setattr(time, "time", lambda: now() + jump)
-    with pytest.raises(RefusedError, match=r"is not of now \(iat \d+.*set both clocks") as error:
-        log_in.end(address, REDIRECT, cookie)
+    with pytest.raises(RefusedError, match=r"is not valid now \(iat \d+.*Set both clocks") as error:
+        log_in.finish(address, REDIRECT, cookie)
     assert error.value.status == 403
 
 
-def forged(claims: dict[str, Any], alg: str, secret: bytes = b"") -> str:
-    """By hand, for a library makes no such thing: unsigned, or with a word that anybody knows."""
+def forge_token(claims: dict[str, Any], alg: str, secret: bytes = b"") -> str:
+    """Forge a token by hand, which libraries refuse to do: unsigned, or signed with a guessable secret."""
 
     def part(what: bytes) -> str:
         return base64.urlsafe_b64encode(what).decode().rstrip("=")
 
-    body = ".".join(part(json.dumps(one).encode()) for one in ({"alg": alg, "kid": "one"}, claims))
+    body = ".".join(part(json.dumps(item).encode()) for item in ({"alg": alg, "kid": "one"}, claims))
     seal = hmac.new(secret, body.encode(), hashlib.sha256).digest() if secret else b""
     return f"{body}.{part(seal)}"
 
 
 FORGED: dict[str, Callable[[dict[str, Any]], str]] = {
-    "by another key": lambda claims: signed(claims, OTHER),
-    "by nobody": lambda claims: forged(claims, "none"),
-    "by the public key as a word": lambda claims: forged(claims, "HS256", KEY.as_pem(private=False)),
-    "by the secret": lambda claims: forged(claims, "HS256", SECRET.encode()),
-    "by a key of another kind": lambda claims: signed(claims, ECKey.generate_key("P-256"), "ES256"),
-    "with its last letter lost": lambda claims: signed(claims)[:-1],
+    "by another key": lambda claims: sign_token(claims, OTHER),
+    "by nobody": lambda claims: forge_token(claims, "none"),
+    "by the public key as a word": lambda claims: forge_token(claims, "HS256", KEY.as_pem(private=False)),
+    "by the secret": lambda claims: forge_token(claims, "HS256", SECRET.encode()),
+    "by a key of another kind": lambda claims: sign_token(claims, ECKey.generate_key("P-256"), "ES256"),
+    "with its last letter lost": lambda claims: sign_token(claims)[:-1],
     "as anything": lambda claims: "a.b.c",
     "not at all": lambda claims: "",
 }
 
 
 @pytest.mark.parametrize("name", FORGED)
-def test_an_id_token_that_is_not_the_providers_is_refused(log_in: LogIn, forger: Forger, name: str) -> None:
-    address, cookie = went(log_in, forger)
+def test_an_id_token_that_is_not_the_providers_is_refused(
+    log_in: LogIn, forger: FakeProvider, name: str
+) -> None:
+    address, cookie = visit_provider(log_in, forger)
     forger.token = FORGED[name]
     with pytest.raises(RefusedError) as error:
-        log_in.end(address, REDIRECT, cookie)
+        log_in.finish(address, REDIRECT, cookie)
     assert (error.value.status, error.value.issues[0].code) == (403, "service.log_in")
 
 
 def test_only_the_browser_that_went_comes_back(
-    log_in: LogIn, forger: Forger, monkeypatch: pytest.MonkeyPatch
+    log_in: LogIn, forger: FakeProvider, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    address, cookie = went(log_in, forger)
-    other, others_cookie = went(log_in, forger)
+    address, cookie = visit_provider(log_in, forger)
+    other, others_cookie = visit_provider(log_in, forger)
     body, _, seal = cookie.partition(".")
     for given in (
         None,
@@ -246,7 +262,7 @@ def test_only_the_browser_that_went_comes_back(
         f"{others_cookie.partition('.')[0]}.{seal}",
     ):
         with pytest.raises(RefusedError) as error:
-            log_in.end(address, REDIRECT, given)
+            log_in.finish(address, REDIRECT, given)
         assert error.value.status == 403
     for wrong in (
         address.replace("code=good", "code=spent"),
@@ -255,33 +271,33 @@ def test_only_the_browser_that_went_comes_back(
         other,
     ):
         with pytest.raises(RefusedError) as error:
-            log_in.end(wrong, REDIRECT, cookie)
+            log_in.finish(wrong, REDIRECT, cookie)
         assert error.value.status == 403, wrong
     now = time.time()
-    monkeypatch.setattr(oidc.time, "time", lambda: now + ASKED_S + 1.0)
+    monkeypatch.setattr(oidc.time, "time", lambda: now + MAX_LOG_IN_S + 1.0)
     with pytest.raises(RefusedError, match="more than 10 minutes"):
-        log_in.end(address, REDIRECT, cookie)
+        log_in.finish(address, REDIRECT, cookie)
 
 
-def test_who_has_no_role_or_was_revoked_is_told_so(log_in: LogIn, forger: Forger) -> None:
+def test_who_has_no_role_or_was_revoked_is_told_so(log_in: LogIn, forger: FakeProvider) -> None:
     for groups in ([], None, "else", ["shopping"], {"shop": 1}, 7):
-        address, cookie = went(log_in, forger)
+        address, cookie = visit_provider(log_in, forger)
         forger.claims["groups"] = groups
-        with pytest.raises(RefusedError, match=r"ann@shop\.example has no role here"):
-            log_in.end(address, REDIRECT, cookie)
-    address, cookie = went(log_in, forger)
-    who, _ = log_in.end(address, REDIRECT, cookie)
+        with pytest.raises(RefusedError, match=r"ann@shop\.example: has no role on this service"):
+            log_in.finish(address, REDIRECT, cookie)
+    address, cookie = visit_provider(log_in, forger)
+    who, _ = log_in.finish(address, REDIRECT, cookie)
     log_in._auth.revoke(who.name)
-    address, cookie = went(log_in, forger)
+    address, cookie = visit_provider(log_in, forger)
     with pytest.raises(RefusedError, match="was revoked"):
-        log_in.end(address, REDIRECT, cookie)
+        log_in.finish(address, REDIRECT, cookie)
 
 
 def test_an_account_is_called_by_what_its_provider_vouches_for() -> None:
     claims = {"sub": "7", "email": "boss@shop.example", "preferred_username": "eve"}
-    assert called(claims) == "eve"
-    assert called(claims | {"email_verified": True}) == "boss@shop.example"
-    assert called({"sub": "7"}) == "7"
+    assert display_name(claims) == "eve"
+    assert display_name(claims | {"email_verified": True}) == "boss@shop.example"
+    assert display_name({"sub": "7"}) == "7"
 
 
 @pytest.mark.parametrize(
@@ -289,11 +305,11 @@ def test_an_account_is_called_by_what_its_provider_vouches_for() -> None:
     [{"issuer": "https://evil.example"}, {"token_endpoint": "http://evil.example/token"}, {"jwks_uri": None}],
 )
 def test_a_provider_that_is_another_one_is_not_asked(
-    log_in: LogIn, forger: Forger, about: dict[str, Any]
+    log_in: LogIn, forger: FakeProvider, about: dict[str, Any]
 ) -> None:
     forger.about = about
     with pytest.raises(RefusedError) as error:
-        log_in.begin(REDIRECT, "/")
+        log_in.start(REDIRECT, "/")
     assert error.value.status == 502
 
 
@@ -302,8 +318,12 @@ def test_a_provider_that_is_another_one_is_not_asked(
     ["https://evil.example", "//evil.example", "/\\evil.example", "", "x", "/a\nb", "/a b", "javascript:x"],
 )
 def test_the_way_back_stays_inside(path: str) -> None:
-    assert inside(path) == "/"
-    assert inside("/ui/jobs/1?x=%2F#y") == "/ui/jobs/1?x=%2F#y"
+    assert local_path(path) == "/"
+    assert local_path("/ui/jobs/1?x=%2F#y") == "/ui/jobs/1?x=%2F#y"
+
+
+def settings_of(roles: Sequence[str], claim: str, team: str | None, **given: Any) -> OidcSettings:
+    return read_settings(grant_options=GrantOptions(roles, claim, team), **given)
 
 
 def test_options_that_cannot_be_are_told(tmp_path: Path) -> None:
@@ -316,7 +336,7 @@ def test_options_that_cannot_be_are_told(tmp_path: Path) -> None:
         "roles": ("*=view", "a=b=plan"),
     }
     more = {"claim": "groups", "team": None, "scope": "openid"}
-    made = read(**good, **more)  # type: ignore[arg-type]
+    made = settings_of(**good, **more)  # type: ignore[arg-type]
     assert (made.issuer, made.secret) == ("https://id.example/", SECRET)
     assert made.grants == (("*", Grant("view")), ("a=b", Grant("plan")))
     for wrong, field in (
@@ -336,7 +356,7 @@ def test_options_that_cannot_be_are_told(tmp_path: Path) -> None:
         ({"team": "two teams"}, "oidc-team"),
     ):
         with pytest.raises(TandemError) as error:
-            read(**{**good, **more, **wrong})  # type: ignore[arg-type]
+            settings_of(**{**good, **more, **wrong})  # type: ignore[arg-type]
         assert (error.value.issues[0].code, error.value.issues[0].field) == ("service.start", field)
 
 
@@ -353,12 +373,12 @@ TEAMS = (
 def teams(log_in: LogIn, tmp_path: Path) -> LogIn:
     """The same service whose provider's groups are teams."""
     (tmp_path / "secret").write_text(SECRET)
-    given = ("tandem", tmp_path / "secret", TEAMS, "groups", "all", "openid")
-    return LogIn(log_in._auth._database, log_in._auth, read(log_in.oidc.issuer, *given))
+    given = ("tandem", tmp_path / "secret", GrantOptions(TEAMS, "groups", "all"), "openid")
+    return LogIn(log_in._auth._database, log_in._auth, read_settings(log_in.oidc.issuer, *given))
 
 
 @pytest.mark.parametrize(
-    ("groups", "wanted"),
+    ("groups", "expected_access"),
     [
         (["cutters"], ("plan", "cutters", None, None)),
         (["night"], ("plan", "cutters", "submit", None)),
@@ -371,17 +391,17 @@ def teams(log_in: LogIn, tmp_path: Path) -> LogIn:
     ],
 )
 def test_groups_of_the_provider_give_role_team_and_scope(
-    log_in: LogIn, forger: Forger, tmp_path: Path, groups: list[str], wanted: tuple[Any, ...]
+    log_in: LogIn, forger: FakeProvider, tmp_path: Path, groups: list[str], expected_access: tuple[Any, ...]
 ) -> None:
     made = teams(log_in, tmp_path)
-    address, cookie = went(made, forger)
+    address, cookie = visit_provider(made, forger)
     forger.claims["groups"] = groups
-    who, _ = made.end(address, REDIRECT, cookie)
-    assert (who.role, who.team, who.scope, who.tag) == wanted
+    who, _ = made.finish(address, REDIRECT, cookie)
+    assert (who.role, who.team, who.scope, who.tag) == expected_access
     (row,) = log_in._auth.list()
-    assert (row.role, row.team, row.scope, row.tag) == wanted
-    session = log_in._auth.session(log_in._auth.open_session(who)[0])
-    assert (session.role, session.team, session.scope, session.tag) == wanted
+    assert (row.role, row.team, row.scope, row.tag) == expected_access
+    session = log_in._auth.authenticate_session(log_in._auth.open_session(who)[0])
+    assert (session.role, session.team, session.scope, session.tag) == expected_access
 
 
 ODD: dict[str, Any] = {
@@ -397,79 +417,81 @@ ODD: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("name", ODD)
-def test_odd_groups_give_nothing(log_in: LogIn, forger: Forger, name: str) -> None:
-    address, cookie = went(log_in, forger)
+def test_odd_groups_give_nothing(log_in: LogIn, forger: FakeProvider, name: str) -> None:
+    address, cookie = visit_provider(log_in, forger)
     forger.claims["groups"] = ODD[name]
-    with pytest.raises(RefusedError, match="has no role here") as error:
-        log_in.end(address, REDIRECT, cookie)
+    with pytest.raises(RefusedError, match="has no role on this service") as error:
+        log_in.finish(address, REDIRECT, cookie)
     assert error.value.status == 403
     assert log_in._auth.list() == ()
 
 
 @pytest.mark.parametrize("count", [20_000, 200_000])
-def test_too_many_groups_are_told_with_what_to_do(log_in: LogIn, forger: Forger, count: int) -> None:
-    """A directory's whole list: the library that reads tokens takes none that is so long."""
-    address, cookie = went(log_in, forger)
+def test_too_many_groups_are_told_with_what_to_do(log_in: LogIn, forger: FakeProvider, count: int) -> None:
+    """The whole list of a directory: the library that reads tokens refuses such a long token."""
+    address, cookie = visit_provider(log_in, forger)
     forger.claims["groups"] = [f"group {number:05}" for number in range(count)]
-    with pytest.raises(RefusedError, match=r"has [\d,]+ characters, allowed are 120,000.*a filter") as error:
-        log_in.end(address, REDIRECT, cookie)
+    with pytest.raises(RefusedError, match=r"got [\d,]+ characters, allowed 120,000.*Filter") as error:
+        log_in.finish(address, REDIRECT, cookie)
     assert (error.value.status, error.value.issues[0].code) == (403, "service.log_in")
 
 
-def test_some_thousand_groups_are_read(log_in: LogIn, forger: Forger) -> None:
-    address, cookie = went(log_in, forger)
+def test_some_thousand_groups_are_read(log_in: LogIn, forger: FakeProvider) -> None:
+    address, cookie = visit_provider(log_in, forger)
     forger.claims["groups"] = [*(f"group {number:05}" for number in range(4000)), "release"]
-    assert log_in.end(address, REDIRECT, cookie)[0].role == "release"
+    assert log_in.finish(address, REDIRECT, cookie)[0].role == "release"
 
 
 @pytest.mark.parametrize("sub", ["\ud800", "a\0b", "\u202e7", "7\u2028"])
-def test_an_account_that_is_no_text_is_refused(log_in: LogIn, forger: Forger, sub: str) -> None:
+def test_an_account_that_is_no_text_is_refused(log_in: LogIn, forger: FakeProvider, sub: str) -> None:
     """Half a letter, as JSON may have it, was an internal error."""
-    address, cookie = went(log_in, forger)
+    address, cookie = visit_provider(log_in, forger)
     forger.claims["sub"] = sub
-    with pytest.raises(RefusedError, match="by what is no text") as error:
-        log_in.end(address, REDIRECT, cookie)
+    with pytest.raises(RefusedError, match="unprintable account name") as error:
+        log_in.finish(address, REDIRECT, cookie)
     assert error.value.status == 403
 
 
 @pytest.mark.parametrize("name", ["\ud800@shop.example", "\u202enna", "a\nb", "<b>" + "x" * 10_000])
-def test_a_name_without_a_role_is_told_as_text(log_in: LogIn, forger: Forger, name: str) -> None:
-    address, cookie = went(log_in, forger)
+def test_a_name_without_a_role_is_told_as_text(log_in: LogIn, forger: FakeProvider, name: str) -> None:
+    address, cookie = visit_provider(log_in, forger)
     forger.claims |= {"email": name, "groups": []}
-    with pytest.raises(RefusedError, match="has no role here") as error:
-        log_in.end(address, REDIRECT, cookie)
+    with pytest.raises(RefusedError, match="has no role on this service") as error:
+        log_in.finish(address, REDIRECT, cookie)
     (issue,) = error.value.issues
     assert issue.message.isprintable() and len(issue.message.encode()) < 1000
 
 
-def test_names_of_accounts_are_plain_whatever_the_provider_tells(log_in: LogIn, forger: Forger) -> None:
-    address, cookie = went(log_in, forger)
+def test_names_of_accounts_are_plain_whatever_the_provider_tells(log_in: LogIn, forger: FakeProvider) -> None:
+    address, cookie = visit_provider(log_in, forger)
     forger.claims |= {"email": "<script>alert(1)</script>\u202eann" + "x" * 10_000}
-    who, _ = log_in.end(address, REDIRECT, cookie)
+    who, _ = log_in.finish(address, REDIRECT, cookie)
     assert re.fullmatch(r"[A-Za-z0-9_.@-]{1,64}", who.name)
 
 
-def test_in_another_team_an_account_begins_anew(log_in: LogIn, forger: Forger, tmp_path: Path) -> None:
-    """What it made stays with the team that it was in; what was revoked in one team is so in all."""
+def test_in_another_team_an_account_begins_anew(log_in: LogIn, forger: FakeProvider, tmp_path: Path) -> None:
+    """Its jobs stay with the previous team; a revocation in one team holds in all."""
     made, auth = teams(log_in, tmp_path), log_in._auth
 
     def comes(groups: list[str]) -> Any:
-        address, cookie = went(made, forger)
+        address, cookie = visit_provider(made, forger)
         forger.claims["groups"] = groups
-        return made.end(address, REDIRECT, cookie)[0]
+        return made.finish(address, REDIRECT, cookie)[0]
 
     first = comes(["cutters"])
     cookie, _ = auth.open_session(first)
     other = comes(["formers"])
     assert other.token != first.token
     assert not auth.sees(other, first.token) and not auth.sees(first, other.token)
-    with pytest.raises(RefusedError, match="session is over"):
-        auth.session(cookie)
+    with pytest.raises(RefusedError, match="session has expired"):
+        auth.authenticate_session(cookie)
     again = comes(["foremen"])
     assert (again.token, again.role) == (first.token, "release")
     cookie, _ = auth.open_session(again)
     comes(["night"])
-    assert auth.session(cookie).scope == "submit"  # at once, in the browsers where it is logged in
+    assert (
+        auth.authenticate_session(cookie).scope == "submit"
+    )  # at once, in the browsers where it is logged in
     auth.revoke(other.name)
     for groups in (["cutters"], ["formers"], []):
         with pytest.raises(RefusedError, match="was revoked"):
@@ -485,20 +507,20 @@ def real(tmp_path: Path) -> Iterator[InProcess]:
     port = free_port()
     script = str(Path(__file__).with_name("oidc_provider.mjs"))
     node = subprocess.Popen(
-        ["node", script, str(port), f"{HERE}/ui/oidc/callback", folder], stdout=subprocess.PIPE
+        ["node", script, str(port), f"{BASE_URL}/ui/oidc/callback", folder], stdout=subprocess.PIPE
     )
     assert node.stdout is not None
     assert node.stdout.readline() == b"ready\n"
-    account = Oidc(f"http://127.0.0.1:{port}", "tandem", SECRET, REAL)
+    account = OidcSettings(f"http://127.0.0.1:{port}", "tandem", SECRET, REAL)
     try:
-        with InProcess(tmp_path / "data", examiners=1, oidc=account) as made:
-            yield made
+        with InProcess(tmp_path / "data", examiners=1, oidc=account) as running_service:
+            yield running_service
     finally:
         node.kill()
         node.wait()
 
 
-HERE = "http://127.0.0.1"
+BASE_URL = "http://127.0.0.1"
 REAL = (
     ("shop", Grant("plan", "shop")),
     ("night", Grant("plan", "shop", "submit")),
@@ -507,7 +529,7 @@ REAL = (
 
 
 def logged_in(real: InProcess, account: str) -> httpx.Response:
-    """What the service says of somebody who logs in at the provider's own pages."""
+    """Return the session answer after a login at the provider's own pages."""
     page = real.http.get("/ui/oidc/login?after=/ui/new", follow_redirects=False)
     assert page.status_code == 303
     assert (
@@ -521,7 +543,7 @@ def logged_in(real: InProcess, account: str) -> httpx.Response:
             action = re.search(r'action="([^"]+)"', answer.text)
             assert action is not None, answer.text[:500]
             answer = browser.post(action[1], data=form, follow_redirects=False)
-            while answer.is_redirect and not answer.headers["location"].startswith(f"{HERE}/ui"):
+            while answer.is_redirect and not answer.headers["location"].startswith(f"{BASE_URL}/ui"):
                 answer = browser.get(answer.url.join(answer.headers["location"]), follow_redirects=False)
     back = urlsplit(answer.headers["location"])
     return real.http.get(f"{back.path}?{back.query}", follow_redirects=False)
@@ -540,7 +562,7 @@ def test_people_log_in_by_a_real_provider(real: InProcess) -> None:
     real.http.cookies.clear()
     refused = logged_in(real, "eve+nobody")
     assert refused.status_code == 403
-    assert "eve@shop.example has no role here" in refused.text
+    assert "eve@shop.example: has no role on this service" in refused.text
     assert real.http.get("/v1/jobs").status_code == 401
 
 
@@ -552,8 +574,8 @@ def test_groups_of_a_real_provider_give_a_scope(
     real: InProcess, group: str, role: str, scope: str, tag: str | None
 ) -> None:
     assert logged_in(real, f"ann+{group}").status_code == 303
-    said = real.http.get("/v1/session").json()
-    assert (said["role"], said["team"], said["scope"], said.get("tag")) == (role, "shop", scope, tag)
+    body = real.http.get("/v1/session").json()
+    assert (body["role"], body["team"], body["scope"], body.get("tag")) == (role, "shop", scope, tag)
     assert real.http.get("/v1/jobs").status_code == 200
     for path in ("/v1/elements", "/v1/drafts", "/v1/audit", "/v1/webhooks", "/metrics"):
         assert real.http.get(path).status_code == 403, path
@@ -564,100 +586,103 @@ def test_groups_of_a_real_provider_give_a_scope(
 def test_who_comes_without_having_gone_is_told_on_the_log_in_page(real: InProcess) -> None:
     answer = real.http.get("/ui/oidc/callback?code=x&state=<script>alert(1)</script>")
     assert answer.status_code == 403
-    assert "begun in this browser" in answer.text and "<script>alert" not in answer.text
+    assert "started in this browser" in answer.text and "<script>alert" not in answer.text
 
 
 def test_a_service_without_a_provider_has_no_such_pages(tmp_path: Path) -> None:
-    with InProcess(tmp_path / "data", examiners=1) as here:
-        assert here.http.get("/ui/oidc/login").status_code == 404
-        assert here.http.get("/ui/oidc/callback").status_code == 404
-        assert "your account" not in here.http.get("/ui/login").text
+    with InProcess(tmp_path / "data", examiners=1) as running_service:
+        assert running_service.http.get("/ui/oidc/login").status_code == 404
+        assert running_service.http.get("/ui/oidc/callback").status_code == 404
+        assert "your account" not in running_service.http.get("/ui/login").text
 
 
-def test_an_issuer_may_end_with_a_slash(forger: Forger, tmp_path: Path) -> None:
-    """Authentik's and Auth0's do; compared is what the provider says (Core 1.0, section 3.1.3.7)."""
+def test_an_issuer_may_end_with_a_slash(forger: FakeProvider, tmp_path: Path) -> None:
+    """Those of Authentik and Auth0 do; it is compared with the provider's (Core 1.0, section 3.1.3.7)."""
     forger.about = {"issuer": f"{forger.issuer}/"}
     database = Database(default_url(tmp_path))
     for given in (forger.issuer, f"{forger.issuer}/"):
-        log_in = LogIn(database, Auth(database), Oidc(given, "tandem", SECRET, GRANTS))
-        address, cookie = went(log_in, forger)
+        log_in = LogIn(database, Auth(database), OidcSettings(given, "tandem", SECRET, GRANTS))
+        address, cookie = visit_provider(log_in, forger)
         forger.claims["iss"] = f"{forger.issuer}/"
-        assert log_in.end(address, REDIRECT, cookie)[0].role == "plan"
-        address, cookie = went(log_in, forger)  # without the slash it is another one
+        assert log_in.finish(address, REDIRECT, cookie)[0].role == "plan"
+        address, cookie = visit_provider(log_in, forger)  # without the slash it is another one
         with pytest.raises(RefusedError):
-            log_in.end(address, REDIRECT, cookie)
+            log_in.finish(address, REDIRECT, cookie)
     database.close()
 
 
-def test_an_address_that_nobody_verified_gives_no_role_and_no_name(forger: Forger, tmp_path: Path) -> None:
+def test_an_address_that_nobody_verified_gives_no_role_and_no_name(
+    forger: FakeProvider, tmp_path: Path
+) -> None:
     database = Database(default_url(tmp_path))
     grants = (("boss@shop.example", Grant("release")), ("*", Grant("view")))
-    told = Oidc(forger.issuer, "tandem", SECRET, grants, claim="email")
+    told = OidcSettings(forger.issuer, "tandem", SECRET, grants, claim="email")
     log_in = LogIn(database, Auth(database), told)
     for verified, role, name in ((False, "view", "7"), (True, "release", "boss@shop.example")):
-        address, cookie = went(log_in, forger)
+        address, cookie = visit_provider(log_in, forger)
         borrowed = {"email": "boss@shop.example", "preferred_username": "boss@shop.example"}
         forger.claims |= {**borrowed, "email_verified": verified}
-        who, _ = log_in.end(address, REDIRECT, cookie)
+        who, _ = log_in.finish(address, REDIRECT, cookie)
         assert (who.role, who.name) == (role, name)
     database.close()
 
 
-def test_who_has_lost_his_role_has_no_session_left(log_in: LogIn, forger: Forger) -> None:
-    address, cookie = went(log_in, forger)
-    who, _ = log_in.end(address, REDIRECT, cookie)
+def test_who_has_lost_his_role_has_no_session_left(log_in: LogIn, forger: FakeProvider) -> None:
+    address, cookie = visit_provider(log_in, forger)
+    who, _ = log_in.finish(address, REDIRECT, cookie)
     session, _ = log_in._auth.open_session(who)
-    assert log_in._auth.session(session).token == who.token
-    address, cookie = went(log_in, forger)
+    assert log_in._auth.authenticate_session(session).token == who.token
+    address, cookie = visit_provider(log_in, forger)
     forger.claims["groups"] = []
     with pytest.raises(RefusedError):
-        log_in.end(address, REDIRECT, cookie)
+        log_in.finish(address, REDIRECT, cookie)
     with pytest.raises(RefusedError):
-        log_in._auth.session(session)
+        log_in._auth.authenticate_session(session)
 
 
 def test_keys_that_were_changed_are_asked_for(
-    log_in: LogIn, forger: Forger, monkeypatch: pytest.MonkeyPatch
+    log_in: LogIn, forger: FakeProvider, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(oidc, "FAILED_S", 0.0)
-    address, cookie = went(log_in, forger)
-    log_in.end(address, REDIRECT, cookie)
+    monkeypatch.setattr(oidc, "RETRY_AFTER_FAILURE_S", 0.0)
+    address, cookie = visit_provider(log_in, forger)
+    log_in.finish(address, REDIRECT, cookie)
     new = RSAKey.generate_key(2048, {"kid": "two"})
-    address, cookie = went(log_in, forger)
+    address, cookie = visit_provider(log_in, forger)
     monkeypatch.setattr(f"{__name__}.KEY", new)
-    forger.token = lambda claims: signed(claims, new, kid="two")
-    assert log_in.end(address, REDIRECT, cookie)[0].role == "plan"
+    forger.token = lambda claims: sign_token(claims, new, kid="two")
+    assert log_in.finish(address, REDIRECT, cookie)[0].role == "plan"
 
 
 def test_a_provider_that_hangs_costs_log_ins_alone(tmp_path: Path) -> None:
-    """It is asked by few at once, and not again at once; the service answers others meanwhile."""
+    """Only a few requests to it run at once, with pauses; the service answers others meanwhile."""
     silent = socket.socket()
-    silent.bind((HERE.removeprefix("http://"), 0))
+    silent.bind((BASE_URL.removeprefix("http://"), 0))
     silent.listen(64)
-    account = Oidc(f"{HERE}:{silent.getsockname()[1]}", "tandem", SECRET, GRANTS)
-    with InProcess(tmp_path / "data", examiners=1, oidc=account) as here:
-        here.service.failures = Rates(None)
-        before = oidc.ANSWER_S
-        oidc.ANSWER_S = 2.0  # type: ignore[misc]
+    account = OidcSettings(f"{BASE_URL}:{silent.getsockname()[1]}", "tandem", SECRET, GRANTS)
+    with InProcess(tmp_path / "data", examiners=1, oidc=account) as running_service:
+        running_service.service.failures = RateLimiter(None)
+        before = oidc.PROVIDER_TIMEOUT_S
+        oidc.PROVIDER_TIMEOUT_S = 2.0  # type: ignore[misc]
         try:
             with ThreadPoolExecutor(30) as pool:
-                asked = [
-                    pool.submit(here.http.get, "/ui/oidc/login", follow_redirects=False) for _ in range(30)
+                futures = [
+                    pool.submit(running_service.http.get, "/ui/oidc/login", follow_redirects=False)
+                    for _ in range(30)
                 ]
                 begun = time.monotonic()
-                assert here.http.get("/v1/jobs").status_code == 401
+                assert running_service.http.get("/v1/jobs").status_code == 401
                 assert time.monotonic() - begun < 2.0
-                statuses = {one.result().status_code for one in asked}
+                statuses = {item.result().status_code for item in futures}
             assert statuses == {502, 503}
             begun = time.monotonic()
-            assert here.http.get("/ui/oidc/login").status_code == 502
+            assert running_service.http.get("/ui/oidc/login").status_code == 502
             assert time.monotonic() - begun < 1.0
         finally:
-            oidc.ANSWER_S = before  # type: ignore[misc]
+            oidc.PROVIDER_TIMEOUT_S = before  # type: ignore[misc]
             silent.close()
 
 
 def test_log_ins_of_one_address_come_at_a_limited_rate(tmp_path: Path) -> None:
-    account = Oidc(f"{HERE}:9", "tandem", SECRET, GRANTS)
-    with InProcess(tmp_path / "data", examiners=1, oidc=account) as here:
-        assert {here.http.get("/ui/oidc/login").status_code for _ in range(14)} == {502, 429}
+    account = OidcSettings(f"{BASE_URL}:9", "tandem", SECRET, GRANTS)
+    with InProcess(tmp_path / "data", examiners=1, oidc=account) as running_service:
+        assert {running_service.http.get("/ui/oidc/login").status_code for _ in range(14)} == {502, 429}

@@ -1,4 +1,4 @@
-"""Whose turn it is, a sweep of a field, and what a job may still take by like ones."""
+"""The order of the queue, sweeps of a field, and the remaining time of a job estimated from similar jobs."""
 
 from __future__ import annotations
 
@@ -14,34 +14,34 @@ from sqlalchemy import insert, update
 
 from planner.service.jobs import Jobs, NewJob
 from planner.service.models import EVENTS, JOBS
-from planner.service.runner import Work
-from planner.service.security import Limits
+from planner.service.runner import JobQueue
+from planner.service.security import ServiceLimits
 from planner.service.storage import Blob
 from tests import small_problem
 from tests.service import postgres
-from tests.service.support import TABLE, InProcess, codes, named
+from tests.service.support import TABLE, InProcess, issue_codes, named_problem
 from tests.service.test_finding import put
-from tests.service.test_roles import Shop, opened
+from tests.service.test_roles import Shop, open_service
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def shop(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Shop]:
     """A service whose one worker has a job of dan, so that all others wait."""
     database = postgres.fresh(tmp_path) if request.param == "postgresql" else None
-    with opened(tmp_path / "data", database) as here:
-        here.team.hold.set()
-        here.service.runner.stop()
-        yield Shop(here)
+    with open_service(tmp_path / "data", database) as running_service:
+        running_service.team.hold.set()
+        running_service.service.runner.stop()
+        yield Shop(running_service)
 
 
 def order(shop: Shop, by: str = "ann") -> list[tuple[str, int]]:
     found = shop.ask(by, "GET", "/v1/jobs?state=queued&sort=turn").json()["jobs"]
-    return [(one["name"], one["ahead"]) for one in found]
+    return [(item["name"], item["ahead"]) for item in found]
 
 
-def claimed(shop: Shop) -> list[str]:
+def claim_all(shop: Shop) -> list[str]:
     """The names of jobs in the order in which they are taken, each ended before the next."""
-    work, out = Work(shop.here.service.database, "other", 60.0), []
+    work, out = JobQueue(shop.running_service.service.database, "other", 60.0), []
     while (job := work.claim()) is not None:
         out.append(job.name)
         work.finish(job, "infeasible", (), {}, 1.0, {})
@@ -61,9 +61,9 @@ def test_a_job_comes_first_among_those_of_its_owner_alone(shop: Shop) -> None:
     one = shop.ask("ann", "GET", "/v1/jobs?state=queued&sort=turn&limit=1").json()
     rest = shop.ask("ann", "GET", f"/v1/jobs?state=queued&sort=turn&cursor={one['next']}").json()["jobs"]
     assert [job["name"] for job in (*one["jobs"], *rest)] == ["a3", "a1", "a2"]
-    assert claimed(shop) == ["a3", "e1", "a1", "e2", "a2"]
+    assert claim_all(shop) == ["a3", "e1", "a1", "e2", "a2"]
     late = shop.ask("ann", "POST", f"/v1/jobs/{ids['a2']}/first")
-    assert (late.status_code, codes(late)) == (409, [("service.state", "state")])
+    assert (late.status_code, issue_codes(late)) == (409, [("service.state", "state")])
 
 
 def test_many_who_come_first_at_once_lose_no_turn(shop: Shop) -> None:
@@ -71,32 +71,35 @@ def test_many_who_come_first_at_once_lose_no_turn(shop: Shop) -> None:
     with ThreadPoolExecutor(6) as pool:
         answers = list(pool.map(lambda one: shop.ask("ann", "POST", f"/v1/jobs/{one}/first"), ids))
     assert {one.status_code for one in answers} == {200}
-    found = order(shop)
-    assert [ahead for _, ahead in found] == list(range(6))
-    assert claimed(shop) == [name for name, _ in found]
+    result = order(shop)
+    assert [ahead for _, ahead in result] == list(range(6))
+    assert claim_all(shop) == [name for name, _ in result]
 
 
-def swept(here: InProcess, query: dict[str, Any], **more: Any) -> Any:
+def post_sweep(running_service: InProcess, query: dict[str, Any], **more: Any) -> Any:
     files = [("problem", ("p.yaml", small_problem.PROBLEM)), ("files", ("targets.csv", TABLE))]
-    return here.http.post("/v1/sweeps", params=query, files=files, **more)
+    return running_service.http.post("/v1/sweeps", params=query, files=files, **more)
 
 
 def test_a_sweep_makes_a_job_of_each_value_or_none(tmp_path: Path) -> None:
-    with InProcess(tmp_path / "data", examiners=1) as here:
+    with InProcess(tmp_path / "data", examiners=1) as running_service:
         query = {"field": "operations.0.feed_mm_s", "value": ["20", "30.5", "40"], "tag": "Vorschub"}
         key = {"Idempotency-Key": "sweep-1"}
-        made, again = swept(here, query, headers=key), swept(here, query, headers=key)
+        made, again = (
+            post_sweep(running_service, query, headers=key),
+            post_sweep(running_service, query, headers=key),
+        )
         assert made.status_code == 201, made.text
         jobs = made.json()["jobs"]
-        assert [one["id"] for one in again.json()["jobs"]] == [one["id"] for one in jobs]
-        assert [one["title"].rpartition(": ")[2] for one in jobs] == [
+        assert [item["id"] for item in again.json()["jobs"]] == [item["id"] for item in jobs]
+        assert [item["title"].rpartition(": ")[2] for item in jobs] == [
             f"operations.0.feed_mm_s = {v}" for v in ("20", "30.5", "40")
         ]
-        assert len({one["digest"] for one in jobs}) == 3
-        text = here.http.get(f"/v1/jobs/{jobs[1]['id']}/files/problem/problem.yaml").text
+        assert len({item["digest"] for item in jobs}) == 3
+        text = running_service.http.get(f"/v1/jobs/{jobs[1]['id']}/files/problem/problem.yaml").text
         assert "feed_mm_s: 30.5" in text
-        found = here.http.get("/v1/jobs", params={"tag": "vorschub"}).json()["jobs"]
-        assert {one["id"] for one in found} == {one["id"] for one in jobs}
+        found = running_service.http.get("/v1/jobs", params={"tag": "vorschub"}).json()["jobs"]
+        assert {item["id"] for item in found} == {item["id"] for item in jobs}
         for bad, field in (
             ({"value": ["20", "-1"]}, "operations.0.feed_mm_s"),
             ({"value": ["20", "1e999"]}, "operations.0.feed_mm_s"),
@@ -114,93 +117,97 @@ def test_a_sweep_makes_a_job_of_each_value_or_none(tmp_path: Path) -> None:
             ({"field": "cell.name", "value": ["a\u2028b", "a"]}, "value.0"),
             ({"field": "operations.\u00b2.feed_mm_s"}, None),
         ):
-            refused = swept(here, {**query, **bad})
+            refused = post_sweep(running_service, {**query, **bad})
             assert refused.status_code == 422, (bad, refused.text)
             assert "passwd" not in refused.text or "not uploaded" in refused.text.replace("_", " ")
-            assert field is None or field in [one[1] for one in codes(refused)], (bad, refused.text)
-        wrong = swept(here, {**query, "value": ["20", "-1"]})
+            assert field is None or field in [item[1] for item in issue_codes(refused)], (bad, refused.text)
+        wrong = post_sweep(running_service, {**query, "value": ["20", "-1"]})
         assert wrong.json()["issues"][0]["message"].startswith("operations.0.feed_mm_s = -1: ")
-        assert len(here.http.get("/v1/jobs?limit=200").json()["jobs"]) == 3
+        assert len(running_service.http.get("/v1/jobs?limit=200").json()["jobs"]) == 3
 
 
 def test_several_problems_make_a_job_each_or_none(tmp_path: Path) -> None:
-    with InProcess(tmp_path / "data", examiners=1) as here:
+    with InProcess(tmp_path / "data", examiners=1) as running_service:
         url, params, header = "/v1/batches", {"tag": "Wand ٣"}, {"Idempotency-Key": "batch-1"}
 
         def sent(*texts: str, names: tuple[str, ...] = ("a.yaml", "b.yaml", "c.yaml"), **more: Any) -> Any:
             parts = [("problem", (name, text)) for name, text in zip(names, texts, strict=False)]
             files = [*parts, ("files", ("targets.csv", TABLE))]
-            return here.http.post(url, files=files, **{"params": params, **more})
+            return running_service.http.post(url, files=files, **{"params": params, **more})
 
-        good = [named("first"), named("second"), small_problem.PROBLEM]
+        good = [named_problem("first"), named_problem("second"), small_problem.PROBLEM]
         made, again = sent(*good, headers=header), sent(*good, headers=header)
         assert made.status_code == 201, made.text
         jobs = made.json()["jobs"]
-        assert [one["name"] for one in jobs] == ["first", "second", "small"]
-        assert {tuple(one["tags"]) for one in jobs} == {("Wand ٣",)}
-        assert [one["id"] for one in again.json()["jobs"]] == [one["id"] for one in jobs]
-        listed = here.http.get(f"/v1/jobs/{jobs[0]['id']}/files").json()["files"]
-        assert any(one["name"].startswith("problem/files/targets-") for one in listed)
+        assert [item["name"] for item in jobs] == ["first", "second", "small"]
+        assert {tuple(item["tags"]) for item in jobs} == {("Wand ٣",)}
+        assert [item["id"] for item in again.json()["jobs"]] == [item["id"] for item in jobs]
+        listed = running_service.http.get(f"/v1/jobs/{jobs[0]['id']}/files").json()["files"]
+        assert any(item["name"].startswith("problem/files/targets-") for item in listed)
         other = sent(*reversed(good), headers=header)
-        assert codes(other) == [("service.idempotency", "Idempotency-Key")]
-        bad = named("bad") + "\nnonsense: 1\n"
-        wrong = sent(named("fine"), bad, "]")
+        assert issue_codes(other) == [("service.idempotency", "Idempotency-Key")]
+        bad = named_problem("bad") + "\nnonsense: 1\n"
+        wrong = sent(named_problem("fine"), bad, "]")
         assert wrong.status_code == 422
-        said = [one["message"].partition(": ")[0] for one in wrong.json()["issues"]]
+        said = [item["message"].partition(": ")[0] for item in wrong.json()["issues"]]
         assert said == ["b.yaml", "c.yaml"], wrong.text
         assert wrong.json()["of"] == [1, 2]
         swapped = [good[1], good[0], good[2]]  # jobs come in the order of the parts
         turned = sent(*swapped, names=("b.yaml", "a.yaml", "c.yaml"), headers=header)
-        assert codes(turned) == [("service.idempotency", "Idempotency-Key")]
+        assert issue_codes(turned) == [("service.idempotency", "Idempotency-Key")]
         for name in ("W" * 256, "a\u202e.yaml"):
-            assert codes(sent(good[0], names=(name,))) == [("service.file_name", "problem")]
+            assert issue_codes(sent(good[0], names=(name,))) == [("service.file_name", "problem")]
         for refused, what in (
             (sent(*good, names=("a.yaml", "a.yaml", "b.yaml")), "two problems have the name 'a.yaml'"),
             (
                 sent(*["{}"] * 51, names=tuple(f"{n}.yaml" for n in range(51))),
-                "got 51 problems, 1 to 50 may be",
+                "wrong number of problems (got 51, allowed 1 to 50)",
             ),
-            (sent(), "got 0 problems, 1 to 50 may be"),
+            (sent(), "wrong number of problems (got 0, allowed 1 to 50)"),
             (sent(*good, params={"tag": "a\u202eb"}), "right-to-left override"),
             (
-                here.http.post(url, data={"problem": [good[0], "x" * 200_000]}, files={"files": ("t", b"1")}),
-                "exceeded maximum size of 97KB.; send problems as files",
+                running_service.http.post(
+                    url, data={"problem": [good[0], "x" * 200_000]}, files={"files": ("t", b"1")}
+                ),
+                "exceeded maximum size of 97KB. Send problems as files.",
             ),
         ):
             assert refused.status_code == 422
             assert what in refused.text, refused.text
-        assert len(here.http.get("/v1/jobs?limit=200").json()["jobs"]) == 3
-        twice = sent(named("same"), named("same"), named("other")).json()["jobs"]
-        assert [one["title"] for one in twice] == ["same: a.yaml", "same: b.yaml", ""]
+        assert len(running_service.http.get("/v1/jobs?limit=200").json()["jobs"]) == 3
+        twice = sent(named_problem("same"), named_problem("same"), named_problem("other")).json()["jobs"]
+        assert [item["title"] for item in twice] == ["same: a.yaml", "same: b.yaml", ""]
         wide = sent(
-            named("same"), named("same"), names=("\u0958" * 150, "b")
+            named_problem("same"), named_problem("same"), names=("\u0958" * 150, "b")
         )  # each is two letters when kept
         assert wide.json()["jobs"][0]["title"] == "same: " + "\u0915\u093c" * 97
-        here.team.hold.set()
-        object.__setattr__(here.service.limits, "open_jobs", 1)
-        many = sent(named("n"), named("m"))
-        assert (many.status_code, codes(many)) == (429, [("service.too_many", None)])
+        running_service.team.hold.set()
+        object.__setattr__(running_service.service.limits, "open_jobs", 1)
+        many = sent(named_problem("n"), named_problem("m"))
+        assert (many.status_code, issue_codes(many)) == (429, [("service.too_many", None)])
 
 
 def test_a_sweep_opens_no_more_jobs_than_one_may(tmp_path: Path) -> None:
-    with InProcess(tmp_path / "data", Limits(open_jobs=3), examiners=1) as here:
-        here.team.hold.set()
+    with InProcess(tmp_path / "data", ServiceLimits(open_jobs=3), examiners=1) as running_service:
+        running_service.team.hold.set()
         query = {"field": "operations.0.feed_mm_s", "value": ["20", "30", "40", "50"]}
-        refused = swept(here, query)
-        assert (refused.status_code, codes(refused)) == (429, [("service.too_many", None)])
-        assert "0 jobs wait or run, 4 more are wanted, at most 3 may" in refused.text
-        assert swept(here, {**query, "value": ["20", "30", "40"]}).status_code == 201
+        refused = post_sweep(running_service, query)
+        assert (refused.status_code, issue_codes(refused)) == (429, [("service.too_many", None)])
+        assert "got 0 and 4 new ones, allowed 3" in refused.text
+        assert post_sweep(running_service, {**query, "value": ["20", "30", "40"]}).status_code == 201
 
 
-def ran(here: InProcess, name: str, times: dict[str, tuple[float, float]], end: float) -> str:
+def add_finished_job(
+    running_service: InProcess, name: str, times: dict[str, tuple[float, float]], end: float
+) -> str:
     """A proven job whose stages began then."""
-    jobs: Jobs = here.service.jobs
+    jobs: Jobs = running_service.service.jobs
     job = jobs.create(NewJob("local", name, "0" * 64, name, ("targets",), {"p": Blob("0" * 64, 1)}, 1, 1)).id
     rows = [{"kind": "state", "data": {"state": "running"}, "at": 0.0}]
     for stage, seen in times.items():
         rows += [{"kind": "progress", "data": {"stage": stage, "fraction": 0.0}, "at": at} for at in seen]
     rows.append({"kind": "state", "data": {"state": "verified"}, "at": end})
-    with here.service.database.write() as db:
+    with running_service.service.database.write() as db:
         for seq, row in enumerate(rows, 10):
             data = json.dumps(row["data"])
             db.execute(insert(EVENTS).values(**{**row, "data": data, "job": job, "seq": seq}))
@@ -209,22 +216,30 @@ def ran(here: InProcess, name: str, times: dict[str, tuple[float, float]], end: 
 
 
 def test_what_is_left_is_the_median_of_like_jobs(tmp_path: Path) -> None:
-    with InProcess(tmp_path / "data", examiners=1) as here:
-        here.service.runner.stop()
-        job = here.service.jobs.create(NewJob("local", "now", "0" * 64, "now", ("targets",), {}, 1, 1)).id
+    with InProcess(tmp_path / "data", examiners=1) as running_service:
+        running_service.service.runner.stop()
+        job = running_service.service.jobs.create(
+            NewJob("local", "now", "0" * 64, "now", ("targets",), {}, 1, 1)
+        ).id
 
-        def told() -> dict[str, Any]:
-            here.service.estimates._known.clear()
-            return dict(here.http.get(f"/v1/jobs/{job}/estimate").json())
+        def read_estimate() -> dict[str, Any]:
+            running_service.service.estimates._known.clear()
+            return dict(running_service.http.get(f"/v1/jobs/{job}/estimate").json())
 
-        assert told() == {"like": 0, "stages": []}  # nothing is made up
-        ran(here, "a", {"motion": (1.0, 3.0), "proof": (11.0, 11.0)}, 13.0)  # 10 s, 2 s
-        ran(here, "b", {"motion": (1.0, 2.0), "proof": (21.0, 21.0)}, 25.0)  # 20 s, 4 s
-        ran(here, "c", {"motion": (1.0, 2.0), "proof": (31.0, 99.0)}, 5.0)  # 30 s, 68 s: clock set back
-        found = told()
-        assert found["like"] == 3
-        assert {one["stage"]: one["seconds"] for one in found["stages"]} == {"motion": 20.0, "proof": 4.0}
-        assert (found["whole_s"], "left_s" in found, "elapsed_s" in found) == (24.0, False, False)
+        assert read_estimate() == {"like": 0, "stages": []}  # nothing is made up
+        add_finished_job(
+            running_service, "a", {"motion": (1.0, 3.0), "proof": (11.0, 11.0)}, 13.0
+        )  # 10 s, 2 s
+        add_finished_job(
+            running_service, "b", {"motion": (1.0, 2.0), "proof": (21.0, 21.0)}, 25.0
+        )  # 20 s, 4 s
+        add_finished_job(
+            running_service, "c", {"motion": (1.0, 2.0), "proof": (31.0, 99.0)}, 5.0
+        )  # 30 s, 68 s: clock set back
+        result = read_estimate()
+        assert result["like"] == 3
+        assert {item["stage"]: item["seconds"] for item in result["stages"]} == {"motion": 20.0, "proof": 4.0}
+        assert (result["whole_s"], "left_s" in result, "elapsed_s" in result) == (24.0, False, False)
 
         for stage, fraction, ago, least, most in (
             ("motion", 0.0, 5.0, 18.0, 19.1),
@@ -235,8 +250,8 @@ def test_what_is_left_is_the_median_of_like_jobs(tmp_path: Path) -> None:
             ("motion", 0.0, -3e8, 24.0, 24.0),  # begun in the future
         ):
             values = {"state": "running", "stage": stage, "fraction": fraction, "started": time.time() - ago}
-            with here.service.database.write() as db:
+            with running_service.service.database.write() as db:
                 db.execute(update(JOBS).where(JOBS.c.id == job).values(**values))
-            now = told()
+            now = read_estimate()
             assert least <= now["left_s"] <= most, (stage, now)
             assert now["elapsed_s"] >= 0

@@ -1,5 +1,8 @@
-"""The recipes of ``integrations/operate``: systemd reads the units, the commands in them are ours, and the
-container's health check tells a service that is there from one that is not."""
+"""The recipes of ``integrations/operate``.
+
+systemd reads the units, their commands are Tandem's own, and the container's health check distinguishes a
+running service from a stopped one.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +25,12 @@ RECIPES = ROOT / "integrations" / "operate"
 INSTALLED = "/opt/tandem/bin/tandem"
 UNITS = ("tandem.service", "tandem-backup.service", "tandem-backup.timer")
 COMMANDS = {"serve": commands.Serve, "token": commands.Token, "backup": commands.BackUp}
-MOST_EXPOSED = 2.0
+MAX_EXPOSURE = 2.0
 """Of ten, by `systemd-analyze security`; a unit that restricts nothing has 9.6."""
 
 
-def parsed(words: list[str]) -> object:
-    """What the command line makes of a command; it exits on what it does not know."""
+def parse_command(words: list[str]) -> object:
+    """Parse a command with the command line. It exits for unknown arguments."""
     return tyro.cli(COMMANDS[words[0]], args=words[1:])
 
 
@@ -63,7 +66,7 @@ def test_systemd_reads_the_units(systemd: Path) -> None:
 
 
 def test_systemd_tells_a_unit_that_is_wrong(systemd: Path) -> None:
-    """That the look above can fail."""
+    """The previous check can fail."""
     wrong = systemd / "wrong.service"
     wrong.write_text((systemd / UNITS[0]).read_text().replace("OOMPolicy=continue", "OOMPolicy=go-on"))
     assert "go-on" in analyze("verify", wrong).stderr
@@ -73,7 +76,7 @@ def test_the_service_is_shut_in(systemd: Path) -> None:
     said = analyze("security", "--offline=true", "--no-pager", systemd / "tandem.service").stdout
     exposed = re.search(r"Overall exposure level for tandem\.service: ([0-9.]+)", said)
     assert exposed is not None, said
-    assert float(exposed[1]) < MOST_EXPOSED
+    assert float(exposed[1]) < MAX_EXPOSURE
 
 
 def test_a_stop_reaches_the_service_alone_and_no_worker_takes_it_along() -> None:
@@ -86,7 +89,7 @@ def test_a_stop_reaches_the_service_alone_and_no_worker_takes_it_along() -> None
 def test_the_units_commands_are_ours() -> None:
     start = shlex.split(unit("tandem.service")["Service"]["ExecStart"])
     assert start[0] == INSTALLED and start[-2:] == ["$TANDEM_OPTIONS", "$TANDEM_SECRET_OPTIONS"]
-    asked = parsed(start[1:-2])
+    asked = parse_command(start[1:-2])
     assert isinstance(asked, commands.Serve)
     assert asked.require_token and asked.host == "127.0.0.1"  # behind a proxy that does TLS
 
@@ -96,7 +99,7 @@ def test_the_units_commands_are_ours() -> None:
     run = script.replace("$$", "$").replace("%%", "%").replace(INSTALLED, "printf '%s\\n'")
     environment = {"TANDEM_BACKUP_OPTIONS": "--database postgresql://h/d", "PATH": "/usr/bin:/bin"}
     words = subprocess.check_output([shell, flag, run], env=environment, text=True).splitlines()
-    made = parsed(words)
+    made = parse_command(words)
     assert isinstance(made, commands.BackUp)
     assert made.database == "postgresql://h/d"
     assert re.fullmatch(r"/var/lib/tandem-backups/\d{8}T\d{6}Z", str(made.folder))
@@ -105,15 +108,15 @@ def test_the_units_commands_are_ours() -> None:
 def instructions() -> dict[str, list[str]]:
     """Of the container, the words behind each instruction that has them as JSON."""
     text = (RECIPES / "Containerfile").read_text().replace("\\\n", " ")
-    found = re.findall(r"^(?:HEALTHCHECK .*)?(CMD|ENTRYPOINT) (\[.*\])$", text, re.M)
-    health, entry, command = (json.loads(words) for _, words in found)
+    result = re.findall(r"^(?:HEALTHCHECK .*)?(CMD|ENTRYPOINT) (\[.*\])$", text, re.M)
+    health, entry, command = (json.loads(words) for _, words in result)
     return {"HEALTHCHECK": health, "ENTRYPOINT": entry, "CMD": command}
 
 
 def test_the_container_serves_as_nobody_in_particular() -> None:
-    found = instructions()
-    assert found["ENTRYPOINT"] == ["tandem"]
-    asked = parsed(found["CMD"])
+    result = instructions()
+    assert result["ENTRYPOINT"] == ["tandem"]
+    asked = parse_command(result["CMD"])
     assert isinstance(asked, commands.Serve) and asked.host == "0.0.0.0"
     text = (RECIPES / "Containerfile").read_text()
     assert re.search(r"^USER 10001:10001$", text, re.M)
@@ -136,7 +139,7 @@ def test_what_the_container_is_built_from_is_what_the_package_needs() -> None:
 def test_the_health_check_tells_whether_the_service_is_there(tmp_path: Path) -> None:
     _, *words = instructions()["HEALTHCHECK"]
     process = Process(
-        tmp_path / "data", module="tests.service.pretend", arguments=(str(tmp_path / "data"), "")
+        tmp_path / "data", module="tests.service.fake_team", arguments=(str(tmp_path / "data"), "")
     )
     process.wait()
     try:
@@ -154,4 +157,4 @@ def test_the_page_on_it_asks_for_commands_that_there_are() -> None:
     found += [f"serve {line}" for line in re.findall(r'TANDEM_OPTIONS="([^"]*)"', text)]
     assert len(found) == 6, found
     for line in found:
-        parsed(line.split())
+        parse_command(line.split())

@@ -1,4 +1,4 @@
-"""Refusals are problem documents (RFC 9457), wherever they come from, and clients read them and others."""
+"""Refusals are problem documents (RFC 9457) wherever they come from. Clients read them and other formats."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from planner import Client
 from planner.issues import TandemError
 from planner.service import tandem_client
 from planner.service.jobs import Jobs
-from tests.service.support import InProcess, named
+from tests.service.support import InProcess, named_problem
 
 DOCUMENT = {
     "type": "object",
@@ -35,42 +35,44 @@ DOCUMENT = {
 
 
 @pytest.fixture(scope="module")
-def here(tmp_path_factory: pytest.TempPathFactory) -> Iterator[InProcess]:
+def running_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[InProcess]:
     with InProcess(tmp_path_factory.mktemp("service") / "data", examiners=1) as made:
         yield made
 
 
-def test_every_refusal_is_a_problem_document(here: InProcess, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_refusal_is_a_problem_document(
+    running_service: InProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of routes, of the framework, of what stands before it, and of faults."""
     answers = {
-        404: here.http.get(f"/v1/jobs/{'0' * 32}"),
-        405: here.http.put("/v1/jobs"),
-        422: here.http.get("/v1/jobs", params={"limit": "many"}),
-        403: here.http.get("/v1/jobs", headers={"Host": "other.example"}),
-        413: here.http.post("/v1/jobs", headers={"Content-Length": "999999999999"}),
-        401: here.http.get("/v1/jobs", headers={"Authorization": "Basic YTpi"}),
+        404: running_service.http.get(f"/v1/jobs/{'0' * 32}"),
+        405: running_service.http.put("/v1/jobs"),
+        422: running_service.http.get("/v1/jobs", params={"limit": "many"}),
+        403: running_service.http.get("/v1/jobs", headers={"Host": "other.example"}),
+        413: running_service.http.post("/v1/jobs", headers={"Content-Length": "999999999999"}),
+        401: running_service.http.get("/v1/jobs", headers={"Authorization": "Basic YTpi"}),
     }
     with monkeypatch.context() as broken:
         broken.setattr(Jobs, "page", lambda *asked: 1 / 0)
-        answers[500] = here.http.get("/v1/jobs")
+        answers[500] = running_service.http.get("/v1/jobs")
 
-        def away(*asked: object) -> None:
+        def away(*arguments: object) -> None:
             raise OperationalError("SELECT", {}, Exception("away"))
 
         broken.setattr(Jobs, "page", away)
-        answers[503] = here.http.get("/v1/jobs")
+        answers[503] = running_service.http.get("/v1/jobs")
     check = jsonschema_rs.validator_for(DOCUMENT)
     for status, answer in answers.items():
-        said = answer.json()
-        assert (answer.status_code, said["status"]) == (status, status)
+        body = answer.json()
+        assert (answer.status_code, body["status"]) == (status, status)
         assert answer.headers["content-type"] == "application/problem+json"
-        assert check.is_valid(said), said
-        assert said["title"] == HTTPStatus(status).phrase
-        assert said["detail"] == "; ".join(issue["message"] for issue in said["issues"])
+        assert check.is_valid(body), body
+        assert body["title"] == HTTPStatus(status).phrase
+        assert body["detail"] == "; ".join(issue["message"] for issue in body["issues"])
 
 
-def test_the_description_says_so(here: InProcess) -> None:
-    document = here.http.get("/openapi.json").json()
+def test_the_description_says_so(running_service: InProcess) -> None:
+    document = running_service.http.get("/openapi.json").json()
     answers = [
         (status, answer)
         for path in document["paths"].values()
@@ -80,13 +82,13 @@ def test_the_description_says_so(here: InProcess) -> None:
     refusals = [answer["content"] for status, answer in answers if status[0] == "4" and status != "416"]
     assert len(refusals) > 50
     assert all(list(content) == ["application/problem+json"] for content in refusals)
-    found = here.http.get(f"/v1/jobs/{'0' * 32}").json()
+    body = running_service.http.get(f"/v1/jobs/{'0' * 32}").json()
     whole = {"$ref": "#/components/schemas/Refusal", "components": document["components"]}
-    assert jsonschema_rs.validator_for(whole).is_valid(found)
-    assert not jsonschema_rs.validator_for(whole).is_valid({"issues": found["issues"]})
+    assert jsonschema_rs.validator_for(whole).is_valid(body)
+    assert not jsonschema_rs.validator_for(whole).is_valid({"issues": body["issues"]})
 
 
-class Answering(http.server.BaseHTTPRequestHandler):
+class FixedAnswerHandler(http.server.BaseHTTPRequestHandler):
     """Health as of a service, and one refusal for all else."""
 
     body = b""
@@ -101,7 +103,7 @@ class Answering(http.server.BaseHTTPRequestHandler):
         self.end_headers()
         self.wfile.write(body)
 
-    def log_message(self, *told: Any) -> None:
+    def log_message(self, *arguments: Any) -> None:
         pass
 
 
@@ -109,19 +111,19 @@ ISSUE = {"code": "service.state", "severity": "error", "message": "it runs"}
 
 
 @pytest.mark.parametrize(
-    ("kind", "body", "code", "said"),
+    ("kind", "body", "code", "expected_text"),
     [
         ("application/json", {"issues": [ISSUE]}, "service.state", "it runs"),  # services of before
         ("application/problem+json", {"status": 409, "issues": [ISSUE]}, "service.state", "it runs"),
         ("application/problem+json", {"title": "Busy", "detail": "later"}, "service.answer", "(Busy: later)"),
-        ("application/problem+json", {"title": 3, "issues": 4}, "service.answer", "status 409; is it"),
-        ("text/html", "<html>", "service.answer", "status 409; is it"),
-        ("application/json", [], "service.answer", "status 409; is it"),
+        ("application/problem+json", {"title": 3, "issues": 4}, "service.answer", "status 409. Is it"),
+        ("text/html", "<html>", "service.answer", "status 409. Is it"),
+        ("application/json", [], "service.answer", "status 409. Is it"),
     ],
 )
-def test_clients_read_both_and_what_proxies_say(kind: str, body: Any, code: str, said: str) -> None:
+def test_clients_read_both_and_what_proxies_say(kind: str, body: Any, code: str, expected_text: str) -> None:
     text = body if isinstance(body, str) else json.dumps(body)
-    own = type("Own", (Answering,), {"body": text.encode(), "kind": kind})
+    own = type("Own", (FixedAnswerHandler,), {"body": text.encode(), "kind": kind})
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), own) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         url = f"http://127.0.0.1:{server.server_address[1]}"
@@ -130,13 +132,13 @@ def test_clients_read_both_and_what_proxies_say(kind: str, body: Any, code: str,
                 client.job("0" * 32)
             (issue,) = caught.value.issues
             assert issue.code == code
-            assert said in issue.message
+            assert expected_text in issue.message
         server.shutdown()
 
 
-def test_what_a_problem_gets_wrong_is_all_there(here: InProcess, tmp_path: Path) -> None:
-    answer = here.post(named("wrong").replace("size_mm", "sise_mm"))
-    said = answer.json()
-    assert answer.status_code == said["status"] == 422
-    assert {issue["field"] for issue in said["issues"]} >= {"stock.sise_mm"}
-    assert len(said["issues"]) >= 2
+def test_what_a_problem_gets_wrong_is_all_there(running_service: InProcess, tmp_path: Path) -> None:
+    answer = running_service.post(named_problem("wrong").replace("size_mm", "sise_mm"))
+    body = answer.json()
+    assert answer.status_code == body["status"] == 422
+    assert {issue["field"] for issue in body["issues"]} >= {"stock.sise_mm"}
+    assert len(body["issues"]) >= 2

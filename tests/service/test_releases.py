@@ -1,4 +1,4 @@
-"""Programs released by a person: what is written down, what downloads say, and who tries to get round."""
+"""Programs released by a person: what is recorded, what downloads contain, and attempts to circumvent it."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ import pytest
 from fastapi.testclient import TestClient
 from sqlalchemy import func, select, update
 
-from planner.service import texts
-from planner.service.jobs import put_files, remove
+from planner.service import user_texts
+from planner.service.jobs import delete_job, put_files
 from planner.service.models import JOBS, RELEASES
 from planner.service.releases import Releases
 from planner.service.security import RefusedError
 from tests.service import postgres
-from tests.service.support import HERE, InProcess, codes, named
-from tests.service.test_roles import UNKNOWN, Shop, bearer, opened
+from tests.service.support import BASE_URL, InProcess, issue_codes, named_problem
+from tests.service.test_roles import UNKNOWN, Shop, bearer, open_service
 
 MAIN: Final = hashlib.sha256(b"MODULE main").hexdigest()
 """SHA-256 of the program of a pretended plan."""
@@ -36,8 +36,8 @@ NUMBERS: Final = itertools.count()
 
 @pytest.fixture(scope="module")
 def shop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shop]:
-    with opened(tmp_path_factory.mktemp("releases") / "data", None) as here:
-        yield Shop(here)
+    with open_service(tmp_path_factory.mktemp("releases") / "data", None) as running_service:
+        yield Shop(running_service)
 
 
 def release(shop: Shop, job: str, name: str = "bob", **more: Any) -> Any:
@@ -53,39 +53,39 @@ def test_a_release_says_who_when_and_of_what(shop: Shop) -> None:
     before = time.time()
     made = release(shop, job, note="  Schnitt am Dienstag\nmit Führung  ")
     assert made.status_code == 201, made.text
-    said = made.json()
-    found = shop.ask("lea", "GET", f"/v1/jobs/{job}").json()
+    body = made.json()
+    answer_body = shop.ask("lea", "GET", f"/v1/jobs/{job}").json()
     files = shop.ask("lea", "GET", f"/v1/jobs/{job}/files").json()["files"]
-    shas = {one["name"]: one["sha256"] for one in files}
-    assert said["by"] == "bob"
-    assert said["note"] == "Schnitt am Dienstag\nmit Führung"
-    assert said["programs"] == {"main.mod": MAIN} == {"main.mod": shas["programs/main.mod"]}
-    assert said["proof"] == shas["proof.json"]
-    assert said["digest"] == found["digest"]
-    assert before - 1 < dt.datetime.fromisoformat(said["at"]).timestamp() < time.time() + 1
-    assert found["released"] is True
-    assert found["release"] == {"by": "bob", "at": said["at"], "note": said["note"]}
-    (listed,) = [one for one in shop.ask("ann", "GET", "/v1/jobs").json()["jobs"] if one["id"] == job]
+    shas = {item["name"]: item["sha256"] for item in files}
+    assert body["by"] == "bob"
+    assert body["note"] == "Schnitt am Dienstag\nmit Führung"
+    assert body["programs"] == {"main.mod": MAIN} == {"main.mod": shas["programs/main.mod"]}
+    assert body["proof"] == shas["proof.json"]
+    assert body["digest"] == answer_body["digest"]
+    assert before - 1 < dt.datetime.fromisoformat(body["at"]).timestamp() < time.time() + 1
+    assert answer_body["released"] is True
+    assert answer_body["release"] == {"by": "bob", "at": body["at"], "note": body["note"]}
+    (listed,) = [item for item in shop.ask("ann", "GET", "/v1/jobs").json()["jobs"] if item["id"] == job]
     assert listed["released"] is True
-    assert shop.ask("lea", "GET", f"/v1/jobs/{job}/releases").json()["releases"] == [said]
+    assert shop.ask("lea", "GET", f"/v1/jobs/{job}/releases").json()["releases"] == [body]
 
 
 def test_who_may_not_release_does_not(shop: Shop) -> None:
     job = shop.job("ann", "guarded")
     for name in ("ann", "lea"):
         for answer in (release(shop, job, name), withdraw(shop, job, name)):
-            assert (answer.status_code, codes(answer)) == (403, [("service.role", "Authorization")])
-            assert "needs a token with the role release" in answer.json()["detail"]
+            assert (answer.status_code, issue_codes(answer)) == (403, [("service.role", "Authorization")])
+            assert "required release" in answer.json()["detail"]
     for name in ("eve", "dan"):
         for answer in (release(shop, job, name), withdraw(shop, job, name)):
-            assert (answer.status_code, codes(answer)) == (404, UNKNOWN)
+            assert (answer.status_code, issue_codes(answer)) == (404, UNKNOWN)
         assert shop.ask(name, "GET", f"/v1/jobs/{job}/releases").status_code == 404
-    anybody = TestClient(shop.here.http.app, base_url=HERE)
+    anybody = TestClient(shop.running_service.http.app, base_url=BASE_URL)
     assert anybody.post(f"/v1/jobs/{job}/release", json={}).status_code == 401
     assert shop.ask("lea", "GET", f"/v1/jobs/{job}/releases").json() == {"releases": []}
     other = shop.ask("bob", "POST", f"/v1/jobs/{job}/release", json={"name": "ann"})
-    assert (other.status_code, codes(other)) == (422, [("service.request", "name")])
-    assert "it is bob, by the token" in other.text
+    assert (other.status_code, issue_codes(other)) == (422, [("service.request", "name")])
+    assert "allowed bob" in other.text
     assert shop.ask("lea", "GET", f"/v1/jobs/{job}").json()["released"] is False
 
 
@@ -94,9 +94,9 @@ def test_downloads_say_whether_they_are_released(shop: Shop) -> None:
     parts: dict[str, bytes] = {}
     for word in ("not-released", "released", "withdrawn"):
         if word == "released":
-            said = release(shop, job, note="ja").json()
+            body = release(shop, job, note="ja").json()
         if word == "withdrawn":
-            said = withdraw(shop, job).json()
+            body = withdraw(shop, job).json()
         whole = shop.ask("lea", "GET", f"/v1/jobs/{job}/programs.zip")
         again = shop.ask("bob", "GET", f"/v1/jobs/{job}/programs.zip")
         assert whole.content == again.content, "the same bytes for the same release"
@@ -113,8 +113,8 @@ def test_downloads_say_whether_they_are_released(shop: Shop) -> None:
         assert (one.content, one.headers["tandem-release"]) == (b"MODULE main", word)
         assert one.headers["cache-control"] == "private, no-cache"
         tag = {"If-None-Match": one.headers["etag"], **bearer(shop.tokens["lea"])}
-        known = shop.here.http.get(f"/v1/jobs/{job}/files/programs/main.mod", headers=tag)
-        assert (known.status_code, known.headers["tandem-release"]) == (304, word), "caches are told anew"
+        known = shop.running_service.http.get(f"/v1/jobs/{job}/files/programs/main.mod", headers=tag)
+        assert (known.status_code, known.headers["tandem-release"]) == (304, word), "caches get new headers"
         file = shop.ask("lea", "GET", f"/v1/jobs/{job}/files/release.json")
         listed = {f["name"]: f for f in shop.ask("lea", "GET", f"/v1/jobs/{job}/files").json()["files"]}
         if word == "not-released":
@@ -124,23 +124,28 @@ def test_downloads_say_whether_they_are_released(shop: Shop) -> None:
             about = listed["release.json"]
             assert about["sha256"] == hashlib.sha256(file.content).hexdigest()
             assert about["size"] == len(file.content)
-            assert told["release"]["by"] == said["by"] == "bob"
-            asked = {"If-None-Match": file.headers["etag"], **bearer(shop.tokens["lea"])}
-            assert shop.here.http.get(f"/v1/jobs/{job}/files/release.json", headers=asked).status_code == 304
+            assert told["release"]["by"] == body["by"] == "bob"
+            headers = {"If-None-Match": file.headers["etag"], **bearer(shop.tokens["lea"])}
+            assert (
+                shop.running_service.http.get(
+                    f"/v1/jobs/{job}/files/release.json", headers=headers
+                ).status_code
+                == 304
+            )
         parts[whole.headers["etag"]] = whole.content
     assert len(parts) == 3
     # who went on with the part of what he had begun gets the whole of what is true now
     old = next(tag for tag, content in parts.items() if content != whole.content)
-    asked = {"Range": "bytes=10-", "If-Range": old, **bearer(shop.tokens["lea"])}
-    rest = shop.here.http.get(f"/v1/jobs/{job}/programs.zip", headers=asked)
+    headers = {"Range": "bytes=10-", "If-Range": old, **bearer(shop.tokens["lea"])}
+    rest = shop.running_service.http.get(f"/v1/jobs/{job}/programs.zip", headers=headers)
     assert (rest.status_code, rest.content) == (200, whole.content)
-    asked["If-Range"] = whole.headers["etag"]
-    rest = shop.here.http.get(f"/v1/jobs/{job}/programs.zip", headers=asked)
+    headers["If-Range"] = whole.headers["etag"]
+    rest = shop.running_service.http.get(f"/v1/jobs/{job}/programs.zip", headers=headers)
     assert (rest.status_code, rest.content) == (206, whole.content[10:])
 
 
 def test_a_link_to_a_program_says_it_too(shop: Shop) -> None:
-    job, anybody = shop.job("ann", "link_told"), TestClient(shop.here.http.app, base_url=HERE)
+    job, anybody = shop.job("ann", "link_told"), TestClient(shop.running_service.http.app, base_url=BASE_URL)
     release(shop, job)
     for name in ("programs/main.mod", "release.json"):
         path = shop.ask("bob", "POST", f"/v1/jobs/{job}/links?name={name}").json()["path"]
@@ -151,17 +156,17 @@ def test_a_link_to_a_program_says_it_too(shop: Shop) -> None:
 def test_a_release_is_withdrawn_with_a_reason_and_stays_written_down(shop: Shop) -> None:
     job = shop.job("ann", "back")
     answer = withdraw(shop, job)
-    assert (answer.status_code, codes(answer)) == (409, [("service.release", None)])
+    assert (answer.status_code, issue_codes(answer)) == (409, [("service.release", None)])
     first = release(shop, job, note="one").json()
     for bad in ({}, {"reason": ""}, {"reason": " \n "}, {"reason": "\u200e"}):
         answer = shop.ask("bob", "POST", f"/v1/jobs/{job}/withdraw", json=bad)
-        assert (answer.status_code, codes(answer)) == (422, [("service.request", "reason")]), bad
+        assert (answer.status_code, issue_codes(answer)) == (422, [("service.request", "reason")]), bad
     taken = withdraw(shop, job).json()
     assert taken["withdrawn"]["by"] == "bob"
     assert taken["withdrawn"]["reason"] == "the clamp moved"
     assert withdraw(shop, job).status_code == 409
-    found = shop.ask("ann", "GET", f"/v1/jobs/{job}").json()
-    assert (found["released"], found["release"]["withdrawn"]["by"]) == (False, "bob")
+    body = shop.ask("ann", "GET", f"/v1/jobs/{job}").json()
+    assert (body["released"], body["release"]["withdrawn"]["by"]) == (False, "bob")
     second = release(shop, job, note="two").json()
     known = shop.ask("ann", "GET", f"/v1/jobs/{job}/releases").json()["releases"]
     assert known == [second, {**first, "withdrawn": taken["withdrawn"]}]
@@ -169,26 +174,26 @@ def test_a_release_is_withdrawn_with_a_reason_and_stays_written_down(shop: Shop)
 
 
 def test_what_is_not_proven_is_not_released(shop: Shop) -> None:
-    here = shop.here
-    here.team.hold.set()
-    waits = here.post(named("waits"), headers=bearer(shop.tokens["ann"])).json()["id"]
+    running_service = shop.running_service
+    running_service.team.hold.set()
+    waits = running_service.post(named_problem("waits"), headers=bearer(shop.tokens["ann"])).json()["id"]
     answer = release(shop, waits)
-    assert (answer.status_code, codes(answer)) == (409, [("service.release", None)])
-    assert "only programs whose proof holds" in answer.text
-    here.team.hold.clear()
-    here.ended(waits, headers=bearer(shop.tokens["ann"]))
+    assert (answer.status_code, issue_codes(answer)) == (409, [("service.release", None)])
+    assert "Only programs with a valid proof" in answer.text
+    running_service.team.hold.clear()
+    running_service.wait_for_end(waits, headers=bearer(shop.tokens["ann"]))
     for state in ("unproven", "infeasible", "done", "cancelled"):
-        with here.service.database.write() as db:
+        with running_service.service.database.write() as db:
             db.execute(update(JOBS).where(JOBS.c.id == waits).values(state=state))
-        assert f"it is {state}" in release(shop, waits).text
+        assert f"state is {state}" in release(shop, waits).text
 
 
 @pytest.mark.parametrize(
-    ("name", "change", "said"),
+    ("name", "change", "expected_text"),
     [
         ("proof.json", lambda proof: proof | {"ok": False}, "not verified"),
         ("proof.json", lambda proof: proof | {"ok": "yes"}, "not verified"),
-        ("proof.json", lambda proof: proof | {"problem_digest": "0" * 64}, "of another problem"),
+        ("proof.json", lambda proof: proof | {"problem_digest": "0" * 64}, "belongs to another problem"),
         ("proof.json", lambda proof: proof | {"programs": {}}, "names other programs"),
         ("proof.json", lambda proof: proof | {"programs": {"main.mod": "0" * 64}}, "names other programs"),
         (
@@ -201,32 +206,36 @@ def test_what_is_not_proven_is_not_released(shop: Shop) -> None:
         ("programs/added.mod", lambda text: b"MODULE added", "names other programs"),
     ],
 )
-def test_what_the_proof_does_not_name_is_not_released(shop: Shop, name: str, change: Any, said: str) -> None:
+def test_what_the_proof_does_not_name_is_not_released(
+    shop: Shop, name: str, change: Any, expected_text: str
+) -> None:
     """As if planning had written it so: the file is one of the store."""
     job = shop.job("ann", f"proof_{next(NUMBERS)}")
-    files = shop.here.service.jobs.files(job)
+    files = shop.running_service.service.jobs.files(job)
     content = b""
     if name == "proof.json":
-        content = json.dumps(change(json.loads(shop.here.service.files.read(files[name].sha)))).encode()
+        content = json.dumps(
+            change(json.loads(shop.running_service.service.files.read(files[name].sha)))
+        ).encode()
     else:
         content = change(content)
-    with shop.here.service.database.write() as db:
-        put_files(db, job, {name: shop.here.service.files.put(io.BytesIO(content))})
+    with shop.running_service.service.database.write() as db:
+        put_files(db, job, {name: shop.running_service.service.files.put(io.BytesIO(content))})
     answer = release(shop, job)
-    assert (answer.status_code, codes(answer)) == (409, [("service.release", None)])
-    assert said in answer.text
+    assert (answer.status_code, issue_codes(answer)) == (409, [("service.release", None)])
+    assert expected_text in answer.text
     assert shop.ask("ann", "GET", f"/v1/jobs/{job}").json()["released"] is False
 
 
 def test_what_is_damaged_on_the_disk_is_not_released(shop: Shop) -> None:
-    job, path = shop.job("ann", "damaged"), shop.here.service.files.path(MAIN)
+    job, path = shop.job("ann", "damaged"), shop.running_service.service.files.path(MAIN)
     good = path.read_bytes()
     try:
         for damage in (lambda: path.write_bytes(b"MODULE evil"), path.unlink):
             damage()
             answer = release(shop, job)
-            assert (answer.status_code, codes(answer)) == (409, [("service.release", None)])
-            assert "the store is damaged" in answer.text
+            assert (answer.status_code, issue_codes(answer)) == (409, [("service.release", None)])
+            assert "in the store is damaged" in answer.text
             assert str(path.parent) not in answer.text
     finally:
         path.write_bytes(good)
@@ -236,8 +245,8 @@ def test_what_is_damaged_on_the_disk_is_not_released(shop: Shop) -> None:
             damage()
             for what in ("files/programs/main.mod", "programs.zip"):
                 answer = shop.ask("ann", "GET", f"/v1/jobs/{job}/{what}")
-                assert (answer.status_code, codes(answer)[0][0]) == (500, "service.damaged")
-                assert "is not given out" in answer.text and str(path.parent) not in answer.text
+                assert (answer.status_code, issue_codes(answer)[0][0]) == (500, "service.damaged")
+                assert "damaged and not sent" in answer.text and str(path.parent) not in answer.text
     finally:
         path.write_bytes(good)
     assert shop.ask("ann", "GET", f"/v1/jobs/{job}/programs.zip").status_code == 200
@@ -246,11 +255,11 @@ def test_what_is_damaged_on_the_disk_is_not_released(shop: Shop) -> None:
 def test_the_same_problem_again_is_another_job_and_not_released(shop: Shop) -> None:
     job = shop.job("ann", "again")
     release(shop, job)
-    other = shop.here.post(named("again"), headers=bearer(shop.tokens["ann"])).json()
+    other = shop.running_service.post(named_problem("again"), headers=bearer(shop.tokens["ann"])).json()
     assert other["from_store"] is True
     assert (other["state"], other["released"]) == ("verified", False)
     files = shop.ask("ann", "GET", f"/v1/jobs/{other['id']}/files").json()["files"]
-    assert "release.json" not in {one["name"] for one in files}
+    assert "release.json" not in {file["name"] for file in files}
     told = shop.ask("ann", "GET", f"/v1/jobs/{other['id']}/programs.zip").headers["tandem-release"]
     assert told == "not-released"
     answer = shop.ask("ann", "POST", f"/v1/jobs/{job}/retry")
@@ -281,14 +290,14 @@ def test_notes_in_any_language_are_kept_as_they_are(shop: Shop, text: str) -> No
         ("a\u2028b", "U+2028 (line separator)"),
         ("a\U000e0041b", "U+E0041 (tag latin capital letter a)"),
         ("a\ufeffb", "U+FEFF (zero width no-break space)"),
-        ("x" * (texts.LINES + 1), "at most 2000 characters"),
+        ("x" * (user_texts.MAX_TEXT_LENGTH + 1), "at most 2000 characters"),
         ("x" * 900_000, "at most 2000 characters"),
-        ("\ufb2c" * 667, "has 2001 characters as it is kept (NFC), at most 2000"),
+        ("\ufb2c" * 667, "is too long after normalisation (NFC) (got 2001 characters, allowed 2000)"),
     ],
 )
 def test_what_hides_or_turns_text_is_refused(shop: Shop, text: str, named: str) -> None:
     answer = release(shop, shop.job("ann", "marks"), note=text)
-    assert (answer.status_code, codes(answer)) == (422, [("service.request", "note")])
+    assert (answer.status_code, issue_codes(answer)) == (422, [("service.request", "note")])
     assert named in answer.json()["detail"]
     assert len(answer.content) < 2000
 
@@ -310,8 +319,8 @@ def test_bodies_that_are_none_are_refused(shop: Shop) -> None:
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
 def test_at_once_one_release_is_made(tmp_path: Path, kind: str) -> None:
     database = postgres.fresh(tmp_path) if kind == "postgresql" else None
-    with opened(tmp_path / "data", database) as here:
-        shop = Shop(here)
+    with open_service(tmp_path / "data", database) as running_service:
+        shop = Shop(running_service)
         job = shop.job("ann", "twice")
         with ThreadPoolExecutor(8) as pool:
             answers = list(pool.map(lambda k: release(shop, job, note=str(k)), range(8)))
@@ -326,22 +335,22 @@ def test_at_once_one_release_is_made(tmp_path: Path, kind: str) -> None:
 def test_a_release_of_what_is_deleted_meanwhile_leaves_nothing(
     tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By hand and by age, before the release looks again and after it did."""
+    """Deleted by a user and by age, before and after the release checks again."""
     database = postgres.fresh(tmp_path) if kind == "postgresql" else None
-    with opened(tmp_path / "data", database) as here:
-        shop = Shop(here)
+    with open_service(tmp_path / "data", database) as running_service:
+        shop = Shop(running_service)
         first = shop.job("ann", "deleted")
-        proven = Releases._proven
+        proven = Releases._proven_programs
 
         def then_delete(self: Releases, *given: Any) -> Any:
-            found = proven(self, *given)
+            result = proven(self, *given)
             assert shop.ask("ann", "DELETE", f"/v1/jobs/{first}").status_code == 204
-            return found
+            return result
 
         with monkeypatch.context() as between:
-            between.setattr(Releases, "_proven", then_delete)
+            between.setattr(Releases, "_proven_programs", then_delete)
             answer = release(shop, first)
-        assert (answer.status_code, codes(answer)) == (404, UNKNOWN)
+        assert (answer.status_code, issue_codes(answer)) == (404, UNKNOWN)
         kept = shop.job("ann", "kept")
         assert release(shop, kept).status_code == 201
         assert shop.ask("ann", "DELETE", f"/v1/jobs/{kept}").status_code == 204
@@ -353,8 +362,8 @@ def test_a_release_of_what_is_deleted_meanwhile_leaves_nothing(
             return [ask(job) for job in jobs]
 
         def by_age(job: str) -> int:
-            with here.service.database.write() as db:
-                remove(db, job)
+            with running_service.service.database.write() as db:
+                delete_job(db, job)
             return 0
 
         with ThreadPoolExecutor(3) as pool:
@@ -364,20 +373,20 @@ def test_a_release_of_what_is_deleted_meanwhile_leaves_nothing(
         assert set(releasing.result()) <= {201, 404}
         assert set(deleting.result()) <= {204, 404}
         assert aging.result() == [0] * 6
-        with here.service.database.read() as db:
+        with running_service.service.database.read() as db:
             assert db.execute(select(func.count()).select_from(RELEASES)).scalar_one() == 0
 
 
 def test_without_tokens_who_releases_says_so(tmp_path: Path) -> None:
-    with InProcess(tmp_path / "data", examiners=1) as here:
-        job = here.post().json()["id"]
-        here.ended(job)
-        answer = here.http.post(f"/v1/jobs/{job}/release", json={})
-        assert (answer.status_code, codes(answer)) == (422, [("service.request", "name")])
-        assert "say who releases" in answer.text
-        made = here.http.post(f"/v1/jobs/{job}/release", json={"name": "Änne Müller"}).json()
-        assert made["by"] == "Änne Müller"
-        whole = here.http.get(f"/v1/jobs/{job}/programs.zip")
+    with InProcess(tmp_path / "data", examiners=1) as running_service:
+        job = running_service.post().json()["id"]
+        running_service.wait_for_end(job)
+        answer = running_service.http.post(f"/v1/jobs/{job}/release", json={})
+        assert (answer.status_code, issue_codes(answer)) == (422, [("service.request", "name")])
+        assert "Give the name of the person" in answer.text
+        body = running_service.http.post(f"/v1/jobs/{job}/release", json={"name": "Änne Müller"}).json()
+        assert body["by"] == "Änne Müller"
+        whole = running_service.http.get(f"/v1/jobs/{job}/programs.zip")
         assert whole.headers["tandem-release"] == "released"
 
 
@@ -392,11 +401,11 @@ def test_a_clock_that_went_back_leaves_the_order_of_releases(
         withdraw(shop, job)
         release(shop, job, note="second")
     known = shop.ask("ann", "GET", f"/v1/jobs/{job}/releases").json()["releases"]
-    assert [one["note"] for one in known] == ["second", "first"]
+    assert [item["note"] for item in known] == ["second", "first"]
     assert shop.ask("ann", "GET", f"/v1/jobs/{job}").json()["release"]["note"] == "second"
 
 
 def test_the_store_refuses_a_job_that_is_none(shop: Shop) -> None:
     with pytest.raises(RefusedError) as caught:
-        shop.here.service.releases.all("0" * 32)
+        shop.running_service.service.releases.all("0" * 32)
     assert caught.value.status == 404

@@ -1,4 +1,4 @@
-"""A store of another schema version is refused, and is not changed."""
+"""A store with another schema version is refused and is not changed."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ def store(tmp_path: Path, kind: str) -> str:
     return url
 
 
-def engine_of(url: str) -> Engine:
+def make_engine(url: str) -> Engine:
     return create_engine(url.replace("postgresql://", "postgresql+psycopg://"))
 
 
 def change(url: str, statement: str) -> None:
     """Execute one statement in a database."""
-    engine = engine_of(url)
+    engine = make_engine(url)
     with engine.begin() as connection:
         connection.execute(text(statement))
     engine.dispose()
@@ -43,11 +43,11 @@ def change(url: str, statement: str) -> None:
 
 def version(url: str) -> int | None:
     """Read the version of a store."""
-    engine = engine_of(url)
+    engine = make_engine(url)
     with engine.connect() as connection:
-        found = version_of(connection)
+        result = version_of(connection)
     engine.dispose()
-    return found
+    return result
 
 
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])

@@ -1,4 +1,4 @@
-"""The API against its own OpenAPI, by schemathesis: no 500, and answers are what the document says."""
+"""The API against its own OpenAPI document, by schemathesis: no status 500, and answers as documented."""
 
 from __future__ import annotations
 
@@ -27,26 +27,28 @@ CHECKS = [not_a_server_error, status_code_conformance, content_type_conformance,
 
 
 @pytest.fixture(scope="module")
-def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Process]:
+def server_process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Process]:
     data = tmp_path_factory.mktemp("fuzz") / "data"
-    process = Process(data, module="tests.service.pretend", arguments=(str(data), "")).wait()
+    process = Process(data, module="tests.service.fake_team", arguments=(str(data), "")).wait()
     yield process
     process.stop()
     assert "Traceback" not in process.log.read_text()
 
 
 def ask(operation: Any, known: dict[str, Any], examples: int) -> None:
-    """Send what the document allows and what it forbids; half of it about what exists."""
+    """Send allowed and forbidden requests of the document; half of them address existing objects."""
 
     @seed(31)
     @settings(max_examples=examples, deadline=None, database=None, suppress_health_check=list(HealthCheck))
     @given(operation.as_strategy(), st.booleans())
-    def one(case: schemathesis.Case, is_known: bool) -> None:
+    def check_case(case: schemathesis.Case, is_known: bool) -> None:
         if is_known:
-            case.path_parameters |= {name: one for name, one in known.items() if name in case.path_parameters}
+            case.path_parameters |= {
+                name: item for name, item in known.items() if name in case.path_parameters
+            }
         case.validate_response(case.call(timeout=60), checks=CHECKS)
 
-    one()
+    check_case()
 
 
 def fuzz(served: Process, folder: Path, examples: int) -> None:
@@ -70,10 +72,10 @@ def fuzz(served: Process, folder: Path, examples: int) -> None:
         ask(operation, known, examples)
 
 
-def test_no_request_of_the_document_is_a_500(served: Process, tmp_path: Path) -> None:
-    fuzz(served, tmp_path, 4)
+def test_no_request_of_the_document_is_a_500(server_process: Process, tmp_path: Path) -> None:
+    fuzz(server_process, tmp_path, 4)
 
 
 @pytest.mark.long
-def test_no_request_of_the_document_is_a_500_at_length(served: Process, tmp_path: Path) -> None:
-    fuzz(served, tmp_path, 300)
+def test_no_request_of_the_document_is_a_500_at_length(server_process: Process, tmp_path: Path) -> None:
+    fuzz(server_process, tmp_path, 300)

@@ -1,5 +1,7 @@
-"""SIGTERM: a service that plans, checks and streams ends by itself within seconds, leaves nobody behind, and
-its job waits for the next start."""
+"""SIGTERM: a service that plans, checks and streams ends by itself within seconds.
+
+It leaves no process behind, and its job waits for the next start.
+"""
 
 from __future__ import annotations
 
@@ -13,15 +15,15 @@ from planner import Client
 from planner.issues import TandemError
 from planner.service.jobs import Jobs
 from planner.service.models import Database, default_url
-from planner.service.security import Limits
-from tests.service.support import Process, until
+from planner.service.security import ServiceLimits
+from tests.service.support import Process, wait_until
 
 
 def children(pid: int) -> list[int]:
     """Processes of the kernel's list that were started by ``pid``, and those that they started."""
     listed = Path(f"/proc/{pid}/task").glob("*/children")
     own = [int(word) for path in listed for word in path.read_text().split()]
-    return own + [one for child in own for one in children(child)]
+    return own + [item for child in own for item in children(child)]
 
 
 def alive(pid: int) -> bool:
@@ -45,8 +47,8 @@ def test_sigterm_ends_all_and_keeps_the_jobs(tmp_path: Path) -> None:
     client = Client(process.url)
     problem = planner.load("wave_wall")
     job = client.submit(problem)
-    until(lambda: client.job(job).get("stage"))  # a worker plans it
-    told: list[str] = []
+    wait_until(lambda: client.job(job).get("stage"))  # a worker plans it
+    codes: list[str] = []
     before = reading_s(children(process.pid))
 
     streamed = threading.Event()
@@ -55,25 +57,25 @@ def test_sigterm_ends_all_and_keeps_the_jobs(tmp_path: Path) -> None:
         try:
             client.check(problem, reach=True)
         except TandemError as error:
-            told.extend(issue.code for issue in error.issues)
+            codes.extend(issue.code for issue in error.issues)
 
     def stream() -> None:
         for _ in client._stream(job, 0, math.inf):
             streamed.set()
-        told.append("stream")
+        codes.append("stream")
 
-    threads = [threading.Thread(target=one, daemon=True) for one in (check, stream)]
+    threads = [threading.Thread(target=item, daemon=True) for item in (check, stream)]
     for thread in threads:
         thread.start()
-    until(lambda: reading_s(children(process.pid)) > before + 0.2)  # the check is under way
+    wait_until(lambda: reading_s(children(process.pid)) > before + 0.2)  # the check is under way
     assert streamed.wait(60.0)
     own = children(process.pid)
     assert len(own) >= 2  # the worker and an examiner
     assert process.stop() == 0
-    until(lambda: not any(alive(pid) for pid in own), 20.0)
+    wait_until(lambda: not any(alive(pid) for pid in own), 20.0)
     for thread in threads:
         thread.join(20.0)
-    assert sorted(told) == ["service.stopping", "stream"]
+    assert sorted(codes) == ["service.stopping", "stream"]
     assert "Traceback" not in process.log.read_text()
-    _, found = Jobs(Database(default_url(tmp_path / "data")), Limits()).get(job)
+    _, found = Jobs(Database(default_url(tmp_path / "data")), ServiceLimits()).get(job)
     assert (found.state, found.attempts) == ("queued", 0)  # it waits for the next start

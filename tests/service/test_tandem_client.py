@@ -1,5 +1,4 @@
-"""The client in one file: a round trip by other Pythons against a real service, and what it says when
-something is wrong."""
+"""The single-file client: a round trip by other Pythons against a real service, and its error messages."""
 
 from __future__ import annotations
 
@@ -38,11 +37,11 @@ FILE = FOLDER / "tandem_client.py"
 
 
 @pytest.fixture(scope="module")
-def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Process, str]]:
+def server_process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Process, str]]:
     data = tmp_path_factory.mktemp("desk") / "data"
     data.mkdir()
     database = Database(default_url(data))
-    token = Auth(database).make("ann")
+    token = Auth(database).create_token("ann")
     database.close()
     process = Process(data, "--require-token").wait()
     yield process, token
@@ -51,28 +50,28 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Process, 
 
 
 def interpreter(version: str) -> str | None:
-    """A Python of that version: in PATH, or of pyenv or uv, whose shims may stand for none."""
+    """Find a Python of that version in PATH, pyenv or uv. Their shims may be broken."""
     pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv"))
     uv = Path.home() / ".local" / "share" / "uv" / "python"
     found = [shutil.which(f"python{version}")]
     found += map(str, sorted(pyenv.glob(f"versions/{version}.*/bin/python{version}")))
     found += map(str, sorted(uv.glob(f"*-{version}.*/bin/python{version}")))
     asked = "import sys; print('%d.%d' % sys.version_info[:2])"
-    for one in filter(None, found):
-        done = subprocess.run([one, "-I", "-c", asked], capture_output=True, text=True, check=False)
+    for item in filter(None, found):
+        done = subprocess.run([item, "-I", "-c", asked], capture_output=True, text=True, check=False)
         if done.returncode == 0 and done.stdout.strip() == version:
-            return one
+            return item
     return None
 
 
 @pytest.mark.sampled(every=2)
 @pytest.mark.parametrize("version", ["3.9", "3.13"])
-def test_a_round_trip_by_another_python(served: tuple[Process, str], version: str) -> None:
+def test_a_round_trip_by_another_python(server_process: tuple[Process, str], version: str) -> None:
     """Without site-packages, so with nothing but the standard library, and with no warning."""
     python = interpreter(version)
     if python is None:
         pytest.skip(f"there is no Python {version}: no python{version} in PATH, of pyenv or of uv")
-    process, token = served
+    process, token = server_process
     name = f"small_{version.replace('.', '_')}"
     script = Path(__file__).with_name("round_trip.py")
     command = [python, "-I", "-S", "-W", "error", str(script), str(FOLDER), process.url, token, name]
@@ -92,14 +91,14 @@ def test_a_round_trip_by_another_python(served: tuple[Process, str], version: st
     assert out["named"] == [["problem.field", "name"]]
     assert out["panel"] == []
     wrong, infinite, no_unit, no_faces = out["refusals"]
-    assert sorted(one[::2] for one in wrong) == [
+    assert sorted(item[::2] for item in wrong) == [
         ["problem.field", "colour"],
         ["problem.field", "stock.size_mm.0"],
     ]
-    assert [one[::2] for one in infinite] == [["problem.not_finite", "stock.size_mm.0"]]
-    assert [one[::2] for one in no_unit] == [["mesh.unit", "part.front.mesh.file"]]
-    assert [one[::2] for one in no_faces] == [["problem.field", "part.front.mesh.file"]]
-    assert all(one[1] for refusal in out["refusals"] for one in refusal)
+    assert [item[::2] for item in infinite] == [["problem.not_finite", "stock.size_mm.0"]]
+    assert [item[::2] for item in no_unit] == [["mesh.unit", "part.front.mesh.file"]]
+    assert [item[::2] for item in no_faces] == [["problem.field", "part.front.mesh.file"]]
+    assert all(item[1] for refusal in out["refusals"] for item in refusal)
     assert out["cancelled"] == "cancelled"
     assert out["jobs"] >= 2
     assert out["wrong_token"] == ["service.token"]
@@ -110,9 +109,9 @@ def readme_blocks() -> list[str]:
     return re.findall(r"^```python\n(.*?)^```", (FOLDER / "README.md").read_text("utf-8"), re.M | re.S)
 
 
-def test_the_problem_of_its_page_is_one(served: tuple[Process, str], tmp_path: Path) -> None:
+def test_the_problem_of_its_page_is_one(server_process: tuple[Process, str], tmp_path: Path) -> None:
     """As far as it is sent; the round trip plans a smaller one."""
-    process, token = served
+    process, token = server_process
     code, _ = readme_blocks()
     code = code.replace("https://plans.example.org", process.url).replace("tandem_...", token)
     sent, _, rest = code.partition("job = client.submit(problem)")
@@ -157,11 +156,11 @@ ANY_SYSTEM = {
 def test_it_is_written_for_python_3_9_and_any_system() -> None:
     tree = ast.parse(FILE.read_text("utf-8"), feature_version=(3, 9))
     imported = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
-    imported |= {one.name for node in ast.walk(tree) if isinstance(node, ast.Import) for one in node.names}
+    imported |= {name.name for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names}
     assert imported <= ANY_SYSTEM
     assert FILE.read_bytes().isascii()
     from_os = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module == "os"]
-    assert {one.name for node in from_os for one in node.names} == {"PathLike", "fspath"}
+    assert {name.name for node in from_os for name in node.names} == {"PathLike", "fspath"}
 
 
 def test_there_is_one_file_for_two_distributions(tmp_path: Path) -> None:
@@ -187,8 +186,8 @@ def test_there_is_one_file_for_two_distributions(tmp_path: Path) -> None:
             assert "Requires-Python: >=3.9" in about or root == ROOT
 
 
-def test_values_of_numpy_and_paths_go_along(served: tuple[Process, str], tmp_path: Path) -> None:
-    process, token = served
+def test_values_of_numpy_and_paths_go_along(server_process: tuple[Process, str], tmp_path: Path) -> None:
+    process, token = server_process
     table = tmp_path / "targets.csv"
     table.write_text("\n".join([small_problem.COLUMNS, *small_problem.ROWS]))
     problem = {
@@ -220,8 +219,8 @@ def test_values_of_numpy_and_paths_go_along(served: tuple[Process, str], tmp_pat
     assert both.check(problem) == both.check(planner.load(written)) == ()
 
 
-def test_an_element_is_divided_and_its_panels_are_meshes(served: tuple[Process, str]) -> None:
-    process, token = served
+def test_an_element_is_divided_and_its_panels_are_meshes(server_process: tuple[Process, str]) -> None:
+    process, token = server_process
     dome, problems = cap(n=9), ROOT / "problems"
     template = yaml.safe_load((problems / "dome_267" / "held.yaml").read_text())
     template["cell"] = problems / "cells" / "two_irb4600_bow_gripper.yaml"
@@ -235,25 +234,25 @@ def test_an_element_is_divided_and_its_panels_are_meshes(served: tuple[Process, 
         "jobs": [{"problem": template}],
     }
     client = tandem_client.Client(process.url, token)
-    found = client.divide(element)
-    assert client.wait(found, timeout_s=120)["state"] == "done"
-    panels = client.element(found)["panels"]
-    meshes = client.meshes(found, "element.obj")
-    assert sorted(meshes) == sorted(one["id"] for one in panels)
+    result = client.divide(element)
+    assert client.wait(result, timeout_s=120)["state"] == "done"
+    panels = client.element(result)["panels"]
+    meshes = client.meshes(result, "element.obj")
+    assert sorted(meshes) == sorted(item["id"] for item in panels)
     for points, faces in meshes.values():
         edges = [(a, b) for face in faces for a, b in zip(face, face[1:] + face[:1], strict=True)]
         assert sorted(edges) == sorted((b, a) for a, b in edges), "a closed body"
-        assert {one for face in faces for one in face} == set(range(len(points)))
+        assert {item for face in faces for item in face} == set(range(len(points)))
         assert np.ptp(points, axis=0).max() < 1700, "of a block's size, in mm"
-    (job,) = client.plan_panels(found, [panels[0]["id"]])
+    (job,) = client.plan_panels(result, [panels[0]["id"]])
     client.cancel(job)
-    again = {one["id"]: one.get("job") for one in client.element(found)["panels"]}
+    again = {item["id"]: item.get("job") for item in client.element(result)["panels"]}
     assert [name for name, own in again.items() if own == job] == [panels[0]["id"]]
 
 
-def test_drafts_sweeps_and_links_to_look(served: tuple[Process, str], tmp_path: Path) -> None:
+def test_drafts_sweeps_and_links_to_look(server_process: tuple[Process, str], tmp_path: Path) -> None:
     """As the service answers; what it does is for the tests of each."""
-    process, token = served
+    process, token = server_process
     client = tandem_client.Client(process.url, token)
     table = {"Gewölbe ٣/t.csv": b"1,2"}
     first = client.keep_draft(b'{"a": [not a problem', "Gewölbe ٣", files=table)
@@ -265,12 +264,12 @@ def test_drafts_sweeps_and_links_to_look(served: tuple[Process, str], tmp_path: 
     assert client.draft(first["id"], 1) == (b'{"a": [not a problem', table)
     (issue,) = refusal(lambda: client.save_draft(first["id"], 1, {"c": 3}))
     assert (issue.code, issue.field) == ("service.draft", "If-Match")
-    assert [one["title"] for one in client.drafts()] == ["Gewölbe ٣", "Greifer"]
-    assert [one["kind"] for one in client.drafts("tool")] == ["tool"]
+    assert [item["title"] for item in client.drafts()] == ["Gewölbe ٣", "Greifer"]
+    assert [item["kind"] for item in client.drafts("tool")] == ["tool"]
     ours = client.keep_draft({}, "swept")
     draft = (ours["id"], ours["version"])
     client.delete_draft(first["id"])
-    assert [one["title"] for one in client.drafts()] == ["swept", "Greifer"]
+    assert [item["title"] for item in client.drafts()] == ["swept", "Greifer"]
 
     problem = small_problem.write(tmp_path)
     files = {"targets.csv": tmp_path / "targets.csv"}
@@ -283,13 +282,13 @@ def test_drafts_sweeps_and_links_to_look(served: tuple[Process, str], tmp_path: 
     assert swept(20, 30.5) == jobs
     (told,) = client.drafts("draft")
     assert (told["sent"], told["job"]) == (1, jobs[0])
-    assert sorted(one["id"] for one in client.jobs(tags=["vorschub ٣"])) == sorted(jobs)
-    titles = [client.job(one)["title"].rpartition(": ")[2] for one in jobs]
+    assert sorted(item["id"] for item in client.jobs(tags=["vorschub ٣"])) == sorted(jobs)
+    titles = [client.job(item)["title"].rpartition(": ")[2] for item in jobs]
     assert titles == ["operations.0.feed_mm_s = 20", "operations.0.feed_mm_s = 30.5"]
     (issue,) = refusal(lambda: swept(20, -1))
     assert issue.message.startswith("operations.0.feed_mm_s = -1: ")
-    for one in jobs:
-        client.cancel(one)
+    for item in jobs:
+        client.cancel(item)
 
     address = client.look(jobs[0], 3600)
     with urllib.request.urlopen(address) as page:
@@ -300,8 +299,8 @@ def test_drafts_sweeps_and_links_to_look(served: tuple[Process, str], tmp_path: 
     assert client.looks(jobs[0]) == []
 
 
-def test_a_file_that_is_no_mesh_is_told(odd: tuple[type[Odd], str]) -> None:
-    kind, url = odd
+def test_a_file_that_is_no_mesh_is_told(odd_service: tuple[type[OddService], str]) -> None:
+    kind, url = odd_service
     for text in (b"\xff", b"v 1 2", b"v 1 2 x", b"v 0 0 0\nf 1 a 1"):
         kind.answers = (200, {}, text)
         (issue,) = refusal(lambda: tandem_client.Client(url).meshes("a"))
@@ -357,7 +356,7 @@ def test_a_key_that_is_none_is_told_before_it_is_sent(key: Any, got: str) -> Non
     """By those that the service refuses; no service is there to ask."""
     if isinstance(key, str):
         with pytest.raises(RefusedError):
-            idempotency.checked([key])
+            idempotency.checked_header([key])
     for kind, error in (
         (tandem_client.Client, tandem_client.TandemError),
         (planner.Client, planner.TandemError),
@@ -368,12 +367,13 @@ def test_a_key_that_is_none_is_told_before_it_is_sent(key: Any, got: str) -> Non
                 ask({} if ask != client.plan_panels else "e", key=key)
             (issue,) = caught.value.issues
             assert (issue.code, issue.field) == ("service.idempotency", "key")
-            assert issue.message.startswith(f"key: {got}; 1 to 255 printable ASCII characters without spaces")
+            allowed = "1 to 255 printable ASCII characters without spaces"
+            assert issue.message.startswith(f"key: {got}, allowed: {allowed}")
 
 
 @pytest.mark.parametrize("key", ["!", "~" * 255, '"8e03978e-40d5-43dd-bc93-6894a57f9324"'])
 def test_a_key_that_the_service_takes_goes_on(key: str) -> None:
-    assert idempotency.checked([key]) == key
+    assert idempotency.checked_header([key]) == key
     (issue,) = refusal(lambda: tandem_client.Client("http://127.0.0.1:1").submit({}, key=key))
     assert issue.code == "service.answer"
 
@@ -395,22 +395,22 @@ def test_a_mesh_keeps_every_digit() -> None:
     assert lines[4:] == ["f 1 2 3 4"]
 
 
-def refusal(asked: Any) -> Any:
+def refusal(call: Any) -> Any:
     with pytest.raises(tandem_client.TandemError) as caught:
-        asked()
+        call()
     return caught.value.issues
 
 
-class Odd(http.server.BaseHTTPRequestHandler):
-    """A service that says what ``health`` says, and ``answers`` the rest; it notes what it was asked."""
+class OddService(http.server.BaseHTTPRequestHandler):
+    """A service that answers ``health`` and, for other requests, ``answers``. It records the requests."""
 
     health: bytes = b'{"status": "ok", "version": "9.0", "api": 3, "api_oldest": 1}'
     answers: tuple[int, dict[str, str], bytes] = (200, {}, b"{}")
     pause_s = 0.0
-    asked: list[tuple[str, str | None]]
+    requests: list[tuple[str, str | None]]
 
     def do_GET(self) -> None:
-        self.asked.append((self.path, self.headers.get("Authorization")))
+        self.requests.append((self.path, self.headers.get("Authorization")))
         status, headers, body = (200, {}, self.health) if self.path == "/v1/health" else self.answers
         if self.path != "/v1/health":
             time.sleep(self.pause_s)
@@ -428,8 +428,8 @@ class Odd(http.server.BaseHTTPRequestHandler):
 
 
 @pytest.fixture
-def odd() -> Iterator[tuple[type[Odd], str]]:
-    kind = type("Some", (Odd,), {"asked": []})
+def odd_service() -> Iterator[tuple[type[OddService], str]]:
+    kind = type("Some", (OddService,), {"requests": []})
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), kind) as server:
         server.daemon_threads = True
         threading.Thread(target=server.serve_forever, daemon=True).start()
@@ -437,39 +437,45 @@ def odd() -> Iterator[tuple[type[Odd], str]]:
         server.shutdown()
 
 
-def test_a_service_without_pages_of_drafts_gives_all_at_once(odd: tuple[type[Odd], str]) -> None:
-    kind, url = odd
+def test_a_service_without_pages_of_drafts_gives_all_at_once(
+    odd_service: tuple[type[OddService], str],
+) -> None:
+    kind, url = odd_service
     kind.health = b'{"status": "ok", "version": "9.0", "api": 13, "api_oldest": 1}'
     kind.answers = (200, {}, b'{"drafts": [{"id": "a"}]}')
     assert list(tandem_client.Client(url).drafts("cell")) == [{"id": "a"}]
-    assert [path for path, _ in kind.asked if "health" not in path] == ["/v1/drafts?limit=1000&kind=cell"]
+    assert [path for path, _ in kind.requests if "health" not in path] == ["/v1/drafts?limit=1000&kind=cell"]
     (issue,) = refusal(lambda: tandem_client.Client(url).sweep({}, "a", [1], draft=("b", 1)))
     assert issue.code == "service.version"
 
 
-def test_a_client_that_is_too_old_is_told(odd: tuple[type[Odd], str]) -> None:
-    kind, url = odd
+def test_a_client_that_is_too_old_is_told(odd_service: tuple[type[OddService], str]) -> None:
+    kind, url = odd_service
     newer = {"status": "ok", "version": "9.0", "api": API + 2, "api_oldest": API + 1}
     kind.health = json.dumps(newer).encode()
     (issue,) = refusal(lambda: tandem_client.Client(url, "t").job("a"))
     assert issue.code == "service.version"
     assert "pip install --upgrade tandem-client" in issue.message
-    assert [path for path, _ in kind.asked] == ["/v1/health"], "nothing was asked of it"
+    assert [path for path, _ in kind.requests] == ["/v1/health"], "nothing was asked of it"
     kind.health = b'{"status": "ok", "version": "9.0", "api": 7, "api_oldest": 2}'
     assert tandem_client.Client(url).job("a") == {}
 
 
 @pytest.mark.parametrize("health", [b'{"version": "9.0", "api": "x"}', b'{"version": 9}', b"[" * 100_000])
-def test_what_answers_otherwise_than_any_tandem_is_told(odd: tuple[type[Odd], str], health: bytes) -> None:
+def test_what_answers_otherwise_than_any_tandem_is_told(
+    odd_service: tuple[type[OddService], str], health: bytes
+) -> None:
     """The first and the last broke off with an error of Python's own."""
-    kind, url = odd
+    kind, url = odd_service
     kind.health = health
     (issue,) = refusal(lambda: tandem_client.Client(url).job("a"))
     assert issue.code == "service.answer" and url in issue.message
 
 
-def test_a_service_that_is_too_old_is_told_where_it_matters(odd: tuple[type[Odd], str]) -> None:
-    kind, url = odd
+def test_a_service_that_is_too_old_is_told_where_it_matters(
+    odd_service: tuple[type[OddService], str],
+) -> None:
+    kind, url = odd_service
     kind.health = b'{"status": "ok", "version": "0.1.0", "workers": 1, "queued": 0, "running": 0}'
     kind.answers = (200, {}, b'{"path": "/x"}')
     client = tandem_client.Client(url)
@@ -477,13 +483,13 @@ def test_a_service_that_is_too_old_is_told_where_it_matters(odd: tuple[type[Odd]
     for ask in (client.report_url, client.motion, client.element):
         (issue,) = refusal(lambda ask=ask: ask("a"))
         assert issue.code == "service.version"
-        assert "update the service" in issue.message
-    kind.health = Odd.health  # it was updated
+        assert "Update the service" in issue.message
+    kind.health = OddService.health  # it was updated
     assert client.report_url("a") == f"{url}/x"
 
 
-def test_what_a_newer_service_says_besides_is_passed_over(odd: tuple[type[Odd], str]) -> None:
-    kind, url = odd
+def test_what_a_newer_service_says_besides_is_passed_over(odd_service: tuple[type[OddService], str]) -> None:
+    kind, url = odd_service
     said = {"code": "service.new", "message": "new", "severity": "error", "colour": "red", "field": "a"}
     kind.answers = (422, {}, json.dumps({"issues": [said]}).encode())
     (issue,) = refusal(lambda: tandem_client.Client(url).job("a"))
@@ -498,8 +504,8 @@ def test_what_a_newer_service_says_besides_is_passed_over(odd: tuple[type[Odd], 
     assert caught.value.issues == (Issue("service.answer", "[service.new] new", field="a"),)
 
 
-def test_a_token_goes_to_no_other_address(odd: tuple[type[Odd], str]) -> None:
-    kind, url = odd
+def test_a_token_goes_to_no_other_address(odd_service: tuple[type[OddService], str]) -> None:
+    kind, url = odd_service
     kind.answers = (307, {"Location": "http://127.0.0.1:1/elsewhere"}, b"")
     for ask in (
         lambda: tandem_client.Client(url, "t").job("a"),
@@ -508,19 +514,19 @@ def test_a_token_goes_to_no_other_address(odd: tuple[type[Odd], str]) -> None:
         (issue,) = refusal(ask)
         assert issue.code == "service.answer"
         assert "http://127.0.0.1:1/elsewhere" in issue.message
-    assert {token for _, token in kind.asked} == {"Bearer t"}
+    assert {token for _, token in kind.requests} == {"Bearer t"}
 
 
-def test_a_token_is_sent_as_it_was_made(odd: tuple[type[Odd], str]) -> None:
-    kind, url = odd
+def test_a_token_is_sent_as_it_was_made(odd_service: tuple[type[OddService], str]) -> None:
+    kind, url = odd_service
     tandem_client.Client(url, " tandem_x\n").job("a/../b")
-    assert kind.asked[-1] == ("/v1/jobs/a%2F..%2Fb", "Bearer tandem_x")
+    assert kind.requests[-1] == ("/v1/jobs/a%2F..%2Fb", "Bearer tandem_x")
     for wrong in ("a\nb", "\u2013"):
         (issue,) = refusal(lambda wrong=wrong: tandem_client.Client(url, wrong))
         assert (issue.code, issue.field) == ("service.token", "token")
 
 
-class Gateway(Odd):
+class Gateway(OddService):
     """A proxy before a service that is started anew: the first answers on each path are ``first``, a status,
     or 0 for a connection that breaks off."""
 
@@ -550,7 +556,7 @@ class Gateway(Odd):
 def gateway(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[type[Gateway], str]]:
     monkeypatch.setattr(tandem_client, "RETRY_S", 0.01)
     monkeypatch.setattr(tandem_client, "PAUSES_S", (0.01, 0.01, 0.01))
-    kind = type("Some", (Gateway,), {"asked": [], "first": {}})
+    kind = type("Some", (Gateway,), {"requests": [], "first": {}})
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), kind) as server:
         server.daemon_threads = True
         threading.Thread(target=server.serve_forever, daemon=True).start()
@@ -564,9 +570,11 @@ def test_who_waits_goes_on_behind_a_proxy_while_the_service_is_away(
 ) -> None:
     kind, url = gateway
     kind.first = {path: [502, 503, 504, 0]}
-    heard: list[float] = []
-    done = tandem_client.Client(url).wait("a", lambda stage, fraction: heard.append(fraction), timeout_s=20.0)
-    assert (done["state"], heard) == ("verified", [0.5])
+    events: list[float] = []
+    done = tandem_client.Client(url).wait(
+        "a", lambda stage, fraction: events.append(fraction), timeout_s=20.0
+    )
+    assert (done["state"], events) == ("verified", [0.5])
     kind.first = {"/v1/jobs/a": [503] * 1000}
     (issue,) = refusal(lambda: tandem_client.Client(url).wait("a", timeout_s=0.3))
     assert issue.code == "service.timeout"
@@ -604,21 +612,21 @@ def test_what_is_no_address_is_told(url: str) -> None:
     assert (issue.code, issue.field) == ("service.answer", "url")
 
 
-def test_time_that_runs_out_is_told(odd: tuple[type[Odd], str]) -> None:
-    kind, url = odd
+def test_time_that_runs_out_is_told(odd_service: tuple[type[OddService], str]) -> None:
+    kind, url = odd_service
     kind.pause_s = 2.0
     (issue,) = refusal(lambda: tandem_client.Client(url, timeout_s=0.2).job("a"))
     assert issue.code == "service.timeout"
     began = time.monotonic()
     (issue,) = refusal(lambda: tandem_client.Client(url).wait("a", timeout_s=0.3))
     assert issue.code == "service.timeout"
-    assert "goes on" in issue.message
+    assert "It continues" in issue.message
     assert time.monotonic() - began < 1.9, "a service that hangs does not hold whoever waits"
 
 
 @pytest.mark.parametrize("body", [b"", b"[]", b"<html>", b"\xff", b'{"status": "up"}'])
-def test_what_is_no_tandem_is_told(odd: tuple[type[Odd], str], body: bytes) -> None:
-    kind, url = odd
+def test_what_is_no_tandem_is_told(odd_service: tuple[type[OddService], str], body: bytes) -> None:
+    kind, url = odd_service
     kind.health = body
     (issue,) = refusal(lambda: tandem_client.Client(url).job("a"))
     assert issue.code == "service.answer"

@@ -1,4 +1,4 @@
-"""A disk that is full and a database that is away: what is told, what waits, what goes on afterwards."""
+"""A full disk and an unavailable database: what is reported, what waits, and what continues afterwards."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from sqlalchemy import select, text
 from sqlalchemy.exc import OperationalError
 
 from planner.batch import solve
-from planner.batch.job import Done, Event, Finished, Job, Place
+from planner.batch.job import BatchJob, JobEvent, JobFinished, JobOrder, JobResult, ResultFolder
 from planner.issues import Issue, TandemError
 from planner.service import runner, storage
 from planner.service.models import JOBS, Database
-from planner.service.security import Limits
-from tests.service.support import InProcess, codes, named, until
+from planner.service.security import ServiceLimits
+from tests.service.support import InProcess, issue_codes, named_problem, wait_until
 
 FULL = Issue("output.disk_full", "full")
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[InProcess]:
-    monkeypatch.setattr(runner, "AGAIN_S", 0.05)
-    monkeypatch.setattr(runner, "ROOM_S", 0.05)
-    with InProcess(tmp_path / "data", Limits(check_s=60), examiners=1, lease_s=0.4) as made:
+def running_service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[InProcess]:
+    monkeypatch.setattr(runner, "RETRY_WAIT_S", 0.05)
+    monkeypatch.setattr(runner, "DISK_FULL_PAUSE_S", 0.05)
+    with InProcess(tmp_path / "data", ServiceLimits(check_s=60), examiners=1, lease_s=0.4) as made:
         yield made
 
 
-def away(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
+def fail_database(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
     @contextmanager
     def fail(self: Database) -> Iterator[Any]:
         raise error
@@ -50,95 +50,106 @@ def free(monkeypatch: pytest.MonkeyPatch, count: float) -> None:
 
 
 def test_tables_of_a_newer_version_end_the_work_of_an_older_host(
-    here: InProcess, caplog: pytest.LogCaptureFixture
+    running_service: InProcess, caplog: pytest.LogCaptureFixture
 ) -> None:
     """As another host leaves them that was updated while this one runs."""
-    here.team.hold.set()
-    job = here.post(named("older")).json()["id"]
-    until(lambda: here.http.get(f"/v1/jobs/{job}").json()["state"] == "running")
+    running_service.team.hold.set()
+    job = running_service.post(named_problem("older")).json()["id"]
+    wait_until(lambda: running_service.http.get(f"/v1/jobs/{job}").json()["state"] == "running")
     with ThreadPoolExecutor(1) as pool:
-        stream = pool.submit(here.http.get, f"/v1/jobs/{job}/events")
-        until(lambda: bool(here.service.hub._of_owner))
-        with here.service.database.write() as db:
+        stream = pool.submit(running_service.http.get, f"/v1/jobs/{job}/events")
+        wait_until(lambda: bool(running_service.service.hub._of_owner))
+        with running_service.service.database.write() as db:
             db.execute(text("UPDATE tandem_schema SET version = version + 1"))
-        until(lambda: not here.service.runner.is_alive(), 30.0)
+        wait_until(lambda: not running_service.service.runner.is_alive(), 30.0)
         assert "event: end" not in stream.result(30.0).text
     for answer in (
-        here.http.get("/v1/jobs"),
-        here.post(named("late")),
-        here.http.get("/v1/ready"),
-        here.http.get("/"),
+        running_service.http.get("/v1/jobs"),
+        running_service.post(named_problem("late")),
+        running_service.http.get("/v1/ready"),
+        running_service.http.get("/"),
     ):
         assert (answer.status_code, answer.headers["retry-after"]) in ((503, "60"), (503, "5"))
-        assert codes(answer) == [("service.database", None)]
+        assert issue_codes(answer) == [("service.database", None)]
         assert "Update tandem-planner on this host" in answer.text
-    assert here.http.get("/v1/health").status_code == 503
+    assert running_service.http.get("/v1/health").status_code == 503
     assert "This host stops accepting requests and jobs" in caplog.text
-    here.team.hold.clear()
-    with here.service.database.read() as db:  # another host takes it over when its lease is over
+    running_service.team.hold.clear()
+    with running_service.service.database.read() as db:  # another host takes it over when its lease is over
         assert db.execute(select(JOBS.c.state, JOBS.c.attempts)).one() == ("running", 1)
 
 
 def test_while_the_database_is_away_requests_are_503_and_the_process_is_well(
-    here: InProcess, monkeypatch: pytest.MonkeyPatch
+    running_service: InProcess, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert here.http.get("/v1/ready").json() == {"ready": True, "issues": []}
-    away(OperationalError("SELECT", {}, sqlite3.OperationalError("gone")), monkeypatch)
-    for answer in (here.http.get("/v1/jobs"), here.post(named("away")), here.http.get("/v1/ready")):
+    assert running_service.http.get("/v1/ready").json() == {"ready": True, "issues": []}
+    fail_database(OperationalError("SELECT", {}, sqlite3.OperationalError("gone")), monkeypatch)
+    for answer in (
+        running_service.http.get("/v1/jobs"),
+        running_service.post(named_problem("away")),
+        running_service.http.get("/v1/ready"),
+    ):
         assert answer.status_code == 503
         assert answer.headers["retry-after"] == "5"
-        assert codes(answer) == [("service.database", None)]
+        assert issue_codes(answer) == [("service.database", None)]
         assert "SELECT" not in answer.text
-    health = here.http.get("/v1/health")
+    health = running_service.http.get("/v1/health")
     assert health.status_code == 200
     assert health.json()["status"] == "degraded"
     assert "queued" not in health.json()
-    until(lambda: not here.service.runner.working)
-    assert here.service.runner.healthy
+    wait_until(lambda: not running_service.service.runner.working)
+    assert running_service.service.runner.healthy
     monkeypatch.undo()
-    until(lambda: here.http.get("/v1/ready").status_code == 200)
-    assert here.ended(here.post(named("back")).json()["id"])["state"] == "verified"
+    wait_until(lambda: running_service.http.get("/v1/ready").status_code == 200)
+    assert (
+        running_service.wait_for_end(running_service.post(named_problem("back")).json()["id"])["state"]
+        == "verified"
+    )
 
 
 def test_a_fault_of_ours_in_the_database_is_still_500(
-    here: InProcess, monkeypatch: pytest.MonkeyPatch
+    running_service: InProcess, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from sqlalchemy.exc import ProgrammingError
 
-    away(ProgrammingError("SELEC", {}, sqlite3.ProgrammingError("wrong")), monkeypatch)
-    answer = here.http.get("/v1/jobs")
-    assert (answer.status_code, codes(answer)) == (500, [("internal.error", None)])
+    fail_database(ProgrammingError("SELEC", {}, sqlite3.ProgrammingError("wrong")), monkeypatch)
+    answer = running_service.http.get("/v1/jobs")
+    assert (answer.status_code, issue_codes(answer)) == (500, [("internal.error", None)])
 
 
 def test_a_full_disk_is_507_for_what_is_stored_already_too(
-    here: InProcess, monkeypatch: pytest.MonkeyPatch
+    running_service: InProcess, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    problem = named("stored")
-    assert here.post(problem).status_code == 201
+    problem = named_problem("stored")
+    assert running_service.post(problem).status_code == 201
     free(monkeypatch, 1e6)
     for path in ("/v1/jobs", "/v1/check"):
-        answer = here.post(problem, path=path)
-        assert (answer.status_code, codes(answer)) == (507, [("service.storage", "files")])
-    ready = here.http.get("/v1/ready")
-    assert (ready.status_code, codes(ready)) == (503, [("service.storage", "files")])
-    assert str(here.service.options.data) not in ready.text
+        answer = running_service.post(problem, path=path)
+        assert (answer.status_code, issue_codes(answer)) == (507, [("service.storage", "files")])
+    ready = running_service.http.get("/v1/ready")
+    assert (ready.status_code, issue_codes(ready)) == (503, [("service.storage", "files")])
+    assert str(running_service.service.options.data) not in ready.text
     monkeypatch.undo()
-    assert here.post(problem).status_code == 201
+    assert running_service.post(problem).status_code == 201
 
 
-def test_a_database_whose_disk_is_full_is_507(here: InProcess, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_database_whose_disk_is_full_is_507(
+    running_service: InProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
     full = sqlite3.OperationalError("database or disk is full")
     full.sqlite_errorcode = sqlite3.SQLITE_FULL
     error = OperationalError("INSERT", {}, full)
-    monkeypatch.setattr(here.service.jobs, "create", lambda *asked: (_ for _ in ()).throw(error))
-    late = here.post(named("late"))
-    away(error, monkeypatch)
-    for answer in (late, here.http.get("/v1/jobs")):
-        assert (answer.status_code, codes(answer)) == (507, [("service.storage", "files")])
+    monkeypatch.setattr(running_service.service.jobs, "create", lambda *asked: (_ for _ in ()).throw(error))
+    late = running_service.post(named_problem("late"))
+    fail_database(error, monkeypatch)
+    for answer in (late, running_service.http.get("/v1/jobs")):
+        assert (answer.status_code, issue_codes(answer)) == (507, [("service.storage", "files")])
 
 
-def test_a_job_that_finds_the_disk_full_waits_and_is_planned_when_there_is_room(here: InProcess) -> None:
-    team, tries = here.team, []
+def test_a_job_that_finds_the_disk_full_waits_and_is_planned_when_there_is_room(
+    running_service: InProcess,
+) -> None:
+    team, tries = running_service.team, []
     ordinary = team.events
 
     def events(timeout_s: float) -> Iterator[Any]:
@@ -146,31 +157,31 @@ def test_a_job_that_finds_the_disk_full_waits_and_is_planned_when_there_is_room(
             (name,) = team._open
             team._open.clear()
             tries.append(name)
-            yield Finished(name, Done(name, "crashed", (FULL,)))
+            yield JobFinished(name, JobResult(name, "crashed", (FULL,)))
         yield from ordinary(timeout_s)
 
     team.events = events  # type: ignore[method-assign]
-    job = here.post(named("roomy")).json()["id"]
-    found = here.ended(job)
+    job = running_service.post(named_problem("roomy")).json()["id"]
+    result = running_service.wait_for_end(job)
     assert len(tries) == 5
-    assert (found["state"], found["attempts"]) == ("verified", 1)
+    assert (result["state"], result["attempts"]) == ("verified", 1)
 
 
-def test_no_job_is_begun_without_room(here: InProcess, monkeypatch: pytest.MonkeyPatch) -> None:
-    job = here.post(named("later"))
-    here.ended(job.json()["id"])
-    monkeypatch.setattr(here.service.runner, "_has_room", lambda: False)
-    waits = here.post(named("waits")).json()["id"]
-    began = len(here.team.started)
-    until(lambda: here.service.runner.working)
-    assert here.http.get(f"/v1/jobs/{waits}").json()["state"] == "queued"
+def test_no_job_is_begun_without_room(running_service: InProcess, monkeypatch: pytest.MonkeyPatch) -> None:
+    job = running_service.post(named_problem("later"))
+    running_service.wait_for_end(job.json()["id"])
+    monkeypatch.setattr(running_service.service.runner, "_has_disk_space", lambda: False)
+    waits = running_service.post(named_problem("waits")).json()["id"]
+    began = len(running_service.team.started)
+    wait_until(lambda: running_service.service.runner.working)
+    assert running_service.http.get(f"/v1/jobs/{waits}").json()["state"] == "queued"
     monkeypatch.undo()
-    assert here.ended(waits)["state"] == "verified"
-    assert len(here.team.started) == began + 1
+    assert running_service.wait_for_end(waits)["state"] == "verified"
+    assert len(running_service.team.started) == began + 1
 
 
 def test_a_job_that_could_not_be_begun_goes_back_and_loses_no_attempt(
-    here: InProcess, monkeypatch: pytest.MonkeyPatch
+    running_service: InProcess, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     real, failed = runner.tempfile.mkdtemp, []
 
@@ -181,41 +192,41 @@ def test_a_job_that_could_not_be_begun_goes_back_and_loses_no_attempt(
         return str(real(*given, **options))
 
     monkeypatch.setattr(runner.tempfile, "mkdtemp", mkdtemp)
-    found = here.ended(here.post(named("begun")).json()["id"])
+    found = running_service.wait_for_end(running_service.post(named_problem("begun")).json()["id"])
     assert (found["state"], found["attempts"], len(failed)) == ("verified", 1, 4)
 
 
 def test_jobs_of_a_cluster_that_went_away_are_planned_by_the_next_one(
-    here: InProcess, monkeypatch: pytest.MonkeyPatch
+    running_service: InProcess, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real, gone = here.team.events, []
+    real, gone = running_service.team.events, []
 
-    def events(timeout_s: float) -> Iterator[Event]:
-        if here.team._open and not gone:
+    def events(timeout_s: float) -> Iterator[JobEvent]:
+        if running_service.team._open and not gone:
             gone.append(1)
-            raise TandemError(Issue("batch.cluster", "the cluster's scheduler went away"))
+            raise TandemError(Issue("batch.cluster", "the cluster's scheduler is lost"))
         yield from real(timeout_s)
 
-    monkeypatch.setattr(here.team, "events", events)
-    found = here.ended(here.post(named("clustered")).json()["id"])
+    monkeypatch.setattr(running_service.team, "events", events)
+    found = running_service.wait_for_end(running_service.post(named_problem("clustered")).json()["id"])
     assert (found["state"], found["attempts"], len(gone)) == ("verified", 1, 1)
 
 
-def test_no_place_of_the_server_is_told(here: InProcess) -> None:
-    place = f"{here.service.scratch}/job-x/result"
+def test_no_place_of_the_server_is_told(running_service: InProcess) -> None:
+    place = f"{running_service.service.scratch}/job-x/result"
     wrong = Issue("internal.error", f"{place}: odd", file=f"{place}/report.html", hint=f"see {place}")
-    ordinary = here.team.events
+    ordinary = running_service.team.events
 
     def events(timeout_s: float) -> Iterator[Any]:
-        for name in list(here.team._open):
-            here.team._open.clear()
-            yield Finished(name, Done(name, "crashed", (wrong,)))
+        for name in list(running_service.team._open):
+            running_service.team._open.clear()
+            yield JobFinished(name, JobResult(name, "crashed", (wrong,)))
         yield from ordinary(timeout_s)
 
-    here.team.events = events  # type: ignore[method-assign]
-    found = here.ended(here.post(named("placed")).json()["id"])
+    running_service.team.events = events  # type: ignore[method-assign]
+    found = running_service.wait_for_end(running_service.post(named_problem("placed")).json()["id"])
     assert found["state"] == "crashed"
-    assert str(here.service.options.data) not in str(found)
+    assert str(running_service.service.options.data) not in str(found)
     assert "the service's folder/job-x" in found["issues"][0]["message"]
 
 
@@ -230,7 +241,7 @@ def test_planning_into_a_full_disk_is_told_as_that(
         raise full
 
     monkeypatch.setattr(solve.pipeline, "load", load)
-    done = solve.solve("a", tmp_path, tmp_path / "out", {}, lambda *_: None, lambda _: None)
+    done = solve.solve_job(JobOrder("a", tmp_path, tmp_path / "out"), lambda *_: None, lambda _: None)
     assert (done.state, [issue.code for issue in done.issues]) == ("crashed", ["output.disk_full"])
     assert str(tmp_path) not in done.issues[0].message
 
@@ -240,49 +251,51 @@ def test_a_place_on_a_full_disk_is_told_as_that(tmp_path: Path, monkeypatch: pyt
         raise OSError(errno.EDQUOT, "quota")
 
     monkeypatch.setattr(Path, "write_bytes", write)
-    job = Job("a", {"problem.yaml": b""})
+    job = BatchJob("a", {"problem.yaml": b""})
     with pytest.raises(TandemError) as caught:
-        Place.claim(tmp_path / "a", None).prepare(job.files)
+        ResultFolder.claim(tmp_path / "a", None).prepare(job.files)
     assert caught.value.issues[0].code == "output.disk_full"
 
 
 @pytest.mark.parametrize("state", ["crashed", "timeout", "memory"])
-def test_one_call_tries_again(here: InProcess, state: str) -> None:
-    ordinary, once = here.team.events, [state]
+def test_one_call_tries_again(running_service: InProcess, state: str) -> None:
+    ordinary, once = running_service.team.events, [state]
 
     def events(timeout_s: float) -> Iterator[Any]:
-        for name in list(here.team._open):
+        for name in list(running_service.team._open):
             if once:
-                here.team._open.clear()
+                running_service.team._open.clear()
                 issue = Issue("service.gave_up", "three times")
-                yield Finished(name, Done(name, once.pop(), (issue,), {"cycle_s": 3.0}, 0.1))  # type: ignore[arg-type]
+                yield JobFinished(name, JobResult(name, once.pop(), (issue,), {"cycle_s": 3.0}, 0.1))  # type: ignore[arg-type]
         yield from ordinary(timeout_s)
 
-    here.team.events = events  # type: ignore[method-assign]
-    job = here.post(named(f"again_{state}")).json()["id"]
-    assert here.ended(job)["state"] == state
-    again = here.http.post(f"/v1/jobs/{job}/retry")
+    running_service.team.events = events  # type: ignore[method-assign]
+    job = running_service.post(named_problem(f"again_{state}")).json()["id"]
+    assert running_service.wait_for_end(job)["state"] == state
+    again = running_service.http.post(f"/v1/jobs/{job}/retry")
     assert again.status_code == 200
     assert again.json()["id"] == job
     assert "finished" not in again.json() or again.json()["state"] != state
-    found = here.ended(job)
-    assert (found["state"], found["attempts"], found["metrics"]) == ("verified", 1, {"cycle_s": 1.0})
-    assert "service.gave_up" not in str(found["issues"])
-    refused = here.http.post(f"/v1/jobs/{job}/retry")
-    assert (refused.status_code, codes(refused)) == (409, [("service.state", "state")])
-    assert "it is verified" in refused.text
-    events_told = here.http.get(f"/v1/jobs/{job}/events").text
+    result = running_service.wait_for_end(job)
+    assert (result["state"], result["attempts"], result["metrics"]) == ("verified", 1, {"cycle_s": 1.0})
+    assert "service.gave_up" not in str(result["issues"])
+    refused = running_service.http.post(f"/v1/jobs/{job}/retry")
+    assert (refused.status_code, issue_codes(refused)) == (409, [("service.state", "state")])
+    assert "state verified" in refused.text
+    events_told = running_service.http.get(f"/v1/jobs/{job}/events").text
     assert events_told.rstrip().split("\n")[-2] == "event: end"
 
 
-def test_a_job_that_was_cancelled_is_tried_again_and_one_that_waits_is_not(here: InProcess) -> None:
-    here.team.hold.set()
-    running = here.post(named("running")).json()["id"]
-    until(lambda: here.http.get(f"/v1/jobs/{running}").json()["state"] == "running")
-    job = here.post(named("stopped")).json()["id"]
-    assert here.http.post(f"/v1/jobs/{job}/retry").status_code == 409
-    assert here.http.post(f"/v1/jobs/{job}/cancel").json()["state"] == "cancelled"
-    assert here.http.post(f"/v1/jobs/{job}/retry").json()["state"] == "queued"
-    here.team.hold.clear()
-    assert here.ended(job)["state"] == "verified"
-    assert here.http.post(f"/v1/jobs/{'0' * 32}/retry").status_code == 404
+def test_a_job_that_was_cancelled_is_tried_again_and_one_that_waits_is_not(
+    running_service: InProcess,
+) -> None:
+    running_service.team.hold.set()
+    running = running_service.post(named_problem("running")).json()["id"]
+    wait_until(lambda: running_service.http.get(f"/v1/jobs/{running}").json()["state"] == "running")
+    job = running_service.post(named_problem("stopped")).json()["id"]
+    assert running_service.http.post(f"/v1/jobs/{job}/retry").status_code == 409
+    assert running_service.http.post(f"/v1/jobs/{job}/cancel").json()["state"] == "cancelled"
+    assert running_service.http.post(f"/v1/jobs/{job}/retry").json()["state"] == "queued"
+    running_service.team.hold.clear()
+    assert running_service.wait_for_end(job)["state"] == "verified"
+    assert running_service.http.post(f"/v1/jobs/{'0' * 32}/retry").status_code == 404

@@ -1,4 +1,4 @@
-"""Meshes are counted before they are read: against trimesh, which reads them, and as a refusal by name."""
+"""Meshes are counted before they are read: compared with trimesh, which reads them, and refused by name."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from planner.service.security import Limits
+from planner.service.security import ServiceLimits
 from planner.service.upload_reader import mesh_size
 from tests import small_problem
 from tests.service.support import TABLE, InProcess
@@ -18,7 +18,7 @@ from tests.service.support import TABLE, InProcess
 BALL = trimesh.creation.icosphere(subdivisions=3, radius=40.0)
 
 
-def written(path: Path, kind: str) -> Path:
+def write_mesh(path: Path, kind: str) -> Path:
     if kind == "ascii":
         path.write_text(trimesh.exchange.stl.export_stl_ascii(BALL))
     elif kind == "text":
@@ -33,15 +33,15 @@ def written(path: Path, kind: str) -> Path:
     ("name", "kind"), [("a.obj", ""), ("a.stl", ""), ("a.ply", ""), ("a.STL", "ascii"), ("a.ply", "text")]
 )
 def test_the_count_is_what_trimesh_reads(tmp_path: Path, name: str, kind: str) -> None:
-    path = written(tmp_path / name.lower(), kind)
+    path = write_mesh(tmp_path / name.lower(), kind)
     read = trimesh.load(io.BytesIO(path.read_bytes()), path.suffix[1:], force="mesh", process=False)
-    found = mesh_size(path, Path(name).suffix)
-    assert found.facets == len(read.faces) == 1280
-    assert found.vertices >= len(read.vertices)
+    result = mesh_size(path, Path(name).suffix)
+    assert result.facets == len(read.faces) == 1280
+    assert result.vertices >= len(read.vertices)
 
 
 def quads(count: int, corners: int, text: bool) -> bytes:
-    """A PLY file of that many faces with so many corners each."""
+    """Return a PLY file with the given numbers of faces and of corners per face."""
     points = np.random.default_rng(3).uniform(size=(corners, 3))
     head = f"ply\nformat {'ascii' if text else 'binary_little_endian'} 1.0\nelement vertex {corners}\n"
     head += "".join(f"property float {axis}\n" for axis in "xyz")
@@ -80,9 +80,9 @@ def test_a_mesh_of_too_many_facets_is_refused_by_name(tmp_path: Path) -> None:
         ("files", ("targets.csv", TABLE)),
         ("files", ("ball.ply", BALL.export(file_type="ply"))),
     ]
-    with InProcess(tmp_path / "data", Limits(mesh_facets=1279), examiners=1) as here:
+    with InProcess(tmp_path / "data", ServiceLimits(mesh_facets=1279), examiners=1) as running_service:
         for path in ("/v1/jobs", "/v1/check", "/ui/preview"):
-            answer = here.http.post(path, files=files)
+            answer = running_service.http.post(path, files=files)
             assert answer.status_code == 413
             (issue,) = answer.json()["issues"]
             assert (issue["code"], issue["field"], issue["file"]) == (
@@ -91,6 +91,6 @@ def test_a_mesh_of_too_many_facets_is_refused_by_name(tmp_path: Path) -> None:
                 "ball.ply",
             )
             assert (issue["value"], issue["limit"]) == (1280, 1279)
-            assert "1,280 facets" in issue["message"]
-    with InProcess(tmp_path / "more", Limits(mesh_facets=1280), examiners=1) as here:
-        assert here.http.post("/v1/check", files=files).status_code == 200
+            assert "too many facets (got 1,280, allowed 1,279)" in issue["message"]
+    with InProcess(tmp_path / "more", ServiceLimits(mesh_facets=1280), examiners=1) as running_service:
+        assert running_service.http.post("/v1/check", files=files).status_code == 200

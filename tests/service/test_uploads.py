@@ -16,17 +16,17 @@ import pytest
 
 from planner.service import tandem_client
 from planner.service.models import Database, default_url
-from planner.service.security import Auth, Limits
+from planner.service.security import Auth, ServiceLimits
 from tests import small_problem
-from tests.service.support import InProcess, Process, codes, named
+from tests.service.support import InProcess, Process, issue_codes, named_problem
 
 PLY = "ply\nformat binary_little_endian 1.0\nelement vertex {n}\nproperty float x\nproperty float y\n"
 PLY += "property float z\nelement face {m}\nproperty list uchar int vertex_indices\nend_header\n"
 
 
 @pytest.fixture(scope="module")
-def here(tmp_path_factory: pytest.TempPathFactory) -> Iterator[InProcess]:
-    limits = Limits(upload_mb=2, mesh_mb=0.5, check_s=60, files=5)
+def running_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[InProcess]:
+    limits = ServiceLimits(upload_mb=2, mesh_mb=0.5, check_s=60, files=5)
     with InProcess(tmp_path_factory.mktemp("open") / "data", limits, examiners=1) as made:
         yield made
 
@@ -37,11 +37,13 @@ def with_mesh(name: str) -> str:
     return small_problem.PROBLEM.replace("stock:", f"  {body}\nstock:")
 
 
-def test_too_much_is_413_said_or_not(here: InProcess) -> None:
+def test_too_much_is_413_said_or_not(running_service: InProcess) -> None:
     big = b"x" * 2_100_000
-    answer = here.http.post("/v1/jobs", files=[("problem", ("p.yaml", "a: 1")), ("files", ("t.csv", big))])
+    answer = running_service.http.post(
+        "/v1/jobs", files=[("problem", ("p.yaml", "a: 1")), ("files", ("t.csv", big))]
+    )
     assert answer.status_code == 413
-    assert codes(answer) == [("service.too_large", None)]
+    assert issue_codes(answer) == [("service.too_large", None)]
 
     def chunks() -> Iterator[bytes]:  # no Content-Length
         yield b'--b\r\nContent-Disposition: form-data; name="files"; filename="t.csv"\r\n\r\n'
@@ -49,18 +51,20 @@ def test_too_much_is_413_said_or_not(here: InProcess) -> None:
             yield b"x" * 65536
 
     kind = {"Content-Type": "multipart/form-data; boundary=b"}
-    answer = here.http.post("/v1/jobs", content=chunks(), headers=kind)
+    answer = running_service.http.post("/v1/jobs", content=chunks(), headers=kind)
     assert answer.status_code == 413
     mesh = [("problem", ("p.yaml", "a: 1")), ("files", ("wall.STL", b"x" * 600_000))]
-    assert codes(here.http.post("/v1/jobs", files=mesh)) == [("service.too_large", "files.0")]
-    assert not list((here.service.options.data / "files" / "incoming").iterdir())
+    assert issue_codes(running_service.http.post("/v1/jobs", files=mesh)) == [
+        ("service.too_large", "files.0")
+    ]
+    assert not list((running_service.service.options.data / "files" / "incoming").iterdir())
 
 
 def test_who_still_sends_sees_why_it_was_refused(tmp_path: Path) -> None:
     """Of a body of 30 MB a connection holds a few; one that is closed on the rest is reset."""
     data = tmp_path / "data"
     data.mkdir()
-    token = Auth(Database(default_url(data))).make("ann")
+    token = Auth(Database(default_url(data))).create_token("ann")
     process = Process(data, "--upload-mb", "20", "--require-token").wait()
     good = {"Content-Type": "application/yaml", "Authorization": f"Bearer {token}"}
     large = (413, "service.too_large")
@@ -71,14 +75,14 @@ def test_who_still_sends_sees_why_it_was_refused(tmp_path: Path) -> None:
         (False, 18, {"Origin": "https://evil.example"}, (403, "service.foreign")),
     ]
     try:
-        for chunked, mb, more, wanted in cases * 3:
+        for chunked, mb, more, expected in cases * 3:
             body = b"x" * (mb * 1_000_000)
             chunks = (body[at : at + 65536] for at in range(0, len(body), 65536))
             link = http.client.HTTPConnection("127.0.0.1", process.port, timeout=60)
             sent = chunks if chunked else body
             link.request("POST", "/v1/jobs", sent, {**good, **more}, encode_chunked=chunked)
             answer = link.getresponse()
-            assert (answer.status, json.loads(answer.read())["issues"][0]["code"]) == wanted, (mb, more)
+            assert (answer.status, json.loads(answer.read())["issues"][0]["code"]) == expected, (mb, more)
             link.close()
         before = process.log.read_text().count('"POST /v1/jobs')
         client = tandem_client.Client(process.url, token)
@@ -102,11 +106,13 @@ def archives() -> Iterator[tuple[str, bytes]]:
 
 
 @pytest.mark.parametrize(("name", "content"), list(archives()), ids=["zip", "tar", "gzip"])
-def test_archives_are_refused_whatever_they_are_called(here: InProcess, name: str, content: bytes) -> None:
+def test_archives_are_refused_whatever_they_are_called(
+    running_service: InProcess, name: str, content: bytes
+) -> None:
     files = [("problem", ("p.yaml", small_problem.PROBLEM)), ("files", (name, content))]
-    answer = here.http.post("/v1/jobs", files=files)
+    answer = running_service.http.post("/v1/jobs", files=files)
     assert answer.status_code == 422
-    assert codes(answer) == [("service.archive", "files")]
+    assert issue_codes(answer) == [("service.archive", "files")]
 
 
 @pytest.mark.parametrize(
@@ -122,7 +128,7 @@ def test_archives_are_refused_whatever_they_are_called(here: InProcess, name: st
         "~/.ssh/id",
     ],
 )
-def test_a_problem_names_no_file_outside_its_upload(here: InProcess, path: str) -> None:
+def test_a_problem_names_no_file_outside_its_upload(running_service: InProcess, path: str) -> None:
     whole = small_problem.PROBLEM
     cell = whole[whole.index("cell:") : whole.index("stock:")]
     for text in (
@@ -130,30 +136,36 @@ def test_a_problem_names_no_file_outside_its_upload(here: InProcess, path: str) 
         whole.replace(cell, f'cell: "{path}"\n'),
         with_mesh(f'"{path}"'),
     ):
-        answer = here.post(text)
+        answer = running_service.post(text)
         assert answer.status_code == 422
-        assert "service.not_uploaded" in [code for code, _ in codes(answer)]
+        assert "service.not_uploaded" in [code for code, _ in issue_codes(answer)]
         assert "root:" not in answer.text
 
 
-def test_an_upload_whose_name_is_a_path_is_found_by_its_last_step(here: InProcess) -> None:
+def test_an_upload_whose_name_is_a_path_is_found_by_its_last_step(running_service: InProcess) -> None:
     files = [
-        ("problem", ("../../etc/p.yaml", named("steps").replace("targets.csv", "../tables/targets.csv"))),
+        (
+            "problem",
+            ("../../etc/p.yaml", named_problem("steps").replace("targets.csv", "../tables/targets.csv")),
+        ),
         ("files", ("C:\\work\\targets.csv", "\n".join([small_problem.COLUMNS, *small_problem.ROWS]))),
     ]
-    answer = here.http.post("/v1/jobs", files=files)
+    answer = running_service.http.post("/v1/jobs", files=files)
     assert answer.status_code == 201, answer.text
-    names = [one["name"] for one in here.http.get(f"/v1/jobs/{answer.json()['id']}/files").json()["files"]]
+    names = [
+        file["name"]
+        for file in running_service.http.get(f"/v1/jobs/{answer.json()['id']}/files").json()["files"]
+    ]
     assert all(".." not in name and "\\" not in name for name in names)
 
 
-def test_bad_names_of_files_are_told(here: InProcess) -> None:
+def test_bad_names_of_files_are_told(running_service: InProcess) -> None:
     table = b"1"
     files = [
         ("problem", ("p.yaml", "a: 1")),
         *(("files", (name, table)) for name in ("a", "a", "x" * 300, "b/")),
     ]
-    assert codes(here.http.post("/v1/jobs", files=files)) == [
+    assert issue_codes(running_service.http.post("/v1/jobs", files=files)) == [
         ("service.file_name", "files.1"),
         ("service.file_name", "files.2"),
         ("service.file_name", "files.3"),
@@ -182,8 +194,8 @@ BOMB = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
     ],
     ids=["aliases", "deep", "deep maps", "loop", "object", "key", "zero", "latin", "number", "list", "empty"],
 )
-def test_hostile_yaml_is_422_with_issues(here: InProcess, text: str) -> None:
-    answer = here.post(text)
+def test_hostile_yaml_is_422_with_issues(running_service: InProcess, text: str) -> None:
+    answer = running_service.post(text)
     assert answer.status_code == 422
     assert answer.json()["issues"]
 
@@ -208,17 +220,17 @@ def cube(facets: int, value: float) -> bytes:
     ],
     ids=["nan", "count", "infinite", "huge", "negative", "index", "obj index", "material", "empty", "kind"],
 )
-def test_hostile_meshes_are_422_with_issues(here: InProcess, name: str, content: bytes) -> None:
+def test_hostile_meshes_are_422_with_issues(running_service: InProcess, name: str, content: bytes) -> None:
     table = "\n".join([small_problem.COLUMNS, *small_problem.ROWS])
     files = [
         ("problem", ("p.yaml", with_mesh(name))),
         ("files", (name, content)),
         ("files", ("targets.csv", table)),
     ]
-    answer = here.http.post("/v1/jobs", files=files)
+    answer = running_service.http.post("/v1/jobs", files=files)
     assert answer.status_code == 422
     assert answer.json()["issues"]
-    assert str(here.service.options.data) not in answer.text
+    assert str(running_service.service.options.data) not in answer.text
 
 
 @pytest.mark.parametrize(
@@ -239,18 +251,18 @@ def test_hostile_meshes_are_422_with_issues(here: InProcess, name: str, content:
         ("application/json", b""),
     ],
 )
-def test_malformed_bodies_are_422_with_issues(here: InProcess, kind: str, body: bytes) -> None:
-    answer = here.http.post("/v1/jobs", content=body, headers={"Content-Type": kind})
+def test_malformed_bodies_are_422_with_issues(running_service: InProcess, kind: str, body: bytes) -> None:
+    answer = running_service.http.post("/v1/jobs", content=body, headers={"Content-Type": kind})
     assert answer.status_code == 422
     assert answer.json()["issues"]
 
 
 def test_reading_that_takes_too_long_or_too_much_is_422(tmp_path: Path) -> None:
     large = "tandem: 1\na: [" + "x, " * 400_000 + "x]"
-    with InProcess(tmp_path / "data", Limits(check_s=0.5), examiners=1) as here:
-        assert codes(answer := here.post(large)) == [("service.check_stopped", "problem")]
+    with InProcess(tmp_path / "data", ServiceLimits(check_s=0.5), examiners=1) as running_service:
+        assert issue_codes(answer := running_service.post(large)) == [("service.check_stopped", "problem")]
         assert answer.status_code == 422 and "0.5 s" in answer.text
-    with InProcess(tmp_path / "more", Limits(check_memory_mb=500), examiners=1) as here:
-        assert codes(answer := here.post(large)) == [("service.check_stopped", "problem")]
+    with InProcess(tmp_path / "more", ServiceLimits(check_memory_mb=500), examiners=1) as running_service:
+        assert issue_codes(answer := running_service.post(large)) == [("service.check_stopped", "problem")]
         assert answer.status_code == 422 and "500 MB" in answer.text
-        assert here.post(named("after")).status_code == 201
+        assert running_service.post(named_problem("after")).status_code == 201

@@ -1,5 +1,7 @@
-"""Webhooks whose receivers, or whose names, are somebody else's: nothing holds a sender up, and nothing
-signed goes where it should not."""
+"""Webhooks whose receivers or host names belong to an attacker.
+
+Nothing holds a sender up, and nothing signed is sent to the wrong host.
+"""
 
 from __future__ import annotations
 
@@ -18,14 +20,14 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from planner.service import webhooks
-from planner.service.webhooks import Due, post, signature
+from planner.service.webhooks import DueNotification, send_notification, signature
 
 SECRET = "whsec_" + "A" * 44
 Answer = Callable[[socket.socket], None]
 
 
-class Hostile:
-    """A server that does to each connection what it was told to, and keeps what came first."""
+class HostileServer:
+    """A server that answers each connection as configured and keeps the received bytes."""
 
     def __init__(self, answer: Answer) -> None:
         self.came: list[bytes] = []
@@ -37,33 +39,35 @@ class Hostile:
         with contextlib.suppress(OSError):
             while True:
                 link, _ = self._server.accept()
-                threading.Thread(target=self._one, args=(link,), daemon=True).start()
+                threading.Thread(target=self._handle, args=(link,), daemon=True).start()
 
-    def _one(self, link: socket.socket) -> None:
+    def _handle(self, link: socket.socket) -> None:
         with link, contextlib.suppress(OSError):
             self.came.append(link.recv(65536))
             self._answer(link)
 
-    def told(self, scheme: str = "http", host: str = "") -> tuple[int | None, str]:
+    def deliver(self, scheme: str = "http", host: str = "") -> tuple[int | None, str]:
         host = host or self.host
-        return post(Due("msg_1", "w", "local", f"{scheme}://{host}/x", SECRET, "{}", 1), (host,))
+        return send_notification(
+            DueNotification("msg_1", "w", "local", f"{scheme}://{host}/x", SECRET, "{}", 1), (host,)
+        )
 
     def close(self) -> None:
         self._server.close()
 
 
 @pytest.fixture
-def hostile(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Answer], Hostile]]:
-    monkeypatch.setattr(webhooks, "ANSWER_S", 0.5)
-    made: list[Hostile] = []
+def hostile_server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Answer], HostileServer]]:
+    monkeypatch.setattr(webhooks, "ANSWER_TIMEOUT_S", 0.5)
+    servers: list[HostileServer] = []
 
-    def make(answer: Answer) -> Hostile:
-        made.append(Hostile(answer))
-        return made[-1]
+    def make(answer: Answer) -> HostileServer:
+        servers.append(HostileServer(answer))
+        return servers[-1]
 
     yield make
-    for one in made:
-        one.close()
+    for item in servers:
+        item.close()
 
 
 def drip(link: socket.socket, first: bytes, piece: bytes) -> None:
@@ -92,19 +96,19 @@ def endless(link: socket.socket, first: bytes, piece: bytes) -> None:
     ],
 )
 def test_what_never_comes_to_an_answer_is_given_up_in_time(
-    hostile: Callable[[Answer], Hostile],
+    hostile_server: Callable[[Answer], HostileServer],
     scheme: str,
     first: bytes,
     piece: bytes,
     send: Callable[[socket.socket, bytes, bytes], None],
 ) -> None:
-    server = hostile(lambda link: send(link, first, piece))
+    server = hostile_server(lambda link: send(link, first, piece))
     begun = time.monotonic()
-    assert server.told(scheme) == (None, "no answer")
+    assert server.deliver(scheme) == (None, "no answer")
     assert time.monotonic() - begun < 5.0
 
 
-def test_a_huge_body_is_not_read(hostile: Callable[[Answer], Hostile]) -> None:
+def test_a_huge_body_is_not_read(hostile_server: Callable[[Answer], HostileServer]) -> None:
     sent = [0]
 
     def answer(link: socket.socket) -> None:
@@ -113,24 +117,24 @@ def test_a_huge_body_is_not_read(hostile: Callable[[Answer], Hostile]) -> None:
             sent[0] += link.send(b"a" * 100_000)
 
     begun = time.monotonic()
-    assert hostile(answer).told() == (200, "")
+    assert hostile_server(answer).deliver() == (200, "")
     assert time.monotonic() - begun < 5.0
     assert sent[0] < 50_000_000
 
 
 @pytest.mark.parametrize("status", [301, 302, 303, 307, 308])
-def test_no_redirection_is_followed(hostile: Callable[[Answer], Hostile], status: int) -> None:
-    other = hostile(lambda link: None)
+def test_no_redirection_is_followed(hostile_server: Callable[[Answer], HostileServer], status: int) -> None:
+    other = hostile_server(lambda link: None)
     where = f"HTTP/1.1 {status} Elsewhere\r\nLocation: http://{other.host}/latest/meta-data\r\n\r\n".encode()
-    assert hostile(lambda link: link.sendall(where)).told() == (status, "")
+    assert hostile_server(lambda link: link.sendall(where)).deliver() == (status, "")
     assert other.came == []
 
 
 def test_a_host_of_many_addresses_that_never_answer_is_given_up_in_time(
-    hostile: Callable[[Answer], Hostile], monkeypatch: pytest.MonkeyPatch
+    hostile_server: Callable[[Answer], HostileServer], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each had the whole time for itself, and what answered behind that had no end at all."""
-    server = hostile(lambda link: drip(link, b"HTTP/1.1 200 OK\r\nX-A: ", b"a"))
+    server = hostile_server(lambda link: drip(link, b"HTTP/1.1 200 OK\r\nX-A: ", b"a"))
     with socket.socket() as full:
         full.bind(("127.0.0.1", 0))
         full.listen(0)
@@ -141,15 +145,15 @@ def test_a_host_of_many_addresses_that_never_answer_is_given_up_in_time(
                 one.connect_ex(full.getsockname())
             there = (socket.AF_INET, socket.SOCK_STREAM, 0, "")
             port = int(server.host.rsplit(":", 1)[1])
-            found = [(*there, full.getsockname())] * 30 + [(*there, ("127.0.0.1", port))]
-            monkeypatch.setattr(socket, "getaddrinfo", lambda *given, **more: found)
+            result = [(*there, full.getsockname())] * 30 + [(*there, ("127.0.0.1", port))]
+            monkeypatch.setattr(socket, "getaddrinfo", lambda *given, **more: result)
             begun = time.monotonic()
-            assert server.told() == (None, "no answer")
+            assert server.deliver() == (None, "no answer")
             assert time.monotonic() - begun < 5.0
 
 
 def test_a_name_that_leads_to_another_machine_gets_nothing(
-    hostile: Callable[[Answer], Hostile], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    hostile_server: Callable[[Answer], HostileServer], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whoever answers for the host's name without its certificate: a machine of the operator's, or this."""
     key = ec.generate_private_key(ec.SECP256R1())
@@ -162,21 +166,21 @@ def test_a_name_that_leads_to_another_machine_gets_nothing(
     (tmp_path / "own.pem").write_bytes(text)
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(tmp_path / "own.pem")
-    said: list[bytes] = []
+    received: list[bytes] = []
     with socket.create_server(("127.0.0.1", 0)) as server:
 
         def serve() -> None:
             link, _ = server.accept()
             with contextlib.suppress(OSError), context.wrap_socket(link, server_side=True) as safe:
-                said.append(safe.recv(65536))
+                received.append(safe.recv(65536))
 
         thread = threading.Thread(target=serve, daemon=True)
         thread.start()
         there = (socket.AF_INET, socket.SOCK_STREAM, 0, "", server.getsockname())
         monkeypatch.setattr(socket, "getaddrinfo", lambda *given, **more: [there])
-        assert hostile(lambda link: None).told("https", "hooks.example.org") == (None, "no answer")
+        assert hostile_server(lambda link: None).deliver("https", "hooks.example.org") == (None, "no answer")
         thread.join(10.0)
-    assert not any(said)
+    assert not any(received)
 
 
 def test_a_signature_is_good_for_its_message_at_its_time_alone() -> None:
@@ -191,13 +195,13 @@ def test_a_signature_is_good_for_its_message_at_its_time_alone() -> None:
 
 
 def test_an_attempt_is_signed_for_the_time_at_which_it_is_made(
-    hostile: Callable[[Answer], Hostile], monkeypatch: pytest.MonkeyPatch
+    hostile_server: Callable[[Answer], HostileServer], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A receiver that refuses what is minutes old takes one that is sent again hours later."""
-    server = hostile(lambda link: link.sendall(b"HTTP/1.1 204 No Content\r\n\r\n"))
+    """A receiver that refuses messages some minutes old accepts one that is sent again hours later."""
+    server = hostile_server(lambda link: link.sendall(b"HTTP/1.1 204 No Content\r\n\r\n"))
     now = time.time()
     for later in (0.0, 36_000.0):
         monkeypatch.setattr(time, "time", lambda at=now + later: at)
-        assert server.told() == (204, "")
+        assert server.deliver() == (204, "")
     stamps = [int(text.split(b"webhook-timestamp: ")[1].split(b"\r\n")[0]) for text in server.came]
     assert stamps[1] - stamps[0] == 36_000

@@ -1,5 +1,8 @@
-"""Plates, cones and pyramids against CalculiX: a table that ``bench/calculix_shells.py`` wrote, and runs of
-``ccx`` where that is installed (Debian package ``calculix-ccx``)."""
+"""Plates, cones and pyramids against CalculiX.
+
+The references are a table that ``bench/calculix_shells.py`` wrote, and runs of ``ccx`` where that is
+installed (Debian package ``calculix-ccx``).
+"""
 
 from __future__ import annotations
 
@@ -26,8 +29,8 @@ def test_the_table_has_every_shape_with_its_meshes() -> None:
     for name, row in TABLE.items():
         assert row["forces_n"] == list(SHAPES[name].forces)
         assert [int(count) for count in row["meshes"]] == list(SHAPES[name].meshes)
-        meshes = {int(count): one["mm"] for count, one in row["meshes"].items()}
-        assert calculix.extrapolated(meshes) == pytest.approx(row["extrapolated_mm"], abs=1e-5)
+        meshes = {int(count): mesh["mm"] for count, mesh in row["meshes"].items()}
+        assert calculix.extrapolate(meshes) == pytest.approx(row["extrapolated_mm"], abs=1e-5)
 
 
 @pytest.mark.parametrize("name", SHORT)
@@ -48,9 +51,9 @@ def test_4000_triangles_agree_with_calculix(name: str) -> None:
 @needs_ccx
 def test_calculix_still_says_so_of_one_coarse_mesh() -> None:
     name, count = "cone 60, 30 deg", calculix.MESHES[0]
-    found = calculix.calculix(SHAPES[name], count)
-    assert found["elements"] == TABLE[name]["meshes"][str(count)]["elements"]
-    assert found["mm"] == pytest.approx(TABLE[name]["meshes"][str(count)]["mm"], rel=1e-3)
+    result = calculix.calculix(SHAPES[name], count)
+    assert result["elements"] == TABLE[name]["meshes"][str(count)]["elements"]
+    assert result["mm"] == pytest.approx(TABLE[name]["meshes"][str(count)]["mm"], rel=1e-3)
 
 
 @needs_ccx
@@ -58,8 +61,8 @@ def test_calculix_still_says_so_of_one_coarse_mesh() -> None:
 @pytest.mark.parametrize("name", ["plate, immovable", "cone 40", "pyramid, wall"])
 def test_calculix_still_says_so_of_three_shapes(name: str) -> None:
     for count in calculix.MESHES[:2]:
-        found = calculix.calculix(SHAPES[name], count)
-        assert found["mm"] == pytest.approx(TABLE[name]["meshes"][str(count)]["mm"], rel=1e-3)
+        result = calculix.calculix(SHAPES[name], count)
+        assert result["mm"] == pytest.approx(TABLE[name]["meshes"][str(count)]["mm"], rel=1e-3)
 
 
 def test_decks_have_what_they_say() -> None:
@@ -67,8 +70,8 @@ def test_decks_have_what_they_say() -> None:
     shape = SHAPES["cone 50, immovable"]
     nodes, elements, thickness = calculix.quadrilaterals(shape, 6)
     a, b, c, d = (nodes[elements[:, k], :2] for k in range(4))
-    one, two = c - a, d - b
-    area = 0.5 * (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
+    item, two = c - a, d - b
+    area = 0.5 * (item[:, 0] * two[:, 1] - item[:, 1] * two[:, 0])
     assert area.min() > 0.0
     whole = 4.0 * np.prod(shape.half)
     assert area.sum() == pytest.approx(whole, rel=1e-6)

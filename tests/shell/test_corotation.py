@@ -1,4 +1,4 @@
-"""Forces of displaced sheets: none in rigid turns, and a tangent that is their derivative."""
+"""Forces of displaced sheets: none in rigid rotations, and a tangent that is their derivative."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from planner.geometry.arrays import exp_rotation
 from planner.shell.corotation import Assembly, State, TooFarError, at_rest
 from planner.shell.element import Membrane
-from planner.shell.newton import Loading, clamped, column
+from planner.shell.newton import Loading, clamped, column_weights
 from tests.shell.sheets import cone, down, patch
 
 
@@ -20,8 +20,8 @@ def test_rigid_turns_give_no_force(membrane: Membrane) -> None:
     axis = np.array([0.48, 0.6, 0.64])
     turn = exp_rotation(np.radians(30.0) * axis)
     u = sheet.nodes @ turn.T + [0.3, -0.1, 0.2] - sheet.nodes
-    found = assembly.force(State(u, np.broadcast_to(turn, (count, 3, 3))))
-    assert np.abs(found).max() < 1e-6
+    result = assembly.force(State(u, np.broadcast_to(turn, (count, 3, 3))))
+    assert np.abs(result).max() < 1e-6
 
 
 @pytest.mark.parametrize("membrane", ["optimal", "constant strain"])
@@ -44,15 +44,15 @@ def test_the_tangent_is_the_derivative_of_the_forces(membrane: Membrane) -> None
         slope[:, freedom] = (ahead - behind).reshape(-1) / 2e-7
     slope = 0.5 * (slope + slope.T)
     scale = np.sqrt(np.abs(np.diag(slope)))
-    off = np.abs(slope - tangent.toarray()) / (scale[:, None] * scale)
-    assert off.max() < 1e-6
+    deviation = np.abs(slope - tangent.toarray()) / (scale[:, None] * scale)
+    assert deviation.max() < 1e-6
 
 
 def test_in_balance_the_tangent_is_the_derivative_along_any_step() -> None:
     """At 100 N on a cone, where it is symmetric by itself: along random steps within 1e-3."""
     sheet, place = cone(0.05, 800)
     loading = Loading(sheet, clamped(sheet, "sliding"))
-    state = loading.states(column(sheet, place, 3e-3), down(100.0))[-1]
+    state = loading.states(column_weights(sheet, place, 3e-3), down(100.0))[-1]
     assembly, free = loading.assembly, loading.assembly.free
     _, tangent = assembly.tangent(state)
     rng = np.random.default_rng(2)

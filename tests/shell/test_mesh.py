@@ -1,4 +1,7 @@
-"""Meshes of rings: they cover the sheet once, kinks lie on mesh lines, places are nodes, counts are kept."""
+"""Meshes of rings: they cover the sheet once, kinks lie on mesh lines, load points are nodes.
+
+Counts are kept.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +11,10 @@ import shapely
 from scipy.spatial import Delaunay
 
 from planner.geometry.arrays import FloatArray, IntArray, lengths
-from planner.geometry.mesh_repair import border
-from planner.shell.bisection import bisected
+from planner.geometry.mesh_repair import border_edges
+from planner.shell.bisection import bisect
 from planner.shell.contours import _corners
-from planner.shell.mesh import FLANGE, FLOOR, WALL, SheetMesh, Wall, cone_rings, mesh_sheet, mesh_walls
+from planner.shell.mesh import FLANGE, FLOOR, WALL, ShellMesh, Wall, cone_rings, mesh_sheet, mesh_walls
 from tests.shell.sheets import WINDOW
 
 
@@ -47,7 +50,7 @@ PARTS = {
 }
 
 
-def normals(mesh: SheetMesh) -> FloatArray:
+def normals(mesh: ShellMesh) -> FloatArray:
     """Twice the area of each triangle along its normal (m, 3) [m^2]."""
     corners = mesh.nodes[mesh.triangles]
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -60,7 +63,7 @@ def test_a_mesh_covers_the_window_once(name: str) -> None:
     across = normals(mesh)
     assert across[:, 2].min() > 0.0
     assert 0.5 * across[:, 2].sum() == pytest.approx(0.25**2, rel=1e-9)
-    rim = border(mesh.triangles)
+    rim = border_edges(mesh.triangles)
     assert np.allclose(np.abs(mesh.nodes[rim, :2]).max(axis=2), 0.125)
     assert lengths(mesh.nodes[rim[:, 1]] - mesh.nodes[rim[:, 0]]).sum() == pytest.approx(1.0, rel=1e-9)
     assert set(np.unique(mesh.triangles)) == set(range(len(mesh.nodes)))
@@ -95,8 +98,8 @@ def test_sharp_corners_are_mesh_lines() -> None:
 def test_places_are_nodes_and_elements_grow_outwards() -> None:
     places = np.array([[0.0, 0.03], [0.03 * np.cos(0.3), 0.03 * np.sin(0.3)], [0.011, -0.004], [0.08, 0.02]])
     mesh = mesh_sheet(PARTS["cone"], WINDOW, 2000, places)
-    off = lengths(mesh.nodes[:, None, :2] - places).min(axis=0)
-    assert off.max() < 5e-6  # chords of the 360 points that the ring has
+    deviation = lengths(mesh.nodes[:, None, :2] - places).min(axis=0)
+    assert deviation.max() < 5e-6  # chords of the 360 points that the ring has
     area = 0.5 * lengths(normals(mesh))
     assert area[mesh.zone == FLANGE].max() > 5.0 * np.median(area[mesh.zone == FLOOR])
 
@@ -135,26 +138,26 @@ def test_edges_are_cut_until_none_is_too_long_and_no_angle_is_halved() -> None:
     def size_at(points: FloatArray) -> FloatArray:
         return 0.02 + 0.3 * lengths(points[:, :2] - [0.3, 0.7])
 
-    def middle(one: FloatArray, two: FloatArray, beside: IntArray) -> FloatArray:
+    def middle(first: FloatArray, second: FloatArray, adjacent: IntArray) -> FloatArray:
         for column in (0, 1):  # ends are of the triangle that is named
             low, high = (
-                nodes[before[beside[:, column]]].min(axis=1),
-                nodes[before[beside[:, column]]].max(axis=1),
+                nodes[before[adjacent[:, column]]].min(axis=1),
+                nodes[before[adjacent[:, column]]].max(axis=1),
             )
-            assert np.all((one >= low - 1e-12) & (one <= high + 1e-12))
-        return 0.5 * (one + two)
+            assert np.all((first >= low - 1e-12) & (first <= high + 1e-12))
+        return 0.5 * (first + second)
 
     def angles(points: FloatArray, triangles: IntArray) -> FloatArray:
         a, b, c = (points[np.roll(triangles, -k, axis=1)] for k in range(3))
         cosine = np.sum((b - a) * (c - a), axis=2) / (lengths(b - a) * lengths(c - a))
         return np.arccos(np.clip(cosine, -1.0, 1.0)).min(axis=1)
 
-    points, triangles, owner = bisected(nodes, before, size_at, middle)
+    points, triangles, owner = bisect(nodes, before, size_at, middle)
     assert np.array_equal(points[: len(nodes)], nodes)
     edges = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2).reshape(-1, 2)
     shared = np.unique(edges, axis=0, return_counts=True)[1]
     assert set(shared) == {1, 2}
-    rim = border(triangles)
+    rim = border_edges(triangles)
     assert lengths(points[rim[:, 1]] - points[rim[:, 0]]).sum() == pytest.approx(4.0)
     cross = np.cross(
         points[triangles][:, 1] - points[triangles][:, 0], points[triangles][:, 2] - points[triangles][:, 0]
@@ -180,17 +183,17 @@ def test_round_rims_have_rows_by_their_turn() -> None:
 
 def test_what_cannot_be_meshed_is_refused() -> None:
     top, low = PARTS["cone"]
-    for rings, told in (
+    for rings, expected_text in (
         ([low, top], "inside"),
         ([1.0 * top, low + np.array([0.04, 0.0, 0.0])], "inside"),
         ([3.0 * top, low], "window"),
         ([top + np.outer(np.arange(len(top)), [0.0, 0.0, 1e-5]), low], "heights differ"),
     ):
-        with pytest.raises(ValueError, match=told):
+        with pytest.raises(ValueError, match=expected_text):
             mesh_sheet(rings, WINDOW, 1000)
     with pytest.raises(ValueError, match="allow about"):
         mesh_sheet(PARTS["cone"], WINDOW, 40)
-    with pytest.raises(ValueError, match="contour that goes through it"):
+    with pytest.raises(ValueError, match="add a contour through it"):
         mesh_sheet(PARTS["cone"], WINDOW, 1000, np.array([[0.04, 0.0]]))
     with pytest.raises(ValueError, match="tip"):
         cone_rings(0.05, np.radians(45.0), 0.06)
@@ -216,11 +219,11 @@ def test_walls_side_by_side_and_on_floors_are_meshed_as_one_sheet() -> None:
     turn = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
     outline = 0.1 * np.column_stack([np.cos(turn), np.sin(turn)])
 
-    def placed(x: float, top: float, depth: float, flat: float = 0.0) -> list[FloatArray]:
+    def wall_contours(x: float, top: float, depth: float, flat: float = 0.0) -> list[FloatArray]:
         return [np.add(ring, [x, 0.0, flat]) for ring in cone_rings(top, np.radians(45.0), depth, 60)]
 
-    inner = Wall(placed(-0.045, 0.012, 0.005, -0.01))
-    walls = [Wall(placed(-0.045, 0.035, 0.010), [inner]), Wall(placed(0.040, 0.030, 0.015))]
+    inner = Wall(wall_contours(-0.045, 0.012, 0.005, -0.01))
+    walls = [Wall(wall_contours(-0.045, 0.035, 0.010), [inner]), Wall(wall_contours(0.040, 0.030, 0.015))]
     places = np.array([[-0.038, 0.0], [0.055, 0.0], [0.0, 0.08], [-0.03, 0.012]])
     made = mesh_walls(walls, outline, 3000, places)
     corners = made.nodes[made.triangles]
@@ -230,8 +233,8 @@ def test_walls_side_by_side_and_on_floors_are_meshed_as_one_sheet() -> None:
     assert len(made.triangles) <= 3000
     level = np.ptp(corners[:, :, 2], axis=1) < 1e-12
     assert set(np.round(corners[level][:, 0, 2], 6)) == {0.0, -0.010, -0.015}
-    for place in places:
-        assert np.linalg.norm(made.nodes[:, :2] - place, axis=1).min() < 2e-4
+    for candidate in places:
+        assert np.linalg.norm(made.nodes[:, :2] - candidate, axis=1).min() < 2e-4
 
 
 def test_walls_that_touch_or_stand_in_the_air_are_refused() -> None:
@@ -241,7 +244,7 @@ def test_walls_that_touch_or_stand_in_the_air_are_refused() -> None:
     with pytest.raises(ValueError, match="not inside"):
         mesh_walls([Wall(ring), Wall(beside)], outline, 3000)
     above = [each * [0.3, 0.3, 1.0] for each in ring]
-    with pytest.raises(ValueError, match="as high"):
+    with pytest.raises(ValueError, match="in height"):
         mesh_walls([Wall(ring, [Wall(above)])], outline, 3000)
     with pytest.raises(ValueError, match="outline"):
         mesh_walls([Wall(ring)], outline, 3000, np.array([[0.2, 0.0]]))

@@ -25,7 +25,7 @@ def main(arguments: list[str]) -> int:
         for rows in measures.findings()[room].values():
             print("\n".join(rows))
     counted = measures.counts()
-    risen = measures.risen(stored(), counted)
+    risen = measures.risen(read_stored_counts(), counted)
     print(
         "\n".join(risen) or ", ".join(f"{key} {number}" for key, number in measures.totals(counted).items())
     )
@@ -34,12 +34,12 @@ def main(arguments: list[str]) -> int:
     return 1 if risen else 0
 
 
-def stored() -> dict[str, measures.Counts]:
+def read_stored_counts() -> dict[str, measures.Counts]:
     """Return the stored counts."""
     if not TABLE.exists():
         return {}
-    found: dict[str, measures.Counts] = json.loads(TABLE.read_text(encoding="utf-8"))
-    return found
+    stored: dict[str, measures.Counts] = json.loads(TABLE.read_text(encoding="utf-8"))
+    return stored
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The bow and the grippers: frames, the wire's way through the throat, masses, sizes that are refused."""
+"""The bow and the grippers: frames, passage of the wire through the throat, masses, refused sizes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tools are one sum type: each kind has what it really has, and work that needs a kind refuses all others."""
+"""Tools are one sum type: each kind has only its own fields. Work that needs a kind refuses all others."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from pydantic import TypeAdapter
 
 from planner import pipeline
 from planner.cell import plant
-from planner.cell.bodies import own_shapes
+from planner.cell.bodies import shapes_by_body
 from planner.geometry import corner_rounding
 from planner.geometry.arrays import Shape, axis_ends, inverse, transform
-from planner.geometry.arrays import corners as hull
+from planner.geometry.arrays import hull_points as hull
 from planner.geometry.units import MM
 from planner.issues import TandemError
 from planner.problem import Problem
@@ -26,9 +26,10 @@ from planner.processes import registry
 from planner.processes.hotwire.plan.straight import job
 from planner.proof.prove import Prover
 from planner.reading import cell
-from planner.targets import lever
+from planner.targets import tool_reach
 from planner.tooling import (
     Bow,
+    CutterGeometry,
     FormingTool,
     Gripper,
     Knife,
@@ -75,10 +76,10 @@ FILES: dict[str, tuple[dict[str, Any], type[OnFlange]]] = {
 WORKS = (Bow, FormingTool, Mill, Torch, Knife)
 
 
-def read(kind: str) -> Tool:
-    """The tool of that kind as a cell file gives it."""
+def read_tool(kind: str) -> Tool:
+    """Read the tool of that kind from a cell file."""
     spec: Any = TypeAdapter(cell.ToolFile).validate_python(FILES[kind][0])
-    return cell.tool(spec, Path())
+    return cell.build_tool(spec, Path())
 
 
 def all_kinds() -> list[type]:
@@ -94,7 +95,7 @@ def test_the_table_has_every_kind_of_cell_files_and_of_the_sum_type() -> None:
 
 @pytest.mark.parametrize("kind", FILES)
 def test_a_cell_file_gives_a_tool_of_its_kind(kind: str) -> None:
-    tool = read(kind)
+    tool = read_tool(kind)
     assert type(tool) is FILES[kind][1]
     assert tool.mass > 0.0
     assert tool.tcp.shape == (4, 4)
@@ -111,7 +112,7 @@ def test_no_kind_has_a_field_that_may_be_missing(cls: type) -> None:
 
 
 def test_a_plain_tool_is_what_its_file_says() -> None:
-    tool = read("plain")
+    tool = read_tool("plain")
     assert (tool.name, tool.mass) == ("plain", 0.7)
     np.testing.assert_allclose(tool.cog, [0.0, 0.001, 0.04])
     np.testing.assert_allclose(tool.tcp[:3, 3], [0.0, 0.0, 0.12])
@@ -121,9 +122,9 @@ def test_a_plain_tool_is_what_its_file_says() -> None:
 
 @pytest.mark.parametrize("kind", FILES)
 def test_only_tools_that_work_with_something_rigid_have_a_solid_that_may_touch_the_stock(kind: str) -> None:
-    tool = read(kind)
+    tool = read_tool(kind)
     solid = working_solid(tool)
-    bodies = own_shapes(alone("irb140", tool), BLOCK)
+    bodies = shapes_by_body(alone("irb140", tool), BLOCK)
     assert ("arm/edge" in bodies) == isinstance(tool, WORKS)
     assert (solid is not None) == isinstance(tool, WORKS)
     if solid is not None:
@@ -133,11 +134,11 @@ def test_only_tools_that_work_with_something_rigid_have_a_solid_that_may_touch_t
 
 @pytest.mark.parametrize("kind", FILES)
 def test_tools_go_through_pickle_and_have_a_digest_of_their_own(kind: str) -> None:
-    tool = read(kind)
+    tool = read_tool(kind)
     again = pickle.loads(pickle.dumps(tool))
     assert type(again) is type(tool)
     assert plant.content_digest(again) == plant.content_digest(tool)
-    assert sum(plant.content_digest(read(other)) == plant.content_digest(tool) for other in FILES) == 1
+    assert sum(plant.content_digest(read_tool(other)) == plant.content_digest(tool) for other in FILES) == 1
 
 
 @pytest.mark.parametrize(("tilt", "throat"), [(0.0, 0.385), (np.pi / 3, 0.4 - 0.02 * np.sin(np.pi / 3))])
@@ -153,16 +154,16 @@ def test_a_bow_knows_its_wire_and_the_room_behind_it(tilt: float, throat: float)
 def test_a_tool_cuts_as_far_from_its_tcp_as_its_solid_goes() -> None:
     """A wire to its clamps on either side; a ball's shaft and a cutter from tip to holder, but for rounded
     ends; a solid with corners counts as nothing long."""
-    assert lever(bow(0.8, 0.4)) == pytest.approx(0.4)
+    assert tool_reach(bow(0.8, 0.4)) == pytest.approx(0.4)
     ball = ball_tool(0.01, 0.3)
-    assert lever(ball) == pytest.approx(ball.head.length - 0.01)
-    long = mill("cylinder", 0.005, 0.0, 0.05, 0.25)
-    assert lever(long) == pytest.approx(0.25)
+    assert tool_reach(ball) == pytest.approx(ball.head.length - 0.01)
+    long = mill(CutterGeometry("cylinder", 0.005, 0.0, 0.05, 0.25))
+    assert tool_reach(long) == pytest.approx(0.25)
     assert working_solid(disk_tool(0.03, 0.3, 0.01, 0.01)).kind == "mesh"  # type: ignore[union-attr]
     assert (
-        lever(disk_tool(0.03, 0.3, 0.01, 0.01))
-        == corner_rounding.TURNING_LEVER_MM * MM
-        == lever(read("plain"))
+        tool_reach(disk_tool(0.03, 0.3, 0.01, 0.01))
+        == corner_rounding.ROTATION_LEVER_MM * MM
+        == tool_reach(read_tool("plain"))
     )
 
 
@@ -175,7 +176,7 @@ def refusal(problem: Problem) -> dict[str, str]:
 @pytest.mark.parametrize("kind", [kind for kind, (_, cls) in FILES.items() if cls is not Bow])
 def test_a_straight_wire_is_cut_with_a_bow_alone(kind: str) -> None:
     setup = foam_blocks.setup()
-    arms = [dataclasses.replace(a, tool=read(kind)) if a.name == "left" else a for a in setup.cell.arms]
+    arms = [dataclasses.replace(a, tool=read_tool(kind)) if a.name == "left" else a for a in setup.cell.arms]
     setup = dataclasses.replace(setup, cell=dataclasses.replace(setup.cell, arms=tuple(arms)))
     square = np.array([(-0.08, 0.02), (-0.08, 0.08), (0.08, 0.08), (0.08, 0.02)])
     part = foam_blocks.part(foam_blocks.prism("sq", square, closed=True))
@@ -183,7 +184,7 @@ def test_a_straight_wire_is_cut_with_a_bow_alone(kind: str) -> None:
         job.StraightJob(foam_blocks.operation(), setup, part).targets()
     (issue,) = caught.value.issues
     assert issue.code == "bow.missing"
-    assert read(kind).name in issue.message
+    assert read_tool(kind).name in issue.message
 
 
 @pytest.mark.parametrize("kind", [kind for kind, (_, cls) in FILES.items() if cls is not Mill])
@@ -213,14 +214,14 @@ def test_sheets_are_formed_by_the_tools_that_their_mode_wants(tmp_path: Path, mo
             continue
         data["cell"]["arms"][place]["tool"] = FILES[kind][0]
         problem = pipeline.load(small_forming.write(tmp_path, data))
-        told = refusal(problem)["forming.tool"]
-        assert f"arm {problem.operations[0].arms[place]} carries" in told
-        assert f"mode {mode} wants {'heat_tool' if 'heat_tool' in fits else 'ball_tool'}" in told
+        refusal_text = refusal(problem)["forming.tool"]
+        assert f"arm {problem.operations[0].arms[place]} carries" in refusal_text
+        assert f"mode {mode} needs {'heat_tool' if 'heat_tool' in fits else 'ball_tool'}" in refusal_text
 
 
 def test_points_that_hold_a_shape() -> None:
     """Boxes by their corners, round shapes by the box about them, with their caps."""
-    place = read("bow").tcp
+    place = read_tool("bow").tcp
     sizes = {"box": (0.1, 0.2, 0.3), "cylinder": (0.05, 0.3), "capsule": (0.05, 0.2), "sphere": (0.15,)}
     half = {
         "box": [0.05, 0.1, 0.15],
@@ -241,12 +242,12 @@ def test_points_that_hold_a_shape() -> None:
 def test_the_proof_takes_no_other_tools_solid_for_a_wire() -> None:
     """The claimed wires are proven with bows, and not with rods of their size that form sheets."""
 
-    def rod(own: Tool) -> FormingTool:
-        assert isinstance(own, Bow)
-        common = {field.name: getattr(own, field.name) for field in dataclasses.fields(OnFlange)}
-        return FormingTool(**common, head=ball_tool(own.radius, 0.3).head, solid=own.wire)
+    def rod(tool: Tool) -> FormingTool:
+        assert isinstance(tool, Bow)
+        common = {field.name: getattr(tool, field.name) for field in dataclasses.fields(OnFlange)}
+        return FormingTool(**common, head=ball_tool(tool.radius, 0.3).head, solid=tool.wire)
 
-    def refused(problem: Problem) -> set[str]:
+    def rejected_codes(problem: Problem) -> set[str]:
         proof = Prover(problem, straight_job.claims()).prove(straight_job.programs(), last="verify.bow")
         return broken(proof)
 
@@ -257,5 +258,5 @@ def test_the_proof_takes_no_other_tools_solid_for_a_wire() -> None:
         for index, change in problem.changes.items()
     }
     other = dataclasses.replace(problem, cell=dataclasses.replace(problem.cell, arms=arms), changes=changes)
-    assert refused(problem) == set()
-    assert refused(other) == {"verify.bow"}
+    assert rejected_codes(problem) == set()
+    assert rejected_codes(other) == {"verify.bow"}

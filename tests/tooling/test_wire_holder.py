@@ -1,4 +1,4 @@
-"""The wire holder: its frames follow the conventions, its solids leave the wire's way free."""
+"""The wire holder: its frames follow the conventions, and its solids keep clear of the wire."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 from planner.cell.bodies import Solid, signed_distance
 from planner.geometry.arrays import inverse, transform
-from planner.tooling import REACH, wire_holder
+from planner.tooling import HOLDER_REACH_M, wire_holder
 
 OUT = {"along": (0, 0, 1), "across": (-1, 0, 0), "diagonal": (-np.sqrt(0.5), 0, np.sqrt(0.5))}
 
@@ -21,17 +21,17 @@ def test_the_tcps_x_axis_runs_from_the_start_arm_to_the_end_arm(mounting: str, s
     np.testing.assert_allclose(rotation[:, 0], sign * np.array(OUT[mounting]), atol=1e-12)
     np.testing.assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-12)
     assert np.linalg.det(rotation) == pytest.approx(1.0)
-    np.testing.assert_allclose(tool.tcp[:3, 3], [0.0, 0.0, REACH[mounting]], atol=1e-12)
+    np.testing.assert_allclose(tool.tcp[:3, 3], [0.0, 0.0, HOLDER_REACH_M[mounting]], atol=1e-12)
 
 
 def test_distances_of_the_tcp_from_the_flange() -> None:
-    assert REACH == {"along": 0.120, "across": 0.100, "diagonal": 0.110}
+    assert HOLDER_REACH_M == {"along": 0.120, "across": 0.100, "diagonal": 0.110}
 
 
 @pytest.mark.parametrize("mounting", ["along", "across", "diagonal"])
 def test_both_holders_have_the_same_solids(mounting: str) -> None:
-    one, other = wire_holder(mounting, "start"), wire_holder(mounting, "end")
-    for a, b in zip(one.shapes, other.shapes, strict=True):
+    item, other = wire_holder(mounting, "start"), wire_holder(mounting, "end")
+    for a, b in zip(item.shapes, other.shapes, strict=True):
         np.testing.assert_array_equal(a.pose, b.pose)
         assert a.size == b.size
 

@@ -1,1 +1,1 @@
-"""Packages as others would write them: what they bring is found by entry points."""
+"""Example packages of third parties, which are found by entry points."""

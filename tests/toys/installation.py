@@ -1,4 +1,4 @@
-"""Packages are installed for a test: what importlib.metadata finds of them is written into a folder."""
+"""Installation of packages for a test: writes the metadata that importlib.metadata finds into a folder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The package with a gauge is used as if it were a part of Tandem."""
+"""The package with a gauge works like a part of Tandem."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ import pytest
 
 from planner import pipeline
 from planner.cli import command_line
-from planner.issues import TandemError, given_wrong
+from planner.issues import TandemError, is_input_error
 from planner.processes import registry
 from planner.proof import prove
-from planner.proof.contribution import Ahead, ProofOfProcess
+from planner.proof.contribution import ParallelGroup, ProofOfProcess
 from planner.proof.rule_table import built_in
 from planner.runtime.second_process import module_path
 from tests import small_problem
 from tests.proof.provers import broken
-from tests.runtime.test_second_process import Recorder
+from tests.runtime.test_second_process import RecordingExecutor
 from tests.toys.gauge import proof
 from tests.toys.installation import RING, forget, install, problem
 
@@ -107,7 +107,7 @@ def test_its_codes_are_those_of_refusals_and_notes(outcome: pipeline.Outcome, tm
     with pytest.raises(TandemError) as caught:
         pipeline.plan(pipeline.load(problem(tmp_path, low)))
     assert [issue.code for issue in caught.value.issues] == ["ring.height"]
-    assert given_wrong(caught.value.issues)
+    assert is_input_error(caught.value.issues)
 
 
 def test_its_codes_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
@@ -132,7 +132,7 @@ from planner import pipeline, plans
 from planner.claims import claim
 made = plans.load(sys.argv[1])
 print({"MillsSurface", "TrimsSheet"} <= {kind.__name__ for kind in claim.kinds()})
-problem, same = pipeline.planned_result(sys.argv[1])
+problem, same = pipeline.load_planned_result(sys.argv[1])
 print(problem.operations[0].least_mm, made.digest == same.digest == problem.digest)
 print(*(type(claim).__name__ for claim in made.operations[0].targets.claims))
 print(*(issue.code for issue in made.issues))
@@ -169,9 +169,12 @@ def test_its_rule_is_examined_in_the_second_process(
     """An issue with its code comes back from there."""
     given = outcome.problem, registry.claims(outcome.problem), _dip(outcome.programs)
     one = prove.prove(*given)
-    rule, group = dataclasses.replace(proof.above, ahead="ring"), Ahead("ring", "motion", lambda _: True)
-    monkeypatch.setattr(proof, "PROOF", ProofOfProcess((rule,), ahead=(group,)))
-    with Recorder() as second:
+    rule, group = (
+        dataclasses.replace(proof.above, parallel_group="ring"),
+        ParallelGroup("ring", "motion", lambda _: True),
+    )
+    monkeypatch.setattr(proof, "PROOF", ProofOfProcess((rule,), parallel_groups=(group,)))
+    with RecordingExecutor() as second:
         two = prove.prove(*given, second)
         assert second.done == [True, True]
     assert one.issues == two.issues

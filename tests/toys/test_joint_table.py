@@ -11,9 +11,9 @@ import pytest
 from planner import pipeline
 from planner.issues import TandemError
 from planner.programs import job, partial
-from planner.report.contribution import by_language
+from planner.report.plugin_contributions import reports_by_language
 from planner.runtime import plugins
-from planner.runtime.plugins import Found, Language
+from planner.runtime.plugins import Language, LoadedPlugin
 from tests import small_problem
 from tests.toys.installation import forget, install
 from tests.toys.joint_table import LANGUAGE
@@ -60,7 +60,7 @@ def test_a_job_is_planned_written_and_proven(planned: pipeline.Outcome) -> None:
     straight = found["joint_table.straight"]
     assert straight.worst is not None and 0.05 < straight.worst < 0.2
     assert pipeline.verify(planned.problem, planned.programs).ok
-    ((sheet, arms),) = by_language(planned.problem.cell.arms)
+    ((sheet, arms),) = reports_by_language(planned.problem.cell.arms)
     assert sheet.programs(planned.problem, arms) == [("joint table of left", "cubics from rest to rest")]
 
 
@@ -138,7 +138,7 @@ def test_two_arms_in_one_job_are_refused(tmp_path: Path, sync: str) -> None:
 
 @pytest.mark.usefixtures("_installed")
 @pytest.mark.parametrize(
-    ("before", "after", "field"),
+    ("original", "after", "field"),
     [
         ("joint_table}", "joint_table, joint_prefix: {left: a_}}", "cell.controller.joint_prefix"),
         ("joint_table}", "joint_tables}", "cell.controller.language"),
@@ -147,10 +147,10 @@ def test_two_arms_in_one_job_are_refused(tmp_path: Path, sync: str) -> None:
     ],
 )
 def test_other_options_of_the_controller_fit_or_are_refused(
-    tmp_path: Path, before: str, after: str, field: str
+    tmp_path: Path, original: str, after: str, field: str
 ) -> None:
     with pytest.raises(TandemError) as caught:
-        pipeline.load(small_problem.write(tmp_path, PROBLEM.replace(before, after)))
+        pipeline.load(small_problem.write(tmp_path, PROBLEM.replace(original, after)))
     assert [(issue.code, issue.field) for issue in caught.value.issues] == [("problem.field", field)]
 
 
@@ -159,19 +159,19 @@ def test_it_is_read_as_a_whole_or_not_at_all_without_a_reader_of_parts(
     planned: pipeline.Outcome, more: str
 ) -> None:
     text = planned.programs[FILE] + more
-    assert job.read(planned.problem, {FILE: text, "a.mod": ""}).strays == ("a.mod",)
-    (one,), strays = partial.read(planned.problem, {"anywhere/a.csv": text})
+    assert job.read_job(planned.problem, {FILE: text, "a.mod": ""}).strays == ("a.mod",)
+    (one,), strays = partial.read_partial(planned.problem, {"anywhere/a.csv": text})
     assert not strays
     assert [fault.line for fault in one.unread] == ([15] if more else [])
-    assert len(one.way) == (0 if more else 7)
+    assert len(one.path) == (0 if more else 7)
 
 
 def test_a_reader_that_cannot_be_loaded_is_refused(
     planned: pipeline.Outcome, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     broken = dataclasses.replace(LANGUAGE, reader="tests.toys.joint_table:LANGUAGE")
-    found = {**plugins.installed(Language), "joint_table": Found(broken, "package joint-table")}
+    found = {**plugins.installed(Language), "joint_table": LoadedPlugin(broken, "package joint-table")}
     monkeypatch.setattr(plugins, "installed", lambda kind: found)
     with pytest.raises(TandemError, match="the reader of joint tables is Language") as caught:
-        job.read(planned.problem, planned.programs)
+        job.read_job(planned.problem, planned.programs)
     assert caught.value.issues[0].code == "post.language"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, Final, Literal
 
-from planner.issue_codes import Code
+from planner.issue_codes import IssueCode
 from planner.proof.contribution import ProofOfProcess
 from planner.reading.strict_yaml import Name, Strict
 from planner.runtime.plugins import Process
@@ -13,7 +13,7 @@ from tests.toys.gauge import PROCESS
 from tests.toys.gauge.codes import CODES
 from tests.toys.gauge.proof import above
 
-HERE: Final = "tests.toys.variants"
+MODULE: Final = "tests.toys.variants"
 
 
 def _variant(**members: Any) -> Process:
@@ -33,25 +33,25 @@ class NoClaim:
 
 NO_CLAIMS: Final = (NoClaim,)
 COPIED: Final = dict(CODES)
-OF_TANDEM: Final = {**CODES, "verify.reach": Code("a code of Tandem")}
+OF_TANDEM: Final = {**CODES, "verify.reach": IssueCode("a code of Tandem")}
 MEANINGS: Final = {"ring.above": "a gauge is too low"}
 
-UNFINISHED: Final = _variant(schema=f"{HERE}:Unfinished")
-NO_KIND: Final = _variant(claims=f"{HERE}:NO_CLAIMS")
-MISSING_CODES: Final = _variant(codes=f"{HERE}:NOTHING")
-SAME_CODES: Final = _variant(codes=f"{HERE}:COPIED")
-TANDEMS_CODE: Final = _variant(codes=f"{HERE}:OF_TANDEM")
-NO_ROWS: Final = _variant(codes=f"{HERE}:MEANINGS")
+UNFINISHED: Final = _variant(schema=f"{MODULE}:Unfinished")
+NO_KIND: Final = _variant(claims=f"{MODULE}:NO_CLAIMS")
+MISSING_CODES: Final = _variant(codes=f"{MODULE}:NOTHING")
+DUPLICATE_CODES: Final = _variant(codes=f"{MODULE}:COPIED")
+TANDEMS_CODE: Final = _variant(codes=f"{MODULE}:OF_TANDEM")
+NO_ROWS: Final = _variant(codes=f"{MODULE}:MEANINGS")
 
 UNPROVEN: Final = _variant(proof=None)
 NO_PROOF: Final = _variant(proof="no_such_module_at_all:PROOF")
-NO_REPORT: Final = _variant(report=f"{HERE}:NO_CLAIMS")
+NO_REPORT: Final = _variant(report=f"{MODULE}:NO_CLAIMS")
 
 BARE: Final = ProofOfProcess((dataclasses.replace(above, code="ring.bare"),))
 TWICE: Final = ProofOfProcess((dataclasses.replace(above, code="verify.follows"),))
 BORROWED: Final = ProofOfProcess((dataclasses.replace(above, code="verify.unread"),))
 SOMEDAY: Final = ProofOfProcess((dataclasses.replace(above, stage="someday"),))  # type: ignore[arg-type]
-BARE_RULE: Final = _variant(proof=f"{HERE}:BARE")
-SECOND_RULE: Final = _variant(proof=f"{HERE}:TWICE")
-BORROWED_CODE: Final = _variant(proof=f"{HERE}:BORROWED")
-NO_STAGE: Final = _variant(proof=f"{HERE}:SOMEDAY")
+BARE_RULE: Final = _variant(proof=f"{MODULE}:BARE")
+SECOND_RULE: Final = _variant(proof=f"{MODULE}:TWICE")
+BORROWED_CODE: Final = _variant(proof=f"{MODULE}:BORROWED")
+NO_STAGE: Final = _variant(proof=f"{MODULE}:SOMEDAY")

@@ -1,54 +1,54 @@
-"""Sentences that RAPID programs show operators."""
+"""Sentences that RAPID programs show to operators."""
 
 from typing import Final
 
 from planner.claims.sentences import Sentence
 
-BUTTONS: Final = ("Free", "On", "Stop")
-"""Answers to :func:`again`: nothing stands in the way of what follows; power is on again; neither."""
-OFF_BY_MM: Final = "is off by [mm]"
-OFF_BY_DEGREES: Final = "and turned by [degrees]"
-OFF_HOME: Final = "is off its home by"
-"""What a track or turntable is; its figure, in mm or degrees, follows."""
-NOT_AS_PLANNED: Final = "is not as it was planned."
-NOTHING_MOVES: Final = ("Nothing moves. Put it right,", "then PP to main in all tasks.")
-REFUSED: Final = (
+RESTART_BUTTONS: Final = ("Free", "On", "Stop")
+"""Answers to :func:`restart_question`: nothing blocks the next moves; the power is on again; neither."""
+POSITION_DEVIATION: Final = "deviates by [mm]"
+ROTATION_DEVIATION: Final = "and is rotated by [degrees]"
+HOME_DEVIATION: Final = "deviates from its home by"
+"""Deviation of a track or turntable from its home; the value in mm or degrees follows."""
+DIFFERS_FROM_PLAN: Final = "differs from the plan."
+MOTION_BLOCKED: Final = ("No arm moves. Correct the cell,", "then PP to main in all tasks.")
+RESTART_REFUSED: Final = (
     "Not started: the power was on at the",
     "stop. Free the wire or tool, then",
     "PP to main in all tasks.",
 )
 
 
-def again(signal: str) -> tuple[str, ...]:
-    """The question at a start behind a stop at which the power ``signal`` was on."""
+def restart_question(signal: str) -> tuple[str, ...]:
+    """Return the question at a start after a stop at which the power output ``signal`` was on."""
     return (
         f"{signal} was on at the stop.",
-        "Free: block and part are out of all that follows.",
+        "Free: stock and part block none of the next moves.",
         f"On: {signal} is 1 again by hand,",
         "and the wire is hot, or the tool at full speed.",
         "Stop: neither. Free it, then PP to main in all tasks.",
     )
 
 
-BEGIN_BUTTONS: Final = ("Begin", "Stop")
-"""Answers to :func:`burned`: from main, with a sheet without these slots; or nothing."""
-ENDED: Final = (
+TORCH_RESTART_BUTTONS: Final = ("Begin", "Stop")
+"""Answers to :func:`torch_restart_question`: start from main with a sheet without these slots; stop."""
+TORCH_RESTART_REFUSED: Final = (
     "Not started: a torch burned at the stop",
     "or the controller was off. Move it out",
-    "by hand, look at the sheet, then PP to",
+    "by hand, inspect the sheet, then PP to",
     "main in all tasks, and Start.",
 )
-"""Told where a program would go on behind a stop at which a torch burned."""
+"""Shown if a program is resumed after a stop at which a torch burned."""
 
 
-def burned(signal: str) -> tuple[str, ...]:
-    """The question at a start anew behind a stop at which the torch of ``signal`` burned."""
+def torch_restart_question(signal: str) -> tuple[str, ...]:
+    """Return the question at a start from main after a stop at which the torch of ``signal`` burned."""
     return (
         f"{signal} burned at the stop,",
-        "or the controller was off since.",
+        "or the controller has been off since.",
         "Begin: PP is at main, the torch was moved out by hand,",
         "and the sheet has no slot of this program yet.",
-        "Stop: else. Then plan anew what is left to cut.",
+        "Stop: otherwise. Then replan what is left to cut.",
     )
 
 
@@ -58,4 +58,4 @@ USER_FRAME_OF: Final = Sentence("User frame of {name}")
 OBJECT_FRAME_OF: Final = Sentence("Object frame of {name}")
 HOLDER_OF: Final = Sentence("Holder of {name}")
 AXIS_OF: Final = Sentence("Axis {unit}")
-"""What is compared: frames, who holds a tool or a work object, and where a track or turntable stands."""
+"""Compared item: a frame, the holder of a tool or work object, or the position of a track or turntable."""

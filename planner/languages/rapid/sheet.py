@@ -6,107 +6,126 @@ from typing import Final
 
 from planner.geometry.units import MM
 from planner.problem import Arm, Problem, Turntable
-from planner.report import axes_sheet, markup
-from planner.report.axes_sheet import AxisTerms
-from planner.report.contribution import Check, ControllerSetup, ReportOfLanguage, Row
-from planner.report.pose_text import point
+from planner.report import external_axes_sheet, markup
+from planner.report.external_axes_sheet import AxisTerms
+from planner.report.plugin_contributions import ControllerCheck, ControllerSetup, ReportOfLanguage, SetupRow
+from planner.report.pose_text import point_text
 
 _TERMS: Final = AxisTerms(
-    start="before PP to main", limits=lambda _: ("joint", ""), load=", and tell the controller (MechUnitLoad)"
+    start="before PP to main",
+    limits=lambda _: ("joint", ""),
+    load=", and set it on the controller (MechUnitLoad)",
 )
 
 
-def _checks(setup: ControllerSetup) -> list[Check]:
+def _checks(setup: ControllerSetup) -> list[ControllerCheck]:
     problem, controller = setup.problem, setup.problem.cell.controller
-    alone = controller.sync == "handshake"
+    uses_handshake = controller.sync == "handshake"
     ending = "sys" if controller.robotware == 6 else "sysx"
     out = [("RobotWare", f"{controller.robotware}; its modules end in .{ending.replace('sys', 'mod')}")]
     signals = setup.signals
-    folder = f"programs/controller/{setup.arms[0].name}" if alone else "programs/controller"
+    folder = f"programs/controller/{setup.arms[0].name}" if uses_handshake else "programs/controller"
     if setup.joined and not signals:
         out.append((f"EIO.cfg of {folder}", "loaded"))
     if setup.joined:
-        out += _running_wires(problem, setup.arms[0].name)
+        out += _running_wire_checks(problem, setup.arms[0].name)
     if signals:
         out.append((f"EIO.cfg, SYS.cfg and TandemPower.{ending} of {folder}", "loaded"))
         for signal in signals:
-            real = controller.interlock.of(signal)
-            place = f"{real.device}, bit {real.bit}" if real.device else "NO DEVICE stated, so no power"
-            out.append((f"{real.signal} falls at a stop, with the motors, with the enabling device", place))
+            output = controller.interlock.power_output(signal)
+            wiring = (
+                f"{output.device}, bit {output.bit}" if output.device else "NO DEVICE stated, so no power"
+            )
+            out.append(
+                (f"{output.signal} falls at a stop, with the motors, with the enabling device", wiring)
+            )
     if signals and setup.hot:
-        how = "not in automatic: mount cold, or in manual at reduced speed while somebody else holds the "
-        how += "enabling device, and run to the end in manual"
-        out.append((f"mounting while {setup.hot} is hot and the gate open", how))
+        mounting = (
+            "not in automatic: mount it cold, or in manual at reduced speed while a second person holds "
+        )
+        mounting += "the enabling device, and run the job to its end in manual"
+        out.append((f"mounting while {setup.hot} is hot and the gate open", mounting))
     out += setup.torch_checks(signals, "PP to main in all tasks, Start")
     out.append(("SoftES in SYS.cfg (RUNCHN_BOOL)", "selected: arms keep to their path at an emergency stop"))
     for number, arm in enumerate(problem.cell.arms):
-        if arm.axes and (arm.name == setup.arms[0].name or not alone):
-            out += _rails(arm, controller.robot(number))
+        if arm.linear_axes and (arm.name == setup.arms[0].name or not uses_handshake):
+            out += _rail_checks(arm, controller.robot_name(number))
     table = problem.cell.turntable
-    if table is not None and (table.arm == setup.arms[0].name or not alone):
-        out += axes_sheet.turntable(problem, table, _TERMS, _units(table))
-    if any(one.stock.held_by for one in problem.setups):
-        out.append(("ModalPayLoadMode (SYS_MISC)", "1: else GripLoad of the held block counts for nothing"))
-    out.append(("CAB_REGAIN_DIST, AUTO", "small: an arm goes back to its path by itself from so far away"))
-    out.append(("behind an error or a stop that is given up", "PP to main in all tasks, then start"))
+    if table is not None and (table.arm == setup.arms[0].name or not uses_handshake):
+        out += external_axes_sheet.turntable(problem, table, _TERMS, _turntable_unit_checks(table))
+    if any(setup_of_job.stock.held_by for setup_of_job in problem.setups):
+        out.append(("ModalPayLoadMode (SYS_MISC)", "1: otherwise GripLoad of the held block has no effect"))
+    out.append(("CAB_REGAIN_DIST, AUTO", "small: within this distance an arm returns to its path by itself"))
+    out.append(("after an error, or a stop that is not resumed", "PP to main in all tasks, then start"))
     return out
 
 
-def _running_wires(problem: Problem, arm: str) -> list[Check]:
-    own, lock = problem.cell.controller.handshake.of(arm), problem.cell.controller.interlock
-    places = [(name, lock.place(arm, name)) for name in (own.running, own.partner_running)]
+def _running_wire_checks(problem: Problem, arm: str) -> list[ControllerCheck]:
+    signals, interlock = problem.cell.controller.handshake.of(arm), problem.cell.controller.interlock
+    connections = [
+        (name, interlock.device_bit(arm, name)) for name in (signals.running, signals.partner_running)
+    ]
     return [
-        (f"{name} is wired", f"{at.device}, bit {at.bit}" if at else "NO DEVICE stated, so the wire is dead")
-        for name, at in places
+        (
+            f"{name} is wired",
+            f"{connection.device}, bit {connection.bit}"
+            if connection
+            else "NO DEVICE stated, so the wire is dead",
+        )
+        for name, connection in connections
     ]
 
 
-def _rails(arm: Arm, robot: str) -> list[Check]:
-    """What the configuration (MOC.cfg) must say of the axes under an arm."""
-    out = list[Check]()
-    for rail in arm.axes:
-        along = ", ".join(markup.fixed(float(v), 6) for v in rail.axis)
-        span = f"{rail.low / MM:g} to {rail.high / MM:g} mm, at most {rail.speed / MM:g} mm/s and "
+def _rail_checks(arm: Arm, robot: str) -> list[ControllerCheck]:
+    """Rows on what the configuration (MOC.cfg) must contain for the linear axes under an arm."""
+    out = list[ControllerCheck]()
+    for rail in arm.linear_axes:
+        direction = ", ".join(markup.fixed_decimals(float(v), 6) for v in rail.axis)
+        limits = f"{rail.low / MM:g} to {rail.high / MM:g} mm, at most {rail.speed / MM:g} mm/s and "
         number = "the first external one" if rail.column == 0 else f"external axis number {rail.column + 1}"
-        what = f"there, one linear axis, {number} ({_eax(rail.column)}), in mm"
+        what = f"present, one linear axis, {number} ({_axis_name(rail.column)}), in mm"
         out += [
             (f"mechanical unit {rail.label}", what),
-            (f"{rail.label}: base frame", f"its values grow along ({along}) of the world"),
-            (f"{rail.label}: joint", f"{span}{rail.acceleration / MM:g} mm/s²; home {rail.home / MM:g} mm"),
-            *axes_sheet.rail_checks(rail),
-            (f"{rail.label} {_TERMS.start}", axes_sheet.jogged(f"{rail.home / MM:g} mm")),
+            (f"{rail.label}: base frame", f"positive direction ({direction}) in the world"),
+            (f"{rail.label}: joint", f"{limits}{rail.acceleration / MM:g} mm/s²; home {rail.home / MM:g} mm"),
+            *external_axes_sheet.rail_checks(rail),
+            (f"{rail.label} {_TERMS.start}", external_axes_sheet.home_check(f"{rail.home / MM:g} mm")),
         ]
-    units = list(dict.fromkeys(rail.unit for rail in arm.axes))
-    # from the floor up: each unit's base frame is moved by the one below it
-    out += [(f"{two}: base frame moved by", one) for one, two in itertools.pairwise(units)]
+    units = list(dict.fromkeys(rail.unit for rail in arm.linear_axes))
+    # from the floor up: each unit carries the base frame of the next one
+    out += [(f"{upper}: base frame moved by", lower) for lower, upper in itertools.pairwise(units)]
     return [
         *out,
         (f"{robot}: base frame moved by", units[-1]),
         (
             f"{robot}: base frame",
-            f"that of arm {arm.name} at {axes_sheet.rail_zero(arm)}: {point(arm.base[:3, 3])} mm",
+            f"that of arm {arm.name} at {external_axes_sheet.rail_zero(arm)}: "
+            f"{point_text(arm.base[:3, 3])} mm",
         ),
     ]
 
 
-def _units(table: Turntable) -> list[Check]:
-    column, task = f"number {table.column + 1} ({_eax(table.column)})", f"of the task of arm {table.arm}"
-    what = f"there, one rotary axis, external axis {column} {task}, in deg"
+def _turntable_unit_checks(table: Turntable) -> list[ControllerCheck]:
+    column, task = (
+        f"number {table.column + 1} ({_axis_name(table.column)})",
+        f"of the task of arm {table.arm}",
+    )
+    what = f"present, one rotary axis, external axis {column} {task}, in deg"
     if table.tilt is not None:
-        columns = f"tilt number {table.tilt.column + 1} ({_eax(table.tilt.column)}), turn {column}"
-        what = f"there, two rotary axes of one unit, external axes {task}: {columns}, in deg"
+        columns = f"tilt number {table.tilt.column + 1} ({_axis_name(table.tilt.column)}), turn {column}"
+        what = f"present, two rotary axes of one unit, external axes {task}: {columns}, in deg"
     return [(f"mechanical unit {table.unit}", what)]
 
 
-def _eax(column: int) -> str:
-    """The name of an external axis in a jointtarget."""
+def _axis_name(column: int) -> str:
+    """Name of an external axis in a jointtarget."""
     return f"eax_{'abcdef'[column]}"
 
 
-def _programs(problem: Problem, arms: Sequence[Arm]) -> list[Row]:
+def _task_rows(problem: Problem, arms: Sequence[Arm]) -> list[SetupRow]:
     tasks = zip(problem.cell.arms, problem.cell.controller.tasks, strict=False)
-    named = [f"{arm.name}: {task}" for arm, task in tasks if arm in arms]
-    return [("tasks", ", ".join(named))] if named else []
+    task_names = [f"{arm.name}: {task}" for arm, task in tasks if arm in arms]
+    return [("tasks", ", ".join(task_names))] if task_names else []
 
 
-REPORT: Final = ReportOfLanguage(checks=_checks, programs=_programs)
+REPORT: Final = ReportOfLanguage(checks=_checks, programs=_task_rows)

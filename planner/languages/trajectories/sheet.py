@@ -1,4 +1,4 @@
-"""Rows of the setup sheet for a controller of ROS 2, which moves all joints, and for the runner."""
+"""Rows of the setup sheet for a ROS 2 controller, which moves all joints, and for the runner."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -6,11 +6,11 @@ from typing import Final
 import numpy as np
 
 from planner.problem import Arm, Problem
-from planner.report.contribution import Check, ControllerSetup, ReportOfLanguage, Row
+from planner.report.plugin_contributions import ControllerCheck, ControllerSetup, ReportOfLanguage, SetupRow
 
 
-def _checks(setup: ControllerSetup) -> list[Check]:
-    controller, out = setup.problem.cell.controller, list[Check]()
+def _checks(setup: ControllerSetup) -> list[ControllerCheck]:
+    controller, out = setup.problem.cell.controller, list[ControllerCheck]()
     names = [
         f"{controller.joint_prefix.get(arm.name, '')}{joint}"
         for arm in setup.arms
@@ -22,10 +22,7 @@ def _checks(setup: ControllerSetup) -> list[Check]:
     for signal in setup.signals:
         out.append((f"the service that sets {signal}", "answers once the output has the value"))
         out.append(
-            (
-                f"{signal} with the runner ended by force, the computer off, its network pulled",
-                "falls within 1 s",
-            )
+            (f"{signal} with the runner killed, the computer off, its network unplugged", "falls within 1 s")
         )
         out.append((f"the power of {signal} at a safety stop and with the drives", "falls: wired so"))
     return [
@@ -37,19 +34,22 @@ def _checks(setup: ControllerSetup) -> list[Check]:
         ("interpolate_from_desired_state (open_loop_control in Humble)", "true"),
         (
             "version of joint_trajectory_controller",
-            "2.37 (Humble), 4.12 (Jazzy), or later: before, it looks at no tolerances of goals",
+            "2.37 (Humble), 4.12 (Jazzy), or later: earlier versions ignore the tolerances of goals",
         ),
-        ("joints of the URDF at the computer", "zero and turn as those that the job was planned with"),
-        ("a hand on a joint while it moves slowly: ends the move", f"beyond {path:g} deg off its way"),
-        ("behind each move all joints", f"within {goal:g} deg"),
-        ("what scales speeds at the controller or at the pendant", "100 %: else the feed is another"),
-        ("tool and load at each arm's controller", "as the rows tool of the file have them"),
+        (
+            "joints of the URDF at the computer",
+            "same zero and direction as the joints that the job was planned with",
+        ),
+        ("a hand on a joint while it moves slowly: ends the move", f"beyond {path:g} deg from its path"),
+        ("after each move all joints", f"within {goal:g} deg"),
+        ("speed scaling at the controller or at the pendant", "100 %: otherwise the feed differs"),
+        ("tool and load at each arm's controller", "as in the tool rows of the file"),
         ("time of the longest move", "as planned"),
-        ("behind a stop of any kind", "power off, wire off, arms home by hand; start from the beginning"),
+        ("after a stop of any kind", "power off, wire off, arms home by hand; start from the beginning"),
     ]
 
 
-def _programs(_: Problem, arms: Sequence[Arm]) -> list[Row]:
+def _programs(_: Problem, arms: Sequence[Arm]) -> list[SetupRow]:
     names = ", ".join(arm.name for arm in arms)
     return [(f"trajectories of {names}", "one file for ROS 2, not run on a controller yet")]
 

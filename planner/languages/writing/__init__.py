@@ -1,1 +1,1 @@
-"""What writers of all languages share: `Writer`, steps, layout, handshake, and the entry point `write`."""
+"""Shared parts of the writers of all languages: `Writer`, steps, layout, handshake and `write`."""

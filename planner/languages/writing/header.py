@@ -1,50 +1,70 @@
-"""Comments at the head of programs: who wrote them, for what, and what is to be known of them."""
+"""Comments at the start of programs: origin, margins, assumptions and warnings."""
 
 from collections.abc import Sequence
 
-from planner.languages.writing.handshake import Partner, drift_sentence
+from planner.languages.writing.handshake import HandshakeSide, drift_sentence
 from planner.languages.writing.language import Margins
-from planner.languages.writing.layout import Job, TaskProgram
+from planner.languages.writing.layout import JobPrograms, TaskProgram
 from planner.plans import Plan
 from planner.runtime.version import __version__
 
 
 def header(
     task: TaskProgram,
-    job: Job,
+    job: JobPrograms,
     plan: Plan,
     margins: Margins,
     assumptions: Sequence[str] = (),
     untested: Sequence[str] = (),
 ) -> list[str]:
-    """Sentences at the head of a program of an arm whose program leaves outputs as they are when it stops;
-    ``assumptions`` of its moves, and what of it is ``untested``."""
-    switched = ", ".join(job.switched(task))
-    left = f"A program that stops leaves {switched} as it is: wire it so that power falls with the drives."
+    """Return the header of a program for an arm whose outputs keep their state when its program stops.
+
+    Args:
+        task: The task.
+        job: All tasks.
+        plan: The plan.
+        margins: Smallest margins of the plan, as text by name.
+        assumptions: Assumptions of its moves.
+        untested: Statements on what was not tested.
+    """
+    switched = ", ".join(job.switched_signals(task))
+    power_warning = (
+        f"A program that stops leaves {switched} unchanged: wire it so that power goes off with the drives."
+    )
     return [
         f"Written by Tandem {__version__} for arm {task.arm.name}: {task.robot.title}.",
         f"Tool {tool_names(task)}. Written, not taught: plan again to change it.",
         *origin(plan, margins),
         *assumptions,
-        *meeting_sentences(Partner.of(task, job), job),
+        *meeting_sentences(HandshakeSide.of(task, job), job),
         *untested,
-        *([left] if switched else ()),
+        *([power_warning] if switched else ()),
     ]
 
 
 def tool_names(task: TaskProgram) -> str:
-    """The tools of a task, in the order in which its arm carries them."""
+    """Return the tools of a task, in the order in which its arm carries them."""
     return ", then ".join(dict.fromkeys(op.arm.tool.name for op in task.operations))
 
 
 def origin(plan: Plan, margins: Margins) -> list[str]:
-    """The problem that a program was written for, and what was proven of it."""
+    """Return sentences on the problem that a program was written for, and on what was proven.
+
+    Args:
+        plan: The plan.
+        margins: Smallest margins of the plan, as text by name.
+    """
     proven = [f"Proven: {item} {value}." for item, value in margins.items()]
     return [f"Problem {plan.problem_name}, SHA-256 {plan.digest}.", *proven]
 
 
-def meeting_sentences(partner: Partner | None, job: Job) -> list[str]:
-    """How a program meets the one of another controller, and what that makes of the distance of the arms."""
+def meeting_sentences(partner: HandshakeSide | None, job: JobPrograms) -> list[str]:
+    """Return sentences on the handshake with the other controller, and on the drift that it allows.
+
+    Args:
+        partner: This side of the handshake, None if one controller moves all arms.
+        job: All tasks.
+    """
     if partner is None:
         return []
     drifts = (f"Operation {drift.name}: {drift_sentence(drift)}." for drift in job.drifts)

@@ -1,4 +1,4 @@
-"""What a robot language brings so that programs are written in it, and which languages there are."""
+"""Interface of a robot language that programs are written in, and the available languages."""
 
 import contextlib
 import dataclasses
@@ -9,7 +9,7 @@ from planner.claims.handshake import SignalWire
 from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue, TandemError
-from planner.languages.writing.layout import Job, TaskProgram
+from planner.languages.writing.layout import JobPrograms, TaskProgram
 from planner.plans import Plan
 from planner.problem import Arm, Controller, Problem
 from planner.runtime import plugins
@@ -23,8 +23,9 @@ class WrittenPrograms:
 
     Attributes:
         files: Texts by relative name.
-        clocks: By index, (2, K) of operations whose moves take longer in the programs than planned: places
-            (3.5 is half way from target 3 to target 4), and the times [s] at which they are passed.
+        clocks: For operations whose moves take longer in the programs than planned, by index: (2, K) path
+            positions (3.5 is half way from target 3 to target 4), and the times [s] at which they are
+            passed.
     """
 
     files: dict[str, str]
@@ -33,7 +34,7 @@ class WrittenPrograms:
 
 @dataclasses.dataclass(frozen=True)
 class PoweredSignals:
-    """What the configuration of a controller has to know beside its programs.
+    """Signals that the configuration of a controller needs besides its programs.
 
     Attributes:
         signals: Signals that the programs switch and that power something, sorted.
@@ -56,51 +57,52 @@ def _no_issues(*_: object) -> tuple[Issue, ...]:
     return ()
 
 
-def _as_planned(position: FloatArray, quaternion: FloatArray) -> Poses:
+def _unchanged_poses(position: FloatArray, quaternion: FloatArray) -> Poses:
     return position, quaternion
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Writer:
-    """How programs of one language are written. All members but ``write`` have defaults.
+    """Writer of programs of one language. All members but ``write`` have defaults.
 
     Functions get the tasks or arms of this language only. They may raise :class:`TandemError` (``post.*``).
 
     Attributes:
-        write: Returns the programs of tasks; files of arms with controllers of their own in folders by arm.
+        write: Returns the programs of tasks. Files of arms with separate controllers are in folders by arm.
         syncs: Values of ``controller.sync`` with which programs of several arms are written.
-        opt_in: How a user requests this language for arms of any family, a clause. Empty for the language of
-            a maker of arms.
-        unmixed: Why its arms do not work in one job with arms of other languages, a clause. Empty if they do.
+        opt_in: How a user requests this language for arms of any family, a clause. Empty for a
+            manufacturer's language.
+        unmixed: Why its arms do not work in one job with arms of other languages, a clause. Empty if they
+            do.
         stops_at_turns: Whether an arm stops where its TCP stands, because corners are lengths on its path.
         stops_at_pauses: Whether an arm stops before and after it stands still while the other one moves.
-        round_poses: Returns poses with those equal that are one place in the language.
+        round_poses: Returns poses in which those that the language cannot distinguish are equal.
         refuse: Returns why these arms cannot do the job, however it is planned.
-        refuse_settings: Returns why the job does not go with settings that only this language has; called
+        refuse_settings: Returns why the job does not work with settings that only this language has; called
             for every job.
         refuse_segment: Returns why the language has no name for a segment.
         controller_files: Returns the files, by name, for the configuration of the controller of these tasks.
-        notes: Returns what the user should know of the programs, given all program files.
+        notes: Returns notes to the user on the programs, given all program files.
     """
 
-    write: Callable[[Sequence[TaskProgram], Job, Plan, Problem, Margins], WrittenPrograms]
+    write: Callable[[Sequence[TaskProgram], JobPrograms, Plan, Problem, Margins], WrittenPrograms]
     syncs: tuple[Literal["multimove", "handshake"], ...] = ()
     opt_in: str = ""
     unmixed: str = ""
     stops_at_turns: bool = False
     stops_at_pauses: bool = False
-    round_poses: Callable[[FloatArray, FloatArray], Poses] = _as_planned
+    round_poses: Callable[[FloatArray, FloatArray], Poses] = _unchanged_poses
     refuse: Callable[[Problem, Sequence[Targets], Sequence[Arm]], Iterable[Issue]] = _no_issues
     refuse_settings: Callable[[Problem, Sequence[Targets]], Iterable[Issue]] = _no_issues
     refuse_segment: Callable[[Segment], Iterable[Issue]] = _no_issues
     controller_files: (
-        Callable[[Job, Sequence[TaskProgram], Controller, PoweredSignals], dict[str, str]] | None
+        Callable[[JobPrograms, Sequence[TaskProgram], Controller, PoweredSignals], dict[str, str]] | None
     ) = None
     notes: Callable[[Sequence[TaskProgram], Plan, Problem, Mapping[str, str]], Iterable[Issue]] | None = None
 
 
 def writers() -> dict[str, tuple[str, Writer]]:
-    """Return the title and the writer of each language by family of robots, Tandem's first.
+    """Return title and writer of the language of each family of robots, Tandem's first.
 
     Languages whose writer cannot be loaded are left out.
     """
@@ -112,13 +114,13 @@ def writers() -> dict[str, tuple[str, Writer]]:
     return out
 
 
-def makers_languages() -> dict[str, tuple[str, Writer]]:
-    """Return what :func:`writers` does, without languages for arms of any family."""
+def manufacturer_languages() -> dict[str, tuple[str, Writer]]:
+    """Return the result of :func:`writers` without languages for arms of any family."""
     return {family: known for family, known in writers().items() if not known[1].opt_in}
 
 
 def writers_in_use(arms: Iterable[Arm]) -> list[Writer]:
-    """Return the writers of arms in the order of the languages; arms without one are left out."""
+    """Return the writers of arms in the order of the languages; arms without a writer are left out."""
     families = {arm.data.family for arm in arms}
     return list(dict.fromkeys(writer for family, (_, writer) in writers().items() if family in families))
 
@@ -131,22 +133,22 @@ def writer_of(arm: Arm) -> Writer:
     """
     for writer in writers_in_use([arm]):
         return writer
-    raise TandemError(unwritten(arm))
+    raise TandemError(no_writer_issue(arm))
 
 
-def unwritten(arm: Arm) -> Issue:
-    """Return why no programs are written for the controller of an arm (``post.language``)."""
-    family, own = arm.data.family, makers_languages()
+def no_writer_issue(arm: Arm) -> Issue:
+    """Return the issue that no programs are written for the controller of an arm (``post.language``)."""
+    family, manufacturers = arm.data.family, manufacturer_languages()
     what = f"is of the family {family}, whose language is not written yet"
     if arm.data.axes > 6:
-        what = "has seven axes, and no controller's own language that is written here states seven joints"
+        what = "has seven axes, and no supported language of a controller states seven joints"
     if (language := plugins.language_of(family)) is not None:
         try:
             plugins.load(language.writer, Writer)
         except PluginError as error:
             what = f"is of the family {family}, and the writer of {language.title} {error}"
-    what += "; allowed are " + ", ".join(f"{name} ({title})" for name, (title, _) in own.items())
+    what += "; allowed are " + ", ".join(f"{name} ({title})" for name, (title, _) in manufacturers.items())
     remedies = [writer.opt_in for _, writer in writers().values() if writer.opt_in]
-    hint = "; else ".join([*remedies, f"plan with an arm of {' or '.join(own)}"])
-    hint += "; check tells of its reach all the same"
+    hint = "; else ".join([*remedies, f"plan with an arm of {' or '.join(manufacturers)}"])
+    hint += "; check still reports its reach"
     return Issue("post.language", f"arm {arm.name} ({arm.robot}) {what}", arm=arm.name, hint=hint)

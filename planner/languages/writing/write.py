@@ -1,7 +1,7 @@
-"""The door of this package: a plan and its problem in, program files out; what no program can say.
+"""Entry point of the writers: from a plan and its problem to program files, and what no program can do.
 
-Each arm gets the language of its controller. Beside the programs go files for the controllers: for
-power that they switch, and for wires by which two of them know of each other.
+Each arm gets the language of its controller. Besides the programs there are files for the controllers, for
+power that programs switch and for wires by which two controllers observe each other.
 """
 
 from collections.abc import Sequence
@@ -20,58 +20,83 @@ from planner.languages.writing.language import (
     writers,
     writers_in_use,
 )
-from planner.languages.writing.layout import LINE_END, Job, TaskProgram
-from planner.languages.writing.refusals import controller_refusals, name_refusals, used
-from planner.languages.writing.steps import build
+from planner.languages.writing.layout import LINE_END, JobPrograms, TaskProgram
+from planner.languages.writing.refusals import controller_refusals, name_refusals, used_arms
+from planner.languages.writing.steps import build_job
 from planner.plans import Plan
 from planner.problem import Problem, torch_signals
 from planner.targets import Targets
 
 CONTROLLER_FOLDER: Final = "controller"
-"""Folder of files for a controller's configuration, beside the programs."""
+"""Folder of files for the configuration of controllers, beside the programs."""
 
 
 def refusals(problem: Problem, targets: Sequence[Targets]) -> tuple[Issue, ...]:
-    """Why no program can be written for these targets, one an operation, however they are planned."""
-    alone = problem.cell.controller.sync == "handshake"
+    """Return the reasons why no program can be written, however the targets are planned.
+
+    Args:
+        problem: The problem.
+        targets: Targets of each operation.
+    """
+    uses_handshake = problem.cell.controller.sync == "handshake"
     languages = dict.fromkeys(writer for _, writer in writers().values())
     return (
         *controller_refusals(problem, targets),
         *(issue for writer in languages for issue in writer.refuse_settings(problem, targets)),
         *name_refusals(problem, targets),
-        *(handshake_refusals(problem, targets) if alone else ()),
+        *(handshake_refusals(problem, targets) if uses_handshake else ()),
     )
 
 
-def programs(plan: Plan, problem: Problem, margins: Margins | None = None) -> dict[str, str]:
-    """Texts of the program files by relative name, such as ``T_ROB1/TandemMain_1.mod``; of two controllers,
-    and of KUKA's and UR's arms, in folders by arm, such as ``left/TandemMain_1.mod``, ``left/ruled_wall.src``
-    or ``left/ruled_wall.script``; of arms that trajectories drive one file, ``ruled_wall.trajectory.jsonl``.
+def program_files(plan: Plan, problem: Problem, margins: Margins | None = None) -> dict[str, str]:
+    """Return the texts of the program files by relative name.
 
-    Each arm gets the language of its controller; files for the controllers themselves are in
-    ``controller/``. ``margins``: results of the proof by name, as text; they go into the headers' comments
-    only. Raises :class:`TandemError` with codes ``post.*`` when the plan cannot be written.
+    Examples: ``T_ROB1/TandemMain_1.mod``; for two controllers, and for KUKA and UR arms, in folders by arm,
+    such as ``left/TandemMain_1.mod``, ``left/ruled_wall.src`` or ``left/ruled_wall.script``; for arms that
+    trajectories drive, one file ``ruled_wall.trajectory.jsonl``. Each arm gets the language of its
+    controller. Files for the controllers themselves are in ``controller/``.
+
+    Args:
+        plan: The plan.
+        problem: Its problem.
+        margins: Results of the proof as text by name, for the comments of the headers.
+
+    Raises:
+        TandemError: The plan cannot be written (``post.*``).
     """
-    return written(plan, problem, margins).files
+    return write_programs(plan, problem, margins).files
 
 
-def written(plan: Plan, problem: Problem, margins: Margins | None = None) -> WrittenPrograms:
-    """As :func:`programs`, with what the process has to know of their clocks."""
-    return _texts(_job(plan, problem), plan, problem, margins or {})
+def write_programs(plan: Plan, problem: Problem, margins: Margins | None = None) -> WrittenPrograms:
+    """Return the program files of :func:`program_files` together with the clocks that they change.
 
+    Args:
+        plan: The plan.
+        problem: Its problem.
+        margins: Results of the proof as text by name.
 
-def notes(plan: Plan, problem: Problem) -> tuple[Issue, ...]:
-    """What the user should know of the programs beside their text: the drift of arms that meet by handshake,
-    and what their languages say of them.
-
-    Raises as :func:`programs` does.
+    Raises:
+        TandemError: The plan cannot be written (``post.*``).
     """
-    arms = used(problem, [operation.targets for operation in plan.operations])
+    return _write_all(_job(plan, problem), plan, problem, margins or {})
+
+
+def program_notes(plan: Plan, problem: Problem) -> tuple[Issue, ...]:
+    """Return notes on the programs: the drift of arms that meet by handshake, and notes of their languages.
+
+    Args:
+        plan: The plan.
+        problem: Its problem.
+
+    Raises:
+        TandemError: The plan cannot be written (``post.*``).
+    """
+    arms = used_arms(problem, [operation.targets for operation in plan.operations])
     noted = [writer.notes is not None for writer in writers_in_use(arms)]
     if problem.cell.controller.sync != "handshake" and not any(noted):
         return ()
     job = _job(plan, problem)
-    files = _texts(job, plan, problem, {}).files if any(noted) else {}
+    files = _write_all(job, plan, problem, {}).files if any(noted) else {}
     return (
         *handshake.drift_issues(job),
         *(
@@ -83,19 +108,19 @@ def notes(plan: Plan, problem: Problem) -> tuple[Issue, ...]:
     )
 
 
-def _job(plan: Plan, problem: Problem) -> Job:
+def _job(plan: Plan, problem: Problem) -> JobPrograms:
     issues = controller_refusals(problem, [operation.targets for operation in plan.operations])
     if issues:
         raise TandemError(issues)
-    return build(plan, problem)
+    return build_job(plan, problem)
 
 
-def _by_language(job: Job) -> list[tuple[Writer, list[TaskProgram]]]:
+def _by_language(job: JobPrograms) -> list[tuple[Writer, list[TaskProgram]]]:
     in_use = writers_in_use(task.arm for task in job.tasks)
     return [(writer, [task for task in job.tasks if writer_of(task.arm) is writer]) for writer in in_use]
 
 
-def _texts(job: Job, plan: Plan, problem: Problem, margins: Margins) -> WrittenPrograms:
+def _write_all(job: JobPrograms, plan: Plan, problem: Problem, margins: Margins) -> WrittenPrograms:
     files, clocks = dict[str, str](), dict[int, FloatArray]()
     for writer, tasks in _by_language(job):
         out = writer.write(tasks, job, plan, problem, margins)
@@ -104,34 +129,43 @@ def _texts(job: Job, plan: Plan, problem: Problem, margins: Margins) -> WrittenP
     return WrittenPrograms(files | _controller_files(job, plan, problem), clocks)
 
 
-def _controller_files(job: Job, plan: Plan, problem: Problem) -> dict[str, str]:
-    """Files by relative name, such as ``controller/T_ROB1/EIO.cfg``, in a folder for each controller: by its
-    first task, or by its arm where each arm has one. One controller has none where nothing is powered; two
-    have them always, for the wires by which each knows that the other one runs."""
+def _controller_files(job: JobPrograms, plan: Plan, problem: Problem) -> dict[str, str]:
+    """Files by relative name, such as ``controller/T_ROB1/EIO.cfg``.
+
+    Each controller has a folder, named after its first task, or after its arm if each arm has a controller.
+    A single controller has files only if something is powered. Two controllers always have files, for the
+    wires by which each knows that the other one runs.
+    """
     controller = problem.cell.controller
     actions = [action for operation in plan.operations for action in operation.targets.actions]
-    powered = {action.signal for action in actions if action.powers}
+    powered = {action.signal for action in actions if action.switches_power}
     torches = powered & torch_signals(problem.operations)
     switched = {
-        task.arm.name: sorted((signal for signal in job.switched(task) if signal in powered), key=str.lower)
+        task.arm.name: sorted(
+            (signal for signal in job.switched_signals(task) if signal in powered), key=str.lower
+        )
         for task in job.tasks
     }
-    lit = {arm: [signal for signal in signals if signal in torches] for arm, signals in switched.items()}
-    wires = controller.handshake.wired_running(list(lit)) if job.handshake is not None else ()
+    torches_by_arm = {
+        arm: [signal for signal in signals if signal in torches] for arm, signals in switched.items()
+    }
+    wires = controller.handshake.running_wires(list(torches_by_arm)) if job.handshake is not None else ()
     out: dict[str, str] = {}
-    for folder, tasks in _controllers(job, controller.sync):
+    for folder, tasks in _controller_groups(job, controller.sync):
         arm, make = tasks[0].arm.name, writer_of(tasks[0].arm).controller_files
         if make is None or not (switched[arm] or wires):
             continue
-        files = make(job, tasks, controller, PoweredSignals(switched[arm], lit[arm], wires))
-        if wires and any(lit.values()):
-            files["README.txt"] = files.get("README.txt", "") + handshake.burned_anew(lit, arm)
+        files = make(job, tasks, controller, PoweredSignals(switched[arm], torches_by_arm[arm], wires))
+        if wires and any(torches_by_arm.values()):
+            files["README.txt"] = files.get("README.txt", "") + handshake.torch_restart_section(
+                torches_by_arm, arm
+            )
         for name, text in files.items():
             out[f"{CONTROLLER_FOLDER}/{folder}/{name}"] = text.replace("\n", LINE_END)
     return out
 
 
-def _controllers(job: Job, sync: str) -> list[tuple[str, Sequence[TaskProgram]]]:
+def _controller_groups(job: JobPrograms, sync: str) -> list[tuple[str, Sequence[TaskProgram]]]:
     first = job.tasks[0]
     if sync == "multimove" and sync in writer_of(first.arm).syncs:
         return [(first.task, job.tasks)]

@@ -1,1 +1,1 @@
-"""Paths over sampled freedoms: reach, ladder, collisions, roadmap."""
+"""Path search over sampled freedoms: reach, layered graph, collisions, roadmap."""

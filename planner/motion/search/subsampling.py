@@ -1,13 +1,11 @@
-"""Some of the targets and few samples of their freedoms, for searches too large to make in full.
+"""Subsets of targets and coarse samples of freedoms, for searches too large to run in full.
 
-Targets with rows picked, repeated or replaced; a few targets with a few samples, by which places of
-the stock are judged; samples of many freedoms at once, and what lies between samples of different
-targets.
+Provides targets with rows selected, repeated or replaced; a few targets with a few samples, on which stock
+poses are scored; samples of many freedoms at once, and interpolation between samples of different targets.
 
-A sample of many freedoms has one coordinate for each freedom that is the same at every target: the
-share of the way between its bounds, or the angle of one that turns without end. Angles are measured
-from a zero that does not jump where the nominal poses of the targets turn about the freedom's own
-axis, as they do at corners.
+A sample of many freedoms has one coordinate per freedom, shared by all targets: the fraction of the range, or
+the angle of a full turn. Angles are measured from a zero that does not jump where the nominal poses of the
+targets rotate about the freedom's own axis, as they do at corners.
 """
 
 import dataclasses
@@ -18,26 +16,30 @@ from typing import Final
 import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, inverse, spread_rows, to_quaternion
-from planner.motion.planning_scene import FULL_TURN, holders
-from planner.motion.search.reach import full_turn, sample, slides_only
+from planner.motion.planning_scene import FULL_TURN_RAD, frame_holders
+from planner.motion.search.reach import is_full_turn, is_sampled_as_slide, sample_freedoms
 from planner.problem import Cell
-from planner.targets import Edge, Freedom, JointFreedom, ScrewFreedom, TableFreedom, Targets
+from planner.targets import FlexibleTool, Freedom, JointFreedom, ScrewFreedom, TableFreedom, Targets
 
 
-def subset(targets: Targets, rows: IndexArray) -> Targets:
-    """The targets ``rows`` (K,), in that order, for looking at; without actions, claims and exhibits."""
-    edge = None if targets.edge is None else Edge(targets.edge.points[rows], targets.edge.radius)
+def select_targets(targets: Targets, rows: IndexArray) -> Targets:
+    """Select targets ``rows`` (K,), in that order, without actions, claims and exhibits."""
+    edge = (
+        None
+        if targets.flexible_tool is None
+        else FlexibleTool(targets.flexible_tool.points[rows], targets.flexible_tool.radius)
+    )
     return dataclasses.replace(
         targets,
         pose={arm: pose[rows] for arm, pose in targets.pose.items()},
-        freedoms=tuple(pick(f, rows) for f in targets.freedoms),
+        freedoms=tuple(select_freedom_rows(f, rows) for f in targets.freedoms),
         feed=targets.feed[rows],
         feed_min=targets.feed_min[rows],
         travel=targets.travel[rows],
         stop=targets.stop[rows],
         segment=tuple(targets.segment[i] for i in rows),
-        edge=edge,
-        ride={arm: values[rows] for arm, values in targets.ride.items()},
+        flexible_tool=edge,
+        track_positions={arm: values[rows] for arm, values in targets.track_positions.items()},
         actions=(),
         claims=(),
         exhibits={},
@@ -45,8 +47,12 @@ def subset(targets: Targets, rows: IndexArray) -> Targets:
     )
 
 
-def pick(freedom: Freedom, rows: IndexArray) -> Freedom:
-    """A freedom at the targets ``rows``."""
+def select_freedom_rows(freedom: Freedom, rows: IndexArray) -> Freedom:
+    """Select rows of a freedom.
+
+    Raises:
+        TypeError: The freedom has an unknown type.
+    """
     prefer = None if freedom.prefer is None else freedom.prefer[rows]
     if isinstance(freedom, TableFreedom):
         pose = {arm: table[rows] for arm, table in freedom.pose.items()}
@@ -60,28 +66,35 @@ def pick(freedom: Freedom, rows: IndexArray) -> Freedom:
     raise TypeError(f"unknown freedom {type(freedom).__name__}")
 
 
-FEW_SPIN_STEP: Final = np.deg2rad(30.0)
-"""Step [rad] of samples of freedoms that turn, where a few targets are judged."""
-MANY_SPIN_STEP: Final = np.deg2rad(15.0)
-"""Step [rad] of such samples where they are to be many,"""
-MANY_SLIDES: Final = 3
-"""with so many of a slide,"""
-MOST_MANY: Final = 120
-"""as long as each target has no more than this."""
-LONG_SHIFT_M: Final = 0.2
-"""[m] range of a slide from which on the way that it shifts something counts in the search,"""
+COARSE_SPIN_STEP_RAD: Final = np.deg2rad(30.0)
+"""Step [rad] of coarse samples of rotational freedoms."""
+FINE_SPIN_STEP_RAD: Final = np.deg2rad(15.0)
+"""Step [rad] of fine samples of rotational freedoms."""
+FINE_SLIDE_SAMPLES: Final = 3
+"""Number of fine samples of a slide."""
+MAX_FINE_SAMPLES: Final = 120
+"""Maximum number of fine samples of a target. With more, coarse samples are used."""
+MIN_LONG_SLIDE_M: Final = 0.2
+"""Range [m] of a slide above which it is sampled in the placement search."""
 
-SHIFT_SAMPLE_SHARE: Final = 0.75
-"""with samples at this share of the way to either end."""
+SLIDE_SAMPLE_FRACTION: Final = 0.75
+"""Fraction of the way from the middle to either end at which long slides are sampled."""
 
-FEW_RING_SAMPLES: Final = 6
-"""Samples of each full turn where there are two."""
+COARSE_FULL_TURN_SAMPLES: Final = 6
+"""Number of coarse samples of each full turn if there are several."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Few:
-    """Some targets with samples of their freedoms, one after the other, and the cell with their tools;
-    ``every_branch``: whether they are to be looked at on every choice of branches."""
+class SampledTargets:
+    """A few targets with samples of their freedoms.
+
+    Attributes:
+        cell: Cell with the tools of these targets.
+        targets: The targets.
+        index: (M,) target of each sampled state.
+        poses: {arm: (M, 4, 4)} TCP poses of the sampled states in the work frames.
+        every_branch: Whether every combination of branches is to be checked.
+    """
 
     cell: Cell
     targets: Targets
@@ -91,203 +104,239 @@ class Few:
 
     @functools.cached_property
     def distinct_poses(self) -> dict[str, tuple[IndexArray, IndexArray]]:
-        """{arm: (rows with different poses, which of them each row has)} of arms whose frames and bases
-        stand: a holder has few poses."""
+        """Distinct poses of arms whose frames and bases are fixed: {arm: (their rows, pose of each row)}.
+
+        A holder has few distinct poses.
+        """
         out = {}
-        for arm, holder in holders(self.targets):
-            if holder is None and arm not in self.targets.ride:
+        for arm, holder in frame_holders(self.targets):
+            if holder is None and arm not in self.targets.track_positions:
                 flat = self.poses[arm].reshape(len(self.index), 16).round(9)
                 _, first, back = np.unique(flat, axis=0, return_index=True, return_inverse=True)
                 out[arm] = first, back.reshape(-1)
         return out
 
 
-def few_of(cell: Cell, targets: Targets, count: int, shifted: bool) -> Few:
-    """About ``count`` targets of a job, with samples of long shifts as well where ``shifted``."""
-    few = subset(targets, spread_rows(targets.count, count))
-    values = few_samples(few)
-    if shifted:
-        values = _shifted(few, values)
-    return _sampled(cell, few, values)
+def sample_coarsely(cell: Cell, targets: Targets, count: int, with_slides: bool) -> SampledTargets:
+    """Sample about ``count`` targets of a job coarsely, including long slides if ``with_slides``."""
+    selected = select_targets(targets, spread_rows(targets.count, count))
+    values = coarse_samples(selected)
+    if with_slides:
+        values = _with_slide_samples(selected, values)
+    return _make_sampled(cell, selected, values)
 
 
-def many_of(cell: Cell, targets: Targets, count: int) -> Few:
-    """About ``count`` targets of a job with more samples, to be looked at on every branch."""
-    few = subset(targets, spread_rows(targets.count, count))
-    values = sample(few, MANY_SPIN_STEP, MANY_SLIDES).values
-    values = values if values.shape[1] <= MOST_MANY else few_samples(few)
-    return dataclasses.replace(_sampled(cell, few, values), every_branch=True)
+def sample_finely(cell: Cell, targets: Targets, count: int) -> SampledTargets:
+    """Sample about ``count`` targets of a job finely, to be checked on every branch."""
+    selected = select_targets(targets, spread_rows(targets.count, count))
+    values = sample_freedoms(selected, FINE_SPIN_STEP_RAD, FINE_SLIDE_SAMPLES).values
+    values = values if values.shape[1] <= MAX_FINE_SAMPLES else coarse_samples(selected)
+    return dataclasses.replace(_make_sampled(cell, selected, values), every_branch=True)
 
 
-def _sampled(cell: Cell, few: Targets, values: FloatArray) -> Few:
-    index = np.repeat(np.arange(few.count), values.shape[1])
-    return Few(cell, few, index, few.poses(values.reshape(len(index), -1), index))
+def _make_sampled(cell: Cell, targets: Targets, values: FloatArray) -> SampledTargets:
+    index = np.repeat(np.arange(targets.count), values.shape[1])
+    return SampledTargets(cell, targets, index, targets.poses(values.reshape(len(index), -1), index))
 
 
-def few_samples(targets: Targets) -> FloatArray:
-    """Values (N, S, F): what turns at every 30 degrees, slides in their middle; of many freedoms those
-    that turn without end, at every 60 degrees."""
-    rings = np.array([full_turn(f) for f in targets.freedoms], dtype=bool)
-    if rings.sum() < 2:
-        return sample(targets, FEW_SPIN_STEP, slides=1).values
-    ring = -np.pi + 2.0 * np.pi * np.arange(FEW_RING_SAMPLES) / FEW_RING_SAMPLES
-    grid = np.array(list(itertools.product(ring, repeat=int(rings.sum()))))
-    values = np.repeat(targets.neutral()[:, None], len(grid), axis=1)
-    values[..., rings] = grid
+def coarse_samples(targets: Targets) -> FloatArray:
+    """Coarse samples (N, S, F) of all freedoms.
+
+    Rotations are sampled every 30 degrees, slides in their middle. With several full turns, these are sampled
+    every 60 degrees and all other freedoms are neutral.
+    """
+    is_ring = np.array([is_full_turn(f) for f in targets.freedoms], dtype=bool)
+    if is_ring.sum() < 2:
+        return sample_freedoms(targets, COARSE_SPIN_STEP_RAD, slides=1).values
+    ring = -np.pi + 2.0 * np.pi * np.arange(COARSE_FULL_TURN_SAMPLES) / COARSE_FULL_TURN_SAMPLES
+    grid = np.array(list(itertools.product(ring, repeat=int(is_ring.sum()))))
+    values = np.repeat(targets.neutral_values()[:, None], len(grid), axis=1)
+    values[..., is_ring] = grid
     return values
 
 
-def shifts(targets: Targets) -> BoolArray:
-    """(F,) which freedoms shift something by more than a little."""
+def are_long_slides(targets: Targets) -> BoolArray:
+    """Whether (F,) each freedom is a slide with a long range."""
     return np.array(
-        [slides_only(f) and float(np.max(f.upper - f.lower)) > LONG_SHIFT_M for f in targets.freedoms],
+        [
+            is_sampled_as_slide(f) and float(np.max(f.upper - f.lower)) > MIN_LONG_SLIDE_M
+            for f in targets.freedoms
+        ],
         dtype=bool,
     )
 
 
-def _shifted(targets: Targets, values: FloatArray) -> FloatArray:
-    """Values (N, S, F) again with each long shift at SHARE of the way to either end."""
+def _with_slide_samples(targets: Targets, values: FloatArray) -> FloatArray:
+    """Samples (N, S, F), repeated with each long slide at SLIDE_SAMPLE_FRACTION toward either end."""
     out = [values]
-    for j in np.flatnonzero(shifts(targets)):
+    for j in np.flatnonzero(are_long_slides(targets)):
         freedom = targets.freedoms[j]
         middle, half = 0.5 * (freedom.upper + freedom.lower), 0.5 * (freedom.upper - freedom.lower)
-        for sign in (-SHIFT_SAMPLE_SHARE, SHIFT_SAMPLE_SHARE):
+        for sign in (-SLIDE_SAMPLE_FRACTION, SLIDE_SAMPLE_FRACTION):
             moved = values.copy()
             moved[..., j] = (middle + sign * half)[:, None]
             out.append(moved)
     return np.concatenate(out, axis=1)
 
 
-RING_SAMPLES = 18
-"""Samples of a full turn where only full turns are sampled, on a grid."""
+FULL_TURN_SAMPLES = 18
+"""Number of samples of a full turn if only full turns are sampled, on a grid."""
 
-SPREAD_COUNTS = (500, 1500, 900)
-"""Samples over full and bounded turns, over full turns and long shifts, and over all freedoms."""
+LEVEL_SAMPLE_COUNTS = (500, 1500, 900)
+"""Numbers of samples over full and bounded turns, over full turns and long slides, and over all freedoms."""
 
-MIDDLE_SHARE = 0.25
-"""Share of the samples of a wider spread that leave the freedoms that are new in it in their middle."""
+MIDDLE_FRACTION = 0.25
+"""Fraction of the samples of a level that keep its new freedoms in their middle."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Level:
-    """Which freedoms are sampled: ``names``, and the coordinates ``samples`` (S, F)."""
+class SamplingLevel:
+    """Sampled freedoms: their ``names``, and the coordinates ``samples`` (S, F)."""
 
     names: tuple[str, ...]
     samples: FloatArray
 
 
-class Coordinates:
-    """Turns coordinates of samples into values of the freedoms and fills in between."""
+class FreedomCoordinates:
+    """Converts between coordinates of samples and values of the freedoms, and interpolates."""
 
     def __init__(self, targets: Targets) -> None:
         freedoms = targets.freedoms
-        self.rings = np.array([full_turn(f) for f in freedoms], dtype=bool)
+        self.is_full_turn = np.array([is_full_turn(f) for f in freedoms], dtype=bool)
         self._lower = np.stack([f.lower for f in freedoms], axis=1)
         self._width = np.stack([f.upper - f.lower for f in freedoms], axis=1)
         self._zero = np.zeros_like(self._lower)
-        for j in np.flatnonzero(self.rings):
-            self._zero[:, j] = own_turn(targets, int(j))
-        neutral = targets.neutral()
-        share = (neutral - self._lower) / np.where(self._width > 0.0, self._width, 1.0)
-        self.middle = np.where(self.rings, neutral[0] + self._zero[0], np.median(share, axis=0))
+        for j in np.flatnonzero(self.is_full_turn):
+            self._zero[:, j] = nominal_rotation(targets, int(j))
+        neutral = targets.neutral_values()
+        fraction = (neutral - self._lower) / np.where(self._width > 0.0, self._width, 1.0)
+        self.middle = np.where(self.is_full_turn, neutral[0] + self._zero[0], np.median(fraction, axis=0))
 
     def values(self, coordinates: FloatArray, rows: IndexArray) -> FloatArray:
         """Values (..., F) of coordinates (..., F) at targets ``rows`` (...,)."""
-        share = self._lower[rows] + coordinates * self._width[rows]
-        return np.where(self.rings, coordinates - self._zero[rows], share)
+        from_fraction = self._lower[rows] + coordinates * self._width[rows]
+        return np.where(self.is_full_turn, coordinates - self._zero[rows], from_fraction)
 
-    def of(self, values: FloatArray) -> FloatArray:
+    def from_values(self, values: FloatArray) -> FloatArray:
         """Coordinates (N, F) of values (N, F) at all targets."""
-        share = (values - self._lower) / np.where(self._width > 0.0, self._width, 1.0)
-        return np.where(self.rings, values + self._zero, share)
+        fraction = (values - self._lower) / np.where(self._width > 0.0, self._width, 1.0)
+        return np.where(self.is_full_turn, values + self._zero, fraction)
 
-    def way(self, start: FloatArray, end: FloatArray) -> FloatArray:
-        """The shortest way (..., F) from coordinates to others."""
+    def shortest_change(self, start: FloatArray, end: FloatArray) -> FloatArray:
+        """Shortest change (..., F) between coordinates."""
         change = end - start
-        return np.where(self.rings, change - FULL_TURN * np.round(change / FULL_TURN), change)
+        return np.where(self.is_full_turn, change - FULL_TURN_RAD * np.round(change / FULL_TURN_RAD), change)
 
 
-def own_turn(targets: Targets, j: int) -> FloatArray:
-    """How far (N,) [rad] the nominal poses have turned about the axis of freedom j since the first target."""
+def nominal_rotation(targets: Targets, j: int) -> FloatArray:
+    """Rotation (N,) [rad] of the nominal poses about the axis of freedom j since the first target."""
     freedom = targets.freedoms[j]
     if not isinstance(freedom, ScrewFreedom):
         return np.zeros(targets.count)
     arm, twist = next(iter(freedom.axis.items()))
-    turn = inverse(targets.pose[arm][:-1]) @ targets.pose[arm][1:]
-    return np.append(0.0, np.cumsum(_about(twist, turn)))
+    changes = inverse(targets.pose[arm][:-1]) @ targets.pose[arm][1:]
+    return np.append(0.0, np.cumsum(_rotation_about(twist, changes)))
 
 
-def _about(twist: FloatArray, change: FloatArray) -> FloatArray:
-    """How far (...,) [rad], up to half a turn, changes of poses (..., 4, 4) turn about a twist's axis."""
+def _rotation_about(twist: FloatArray, change: FloatArray) -> FloatArray:
+    """Rotation (...,) [rad], up to half a turn, of pose changes (..., 4, 4) about a twist's axis."""
     quaternion = to_quaternion(change[..., :3, :3])
     length = float(np.linalg.norm(twist[:3]))
     angle = 2.0 * np.arctan2(quaternion[..., 1:] @ twist[:3] / length, quaternion[..., 0])
-    return np.asarray(angle - FULL_TURN * np.round(angle / FULL_TURN)) / length
+    return np.asarray(angle - FULL_TURN_RAD * np.round(angle / FULL_TURN_RAD)) / length
 
 
-SAME_TURN: Final = np.deg2rad(3.0)
-"""Angles [rad] that differ by no more are sampled once."""
+ANGLE_TOLERANCE_RAD: Final = np.deg2rad(3.0)
+"""Difference [rad] of angles up to which only one of them is sampled."""
 
 
-def carried(former: Targets, values: FloatArray, targets: Targets) -> list[FloatArray]:
-    """Values (N, F) of the freedoms of ``former`` targets as coordinates of the same freedoms of other ones.
+def carry_over(reference_targets: Targets, values: FloatArray, targets: Targets) -> list[FloatArray]:
+    """Convert freedom values of reference targets to coordinates of the same freedoms of other targets.
 
-    They stand to the frames of the targets as they did. Where an arm that may turn a frame without end holds
-    it, there are others besides: with the frame turned until its first targets stand in the world as they
-    did, wherever on it they are.
+    The tools keep their pose relative to the frames of the targets. If an arm holds a frame and may rotate it
+    by a full turn, there is a second result: the frame is rotated until its first targets have the same
+    orientation in the world, wherever they are on it.
+
+    Args:
+        reference_targets: Targets of the reference plan.
+        values: (N, F) values of their freedoms.
+        targets: New targets.
     """
-    stands = Coordinates(former).of(values)
-    turned, held = stands.copy(), False
-    holds = [(arm, holder) for arm, holder in holders(targets) if holder is not None]
+    coordinates = FreedomCoordinates(reference_targets).from_values(values)
+    turned_coordinates, has_held_frame = coordinates.copy(), False
+    held_frames = [(arm, holder) for arm, holder in frame_holders(targets) if holder is not None]
     for j, freedom in enumerate(targets.freedoms):
-        if not isinstance(freedom, ScrewFreedom) or not full_turn(freedom):
+        if not isinstance(freedom, ScrewFreedom) or not is_full_turn(freedom):
             continue
         arm, twist = next(iter(freedom.axis.items()))
-        before, now = former.pose[arm][0], targets.pose[arm][0]
-        stands[:, j] -= _about(twist, inverse(before) @ now)
-        if arm not in dict(holds):
-            turned[:, j] = stands[:, j]
-        for other in (own for own, holder in holds if holder == arm):
-            held = True
-            turned[:, j] += _about(twist, former.pose[other][0] @ inverse(targets.pose[other][0]))
-    return [stands, turned] if held and np.abs(turned - stands).max() > SAME_TURN else [stands]
+        reference_pose, new_pose = reference_targets.pose[arm][0], targets.pose[arm][0]
+        coordinates[:, j] -= _rotation_about(twist, inverse(reference_pose) @ new_pose)
+        if arm not in dict(held_frames):
+            turned_coordinates[:, j] = coordinates[:, j]
+        for other in (held_arm for held_arm, holder in held_frames if holder == arm):
+            has_held_frame = True
+            turned_coordinates[:, j] += _rotation_about(
+                twist, reference_targets.pose[other][0] @ inverse(targets.pose[other][0])
+            )
+    return (
+        [coordinates, turned_coordinates]
+        if has_held_frame and np.abs(turned_coordinates - coordinates).max() > ANGLE_TOLERANCE_RAD
+        else [coordinates]
+    )
 
 
-def levels(targets: Targets, coordinates: Coordinates) -> list[Level]:
-    """Full turns alone, then with bounded turns, then with long shifts instead, then everything: few freedoms
-    are run and found more easily."""
+def sampling_levels(targets: Targets, coordinates: FreedomCoordinates) -> list[SamplingLevel]:
+    """Sampling levels from few to all freedoms.
+
+    These are full turns only, then with bounded turns, then with long slides instead, then all freedoms. Few
+    freedoms are searched faster and more easily.
+    """
     freedoms = targets.freedoms
-    wide = np.array([float(np.max(f.upper - f.lower)) > 0.0 for f in freedoms], dtype=bool)
-    turns = wide & ~np.array([slides_only(f) for f in freedoms], dtype=bool)
-    out: list[Level] = []
-    active = coordinates.rings
+    has_range = np.array([float(np.max(f.upper - f.lower)) > 0.0 for f in freedoms], dtype=bool)
+    rotational = has_range & ~np.array([is_sampled_as_slide(f) for f in freedoms], dtype=bool)
+    out: list[SamplingLevel] = []
+    active = coordinates.is_full_turn
     if active.any():
-        count = RING_SAMPLES if active.sum() <= 2 else max(4, int(SPREAD_COUNTS[0] ** (1.0 / active.sum())))
-        ring = -np.pi + FULL_TURN * np.arange(count) / count
+        count = (
+            FULL_TURN_SAMPLES
+            if active.sum() <= 2
+            else max(4, int(LEVEL_SAMPLE_COUNTS[0] ** (1.0 / active.sum())))
+        )
+        ring = -np.pi + FULL_TURN_RAD * np.arange(count) / count
         grid = np.array(list(itertools.product(*(ring for _ in range(active.sum())))))
         samples = np.repeat(coordinates.middle[None], len(grid), axis=0)
         samples[:, active] = grid
-        out.append(Level(_names(targets, active), samples))
-    shifted = (coordinates.rings & wide) | shifts(targets)
-    for more, count in ((turns, SPREAD_COUNTS[0]), (shifted, SPREAD_COUNTS[1]), (wide, SPREAD_COUNTS[2])):
-        if (more & ~active).any():
+        out.append(SamplingLevel(_freedom_names(targets, active), samples))
+    shifted = (coordinates.is_full_turn & has_range) | are_long_slides(targets)
+    for level_freedoms, count in (
+        (rotational, LEVEL_SAMPLE_COUNTS[0]),
+        (shifted, LEVEL_SAMPLE_COUNTS[1]),
+        (has_range, LEVEL_SAMPLE_COUNTS[2]),
+    ):
+        if (level_freedoms & ~active).any():
             samples = np.repeat(coordinates.middle[None], count, axis=0)
-            spread = _spread(count, int(more.sum()))
-            samples[:, more] = np.where(coordinates.rings[more], -np.pi + FULL_TURN * spread, spread)
-            kept = slice(0, int(MIDDLE_SHARE * count))
-            samples[kept, more & ~active] = coordinates.middle[more & ~active]
-            out.append(Level(_names(targets, more), samples))
-            active = more
+            spread = _spread_points(count, int(level_freedoms.sum()))
+            samples[:, level_freedoms] = np.where(
+                coordinates.is_full_turn[level_freedoms], -np.pi + FULL_TURN_RAD * spread, spread
+            )
+            kept = slice(0, int(MIDDLE_FRACTION * count))
+            samples[kept, level_freedoms & ~active] = coordinates.middle[level_freedoms & ~active]
+            out.append(SamplingLevel(_freedom_names(targets, level_freedoms), samples))
+            active = level_freedoms
     return out
 
 
-def _names(targets: Targets, active: BoolArray) -> tuple[str, ...]:
+def _freedom_names(targets: Targets, active: BoolArray) -> tuple[str, ...]:
     return tuple(f.name for f, used in zip(targets.freedoms, active, strict=True) if used)
 
 
-def _spread(count: int, width: int) -> FloatArray:
-    """Points (count, width) that fill the unit cube evenly: multiples of powers of the root of
-    x^(width + 1) = x + 1 (Roberts 2018)."""
+def _spread_points(count: int, width: int) -> FloatArray:
+    """Points (count, width) that fill the unit cube evenly.
+
+    They are multiples of powers of the root of x^(width + 1) = x + 1.
+
+    Source: Roberts 2018.
+    """
     root = 2.0
     for _ in range(60):
         root = (1.0 + root) ** (1.0 / (width + 1.0))

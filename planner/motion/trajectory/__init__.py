@@ -1,1 +1,1 @@
-"""From a path to a trajectory: optimised, timed, as controllers take it."""
+"""From a path to a trajectory: optimisation, timing, and limits of controllers."""

@@ -1,4 +1,4 @@
-"""Accelerations and jerks of joints on a clock, by divided differences of the targets of a path."""
+"""Joint accelerations and jerks on a clock, by divided differences of the targets of a path."""
 
 import dataclasses
 
@@ -8,35 +8,53 @@ from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 
 
 @dataclasses.dataclass(frozen=True)
-class Band:
-    """Divided differences of paths: row m is the sum of ``weight`` (M, K) times targets ``first`` (M,) to
-    ``first`` + K - 1."""
+class DifferenceBand:
+    """Divided differences of a path.
+
+    Row m is the sum of ``weight`` (M, K) times targets ``first`` (M,) to first + K - 1.
+    """
 
     first: IndexArray
     weight: FloatArray
 
-    def of(self, joints: FloatArray) -> FloatArray:
-        """The differences (M, J) of joints (N, J)."""
+    def differences(self, joints: FloatArray) -> FloatArray:
+        """Differences (M, J) of joints (N, J)."""
         at = self.first[:, None] + np.arange(self.weight.shape[1])
         return np.asarray(np.einsum("mk,mkj->mj", self.weight, joints[at]))
 
 
-def bands(duration: FloatArray, stop: BoolArray) -> tuple[Band, Band]:
-    """Accelerations and jerks of joints by the times (N - 1,) [s] of the moves, where no stop is between."""
+def difference_bands(duration: FloatArray, stop: BoolArray) -> tuple[DifferenceBand, DifferenceBand]:
+    """Bands of joint accelerations and jerks where no stop is in between.
+
+    Args:
+        duration: (N - 1,) [s] durations of the moves.
+        stop: (N,) whether the arms stop at a target.
+    """
     step = np.maximum(duration, 1e-3 * float(np.median(duration)) + 1e-9)
+    # acceleration at target i: ((q_(i+1) - q_i) / t_i - (q_i - q_(i-1)) / t_(i-1)) / ((t_(i-1) + t_i) / 2)
     middle = 0.5 * (step[1:] + step[:-1])
     weight = np.stack([1.0 / step[:-1], -1.0 / step[:-1] - 1.0 / step[1:], 1.0 / step[1:]], axis=1)
     weight = weight / middle[:, None]
     first = np.flatnonzero(~stop[1:-1])
+    # jerk between targets i and i + 1: (a_(i+1) - a_i) / t_i
     jerk = np.zeros((max(len(weight) - 1, 0), 4))
     if len(jerk):
         jerk[:, :3] -= weight[:-1] / step[1:-1, None]
         jerk[:, 1:] += weight[1:] / step[1:-1, None]
     both = np.flatnonzero(~stop[1:-2] & ~stop[2:-1])
-    return Band(first, weight[first]), Band(both, jerk[both])
+    return DifferenceBand(first, weight[first]), DifferenceBand(both, jerk[both])
 
 
-def peaks(duration: FloatArray, stop: BoolArray, joints: FloatArray) -> tuple[float, ...]:
-    """The largest acceleration [rad/s2] and jerk [rad/s3] of any joint on a path (N, J) whose moves last
-    ``duration`` (N - 1,) [s], by divided differences of its targets where no stop is between."""
-    return tuple(float(np.abs(band.of(joints)).max(initial=0.0)) for band in bands(duration, stop))
+def peak_differences(duration: FloatArray, stop: BoolArray, joints: FloatArray) -> tuple[float, ...]:
+    """Largest acceleration [rad/s2] and jerk [rad/s3] of any joint, by divided differences.
+
+    Differences across a stop do not count.
+
+    Args:
+        duration: (N - 1,) [s] durations of the moves.
+        stop: (N,) whether the arms stop at a target.
+        joints: (N, J) [rad] joints.
+    """
+    return tuple(
+        float(np.abs(band.differences(joints)).max(initial=0.0)) for band in difference_bands(duration, stop)
+    )

@@ -1,8 +1,8 @@
-"""The joint path that linear moves draw, as splines between stops, and what its corners ask for.
+"""Joint path of linear moves, as splines between stops, and the accelerations that its corners require.
 
-A controller gives each move a speed of its own and rounds off the corners, so joint speeds change
-within what a corner takes of the moves beside it. Where a zone is small, or a corner sharp, they
-change faster there than on the spline that the clock follows.
+A controller moves at one speed per move and rounds the corners. Joint speeds therefore change within the part
+of the moves that a corner takes. At a small zone or a sharp corner they change faster than on the spline that
+the clock follows.
 """
 
 import dataclasses
@@ -25,39 +25,49 @@ from planner.geometry.arrays import (
     to_quaternion,
 )
 from planner.geometry.units import MM
-from planner.motion.planning_scene import Scene, holders
+from planner.motion.planning_scene import MovePositions, Scene, frame_holders
 from planner.targets import Targets
 
 JOINT_STEP_RAD: Final = np.deg2rad(2.0)
-"""A move that turns a joint farther than this [rad] gets samples of its own, since a line in space bends in
-the joints."""
+"""Joint change [rad] of a move above which it gets inner samples, because a line in space is curved in joint
+space.
+"""
 
-MOST_MOVE_SAMPLES: Final = 24
-"""Samples of one move at most."""
-RIDE_STEP_M: Final = 0.02
-"""A move along which a base rides farther than this [m] gets samples of its own, since links pass bodies
-then, though no joint may turn;"""
-MOST_RIDE_SAMPLES: Final = 400
-"""so many at most."""
-LEAST_ADVANCE_SHARE: Final = 0.3
-"""In cuts the path advances at least by this share of the way in joints and space, for tools that slide along
-a wire that hardly moves across itself."""
+MAX_MOVE_SAMPLES: Final = 24
+"""Maximum number of samples of one move."""
+TRACK_STEP_M: Final = 0.02
+"""Travel [m] of a coordinated track above which a move gets inner samples, because links pass bodies even if
+no joint moves.
+"""
+MAX_TRACK_SAMPLES: Final = 400
+"""Maximum number of samples of one move of a coordinated track."""
+MIN_ADVANCE_FRACTION: Final = 0.3
+"""Minimum advance of the path parameter in cuts, as a fraction of the distance in joints and space. It
+matters for tools that slide along a wire that hardly moves sideways.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
-class Dense:
-    """Samples of the linear moves: ``move`` (K,) the target that each leads to, ``share`` (K,) of the move in
-    (0, 1], the first one being target 0 itself; ``q`` {arm: (K, 6)}."""
+class MoveSamples:
+    """Samples of the linear moves. The first sample is target 0.
+
+    Attributes:
+        move: (K,) target to which the move leads.
+        fraction: (K,) fraction of the move in (0, 1].
+        q: {arm: (K, 6)} [rad] joints.
+    """
 
     move: IndexArray
-    share: FloatArray
+    fraction: FloatArray
     q: dict[str, FloatArray]
 
 
 @dataclasses.dataclass(frozen=True)
-class Piece:
-    """Path between the stops at targets ``first`` and ``last``; ``knots`` are the path positions of its
-    targets."""
+class PathPiece:
+    """Path between the stops at targets ``first`` and ``last``.
+
+    ``knots`` are the path positions of its targets.
+    """
 
     first: int
     last: int
@@ -67,131 +77,172 @@ class Piece:
 
 @dataclasses.dataclass(frozen=True)
 class JointPath:
-    """All pieces, over joints of all arms side by side; ``deviation`` [m] is the greatest distance of a TCP
-    on the splines from the straight lines between targets."""
+    """All pieces of a path, over the concatenated joints of all arms.
+
+    Attributes:
+        count: Number of targets.
+        pieces: Pieces between stops.
+        deviation: Largest distance [m] of a TCP on the splines from the straight lines between targets.
+    """
 
     count: int
-    pieces: tuple[Piece, ...]
+    pieces: tuple[PathPiece, ...]
     deviation: float
 
 
-def dense(
+def sample_moves(
     scene: Scene,
     targets: Targets,
     branch: Mapping[str, int],
     q: Mapping[str, FloatArray],
     stride: float = JOINT_STEP_RAD,
-    least: int = 1,
-) -> Dense:
-    """Samples of all moves at most ``stride`` [rad] apart in the joints, at least ``least`` a move.
+    min_samples: int = 1,
+) -> MoveSamples:
+    """Sample all linear moves.
 
     Joints are NaN where a linear move leaves the branch or reach between its targets. TCPs in frames that
-    another arm holds move straight in these.
+    another arm holds move linearly in these frames.
+
+    Args:
+        scene: Cell with the stock in its pose.
+        targets: N targets.
+        branch: {arm: branch}.
+        q: {arm: (N, J)} [rad] joints at the targets.
+        stride: Maximum joint change [rad] between samples.
+        min_samples: Minimum number of samples per move.
     """
-    turn = np.max([np.abs(np.diff(angles, axis=0)).max(axis=1) for angles in q.values()], axis=0)
-    parts = np.clip(np.ceil(turn / stride).astype(np.intp), least, MOST_MOVE_SAMPLES)
-    for values in targets.ride.values():
-        rides = np.ceil(np.abs(np.diff(values)) / RIDE_STEP_M - 1e-9).astype(np.intp)
-        parts = np.maximum(parts, np.minimum(rides, MOST_RIDE_SAMPLES))
+    joint_change = np.max([np.abs(np.diff(angles, axis=0)).max(axis=1) for angles in q.values()], axis=0)
+    parts = np.clip(np.ceil(joint_change / stride).astype(np.intp), min_samples, MAX_MOVE_SAMPLES)
+    for values in targets.track_positions.values():
+        track_parts = np.ceil(np.abs(np.diff(values)) / TRACK_STEP_M - 1e-9).astype(np.intp)
+        parts = np.maximum(parts, np.minimum(track_parts, MAX_TRACK_SAMPLES))
     move = np.concatenate([[0], np.repeat(np.arange(1, targets.count), parts)])
     starts = np.concatenate([[0], np.cumsum(parts)])
-    share = np.ones(len(move))
-    share[1:] = (np.arange(len(move) - 1) - np.repeat(starts[:-1], parts) + 1) / np.repeat(parts, parts)
-    inner = np.flatnonzero(share < 1.0)
+    fraction = np.ones(len(move))
+    fraction[1:] = (np.arange(len(move) - 1) - np.repeat(starts[:-1], parts) + 1) / np.repeat(parts, parts)
+    inner = np.flatnonzero(fraction < 1.0)
     out = {arm: angles[move] for arm, angles in q.items()}
     if len(inner):
         ends = {arm: scene.chains[arm].pose(angles) for arm, angles in q.items()}
         start = {arm: pose[move[inner] - 1] for arm, pose in ends.items()}
         end = {arm: pose[move[inner]] for arm, pose in ends.items()}
-        between = scene.between(targets, start, end, share[inner])
+        between = scene.interpolate_poses(targets, start, end, fraction[inner])
         for arm, angles in q.items():
             chain = scene.chains[arm]
-            near = angles[move[inner] - 1] + share[inner, None] * (
+            seed = angles[move[inner] - 1] + fraction[inner, None] * (
                 angles[move[inner]] - angles[move[inner] - 1]
             )
-            out[arm][inner] = chain.on_branch(between[arm], branch[arm], near)
-    return Dense(move, share, out)
+            out[arm][inner] = chain.on_branch(between[arm], branch[arm], seed)
+    return MoveSamples(move, fraction, out)
 
 
-def clear(scene: Scene, targets: Targets, samples: Dense) -> BoolArray:
-    """(K,) whether samples of the moves keep clearance; the edge between targets is taken from the nearer
-    target."""
-    near = np.where(samples.share >= 0.5, samples.move, samples.move - 1)
-    return scene.free(targets, samples.q, np.maximum(near, 0), samples.move, share=samples.share)
+def is_clear(scene: Scene, targets: Targets, samples: MoveSamples) -> BoolArray:
+    """Whether (K,) samples of the moves keep clearance.
+
+    Between targets the flexible edge is that of the nearer target.
+    """
+    nearest = np.where(samples.fraction >= 0.5, samples.move, samples.move - 1)
+    positions = MovePositions(samples.move, samples.fraction)
+    return scene.keeps_clearance(targets, samples.q, np.maximum(nearest, 0), positions)
 
 
-def joint_path(scene: Scene, targets: Targets, samples: Dense, speed: FloatArray) -> JointPath:
-    """Splines through the samples, by the length of the way in the joints (each by its speed limit (J,)) and
-    in space; in cuts by the way of the guarded point, so that an even speed of it is one of the spline too.
-    Tracks that go along are joints behind all others, in m; they go as evenly as the tool, so the way is not
-    theirs.
+def fit_joint_path(scene: Scene, targets: Targets, samples: MoveSamples, speed: FloatArray) -> JointPath:
+    """Fit splines through the samples.
+
+    The path parameter is the length in joint space (each joint divided by its speed limit) plus the length in
+    space. In cuts it is the path length of the guarded point, so that a constant speed of that point is a
+    constant speed on the spline. Coordinated tracks are additional last joints, in m. They move as evenly as
+    the tool and do not count in the parameter.
+
+    Args:
+        scene: Cell with the stock in its pose.
+        targets: N targets.
+        samples: Samples of the moves.
+        speed: (J,) joint speed limits.
     """
     joints = np.concatenate([samples.q[arm] for arm in targets.arms], axis=1)
-    q = np.concatenate([joints, rides(targets, samples)], axis=1) if targets.ride else joints
-    own = {arm: samples.q[arm] for arm in targets.arms}
-    poses = scene.chain_poses(targets, own, samples.move, samples.share)
-    places = [poses[arm][:, :3, 3] for arm in targets.arms]
-    straight = [pose[:, :3, 3] for pose in in_work_frames(targets, poses).values()]
-    way = np.linalg.norm(np.diff(joints, axis=0) / speed[: joints.shape[1]], axis=1)
-    way += sum(np.linalg.norm(np.diff(p, axis=0), axis=1) for p in places)
-    cut = guarded(targets, samples)
-    way = np.where(cut > 0.0, np.maximum(cut, LEAST_ADVANCE_SHARE * way), way)
-    way = np.concatenate([[0.0], np.cumsum(np.maximum(way, 1e-6))])
-    at_target = np.flatnonzero(samples.share == 1.0)
-    pieces, worst = [], 0.0
-    for first, last in itertools.pairwise(np.flatnonzero(with_ends(targets.stop)).tolist()):
+    q = (
+        np.concatenate([joints, track_positions(targets, samples)], axis=1)
+        if targets.track_positions
+        else joints
+    )
+    joints_by_arm = {arm: samples.q[arm] for arm in targets.arms}
+    poses = scene.chain_poses(targets, joints_by_arm, samples.move, samples.fraction)
+    positions = [poses[arm][:, :3, 3] for arm in targets.arms]
+    work_frame_positions = [pose[:, :3, 3] for pose in poses_in_work_frames(targets, poses).values()]
+    parameter = np.linalg.norm(np.diff(joints, axis=0) / speed[: joints.shape[1]], axis=1)
+    parameter += sum(np.linalg.norm(np.diff(p, axis=0), axis=1) for p in positions)
+    cut = guarded_lengths(targets, samples)
+    parameter = np.where(cut > 0.0, np.maximum(cut, MIN_ADVANCE_FRACTION * parameter), parameter)
+    parameter = np.concatenate([[0.0], np.cumsum(np.maximum(parameter, 1e-6))])
+    at_target = np.flatnonzero(samples.fraction == 1.0)
+    pieces, deviation = [], 0.0
+    for first, last in itertools.pairwise(np.flatnonzero(stops_with_ends(targets.stop)).tolist()):
         rows = np.arange(at_target[first], at_target[last] + 1)
-        spline = CubicSpline(way[rows], q[rows], bc_type="natural" if len(rows) < 4 else "not-a-knot")
-        pieces.append(Piece(first, last, spline, way[at_target[first : last + 1]]))
-        worst = max(worst, _deviation(scene, targets, spline, way[rows], [p[rows] for p in straight]))
-    return JointPath(targets.count, tuple(pieces), worst)
+        spline = CubicSpline(parameter[rows], q[rows], bc_type="natural" if len(rows) < 4 else "not-a-knot")
+        pieces.append(PathPiece(first, last, spline, parameter[at_target[first : last + 1]]))
+        deviation = max(
+            deviation,
+            _deviation(scene, targets, spline, parameter[rows], [p[rows] for p in work_frame_positions]),
+        )
+    return JointPath(targets.count, tuple(pieces), deviation)
 
 
-def with_ends(stop: BoolArray) -> BoolArray:
-    """Stops (N,) with the first and the last target, at which everything stands."""
+def stops_with_ends(stop: BoolArray) -> BoolArray:
+    """Stops (N,) including the first and the last target."""
     out = stop.copy()
     out[[0, -1]] = True
     return out
 
 
-def rides(targets: Targets, samples: Dense) -> FloatArray:
-    """Values (K, R) [m] of the R tracks that go along at samples of the moves."""
-    before = np.maximum(samples.move - 1, 0)
-    values = [v[before] + samples.share * (v[samples.move] - v[before]) for v in targets.ride.values()]
+def track_positions(targets: Targets, samples: MoveSamples) -> FloatArray:
+    """Positions (K, R) [m] of the R coordinated tracks at samples of the moves."""
+    previous = np.maximum(samples.move - 1, 0)
+    values = [
+        v[previous] + samples.fraction * (v[samples.move] - v[previous])
+        for v in targets.track_positions.values()
+    ]
     return np.stack(values, axis=1) if values else np.zeros((len(samples.move), 0))
 
 
-def guarded(targets: Targets, samples: Dense) -> FloatArray:
-    """Way (K - 1,) [m] of the guarded point to each sample but the first, in cuts; 0 elsewhere."""
-    before = np.where(samples.move[1:] == samples.move[:-1], samples.share[:-1], 0.0)
-    cuts = np.array([segment.kind == "cut" for segment in targets.segment])
-    return np.asarray((targets.travel * cuts)[samples.move[1:]] * (samples.share[1:] - before))
+def guarded_lengths(targets: Targets, samples: MoveSamples) -> FloatArray:
+    """Path length (K - 1,) [m] of the guarded point to each sample but the first, in cuts; 0 elsewhere."""
+    previous_fraction = np.where(samples.move[1:] == samples.move[:-1], samples.fraction[:-1], 0.0)
+    is_cut = np.array([segment.kind == "cut" for segment in targets.segment])
+    return np.asarray(
+        (targets.travel * is_cut)[samples.move[1:]] * (samples.fraction[1:] - previous_fraction)
+    )
 
 
 def _deviation(
-    scene: Scene, targets: Targets, spline: CubicSpline, way: FloatArray, places: list[FloatArray]
+    scene: Scene, targets: Targets, spline: CubicSpline, parameter: FloatArray, positions: list[FloatArray]
 ) -> float:
-    """Greatest distance [m] of TCPs on a spline, half way between samples, from the chords between the
-    samples at ``places``, both in the frame in which a TCP moves straight."""
-    middle = spline(0.5 * (way[1:] + way[:-1]))
+    """Largest distance [m] of TCPs on a spline from the chords between samples.
+
+    It is taken half way between the samples. Both are in the frame in which a TCP moves linearly.
+    """
+    middle = spline(0.5 * (parameter[1:] + parameter[:-1]))
     columns = scene.columns(targets.arms)
     poses = {arm: scene.chains[arm].pose(middle[:, part]) for arm, part in columns.items()}
-    for k, arm in enumerate(targets.ride, start=columns[targets.arms[-1]].stop):
+    for k, arm in enumerate(targets.track_positions, start=columns[targets.arms[-1]].stop):
         track, station = scene.tracks[arm]
         poses[arm][:, :3, 3] += (middle[:, k, None] - station) * track.axis
     worst = 0.0
-    for found, place in zip(in_work_frames(targets, poses).values(), places, strict=True):
-        at = found[:, :3, 3] - place[:-1]
-        chord = np.diff(place, axis=0)
-        along = dots(at, chord) / np.maximum(dots(chord, chord), 1e-18)
-        away = at - np.clip(along, 0.0, 1.0)[:, None] * chord
-        worst = max(worst, float(np.linalg.norm(away, axis=1).max()))
+    for pose, position in zip(poses_in_work_frames(targets, poses).values(), positions, strict=True):
+        offset = pose[:, :3, 3] - position[:-1]
+        chord = np.diff(position, axis=0)
+        along = dots(offset, chord) / np.maximum(dots(chord, chord), 1e-18)
+        deviation = offset - np.clip(along, 0.0, 1.0)[:, None] * chord
+        worst = max(worst, float(np.linalg.norm(deviation, axis=1).max()))
     return worst
 
 
-def in_work_frames(targets: Targets, poses: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """TCP poses {arm: (K, 4, 4)} of those in the world: in the world still, or in a frame that is held."""
-    held = dict(holders(targets))
+def poses_in_work_frames(targets: Targets, poses: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Transform TCP poses {arm: (K, 4, 4)} from the world to held work frames.
+
+    Poses in other frames stay in the world.
+    """
+    held = dict(frame_holders(targets))
     out = {}
     for arm in targets.arms:
         holder = held[arm]
@@ -199,214 +250,305 @@ def in_work_frames(targets: Targets, poses: Mapping[str, FloatArray]) -> dict[st
     return out
 
 
-def tcp_ways(scene: Scene, targets: Targets, samples: Dense) -> dict[str, FloatArray]:
-    """How far {arm: (N,)} [m] each TCP would go in the world on the way to each target if it kept its
-    greatest speed on that way; between targets a TCP in a held frame speeds up and slows down."""
+def tcp_lengths(scene: Scene, targets: Targets, samples: MoveSamples) -> dict[str, FloatArray]:
+    """Path length {arm: (N,)} [m] of each TCP on each move if it kept its largest speed on that move.
+
+    Between targets the speed of a TCP in a held frame varies.
+    """
     parts = np.bincount(samples.move, minlength=targets.count)[samples.move]
     out = {}
-    poses = scene.chain_poses(targets, samples.q, samples.move, samples.share)
+    poses = scene.chain_poses(targets, samples.q, samples.move, samples.fraction)
     for arm in targets.arms:
-        place = poses[arm][:, :3, 3]
-        step = np.append(0.0, np.linalg.norm(np.diff(place, axis=0), axis=1)) * parts
+        position = poses[arm][:, :3, 3]
+        step = np.append(0.0, np.linalg.norm(np.diff(position, axis=0), axis=1)) * parts
         out[arm] = np.maximum.reduceat(step, np.flatnonzero(np.diff(samples.move, prepend=-1)))
     return out
 
 
-MOST_CORNER_SHARE: Final = 0.5
-"""Share of a move that a corner takes at most: corners at both its ends meet in the middle."""
-LEAST_CORNER_SHARE: Final = 1e-4
-"""Least share of a move that a corner counts with."""
-MOST_RAMP: Final = 2.0
-"""A move from or to a stop ends or begins at most so many times as fast as it is on average."""
+MAX_CORNER_FRACTION: Final = 0.5
+"""Maximum fraction of a move that a corner takes: corners at both ends meet in the middle."""
+MIN_CORNER_FRACTION: Final = 1e-4
+"""Minimum fraction of a move with which a corner counts."""
+MAX_RAMP_RATIO: Final = 2.0
+"""Maximum ratio of the end speed of a move from or to a stop to its mean speed."""
 RAMP_LEVER_M: Final = 0.3
-"""Turning counts as this way [m/rad] where the speed of such a move is matched to its neighbour's."""
+"""Length [m/rad] that weighs rotation when the speed of such a move is matched to its neighbour's."""
 RAMP_SAMPLES: Final = 65
-"""Moments at which a move from or to a stop is looked at."""
+"""Number of instants at which a move from or to a stop is evaluated."""
 
 
-def _at_targets(scene: Scene, targets: Targets, samples: Dense) -> dict[str, FloatArray]:
-    """Poses (N, 4, 4) of the TCPs at the targets."""
-    rows = np.flatnonzero(samples.share == 1.0)
-    own = {arm: samples.q[arm][rows] for arm in targets.arms}
-    return scene.chain_poses(targets, own, samples.move[rows])
+def _target_poses(scene: Scene, targets: Targets, samples: MoveSamples) -> dict[str, FloatArray]:
+    """TCP poses (N, 4, 4) at the targets."""
+    rows = np.flatnonzero(samples.fraction == 1.0)
+    joints = {arm: samples.q[arm][rows] for arm in targets.arms}
+    return scene.chain_poses(targets, joints, samples.move[rows])
 
 
-def corner_shares(
-    scene: Scene, targets: Targets, samples: Dense, length: FloatArray, duration: FloatArray, stop: BoolArray
+def corner_fractions(
+    scene: Scene,
+    targets: Targets,
+    samples: MoveSamples,
+    length: FloatArray,
+    duration: FloatArray,
+    stop: BoolArray,
 ) -> FloatArray:
-    """At least which share (N,) of the shorter move beside it the corner at each target is rounded over, for
-    moves to the targets whose times are in proportion to ``duration`` (N,), with stops at targets (N,);
-    ``length`` (N,) as :func:`ramp_lengths` has it."""
-    poses = _at_targets(scene, targets, samples)
-    rates = end_rates(length[1:], duration[1:], stop)
+    """Fraction (N,) of the shorter adjacent move over which the corner at each target is rounded at least.
+
+    Args:
+        scene: Cell with the stock in its pose.
+        targets: N targets.
+        samples: Samples of the moves.
+        length: (N,) [m] lengths of the moves, as by :func:`ramp_lengths`.
+        duration: (N,) durations of the moves, up to a common factor.
+        stop: (N,) whether the arms stop at a target.
+    """
+    poses = _target_poses(scene, targets, samples)
+    timing = corner_rounding.MoveTiming(duration[1:], *end_speed_ratios(length[1:], duration[1:], stop))
     deviation = 1e3 * targets.rounding.deviations(targets.segment[1:])
-    zone, own = np.full((2, targets.count), MOST_CORNER_SHARE)
-    for arm, pose in in_work_frames(targets, poses).items():
-        levers: FloatArray = np.full(3, corner_rounding.TURNING_LEVER_MM)
+    zone, turning_zone = np.full((2, targets.count), MAX_CORNER_FRACTION)
+    for arm, pose in poses_in_work_frames(targets, poses).items():
+        levers: FloatArray = np.full(3, corner_rounding.ROTATION_LEVER_MM)
         if scene.model is not None:
-            levers = 1e3 * targets.rounding.turning(arm, scene.model.cell.arm(arm).tool)
+            levers = 1e3 * targets.rounding.rotation_lever(arm, scene.model.cell.arm(arm).tool)
         quaternion = to_quaternion(pose[:, :3, :3])
-        ride = targets.ride[arm] / MM if arm in targets.ride else None
-        found = corner_rounding.shares(
-            pose[:, :3, 3] / MM, quaternion, duration[1:], rates, levers, deviation, ride
+        track_values = targets.track_positions[arm] / MM if arm in targets.track_positions else None
+        fractions = corner_rounding.corner_fractions(
+            pose[:, :3, 3] / MM, quaternion, timing, levers, deviation, track_values
         )
-        zone[1:-1] = np.minimum(zone[1:-1], found[0])
-        own[1:-1] = np.minimum(own[1:-1], found[1])
+        zone[1:-1] = np.minimum(zone[1:-1], fractions[0])
+        turning_zone[1:-1] = np.minimum(turning_zone[1:-1], fractions[1])
     if scene.model is not None and scene.model.cell.controller.path == "spline":
-        zone[1:-1] = 0.0  # blocks have none: the proof rounds their corners as it does where there is no zone
-    return np.asarray(np.maximum(np.maximum(zone, own), LEAST_CORNER_SHARE))
+        zone[1:-1] = 0.0  # spline blocks have no zone: the proof rounds their corners as without one
+    return np.asarray(np.maximum(np.maximum(zone, turning_zone), MIN_CORNER_FRACTION))
 
 
-def end_rates(length: FloatArray, duration: FloatArray, stop: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """How many times as fast as on average M moves of ``length`` and ``duration`` (M,) [s] between stops
-    (M + 1,) begin and end; where that is a stop, it is 0."""
+def end_speed_ratios(
+    length: FloatArray, duration: FloatArray, stop: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """Ratios of the start and end speeds of M moves to their mean speeds; 0 at stops.
+
+    Args:
+        length: (M,) lengths of the moves.
+        duration: (M,) [s] durations of the moves.
+        stop: (M + 1,) whether the arms stop at the ends.
+    """
     speed = length / np.maximum(duration, 1e-12)
-    begin, end = np.ones((2, len(speed)))
+    start, end = np.ones((2, len(speed)))
     first, last = stop[:-1], stop[1:]
-    begin[1:] = np.clip(speed[:-1] / np.maximum(speed[1:], 1e-12), 1.0, MOST_RAMP)
-    end[:-1] = np.clip(speed[1:] / np.maximum(speed[:-1], 1e-12), 1.0, MOST_RAMP)
-    begin = np.where(first, 0.0, np.where(last, begin, 1.0))
-    return begin, np.where(last, 0.0, np.where(first, end, 1.0))
+    start[1:] = np.clip(speed[:-1] / np.maximum(speed[1:], 1e-12), 1.0, MAX_RAMP_RATIO)
+    end[:-1] = np.clip(speed[1:] / np.maximum(speed[:-1], 1e-12), 1.0, MAX_RAMP_RATIO)
+    start = np.where(first, 0.0, np.where(last, start, 1.0))
+    return start, np.where(last, 0.0, np.where(first, end, 1.0))
 
 
-def ramp_lengths(scene: Scene, targets: Targets, samples: Dense) -> FloatArray:
-    """Lengths (N,) [m] of the moves to the targets by which a move from or to a stop matches its neighbour's
-    speed: ways of the TCPs with their turning, as the proof takes it."""
+def ramp_lengths(scene: Scene, targets: Targets, samples: MoveSamples) -> FloatArray:
+    """Lengths (N,) [m] of the moves by which moves from and to stops match the speed of their neighbours.
+
+    They are path lengths of the TCPs including rotation, as in the proof.
+    """
     out = np.zeros(targets.count)
-    for pose in in_work_frames(targets, _at_targets(scene, targets, samples)).values():
-        turn = log_rotation(np.swapaxes(pose[:-1, :3, :3], 1, 2) @ pose[1:, :3, :3])
-        way = lengths(np.diff(pose[:, :3, 3], axis=0))
-        out[1:] = np.hypot(out[1:], np.hypot(way, RAMP_LEVER_M * lengths(turn)))
+    for pose in poses_in_work_frames(targets, _target_poses(scene, targets, samples)).values():
+        rotation = log_rotation(np.swapaxes(pose[:-1, :3, :3], 1, 2) @ pose[1:, :3, :3])
+        distance = lengths(np.diff(pose[:, :3, 3], axis=0))
+        out[1:] = np.hypot(out[1:], np.hypot(distance, RAMP_LEVER_M * lengths(rotation)))
     return out
 
 
-def from_stop_to_stop(spline: CubicSpline, acceleration: FloatArray) -> float:
-    """Least time [s] of a path that is one move, within the joint accelerations (J,): controllers take such a
-    move by a cubic, whose ends ask for more than a clock that brakes as late as it can."""
-    return float(np.sqrt(_cubic(spline(spline.x), 0.0, acceleration)))
+def min_stop_to_stop_time(spline: CubicSpline, acceleration: FloatArray) -> float:
+    """Minimum duration [s] of a path of a single move within the joint accelerations (J,).
+
+    Controllers execute such a move by a cubic, whose ends need more acceleration than a clock that brakes as
+    late as possible.
+    """
+    # accelerations fall with T^2: fraction(T) = fraction(1 s) / T^2 = 1
+    return float(np.sqrt(_cubic_acceleration_fraction(spline(spline.x), 0.0, acceleration)))
 
 
-def ramps(
+def ramp_acceleration_fractions(
     spline: CubicSpline, knots: FloatArray, length: FloatArray, duration: FloatArray, acceleration: FloatArray
 ) -> tuple[float, float]:
-    """Shares of the joint accelerations (J,) that the first move from a stop and the last one to a stop ask
-    for, if the moves between the positions ``knots``, of ``length`` (n,), last ``duration`` (n,) [s]: each is
-    a cubic too, which is as fast at its other end as its neighbour is."""
+    """Fractions of the joint accelerations that the first and the last move between stops require.
+
+    Each is a cubic that ends at the speed of its neighbour.
+
+    Args:
+        spline: Joint path.
+        knots: (n + 1,) path positions of the targets.
+        length: (n,) lengths of the moves.
+        duration: (n,) [s] durations of the moves.
+        acceleration: (J,) joint acceleration limits.
+    """
     at = np.searchsorted(spline.x, knots)
     values = spline(spline.x)
     first, last = values[: at[1] + 1], values[at[-2] :][::-1]
-    starts, ends = ends_of_ramps(length, duration)
-    begins = _cubic(first, starts, acceleration) / duration[0] ** 2
-    return begins, _cubic(last, ends, acceleration) / duration[-1] ** 2
+    starts, ends = ramp_end_ratios(length, duration)
+    begins = _cubic_acceleration_fraction(first, starts, acceleration) / duration[0] ** 2
+    return begins, _cubic_acceleration_fraction(last, ends, acceleration) / duration[-1] ** 2
 
 
-def ramp_peaks(length: FloatArray, duration: FloatArray) -> tuple[float, float]:
-    """How many times as fast as on average the first move from a stop and the last one to a stop get, as
-    :func:`ramps` has them; the only move of a path 1.5 times."""
-    ends = (0.0, 0.0) if len(duration) == 1 else ends_of_ramps(length, duration)
+def ramp_peak_ratios(length: FloatArray, duration: FloatArray) -> tuple[float, float]:
+    """Ratios of peak to mean speed of the first move from a stop and the last move to a stop.
+
+    They are those of the cubics of :func:`ramp_acceleration_fractions`. The only move of a path has the ratio
+    1.5.
+    """
+    ends = (0.0, 0.0) if len(duration) == 1 else ramp_end_ratios(length, duration)
     peaks = []
     for end in ends:
+        # s'(x) = 2 c2 x + 3 c3 x^2 is largest at x = -c2 / (3 c3), where it is c2 x
         c2, c3 = 3.0 - end, end - 2.0
-        top = -c2 / (3.0 * c3) if c3 < 0.0 else 1.0  # where the cubic is fastest
+        top = -c2 / (3.0 * c3) if c3 < 0.0 else 1.0  # position of the peak speed of the cubic
         peaks.append(c2 * top if top < 1.0 else end)
     return peaks[0], peaks[1]
 
 
-def ends_of_ramps(length: FloatArray, duration: FloatArray) -> tuple[float, float]:
-    """How many times as fast as on average the first and the last one of moves of ``length`` (n,) in
-    ``duration`` (n,) [s] are where they meet others."""
-    begin, end = end_rates(length, duration, with_ends(np.zeros(len(length) + 1, dtype=bool)))
-    return float(end[0]), float(begin[-1])
+def ramp_end_ratios(length: FloatArray, duration: FloatArray) -> tuple[float, float]:
+    """Ratios of end to mean speed of the first and the last of n moves where they meet others.
+
+    Args:
+        length: (n,) lengths of the moves.
+        duration: (n,) [s] durations of the moves.
+    """
+    start, end = end_speed_ratios(length, duration, stops_with_ends(np.zeros(len(length) + 1, dtype=bool)))
+    return float(end[0]), float(start[-1])
 
 
-def _ramp(half: float, duration: float, step: float, rate: float) -> tuple[float, float]:
-    """Path speed at ``half`` [s] from the moving end of a ramp, and the way from there to that end: of a move
-    over ``step`` that lasts ``duration`` [s] and is ``rate`` times as fast there as on average."""
+def _ramp_state(half: float, duration: float, step: float, rate: float) -> tuple[float, float]:
+    """Path speed at ``half`` [s] from the moving end of a ramp, and the distance from there to that end.
+
+    The move covers ``step`` in ``duration`` [s]. ``rate`` is the ratio of its end speed to its mean speed.
+    """
+    # s(x) = x^2 (c2 + c3 x) with s(1) = 1, s'(1) = rate; the result is s' step / T and (1 - s) step
     x, c2, c3 = 1.0 - half / duration, 3.0 - rate, rate - 2.0
     return x * (2.0 * c2 + 3.0 * c3 * x) * step / duration, (1.0 - x * x * (c2 + c3 * x)) * step
 
 
-def _cubic(values: FloatArray, end: float, acceleration: FloatArray) -> float:
-    """The most that a move over the joints ``values`` (K, J), which part it evenly in space, asks for of the
-    accelerations (J,) if it lasts a second: from rest to ``end`` times as fast as it is on average."""
-    way = CubicSpline(np.linspace(0.0, 1.0, len(values)), values)
+def _cubic_acceleration_fraction(values: FloatArray, end: float, acceleration: FloatArray) -> float:
+    """Largest fraction of the accelerations (J,) that a move of duration 1 s requires.
+
+    The move is from rest to ``end`` times its mean speed. The joints ``values`` (K, J) divide it evenly in
+    space.
+    """
+    # s(x) = x^2 (c2 + c3 x) on [0, 1] with s(1) = 1, s'(0) = 0, s'(1) = end; q'' = q_s s'' + q_ss s'^2
+    spline = CubicSpline(np.linspace(0.0, 1.0, len(values)), values)
     x = np.linspace(0.0, 1.0, RAMP_SAMPLES)
     c2, c3 = 3.0 - end, end - 2.0
-    share, rate, change = x * x * (c2 + c3 * x), x * (2.0 * c2 + 3.0 * c3 * x), 2.0 * c2 + 6.0 * c3 * x
-    asked = np.abs(way(share, 1) * change[:, None] + way(share, 2) * rate[:, None] ** 2) / acceleration
-    return float(asked.max())
+    progress, rate, change = x * x * (c2 + c3 * x), x * (2.0 * c2 + 3.0 * c3 * x), 2.0 * c2 + 6.0 * c3 * x
+    fraction = (
+        np.abs(spline(progress, 1) * change[:, None] + spline(progress, 2) * rate[:, None] ** 2)
+        / acceleration
+    )
+    return float(fraction.max())
 
 
 @dataclasses.dataclass(frozen=True)
-class Corners:
-    """Corners at the inner targets (n,) of a piece: ``before``, ``after`` (n, J) the slopes of the joints
-    over the path just before and behind each at an even speed in space, ``step`` (n + 1,) the lengths of the
-    moves, ``taken`` (n,) the share of the shorter one of two that their corner is rounded over on each side.
+class PathCorners:
+    """Corners at the inner targets (n,) of a piece.
+
+    Attributes:
+        slope_before: (n, J) slopes of the joints over the path just before each corner, at constant speed in
+            space.
+        slope_after: (n, J) slopes just after it.
+        step: (n + 1,) lengths of the moves.
+        fraction: (n,) fraction of the shorter adjacent move over which a corner is rounded on each side.
     """
 
-    before: FloatArray
-    after: FloatArray
+    slope_before: FloatArray
+    slope_after: FloatArray
     step: FloatArray
-    taken: FloatArray
+    fraction: FloatArray
 
     @staticmethod
-    def of(spline: CubicSpline, knots: FloatArray, taken: FloatArray) -> "Corners":
-        """Of a path with targets at the positions ``knots`` (n + 2,), among the breaks of the spline, which
-        part each move evenly in space: there it goes at an even speed, whatever the joints do."""
+    def from_spline(spline: CubicSpline, knots: FloatArray, fraction: FloatArray) -> "PathCorners":
+        """Create the corners of a path with targets at the positions ``knots`` (n + 2,).
+
+        The breaks of the spline divide each move evenly in space. There it moves at constant speed, whatever
+        the joints do.
+        """
         at = np.searchsorted(spline.x, knots)
         parts, step = np.diff(at), np.diff(knots)
         slope = np.diff(spline(spline.x), axis=0) * np.repeat(parts / step, parts)[:, None]
-        return Corners(slope[at[1:-1] - 1], slope[at[1:-1]], step, taken)
+        return PathCorners(slope[at[1:-1] - 1], slope[at[1:-1]], step, fraction)
 
-    def acceleration_shares(
+    def acceleration_fractions(
         self, length: FloatArray, duration: FloatArray, acceleration: FloatArray
     ) -> FloatArray:
-        """Shares (n,) of the limits ``acceleration`` (J,) that the corners ask for if the moves, of
-        ``length`` (n + 1,), last ``duration`` (n + 1,) [s]: each is rounded by the cubic that goes on from
-        the moves beside it, of which those from and to stops are ramps."""
+        """Fractions (n,) of the acceleration limits that the corners require.
+
+        Each corner is rounded by the cubic that continues the adjacent moves. Moves from and to stops are
+        ramps.
+
+        Args:
+            length: (n + 1,) lengths of the moves.
+            duration: (n + 1,) [s] durations of the moves.
+            acceleration: (J,) joint acceleration limits.
+        """
         mean = self.step / duration
-        half = self.taken * np.minimum(duration[:-1], duration[1:])
-        comes, goes = mean[:-1].copy(), mean[1:].copy()
-        behind, ahead = comes * half, goes * half
+        half = self.fraction * np.minimum(duration[:-1], duration[1:])
+        speed_in, speed_out = mean[:-1].copy(), mean[1:].copy()
+        distance_before, distance_after = speed_in * half, speed_out * half
         if len(half):
-            starts, stops = ends_of_ramps(length, duration)
-            comes[0], behind[0] = _ramp(half[0], duration[0], self.step[0], starts)
-            goes[-1], ahead[-1] = _ramp(half[-1], duration[-1], self.step[-1], stops)
-        way = self.before * behind[:, None] + self.after * ahead[:, None]
-        first, last = self.before * comes[:, None], self.after * goes[:, None]
+            starts, stops = ramp_end_ratios(length, duration)
+            speed_in[0], distance_before[0] = _ramp_state(half[0], duration[0], self.step[0], starts)
+            speed_out[-1], distance_after[-1] = _ramp_state(half[-1], duration[-1], self.step[-1], stops)
+        # Hermite cubic over the time T = 2 half with displacement D and end velocities v0, v1. Its largest
+        # accelerations are those at its ends: 6 D / T^2 - (4 v0 + 2 v1) / T, (2 v0 + 4 v1) / T - 6 D / T^2.
+        displacement = (
+            self.slope_before * distance_before[:, None] + self.slope_after * distance_after[:, None]
+        )
+        first, last = self.slope_before * speed_in[:, None], self.slope_after * speed_out[:, None]
         span = 2.0 * half[:, None]
-        begins = 6.0 * way / span**2 - (4.0 * first + 2.0 * last) / span
-        ends = (2.0 * first + 4.0 * last) / span - 6.0 * way / span**2
+        begins = 6.0 * displacement / span**2 - (4.0 * first + 2.0 * last) / span
+        ends = (2.0 * first + 4.0 * last) / span - 6.0 * displacement / span**2
         return np.asarray((np.maximum(np.abs(begins), np.abs(ends)) / acceleration).max(axis=1))
 
-    def demand(self) -> tuple[FloatArray, FloatArray]:
-        """``slope`` and ``bend`` (n, J): at the path's acceleration u and squared speed x a corner asks for
-        the joint accelerations slope u + bend x."""
+    def acceleration_coefficients(self) -> tuple[FloatArray, FloatArray]:
+        """``slope`` and ``bend`` (n, J) of the joint accelerations slope u + bend x that a corner requires.
+
+        u is the path acceleration and x the squared path speed.
+        """
+        # At path speed s the corner takes the time window / s. Meanwhile the joint velocity changes by
+        # (after - before) s, and by the mean slope times the speed gained between the middles of both moves,
+        # u middle / s. Both divided by the time, with x = s^2: slope u + bend x.
         shorter = np.minimum(self.step[:-1], self.step[1:])
-        window = (2.0 * self.taken * shorter)[:, None]
+        window = (2.0 * self.fraction * shorter)[:, None]
         middle = 0.5 * (self.step[:-1] + self.step[1:])[:, None]
-        return 0.5 * (self.before + self.after) * middle / window, (self.after - self.before) / window
+        return 0.5 * (self.slope_before + self.slope_after) * middle / window, (
+            self.slope_after - self.slope_before
+        ) / window
 
 
 @dataclasses.dataclass(frozen=True)
 class CornerLimits:
-    """Accelerations within ``acceleration`` (J,) at corners: ``slope`` u + ``bend`` x, (G, J) each at the
-    grid points, with the path's acceleration u and squared speed x; rows of zeros ask for nothing."""
+    """Limits ``acceleration`` (J,) of ``slope`` u + ``bend`` x, (G, J) each, at the grid points.
+
+    u is the path acceleration and x the squared path speed. Rows of zeros are not limited.
+    """
 
     slope: FloatArray
     bend: FloatArray
     acceleration: FloatArray
 
 
-def on_grid(
-    corners: Corners, knots: FloatArray, grid: FloatArray, weaker: FloatArray, acceleration: FloatArray
+def corner_limits_on_grid(
+    corners: PathCorners, knots: FloatArray, grid: FloatArray, weaker: FloatArray, acceleration: FloatArray
 ) -> CornerLimits:
-    """What the corners ask for at the grid points (G,): each half of a move by the corner next to it, and
-    nothing in moves from and to stops, which are ramps. ``weaker`` (n,) divides the limits of the corners."""
-    slope, bend = corners.demand()
+    """Limits of the corners at grid points.
+
+    Each half of a move is limited by the corner next to it. Moves from and to stops are not limited, because
+    they are ramps.
+
+    Args:
+        corners: n corners.
+        knots: (n + 2,) path positions of the targets.
+        grid: (G,) grid points.
+        weaker: (n,) factor that divides the limits of the corners.
+        acceleration: (J,) joint acceleration limits.
+    """
+    slope, bend = corners.acceleration_coefficients()
     inner = knots[1:-1]
     middle = 0.5 * (inner[1:] + inner[:-1])
-    near = np.searchsorted(middle, grid)
-    apart = (grid >= inner[0]) & (grid <= inner[-1])
-    scale = np.where(apart, weaker[near], 0.0)[:, None]
-    return CornerLimits(slope[near] * scale, bend[near] * scale, acceleration)
+    nearest = np.searchsorted(middle, grid)
+    is_limited = (grid >= inner[0]) & (grid <= inner[-1])
+    scale = np.where(is_limited, weaker[nearest], 0.0)[:, None]
+    return CornerLimits(slope[nearest] * scale, bend[nearest] * scale, acceleration)

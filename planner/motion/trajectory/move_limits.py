@@ -1,16 +1,16 @@
-"""Lower limits of moves: the least feed that a process asks for, the least time that controllers need.
+"""Lower limits of moves: minimum feed of the process, minimum duration of the controllers.
 
-**Least feed.** Between stops a tool is as fast as a least feed asks for, in the mean over each move
-and, at corners, at every instant by the share ``LEAST_SPEED_SHARE``. It comes up to it from a stop,
-and goes down to the next one, no slower than a point that accelerates evenly over the run-up; so it
-does where the least feed begins and ends, and between two feeds that no speed keeps both.
+**Minimum feed.** Between stops a tool is as fast as the minimum feed, in the mean over each move. At corners
+it is at every instant at least ``MIN_CORNER_SPEED_FRACTION`` of it. The tool accelerates from a stop, and
+brakes before the next one, at least as fast as a point that accelerates evenly over the run-up. The same
+holds where the minimum feed starts and ends, and between two feeds that no speed satisfies.
 
-A move has one speed. Where a zone leaves hardly any time to change it, both moves beside the corner
-would crawl over all of their length, which takes longer than a stop: there the tool stops.
+A move has one speed. If a zone leaves hardly any time to change it, both moves at the corner would be slow
+over their whole length, which takes longer than a stop. There the tool stops.
 
-**Least time.** Where moves are shorter than controllers like, neighbours on one line become one
-move. Controllers plan a move for some 20 to 50 ms at least; a run of shorter ones ends in stops at
-corners that nobody asked for (ABB: 50024, corner path failure; KUKA: approximation not possible).
+**Minimum duration.** Moves that are shorter than controllers handle well are joined with neighbours on one
+line. Controllers plan a move for about 20 to 50 ms at least. A run of shorter ones ends in unintended stops
+at corners (ABB: 50024, corner path failure; KUKA: approximation not possible).
 """
 
 import dataclasses
@@ -30,453 +30,565 @@ from planner.geometry.arrays import (
     to_quaternion,
 )
 from planner.geometry.units import MM, measurement
+from planner.issue_codes import format_message
 from planner.issues import Issue, Severity, TandemError, aggregate
 from planner.motion.planning_scene import Scene
-from planner.motion.search.ladder_search import speed_limits
-from planner.motion.search.subsampling import subset
-from planner.motion.trajectory.joint_path import MOST_RAMP, Dense, JointPath, ends_of_ramps, joint_path
-from planner.motion.trajectory.timing import RESERVE, SHORTEST, Clock, Limits, Rounded, TimedPiece, settled
+from planner.motion.search.layered_graph_search import speed_limits
+from planner.motion.search.subsampling import select_targets
+from planner.motion.trajectory.joint_path import (
+    MAX_RAMP_RATIO,
+    JointPath,
+    MoveSamples,
+    fit_joint_path,
+    ramp_end_ratios,
+)
+from planner.motion.trajectory.timing import (
+    MIN_SEGMENT_TIME_S,
+    SPEED_FRACTION,
+    Clock,
+    ClockLimits,
+    CornerFractions,
+    TimedPiece,
+    settle_clock,
+)
 from planner.targets import Targets
 
-LEAST_SPEED_SHARE: Final = 0.82
-"""A tool that rounds a corner is nowhere slower than this share of its least feed; the proof asks for 0.8."""
-USED_TIME_SHARE: Final = 0.999
-"""Moves take at most this share of the time they may, for it is rounded when it is written."""
-KRL_TURN_RAD_S: Final = float(np.deg2rad(200.0))
-"""How fast tools may turn in programs in KRL [rad/s], whose moves are led by their way."""
-BENT_SHARE: Final = 0.99
-"""A corner at which a tool is slower than this share of its speeds before and behind slows it by itself."""
+MIN_CORNER_SPEED_FRACTION: Final = 0.82
+"""Minimum speed of a tool at a corner, as a fraction of the minimum feed. The proof requires 0.8."""
+USED_TIME_FRACTION: Final = 0.999
+"""Fraction of the allowed duration that moves may take, because durations are rounded in programs."""
+KRL_MAX_ANGULAR_SPEED_RAD_S: Final = float(np.deg2rad(200.0))
+"""Maximum angular speed [rad/s] of tools in KRL programs whose moves are led by their path length."""
+SLOWING_CORNER_RATIO: Final = 0.99
+"""Speed ratio below which a corner itself slows the tool, relative to its speeds before and after."""
 CORNER_SAMPLES: Final = 33
-"""Instants of a corner that are looked at."""
+"""Number of instants at which a corner is evaluated."""
 
 
-def require(scene: Scene, targets: Targets, samples: Dense, time: FloatArray) -> None:
-    """Raises :class:`TandemError` where the clock ``time`` (N,) [s] does not keep the least feeds."""
+def require_min_feeds(scene: Scene, targets: Targets, samples: MoveSamples, time: FloatArray) -> None:
+    """Require that the clock keeps the minimum feeds.
+
+    Args:
+        scene: Cell with the arms.
+        targets: N targets.
+        samples: Samples of the moves.
+        time: (N,) [s] times of the targets.
+
+    Raises:
+        TandemError: ``motion.feed_min``.
+    """
     if targets.run_up is None or not np.any(targets.feed_min[1:] > 0.0):
         return
-    took = np.diff(time, prepend=time[0])
-    most = allowed(targets)
-    slow = took > USED_TIME_SHARE * most
-    late = np.flatnonzero(slow).tolist()
-    issues = [_slow(scene, targets, samples, i, float(took[i]), float(most[i])) for i in late]
-    issues += [*_corners(targets, took, slow), *_turns(scene, targets, samples, took)]
-    causes = dict.fromkeys(issue.hint for issue in issues)  # each with its worst
+    durations = np.diff(time, prepend=time[0])
+    max_times = max_move_times(targets)
+    is_slow = durations > USED_TIME_FRACTION * max_times
+    slow_moves = np.flatnonzero(is_slow).tolist()
+    issues = [
+        _slow_move_issue(scene, targets, samples, i, float(durations[i]), float(max_times[i]))
+        for i in slow_moves
+    ]
+    issues += [
+        *_slow_corner_issues(targets, durations, is_slow),
+        *_krl_rotation_issues(scene, targets, samples, durations),
+    ]
+    causes = dict.fromkeys(issue.hint for issue in issues)  # one issue per hint: the worst
     if causes:
-        raise TandemError([one for why in causes for one in aggregate(i for i in issues if i.hint == why)])
+        raise TandemError(
+            [worst for cause in causes for worst in aggregate(i for i in issues if i.hint == cause)]
+        )
 
 
-def stretches(targets: Targets) -> list[tuple[int, int]]:
-    """Runs of moves (first, last) to targets with a least feed, each between stops, or from where one begins
-    to where it ends."""
-    least, feed, stop = targets.feed_min, targets.feed, targets.stop
+def min_feed_runs(targets: Targets) -> list[tuple[int, int]]:
+    """Runs of moves (first, last) to targets with a minimum feed.
+
+    Each run lies between stops, or between the start and the end of the minimum feed.
+    """
+    min_feed, feed, stop = targets.feed_min, targets.feed, targets.stop
     out: list[tuple[int, int]] = []
     for i in range(1, targets.count):
-        if least[i] <= 0.0:
+        if min_feed[i] <= 0.0:
             continue
-        together = least[i] <= feed[i - 1] and least[i - 1] <= feed[i] and least[i - 1] > 0.0
-        if out and out[-1][1] == i - 1 and not stop[i - 1] and together:
+        is_compatible = min_feed[i] <= feed[i - 1] and min_feed[i - 1] <= feed[i] and min_feed[i - 1] > 0.0
+        if out and out[-1][1] == i - 1 and not stop[i - 1] and is_compatible:
             out[-1] = out[-1][0], i
         else:
             out.append((i, i))
     return out
 
 
-def allowed(targets: Targets) -> FloatArray:
-    """The longest time (N,) [s] of the move to each target; infinite where it has no least feed."""
+def max_move_times(targets: Targets) -> FloatArray:
+    """Longest duration (N,) [s] of the move to each target; infinite without a minimum feed."""
     run_up = targets.run_up or 0.0
     out = np.full(targets.count, np.inf)
-    for first, last in stretches(targets):
-        way = np.concatenate([[0.0], np.cumsum(targets.travel[first : last + 1])])
-        middle = 0.5 * way[-1]
-        rising = _ramp(np.minimum(way, middle), run_up)
-        falling = _ramp(way[-1] - np.maximum(way, middle), run_up)
+    for first, last in min_feed_runs(targets):
+        distance = np.concatenate([[0.0], np.cumsum(targets.travel[first : last + 1])])
+        middle = 0.5 * distance[-1]
+        rising = _run_up_time(np.minimum(distance, middle), run_up)
+        falling = _run_up_time(distance[-1] - np.maximum(distance, middle), run_up)
         out[first : last + 1] = np.diff(rising - falling) / targets.feed_min[first : last + 1]
     return out
 
 
-def _ramp(way: FloatArray, run_up: float) -> FloatArray:
-    """How long a point takes that speeds up evenly to the speed 1 over ``run_up`` [m] and goes on at it."""
-    return np.where(way < run_up, 2.0 * np.sqrt(way * run_up), way + run_up)
+def _run_up_time(distance: FloatArray, run_up: float) -> FloatArray:
+    """Time of a point that accelerates evenly to speed 1 over ``run_up`` [m] and continues at that speed."""
+    return np.where(distance < run_up, 2.0 * np.sqrt(distance * run_up), distance + run_up)
 
 
-def _slow(scene: Scene, targets: Targets, samples: Dense, i: int, took: float, most: float) -> Issue:
-    """Why the move to target ``i`` takes longer than it may, by what would not do at the least feed."""
-    hint = "lower feed_min_mm_s there, give 0 or a stop in the table"
+def _slow_move_issue(
+    scene: Scene, targets: Targets, samples: MoveSamples, i: int, duration: float, max_time: float
+) -> Issue:
+    """Issue of a move that takes too long, with what would prevent the minimum feed."""
+    hint = "lower feed_min_mm_s there, or state 0 or a stop in the table"
     settings = scene.settings
-    least = float(targets.feed_min[i]) / MM
+    min_feed = float(targets.feed_min[i]) / MM
     rows = np.flatnonzero(samples.move == i)
     rows = np.concatenate([[rows[0] - 1], rows])
     need = {}
     for arm in targets.arms:
-        rate = np.abs(np.diff(samples.q[arm][rows], axis=0)).max(axis=0) * (len(rows) - 1) / most
-        share = rate / (RESERVE * speed_limits(scene, arm))
-        need[arm, int(np.argmax(share))] = float(share.max()), float(np.rad2deg(rate[int(np.argmax(share))]))
-    (arm, joint), (share, rate) = max(need.items(), key=lambda item: item[1][0])
+        rate = np.abs(np.diff(samples.q[arm][rows], axis=0)).max(axis=0) * (len(rows) - 1) / max_time
+        fraction = rate / (SPEED_FRACTION * speed_limits(scene, arm))
+        need[arm, int(np.argmax(fraction))] = (
+            float(fraction.max()),
+            float(np.rad2deg(rate[int(np.argmax(fraction))])),
+        )
+    (arm, joint), (fraction, rate) = max(need.items(), key=lambda item: item[1][0])
     travel = float(targets.travel[i])
-    if USED_TIME_SHARE * most < SHORTEST / RESERVE:
-        why = f"it goes {travel / MM:.3f} mm, and controllers plan no move in less than {SHORTEST * 1e3:g} ms"
-        hint = "put the poses farther apart"
-    elif travel / (RESERVE * settings.tcp_speed) > most * USED_TIME_SHARE:
-        why = f"settings.tcp_speed_mm_s is {settings.tcp_speed / MM:g} mm/s, of which plans use {RESERVE:g}"
+    if USED_TIME_FRACTION * max_time < MIN_SEGMENT_TIME_S / SPEED_FRACTION:
+        cause = (
+            f"it is {travel / MM:.3f} mm long, and controllers plan no move below "
+            f"{MIN_SEGMENT_TIME_S * 1e3:g} ms"
+        )
+        hint = "space the poses farther apart"
+    elif travel / (SPEED_FRACTION * settings.tcp_speed) > max_time * USED_TIME_FRACTION:
+        cause = (
+            f"settings.tcp_speed_mm_s is {settings.tcp_speed / MM:g} mm/s, of which plans use "
+            f"{SPEED_FRACTION:g}"
+        )
         hint = "raise it, or lower feed_min_mm_s"
-    elif share > 1.0:
-        allowed_rate = float(np.rad2deg(RESERVE * speed_limits(scene, arm)[joint]))
-        why = f"joint {joint + 1} of {arm} would turn at {rate:.1f} deg/s, allowed {allowed_rate:.1f} deg/s"
-        hint += "; or let more of the poses be free, or move the block"
-    elif _at_an_end(targets, i):
+    elif fraction > 1.0:
+        allowed_rate = float(np.rad2deg(SPEED_FRACTION * speed_limits(scene, arm)[joint]))
+        cause = f"joint {joint + 1} of {arm} would turn at {rate:.1f} deg/s, allowed {allowed_rate:.1f} deg/s"
+        hint += "; or give the poses more freedom, or move the stock"
+    elif _is_at_run_end(targets, i):
         run_up = (targets.run_up or 0.0) / MM
-        why = f"the joints' accelerations need a longer run-up than {run_up:g} mm from and to stops"
-        hint = "give a longer run_up_mm, or lower feed_min_mm_s there"
+        cause = f"the joint accelerations need a longer run-up than {run_up:g} mm from and to stops"
+        hint = "state a longer run_up_mm, or lower feed_min_mm_s there"
     else:
-        why = "the joints cannot change their speeds so fast as the corners there ask of them"
-        hint += "; or round the corner over more poses, or let more of the poses be free"
-    got = travel / took / MM
+        cause = "the joints cannot change their speeds as fast as the corners there require"
+        hint += "; or round the corner over more poses, or give the poses more freedom"
+    got = travel / duration / MM
     return Issue(
         "motion.feed_min",
-        f"the move to {targets.name(i)} runs at {got:.4g} mm/s and may take {most:.4g} s at the least feed "
-        f"of {least:g} mm/s, run-up counted, but takes {took:.4g} s: {why}",
-        arm=arm if share > 1.0 else None,
+        f"the move to {targets.name(i)} runs at {got:.4g} mm/s and may take {max_time:.4g} s at the minimum "
+        f"feed of {min_feed:g} mm/s, including the run-up, but takes {duration:.4g} s: {cause}",
+        arm=arm if fraction > 1.0 else None,
         index=i,
         target=targets.name(i),
-        **measurement(got, least, "mm/s"),
+        **measurement(got, min_feed, "mm/s"),
         hint=hint,
     )
 
 
-def _at_an_end(targets: Targets, i: int) -> bool:
-    """Whether the move to target ``i`` is the first or last of its stretch, or in a run-up."""
-    first, last = next((a, b) for a, b in stretches(targets) if a <= i <= b)
-    before, behind = targets.travel[first:i].sum(), targets.travel[i + 1 : last + 1].sum()
-    return i in (first, last) or min(before, behind) < (targets.run_up or 0.0)
+def _is_at_run_end(targets: Targets, i: int) -> bool:
+    """Whether the move to target ``i`` is the first or last of its run, or in a run-up."""
+    first, last = next((a, b) for a, b in min_feed_runs(targets) if a <= i <= b)
+    distance_before, distance_after = targets.travel[first:i].sum(), targets.travel[i + 1 : last + 1].sum()
+    return i in (first, last) or min(distance_before, distance_after) < (targets.run_up or 0.0)
 
 
-def _corners(targets: Targets, took: FloatArray, slow: BoolArray) -> list[Issue]:
-    """Corners that tools round at less than their share of the least feed: there they go evenly from the
-    speed of one move to that of the next. Not where it is a move beside them that is ``slow`` (N,)."""
+def _slow_corner_issues(targets: Targets, durations: FloatArray, is_slow: BoolArray) -> list[Issue]:
+    """Issues of corners that tools round below their fraction of the minimum feed.
+
+    At a corner the velocity changes linearly from that of one move to that of the next. Corners beside a
+    ``is_slow`` (N,) move are skipped if that move is the cause.
+    """
     out: list[Issue] = []
-    for first, last in stretches(targets):
+    for first, last in min_feed_runs(targets):
         moves = np.arange(first, last + 1)
         if len(moves) < 2:
             continue
-        way = np.cumsum(targets.travel[moves])[:-1]
-        run_up = np.minimum(way, targets.travel[moves].sum() - way) / (targets.run_up or np.inf)
-        least = np.minimum(targets.feed_min[moves[:-1]], targets.feed_min[moves[1:]])
-        limit = LEAST_SPEED_SHARE * least * np.sqrt(np.minimum(run_up, 1.0))
-        scale = np.ones(len(moves))  # moves from and to stops end and begin faster than they are on average
-        scale[[0, -1]] = ends_of_ramps(targets.travel[moves], took[moves])
+        distance = np.cumsum(targets.travel[moves])[:-1]
+        run_up = np.minimum(distance, targets.travel[moves].sum() - distance) / (targets.run_up or np.inf)
+        min_feed = np.minimum(targets.feed_min[moves[:-1]], targets.feed_min[moves[1:]])
+        limit = MIN_CORNER_SPEED_FRACTION * min_feed * np.sqrt(np.minimum(run_up, 1.0))
+        scale = np.ones(len(moves))  # moves from and to stops are faster at their moving end than on average
+        scale[[0, -1]] = ramp_end_ratios(targets.travel[moves], durations[moves])
         fastest = np.zeros((CORNER_SAMPLES, len(moves) - 1))
-        beside = slow[moves[:-1]] | slow[moves[1:]]
-        share = (np.arange(CORNER_SAMPLES) / (CORNER_SAMPLES - 1))[:, None, None]
+        is_beside_slow = is_slow[moves[:-1]] | is_slow[moves[1:]]
+        progress = (np.arange(CORNER_SAMPLES) / (CORNER_SAMPLES - 1))[:, None, None]
         for pose in targets.pose.values():
             step = pose[moves, :3, 3] - pose[moves - 1, :3, 3]
-            rate = step * (scale / took[moves])[:, None]
-            between = (1.0 - share) * rate[:-1] + share * rate[1:]
+            rate = step * (scale / durations[moves])[:, None]
+            between = (1.0 - progress) * rate[:-1] + progress * rate[1:]
             fastest = np.maximum(fastest, np.linalg.norm(between, axis=2))
         slowest = fastest.min(axis=0)
-        bends = slowest < BENT_SHARE * np.minimum(fastest[0], fastest[-1])
-        bad = np.flatnonzero((slowest < limit) & (bends | ~beside)).tolist()
-        out += [_corner_issue(targets, first + k, float(slowest[k]), float(limit[k])) for k in bad]
+        slows_itself = slowest < SLOWING_CORNER_RATIO * np.minimum(fastest[0], fastest[-1])
+        slow_corners = np.flatnonzero((slowest < limit) & (slows_itself | ~is_beside_slow)).tolist()
+        out += [
+            _make_corner_issue(targets, first + k, float(slowest[k]), float(limit[k])) for k in slow_corners
+        ]
     return out
 
 
-def _turns(scene: Scene, targets: Targets, samples: Dense, took: FloatArray) -> list[Issue]:
-    """Moves in which the tool of a KUKA arm turns faster than programs in KRL let it, so that it would be
-    slow."""
+def _krl_rotation_issues(
+    scene: Scene, targets: Targets, samples: MoveSamples, durations: FloatArray
+) -> list[Issue]:
+    """Issues of moves in which the tool of a KUKA arm rotates faster than KRL programs allow.
+
+    Such a move would be slowed.
+    """
     out = []
-    rows = np.flatnonzero(samples.share == 1.0)
+    rows = np.flatnonzero(samples.fraction == 1.0)
     for arm in targets.arms:
         chain = scene.chains[arm]
         if chain.robot.family != "KUKA":
             continue
-        turned = chain.pose(samples.q[arm][rows])[:, :3, :3]
-        angle = np.linalg.norm(log_rotation(np.swapaxes(turned[:-1], 1, 2) @ turned[1:]), axis=1)
-        rate = angle / np.maximum(took[1:], 1e-9)
-        for i in (np.flatnonzero((rate > KRL_TURN_RAD_S) & (targets.feed_min[1:] > 0.0)) + 1).tolist():
-            got, limit = (float(np.rad2deg(value)) for value in (rate[i - 1], KRL_TURN_RAD_S))
-            what = f"on the way to {targets.name(i)} the tool of {arm} turns at {got:.4g} deg/s; programs in "
-            what += f"KRL with a least feed allow {limit:g} deg/s"
-            measure: dict[str, Any] = {"value": got, "limit": limit, "unit": "deg/s"}
-            hint = "lower feed_min_mm_s and feed_mm_s there, or turn the tool over a longer way"
+        rotations = chain.pose(samples.q[arm][rows])[:, :3, :3]
+        angle = np.linalg.norm(log_rotation(np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:]), axis=1)
+        rate = angle / np.maximum(durations[1:], 1e-9)
+        for i in (
+            np.flatnonzero((rate > KRL_MAX_ANGULAR_SPEED_RAD_S) & (targets.feed_min[1:] > 0.0)) + 1
+        ).tolist():
+            got, limit = (float(np.rad2deg(value)) for value in (rate[i - 1], KRL_MAX_ANGULAR_SPEED_RAD_S))
+            message = f"on the move to {targets.name(i)} the tool of {arm} turns at {got:.4g} deg/s; KRL "
+            message += f"programs with a minimum feed allow {limit:g} deg/s"
+            fields: dict[str, Any] = {"value": got, "limit": limit, "unit": "deg/s"}
+            hint = "lower feed_min_mm_s and feed_mm_s there, or turn the tool over a longer path"
             out.append(
-                Issue("motion.feed_min", what, arm=arm, index=i, target=targets.name(i), hint=hint, **measure)
+                Issue(
+                    "motion.feed_min", message, arm=arm, index=i, target=targets.name(i), hint=hint, **fields
+                )
             )
     return out
 
 
-def _corner_issue(targets: Targets, i: int, got: float, limit: float) -> Issue:
+def _make_corner_issue(targets: Targets, i: int, got: float, limit: float) -> Issue:
     name = targets.name(i)
     return Issue(
         "motion.feed_min",
-        f"the corner at {name} is so sharp that the tool rounds it at {got / MM:.4g} mm/s, allowed is "
-        f"{limit / MM:.4g} mm/s at least, {LEAST_SPEED_SHARE:g} of the least feed",
+        f"the corner at {name} is so sharp that the tool rounds it at {got / MM:.4g} mm/s (at least "
+        f"{limit / MM:.4g} mm/s required, {MIN_CORNER_SPEED_FRACTION:g} of the minimum feed)",
         index=i,
         target=name,
         **measurement(got / MM, limit / MM, "mm/s"),
-        hint="give a stop there, or round the corner over more poses",
+        hint="state a stop there, or round the corner over more poses",
     )
 
 
-SHARP_CORNER_SHARE: Final = 0.1
-"""A corner that is rounded over less than this share of a move is sharp."""
-CRAWL_FACTOR: Final = 3.0
-"""Moves crawl that take so many times as long as their feeds ask for."""
-WORTH_STOPPING_SHARE: Final = 0.8
-"""Stops are made where the way takes less than this share of the time then."""
-STOP_ROUNDS: Final = 3
+SHARP_CORNER_FRACTION: Final = 0.1
+"""Fraction of a move below which a corner that is rounded over it is sharp."""
+MIN_CRAWL_RATIO: Final = 3.0
+"""Ratio of the duration of a move to that of its feed above which it crawls."""
+MAX_STOPPING_TIME_RATIO: Final = 0.8
+"""Ratio of the durations with and without stops below which the stops are made."""
+MAX_STOP_ROUNDS: Final = 3
+"""Maximum number of rounds in which stops are added."""
 
 
-def clocked_with_stops(
+def clock_with_stops(
     scene: Scene,
     targets: Targets,
-    samples: Dense,
-    limits: Limits,
-    rounded: Rounded,
-    known: dict[bytes, TimedPiece] | None = None,
+    samples: MoveSamples,
+    limits: ClockLimits,
+    corner_fractions: CornerFractions,
+    clock_pieces: dict[bytes, TimedPiece] | None = None,
 ) -> tuple[Targets, JointPath, Clock]:
-    """The path and its clock, and the targets with the stops that are worth it; ``known`` as for
-    :func:`planner.motion.trajectory.timing.clock`. Raises
-    :class:`planner.motion.trajectory.timing.TimingError`."""
-    path = joint_path(scene, targets, samples, limits.speed)
-    ticks = settled(path, limits, rounded, known)
-    for _ in range(STOP_ROUNDS):
-        sharp = _sharp_corners(targets, ticks, limits)
+    """Compute the path and its clock, and add stops that save time.
+
+    Args:
+        scene: Cell with the arms.
+        targets: N targets.
+        samples: Samples of the moves.
+        limits: Limits of the clock.
+        corner_fractions: Corner fractions by durations and stops.
+        clock_pieces: Timed pieces, as for :func:`planner.motion.trajectory.timing.compute_clock`.
+
+    Raises:
+        TimingError: No clock exists.
+    """
+    path = fit_joint_path(scene, targets, samples, limits.speed)
+    clock = settle_clock(path, limits, corner_fractions, clock_pieces)
+    for _ in range(MAX_STOP_ROUNDS):
+        sharp = _sharp_corners(targets, clock, limits)
         if not sharp.any():
             break
         other = dataclasses.replace(targets, stop=targets.stop | sharp)
-        way = joint_path(scene, other, samples, limits.speed)
-        again = settled(way, limits, rounded, known)
-        if again.time[-1] > WORTH_STOPPING_SHARE * ticks.time[-1]:
+        path_with_stops = fit_joint_path(scene, other, samples, limits.speed)
+        clock_with_stops_added = settle_clock(path_with_stops, limits, corner_fractions, clock_pieces)
+        if clock_with_stops_added.time[-1] > MAX_STOPPING_TIME_RATIO * clock.time[-1]:
             break
-        targets, path, ticks = other, way, again
-    return targets, path, ticks
+        targets, path, clock = other, path_with_stops, clock_with_stops_added
+    return targets, path, clock
 
 
-def _sharp_corners(targets: Targets, ticks: Clock, limits: Limits) -> BoolArray:
-    """Sharp corners (N,) between moves that crawl, where one arm alone is at work and may stop: not where a
-    least feed is asked for."""
+def _sharp_corners(targets: Targets, clock: Clock, limits: ClockLimits) -> BoolArray:
+    """Sharp corners (N,) between crawling moves, if a single arm works and may stop.
+
+    Corners with a minimum feed are excluded.
+    """
     out = np.zeros(targets.count, dtype=bool)
     if not targets.may_stop or targets.coupled or len(targets.arms) > 1:
         return out
-    took, least = np.diff(ticks.time, prepend=0.0), limits.least_time
-    crawls = took[1:-1] + took[2:] > CRAWL_FACTOR * (least[1:-1] + least[2:])
-    stands = (targets.feed_min[1:-1] == 0.0) & (targets.feed_min[2:] == 0.0) & ~targets.stop[1:-1]
-    out[1:-1] = crawls & stands & (limits.rounded[1:-1] < SHARP_CORNER_SHARE)
+    durations, min_time = np.diff(clock.time, prepend=0.0), limits.min_time
+    crawls = durations[1:-1] + durations[2:] > MIN_CRAWL_RATIO * (min_time[1:-1] + min_time[2:])
+    may_stop = (targets.feed_min[1:-1] == 0.0) & (targets.feed_min[2:] == 0.0) & ~targets.stop[1:-1]
+    out[1:-1] = crawls & may_stop & (limits.corner_fractions[1:-1] < SHARP_CORNER_FRACTION)
     return out
 
 
-def stop_notes(before: Targets, after: Targets) -> list[Issue]:
-    """What users are told of stops that ``after`` has more than ``before``."""
-    more = np.flatnonzero(after.stop & ~before.stop)
-    if not len(more):
+def stop_notes(targets_before: Targets, targets_after: Targets) -> list[Issue]:
+    """Notes on stops that ``targets_after`` has in addition to ``targets_before``."""
+    new_stops = np.flatnonzero(targets_after.stop & ~targets_before.stop)
+    if not len(new_stops):
         return []
-    first = int(more[0])
-    what = (
-        f"the arm stops at {len(more)} targets, first at {after.name(first)}, where it would have to pass a "
-        "sharp corner at less than a third of the feed"
-    )
-    hint = "round these corners by more targets if it is not to stop there"
-    name, count = after.name(first), float(len(more))
-    return [Issue("motion.stops", what, Severity.NOTE, index=first, target=name, value=count, hint=hint)]
+    first = int(new_stops[0])
+    name, count = targets_after.name(first), float(len(new_stops))
+    message = format_message("motion.stops", stop_count=len(new_stops), target=name)
+    hint = "round these corners over more targets to avoid the stops"
+    return [Issue("motion.stops", message, Severity.NOTE, index=first, target=name, value=count, hint=hint)]
 
 
-LEAST_MOVE_TIME_S: Final = 0.04
-"""Least time of a move [s] that controllers take gladly,"""
-LEAST_MOVE_WAY_MM: Final = 0.2
-"""and its least way [mm]; turning counts by :data:`planner.geometry.corner_rounding.TURNING_LEVER_MM`."""
-WANTED_TIME_FACTOR: Final = 1.25
-"""Moves are joined until they last so many times the least time: the clock is worked out anew then."""
-MOST_SLOWING_FACTOR: Final = 2.5
-"""At most so many times as long as their feeds ask for do moves take so as to last the least time."""
+MIN_MOVE_TIME_S: Final = 0.04
+"""Minimum duration [s] of a move that controllers handle well."""
+MIN_MOVE_LENGTH_MM: Final = 0.2
+"""Minimum length [mm] of a move that controllers handle well. Rotation counts by
+:data:`planner.geometry.corner_rounding.ROTATION_LEVER_MM`.
+"""
+JOINED_TIME_FACTOR: Final = 1.25
+"""Factor of the minimum duration up to which moves are joined, because the clock is computed again
+afterwards.
+"""
+MAX_SLOWING_FACTOR: Final = 2.5
+"""Maximum factor by which moves are slowed to reach the minimum duration."""
 
 
-def short(targets: Targets, values: FloatArray, time: FloatArray) -> BoolArray:
-    """Whether (N,) the move to each target takes or goes less than controllers like; the first leads nowhere.
+def are_short(targets: Targets, values: FloatArray, time: FloatArray) -> BoolArray:
+    """Whether (N,) the move to each target is shorter than controllers handle well. The first leads nowhere.
 
-    ``values`` (N, F) of the freedoms, ``time`` (N,) [s].
+    Args:
+        targets: N targets.
+        values: (N, F) values of the freedoms.
+        time: (N,) [s] times of the targets.
     """
-    out = (np.diff(time, prepend=-np.inf) < LEAST_MOVE_TIME_S) | (_ways(targets, values) < LEAST_MOVE_WAY_MM)
+    out = (np.diff(time, prepend=-np.inf) < MIN_MOVE_TIME_S) | (
+        _move_lengths(targets, values) < MIN_MOVE_LENGTH_MM
+    )
     out[0] = False
     return np.asarray(out)
 
 
-def joined(targets: Targets, values: FloatArray, time: FloatArray, kept: IndexArray) -> IndexArray:
-    """Those of the targets ``kept`` (K,) that stay where short moves are joined to longer ones.
+def join_short_moves(targets: Targets, values: FloatArray, time: FloatArray, kept: IndexArray) -> IndexArray:
+    """Select the targets that remain if short moves are joined into longer ones.
 
-    ``time`` (K,) [s] is the clock of the kept ones. No target is farther off the joined moves than a corner
-    may be, along the way too, nor do two TCPs stand to each other otherwise than by ``targets.apart``, or by
-    ``targets.ahead`` with one a move ahead. Targets that may not be joined stay, and so do stops, actions and
-    the ends of segments.
+    No target deviates from the joined moves by more than a corner may, along the path too. Two TCPs keep
+    their relative position within ``targets.max_tcp_distance_error``, and within ``targets.max_lead_lag`` if
+    one is a move ahead. Targets that may not be joined remain, and so do stops, actions and the ends of
+    segments.
+
+    Args:
+        targets: All targets.
+        values: (N, F) values of the freedoms.
+        time: (K,) [s] clock of the kept targets.
+        kept: (K,) targets that are still kept.
     """
-    if not targets.may_join or (len(targets.arms) > 1 and targets.apart <= 0.0):
+    if not targets.may_join or (len(targets.arms) > 1 and targets.max_tcp_distance_error <= 0.0):
         return kept
-    brief = short(subset(targets, kept), values[kept], time)
-    if not brief.any():
+    is_short = are_short(select_targets(targets, kept), values[kept], time)
+    if not is_short.any():
         return kept
-    line = _Line(targets, values)
-    fixed = _fixed(targets)[kept]
-    stay = [0]
+    line = _StraightMoves(targets, values)
+    fixed = _are_fixed(targets)[kept]
+    kept_rows = [0]
     for row in range(1, len(kept)):
-        first = stay[-1]
+        first = kept_rows[-1]
         enough = (
-            time[row] - time[first] >= WANTED_TIME_FACTOR * LEAST_MOVE_TIME_S
-            and line.way(kept[first], kept[row]) >= LEAST_MOVE_WAY_MM
+            time[row] - time[first] >= JOINED_TIME_FACTOR * MIN_MOVE_TIME_S
+            and line.distance(kept[first], kept[row]) >= MIN_MOVE_LENGTH_MM
         )
         follows = row + 1 < len(kept) and not fixed[row] and not enough
-        if follows and (brief[row] or brief[row + 1]) and line.straight(kept[first], kept[row + 1]):
+        if follows and (is_short[row] or is_short[row + 1]) and line.are_straight(kept[first], kept[row + 1]):
             continue
-        stay.append(row)
+        kept_rows.append(row)
         short_end = (
-            time[row] - time[first] < LEAST_MOVE_TIME_S
-            or line.way(kept[first], kept[row]) < LEAST_MOVE_WAY_MM
+            time[row] - time[first] < MIN_MOVE_TIME_S
+            or line.distance(kept[first], kept[row]) < MIN_MOVE_LENGTH_MM
         )
-        if short_end and len(stay) > 2 and not fixed[first] and line.straight(kept[stay[-3]], kept[row]):
-            stay.pop(-2)
-    return kept[stay]
+        if (
+            short_end
+            and len(kept_rows) > 2
+            and not fixed[first]
+            and line.are_straight(kept[kept_rows[-3]], kept[row])
+        ):
+            kept_rows.pop(-2)
+    return kept[kept_rows]
 
 
-def picked(targets: Targets, kept: IndexArray) -> Targets:
-    """The targets with the rows ``kept`` (K,) alone. Ways of joined moves are those of their parts together;
-    they are no faster than any part may be."""
-    place = np.zeros(targets.count, dtype=np.intp)
-    place[kept] = np.arange(len(kept))
+def select_joined(targets: Targets, kept: IndexArray) -> Targets:
+    """Select the rows ``kept`` (K,) of the targets.
+
+    Path lengths of joined moves are the sums of their parts. Joined moves are no faster than any part may be.
+    """
+    new_index = np.zeros(targets.count, dtype=np.intp)
+    new_index[kept] = np.arange(len(kept))
     starts = np.append(0, kept[:-1] + 1)
     travel, fastest, slowest = (
         np.add.reduceat(parts, starts)
         for parts in (
             targets.travel,
-            _times(targets.travel, targets.feed),
-            _times(targets.travel, targets.feed_min),
+            _move_times(targets.travel, targets.feed),
+            _move_times(targets.travel, targets.feed_min),
         )
     )
-    alone = np.diff(kept, prepend=-1) == 1
+    is_single = np.diff(kept, prepend=-1) == 1
     ends = targets.stop[kept]
     begins = np.append(True, ends[:-1])
-    free = _times(targets.travel, targets.feed) <= 1.01 * SHORTEST  # their feeds say how short a move may be
+    free = (
+        _move_times(targets.travel, targets.feed) <= 1.01 * MIN_SEGMENT_TIME_S
+    )  # their feeds only state the minimum time
     slowest_feed = np.minimum.reduceat(np.where(free, np.inf, targets.feed), starts)
     with np.errstate(divide="ignore", invalid="ignore"):
-        feed = np.where(alone | (fastest <= 0.0), targets.feed[kept], travel / fastest)
-    # moves from and to rest are faster in between: the feed of their part at the stop allows for that, unless
-    # it is free, perhaps with next to no way at next to no feed
-    bare = (begins & free[starts]) | (ends & free[kept])
-    slow = np.where(bare, slowest_feed / MOST_RAMP, slowest_feed)
-    slow = np.where(np.isfinite(slow), slow, feed)
-    feed = np.where(alone, feed, np.where(begins | ends, slow, np.minimum(feed, slowest_feed)))
+        feed = np.where(is_single | (fastest <= 0.0), targets.feed[kept], travel / fastest)
+    # Moves from and to rest are faster in between. The feed of their part at the stop allows for that, unless
+    # that part is free, possibly with almost no length at almost no feed.
+    has_free_end = (begins & free[starts]) | (ends & free[kept])
+    slow_feed = np.where(has_free_end, slowest_feed / MAX_RAMP_RATIO, slowest_feed)
+    slow_feed = np.where(np.isfinite(slow_feed), slow_feed, feed)
+    feed = np.where(is_single, feed, np.where(begins | ends, slow_feed, np.minimum(feed, slowest_feed)))
     with np.errstate(divide="ignore", invalid="ignore"):
-        least = np.where(alone, targets.feed_min[kept], np.where(slowest > 0.0, travel / slowest, 0.0))
+        min_feed = np.where(is_single, targets.feed_min[kept], np.where(slowest > 0.0, travel / slowest, 0.0))
     return dataclasses.replace(
-        subset(targets, kept),
+        select_targets(targets, kept),
         feed=feed,
-        feed_min=np.where(np.isfinite(least), least, 0.0),
+        feed_min=np.where(np.isfinite(min_feed), min_feed, 0.0),
         travel=travel,
-        actions=tuple(dataclasses.replace(a, at=int(place[a.at])) for a in targets.actions),
+        actions=tuple(dataclasses.replace(a, target=int(new_index[a.target])) for a in targets.actions),
         claims=targets.claims,
         exhibits=targets.exhibits,
         issues=targets.issues,
     )
 
 
-def slowed(targets: Targets, least: FloatArray) -> FloatArray:
-    """Least times (N,) [s] by which short moves take longer than ``least`` (N,) [s] where no least feed is
-    asked for, if short moves may be made longer at all."""
+def with_lengthened_short_moves(targets: Targets, min_times: FloatArray) -> FloatArray:
+    """Minimum durations (N,) [s] with short moves lengthened.
+
+    They are lengthened where no minimum feed is required and moves may be joined.
+
+    Args:
+        targets: N targets.
+        min_times: (N,) [s] minimum durations.
+    """
     free = (targets.feed_min == 0.0) & targets.may_join
     return np.where(
-        free, np.maximum(least, np.minimum(LEAST_MOVE_TIME_S, MOST_SLOWING_FACTOR * least)), least
+        free, np.maximum(min_times, np.minimum(MIN_MOVE_TIME_S, MAX_SLOWING_FACTOR * min_times)), min_times
     )
 
 
-def short_move_notes(targets: Targets, values: FloatArray, time: FloatArray) -> Iterator[Issue]:
-    """A warning about moves that stay shorter than controllers like (``motion.short_moves``)."""
-    rows = np.flatnonzero(short(targets, values, time))
+def short_move_warnings(targets: Targets, values: FloatArray, time: FloatArray) -> Iterator[Issue]:
+    """Yield ``motion.short_moves`` if moves remain shorter than controllers handle well."""
+    rows = np.flatnonzero(are_short(targets, values, time))
     if not len(rows):
         return
-    took, way = np.diff(time, prepend=0.0)[rows], _ways(targets, values)[rows]
+    durations, lengths = np.diff(time, prepend=0.0)[rows], _move_lengths(targets, values)[rows]
     first, name = int(rows[0]), targets.name(int(rows[0]))
-    many = "1 move takes" if len(rows) == 1 else f"{len(rows)} moves take"
-    what = (
-        f"{many} less than {LEAST_MOVE_TIME_S:g} s, or no more way than {LEAST_MOVE_WAY_MM:g} mm, first that "
-        f"to {name}; the least take {took.min():.3f} s and go {way.min():.3f} mm: a controller may stop there"
+    count_text = "1 move is" if len(rows) == 1 else f"{len(rows)} moves are"
+    message = format_message(
+        "motion.short_moves",
+        moves=count_text,
+        min_time_s=MIN_MOVE_TIME_S,
+        min_length_mm=MIN_MOVE_LENGTH_MM,
+        target=name,
+        shortest_time_s=durations.min(),
+        shortest_length_mm=lengths.min(),
     )
-    hint = "give a coarser tolerance or path there"
-    least = float(targets.travel[rows].min()) / MM
-    if min(least, way.min()) > LEAST_MOVE_WAY_MM:
-        feed = np.floor(least / LEAST_MOVE_TIME_S * 100.0) / 100.0
+    hint = "use a coarser tolerance or path there"
+    shortest = float(targets.travel[rows].min()) / MM
+    if min(shortest, lengths.min()) > MIN_MOVE_LENGTH_MM:
+        feed = np.floor(shortest / MIN_MOVE_TIME_S * 100.0) / 100.0
         hint = f"lower the feed there to {feed:g} mm/s, or {hint}"
     yield Issue(
         "motion.short_moves",
-        what,
+        message,
         Severity.WARNING,
         index=first,
         target=name,
-        **measurement(float(took.min()), LEAST_MOVE_TIME_S, "s"),
+        **measurement(float(durations.min()), MIN_MOVE_TIME_S, "s"),
         hint=hint,
     )
 
 
-class _Line:
-    """Poses of all arms at all targets, and whether targets lie on the straight move between two others."""
+class _StraightMoves:
+    """Poses of all arms at all targets; tests whether targets lie on the linear move between two others."""
 
     def __init__(self, targets: Targets, values: FloatArray) -> None:
         poses = targets.poses(values).values()
-        self.places = [pose[:, :3, 3].copy() for pose in poses]
+        self.positions = [pose[:, :3, 3].copy() for pose in poses]
         self.turns = [to_quaternion(pose[:, :3, :3]) for pose in poses]
-        self.along = np.cumsum(_ways(targets, values))
-        off = targets.rounding.deviations(targets.segment)
-        self.allowed = np.minimum(off, corner_rounding.CORNER_DEVIATION_MM * MM)
-        self.apart, self.ahead = targets.apart, targets.ahead
-        self.rides = list(targets.ride.values())
+        self.along = np.cumsum(_move_lengths(targets, values))
+        deviations = targets.rounding.deviations(targets.segment)
+        self.allowed = np.minimum(deviations, corner_rounding.CORNER_DEVIATION_MM * MM)
+        self.max_distance_error, self.max_lead_lag = targets.max_tcp_distance_error, targets.max_lead_lag
+        self.track_values = list(targets.track_positions.values())
 
-    def way(self, first: int, last: int) -> float:
-        """Way and turning [mm] from one target to another."""
+    def distance(self, first: int, last: int) -> float:
+        """Path length including rotation [mm] between two targets."""
         return float(self.along[last] - self.along[first])
 
-    def straight(self, first: int, last: int) -> bool:
-        """Whether all targets between two are passed within what is allowed [m], at the share of the way at
-        which they stand."""
-        whole = self.way(first, last)
+    def are_straight(self, first: int, last: int) -> bool:
+        """Whether all targets between two are passed within the allowed deviation [m].
+
+        They are passed at their fraction of the path length.
+        """
+        whole = self.distance(first, last)
         if whole <= 0.0:
             return True
-        share = (self.along[first + 1 : last] - self.along[first]) / whole
+        fraction = (self.along[first + 1 : last] - self.along[first]) / whole
         allowed = float(self.allowed[first + 1 : last + 1].min())
-        for ride in self.rides:
-            even = ride[first] + share * (ride[last] - ride[first])
-            if (np.abs(even - ride[first + 1 : last]) > allowed).any():
+        for track in self.track_values:
+            interpolated = track[first] + fraction * (track[last] - track[first])
+            if (np.abs(interpolated - track[first + 1 : last]) > allowed).any():
                 return False
-        off = []
-        for place, turns in zip(self.places, self.turns, strict=True):
-            start, end = place[first], place[last]
-            off.append(start + share[:, None] * (end - start) - place[first + 1 : last])
-            away = lengths(off[-1])
+        offsets = []
+        for position, turns in zip(self.positions, self.turns, strict=True):
+            start, end = position[first], position[last]
+            offsets.append(start + fraction[:, None] * (end - start) - position[first + 1 : last])
+            away = lengths(offsets[-1])
             if (away > allowed).any():
                 return False
-            turned = _off_turn(turns[first : last + 1], share)
-            if (away + MM * corner_rounding.TURNING_LEVER_MM * turned > allowed).any():
+            rotation_error = _rotation_errors(turns[first : last + 1], fraction)
+            if (away + MM * corner_rounding.ROTATION_LEVER_MM * rotation_error > allowed).any():
                 return False
-        if len(off) < 2:
+        if len(offsets) < 2:
             return True
-        return self._together(first, last) and not np.any(lengths(off[1] - off[0]) > self.apart)
+        return self._keep_distance(first, last) and not np.any(
+            lengths(offsets[1] - offsets[0]) > self.max_distance_error
+        )
 
-    def _together(self, first: int, last: int) -> bool:
-        """Whether two TCPs keep their distance within ``ahead`` with either of them a move ahead."""
-        if np.isinf(self.ahead):
+    def _keep_distance(self, first: int, last: int) -> bool:
+        """Whether the distance of two TCPs stays within ``max_lead_lag`` with either of them a move ahead."""
+        if np.isinf(self.max_lead_lag):
             return True
-        one, two = (place[[first, last]] for place in self.places)
-        apart = lengths(one[:, None] - two)
-        return bool(np.abs(apart[[0, 1], [1, 0]][:, None] - apart[[0, 1], [0, 1]]).max() <= self.ahead)
+        first_ends, second_ends = (position[[first, last]] for position in self.positions)
+        distances = lengths(first_ends[:, None] - second_ends)
+        return bool(
+            np.abs(distances[[0, 1], [1, 0]][:, None] - distances[[0, 1], [0, 1]]).max() <= self.max_lead_lag
+        )
 
 
-def _off_turn(turns: FloatArray, share: FloatArray) -> FloatArray:
-    """Angles (K,) [rad] by which the rotations between the ends of ``turns`` (K + 2, 4), quaternions w, x, y,
-    z, are off one that turns evenly from end to end, at the ``share`` (K,) of its way. With quaternions, as
-    this is asked thousands of times of a few rotations each."""
+def _rotation_errors(turns: FloatArray, fraction: FloatArray) -> FloatArray:
+    """Angles (K,) [rad] between rotations and an even rotation from end to end.
+
+    ``turns`` (K + 2, 4) are quaternions w, x, y, z with both ends, ``fraction`` (K,) the position along the
+    rotation. Quaternions are used because this is called thousands of times with a few rotations each.
+    """
     w, v = turns[0, 0], turns[0, 1:]
-    back = np.empty((4, 4))  # a product with it is one from the left with the first, inverted
+    back = np.empty((4, 4))  # matrix of the left product with the inverse of the first quaternion
     back[0, 0], back[0, 1:], back[1:, 0] = w, v, -v
     back[1:, 1:] = w * np.eye(3) - skew(v)
     since = turns[1:] @ back.T
     whole, since = since[-1] if since[-1, 0] >= 0.0 else -since[-1], since[:-1]
     sine = float(np.sqrt(whole[1:] @ whole[1:]))
     axis = whole[1:] / (sine or 1.0)
-    half = float(np.arctan2(sine, whole[0])) * share
+    half = float(np.arctan2(sine, whole[0])) * fraction
     c, s = np.cos(half), np.sin(half)
     along = since[:, 1:] @ axis
     left = (
@@ -487,26 +599,26 @@ def _off_turn(turns: FloatArray, share: FloatArray) -> FloatArray:
     return np.asarray(2.0 * np.arctan2(lengths(left), np.abs(c * since[:, 0] + s * along)))
 
 
-def _ways(targets: Targets, values: FloatArray) -> FloatArray:
-    """Ways (N,) [mm] to the targets, turning included: of the arm that goes farthest."""
+def _move_lengths(targets: Targets, values: FloatArray) -> FloatArray:
+    """Path lengths (N,) [mm] to the targets, including rotation, of the arm that moves farthest."""
     out = np.zeros(targets.count)
     for pose in targets.poses(values).values():
         moved = lengths(np.diff(pose[:, :3, 3], axis=0)) / MM
         turn = log_rotation(np.swapaxes(pose[:-1, :3, :3], -1, -2) @ pose[1:, :3, :3])
-        out[1:] = np.maximum(out[1:], moved + corner_rounding.TURNING_LEVER_MM * lengths(turn))
+        out[1:] = np.maximum(out[1:], moved + corner_rounding.ROTATION_LEVER_MM * lengths(turn))
     return out
 
 
-def _fixed(targets: Targets) -> BoolArray:
-    """Targets (N,) that stay: ends, stops, those with actions, and the last ones of segments."""
+def _are_fixed(targets: Targets) -> BoolArray:
+    """Targets (N,) that remain: ends, stops, those with actions, and the last ones of segments."""
     out = targets.stop.copy()
     out[[0, -1]] = True
-    out[[action.at for action in targets.actions]] = True
+    out[[action.target for action in targets.actions]] = True
     out[:-1] |= np.array([a != b for a, b in zip(targets.segment[:-1], targets.segment[1:], strict=True)])
     return np.asarray(out)
 
 
-def _times(travel: FloatArray, speed: FloatArray) -> FloatArray:
-    """Times (N,) [s] of ways at speeds; of no way at no speed: without end."""
+def _move_times(travel: FloatArray, speed: FloatArray) -> FloatArray:
+    """Durations (N,) [s] of path lengths at speeds; 0 without length."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(travel > 0.0, travel / speed, 0.0)

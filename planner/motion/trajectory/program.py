@@ -1,14 +1,16 @@
-"""Trajectory optimisation as a Drake ``MathematicalProgram``, seeded by the banded result.
+"""Trajectory optimisation by sequential quadratic programming (SQP) with Drake's ``MathematicalProgram``.
 
-Each round is a convex quadratic program over the freedoms of all targets, by Clarabel or OSQP. Its cost is
-that of :mod:`planner.motion.trajectory.trajopt` without obstacles, by Gauss and Newton, with the Jacobians of
-Drake's plant. What the banded form has to price is a constraint here: every clearance, the margins of joints
-and of singular postures, the peaks of joint acceleration and jerk, and for tools that are joined (a wire) how
-far their pose to each other leaves the wanted one between targets; at targets it is exact, for the freedoms
-are all that can change. Joints follow by closed-form inverse kinematics in every trial step.
+It starts from the result of the banded optimisation.
 
-A path that is found here keeps all that the seed keeps, at a lower cost; otherwise there is none, with the
-reason. Work is bounded by rounds and by distances that are asked for.
+Each round is a convex quadratic program over the freedoms of all targets, solved by Clarabel or OSQP. Its
+cost is that of :mod:`planner.motion.trajectory.trajopt` without obstacles, in Gauss-Newton form, with the
+Jacobians of Drake's plant. What the banded form has to price is a constraint here: every clearance, the
+margins to joint limits and singularities, the peaks of joint acceleration and jerk, and for coupled tools (a
+wire) the deviation of their relative pose between targets. At targets the relative pose is exact, because
+only the freedoms can change. Joints follow by closed-form inverse kinematics in every trial step.
+
+A path that is found keeps all that the seed keeps, at a lower cost. Otherwise there is none, with the reason.
+The work is bounded by rounds and by distance queries.
 """
 
 import dataclasses
@@ -18,264 +20,346 @@ from typing import Any, Final
 import numpy as np
 from pydrake.solvers import ClarabelSolver, MathematicalProgram, OsqpSolver, SolverInterface
 
-from planner.cell.plant import CellModel, quiet
+from planner.cell.plant import CellModel, drake_log_suppressed
 from planner.geometry.arrays import BoolArray, FloatArray, interpolate, inverse, log_pose
 from planner.motion.planning_scene import Scene
-from planner.motion.search.reach import slides_only
-from planner.motion.trajectory.differences import Band, bands
-from planner.motion.trajectory.hinges import Avoid, Rows, near_margins
-from planner.motion.trajectory.linear_rows import Linear, add_cost
-from planner.motion.trajectory.trajopt import Improved, PathProblem
+from planner.motion.search.reach import is_sampled_as_slide
+from planner.motion.trajectory.differences import DifferenceBand, difference_bands
+from planner.motion.trajectory.hinge_costs import ClearancePenalty, HingeResiduals, narrow_margins
+from planner.motion.trajectory.linear_rows import LinearConstraints, add_cost
+from planner.motion.trajectory.trajopt import OptimisedPath, PathProblem
 from planner.motion.trajectory.windows import Windows
 from planner.targets import TableFreedom, Targets
 
-MOST_TARGETS: Final = 1000
-"""Of longer jobs the program gets some :mod:`planner.motion.trajectory.windows`."""
-LEAST_TARGETS: Final = 3
-"""Of fewer there is no acceleration."""
-MOST_ROUNDS: Final = 6
-"""Quadratic programs at most."""
-LEAST_GAIN_SHARE: Final = 3e-3
-"""A round that gains less than this share of the cost is the last."""
-LEAST_SCALE: Final = 0.1
-"""Steps are halved down to this share of what the program gives."""
+MAX_TARGETS: Final = 1000
+"""Number of targets above which the program gets :mod:`planner.motion.trajectory.windows`."""
+MIN_TARGETS: Final = 3
+"""Minimum number of targets. With fewer there is no acceleration."""
+MAX_ROUNDS: Final = 6
+"""Maximum number of quadratic programs."""
+MIN_GAIN_FRACTION: Final = 3e-3
+"""Relative gain of a round below which it is the last."""
+MIN_STEP_FRACTION: Final = 0.1
+"""Minimum fraction of the program's step down to which it is halved."""
 
-TRUST_SHARE: Final = 0.3
-"""A slide or a table moves by at most this share of its range in a round."""
+TRUST_FRACTION: Final = 0.3
+"""Maximum change of a slide or table in a round, as a fraction of its range."""
 TRUST_RAD: Final = 0.3
-"""A turn moves by at most this [rad] in a round."""
-RESERVE_M: Final = 0.5e-3
-"""Distances at targets are kept so much [m] above the wanted clearance, or where they are if that is less:
-moves between targets bend."""
-PEAK_SHARE: Final = 1.02
-"""Peaks of acceleration and jerk, each path on its own clock, grow to at most this share of the seed's."""
-KEPT_SHARE: Final = 1.01
-"""Trial steps keep them, on the seed's clock, to this share: programs are linear about a path."""
-JOINED_FLOOR: Final = 1e-6
-"""Poses of joined tools to each other may always leave the wanted one by this [m, rad] between targets."""
-EXACT: Final = 1e-12
-"""Poses are met to this [m]."""
-DIFFERENCE_SHARE: Final = 0.01
-"""Step of central differences, as a share of how far a freedom may move in a round."""
-LARGEST_ENTRY: Final = 2e3
-"""Largest entry of the cost's matrix as solvers get it: a hundred times as much stopped Clarabel short."""
-PRICE_STEP: Final = 0.1
-"""Peaks of windows cost as much as the joints that freedoms move there; so many times as much after each
-program whose path would cost more than the seed,"""
-LEAST_PRICE: Final = 1e-4
-"""down to this share."""
-SOLVERS: Final = (ClarabelSolver, OsqpSolver)
-"""Solvers of the quadratic programs, the first that this build of Drake has and that solves one."""
+"""Maximum change [rad] of a rotation in a round."""
+EXTRA_CLEARANCE_M: Final = 0.5e-3
+"""Extra clearance [m] kept at targets (or the present distance if that is less), because moves between
+targets are curved.
+"""
+MAX_PEAK_RATIO: Final = 1.02
+"""Maximum ratio of the peaks of acceleration and jerk to those of the seed, each path on its own clock."""
+MAX_TRIAL_PEAK_RATIO: Final = 1.01
+"""Maximum ratio of these peaks in trial steps, on the seed's clock. Programs are linear about a path only."""
+MIN_COUPLING_DEVIATION: Final = 1e-6
+"""Deviation [m, rad] of the relative pose of coupled tools between targets that is always allowed."""
+POSITION_TOLERANCE_M: Final = 1e-12
+"""Maximum position error [m] of TCPs."""
+DIFFERENCE_FRACTION: Final = 0.01
+"""Step of central differences, as a fraction of the change of a freedom in a round."""
+MAX_COST_ENTRY: Final = 2e3
+"""Largest entry of the scaled cost matrix. Clarabel ended early with entries a hundred times as large."""
+PRICE_FACTOR: Final = 0.1
+"""Factor of the price of peaks in windows after each program whose path would cost more than the seed. The
+first price is the cost of the joints that freedoms move there.
+"""
+MIN_PRICE_FRACTION: Final = 1e-4
+"""Minimum price, as a fraction of the first one."""
+SOLVER_TYPES: Final = (ClarabelSolver, OsqpSolver)
+"""Solvers of the quadratic programs: the first one that this build of Drake has and that solves one is
+used.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
-class Programmed:
-    """What came of the program: a path, or None with the ``reason``; ``solver`` of the last round, the
-    ``rounds`` and the targets ``asked`` for distances."""
+class ProgramResult:
+    """Result of the program.
 
-    path: Improved | None
+    Attributes:
+        path: The path, or None.
+        reason: Why there is none.
+        solver: Solver of the last round.
+        rounds: Number of rounds.
+        query_count: Number of targets whose distances were queried.
+    """
+
+    path: OptimisedPath | None
     reason: str
     solver: str = ""
     rounds: int = 0
-    asked: int = 0
+    query_count: int = 0
 
 
-def solvers() -> list[SolverInterface]:
-    """The solvers that this build of Drake has, in the order in which they are asked."""
-    return [solver for solver in (kind() for kind in SOLVERS) if solver.available() and solver.enabled()]
+def available_solvers() -> list[SolverInterface]:
+    """Available solvers of this build of Drake, in the order of preference."""
+    return [solver for solver in (kind() for kind in SOLVER_TYPES) if solver.available() and solver.enabled()]
 
 
 def solver_name(kind: type) -> str:
-    """What a solver is called."""
+    """Name of a solver."""
     return kind.__name__.removesuffix("Solver")
 
 
-def optimise(
+@dataclasses.dataclass(frozen=True)
+class ProgramSeed:
+    """Path from which the program starts, on its clock.
+
+    Attributes:
+        branch: {arm: branch}.
+        path: The path.
+        duration: (N - 1,) [s] durations of the moves.
+        stop: (N,) whether the arms stop at a target.
+    """
+
+    branch: Mapping[str, int]
+    path: OptimisedPath
+    duration: FloatArray
+    stop: BoolArray
+
+
+def optimise_program(
     scene: Scene,
     targets: Targets,
-    branch: Mapping[str, int],
-    seed: Improved,
-    duration: FloatArray,
-    stop: BoolArray,
-    avoid: Avoid,
+    seed: ProgramSeed,
+    penalty: ClearancePenalty,
     budget: int,
     windows: Windows | None = None,
-) -> Programmed:
-    """A path of lower cost than ``seed`` on the branches ``branch``, whose moves last ``duration``
-    (N - 1,) [s], with stops ``stop`` (N,). ``avoid`` measures the distances, at ``budget`` targets before
-    the last round at most.
+) -> ProgramResult:
+    """Find a path of lower cost than the seed on the same branches.
 
-    The first and the last target stay as they are: arms come there from home, and go home from there. Moves
-    between targets are the caller's to look at. Where there are ``windows`` of a longer path, ``targets``,
-    ``seed`` and what is given back are those of the windows alone; what they do on the clock they know.
+    The first and the last target stay as they are, because approach and retreat end there. The caller has to
+    check moves between targets. With ``windows`` of a longer path, ``targets``, ``seed.path`` and the result
+    are those of the windows only. The windows know the clock that applies to them, so that of the seed is not
+    used.
+
+    Args:
+        scene: Cell with a collision model.
+        targets: N targets.
+        seed: Path to start from.
+        penalty: Measures distances.
+        budget: Maximum number of targets whose distances are queried before the last round.
+        windows: Windows of a longer path.
     """
-    if scene.model is None or not targets.freedoms or targets.count < LEAST_TARGETS:
-        return Programmed(None, "nothing is free at any target, or there are too few of them")
-    ready = solvers()
-    if not ready:
-        return Programmed(None, "this build of Drake has no solver for it")
-    own = bands(duration, stop) if windows is None else windows.bands
-    search = _Search(scene, scene.model, targets, branch, seed, own, avoid, windows)
-    return search.run(ready, budget)
+    if scene.model is None or not targets.freedoms or targets.count < MIN_TARGETS:
+        return ProgramResult(None, "no target has a freedom, or there are too few targets")
+    available = available_solvers()
+    if not available:
+        return ProgramResult(None, "this build of Drake has no solver for it")
+    bands = difference_bands(seed.duration, seed.stop) if windows is None else windows.bands
+    weights = None if windows is None else windows.weights
+    problem = PathProblem(scene, targets, seed.branch, None, weights)
+    search = _ProgramSearch(problem, scene.model, seed.path, bands, penalty, windows)
+    return search.run(available, budget)
 
 
 @dataclasses.dataclass(frozen=True)
-class _Look:
-    """What a path is judged by: its cost, least distances (N,) [m], peaks of acceleration and jerk, each by
-    joint (J,), and how far joined tools leave their pose to each other between targets (N - 1, 6)."""
+class _PathEvaluation:
+    """Evaluation of a path.
+
+    Attributes:
+        cost: Its cost.
+        near_distances: Narrow distances with derivatives.
+        distances: (N,) [m] smallest distances.
+        peaks: Peaks of acceleration and jerk, each by joint (J,).
+        coupling_deviation: (N - 1, 6) deviation of the relative pose of coupled tools between targets.
+    """
 
     cost: float
-    near: Rows
-    least: FloatArray
+    near_distances: HingeResiduals
+    distances: FloatArray
     peaks: tuple[FloatArray, ...]
-    joined: FloatArray
+    coupling_deviation: FloatArray
 
 
-class _Search:
+class _ProgramSearch:
     def __init__(
         self,
-        scene: Scene,
+        problem: PathProblem,
         model: CellModel,
-        targets: Targets,
-        branch: Mapping[str, int],
-        seed: Improved,
-        bands: tuple[Band, ...],
-        avoid: Avoid,
+        seed: OptimisedPath,
+        bands: tuple[DifferenceBand, ...],
+        penalty: ClearancePenalty,
         windows: Windows | None = None,
     ) -> None:
-        self.scene, self.model, self.targets, self.avoid = scene, model, targets, avoid
+        """Evaluate the seed.
+
+        Args:
+            problem: Cost and joints of paths over the targets, with the weights of the windows if there are
+                any.
+            model: Collision model.
+            seed: Path to start from.
+            bands: Accelerations and jerks on the clock of the seed.
+            penalty: Measures distances.
+            windows: Windows of a longer path.
+        """
+        scene, targets = problem.scene, problem.targets
+        self.scene, self.model, self.targets, self.penalty = scene, model, targets, penalty
         self.windows = windows
-        self.problem = PathProblem(scene, targets, branch, None, None if windows is None else windows.weights)
-        self.values = self.problem.unwrapped(seed.values)
+        self.problem = problem
+        self.values = self.problem.unwrap(seed.values)
         self.joints = self.problem.stack(seed.q)
-        self.start = avoid.asked
+        self.initial_queries = penalty.query_count
         self.bands = bands
         self.held = np.zeros(targets.count, dtype=np.bool_) if windows is None else windows.held.copy()
-        self.held[[0, -1]] = True  # where ways from and to home are known to be, or not to be
-        self.look = self._look(self.values, self.joints)
-        tops, self.price, self.fixed = self.look.peaks, 0.0, 0.0
+        self.held[[0, -1]] = True  # approach and retreat end there
+        self.evaluation = self._evaluate(self.values, self.joints)
+        tops, self.price, self.fixed_cost = self.evaluation.peaks, 0.0, 0.0
         if windows is not None:
             tops = windows.tops
-            self.fixed = self.problem.smoothness(np.where(windows.moved, 0.0, self.joints))
-            self.price = self.look.cost - self.fixed
-        self.least_price, self.before = LEAST_PRICE * self.price, self.look.cost
+            self.fixed_cost = self.problem.smoothness(np.where(windows.moved, 0.0, self.joints))
+            self.price = self.evaluation.cost - self.fixed_cost
+        self.min_price, self.seed_cost = MIN_PRICE_FRACTION * self.price, self.evaluation.cost
         strength = np.concatenate([scene.chains[arm].robot.acceleration for arm in targets.arms])
-        # no joint may come to more than any of them has, nor to more of what it can than any of them has
+        # no joint may exceed the largest peak of any joint, nor the largest fraction of any joint's limit
         self.allowed = [np.minimum(peak.max(), (peak / strength).max() * strength) for peak in tops]
-        self.wanted = np.minimum(scene.settings.clearance + RESERVE_M, self.look.least)
-        self.off = np.maximum(np.abs(self.look.joined).max(axis=0, initial=0.0), JOINED_FLOOR)
+        self.required = np.minimum(scene.settings.clearance + EXTRA_CLEARANCE_M, self.evaluation.distances)
+        self.max_coupling_deviation = np.maximum(
+            np.abs(self.evaluation.coupling_deviation).max(axis=0, initial=0.0), MIN_COUPLING_DEVIATION
+        )
         ranges = [float((f.upper - f.lower).max()) for f in targets.freedoms]
         spans = [
-            TRUST_SHARE * (span or 1.0) if slides_only(f) else TRUST_RAD  # bounds hold what has no range
+            TRUST_FRACTION * (span or 1.0)
+            if is_sampled_as_slide(f)
+            else TRUST_RAD  # without range the bounds fix it
             for f, span in zip(targets.freedoms, ranges, strict=True)
         ]
         self.trust = np.array(spans)
 
-    def run(self, ready: Sequence[SolverInterface], budget: int) -> Programmed:
-        """Rounds until little is gained, by the first solver that is ``ready`` and solves."""
-        rounds, used, reason = 0, "", "the banded result cannot be bettered"
-        while rounds < MOST_ROUNDS and self._asked() < budget:
+    def run(self, ready: Sequence[SolverInterface], budget: int) -> ProgramResult:
+        """Solve programs until little is gained, by the first solver of ``ready`` that solves."""
+        rounds, solver, reason = 0, "", "the banded result cannot be improved"
+        while rounds < MAX_ROUNDS and self._query_count() < budget:
             rounds += 1
-            step, used = self._solved(ready)
+            step, solver = self._solve(ready)
             if step is None:
-                reason = f"{used} did not solve the program"
+                reason = f"{solver} did not solve the program"
                 break
-            worth = self._worth(self.look.cost, self.joints)
+            value = self._path_value(self.evaluation.cost, self.joints)
             scale = self._advance(step)
-            gain = worth - self._worth(self.look.cost, self.joints)
-            if scale > 0.0 and (gain < LEAST_GAIN_SHARE * worth or self._settled()):
+            gain = value - self._path_value(self.evaluation.cost, self.joints)
+            if scale > 0.0 and (gain < MIN_GAIN_FRACTION * value or self._has_no_peaks()):
                 break
-            if scale == 0.0 and self.price > self.least_price:
-                self.price *= PRICE_STEP
+            if scale == 0.0 and self.price > self.min_price:
+                self.price *= PRICE_FACTOR
                 continue
-            self.trust = self.trust * (1.0 if scale == 1.0 else max(scale, LEAST_SCALE))
-        asked = self._asked()
-        if not self.look.cost < self.before:
-            return Programmed(None, reason, used, rounds, asked)
+            self.trust = self.trust * (1.0 if scale == 1.0 else max(scale, MIN_STEP_FRACTION))
+        query_count = self._query_count()
+        if not self.evaluation.cost < self.seed_cost:
+            return ProgramResult(None, reason, solver, rounds, query_count)
         q = self.problem.split(self.joints)
-        if not self._exact(q):
-            return Programmed(None, f"poses are off by more than {EXACT} m", used, rounds, asked)
-        path = Improved(self.values, q, self.look.cost, self.before, rounds)
-        return Programmed(path, "", used, rounds, asked)
+        if not self._reaches_poses(q):
+            return ProgramResult(
+                None, f"poses deviate by more than {POSITION_TOLERANCE_M} m", solver, rounds, query_count
+            )
+        path = OptimisedPath(self.values, q, self.evaluation.cost, self.seed_cost, rounds)
+        return ProgramResult(path, "", solver, rounds, query_count)
 
-    def _asked(self) -> int:
-        return self.avoid.asked - self.start
+    def _query_count(self) -> int:
+        return self.penalty.query_count - self.initial_queries
 
-    def _look(self, values: FloatArray, joints: FloatArray) -> _Look:
-        near = self.avoid.distances(joints)
-        least = np.full(len(joints), np.inf)
-        np.minimum.at(least, near.index, near.value)
-        peaks = tuple(np.abs(band.of(joints)).max(axis=0, initial=0.0) for band in self.bands)
-        return _Look(self.problem.cost(values, joints), near, least, peaks, self._joined(values))
+    def _evaluate(self, values: FloatArray, joints: FloatArray) -> _PathEvaluation:
+        near_distances = self.penalty.near_distances(joints)
+        smallest = np.full(len(joints), np.inf)
+        np.minimum.at(smallest, near_distances.index, near_distances.value)
+        peaks = tuple(np.abs(band.differences(joints)).max(axis=0, initial=0.0) for band in self.bands)
+        return _PathEvaluation(
+            self.problem.cost(values, joints),
+            near_distances,
+            smallest,
+            peaks,
+            self._coupling_deviation(values),
+        )
 
     def _advance(self, step: FloatArray) -> float:
-        """Goes the greatest share of a step that keeps everything and gains; that share, 0 for none. Steps of
-        windows are gone whole while there is a lower price of peaks."""
-        scale, least = 1.0, 0.5 if self.price > self.least_price else LEAST_SCALE
-        while scale > least:
+        """Take the largest fraction of a step that keeps everything and gains.
+
+        Returns that fraction, 0 for none. Steps of windows are taken completely while there is a lower price
+        of peaks.
+        """
+        scale, min_scale = 1.0, 0.5 if self.price > self.min_price else MIN_STEP_FRACTION
+        while scale > min_scale:
             values = self.problem.clip(self.values + scale * step)
             joints = self.problem.joints(values, self.joints)
-            if joints is not None and self._gains(values, joints):
-                look = self._look(values, joints)
-                if self._keeps(look):
-                    self.values, self.joints, self.look = values, joints, look
+            if joints is not None and self._is_improvement(values, joints):
+                evaluation = self._evaluate(values, joints)
+                if self._keeps_limits(evaluation):
+                    self.values, self.joints, self.evaluation = values, joints, evaluation
                     return scale
             scale *= 0.5
         return 0.0
 
-    def _worth(self, cost: float, joints: FloatArray) -> float:
-        """What a path comes to: its cost, and of windows that of what can change, with their peaks."""
+    def _path_value(self, cost: float, joints: FloatArray) -> float:
+        """Value of a path: its cost; for windows the cost that can change plus the price of their peaks."""
         if self.windows is None:
             return cost
-        return cost - self.fixed + self.price * sum(self.windows.levels(joints))
+        return cost - self.fixed_cost + self.price * sum(self.windows.peak_levels(joints))
 
-    def _gains(self, values: FloatArray, joints: FloatArray) -> bool:
-        """Whether a path is worth less than the one before, and costs no more than the seed."""
+    def _is_improvement(self, values: FloatArray, joints: FloatArray) -> bool:
+        """Whether a path has a lower value than the current one and costs no more than the seed."""
         cost = self.problem.cost(values, joints)
-        return cost < self.before and self._worth(cost, joints) < self._worth(self.look.cost, self.joints)
-
-    def _settled(self) -> bool:
-        """Whether windows have no peak left that could come down: further programs hardly change them."""
-        return self.windows is not None and not any(self.windows.levels(self.joints))
-
-    def _keeps(self, look: _Look) -> bool:
-        wanted = np.minimum(self.wanted, self.scene.settings.clearance + 0.5 * RESERVE_M)
-        peaks = zip(look.peaks, self.allowed, strict=True)
-        return bool(
-            (look.least >= wanted).all()
-            and all((peak <= KEPT_SHARE * most).all() for peak, most in peaks)
-            and (np.abs(look.joined) <= KEPT_SHARE * self.off).all()
+        return cost < self.seed_cost and self._path_value(cost, joints) < self._path_value(
+            self.evaluation.cost, self.joints
         )
 
-    def _exact(self, q: Mapping[str, FloatArray]) -> bool:
-        """Whether the joints put the TCPs where the freedoms do."""
-        wanted = self.scene.tcp(self.targets, self.values)
-        found = {arm: self.scene.chains[arm].pose(q[arm]) for arm in q}
-        return all(float(np.abs(found[arm] - wanted[arm])[:, :3, 3].max()) <= EXACT for arm in q)
+    def _has_no_peaks(self) -> bool:
+        """Whether windows have no peak left that could be lowered. Further programs hardly change them."""
+        return self.windows is not None and not any(self.windows.peak_levels(self.joints))
 
-    def _solved(self, ready: Sequence[SolverInterface]) -> tuple[FloatArray | None, str]:
-        """The program's step (N, F) by the first solver that has one, None for none, and the solver."""
-        program, unknowns = self._program()
+    def _keeps_limits(self, evaluation: _PathEvaluation) -> bool:
+        required = np.minimum(self.required, self.scene.settings.clearance + 0.5 * EXTRA_CLEARANCE_M)
+        peaks = zip(evaluation.peaks, self.allowed, strict=True)
+        return bool(
+            (evaluation.distances >= required).all()
+            and all((peak <= MAX_TRIAL_PEAK_RATIO * limit).all() for peak, limit in peaks)
+            and (
+                np.abs(evaluation.coupling_deviation) <= MAX_TRIAL_PEAK_RATIO * self.max_coupling_deviation
+            ).all()
+        )
+
+    def _reaches_poses(self, q: Mapping[str, FloatArray]) -> bool:
+        """Whether the joints reach the TCP poses that the freedoms define."""
+        expected = self.scene.tcp_poses(self.targets, self.values)
+        actual = {arm: self.scene.chains[arm].pose(q[arm]) for arm in q}
+        return all(
+            float(np.abs(actual[arm] - expected[arm])[:, :3, 3].max()) <= POSITION_TOLERANCE_M for arm in q
+        )
+
+    def _solve(self, available: Sequence[SolverInterface]) -> tuple[FloatArray | None, str]:
+        """Step (N, F) of the program by the first solver that finds one, and the solver.
+
+        The step is None if no solver finds one.
+        """
+        program, unknowns = self._build_program()
         name = ""
-        for solver in ready:
+        for solver in available:
             name = solver_name(type(solver))
-            with quiet():
-                found = solver.Solve(program)
-            step = np.asarray(found.GetSolution(unknowns.ravel())).reshape(unknowns.shape)
-            if found.is_success() and np.isfinite(step).all():
+            with drake_log_suppressed():
+                solution = solver.Solve(program)
+            step = np.asarray(solution.GetSolution(unknowns.ravel())).reshape(unknowns.shape)
+            if solution.is_success() and np.isfinite(step).all():
                 step[self.held] = 0.0  # solvers meet bounds to a tolerance
                 return step * self.trust, name
         return None, name
 
-    def _program(self) -> tuple[MathematicalProgram, Any]:
-        """The program of the next step and its unknowns (N, F), in units of what a round allows."""
+    def _build_program(self) -> tuple[MathematicalProgram, Any]:
+        """The program of the next step and its unknowns (N, F).
+
+        Unknowns are in units of the change that a round allows.
+        """
+        # Minimise x' H x + 2 g' x + price * sum of levels, with H block-pentadiagonal, over the steps
+        # x = step / trust in [-1, 1] and levels in [0, 1], subject to (linear in x) ranges of the freedoms,
+        # distances and margins, peaks of joint acceleration and jerk, and coupling of tools. In windows also
+        # |difference| <= goal + level (top - goal).
         problem, values, joints = self.problem, self.values, self.joints
         rates = problem.plant_rates(self.model, values, joints)
-        blocks, slope = problem.model(values, joints, rates)
+        blocks, slope = problem.quadratic_model(values, joints, rates)
         program = MathematicalProgram()
         unknowns = program.NewContinuousVariables(*values.shape, "step")
         blocks = [block * self.trust[:, None] * self.trust for block in blocks]
-        unit = LARGEST_ENTRY / (float(np.abs(blocks[0]).max()) or 1.0)
+        unit = MAX_COST_ENTRY / (float(np.abs(blocks[0]).max()) or 1.0)
         blocks, slope = [unit * block for block in blocks], unit * slope * self.trust
         add_cost(program, unknowns, blocks, slope)
         low, high = (problem.lower - values) / self.trust, (problem.upper - values) / self.trust
@@ -284,70 +368,80 @@ class _Search:
         flat = unknowns.ravel()
         program.AddBoundingBoxConstraint(low.ravel(), high.ravel(), flat)
         levels = 0 if self.windows is None else len(self.bands)
-        rows = Linear(values.shape, levels)
+        rows = LinearConstraints(values.shape, levels)
         self._add_distances(rows, rates)
-        for band, most in zip(self.bands, self.allowed, strict=True):
-            rows.add_band(band, joints, rates, most)
-        self._add_joined(rows)
+        for band, limit in zip(self.bands, self.allowed, strict=True):
+            rows.add_band(band, joints, rates, limit)
+        self._add_coupling(rows)
         if self.windows is not None:
-            own = program.NewContinuousVariables(levels, "level")
-            program.AddBoundingBoxConstraint(0.0, 1.0, own)
-            program.AddLinearCost(np.full(levels, unit * self.price), own)
-            for level, (band, bound) in enumerate(zip(self.bands, self.windows.bounds, strict=True)):
+            level_variables = program.NewContinuousVariables(levels, "level")
+            program.AddBoundingBoxConstraint(0.0, 1.0, level_variables)
+            program.AddLinearCost(np.full(levels, unit * self.price), level_variables)
+            for level, (band, bound) in enumerate(zip(self.bands, self.windows.peak_bounds, strict=True)):
                 rows.add_level(band, joints, rates, bound, level)
-            flat = np.concatenate([flat, own])
+            flat = np.concatenate([flat, level_variables])
         if rows.count:
-            matrix, lower, upper = rows.stacked(self.trust)
+            matrix, lower, upper = rows.assemble(self.trust)
             if len(lower):
                 program.AddLinearConstraint(matrix, lower, upper, flat)
         return program, unknowns
 
-    def _add_distances(self, rows: Linear, rates: FloatArray) -> None:
-        """Clearances of bodies, and the hard margins of joints and singular postures where they are near."""
-        near = self.look.near
-        rows.add_slopes(near, rates, np.minimum(self.wanted[near.index] - near.value, 0.0))
-        for margins, hard, _ in near_margins(self.scene, self.targets.arms, self.joints):
-            rows.add_slopes(margins, rates, np.minimum(hard - margins.value, 0.0))
+    def _add_distances(self, rows: LinearConstraints, rates: FloatArray) -> None:
+        """Add clearances of bodies, and the required margins to joint limits and singularities.
 
-    def _joined(self, values: FloatArray) -> FloatArray:
-        """How far (N - 1, 6) [rad, m] the pose of one joined tool to the other is off, half way between
-        targets, what it would be there if both targets had the same freedoms."""
-        if not _is_joined(self.targets):
+        The margins are added where they are narrow.
+        """
+        near_distances = self.evaluation.near_distances
+        rows.add_lower_bounds(
+            near_distances, rates, np.minimum(self.required[near_distances.index] - near_distances.value, 0.0)
+        )
+        for margins, hard, _ in narrow_margins(self.scene, self.targets.arms, self.joints):
+            rows.add_lower_bounds(margins, rates, np.minimum(hard - margins.value, 0.0))
+
+    def _coupling_deviation(self, values: FloatArray) -> FloatArray:
+        """Deviation (N - 1, 6) [rad, m] of the relative pose of coupled tools half way between targets.
+
+        It is relative to the pose for equal freedoms at both targets.
+        """
+        if not _is_coupled(self.targets):
             return np.zeros((self.targets.count - 1, 6))
-        off = _off_joined(self.targets, values[:-1], values[1:])
+        deviation = _coupling_deviation(self.targets, values[:-1], values[1:])
         if self.windows is not None:
-            off[np.diff(self.windows.rows) > 1] = 0.0  # not a move
-        return off
+            deviation[np.diff(self.windows.rows) > 1] = 0.0  # a gap between windows is not a move
+        return deviation
 
-    def _add_joined(self, rows: Linear) -> None:
-        if not _is_joined(self.targets):
+    def _add_coupling(self, rows: LinearConstraints) -> None:
+        if not _is_coupled(self.targets):
             return
-        now, ends = self.look.joined, (self.values[:-1], self.values[1:])
-        slopes = np.zeros((2, *now.shape, self.values.shape[1]))
-        for j, step in enumerate(DIFFERENCE_SHARE * self.trust):
+        current, ends = self.evaluation.coupling_deviation, (self.values[:-1], self.values[1:])
+        slopes = np.zeros((2, *current.shape, self.values.shape[1]))
+        for j, step in enumerate(DIFFERENCE_FRACTION * self.trust):
             shift = np.zeros(self.values.shape[1])
             shift[j] = step
-            for side, (before, behind) in enumerate(((shift, 0.0 * shift), (0.0 * shift, shift))):
-                ahead = _off_joined(self.targets, ends[0] + before, ends[1] + behind)
-                back = _off_joined(self.targets, ends[0] - before, ends[1] - behind)
+            for side, (shift_start, shift_end) in enumerate(((shift, 0.0 * shift), (0.0 * shift, shift))):
+                ahead = _coupling_deviation(self.targets, ends[0] + shift_start, ends[1] + shift_end)
+                back = _coupling_deviation(self.targets, ends[0] - shift_start, ends[1] - shift_end)
                 slopes[side, ..., j] = (ahead - back) / (2.0 * step)
-        rows.add_pairs(slopes, -self.off - now, self.off - now)
+        rows.add_pairs(slopes, -self.max_coupling_deviation - current, self.max_coupling_deviation - current)
 
 
-def _is_joined(targets: Targets) -> bool:
-    """Whether a freedom changes how two joined tools stand to each other."""
+def _is_coupled(targets: Targets) -> bool:
+    """Whether a freedom changes the relative pose of two coupled tools."""
     return targets.coupled and any(isinstance(f, TableFreedom) for f in targets.freedoms)
 
 
-def _off_joined(targets: Targets, start: FloatArray, end: FloatArray) -> FloatArray:
-    """What :meth:`_Search._joined` tells, of freedoms (N - 1, F) at the start and at the end of each move."""
-    one, other = targets.arms[0], targets.arms[-1]
+def _coupling_deviation(targets: Targets, start: FloatArray, end: FloatArray) -> FloatArray:
+    """Deviation as in :meth:`_ProgramSearch._coupling_deviation`, for given freedoms.
+
+    Freedoms (N - 1, F) are those at the start and end of each move.
+    """
+    first_arm, second_arm = targets.arms[0], targets.arms[-1]
     first, last = np.arange(targets.count - 1), np.arange(1, targets.count)
     half, mean = np.full(targets.count - 1, 0.5), 0.5 * (start + end)
 
-    def between(a: FloatArray, b: FloatArray) -> FloatArray:
+    def relative_pose(a: FloatArray, b: FloatArray) -> FloatArray:
         begins, ends = targets.poses(a, first), targets.poses(b, last)
-        middle = {arm: interpolate(begins[arm], ends[arm], half) for arm in (one, other)}
-        return inverse(middle[one]) @ middle[other]
+        middle = {arm: interpolate(begins[arm], ends[arm], half) for arm in (first_arm, second_arm)}
+        return inverse(middle[first_arm]) @ middle[second_arm]
 
-    return log_pose(inverse(between(mean, mean)) @ between(start, end))
+    return log_pose(inverse(relative_pose(mean, mean)) @ relative_pose(start, end))

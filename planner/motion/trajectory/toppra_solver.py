@@ -1,4 +1,4 @@
-"""TOPPRA by the package ``toppra``: a path and limits as it wants them, and the call."""
+"""Adapter for the package ``toppra``: path and limits in its form, and the call."""
 
 import importlib
 import sys
@@ -14,8 +14,8 @@ from planner.geometry.arrays import FloatArray
 from planner.motion.trajectory.joint_path import CornerLimits
 
 
-class _PlotsLater(ModuleType):
-    """``matplotlib.pyplot``, loaded by the first plot that is asked for."""
+class _LazyPyplot(ModuleType):
+    """``matplotlib.pyplot``, loaded by the first plot."""
 
     def __getattr__(self, name: str) -> Any:
         return getattr(importlib.import_module("matplotlib.pyplot"), name)
@@ -23,12 +23,15 @@ class _PlotsLater(ModuleType):
 
 @contextmanager
 def _without_plots() -> Iterator[None]:
-    """Whatever is imported of ``toppra`` loads ``matplotlib.pyplot``, 0.45 s of processor time in a process,
-    for plots that nothing here asks for. What is imported inside gets a stand-in; others get the library."""
+    """Replace ``matplotlib.pyplot`` while ``toppra`` is imported.
+
+    Any import from ``toppra`` loads it, which takes 0.45 s of processor time per process for unused plots.
+    Imports inside get a stand-in; others get the library.
+    """
     if "matplotlib" in sys.modules:
         yield
         return
-    plots = _PlotsLater("matplotlib.pyplot")
+    plots = _LazyPyplot("matplotlib.pyplot")
     package = ModuleType("matplotlib")
     package.pyplot = plots  # type: ignore[attr-defined]
     stand_ins = {"matplotlib": package, "matplotlib.pyplot": plots}
@@ -54,33 +57,47 @@ def path_speeds(
     acceleration: FloatArray,
     corners: CornerLimits | None,
 ) -> FloatArray | None:
-    """The greatest path speeds (G,) below ``limit`` (G,) at the points ``grid`` (G,), at rest at both ends,
-    with joint accelerations within ``acceleration`` (J,) and within what ``corners`` allow; None where the
-    solver finds none."""
-    held = JointAccelerationConstraint(
+    """Compute the highest path speeds with rest at both ends.
+
+    Args:
+        spline: Joint path.
+        grid: (G,) grid points.
+        limit: (G,) bound of the path speed.
+        acceleration: (J,) joint acceleration limits.
+        corners: Limits at corners.
+
+    Returns:
+        Path speeds (G,); None if the solver finds none.
+    """
+    acceleration_limits = JointAccelerationConstraint(
         np.stack([-acceleration, acceleration], axis=1),
         discretization_scheme=DiscretizationType.Interpolation,
     )
-    constraints = [_Bound(limit), held] if corners is None else [_Bound(limit), held, _Corners(corners)]
-    wrapper = seidelWrapper(constraints, _Spline(spline), grid, solve_lp1d=True)
-    reach = _stoppable(wrapper)
-    found = None if reach is None else _fastest(wrapper, reach)
-    if found is not None and all(square > 0.0 for square in found[1:-1]):
-        return np.sqrt(found)
+    constraints = (
+        [_SpeedBound(limit), acceleration_limits]
+        if corners is None
+        else [_SpeedBound(limit), acceleration_limits, _CornerConstraint(corners)]
+    )
+    wrapper = seidelWrapper(constraints, _SplinePath(spline), grid, solve_lp1d=True)
+    stoppable = _stoppable_squares(wrapper)
+    squares = None if stoppable is None else _fastest_squares(wrapper, stoppable)
+    if squares is not None and all(square > 0.0 for square in squares[1:-1]):
+        return np.sqrt(squares)
     return None
 
 
-def _stoppable(wrapper: Any) -> list[tuple[float, float]] | None:
-    """The least and the greatest square of the path speed at each point from which the path can end at rest;
-    None where there is none.
+def _stoppable_squares(wrapper: Any) -> list[tuple[float, float]] | None:
+    """Smallest and largest squared path speed at each point from which the path can end at rest.
 
-    Here and in :func:`_fastest` are the package's linear programs, three a grid point, in its order and so
-    with its results, but less around each: what it does about them in arrays of two numbers takes longer than
-    they do.
+    None if there is none.
+
+    This function and :func:`_fastest_squares` run the package's linear programs, three per grid point, in its
+    order and thus with its results. They avoid its handling of arrays of two numbers, which takes longer than
+    the programs.
     """
     last = wrapper.get_no_stages()
     out = [(0.0, 0.0)] * (last + 1)
-    upper = np.array([1e-9, -1.0])  # as fast as can be, and of those with the least acceleration
+    upper = np.array([1e-9, -1.0])  # maximise the speed, then minimise the acceleration
     lower = -upper
     solve, low, high, free = wrapper.solve_stagewise_optim, 0.0, 0.0, float("nan")
     for i in range(last - 1, -1, -1):
@@ -94,14 +111,16 @@ def _stoppable(wrapper: Any) -> list[tuple[float, float]] | None:
     return out if low <= SMALL and high + SMALL >= 0.0 else None
 
 
-def _fastest(wrapper: Any, reach: list[tuple[float, float]]) -> list[float] | None:
-    """Squares of the fastest path speeds from rest, within ``reach``; None where there are none. As the
-    package has it, each is a little less than its program allows, and where one has no solution it is asked
-    again from lower speeds."""
+def _fastest_squares(wrapper: Any, stoppable: list[tuple[float, float]]) -> list[float] | None:
+    """Squares of the highest path speeds from rest, within ``stoppable``; None if there are none.
+
+    As in the package, each is a little less than its program allows. A program without a solution is run
+    again from lower speeds.
+    """
     out, x = [0.0], 0.0
     faster = np.array([0.0, -1.0])
     solve = wrapper.solve_stagewise_optim
-    for i, (step, after) in enumerate(zip(wrapper.get_deltas().tolist(), reach[1:], strict=True)):
+    for i, (step, after) in enumerate(zip(wrapper.get_deltas().tolist(), stoppable[1:], strict=True)):
         faster[0] = -2.0 * step
         u = solve(i, None, faster, x, x, *after)[0]
         for _ in range(MAX_TRIES):
@@ -117,8 +136,8 @@ def _fastest(wrapper: Any, reach: list[tuple[float, float]]) -> list[float] | No
     return out
 
 
-class _Spline(AbstractGeometricPath):  # type: ignore[misc]
-    """A scipy spline as toppra wants it."""
+class _SplinePath(AbstractGeometricPath):  # type: ignore[misc]
+    """A scipy spline with the interface of toppra."""
 
     def __init__(self, spline: CubicSpline) -> None:
         self._spline = spline
@@ -139,8 +158,8 @@ class _Spline(AbstractGeometricPath):  # type: ignore[misc]
         return self._spline.x, self(self._spline.x)
 
 
-class _Bound(LinearConstraint):  # type: ignore[misc]
-    """An upper bound on the path speed at every grid point; joint speeds are one too."""
+class _SpeedBound(LinearConstraint):  # type: ignore[misc]
+    """Upper bound of the path speed at every grid point, which includes joint speeds."""
 
     def __init__(self, limit: FloatArray) -> None:
         super().__init__()
@@ -151,15 +170,15 @@ class _Bound(LinearConstraint):  # type: ignore[misc]
         return None, None, None, None, None, None, np.stack([np.zeros_like(square), square], axis=1)
 
 
-class _Corners(LinearConstraint):  # type: ignore[misc]
-    """What corners ask for at the grid points, within the accelerations that they allow."""
+class _CornerConstraint(LinearConstraint):  # type: ignore[misc]
+    """Acceleration limits of corners at the grid points."""
 
     def __init__(self, corners: CornerLimits) -> None:
         super().__init__()
         self._slope, self._bend = corners.slope, corners.bend
-        eye, most = np.eye(len(corners.acceleration)), corners.acceleration
-        self._rows, self._most = np.concatenate([eye, -eye]), np.concatenate([most, most])
+        eye, limits = np.eye(len(corners.acceleration)), corners.acceleration
+        self._rows, self._limits = np.concatenate([eye, -eye]), np.concatenate([limits, limits])
         self.identical = True
 
     def compute_constraint_params(self, path: Any, gridpoints: FloatArray, *args: Any) -> tuple[Any, ...]:
-        return self._slope, self._bend, np.zeros_like(self._slope), self._rows, self._most, None, None
+        return self._slope, self._bend, np.zeros_like(self._slope), self._rows, self._limits, None, None

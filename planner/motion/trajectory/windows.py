@@ -1,9 +1,9 @@
-"""Windows of a long path: the stretches of it that a program over the freedoms may better most.
+"""Windows of a long path: the parts that a program over the freedoms may improve most.
 
-A program over all of tens of thousands of targets would take longer than all the rest. A few windows of it
-are left free instead, first where those joints that freedoms move accelerate or jerk hardest on the clock of
-the path, then where these joints cost most; between windows, and at a few targets at their ends, the path
-stays, with its slopes.
+A program over tens of thousands of targets would take longer than everything else. A few windows are left
+free instead. They lie where joints that freedoms move have the highest peaks of acceleration or jerk on the
+clock of the path, then where these joints cost most. Between windows, and at a few targets at their ends, the
+path and its slopes stay.
 """
 
 import dataclasses
@@ -14,134 +14,164 @@ import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 from planner.motion.planning_scene import Scene
-from planner.motion.search.subsampling import subset
-from planner.motion.trajectory.differences import Band, bands
-from planner.motion.trajectory.hinges import margin_rows, preference_rows
-from planner.motion.trajectory.trajopt import Improved, PathProblem, Weights, weights_of
+from planner.motion.search.subsampling import select_targets
+from planner.motion.trajectory.differences import DifferenceBand, difference_bands
+from planner.motion.trajectory.hinge_costs import margin_residuals, preference_residuals
+from planner.motion.trajectory.trajopt import CostWeights, OptimisedPath, PathProblem, cost_weights
 from planner.targets import Targets
 
-MOST_WINDOWS: Final = 8
-"""Windows of a path at most."""
-WINDOW: Final = 300
-"""Targets of a window."""
-HELD: Final = 3
-"""Targets that stay at both ends of a window: as many as a jerk needs beside one that is free."""
-SETTLED: Final = 12
-"""A peak so many targets from the end of a window counts as one that the window may lower."""
-LOOKED_AT: Final = 256
-"""At about so many targets it is looked which joints the freedoms move."""
-STILL: Final = 1e-9
-"""Joints that go by less than this [rad] for a freedom's rad or m are not moved by it."""
-WORTH_SHARE: Final = 0.02
-"""Peaks that could come down by less than this share are left."""
-LEAST_SHARE: Final = 1e-5
-"""Where freedoms can change less than this share of the cost, and no peak, there are no windows."""
+MAX_WINDOWS: Final = 8
+"""Maximum number of windows of a path."""
+WINDOW_TARGETS: Final = 300
+"""Number of targets of a window."""
+HELD_TARGETS: Final = 3
+"""Number of fixed targets at both ends of a window: as many as a jerk needs beside a free one."""
+MIN_PEAK_DISTANCE: Final = 12
+"""Distance in targets from the end of a window from which a peak counts as one that the window may lower."""
+SAMPLED_TARGETS: Final = 256
+"""Approximate number of targets at which the joints that freedoms move are determined."""
+MIN_JOINT_RATE: Final = 1e-9
+"""Rate [rad per rad or m] below which a freedom does not move a joint."""
+MIN_PEAK_REDUCTION: Final = 0.02
+"""Relative reduction below which peaks are ignored."""
+MIN_COST_FRACTION: Final = 1e-5
+"""Fraction of the cost that freedoms can change below which there are no windows, unless they can lower a
+peak.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
 class Windows:
-    """Targets ``rows`` (K,) of a path, in their order, of which those ``held`` (K,) stay.
+    """Windows of a path.
 
-    ``weights`` of their cost; ``bands`` of their accelerations and jerks on the clock of the path, ``tops``
-    (J,) the peaks of each of the two on the whole path, by joint, and ``goals`` what the hardest joint has
-    where no window is, to which windows may bring it down. ``moved`` (J,): the joints that freedoms move;
-    ``share``: of the cost, what these joints and all hinges have, so that no path gains more.
+    Attributes:
+        rows: (K,) their targets, in order.
+        held: (K,) which of these stay fixed.
+        weights: Weights of their cost.
+        bands: Accelerations and jerks on the clock of the path.
+        tops: (J,) peaks of each of the two on the whole path, by joint.
+        goals: Peak of the worst joint outside of windows, to which windows may lower it.
+        moved: (J,) whether freedoms move a joint.
+        fraction: Fraction of the cost of these joints and all hinges, an upper bound of the gain.
     """
 
     rows: IndexArray
     held: BoolArray
-    weights: Weights
-    bands: tuple[Band, ...]
+    weights: CostWeights
+    bands: tuple[DifferenceBand, ...]
     tops: tuple[FloatArray, ...]
     goals: tuple[float, ...]
     moved: BoolArray
-    share: float
+    fraction: float
 
     @property
     def count(self) -> int:
-        """How many windows there are; those that meet are one."""
+        """Number of windows. Adjacent ones count as one."""
         return int((np.diff(self.rows) > 1).sum()) + 1
 
-    def into(self, path: Improved, part: Improved, before: FloatArray) -> Improved:
-        """A path of all targets with that of the windows' targets ``part`` in it, which was made from the
-        freedoms ``before`` (K, F) there."""
+    def insert(self, path: OptimisedPath, part: OptimisedPath, previous: FloatArray) -> OptimisedPath:
+        """Insert an improved path of the windows' targets into a path of all targets.
+
+        Args:
+            path: Path of all targets.
+            part: Improved path of the windows' targets.
+            previous: (K, F) freedoms from which ``part`` started.
+        """
         values, q = path.values.copy(), {arm: angles.copy() for arm, angles in path.q.items()}
-        values[self.rows] += part.values - before
+        values[self.rows] += part.values - previous
         for arm, angles in q.items():
             angles[self.rows] = part.q[arm]
         return dataclasses.replace(path, values=values, q=q)
 
-    def levels(self, joints: FloatArray) -> tuple[float, ...]:
-        """How far the peaks of joints (K, J) are from the goals, 1 where they are at the path's own."""
+    def peak_levels(self, joints: FloatArray) -> tuple[float, ...]:
+        """Relative excess of the peaks of joints (K, J) over the goals: 1 at the peaks of the path itself."""
         out = []
-        for band, (goal, top) in zip(self.bands, self.bounds, strict=True):
-            peak = float(np.abs(band.of(joints)).max(initial=0.0))
+        for band, (goal, top) in zip(self.bands, self.peak_bounds, strict=True):
+            peak = float(np.abs(band.differences(joints)).max(initial=0.0))
             out.append(max(peak - goal, 0.0) / (top - goal) if top > goal else 0.0)
         return tuple(out)
 
     @property
-    def bounds(self) -> list[tuple[float, float]]:
-        """Goal and top of the hardest joint, of each band."""
+    def peak_bounds(self) -> list[tuple[float, float]]:
+        """Goal and top of the worst joint, for each band."""
         return [(goal, float(top.max(initial=0.0))) for goal, top in zip(self.goals, self.tops, strict=True)]
 
 
-def chosen(
+def choose_windows(
     scene: Scene,
     targets: Targets,
     branch: Mapping[str, int],
-    path: Improved,
+    path: OptimisedPath,
     duration: FloatArray,
     stop: BoolArray,
 ) -> Windows | str:
-    """The windows of a path whose moves last ``duration`` (N - 1,) [s], with stops ``stop`` (N,); or why
-    there are none."""
+    """Choose the windows of a path.
+
+    Args:
+        scene: Cell with the arms.
+        targets: N targets.
+        branch: {arm: branch}.
+        path: The path.
+        duration: (N - 1,) [s] durations of the moves.
+        stop: (N,) whether the arms stop at a target.
+
+    Returns:
+        The windows, or the reason why there are none.
+    """
     if not targets.freedoms:
-        return "nothing is free at any target"
+        return "no target has a freedom"
     problem = PathProblem(scene, targets, branch, None)
-    values, joints = problem.unwrapped(path.values), problem.stack(path.q)
-    moved = _moved(scene, targets, branch, values, joints)
-    own = bands(duration, stop)
-    size = [np.abs(band.of(joints)) for band in own]
-    tops = tuple(part.max(axis=0, initial=0.0) for part in size)
+    values, joints = problem.unwrap(path.values), problem.stack(path.q)
+    moved = _moved_joints(scene, targets, branch, values, joints)
+    # Score targets by peaks that the freedoms could lower, and by the cost of the joints that they move.
+    own = difference_bands(duration, stop)
+    magnitudes = [np.abs(band.differences(joints)) for band in own]
+    tops = tuple(part.max(axis=0, initial=0.0) for part in magnitudes)
     floors = [float(top[~moved].max(initial=0.0)) for top in tops]
-    most = [float(top.max(initial=0.0)) for top in tops]
-    over = np.zeros(targets.count)
-    for band, part, floor, top in zip(own, size, floors, most, strict=True):
+    highest_peaks = [float(top.max(initial=0.0)) for top in tops]
+    excess = np.zeros(targets.count)
+    for band, part, floor, top in zip(own, magnitudes, floors, highest_peaks, strict=True):
         above = (part[:, moved].max(axis=1, initial=0.0) - floor) / max(top, 1e-12)
-        np.maximum.at(over, band.first + band.weight.shape[1] // 2, np.where(above > WORTH_SHARE, above, 0.0))
+        np.maximum.at(
+            excess, band.first + band.weight.shape[1] // 2, np.where(above > MIN_PEAK_REDUCTION, above, 0.0)
+        )
     scaled = (joints / problem.speed)[:, moved]
-    cost = _by_target(Weights(problem.stencil, problem.count), scaled)
+    cost = _cost_by_target(CostWeights(problem.stencil, problem.count), scaled)
     hinges = [
-        *margin_rows(scene, targets.arms, joints, problem.count, slopes=False),
-        *preference_rows(targets, values, problem.rings, problem.count),
+        *margin_residuals(scene, targets.arms, joints, problem.count, slopes=False),
+        *preference_residuals(targets, values, problem.is_full_turn, problem.count),
     ]
-    whole = problem.cost(values, joints)
-    share = min(float(cost.sum() + sum(hinge.cost for hinge in hinges)) / max(whole, 1e-12), 1.0)
-    if not over.any() and share < LEAST_SHARE:
-        return f"its freedoms can change {100.0 * max(share, 0.0):.1g} % of its cost and no peak"
-    free, held = _placed(over, cost)
+    total_cost = problem.cost(values, joints)
+    fraction = min(float(cost.sum() + sum(hinge.cost for hinge in hinges)) / max(total_cost, 1e-12), 1.0)
+    if not excess.any() and fraction < MIN_COST_FRACTION:
+        return f"its freedoms can change only {100.0 * max(fraction, 0.0):.1g} % of its cost and no peak"
+    free, held = _place_windows(excess, cost)
     rows = np.flatnonzero(free)
     goals = [
-        max(floor, float(part[_outside(band, free & ~held)][:, moved].max(initial=0.0)))
-        for band, part, floor in zip(own, size, floors, strict=True)
+        max(floor, float(part[_rows_outside(band, free & ~held)][:, moved].max(initial=0.0)))
+        for band, part, floor in zip(own, magnitudes, floors, strict=True)
     ]
-    kept = tuple(_within(band, free) for band in own)
-    weights = weights_of(targets, rows)
-    return Windows(rows, held[rows], weights, kept, tops, tuple(goals), moved, share)
+    kept = tuple(_rows_within(band, free) for band in own)
+    weights = cost_weights(targets, rows)
+    return Windows(rows, held[rows], weights, kept, tops, tuple(goals), moved, fraction)
 
 
-def _moved(
+def _moved_joints(
     scene: Scene, targets: Targets, branch: Mapping[str, int], values: FloatArray, joints: FloatArray
 ) -> BoolArray:
-    """(J,) whether any freedom moves a joint, by a look at some targets."""
-    rows = np.arange(0, targets.count, max(targets.count // LOOKED_AT, 1))
-    some = PathProblem(scene, subset(targets, rows), branch, None)
-    return np.asarray(np.abs(some.rates(values[rows], joints[rows])).max(axis=(0, 2)) > STILL)
+    """Whether (J,) any freedom moves a joint, determined at some targets."""
+    rows = np.arange(0, targets.count, max(targets.count // SAMPLED_TARGETS, 1))
+    subset_problem = PathProblem(scene, select_targets(targets, rows), branch, None)
+    return np.asarray(
+        np.abs(subset_problem.rates(values[rows], joints[rows])).max(axis=(0, 2)) > MIN_JOINT_RATE
+    )
 
 
-def _by_target(weights: Weights, x: FloatArray) -> FloatArray:
-    """What each target (N,) has of x' K x: K has rows that sum to 0, so that this is a sum of squares of
-    differences."""
+def _cost_by_target(weights: CostWeights, x: FloatArray) -> FloatArray:
+    """Contribution (N,) of each target to x' K x.
+
+    K has rows that sum to 0, so it is a sum of squared differences.
+    """
     out = np.zeros(len(x))
     for d in (1, 2):
         gap = x[d:] - x[:-d]
@@ -149,15 +179,20 @@ def _by_target(weights: Weights, x: FloatArray) -> FloatArray:
     return out
 
 
-def _placed(over: FloatArray, cost: FloatArray) -> tuple[BoolArray, BoolArray]:
-    """(N,) the targets of the windows, and those of them that are held: the windows lie about the targets
-    that have most ``over`` (N,), the rest where the ``cost`` (N,) is greatest."""
-    count = len(over)
+def _place_windows(excess: FloatArray, cost: FloatArray) -> tuple[BoolArray, BoolArray]:
+    """Targets (N,) of the windows, and those of them that are fixed.
+
+    Windows lie around the targets with the largest ``excess`` (N,), the rest where the ``cost`` (N,) is
+    largest.
+    """
+    count = len(excess)
     free, inner = np.zeros((2, count), dtype=np.bool_)
-    open_peaks = over.copy()
-    open_peaks[:SETTLED] = open_peaks[count - SETTLED :] = 0.0  # the ends of the path stay
-    width = min(WINDOW, count)
-    for _ in range(MOST_WINDOWS):
+    open_peaks = excess.copy()
+    open_peaks[:MIN_PEAK_DISTANCE] = open_peaks[count - MIN_PEAK_DISTANCE :] = (
+        0.0  # the ends of the path are fixed
+    )
+    width = min(WINDOW_TARGETS, count)
+    for _ in range(MAX_WINDOWS):
         if open_peaks.any():
             first = int(np.argmax(open_peaks)) - width // 2
         else:
@@ -165,20 +200,20 @@ def _placed(over: FloatArray, cost: FloatArray) -> tuple[BoolArray, BoolArray]:
             first = int(np.argmax(sums[width:] - sums[:-width]))
         first = min(max(first, 0), count - width)
         free[first : first + width] = True
-        inner[first + HELD : first + width - HELD] = True
-        open_peaks[first + SETTLED : first + width - SETTLED] = 0.0
+        inner[first + HELD_TARGETS : first + width - HELD_TARGETS] = True
+        open_peaks[first + MIN_PEAK_DISTANCE : first + width - MIN_PEAK_DISTANCE] = 0.0
     return free, free & ~inner
 
 
-def _outside(band: Band, free: BoolArray) -> BoolArray:
-    """(M,) the rows of a band that have no target that is free."""
+def _rows_outside(band: DifferenceBand, free: BoolArray) -> BoolArray:
+    """Rows (M,) of a band without any free target."""
     at = band.first[:, None] + np.arange(band.weight.shape[1])
     return np.asarray(~free[at].any(axis=1))
 
 
-def _within(band: Band, free: BoolArray) -> Band:
-    """The rows of a band all of whose targets are among those of windows, as rows of these."""
+def _rows_within(band: DifferenceBand, free: BoolArray) -> DifferenceBand:
+    """Rows of a band whose targets all lie in windows, renumbered to the targets of windows."""
     at = band.first[:, None] + np.arange(band.weight.shape[1])
     kept = free[at].all(axis=1)
-    place = np.cumsum(free) - 1
-    return Band(place[band.first[kept]], band.weight[kept])
+    new_index = np.cumsum(free) - 1
+    return DifferenceBand(new_index[band.first[kept]], band.weight[kept])

@@ -1,4 +1,7 @@
-"""What must hold of a sheet that tools form, as data, in the frame of the sheet; see ``claims.claim``."""
+"""Requirements on a sheet that tools form, as data, in the frame of the sheet; see ``claims.claim``.
+
+The field names are data: `verify.forming_claims` compares them by name.
+"""
 
 import dataclasses
 from typing import Final
@@ -12,13 +15,24 @@ from planner.geometry.arrays import FloatArray, IntArray
 
 @dataclasses.dataclass(frozen=True)
 class FormsSheet(Claim):
-    """In ``segment`` the ball of ``arm``, of radius ``radius`` [m] about its TCP, forms the face
-    ``vertices``, ``faces`` (normals up, +z) of a sheet.
+    """The ball of an arm forms a face of the sheet.
 
-    ``side`` is +1 where the ball is above that face, -1 below. Nowhere on its way does the ball, or the rest
-    of the tool behind it, cut into the face by more than ``tolerance`` [m]. Of the face's area that is
-    neither flat at ``start`` nor flat at ``end`` [m, levels z] the share ``share`` is touched by the swept
-    ball within ``scallop`` (F,) [m], what the steps of the path leave standing at each triangle.
+    Nowhere on its path does the ball, or the rest of the tool behind it, cut into the face by more than the
+    tolerance. The ball touches a stated fraction of the face's area that is neither flat at the start level
+    nor flat at the end level, within the scallop.
+
+    Attributes:
+        segment: Segment.
+        arm: Arm.
+        side: +1 if the ball is above the face, -1 below.
+        radius: Radius [m] of the ball about the TCP.
+        vertices: Vertices [m] of the face.
+        faces: Triangles with normals up (+z).
+        start: Level z [m] of the start.
+        end: Level z [m] of the end.
+        tolerance: Allowed depth [m].
+        scallop: Height (F,) [m] that the steps of the path leave at each triangle.
+        share: Fraction of the area.
     """
 
     segment: Segment
@@ -36,14 +50,23 @@ class FormsSheet(Claim):
 
 @dataclasses.dataclass(frozen=True)
 class ToolGap(Claim):
-    """In ``segment`` the tools of ``arms`` (the forming one first), balls of ``radii`` [m] about their TCPs,
-    stay as far apart as the sheet between them is wanted.
+    """The distance of two tools is the required thickness of the sheet between them, at and between targets.
 
-    The wanted gap [m] at an instant is that of the place of the face ``vertices``, ``faces`` that is nearest
-    to the forming ball, ``gap`` (V,) being known at the vertices; it holds within ``tolerance`` [m] at and
-    between targets. The line of the balls' centres lies between the face's normal there and the vertical,
-    toward which a support is turned beside the flat or by a shift, within ``turn`` [rad]. ``handshake`` [m]:
-    how far the gap may be off where two controllers are one step apart.
+    The required gap [m] at an instant is that of the point of the face nearest to the forming ball. The line
+    of the balls' centres is between the face's normal there and the vertical, toward which a support is
+    rotated near the flat or by a shift.
+
+    Attributes:
+        segment: Segment.
+        arms: Arms, the forming one first.
+        side: +1 if the forming ball is above the face, -1 below.
+        radii: Radii [m] of the balls about their TCPs.
+        vertices: Vertices (V, 3) [m] of the face.
+        faces: Triangles.
+        gap: Gap (V,) [m] at the vertices.
+        tolerance: Tolerance [m] of the gap.
+        turn: Tolerance [rad] of the line.
+        handshake: Allowed error [m] of the gap if two controllers are one step apart.
     """
 
     segment: Segment
@@ -59,14 +82,21 @@ class ToolGap(Claim):
 
     @property
     def tool_distance(self) -> ToolDistance:
-        """By how much the gap may change."""
+        """Allowed change of the gap."""
         return ToolDistance(self.segment, self.arms, self.handshake)
 
 
 @dataclasses.dataclass(frozen=True)
 class SupportsBorder(Claim):
-    """In ``segment`` the tool of ``arm`` supports the border of what is formed from the other side: its TCP
-    stays within ``tolerance`` [m] of the closed curve ``border`` (K, 3) [m] and never inside of it.
+    """The tool of an arm supports the border of the formed area from the other side.
+
+    Its TCP stays within the tolerance of the border and never inside of it.
+
+    Attributes:
+        segment: Segment.
+        arm: Arm.
+        border: Closed curve (K, 3) [m].
+        tolerance: Tolerance [m].
     """
 
     segment: Segment
@@ -77,10 +107,21 @@ class SupportsBorder(Claim):
 
 @dataclasses.dataclass(frozen=True)
 class FollowsOpposite(Claim):
-    """In ``segment`` the TCP of ``arms[1]`` (a heat gun, a laser) is ``distance`` [m] within ``tolerance``
-    away from the ball's centre of ``arms[0]``, across the sheet: towards -``side`` along the normal of the
-    face ``vertices``, ``faces`` within ``turn`` [rad]. Its z axis points at the sheet between that normal and
-    the vertical, within ``aim`` [rad]."""
+    """A tool (a heat gun, a laser) follows the forming ball on the other side of the sheet.
+
+    Its z axis points at the sheet between the face's normal and the vertical.
+
+    Attributes:
+        segment: Segment.
+        arms: Arms, the forming one first.
+        side: Side of the forming ball; the tool is in direction -side along the normal.
+        vertices: Vertices [m] of the face.
+        faces: Triangles.
+        distance: Distance [m] of its TCP from the ball's centre.
+        tolerance: Tolerance [m] of the distance.
+        turn: Tolerance [rad] of the direction to the normal.
+        aim: Tolerance [rad] of the z axis.
+    """
 
     segment: Segment
     arms: tuple[str, str]
@@ -95,14 +136,22 @@ class FollowsOpposite(Claim):
 
 @dataclasses.dataclass(frozen=True)
 class SheetState(Claim):
-    """The sheet while ``segment`` is formed, against which both tools of ``arms`` are held, but for the face
-    that is being formed.
+    """The sheet while a segment is formed, without the face that is being formed.
 
-    ``fixed`` (P, 3) [m] are points of what is formed already and stands still; ``carried`` (P, 3) are points
-    of what is formed already and moves along z with the floor that the forming ball of ``arms[0]`` sinks:
-    at each instant by the lowest (``side`` +1) or highest (-1) level that the ball has reached less
-    ``start`` [m]. ``heads``: radius profiles (K, 2) of the tools, distance behind the TCP and radius [m];
-    no point may be inside a tool by more than ``tolerance`` [m], or ``other`` [m] for the second arm's.
+    No point may be inside a tool by more than the tolerance. Carried points move along z with the floor that
+    the forming ball sinks: at each instant by the lowest (side +1) or highest (-1) level that the ball has
+    reached, minus the start level.
+
+    Attributes:
+        segment: Segment.
+        arms: Arms, the forming one first.
+        side: Side of the forming ball.
+        start: Start level [m].
+        fixed: Points (P, 3) [m] of formed sheet that does not move.
+        carried: Points (P, 3) [m] of formed sheet that moves with the floor.
+        heads: Radius profiles (K, 2) of the tools: distance behind the TCP, radius [m].
+        tolerance: Allowed depth [m].
+        other: Allowed depth [m] for the second arm's tool.
     """
 
     segment: Segment
@@ -118,7 +167,13 @@ class SheetState(Claim):
 
 @dataclasses.dataclass(frozen=True)
 class FormingFeed(Claim):
-    """In ``segment`` the TCPs of ``arms`` move no faster than ``upper`` [m/s]."""
+    """The TCPs of some arms move at most at a given speed in a segment.
+
+    Attributes:
+        segment: Segment.
+        arms: Arms.
+        upper: Maximum speed [m/s].
+    """
 
     segment: Segment
     arms: tuple[str, ...]
@@ -126,9 +181,15 @@ class FormingFeed(Claim):
 
 
 @dataclasses.dataclass(frozen=True)
-class ToolsLean(Claim):
-    """In ``segment`` the tools of ``arms`` point down onto the sheet where they are ``above`` it, else up,
-    within ``upper`` [rad] of the sheet's normal."""
+class LimitsToolTilt(Claim):
+    """The tools of some arms are nearly normal to the sheet in a segment.
+
+    Attributes:
+        segment: Segment.
+        arms: Arms.
+        above: Whether each tool is above the sheet and points down, else it points up.
+        upper: Maximum angle [rad] to the sheet's normal.
+    """
 
     segment: Segment
     arms: tuple[str, ...]
@@ -138,12 +199,22 @@ class ToolsLean(Claim):
 
 @dataclasses.dataclass(frozen=True)
 class SinksHolder(Claim):
-    """While ``segment`` is formed, the clamp sinks by ``step`` [m] at each pulse of ``signal``, from the
-    level z ``start`` of the flat sheet to that of ``end``, or as near above it as whole steps come.
+    """While a segment is formed, the clamp sinks by one step at each pulse of a signal.
 
-    The clamp is within one step of the lowest level (``side`` +1, the highest for -1) that the tip of the
-    ball of ``arm``, of radius ``radius`` [m] about its TCP, has reached. A pulse is on and then off for
-    ``pulse`` [s] at least. The signal is switched at no other time.
+    It goes from the start level of the flat sheet to the end level, or as near above it as whole steps
+    permit. It is within one step of the lowest level (side +1, the highest for -1) that the tip of the ball
+    has reached. The signal is switched at no other time.
+
+    Attributes:
+        segment: Segment.
+        arm: Arm of the forming tool.
+        side: Its side.
+        radius: Radius [m] of its ball about the TCP.
+        signal: Signal.
+        start: Start level z [m].
+        end: End level z [m].
+        step: Step [m].
+        pulse: Minimum time [s] that the signal is on, and then off.
     """
 
     segment: Segment
@@ -162,10 +233,15 @@ class SinksHolder(Claim):
 
 
 @dataclasses.dataclass(frozen=True)
-class ComesBack(Claim):
-    """In ``segments`` of ``operation`` both tools are deeper, alike along z, by what the sheet comes back by
-    when they let go, as a file says that the operation names: other claims on these segments are of the tools
-    without that."""
+class CompensatesSpringback(Claim):
+    """Both tools of some segments are deeper, alike along z, by the shifts of a springback file.
+
+    The operation names the file. Other claims on these segments refer to the tools without the shifts.
+
+    Attributes:
+        operation: Name of the operation.
+        segments: Segments.
+    """
 
     operation: str
     segments: tuple[Segment, ...]
@@ -173,8 +249,14 @@ class ComesBack(Claim):
 
 @dataclasses.dataclass(frozen=True)
 class FormsLevel(Claim):
-    """Of all that ``operation`` is claimed to form one level alone is formed now, within ``segment``: which
-    one, and by how much tools are deeper there, is what the problem says. All other segments are not."""
+    """A single level of what an operation is claimed to form is formed now.
+
+    The problem states which one, and by how much tools are deeper there. No other segment is formed.
+
+    Attributes:
+        operation: Name of the operation.
+        segment: Segment that contains the level.
+    """
 
     operation: str
     segment: Segment
@@ -189,18 +271,32 @@ class FormsInOrder(Claim):
 
 @dataclasses.dataclass(frozen=True)
 class FormsByTable(Claim):
-    """In ``segment`` the balls of ``arms`` (the forming one first), of ``radii`` [m] about their TCPs, form
-    the face ``vertices``, ``faces`` (normals up) of a sheet of ``thickness`` [m] at the level at which the
-    sheet is clamped, from the inside out, as a response table says of the wall at each place.
+    """Two balls form a face at the clamping level of the sheet, from the inside out, by a response table.
 
-    ``side`` is +1 where the forming ball is above that face, -1 below. Its lowest (highest) place is
-    ``projection`` [m] beyond the level z ``start`` [m], all along. Where it is, seen along z, is where it
-    would touch the face, whose wall there tells position angle and gap by ``table``, the text of a CSV file;
-    of all that it allows ``prefer`` takes the small "angle" or the large "gap". Under load the tools give way
-    to each other by ``give`` [m] in the sheet's plane. Loops are ``pitch`` [m] apart, straight moves within
-    ``sag`` [m] of them, and go round the way ``turning``, +1 anticlockwise seen from above. Gap and places
-    hold within ``tolerance`` [m]; the tools are square to the sheet within ``lean`` [rad]. ``metal``: what
-    the sheet is of.
+    The forming ball's lowest (highest) point is ``projection`` beyond the start level all the time. Its
+    position, seen along z, is where it would touch the face, whose wall angle there determines position angle
+    and gap by the table. The tools are square to the sheet.
+
+    Attributes:
+        segment: Segment.
+        arms: Arms, the forming one first.
+        side: +1 if the forming ball is above the face, -1 below.
+        radii: Radii [m] of the balls about their TCPs.
+        vertices: Vertices [m] of the face.
+        faces: Triangles with normals up.
+        start: Start level z [m].
+        end: End level z [m].
+        thickness: Thickness [m] of the sheet.
+        metal: Metal of the sheet.
+        table: Text of a CSV file.
+        prefer: Preferred solution of the table: small "angle" or large "gap".
+        pitch: Distance [m] of the loops.
+        sag: Deviation [m] of straight moves from the loops.
+        projection: Depth [m] of the forming ball's lowest point.
+        give: Deflection [m] of the tools from each other in the sheet's plane under load.
+        turning: Direction of the loops, +1 anticlockwise seen from above.
+        tolerance: Tolerance [m] of gap and positions.
+        lean: Tolerance [rad] of the tools' axes.
     """
 
     segment: Segment
@@ -226,20 +322,40 @@ class FormsByTable(Claim):
 
 @dataclasses.dataclass(frozen=True)
 class FormsPart(Claim):
-    """What an operation is to form, as the problem states it: all that other claims say of its passes has to
-    follow from this.
+    """What an operation has to form, as the problem states it.
 
-    The part is the lower face ``vertices``, ``faces`` (normals up) of a sheet of ``thickness`` [m], in the
-    sheet's frame, whose flat is at z = 0. ``arms`` have tools of ``kinds`` with balls or disks of ``radii``
-    [m] on ``sides`` +1, above, or -1. ``virgin``: inner features first, on the flat sheet; ``order``: the
-    user's own, by number. ``steps``: (stepdown, scallop) [m], one of them given. ``passes`` [rad]: the user's
-    wall angles; None: from ``limit`` on, that of one pass, ``angle_step`` [rad] apart. ``male``: over a die
-    that stands up in the part; ``sinking``: signal of its holder, and by how much [m] a pulse lowers it.
-    ``gouge``, ``gap``, ``handshake`` [m]: tolerances. ``pressed`` [m]: how deep tools may press.
-    ``mesh_tolerance`` [m]: how far the vertices of the part may be off the face that is meant by them.
-    ``unreached`` [m]: how far balls may stay off the part where they do not fit; None: that is only told.
-    ``features``: numbers of those that it forms, None for all. ``hole_margin`` [m]: how far, in plan, what it
-    forms and its tools stay off curves along which the sheet was cut before.
+    All other claims on its passes have to follow from this.
+
+    Attributes:
+        mode: Mode of forming.
+        arms: Arms.
+        sides: Sides of their tools, +1 above, -1 below.
+        kinds: Kinds of their tools.
+        radii: Radii [m] of their balls or disks.
+        vertices: Vertices [m] of the lower face of the part, in the sheet's frame, whose flat is at z = 0.
+        faces: Triangles with normals up.
+        thickness: Thickness [m] of the sheet.
+        virgin: Whether inner features are formed first, on the flat sheet.
+        order: The user's own order, by number, or None.
+        squeeze: Squeeze factor.
+        feed: Feed [m/s].
+        steps: Step-down and scallop [m], one of them given.
+        share: Fraction of the walls that must be formed within tolerance.
+        gouge: Gouge tolerance [m].
+        gap: Gap tolerance [m].
+        handshake: Gap tolerance [m] if two controllers are one step apart.
+        pressed: Depth [m] to which tools may press.
+        passes: The user's wall angles [rad]; None: from ``limit`` on, ``angle_step`` apart.
+        limit: Wall angle [rad] of one pass.
+        angle_step: Wall angle [rad] from pass to pass.
+        repeats: Number of runs of each pass.
+        mesh_tolerance: Maximum deviation [m] of the part's vertices from the intended face.
+        male: Whether a die stands up in the part.
+        sinking: Signal of the die's holder, and the distance [m] by which a pulse lowers it.
+        unreached: Maximum distance [m] of balls from the part where they do not fit; None: only reported.
+        features: Numbers of the features that it forms, None for all.
+        hole_margin: Minimum distance [m] in plan of formed areas and tools from curves along which the sheet
+            was cut before.
     """
 
     mode: str
@@ -279,9 +395,9 @@ CLAIMS: Final[tuple[type[Claim], ...]] = (
     FollowsOpposite,
     SheetState,
     FormingFeed,
-    ToolsLean,
+    LimitsToolTilt,
     SinksHolder,
-    ComesBack,
+    CompensatesSpringback,
     FormsLevel,
     FormsInOrder,
     FormsByTable,

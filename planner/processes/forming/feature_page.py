@@ -7,7 +7,12 @@ from planner.processes.forming.plan.features.tree import FeatureTree, plan_drawi
 
 
 def drawing_page(tree: FeatureTree, title: str) -> str:
-    """One HTML file with both drawings and a table; it needs nothing else."""
+    """Return one self-contained HTML file with both drawings and a table.
+
+    Args:
+        tree: Features of the part.
+        title: Title of the page.
+    """
     from planner.report.markup import CSS
 
     rows = "".join(

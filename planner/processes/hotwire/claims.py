@@ -12,11 +12,19 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 
 @dataclasses.dataclass(frozen=True)
 class WireJoins(Claim):
-    """A wire of constant hot length joins the TCPs of ``arms`` from the mount to the unmount stop.
+    """A wire of constant hot length joins the TCPs of two arms from the mount to the unmount stop.
 
-    ``length`` [m] hot, ``ei_soft``, ``ei_stiff`` [N m^2], ``gj`` [N m^2], ``weight`` [N/m],
-    ``round_section``: whether it may spin. ``max_curvature`` [1/m] by the elastic limit; ``thickness`` [m] in
-    the bending plane; ``end_error`` [m] is what each end may be off in reality.
+    Attributes:
+        arms: Arms at the start and end of the wire.
+        length: Hot length [m].
+        ei_soft: Bending stiffness in the plane in which the wire bends [N m^2].
+        ei_stiff: Bending stiffness across that plane [N m^2].
+        gj: Torsional stiffness [N m^2].
+        weight: Weight per length [N/m].
+        round_section: Whether the section is round, so that the wire may spin.
+        max_curvature: Curvature at the elastic limit [1/m].
+        thickness: Thickness in the bending plane [m].
+        end_error: Possible position error of each end in reality [m].
     """
 
     arms: tuple[str, str]
@@ -37,16 +45,22 @@ class WireJoins(Claim):
 
     @property
     def heated_length(self) -> float:
-        """The length of the bent wire."""
+        """Length of the bent wire [m]."""
         return self.length
 
 
 @dataclasses.dataclass(frozen=True)
 class StraightWire(Claim):
-    """The tool of ``arm`` holds a straight wire from ``start`` to ``end`` (3,) [m, TCP frame] of radius
-    ``radius`` [m]; nothing else of the tool may come near the stock.
+    """The tool of an arm holds a straight wire. Nothing else of the tool may come near the stock.
 
-    Wherever the wire is inside the stock, both its ends are outside by ``margin`` [m] at least.
+    Wherever the wire is inside the stock, both its ends are outside by at least ``margin``.
+
+    Attributes:
+        arm: The arm.
+        start: Start of the wire in the TCP frame (3,) [m].
+        end: End of the wire in the TCP frame (3,) [m].
+        radius: Radius of the wire [m].
+        margin: Distance of its ends from the stock [m].
     """
 
     arm: str
@@ -57,16 +71,21 @@ class StraightWire(Claim):
 
     @property
     def heated_length(self) -> float:
-        """The length of the straight wire."""
+        """Length of the straight wire [m]."""
         return float(np.linalg.norm(self.end - self.start))
 
 
 @dataclasses.dataclass(frozen=True)
 class KerfCurve:
-    """Width of the slot [m] over the speed of the wire across itself [m/s], as a table to be read linearly.
+    """Width of the slot over the speed of the wire across itself, as a table for linear interpolation.
 
-    ``speed`` (K,) ascends; ``width``, ``low`` and ``high`` (K,) are the expected width and its interval.
     Outside the table the nearest end counts.
+
+    Attributes:
+        speed: Speeds in ascending order (K,) [m/s].
+        width: Expected widths (K,) [m].
+        low: Lower ends of the intervals (K,) [m].
+        high: Upper ends of the intervals (K,) [m].
     """
 
     speed: FloatArray
@@ -76,23 +95,26 @@ class KerfCurve:
 
     @staticmethod
     def constant(width: float) -> "KerfCurve":
-        """A slot of one width at every speed, taken as exact."""
+        """Return a slot of one width [m] at every speed, taken as exact."""
         table = np.full(2, float(width))
         return KerfCurve(np.array([0.0, 1.0]), table, table, table)
 
     def at(self, speed: FloatArray) -> FloatArray:
-        """Expected width (...,) [m] at speeds (...,) [m/s]; NaN for NaN."""
+        """Return the expected width (...,) [m] at speeds (...,) [m/s]; NaN for NaN."""
         return np.asarray(np.interp(speed, self.speed, self.width))
 
 
 @dataclasses.dataclass(frozen=True)
 class CutsSurface(Claim):
-    """In ``segment`` the wire, with its kerf, cuts the surface ``vertices``, ``faces`` (stock frame, outward
-    normals away from the part).
+    """In a segment the wire, with its kerf, cuts a surface.
 
-    ``tolerance`` [m] bounds the distance of the cut surface to the wanted one, for the fraction ``share`` of
-    the surface; ``kerf`` tells the slot's width where the wire goes at some speed, half of which lies on the
-    part's side.
+    Attributes:
+        segment: The segment.
+        vertices: Vertices in the stock frame (V, 3) [m].
+        faces: Triangles (F, 3) with outward normals away from the part.
+        kerf: Width of the slot over the speed of the wire. Half of it lies on the part's side.
+        tolerance: Maximum distance of the cut surface from the nominal one [m].
+        fraction: Fraction of the surface for which the tolerance holds.
     """
 
     segment: Segment
@@ -100,17 +122,23 @@ class CutsSurface(Claim):
     faces: IntArray
     kerf: KerfCurve
     tolerance: float
-    share: float = 0.95
+    fraction: float = 0.95
 
 
 @dataclasses.dataclass(frozen=True)
 class FollowsRulings(Claim):
-    """In ``segment`` a straight wire runs along the rulings from ``start`` to ``end`` (M, 3) [m, stock
-    frame].
+    """In a segment a straight wire runs along rulings.
 
-    At every instant, at and between targets, its distance to the two guide lines ``start`` and ``end`` is
-    half the kerf of its speed there, within ``tolerance`` [m]. It passes all of both as near as a slot can
-    come: what a round wire cannot reach, in acute inner corners, may stay ``left`` [m] deep.
+    At every instant, at and between targets, its distance to both guide lines is half the kerf of its speed
+    there, within the tolerance. It passes both lines completely, as closely as a slot can come.
+
+    Attributes:
+        segment: The segment.
+        start: Guide line at the start of the rulings, stock frame (M, 3) [m].
+        end: Guide line at the end of the rulings, stock frame (M, 3) [m].
+        kerf: Width of the slot over the speed of the wire.
+        tolerance: Tolerance of the distance [m].
+        max_left: Depth of foam that may remain where a round wire cannot reach, in acute inner corners [m].
     """
 
     segment: Segment
@@ -118,13 +146,21 @@ class FollowsRulings(Claim):
     end: FloatArray
     kerf: KerfCurve
     tolerance: float
-    left: float = 0.0
+    max_left: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
 class KerfWithin(Claim):
-    """In ``segment`` the slot is between ``lower`` and ``upper`` [m] wide all along the wire inside the
-    part's surface: narrower, a cold wire drags; wider, it burns the foam."""
+    """In a segment the width of the slot is within a range along the wire inside the part's surface.
+
+    In a narrower slot a cold wire drags, in a wider one the wire burns the foam.
+
+    Attributes:
+        segment: The segment.
+        kerf: Width of the slot over the speed of the wire.
+        lower: Minimum width [m].
+        upper: Maximum width [m].
+    """
 
     segment: Segment
     kerf: KerfCurve
@@ -134,10 +170,14 @@ class KerfWithin(Claim):
 
 @dataclasses.dataclass(frozen=True)
 class Contour:
-    """A closed ruled surface of the part: rulings from ``start`` to ``end`` (M, 3) [m, stock frame], none of
-    them twice, ``corner`` (M,) where it has corners; ``hole``: the part lies around it.
+    """A closed ruled surface of the part.
 
-    ``segment`` is the one that cuts it, None where this operation does not.
+    Attributes:
+        segment: Segment that cuts it, None if this operation does not.
+        start: Starts of the rulings in the stock frame, none of them twice (M, 3) [m].
+        end: Ends of the rulings in the stock frame (M, 3) [m].
+        corner: Rulings at corners (M,).
+        hole: Whether the part lies around it.
     """
 
     segment: Segment | None
@@ -149,12 +189,15 @@ class Contour:
 
 @dataclasses.dataclass(frozen=True)
 class SlitsAllowed(Claim):
-    """To a contour that the part lies around, one that is a hole or that lies in one, a straight wire may
-    come through the part, and leaves it the same way.
+    """A straight wire may reach a contour through the part if the part lies around the contour.
 
-    Its slit is one plane from outside of the block ``box`` (2, 3) [m] to the contour, as narrow as the wire
-    melts, and no longer in the part than has to be, in the direction of its `LeadsFrom` where there is one.
-    ``contours`` are all contours of the part.
+    Such a contour is a hole or lies in one. The wire leaves the part in the same plane. The slit is one plane
+    from outside the block to the contour, as narrow as the wire melts, and no longer in the part than
+    necessary, in the direction of its `LeadsFrom` if there is one.
+
+    Attributes:
+        contours: All contours of the part.
+        box: Lower and upper corner of the block (2, 3) [m].
     """
 
     contours: tuple[Contour, ...]
@@ -163,12 +206,17 @@ class SlitsAllowed(Claim):
 
 @dataclasses.dataclass(frozen=True)
 class LeadsFrom(Claim):
-    """To the cut of ``segment`` a straight wire comes straight from where ``way`` (3,) [stock frame] points,
-    seen from where the cut begins, as far as that is across the wire; the slot may be off by ``tolerance``
-    [m]."""
+    """A straight wire reaches the cut of a segment in a straight line from a stated direction.
+
+    Attributes:
+        segment: The segment.
+        direction: Where the wire comes from, seen from the start of the cut, in the stock frame (3,). Its
+            component across the wire counts.
+        tolerance: Allowed deviation of the slot [m].
+    """
 
     segment: Segment
-    way: FloatArray
+    direction: FloatArray
     tolerance: float
 
 

@@ -1,4 +1,4 @@
-"""What hot-wire cuts add to the report: tiles, rows of the setup sheet, charts over time, words for faces."""
+"""Contribution of hot-wire cuts to the report: tiles, setup sheet, charts over time, and terms for faces."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -14,16 +14,21 @@ from planner.problem import Setup
 from planner.processes.hotwire.claims import CutsSurface, FollowsRulings, StraightWire, WireJoins
 from planner.proof.verdict import Proof
 from planner.report import exhibits, markup, scene
-from planner.report.charts import FaceWords, Level, Line, Rulings
-from planner.report.contribution import EdgeSpeed, ProcessMotion, ReportOfProcess, Row, TimeChart
+from planner.report.charts import ChartLine, FaceWords, LimitLine, MapRulings
 from planner.report.markup import Tile
+from planner.report.plugin_contributions import EdgeSpeed, ProcessMotion, ReportOfProcess, SetupRow, TimeChart
 
 WIRE_FACE: Final = FaceWords("wire")
-"""Words for a face that a wire cuts."""
+"""Terms for a face that a wire cuts."""
 
 
 def kerf_range(cuts: Sequence[CutsSurface], windows: Sequence[FeedWindow]) -> str:
-    """Widths [mm] of the slots at the speeds that the feed windows of their segments allow, as text."""
+    """Return the widths [mm] of the slots at the speeds that their feed windows allow, as text.
+
+    Args:
+        cuts: Claims on cuts.
+        windows: Claims on feeds.
+    """
     allowed = {window.segment: (window.lower, window.upper) for window in windows}
     widths = []
     for cut in cuts:
@@ -31,23 +36,33 @@ def kerf_range(cuts: Sequence[CutsSurface], windows: Sequence[FeedWindow]) -> st
         lower, upper = allowed.get(cut.segment, (float(table[0]), float(table[-1])))
         inside = table[(table > lower) & (table < upper)]
         widths.append(cut.kerf.at(np.concatenate([[lower], inside, [upper]])) / MM)
-    return _range(widths)
+    return _range_text(widths)
 
 
-def kerf_shown(
+def displayed_kerf(
     cuts: Sequence[CutsSurface], windows: Sequence[FeedWindow], proof: Proof | None
 ) -> tuple[str, str]:
-    """What the kerf is called, and its range [mm]: of the cut, at the speeds with which the proof saw the
-    wire pass the faces, or without a proof that of the feeds allowed."""
-    passed = {face.segment.key: face.speed for face in (proof.surfaces if proof is not None else ())}
-    speeds = [passed.get(cut.segment.key, np.zeros(0)) for cut in cuts]
+    """Return the name of the kerf and its range [mm] as text.
+
+    With a proof it is the kerf of the cut, at the speeds with which the wire passes the faces. Without a
+    proof it is that of the allowed feeds.
+
+    Args:
+        cuts: Claims on cuts.
+        windows: Claims on feeds.
+        proof: Proof of the programs, or None.
+    """
+    speed_by_segment = {
+        face.segment.key: face.speed for face in (proof.surfaces if proof is not None else ())
+    }
+    speeds = [speed_by_segment.get(cut.segment.key, np.zeros(0)) for cut in cuts]
     widths = [cut.kerf.at(speed[np.isfinite(speed)]) / MM for cut, speed in zip(cuts, speeds, strict=True)]
     if not widths or not all(len(width) for width in widths):
-        return "kerf at the feeds allowed", kerf_range(cuts, windows)
-    return "kerf of the cut", _range(widths)
+        return "kerf at the allowed feeds", kerf_range(cuts, windows)
+    return "kerf of the cut", _range_text(widths)
 
 
-def _range(widths: Sequence[FloatArray]) -> str:
+def _range_text(widths: Sequence[FloatArray]) -> str:
     low, high = min(float(width.min()) for width in widths), max(float(width.max()) for width in widths)
     return f"{low:.3g}" if high - low < 5e-4 else f"{low:.2f}–{high:.2f}"
 
@@ -64,119 +79,127 @@ def _tiles(plan: Plan, proof: Proof | None) -> tuple[Tile, ...]:
     cuts = [c for c in claims if isinstance(c, CutsSurface)]
     if cuts:
         windows = [c for c in claims if isinstance(c, FeedWindow)]
-        out.append(Tile(*kerf_shown(cuts, windows, proof), "mm"))
+        out.append(Tile(*displayed_kerf(cuts, windows, proof), "mm"))
         tolerances = sorted({c.tolerance / MM for c in cuts})
         ends = tolerances[:: max(1, len(tolerances) - 1)]
         out.append(Tile("tolerance", "±" + " – ".join(f"{v:g}" for v in ends), "mm"))
     return tuple(out)
 
 
-def _setup_rows(setup: Setup, plan: Plan, operation: OperationPlan, proof: Proof | None) -> list[Row]:
-    claims, out = operation.targets.claims, list[Row]()
+def _setup_rows(setup: Setup, plan: Plan, operation: OperationPlan, proof: Proof | None) -> list[SetupRow]:
+    claims, out = operation.targets.claims, list[SetupRow]()
     for claim in claims:
         if isinstance(claim, WireJoins):
-            out += _bent_wire(claim) + _mounting(setup, plan, operation, claim)
+            out += _bent_wire_rows(claim) + _mounting_rows(setup, plan, operation, claim)
         elif isinstance(claim, StraightWire):
-            out += _straight_wire(claim)
-    straight = any(isinstance(claim, StraightWire) for claim in claims)
-    if straight and exhibits.setup_items(operation.targets.exhibits):
-        return out  # exhibits of straight wires state speed and kerf
-    return out + _cutting(claims, proof)
+            out += _straight_wire_rows(claim)
+    has_straight_wire = any(isinstance(claim, StraightWire) for claim in claims)
+    if has_straight_wire and exhibits.setup_items(operation.targets.exhibits):
+        return out  # exhibits of straight wires already state speed and kerf
+    return out + _cutting_rows(claims, proof)
 
 
-def _bent_wire(wire: WireJoins) -> list[Row]:
+def _bent_wire_rows(wire: WireJoins) -> list[SetupRow]:
     return [
-        ("hot length between the clamps", f"{markup.fixed(wire.length / MM, 2)} mm"),
-        ("thickness in the bending plane", f"{markup.fixed(wire.thickness / MM, 3)} mm"),
+        ("hot length between the clamps", f"{markup.fixed_decimals(wire.length / MM, 2)} mm"),
+        ("thickness in the bending plane", f"{markup.fixed_decimals(wire.thickness / MM, 3)} mm"),
         ("section", "round, may spin" if wire.round_section else "strip, must not spin"),
-        ("least bend radius", f"{markup.fixed(1.0 / wire.max_curvature / MM, 1)} mm"),
-        ("end error allowed for", f"{markup.fixed(wire.end_error / MM, 2)} mm"),
+        ("minimum bend radius", f"{markup.fixed_decimals(1.0 / wire.max_curvature / MM, 1)} mm"),
+        ("assumed end error", f"{markup.fixed_decimals(wire.end_error / MM, 2)} mm"),
     ]
 
 
-def _straight_wire(wire: StraightWire) -> list[Row]:
+def _straight_wire_rows(wire: StraightWire) -> list[SetupRow]:
     length = wire.heated_length
     return [
         ("bow on", wire.arm),
-        ("straight wire between the clamps", f"{markup.fixed(length / MM, 1)} mm"),
-        ("clamps stay clear of the block by", f"{markup.fixed(wire.margin / MM, 1)} mm"),
+        ("straight wire between the clamps", f"{markup.fixed_decimals(length / MM, 1)} mm"),
+        ("clamps stay clear of the block by", f"{markup.fixed_decimals(wire.margin / MM, 1)} mm"),
     ]
 
 
-def _cutting(claims: Sequence[Claim], proof: Proof | None) -> list[Row]:
-    """Range of speeds in the foam, and of the kerf that they make."""
+def _cutting_rows(claims: Sequence[Claim], proof: Proof | None) -> list[SetupRow]:
+    """Return the range of speeds in the foam and of the resulting kerf."""
     windows = [c for c in claims if isinstance(c, FeedWindow) and c.segment.kind == "cut"]
     cuts = [c for c in claims if isinstance(c, CutsSurface)]
-    out: list[Row] = []
+    out: list[SetupRow] = []
     if windows:
         low, high = min(w.lower for w in windows) / MM, max(w.upper for w in windows) / MM
-        speeds = f"{markup.fixed(low, 1)} to {markup.fixed(high, 1)} mm/s"
+        speeds = f"{markup.fixed_decimals(low, 1)} to {markup.fixed_decimals(high, 1)} mm/s"
         out.append(("speed of the wire in the foam", speeds))
     if cuts:
-        name, width = kerf_shown(cuts, windows, proof)
+        name, width = displayed_kerf(cuts, windows, proof)
         out.append((name, f"{width} mm"))
     return out
 
 
-def _mounting(setup: Setup, plan: Plan, operation: OperationPlan, wire: WireJoins) -> list[Row]:
-    """How the TCPs stand to each other at the first target, where the wire is mounted."""
+def _mounting_rows(setup: Setup, plan: Plan, operation: OperationPlan, wire: WireJoins) -> list[SetupRow]:
+    """Return the relative placement of the TCPs at the first target, where the wire is mounted."""
     arms = [setup.cell.arm(name) for name in wire.arms]
     poses = [scene.flange_poses(arm, plan.bases, operation.q[arm.name][0]) @ arm.tool.tcp for arm in arms]
     gap = poses[1][:3, 3] - poses[0][:3, 3]
     distance = float(np.linalg.norm(gap))
-    out: list[Row] = [
-        ("as planned: distance of the TCPs at the mount", f"{markup.fixed(distance / MM, 2)} mm")
+    out: list[SetupRow] = [
+        ("as planned: distance of the TCPs at the mount", f"{markup.fixed_decimals(distance / MM, 2)} mm")
     ]
     if distance > 1e-6:
         for name, pose in zip(wire.arms, poses, strict=True):
             angle = np.arccos(np.clip(pose[:3, 0] @ gap / distance, -1.0, 1.0)) / DEG
             words = f"as planned: TCP of {name} to the line between them"
-            out.append((words, f"{markup.fixed(float(angle), 2)}°"))
+            out.append((words, f"{markup.fixed_decimals(float(angle), 2)}°"))
     return out
 
 
 def _motion(plan: Plan, series: Mapping[str, Any]) -> ProcessMotion:
-    """Charts of the series of wire n: ``wire/<n>/time``, ``label``, ``feed`` [m/s], ``clearance`` [m],
-    ``curvature`` [1/m] and ``stability`` [-], each (W,). Straight wires have the first three alone."""
+    """Return charts of the series of wire n.
+
+    The series are ``wire/<n>/time``, ``label``, ``feed`` [m/s], ``clearance`` [m], ``curvature`` [1/m] and
+    ``stability`` [-], each (W,). Straight wires only have the first three.
+    """
     claims = [claim for operation in plan.operations for claim in operation.targets.claims]
     limits = [claim.max_curvature for claim in claims if isinstance(claim, WireJoins)]
-    bent = [n for n in _numbers(series, "time") if f"wire/{n}/curvature" in series]
-    clearances, charts = list[Line](), list[TimeChart]()
+    bent = [n for n in _wire_numbers(series, "time") if f"wire/{n}/curvature" in series]
+    clearances, charts = list[ChartLine](), list[TimeChart]()
     for i, n in enumerate(bent):
         time, curvature = np.asarray(series[f"wire/{n}/time"]), series[f"wire/{n}/curvature"]
         if len(time) < 2:
             continue
-        if (clear := series.get(f"wire/{n}/clearance")) is not None:
-            clearances.append(Line("wire", time, np.where(np.asarray(clear) > 0.0, clear, np.nan) / MM, 1))
-        limit = limits[i] if len(bent) == len(limits) else 0.0  # the proof counts wires as claims do
-        top = float(np.nanmax(curvature))
-        lines, levels = (Line("curvature", time, curvature, 4),), (Level(limit, "elastic limit"),)
-        note, span = f"greatest: {markup.number(top, 3)} /m", (0.0, 1.1 * max(top, limit))
-        title = "Greatest curvature of the wire"
+        if (clearance := series.get(f"wire/{n}/clearance")) is not None:
+            clearances.append(
+                ChartLine("wire", time, np.where(np.asarray(clearance) > 0.0, clearance, np.nan) / MM, 1)
+            )
+        limit = limits[i] if len(bent) == len(limits) else 0.0  # wires are numbered as claims
+        max_curvature = float(np.nanmax(curvature))
+        lines, levels = (ChartLine("curvature", time, curvature, 4),), (LimitLine(limit, "elastic limit"),)
+        note, span = f"maximum: {markup.number(max_curvature, 3)} /m", (0.0, 1.1 * max(max_curvature, limit))
+        title = "Maximum curvature of the wire"
         charts.append(TimeChart(title, lines, "1/m", note, levels if limit else (), span))
         if (stability := series.get(f"wire/{n}/stability")) is not None:
-            lines, levels = (Line("least eigenvalue", time, stability, 6),), (Level(0.0, "snaps"),)
+            lines, levels = (
+                (ChartLine("smallest eigenvalue", time, stability, 6),),
+                (LimitLine(0.0, "snaps"),),
+            )
             span = (min(0.0, float(np.nanmin(stability))), 1.1 * float(np.nanmax(stability)) + 1e-9)
-            note = "0 is where it snaps to another shape"
+            note = "at 0 the wire snaps to another shape"
             charts.append(TimeChart("Stability of the wire", lines, "relative", note, levels, span))
     speeds = []
-    for n in _numbers(series, "feed"):
+    for n in _wire_numbers(series, "feed"):
         time, feed = (np.asarray(series[f"wire/{n}/{what}"]) for what in ("time", "feed"))
-        label = [str(one) for one in series[f"wire/{n}/label"]]
+        label = [str(label_value) for label_value in series[f"wire/{n}/label"]]
         speeds.append(EdgeSpeed(time, feed, label, "speed of the wire's fastest point in the block"))
     return ProcessMotion(tuple(speeds), tuple(clearances), charts=tuple(charts))
 
 
-def _numbers(series: Mapping[str, Any], what: str) -> list[int]:
-    """Numbers n of the wires that have ``wire/<n>/<what>``."""
-    found = (re.fullmatch(rf"wire/(\d+)/{what}", name) for name in series)
-    return sorted(int(match.group(1)) for match in found if match)
+def _wire_numbers(series: Mapping[str, Any], what: str) -> list[int]:
+    """Return the numbers n of the wires that have ``wire/<n>/<what>``."""
+    matches = (re.fullmatch(rf"wire/(\d+)/{what}", name) for name in series)
+    return sorted(int(match.group(1)) for match in matches if match)
 
 
-def _rulings(claims: Sequence[Claim]) -> list[tuple[str, Rulings]]:
+def _rulings(claims: Sequence[Claim]) -> list[tuple[str, MapRulings]]:
     words = "laid flat: along the cut to the right, along the wire up; mm"
     ruled = [claim for claim in claims if isinstance(claim, FollowsRulings)]
-    return [(claim.segment.key, Rulings(claim.start, claim.end, words)) for claim in ruled]
+    return [(claim.segment.key, MapRulings(claim.start, claim.end, words)) for claim in ruled]
 
 
 REPORT: Final = ReportOfProcess(

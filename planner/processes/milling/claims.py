@@ -1,4 +1,7 @@
-"""What must hold of a block that a cutter mills, as data, in the stock frame; see ``claims.claim``."""
+"""Claims of milling: what must hold of a block that a cutter mills, as data in the stock frame.
+
+See ``planner.claims.claim`` for what a claim is.
+"""
 
 import dataclasses
 import math
@@ -14,69 +17,87 @@ from planner.geometry.arrays import FloatArray, IntArray
 from planner.tooling import Cutter
 
 MILL: Final = "mill"
-"""The kind of segments in which a cutter mills."""
+"""Kind of the segments in which a cutter mills."""
 
 
 @dataclasses.dataclass(frozen=True)
-class SafeWays:
-    """How a cutter comes to a pass and leaves it: along its own axis, straight, from and to the plane
-    ``level`` [m] across the axis ``across`` of the stock frame, on whose side ``up`` (+1 or -1) the tool
-    moves freely; no faster than ``plunge`` and ``rapid`` [m/s]."""
+class SafeMoves:
+    """Approach to a pass and retreat from it: straight along the tool's own axis, from and to a safe plane.
 
-    across: int
-    up: float
+    Attributes:
+        normal_axis: Index of the stock axis that is normal to the safe plane.
+        free_side: Side of the plane on which the tool moves freely, +1 or -1 along that axis.
+        level: Coordinate of the plane along that axis [m].
+        plunge: Maximum speed down to a pass [m/s].
+        rapid: Maximum speed up from a pass and on the plane [m/s].
+    """
+
+    normal_axis: int
+    free_side: float
     level: float
     plunge: float
     rapid: float
 
-    def tightened(self, allowance: Allowance) -> "SafeWays":
-        """Return the ways with lower feeds."""
-        faster = allowance.faster
+    def tightened(self, allowance: Allowance) -> "SafeMoves":
+        """Return the moves with lower maximum speeds."""
+        faster = allowance.speed_factor
         return dataclasses.replace(self, plunge=self.plunge / faster, rapid=self.rapid / faster)
 
 
-class _Toleranced:
-    """What curves of spline blocks leave of a claim with a tolerance, and perhaps a turn, feeds and ways."""
+class _TolerancedClaim:
+    """Base of claims with a tolerance, and perhaps an angle ``turn``, feeds and safe moves.
+
+    Spline blocks use up part of each.
+    """
 
     on_curves: ClassVar[bool] = True
 
     def tightened(self, allowance: Allowance) -> Any:
-        """Return the claim with less tolerance and turn, and with lower feeds."""
-        less: dict[str, Any] = {}
+        """Return the claim with less tolerance and angle, and with lower feeds."""
+        changes: dict[str, Any] = {}
         for name, value in vars(self).items():
             match name:
                 case "tolerance":
-                    less[name] = value - allowance.at(self._lever())
+                    changes[name] = value - allowance.at(self._reach())
                 case "turn":
-                    less[name] = value - allowance.largest_turn
+                    changes[name] = value - allowance.max_rotation
                 case "feed":
-                    less[name] = value / allowance.faster
+                    changes[name] = value / allowance.speed_factor
                 case "safe" | "back" if value is not None:
-                    less[name] = value.tightened(allowance)
-        return dataclasses.replace(self, **less)  # type: ignore[type-var]
+                    changes[name] = value.tightened(allowance)
+        return dataclasses.replace(self, **changes)  # type: ignore[type-var]
 
     def used_up(self, allowance: Allowance) -> tuple[float, float] | None:
-        """Return deviation and tolerance [m] if nothing is left of the tolerance or of the turn."""
-        shift, allowed = allowance.at(self._lever()), vars(self)["tolerance"]
-        gone = shift >= allowed or allowance.largest_turn >= vars(self).get("turn", math.inf)
-        return (shift, allowed) if gone else None
+        """Return deviation and tolerance [m] if nothing is left of the tolerance or of the angle."""
+        shift, allowed = allowance.at(self._reach()), vars(self)["tolerance"]
+        is_used_up = shift >= allowed or allowance.max_rotation >= vars(self).get("turn", math.inf)
+        return (shift, allowed) if is_used_up else None
 
-    def _lever(self) -> float:
-        """Return how far [m] from the TCP the claim looks: to the end of the flute, if it has a cutter.
+    def _reach(self) -> float:
+        """Return how far [m] from the TCP the claim applies: to the end of the flute, if it has a cutter.
 
-        Holder and spindle behind it keep off the whole block by the clearance, which has its own allowance.
+        Holder and spindle keep their clearance from the whole block, which has its own allowance.
         """
         cutter = vars(self).get("cutter")
         return 0.0 if cutter is None else float(cutter.flute)
 
 
 @dataclasses.dataclass(frozen=True)
-class MillsSurface(_Toleranced, Claim):
-    """In ``segments`` together the ``cutter`` on ``arm``, whose TCP is its tip with z out of the spindle,
-    makes the surface ``vertices``, ``faces`` (normals away from the part).
+class MillsSurface(_TolerancedClaim, Claim):
+    """All ``segments`` together make a surface within a tolerance.
 
-    The swept cutter leaves, or takes too much, ``tolerance`` [m] at most on the share ``share`` of the
-    surface, and nowhere takes more. What is less than ``margin`` [m] inside its edge in plan is not wanted.
+    The swept cutter leaves at most ``tolerance`` on the fraction ``min_fraction`` of the surface. It never
+    cuts deeper than ``tolerance``.
+
+    Attributes:
+        segments: Segments that make the surface together.
+        arm: Arm that carries the cutter. Its TCP is the cutter's tip, with z out of the spindle.
+        cutter: Cutter on the arm.
+        vertices: Vertices of the surface (V, 3) [m].
+        faces: Triangles (T, 3) with normals away from the part.
+        tolerance: Allowed rest or excess cut [m].
+        min_fraction: Fraction of the surface that has to be within the tolerance.
+        margin: Width [m] of the strip along the edge, in plan, that does not have to be made.
     """
 
     segments: tuple[Segment, ...]
@@ -85,19 +106,26 @@ class MillsSurface(_Toleranced, Claim):
     vertices: FloatArray
     faces: IntArray
     tolerance: float
-    share: float
+    min_fraction: float
     margin: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
-class MillsAlong(_Toleranced, Claim):
-    """In ``segment`` the TCP of ``arm``, the tip of its cutter, goes straight from each of ``tip`` (K, 3) [m]
-    to the next within ``tolerance`` [m], with its z axis against ``axis`` (K, 3), from tip to spindle, within
-    ``turn`` [rad]; it passes all of them. On its way to each it is no faster than ``feed`` (K,) [m/s]; the
-    first one counts for nothing. It stands no longer than ``dwell`` [s] at any place.
+class MillsAlong(_TolerancedClaim, Claim):
+    """The TCP of ``arm`` passes the points ``tip`` in order, on straight moves.
 
-    Where the way is that of a file, ``file`` is its name and ``line`` (K,) says where each place stands.
-    ``back``: the same the other way, where nobody says which of the two it is.
+    Attributes:
+        segment: Segment in which it does.
+        arm: Arm that carries the cutter. Its TCP is the cutter's tip.
+        tip: Points (K, 3) [m]; the TCP passes all of them and goes straight from each to the next.
+        axis: Unit vectors from tip to spindle (K, 3), against the z axis of the TCP.
+        feed: Maximum speed on the move to each point (K,) [m/s]. The first value is unused.
+        tolerance: Allowed deviation of the TCP [m].
+        turn: Allowed deviation of the axis [rad].
+        file: Name of the G-code file if the path comes from one.
+        line: Line of the file for each point (K,).
+        dwell: Longest stop at any point [s].
+        back: The same claim in the opposite direction, if the problem leaves the direction open.
     """
 
     segment: Segment
@@ -114,20 +142,28 @@ class MillsAlong(_Toleranced, Claim):
 
     @property
     def longest_stop(self) -> tuple[Segment, float] | None:
-        """The dwell of a G-code file."""
+        """Return the dwell of a G-code file, if it has one."""
         return (self.segment, self.dwell) if self.dwell > 0.0 else None
 
     def uneven_feed(self) -> Segment | None:
-        """Return the segment if its feed changes on the way."""
+        """Return the segment if its feed changes from point to point."""
         return self.segment if len(self.feed) >= 3 and np.ptp(self.feed[1:]) > 0.0 else None
 
 
 @dataclasses.dataclass(frozen=True)
-class SparesPart(_Toleranced, Claim):
-    """In ``segments``, with their ways in and out, no part of the tool of ``arm``, of ``cutter``, holder and
-    spindle, goes into the surface ``vertices``, ``faces`` by more than ``tolerance`` [m]; the cutter itself,
-    where it engraves, ``depth`` [m] deeper. A segment that is the name of a :class:`MillsProgram` stands for
-    all passes of that."""
+class SparesPart(_TolerancedClaim, Claim):
+    """No part of the tool enters a face of the part in ``segments``, approach and retreat included.
+
+    Attributes:
+        segments: Segments in which it holds. The name of a :class:`MillsProgram` stands for all passes of
+            that program.
+        arm: Arm that carries the tool.
+        cutter: Cutter, holder and spindle.
+        vertices: Vertices of the face (V, 3) [m].
+        faces: Triangles (T, 3).
+        depth: Depth [m] that the cutter itself may go deeper, where it engraves.
+        tolerance: Allowed penetration [m].
+    """
 
     segments: tuple[Segment, ...]
     arm: str
@@ -137,17 +173,22 @@ class SparesPart(_Toleranced, Claim):
     depth: float
     tolerance: float
 
-    def _lever(self) -> float:
-        """Return how far [m] from the TCP the claim looks: to the end of the overhang."""
+    def _reach(self) -> float:
+        """Return how far [m] from the TCP the claim applies: to the end of the overhang."""
         return float(self.cutter.overhang)
 
 
 @dataclasses.dataclass(frozen=True)
 class ProgramFile:
-    """A G-code file and what the problem states of it, in the problem's own words and units: mm, degrees,
-    mm/min, 1/min. None is left to the file.
+    """A G-code file and what the problem states about it, in the words and units of the problem file.
 
-    ``xyz_mm``, ``rpy_deg``: the file's frame in the stock's. The other fields are those of the problem file.
+    Units are mm, degrees, mm/min and 1/min. A value of None is left to the file. Fields have the names of the
+    problem file.
+
+    Attributes:
+        path: The file.
+        xyz_mm: Origin of the file's frame in the stock frame [mm].
+        rpy_deg: Orientation of that frame [deg].
     """
 
     path: Path
@@ -175,32 +216,55 @@ class ProgramFile:
 
 
 @dataclasses.dataclass(frozen=True)
-class MillsProgram(_Toleranced, Claim):
-    """In the milling segments ``name``_1, ``name``_2 ... the TCP of ``arm``, the tip of its cutter, makes the
-    cuts of the G-code ``file`` between its rapid moves, one after the other: all of them, in order, within
-    ``tolerance`` [m] and ``turn`` [rad], at the file's own feeds. ``first``: nothing is milled before it.
+class MillsProgram(_TolerancedClaim, Claim):
+    """The TCP of ``arm`` makes all cuts of a G-code file, in order and at the file's own feeds.
 
-    Between the cuts it goes the ways that ``safe`` says. The proof reads the file itself.
+    The cuts between the file's rapid moves are the milling segments ``name``_1, ``name``_2 and so on. Between
+    them the tool moves as ``safe`` states. The proof reads the file itself.
+
+    Attributes:
+        name: Name of the cut.
+        arm: Arm that carries the cutter. Its TCP is the cutter's tip.
+        file: G-code file and what the problem states about it.
+        safe: Moves between the cuts.
+        tolerance: Allowed deviation of the TCP [m].
+        turn: Allowed deviation of the axis [rad].
+        is_first: Whether nothing is milled before it.
     """
 
     name: str
     arm: str
     file: ProgramFile
-    safe: SafeWays
+    safe: SafeMoves
     tolerance: float
     turn: float
-    first: bool
+    is_first: bool
 
 
 @dataclasses.dataclass(frozen=True)
-class Engraves(_Toleranced, Claim):
-    """In the milling segments ``name``_c1, ``name``_c2 ... the ``cutter`` on ``arm`` engraves one curve each,
-    all of it and in its direction, one of a file that is closed until it is where it began: projected along z
-    onto the face ``vertices``, ``faces``, which looks up, and ``depth`` [m] below it along its normal, within
-    ``tolerance`` [m] and ``turn`` [rad], no faster than ``feed`` [m/s].
+class Engraves(_TolerancedClaim, Claim):
+    """The cutter engraves each curve completely, in its direction, in one segment of its own.
 
-    ``axis``: ``normal``, leant forward by ``lead`` and to the left by ``tilt`` [rad]; ``upright``; or
-    ``curves``, through the curves ``axis_curves``, one for each.
+    The segments are ``name``_c1, ``name``_c2 and so on. A closed curve of a file ends where it started.
+    Curves are projected along z onto the face, which faces upwards.
+
+    Attributes:
+        name: Name of the cut.
+        arm: Arm that carries the cutter.
+        cutter: Cutter on the arm.
+        curves: Curves to engrave.
+        vertices: Vertices of the face (V, 3) [m].
+        faces: Triangles (T, 3).
+        depth: Depth below the face along its normal [m].
+        axis: ``normal``, tilted by ``lead`` and ``tilt``; ``upright``; or ``curves``, through
+            ``axis_curves``.
+        axis_curves: Curves through which the axis goes, one for each curve.
+        lead: Tilt of the axis forward along the feed [rad].
+        tilt: Tilt of the axis to the left [rad].
+        feed: Maximum speed [m/s].
+        safe: Moves between the curves.
+        tolerance: Allowed deviation of the TCP [m].
+        turn: Allowed deviation of the axis [rad].
     """
 
     name: str
@@ -215,26 +279,38 @@ class Engraves(_Toleranced, Claim):
     lead: float
     tilt: float
     feed: float
-    safe: SafeWays
+    safe: SafeMoves
     tolerance: float
     turn: float
 
 
 @dataclasses.dataclass(frozen=True)
-class MillsFlank(_Toleranced, Claim):
-    """In each of ``segments`` the side of the cutter on ``arm``, or its axis, passes all of a ruled surface
-    in its own ``direction`` (``along``, ``against``, ``climb``, ``conventional``), once; nothing else of the
-    block is milled.
+class MillsFlank(_TolerancedClaim, Claim):
+    """In each segment the side of the cutter, or its axis, passes all of a ruled surface once.
 
-    Ruling i runs from ``low[i]``, at the tip, to ``high[i]`` (M, 3) [m]; ``out`` times the tangent crossed
-    with the ruling looks to the side of the cutter; a ``closed`` surface goes on from the last ruling to the
-    first. The axis is ``stand`` [m] off both guides, 0 where the guides are the axis's own, and leads or
-    trails on one of them by no more than that; the tip is ``beyond`` [m] beyond the low guide. All but the
-    last segment rough: ``leave`` [m] farther off, each deeper by the same step, ``stepdown`` [m] at most.
+    Nothing else of the block is milled. All segments but the last one rough: each goes deeper by the same
+    step. Approach and retreat continue the surface, straight or with decreasing rotation, for ``lead_length``
+    or until the cutter has left the block, and from there as ``safe`` states.
 
-    Ways in and out go on as the surface ends, straight or turning less and less, for ``lead`` [m], or until
-    the cutter is off the block (None), and from there as ``safe`` says. In the block the tip is no faster
-    than ``feed`` [m/s]. ``tolerance`` [m] and ``turn`` [rad] hold for all of it.
+    Attributes:
+        segments: Passes in order; the last one finishes.
+        arm: Arm that carries the cutter.
+        cutter: Cutter on the arm.
+        low: End of each ruling at the tip (M, 3) [m].
+        high: Other end of each ruling (M, 3) [m].
+        outward_sign: Sign; ``outward_sign`` times tangent x ruling points to the cutter's side.
+        closed: Whether the last ruling is followed by the first one.
+        direction: ``along``, ``against``, ``climb`` or ``conventional``.
+        axis_offset: Distance of the axis from both guides [m]; 0 if the guides are those of the axis itself.
+            The axis leads or trails on one of the guides by no more than that.
+        tip_overrun: Distance of the tip beyond the low guide [m].
+        roughing_allowance: Additional distance of roughing passes [m].
+        stepdown: Maximum depth of a roughing step [m], None without roughing.
+        lead_length: Length of lead-in and lead-out [m], None until the cutter has left the block.
+        feed: Maximum speed of the tip in the block [m/s].
+        safe: Moves to and from the passes.
+        tolerance: Allowed deviation [m], lead-in and lead-out included.
+        turn: Allowed deviation of the axis [rad], lead-in and lead-out included.
     """
 
     segments: tuple[Segment, ...]
@@ -242,29 +318,40 @@ class MillsFlank(_Toleranced, Claim):
     cutter: Cutter
     low: FloatArray
     high: FloatArray
-    out: float
+    outward_sign: float
     closed: bool
     direction: str
-    stand: float
-    beyond: float
-    leave: float
+    axis_offset: float
+    tip_overrun: float
+    roughing_allowance: float
     stepdown: float | None
-    lead: float | None
+    lead_length: float | None
     feed: float
-    safe: SafeWays
+    safe: SafeMoves
     tolerance: float
     turn: float
 
 
 @dataclasses.dataclass(frozen=True)
-class MillsOver(_Toleranced, Claim):
-    """In ``segments`` the end of the ``cutter`` on ``arm`` touches the face ``vertices``, ``faces``, which
-    looks up, within ``tolerance`` [m] at every instant, ``margin`` [m] inside its edge; from there and past
-    it the cutter goes no farther than its radius. Nothing else of the block is milled.
+class MillsOver(_TolerancedClaim, Claim):
+    """The end of the cutter touches a face that faces upwards, at every instant of ``segments``.
 
-    Its axis is no farther than ``lean`` [rad] off the face's normal, or ``upright``, within ``turn`` [rad];
-    where it turns over from line to line its edge may swing up by so much. It comes and goes as
-    ``safe`` says.
+    The contact is at least ``margin`` inside the edge of the face, and the cutter extends at most by its
+    radius from there, also beyond the face. Nothing else of the block is milled. Where the axis turns over
+    from line to line, the cutter's edge may rise by as much as that takes.
+
+    Attributes:
+        segments: Segments in which it holds.
+        arm: Arm that carries the cutter.
+        cutter: Cutter on the arm.
+        vertices: Vertices of the face (V, 3) [m].
+        faces: Triangles (T, 3).
+        margin: Distance of the contact from the edge [m].
+        upright: Whether the axis is vertical instead of near the normal.
+        max_tilt: Maximum angle between axis and normal of the face [rad].
+        safe: Moves to and from the passes.
+        tolerance: Allowed distance from the face [m].
+        turn: Allowed deviation of the axis [rad].
     """
 
     segments: tuple[Segment, ...]
@@ -274,8 +361,8 @@ class MillsOver(_Toleranced, Claim):
     faces: IntArray
     margin: float
     upright: bool
-    lean: float
-    safe: SafeWays
+    max_tilt: float
+    safe: SafeMoves
     tolerance: float
     turn: float
 

@@ -1,4 +1,4 @@
-"""Sentences that milling programs show operators."""
+"""Sentences that milling programs show to operators."""
 
 from typing import Final
 
@@ -8,11 +8,11 @@ BLOCK: Final = Sentence(
     "Block {x_mm:g} x {y_mm:g} x {z_mm:g} mm; {kind} mill of {diameter_mm:g} mm, {rpm:g} 1/min"
 )
 BLOCK_OF_FILE: Final = Sentence("Block {x_mm:g} x {y_mm:g} x {z_mm:g} mm; {kind} mill of {diameter_mm:g} mm")
-"""Where all cuts are files: their questions name the speeds."""
+"""Used if all cuts are files. Their questions state the speeds."""
 BLOCK_READY: Final = Sentence("Block and cutter clamped, nobody in the cell?")
-GO_ON: Final = Sentence("Go on: {asked}?")
-"""Between passes of a file, ``asked`` being one or more of the next three with commas between."""
+CONTINUE: Final = Sentence("Go on: {asked}?")
+"""Question between passes of a file. ``asked`` is a list of the next three sentences, with commas between."""
 FILE_LINE: Final = Sentence("line {line} of the file")
 SPEED: Final = Sentence("spindle at {rpm:.0f} 1/min")
-SPEED_BACK: Final = Sentence("spindle at {rpm:.0f} 1/min counterclockwise (M4)")
-STANDS: Final = Sentence("Spindle stands, take the part out?")
+SPEED_COUNTERCLOCKWISE: Final = Sentence("spindle at {rpm:.0f} 1/min counterclockwise (M4)")
+SPINDLE_STOPPED: Final = Sentence("Spindle stands, take the part out?")

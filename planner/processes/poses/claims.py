@@ -1,4 +1,4 @@
-"""Claims of poses that the user supplies."""
+"""Claims on poses that the user supplies."""
 
 import dataclasses
 from typing import ClassVar, Final
@@ -9,10 +9,15 @@ from planner.geometry.arrays import FloatArray
 
 @dataclasses.dataclass(frozen=True)
 class FollowsPoses(Claim):
-    """The TCP of ``arm`` passes the poses (M, 4, 4) in its work frame ``frame`` in order, up to the free axes
-    ``free``.
+    """The TCP of an arm passes given poses in order.
 
-    ``free`` are twists (6,) in the tool frame along which the pose may differ.
+    Attributes:
+        arm: Name of the arm.
+        frame: Frame of the poses: ``stock`` or ``world``.
+        poses: Poses (M, 4, 4) [m].
+        free: Twists (6,) in the tool frame along which a pose may differ.
+        position_tol: Allowed distance [m].
+        angle_tol: Allowed angle [rad].
     """
 
     on_curves: ClassVar[bool] = True
@@ -26,27 +31,42 @@ class FollowsPoses(Claim):
 
 
 @dataclasses.dataclass(frozen=True)
-class FreeAxis:
-    """What a user leaves open about poses: a turn about, or a slide along, the ``axis`` x, y or z (0, 1, 2)
-    of the pose, from ``lower`` to ``upper`` [rad or m]. ``arms`` that are named share its value."""
+class FreeAxisRange:
+    """A freedom of poses: rotation about, or translation along, an axis of the pose.
+
+    Attributes:
+        arms: Arms that have it; several arms share its value.
+        axis: x, y or z (0, 1, 2).
+        is_rotation: Whether it is a rotation.
+        lower: Lower bound [rad or m].
+        upper: Upper bound [rad or m].
+    """
 
     arms: tuple[str, ...]
     axis: int
-    turns: bool
+    is_rotation: bool
     lower: float
     upper: float
 
 
 @dataclasses.dataclass(frozen=True)
 class FollowsTable(Claim):
-    """The TCPs of ``arms`` pass the poses of the table that ``operation`` names, in order and in ``frame``,
-    but for what is ``free``, the later axes after the earlier ones.
+    """The TCPs of arms pass the poses of a table in order, up to free axes.
 
-    Each pose holds within ``position_tol`` [m] and ``angle_tol`` [rad]. From each pose to the next the TCPs
-    take so long that the farthest one moves no faster than the row's feed, or ``feed`` [m/s] where it has
-    none; and no slower than the row's least feed, or ``feed_min`` [m/s], 0 for none. From and to stops, and
-    where the least feed begins and ends, they come up to it over ``run_up`` [m]; stops are those of the table
-    alone.
+    From each pose to the next the farthest TCP moves no faster than the feed and no slower than the minimum
+    feed. From and to stops, and where the minimum feed starts and ends, the TCPs reach it over ``run_up``.
+    Stops are only those of the table.
+
+    Attributes:
+        operation: Name of the operation, whose file has the table.
+        arms: Names of the arms.
+        frame: Frame of the poses: ``stock`` or ``world``.
+        free: Free axes; later ones act after earlier ones.
+        position_tol: Allowed distance [m].
+        angle_tol: Allowed angle [rad].
+        feed: Feed of rows without their own [m/s].
+        feed_min: Minimum feed of rows without their own [m/s], 0 for none.
+        run_up: Length over which the TCPs accelerate to the minimum feed [m].
     """
 
     on_curves: ClassVar[bool] = True
@@ -54,7 +74,7 @@ class FollowsTable(Claim):
     operation: str
     arms: tuple[str, ...]
     frame: str
-    free: tuple[FreeAxis, ...]
+    free: tuple[FreeAxisRange, ...]
     position_tol: float
     angle_tol: float
     feed: float | None
@@ -63,4 +83,4 @@ class FollowsTable(Claim):
 
 
 CLAIMS: Final[tuple[type[Claim], ...]] = (FollowsPoses, FollowsTable)
-"""Kinds of claims of supplied poses."""
+"""Kinds of claims on supplied poses."""

@@ -1,5 +1,7 @@
-"""What must hold of curves that are cut out of a sheet, as data, in the sheet's frame; see
-``claims.claim``."""
+"""Claims of trimming: what must hold of curves that are cut out of a sheet, as data in the sheet's frame.
+
+See ``planner.claims.claim`` for what a claim is.
+"""
 
 import dataclasses
 from pathlib import Path
@@ -12,25 +14,33 @@ from planner.tooling import Blade, Cutter, Torch
 
 @dataclasses.dataclass(frozen=True)
 class TrimOutline:
-    """A closed curve as the problem has it, ``drawn`` or a circle of ``middle`` (2,) and ``diameter`` [mm],
-    whose ``inside`` drops, or what is outside. ``joints`` pieces of metal, ``width`` [m] across, stay in its
-    slot.
+    """A closed curve as the problem states it: a drawn curve or a circle.
 
-    Where what is ``drawn`` stands for all curves of a file, each is an outline of its own, with numbers
-    behind the name."""
+    If the drawn curve stands for all curves of a file, each of them is an outline with a number after the
+    name.
+
+    Attributes:
+        name: Name of the outline.
+        drawn: Curve, None for a circle.
+        centre: Centre of the circle (2,) [mm].
+        diameter: Diameter of the circle [mm].
+        drops_inside: Whether what is inside drops, or what is outside.
+        joints: Number of micro-joints that stay in the slot.
+        width: Width of a micro-joint [m].
+    """
 
     name: str
     drawn: DrawnCurve | None
-    middle: tuple[float, float]
+    centre: tuple[float, float]
     diameter: float
-    inside: bool
+    drops_inside: bool
     joints: int
     width: float
 
 
 @dataclasses.dataclass(frozen=True)
 class SurfaceFile:
-    """A mesh of the sheet as it is, in the problem's own words: as ``part.sheet_mesh`` of a problem file."""
+    """A mesh of the sheet as it is, in the problem's words, like ``part.sheet_mesh`` of a problem file."""
 
     file: Path
     unit: str | None
@@ -42,42 +52,57 @@ class SurfaceFile:
 
 @dataclasses.dataclass(frozen=True)
 class TrimCutter:
-    """A mill that goes through the sheet, square to it: ``cutter``, whose tip is ``below`` [m] lower than a
-    sheet of its whole thickness.
+    """A mill that goes through the sheet, normal to it.
 
-    It comes down, not turned, to ``start`` [m] over the face, far enough off all curves, and from there into
-    the waste, where ``ramp`` on its way in, else straight, along its axis no faster than ``plunge`` [m/s].
-    Its spindle has been on for ``spin_up`` [s] then, and is until it is ``start`` over the face again.
+    It comes down without rotation to ``start_height`` above the face, at a sufficient distance from all
+    curves. From there it goes into the waste.
+
+    Attributes:
+        cutter: The cutter.
+        depth_below: Depth of its tip below a sheet of full thickness [m].
+        start_height: Height above the face from which it plunges [m].
+        is_ramp: Whether it goes down along its lead-in, or else straight.
+        plunge: Maximum speed along its axis [m/s].
+        spin_up: How long its spindle has been on before [s]. It stays on until the tip is ``start_height``
+            above the face again.
     """
 
     cutter: Cutter
-    below: float
-    start: float
-    ramp: bool
+    depth_below: float
+    start_height: float
+    is_ramp: bool
     plunge: float
     spin_up: float
 
 
 @dataclasses.dataclass(frozen=True)
 class TrimBlade:
-    """A knife that goes through the sheet, square to it: ``blade``, whose tip is ``below`` [m] lower than a
-    sheet of its whole thickness, in a body of radius ``body`` [m] that goes on to ``back`` [m] behind the
-    tip.
+    """A knife that goes through the sheet, normal to it.
 
-    Wherever it is in the sheet it stands along the curve within ``heading`` [rad], its edge ahead. It comes
-    down, not turned, to ``start`` [m] over the face, and from there on the curve along its axis no faster
-    than ``plunge`` [m/s]; so it comes out again. Corners of the curve sharper than ``turns`` [rad] it does
-    not go round in the sheet. Past one it cuts into the part by ``overcut`` [m] at most. Its drive, if it
-    has one, has been on for ``spin_up`` [s] then.
+    While it is in the sheet, it is aligned with the curve, its edge ahead. It comes down without rotation
+    to ``start_height`` above the face, and from there onto the curve along its axis. It leaves the sheet in
+    the same way.
+
+    Attributes:
+        blade: The blade.
+        body: Radius of the knife's body [m].
+        back: End of the body behind the tip [m].
+        depth_below: Depth of its tip below a sheet of full thickness [m].
+        start_height: Height above the face from which it plunges [m].
+        heading_tolerance: Allowed angle between blade and curve [rad].
+        max_corner: Maximum angle of a corner that it passes inside the sheet [rad].
+        overcut: Maximum cut into the part past a sharper corner [m].
+        plunge: Maximum speed along its axis [m/s].
+        spin_up: How long its drive, if it has one, has been on before [s].
     """
 
     blade: Blade
     body: float
     back: float
-    below: float
-    start: float
-    heading: float
-    turns: float
+    depth_below: float
+    start_height: float
+    heading_tolerance: float
+    max_corner: float
     overcut: float
     plunge: float
     spin_up: float
@@ -85,32 +110,49 @@ class TrimBlade:
 
 @dataclasses.dataclass(frozen=True)
 class TrimsSheet(Claim):
-    """In trimming segments ``torch``, the mill ``mill`` or the knife ``knife`` on ``arm`` cuts all of
-    ``outlines``, laid along z
-    on one face of the formed sheet, each closed but for its joints, inner ones before outer ones.
+    """In trimming segments the tool cuts all outlines on one face of the formed sheet.
 
-    The face is the upper one (``side`` +1) or the lower one of the part of the problem, or of the mesh
-    ``surface``; ``thickness`` [m] is the flat sheet's. The proof reads part and curves itself. ``rough`` [m]
-    is how far the vertices of the mesh are said to be off the face, at most as far as the proof finds them.
+    Inner outlines are cut before outer ones. Outlines are projected along z. Each slot is closed but for its
+    joints. The slot lies in the waste, with its edge on the curve. That of a knife has no width and lies on
+    the curve. The TCP of a torch is on the face, and where it leads in no higher than ``pierce_height``
+    allows. The TCP of other tools is at its required depth.
 
-    The slot, ``kerf`` [m] wide, lies in the waste, its edge on the curve within ``tolerance`` [m]; a knife's
-    has no width, and lies on the curve. The TCP of
-    a torch is on the face within ``height`` [m], and where it leads in no higher than the nozzle's
-    ``pierce_height`` [m] says; of others it is as deep as wanted within that. The tool leans no farther than
-    ``cone`` [rad] off the normal, and no part of it, but for what cuts of a mill or a knife, is nearer to the
-    sheet than ``clear`` [m]. It goes at ``feed`` [m/s] over the cosine of the wall's angle, at ``feed_most``
-    at most and, but for a knife, at the share ``least_feed`` of that on average.
+    A torch is switched on only in trimming segments, at rest in the waste. Then the program waits for the
+    input ``ok_signal``, if there is one, and for ``pierce_seconds``. The proof reads part and curves itself.
 
-    The output ``signal`` of a torch is on in trimming segments alone, and goes on at rest in the waste,
-    ``pierce_off`` [m] off all curves, as far as a mill goes into the sheet; then the program waits for the
-    input ``ok_signal``, if there is one, ``timeout`` [s] at most, and ``pierce_seconds`` [s] more. A knife
-    that is dragged has none: it is empty.
+    Attributes:
+        arm: Arm that carries the tool.
+        side: +1 for the upper face, -1 for the lower one.
+        thickness: Thickness of the flat sheet [m].
+        surface_error: Stated deviation of the vertices of the mesh from the face [m], at most what the proof
+            finds.
+        surface: Mesh of the sheet, None for the part of the problem.
+        outlines: Outlines to cut.
+        kerf: Width of the slot [m].
+        torch: Torch, if one cuts.
+        mill: Mill, if one cuts.
+        knife: Knife, if one cuts.
+        tolerance: Allowed distance of the slot's edge from the curve [m].
+        height_tolerance: Allowed deviation of the TCP along the normal [m].
+        cone: Maximum angle between tool and normal [rad].
+        clearance: Minimum distance to the sheet of all that does not cut [m].
+        feed: Feed in the flat sheet [m/s]; on a wall it is divided by the cosine of the wall angle.
+        max_feed: Maximum feed [m/s].
+        min_feed_fraction: Minimum average feed as a fraction of the required one. It does not apply to a
+            knife.
+        signal: Output that switches the tool, empty for a knife that is dragged.
+        ok_signal: Input that reports the arc, if there is one.
+        timeout: Maximum wait for it [s].
+        pierce_height: Height of the nozzle where the torch pierces [m].
+        pierce_seconds: Wait after that [s].
+        pierce_distance: Minimum distance from all curves where the torch pierces or the mill goes into the
+            sheet [m].
     """
 
     arm: str
     side: int
     thickness: float
-    rough: float
+    surface_error: float
     surface: SurfaceFile | None
     outlines: tuple[TrimOutline, ...]
     kerf: float
@@ -118,44 +160,51 @@ class TrimsSheet(Claim):
     mill: TrimCutter | None
     knife: TrimBlade | None
     tolerance: float
-    height: float
+    height_tolerance: float
     cone: float
-    clear: float
+    clearance: float
     feed: float
-    feed_most: float
-    least_feed: float
+    max_feed: float
+    min_feed_fraction: float
     signal: str
     ok_signal: str | None
     timeout: float
     pierce_height: float
     pierce_seconds: float
-    pierce_off: float
+    pierce_distance: float
 
     def power(self) -> Power | None:
         """Return the output of the torch or of the drive, None for a knife that is dragged."""
         return Power(self.signal, burns=self.torch is not None) if self.signal else None
 
     @property
-    def through(self) -> TrimCutter | TrimBlade | None:
-        """What goes through the sheet, if that is not a torch."""
+    def through_tool(self) -> TrimCutter | TrimBlade | None:
+        """The mill or knife that goes through the sheet, None for a torch."""
         return self.knife if self.mill is None else self.mill
 
     @property
     def spindle_rule(self) -> tuple[str, str]:
-        """``verify.trim_spindle`` judges the spindle of a mill that trims."""
+        """The arm whose spindle ``verify.trim_spindle`` judges, and the kind of segments."""
         return self.arm, "trim"
 
 
-MOST_STRETCHES: Final = 200
-"""A knife is lifted so often on one curve at most."""
+MAX_STRETCHES: Final = 200
+"""Maximum number of times that a knife is lifted on one curve."""
 
 
-def slot_names(claim: TrimsSheet, one: TrimOutline) -> tuple[str, ...]:
-    """Names of the slots of an outline: its own, or a number for each between two joints. Those that a knife
-    may have, which is lifted as often as it must: its own alone where it is never lifted."""
-    count = MOST_STRETCHES if claim.knife is not None else one.joints
-    numbers = tuple(f"{one.name}_p{k + 1}" for k in range(count))
-    return (one.name, *numbers) if claim.knife is not None else numbers or (one.name,)
+def slot_names(claim: TrimsSheet, outline: TrimOutline) -> tuple[str, ...]:
+    """Return the names that the slots of an outline may have.
+
+    They are its own name, or a number for each slot between two joints. A knife is lifted as often as
+    necessary, so all numbers are possible. Its slot has the outline's own name if it is never lifted.
+
+    Args:
+        claim: Claim on the sheet.
+        outline: Outline.
+    """
+    count = MAX_STRETCHES if claim.knife is not None else outline.joints
+    numbers = tuple(f"{outline.name}_p{k + 1}" for k in range(count))
+    return (outline.name, *numbers) if claim.knife is not None else numbers or (outline.name,)
 
 
 CLAIMS: Final[tuple[type[Claim], ...]] = (TrimsSheet,)

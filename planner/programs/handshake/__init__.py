@@ -1,1 +1,1 @@
-"""Handshake between two controllers as their programs perform it."""
+"""Handshake between two controllers as their programs execute it."""

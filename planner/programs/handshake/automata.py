@@ -1,16 +1,16 @@
-"""What two programs do with the wires between their controllers, as automata, from the steps of their texts.
+"""Converts programs to automata: what two programs do with the wires between their controllers.
 
-Meetings are counted by what a program says, not by what the cell calls a meeting: its own output rises
-(four-phase) or changes (toggle). What stands between two meetings is an interval. If a text counts otherwise
-than its partner, or does something with a wire that has no part in the automata, that is a fault.
+Meetings are counted by the program text, not by the cell's definition: the program's own output rises
+(four-phase) or changes (toggle). An interval is what happens between two meetings. A text that counts
+differently from its partner, or uses a wire in a way that the automata do not model, is a fault.
 """
 
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 
 from planner.claims.handshake import HandshakeKind, SignalWire
-from planner.programs.handshake.model import Action, Levels
-from planner.programs.handshake.moves import SLOW
+from planner.programs.handshake.model import AutomatonAction, Levels
+from planner.programs.handshake.wire_operations import MIN_SETTLING_TIME_S
 from planner.programs.steps import (
     CarryStep,
     CheckStep,
@@ -18,40 +18,54 @@ from planner.programs.steps import (
     LoadStep,
     MessageStep,
     MoveStep,
+    ProgramStep,
     RunningStep,
     SettingStep,
     SignalStep,
-    Step,
     SyncStep,
     WaitStep,
     WatchStep,
-    letters,
+    normalised_text,
 )
 
-Sections = Mapping[tuple[str, str], tuple[Step, ...]]
+Sections = Mapping[tuple[str, str], tuple[ProgramStep, ...]]
 _READY_TEXT = "readytomeetarm"
-"""Letters of the message that a program which follows shows before the two meet."""
+"""Letters of the message that a following program shows before the two meet."""
 _START_TEXT = "starttheprogramofarm"
 """Letters of the message that asks to start it."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Wiring:
-    """Wires by number: those that an arm's outputs drive and those that its inputs read, by lower-case name;
-    a name that has several wires is in ``doubled``. ``running``: wires that say that a controller runs, with
-    the outputs that ``tells`` and the inputs that ``watches`` name, by arm, in lower case."""
+    """Wires between two controllers, by number. Names of signals are in lower case.
+
+    Attributes:
+        wires: The wires.
+        drives: Wires that an arm's outputs drive, by arm and name.
+        reads: Wires that an arm's inputs read, by arm and name.
+        doubled: Names that have several wires.
+        running: Running wires, which say that a controller runs.
+        running_outputs: Outputs to running wires, by arm.
+        running_inputs: Inputs from running wires, by arm.
+    """
 
     wires: tuple[SignalWire, ...]
     drives: Mapping[str, Mapping[str, int]]
     reads: Mapping[str, Mapping[str, int]]
     doubled: tuple[str, ...]
     running: tuple[SignalWire, ...] = ()
-    tells: Mapping[str, frozenset[str]] = dataclasses.field(default_factory=dict)
-    watches: Mapping[str, frozenset[str]] = dataclasses.field(default_factory=dict)
+    running_outputs: Mapping[str, frozenset[str]] = dataclasses.field(default_factory=dict)
+    running_inputs: Mapping[str, frozenset[str]] = dataclasses.field(default_factory=dict)
 
     @staticmethod
     def of(wires: Sequence[SignalWire], arms: Sequence[str], running: Sequence[SignalWire] = ()) -> "Wiring":
-        """The wiring of the controllers of ``arms``."""
+        """Return the wiring of controllers.
+
+        Args:
+            wires: Wires of the handshake.
+            arms: Names of the arms.
+            running: Running wires.
+        """
         drives: dict[str, dict[str, int]] = {arm: {} for arm in arms}
         reads: dict[str, dict[str, int]] = {arm: {} for arm in arms}
         doubled, used = [], set()
@@ -69,98 +83,141 @@ class Wiring:
 
 
 @dataclasses.dataclass(frozen=True)
-class Reading:
-    """One program: its ``actions`` (their ``line`` is an index into its steps), the ``interval`` that each
-    step belongs to, whether a step is part of the ``protocol``, and faults as (message, step)."""
+class ProgramAutomaton:
+    """Automaton of one program.
 
-    actions: tuple[Action, ...]
+    Attributes:
+        actions: Its actions; their ``line`` is an index into the steps of the program.
+        interval: Interval of each step.
+        protocol: Whether each step is part of the protocol.
+        faults: Faults as (message, step).
+    """
+
+    actions: tuple[AutomatonAction, ...]
     interval: tuple[int, ...]
     protocol: tuple[bool, ...]
-    faults: tuple[tuple[str, Step], ...]
+    faults: tuple[tuple[str, ProgramStep], ...]
 
 
-def read(
+def program_automata(
     arms: Sequence[str],
-    steps: Mapping[str, Sequence[Step]],
+    steps: Mapping[str, Sequence[ProgramStep]],
     sections: Mapping[str, Sequence[Sections]],
     wiring: Wiring,
     kind: HandshakeKind,
-    longest: float,
-) -> dict[str, Reading]:
-    """The programs of ``arms``. ``sections``: for each arm the ERROR and the UNDO sections by (module,
-    procedure). ``longest`` [s]: how long a program may wait until it sees the other one stand.
+    max_stop_wait: float,
+) -> dict[str, ProgramAutomaton]:
+    """Return the automata of the programs.
 
-    A program that is started because the other one's panel says so begins with a gate.
+    A program that is started because the other one's panel asks for it starts with a gate.
+
+    Args:
+        arms: Names of the arms.
+        steps: Steps of each program.
+        sections: ERROR and UNDO sections of each program by (module, procedure).
+        wiring: Wires between the controllers.
+        kind: Kind of handshake.
+        max_stop_wait: Maximum time for which a program may wait until the other one is stopped [s].
     """
     readers = {
-        arm: _Reader(arm, steps[arm], sections[arm], wiring, kind, _asked(arm, steps, arms), longest)
+        arm: _AutomatonBuilder(
+            _ArmProgram(arm, steps[arm], sections[arm]),
+            wiring,
+            kind,
+            _ready_question(arm, steps, arms),
+            max_stop_wait,
+        )
         for arm in arms
     }
     for reader in readers.values():
         reader.run()
-    calls = {arm: _of(arm, arms, {name: readers[name].starts for name in arms}) for arm in arms}
+    start_calls = {
+        arm: _position_naming(arm, arms, {name: readers[name].starts for name in arms}) for arm in arms
+    }
     out = {}
     for arm, reader in readers.items():
-        ahead = sum(call is not None for name, call in calls.items() if name != arm)
-        ready = _of(arm, arms, {name: readers[name].ready for name in arms})
-        place = 0 if ready is None else ready + ahead
+        offset = sum(call is not None for name, call in start_calls.items() if name != arm)
+        ready = _position_naming(arm, arms, {name: readers[name].ready for name in arms})
+        gate_position = 0 if ready is None else ready + offset
         actions = [
-            dataclasses.replace(action, value=place) if action.kind == "gate" else action
+            dataclasses.replace(action, value=gate_position) if action.kind == "gate" else action
             for action in reader.actions
         ]
-        call = calls[arm]
+        call = start_calls[arm]
         if call is not None:
-            actions.insert(0, Action("gate", 0, call + ahead))
-        out[arm] = Reading(
+            actions.insert(0, AutomatonAction("gate", 0, call + offset))
+        out[arm] = ProgramAutomaton(
             tuple(actions), tuple(reader.interval), tuple(reader.protocol), tuple(reader.faults)
         )
     return out
 
 
-def touches(arm: str, steps: Iterable[Step], sections: Sequence[Sections], wiring: Wiring) -> bool:
-    """Whether a program has to do with the wires between two controllers, or with the start of the other
-    one."""
-    seen = wiring.tells.get(arm, frozenset()) | wiring.watches.get(arm, frozenset())
+def uses_wires(arm: str, steps: Iterable[ProgramStep], sections: Sequence[Sections], wiring: Wiring) -> bool:
+    """Return whether a program uses the wires between two controllers, or starts the other program.
+
+    Args:
+        arm: Name of the arm.
+        steps: Steps of the program.
+        sections: Its ERROR and UNDO sections.
+        wiring: Wires between the controllers.
+    """
+    seen = wiring.running_outputs.get(arm, frozenset()) | wiring.running_inputs.get(arm, frozenset())
     names = {*wiring.drives[arm], *wiring.reads[arm], *seen}
     handlers = (step for table in sections for part in table.values() for step in part)
-    for step in _all((*steps, *handlers)):
+    for step in _all_steps((*steps, *handlers)):
         match step:
             case RunningStep() | WatchStep() | CheckStep():
                 return True
             case SignalStep() | WaitStep() if step.signal.lower() in names:
                 return True
-            case MessageStep() if _READY_TEXT in letters(step.text) or _START_TEXT in letters(step.text):
+            case MessageStep() if _READY_TEXT in normalised_text(step.text) or _START_TEXT in normalised_text(
+                step.text
+            ):
                 return True
     return False
 
 
-def lets_fall(step: MessageStep) -> bool:
-    """Whether a program counts as standing while it shows something."""
-    return step.kind == "HALT" or step.stands
+def counts_as_stopped(step: MessageStep) -> bool:
+    """Return whether a program counts as stopped while it shows a message."""
+    return step.kind == "HALT" or step.counts_as_stopped
 
 
-def _of(arm: str, arms: Sequence[str], places: Mapping[str, Mapping[str, int]]) -> int | None:
-    """The place at which another program's panel speaks of an arm, None where none does."""
-    found = [places[name][letters(arm)] for name in arms if name != arm and letters(arm) in places[name]]
-    return found[0] if found else None
+def _position_naming(arm: str, arms: Sequence[str], positions: Mapping[str, Mapping[str, int]]) -> int | None:
+    """Position at which another program's panel names an arm, or None."""
+    matches = [
+        positions[name][normalised_text(arm)]
+        for name in arms
+        if name != arm and normalised_text(arm) in positions[name]
+    ]
+    return matches[0] if matches else None
 
 
-def _asked(arm: str, steps: Mapping[str, Sequence[Step]], arms: Sequence[str]) -> int | None:
-    """The step at which a program asks whether the other one's panel says that it is ready to meet this arm,
-    None where it does not, or where the other one's panel never says so."""
-    sentence = _READY_TEXT + letters(arm)
-    told = any(
-        sentence in _told(steps[other], i) for other in arms if other != arm for i in _first(steps[other])
+def _ready_question(arm: str, steps: Mapping[str, Sequence[ProgramStep]], arms: Sequence[str]) -> int | None:
+    """Step at which a program asks whether the other panel says that it is ready to meet this arm.
+
+    None if it does not ask, or if the other panel never says so.
+    """
+    sentence = _READY_TEXT + normalised_text(arm)
+    is_shown = any(
+        sentence in _panel_lines(steps[other], i)
+        for other in arms
+        if other != arm
+        for i in _messages_before_moves(steps[other])
     )
     for i, step in enumerate(steps[arm]):
         if isinstance(step, MoveStep):
             break
-        if isinstance(step, MessageStep) and step.certain and sentence in letters(step.text) and told:
+        if (
+            isinstance(step, MessageStep)
+            and step.certain
+            and sentence in normalised_text(step.text)
+            and is_shown
+        ):
             return i
     return None
 
 
-def _first(steps: Sequence[Step]) -> Iterable[int]:
+def _messages_before_moves(steps: Sequence[ProgramStep]) -> Iterable[int]:
     """Indices of the messages before the first move."""
     for i, step in enumerate(steps):
         if isinstance(step, MoveStep):
@@ -169,130 +226,149 @@ def _first(steps: Sequence[Step]) -> Iterable[int]:
             yield i
 
 
-def _told(steps: Sequence[Step], at: int) -> str:
-    """What the panel's lines that end with the message ``at`` say in a row."""
+def _panel_lines(steps: Sequence[ProgramStep], last: int) -> str:
+    """Letters of the consecutive panel lines that end with message ``last``."""
     text = ""
-    while at >= 0:
-        step = steps[at]
+    while last >= 0:
+        step = steps[last]
         if not isinstance(step, MessageStep) or step.panel != "line":
             break
-        text, at = letters(step.text) + text, at - 1
+        text, last = normalised_text(step.text) + text, last - 1
     return text
 
 
-class _Reader:
+@dataclasses.dataclass(frozen=True)
+class _ArmProgram:
+    """Program of one arm.
+
+    Attributes:
+        arm: Name of the arm.
+        steps: Its steps.
+        sections: Its ERROR and UNDO sections by (module, procedure).
+    """
+
+    arm: str
+    steps: Sequence[ProgramStep]
+    sections: Sequence[Sections]
+
+
+class _AutomatonBuilder:
     def __init__(
         self,
-        arm: str,
-        steps: Sequence[Step],
-        sections: Sequence[Sections],
+        program: _ArmProgram,
         wiring: Wiring,
         kind: HandshakeKind,
         gate: int | None,
-        longest: float,
+        max_stop_wait: float,
     ) -> None:
-        self.steps = steps
+        arm = program.arm
+        self.steps = program.steps
         self.drives, self.reads = wiring.drives[arm], wiring.reads[arm]
-        self.tells, self.watches = wiring.tells.get(arm, ()), wiring.watches.get(arm, ())
-        self.longest = longest
+        self.running_outputs, self.running_inputs = (
+            wiring.running_outputs.get(arm, ()),
+            wiring.running_inputs.get(arm, ()),
+        )
+        self.max_stop_wait = max_stop_wait
         self.kind = kind
         self.gate = gate
-        self.actions: list[Action] = []
+        self.actions: list[AutomatonAction] = []
         self.interval: list[int] = []
         self.protocol: list[bool] = []
-        self.faults: list[tuple[str, Step]] = []
+        self.faults: list[tuple[str, ProgramStep]] = []
         self.ready: dict[str, int] = {}
-        """Places at which the panel says so, by the letters of the arm that is to be met."""
+        """Positions at which the panel is ready for a meeting, by the letters of the other arm's name."""
         self.starts: dict[str, int] = {}
-        """Places at which the panel says that another program is to be started, by the letters of its arm."""
-        self.left = 0
-        """Sets and waits of a meeting that the last look at the other one's running wire still stands for."""
-        self.limit: float | None = None
-        """Time limit of that look [s]."""
-        self.sections = sections
+        """Positions at which the panel asks to start another program, by the letters of its arm's name."""
+        self.covered = 0
+        """Remaining sets and waits of a meeting that the last check of the other running wire covers."""
+        self.check_timeout: float | None = None
+        """Timeout of that check [s]."""
+        self.sections = program.sections
         self.resets: dict[tuple[str, str], Levels] = {}
         self.levels: dict[int, int] = {}
         self.count = 0
         self.last: MoveStep | None = None
         self.working: int | None = None
-        self.low = False
-        """Whether the program holds its own running wire at 0."""
+        self.holds_low = False
+        """Whether the program holds its running wire at 0."""
         self.uncleared = False
-        """Whether the running wire rose at the start and no wait has seen the other one's line at 0 since."""
-        self.asked = False
-        """Whether the operator was asked anything: that no earlier run goes on."""
+        """Whether the running wire rose at the start and no wait has seen the other line at 0 since then."""
+        self.operator_asked = False
+        """Whether the operator was asked anything, such as whether an earlier run is still active."""
 
     def run(self) -> None:
         for i, step in enumerate(self.steps):
             self.protocol.append(self._step(i, step))
             self.interval.append(self.count)
         if self.count and self.last is not None:
-            what = "the arm is still at work when the other program may have come to its end, which stops it"
-            self._fault(f"{what}; let both meet once more behind it", self.last)
-        self._rest()
+            what = "the arm still works when the other program may have ended, which stops this one"
+            self._fault(f"{what}; add a meeting after the work", self.last)
+        self._end_work()
 
     # ---- steps ----
 
-    def _step(self, i: int, step: Step) -> bool:
-        """Take one step; whether it is part of the protocol."""
+    def _step(self, i: int, step: ProgramStep) -> bool:
+        """Process one step; return whether it is part of the protocol."""
         match step:
             case SignalStep() if step.signal.lower() in self.drives:
                 self._set(i, step)
                 return True
-            case WaitStep() if step.signal and step.signal.lower() in self.watches:
-                self._look(i, step)
+            case WaitStep() if step.signal and step.signal.lower() in self.running_inputs:
+                self._running_wait(i, step)
                 return True
             case WaitStep() if step.signal:
                 self._wait(i, step)
                 return True
             case MessageStep() if i == self.gate:
-                self._rest()
-                if lets_fall(step):
+                self._end_work()
+                if counts_as_stopped(step):
                     self._add("pause", 0, 0, i)
                 self._add("gate", 0, 0, i)
                 return True
             case SettingStep() if step.stops:
-                self._rest()
+                self._end_work()
                 self._add("pause", 0, 0, i)
                 return True
             case MessageStep() if not step.confirm:
-                said = _told(self.steps, i)
-                if _READY_TEXT in said:
-                    self._rest()
-                    self.ready.setdefault(said.split(_READY_TEXT, 1)[1], len(self.actions))
-                if _START_TEXT in said:
+                shown = _panel_lines(self.steps, i)
+                if _READY_TEXT in shown:
+                    self._end_work()
+                    self.ready.setdefault(shown.split(_READY_TEXT, 1)[1], len(self.actions))
+                if _START_TEXT in shown:
                     self.starts.setdefault(
-                        said.split(_START_TEXT, 1)[1].split("now", 1)[0], len(self.actions)
+                        shown.split(_START_TEXT, 1)[1].split("now", 1)[0], len(self.actions)
                     )
             case SyncStep():
-                self._fault(f"{step.kind}: the tasks of two controllers cannot synchronise so", step)
+                self._fault(f"{step.kind} cannot synchronise the tasks of two controllers", step)
             case MoveStep():
-                self._unmet(step, "the arm moves")
-                self._work(i)
+                self._require_meeting(step, "the arm moves")
+                self._start_work(i)
                 self.last = step
             case SignalStep():
-                if step.signal.lower() in (*self.reads, *self.watches):
+                if step.signal.lower() in (*self.reads, *self.running_inputs):
                     self._fault(f"{step.signal} is an input of this controller; it cannot be switched", step)
-                elif step.signal.lower() in self.tells:
-                    self._fault(f"{step.signal} says that the program runs; no program switches it", step)
+                elif step.signal.lower() in self.running_outputs:
+                    self._fault(
+                        f"{step.signal} says that the program runs; a program must not switch it", step
+                    )
                 elif step.value:
-                    self._unmet(step, f"{step.signal} is switched on")
-                self._work(i)
+                    self._require_meeting(step, f"{step.signal} is switched on")
+                self._start_work(i)
             case ChoiceStep():
-                self._aside(step)
-                self._work(i)
+                self._check_branch(step)
+                self._start_work(i)
             case WaitStep() | MessageStep() | CarryStep() | LoadStep():
-                self.asked |= isinstance(step, MessageStep) and step.certain
-                self._work(i)
-                if isinstance(step, MessageStep) and lets_fall(step):
+                self.operator_asked |= isinstance(step, MessageStep) and step.certain
+                self._start_work(i)
+                if isinstance(step, MessageStep) and counts_as_stopped(step):
                     self._add("pause", 0, 0, i)
             case CheckStep():
-                self._check(i, step)
+                self._instant_check(i, step)
                 return True
             case RunningStep():
-                self._dwelt(step)
+                self._require_dwell(step)
                 self.uncleared = step.on and not self.count
-                self.low = not step.on
+                self.holds_low = not step.on
                 return True
             case WatchStep():
                 return True
@@ -303,159 +379,174 @@ class _Reader:
     def _set(self, i: int, step: SignalStep) -> None:
         wire = self.drives[step.signal.lower()]
         if step.value not in (0.0, 1.0):
-            self._fault(f"{step.signal} is set to {step.value:g}, neither 0 nor 1", step)
+            self._fault(f"{step.signal} is set to {step.value:g}; allowed: 0 and 1", step)
         if step.delay:
-            self._fault(f"{step.signal} is set {step.delay:g} s later, when the arm may move again", step)
+            self._fault(
+                f"{step.signal} is set with a delay of {step.delay:g} s, when the arm may move again", step
+            )
         value = int(step.value == 1.0)
         if value and self.uncleared:
-            self._fault("no wait sees the other one's line at 0 behind the rise of the running wire", step)
-        self._rest()
+            self._fault(
+                "no wait checks that the other program's line is 0 after the rise of the running wire", step
+            )
+        self._end_work()
         known = self.levels.get(wire)
         if known == value:
-            self._fault(f"{step.signal} is {value} already; the other program can see no change", step)
+            self._fault(f"{step.signal} is already {value}; the other program sees no change", step)
         if value != known and (value == 1 or (self.kind == "toggle" and known is not None)):
             self.count += 1
         self.levels[wire] = value
-        self._looked(step, value)
+        self._require_check(step, value)
         self._add("set", wire, value, i)
 
     def _wait(self, i: int, step: WaitStep) -> None:
         if step.signal.lower() not in self.reads:
             known = ", ".join(sorted(self.reads)) or "none"
-            self._fault(f"no wire leads to {step.signal}, which it waits for; wired: {known}", step)
-            self._work(i)
+            self._fault(f"it waits for {step.signal}, which has no wire; wired: {known}", step)
+            self._start_work(i)
             return
         if step.value not in (0.0, 1.0):
-            self._fault(f"it waits for {step.signal} to be neither 0 nor 1", step)
-        if step.flag and not self._stops(i, step):
-            what = f"when its time is over it goes on with {step.flag} set; it must stop and end the program"
+            self._fault(f"it waits for another level of {step.signal} than 0 or 1", step)
+        if step.flag and not self._ends_on_timeout(i, step):
+            what = f"on a timeout it continues with {step.flag} set; it must stop and end the program"
             self._fault(what, step)
         self.uncleared = self.uncleared and step.value != 0.0
-        self._rest()
-        limit = self.limit
-        self._looked(step, int(step.value == 1.0))
+        self._end_work()
+        limit = self.check_timeout
+        self._require_check(step, int(step.value == 1.0))
         if limit is not None and step.seconds is not None and limit > step.seconds:
             what = f"{limit:g} s for the other program to run, {step.seconds:g} s for the meeting itself"
-            self._fault(f"{what}; the look at the running wire may take no longer", step)
+            self._fault(f"{what}; the check of the running wire must not take longer", step)
         self._add("wait", self.reads[step.signal.lower()], int(step.value == 1.0), i)
 
-    def _look(self, i: int, step: WaitStep) -> None:
+    def _running_wait(self, i: int, step: WaitStep) -> None:
         if step.value not in (0.0, 1.0):
-            self._fault(f"it waits for {step.signal} to be neither 0 nor 1", step)
-        if step.flag and not self._stops(i, step):
-            what = f"when its time is over it goes on with {step.flag} set; it must stop and end the program"
+            self._fault(f"it waits for another level of {step.signal} than 0 or 1", step)
+        if step.flag and not self._ends_on_timeout(i, step):
+            what = f"on a timeout it continues with {step.flag} set; it must stop and end the program"
             self._fault(what, step)
         if step.seconds is None:
-            self._fault(f"the wait for {step.signal} has no end; give it a time limit", step)
-        elif step.value == 0.0 and step.seconds > self.longest + 1e-6:
-            what = f"{step.seconds:g} s for the other program to stand; allowed: {self.longest:g} s"
+            self._fault(f"the wait for {step.signal} has no timeout; add one", step)
+        elif step.value == 0.0 and step.seconds > self.max_stop_wait + 1e-6:
+            what = (
+                f"{step.seconds:g} s for the other program to be stopped; allowed: {self.max_stop_wait:g} s"
+            )
             self._fault(what, step)
         if step.value == 0.0 and self.count:
-            self._fault(f"behind the first meeting it waits for {step.signal} to be 0", step)
-        self._rest()
+            self._fault(f"after the first meeting it waits for {step.signal} to be 0", step)
+        self._end_work()
         running = step.value == 1.0
-        self.left = (4 if self.kind == "four_phase" else 2) if running else 0
-        self.limit = step.seconds if running else None
+        self.covered = (4 if self.kind == "four_phase" else 2) if running else 0
+        self.check_timeout = step.seconds if running else None
         self._add("look", 0, int(running), i)
 
-    def _check(self, i: int, step: CheckStep) -> None:
-        """A look at both the other one's line and its running wire, which ends the program or goes on."""
+    def _instant_check(self, i: int, step: CheckStep) -> None:
+        """A check of the other program's line and its running wire, which ends the program or continues."""
         line, runs = step.signal.lower(), step.runs.lower()
-        if line not in self.reads or runs not in self.watches:
+        if line not in self.reads or runs not in self.running_inputs:
             self._fault(
-                f"it looks at {step.signal} and {step.runs}, which are not the other one's wires", step
+                f"it checks {step.signal} and {step.runs}, which are not the wires from the other program",
+                step,
             )
             return
-        self._rest()
-        self.left, self.limit = (4 if step.own else 0), None
+        self._end_work()
+        self.covered, self.check_timeout = (4 if step.own_level else 0), None
         self._add("look", 0, 1, i)
         self._add("wait", self.reads[line], step.value, i)
 
-    def _looked(self, step: Step, value: int) -> None:
-        """Every meeting begins with a look at the other one's running wire."""
-        if self.left:
-            self.left -= 1
+    def _require_check(self, step: ProgramStep, value: int) -> None:
+        """Every meeting must start with a check of the other program's running wire."""
+        if self.covered:
+            self.covered -= 1
         elif self.count or value:
-            self._fault("nothing looks before this meeting whether the other program runs", step)
-        if not self.left:
-            self.limit = None
+            self._fault("nothing checks before this meeting that the other program runs", step)
+        if not self.covered:
+            self.check_timeout = None
 
-    def _unmet(self, step: Step, what: str) -> None:
-        """Nothing happens before the first meeting, before which the running wires are checked."""
+    def _require_meeting(self, step: ProgramStep, what: str) -> None:
+        """Nothing may happen before the first meeting, before which the running wires are checked."""
         if not self.count:
             self._fault(f"{what} before the first meeting, before which the running wires are checked", step)
 
-    def _dwelt(self, step: RunningStep) -> None:
-        """A program that begins stands before each rise of its running wire: the other one has seen by then
-        that it was low."""
-        if step.on and not self.count and step.waited < SLOW:
-            what = f"{step.waited:g} s before the running wire rises at the start; at least: {SLOW:g} s"
-            self._fault(f"the program stands {what}, so that the other one sees it low", step)
+    def _require_dwell(self, step: RunningStep) -> None:
+        """A starting program must wait before each rise of its running wire, so the other sees it low."""
+        if step.on and not self.count and step.waited < MIN_SETTLING_TIME_S:
+            what = (
+                f"{step.waited:g} s before the running wire rises at the start; at least: "
+                f"{MIN_SETTLING_TIME_S:g} s"
+            )
+            self._fault(f"the program waits {what}, so that the other one sees it low", step)
 
-    def _stops(self, i: int, step: WaitStep) -> bool:
-        """Whether what follows a wait ends the program where its time was over, and does nothing before."""
+    def _ends_on_timeout(self, i: int, step: WaitStep) -> bool:
+        """Whether the step after a wait ends the program on a timeout, and does nothing before."""
         after = self.steps[i + 1] if i + 1 < len(self.steps) else None
         if not isinstance(after, ChoiceStep):
             return False
-        condition = letters(after.condition)
-        if condition not in (letters(step.flag), letters(step.flag) + "true"):
+        condition = normalised_text(after.condition)
+        if condition not in (normalised_text(step.flag), normalised_text(step.flag) + "true"):
             return False
         last = after.steps[-1]
         quiet = all(isinstance(s, MessageStep | SettingStep | SignalStep) for s in after.steps)
         return quiet and isinstance(last, SettingStep) and last.kind == "EXIT"
 
-    def _aside(self, step: ChoiceStep) -> None:
-        """Nothing that hangs on what is known at run time only may touch the wires or wait for them."""
+    def _check_branch(self, step: ChoiceStep) -> None:
+        """Steps under a run-time condition must not use the wires or wait for them."""
         for inside in step.steps:
             if isinstance(inside, ChoiceStep):
-                self._aside(inside)
+                self._check_branch(inside)
             elif isinstance(inside, SignalStep) and inside.signal.lower() in self.drives:
                 self._fault(f"whether {inside.signal} is set is known at run time only", inside)
-            elif isinstance(inside, SignalStep) and inside.signal.lower() in self.tells:
-                self._fault(f"{inside.signal} says that the program runs; no program switches it", inside)
+            elif isinstance(inside, SignalStep) and inside.signal.lower() in self.running_outputs:
+                self._fault(
+                    f"{inside.signal} says that the program runs; a program must not switch it", inside
+                )
             elif isinstance(inside, WaitStep) and inside.signal:
                 self._fault(f"whether it waits for {inside.signal} is known at run time only", inside)
 
     # ---- actions ----
 
-    def _work(self, i: int) -> None:
-        self.left, self.limit = 0, None  # a look before the work says nothing of the meeting behind it
+    def _start_work(self, i: int) -> None:
+        self.covered, self.check_timeout = (
+            0,
+            None,
+        )  # a check before the work does not cover the meeting after it
         if self.working is None:
             self.working = self.count
             self._add("go", 0, self.count, i)
 
-    def _rest(self) -> None:
-        """The work before a meeting ends, with the arm at rest."""
+    def _end_work(self) -> None:
+        """End the work before a meeting, with the arm at rest."""
         if self.working is None:
             return
         if self.last is not None and not self.last.zone.fine:
-            what = (
-                f"{self.last.zone_name} stands before a handshake, which it may run before the arm is there"
-            )
+            what = f"{self.last.zone_name} precedes a handshake, which may run before the arm is there"
             self._fault(what, self.last)
         self._add("done", 0, self.working, self.actions[-1].line)
         self.working, self.last = None, None
 
     def _add(self, kind: str, wire: int, value: int, i: int) -> None:
         step = self.steps[i]
-        if kind in ("set", "wait", "look") and not (self.asked or self.low):
+        if kind in ("set", "wait", "look") and not (self.operator_asked or self.holds_low):
             what = (
-                "nobody is asked before whether a program of an earlier run goes on at the other controller"
+                "the operator is not asked before whether the other controller still runs an earlier program"
             )
             self._fault(what, step)
-            self.asked = True
-        self.actions.append(Action(kind, wire, value, self._left(step), i))  # type: ignore[arg-type]
+            self.operator_asked = True
+        self.actions.append(AutomatonAction(kind, wire, value, self._handler_levels(step), i))  # type: ignore[arg-type]
 
-    def _left(self, step: Step) -> Levels:
+    def _handler_levels(self, step: ProgramStep) -> Levels:
         """Levels that error handlers and UNDO of a step's procedure leave on the wires."""
         key = (step.module, step.procedure)
         if key not in self.resets:
             signals = [
-                s for table in self.sections for s in _all(table.get(key, ())) if isinstance(s, SignalStep)
+                s
+                for table in self.sections
+                for s in _all_steps(table.get(key, ()))
+                if isinstance(s, SignalStep)
             ]
             for s in signals:
-                if s.signal.lower() in self.tells:
-                    self._fault(f"{s.signal} says that the program runs; no handler switches it", s)
+                if s.signal.lower() in self.running_outputs:
+                    self._fault(f"{s.signal} says that the program runs; a handler must not switch it", s)
             self.resets[key] = tuple(
                 (self.drives[s.signal.lower()], int(s.value == 1.0))
                 for s in signals
@@ -463,26 +554,32 @@ class _Reader:
             )
         return self.resets[key]
 
-    def _fault(self, message: str, step: Step) -> None:
+    def _fault(self, message: str, step: ProgramStep) -> None:
         self.faults.append((message, step))
 
 
-def _all(steps: Iterable[Step]) -> Iterable[Step]:
+def _all_steps(steps: Iterable[ProgramStep]) -> Iterable[ProgramStep]:
     for step in steps:
         yield step
         if isinstance(step, ChoiceStep):
-            yield from _all(step.steps)
+            yield from _all_steps(step.steps)
 
 
 def intervals(
-    readings: Mapping[str, Reading], steps: Mapping[str, Sequence[Step]]
-) -> list[dict[str, list[Step]]]:
-    """Steps of each program in each interval, without those of the protocol; empty where the programs do not
-    have the same number of meetings."""
+    readings: Mapping[str, ProgramAutomaton], steps: Mapping[str, Sequence[ProgramStep]]
+) -> list[dict[str, list[ProgramStep]]]:
+    """Return the steps of each program in each interval, without those of the protocol.
+
+    The result is empty if the programs have different numbers of meetings.
+
+    Args:
+        readings: Automata of the programs.
+        steps: Their steps.
+    """
     counts = {(reading.interval[-1] if reading.interval else 0) for reading in readings.values()}
     if len(counts) != 1:
         return []
-    out: list[dict[str, list[Step]]] = [{arm: [] for arm in readings} for _ in range(counts.pop() + 1)]
+    out: list[dict[str, list[ProgramStep]]] = [{arm: [] for arm in readings} for _ in range(counts.pop() + 1)]
     for arm, reading in readings.items():
         for step, interval, protocol in zip(steps[arm], reading.interval, reading.protocol, strict=True):
             if not protocol:

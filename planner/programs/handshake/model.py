@@ -1,19 +1,20 @@
-"""Two programs that meet by signals, as automata, and the check of all that they can do together.
+"""Model checker for two programs that meet by signals: explores all their joint behaviour.
 
-Each program is a row of actions. A wire carries one program's output to the other one's input with any delay:
-its reading end follows its driving end at any later instant, so that a pulse may pass unseen. Any program may
-stop at any instant for good, as its error handler leaves the outputs. All interleavings are looked at.
+**States.** Each program is a sequence of actions. A wire carries one program's output to the other one's
+input with any delay: its reading end follows its driving end at any later instant, so that a pulse may pass
+unseen. Any program may stop at any instant for good and leave the outputs as its error handler does. All
+interleavings are explored.
 
-With ``running`` each controller drives a wire that is 1 while its program runs. Both programs stand at first;
-any of them may be stopped at any instant and started again later, both or one, in either order. The fall of
-the wire stops the other program, which does one more step at most: wire and stop input are faster than two
-steps. A program that has come to its end runs no longer. One of the wires may be cut at any instant.
-So behind a stop the other side stands too, or reads 0 until somebody starts it again: no power is on. What
-the wire cannot find by itself is that it is stuck; then no program may begin to work (``unwatched``).
+**Running wires.** With ``running`` each controller drives a wire that is 1 while its program runs. Both
+programs are stopped at first. Any of them may be stopped at any instant and started again later, both or
+one, in either order. When the wire falls, the other program stops after one more step at most: wire and stop
+input are faster than two steps. A program that has ended no longer runs. One of the wires may be cut at any
+instant. After a stop the other side therefore stops too, or reads 0 until somebody starts it again: no power
+is on. The wire itself cannot detect that it is stuck; then no program may start to work (``unwatched``).
 
-Every step of a program adds one to the sum of both places, so the reachable states are visited sum by sum;
-what depends on places alone is put in relative form, and equal rows of states before equal actions are
-expanded once. This is exact, and takes time in proportion to the programs' length.
+**Exploration.** Every step of a program adds one to the sum of both positions, so the reachable states are
+visited sum by sum. What depends on positions only is put in relative form, and equal sets of states before
+equal actions are expanded once. This is exact, and takes time proportional to the length of the programs.
 """
 
 import dataclasses
@@ -28,32 +29,44 @@ from planner.geometry.arrays import IntArray
 ActionKind = Literal["set", "wait", "go", "done", "gate", "look", "pause"]
 FaultKind = Literal["deadlock", "lost_edge", "apart", "unwatched"]
 RunningWire = Literal["works", "low", "high"]
-"""A running wire that works, or is stuck at a level for ever (one that is not there is stuck, too)."""
+"""A running wire that works, or is stuck at a level for ever. A missing wire counts as stuck."""
 Levels = tuple[tuple[int, int], ...]
 _State = tuple[int, int]
-"""Offset between the places of both programs, and bits: three for each wire (driven level, level as read, a
-change that the reader has not seen yet), then four for each program, those of one kind in a row: whether it
-has stopped for good, stands, is read as standing by the other one, and whether its running wire is cut."""
-_Here = tuple[int, int, bool, bool, bool, bool]
-"""What the places decide: codes of both actions, whether the other one has done the work before, whether
-gates are open."""
-_Step = tuple[int, int, FaultKind | None]
-"""A step of a program: which one, the bits behind it, the fault that it is."""
-_EVER, _NEVER = 2**60, -(2**60)
-_ALWAYS: Final = ("apart", "unwatched")
+"""Offset between the positions of both programs, and bits.
+
+The bits are three for each wire (driven level, level as read, a change that the reader has not seen yet),
+then four for each program, grouped by kind: it has stopped for good, it is stopped, the other one reads it
+as stopped, its running wire is cut.
+"""
+_PositionFacts = tuple[int, int, bool, bool, bool, bool]
+"""What the positions determine.
+
+These are the codes of both actions, for each program whether the other one has done the previous work, and
+for each program whether its gate is open.
+"""
+_ProgramStep = tuple[int, int, FaultKind | None]
+"""A step of a program: which one, the bits after it, and the fault that it causes."""
+_AFTER_ALL, _BEFORE_ALL = 2**60, -(2**60)
+_UNCONDITIONAL_FAULTS: Final = ("apart", "unwatched")
 """Faults whatever the operator does."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Action:
-    """One action. "set" puts ``wire`` to ``value``, "wait" waits until it reads so. "go" and "done" enclose
-    the work of the interval ``value`` between two meetings. "gate" is passed once the other program has
-    reached its place ``value``; a program that stands before it is not started earlier either. "look" waits
-    until the other program is read as running (``value`` 1) or standing (0). "pause": the program stops by
-    itself until it is started again.
+class AutomatonAction:
+    """One action of a program.
 
-    ``resets``: levels of wires that the error handler in force here leaves, as (wire, value). ``line`` is
-    its step in the program text, for messages.
+    "set" puts ``wire`` to ``value``. "wait" waits until it reads so. "go" and "done" enclose the work of the
+    interval ``value`` between two meetings. "gate" is passed once the other program has reached its position
+    ``value``; a program that is stopped before it is not started earlier either. "look" waits until the
+    other program is read as running (``value`` 1) or stopped (0). "pause": the program stops itself until it
+    is started again.
+
+    Attributes:
+        kind: Kind of action.
+        wire: Number of the wire.
+        value: Level, interval or position, by kind.
+        resets: Levels of wires that the active error handler leaves, as (wire, value).
+        line: Index of its step in the program, for messages.
     """
 
     kind: ActionKind
@@ -64,50 +77,65 @@ class Action:
 
 
 @dataclasses.dataclass(frozen=True)
-class Event:
-    """What one of the programs (0 or 1) did: the action at ``place``."""
+class AutomatonEvent:
+    """An event: program 0 or 1 executed the action at ``position``."""
 
     program: int
-    place: int
+    position: int
 
 
 @dataclasses.dataclass(frozen=True)
-class Finding:
+class HandshakeFault:
     """A fault and how it comes about.
 
-    ``places``: where both programs are; ``program``: whose action is at fault (0 in a deadlock); ``driven``
-    and ``read``: levels of the wires at their ends; ``trace``: the last events before, in order; ``steps``:
-    how many events lead there from the start.
+    Attributes:
+        kind: Kind of fault.
+        positions: Positions of both programs.
+        program: Program whose action is at fault (0 in a deadlock).
+        driven: Levels of the wires at their driving ends.
+        read: Levels of the wires at their reading ends.
+        trace: The last events before, in order.
+        steps: Number of events from the start.
     """
 
     kind: FaultKind
-    places: tuple[int, int]
+    positions: tuple[int, int]
     program: int
     driven: tuple[int, ...]
     read: tuple[int, ...]
-    trace: tuple[Event, ...]
+    trace: tuple[AutomatonEvent, ...]
     steps: int
 
 
 @dataclasses.dataclass(frozen=True)
-class Verdict:
-    """``findings``: the faults that the fewest events lead to, none for programs that hold. ``states`` that
-    were looked at, counted with their places, and ``kinds`` of them that differ otherwise."""
+class HandshakeVerdict:
+    """Result of a check.
 
-    findings: tuple[Finding, ...]
+    Attributes:
+        findings: Faults with the fewest events, none for correct programs.
+        states: Number of explored states, with their positions.
+        kinds: Number of explored states that differ in more than their positions.
+    """
+
+    findings: tuple[HandshakeFault, ...]
     states: int
     kinds: int
 
 
-class Product:
-    """Two programs as several checks look at them: what their places decide, by the sum of both places and
-    the offset between them. Raises ``ValueError`` where there are not two of them."""
+class ProgramProduct:
+    """Product of two programs, shared by several checks.
 
-    def __init__(self, programs: Sequence[Sequence[Action]]) -> None:
+    It holds what the positions of both programs determine, by their sum and offset.
+
+    Raises:
+        ValueError: There are not two programs.
+    """
+
+    def __init__(self, programs: Sequence[Sequence[AutomatonAction]]) -> None:
         if len(programs) != 2:
             raise ValueError(f"{len(programs)} programs; the check takes two")
-        self.last = sum(len(program) for program in programs)
-        self.table: list[Action | None] = [None]
+        self.max_sum = sum(len(program) for program in programs)
+        self.table: list[AutomatonAction | None] = [None]
         known: dict[tuple[object, ...], int] = {}
         code = []
         for program in programs:
@@ -124,23 +152,25 @@ class Product:
             code.append(np.array([*row, 0]))
         self._code = code
         self._need = [
-            np.array([a.value - 1 if a.kind == "go" else _NEVER for a in program] + [_NEVER])
+            np.array([a.value - 1 if a.kind == "go" else _BEFORE_ALL for a in program] + [_BEFORE_ALL])
             for program in programs
         ]
         self._gate = [
             np.array([a.value if a.kind == "gate" else -1 for a in program] + [-1]) for program in programs
         ]
-        self._finished = [np.array(_finished(program)) for program in programs]
+        self._finished = [np.array(_finished_intervals(program)) for program in programs]
         self._kinds: dict[int, list[int]] = {}
 
     def kinds(self, offset: int) -> list[int]:
-        """For each sum of places the number of what they decide, at an offset; without meaning where there
-        are no such places."""
+        """Return for each sum of positions a number for what they determine at an offset.
+
+        Numbers of sums that are impossible at this offset have no meaning.
+        """
         if offset not in self._kinds:
-            total: IntArray = np.arange(self.last + 1)
+            total: IntArray = np.arange(self.max_sum + 1)
             first, second = (
-                np.clip(place >> 1, 0, len(code) - 1)
-                for place, code in zip((total + offset, total - offset), self._code, strict=True)
+                np.clip(doubled_position >> 1, 0, len(code) - 1)
+                for doubled_position, code in zip((total + offset, total - offset), self._code, strict=True)
             )
             out = self._code[0][first] * len(self.table) + self._code[1][second]
             for flag in (
@@ -153,47 +183,57 @@ class Product:
             self._kinds[offset] = out.tolist()
         return self._kinds[offset]
 
-    def here(self, total: int, offset: int) -> _Here:
-        """What a sum of places decides at an offset."""
+    def facts_at(self, total: int, offset: int) -> _PositionFacts:
+        """Return what a sum of positions determines at an offset.
+
+        Args:
+            total: Sum of the positions.
+            offset: Difference of the positions.
+        """
         kind = self.kinds(offset)[total]
         first, second = divmod(kind >> 4, len(self.table))
         return first, second, bool(kind & 8), bool(kind & 4), bool(kind & 2), bool(kind & 1)
 
 
-def check(
-    programs: Sequence[Sequence[Action]] | Product,
+def check_handshake(
+    programs: Sequence[Sequence[AutomatonAction]] | ProgramProduct,
     wires: int,
     gates: bool = True,
     trace: int = 12,
     running: tuple[RunningWire, RunningWire] | None = None,
-) -> Verdict:
-    """Look at all that two programs can do together.
+) -> HandshakeVerdict:
+    """Explore all joint behaviour of two programs.
 
-    ``wires``: how many there are; at first each one has any level, at both ends. ``gates`` False: gates are
-    passed at any time (the operator does not look), and only "apart" and "unwatched" are faults.
-    ``running``: the wire that each program's controller drives; None: both programs run from the first on,
-    nothing but their end stops them, and "look" and "pause" are passed.
+    Faults are: "apart", a program works in an interval before the other one has done its work of the
+    previous interval; "lost_edge", a wire changes before the other program has seen its last change, or a
+    change is never seen; "unwatched", a program works after the first meeting although a running wire is
+    stuck; "deadlock".
 
-    "apart": a program works in an interval before the other one has done its work of the interval before.
-    "lost_edge": a wire changes before the other program has seen its last change, or that is never seen.
-    "unwatched": a program works behind the first meeting though a running wire is stuck.
+    Args:
+        programs: Actions of both programs, or their product.
+        wires: Number of wires; initially each has any level, at both ends.
+        gates: False if gates are passed at any time (the operator does not look). Then only "apart" and
+            "unwatched" are faults.
+        trace: Maximum number of events in the trace of a fault.
+        running: State of the wire that each program's controller drives. None: both programs run from the
+            start, only their end stops them, and "look" and "pause" are passed.
     """
-    product = programs if isinstance(programs, Product) else Product(programs)
-    return _Search(product, wires, gates, trace, running).run()
+    product = programs if isinstance(programs, ProgramProduct) else ProgramProduct(programs)
+    return _HandshakeSearch(product, wires, gates, trace, running).run()
 
 
 @dataclasses.dataclass(frozen=True)
-class _Row:
-    """States (offset between the places, bits) and the offsets in them."""
+class _StateSet:
+    """States (offset between the positions, bits) and the offsets in them."""
 
     states: frozenset[_State]
     offsets: tuple[int, ...]
 
 
-class _Search:
+class _HandshakeSearch:
     def __init__(
         self,
-        product: Product,
+        product: ProgramProduct,
         wires: int,
         gates: bool,
         trace: int,
@@ -206,86 +246,92 @@ class _Search:
         self.trace = trace
         self.running = running
         self.stuck = running is not None and running != ("works", "works")
-        self.gone, self.stands, self.low, self.cut = (3 * wires + 2 * i for i in range(4))
+        self.gone_bit, self.stopped_bit, self.low_bit, self.cut_bit = (3 * wires + 2 * i for i in range(4))
 
-    def run(self) -> Verdict:
+    def run(self) -> HandshakeVerdict:
+        # Initial states: all levels of the wires, read as driven. With running wires both are stopped.
         first = 0
         if self.running is not None:
-            first = 3 << self.stands | sum(1 << self.low + i for i in range(2) if self.running[i] != "high")
+            first = 3 << self.stopped_bit | sum(
+                1 << self.low_bit + i for i in range(2) if self.running[i] != "high"
+            )
         start = frozenset(
             (0, first | sum(level * 3 << 3 * wire for wire, level in enumerate(levels)))
             for levels in itertools.product((0, 1), repeat=self.wires)
         )
-        rows = [_row(start)]
+        rows = [_state_set(start)]
         known = {start: 0}
         memo: dict[tuple[int, tuple[int, ...]], tuple[int, int, frozenset[FaultKind]]] = {}
         kinds: list[list[list[int]]] = []
         history: list[int] = []
-        findings: list[Finding] = []
-        here, states = 0, 0
-        for total in range(self.product.last + 1):
-            row = rows[here]
+        findings: list[HandshakeFault] = []
+        current, states = 0, 0
+        for total in range(self.product.max_sum + 1):
+            # One sum: the set of states and the facts that positions determine give the set at the next sum.
+            row = rows[current]
             if not row.states:
                 break
-            history.append(here)
+            history.append(current)
             while len(kinds) < len(rows):
                 kinds.append([self.product.kinds(offset) for offset in rows[len(kinds)].offsets])
-            place = tuple([kind[total] for kind in kinds[here]])
-            answer = memo.get((here, place))
+            facts = tuple([kind[total] for kind in kinds[current]])
+            answer = memo.get((current, facts))
             if answer is None:
-                decided = {offset: self.product.here(total, offset) for offset in row.offsets}
+                decided = {offset: self.product.facts_at(total, offset) for offset in row.offsets}
                 following, count, faults = self._expand(row, decided)
                 if following not in known:
                     known[following] = len(rows)
-                    rows.append(_row(following))
-                answer = memo[here, place] = (known[following], count, faults)
-            here, count, faults = answer
+                    rows.append(_state_set(following))
+                answer = memo[current, facts] = (known[following], count, faults)
+            current, count, faults = answer
             states += count
             if faults:
                 findings += [self._finding(kind, total, rows, history) for kind in sorted(faults)]
                 break
-        return Verdict(tuple(findings), states, sum(len(row.states) for row in rows))
+        return HandshakeVerdict(tuple(findings), states, sum(len(row.states) for row in rows))
 
     # ---- one sum of places ----
 
     def _expand(
-        self, row: _Row, here: Mapping[int, _Here]
+        self, row: _StateSet, facts: Mapping[int, _PositionFacts]
     ) -> tuple[frozenset[_State], int, frozenset[FaultKind]]:
-        """States behind one event, how many states there are before it, and what faults show."""
+        """States after one event, number of states before it, and the faults."""
         faults: set[FaultKind] = set()
         out: set[_State] = set()
-        whole = self._closed(row.states, here)
+        # All states at this sum; each step of a program leads to a state at the next one.
+        whole = self._closure(row.states, facts)
         for offset, bits in whole:
-            moved = self._events(bits, here[offset])
-            stopped = bits >> self.gone & 3
+            moved = self._enabled_steps(bits, facts[offset])
+            stopped = bits >> self.gone_bit & 3
             for program, after, fault in moved:
-                if fault and (fault in _ALWAYS or (self.gates and not stopped)):
+                if fault and (fault in _UNCONDITIONAL_FAULTS or (self.gates and not stopped)):
                     faults.add(fault)
                 out.add((offset + (1 if program == 0 else -1), after))
-            if self.gates and self._stuck(bits, here[offset], moved):
+            if self.gates and self._is_deadlocked(bits, facts[offset], moved):
                 faults.add("deadlock")
-            if self.gates and self._unread(bits, here[offset]):
+            if self.gates and self._has_unread_change(bits, facts[offset]):
                 faults.add("lost_edge")
         return frozenset(out), len(whole), frozenset(faults)
 
-    def _closed(self, states: frozenset[_State], here: Mapping[int, _Here]) -> set[_State]:
-        """The states with all that happens without a step of a program: wires that follow, programs that
-        stop."""
+    def _closure(self, states: frozenset[_State], facts: Mapping[int, _PositionFacts]) -> set[_State]:
+        """Closure of states under changes without a step of a program: wires follow, programs stop."""
         whole = set(states)
         todo = list(states)
         while todo:
             offset, bits = todo.pop()
-            behind = [wire for wire in range(self.wires) if (bits >> 3 * wire ^ bits >> 3 * wire + 1) & 1]
-            after = [bits ^ 2 << 3 * wire for wire in behind]
+            # a reading end follows its driving end
+            lagging = [wire for wire in range(self.wires) if (bits >> 3 * wire ^ bits >> 3 * wire + 1) & 1]
+            after = [bits ^ 2 << 3 * wire for wire in lagging]
             if self.running is not None:
-                after += self._by_hand(bits, here[offset])
+                after += self._external_successors(bits, facts[offset])
+            # a program stops for good, and its outputs stay or change as its error handler does
             for program in range(2):
-                mark = 1 << self.gone + program
-                action = self.table[here[offset][program]]
+                mark = 1 << self.gone_bit + program
+                action = self.table[facts[offset][program]]
                 if bits & mark or action is None or self.stuck:
                     continue
                 if self.running is not None:
-                    mark |= 1 << self.stands + program
+                    mark |= 1 << self.stopped_bit + program
                 after.append(bits | mark)
                 changed = bits
                 for wire, value in action.resets:
@@ -298,71 +344,73 @@ class _Search:
                     todo.append(state)
         return whole
 
-    def _by_hand(self, bits: int, here: _Here) -> list[int]:
-        """What follows when a program is started or stopped by hand or a running wire is cut, and as running
-        wires follow."""
-        out = [bits & ~(1 << self.stands + program) for program in self._startable(bits, here)]
+    def _external_successors(self, bits: int, facts: _PositionFacts) -> list[int]:
+        """Successors by starts, stops and cut wires, and as running wires follow."""
+        out = [bits & ~(1 << self.stopped_bit + program) for program in self._startable(bits, facts)]
         for program in range(2):
-            stands, low = bits >> self.stands + program & 1, bits >> self.low + program & 1
-            other = 1 << self.stands + 1 - program
-            if not stands:
-                out.append(bits | 1 << self.stands + program)
-            if not self._works(bits, program):
+            # a program stops; its wire falls (and stops the other one) or rises; a wire is cut
+            stopped, low = bits >> self.stopped_bit + program & 1, bits >> self.low_bit + program & 1
+            other = 1 << self.stopped_bit + 1 - program
+            if not stopped:
+                out.append(bits | 1 << self.stopped_bit + program)
+            if not self._wire_works(bits, program):
                 continue
-            if stands and not low:
-                out.append(bits | 1 << self.low + program | other)
-            if not stands and low:
-                out.append(bits & ~(1 << self.low + program))
-            if self.gates or self.stuck or bits >> self.cut:  # one fault of the cell at a time
+            if stopped and not low:
+                out.append(bits | 1 << self.low_bit + program | other)
+            if not stopped and low:
+                out.append(bits & ~(1 << self.low_bit + program))
+            if self.gates or self.stuck or bits >> self.cut_bit:  # only one fault of the cell at a time
                 continue
-            cut = bits | 1 << self.cut + program | 1 << self.low + program
+            cut = bits | 1 << self.cut_bit + program | 1 << self.low_bit + program
             out.append(cut if low else cut | other)
         return out
 
-    def _works(self, bits: int, program: int) -> bool:
-        """Whether the running wire of a program follows."""
+    def _wire_works(self, bits: int, program: int) -> bool:
+        """Whether the running wire of a program works and is not cut."""
         return (
             self.running is not None
             and self.running[program] == "works"
-            and not bits >> self.cut + program & 1
+            and not bits >> self.cut_bit + program & 1
         )
 
-    def _startable(self, bits: int, here: _Here) -> list[int]:
-        """Programs that stand and may be started again: their stop has been seen, and gates are open."""
+    def _startable(self, bits: int, facts: _PositionFacts) -> list[int]:
+        """Stopped programs that may be started again: their stop has been seen, and gates are open."""
         return [
             program
             for program in range(2)
-            if bits >> self.stands + program & 1
-            and self.table[here[program]] is not None
-            and not bits >> self.gone + program & 1
-            and (bits >> self.low + program & 1 or not self._works(bits, program))
-            and (not self.gates or here[4 + program])
+            if bits >> self.stopped_bit + program & 1
+            and self.table[facts[program]] is not None
+            and not bits >> self.gone_bit + program & 1
+            and (bits >> self.low_bit + program & 1 or not self._wire_works(bits, program))
+            and (not self.gates or facts[4 + program])
         ]
 
-    def _stuck(self, bits: int, here: _Here, moved: list[_Step]) -> bool:
-        """Whether no program that has not come to its end can ever go on, though none has stopped for good
-        and no running wire is cut."""
-        if moved or bits >> self.gone & 3 or bits >> self.cut or not (here[0] or here[1]):
+    def _is_deadlocked(self, bits: int, facts: _PositionFacts, moved: list[_ProgramStep]) -> bool:
+        """Whether no unfinished program can ever continue.
+
+        States in which a program has stopped for good or a running wire is cut do not count.
+        """
+        if moved or bits >> self.gone_bit & 3 or bits >> self.cut_bit or not (facts[0] or facts[1]):
             return False
         if any((bits >> 3 * wire ^ bits >> 3 * wire + 1) & 1 for wire in range(self.wires)):
             return False
         if self.running is None:
             return True
-        follows = any((bits >> self.stands + i ^ bits >> self.low + i) & 1 for i in range(2))
-        ends = any(not here[i] and not bits >> self.stands + i & 1 for i in range(2))
-        return not (self.stuck or follows or ends or self._startable(bits, here))
+        follows = any((bits >> self.stopped_bit + i ^ bits >> self.low_bit + i) & 1 for i in range(2))
+        ends = any(not facts[i] and not bits >> self.stopped_bit + i & 1 for i in range(2))
+        return not (self.stuck or follows or ends or self._startable(bits, facts))
 
-    def _unread(self, bits: int, here: _Here) -> bool:
-        """Whether both programs are at their ends, and the last change of a wire was never seen."""
+    def _has_unread_change(self, bits: int, facts: _PositionFacts) -> bool:
+        """Whether both programs have ended and the last change of a wire was never seen."""
         unseen = any(bits >> 3 * wire & 4 for wire in range(self.wires))
-        return not (here[0] or here[1]) and not bits >> self.gone & 3 and unseen
+        return not (facts[0] or facts[1]) and not bits >> self.gone_bit & 3 and unseen
 
-    def _events(self, bits: int, here: _Here) -> list[_Step]:
-        """Steps that the programs can do."""
-        out: list[_Step] = []
+    def _enabled_steps(self, bits: int, facts: _PositionFacts) -> list[_ProgramStep]:
+        """Enabled steps of the programs."""
+        out: list[_ProgramStep] = []
         for program in range(2):
-            action = self.table[here[program]]
-            if action is None or (bits >> self.gone | bits >> self.stands) >> program & 1:
+            action = self.table[facts[program]]
+            if action is None or (bits >> self.gone_bit | bits >> self.stopped_bit) >> program & 1:
                 continue
             other = 1 - program
             shift = 3 * action.wire
@@ -377,45 +425,49 @@ class _Search:
                     if bits >> shift + 1 & 1 != action.value:
                         continue
                     if bits >> shift & 1 == action.value:
-                        after = bits & ~(4 << shift)  # the reader has seen the last change
+                        after = bits & ~(4 << shift)  # the reading program has seen the last change
                 case "go":
-                    fault = None if here[2 + program] else "apart"
+                    fault = None if facts[2 + program] else "apart"
                     if self.stuck and action.value:
                         fault = "unwatched"
                 case "gate":
-                    if self.gates and not here[4 + program]:
+                    if self.gates and not facts[4 + program]:
                         continue
                 case "look" if self.running is not None:
-                    if (bits >> self.low + other & 1) == action.value:
+                    if (bits >> self.low_bit + other & 1) == action.value:
                         continue
                 case "pause" if self.running is not None:
-                    after |= 1 << self.stands + program
-            fallen = bits >> self.stands + other & ~(bits >> self.low + other) & 1
-            if fallen and self._works(bits, other):
-                after |= 1 << self.low + other | 1 << self.stands + program  # its stop input has stopped it
+                    after |= 1 << self.stopped_bit + program
+            # after one step of this program the fallen running wire of the other one stops it
+            fallen = bits >> self.stopped_bit + other & ~(bits >> self.low_bit + other) & 1
+            if fallen and self._wire_works(bits, other):
+                after |= 1 << self.low_bit + other | 1 << self.stopped_bit + program  # by its stop input
             out.append((program, after, fault))
         return out
 
     # ---- how it comes about ----
 
-    def _whole(self, total: int, row: _Row) -> dict[_State, list[_Step]]:
-        """States at a sum of places, with the steps that they can do."""
-        here = {offset: self.product.here(total, offset) for offset in row.offsets}
+    def _states_with_steps(self, total: int, row: _StateSet) -> dict[_State, list[_ProgramStep]]:
+        """States at a sum of positions, with their enabled steps."""
+        facts = {offset: self.product.facts_at(total, offset) for offset in row.offsets}
         return {
-            (offset, bits): self._events(bits, here[offset])
-            for offset, bits in sorted(self._closed(row.states, here))
+            (offset, bits): self._enabled_steps(bits, facts[offset])
+            for offset, bits in sorted(self._closure(row.states, facts))
         }
 
-    def _finding(self, kind: FaultKind, total: int, rows: list[_Row], history: list[int]) -> Finding:
-        at, program = next(self._at_fault(kind, total, rows[history[total]]))
-        events: list[Event] = []
+    def _finding(
+        self, kind: FaultKind, total: int, rows: list[_StateSet], history: list[int]
+    ) -> HandshakeFault:
+        # walk back from the faulty state, one sum at a time, over any predecessor
+        at, program = next(self._faulty_states(kind, total, rows[history[total]]))
+        events: list[AutomatonEvent] = []
         state, level = at, total
         while level > 0 and len(events) < self.trace:
-            state, event = self._before(state, level, rows[history[level - 1]])
+            state, event = self._predecessor(state, level, rows[history[level - 1]])
             events.append(event)
             level -= 1
         offset, bits = at
-        return Finding(
+        return HandshakeFault(
             kind,
             ((total + offset) >> 1, (total - offset) >> 1),
             program,
@@ -425,42 +477,43 @@ class _Search:
             total,
         )
 
-    def _at_fault(self, kind: FaultKind, total: int, row: _Row) -> Iterator[tuple[_State, int]]:
-        """States at which the fault shows, with the program that does it; unstopped ones come first."""
-        whole = self._whole(total, row)
-        for (offset, bits), moved in sorted(whole.items(), key=lambda item: item[0][1] >> self.gone & 3):
-            stopped = bits >> self.gone & 3
+    def _faulty_states(self, kind: FaultKind, total: int, row: _StateSet) -> Iterator[tuple[_State, int]]:
+        """States with the fault and the program that causes it, those without stopped programs first."""
+        whole = self._states_with_steps(total, row)
+        for (offset, bits), moved in sorted(whole.items(), key=lambda item: item[0][1] >> self.gone_bit & 3):
+            stopped = bits >> self.gone_bit & 3
             for program, _, fault in moved:
-                if fault == kind and (kind in _ALWAYS or not stopped):
+                if fault == kind and (kind in _UNCONDITIONAL_FAULTS or not stopped):
                     yield (offset, bits), program
-            if kind == "deadlock" and self._stuck(bits, self.product.here(total, offset), moved):
+            if kind == "deadlock" and self._is_deadlocked(bits, self.product.facts_at(total, offset), moved):
                 yield (offset, bits), 0
-            if kind == "lost_edge" and self._unread(bits, self.product.here(total, offset)):
+            if kind == "lost_edge" and self._has_unread_change(bits, self.product.facts_at(total, offset)):
                 yield (offset, bits), 0
 
-    def _before(self, state: _State, level: int, row: _Row) -> tuple[_State, Event]:
-        """A state one event earlier than ``state`` at the sum ``level``, and that event."""
-        for (offset, bits), moved in self._whole(level - 1, row).items():
+    def _predecessor(self, state: _State, level: int, row: _StateSet) -> tuple[_State, AutomatonEvent]:
+        """A predecessor of ``state`` at the sum ``level``, and the event between them."""
+        for (offset, bits), moved in self._states_with_steps(level - 1, row).items():
             for program, after, _ in moved:
-                there = offset + (1 if program == 0 else -1)
-                if there != state[0]:
+                next_offset = offset + (1 if program == 0 else -1)
+                if next_offset != state[0]:
                     continue
-                if state in self._closed(
-                    frozenset({(there, after)}), {there: self.product.here(level, there)}
+                if state in self._closure(
+                    frozenset({(next_offset, after)}),
+                    {next_offset: self.product.facts_at(level, next_offset)},
                 ):
-                    place = (level - 1 + offset) >> 1 if program == 0 else (level - 1 - offset) >> 1
-                    return (offset, bits), Event(program, place)
-        raise RuntimeError("a state that was reached has no state before it")
+                    position = (level - 1 + offset) >> 1 if program == 0 else (level - 1 - offset) >> 1
+                    return (offset, bits), AutomatonEvent(program, position)
+        raise RuntimeError("a reached state has no predecessor")
 
 
-def _row(states: frozenset[_State]) -> _Row:
-    return _Row(states, tuple(sorted({offset for offset, _ in states})))
+def _state_set(states: frozenset[_State]) -> _StateSet:
+    return _StateSet(states, tuple(sorted({offset for offset, _ in states})))
 
 
-def _finished(program: Sequence[Action]) -> list[int]:
-    """For each place, the last interval whose work is done there: the one before that of the work ahead."""
-    out = [_EVER] * (len(program) + 1)
-    for place in range(len(program) - 1, -1, -1):
-        action = program[place]
-        out[place] = action.value - 1 if action.kind in ("go", "done") else out[place + 1]
+def _finished_intervals(program: Sequence[AutomatonAction]) -> list[int]:
+    """For each position, the last interval whose work is done: the one before that of the work ahead."""
+    out = [_AFTER_ALL] * (len(program) + 1)
+    for position in range(len(program) - 1, -1, -1):
+        action = program[position]
+        out[position] = action.value - 1 if action.kind in ("go", "done") else out[position + 1]
     return out

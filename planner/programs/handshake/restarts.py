@@ -1,46 +1,57 @@
-"""Two programs that begin anew behind each stop: the check of all that they and those who start them can do.
+"""Model checker for two programs that restart from their beginning after each stop, as UR programs do.
 
-So programs of UR do: a stop ends one for good, and a start begins at its first statement, whatever the other
-one does meanwhile. A program switches its own running wire, which falls with any stop and pause and stays low
-when a pause is over; its line to the other one stays as it is, or falls too. Whether it watches the other one
-is for the text to say.
+A stop ends such a program for good, and a start begins at its first statement, whatever the other program
+does meanwhile. A program switches its own running wire, which falls with any stop and pause and stays low
+after a pause. Its line to the other program stays unchanged, or falls too. Its text determines whether it
+monitors the other program.
 
-At any instant either program may be stopped, paused, continued, started, and answered by whoever asks no
-panel first. Wires take any time. What a person needs is longer than what a controller needs in one place
-only, which the text secures by a wait: a program that stood for a second before its running wire rises finds
-wires, watching threads and the other program's statements settled; and so does a start.
+At any instant either program may be stopped, paused, continued or started, and its question answered by an
+operator who ignores the panels. Wires may take any time. Operator actions take longer than controller
+actions in one case only, which the text ensures by a wait: a program that waited for a second before its
+running wire rises finds wires, monitoring threads and the other program's statements settled. The same
+applies to a start.
 
-Found is what may not be: a program works ("go" to "done") while nothing watches the other one; or while the
-other one runs and has not done its work of the interval before: at another meeting, or at its start. Where
-nobody disturbs them and people do as they are told, no program may end itself or wait for ever. Long programs
-are looked at with fewer of the meetings that are alike (:mod:`handshake_windows`), and whole where that finds
-a fault.
+Faults: a program works ("go" to "done") while nothing monitors the other one, or while the other one runs
+and has not done its work of the previous interval (at another meeting, or at its start). Without
+disturbances, and with operators who follow instructions, no program may end itself or wait for ever. Long
+programs are checked with fewer of the meetings that are alike
+(:mod:`planner.programs.handshake.block_windows`), and as a whole if that finds a fault.
 """
 
 import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import Final, Literal
 
-from planner.programs.handshake import windows as handshake_windows
-from planner.programs.handshake.moves import Move
-from planner.programs.handshake.windows import Windows
+from planner.programs.handshake import block_windows as handshake_windows
+from planner.programs.handshake.block_windows import BlockWindows
+from planner.programs.handshake.wire_operations import WireOperation
 
 FaultKind = Literal["unwatched", "apart", "ends", "stuck"]
-MOST_STATES: Final = 2_000_000
-"""States that are looked at, at most: programs that have more are not proven."""
-_OFF, _ON, _PAUSED = 0, 1, 2
-_RUNS, _LINE, _RUNS_READ, _LINE_READ, _WATCHES = 4, 8, 16, 32, 64
-"""Bits of a program behind its mode: levels of its running wire and its line, as it drives them and as the
-other one reads them, and whether it watches the other one."""
-_BITS, _ALL = 7, 127
-"""How many bits there are, and all of them."""
-_EVER: Final = 2**60
+MAX_STATES: Final = 2_000_000
+"""Maximum number of explored states. Programs with more are not proven."""
+_MODE_OFF, _MODE_ON, _MODE_PAUSED = 0, 1, 2
+_RUNNING_BIT, _LINE_BIT, _RUNNING_READ_BIT, _LINE_READ_BIT, _MONITOR_BIT = 4, 8, 16, 32, 64
+"""Bits of a program above its mode.
+
+They are the levels of its running wire and its line, as it drives them and as the other program reads them,
+and whether it monitors the other program.
+"""
+_BIT_COUNT, _BIT_MASK = 7, 127
+"""Number of bits, and mask of all bits."""
+_AFTER_ALL: Final = 2**60
 
 
 @dataclasses.dataclass(frozen=True)
-class Restarted:
-    """A fault of ``program`` (0 or 1), both being at steps ``lines``; ``events``: how it comes about, as
-    (program, what, step). ``states``: how many were looked at."""
+class RestartResult:
+    """Result of a check.
+
+    Attributes:
+        kind: Kind of fault, None for none.
+        program: Program at fault, 0 or 1.
+        lines: Steps of both programs.
+        events: How it comes about, as (program, event, step).
+        states: Number of explored states.
+    """
 
     kind: FaultKind | None
     program: int
@@ -49,227 +60,242 @@ class Restarted:
     states: int
 
 
-def check(
-    programs: Sequence[Sequence[Move]],
+def check_restarts(
+    programs: Sequence[Sequence[WireOperation]],
     blocks: Sequence[Sequence[int]],
     reads_back: bool = True,
     disturbed: bool = True,
-) -> Restarted:
-    """Look at all that two programs can do together. ``blocks``: the interval that each move stands in, by
-    program. ``reads_back``: each wait, look and watch ends the program where its own running wire is 0.
-    ``disturbed`` False: nobody stops or pauses a program, the one that follows is started when the other one
-    says so, and that one's second question is answered when the first one runs.
+) -> RestartResult:
+    """Explore all joint behaviour of two programs.
 
-    Raises :class:`OverflowError` for programs of more than :data:`MOST_STATES` states."""
-    cut = handshake_windows.shortened(programs, blocks) if disturbed else None
-    few = None
-    if cut is not None:
-        rows, windows = cut
-        few = _Search(rows, reads_back, disturbed, windows).run()
-        if few.kind is None and not windows.lost:
-            return few
+    Args:
+        programs: Operations of both programs.
+        blocks: Interval of each operation, by program.
+        reads_back: Whether each wait, look and watch ends the program if its own running wire is 0.
+        disturbed: False if nobody stops or pauses a program, the following one is started when the other one
+            says so, and its second question is answered when the first one runs.
+
+    Raises:
+        OverflowError: The programs have more than :data:`MAX_STATES` states.
+    """
+    short_programs = handshake_windows.shorten_programs(programs, blocks) if disturbed else None
+    short_result = None
+    if short_programs is not None:
+        rows, windows = short_programs
+        short_result = _RestartSearch(rows, reads_back, disturbed, windows).run()
+        if short_result.kind is None and not windows.is_invalid:
+            return short_result
     try:
-        return _Search(programs, reads_back, disturbed).run()
+        return _RestartSearch(programs, reads_back, disturbed).run()
     except OverflowError:
-        if few is None or few.kind is None:
+        if short_result is None or short_result.kind is None:
             raise
-        return few
+        return short_result
 
 
-class _Search:
-    """A program is a number, its place and its bits; a state is the number of both."""
+class _RestartSearch:
+    """Breadth-first search. A program is a number of position and bits; a state combines both numbers."""
 
     def __init__(
         self,
-        programs: Sequence[Sequence[Move]],
+        programs: Sequence[Sequence[WireOperation]],
         reads_back: bool,
         disturbed: bool,
-        windows: Windows | None = None,
+        windows: BlockWindows | None = None,
     ) -> None:
         self.programs, self.windows = programs, windows
         self.reads_back, self.disturbed = reads_back, disturbed
-        self.sides = (max(map(len, programs)) + 1) << _BITS
-        self.done = [_finished(program) for program in programs]
-        asked = [[i for i, move in enumerate(row) if move.kind == "check"][:1] for row in programs]
-        self.called = [own[0] if own and not programs[i][own[0]].value else -1 for i, own in enumerate(asked)]
-        """Where the lead sees that the other one runs, -1 of the one that follows."""
-        looks = [[i for i, move in enumerate(row) if move.kind == "look" and move.value] for row in programs]
-        self.ready = [own[0] if own else 0 for own in looks]
-        """Where a panel says that it is ready for the first meeting."""
-        self.known: dict[int, int] = {}
-        """The state that each one comes from, -1 for the first ones."""
+        self.sides = (max(map(len, programs)) + 1) << _BIT_COUNT
+        self.done = [_finished_intervals(program) for program in programs]
+        checks = [[i for i, move in enumerate(row) if move.kind == "check"][:1] for row in programs]
+        self.seen_running = [
+            rows[0] if rows and not programs[i][rows[0]].value else -1 for i, rows in enumerate(checks)
+        ]
+        """Position at which the lead sees that the other program runs, -1 for the following program."""
+        waits = [[i for i, move in enumerate(row) if move.kind == "look" and move.value] for row in programs]
+        self.ready_position = [rows[0] if rows else 0 for rows in waits]
+        """Position at which a panel says that it is ready for the first meeting."""
+        self.predecessors: dict[int, int] = {}
+        """Predecessor of each state, -1 for the initial ones."""
         self.options: dict[int, tuple[tuple[int, str, bool], ...]] = {}
 
-    def run(self) -> Restarted:
-        """The first fault in the order of events, if there is one."""
-        lines = (0, _LINE | _LINE_READ)
+    def run(self) -> RestartResult:
+        """Return the first fault in the order of events, if there is one."""
+        lines = (0, _LINE_BIT | _LINE_READ_BIT)
         todo = [a * self.sides + b for a in lines for b in lines]
-        known = self.known = dict.fromkeys(todo, -1)
+        known = self.predecessors = dict.fromkeys(todo, -1)
         for state in todo:
             both = divmod(state, self.sides)
             fault = self._fault(both)
-            after = [new for *_, new in self._next(both)]
-            after += self._again(both)
+            after = [new for *_, new in self._successors(both)]
+            after += self._equivalent_states(both)
             if not (fault or self.disturbed):
-                fault = self._ended(both, bool(after))
+                fault = self._undisturbed_fault(both, bool(after))
             if fault is not None:
-                places = self._line(0, both[0]), self._line(1, both[1])
-                return Restarted(*fault, places, self._way(state), len(known))
+                steps_at = self._line(0, both[0]), self._line(1, both[1])
+                return RestartResult(*fault, steps_at, self._events_to(state), len(known))
             for new in after:
                 if new not in known:
                     known[new] = state
                     todo.append(new)
-            if len(known) > MOST_STATES:
-                raise OverflowError(f"more than {MOST_STATES} states")
-        return Restarted(None, 0, (0, 0), (), len(known))
+            if len(known) > MAX_STATES:
+                raise OverflowError(f"more than {MAX_STATES} states")
+        return RestartResult(None, 0, (0, 0), (), len(known))
 
     def _line(self, program: int, side: int) -> int:
         row = self.programs[program]
-        return row[min(side >> _BITS, len(row) - 1)].line if row else 0
+        return row[min(side >> _BIT_COUNT, len(row) - 1)].line if row else 0
 
-    def _way(self, state: int) -> tuple[tuple[int, str, int], ...]:
-        """What has led to a state, without what wires have done."""
+    def _events_to(self, state: int) -> tuple[tuple[int, str, int], ...]:
+        """Events that lead to a state, without those of wires."""
         out = []
-        while (earlier := self.known[state]) >= 0:
+        while (earlier := self.predecessors[state]) >= 0:
             both = divmod(earlier, self.sides)
-            moved = ((i, what) for i, what, new in self._next(both) if new == state)
+            moved = ((i, what) for i, what, new in self._successors(both) if new == state)
             program, what = next(moved, (0, "wire"))
             if what != "wire":
                 out.append((program, what, self._line(program, both[program])))
             state = earlier
         return tuple(reversed(out))
 
-    def _again(self, both: tuple[int, int]) -> list[int]:
-        """The same state where the same stands before it."""
-        places = (both[0] >> _BITS, both[1] >> _BITS)
-        other = None if self.windows is None else self.windows.again(places)
+    def _equivalent_states(self, both: tuple[int, int]) -> list[int]:
+        """The equivalent state at an earlier position with the same blocks before it."""
+        positions = (both[0] >> _BIT_COUNT, both[1] >> _BIT_COUNT)
+        other = None if self.windows is None else self.windows.equivalent_positions(positions)
         if other is None:
             return []
-        a, b = (place << _BITS | side & _ALL for place, side in zip(other, both, strict=True))
+        a, b = (position << _BIT_COUNT | side & _BIT_MASK for position, side in zip(other, both, strict=True))
         return [a * self.sides + b]
 
-    def _ends(self, own: int, other: int) -> bool:
-        """Whether a program's thread is about to end it."""
-        if own & 3 != _ON or not own & _WATCHES:
+    def _is_ending(self, program: int, other: int) -> bool:
+        """Whether a program's monitoring thread is about to end it."""
+        if program & 3 != _MODE_ON or not program & _MONITOR_BIT:
             return False
-        return not other & _RUNS_READ or (self.reads_back and not own & _RUNS)
+        return not other & _RUNNING_READ_BIT or (self.reads_back and not program & _RUNNING_BIT)
 
     def _fault(self, both: tuple[int, int]) -> tuple[FaultKind, int] | None:
-        for i, own in enumerate(both):
-            row, place = self.programs[i], own >> _BITS
-            if own & 3 != _ON or place >= len(row) or row[place].kind != "done":
+        for i, program_state in enumerate(both):
+            row, position = self.programs[i], program_state >> _BIT_COUNT
+            if program_state & 3 != _MODE_ON or position >= len(row) or row[position].kind != "done":
                 continue
-            if not own & _WATCHES:
+            if not program_state & _MONITOR_BIT:
                 return "unwatched", i
             other = both[1 - i]
-            behind = self.done[1 - i][other >> _BITS] < row[place].value - 1
-            if behind and other & 3 != _OFF and not self._ends(own, other):
+            is_behind = self.done[1 - i][other >> _BIT_COUNT] < row[position].value - 1
+            if is_behind and other & 3 != _MODE_OFF and not self._is_ending(program_state, other):
                 return "apart", i
         return None
 
-    def _ended(self, both: tuple[int, int], goes_on: bool) -> tuple[FaultKind, int] | None:
-        """Whether a program ends itself where nobody disturbs it, or neither goes on."""
-        for i, own in enumerate(both):
-            row, place, other = self.programs[i], own >> _BITS, both[1 - i]
-            if self._ends(own, other):
+    def _undisturbed_fault(self, both: tuple[int, int], goes_on: bool) -> tuple[FaultKind, int] | None:
+        """Whether a program ends itself without disturbance, or neither program can continue."""
+        for i, program_state in enumerate(both):
+            row, position, other = self.programs[i], program_state >> _BIT_COUNT, both[1 - i]
+            if self._is_ending(program_state, other):
                 return "ends", i
-            if own & 3 == _ON and place < len(row) and place != self.called[i]:
-                move = row[place]
-                low = self.reads_back and not own & _RUNS and move.kind in ("wait", "look")
-                if low or (move.kind == "check" and not _passes(move, own, other)):
+            if program_state & 3 == _MODE_ON and position < len(row) and position != self.seen_running[i]:
+                move = row[position]
+                low = self.reads_back and not program_state & _RUNNING_BIT and move.kind in ("wait", "look")
+                if low or (move.kind == "check" and not _passes_check(move, program_state, other)):
                     return "ends", i
-        gone = all(side >> _BITS >= len(row) for side, row in zip(both, self.programs, strict=True))
+        gone = all(side >> _BIT_COUNT >= len(row) for side, row in zip(both, self.programs, strict=True))
         return None if goes_on or gone else ("stuck", 0)
 
-    def _may(self, both: tuple[int, int], but: int) -> bool:
-        """Whether the program ``but`` may do what takes a person long, or what a person is told to do: wires
-        have followed, and the other program has come to what takes long."""
-        own, other = both[1 - but], both[but]
-        row, place = self.programs[1 - but], own >> _BITS
+    def _may_happen(self, both: tuple[int, int], program: int) -> bool:
+        """Whether an action that takes a person long may happen to the program ``program``.
+
+        Wires have followed, and the other program is at an operation that takes long. Actions that the
+        operator is asked for are included.
+        """
+        other_state, other = both[1 - program], both[program]
+        row, position = self.programs[1 - program], other_state >> _BIT_COUNT
         if not self.disturbed:
-            if other & 3 == _OFF:  # it is started once, that of the lead first
-                return other >> _BITS == 0 and (self.called[but] >= 0 or place == self.called[1 - but])
-            return other >> _BITS != self.called[but] or place >= self.ready[1 - but]
+            if other & 3 == _MODE_OFF:  # each program is started once, the lead first
+                return other >> _BIT_COUNT == 0 and (
+                    self.seen_running[program] >= 0 or position == self.seen_running[1 - program]
+                )
+            return (
+                other >> _BIT_COUNT != self.seen_running[program]
+                or position >= self.ready_position[1 - program]
+            )
         if any((side >> 2 ^ side >> 4) & 3 for side in both):
             return False
-        if own & 3 != _ON:
+        if other_state & 3 != _MODE_ON:
             return True
-        if self._ends(own, other) or place >= len(row):
+        if self._is_ending(other_state, other) or position >= len(row):
             return False
-        move = row[place]
+        move = row[position]
         if move.kind in ("wait", "look"):
-            return not (self.reads_back and not own & _RUNS) and not _seen(move, other)
-        return move.kind in ("ask", "done") or move.slow
+            return not (self.reads_back and not other_state & _RUNNING_BIT) and not _is_read(move, other)
+        return move.kind in ("ask", "done") or move.is_slow
 
-    def _next(self, both: tuple[int, int]) -> Iterator[tuple[int, str, int]]:
-        """What may happen: by which program, what, and the state behind."""
-        for i, own in enumerate(both):
+    def _successors(self, both: tuple[int, int]) -> Iterator[tuple[int, str, int]]:
+        """Possible events: program, event, and next state."""
+        for i, program_state in enumerate(both):
             other = both[1 - i]
-            key = (own << _BITS | other & _ALL) << 1 | i
+            key = (program_state << _BIT_COUNT | other & _BIT_MASK) << 1 | i
             options = self.options.get(key)
             if options is None:
-                options = self.options[key] = tuple(self._side(i, own, other & _ALL))
-            for new, what, slow in options:
-                if not slow or self._may(both, i):
+                options = self.options[key] = tuple(self._program_events(i, program_state, other & _BIT_MASK))
+            for new, what, is_slow in options:
+                if not is_slow or self._may_happen(both, i):
                     yield i, what, new * self.sides + other if i == 0 else other * self.sides + new
 
-    def _side(self, i: int, own: int, other: int) -> Iterator[tuple[int, str, bool]]:
-        """What a program may do beside the bits of the other one: it behind, what, and whether that takes
-        long."""
-        for shift in (_RUNS, _LINE):
-            if (own ^ own >> 2) & shift:
-                yield own ^ shift << 2, "wire", False
-        mode, bits, place = own & 3, own & _ALL, own >> _BITS
-        if mode == _OFF:
-            yield bits | _ON, "start", True
+    def _program_events(self, i: int, program_state: int, other: int) -> Iterator[tuple[int, str, bool]]:
+        """Events of one program, given the bits of the other: next value, event, whether it takes long."""
+        for shift in (_RUNNING_BIT, _LINE_BIT):
+            if (program_state ^ program_state >> 2) & shift:
+                yield program_state ^ shift << 2, "wire", False
+        mode, bits, position = program_state & 3, program_state & _BIT_MASK, program_state >> _BIT_COUNT
+        if mode == _MODE_OFF:
+            yield bits | _MODE_ON, "start", True
             return
-        off = bits & ~(3 | _WATCHES | _RUNS)
+        stopped_state = bits & ~(3 | _MONITOR_BIT | _RUNNING_BIT)
         if self.disturbed:
-            for stopped in sorted({off, off & ~_LINE}):
+            for stopped in sorted({stopped_state, stopped_state & ~_LINE_BIT}):
                 yield stopped, "stop", False
-            if mode == _PAUSED:
-                yield own & ~3 | _ON, "go on", False
+            if mode == _MODE_PAUSED:
+                yield program_state & ~3 | _MODE_ON, "go on", False
                 return
-            low = own & ~(3 | _RUNS) | _PAUSED
-            for paused in sorted({low, low & ~_LINE}):
+            low = program_state & ~(3 | _RUNNING_BIT) | _MODE_PAUSED
+            for paused in sorted({low, low & ~_LINE_BIT}):
                 yield paused, "pause", False
         row = self.programs[i]
-        if place >= len(row):
-            yield (off if self.disturbed else place << _BITS | off), "end", False
+        if position >= len(row):
+            yield (stopped_state if self.disturbed else position << _BIT_COUNT | stopped_state), "end", False
             return
-        move, slow = row[place], False
+        move, is_slow = row[position], False
         match move.kind:
             case "wait" | "look":
-                if (self.reads_back and not own & _RUNS) or not _seen(move, other):
-                    return  # it ends as by a stop, or waits
+                if (self.reads_back and not program_state & _RUNNING_BIT) or not _is_read(move, other):
+                    return  # it waits, or ends, which equals a stop
             case "check":
-                if not _passes(move, own, other):
-                    return  # the same
-                slow = not self.disturbed
+                if not _passes_check(move, program_state, other):
+                    return  # it ends, which equals a stop
+                is_slow = not self.disturbed
             case "run":
-                slow = move.slow and self.disturbed
-        after = own
+                is_slow = move.is_slow and self.disturbed
+        after = program_state
         if move.kind in ("set", "run", "watch"):
-            bit = {"set": _LINE, "run": _RUNS, "watch": _WATCHES}[move.kind]
-            after = own | bit if move.value else own & ~bit
+            bit = {"set": _LINE_BIT, "run": _RUNNING_BIT, "watch": _MONITOR_BIT}[move.kind]
+            after = program_state | bit if move.value else program_state & ~bit
             if move.kind == "run" and move.value and not self.disturbed:
-                after |= _RUNS_READ  # it settles before the next statement
-        yield after + (1 << _BITS), "step", slow
+                after |= _RUNNING_READ_BIT  # the wire settles before the next statement
+        yield after + (1 << _BIT_COUNT), "step", is_slow
 
 
-def _seen(move: Move, other: int) -> bool:
-    return bool(other & (_LINE_READ if move.kind == "wait" else _RUNS_READ)) == bool(move.value)
+def _is_read(move: WireOperation, other: int) -> bool:
+    return bool(other & (_LINE_READ_BIT if move.kind == "wait" else _RUNNING_READ_BIT)) == bool(move.value)
 
 
-def _passes(move: Move, own: int, other: int) -> bool:
-    line = bool(other & _LINE_READ) == bool(move.value)
-    return line and bool(other & _RUNS_READ) and bool(own & _RUNS) == move.own
+def _passes_check(move: WireOperation, program_state: int, other: int) -> bool:
+    line = bool(other & _LINE_READ_BIT) == bool(move.value)
+    return line and bool(other & _RUNNING_READ_BIT) and bool(program_state & _RUNNING_BIT) == move.own_level
 
 
-def _finished(program: Sequence[Move]) -> list[int]:
-    """For each place, the last interval whose work is done there: the one before that of the work ahead."""
-    out = [_EVER] * (len(program) + 1)
-    for place in range(len(program) - 1, -1, -1):
-        move = program[place]
-        out[place] = move.value - 1 if move.kind in ("go", "done") else out[place + 1]
+def _finished_intervals(program: Sequence[WireOperation]) -> list[int]:
+    """For each position, the last interval whose work is done: the one before that of the work ahead."""
+    out = [_AFTER_ALL] * (len(program) + 1)
+    for position in range(len(program) - 1, -1, -1):
+        move = program[position]
+        out[position] = move.value - 1 if move.kind in ("go", "done") else out[position + 1]
     return out

@@ -1,5 +1,7 @@
-"""Where clearance is measured along a motion, and how: by cheap bounds, which settle most places, by true
-distances where they do not, and by Drake where bodies are nearest.
+"""Where and how clearance is measured along a motion.
+
+Cheap bounds decide most samples. True distances are computed where bounds do not suffice, and by Drake
+where bodies are nearest.
 """
 
 import dataclasses
@@ -12,135 +14,169 @@ from planner.cell import clearance
 from planner.cell.clearance import Pairs
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import FloatArray, IntArray, Shape
-from planner.issues import refusal
+from planner.issues import issue_error
 from planner.problem import Setup
 from planner.proof.context import Context
 from planner.proof.kinematics import arm_model, offset_arm, parallel_arm
 from planner.tooling import working_solid
 
-SAMPLE_STRIDE = 0.012
-"""Way of any point of an arm between looks [m], the wanted clearance at most: bodies that keep it at two
-looks do not touch between them, as long as it is more than ``LEAST_STRIDE``."""
-LEAST_STRIDE = 0.003
-"""Least such way [m]."""
-MOST_MEASURED = 20_000
-"""Up to so many looks all distances are measured; of more, a quarter of it and all that are in doubt."""
-SAMPLES_AT_ONCE = 2000
-"""Looks that are measured before it is asked whether enough of them are bad."""
-MOST_NEAREST = 50_000
-"""Looks that are measured at most to find the least distance where none is in doubt."""
-DISTANCE_PRECISION = 1e-5
-"""How precisely the least distance is found [m], where none is in doubt."""
-MOST_DOUBTED = 250_000
-"""Looks that bounds leave in doubt at most; a motion that has more is refused."""
-MOST_BROKEN = 1000
-"""Looks with too little clearance after which no more of those in doubt are measured."""
-WITNESSED = 32
-"""Looks of a group that Drake is asked about, too: so many with the smallest distances, so many others."""
+MAX_SAMPLE_STRIDE_M = 0.012
+"""Maximum path [m] of any point of an arm between queries, limited by the required clearance.
+Bodies that keep the clearance at two queries do not touch between them, as long as it exceeds
+``MIN_SAMPLE_STRIDE_M``.
+"""
+MIN_SAMPLE_STRIDE_M = 0.003
+"""Minimum of that path [m]."""
+MAX_FULLY_MEASURED = 20_000
+"""Number of queries up to which all distances are measured. Of more, a quarter of it and all undecided ones
+are measured.
+"""
+QUERIES_PER_BATCH = 2000
+"""Number of queries per batch, after which the number of violations is checked."""
+MAX_NEAREST_QUERIES = 50_000
+"""Maximum number of queries that are measured to find the smallest distance if none is undecided."""
+DISTANCE_PRECISION_M = 1e-5
+"""Precision [m] of the smallest distance if no query is undecided."""
+MAX_UNDECIDED = 250_000
+"""Maximum number of queries that bounds leave undecided. A motion with more is refused."""
+MAX_VIOLATIONS = 1000
+"""Number of violations after which no more undecided queries are measured."""
+DRAKE_QUERIES = 32
+"""Number of queries with the smallest distances, and of others, that Drake measures, too."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Measured:
-    """``look`` (K,): indices of the looks whose distances were measured, ascending, and their ``least``.
+class ClearanceMeasurement:
+    """Measured distances.
 
-    ``rest``: what all other looks keep at least [m], infinite where there are none. None of them is below the
-    limit that was asked about, unless so many others are that the search ended.
+    Attributes:
+        rows: Ascending indices (K,) of the measured queries.
+        min_clearance: Smallest distances there.
+        unmeasured_bound: Lower bound [m] of the distance at all other queries, infinite without any. None of
+            them is below the limit, unless there are so many violations that the search ended.
     """
 
-    look: IntArray
-    least: clearance.LeastClearance
-    rest: float
+    rows: IntArray
+    min_clearance: clearance.MinClearance
+    unmeasured_bound: float
 
 
-def clearance_rows(context: Context, index: int, itself: bool = False) -> IntArray:
-    """Samples of setup ``index`` at which clearance is looked at: no point of an arm, its tool or what it
-    holds moves farther than ``SAMPLE_STRIDE`` between them, of all arms together. ``itself``: at which that
-    of each arm to itself is, where the others' ways do not count."""
+def clearance_samples(context: Context, index: int, itself: bool = False) -> IntArray:
+    """Return the samples of setup ``index`` at which clearance is queried.
+
+    No point of an arm, its tool or what it holds moves farther than ``MAX_SAMPLE_STRIDE_M`` between them,
+    of all arms together. With ``itself`` it is each arm's clearance to itself, for which the paths of the
+    others do not count.
+    """
     rows = np.flatnonzero(context.sample_setup == index)
     if not len(rows):
         return rows
-    wanted, way = context.problem.settings.clearance, np.zeros(len(rows))
+    required, path = context.problem.settings.clearance, np.zeros(len(rows))
     for task in context.job.tasks:
-        gone = travel(context, index, task.arm.name, rows)
-        ridden = context.motion.ridden.get(task.arm.name)
-        if ridden is not None and not itself:
-            gone = gone + np.abs(np.diff(ridden[rows]))
-        way[1:] = np.maximum(way[1:], gone) if itself else way[1:] + gone
+        arm_path = max_point_path(context, index, task.arm.name, rows)
+        track_path = context.motion.track_positions.get(task.arm.name)
+        if track_path is not None and not itself:
+            arm_path = arm_path + np.abs(np.diff(track_path[rows]))
+        path[1:] = np.maximum(path[1:], arm_path) if itself else path[1:] + arm_path
     if itself:
-        wanted = context.problem.settings.of_one_arm
-    along = np.cumsum(way)
-    count = max(int(np.ceil(along[-1] / min(SAMPLE_STRIDE, max(wanted, LEAST_STRIDE)))), 1)
+        required = context.problem.settings.self_clearance
+    along = np.cumsum(path)
+    count = max(int(np.ceil(along[-1] / min(MAX_SAMPLE_STRIDE_M, max(required, MIN_SAMPLE_STRIDE_M)))), 1)
     marks = np.searchsorted(along, np.linspace(0.0, along[-1], count + 1))
     return rows[np.unique(np.clip(marks, 0, len(along) - 1))]
 
 
-def least_distances(
+def measure_min_distances(
     model: CellModel, q: Mapping[str, FloatArray], limit: float, reach: float, ignore: Pairs
-) -> Measured:
-    """Least distances of bodies, of those within ``reach`` [m], at looks ``q`` {arm: (B, 6)}, wherever they
-    may be below ``limit`` [m], where they are smallest, and at looks evenly spread.
+) -> ClearanceMeasurement:
+    """Measure smallest distances of bodies.
 
-    Raises :class:`TandemError` (``verify.duration``) where too many looks are in doubt.
+    They are measured wherever they may be below the limit, where they are smallest, and at evenly spread
+    queries.
+
+    Args:
+        model: Model of the cell.
+        q: Joints {arm: (B, 6)} of the queries.
+        limit: Required distance [m].
+        reach: Range [m] within which bodies are considered.
+        ignore: Pairs of bodies that are not measured.
+
+    Raises:
+        TandemError: Too many queries are undecided (``verify.duration``).
     """
     count = max((len(rows) for rows in q.values()), default=0)
-    if count <= MOST_MEASURED:
-        look, found = np.arange(count), clearance.least(model, q, reach, ignore)
-        return Measured(look, _witnessed(model, q, reach, ignore, look, found), np.inf)
-    asked = _Asked(model, q, reach, ignore, count)
-    asked.ask(np.unique(np.linspace(0, count - 1, MOST_MEASURED // 4).astype(np.int64)))
-    # neither the limit nor the least distance is beyond this, and bounds that need not reach farther are fast
-    near = max(limit, float(np.nanmin(asked.distance, initial=reach)))
-    lower = clearance.at_least(model, q, min(reach, near + 2.0 * clearance.BOUND_ERROR), ignore)
-    lower[~np.isfinite(model.stack(q)).all(axis=1)] = -np.inf
-    doubted = np.flatnonzero(lower < limit)
-    for first in range(0, len(doubted), SAMPLES_AT_ONCE):
-        if np.count_nonzero(asked.distance < limit) > MOST_BROKEN:
+    if count <= MAX_FULLY_MEASURED:
+        measured_rows, distances = np.arange(count), clearance.min_clearance(model, q, reach, ignore)
+        return ClearanceMeasurement(
+            measured_rows, _checked_with_drake(model, q, reach, ignore, measured_rows, distances), np.inf
+        )
+    measured = _MeasuredQueries(model, q, reach, ignore, count)
+    measured.measure(np.unique(np.linspace(0, count - 1, MAX_FULLY_MEASURED // 4).astype(np.int64)))
+    # Neither the limit nor the smallest distance exceeds this, and bounds with a short range are fast.
+    max_needed = max(limit, float(np.nanmin(measured.distance, initial=reach)))
+    lower = clearance.distance_lower_bound(
+        model, q, min(reach, max_needed + 2.0 * clearance.BOUND_ERROR), ignore
+    )
+    lower[~np.isfinite(model.stack_rows(q)).all(axis=1)] = -np.inf
+    undecided = np.flatnonzero(lower < limit)
+    for first in range(0, len(undecided), QUERIES_PER_BATCH):
+        if np.count_nonzero(measured.distance < limit) > MAX_VIOLATIONS:
             break
-        if first >= MOST_DOUBTED:
-            what = f"clearance is in doubt at {len(doubted)} of {count} looks"
-            what = f"{what}, at most {MOST_DOUBTED} are measured; split the job"
-            raise refusal("verify.duration", what, value=len(doubted), limit=MOST_DOUBTED)
-        asked.ask(doubted[first : first + SAMPLES_AT_ONCE])
+        if first >= MAX_UNDECIDED:
+            what = f"clearance is undecided at {len(undecided)} of {count} queries"
+            what = f"{what}; allowed: {MAX_UNDECIDED}. Split the job"
+            raise issue_error("verify.duration", what, value=len(undecided), limit=MAX_UNDECIDED)
+        measured.measure(undecided[first : first + QUERIES_PER_BATCH])
     order = np.argsort(lower, kind="stable")
-    for first in range(0, MOST_NEAREST, SAMPLES_AT_ONCE):
-        nearest = order[first : first + SAMPLES_AT_ONCE]
-        # a bound is a touch below the distance that it bounds
+    for first in range(0, MAX_NEAREST_QUERIES, QUERIES_PER_BATCH):
+        nearest = order[first : first + QUERIES_PER_BATCH]
+        # Bounds are lower than distances by up to BOUND_ERROR.
         if (
             not len(nearest)
-            or lower[nearest[0]] + clearance.BOUND_ERROR >= np.nanmin(asked.distance) - DISTANCE_PRECISION
+            or lower[nearest[0]] + clearance.BOUND_ERROR
+            >= np.nanmin(measured.distance) - DISTANCE_PRECISION_M
         ):
             break
-        asked.ask(nearest)
-    left = lower[~asked.done] + clearance.BOUND_ERROR
-    look, found = asked.result()
-    found = _witnessed(model, q, reach, ignore, look, found)
-    return Measured(look, found, float(left.min(initial=np.inf)))
+        measured.measure(nearest)
+    remaining = lower[~measured.done] + clearance.BOUND_ERROR
+    measured_rows, distances = measured.result()
+    distances = _checked_with_drake(model, q, reach, ignore, measured_rows, distances)
+    return ClearanceMeasurement(measured_rows, distances, float(remaining.min(initial=np.inf)))
 
 
-def _witnessed(
+def _checked_with_drake(
     model: CellModel,
     q: Mapping[str, FloatArray],
     reach: float,
     ignore: Pairs,
-    look: IntArray,
-    found: clearance.LeastClearance,
-) -> clearance.LeastClearance:
-    """The distances ``found`` at looks (K,), the smallest ones and some others held against Drake's, which
-    come from another code and are never below the truth: where Drake's are smaller, they count."""
-    spread = np.linspace(0, len(look) - 1, WITNESSED).astype(np.int64) if len(look) else look
-    some = np.union1d(np.argsort(found.distance, kind="stable")[:WITNESSED], spread)
-    drake = clearance.witness(
-        model.at_rows(look[some]), {arm: rows[look[some]] for arm, rows in q.items()}, reach, ignore
+    measured_rows: IntArray,
+    distances: clearance.MinClearance,
+) -> clearance.MinClearance:
+    """Compare the smallest distances and some others with Drake's.
+
+    Drake's come from other code and are never below the truth. If they are smaller, they count.
+    """
+    spread = (
+        np.linspace(0, len(measured_rows) - 1, DRAKE_QUERIES).astype(np.int64)
+        if len(measured_rows)
+        else measured_rows
     )
-    less = np.flatnonzero(drake.distance < found.distance[some] - DISTANCE_PRECISION)
-    distance, pair = found.distance.copy(), list(found.pair)
+    chosen = np.union1d(np.argsort(distances.distance, kind="stable")[:DRAKE_QUERIES], spread)
+    drake = clearance.drake_min_clearance(
+        model.at_rows(measured_rows[chosen]),
+        {arm: rows[measured_rows[chosen]] for arm, rows in q.items()},
+        reach,
+        ignore,
+    )
+    less = np.flatnonzero(drake.distance < distances.distance[chosen] - DISTANCE_PRECISION_M)
+    distance, pair = distances.distance.copy(), list(distances.pair)
     for k in less.tolist():
-        distance[some[k]], pair[some[k]] = drake.distance[k], drake.pair[k]
-    return clearance.LeastClearance(distance, tuple(pair))
+        distance[chosen[k]], pair[chosen[k]] = drake.distance[k], drake.pair[k]
+    return clearance.MinClearance(distance, tuple(pair))
 
 
-class _Asked:
-    """Distances of the looks that were measured so far."""
+class _MeasuredQueries:
+    """Distances of the queries that were measured so far."""
 
     def __init__(
         self, model: CellModel, q: Mapping[str, FloatArray], reach: float, ignore: Pairs, count: int
@@ -150,41 +186,45 @@ class _Asked:
         self.done = np.zeros(count, dtype=bool)
         self.pair: dict[int, tuple[str, str]] = {}
 
-    def ask(self, some: IntArray) -> None:
-        """Measure at some looks, unless that is done."""
-        some = some[~self.done[some]]
-        if not len(some):
+    def measure(self, queries: IntArray) -> None:
+        """Measure queries that have not been measured."""
+        queries = queries[~self.done[queries]]
+        if not len(queries):
             return
-        found = clearance.least(
-            self.model.at_rows(some),
-            {arm: rows[some] for arm, rows in self.q.items()},
+        distances = clearance.min_clearance(
+            self.model.at_rows(queries),
+            {arm: rows[queries] for arm, rows in self.q.items()},
             self.reach,
             self.ignore,
         )
-        self.distance[some], self.done[some] = found.distance, True
-        self.pair.update(zip(some.tolist(), found.pair, strict=True))
+        self.distance[queries], self.done[queries] = distances.distance, True
+        self.pair.update(zip(queries.tolist(), distances.pair, strict=True))
 
-    def result(self) -> tuple[IntArray, clearance.LeastClearance]:
-        """Indices (K,) of what was measured, and the distances."""
-        look = np.flatnonzero(self.done)
-        return look, clearance.LeastClearance(self.distance[look], tuple(self.pair[int(i)] for i in look))
+    def result(self) -> tuple[IntArray, clearance.MinClearance]:
+        """Return the indices (K,) of the measured queries, and their distances."""
+        measured_rows = np.flatnonzero(self.done)
+        return measured_rows, clearance.MinClearance(
+            self.distance[measured_rows], tuple(self.pair[int(i)] for i in measured_rows)
+        )
 
 
-def travel(context: Context, index: int, arm: str, rows: IntArray | slice = slice(None)) -> FloatArray:
-    """How far (M - 1,) [m] any point of an arm goes at most between samples ``rows`` (M,) of a setup."""
-    reach, q = lever(context, index, arm), context.motion.links[arm]
-    # one axis at a time: copies of all take a long motion's memory
+def max_point_path(
+    context: Context, index: int, arm: str, rows: IntArray | slice = slice(None)
+) -> FloatArray:
+    """Bound the path (M - 1,) [m] of any point of an arm between samples ``rows`` (M,) of a setup."""
+    reach, q = max_point_distances(context, index, arm), context.motion.link_joints[arm]
+    # One axis at a time to limit the memory of long motions.
     return np.asarray(sum(reach[axis] * np.abs(np.diff(q[rows, axis])) for axis in range(q.shape[1])))
 
 
-def lever(context: Context, index: int, arm: str) -> FloatArray:
-    """How far any point of an arm is from each of its axes at most (J,) [m]."""
+def max_point_distances(context: Context, index: int, arm: str) -> FloatArray:
+    """Return the maximum distance (J,) [m] of any point of an arm from each of its axes."""
     setup = context.setups[index]
-    machine, tool = arm_model.machine_of(setup.cell.arm(arm).data), _hand(setup, arm)
-    if machine.spherical is None:
-        if machine.followed or len(machine.chain.axis) == 7:
-            return offset_arm.levers(machine.chain, tool)
-        return parallel_arm.levers(machine.table, tool)
+    machine, tool = arm_model.robot_machine(setup.cell.arm(arm).data), _hand_reach(setup, arm)
+    if machine.spherical_shape is None:
+        if machine.is_followed or len(machine.chain.axis) == 7:
+            return offset_arm.max_axis_distances(machine.chain, tool)
+        return parallel_arm.max_axis_distances(machine.table, tool)
     p = machine.shape
     hand = abs(p.c4) + float(np.linalg.norm(p.right[:3, 3])) + tool
     forearm = float(np.hypot(p.a2, p.c3))
@@ -193,22 +233,22 @@ def lever(context: Context, index: int, arm: str) -> FloatArray:
     )
 
 
-def _hand(setup: Setup, arm: str) -> float:
-    """How far any point of the tool, or of the block that it holds, is from the flange at most [m]."""
+def _hand_reach(setup: Setup, arm: str) -> float:
+    """Return the maximum distance [m] of any point of the tool, or of a held block, from the flange."""
     tool, stock = setup.cell.arm(arm).tool, setup.stock
-    far = [float(np.linalg.norm(tool.tcp[:3, 3])) + 0.05]
+    distances = [float(np.linalg.norm(tool.tcp[:3, 3])) + 0.05]
     solid = working_solid(tool)
     shapes = tool.shapes if solid is None else (*tool.shapes, solid)
-    far += [float(np.linalg.norm(shape.pose[:3, 3])) + _radius(shape) for shape in shapes]
+    distances += [float(np.linalg.norm(shape.pose[:3, 3])) + _bounding_radius(shape) for shape in shapes]
     if stock.held_by == arm:
         corners = np.array(list(itertools.product(*zip(stock.lower, stock.upper, strict=True))))
         pose = tool.tcp @ stock.grip
-        far.append(float(np.linalg.norm(corners @ pose[:3, :3].T + pose[:3, 3], axis=1).max()))
-    return max(far)
+        distances.append(float(np.linalg.norm(corners @ pose[:3, :3].T + pose[:3, 3], axis=1).max()))
+    return max(distances)
 
 
-def _radius(shape: Shape) -> float:
-    """Radius [m] of a ball about a shape's origin that holds it."""
+def _bounding_radius(shape: Shape) -> float:
+    """Return the radius [m] of a ball about a shape's origin that contains it."""
     if shape.vertices is not None:
         return float(np.linalg.norm(shape.vertices, axis=1).max())
     if shape.kind == "box":

@@ -7,12 +7,12 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray
 
-POSTURES_TOGETHER: Final = 4096
+POSTURES_PER_BATCH: Final = 4096
 """Number of postures computed in one batch. Chosen so that the arrays stay in the processor's cache."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Chain:
+class SerialChain:
     """Serial chain of J revolute joints: six, or seven for a robot defined by the user's own URDF.
 
     Attributes:
@@ -25,7 +25,7 @@ class Chain:
         velocity: Maximum joint speeds (J,) [rad/s], NaN if the file states none.
         step: Transforms (J + 1, 4, 4) from each joint frame, with its axis along z, to the next one. The
             first starts at the base, the last ends at the tip.
-        lay: Rotations (J, 3, 3) that align z with the joint axes in the frames of the links.
+        axis_alignment: Rotations (J, 3, 3) that align z with the joint axes in the frames of the links.
     """
 
     links: tuple[str, ...]
@@ -35,11 +35,11 @@ class Chain:
     upper: FloatArray
     velocity: FloatArray
     step: FloatArray
-    lay: FloatArray
+    axis_alignment: FloatArray
 
     def tip(self, q: FloatArray) -> FloatArray:
         """Compute poses (..., 4, 4) of the tip in the base at joint angles ``q`` (..., J) [rad]."""
-        return self._followed(q, tip_only=True)[..., 0, :, :]
+        return self._compute_frames(q, tip_only=True)[..., 0, :, :]
 
     def frames(self, q: FloatArray) -> FloatArray:
         """Compute poses (..., J + 1, 4, 4) of all links and the tip in the base.
@@ -47,19 +47,19 @@ class Chain:
         Args:
             q: Joint angles (..., J) [rad].
         """
-        return self._followed(q, tip_only=False)
+        return self._compute_frames(q, tip_only=False)
 
-    def _followed(self, q: FloatArray, tip_only: bool) -> FloatArray:
+    def _compute_frames(self, q: FloatArray, tip_only: bool) -> FloatArray:
         count = len(self.axis)
         rows = np.asarray(q, dtype=np.float64).reshape(-1, count)
         out = np.zeros((len(rows), 1 if tip_only else count + 1, 4, 4))
         out[..., 3, 3] = 1.0
-        for first in range(0, len(rows), POSTURES_TOGETHER):
-            some = slice(first, first + POSTURES_TOGETHER)
-            self._follow(rows[some], out[some], tip_only)
+        for first in range(0, len(rows), POSTURES_PER_BATCH):
+            batch = slice(first, first + POSTURES_PER_BATCH)
+            self._fill_frames(rows[batch], out[batch], tip_only)
         return out.reshape(*np.shape(q)[:-1], *out.shape[1:])
 
-    def _follow(self, q: FloatArray, out: FloatArray, tip_only: bool) -> None:
+    def _fill_frames(self, q: FloatArray, out: FloatArray, tip_only: bool) -> None:
         """Fill ``out`` (B, J + 1 or 1, 4, 4) with poses.
 
         Axes and positions are stored as rows, (3, 3 B) and (3 B,). A rotation about z then combines two rows,
@@ -68,18 +68,18 @@ class Chain:
         count = len(q)
         cos, sin = (np.tile(f(q.T), 3) for f in (np.cos, np.sin))
         axes = np.repeat(self.step[0, :3, :3].T, count, axis=1)
-        place = np.repeat(self.step[0, :3, 3], count)
+        positions = np.repeat(self.step[0, :3, 3], count)
         for i in range(len(self.axis)):
             x, y = axes[0], axes[1]
             axes = np.stack([cos[i] * x + sin[i] * y, cos[i] * y - sin[i] * x, axes[2]])
             if not tip_only:
-                _put(out[:, i], self.lay[i] @ axes, place)
-            place = place + self.step[i + 1, :3, 3] @ axes
+                _write_poses(out[:, i], self.axis_alignment[i] @ axes, positions)
+            positions = positions + self.step[i + 1, :3, 3] @ axes
             axes = self.step[i + 1, :3, :3].T @ axes
-        _put(out[:, -1], axes, place)
+        _write_poses(out[:, -1], axes, positions)
 
 
-def _put(out: FloatArray, axes: FloatArray, place: FloatArray) -> None:
+def _write_poses(out: FloatArray, axes: FloatArray, positions: FloatArray) -> None:
     """Write axes (3, 3 B) and positions (3 B,) as poses (B, 4, 4)."""
     out[:, :3, :3] = axes.reshape(3, 3, -1).transpose(2, 1, 0)
-    out[:, :3, 3] = place.reshape(3, -1).T
+    out[:, :3, 3] = positions.reshape(3, -1).T

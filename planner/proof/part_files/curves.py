@@ -1,14 +1,14 @@
 """Curves of DXF drawings, Bezier curves and B-splines, and ruled surfaces between two guides.
 
-ezdxf parses the text; what arcs, bulges, ellipses and splines are is worked out here. Source:
-Autodesk, DXF Reference (2018), entities and "Arbitrary Axis Algorithm". Bezier curves by de
-Casteljau's steps, clamped cubic B-splines by Cox and de Boor's, and lofts of them: G. Farin, Curves
-and Surfaces for CAGD (2002), 4.2 and 8.2.
+ezdxf parses the text. Arcs, bulges, ellipses and splines are evaluated here. Sources: Autodesk, DXF
+Reference (2018), entities and "Arbitrary Axis Algorithm"; Bezier curves by de Casteljau's algorithm,
+clamped cubic B-splines by Cox and de Boor's, and lofts of them: G. Farin, Curves and Surfaces for CAGD
+(2002), 4.2 and 8.2.
 
-Which points of two guides are joined, the problem's words on them say. Corners, and the ends of
-open guides, are kept together; between them points at equal shares of the way, or of the parameter,
-are joined. Of the ways in which two guides may be laid on each other that one counts with the
-shortest rulings; where several are as short, each of them.
+The problem's words state which points of two guides are joined. Corners, and the ends of open guides, are
+joined with each other. Between them, points at equal fractions of the length, or of the parameter, are
+joined. If two guides can be joined in several ways, the shortest rulings count, and all ways that are
+equally short.
 """
 
 import dataclasses
@@ -24,17 +24,27 @@ from planner.proof.part_files import UnreadError
 
 
 def bezier(control: FloatArray, t: FloatArray) -> FloatArray:
-    """Points (N, D) at t (N,) of control points (C, D), or of one set of them for each (N, C, D)."""
+    """Evaluate a Bezier curve (de Casteljau).
+
+    Args:
+        control: Control points (C, D), or one set of them for each parameter (N, C, D).
+        t: Parameters (N,).
+    """
     points = np.broadcast_to(control, (len(t), *control.shape[-2:])).astype(np.float64)
-    share = t[:, None, None]
+    weight = t[:, None, None]
     while points.shape[1] > 1:
-        points = points[:, :-1] + share * (points[:, 1:] - points[:, :-1])
+        points = points[:, :-1] + weight * (points[:, 1:] - points[:, :-1])
     return points[:, 0]
 
 
 def bspline(control: FloatArray, t: FloatArray) -> FloatArray:
-    """Points (N, D) at t (N,) in [0, 1] of a clamped uniform B-spline, cubic or of what degree its control
-    points (C, D) or (N, C, D) allow."""
+    """Evaluate a clamped uniform B-spline.
+
+    Args:
+        control: Control points (C, D) or (N, C, D). They are cubic, or of the degree that their number
+            allows.
+        t: Parameters (N,) in [0, 1].
+    """
     count = control.shape[-2]
     degree = min(3, count - 1)
     inner = np.arange(1, count - degree) / (count - degree)
@@ -45,52 +55,78 @@ def bspline(control: FloatArray, t: FloatArray) -> FloatArray:
 def nurbs(
     control: FloatArray, weight: FloatArray, knots: FloatArray, degree: int, t: FloatArray
 ) -> FloatArray:
-    """Points (N, D) at t (N,) of a rational B-spline: control points (C, D) or (N, C, D), ``weight`` (C,),
-    ``knots`` (C + degree + 1,)."""
+    """Evaluate a rational B-spline (Cox and de Boor).
+
+    Args:
+        control: Control points (C, D) or (N, C, D).
+        weight: Weights (C,).
+        knots: Knots (C + degree + 1,).
+        degree: Degree.
+        t: Parameters (N,).
+    """
     count = control.shape[-2]
     span = np.clip(np.searchsorted(knots, t, side="right") - 1, degree, count - 1)
     whole = np.broadcast_to(control, (len(t), *control.shape[-2:]))
     rows = np.arange(len(t))[:, None]
-    near = span[:, None] - degree + np.arange(degree + 1)
-    point = whole[rows, near] * weight[near][..., None]
-    point = np.concatenate([point, weight[near][..., None]], axis=2)
+    indices = span[:, None] - degree + np.arange(degree + 1)
+    point = whole[rows, indices] * weight[indices][..., None]
+    point = np.concatenate([point, weight[indices][..., None]], axis=2)
     for level in range(1, degree + 1):
-        low = knots[near[:, level:]]
-        high = knots[near[:, : degree + 1 - level] + degree + 1]
-        share = (t[:, None] - low) / np.where(high > low, high - low, 1.0)
-        share = np.where(high > low, share, 0.0)[..., None]
-        point = (1.0 - share) * point[:, :-1] + share * point[:, 1:]
+        low = knots[indices[:, level:]]
+        high = knots[indices[:, : degree + 1 - level] + degree + 1]
+        blend = (t[:, None] - low) / np.where(high > low, high - low, 1.0)
+        blend = np.where(high > low, blend, 0.0)[..., None]
+        point = (1.0 - blend) * point[:, :-1] + blend * point[:, 1:]
     return np.asarray(point[:, 0, :-1] / point[:, 0, -1:])
 
 
-def blended(at: FloatArray, control: FloatArray, u: FloatArray) -> FloatArray:
-    """Control points (N, C, D) between those of the curves (P, C, D) at ``at`` (P,): the spline through them
-    with as few joints as it can have, at u (N,)."""
+def interpolate_control(at: FloatArray, control: FloatArray, u: FloatArray) -> FloatArray:
+    """Interpolate control points between curves.
+
+    The interpolant is the cubic spline through them with as few joints as possible (not-a-knot).
+
+    Args:
+        at: Parameters (P,) of the curves.
+        control: Control points (P, C, D) of the curves.
+        u: Parameters (N,).
+
+    Returns:
+        Control points (N, C, D).
+    """
     if len(at) == 1:
         return np.repeat(control, len(u), axis=0)
     return np.asarray(CubicSpline(at, control, axis=0, bc_type="not-a-knot")(u))
 
 
-JOIN_DISTANCE: Final = 1e-5
-"""Ends of pieces that are so near [m] are joined."""
-CHORD_ERROR: Final = 1e-6
-"""Chords of arcs and splines are off them by this at most [m]."""
-LEAST_CHORDS: Final = 48
-"""Chords of a full turn, or of a span of a spline, at least."""
+JOIN_DISTANCE_M: Final = 1e-5
+"""Distance [m] up to which ends of pieces are joined."""
+CHORD_TOLERANCE_M: Final = 1e-6
+"""Maximum deviation [m] of chords from arcs and splines."""
+MIN_CHORDS: Final = 48
+"""Minimum number of chords of a full circle, or of a span of a spline."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Drawn:
-    """A curve: points (N, 3) [m], the first not repeated where it is ``closed``; ``pieces`` it was joined of:
-    which way round several of them run, a drawing does not say."""
+class DrawingCurve:
+    """A curve of a drawing.
+
+    Attributes:
+        points: Points (N, 3) [m], the first not repeated in a closed curve.
+        closed: Whether the curve is closed.
+        pieces: Number of joined pieces. A drawing does not define the direction of several pieces.
+    """
 
     points: FloatArray
     closed: bool
     pieces: int
 
 
-def read_curves(path: Path, unit: float, layer: str | None) -> list[Drawn]:
-    """The curves of the model space that are visible, of one layer or all. Raises `UnreadError`."""
+def read_curves(path: Path, unit: float, layer: str | None) -> list[DrawingCurve]:
+    """Read the visible curves of the model space, of one layer or all.
+
+    Raises:
+        UnreadError: The file cannot be read.
+    """
     try:
         from ezdxf.filemanagement import readfile
     except ImportError as error:
@@ -98,30 +134,32 @@ def read_curves(path: Path, unit: float, layer: str | None) -> list[Drawn]:
     pieces = []
     try:
         drawing = readfile(path)
-        dark = {
-            str(one.dxf.name).lower() for one in drawing.layers if one.dxf.color < 0 or one.dxf.flags & 1
+        hidden_layers = {
+            str(drawing_layer.dxf.name).lower()
+            for drawing_layer in drawing.layers
+            if drawing_layer.dxf.color < 0 or drawing_layer.dxf.flags & 1
         }  # off, or frozen
         for entity in drawing.modelspace():
-            if entity.dxf.get("invisible", 0) or str(entity.dxf.layer).lower() in dark:
+            if entity.dxf.get("invisible", 0) or str(entity.dxf.layer).lower() in hidden_layers:
                 continue
             if layer is None or str(entity.dxf.layer).lower() == layer.lower():
                 points = _points(entity, unit)
                 if points is not None and len(points) > 1:
                     pieces.append(points * unit)
-    except Exception as error:  # damaged files raise anything
+    except Exception as error:  # damaged files raise any exception
         raise UnreadError(str(error).splitlines()[0][:120] if str(error) else type(error).__name__) from error
-    return chained(pieces)
+    return join_pieces(pieces)
 
 
 def _points(entity: Any, unit: float) -> FloatArray | None:
-    """Points (N, 3) of a curve in the drawing's lengths; None for what is none."""
+    """Return points (N, 3) of a curve in the drawing's units, or None for other entities."""
     kind, dxf = entity.dxftype(), entity.dxf
     if kind == "LINE":
         return np.array([tuple(dxf.start), tuple(dxf.end)], dtype=np.float64)
     if kind in ("ARC", "CIRCLE"):
         first, last = (dxf.start_angle, dxf.end_angle) if kind == "ARC" else (0.0, 360.0)
         turn = (last - first) % 360.0 or 360.0
-        angle = np.deg2rad(first + turn * _shares(dxf.radius * unit, np.deg2rad(turn)))
+        angle = np.deg2rad(first + turn * _arc_fractions(dxf.radius * unit, np.deg2rad(turn)))
         centre = np.array(tuple(dxf.center), dtype=np.float64)
         flat = dxf.radius * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))])
         return _to_world(centre + flat, dxf.extrusion)
@@ -131,7 +169,7 @@ def _points(entity: Any, unit: float) -> FloatArray | None:
         minor = dxf.ratio * np.cross(up / np.linalg.norm(up), major)
         turn = (dxf.end_param - dxf.start_param) % (2.0 * np.pi)
         turn = turn if turn > 1e-12 else 2.0 * np.pi
-        count = 4 * len(_shares(float(np.linalg.norm(major)) * unit, turn))
+        count = 4 * len(_arc_fractions(float(np.linalg.norm(major)) * unit, turn))
         angle = (dxf.start_param + turn * np.linspace(0.0, 1.0, count))[:, None]
         return np.asarray(np.array(tuple(dxf.center)) + np.cos(angle) * major + np.sin(angle) * minor)
     if kind == "SPLINE":
@@ -139,30 +177,30 @@ def _points(entity: Any, unit: float) -> FloatArray | None:
     if kind == "LWPOLYLINE":
         rows = np.array([(x, y, bulge) for x, y, bulge in entity.get_points("xyb")], dtype=np.float64)
         height = float(dxf.get("elevation", 0.0))
-        return _to_world(_bulged(rows, height, bool(entity.closed), unit), dxf.extrusion)
+        return _to_world(_polyline_with_bulges(rows, height, bool(entity.closed), unit), dxf.extrusion)
     if kind == "POLYLINE":
         corners = [vertex.dxf for vertex in entity.vertices]
-        places = np.array([tuple(vertex.location) for vertex in corners], dtype=np.float64).reshape(-1, 3)
+        locations = np.array([tuple(vertex.location) for vertex in corners], dtype=np.float64).reshape(-1, 3)
         if entity.is_3d_polyline:
-            return np.concatenate([places, places[:1]]) if entity.is_closed else places
-        if not entity.is_2d_polyline or not len(places):
+            return np.concatenate([locations, locations[:1]]) if entity.is_closed else locations
+        if not entity.is_2d_polyline or not len(locations):
             return None
         bulge = np.array([float(vertex.get("bulge", 0.0)) for vertex in corners])
         height = float(tuple(dxf.get("elevation", (0.0, 0.0, 0.0)))[2])
-        rows = np.column_stack([places[:, :2], bulge])
-        return _to_world(_bulged(rows, height, bool(entity.is_closed), unit), dxf.extrusion)
+        rows = np.column_stack([locations[:, :2], bulge])
+        return _to_world(_polyline_with_bulges(rows, height, bool(entity.is_closed), unit), dxf.extrusion)
     return None
 
 
-def _shares(radius: float, turn: float) -> FloatArray:
-    """Places from 0 to 1 along an arc of ``radius`` [m] over ``turn`` [rad]."""
-    step = 2.0 * np.arccos(max(0.0, 1.0 - CHORD_ERROR / max(radius, CHORD_ERROR)))
-    count = max(int(np.ceil(turn / step)), int(np.ceil(LEAST_CHORDS * turn / (2.0 * np.pi))), 2)
+def _arc_fractions(radius: float, turn: float) -> FloatArray:
+    """Return positions from 0 to 1 along an arc of ``radius`` [m] and ``turn`` [rad]."""
+    step = 2.0 * np.arccos(max(0.0, 1.0 - CHORD_TOLERANCE_M / max(radius, CHORD_TOLERANCE_M)))
+    count = max(int(np.ceil(turn / step)), int(np.ceil(MIN_CHORDS * turn / (2.0 * np.pi))), 2)
     return np.linspace(0.0, 1.0, count + 1)
 
 
 def _to_world(points: FloatArray, extrusion: Any) -> FloatArray:
-    """Points of an entity's own frame, whose z is ``extrusion``, in that of the drawing."""
+    """Transform points from an entity's frame, whose z is ``extrusion``, to that of the drawing."""
     z = np.array(tuple(extrusion), dtype=np.float64)
     z = z / np.linalg.norm(z)
     x = np.cross([0.0, 1.0, 0.0] if max(abs(z[0]), abs(z[1])) < 1.0 / 64.0 else [0.0, 0.0, 1.0], z)
@@ -170,8 +208,11 @@ def _to_world(points: FloatArray, extrusion: Any) -> FloatArray:
     return np.asarray(points @ np.array([x, np.cross(z, x), z]))
 
 
-def _bulged(rows: FloatArray, height: float, closed: bool, unit: float) -> FloatArray:
-    """Points of a polyline (K, 3) of x, y and bulge, the tangent of a quarter of the arc to the next one."""
+def _polyline_with_bulges(rows: FloatArray, height: float, closed: bool, unit: float) -> FloatArray:
+    """Return points of a polyline (K, 3) of x, y and bulge.
+
+    The bulge is the tangent of a quarter of the arc to the next point.
+    """
     out = [rows[:1, :2]]
     after = np.roll(rows, -1, axis=0)
     for start, end in zip(rows[: None if closed else -1], after[: None if closed else -1], strict=True):
@@ -180,12 +221,12 @@ def _bulged(rows: FloatArray, height: float, closed: bool, unit: float) -> Float
         if abs(bulge) < 1e-12 or size == 0.0:
             out.append(end[None, :2])
             continue
-        # the arc is on the right of its chord for a bulge above zero; parameters of the half angle's tangent
+        # A positive bulge puts the arc on the right of its chord. Bulge = tan(angle / 4).
         turn = 4.0 * np.arctan(bulge)
         radius = 0.5 * size / abs(np.sin(0.5 * turn))
         left = np.array([-chord[1], chord[0]])
         centre = start[:2] + 0.5 * chord + 0.25 * left * (1.0 - bulge**2) / bulge
-        angle = turn * _shares(radius * unit, abs(turn))[1:, None]
+        angle = turn * _arc_fractions(radius * unit, abs(turn))[1:, None]
         arm = start[:2] - centre
         out.append(centre + np.cos(angle) * arm + np.sin(angle) * np.array([-arm[1], arm[0]]))
     flat = np.concatenate(out)
@@ -195,7 +236,7 @@ def _bulged(rows: FloatArray, height: float, closed: bool, unit: float) -> Float
 def _spline(entity: Any) -> FloatArray | None:
     control = np.array([tuple(point) for point in entity.control_points], dtype=np.float64).reshape(-1, 3)
     if not len(control):
-        # through fit points alone, a curve is what the program that drew it says
+        # A spline through fit points alone is defined by the program that drew it.
         tool = entity.construction_tool()
         return np.array([tuple(point) for point in tool.approximate(400)], dtype=np.float64)
     degree = int(entity.dxf.degree)
@@ -203,54 +244,62 @@ def _spline(entity: Any) -> FloatArray | None:
     weight = np.array(list(entity.weights), dtype=np.float64)
     weight = weight if len(weight) == len(control) else np.ones(len(control))
     spans = np.unique(knots[degree : len(control) + 1])
-    inner = np.linspace(0.0, 1.0, 4 * LEAST_CHORDS, endpoint=False)
+    inner = np.linspace(0.0, 1.0, 4 * MIN_CHORDS, endpoint=False)
     t = np.append((spans[:-1, None] + np.diff(spans)[:, None] * inner).ravel(), spans[-1])
     return nurbs(control, weight, knots, degree, t)
 
 
-def chained(pieces: list[FloatArray]) -> list[Drawn]:
-    """Curves of pieces whose ends meet; what is closed is left as it is. Each is run as its first piece is
-    drawn, and begins with that where it is closed."""
-    out: list[Drawn] = []
+def join_pieces(pieces: list[FloatArray]) -> list[DrawingCurve]:
+    """Join pieces with common ends into curves. Closed pieces stay as they are.
+
+    Each curve runs in the direction of its first piece, and starts with it if it is closed.
+    """
+    out: list[DrawingCurve] = []
     left = list(range(len(pieces)))
     all_ends = np.array([piece[[0, -1]] for piece in pieces]).reshape(-1, 2, 3)
-    all_open = np.array([not _shut(piece) for piece in pieces], dtype=bool)
+    all_open = np.array([not _is_closed(piece) for piece in pieces], dtype=bool)
     while left:
-        chain, count, before = pieces[left.pop(0)], 1, 0
-        while left and not _shut(chain):
+        chain, count, prepended = pieces[left.pop(0)], 1, 0
+        while left and not _is_closed(chain):
             ends, open_ = all_ends[left], all_open[left]
             gap = np.linalg.norm(ends[:, :, None] - chain[[0, -1]][None, None], axis=3)
             gap[~open_] = np.inf
-            which, end, own = np.unravel_index(int(np.argmin(gap)), gap.shape)
-            if gap[which, end, own] > JOIN_DISTANCE:
+            which, end, chain_end = np.unravel_index(int(np.argmin(gap)), gap.shape)
+            if gap[which, end, chain_end] > JOIN_DISTANCE_M:
                 break
             piece = pieces[left.pop(int(which))]
             piece = piece if end == 0 else piece[::-1]  # leads away from the chain
-            chain = np.concatenate([chain, piece[1:]] if own else [piece[:0:-1], chain])
-            before += 0 if own else len(piece) - 1
+            chain = np.concatenate([chain, piece[1:]] if chain_end else [piece[:0:-1], chain])
+            prepended += 0 if chain_end else len(piece) - 1
             count += 1
-        shut = _shut(chain)
-        out.append(Drawn(np.roll(chain[:-1], -before, axis=0) if shut else chain, shut, count))
+        shut = _is_closed(chain)
+        out.append(DrawingCurve(np.roll(chain[:-1], -prepended, axis=0) if shut else chain, shut, count))
     return out
 
 
-def _shut(points: FloatArray) -> bool:
-    return len(points) > 3 and bool(np.linalg.norm(points[0] - points[-1]) <= JOIN_DISTANCE)
+def _is_closed(points: FloatArray) -> bool:
+    return len(points) > 3 and bool(np.linalg.norm(points[0] - points[-1]) <= JOIN_DISTANCE_M)
 
 
-SAME_LENGTH_SHARE: Final = 1e-3
-"""Ways to lay guides on each other are as short within this share of the rulings' mean square."""
-SAME_PLACE: Final = 1e-9
-"""Points of a polyline nearer to each other than this [m] are one."""
-START_PLACES: Final = 720
-"""Places about a smooth closed guide at which it may begin."""
+EQUAL_LENGTH_TOLERANCE: Final = 1e-3
+"""Relative tolerance of the rulings' mean square within which two ways to join guides are equally short."""
+POINT_TOLERANCE_M: Final = 1e-9
+"""Distance [m] up to which points of a polyline are equal."""
+START_POINTS: Final = 720
+"""Number of start points that are tried on a smooth closed guide."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Curve:
-    """A guide: points (N, 3) [m], the first not repeated where it is ``closed``; ``parameter`` (N,) ascends
-    in [0, 1); ``anchor`` (N,) marks corners and what else is kept together. ``either``: nothing says which
-    way it runs."""
+class GuideCurve:
+    """A guide of a ruled surface.
+
+    Attributes:
+        points: Points (N, 3) [m], the first not repeated in a closed guide.
+        parameter: Ascending parameters (N,) in [0, 1).
+        anchor: Which points (N,) are corners, or are joined with each other for another reason.
+        closed: Whether the guide is closed.
+        either: Whether the direction of the guide is undefined.
+    """
 
     points: FloatArray
     parameter: FloatArray
@@ -260,32 +309,42 @@ class Curve:
 
 
 @dataclasses.dataclass(frozen=True)
-class Ruled:
-    """Rulings from ``start`` to ``end`` (M, 3), the first again at the end of a closed surface; away from the
-    part is the direction of ``start`` x the rulings."""
+class GuideRulings:
+    """A ruled surface. The side away from the part is the direction of ``start`` x the rulings.
+
+    Attributes:
+        start: Starts (M, 3) of the rulings, the first again at the end of a closed surface.
+        end: Ends (M, 3) of the rulings.
+    """
 
     start: FloatArray
     end: FloatArray
 
 
-def through(points: FloatArray, closed: bool, angle: float, either: bool = False) -> Curve:
-    """A polyline with a corner where it turns by more than ``angle`` [rad]."""
-    apart = np.append(True, np.linalg.norm(np.diff(points, axis=0), axis=1) > SAME_PLACE)
-    own = points[apart]
-    if closed and len(own) > 1 and np.linalg.norm(own[0] - own[-1]) <= SAME_PLACE:
-        own = own[:-1]
-    count = len(own)
-    way = np.roll(own, -1, axis=0) - own
-    way = way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-300)
-    cosine = np.einsum("ij,ij->i", way, np.roll(way, 1, axis=0))
+def polyline_guide(points: FloatArray, closed: bool, angle: float, either: bool = False) -> GuideCurve:
+    """Return a polyline as a guide, with corners where it turns by more than ``angle`` [rad]."""
+    distinct = np.append(True, np.linalg.norm(np.diff(points, axis=0), axis=1) > POINT_TOLERANCE_M)
+    distinct_points = points[distinct]
+    if (
+        closed
+        and len(distinct_points) > 1
+        and np.linalg.norm(distinct_points[0] - distinct_points[-1]) <= POINT_TOLERANCE_M
+    ):
+        distinct_points = distinct_points[:-1]
+    count = len(distinct_points)
+    directions = np.roll(distinct_points, -1, axis=0) - distinct_points
+    directions = directions / np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-300)
+    cosine = np.einsum("ij,ij->i", directions, np.roll(directions, 1, axis=0))
     corner = np.arccos(np.clip(cosine, -1.0, 1.0)) > angle
     if not closed:
         corner[[0, -1]] = True
-    return Curve(own, np.arange(count) / (count if closed else max(count - 1, 1)), corner, closed, either)
+    return GuideCurve(
+        distinct_points, np.arange(count) / (count if closed else max(count - 1, 1)), corner, closed, either
+    )
 
 
-def anchored(curve: Curve, at: FloatArray) -> Curve:
-    """The curve with corners where it is nearest to ``at`` (C, 3), and nowhere else."""
+def with_corners_at(curve: GuideCurve, at: FloatArray) -> GuideCurve:
+    """Return the curve with corners only where it is nearest to ``at`` (C, 3)."""
     anchor = np.zeros(len(curve.points), dtype=np.bool_)
     if len(at):
         anchor[np.linalg.norm(curve.points[:, None] - at[None], axis=2).argmin(axis=0)] = True
@@ -294,28 +353,33 @@ def anchored(curve: Curve, at: FloatArray) -> Curve:
     return dataclasses.replace(curve, anchor=anchor)
 
 
-def joined(start: Curve, end: Curve, match: str) -> list[Ruled]:
-    """The surfaces that the words on two guides allow: one, or more where guides fit as well in several ways.
+def join_guides(start: GuideCurve, end: GuideCurve, match: str) -> list[GuideRulings]:
+    """Return the surfaces that the words on two guides allow.
 
-    Empty where the guides' corners are not as many.
+    There are several if the guides fit equally well in several ways, and none if their numbers of corners
+    differ.
     """
-    found: list[tuple[float, Ruled]] = []
-    for own in (start, reversed_(start)) if start.either and not start.closed else (start,):
-        for other in (end, reversed_(end)):
-            found += _laid(own, other, match)
-    if not found:
+    candidates: list[tuple[float, GuideRulings]] = []
+    for start_guide in (start, reverse_curve(start)) if start.either and not start.closed else (start,):
+        for end_guide in (end, reverse_curve(end)):
+            candidates += _rulings_in_direction(start_guide, end_guide, match)
+    if not candidates:
         return []
-    best = min(apart for apart, _ in found)
-    return [ruled for apart, ruled in found if apart <= best * (1.0 + SAME_LENGTH_SHARE) + SAME_PLACE**2]
+    best = min(mean_square for mean_square, _ in candidates)
+    return [
+        ruled
+        for mean_square, ruled in candidates
+        if mean_square <= best * (1.0 + EQUAL_LENGTH_TOLERANCE) + POINT_TOLERANCE_M**2
+    ]
 
 
-def matched(start: Curve, end: Curve, match: str) -> Ruled:
-    """The surface between two guides that begin together and run the same way."""
-    return _ruled(start, end, match)[1]
+def match_guides(start: GuideCurve, end: GuideCurve, match: str) -> GuideRulings:
+    """Return the surface between two guides that start together and run in the same direction."""
+    return _rule(start, end, match)[1]
 
 
-def reversed_(curve: Curve) -> Curve:
-    """The curve run the other way; a closed one keeps its first point."""
+def reverse_curve(curve: GuideCurve) -> GuideCurve:
+    """Return the curve in the other direction. A closed one keeps its first point."""
     if not curve.closed:
         parameter = 1.0 - curve.parameter[::-1]
         return dataclasses.replace(
@@ -328,8 +392,8 @@ def reversed_(curve: Curve) -> Curve:
     )
 
 
-def begun(curve: Curve, first: int) -> Curve:
-    """A closed curve begun at its point ``first``."""
+def start_at(curve: GuideCurve, first: int) -> GuideCurve:
+    """Return a closed curve that starts at its point ``first``."""
     parameter = np.roll(curve.parameter - curve.parameter[first], -first) % 1.0
     return dataclasses.replace(
         curve,
@@ -339,48 +403,52 @@ def begun(curve: Curve, first: int) -> Curve:
     )
 
 
-def _laid(start: Curve, end: Curve, match: str) -> list[tuple[float, Ruled]]:
-    """Surfaces, with the mean square of the rulings' lengths, for a direction of both guides."""
+def _rulings_in_direction(start: GuideCurve, end: GuideCurve, match: str) -> list[tuple[float, GuideRulings]]:
+    """Return surfaces, with the mean square of the rulings' lengths, for one direction of both guides."""
     if int(start.anchor.sum()) != int(end.anchor.sum()):
         return []
     if not start.closed:
-        return [_ruled(start, end, match)]
-    own = np.flatnonzero(start.anchor)
-    if len(own):
-        start = begun(start, int(own[0]))
-        return [_ruled(start, begun(end, int(i)), match) for i in np.flatnonzero(end.anchor)]
+        return [_rule(start, end, match)]
+    anchors = np.flatnonzero(start.anchor)
+    if len(anchors):
+        start = start_at(start, int(anchors[0]))
+        return [_rule(start, start_at(end, int(i)), match) for i in np.flatnonzero(end.anchor)]
     if match == "parameter":
-        return [_ruled(start, end, match)]
-    marks = np.arange(START_PLACES) / START_PLACES
-    a, b = _along(start, marks), _along(end, marks)
-    apart = np.array(
-        [np.mean(np.sum((a - np.roll(b, -k, axis=0)) ** 2, axis=1)) for k in range(START_PLACES)]
+        return [_rule(start, end, match)]
+    marks = np.arange(START_POINTS) / START_POINTS
+    a, b = _points_along(start, marks), _points_along(end, marks)
+    mean_squares = np.array(
+        [np.mean(np.sum((a - np.roll(b, -k, axis=0)) ** 2, axis=1)) for k in range(START_POINTS)]
     )
-    k = int(apart.argmin())
-    length = _length(np.concatenate([end.points, end.points[:1]]))
-    first = int(np.abs(length[:-1] / length[-1] - k / START_PLACES).argmin())
-    return [_ruled(start, begun(end, first), match)]
+    k = int(mean_squares.argmin())
+    length = _arc_lengths(np.concatenate([end.points, end.points[:1]]))
+    first = int(np.abs(length[:-1] / length[-1] - k / START_POINTS).argmin())
+    return [_rule(start, start_at(end, first), match)]
 
 
-def _ruled(start: Curve, end: Curve, match: str) -> tuple[float, Ruled]:
+def _rule(start: GuideCurve, end: GuideCurve, match: str) -> tuple[float, GuideRulings]:
     rows: list[FloatArray] = []
     others: list[FloatArray] = []
     total, weight = 0.0, 0
     for (a, at_a), (b, at_b) in zip(_pieces(start), _pieces(end), strict=True):
-        share_a, share_b = (at_a, at_b) if match == "parameter" else (_share(a), _share(b))
-        both = np.union1d(share_a, share_b)
-        both = both[np.append(True, np.diff(both) > SAME_PLACE)]
-        both[-1] = 1.0
-        even = np.linspace(0.0, 1.0, 33)
-        apart = _at(a, _share(a), even) - _at(b, _share(b), even)
-        total, weight = total + float(np.sum(apart**2)), weight + len(even)
-        rows.append(_at(a, share_a, both)[slice(1 if rows else 0, None)])
-        others.append(_at(b, share_b, both)[slice(1 if others else 0, None)])
-    return total / max(weight, 1), Ruled(np.concatenate(rows), np.concatenate(others))
+        share_a, share_b = (
+            (at_a, at_b) if match == "parameter" else (_length_fractions(a), _length_fractions(b))
+        )
+        fractions = np.union1d(share_a, share_b)
+        fractions = fractions[np.append(True, np.diff(fractions) > POINT_TOLERANCE_M)]
+        fractions[-1] = 1.0
+        checkpoints = np.linspace(0.0, 1.0, 33)
+        difference = _interpolate(a, _length_fractions(a), checkpoints) - _interpolate(
+            b, _length_fractions(b), checkpoints
+        )
+        total, weight = total + float(np.sum(difference**2)), weight + len(checkpoints)
+        rows.append(_interpolate(a, share_a, fractions)[slice(1 if rows else 0, None)])
+        others.append(_interpolate(b, share_b, fractions)[slice(1 if others else 0, None)])
+    return total / max(weight, 1), GuideRulings(np.concatenate(rows), np.concatenate(others))
 
 
-def _pieces(curve: Curve) -> list[tuple[FloatArray, FloatArray]]:
-    """Points and parameters, from 0 to 1 each, from anchor to anchor."""
+def _pieces(curve: GuideCurve) -> list[tuple[FloatArray, FloatArray]]:
+    """Return points and parameters from 0 to 1 of the pieces between anchors."""
     points, parameter = curve.points, curve.parameter
     cut = np.flatnonzero(curve.anchor)
     if curve.closed:
@@ -388,24 +456,30 @@ def _pieces(curve: Curve) -> list[tuple[FloatArray, FloatArray]]:
         cut = np.append(cut if len(cut) else [0], len(points) - 1)
     out = []
     for i, j in itertools.pairwise(cut.tolist()):
-        own = parameter[i : j + 1]
-        out.append((points[i : j + 1], (own - own[0]) / max(float(own[-1] - own[0]), 1e-300)))
+        piece_parameters = parameter[i : j + 1]
+        out.append(
+            (
+                points[i : j + 1],
+                (piece_parameters - piece_parameters[0])
+                / max(float(piece_parameters[-1] - piece_parameters[0]), 1e-300),
+            )
+        )
     return out
 
 
-def _length(points: FloatArray) -> FloatArray:
+def _arc_lengths(points: FloatArray) -> FloatArray:
     return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
 
 
-def _share(points: FloatArray) -> FloatArray:
-    length = _length(points)
+def _length_fractions(points: FloatArray) -> FloatArray:
+    length = _arc_lengths(points)
     return length / length[-1] if length[-1] > 0.0 else np.linspace(0.0, 1.0, len(points))
 
 
-def _at(points: FloatArray, share: FloatArray, wanted: FloatArray) -> FloatArray:
-    return np.stack([np.interp(wanted, share, column) for column in points.T], axis=1)
+def _interpolate(points: FloatArray, fractions: FloatArray, queries: FloatArray) -> FloatArray:
+    return np.stack([np.interp(queries, fractions, column) for column in points.T], axis=1)
 
 
-def _along(curve: Curve, share: FloatArray) -> FloatArray:
+def _points_along(curve: GuideCurve, fractions: FloatArray) -> FloatArray:
     ring = np.concatenate([curve.points, curve.points[:1]])
-    return _at(ring, _share(ring), share)
+    return _interpolate(ring, _length_fractions(ring), fractions)

@@ -1,4 +1,4 @@
-"""Curves of drawings, read again from their files."""
+"""Curves of drawings, as the proof reads them from their files."""
 
 from pathlib import Path
 
@@ -9,60 +9,72 @@ from planner.claims.drawn_curve import DrawnCurve
 from planner.geometry.arrays import FloatArray
 from planner.proof.part_files import UNITS, UnreadError, curves, rhino
 
-MILLIMETRE = 1e-3
+MILLIMETRE_M = 1e-3
 """One millimetre in metres."""
-SPLINE_PLACES = 4000
-"""Places on a spline."""
+SPLINE_POINTS = 4000
+"""Number of points on a spline."""
 CORNERED_KINDS = ("polyline", "dxf", "rhino")
-"""Kinds of curves whose corners are meant."""
-SAME_POINT = 1e-9
-"""Points of a curve nearer to each other than this [m] are one."""
+"""Kinds of curves whose corners are intended."""
+POINT_TOLERANCE_M = 1e-9
+"""Distance [m] up to which points of a curve are equal."""
 
 
-class NotThereError(ValueError):
-    """A curve that cannot be laid on the face."""
+class CurveReadError(ValueError):
+    """A curve that cannot be projected onto the face."""
 
 
-def points(drawn: DrawnCurve) -> tuple[FloatArray, bool]:
-    """Points (N, 3) [m] of a curve, of a polyline its own, of a spline many; and whether it may as well be
-    run the other way, as a drawing does not say it of what is drawn in pieces. Raises ``NotThereError``."""
+def curve_points(drawn: DrawnCurve) -> tuple[FloatArray, bool]:
+    """Return the points of a curve: its own for a polyline, many for a spline.
+
+    Returns:
+        Points (N, 3) [m], and whether the curve may be run in the other direction as well, because a
+            drawing does not
+        define the direction of a curve in pieces.
+
+    Raises:
+        NotThereError: The file does not have exactly one curve, or cannot be read.
+    """
     if drawn.file is not None:
-        return _of_file(drawn, drawn.file)
-    given = np.array(drawn.points_mm, dtype=np.float64) * MILLIMETRE
+        return _only_curve(drawn, drawn.file)
+    stated_points = np.array(drawn.points_mm, dtype=np.float64) * MILLIMETRE_M
     if drawn.kind == "polyline":
-        apart = np.linalg.norm(np.diff(given, axis=0), axis=1) > SAME_POINT
-        return given[np.append(True, apart)], False
-    count = len(given)
+        is_distinct = np.linalg.norm(np.diff(stated_points, axis=0), axis=1) > POINT_TOLERANCE_M
+        return stated_points[np.append(True, is_distinct)], False
+    count = len(stated_points)
     degree = count - 1 if drawn.kind == "bezier" else min(3, count - 1)
     inner = np.arange(1, count - degree) / (count - degree)
     knots = np.concatenate([np.zeros(degree + 1), inner, np.ones(degree + 1)])
-    return np.asarray(BSpline(knots, given, degree)(np.linspace(0.0, 1.0, SPLINE_PLACES + 1))), False
+    return np.asarray(BSpline(knots, stated_points, degree)(np.linspace(0.0, 1.0, SPLINE_POINTS + 1))), False
 
 
-def _of_file(drawn: DrawnCurve, file: Path) -> tuple[FloatArray, bool]:
-    """The only curve of a drawing; one that is closed ends where it began."""
+def _only_curve(drawn: DrawnCurve, file: Path) -> tuple[FloatArray, bool]:
+    """Return the only curve of a drawing. A closed one ends where it starts."""
     try:
-        found = curves_of(drawn)
+        file_curves = curves_of(drawn)
     except UnreadError as error:
-        raise NotThereError(f"{file}: {error}") from error
-    if len(found) != 1:
-        raise NotThereError(f"{file} holds {len(found)} curves, wanted is one")
-    out = _run(found[0])
+        raise CurveReadError(f"{file}: {error}") from error
+    if len(file_curves) != 1:
+        raise CurveReadError(f"{file} has {len(file_curves)} curves; expected: 1")
+    out = _closed_points(file_curves[0])
     if drawn.z_mm is not None:
-        out[:, 2] = drawn.z_mm * MILLIMETRE
-    return out, found[0].pieces > 1
+        out[:, 2] = drawn.z_mm * MILLIMETRE_M
+    return out, file_curves[0].pieces > 1
 
 
-def _run(found: curves.Drawn) -> FloatArray:
-    points = found.points
-    return np.concatenate([points, points[:1]]) if found.closed else points.copy()
+def _closed_points(curve: curves.DrawingCurve) -> FloatArray:
+    points = curve.points
+    return np.concatenate([points, points[:1]]) if curve.closed else points.copy()
 
 
-def curves_of(drawn: DrawnCurve) -> list[curves.Drawn]:
-    """The curves of a file that one of its words stands for, layer by layer. Raises `UnreadError`."""
+def curves_of(drawn: DrawnCurve) -> list[curves.DrawingCurve]:
+    """Return the curves of a file that an entry selects, layer by layer.
+
+    Raises:
+        UnreadError: The file cannot be read.
+    """
     if drawn.file is None:
         raise UnreadError("no file is named")
-    out: list[curves.Drawn] = []
+    out: list[curves.DrawingCurve] = []
     for layer in drawn.layers or (drawn.layer,):
         if drawn.kind == "rhino":
             chosen = {"layer": layer, "name": drawn.name, "colour": drawn.colour}
@@ -72,17 +84,21 @@ def curves_of(drawn: DrawnCurve) -> list[curves.Drawn]:
     return out
 
 
-def each_curve(drawn: tuple[DrawnCurve, ...]) -> tuple[DrawnCurve, ...]:
-    """Curves, those of drawings as polylines one by one. Raises ``NotThereError``."""
+def split_curves(drawn: tuple[DrawnCurve, ...]) -> tuple[DrawnCurve, ...]:
+    """Return curves, those of drawings one by one as polylines.
+
+    Raises:
+        NotThereError: A file cannot be read.
+    """
     out: list[DrawnCurve] = []
-    for one in drawn:
-        if not one.layers:
-            out.append(one)
+    for entry in drawn:
+        if not entry.layers:
+            out.append(entry)
             continue
         try:
-            found = curves_of(one)
+            file_curves = curves_of(entry)
         except UnreadError as error:
-            raise NotThereError(f"{one.file}: {error}") from error
-        rows = [(_run(curve) / MILLIMETRE).tolist() for curve in found]
+            raise CurveReadError(f"{entry.file}: {error}") from error
+        rows = [(_closed_points(curve) / MILLIMETRE_M).tolist() for curve in file_curves]
         out += [DrawnCurve("polyline", tuple(map(tuple, points))) for points in rows]
     return tuple(out)

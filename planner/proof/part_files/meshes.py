@@ -1,6 +1,6 @@
 """Triangles of OBJ, STL, PLY, GLB and 3MF files, read from their bytes, and faces as meshes of vertices.
 
-Faces come from files and from lofts; they are moved inwards, and their edges are joined.
+Faces come from files and from lofts. They are offset inwards, and their edges are joined.
 """
 
 import dataclasses
@@ -11,8 +11,24 @@ from typing import Any, Final
 import numpy as np
 
 from planner.geometry.arrays import FloatArray, IntArray
-from planner.proof.part_files import UNITS, Said, UnreadError, file_of, metres, packed_meshes, radians, row
-from planner.proof.part_files.curves import Ruled, bezier, blended, bspline, joined, through
+from planner.proof.part_files import (
+    UNITS,
+    Entry,
+    UnreadError,
+    file_of,
+    metres,
+    packed_meshes,
+    points_in_metres,
+    radians,
+)
+from planner.proof.part_files.curves import (
+    GuideRulings,
+    bezier,
+    bspline,
+    interpolate_control,
+    join_guides,
+    polyline_guide,
+)
 
 _STL: Final = np.dtype([("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("more", "<u2")])
 """One triangle of a binary STL file."""
@@ -36,15 +52,20 @@ _PLY_TYPES: Final = {
     "double": "f8",
     "float64": "f8",
 }
-"""Numbers of PLY files by their names."""
+"""Number types of PLY files by name."""
 _PLY_FACES: Final = ("vertex_indices", "vertex_index")
 """Names of the property that lists a face's vertices."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Facets:
-    """Triangles ``corners`` (F, 3, 3) in the file's lengths, anticlockwise seen from outside; ``row`` (F,):
-    which of the file's faces each is of, from 1; ``unit``: metres of its lengths where it states them."""
+    """Triangles of a file.
+
+    Attributes:
+        corners: Corners (F, 3, 3) in the file's units, anticlockwise seen from outside.
+        row: Number (F,) of the file's face of each triangle, from 1.
+        unit: Metres per unit, if the file states it.
+    """
 
     corners: FloatArray
     row: IntArray
@@ -52,50 +73,59 @@ class Facets:
 
 
 def read_facets(path: Path) -> Facets:
-    """The triangles of a file, by its suffix; polygons as fans. Raises `UnreadError`."""
+    """Read the triangles of a file by its suffix. Polygons become fans.
+
+    Raises:
+        UnreadError: The file cannot be read.
+    """
     data = path.read_bytes()
     kind = path.suffix.lower()
     try:
         if kind == ".obj":
-            found = _obj(data.decode("utf-8", errors="replace"))
+            facets = _obj(data.decode("utf-8", errors="replace"))
         elif kind == ".stl":
-            found = _stl(data)
+            facets = _stl(data)
         elif kind == ".ply":
-            found = _ply(data)
+            facets = _ply(data)
         elif kind in (".glb", ".3mf"):
-            corners, unit = packed_meshes.glb(data) if kind == ".glb" else packed_meshes.packed(path)
-            found = Facets(corners, np.arange(1, len(corners) + 1), unit)
+            corners, unit = packed_meshes.read_glb(data) if kind == ".glb" else packed_meshes.read_3mf(path)
+            facets = Facets(corners, np.arange(1, len(corners) + 1), unit)
         else:
-            raise UnreadError(f"a mesh in a file {path.suffix or 'without suffix'} is not known")
+            raise UnreadError(f"mesh files {path.suffix or 'without suffix'} are not supported")
     except (ValueError, IndexError, KeyError, OverflowError) as error:
         raise UnreadError(str(error) or type(error).__name__) from error
-    if not len(found.corners) or not np.isfinite(found.corners).all():
+    if not len(facets.corners) or not np.isfinite(facets.corners).all():
         raise UnreadError(
-            "it has no faces" if not len(found.corners) else "it has numbers that are not finite"
+            "it has no faces" if not len(facets.corners) else "it has numbers that are not finite"
         )
-    return found
+    return facets
 
 
 def read_points(path: Path) -> FloatArray:
-    """The points (N, 3) of a scan in the file's lengths: vertices of a mesh, or the first three columns of a
-    text. Raises `UnreadError`."""
+    """Read the points (N, 3) of a scan in the file's units.
+
+    They are vertices of a mesh, or the first three columns of a text.
+
+    Raises:
+        UnreadError: The file cannot be read.
+    """
     data = path.read_bytes()
     kind = path.suffix.lower()
     try:
         if kind == ".ply":
-            found = _ply_columns(data)["vertex"]
-            return np.array([found[axis] for axis in "xyz"], dtype=np.float64).T
+            vertex_columns = _ply_columns(data)["vertex"]
+            return np.array([vertex_columns[axis] for axis in "xyz"], dtype=np.float64).T
         if kind == ".stl":
             return np.unique(_stl(data).corners.reshape(-1, 3), axis=0)
         if kind not in (".obj", ".xyz", ".txt"):
-            raise UnreadError(f"a scan in a file {path.suffix or 'without suffix'} is not known")
+            raise UnreadError(f"scan files {path.suffix or 'without suffix'} are not supported")
         lines = _lines(data)
         rows = [line.replace(",", " ").replace(";", " ").split() for line in lines]
         if kind == ".obj":
             rows = [row[1:] for row in rows if row and row[0] == "v"]
         rows = [row for row in rows if row and not row[0].startswith(("#", "//"))]
         if kind != ".obj" and rows and (len(rows[0]) == 1 or not _is_number(rows[0][0])):
-            del rows[0]  # how many points follow, or names of columns
+            del rows[0]  # the number of points, or column names
         return np.array([[float(word) for word in row[:3]] for row in rows]).reshape(-1, 3)
     except (ValueError, IndexError, KeyError, OverflowError) as error:
         raise UnreadError(str(error) or type(error).__name__) from error
@@ -110,48 +140,48 @@ def _is_number(word: str) -> bool:
 
 
 def _lines(data: bytes) -> list[str]:
-    """Lines of a text of numbers; what else stands in it may be in any alphabet."""
+    """Return the lines of a text of numbers. Other words in it may be in any encoding."""
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return data.decode("utf-16").splitlines()
     return data.removeprefix(b"\xef\xbb\xbf").decode("latin-1").splitlines()
 
 
 def _obj(text: str) -> Facets:
-    """Lines ``v`` and ``f``; a negative index counts back from the last vertex above the line."""
-    places: list[list[float]] = []
+    """Read lines ``v`` and ``f``. A negative index counts back from the last vertex above the line."""
+    vertices: list[list[float]] = []
     polygons: list[list[int]] = []
     for line in text.replace("\\\r\n", " ").replace("\\\n", " ").splitlines():
         words = line.split("#", 1)[0].split()
         if not words:
             continue
         if words[0] == "v":
-            places.append([float(word) for word in words[1:4]])
+            vertices.append([float(word) for word in words[1:4]])
         elif words[0] == "f" and len(words) > 3:
             named = [int(word.split("/", 1)[0]) for word in words[1:]]
-            polygons.append([i - 1 if i > 0 else len(places) + i for i in named])
-    return _fans(np.array(places, dtype=np.float64).reshape(-1, 3), polygons)
+            polygons.append([i - 1 if i > 0 else len(vertices) + i for i in named])
+    return _fans(np.array(vertices, dtype=np.float64).reshape(-1, 3), polygons)
 
 
-def _fans(places: FloatArray, polygons: Sequence[Sequence[int]] | IntArray) -> Facets:
-    """Triangles of polygons, as fans about the first corner of each, in their order."""
+def _fans(vertices: FloatArray, polygons: Sequence[Sequence[int]] | IntArray) -> Facets:
+    """Return the triangles of polygons, as fans about the first corner of each, in their order."""
     lengths = np.array([len(polygon) for polygon in polygons], dtype=np.int64)
     index, row = [np.zeros((0, 3), dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
     for length in np.unique(lengths[lengths > 2]).tolist():
         rows = np.flatnonzero(lengths == length)
         whole = len(rows) == len(polygons)
-        own = np.asarray(polygons if whole else [polygons[i] for i in rows.tolist()], dtype=np.int64)
-        fan = [own[:, [0, k, k + 1]] for k in range(1, length - 1)]
+        polygon_rows = np.asarray(polygons if whole else [polygons[i] for i in rows.tolist()], dtype=np.int64)
+        fan = [polygon_rows[:, [0, k, k + 1]] for k in range(1, length - 1)]
         index.append(np.stack(fan, axis=1).reshape(-1, 3))
         row.append(np.repeat(rows + 1, length - 2))
     order = np.argsort(np.concatenate(row), kind="stable")
     named = np.concatenate(index)[order]
-    if len(named) and (named.min() < 0 or named.max() >= len(places)):
-        raise UnreadError("a face names a vertex that is not there")
-    return Facets(places[named], np.concatenate(row)[order])
+    if len(named) and (named.min() < 0 or named.max() >= len(vertices)):
+        raise UnreadError("a face refers to a missing vertex")
+    return Facets(vertices[named], np.concatenate(row)[order])
 
 
 def _stl(data: bytes) -> Facets:
-    """Binary where its own count of triangles says so, else text, of one solid or several."""
+    """Read a binary STL if its triangle count matches its size, else a text STL of one or several solids."""
     if len(data) >= _STL_HEAD:
         count = int.from_bytes(data[80:84], "little")
         if len(data) == _STL_HEAD + count * _STL.itemsize:
@@ -159,7 +189,7 @@ def _stl(data: bytes) -> Facets:
             return Facets(corners, np.arange(1, count + 1))
     words = data.decode("utf-8", errors="replace").lower().split()
     if "endsolid" not in words:
-        raise UnreadError("it is neither a binary STL, by its length, nor one in text")
+        raise UnreadError("it is neither a binary STL of the right length nor a text STL")
     last = len(words) - 1 - words[::-1].index("endsolid")
     at = np.flatnonzero(np.array(words[:last]) == "vertex")
     numbers = [[float(word) for word in words[i + 1 : i + 4]] for i in at]
@@ -168,8 +198,14 @@ def _stl(data: bytes) -> Facets:
 
 
 @dataclasses.dataclass
-class _Element:
-    """An element of a PLY file: its properties as name, type, and type of the count where it is a list."""
+class _PlyElement:
+    """An element of a PLY file.
+
+    Attributes:
+        name: Its name.
+        count: Number of rows.
+        properties: Name, type, and type of the count if the property is a list.
+    """
 
     name: str
     count: int
@@ -178,21 +214,24 @@ class _Element:
 
 def _ply(data: bytes) -> Facets:
     columns = _ply_columns(data)
-    places, polygons = np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
+    vertices, polygons = np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
     if "vertex" in columns:
-        places = np.array([columns["vertex"][axis] for axis in "xyz"], dtype=np.float64).T
+        vertices = np.array([columns["vertex"][axis] for axis in "xyz"], dtype=np.float64).T
     if "face" in columns:
-        own = columns["face"]
-        named = next((name for name in _PLY_FACES if name in own), None) or _first_list(data)
+        face_columns = columns["face"]
+        named = next((name for name in _PLY_FACES if name in face_columns), None) or _first_list(data)
         if named is None:
             raise UnreadError("its faces have no list of vertices")
-        polygons = own[named]
-    return _fans(places, polygons)
+        polygons = face_columns[named]
+    return _fans(vertices, polygons)
 
 
 def _first_list(data: bytes) -> str | None:
     faces = [element for element in _ply_elements(_ply_head(data)[0]) if element.name == "face"]
-    return next((name for one in faces for name, _, count in one.properties if count is not None), None)
+    return next(
+        (name for face_element in faces for name, _, count in face_element.properties if count is not None),
+        None,
+    )
 
 
 def _ply_columns(data: bytes) -> dict[str, Mapping[str, Any]]:
@@ -215,20 +254,20 @@ def _ply_columns(data: bytes) -> dict[str, Mapping[str, Any]]:
 
 
 def _ply_head(data: bytes) -> tuple[list[list[str]], bytes]:
-    """Words of the lines of the head, and what is behind it."""
+    """Return the words of the lines of the head, and the data after it."""
     end = data.find(b"end_header")
     if not data[:3].lower() == b"ply" or end < 0:
-        raise UnreadError("it has no head of a PLY file")
+        raise UnreadError("it has no PLY header")
     after = data.find(b"\n", end)
     lines = data[:end].decode("ascii", errors="replace").splitlines()
     return [line.split() for line in lines if line.split()], data[after + 1 :] if after >= 0 else b""
 
 
-def _ply_elements(head: list[list[str]]) -> list[_Element]:
-    out: list[_Element] = []
+def _ply_elements(head: list[list[str]]) -> list[_PlyElement]:
+    out: list[_PlyElement] = []
     for words in head:
         if words[0] == "element":
-            out.append(_Element(words[1], int(words[2]), []))
+            out.append(_PlyElement(words[1], int(words[2]), []))
         elif words[0] == "property" and words[1] == "list":
             out[-1].properties.append((words[4], _PLY_TYPES[words[3]], _PLY_TYPES[words[2]]))
         elif words[0] == "property":
@@ -236,8 +275,8 @@ def _ply_elements(head: list[list[str]]) -> list[_Element]:
     return out
 
 
-def _ply_text(element: _Element, numbers: FloatArray, offset: int) -> tuple[dict[str, Any], int]:
-    """Columns of an element whose numbers begin at ``offset``, and where the next one begins."""
+def _ply_text(element: _PlyElement, numbers: FloatArray, offset: int) -> tuple[dict[str, Any], int]:
+    """Return the columns of an element whose numbers start at ``offset``, and where the next one starts."""
     lengths, at = [], offset
     for _, _, count in element.properties:
         lengths.append(int(numbers[at]) if count is not None and element.count else 0)
@@ -264,15 +303,17 @@ def _ply_text(element: _Element, numbers: FloatArray, offset: int) -> tuple[dict
             offset += count is not None
             values = numbers[offset : offset + many]
             if len(values) < many:
-                raise UnreadError("it ends within its data")
+                raise UnreadError("it is truncated")
             out[name].append(values.astype(np.int64) if count is not None else values[0])
             offset += many
     return out, offset
 
 
-def _ply_binary(element: _Element, body: bytes, offset: int, order: str) -> tuple[dict[str, Any], int]:
-    """Columns of an element, and where the next one begins. Lists that are all as long as the first of
-    theirs, which is the usual case, are read at once."""
+def _ply_binary(element: _PlyElement, body: bytes, offset: int, order: str) -> tuple[dict[str, Any], int]:
+    """Return the columns of an element, and where the next one starts.
+
+    Lists of equal length, which is the usual case, are read in one step.
+    """
     lengths = _first_lengths(element, body, offset, order)
     fields: list[Any] = []
     for (name, kind, count), length in zip(element.properties, lengths, strict=True):
@@ -303,8 +344,8 @@ def _ply_binary(element: _Element, body: bytes, offset: int, order: str) -> tupl
     return out, offset
 
 
-def _first_lengths(element: _Element, body: bytes, offset: int, order: str) -> list[int]:
-    """Lengths of the lists of the first row, 0 for what is no list."""
+def _first_lengths(element: _PlyElement, body: bytes, offset: int, order: str) -> list[int]:
+    """Return the lengths of the lists of the first row, 0 for scalar properties."""
     out = []
     for _, kind, count in element.properties:
         many = 0
@@ -317,27 +358,33 @@ def _first_lengths(element: _Element, body: bytes, offset: int, order: str) -> l
 
 
 LOFT_CELLS: Final = (40, 400)
-"""Fewest and most cells of a loft along each of its parameters."""
-LOFT_CHORD: Final = 1e-5
-"""How far cells may be off the loft [m], where the most of them are enough."""
+"""Minimum and maximum number of cells of a loft along each of its parameters."""
+LOFT_TOLERANCE_M: Final = 1e-5
+"""Maximum deviation [m] of cells from the loft, if the maximum number of cells suffices."""
 _NORMAL_STEP: Final = 1e-5
-"""Step by which a surface's normals are found, over its parameters' range."""
+"""Step for a surface's normals, relative to the range of its parameters."""
 _RULINGS: Final = 2000
-"""Rulings of a face."""
-STRAIGHT: Final = 1e-8
-"""A line whose middle is off its chord by less [m] is straight."""
-_PLACES: Final = np.linspace(0.0, 1.0, 41)
-"""Places along and across a face at which it is looked at."""
-_SAME_VERTEX: Final = 1e-9
-"""Vertices so near, of the mesh's extent, are one."""
-_CORNER_ANGLE: Final = 20.0 * np.pi / 180.0
-"""A rim turns by more than this [rad] at a corner."""
+"""Number of rulings of a face."""
+STRAIGHT_TOLERANCE_M: Final = 1e-8
+"""Maximum deviation [m] of a straight line from its chord."""
+_POSITIONS: Final = np.linspace(0.0, 1.0, 41)
+"""Positions along and across a face at which it is examined."""
+_VERTEX_TOLERANCE: Final = 1e-9
+"""Distance up to which vertices are equal, relative to the mesh's extent."""
+_CORNER_ANGLE_RAD: Final = 20.0 * np.pi / 180.0
+"""Angle [rad] above which a rim has a corner."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Face:
-    """``vertices`` (V, 3) [m] with unit normals ``up`` (V, 3), ``faces`` (F, 3), ``number`` (F,) of each in
-    its file, from 1."""
+class MeshFace:
+    """A face as a mesh.
+
+    Attributes:
+        vertices: Vertices (V, 3) [m].
+        up: Unit normals (V, 3).
+        faces: Triangles (F, 3).
+        number: Number (F,) of each triangle in its file, from 1.
+    """
 
     vertices: FloatArray
     up: FloatArray
@@ -350,21 +397,27 @@ class Face:
         return self.vertices[self.faces]
 
 
-def mesh_face(said: Said) -> Face:
-    """The face of a mesh file in its own unit or the stated one, scaled, turned over where that is wanted.
-    Raises `UnreadError`."""
-    found = read_facets(file_of(said))
-    size = UNITS[str(said["unit"])] if found.unit is None else found.unit
-    corners = found.corners * size * float(said.get("scale") or 1.0)
-    return face_of(corners, found.row, bool(said.get("flip")))
+def mesh_face(entry: Entry) -> MeshFace:
+    """Read the face of a mesh file in its own unit or the stated one, scaled, and flipped if requested.
+
+    Raises:
+        UnreadError: The file cannot be read.
+    """
+    facets = read_facets(file_of(entry))
+    size = UNITS[str(entry["unit"])] if facets.unit is None else facets.unit
+    corners = facets.corners * size * float(entry.get("scale") or 1.0)
+    return face_of(corners, facets.row, bool(entry.get("flip")))
 
 
-def face_of(corners: FloatArray, number: IntArray, flip: bool) -> Face:
-    """The face of triangles (F, 3, 3) [m] of these numbers (F,), turned over where that is wanted. Raises
-    `UnreadError`."""
+def face_of(corners: FloatArray, number: IntArray, flip: bool) -> MeshFace:
+    """Return the face of triangles (F, 3, 3) [m] with numbers (F,), flipped if requested.
+
+    Raises:
+        UnreadError: No triangle has an area.
+    """
     corners = corners[:, ::-1] if flip else corners
     low = corners.reshape(-1, 3).min(axis=0)
-    step = max(float((corners.reshape(-1, 3).max(axis=0) - low).max()) * _SAME_VERTEX, 1e-15)
+    step = max(float((corners.reshape(-1, 3).max(axis=0) - low).max()) * _VERTEX_TOLERANCE, 1e-15)
     grid = np.rint((corners.reshape(-1, 3) - low) / step).astype(np.int64)
     _, first, index = np.unique(grid, axis=0, return_index=True, return_inverse=True)
     vertices, faces = corners.reshape(-1, 3)[first], index.reshape(-1, 3).astype(np.int64)
@@ -373,38 +426,45 @@ def face_of(corners: FloatArray, number: IntArray, flip: bool) -> Face:
     faces, number = faces[kept], number[kept]
     if not len(faces):
         raise UnreadError("all its faces have no area")
-    return Face(vertices, _normals(vertices, faces), faces, number)
+    return MeshFace(vertices, _normals(vertices, faces), faces, number)
 
 
-def loft_face(said: Said) -> Face:
-    """The face of a loft on a grid of exact places with exact normals."""
-    region = said.get("region") or {}
+def loft_face(entry: Entry) -> MeshFace:
+    """Return the face of a loft on a grid of exact points with exact normals."""
+    region = entry.get("region") or {}
     u0, u1 = (float(v) for v in region.get("u") or (0.0, 1.0))
     v0, v1 = (float(v) for v in region.get("v") or (0.0, 1.0))
-    return gridded(lambda u, v: loft_points(said, u, v), (u0, u1), (v0, v1), bool(said.get("flip")))
+    return grid_face(lambda u, v: loft_points(entry, u, v), (u0, u1), (v0, v1), bool(entry.get("flip")))
 
 
-Places = Callable[[FloatArray, FloatArray], FloatArray]
-"""Places (N, 3) [m] of a surface at its parameters u and v (N,)."""
+SurfaceFunction = Callable[[FloatArray, FloatArray], FloatArray]
+"""Function for points (N, 3) [m] of a surface at its parameters u and v (N,)."""
 
 
-def gridded(
-    at: Places,
+def grid_face(
+    at: SurfaceFunction,
     u: tuple[float, float],
     v: tuple[float, float],
     flip: bool,
     kinks: tuple[FloatArray, FloatArray] = (np.zeros(0), np.zeros(0)),
-) -> Face:
-    """The face of a surface between parameters on a grid of exact places with exact normals, with ``kinks``
-    along u and v on its lines; away from the part is dS/du x dS/dv, or with ``flip`` the other way."""
-    cells = _cells(at, u, v)
-    places = [np.linspace(*ends, cells + 1) for ends in (u, v)]
+) -> MeshFace:
+    """Return the face of a surface on a grid of exact points with exact normals.
+
+    Args:
+        at: The surface.
+        u: Range of its parameter u.
+        v: Range of its parameter v.
+        flip: Whether the side away from the part is against dS/du x dS/dv.
+        kinks: Parameters along u and v that are on lines of the grid.
+    """
+    cells = _cell_count(at, u, v)
+    grid_lines = [np.linspace(*ends, cells + 1) for ends in (u, v)]
     for k, (low, high) in enumerate((u, v)):
         inner = kinks[k][(kinks[k] > low) & (kinks[k] < high)]
-        every = np.union1d(places[k], inner)
-        near = _SAME_VERTEX * (high - low)
-        places[k] = every[np.append(True, np.diff(every) > near)]
-    grid = np.meshgrid(*places, indexing="ij")
+        every = np.union1d(grid_lines[k], inner)
+        tolerance = _VERTEX_TOLERANCE * (high - low)
+        grid_lines[k] = every[np.append(True, np.diff(every) > tolerance)]
+    grid = np.meshgrid(*grid_lines, indexing="ij")
     uu, vv = (part.ravel() for part in grid)
     points = at(uu, vv)
     du, dv = _NORMAL_STEP * (u[1] - u[0]), _NORMAL_STEP * (v[1] - v[0])
@@ -417,38 +477,53 @@ def gridded(
     faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
     if flip:
         up, faces = -up, faces[:, ::-1]
-    return Face(points, up, faces, np.arange(1, len(faces) + 1))
+    return MeshFace(points, up, faces, np.arange(1, len(faces) + 1))
 
 
 Region = tuple[tuple[float, float], tuple[float, float]]
 """Ranges of a surface's parameters u and v."""
 
 
-def straight_ways(at: Places, region: Region) -> list[int]:
-    """Along which parameters, u (0) or v (1), all lines of a surface are straight, as even places tell."""
-    grid = [low + _PLACES * (high - low) for low, high in region]
+def straight_parameters(at: SurfaceFunction, region: Region) -> list[int]:
+    """Return the parameters along which all lines of a surface are straight: u (0), v (1).
+
+    The lines are at evenly spaced positions.
+    """
+    grid = [low + _POSITIONS * (high - low) for low, high in region]
     u, v = (part.ravel() for part in np.meshgrid(*grid, indexing="ij"))
-    lines = at(u, v).reshape(len(_PLACES), len(_PLACES), 3)
-    return [k for k, own in enumerate((np.swapaxes(lines, 0, 1), lines)) if _all_straight(own)]
+    lines = at(u, v).reshape(len(_POSITIONS), len(_POSITIONS), 3)
+    return [k for k, line_set in enumerate((np.swapaxes(lines, 0, 1), lines)) if _all_straight(line_set)]
 
 
 def _all_straight(lines: FloatArray) -> bool:
-    way = lines[:, -1] - lines[:, 0]
-    length = np.linalg.norm(way, axis=1)
-    if length.min() < STRAIGHT:
+    chords = lines[:, -1] - lines[:, 0]
+    length = np.linalg.norm(chords, axis=1)
+    if length.min() < STRAIGHT_TOLERANCE_M:
         return False
-    off = np.cross(lines - lines[:, :1], (way / length[:, None])[:, None])
-    return bool(np.linalg.norm(off, axis=2).max() < STRAIGHT)
+    distances = np.cross(lines - lines[:, :1], (chords / length[:, None])[:, None])
+    return bool(np.linalg.norm(distances, axis=2).max() < STRAIGHT_TOLERANCE_M)
 
 
 def rulings(
-    at: Places, region: Region, kinks: tuple[FloatArray, FloatArray], wanted: str | None
+    at: SurfaceFunction, region: Region, kinks: tuple[FloatArray, FloatArray], direction: str | None
 ) -> tuple[int, FloatArray, FloatArray]:
-    """The parameter along which a surface is straight, ``wanted`` or the only one, and its rulings from one
-    end to the other (M, 3), with ``kinks`` along u and v among them. Raises `UnreadError`."""
-    along = [k for k in straight_ways(at, region) if wanted in (None, "uv"[k])]
+    """Return the rulings of a ruled surface.
+
+    Args:
+        at: The surface.
+        region: Ranges of its parameters.
+        kinks: Parameters along u and v that are among the rulings.
+        direction: Parameter along which the surface is straight, None for the only one.
+
+    Returns:
+        The parameter, u (0) or v (1), and starts and ends (M, 3) of the rulings.
+
+    Raises:
+        UnreadError: The surface is straight along no parameter, or along both.
+    """
+    along = [k for k in straight_parameters(at, region) if direction in (None, "uv"[k])]
     if len(along) != 1:
-        raise UnreadError(f"its face is straight {'both ways' if along else 'in no way'}")
+        raise UnreadError(f"its face is straight {'along both axes' if along else 'along no axis'}")
     (k,) = along
     low, high = region[1 - k]
     inner = kinks[1 - k]
@@ -458,24 +533,30 @@ def rulings(
     return k, start, end
 
 
-def _cells(surface: Places, u: tuple[float, float], v: tuple[float, float]) -> int:
-    """How many cells keep within `LOFT_CHORD`: what they are off falls with the square of their size."""
-    least, most = LOFT_CELLS
-    grid = np.meshgrid(np.linspace(*u, least + 1), np.linspace(*v, least + 1), indexing="ij")
-    at = surface(grid[0].ravel(), grid[1].ravel()).reshape(least + 1, least + 1, 3)
-    off = [at[1:-1:2] - 0.5 * (at[:-1:2] + at[2::2]), at[:, 1:-1:2] - 0.5 * (at[:, :-1:2] + at[:, 2::2])]
-    off.append(at[1:-1:2, 1:-1:2] - 0.5 * (at[:-1:2, :-1:2] + at[2::2, 2::2]))
-    far = max(float(np.linalg.norm(one, axis=2).max()) for one in off)
-    return int(np.clip(0.5 * least * np.sqrt(far / LOFT_CHORD), least, most))
+def _cell_count(surface: SurfaceFunction, u: tuple[float, float], v: tuple[float, float]) -> int:
+    """Return the number of cells within `LOFT_TOLERANCE_M`.
+
+    Their deviation falls with the square of their size.
+    """
+    min_cells, max_cells = LOFT_CELLS
+    grid = np.meshgrid(np.linspace(*u, min_cells + 1), np.linspace(*v, min_cells + 1), indexing="ij")
+    at = surface(grid[0].ravel(), grid[1].ravel()).reshape(min_cells + 1, min_cells + 1, 3)
+    deviations = [
+        at[1:-1:2] - 0.5 * (at[:-1:2] + at[2::2]),
+        at[:, 1:-1:2] - 0.5 * (at[:, :-1:2] + at[:, 2::2]),
+    ]
+    deviations.append(at[1:-1:2, 1:-1:2] - 0.5 * (at[:-1:2, :-1:2] + at[2::2, 2::2]))
+    max_deviation = max(float(np.linalg.norm(values, axis=2).max()) for values in deviations)
+    return int(np.clip(0.5 * min_cells * np.sqrt(max_deviation / LOFT_TOLERANCE_M), min_cells, max_cells))
 
 
-def loft_points(said: Said, u: FloatArray, v: FloatArray) -> FloatArray:
-    """Places (N, 3) [m] of a loft at u along its row of curves and v along each curve (N,)."""
-    rail = said.get("rail")
-    curves = said.get("sections") if rail is None else said.get("profiles")
+def loft_points(entry: Entry, u: FloatArray, v: FloatArray) -> FloatArray:
+    """Return points (N, 3) [m] of a loft at u (N,) along its row of curves and v (N,) along each curve."""
+    rail = entry.get("rail")
+    curves = entry.get("sections") if rail is None else entry.get("profiles")
     kind = "bezier_mm" if curves[0].get("bezier_mm") is not None else "bspline_mm"  # type: ignore[index]
     at = np.array([float(curve["at"]) for curve in curves])  # type: ignore[union-attr]
-    control = blended(at, np.stack([row(curve[kind]) for curve in curves]), u)  # type: ignore[union-attr]
+    control = interpolate_control(at, np.stack([points_in_metres(curve[kind]) for curve in curves]), u)  # type: ignore[union-attr]
     points = (bezier if kind == "bezier_mm" else bspline)(control, v)
     if rail is None:
         return points
@@ -485,52 +566,59 @@ def loft_points(said: Said, u: FloatArray, v: FloatArray) -> FloatArray:
     return np.column_stack([out * np.cos(angle), out * np.sin(angle), points[:, 1]]) + centre
 
 
-def behind(front: Face, depth: float) -> Face:
-    """The front moved inwards by ``depth`` [m], facing the other way."""
-    return Face(front.vertices - depth * front.up, -front.up, front.faces[:, ::-1], front.number)
+def offset_inwards(front: MeshFace, depth: float) -> MeshFace:
+    """Return the front offset inwards by ``depth`` [m], facing the other way."""
+    return MeshFace(front.vertices - depth * front.up, -front.up, front.faces[:, ::-1], front.number)
 
 
-def rims(face: Face) -> IntArray:
-    """Edges (E, 2) of one triangle only, with the face on their left."""
+def boundary_edges(face: MeshFace) -> IntArray:
+    """Return edges (E, 2) of one triangle only, with the face on their left."""
     edges = np.concatenate([face.faces[:, [i, (i + 1) % 3]] for i in range(3)])
     _, first, count = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
     return np.asarray(edges[np.sort(first[count == 1])])
 
 
-def edges_of(front: Face, back: Face, moved: bool) -> list[Ruled]:
-    """The ruled edges between the rims of both faces, point to point where the back is the front ``moved``,
-    else by the way along both; empty where a face has not one rim."""
-    loops = [_loop(rims(face)) for face in (front, back)]
+def ruled_edges(front: MeshFace, back: MeshFace, moved: bool) -> list[GuideRulings]:
+    """Return the ruled edges between the rims of both faces, empty if a face does not have exactly one rim.
+
+    Points are joined one to one if the back is the front ``moved``, else by length along both rims.
+    """
+    loops = [_closed_loop(boundary_edges(face)) for face in (front, back)]
     if loops[0] is None or loops[1] is None:
         return []
-    first = loops[0][::-1]  # against the front's sense, x the way to the back, points away from the part
+    first = loops[0][::-1]  # so that start direction x ruling points away from the part
     start = front.vertices[first]
     if moved:
         ring = np.append(first, first[0])
-        return [Ruled(front.vertices[ring], back.vertices[ring])]
-    one, other = through(start, True, _CORNER_ANGLE), through(back.vertices[loops[1]], True, _CORNER_ANGLE)
-    return joined(one, other, "arc_length")
+        return [GuideRulings(front.vertices[ring], back.vertices[ring])]
+    front_rim, back_rim = (
+        polyline_guide(start, True, _CORNER_ANGLE_RAD),
+        polyline_guide(back.vertices[loops[1]], True, _CORNER_ANGLE_RAD),
+    )
+    return join_guides(front_rim, back_rim, "arc_length")
 
 
-def _loop(edges: IntArray) -> IntArray | None:
-    """The vertices of one closed line of edges in their order, None where there are several."""
+def _closed_loop(edges: IntArray) -> IntArray | None:
+    """Return the vertices of one closed line of edges in order, or None if there are several."""
     onward = dict(edges.tolist())
     if not len(edges) or len(onward) != len(edges):
         return None
     out = [int(edges[0, 0])]
-    while (follow := onward.get(out[-1])) is not None and follow != out[0] and len(out) <= len(edges):
-        out.append(follow)
+    while (
+        (next_vertex := onward.get(out[-1])) is not None and next_vertex != out[0] and len(out) <= len(edges)
+    ):
+        out.append(next_vertex)
     return np.array(out, dtype=np.int64) if len(out) == len(edges) else None
 
 
 def _normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """Unit normals (V, 3), each triangle's weighted by its angle at the vertex."""
+    """Return unit normals (V, 3), each triangle's weighted by its angle at the vertex."""
     out = np.zeros_like(vertices)
     for k in range(3):
-        here, after, before = (vertices[faces[:, (k + i) % 3]] for i in range(3))
-        one, other = after - here, before - here
-        normal = np.cross(one, other)
+        corner, next_corner, previous_corner = (vertices[faces[:, (k + i) % 3]] for i in range(3))
+        edge_a, edge_b = next_corner - corner, previous_corner - corner
+        normal = np.cross(edge_a, edge_b)
         size = np.linalg.norm(normal, axis=1, keepdims=True)
-        angle = np.arctan2(size[:, 0], np.einsum("ij,ij->i", one, other))
+        angle = np.arctan2(size[:, 0], np.einsum("ij,ij->i", edge_a, edge_b))
         np.add.at(out, faces[:, k], angle[:, None] * normal / np.maximum(size, 1e-300))
     return np.asarray(out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-300))

@@ -1,4 +1,4 @@
-"""Triangles of GLB and 3MF files, read a second time from their bytes, with the unit that each states.
+"""Triangles of GLB and 3MF files, read independently from their bytes, with the unit that each states.
 
 GLB: glTF 2.0 (ISO/IEC 12113): chunks of JSON and numbers, nodes with poses, metres, y up. 3MF: core
 specification 1.3: XML in a ZIP, objects placed by components and items.
@@ -18,7 +18,7 @@ from planner.geometry.arrays import FloatArray, IntArray
 from planner.proof.part_files import UnreadError
 
 _COMPONENTS: Final = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-"""Numbers of a GLB file by their kind."""
+"""Number types of a GLB file by component type."""
 _UNITS_3MF: Final = {
     "micron": 1 / 1_000_000,
     "millimeter": 1 / 1000,
@@ -28,47 +28,47 @@ _UNITS_3MF: Final = {
     "meter": 1.0,
 }
 """Units of 3MF files [m]."""
-_DEEPEST: Final = 40
-"""Nodes or components in one another at most."""
-_MOST_PLACES: Final = 100_001
-"""Times that components of a 3MF file, or nodes of a GLB file, are placed at most."""
-_MOST_TRIANGLES: Final = 12_500_000
-"""Triangles of a file at most, those that are placed several times counted each time."""
-_MOST_BYTES: Final = 400_000_000
-"""Bytes of an unpacked 3MF file at most."""
+_MAX_DEPTH: Final = 40
+"""Maximum nesting depth of nodes or components."""
+_MAX_PLACEMENTS: Final = 100_001
+"""Maximum number of placed components of a 3MF file, or nodes of a GLB file."""
+_MAX_TRIANGLES: Final = 12_500_000
+"""Maximum number of triangles of a file. Triangles that are placed several times count each time."""
+_MAX_BYTES: Final = 400_000_000
+"""Maximum size [bytes] of an unpacked 3MF file."""
 
 
-def glb(data: bytes) -> tuple[FloatArray, float]:
-    """Triangles (F, 3, 3) of a GLB file in its lengths, z up, and the metres of those."""
+def read_glb(data: bytes) -> tuple[FloatArray, float]:
+    """Return triangles (F, 3, 3) of a GLB file in its units, z up, and the metres per unit."""
     if data[:4] != b"glTF":
-        raise UnreadError("it is no GLB file")
+        raise UnreadError("it is not a GLB file")
     chunks: dict[bytes, bytes] = {}
     at = 12
     while at + 8 <= len(data):
         size, kind = struct.unpack_from("<I4s", data, at)
         chunks.setdefault(kind.rstrip(b"\0 "), data[at + 8 : at + 8 + size])
         at += 8 + size
-    said, numbers = json.loads(chunks[b"JSON"]), chunks.get(b"BIN", b"")
-    found, places = [np.zeros((0, 3, 3))], 0
+    document, numbers = json.loads(chunks[b"JSON"]), chunks.get(b"BIN", b"")
+    triangles, placements = [np.zeros((0, 3, 3))], 0
 
-    def walk(index: int, above: FloatArray, depth: int) -> None:
-        nonlocal places
-        places += 1
-        if depth > _DEEPEST or places > _MOST_PLACES:
-            raise UnreadError("its nodes are in one another too deep, or too often")
-        node = said["nodes"][index]
-        here = above @ _node_pose(node)
+    def walk(index: int, parent_pose: FloatArray, depth: int) -> None:
+        nonlocal placements
+        placements += 1
+        if depth > _MAX_DEPTH or placements > _MAX_PLACEMENTS:
+            raise UnreadError("its nodes are nested too deep or placed too often")
+        node = document["nodes"][index]
+        node_pose = parent_pose @ _node_pose(node)
         if "mesh" in node:
-            for one in said["meshes"][node["mesh"]]["primitives"]:
-                corners = _primitive(said, numbers, one)
-                corners = corners @ here[:3, :3].T + here[:3, 3]
-                found.append(corners[:, ::-1] if np.linalg.det(here[:3, :3]) < 0.0 else corners)
+            for primitive in document["meshes"][node["mesh"]]["primitives"]:
+                corners = _primitive_triangles(document, numbers, primitive)
+                corners = corners @ node_pose[:3, :3].T + node_pose[:3, 3]
+                triangles.append(corners[:, ::-1] if np.linalg.det(node_pose[:3, :3]) < 0.0 else corners)
         for child in node.get("children", ()):
-            walk(child, here, depth + 1)
+            walk(child, node_pose, depth + 1)
 
-    for root in said["scenes"][said.get("scene", 0)].get("nodes", ()):
+    for root in document["scenes"][document.get("scene", 0)].get("nodes", ()):
         walk(root, np.eye(4), 0)
-    x, y, z = np.moveaxis(np.concatenate(found), -1, 0)
+    x, y, z = np.moveaxis(np.concatenate(triangles), -1, 0)
     return np.stack([x, -z, y], axis=-1), 1.0
 
 
@@ -89,15 +89,15 @@ def _node_pose(node: dict[str, Any]) -> FloatArray:
     return out
 
 
-def _primitive(said: dict[str, Any], numbers: bytes, one: dict[str, Any]) -> FloatArray:
-    """Triangles (F, 3, 3) of a row of them, a strip or a fan; nothing for points and lines."""
-    mode = one.get("mode", 4)
+def _primitive_triangles(document: dict[str, Any], numbers: bytes, primitive: dict[str, Any]) -> FloatArray:
+    """Return triangles (F, 3, 3) of a list, strip or fan, none for points and lines."""
+    mode = primitive.get("mode", 4)
     if mode < 4:
         return np.zeros((0, 3, 3))
-    places = _accessor(said, numbers, one["attributes"]["POSITION"]).astype(np.float64)
-    order: IntArray = np.arange(len(places))
-    if "indices" in one:
-        order = _accessor(said, numbers, one["indices"])[:, 0].astype(np.int64)
+    vertices = _read_accessor(document, numbers, primitive["attributes"]["POSITION"]).astype(np.float64)
+    order: IntArray = np.arange(len(vertices))
+    if "indices" in primitive:
+        order = _read_accessor(document, numbers, primitive["indices"])[:, 0].astype(np.int64)
     if mode == 4:
         three = order[: len(order) // 3 * 3].reshape(-1, 3)
     elif mode == 5:
@@ -105,64 +105,66 @@ def _primitive(said: dict[str, Any], numbers: bytes, one: dict[str, Any]) -> Flo
         three[1::2] = three[1::2][:, [1, 0, 2]]
     else:
         three = np.stack([np.full(len(order) - 2, order[0]), order[1:-1], order[2:]], axis=1)
-    return np.asarray(places[three])
+    return np.asarray(vertices[three])
 
 
-def _accessor(said: dict[str, Any], numbers: bytes, index: int) -> Any:
-    own = said["accessors"][index]
-    if "sparse" in own or "bufferView" not in own:
-        raise UnreadError("its numbers are not kept in a plain row")
-    view = said["bufferViews"][own["bufferView"]]
-    wide = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}[own["type"]]
-    kind = np.dtype(_COMPONENTS[own["componentType"]])
-    first = view.get("byteOffset", 0) + own.get("byteOffset", 0)
-    step = view.get("byteStride", wide * kind.itemsize)
-    if first + step * (own["count"] - 1) + wide * kind.itemsize > len(numbers):
-        raise UnreadError("it ends within its data")
-    return np.ndarray((own["count"], wide), kind, numbers, first, (step, kind.itemsize))
+def _read_accessor(document: dict[str, Any], numbers: bytes, index: int) -> Any:
+    accessor = document["accessors"][index]
+    if "sparse" in accessor or "bufferView" not in accessor:
+        raise UnreadError("its numbers are not stored as a plain array")
+    view = document["bufferViews"][accessor["bufferView"]]
+    width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}[accessor["type"]]
+    kind = np.dtype(_COMPONENTS[accessor["componentType"]])
+    first = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    step = view.get("byteStride", width * kind.itemsize)
+    if first + step * (accessor["count"] - 1) + width * kind.itemsize > len(numbers):
+        raise UnreadError("it is truncated")
+    return np.ndarray((accessor["count"], width), kind, numbers, first, (step, kind.itemsize))
 
 
-def packed(path: Path) -> tuple[FloatArray, float]:
-    """Triangles (F, 3, 3) of a 3MF file in its lengths, and the metres of those."""
+def read_3mf(path: Path) -> tuple[FloatArray, float]:
+    """Return triangles (F, 3, 3) of a 3MF file in its units, and the metres per unit."""
     try:
         with zipfile.ZipFile(path) as pack:
-            if sum(one.file_size for one in pack.infolist()) > _MOST_BYTES:
+            if sum(placed.file_size for placed in pack.infolist()) > _MAX_BYTES:
                 raise UnreadError("it is too large when it is unpacked")
             links = expatbuilder.parseString(pack.read("_rels/.rels"))
             root = next(
-                one.getAttribute("Target")
-                for one in links.getElementsByTagNameNS("*", "Relationship")
-                if one.getAttribute("Type").endswith("/3dmodel")
+                placed.getAttribute("Target")
+                for placed in links.getElementsByTagNameNS("*", "Relationship")
+                if placed.getAttribute("Type").endswith("/3dmodel")
             )
-            parts: dict[str, dict[str, _Thing]] = {}
-            size, items = _part(pack, root.lstrip("/"), parts)
+            parts: dict[str, dict[str, _Object3mf]] = {}
+            size, items = _read_part(pack, root.lstrip("/"), parts)
             corners, triangles = [np.zeros((0, 3, 3))], 0
             for part, number, pose in items:
-                for one in _built(lambda name: _part(pack, name, parts), parts, part, number, pose, 0):
-                    corners.append(one)
-                    triangles += len(one)
-                    if len(corners) > _MOST_PLACES or triangles > _MOST_TRIANGLES:
+                for placed in _placed_triangles(
+                    lambda name: _read_part(pack, name, parts), parts, part, number, pose, 0
+                ):
+                    corners.append(placed)
+                    triangles += len(placed)
+                    if len(corners) > _MAX_PLACEMENTS or triangles > _MAX_TRIANGLES:
                         raise UnreadError("its components are placed too often")
     except (zipfile.BadZipFile, StopIteration, KeyError, SyntaxError) as error:
-        raise UnreadError(f"it is no 3MF file that can be read ({error or 'no model'})") from error
+        raise UnreadError(f"it is not a readable 3MF file ({error or 'no model'})") from error
     return np.concatenate(corners), size
 
 
-_Thing = tuple[str, FloatArray, list[tuple[str, str, FloatArray]]]
-"""An object: its kind, its triangles (F, 3, 3), and what is placed in it."""
+_Object3mf = tuple[str, FloatArray, list[tuple[str, str, FloatArray]]]
+"""An object: its kind, its triangles (F, 3, 3), and its components."""
 
 
-def _built(
+def _placed_triangles(
     read: Callable[[str], Any],
-    parts: dict[str, dict[str, _Thing]],
+    parts: dict[str, dict[str, _Object3mf]],
     part: str,
     number: str,
     pose: FloatArray,
     depth: int,
 ) -> Iterator[FloatArray]:
-    """The triangles of an object and of all that it is made of, placed by ``pose`` (4, 4) of columns."""
-    if depth > _DEEPEST:
-        raise UnreadError("its components are in one another too deep")
+    """Yield the triangles of an object and of all its components, placed by ``pose`` (4, 4)."""
+    if depth > _MAX_DEPTH:
+        raise UnreadError("its components are nested too deep")
     if part not in parts:
         read(part)
     kind, corners, inner = parts[part][number]
@@ -170,47 +172,49 @@ def _built(
         return
     placed = corners @ pose[:3, :3].T + pose[:3, 3]
     yield placed[:, ::-1] if np.linalg.det(pose[:3, :3]) < 0.0 else placed
-    for other, its, own in inner:
-        yield from _built(read, parts, other, its, pose @ own, depth + 1)
+    for other, component_number, component_pose in inner:
+        yield from _placed_triangles(read, parts, other, component_number, pose @ component_pose, depth + 1)
 
 
-def _part(
-    pack: zipfile.ZipFile, name: str, parts: dict[str, dict[str, _Thing]]
+def _read_part(
+    pack: zipfile.ZipFile, name: str, parts: dict[str, dict[str, _Object3mf]]
 ) -> tuple[float, list[tuple[str, str, FloatArray]]]:
-    """Reads the objects of one part into ``parts``; its unit [m] and its items."""
-    own = parts.setdefault(name, {})
+    """Read the objects of one part into ``parts``, and return its unit [m] and its items."""
+    objects = parts.setdefault(name, {})
     size = _UNITS_3MF["millimeter"]
     items: list[tuple[str, str, FloatArray]] = []
-    places: list[tuple[float, ...]] = []
+    vertices: list[tuple[float, ...]] = []
     faces: list[tuple[int, ...]] = []
-    inner: list[tuple[str, str, FloatArray]] = []
+    components: list[tuple[str, str, FloatArray]] = []
     number, kind = "", ""
     with pack.open(name) as stream:
         events: Any = pulldom.parse(stream)
         for event, node in events:
             if event not in ("START_ELEMENT", "END_ELEMENT"):
                 continue
-            tag, begins = node.localName, event == "START_ELEMENT"
-            if tag == "model" and begins:
+            tag, is_start = node.localName, event == "START_ELEMENT"
+            if tag == "model" and is_start:
                 size = _UNITS_3MF[node.getAttribute("unit") or "millimeter"]
-            elif tag == "object" and begins:
+            elif tag == "object" and is_start:
                 number, kind = node.getAttribute("id"), node.getAttribute("type")
-                places, faces, inner = [], [], []
+                vertices, faces, components = [], [], []
             elif tag == "object":
                 of = np.array(faces, dtype=np.int64).reshape(-1, 3)
-                own[number] = (kind, np.array(places, dtype=np.float64).reshape(-1, 3)[of], inner)
-            elif tag == "vertex" and begins:
-                places.append(tuple(float(node.getAttribute(axis)) for axis in "xyz"))
-            elif tag == "triangle" and begins:
+                objects[number] = (kind, np.array(vertices, dtype=np.float64).reshape(-1, 3)[of], components)
+            elif tag == "vertex" and is_start:
+                vertices.append(tuple(float(node.getAttribute(axis)) for axis in "xyz"))
+            elif tag == "triangle" and is_start:
                 faces.append(tuple(int(node.getAttribute(k)) for k in ("v1", "v2", "v3")))
-            elif tag in ("component", "item") and begins:
-                (inner if tag == "component" else items).append(_placing(node, name))
+            elif tag in ("component", "item") and is_start:
+                (components if tag == "component" else items).append(_placement(node, name))
     return size, items
 
 
-def _placing(node: Any, part: str) -> tuple[str, str, FloatArray]:
+def _placement(node: Any, part: str) -> tuple[str, str, FloatArray]:
     pose = np.eye(4)
     if node.getAttribute("transform"):
         pose[:3] = np.array(node.getAttribute("transform").split(), dtype=np.float64).reshape(4, 3).T
-    other = next((one.value for one in node.attributes.values() if one.localName == "path"), part)
+    other = next(
+        (attribute.value for attribute in node.attributes.values() if attribute.localName == "path"), part
+    )
     return other.lstrip("/"), node.getAttribute("objectid"), pose

@@ -1,4 +1,4 @@
-"""A face of the part seen from above: places on it and curves laid on it."""
+"""A face of the part seen from above: points on it, and curves projected onto it."""
 
 import dataclasses
 
@@ -9,22 +9,28 @@ from scipy.sparse import csr_array
 from planner.geometry.arrays import FloatArray, IntArray
 
 CREASE_COSINE = np.cos(np.deg2rad(20.0))
-"""Cosine of the angle (20 degrees) at an edge between triangles from which on it is a crease, across which
-no normal is smoothed."""
-PLAN_ROUNDING = 1e-6
-"""Places this near to a triangle [m] in plan are on it."""
+"""Cosine of the angle (20 degrees) at an edge between triangles from which on the edge is a crease. Normals
+are not smoothed across creases.
+"""
+PLAN_TOLERANCE_M = 1e-6
+"""Distance [m] in plan up to which points are on a triangle."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Places:
-    """Of N places: ``point``, ``normal`` (N, 3), NaN where the face is not."""
+class PlanFacePoints:
+    """N points on a face.
+
+    Attributes:
+        point: Points (N, 3), NaN where the face is not.
+        normal: Normals (N, 3), NaN where the face is not.
+    """
 
     point: FloatArray
     normal: FloatArray
 
 
-class Laid:
-    """A face ``vertices`` (V, 3) [m], ``faces`` (F, 3) that looks up; its highest place counts."""
+class PlanFace:
+    """A face that looks up, as vertices (V, 3) [m] and triangles (F, 3). The highest point counts."""
 
     def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
         self.corners = vertices[faces]
@@ -37,10 +43,10 @@ class Laid:
         self._edges = edge_a, edge_b
         self._twice = np.where(flat, np.inf, twice)
 
-    def at(self, xy: FloatArray) -> Places:
-        """The places over ``xy`` (N, 2) [m]."""
+    def points_over(self, xy: FloatArray) -> PlanFacePoints:
+        """Return the points over ``xy`` (N, 2) [m]."""
         point, normal = np.full((len(xy), 3), np.nan), np.full((len(xy), 3), np.nan)
-        row, triangle = self._tree.query(shapely.points(xy), predicate="dwithin", distance=PLAN_ROUNDING)
+        row, triangle = self._tree.query(shapely.points(xy), predicate="dwithin", distance=PLAN_TOLERANCE_M)
         rest = xy[row] - self.corners[triangle, 0, :2]
         a, b = self._edges[0][triangle], self._edges[1][triangle]
         second = (rest[:, 0] * b[:, 1] - rest[:, 1] * b[:, 0]) / self._twice[triangle]
@@ -53,27 +59,32 @@ class Laid:
         point[row] = np.column_stack([xy[row], height[order]])
         mixed = np.einsum("nk,nkd->nd", weight, self._normals[triangle])
         normal[row] = mixed / np.linalg.norm(mixed, axis=1, keepdims=True)
-        return Places(point, normal)
+        return PlanFacePoints(point, normal)
 
 
 def smooth_normals(corners: FloatArray, faces: IntArray) -> FloatArray:
-    """Unit normals (F, 3, 3) at the corners of triangles (F, 3, 3): the mean of the normals around the vertex
-    by their angles there, without those beyond a crease."""
+    """Return unit normals (F, 3, 3) at the corners of triangles (F, 3, 3).
+
+    Each is the mean of the normals around the vertex, weighted by their angles there, without those beyond
+    a crease.
+    """
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     flat = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
     angles = np.empty(faces.shape)
     for k in range(3):
-        one, two = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
-        sine = np.linalg.norm(np.cross(one, two), axis=1)
-        angles[:, k] = np.arctan2(sine, (one * two).sum(axis=1))
+        edge_a, edge_b = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
+        sine = np.linalg.norm(np.cross(edge_a, edge_b), axis=1)
+        angles[:, k] = np.arctan2(sine, (edge_a * edge_b).sum(axis=1))
     count = faces.size
-    at = csr_array((np.ones(count), (np.arange(count), faces.ravel())), shape=(count, int(faces.max()) + 1))
-    pair = (at @ at.T).tocoo()
-    mine, other = pair.row, pair.col
-    kept = (flat[mine // 3] * flat[other // 3]).sum(axis=1) > CREASE_COSINE
-    kept |= mine == other
-    mine, other = mine[kept], other[kept]
-    weighed = csr_array((angles.ravel()[other], (mine, other // 3)), shape=(count, len(faces)))
+    incidence = csr_array(
+        (np.ones(count), (np.arange(count), faces.ravel())), shape=(count, int(faces.max()) + 1)
+    )
+    pair = (incidence @ incidence.T).tocoo()
+    corner, other = pair.row, pair.col
+    kept = (flat[corner // 3] * flat[other // 3]).sum(axis=1) > CREASE_COSINE
+    kept |= corner == other
+    corner, other = corner[kept], other[kept]
+    weighed = csr_array((angles.ravel()[other], (corner, other // 3)), shape=(count, len(faces)))
     out = weighed @ flat
     out /= np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-300)
     return np.asarray(out.reshape(-1, 3, 3))

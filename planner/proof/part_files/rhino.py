@@ -1,8 +1,10 @@
-"""Curves, ruled faces, faces and meshes of Rhino files (3DM), read a second time.
+"""Curves, ruled faces, faces and meshes of Rhino files (3DM), read independently of the planner.
 
-rhino3dm parses the file; which objects are meant, what their NURBS are and where a face ends is
-worked out here. B-splines by Cox and de Boor's steps on homogeneous points: L. Piegl, W. Tiller, The
-NURBS Book (1997), 4.2 to 4.4.
+rhino3dm parses the file. Which objects are meant, what their NURBS are and where a face ends is determined
+here.
+
+Source: B-splines by Cox and de Boor's recursion on homogeneous points: L. Piegl, W. Tiller, The NURBS Book
+(1997), 4.2 to 4.4.
 """
 
 import dataclasses
@@ -14,9 +16,16 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from planner.geometry.arrays import FloatArray, spread_rows
-from planner.proof.part_files import UNITS, Said, UnreadError, file_of
-from planner.proof.part_files.curves import Drawn, Ruled, chained, nurbs
-from planner.proof.part_files.meshes import STRAIGHT, Face, Region, face_of, gridded, rulings
+from planner.proof.part_files import UNITS, Entry, UnreadError, file_of
+from planner.proof.part_files.curves import DrawingCurve, GuideRulings, join_pieces, nurbs
+from planner.proof.part_files.meshes import (
+    STRAIGHT_TOLERANCE_M,
+    MeshFace,
+    Region,
+    face_of,
+    grid_face,
+    rulings,
+)
 
 _UNIT_NAMES: Final = {
     "Microns": 1 / 1_000_000,
@@ -32,71 +41,95 @@ _UNIT_NAMES: Final = {
 }
 """Rhino's names of units [m]."""
 _CHORDS: Final = 192
-"""Chords of each span of a curve."""
-_EDGE_PLACES: Final = 17
-"""Places of an edge at most at which it is looked at, its ends among them."""
-_SEAM_PLACES: Final = 41
-"""Places along an end of a surface at which it is held against the other end."""
-_CORNER_OFF: Final = 2e-5
-"""A corner of a face is off its surface by this at most [m]."""
-_THIN: Final = 1e-3
-"""Share of a surface's parameters within which a place is at an end of them."""
-_DRAWN_FACES: Final = ("Brep", "Extrusion", "Surface")
+"""Number of chords of each span of a curve."""
+_EDGE_POINTS: Final = 17
+"""Maximum number of points of an edge that are examined, including its ends."""
+_SEAM_POINTS: Final = 41
+"""Number of points along an end of a surface that are compared with the other end."""
+_CORNER_TOLERANCE_M: Final = 2e-5
+"""Maximum distance [m] of a corner of a face from its surface."""
+_END_FRACTION: Final = 1e-3
+"""Fraction of a surface's parameter range within which a point is at its end."""
+_FACE_KINDS: Final = ("Brep", "Extrusion", "Surface")
 """Kinds of objects that have faces."""
 
 
-def read_curves(said: Said) -> list[Drawn]:
-    """The curves that are asked for, joined where ends meet. Raises `UnreadError`."""
-    model, size = _model(said)
+def read_curves(entry: Entry) -> list[DrawingCurve]:
+    """Read the requested curves, joined at common ends.
+
+    Raises:
+        UnreadError: The file cannot be read, or has no such curve.
+    """
+    model, size = _read_model(entry)
     pieces = []
-    for one in _asked(model, said):
-        if _kind(one) == "Curve":
-            own = one.ToNurbsCurve()
-            control = _points(own.Points)
-            knots = _whole(list(own.Knots))
-            spans = np.unique(knots[own.Degree : len(control) + 1])
+    for geometry in _selected_geometry(model, entry):
+        if _kind(geometry) == "Curve":
+            curve = geometry.ToNurbsCurve()
+            control = _homogeneous_points(curve.Points)
+            knots = _full_knots(list(curve.Knots))
+            spans = np.unique(knots[curve.Degree : len(control) + 1])
             inner = np.linspace(0.0, 1.0, _CHORDS, endpoint=False)
             t = np.append((spans[:-1, None] + np.diff(spans)[:, None] * inner).ravel(), spans[-1])
-            pieces.append(size * _over(nurbs(control, np.ones(len(control)), knots, own.Degree, t)))
+            pieces.append(
+                size * _from_homogeneous(nurbs(control, np.ones(len(control)), knots, curve.Degree, t))
+            )
     if not pieces:
-        raise UnreadError("it has no curve of what is asked for")
-    return chained(pieces)
+        raise UnreadError("it has no curve that matches the selection")
+    return join_pieces(pieces)
 
 
-def ruled_face(said: Said) -> Ruled:
-    """The rulings of a ruled face, its normal tangent x ruling, the first one again at the end of a closed
-    one. Raises `UnreadError`."""
-    found = _surface(said)
-    _, start, end = rulings(found.at, found.region, found.knots, said.get("rulings"))
+def ruled_face(entry: Entry) -> GuideRulings:
+    """Read the rulings of a ruled face, whose normal is tangent x ruling.
+
+    At the end of a closed one, the first is repeated.
+
+    Raises:
+        UnreadError: The file cannot be read, or the face is not ruled.
+    """
+    patch = _only_surface(entry)
+    _, start, end = rulings(patch.at, patch.region, patch.knots, entry.get("rulings"))
     middle = len(start) // 2
     up = np.cross(start[middle + 1] - start[middle - 1], end[middle] - start[middle])
-    if float(up @ found.normal(0.5)) < 0.0:
+    if float(up @ patch.normal(0.5)) < 0.0:
         start, end = start[::-1], end[::-1]
-    return Ruled(start, end)
+    return GuideRulings(start, end)
 
 
-def face(said: Said) -> Face:
-    """A face on a grid of exact places, or a mesh. Raises `UnreadError`."""
-    model, size = _model(said)
-    meshes = [one for one in _asked(model, said) if _kind(one) == "Mesh"]
+def face(entry: Entry) -> MeshFace:
+    """Read a face on a grid of exact points, or a mesh.
+
+    Raises:
+        UnreadError: The file cannot be read, or has no such face.
+    """
+    model, size = _read_model(entry)
+    meshes = [geometry for geometry in _selected_geometry(model, entry) if _kind(geometry) == "Mesh"]
     if meshes:
-        own = meshes[0]
-        places = size * np.array([(p.X, p.Y, p.Z) for p in own.Vertices.ToPoint3dArray()], dtype=np.float64)
+        mesh = meshes[0]
+        vertices = size * np.array(
+            [(p.X, p.Y, p.Z) for p in mesh.Vertices.ToPoint3dArray()], dtype=np.float64
+        )
         rows, corners = [], []
-        for k in range(len(own.Faces)):
-            a, b, c, d = own.Faces[k]
+        for k in range(len(mesh.Faces)):
+            a, b, c, d = mesh.Faces[k]
             for three in ((a, b, c), (a, c, d)) if c != d else ((a, b, c),):
                 rows.append(k + 1)
-                corners.append(places[list(three)])
-        return face_of(np.array(corners), np.array(rows), bool(said.get("flip")))
-    found = _surface(said)
-    return gridded(found.at, *found.region, found.reversed != bool(said.get("flip")), found.knots)
+                corners.append(vertices[list(three)])
+        return face_of(np.array(corners), np.array(rows), bool(entry.get("flip")))
+    patch = _only_surface(entry)
+    return grid_face(patch.at, *patch.region, patch.reversed != bool(entry.get("flip")), patch.knots)
 
 
 @dataclasses.dataclass(frozen=True)
-class _Patch:
-    """A surface: degrees, knots, ``control`` (C, D, 4) homogeneous [m], the ``region`` of its face, u and v,
-    whether the face's normal is ``reversed``."""
+class _NurbsPatch:
+    """A surface.
+
+    Attributes:
+        degree: Degrees along u and v.
+        knots: Knots along u and v.
+        control: Homogeneous control points (C, D, 4) [m].
+        region: Parameter ranges of its face.
+        reversed: Whether the face's normal is reversed.
+    """
 
     degree: tuple[int, int]
     knots: tuple[FloatArray, FloatArray]
@@ -105,107 +138,117 @@ class _Patch:
     reversed: bool
 
     def at(self, u: FloatArray, v: FloatArray) -> FloatArray:
-        """Places (N, 3) at u, v (N,)."""
+        """Return points (N, 3) at u, v (N,)."""
         count, across = self.control.shape[:2]
         rows = self.control.reshape(count, across * 4)
         lines = nurbs(rows, np.ones(count), self.knots[0], self.degree[0], u).reshape(-1, across, 4)
-        return _over(nurbs(lines, np.ones(across), self.knots[1], self.degree[1], v))
+        return _from_homogeneous(nurbs(lines, np.ones(across), self.knots[1], self.degree[1], v))
 
-    def normal(self, share: float) -> FloatArray:
-        """The face's normal (3,), of no stated length, at a share of its region."""
+    def normal(self, fraction: float) -> FloatArray:
+        """Return the face's normal (3,), not normalised, at a fraction of its parameter ranges."""
         (u0, u1), (v0, v1) = self.region
-        u, v = u0 + share * (u1 - u0), v0 + share * (v1 - v0)
+        u, v = u0 + fraction * (u1 - u0), v0 + fraction * (v1 - v0)
         du, dv = 1e-4 * (u1 - u0), 1e-4 * (v1 - v0)
         p = self.at(np.array([u - du, u + du, u, u]), np.array([v, v, v - dv, v + dv]))
         up = np.cross(p[1] - p[0], p[3] - p[2])
         return -up if self.reversed else np.asarray(up)
 
 
-def _surface(said: Said) -> _Patch:
-    model, size = _model(said)
-    found = [
-        (one, brep)
-        for solid in _asked(model, said)
-        if _kind(solid) in _DRAWN_FACES
+def _only_surface(entry: Entry) -> _NurbsPatch:
+    model, size = _read_model(entry)
+    candidates = [
+        (brep_face, brep)
+        for solid in _selected_geometry(model, entry)
+        if _kind(solid) in _FACE_KINDS
         for brep in [solid.ToBrep(True) if _kind(solid) == "Extrusion" else solid]
-        for one in brep.Faces
+        for brep_face in brep.Faces
     ]
-    if len(found) != 1:
-        raise UnreadError(f"it has {len(found)} faces of what is asked for")
-    one, brep = found[0]
-    own = one.UnderlyingSurface().ToNurbsSurface()
-    shape = own.Points.CountU, own.Points.CountV
+    if len(candidates) != 1:
+        raise UnreadError(f"{len(candidates)} of its faces match the selection")
+    brep_face, brep = candidates[0]
+    nurbs_surface = brep_face.UnderlyingSurface().ToNurbsSurface()
+    shape = nurbs_surface.Points.CountU, nurbs_surface.Points.CountV
     control = np.array(
-        [_homogeneous(own.Points.GetControlPoint(i, j)) for i in range(shape[0]) for j in range(shape[1])]
+        [
+            _homogeneous(nurbs_surface.Points.GetControlPoint(i, j))
+            for i in range(shape[0])
+            for j in range(shape[1])
+        ]
     ).reshape(*shape, 4) * np.array([size, size, size, 1.0])
-    knots = _whole(own.KnotsU.ToList()), _whole(own.KnotsV.ToList())
-    degree = own.OrderU - 1, own.OrderV - 1
+    knots = _full_knots(nurbs_surface.KnotsU.ToList()), _full_knots(nurbs_surface.KnotsV.ToList())
+    degree = nurbs_surface.OrderU - 1, nurbs_surface.OrderV - 1
     ends = [(float(k[p]), float(k[-p - 1])) for k, p in zip(knots, degree, strict=True)]
-    whole = _Patch(degree, knots, control, (ends[0], ends[1]), bool(one.OrientationIsReversed))
-    if len(one.Loops) != 1:
+    whole = _NurbsPatch(degree, knots, control, (ends[0], ends[1]), bool(brep_face.OrientationIsReversed))
+    if len(brep_face.Loops) != 1:
         raise UnreadError("its face has holes")
-    return dataclasses.replace(whole, region=_region(whole, one.Loops[0].Trims, brep.Edges, size))
+    return dataclasses.replace(whole, region=_face_region(whole, brep_face.Loops[0].Trims, brep.Edges, size))
 
 
-def _region(whole: _Patch, trims: Any, edges: Any, size: float) -> Region:
-    """The parameters between which a face lies, by places of its edges."""
+def _face_region(whole: _NurbsPatch, trims: Any, edges: Any, size: float) -> Region:
+    """Return the parameter ranges of a face, from points of its edges."""
     numbers = [trim.EdgeIndex for trim in trims if trim.EdgeIndex >= 0]
-    places = []
+    edge_points = []
     for number in set(numbers):
-        own = edges[number].ToNurbsCurve()
-        knots = np.unique(list(own.Knots))
-        every = np.sort(np.concatenate([knots, 0.5 * (knots[1:] + knots[:-1])]))
-        for t in every[spread_rows(len(every), _EDGE_PLACES)]:
-            point = own.PointAt(float(t))
-            places.append((point.X, point.Y, point.Z))
-    where = np.array([_inverted(whole, size * np.array(place)) for place in places])
+        edge_curve = edges[number].ToNurbsCurve()
+        knots = np.unique(list(edge_curve.Knots))
+        edge_parameters = np.sort(np.concatenate([knots, 0.5 * (knots[1:] + knots[:-1])]))
+        for t in edge_parameters[spread_rows(len(edge_parameters), _EDGE_POINTS)]:
+            point = edge_curve.PointAt(float(t))
+            edge_points.append((point.X, point.Y, point.Z))
+    where = np.array([_surface_parameters(whole, size * np.array(edge_point)) for edge_point in edge_points])
     region = []
     for k, (low, high) in enumerate(whole.region):
-        near = _THIN * (high - low)
+        tolerance = _END_FRACTION * (high - low)
         at = where[:, k]
-        inner = at[(at > low + near) & (at < high - near)]
-        if _meets_itself(whole, k) and len(inner):
-            # on the seam it is either end: both of a face all round, else the one next to the face
+        inner = at[(at > low + tolerance) & (at < high - tolerance)]
+        if _is_closed_along(whole, k) and len(inner):
+            # A point on the seam is at either end: both for a face all round, else the one next to the face.
             end = low if inner.min() - low <= high - inner.max() else high
             both = len(set(numbers)) < len(numbers)
             at = np.append(inner, (low, high) if both else end)
         a, b = float(at.min()), float(at.max())
-        region.append((low if a - low < near else a, high if high - b < near else b))
+        region.append((low if a - low < tolerance else a, high if high - b < tolerance else b))
     return region[0], region[1]
 
 
-def _meets_itself(patch: _Patch, along: int) -> bool:
-    """Whether a whole surface ends along u (0) or v (1) where it begins."""
+def _is_closed_along(patch: _NurbsPatch, along: int) -> bool:
+    """Return whether a whole surface ends along u (0) or v (1) where it starts."""
     (low, high), other = patch.region[along], patch.region[1 - along]
-    t = np.linspace(*other, _SEAM_PLACES)
+    t = np.linspace(*other, _SEAM_POINTS)
     ends = [np.full(len(t), end) for end in (low, high)]
     first, last = (patch.at(end, t) if along == 0 else patch.at(t, end) for end in ends)
-    return bool(np.linalg.norm(first - last, axis=1).max() < STRAIGHT)
+    return bool(np.linalg.norm(first - last, axis=1).max() < STRAIGHT_TOLERANCE_M)
 
 
-def _inverted(patch: _Patch, point: FloatArray) -> FloatArray:
-    """Parameters (2,) of a point of a surface."""
+def _surface_parameters(patch: _NurbsPatch, point: FloatArray) -> FloatArray:
+    """Return the parameters (2,) of a point of a surface."""
     grid = [np.linspace(low, high, 60) for low, high in patch.region]
     u, v = (part.ravel() for part in np.meshgrid(*grid, indexing="ij"))
     first = int(np.linalg.norm(patch.at(u, v) - point, axis=1).argmin())
     low, high = np.array(patch.region).T
-    begin = np.clip([u[first], v[first]], low + 1e-9 * (high - low), high - 1e-9 * (high - low))
+    start = np.clip([u[first], v[first]], low + 1e-9 * (high - low), high - 1e-9 * (high - low))
 
-    def off(where: FloatArray) -> FloatArray:
+    def residual(where: FloatArray) -> FloatArray:
         return np.asarray(1e3 * (patch.at(where[:1], where[1:])[0] - point))
 
-    least = 1e-15
-    found = least_squares(
-        off, begin, bounds=(low, high), x_scale=high - low, xtol=least, ftol=least, gtol=least
+    tolerance = 1e-15
+    solution = least_squares(
+        residual,
+        start,
+        bounds=(low, high),
+        x_scale=high - low,
+        xtol=tolerance,
+        ftol=tolerance,
+        gtol=tolerance,
     )
-    if np.linalg.norm(found.fun) > 1e3 * _CORNER_OFF:
+    if np.linalg.norm(solution.fun) > 1e3 * _CORNER_TOLERANCE_M:
         raise UnreadError("a corner of its face is not on its surface")
-    return np.asarray(found.x)
+    return np.asarray(solution.x)
 
 
-def _model(said: Said) -> tuple[Any, float]:
-    """The file, and the metres of its lengths."""
-    path: Path = file_of(said)
+def _read_model(entry: Entry) -> tuple[Any, float]:
+    """Return the file's model, and the metres per unit."""
+    path: Path = file_of(entry)
     try:
         import rhino3dm
     except ImportError as error:
@@ -213,47 +256,47 @@ def _model(said: Said) -> tuple[Any, float]:
     path.stat()
     model = rhino3dm.File3dm.Read(str(path))
     if model is None:
-        raise UnreadError("it is no 3DM file that can be read")
+        raise UnreadError("it is not a readable 3DM file")
     name = str(model.Settings.ModelUnitSystem).split(".")[-1]
     if name in _UNIT_NAMES:
         return model, _UNIT_NAMES[name]
-    if said.get("unit") is None:
-        raise UnreadError(f"its unit is not known ({name})")
-    return model, UNITS[str(said["unit"])]
+    if entry.get("unit") is None:
+        raise UnreadError(f"its unit is unknown ({name})")
+    return model, UNITS[str(entry["unit"])]
 
 
-def _asked(model: Any, said: Said) -> Iterator[Any]:
-    """Visible objects outside of blocks that have the layer, name and colour that are asked for."""
+def _selected_geometry(model: Any, entry: Entry) -> Iterator[Any]:
+    """Yield visible objects outside of blocks that have the requested layer, name and colour."""
     by_index = {layer.Index: layer for layer in model.Layers}
     hidden = [layer.FullPath for layer in by_index.values() if not layer.Visible]
-    for one in model.Objects:
-        own = one.Attributes
-        layer = by_index[own.LayerIndex]
+    for item in model.Objects:
+        attributes = item.Attributes
+        layer = by_index[attributes.LayerIndex]
         path = str(layer.FullPath)
-        if own.IsInstanceDefinitionObject or not own.Visible:
+        if attributes.IsInstanceDefinitionObject or not attributes.Visible:
             continue
-        if any(path == off or path.startswith(f"{off}::") for off in hidden):
+        if any(path == hidden_layer or path.startswith(f"{hidden_layer}::") for hidden_layer in hidden):
             continue
-        if said.get("layer") and str(said["layer"]).lower() not in (
+        if entry.get("layer") and str(entry["layer"]).lower() not in (
             path.lower(),
             path.lower().split("::")[-1],
         ):
             continue
-        if said.get("name") and own.Name.lower() != str(said["name"]).lower():
+        if entry.get("name") and attributes.Name.lower() != str(entry["name"]).lower():
             continue
-        if said.get("colour") and tuple(bytes.fromhex(str(said["colour"])[1:])) != tuple(
-            own.DrawColor(model)[:3]
+        if entry.get("colour") and tuple(bytes.fromhex(str(entry["colour"])[1:])) != tuple(
+            attributes.DrawColor(model)[:3]
         ):
             continue
-        yield one.Geometry
+        yield item.Geometry
 
 
 def _kind(geometry: Any) -> str:
     return str(geometry.ObjectType).split(".")[-1]
 
 
-def _whole(knots: Any) -> FloatArray:
-    """All knots: the file leaves out the outermost ones."""
+def _full_knots(knots: Any) -> FloatArray:
+    """Return all knots. The file omits the outermost ones."""
     return np.array([knots[0], *knots, knots[-1]], dtype=np.float64)
 
 
@@ -261,9 +304,9 @@ def _homogeneous(point: Any) -> tuple[float, float, float, float]:
     return point.X, point.Y, point.Z, point.W
 
 
-def _points(points: Any) -> FloatArray:
+def _homogeneous_points(points: Any) -> FloatArray:
     return np.array([_homogeneous(point) for point in points], dtype=np.float64)
 
 
-def _over(homogeneous: FloatArray) -> FloatArray:
+def _from_homogeneous(homogeneous: FloatArray) -> FloatArray:
     return np.asarray(homogeneous[:, :3] / homogeneous[:, 3:])

@@ -1,28 +1,30 @@
-"""What stands between two moves, and how long it takes."""
+"""Steps between two moves, and their duration."""
 
-from planner.programs.steps import MessageStep, MoveStep, SettingStep, Step, WaitStep
+from planner.programs.steps import MessageStep, MoveStep, ProgramStep, SettingStep, WaitStep
 
 
-def between(steps: tuple[Step, ...], count: int) -> list[list[Step]]:
-    """Steps that are no moves: before the first move, behind each of ``count`` moves (the last takes what
-    remains)."""
-    out: list[list[Step]] = [[] for _ in range(count + 1)]
-    seen = 0
+def steps_between_moves(steps: tuple[ProgramStep, ...], count: int) -> list[list[ProgramStep]]:
+    """Return the steps other than moves: before the first move, and after each of ``count`` moves.
+
+    The last entry takes all that remain.
+    """
+    out: list[list[ProgramStep]] = [[] for _ in range(count + 1)]
+    move_count = 0
     for step in steps:
         if isinstance(step, MoveStep):
-            seen += 1
+            move_count += 1
         else:
-            out[min(seen, count)].append(step)
+            out[min(move_count, count)].append(step)
     return out
 
 
-def dwell_time(steps: list[Step]) -> float:
-    """Seconds that the steps wait for."""
+def dwell_time(steps: list[ProgramStep]) -> float:
+    """Return the time [s] for which the steps wait."""
     return sum(step.pause for step in steps if isinstance(step, WaitStep))
 
 
-def needs_standstill(steps: list[Step]) -> bool:
-    """Whether the steps need the arm to stand: waits and questions to the operator, not settings."""
+def needs_standstill(steps: list[ProgramStep]) -> bool:
+    """Return whether the steps need the arm to stand: waits and questions to the operator, not settings."""
     return any(
         isinstance(step, WaitStep) or (isinstance(step, MessageStep) and step.confirm) for step in steps
     ) or any(isinstance(step, SettingStep) and step.stops for step in steps)

@@ -1,4 +1,4 @@
-"""How fast tools that trajectories drive are on the way to each target, at every instant."""
+"""Speeds of trajectory-driven tools on the path to each target, at every instant."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -10,32 +10,47 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.programs.stages import TaskText
 from planner.programs.steps import MoveStep
 from planner.proof.context import Context
-from planner.proof.kinematics.arm_model import Machine, machine_of
-from planner.proof.replay.driven_speed import Ends, Seen, from_holder, in_world, peak_speeds
-from planner.proof.replay.moves import cubic, driven_knots
+from planner.proof.kinematics.arm_model import RobotMachine, robot_machine
+from planner.proof.replay.moves import hermite, trajectory_knots
+from planner.proof.replay.trajectory_speed import (
+    CubicEnds,
+    RelativeTool,
+    peak_speeds,
+    tool_in_base,
+    tool_in_holder,
+)
 
-STANDS: Final = 0.1e-3
-"""A tool that goes less than this [m] from point to point stands."""
-SLOW: Final = 0.1
-"""Below this share of the mean speeds beside it a point stands still, as a piece of the way between points
-does."""
-MARK: Final = 0.3
-"""How far [m] from the TCP points are that tell how a tool stands."""
-SOON: Final = 1e-6
-"""Time [s] over which the speed of such points is taken."""
+STANDSTILL_M: Final = 0.1e-3
+"""Distance [m] from point to point below which a tool stands still."""
+STANDSTILL_FRACTION: Final = 0.1
+"""Fraction of the adjacent mean speeds below which a point or a piece of the path is a standstill."""
+MARKER_DISTANCE_M: Final = 0.3
+"""Distance [m] from the TCP of the points that represent a tool's orientation."""
+SPEED_INTERVAL_S: Final = 1e-6
+"""Time [s] over which the speed of these points is taken."""
 _PIECES: Final = 8
-"""Pieces of the way between two points that are looked at."""
-LEAST_PART: Final = 0.3
-"""Of several tools those tell how fast what they hold goes that go this part of the longest way at least."""
+"""Number of pieces of the path between two points that are examined."""
+MIN_PATH_FRACTION: Final = 0.3
+"""Fraction of the longest tool path from which on a tool determines the speed of the held work."""
 
 
 @dataclasses.dataclass(frozen=True)
 class ToolSpeeds:
-    """Of an arm's N moves: ``world`` (N,) [m/s] that its tool keeps within at every instant, and ``peak``
-    (N,) as seen from the arm that holds the block, where one does. As seen so: ``length`` (N,) [m] straight
-    from where it is before, ``mean`` (N,) [m/s] of that, how far it goes ``back`` (N,) [m] on it in an eighth
-    of the time, and, where one holds the block, whether it ``creeps`` (N,), as good as still, on the way or
-    at its end. ``node`` (N,): the motion's nodes."""
+    """Speeds of an arm's tool on its N moves.
+
+    If another arm holds the block, all but ``world`` are relative to that arm's tool.
+
+    Attributes:
+        moves: The moves.
+        node: Nodes (N,) of the motion.
+        world: Upper bounds (N,) [m/s] of the speed in the world at every instant.
+        peak: Upper bounds (N,) [m/s] of the relative speed.
+        length: Straight distance (N,) [m] of each move.
+        mean: Mean speed (N,) [m/s] on it.
+        back: Largest backward motion (N,) [m] in an eighth of the time.
+        is_near_standstill: Whether the tool nearly stands still on the path or at its end (N,), if an arm
+            holds the block.
+    """
 
     moves: tuple[MoveStep, ...]
     node: IntArray
@@ -44,57 +59,74 @@ class ToolSpeeds:
     length: FloatArray
     mean: FloatArray
     back: FloatArray
-    creeps: BoolArray
+    is_near_standstill: BoolArray
 
 
 @dataclasses.dataclass(frozen=True)
-class _Arm:
-    """An arm that is driven: joints ``q`` and velocities ``v`` (N + 1, J) between its moves, and their
-    nodes."""
+class _DrivenArm:
+    """A trajectory-driven arm.
+
+    Attributes:
+        task: Its task.
+        machine: Its kinematics.
+        moves: Its N moves.
+        node: Nodes (N,) of the motion.
+        q: Joints (N + 1, J) between the moves.
+        v: Joint velocities (N + 1, J) there.
+    """
 
     task: TaskText
-    machine: Machine
+    machine: RobotMachine
     moves: tuple[MoveStep, ...]
     node: IntArray
     q: FloatArray
     v: FloatArray
 
-    def ends(self, rows: IntArray) -> Ends:
-        """Joints and velocities at the two ends of the moves ``rows`` (M,)."""
+    def move_ends(self, rows: IntArray) -> CubicEnds:
+        """Return joints and velocities at the two ends of the moves ``rows`` (M,)."""
         return self.q[rows], self.q[rows + 1], self.v[rows], self.v[rows + 1]
 
-    def at(self, nodes: IntArray) -> Ends:
-        """The same on the way to ``nodes`` (M,): where the arm has no move it stands where the one before has
-        left it."""
+    def ends_at_nodes(self, nodes: IntArray) -> CubicEnds:
+        """Return joints and velocities at the two ends of the paths to ``nodes`` (M,).
+
+        Where the arm has no move, it stands where the move before has left it.
+        """
         rows = np.searchsorted(self.node, nodes)
         moves = np.append(self.node, -1)[rows] == nodes
         a, still = self.q[rows], np.zeros_like(self.q[rows])
         rows = np.where(moves, rows, -1)
-        b, before, behind = self.q[rows + 1], self.v[rows], self.v[rows + 1]
-        own = moves[:, None]
-        return a, np.where(own, b, a), np.where(own, before, still), np.where(own, behind, still)
+        b, start_velocity, end_velocity = self.q[rows + 1], self.v[rows], self.v[rows + 1]
+        has_move = moves[:, None]
+        return (
+            a,
+            np.where(has_move, b, a),
+            np.where(has_move, start_velocity, still),
+            np.where(has_move, end_velocity, still),
+        )
 
 
 def tool_speeds(context: Context) -> Mapping[str, ToolSpeeds]:
-    """By arm, of those that trajectories drive."""
+    """Return the tool speeds by arm, of trajectory-driven arms."""
     key = "_tool_speeds"
     if key not in context.__dict__:
-        arms = {task.arm.name: _arm(context, task) for task in context.job.tasks if task.text.is_trajectory}
-        context.__dict__[key] = {name: _speeds(context, arm, arms) for name, arm in arms.items()}
-    found: Mapping[str, ToolSpeeds] = context.__dict__[key]
-    return found
+        arms = {
+            task.arm.name: _driven_arm(context, task) for task in context.job.tasks if task.text.is_trajectory
+        }
+        context.__dict__[key] = {name: _arm_speeds(context, arm, arms) for name, arm in arms.items()}
+    speeds: Mapping[str, ToolSpeeds] = context.__dict__[key]
+    return speeds
 
 
-def _arm(context: Context, task: TaskText) -> _Arm:
+def _driven_arm(context: Context, task: TaskText) -> _DrivenArm:
     moves = tuple(step for step in task.steps if isinstance(step, MoveStep))
-    q, v = driven_knots(task.arm.data, moves, task.arm.home)
+    q, v = trajectory_knots(task.arm.data, moves, task.arm.home)
     node = np.flatnonzero(context.motion.node_line[task.arm.name] > 0)
-    return _Arm(task, machine_of(task.arm.data), moves, node, q, v)
+    return _DrivenArm(task, robot_machine(task.arm.data), moves, node, q, v)
 
 
-def _speeds(context: Context, arm: _Arm, arms: Mapping[str, _Arm]) -> ToolSpeeds:
+def _arm_speeds(context: Context, arm: _DrivenArm, arms: Mapping[str, _DrivenArm]) -> ToolSpeeds:
     span = np.array([max(move.time or 0.0, 1e-9) for move in arm.moves])
-    world, peak, length, back, going, rate = (np.zeros(len(span)) for _ in range(6))
+    world, peak, length, back, mean_speeds, end_speeds = (np.zeros(len(span)) for _ in range(6))
     creeps = np.zeros(len(span), dtype=np.bool_)
     groups: dict[tuple[int, str, int], list[int]] = {}
     stages = context.spans.of_stage[context.motion.node_stage[arm.node]]
@@ -103,64 +135,83 @@ def _speeds(context: Context, arm: _Arm, arms: Mapping[str, _Arm]) -> ToolSpeeds
         groups.setdefault((id(move.tool), holder, int(stages[k])), []).append(k)
     for (_, holder, setup), rows in groups.items():
         tool, other = arm.moves[rows[0]].tool.pose, arms.get(holder)
-        some = np.array(rows)
-        ends = arm.ends(some)
-        seen = in_world(arm.machine, tool)
-        world[some] = peak[some] = peak_speeds(seen, ends, span[some])
+        move_rows = np.array(rows)
+        ends = arm.move_ends(move_rows)
+        tool_motion = tool_in_base(arm.machine, tool)
+        world[move_rows] = peak[move_rows] = peak_speeds(tool_motion, ends, span[move_rows])
         if other is not None:
-            bases = context.based(setup)
-            last = np.searchsorted(other.node, arm.node[some[-1]], side="right") - 1
+            bases = context.base_poses(setup)
+            last = np.searchsorted(other.node, arm.node[move_rows[-1]], side="right") - 1
             grip = other.moves[int(last)].tool.pose if last >= 0 else other.task.arm.tool.tcp
-            seen = from_holder(
+            tool_motion = tool_in_holder(
                 (arm.machine, tool, bases[arm.task.arm.name]), (other.machine, grip, bases[holder])
             )
-            held = other.at(arm.node[some])
-            both = [np.concatenate([h[:, ::-1], e], axis=1) for h, e in zip(held, ends, strict=True)]
-            ends = (both[0], both[1], both[2], both[3])
-            peak[some] = peak_speeds(seen, ends, span[some])
-            creeps[some], going[some], rate[some] = _slow(seen, ends, span[some])
-        length[some], back[some] = _straight(seen, ends, span[some])
+            holder_ends = other.ends_at_nodes(arm.node[move_rows])
+            joint_ends = [
+                np.concatenate([h[:, ::-1], e], axis=1) for h, e in zip(holder_ends, ends, strict=True)
+            ]
+            ends = (joint_ends[0], joint_ends[1], joint_ends[2], joint_ends[3])
+            peak[move_rows] = peak_speeds(tool_motion, ends, span[move_rows])
+            creeps[move_rows], mean_speeds[move_rows], end_speeds[move_rows] = _near_standstill(
+                tool_motion, ends, span[move_rows]
+            )
+        length[move_rows], back[move_rows] = _length_and_backward(tool_motion, ends, span[move_rows])
     passed = arm.v[1:].any(axis=1)
-    beside = np.minimum(going, np.append(going[1:], np.inf))
-    creeps |= passed & (rate < SLOW * beside)
+    adjacent_speed = np.minimum(mean_speeds, np.append(mean_speeds[1:], np.inf))
+    creeps |= passed & (end_speeds < STANDSTILL_FRACTION * adjacent_speed)
     return ToolSpeeds(arm.moves, arm.node, world, peak, length, length / span, back, creeps)
 
 
-def _looks(seen: Seen, ends: Ends, span: FloatArray) -> FloatArray:
-    """Poses (M, S, 4, 4) at even times on cubics."""
-    share = np.linspace(0.0, 1.0, _PIECES + 1)[:, None]
-    a, b, va, vb = (one[:, None] for one in ends)
-    return seen.poses(cubic(a, b, va, vb, span[:, None, None], share))
+def _pose_samples(tool: RelativeTool, ends: CubicEnds, span: FloatArray) -> FloatArray:
+    """Return poses (M, S, 4, 4) at equal time steps on cubics."""
+    fractions = np.linspace(0.0, 1.0, _PIECES + 1)[:, None]
+    a, b, va, vb = (values[:, None] for values in ends)
+    return tool.poses(hermite(a, b, va, vb, span[:, None, None], fractions))
 
 
-def _straight(seen: Seen, ends: Ends, span: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """How far (M,) [m] it is from one end to the other, and how far it goes back on that way."""
-    place = _looks(seen, ends, span)[..., :3, 3]
-    way = place[:, -1] - place[:, 0]
-    length = np.linalg.norm(way, axis=1)
-    along = np.einsum("spi,si->sp", np.diff(place, axis=1), way) / np.maximum(length, 1e-9)[:, None]
+def _length_and_backward(
+    tool: RelativeTool, ends: CubicEnds, span: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the distance (M,) [m] from one end to the other, and the backward motion (M,) [m] along it."""
+    positions = _pose_samples(tool, ends, span)[..., :3, 3]
+    chord = positions[:, -1] - positions[:, 0]
+    length = np.linalg.norm(chord, axis=1)
+    along = np.einsum("spi,si->sp", np.diff(positions, axis=1), chord) / np.maximum(length, 1e-9)[:, None]
     return length, np.maximum(0.0, -along.min(axis=1))
 
 
-def _slow(seen: Seen, ends: Ends, span: FloatArray) -> tuple[BoolArray, FloatArray, FloatArray]:
-    """Cubics (M,) on which a tool comes near to a standstill, by three of its points, the mean speeds of
-    these [m/s], and their speeds at the end."""
-    marks = _marks(_looks(seen, ends, span))
+def _near_standstill(
+    tool: RelativeTool, ends: CubicEnds, span: FloatArray
+) -> tuple[BoolArray, FloatArray, FloatArray]:
+    """Return the cubics (M,) on which a tool comes close to a standstill, by three of its points.
+
+    Returns:
+        Which cubics, and the mean speeds and end speeds of the points [m/s].
+    """
+    marks = _marker_positions(_pose_samples(tool, ends, span))
     mean = np.linalg.norm(marks[:, -1] - marks[:, 0], axis=1) / span
-    least = np.linalg.norm(np.diff(marks, axis=1), axis=2).min(axis=1) * _PIECES / span
-    soon = _marks(seen.poses(ends[1] + SOON * ends[3])) - _marks(seen.poses(ends[1]))
-    return least < SLOW * mean, mean, np.linalg.norm(soon, axis=1) / SOON
+    min_speed = np.linalg.norm(np.diff(marks, axis=1), axis=2).min(axis=1) * _PIECES / span
+    shift = _marker_positions(tool.poses(ends[1] + SPEED_INTERVAL_S * ends[3])) - _marker_positions(
+        tool.poses(ends[1])
+    )
+    return min_speed < STANDSTILL_FRACTION * mean, mean, np.linalg.norm(shift, axis=1) / SPEED_INTERVAL_S
 
 
-def _marks(pose: FloatArray) -> FloatArray:
-    """Places (..., 9) [m] of the TCP of poses (..., 4, 4) and of points on two of its axes."""
-    points = [pose[..., :3, 3] + far * pose[..., :3, axis] for far, axis in ((0.0, 0), (MARK, 0), (MARK, 1))]
+def _marker_positions(pose: FloatArray) -> FloatArray:
+    """Return the positions (..., 9) [m] of the TCP of poses (..., 4, 4) and of points on two of its axes."""
+    points = [
+        pose[..., :3, 3] + distance * pose[..., :3, axis]
+        for distance, axis in ((0.0, 0), (MARKER_DISTANCE_M, 0), (MARKER_DISTANCE_M, 1))
+    ]
     return np.concatenate(points, axis=-1)
 
 
-def peaks(context: Context) -> FloatArray:
-    """Speeds (K,) [m/s] that no driven tool exceeds on the way to each node; 0 where none is driven."""
+def peak_tool_speeds(context: Context) -> FloatArray:
+    """Return upper bounds (K,) [m/s] of the speed of driven tools on the path to each node.
+
+    They are 0 where none is driven.
+    """
     out = np.zeros(len(context.motion.node_stop))
-    for own in tool_speeds(context).values():
-        out[own.node] = np.maximum(out[own.node], own.peak)
+    for speeds in tool_speeds(context).values():
+        out[speeds.node] = np.maximum(out[speeds.node], speeds.peak)
     return out

@@ -8,25 +8,32 @@ from numpy.typing import NDArray
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, inverse
 from planner.proof.context import Context
-from planner.proof.replay.motion import during
+from planner.proof.replay.motion import with_start_stations
 
-Spaced = tuple[FloatArray, FloatArray, IntArray]
-"""Tips and axes (M, 3) of places on a track, and their rows (M,) of the motion."""
-TRACK_LEVER = 0.15
-"""A point so far behind the tip [m] counts, with the tip, for the way between places."""
-MAX_PLACES_AT_ONCE = 16_384
-"""Number of places that are processed at once. It limits memory and does not change results."""
-_MOST_BENDS = 64
-"""Rounds at most in which places are added at bends, one between two places each."""
+PathPositions = tuple[FloatArray, FloatArray, IntArray]
+"""Tips and axes (M, 3) of positions on a tool path, and their rows (M,) of the motion."""
+SHANK_POINT_M = 0.15
+"""Distance [m] behind the tip of a point that, with the tip, determines the path length between positions."""
+POSITIONS_PER_BATCH = 16_384
+"""Number of positions per batch. It limits memory and does not change results."""
+_MAX_BEND_ROUNDS = 64
+"""Maximum number of rounds in which positions are added at bends, one between two positions each."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Track:
-    """T places of one arm in some segments, as near to one another as samples are, and on corners:
-    ``rows`` (T,) of the motion's samples, the last ones before; ``tip``, ``axis`` (T, 3) [m] of the TCP and
-    against its z axis, from tip to spindle, in the block's frame, and ``ahead`` (T, 3) its x axis; ``joined``
-    (T - 1,): the tool goes on to the next place; ``node`` (T,) the move under way, of which there are as many
-    as ``names`` (K,) of their segments; ``time`` (T,) [s]."""
+class ReplayedToolPath:
+    """T positions of one arm's tool in some segments, as dense as samples are, and on corners.
+
+    Attributes:
+        rows: Samples (T,) of the motion, the last ones before.
+        tip: TCP (T, 3) [m] in the block's frame.
+        axis: Direction (T, 3) against the TCP's z axis, from tip to spindle.
+        x_axis: Direction (T, 3) of the TCP's x axis.
+        joined: Whether the tool moves on to the next position (T - 1,).
+        node: Current moves (T,).
+        names: Segment labels (K,) of the moves.
+        time: Times (T,) [s].
+    """
 
     rows: IntArray
     tip: FloatArray
@@ -35,108 +42,138 @@ class Track:
     node: IntArray
     names: NDArray[np.str_]
     time: FloatArray
-    ahead: FloatArray
+    x_axis: FloatArray
 
     @property
     def label(self) -> NDArray[np.str_]:
-        """The label (T,) of the move under way; not kept, as there are many places."""
+        """Label (T,) of the current move. Not cached, because there are many positions."""
         return self.names[self.node]
 
-    def spaced(self, step: float, bend: float = np.inf) -> Spaced:
-        """Tips and axes (M, 3), and rows (M,) of the motion, at places at most ``step`` [m] apart along the
-        way of tip and shank, which goes straight between the track's own. Of these there are so many more
-        that straight lines between places leave none out by more than ``bend`` [m]: a corner is one."""
-        tip, axis, _, rows = self.turned(step, bend)
+    def spaced(self, step: float, bend: float = np.inf) -> PathPositions:
+        """Return positions that are at most ``step`` [m] apart along the path of tip and shank.
+
+        The path is straight between the tool path's own positions. Of these so many are added that straight
+        lines between positions deviate from none by more than ``bend`` [m], for example at a corner.
+
+        Returns:
+            Tips and axes (M, 3), and rows (M,) of the motion.
+        """
+        tip, axis, _, rows = self.spaced_with_x_axes(step, bend)
         return tip, axis, rows
 
-    def turned(
+    def spaced_with_x_axes(
         self, step: float, bend: float = np.inf, lever: float = 0.0
     ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
-        """As :meth:`spaced`, with the x axes (M, 3) of the tool before the rows; with a ``lever`` [m] a point
-        so far along them counts for the way, too."""
+        """Return positions like :meth:`spaced`, with the x axes (M, 3) of the tool before the rows.
+
+        With a ``lever`` [m] a point at that distance along the x axis also determines the path length.
+        """
         if not len(self.rows):
-            return self.tip, self.axis, self.ahead, self.rows
-        points = [self.tip, self.tip + TRACK_LEVER * self.axis]
+            return self.tip, self.axis, self.x_axis, self.rows
+        points = [self.tip, self.tip + SHANK_POINT_M * self.axis]
         if lever > 0.0:
-            points.append(self.tip + lever * self.ahead)
+            points.append(self.tip + lever * self.x_axis)
         ends = np.stack(points, axis=1)
-        way = np.linalg.norm(np.diff(ends, axis=0), axis=2).max(axis=1)
-        along = np.concatenate([[0.0], np.cumsum(np.where(self.joined, way, 0.0))])
-        marks = np.arange(0.0, along[-1], step)
-        at = np.unique(np.concatenate([marks, along[np.append(True, ~self.joined)], along[-1:]]))
+        step_lengths = np.linalg.norm(np.diff(ends, axis=0), axis=2).max(axis=1)
+        along = np.concatenate([[0.0], np.cumsum(np.where(self.joined, step_lengths, 0.0))])
+        regular = np.arange(0.0, along[-1], step)
+        path_lengths = np.unique(np.concatenate([regular, along[np.append(True, ~self.joined)], along[-1:]]))
         if np.isfinite(bend):
-            at = _with_bends(ends, along, at, bend)
-        # where the way is longer than the step from sample to sample, places lie between these
-        to = np.clip(np.searchsorted(along, at, side="left"), 0, len(along) - 1)
-        back = np.maximum(to - 1, 0)
-        span = along[to] - along[back]
-        share = np.where(span > 0.0, (at - along[back]) / np.maximum(span, 1e-12), 1.0)[:, None]
-        tip = self.tip[back] + share * (self.tip[to] - self.tip[back])
-        axis = self.axis[back] + share * (self.axis[to] - self.axis[back])
-        ahead = self.ahead[back] + share * (self.ahead[to] - self.ahead[back])
-        first = np.flatnonzero(np.append(True, ~self.joined))  # the first of each stretch, as it stands
+            path_lengths = _add_bends(ends, along, path_lengths, bend)
+        # Interpolate where the path between two samples is longer than the step.
+        next_position = np.clip(np.searchsorted(along, path_lengths, side="left"), 0, len(along) - 1)
+        previous_position = np.maximum(next_position - 1, 0)
+        span = along[next_position] - along[previous_position]
+        weight = np.where(
+            span > 0.0, (path_lengths - along[previous_position]) / np.maximum(span, 1e-12), 1.0
+        )[:, None]
+        tip = self.tip[previous_position] + weight * (self.tip[next_position] - self.tip[previous_position])
+        axis = self.axis[previous_position] + weight * (
+            self.axis[next_position] - self.axis[previous_position]
+        )
+        ahead = self.x_axis[previous_position] + weight * (
+            self.x_axis[next_position] - self.x_axis[previous_position]
+        )
+        first = np.flatnonzero(np.append(True, ~self.joined))  # first position of each stretch
         tip, axis = np.concatenate([tip, self.tip[first]]), np.concatenate([axis, self.axis[first]])
-        ahead = np.concatenate([ahead, self.ahead[first]])
-        rows = np.concatenate([self.rows[to], self.rows[first]])
-        axis, ahead = (one / np.linalg.norm(one, axis=1, keepdims=True) for one in (axis, ahead))
+        ahead = np.concatenate([ahead, self.x_axis[first]])
+        rows = np.concatenate([self.rows[next_position], self.rows[first]])
+        axis, ahead = (
+            directions / np.linalg.norm(directions, axis=1, keepdims=True) for directions in (axis, ahead)
+        )
         return tip, axis, ahead, rows
 
 
-def _with_bends(ends: FloatArray, along: FloatArray, at: FloatArray, bend: float) -> FloatArray:
-    """Places ``at`` (M,) on the way ``along`` (T,) of ``ends`` (T, 2, 3), and those of T, one between two
-    places in each round, that are farther than ``bend`` [m] off the straight lines between them."""
-    left = np.arange(len(along))
-    for _ in range(_MOST_BENDS):
-        # lines begin behind a jump, where two of T are as far along as each other, and end before one
+def _add_bends(ends: FloatArray, along: FloatArray, at: FloatArray, bend: float) -> FloatArray:
+    """Add the positions that deviate by more than ``bend`` [m] from the straight lines between positions.
+
+    Each round adds one position between two.
+
+    Args:
+        ends: Points (T, 2, 3) of tip and shank.
+        along: Path length (T,) [m] at the points.
+        at: Path lengths (M,) [m] of the positions.
+        bend: Tolerance [m].
+    """
+    remaining = np.arange(len(along))
+    for _ in range(_MAX_BEND_ROUNDS):
+        # Lines start after a jump, where two positions have the same path length, and end before one.
         low = np.clip(np.searchsorted(along, at[:-1], side="right") - 1, 0, len(along) - 2)
         high = np.clip(np.searchsorted(along, at[1:], side="left"), 1, len(along) - 1)
-        start = _between(ends, along, low, at[:-1])
-        line = _between(ends, along, high - 1, at[1:]) - start
-        own = np.searchsorted(at, along[left], side="left") - 1
-        inner = (own >= 0) & (along[left] < at[np.minimum(own + 1, len(at) - 1)])
-        left, own = left[inner], own[inner]
-        off = ends[left] - start[own]
-        share = (off * line[own]).sum(axis=2) / np.maximum((line[own] ** 2).sum(axis=2), 1e-24)
-        apart = np.linalg.norm(off - np.clip(share, 0.0, 1.0)[..., None] * line[own], axis=2).max(axis=1)
-        far = np.isin(own, own[apart > bend])
-        left, own, apart = left[far], own[far], apart[far]
-        if not len(left):
+        start = _interpolate(ends, along, low, at[:-1])
+        line = _interpolate(ends, along, high - 1, at[1:]) - start
+        line_index = np.searchsorted(at, along[remaining], side="left") - 1
+        inner = (line_index >= 0) & (along[remaining] < at[np.minimum(line_index + 1, len(at) - 1)])
+        remaining, line_index = remaining[inner], line_index[inner]
+        offset = ends[remaining] - start[line_index]
+        projection = (offset * line[line_index]).sum(axis=2) / np.maximum(
+            (line[line_index] ** 2).sum(axis=2), 1e-24
+        )
+        distance = np.linalg.norm(
+            offset - np.clip(projection, 0.0, 1.0)[..., None] * line[line_index], axis=2
+        ).max(axis=1)
+        exceeds = np.isin(line_index, line_index[distance > bend])
+        remaining, line_index, distance = remaining[exceeds], line_index[exceeds], distance[exceeds]
+        if not len(remaining):
             return at
-        order = np.lexsort((apart, own))
-        worst = order[np.append(np.diff(own[order]) > 0, True)]
-        at = np.union1d(at, along[left[worst]])
+        order = np.lexsort((distance, line_index))
+        worst = order[np.append(np.diff(line_index[order]) > 0, True)]
+        at = np.union1d(at, along[remaining[worst]])
     return at
 
 
-def _between(ends: FloatArray, along: FloatArray, low: IntArray, at: FloatArray) -> FloatArray:
-    """Ends (M, 2, 3) at places ``at`` (M,) of the way between its places ``low`` (M,) and the next ones."""
-    share = (at - along[low]) / np.maximum(along[low + 1] - along[low], 1e-12)
-    share = np.clip(share, 0.0, 1.0)[:, None, None]
-    return np.asarray(ends[low] + share * (ends[low + 1] - ends[low]))
+def _interpolate(ends: FloatArray, along: FloatArray, low: IntArray, at: FloatArray) -> FloatArray:
+    """Interpolate ``ends`` (M, 2, 3) at path lengths ``at`` (M,).
+
+    They are between positions ``low`` (M,) and the next ones.
+    """
+    weight = (at - along[low]) / np.maximum(along[low + 1] - along[low], 1e-12)
+    weight = np.clip(weight, 0.0, 1.0)[:, None, None]
+    return np.asarray(ends[low] + weight * (ends[low + 1] - ends[low]))
 
 
-def track_of(context: Context, index: int, arm: str, labels: tuple[str, ...]) -> Track:
-    """Find the track of ``arm`` in setup ``index`` on moves of segments with these keys."""
+def tool_path(context: Context, index: int, arm: str, labels: tuple[str, ...]) -> ReplayedToolPath:
+    """Return the tool path of ``arm`` in setup ``index`` on moves of segments with these keys."""
     motion = context.motion
-    names, looks = motion.node_label, motion.looks
-    chosen = np.isin(names, labels)[looks.node] & (context.sample_setup[looks.sample] == index)
-    rows = np.flatnonzero(during(chosen)) if arm in motion.tcp else np.zeros(0, dtype=np.int64)
+    names, merged = motion.node_label, motion.merged_samples
+    chosen = np.isin(names, labels)[merged.node] & (context.sample_setup[merged.sample] == index)
+    rows = np.flatnonzero(with_start_stations(chosen)) if arm in motion.tcp else np.zeros(0, dtype=np.int64)
     tip, axis, ahead = np.empty((3, len(rows), 3))
     for part, seen in tcp_in_stock(context, index, arm, rows):
         tip[part], axis[part], ahead[part] = seen[:, :3, 3], -seen[:, :3, 2], seen[:, :3, 0]
     joined = (np.diff(rows) == 1) & chosen[rows[1:]]
-    node, time = looks.node[rows], looks.time[rows]
-    return Track(looks.sample[rows], tip, axis, joined, node, names, time, ahead)
+    node, time = merged.node[rows], merged.time[rows]
+    return ReplayedToolPath(merged.sample[rows], tip, axis, joined, node, names, time, ahead)
 
 
 def tcp_in_stock(
     context: Context, index: int, arm: str, rows: IntArray
 ) -> Iterator[tuple[slice, FloatArray]]:
-    """Yield poses (M, 4, 4) of the TCP in the block's frame at ``rows`` of the looks, part by part.
+    """Yield TCP poses (M, 4, 4) in the block's frame at ``rows`` of the merged samples, batch by batch.
 
     All poses of a long job would need more memory than the rest of the proof.
     """
-    for first in range(0, len(rows), MAX_PLACES_AT_ONCE):
-        part = slice(first, first + MAX_PLACES_AT_ONCE)
-        own = context.motion.looks.row[rows[part]]
-        yield part, inverse(context.stock_poses(index, own)) @ context.motion.poses(arm, own)
+    for first in range(0, len(rows), POSITIONS_PER_BATCH):
+        part = slice(first, first + POSITIONS_PER_BATCH)
+        batch_rows = context.motion.merged_samples.row[rows[part]]
+        yield part, inverse(context.stock_poses(index, batch_rows)) @ context.motion.poses(arm, batch_rows)

@@ -1,4 +1,4 @@
-"""verify.rests: what bears a block, the gripper of an arm or what it stands on."""
+"""verify.rests: how a block is held by a gripper or supported."""
 
 import itertools
 from collections.abc import Iterator
@@ -9,204 +9,242 @@ import shapely
 from scipy.spatial import ConvexHull
 
 from planner.cell import support
-from planner.geometry.arrays import FloatArray, corners, inverse, transform
+from planner.geometry.arrays import FloatArray, hull_points, inverse, transform
 from planner.geometry.units import GRAVITY
 from planner.issues import Issue
 from planner.problem import Cell, Pedestal, Setup, Stock
 from planner.proof.context import Context
-from planner.proof.kinematics.external_axes import floor_of
-from planner.proof.rule import Outcome, mm, rule
+from planner.proof.kinematics.external_axes import floor_height
+from planner.proof.rule import RuleOutcome, mm, rule
 from planner.tooling import Gripper
 
-GRIP_FACTOR: Final = 3.0
-"""A gripper holds so many times the weight of its block at least."""
-GRIPPER_TILT: Final = np.deg2rad(1.0)
-"""How far a block's bottom face may be turned off its gripper [rad]."""
-GRIPPER_GAP: Final = 0.5e-3
-"""How far a block's bottom face may be off its gripper [m]."""
-GRIPPER_OVERHANG: Final = 1e-6
-"""How far a gripper's face may stand out of the block's bottom face [m]."""
-TOP_HEIGHT_ERROR: Final = 1e-5
-"""How far the top of what is made for a block may be off a height in stock [m]: decimals of frames."""
-FEET_HEIGHT: Final = 0.025
-"""[m] what feet and shims may be between a support, what it stands on and what it bears."""
+MIN_GRIP_FORCE_FACTOR: Final = 3.0
+"""Minimum ratio of a gripper's holding force to the weight of its block."""
+MAX_GRIPPER_TILT_RAD: Final = np.deg2rad(1.0)
+"""Maximum angle [rad] between the bottom face of a block and its gripper."""
+MAX_GRIPPER_GAP_M: Final = 0.5e-3
+"""Maximum distance [m] between the bottom face of a block and its gripper."""
+MAX_GRIPPER_OVERHANG_M: Final = 1e-6
+"""Maximum overhang [m] of a gripper's face over the bottom face of the block."""
+TOP_HEIGHT_TOLERANCE_M: Final = 1e-5
+"""Tolerance [m] between the top of a pedestal and a height in stock, from the decimals of frames."""
+MAX_FEET_HEIGHT_M: Final = 0.025
+"""Height [m] that feet and shims may take between a support and what is above or below it."""
 
 
 @rule("verify.rests")
-def rests(context: Context) -> Outcome:
-    """A block that an arm holds lies flat on a gripper whose face is within its own, which holds it firmly
-    enough and is with it within the payload; any other one stands on the floor, on a body of the cell or on
-    a support that is under its middle and stands there itself, with a positioner's tilt at 0, unless the
-    problem accepts that it does not. What is made for a block is of sizes in stock and in no body of the
-    cell, whatever is accepted."""
+def block_support(context: Context) -> RuleOutcome:
+    """A block is held by a gripper or supported as required.
+    A held block lies flat on a gripper whose face is within the block's bottom face, whose holding force
+    suffices, and whose mass with the block is within the payload. Any other block stands on the floor,
+    on a body of the cell, or on a support that is under its centre and stands itself, with a
+    positioner's tilt at 0, unless the problem accepts otherwise. Pedestals have sizes in stock and
+    intersect no body of the cell, whatever is accepted.
+    """
     issues: list[Issue] = []
-    told = 0
+    checked_count = 0
     for index, setup in enumerate(context.setups):
         stock = setup.stock
         if stock.held_by is not None:
-            faults = list(_held(setup))
+            faults = list(_check_held(setup))
         elif stock.sheet is None:
-            place = stock.place if context.places[index] is None else context.places[index]
-            stated = bool(stock.support) or stock.pedestal is not None
-            taken = ("stock.support" if stated else "stock.hangs") in context.problem.accept
+            stock_pose = stock.place if context.stock_frames[index] is None else context.stock_frames[index]
+            has_support = bool(stock.support) or stock.pedestal is not None
+            accepted = ("stock.support" if has_support else "stock.hangs") in context.problem.accept
             table = setup.cell.turntable
-            if table is not None and table.tilt is not None and place is not None:
-                place = table.tilt.turned(place, -(stock.tilt or 0.0))
-            faults = [] if place is None else list(_stands(setup.upright.cell, stock, place, taken))
+            if table is not None and table.tilt is not None and stock_pose is not None:
+                stock_pose = table.tilt.rotate(stock_pose, -(stock.tilt or 0.0))
+            faults = (
+                []
+                if stock_pose is None
+                else list(_check_support(setup.with_zero_tilt.cell, stock, stock_pose, accepted))
+            )
         else:
             continue
-        told += 1
+        checked_count += 1
         issues += [Issue("verify.rests", f"setup {setup.number}: {fault}") for fault in faults]
-    return Outcome(tuple(issues), nothing="" if told else "only sheets")
+    return RuleOutcome(tuple(issues), nothing="" if checked_count else "only sheets")
 
 
-def _held(setup: Setup) -> Iterator[str]:
+def _check_held(setup: Setup) -> Iterator[str]:
+    """Check a block that an arm holds with a gripper."""
     stock, arm = setup.stock, setup.cell.arm(str(setup.stock.held_by))
     tool = arm.tool
     if not isinstance(tool, Gripper):
-        yield f"{tool.name} of arm {arm.name} holds no block"
+        yield f"{tool.name} of arm {arm.name} cannot hold a block"
         return
-    on_block = inverse(stock.grip)  # of the gripper's TCP in the block's frame
-    lean = float(np.arccos(np.clip(on_block[2, 2], -1.0, 1.0)))
+    on_block = inverse(stock.grip)  # the gripper's TCP in the block's frame
+    tilt = float(np.arccos(np.clip(on_block[2, 2], -1.0, 1.0)))
     gap = float(abs(on_block[2, 3] - stock.lower[2]))
-    if lean > GRIPPER_TILT or gap > GRIPPER_GAP:
-        off = f"{mm(gap):.2f} mm and {np.rad2deg(lean):.2f} deg"
-        yield f"the block does not lie flat on {tool.name}, but {off} off it"
+    if tilt > MAX_GRIPPER_TILT_RAD or gap > MAX_GRIPPER_GAP_M:
+        gap_and_tilt = f"{mm(gap):.2f} mm and {np.rad2deg(tilt):.2f} deg"
+        yield f"the block does not lie flat on {tool.name} (gap and tilt {gap_and_tilt})"
     half = 0.5 * np.array(tool.footprint)
     face = np.array([[x, y, 0.0] for x, y in itertools.product((-half[0], half[0]), (-half[1], half[1]))])
-    at = transform(on_block, face)[:, :2]
-    over = float(np.maximum(stock.lower[:2] - at, at - stock.upper[:2]).max())
-    if over > GRIPPER_OVERHANG:
-        yield f"the face of {tool.name} stands {mm(over):.2f} mm out of the block's bottom face"
+    face_on_block = transform(on_block, face)[:, :2]
+    overhang = float(np.maximum(stock.lower[:2] - face_on_block, face_on_block - stock.upper[:2]).max())
+    if overhang > MAX_GRIPPER_OVERHANG_M:
+        yield f"the face of {tool.name} extends {mm(overhang):.2f} mm beyond the block's bottom face"
     mass = stock.mass
     if mass is None:
-        yield "the block's weight is not known"
+        yield "the block's mass is unknown"
         return
-    if tool.holding < GRIP_FACTOR * mass * GRAVITY:
-        yield f"{tool.name} holds with {tool.holding:.0f} N, not {GRIP_FACTOR * mass * GRAVITY:.0f} N"
+    if tool.holding_force < MIN_GRIP_FORCE_FACTOR * mass * GRAVITY:
+        yield (
+            f"{tool.name} holds with {tool.holding_force:.0f} N; required: "
+            f"{MIN_GRIP_FORCE_FACTOR * mass * GRAVITY:.0f} N"
+        )
     if tool.mass + mass > arm.data.payload:
         payload = arm.data.payload
-        yield f"gripper and block weigh {tool.mass + mass:.2f} kg, the arm carries {payload:g} kg"
+        yield f"gripper and block weigh {tool.mass + mass:.2f} kg; payload of the arm: {payload:g} kg"
 
 
-def _stands(cell: Cell, stock: Stock, place: FloatArray, taken: bool) -> Iterator[str]:
-    """What is wrong with how a block stands at ``place`` (4, 4); ``taken``: the problem accepts that it
-    stands as it is stated to."""
-    block = transform(place, _box_corners(stock))
-    under = float(block[:, 2].min())
-    floor = floor_of(cell)
-    bodies = [transform(s.pose, corners(s)) for obstacle in cell.obstacles for s in obstacle.shapes]
+def _check_support(cell: Cell, stock: Stock, stock_pose: FloatArray, accepted: bool) -> Iterator[str]:
+    """Check how a block is supported at a pose.
+
+    Args:
+        cell: Cell of the setup.
+        stock: The block.
+        stock_pose: Pose (4, 4) of the block.
+        accepted: Whether the problem accepts the stated support.
+    """
+    block = transform(stock_pose, _box_corners(stock))
+    bottom = float(block[:, 2].min())
+    floor = floor_height(cell)
+    bodies = [transform(s.pose, hull_points(s)) for obstacle in cell.obstacles for s in obstacle.shapes]
     if stock.pedestal is not None:
-        yield from _made(stock, stock.pedestal, place, under - floor, taken)
-        if under - floor <= FEET_HEIGHT:
+        yield from _check_pedestal_height(stock, stock.pedestal, stock_pose, bottom - floor, accepted)
+        if bottom - floor <= MAX_FEET_HEIGHT_M:
             return
-    elif under < floor - FEET_HEIGHT - GRIPPER_OVERHANG and not taken:
-        yield f"the block goes {mm(floor - under):.0f} mm below the floor"
-    shapes = support.with_support(cell, stock, place).support
-    feet = [transform(place @ shape.pose, corners(shape)) for shape in shapes]
-    if stock.pedestal is None and taken:
+    elif bottom < floor - MAX_FEET_HEIGHT_M - MAX_GRIPPER_OVERHANG_M and not accepted:
+        yield f"the block extends {mm(floor - bottom):.0f} mm below the floor"
+    shapes = support.with_support(cell, stock, stock_pose).support
+    feet = [transform(stock_pose @ shape.pose, hull_points(shape)) for shape in shapes]
+    if stock.pedestal is None and accepted:
         return
     if stock.pedestal is None and not stock.support:
-        air = under - _ground(block, floor, bodies)
-        if air > FEET_HEIGHT + GRIPPER_OVERHANG:
-            yield f"the block hangs {mm(air):.0f} mm above what would bear it; no support is stated"
+        gap = bottom - _support_height(block, floor, bodies)
+        if gap > MAX_FEET_HEIGHT_M + MAX_GRIPPER_OVERHANG_M:
+            yield f"the block is {mm(gap):.0f} mm above the nearest surface below, and no support is stated"
         return
-    yield from _on(block, feet)
+    yield from _check_contact(block, feet)
     if not feet:
         return
-    if stock.pedestal is not None and not (taken and stock.place is not None):
-        yield from _stands_in(feet[0], cell)
-    lowest = min(feet, key=lambda one: float(one[:, 2].min()))
-    air = float(lowest[:, 2].min()) - _ground(lowest, floor, bodies)
-    if air > FEET_HEIGHT + GRIPPER_OVERHANG:
-        yield f"the support ends {mm(air):.0f} mm above what is below it"
+    if stock.pedestal is not None and not (accepted and stock.place is not None):
+        yield from _check_pedestal_overlap(feet[0], cell)
+    lowest = min(feet, key=lambda corner_points: float(corner_points[:, 2].min()))
+    gap = float(lowest[:, 2].min()) - _support_height(lowest, floor, bodies)
+    if gap > MAX_FEET_HEIGHT_M + MAX_GRIPPER_OVERHANG_M:
+        yield f"the support ends {mm(gap):.0f} mm above the surface below it"
     if stock.pedestal is not None:
         sides = [
-            v for v, up in zip(shapes[0].size, (place @ shapes[0].pose)[2], strict=False) if abs(up) < 0.5
+            v
+            for v, vertical in zip(shapes[0].size, (stock_pose @ shapes[0].pose)[2], strict=False)
+            if abs(vertical) < 0.5
         ]
-        if any(min(abs(v - side) for side in stock.pedestal.sides) > TOP_HEIGHT_ERROR for v in sides):
+        if any(min(abs(v - side) for side in stock.pedestal.sides) > TOP_HEIGHT_TOLERANCE_M for v in sides):
             size = " x ".join(f"{mm(v):.0f}" for v in sides)
             yield f"no {stock.pedestal.kind} of {size} mm is in stock"
 
 
-def _made(stock: Stock, pedestal: Pedestal, place: FloatArray, high: float, taken: bool) -> Iterator[str]:
-    """What is wrong with a block for which something ``high`` [m] is made to stand on."""
+def _check_pedestal_height(
+    stock: Stock, pedestal: Pedestal, stock_pose: FloatArray, height: float, accepted: bool
+) -> Iterator[str]:
+    """Check the height of a block above the floor against its pedestal.
+
+    Args:
+        stock: The block.
+        pedestal: What is made for the block to stand on.
+        stock_pose: Pose (4, 4) of the block.
+        height: Height [m] of the block's lowest point above the floor.
+        accepted: Whether the problem accepts the stated support.
+    """
     kind, heights = pedestal.kind, pedestal.heights
-    if float(np.abs(place[2, :3]).max()) < np.cos(GRIPPER_TILT):
-        yield f"the block leans, and stands on no {kind}"
+    if float(np.abs(stock_pose[2, :3]).max()) < np.cos(MAX_GRIPPER_TILT_RAD):
+        yield f"the block is tilted and cannot stand on a {kind}"
     if stock.place is None:
-        if min(abs(high - one) for one in heights) > TOP_HEIGHT_ERROR:
-            yield f"the block is {mm(high):.2f} mm above the floor; no {kind} is that high"
-    elif (high > max(heights) + TOP_HEIGHT_ERROR or high < -FEET_HEIGHT - GRIPPER_OVERHANG) and not taken:
-        most = mm(max(heights))
-        yield f"the block is {mm(high):.0f} mm above the floor; a {kind} is up to {most:.0f} mm high"
+        if min(abs(height - allowed) for allowed in heights) > TOP_HEIGHT_TOLERANCE_M:
+            yield f"the block is {mm(height):.2f} mm above the floor; no {kind} is that high"
+    elif (
+        height > max(heights) + TOP_HEIGHT_TOLERANCE_M or height < -MAX_FEET_HEIGHT_M - MAX_GRIPPER_OVERHANG_M
+    ) and not accepted:
+        max_height = mm(max(heights))
+        yield f"the block is {mm(height):.0f} mm above the floor; a {kind} is up to {max_height:.0f} mm high"
 
 
-def _stands_in(made: FloatArray, cell: Cell) -> Iterator[str]:
-    """Bodies of the cell that would be inside of what is made for a block, by its corners (8, 3)."""
-    low, high = made[:, 2].min(), made[:, 2].max()
-    view = shapely.MultiPoint(made[:, :2]).convex_hull
+def _check_pedestal_overlap(pedestal: FloatArray, cell: Cell) -> Iterator[str]:
+    """Report a body of the cell that is inside a pedestal, which is given by its corners (8, 3)."""
+    low, high = pedestal[:, 2].min(), pedestal[:, 2].max()
+    outline = shapely.MultiPoint(pedestal[:, :2]).convex_hull
     for obstacle in cell.obstacles:
         for shape in obstacle.shapes:
-            body = transform(shape.pose, corners(shape))
-            deep = min(float(body[:, 2].max() - low), float(high - body[:, 2].min()))
-            shared = shapely.MultiPoint(body[:, :2]).convex_hull & view
-            if deep > FEET_HEIGHT and shared.area > GRIPPER_OVERHANG:
-                yield f"{obstacle.name} of the cell is inside of what is made for the block to stand on"
+            body = transform(shape.pose, hull_points(shape))
+            overlap = min(float(body[:, 2].max() - low), float(high - body[:, 2].min()))
+            common = shapely.MultiPoint(body[:, :2]).convex_hull & outline
+            if overlap > MAX_FEET_HEIGHT_M and common.area > MAX_GRIPPER_OVERHANG_M:
+                yield f"{obstacle.name} of the cell is inside the pedestal of the block"
                 return
 
 
-def _on(block: FloatArray, shapes: list[FloatArray]) -> Iterator[str]:
-    """What is wrong with how a block, by its corners (8, 3), stands on shapes, by theirs."""
-    under, seen = float(block[:, 2].min()), ConvexHull(block[:, :2])
-    outline = shapely.Polygon(block[seen.vertices, :2])
+def _check_contact(block: FloatArray, shapes: list[FloatArray]) -> Iterator[str]:
+    """Check how a block, given by its corners (8, 3), stands on shapes, given by theirs."""
+    bottom, hull = float(block[:, 2].min()), ConvexHull(block[:, :2])
+    outline = shapely.Polygon(block[hull.vertices, :2])
     parts = [
-        shapely.MultiPoint(one[:, :2]).convex_hull & outline for one in shapes if one[:, 2].min() < under
+        shapely.MultiPoint(top[:, :2]).convex_hull & outline for top in shapes if top[:, 2].min() < bottom
     ]
-    heads = [float(one[:, 2].max()) for one in shapes if one[:, 2].min() < under]
-    found = [(head, part) for head, part in zip(heads, parts, strict=True) if part.area > 0.0]
-    if not found:
-        yield "nothing of its support is under the block"
+    tops = [float(top[:, 2].max()) for top in shapes if top[:, 2].min() < bottom]
+    contacts = [(highest, part) for highest, part in zip(tops, parts, strict=True) if part.area > 0.0]
+    if not contacts:
+        yield "no part of the support is under the block"
         return
-    head = max(one for one, _ in found)
-    if under - head > FEET_HEIGHT + GRIPPER_OVERHANG:
-        yield f"the block hangs {mm(under - head):.0f} mm above its support"
-    bearing = shapely.GeometryCollection(
-        [part for one, part in found if one >= head - FEET_HEIGHT - GRIPPER_OVERHANG]
+    highest = max(top for top, _ in contacts)
+    if bottom - highest > MAX_FEET_HEIGHT_M + MAX_GRIPPER_OVERHANG_M:
+        yield f"the block is {mm(bottom - highest):.0f} mm above its support"
+    contact_area = shapely.GeometryCollection(
+        [part for top, part in contacts if top >= highest - MAX_FEET_HEIGHT_M - MAX_GRIPPER_OVERHANG_M]
     )
-    aside = float(bearing.convex_hull.distance(shapely.Point(outline.centroid)))
-    if aside > GRIPPER_OVERHANG:
-        yield f"the middle of the block is {mm(aside):.0f} mm beside its support"
+    offset = float(contact_area.convex_hull.distance(shapely.Point(outline.centroid)))
+    if offset > MAX_GRIPPER_OVERHANG_M:
+        yield f"the centre of the block is {mm(offset):.0f} mm outside its support"
 
 
-def _ground(body: FloatArray, floor: float, bodies: list[FloatArray]) -> float:
-    """Height [m] of what bears a body, by corners of both: a box at a corner alone bears nothing, several of
-    one height do where the middle of the body is between them."""
+def _support_height(body: FloatArray, floor: float, bodies: list[FloatArray]) -> float:
+    """Return the height [m] of the surface that carries a body. Body and bodies below are given by their
+    corners.
+
+    A box under only one corner carries nothing. Several boxes of equal height do if the body's centre is
+    between them.
+    """
     low, high = body.min(axis=0), body.max(axis=0)
-    middle = 0.5 * (low + high)[:2]
-    beneath = [
-        one
-        for one in bodies
-        if one[:, 2].min() <= low[2] + FEET_HEIGHT and not _beside(body[:, :2], one[:, :2])
+    centre = 0.5 * (low + high)[:2]
+    boxes_below = [
+        box
+        for box in bodies
+        if box[:, 2].min() <= low[2] + MAX_FEET_HEIGHT_M and not _are_disjoint(body[:, :2], box[:, :2])
     ]
-    best = floor
-    for one in beneath:
-        top = float(one[:, 2].max())
-        level = [
+    height = floor
+    for box in boxes_below:
+        top = float(box[:, 2].max())
+        same_height = [
             other
-            for other in beneath
-            if abs(float(other[:, 2].max()) - top) <= FEET_HEIGHT + GRIPPER_OVERHANG
+            for other in boxes_below
+            if abs(float(other[:, 2].max()) - top) <= MAX_FEET_HEIGHT_M + MAX_GRIPPER_OVERHANG_M
         ]
-        first = np.min([np.maximum(low, other.min(axis=0))[:2] for other in level], axis=0)
-        last = np.max([np.minimum(high, other.max(axis=0))[:2] for other in level], axis=0)
-        if ((first <= middle + GRIPPER_OVERHANG) & (middle <= last + GRIPPER_OVERHANG)).all():
-            best = max(best, min(top, float(low[2])))  # it may stand in the body
-    return best
+        first = np.min([np.maximum(low, other.min(axis=0))[:2] for other in same_height], axis=0)
+        last = np.max([np.minimum(high, other.max(axis=0))[:2] for other in same_height], axis=0)
+        if ((first <= centre + MAX_GRIPPER_OVERHANG_M) & (centre <= last + MAX_GRIPPER_OVERHANG_M)).all():
+            height = max(height, min(top, float(low[2])))  # the box may reach into the body
+    return height
 
 
-def _beside(one: FloatArray, other: FloatArray) -> bool:
-    """Whether the boxes around two sets of points lie beside each other."""
-    return bool(((one.min(axis=0) > other.max(axis=0)) | (other.min(axis=0) > one.max(axis=0))).any())
+def _are_disjoint(points: FloatArray, other_points: FloatArray) -> bool:
+    """Return whether the bounding boxes of two point sets are disjoint."""
+    return bool(
+        (
+            (points.min(axis=0) > other_points.max(axis=0)) | (other_points.min(axis=0) > points.max(axis=0))
+        ).any()
+    )
 
 
 def _box_corners(stock: Stock) -> FloatArray:

@@ -1,329 +1,406 @@
-"""The rule on tracks and gantries under arms and a turntable or positioner under the block: who moves them,
-and where targets have them stand.
+"""verify.external_axes: tracks and gantries under arms, and a turntable or positioner under the block.
 
-verify.external_axes: units, values and folded arms, from the text, and the place of the block that follows.
-Where arms and the block stand in all other rules is read here as well. Ways from station to station are for
-verify.track_way."""
+The rule checks from the text which task moves them, their units and values, that arms are folded, and the
+resulting pose of the block. All other rules take the poses of arms and block from here. Motions from
+station to station are proven by verify.track_way.
+"""
 
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from planner.geometry.arrays import FloatArray, corners, transform
+from planner.geometry.arrays import FloatArray, hull_points, transform
 from planner.issues import Issue
-from planner.problem import STOCK, TILT, RotaryAxis, Setup, Turntable
+from planner.problem import STOCK_AXIS, TILT_AXIS, RotaryAxis, Setup, Turntable
 from planner.programs.stages import TaskText
-from planner.programs.steps import MOST_OUTER, UNUSED_AXIS, MoveStep, RobTarget, SettingStep
+from planner.programs.steps import MAX_EXTERNAL_VALUE, UNUSED_AXIS, MoveStep, RobTarget, SettingStep
 from planner.proof.context import Context
-from planner.proof.kinematics.external_axes import SAME_VALUE, OuterAxis, outer_axes, place_in_turn, slid
-from planner.proof.language_contribution import ExternalAxes, checked, of_task
-from planner.proof.rule import Outcome, at_step, mm, rule
-from planner.proof.rules.setups_and_frames import FRAME_ANGLE, FRAME_POSITION, at_home
+from planner.proof.kinematics.external_axes import (
+    AXIS_VALUE_TOLERANCE,
+    TaskAxis,
+    axis_translation,
+    motion_order,
+    task_axes,
+)
+from planner.proof.language_contribution import AxisFormat, check_task, language_of_task
+from planner.proof.rule import RuleOutcome, mm, rule, step_issue
+from planner.proof.rules.setups_and_frames import FRAME_TOLERANCE_M, FRAME_TOLERANCE_RAD, at_home
 
-BLIND_SPEED = 0.25
-"""Highest speed [m/s] of a track, and of what a turntable carries: people may be near."""
-SLACK = 1.0 + 1e-6
-"""Speeds may be higher by this factor: they are rounded."""
-OFF_HOME = {"mm": 1.0, "deg": 0.1}
-"""How far an axis may be off home where a program begins, by the unit of its values."""
+BLIND_AXIS_SPEED_M_S = 0.25
+"""Maximum speed [m/s] of a track, and of what a turntable carries, because people may be near."""
+SPEED_SLACK_FACTOR = 1.0 + 1e-6
+"""Factor by which speeds may exceed their limit, because they are rounded."""
+HOME_TOLERANCES = {"mm": 1.0, "deg": 0.1}
+"""Maximum distance of an axis from home where a program starts, by the unit of its values."""
 EXTERNAL_AXES = "verify.external_axes"
-"""Code of the rule about units and values."""
+"""Code of the rule on external axes."""
 
 
-def standing(context: Context) -> Context:
-    """The same proof of the problem whose arms and block stand where the text's targets have them."""
-    if not context.playable or not context.stations:
+def with_text_stations(context: Context) -> Context:
+    """Return the proof of the problem whose axes have the values of the text's targets."""
+    if not context.is_replayable or not context.stations:
         return context
-    return context.replaced(context.problem.stationed(context.stations))
+    return context.with_changes(context.problem.with_stations(context.stations))
 
 
 @rule("verify.external_axes")
-def external_axes(context: Context) -> Outcome:
-    """A track, gantry, turntable or positioner is switched on once (RAPID), before anything moves, with
-    offsets of its axes switched off, and looked at right before the first move, which nothing follows unless
-    it is at home; each target has a value of each axis, within its range; it moves as the first thing of a
-    setup, alone, what it carries at most at 250 mm/s, all arms folded at home, and is at home at the end; the
-    block, and what axes carry, are where the values have them. A positioner's turn axis goes before its tilt
-    axis; of a gantry those that come nearer to home go first, from the arm down, then the others, from the
-    floor up. One that goes along moves with straight moves, too."""
+def external_axes(context: Context) -> RuleOutcome:
+    """Tracks, gantries, turntables and positioners are driven as planned.
+    An axis is activated once (RAPID), before anything moves, with axis offsets switched off. It is
+    checked right before the first move, which does not run unless the axis is at home. Each target has a
+    value of each axis, within its range. An axis moves as the first thing of a setup, alone, its load at
+    most at 250 mm/s, with all arms folded at home, and is at home at the end. Block and carried bodies
+    are where the values put them. A positioner's turn axis moves before its tilt axis. Gantry axes that
+    come nearer to home move first, from the arm down, then the others, from the floor up. A coordinated
+    track moves in straight moves, too.
+    """
     issues: list[Issue] = []
-    told = []
+    axis_notes = []
     table = context.problem.cell.turntable
     for task in context.job.tasks:
-        axes = outer_axes(task.arm, table)
-        issues += checked(EXTERNAL_AXES, context, task).issues
+        axes = task_axes(task.arm, table)
+        issues += check_task(EXTERNAL_AXES, context, task).issues
         if axes:
-            issues += _looked(context, task, axes)
-            issues += _values(context, task, axes)
+            issues += _check_home_checks(context, task, axes)
+            issues += _check_values(context, task, axes)
         for axis in axes:
-            where = ", ".join(axis.shown(v) for v in dict.fromkeys(_stations(context, axis)))
-            told.append(f"{axis.unit} ({task.arm.name}) at {where}")
+            where = ", ".join(axis.format_value(v) for v in dict.fromkeys(_axis_values(context, axis)))
+            axis_notes.append(f"{axis.label} ({task.arm.name}) at {where}")
     if table is not None:
-        issues += _moved(context, table)
-        issues += _turned(context, table)
-    issues += _left_behind(context)
-    nothing = "" if told else "no arm stands on a track or gantry, no block on a turntable"
-    return Outcome(tuple(issues), where="; ".join(told), nothing=nothing)
+        issues += _check_table_arm(context, table)
+        issues += _check_stock_on_table(context, table)
+    issues += _check_carried_bodies(context)
+    nothing = "" if axis_notes else "no track or gantry under an arm, no turntable under the block"
+    return RuleOutcome(tuple(issues), where="; ".join(axis_notes), nothing=nothing)
 
 
-def _stations(context: Context, axis: OuterAxis) -> list[float]:
-    """Where an axis stands in the setups [m, rad]."""
-    found = (setup.stands.get(axis.carries) for setup in context.setups)
-    return [value for value in found if value is not None]
+def _axis_values(context: Context, axis: TaskAxis) -> list[float]:
+    """Return the values [m, rad] of an axis in the setups."""
+    values = (setup.axis_values.get(axis.station_name) for setup in context.setups)
+    return [value for value in values if value is not None]
 
 
-def _looked(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iterator[Issue]:
-    """Axes at which a program does not look right before its first move: whether they are at home, so that
-    this move takes none of them anywhere. Nothing may come between the look and the move but settings."""
+def _check_home_checks(context: Context, task: TaskText, axes: Sequence[TaskAxis]) -> Iterator[Issue]:
+    """Report axes that a program does not check right before its first move.
+
+    The check ensures that they are at home, so that this move does not move them. Only settings may come
+    between check and move.
+    """
     steps = list(task.steps)
     first = next((i for i, step in enumerate(steps) if isinstance(step, MoveStep)), len(steps))
-    looks: list[SettingStep] = []
+    checks: list[SettingStep] = []
     for step in reversed(steps[:first]):
         if not isinstance(step, SettingStep) or step.stops or step.kind == "DeactUnit":
             break
-        looks.append(step)
+        checks.append(step)
     for axis in axes:
-        seen = any(of_task(task).external_axes.looks_at(context, axis, look) for look in looks)
-        if not seen:
-            what = f"an arm moves, and nothing looks right before whether {axis.unit} is at home"
+        is_checked = any(
+            language_of_task(task).external_axes.checks_home(context, axis, check) for check in checks
+        )
+        if not is_checked:
+            what = f"an arm moves, but the program does not check right before that {axis.label} is at home"
             move = steps[first] if first < len(steps) else None
-            yield at_step(EXTERNAL_AXES, f"{what} ({axis.shown(axis.home)})", task, move)
+            yield step_issue(EXTERNAL_AXES, f"{what} ({axis.format_value(axis.home)})", task, move)
 
 
-def _values(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iterator[Issue]:
-    """What is wrong with the values of external axes, and with their moves."""
-    before: MoveStep | None = None
-    moved: set[OuterAxis] = set()  # in a setup
+def _check_values(context: Context, task: TaskText, axes: Sequence[TaskAxis]) -> Iterator[Issue]:
+    """Check the values of external axes, and their moves."""
+    previous: MoveStep | None = None
+    moved: set[TaskAxis] = set()  # axes that moved in this setup
     last = {axis.column: axis.home for axis in axes}
-    came, here, off, since = -1, -1, False, 0  # since: the stage of the question before the axes' ways
-    gone: list[tuple[int, int]] = []  # when axes that moved in a setup were to, in order
+    previous_stage, setup_index, is_clear, confirmation_stage = (
+        -1,
+        -1,
+        False,
+        0,
+    )  # since: stage of the confirmation before the axes move
+    done_orders: list[tuple[int, int]] = []  # prescribed order of the axes that moved in this setup
     for number, stage in enumerate(context.job.stages):
         index = int(context.spans.of_stage[number])
         for move in stage.moves(task.name):
-            wrong = _unfit(move, axes, of_task(task).external_axes)
+            wrong = _target_fault(move, axes, language_of_task(task).external_axes)
             if wrong:
-                yield at_step(EXTERNAL_AXES, wrong, task, move)
-                return  # where things stand from here on is not known
+                yield step_issue(EXTERNAL_AXES, wrong, task, move)
+                return  # later poses are unknown
             values = {axis: axis.scale * float(move.target.external[axis.column]) for axis in axes}
-            along = [axis for axis in axes if axis.follow is not None and not move.by_joints]
-            changed = [axis for axis in axes if abs(values[axis] - last[axis.column]) > SAME_VALUE]
-            going = [axis for axis in changed if axis not in along]  # verify.track_along has the others
-            gone, moved, off, here = (gone, moved, off, here) if index == here else ([], set(), False, index)
-            asked = [place.stage for place in context.spans.asked[index] if came < place.stage < number]
-            off, since = off or bool(asked), max(asked, default=since)
-            places = [place_in_turn(axes, one, last[one.column], values[one]) for one in going]
-            in_turn = off and not moved & set(going) and (not gone or all(gone[-1] < one for one in places))
-            gone, moved = [*gone, *places], moved | set(going)
-            off = off and bool(going)  # nothing comes between question and axes
-            if len(going) > 1:
-                what = f"{' and '.join(axis.unit for axis in going)} move at once, not one after the other"
-                yield at_step(EXTERNAL_AXES, what, task, move)
+            coordinated = [axis for axis in axes if axis.follow_fraction is not None and not move.by_joints]
+            changed = [axis for axis in axes if abs(values[axis] - last[axis.column]) > AXIS_VALUE_TOLERANCE]
+            moving = [
+                axis for axis in changed if axis not in coordinated
+            ]  # verify.track_along checks the others
+            done_orders, moved, is_clear, setup_index = (
+                (done_orders, moved, is_clear, setup_index)
+                if index == setup_index
+                else ([], set(), False, index)
+            )
+            confirmation_stages = [
+                question.stage
+                for question in context.spans.confirmations[index]
+                if previous_stage < question.stage < number
+            ]
+            is_clear, confirmation_stage = (
+                is_clear or bool(confirmation_stages),
+                max(confirmation_stages, default=confirmation_stage),
+            )
+            orders = [
+                motion_order(axes, axis_order, last[axis_order.column], values[axis_order])
+                for axis_order in moving
+            ]
+            in_turn = (
+                is_clear
+                and not moved & set(moving)
+                and (not done_orders or all(done_orders[-1] < axis_order for axis_order in orders))
+            )
+            done_orders, moved = [*done_orders, *orders], moved | set(moving)
+            is_clear = is_clear and bool(moving)  # no other move may come between confirmation and axis moves
+            if len(moving) > 1:
+                what = f"{' and '.join(axis.label for axis in moving)} move at the same time, not one by one"
+                yield step_issue(EXTERNAL_AXES, what, task, move)
             for axis in axes:
                 value = values[axis]
-                goes = axis in going
-                if before is None or goes:
-                    told = before is None or in_turn
-                    for what in _move_faults(context, task, axis, before, move):
-                        yield at_step(EXTERNAL_AXES, what, task, move)
+                is_moving = axis in moving
+                if previous is None or is_moving:
+                    is_announced = previous is None or in_turn
+                    for what in _check_axis_move(context, task, axis, previous, move):
+                        yield step_issue(EXTERNAL_AXES, what, task, move)
                     if stage.synchronised:
-                        yield at_step(
-                            EXTERNAL_AXES, f"{axis.unit} moves together with other arms", task, move
+                        yield step_issue(
+                            EXTERNAL_AXES, f"{axis.label} moves together with other arms", task, move
                         )
-                    if not told:
+                    if not is_announced:
                         what = (
-                            f"{axis.unit} moves within setup {index + 1}, where nobody was told to keep off"
+                            f"{axis.label} moves within setup {index + 1} without a confirmation to keep "
+                            "clear"
                         )
-                        what += ", or not in its order" if len(axes) > 1 else ""
-                        yield at_step(EXTERNAL_AXES, what, task, move)
-                if goes:
-                    for other in _not_home(context, task, number, since):
-                        yield at_step(EXTERNAL_AXES, f"{axis.unit} moves while {other}", task, move)
-                if before is None and goes:
-                    what = f"the first move takes {axis.unit} to {axis.shown(value)}, not home "
-                    yield at_step(EXTERNAL_AXES, f"{what}({axis.shown(axis.home)})", task, move)
-                if before is None or goes or axis in along:  # else it stays: a little each would add up
+                        what += ", or out of order" if len(axes) > 1 else ""
+                        yield step_issue(EXTERNAL_AXES, what, task, move)
+                if is_moving:
+                    for other in _arms_away_from_home(context, task, number, confirmation_stage):
+                        yield step_issue(EXTERNAL_AXES, f"{axis.label} moves while {other}", task, move)
+                if previous is None and is_moving:
+                    what = f"the first move takes {axis.label} to {axis.format_value(value)}, not home "
+                    yield step_issue(EXTERNAL_AXES, f"{what}({axis.format_value(axis.home)})", task, move)
+                # Otherwise keep the last value, so that small changes do not add up.
+                if previous is None or is_moving or axis in coordinated:
                     last[axis.column] = value
-            before, came = move, number
+            previous, previous_stage = move, number
     for axis in axes:
-        if abs(last[axis.column] - axis.home) > SAME_VALUE:
-            what = f"the program ends with {axis.unit} at {axis.shown(last[axis.column])}, not home again "
-            yield Issue(EXTERNAL_AXES, f"{what}({axis.shown(axis.home)})", arm=task.arm.name, file=task.name)
+        if abs(last[axis.column] - axis.home) > AXIS_VALUE_TOLERANCE:
+            what = (
+                f"the program ends with {axis.label} at {axis.format_value(last[axis.column])}, not at home "
+            )
+            yield Issue(
+                EXTERNAL_AXES, f"{what}({axis.format_value(axis.home)})", arm=task.arm.name, file=task.name
+            )
 
 
-def _move_faults(
-    context: Context, task: TaskText, axis: OuterAxis, before: MoveStep | None, move: MoveStep
+def _check_axis_move(
+    context: Context, task: TaskText, axis: TaskAxis, previous: MoveStep | None, move: MoveStep
 ) -> Iterator[str]:
-    """What is wrong with a move that takes an axis somewhere: folded arm, speed."""
-    folded = [m for m in (before, move) if m is not None]
-    if not all(at_home(m, task.arm.data, task.arm.home) for m in folded):
-        yield f"{axis.unit} moves while {task.arm.name} is not at home"
+    """Check a move that changes an external axis: arm folded at home, speed."""
+    ends = [m for m in (previous, move) if m is not None]
+    if not all(at_home(m, task.arm.data, task.arm.home) for m in ends):
+        yield f"{axis.label} moves while {task.arm.name} is not at home"
     table = context.problem.cell.turntable
-    if axis.carries in (STOCK, TILT) and table is not None:
-        rim = max((_rim(s, table, axis.carries) for s in context.setups), default=0.0)
-        most = min(BLIND_SPEED / max(rim, 1e-3), axis.speed)
+    if axis.station_name in (STOCK_AXIS, TILT_AXIS) and table is not None:
+        rim = max((_max_radius(s, table, axis.station_name) for s in context.setups), default=0.0)
+        max_speed = min(BLIND_AXIS_SPEED_M_S / max(rim, 1e-3), axis.speed)
     else:
-        most = min(BLIND_SPEED, axis.speed)
-    speed = axis.told(move)
-    if not 0.0 < speed <= most * SLACK:
-        yield f"{axis.unit} goes at {axis.shown(speed)}/s; allowed: {axis.shown(most)}/s"
+        max_speed = min(BLIND_AXIS_SPEED_M_S, axis.speed)
+    speed = axis.speed_in(move)
+    if not 0.0 < speed <= max_speed * SPEED_SLACK_FACTOR:
+        yield f"{axis.label} moves at {axis.format_value(speed)}/s; allowed: {axis.format_value(max_speed)}/s"
 
 
-def _not_home(context: Context, task: TaskText, number: int, since: int) -> Iterator[str]:
-    """Other arms that are not at home, by their last move before stage ``number`` and those in it; or that
-    were not all the time since stage ``since``, where all other rules have all axes at their new stations."""
+def _arms_away_from_home(context: Context, task: TaskText, number: int, since: int) -> Iterator[str]:
+    """Report other arms that are not at home, or have not been since the operator's confirmation.
+
+    An arm is at home by its last move before stage ``number`` and its moves in it. It has to be so for all
+    of the time since stage ``since``, because from there on all other rules have the axes at their new
+    stations.
+    """
     stages = context.job.stages
     for other in context.job.tasks:
         if other.name == task.name:
             continue
-        came = [move for stage in stages[:number] for move in stage.moves(other.name)[-1:]]
-        moves = [*came[-1:], *stages[number].moves(other.name)]
+        earlier = [move for stage in stages[:number] for move in stage.moves(other.name)[-1:]]
+        moves = [*earlier[-1:], *stages[number].moves(other.name)]
         between = [move for stage in stages[since:number] for move in stage.moves(other.name)]
-        if not came or not all(at_home(move, other.arm.data, other.arm.home) for move in moves):
+        if not earlier or not all(at_home(move, other.arm.data, other.arm.home) for move in moves):
             yield f"{other.arm.name} is not at home"
         elif not all(at_home(move, other.arm.data, other.arm.home) for move in between):
-            yield f"{other.arm.name} has been away from home since it was asked for"
+            yield f"{other.arm.name} has left home since the confirmation"
 
 
-def _unfit(move: MoveStep, axes: Sequence[OuterAxis], stated: ExternalAxes) -> str:
-    """What is wrong with the external axes of one target, and with how they are ``stated``."""
-    outer, names = move.target.external, " and ".join(axis.unit for axis in axes)
+def _target_fault(move: MoveStep, axes: Sequence[TaskAxis], axis_format: AxisFormat) -> str:
+    """Return what is wrong with the external axes of one target, or an empty text.
+
+    Args:
+        move: Move to the target.
+        axes: Axes that the task moves.
+        axis_format: How the language states external axes.
+    """
+    outer, names = move.target.external, " and ".join(axis.label for axis in axes)
     others = np.delete(outer, [axis.column for axis in axes])
-    none = np.abs(others - UNUSED_AXIS) <= 1e3
-    if not np.isfinite(outer).all() or not (none | (stated.zero_is_unused & (others == 0.0))).all():
-        return f"the target has values of other axes than {names}, which are not there"
+    unused = np.abs(others - UNUSED_AXIS) <= 1e3
+    if not np.isfinite(outer).all() or not (unused | (axis_format.zero_is_unused & (others == 0.0))).all():
+        return f"the target has values for axes other than {names}, which do not exist"
     for axis in axes:
         value = float(outer[axis.column])
-        if abs(value) >= MOST_OUTER:
-            return f"the target has no value of {axis.unit} ({stated.names[axis.column]})"
-        at = axis.scale * value
-        if not axis.low - SAME_VALUE <= at <= axis.high + SAME_VALUE:
-            span = f"{axis.shown(axis.low)} to {axis.shown(axis.high)}"
-            return f"{axis.unit} at {axis.shown(at)}; its range is {span}"
+        if abs(value) >= MAX_EXTERNAL_VALUE:
+            return f"the target has no value of {axis.label} ({axis_format.names[axis.column]})"
+        position = axis.scale * value
+        if not axis.low - AXIS_VALUE_TOLERANCE <= position <= axis.high + AXIS_VALUE_TOLERANCE:
+            span = f"{axis.format_value(axis.low)} to {axis.format_value(axis.high)}"
+            return f"{axis.label} at {axis.format_value(position)}; its range is {span}"
     if move.by_joints and isinstance(move.target, RobTarget):
-        return f"{names} is moved to a pose, not to joints"
+        return f"{names} moves in a move to a pose; use a joint target"
     return ""
 
 
 # ---- gantries ----
 
 
-def _left_behind(context: Context) -> Iterator[Issue]:
-    """Bodies of setups that are not where the text's values have the axes under arms take those of the
-    problem, by sums of its own."""
-    zero = {body.name: body for body in context.problem.cell.obstacles}
+def _check_carried_bodies(context: Context) -> Iterator[Issue]:
+    """Report bodies of setups that are not where the axes under arms carry those of the problem.
+
+    The positions are sums of the axis motions, computed independently of the planner.
+    """
+    at_zero = {body.name: body for body in context.problem.cell.obstacles}
     for index, setup in enumerate(context.setups):
-        now = {body.name: body for body in setup.cell.obstacles}
+        in_setup = {body.name: body for body in setup.cell.obstacles}
         for arm in setup.cell.arms:
-            for on, rail in arm.rails.items():
+            for axis_name, rail in arm.axes_by_name.items():
                 for name in rail.carries:
-                    goes = slid(arm, arm.stands, on)
-                    off = max(
-                        float(np.abs(a.pose[:3, 3] + goes - b.pose[:3, 3]).max())
+                    shift = axis_translation(arm, arm.axis_values, axis_name)
+                    deviation = max(
+                        float(np.abs(a.pose[:3, 3] + shift - b.pose[:3, 3]).max())
                         + float(np.abs(a.pose[:3, :3] - b.pose[:3, :3]).max())
-                        for a, b in zip(zero[name].shapes, now[name].shapes, strict=True)
+                        for a, b in zip(at_zero[name].shapes, in_setup[name].shapes, strict=True)
                     )
-                    if off > SAME_VALUE:
-                        what = f"{name} is not where {rail.label} takes it in setup {index + 1}"
+                    if deviation > AXIS_VALUE_TOLERANCE:
+                        what = f"{name} is not where {rail.label} carries it in setup {index + 1}"
                         yield Issue(EXTERNAL_AXES, what, arm=arm.name)
 
 
 # ---- turntables ----
 
 
-def _moved(context: Context, table: Turntable) -> Iterator[Issue]:
+def _check_table_arm(context: Context, table: Turntable) -> Iterator[Issue]:
     if all(task.arm.name != table.arm for task in context.job.tasks):
-        what = f"{table.unit} is moved by the program of {table.arm}, which is not there"
+        what = f"{table.unit} is moved by the program of {table.arm}, which is missing"
         yield Issue(EXTERNAL_AXES, what, arm=table.arm)
 
 
-def _turned(context: Context, table: Turntable) -> Iterator[Issue]:
-    """Blocks that are not where the text's values have the stated axes take them: by turns of its own, with
-    quaternions, of what the problem says of value 0."""
+def _check_stock_on_table(context: Context, table: Turntable) -> Iterator[Issue]:
+    """Report blocks that are not where the axis values of the text put them.
+
+    The rotations are computed independently, with quaternions, from the block's pose in the problem at
+    value 0.
+    """
     for index, setup in enumerate(context.setups):
-        at = clamped(context, index)
-        place, value = context.places[index], table.home  # which it has again behind all operations
-        lean = 0.0 if table.tilt is None else table.tilt.home
+        zero_pose = zero_stock_pose(context, index)
+        stock_pose, value = context.stock_frames[index], table.home  # also after all operations
+        tilt = 0.0 if table.tilt is None else table.tilt.home
         for number in setup.operations:
-            value = context.stations.get(number, {}).get(STOCK, np.nan)
-            lean = context.stations.get(number, {}).get(TILT, lean if table.tilt is None else np.nan)
-        if at is None or place is None or not np.isfinite(value + lean):
-            what = f"nothing says where {table.unit} has the block stand in setup {index + 1}"
-            yield Issue(EXTERNAL_AXES, what, hint=f"a value of {table.unit} in each target")
+            value = context.stations.get(number, {}).get(STOCK_AXIS, np.nan)
+            tilt = context.stations.get(number, {}).get(TILT_AXIS, tilt if table.tilt is None else np.nan)
+        if zero_pose is None or stock_pose is None or not np.isfinite(value + tilt):
+            what = f"the programs do not state the position of {table.unit} in setup {index + 1}"
+            yield Issue(EXTERNAL_AXES, what, hint=f"state a value of {table.unit} in each target")
             continue
-        off, turn = off_place(table, at, (value, lean), place)
-        if off > 2.0 * FRAME_POSITION or turn > 2.0 * FRAME_ANGLE:
-            shown = " and ".join(f"{np.rad2deg(v):g}" for v in (value, lean)[: len(table.axes)])
-            what = f"{table.unit} at {shown} deg has the block {mm(off):.4f} mm and "
-            what += f"{np.rad2deg(turn):.4f} deg off where its frame is in setup {index + 1}"
-            yield Issue(EXTERNAL_AXES, what, value=mm(off), limit=mm(FRAME_POSITION), unit="mm")
-        for name in _misplaced(context, setup, table, lean):
+        distance, angle = stock_deviation(table, zero_pose, (value, tilt), stock_pose)
+        if distance > 2.0 * FRAME_TOLERANCE_M or angle > 2.0 * FRAME_TOLERANCE_RAD:
+            shown = " and ".join(f"{np.rad2deg(v):g}" for v in (value, tilt)[: len(table.axes)])
+            what = f"{table.unit} at {shown} deg puts the block {mm(distance):.4f} mm and "
+            what += f"{np.rad2deg(angle):.4f} deg away from its frame in setup {index + 1}"
+            yield Issue(EXTERNAL_AXES, what, value=mm(distance), limit=mm(FRAME_TOLERANCE_M), unit="mm")
+        for name in _misplaced_bodies(context, setup, table, tilt):
             what = (
-                f"{name} is not where {table.unit} at {np.rad2deg(lean):g} deg tilts it in setup {index + 1}"
+                f"{name} is not where {table.unit} at {np.rad2deg(tilt):g} deg puts it in setup {index + 1}"
             )
             yield Issue(EXTERNAL_AXES, what)
 
 
-def clamped(context: Context, index: int) -> FloatArray | None:
-    """Where the problem has the block (4, 4) in a setup with all axes at 0."""
-    at = context.problem.stock.place
+def zero_stock_pose(context: Context, index: int) -> FloatArray | None:
+    """Return the pose (4, 4) of the block in a setup with all axes at 0, from the problem, or None."""
+    pose = context.problem.stock.place
     for setup in context.setups[: index + 1]:
         for number in setup.operations:
             change = context.problem.changes.get(number)
-            at = at if change is None else change.stock.get("place", at)
-    return at
+            pose = pose if change is None else change.stock.get("place", pose)
+    return pose
 
 
-def _misplaced(context: Context, setup: Setup, table: Turntable, lean: float) -> Iterator[str]:
-    """Bodies of a setup that are not where a positioner's tilt takes those of the problem."""
-    now = {body.name: body for body in setup.cell.obstacles}
+def _misplaced_bodies(context: Context, setup: Setup, table: Turntable, tilt: float) -> Iterator[str]:
+    """Yield the bodies of a setup that are not where a positioner's tilt puts those of the problem."""
+    in_setup = {body.name: body for body in setup.cell.obstacles}
     for body in context.problem.cell.obstacles:
         if table.tilt is not None and body.name in table.tilted_bodies:
-            for zero, one in zip(body.shapes, now[body.name].shapes, strict=True):
+            for zero_shape, shape in zip(body.shapes, in_setup[body.name].shapes, strict=True):
                 tips = np.concatenate([np.zeros((1, 3)), np.eye(3)])
-                wanted = spun(table.tilt, lean, transform(zero.pose, tips))
-                if np.abs(wanted - transform(one.pose, tips)).max() > FRAME_POSITION:
+                expected = rotated_points(table.tilt, tilt, transform(zero_shape.pose, tips))
+                if np.abs(expected - transform(shape.pose, tips)).max() > FRAME_TOLERANCE_M:
                     yield body.name
 
 
-def off_place(
-    table: Turntable, at: FloatArray, values: tuple[float, float], place: FloatArray
+def stock_deviation(
+    table: Turntable, zero_pose: FloatArray, values: tuple[float, float], stock_pose: FloatArray
 ) -> tuple[float, float]:
-    """How far [m, about rad] the block at ``place`` is off that of values 0, turned about the turn axis and
-    then about the tilt axis: its origin, and ends of its axes."""
+    """Return the deviation of the block from where a positioner puts it.
+
+    The expected pose is the one at values 0, rotated about the turn axis and then about the tilt axis.
+
+    Args:
+        table: Turntable or positioner.
+        zero_pose: Pose (4, 4) of the block with the axes at 0.
+        values: Values [rad] of turn and tilt axis.
+        stock_pose: Pose (4, 4) of the block.
+
+    Returns:
+        Distance [m] of the origins, and angle [rad, approximately] from the ends of the axes.
+    """
     tips = np.concatenate([np.zeros((1, 3)), np.eye(3)])
-    wanted = at[:3, 3] + tips @ at[:3, :3].T
-    wanted = spun(table, values[0], wanted)
-    wanted = wanted if table.tilt is None else spun(table.tilt, values[1], wanted)
-    apart = wanted - (place[:3, 3] + tips @ place[:3, :3].T)
-    lean = apart[1:] - apart[0]
-    return float(np.linalg.norm(apart[0])), float(np.linalg.norm(lean) / np.sqrt(2.0))
+    expected = zero_pose[:3, 3] + tips @ zero_pose[:3, :3].T
+    expected = rotated_points(table, values[0], expected)
+    expected = expected if table.tilt is None else rotated_points(table.tilt, values[1], expected)
+    difference = expected - (stock_pose[:3, 3] + tips @ stock_pose[:3, :3].T)
+    axis_ends = difference[1:] - difference[0]
+    return float(np.linalg.norm(difference[0])), float(np.linalg.norm(axis_ends) / np.sqrt(2.0))
 
 
-def spun(axis: RotaryAxis, value: float, points: FloatArray) -> FloatArray:
-    """Points (N, 3) turned by a value [rad] about an axis through its centre: q p q* with the unit quaternion
-    q = (w, v), which is p + 2 w (v x p) + 2 v x (v x p)."""
+def rotated_points(axis: RotaryAxis, value: float, points: FloatArray) -> FloatArray:
+    """Rotate points (N, 3) by a value [rad] about an axis through its centre.
+
+    With the unit quaternion q = (w, v), q p q* = p + 2 w (v x p) + 2 v x (v x p).
+    """
     w, v = np.cos(0.5 * value), np.sin(0.5 * value) * axis.axis
-    seen = points - axis.centre
-    aside = np.cross(v, seen)
-    return np.asarray(points + 2.0 * (w * aside + np.cross(v, aside)))
+    relative = points - axis.centre
+    cross = np.cross(v, relative)
+    return np.asarray(points + 2.0 * (w * cross + np.cross(v, cross)))
 
 
-def _rim(setup: Setup, table: Turntable, name: str) -> float:
-    """How far [m] what an axis carries in a setup reaches from it: block and support, and what is tilted with
-    them. The block is no farther off the turn axis by being tilted, so both are looked at where that stands
-    upright; the tilt axis takes it along as the turn axis has it then."""
-    stock, place, axis = setup.stock, setup.stock.place, table.axes[name]
-    if place is None:
+def _max_radius(setup: Setup, table: Turntable, name: str) -> float:
+    """Return the largest distance [m] from an axis to what it carries in a setup.
+
+    Carried are block and support, and what is tilted with them. Tilting does not move the block farther
+    from the turn axis, so both are measured where the turn axis is upright. The tilt axis carries the block
+    as the turn axis has it then.
+    """
+    stock, stock_pose, axis = setup.stock, setup.stock.place, table.axes[name]
+    if stock_pose is None:
         return 0.0
     box = np.stack([stock.lower, stock.upper])
     points = [np.stack(np.meshgrid(*box.T), axis=-1).reshape(-1, 3)]
-    points += [transform(shape.pose, corners(shape)) for shape in stock.support]
-    seen = transform(place, np.concatenate(points))
+    points += [transform(shape.pose, hull_points(shape)) for shape in stock.support]
+    world_points = transform(stock_pose, np.concatenate(points))
     if table.tilt is not None:
-        seen = spun(table.tilt, -(stock.tilt or 0.0), seen)
-        bodies = [body for body in setup.upright.cell.obstacles if body.name in table.tilted_bodies]
-        riding = [transform(shape.pose, corners(shape)) for body in bodies for shape in body.shapes]
-        seen = np.concatenate([seen, *riding]) if name == TILT else seen
-    along = (seen - axis.centre) @ axis.axis
-    across = seen - axis.centre - along[:, None] * axis.axis
+        world_points = rotated_points(table.tilt, -(stock.tilt or 0.0), world_points)
+        bodies = [body for body in setup.with_zero_tilt.cell.obstacles if body.name in table.tilted_bodies]
+        tilted_points = [
+            transform(shape.pose, hull_points(shape)) for body in bodies for shape in body.shapes
+        ]
+        world_points = np.concatenate([world_points, *tilted_points]) if name == TILT_AXIS else world_points
+    along = (world_points - axis.centre) @ axis.axis
+    across = world_points - axis.centre - along[:, None] * axis.axis
     return float(np.linalg.norm(across, axis=1).max())

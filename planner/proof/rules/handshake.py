@@ -1,6 +1,7 @@
-"""verify.handshake: two controllers that share no more than digital signals.
+"""verify.handshake: two controllers that share only digital signals.
 
-What the model check found is put in words: arms, lines of programs, signals, what waits for what.
+The findings of the model check are put into words: arms, lines of programs, signals, and which waits for
+which.
 """
 
 from collections.abc import Mapping, Sequence
@@ -9,25 +10,39 @@ from typing import Final
 from planner.claims.handshake import SignalWire
 from planner.issues import Issue
 from planner.programs import stages
-from planner.programs.handshake.automata import Reading, Wiring
-from planner.programs.handshake.model import Action, Event, Finding, Product, RunningWire, check
-from planner.programs.steps import MoveStep, SignalStep, Step
+from planner.programs.handshake.automata import ProgramAutomaton, Wiring
+from planner.programs.handshake.model import (
+    AutomatonAction,
+    AutomatonEvent,
+    HandshakeFault,
+    ProgramProduct,
+    RunningWire,
+    check_handshake,
+)
+from planner.programs.steps import MoveStep, ProgramStep, SignalStep
 from planner.proof.context import Context
-from planner.proof.language_contribution import job_issues, of_task
-from planner.proof.rule import Outcome, at_step, rule
+from planner.proof.language_contribution import job_issues, language_of_task
+from planner.proof.rule import RuleOutcome, rule, step_issue
 
-EVENTS_SHOWN = 6
-"""Events that are told of the way to a fault."""
+MAX_EVENTS_SHOWN = 6
+"""Number of events that are shown of the path to a fault."""
 
 
-class Words:
-    """Words for two programs: ``arms`` in the order of the check."""
+class HandshakeMessages:
+    """Messages about two programs.
+
+    Attributes:
+        arms: Names of the arms in the order of the check.
+        actions: Actions of each program.
+        steps: Steps of each program.
+        wires: Signal wires.
+    """
 
     def __init__(
         self,
         arms: Sequence[str],
-        readings: Mapping[str, Reading],
-        steps: Mapping[str, Sequence[Step]],
+        readings: Mapping[str, ProgramAutomaton],
+        steps: Mapping[str, Sequence[ProgramStep]],
         wires: Sequence[SignalWire],
     ) -> None:
         self.arms = arms
@@ -35,39 +50,39 @@ class Words:
         self.steps = [steps[arm] for arm in arms]
         self.wires = wires
 
-    def message(self, finding: Finding) -> str:
-        """The fault and the shortest way to it."""
-        heads = {"deadlock": self._deadlock, "lost_edge": self._lost, "apart": self._apart}
-        head = heads.get(finding.kind, self._unwatched)
-        events = "; ".join(self.event(event) for event in finding.trace[-EVENTS_SHOWN:])
-        way = f" The shortest way there, its last events of {finding.steps}: {events}" if events else ""
-        return f"{head(finding)}.{way}"
+    def message(self, finding: HandshakeFault) -> str:
+        """Describe a fault and the shortest path to it."""
+        describers = {"deadlock": self._deadlock, "lost_edge": self._lost_edge, "apart": self._step_apart}
+        describe = describers.get(finding.kind, self._unwatched)
+        events = "; ".join(self.describe_event(event) for event in finding.trace[-MAX_EVENTS_SHOWN:])
+        path = f" Shortest path, last of {finding.steps} events: {events}" if events else ""
+        return f"{describe(finding)}.{path}"
 
-    def step(self, finding: Finding) -> tuple[int, Step | None]:
-        """Program and step that the fault is best looked for at."""
+    def step(self, finding: HandshakeFault) -> tuple[int, ProgramStep | None]:
+        """Return the program and the step at which a fault is best looked for."""
         for program in (finding.program, 1 - finding.program):
-            action = self._action(program, finding.places[program])
+            action = self._action(program, finding.positions[program])
             if action is not None:
                 return program, self.steps[program][action.line]
         return finding.program, None
 
-    def event(self, event: Event) -> str:
-        """One event."""
-        action = self._action(event.program, event.place)
-        return f"{self.arms[event.program]} {self._does(event.program, action)}"
+    def describe_event(self, event: AutomatonEvent) -> str:
+        """Describe one event."""
+        action = self._action(event.program, event.position)
+        return f"{self.arms[event.program]} {self._describe_action(event.program, action)}"
 
-    def _action(self, program: int, place: int) -> Action | None:
+    def _action(self, program: int, action_index: int) -> AutomatonAction | None:
         row = self.actions[program]
-        return row[place] if place < len(row) else None
+        return row[action_index] if action_index < len(row) else None
 
-    def _line(self, program: int, action: Action) -> str:
+    def _line_text(self, program: int, action: AutomatonAction) -> str:
         step = self.steps[program][action.line]
         return f"(line {step.line} of {step.module})"
 
-    def _does(self, program: int, action: Action | None) -> str:
+    def _describe_action(self, program: int, action: AutomatonAction | None) -> str:
         if action is None:
             return "is at its end"
-        at = self._line(program, action)
+        at = self._line_text(program, action)
         wire = self.wires[action.wire] if action.kind in ("set", "wait") else None
         match action.kind:
             case "set" if wire is not None:
@@ -75,21 +90,21 @@ class Words:
             case "wait" if wire is not None:
                 return f"has seen {wire.input} at {action.value} {at}"
             case "go":
-                return f"begins what stands behind meeting {action.value} {at}"
+                return f"starts the work after meeting {action.value} {at}"
             case "look":
-                return f"has seen that the other program {'runs' if action.value else 'stands'} {at}"
+                return f"has seen that the other program {'runs' if action.value else 'is stopped'} {at}"
             case "pause":
                 return f"stops by itself {at}"
             case "done":
-                return f"is through with what stands behind meeting {action.value}"
+                return f"has finished the work after meeting {action.value}"
             case _:
-                return f"is told that the other arm is ready {at}"
+                return f"gets the answer that the other arm is ready {at}"
 
-    def _where(self, program: int, finding: Finding) -> str:
-        arm, action = self.arms[program], self._action(program, finding.places[program])
+    def _describe_state(self, program: int, finding: HandshakeFault) -> str:
+        arm, action = self.arms[program], self._action(program, finding.positions[program])
         if action is None:
-            return f"{arm} has come to its end"
-        at = self._line(program, action)
+            return f"{arm} is at its end"
+        at = self._line_text(program, action)
         match action.kind:
             case "wait":
                 wire = self.wires[action.wire]
@@ -101,52 +116,55 @@ class Words:
             case "go":
                 return f"{arm} is at meeting {action.value} {at}"
             case "look":
-                return f"{arm} waits until the other program {'runs' if action.value else 'stands'} {at}"
+                return f"{arm} waits until the other program {'runs' if action.value else 'is stopped'} {at}"
             case "pause":
                 return f"{arm} is about to stop by itself {at}"
             case "done":
-                return f"{arm} is still at work behind meeting {action.value} {at}"
+                return f"{arm} still works after meeting {action.value} {at}"
             case _:
                 return f"{arm} waits until the other arm is ready {at}"
 
-    def _deadlock(self, finding: Finding) -> str:
-        return f"both programs wait for ever: {self._where(0, finding)}; {self._where(1, finding)}"
+    def _deadlock(self, finding: HandshakeFault) -> str:
+        return (
+            f"both programs wait forever: {self._describe_state(0, finding)}; "
+            f"{self._describe_state(1, finding)}"
+        )
 
-    def _lost(self, finding: Finding) -> str:
-        action = self._action(finding.program, finding.places[finding.program])
+    def _lost_edge(self, finding: HandshakeFault) -> str:
+        action = self._action(finding.program, finding.positions[finding.program])
         if action is None:
-            return "a last change of a signal is never seen by the other program"
+            return "the other program never sees the last change of a signal"
         wire = self.wires[action.wire]
         return (
             f"{self.arms[finding.program]} sets {wire.output} to {action.value} "
-            f"{self._line(finding.program, action)} before {wire.sink} has seen its last change: "
-            f"{self._where(1 - finding.program, finding)}"
+            f"{self._line_text(finding.program, action)} before {wire.sink} has seen its last change: "
+            f"{self._describe_state(1 - finding.program, finding)}"
         )
 
-    def _apart(self, finding: Finding) -> str:
-        action = self._action(finding.program, finding.places[finding.program])
+    def _step_apart(self, finding: HandshakeFault) -> str:
+        action = self._action(finding.program, finding.positions[finding.program])
         number = action.value if action is not None else 0
-        at = self._line(finding.program, action) if action is not None else ""
+        at = self._line_text(finding.program, action) if action is not None else ""
         return (
-            f"{self.arms[finding.program]} goes on behind meeting {number} {at} while "
-            f"{self._where(1 - finding.program, finding)}: the arms are more than one step apart"
+            f"{self.arms[finding.program]} continues after meeting {number} {at} while "
+            f"{self._describe_state(1 - finding.program, finding)}: the arms are more than one step apart"
         )
 
-    def _unwatched(self, finding: Finding) -> str:
-        action = self._action(finding.program, finding.places[finding.program])
-        at = self._line(finding.program, action) if action is not None else ""
+    def _unwatched(self, finding: HandshakeFault) -> str:
+        action = self._action(finding.program, finding.positions[finding.program])
+        at = self._line_text(finding.program, action) if action is not None else ""
         return (
-            f"{self.arms[finding.program]} goes on behind the first meeting {at} with a running wire that is "
-            "stuck, so that a stop would go unnoticed; each program must see it at 0 and then at 1 before"
+            f"{self.arms[finding.program]} continues after the first meeting {at} with a stuck running wire, "
+            "so that a stop would go unnoticed; each program must first see the wire at 0 and then at 1"
         )
 
 
 HANDSHAKE = "verify.handshake"
-"""Code of this rule."""
-MOST_FAULTS = 20
-"""Faults of one program that are told."""
-_BOTH_WORK: Final = ("works", "works")
-"""How the running wires of both arms are, as they should be."""
+"""Code of the rule on handshakes."""
+MAX_FAULTS = 20
+"""Maximum number of faults that are reported per program."""
+_BOTH_RUNNING_WIRES_WORK: Final = ("works", "works")
+"""State of the running wires of both arms as they should be."""
 _MODEL_CASES: Final[tuple[tuple[bool, tuple[RunningWire, RunningWire] | None], ...]] = (
     (True, None),
     (False, None),
@@ -154,133 +172,146 @@ _MODEL_CASES: Final[tuple[tuple[bool, tuple[RunningWire, RunningWire] | None], .
     (False, ("high", "works")),
     (False, ("works", "low")),
     (False, ("works", "high")),
-    (True, _BOTH_WORK),
-    (False, _BOTH_WORK),
+    (True, _BOTH_RUNNING_WIRES_WORK),
+    (False, _BOTH_RUNNING_WIRES_WORK),
 )
-"""Whether the operator does as told, and how the running wires are, in each check of the model: those that
-find most at least cost come first, those with stops at any instant last."""
+"""Cases of the model check: whether the operator obeys, and the state of the running wires.
+Cases that find most at least cost come first, those with stops at any instant last.
+"""
 
 
 @rule("verify.handshake")
-def handshake(context: Context) -> Outcome:
-    """Two controllers that share signals meet without fail: whatever the delays, and whoever is stopped and
-    started again at whatever instant, neither waits for ever, no signal change is lost, and no arm is more
-    than one step ahead of the other. Neither works unless it has seen the other one stand and then run. A
-    program of URScript watches the other one's running wire whenever it moves or has power; and however two
-    of them are stopped, paused and started anew, none works beside one that is elsewhere."""
-    readings = context.job.readings
+def handshake(context: Context) -> RuleOutcome:
+    """Two controllers that share signals always meet.
+    Whatever the delays, and whoever is stopped and restarted at any instant, neither waits forever, no
+    signal change is lost, and no arm is more than one step ahead of the other. Neither works unless it
+    has seen the other one stopped and then running. A URScript program watches the other's running wire
+    whenever it moves or has power. However two of them are stopped, paused and restarted, none works
+    while the other is elsewhere.
+    """
+    readings = context.job.automata_by_arm
     if readings is None:
-        return Outcome(nothing="one controller")
-    wiring = stages.wiring(context.problem)
-    issues = _unfit(context)
-    issues += _wired_wrong(context, wiring)
+        return RuleOutcome(nothing="one controller")
+    wiring = stages.controller_wiring(context.problem)
+    issues = _check_unsuitable_work(context)
+    issues += _check_wiring(context, wiring)
     for task in context.job.tasks:
         issues += [
-            at_step(HANDSHAKE, what, task, step) for what, step in readings[task.name].faults[:MOST_FAULTS]
+            step_issue(HANDSHAKE, what, task, step) for what, step in readings[task.name].faults[:MAX_FAULTS]
         ]
     if len(context.job.tasks) != 2:
         for task in context.job.tasks:
-            lone = [a for a in readings[task.name].actions if a.kind in ("set", "wait")]
-            what = "there is no other program to answer this"
-            issues += [at_step(HANDSHAKE, what, task, task.steps[action.line]) for action in lone[:1]]
-        return Outcome(tuple(issues), nothing="one program")
+            unanswered = [a for a in readings[task.name].actions if a.kind in ("set", "wait")]
+            what = "no other program answers this signal"
+            issues += [
+                step_issue(HANDSHAKE, what, task, task.steps[action.line]) for action in unanswered[:1]
+            ]
+        return RuleOutcome(tuple(issues), nothing="one program")
     issues += job_issues(HANDSHAKE, context)
-    found, states = _model(context, wiring, bool(issues))
-    restarts = next(filter(None, (of_task(task).restarts for task in context.job.tasks)), None)
-    if restarts is not None and not (issues or found):
-        found, more = restarts(context, wiring)
-        states += more
-    issues += found
-    issues += _numbers(context) if not found else []
+    model_issues, states = _check_model(context, wiring, bool(issues))
+    restarts = next(filter(None, (language_of_task(task).restarts for task in context.job.tasks)), None)
+    if restarts is not None and not (issues or model_issues):
+        model_issues, restart_states = restarts(context, wiring)
+        states += restart_states
+    issues += model_issues
+    issues += _check_meeting_counts(context) if not model_issues else []
     meetings = max((reading.interval[-1] for reading in readings.values() if reading.interval), default=0)
-    return Outcome(tuple(issues), where=f"{meetings} meetings, {states} states")
+    return RuleOutcome(tuple(issues), where=f"{meetings} meetings, {states} states")
 
 
-def _model(context: Context, wiring: Wiring, faulty: bool) -> tuple[list[Issue], int]:
-    """Faults of the product of both automata, and how many states it has; of programs that are ``faulty``
-    anyway only what is found at little cost."""
-    readings = context.job.readings or {}
+def _check_model(context: Context, wiring: Wiring, faulty: bool) -> tuple[list[Issue], int]:
+    """Check the product of both automata.
+
+    Args:
+        context: The proof.
+        wiring: Signal wires of the cell.
+        faulty: Whether the programs have faults already. Then only the cheap cases are checked.
+
+    Returns:
+        Issues, and the number of states.
+    """
+    readings = context.job.automata_by_arm or {}
     tasks = context.job.tasks
     arms = [task.name for task in tasks]
-    words = Words(arms, readings, {task.name: task.steps for task in tasks}, wiring.wires)
-    programs = Product([readings[arm].actions for arm in arms])
+    words = HandshakeMessages(arms, readings, {task.name: task.steps for task in tasks}, wiring.wires)
+    programs = ProgramProduct([readings[arm].actions for arm in arms])
     states = 0
     for gates, running in _MODEL_CASES[:2] if faulty else _MODEL_CASES:
-        verdict = check(programs, len(wiring.wires), gates, running=running)
+        verdict = check_handshake(programs, len(wiring.wires), gates, running=running)
         states += verdict.states
         issues = []
         for finding in verdict.findings:
             program, step = words.step(finding)
-            early = not gates and running in (None, _BOTH_WORK)
-            hint = "this is so when the operator starts or confirms too early" if early else None
-            issues.append(at_step(HANDSHAKE, words.message(finding), tasks[program], step, hint))
+            early = not gates and running in (None, _BOTH_RUNNING_WIRES_WORK)
+            hint = "this happens if the operator starts or confirms too early" if early else None
+            issues.append(step_issue(HANDSHAKE, words.message(finding), tasks[program], step, hint))
         if issues:
             return issues, states
     return [], states
 
 
-def _numbers(context: Context) -> list[Issue]:
-    """Programs that hold by themselves, but count their meetings otherwise."""
-    counts = {name: r.interval[-1] for name, r in (context.job.readings or {}).items() if r.interval}
+def _check_meeting_counts(context: Context) -> list[Issue]:
+    """Report programs that are sound by themselves but count different numbers of meetings."""
+    counts = {name: r.interval[-1] for name, r in (context.job.automata_by_arm or {}).items() if r.interval}
     if len(set(counts.values())) < 2:
         return []
     what = ", ".join(f"{name} meets {count} times" for name, count in counts.items())
-    return [Issue(HANDSHAKE, f"the programs do not count the same meetings: {what}")]
+    return [Issue(HANDSHAKE, f"the programs have different numbers of meetings: {what}")]
 
 
-def _wired_wrong(context: Context, wiring: Wiring) -> list[Issue]:
-    """Faults of the cell's wires, and signals that the controllers would share by name."""
+def _check_wiring(context: Context, wiring: Wiring) -> list[Issue]:
+    """Report faults of the cell's wires, and signals that the controllers share by name only."""
     issues = [Issue(HANDSHAKE, f"{name} has two wires; each end takes one") for name in wiring.doubled]
     arms = {arm.name for arm in context.problem.cell.arms}
-    runs = {(wire.source, wire.sink) for wire in wiring.running}
+    running_wires = {(wire.source, wire.sink) for wire in wiring.running}
     for task in context.job.tasks:
         for other in context.job.tasks:
-            if task is not other and (task.name, other.name) not in runs:
+            if task is not other and (task.name, other.name) not in running_wires:
                 what = f"no wire tells the controller of {other.name} that the program of {task.name} runs"
                 issues.append(Issue(HANDSHAKE, f"{what}; a stop of {task.name} would go unnoticed"))
     for wire in (*wiring.wires, *wiring.running):
         if not {wire.source, wire.sink} <= arms or wire.source == wire.sink:
             what = f"the wire from {wire.output} of {wire.source} to {wire.input} of {wire.sink}"
-            issues.append(Issue(HANDSHAKE, f"{what} does not join the controllers of two arms"))
+            issues.append(Issue(HANDSHAKE, f"{what} does not connect the controllers of two arms"))
     power: dict[str, str] = {}
     for task in context.job.tasks:
-        own = wiring.drives[task.name]
+        driven_outputs = wiring.drives[task.name]
         for step in task.steps:
-            if isinstance(step, SignalStep) and step.signal.lower() not in own:
+            if isinstance(step, SignalStep) and step.signal.lower() not in driven_outputs:
                 first = power.setdefault(step.signal.lower(), task.name)
                 if first != task.name:
-                    what = f"{step.signal} is switched on the controllers of both arms; which wire is meant?"
-                    issues.append(at_step(HANDSHAKE, what, task, step))
+                    what = f"{step.signal} is switched on both controllers, so the wire is ambiguous"
+                    issues.append(step_issue(HANDSHAKE, what, task, step))
                     break
     return issues
 
 
-def _unfit(context: Context) -> list[Issue]:
-    """Work that cannot live with arms that are one step apart."""
+def _check_unsuitable_work(context: Context) -> list[Issue]:
+    """Report work that does not allow arms to be one step apart."""
     issues = []
     hint = "use one MultiMove controller for both arms"
     for index, setup in enumerate(context.setup_claims):
         number = context.setups[index].number
         for claim in setup.joined:
             what = (
-                f"setup {number}: a wire joins {' and '.join(claim.joined_arms)}; arms that may be one step "
-                "apart bend it out of its shape"
+                f"setup {number}: a wire joins {' and '.join(claim.joined_arms)}; arms that are one step "
+                "apart would deform it"
             )
             issues.append(Issue(HANDSHAKE, what, hint=hint))
-        holder = context.stock(index).held_by
+        holder = context.stock_at(index).held_by
         if holder is not None and holder not in {task.name for task in context.job.tasks}:
             holder = None
         for stage_number, stage in enumerate(context.job.stages):
             if holder is None or context.spans.of_stage[stage_number] != index or not stage.synchronised:
                 continue
             task = next(task for task in context.job.tasks if task.name == holder)
-            what = f"setup {number}: {holder} moves the block it holds while the other arm may be a step off"
-            issues.append(at_step(HANDSHAKE, what, task, stage.moves(holder)[0], hint))
+            what = f"setup {number}: {holder} moves its held block while the other arm may be one step apart"
+            issues.append(step_issue(HANDSHAKE, what, task, stage.moves(holder)[0], hint))
             break
     for task in context.job.tasks:
         for step in task.steps:
             if isinstance(step, MoveStep) and not step.wobj.fixed:
-                what = f"{step.wobj_name} is moved by {step.wobj.unit}, which another controller moves"
-                issues.append(at_step(HANDSHAKE, what, task, step, hint))
+                what = f"{step.wobj_name} is moved by {step.wobj.unit}, which belongs to another controller"
+                issues.append(step_issue(HANDSHAKE, what, task, step, hint))
                 break
     return issues

@@ -1,9 +1,9 @@
-"""verify.part_file: what the proof itself reads of the part's files, against the simulated part.
+"""verify.part_file: the simulated part against the part that the proof itself reads from the part files.
 
-What is to be made, in which segments and how well, follows from the operations; the surfaces from
-the proof's own readers (`files`) of the files and the problem's numbers. A part is where the
-problem puts it; where it leaves that open, a rigid motion, without mirror or scale, has to bring
-all surfaces at once onto what the programs make, within the block.
+The operations determine what is to be made, in which segments and how well. The surfaces come from the
+proof's own readers (`part_files`) and the problem's numbers. A part is where the problem puts it. If the
+problem leaves that open, one rigid motion, without mirror or scale, has to bring all surfaces at once onto
+what the programs make, within the block.
 """
 
 import dataclasses
@@ -19,163 +19,222 @@ from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
 from planner.proof.context import Context
 from planner.proof.contribution import of_processes
-from planner.proof.findings import in_mm, in_percent
-from planner.proof.part_files import Samples, UnreadError, comparison, on_triangles, pose
-from planner.proof.part_files.made import ALL_RULED, Made, MadeSheet, MadeSurfaces, Wanted
-from planner.proof.part_files.surfaces import Surface, stated
-from planner.proof.rule import Outcome, issue, mm, rule
+from planner.proof.findings import measure_in_mm, measure_in_percent
+from planner.proof.part_files import Samples, UnreadError, comparison, on_triangles, pose_of
+from planner.proof.part_files.produced import (
+    ALL_RULED,
+    ProducedSheet,
+    ProducedSurface,
+    RequiredSurface,
+    SurfaceProducer,
+)
+from planner.proof.part_files.surfaces import PartSurface, part_surfaces
+from planner.proof.rule import RuleOutcome, measured_issue, mm, rule
 
 PART_FILE: Final = "verify.part_file"
 """Code of this rule."""
-FEWEST_PLACES: Final = 500
-"""Places of a file that are looked at, at least."""
-FEWEST_PLACES_OF_STRIP: Final = 100
-"""The same, where the operation leaves a strip along the edge."""
-SHARE_NOISE: Final = 0.03
-"""So much less than the wanted share may be good of the places: 600 of them tell a share within 3 % (three
-standard deviations at 95 %)."""
-READING_ERROR: Final = 2e-5
-"""Two readings follow curves within 0.01 mm each [m]."""
-MOST_STANDING_OUT: Final = 1e-4
-"""A part that is laid by hand here may stand out of the block by so much [m]."""
-_TARGET_PLACES: Final = 20_000
-"""Places of the claimed surfaces that a file is compared with."""
+MIN_POINTS: Final = 500
+"""Minimum number of points of a file that are compared."""
+MIN_POINTS_BESIDE_STRIP: Final = 100
+"""Minimum number of points that are compared if the operation leaves out a strip along the edge."""
+FRACTION_TOLERANCE: Final = 0.03
+"""Tolerance of the fraction of good points: 600 points estimate a fraction within 3 % (three standard
+deviations at 95 %).
+"""
+READING_TOLERANCE_M: Final = 2e-5
+"""Tolerance [m] between two readings of a curve, which follow it within 0.01 mm each."""
+MAX_OVERSIZE_M: Final = 1e-4
+"""Maximum distance [m] by which a part without a stated pose may be larger than the block."""
+_TARGET_POINTS: Final = 20_000
+"""Number of points on the claimed surfaces with which a file is compared."""
 
 
 @dataclasses.dataclass
-class _Found:
-    """What the rule has found so far: issues, places looked at by file, and the worst share left."""
+class _PartFileFindings:
+    """Findings of the rule so far.
+
+    Attributes:
+        issues: What is wrong.
+        point_counts: Number of compared points by file.
+        margin: Smallest margin of the fraction of good points.
+        fraction: Fraction of good points there.
+        limit: Required fraction there.
+    """
 
     issues: list[Issue] = dataclasses.field(default_factory=list)
-    looked: dict[str, int] = dataclasses.field(default_factory=dict)
-    room: float = np.inf
-    share: float = 1.0
+    point_counts: dict[str, int] = dataclasses.field(default_factory=dict)
+    margin: float = np.inf
+    fraction: float = 1.0
     limit: float = 1.0
 
-    def record(self, file: str, places: int, share: float, limit: float) -> None:
-        """Count places of a file, with the share of them that is good and the one that is wanted."""
-        self.looked[file] = self.looked.get(file, 0) + places
-        if share - limit < self.room:
-            self.room, self.share, self.limit = share - limit, share, limit
+    def record(self, file: str, count: int, fraction: float, limit: float) -> None:
+        """Count points of a file, with the fraction of good points and the required one."""
+        self.point_counts[file] = self.point_counts.get(file, 0) + count
+        if fraction - limit < self.margin:
+            self.margin, self.fraction, self.limit = fraction - limit, fraction, limit
 
-    def outcome(self) -> Outcome:
-        """The outcome of the rule."""
-        told = ", ".join(f"{count} places of {file}" for file, count in self.looked.items())
-        if not self.looked:
-            return Outcome(tuple(self.issues), nothing="no operation makes what the problem states")
-        return Outcome(tuple(self.issues), 100 * self.share, 100 * self.limit, "% as read again", told)
+    def outcome(self) -> RuleOutcome:
+        """Return the outcome of the rule."""
+        counts = ", ".join(f"{count} points of {file}" for file, count in self.point_counts.items())
+        if not self.point_counts:
+            return RuleOutcome(tuple(self.issues), nothing="no operation makes a surface of the part")
+        return RuleOutcome(tuple(self.issues), 100 * self.fraction, 100 * self.limit, "% as read", counts)
 
 
 @rule("verify.part_file")
-def part_file(context: Context) -> Outcome:
-    """The part as the proof itself reads it from its file, or from the problem's numbers, is what the
-    programs make, at places all over it."""
-    found = _Found()
+def part_file(context: Context) -> RuleOutcome:
+    """The programs make the part that the proof itself reads from its file or from the problem's numbers.
+    Points all over the part are compared.
+    """
+    findings = _PartFileFindings()
     try:
         part = context.problem.source.get("part")
         if part and part.get("sheet_mesh"):
-            for one in of_processes(context.problem):
-                sheet = None if one.made_sheet is None else one.made_sheet(context, part)
+            for contribution in of_processes(context.problem):
+                sheet = (
+                    None
+                    if contribution.produced_sheet is None
+                    else contribution.produced_sheet(context, part)
+                )
                 if sheet is not None:
-                    _judge_sheet(sheet, found)
+                    _compare_sheet(sheet, findings)
         elif part:
-            _surfaces(context, part, found)
-        elif context.problem.part is not None and context.problem.source:  # else a part of values in Python
+            _compare_surfaces(context, part, findings)
+        elif context.problem.part is not None and context.problem.source:  # without: a part built in Python
             what = (
-                "the problem has a part that its file does not state; state it there, or take the file "
-                "away (source={}) for a problem of values alone"
+                "the problem has a part that its file does not state. State it there, or remove the file "
+                "(source={}) for a problem of values alone"
             )
-            found.issues.append(Issue(PART_FILE, what, field="part"))
+            findings.issues.append(Issue(PART_FILE, what, field="part"))
     except UnreadError as error:
-        found.issues.append(Issue(PART_FILE, f"{error}; export it anew, or convert it", field="part"))
-    return found.outcome()
+        findings.issues.append(Issue(PART_FILE, f"{error}; export it again, or convert it", field="part"))
+    return findings.outcome()
 
 
-def _surfaces(context: Context, part: Any, found: _Found) -> None:
+def _compare_surfaces(context: Context, part: Any, findings: _PartFileFindings) -> None:
+    """Compare the surfaces of a part with what the programs make."""
     block = np.asarray(context.problem.stock.size)
-    made = [one.made_surfaces for one in of_processes(context.problem) if one.made_surfaces is not None]
-    wanted = [
-        one for operation in context.problem.operations for own in made for one in own.wanted(operation)
+    producers = [
+        produced.surface_producer
+        for produced in of_processes(context.problem)
+        if produced.surface_producer is not None
     ]
-    whole = {one.name for one in wanted}
-    surfaces = stated(part, float(block[2]), not whole.isdisjoint((ALL_RULED, "edges")))
-    at = _stated_place(part, surfaces, block)
-    pairs = _paired(surfaces, _made(context, part, surfaces, (made, wanted), found), at, found)
+    required = [
+        produced
+        for operation in context.problem.operations
+        for reading in producers
+        for produced in reading.required(operation)
+    ]
+    names = {produced.name for produced in required}
+    surfaces = part_surfaces(part, float(block[2]), not names.isdisjoint((ALL_RULED, "edges")))
+    pose_in_stock = _stated_pose(part, surfaces, block)
+    pairs = _match_surfaces(
+        surfaces,
+        _produced_surfaces(context, part, surfaces, (producers, required), findings),
+        pose_in_stock,
+        findings,
+    )
     if not pairs:
         return
-    if at is None:
-        at = _place(surfaces, pairs, block)
-        _lies_well(surfaces, at, block, found)
-    for surface, one in pairs:
+    if pose_in_stock is None:
+        pose_in_stock = _find_pose(surfaces, pairs, block)
+        _check_found_pose(surfaces, pose_in_stock, block, findings)
+    for surface, produced in pairs:
         if surface.part_of:
-            _lies_on(surface, one, at, found)
+            _check_strip(surface, produced, pose_in_stock, findings)
             continue
-        # where guides fit in several ways, any of them is what the problem says
-        tried = [_Tried(surface, one, own.moved(at), at) for own in surface.samples]
-        max(tried, key=lambda each: each.share).judge(found)
+        # If guides can be joined in several ways, each of them satisfies the problem.
+        comparisons = [
+            _SurfaceComparison(surface, produced, reading.moved(pose_in_stock), pose_in_stock)
+            for reading in surface.samples
+        ]
+        max(comparisons, key=lambda each: each.fraction).report(findings)
 
 
-def _made(
+def _produced_surfaces(
     context: Context,
     part: Any,
-    surfaces: Sequence[Surface],
-    asked: tuple[Sequence[MadeSurfaces], Sequence[Wanted]],
-    found: _Found,
-) -> list[Made]:
-    """What the programs make of what is wanted; ``asked`` are the processes, and what is wanted of them."""
-    processes, wanted = asked
-    out: list[Made] = []
-    faces = ("front", "back") if part.get("front") else ()  # ruled surfaces may have these names too
+    surfaces: Sequence[PartSurface],
+    requested: tuple[Sequence[SurfaceProducer], Sequence[RequiredSurface]],
+    findings: _PartFileFindings,
+) -> list[ProducedSurface]:
+    """Return what the programs make of the required surfaces.
+
+    Args:
+        context: The proof.
+        part: The part as the problem file states it.
+        surfaces: Surfaces of the part as read.
+        requested: Processes, and the surfaces that are required of them.
+        findings: Findings, to which issues are added.
+    """
+    processes, required = requested
+    out: list[ProducedSurface] = []
+    faces = ("front", "back") if part.get("front") else ()  # ruled surfaces may have these names, too
     ruled = [surface.name for surface in surfaces if surface.name not in faces]
-    for one in wanted:
-        every: Sequence[str] = (one.name,)
-        if one.name == ALL_RULED:
-            every = ruled
+    for required_surface in required:
+        required_names: Sequence[str] = (required_surface.name,)
+        if required_surface.name == ALL_RULED:
+            required_names = ruled
             if part.get("plate"):
-                # outlines have no names in the problem: as many as it states have to be cut
+                # Outlines have no names in the problem, so only their number is compared.
                 form = re.compile(r"(?:outline|hole)_[a-z]+")
-                every = [name for own in processes for name in own.names(context) if form.fullmatch(name)]
-                if len(every) != len(ruled):
-                    what = f"{len(every)} outlines are cut; the part, read once more, has {len(ruled)}"
-                    count = len(every), len(ruled), None
-                    found.issues.append(issue(PART_FILE, what, count, field="part.plate"))
-        for name in every:
-            made = [each for own in processes for each in own.made(context, one, name)]
-            if not made:
-                segment = Segment(one.kind, name).folded
-                what = f"the problem wants {name} made, and nothing is claimed of {segment}"
-                found.issues.append(Issue(PART_FILE, what, field=str(segment)))
-            out += made
+                required_names = [
+                    name for producer in processes for name in producer.names(context) if form.fullmatch(name)
+                ]
+                if len(required_names) != len(ruled):
+                    what = f"{len(required_names)} outlines are cut; the part as read has {len(ruled)}"
+                    count = len(required_names), len(ruled), None
+                    findings.issues.append(measured_issue(PART_FILE, what, count, field="part.plate"))
+        for name in required_names:
+            produced = [
+                each for producer in processes for each in producer.produced(context, required_surface, name)
+            ]
+            if not produced:
+                segment = Segment(required_surface.kind, name).folded
+                what = f"the problem requires {name}, but no claim covers {segment}"
+                findings.issues.append(Issue(PART_FILE, what, field=str(segment)))
+            out += produced
     return out
 
 
-def _paired(
-    surfaces: Sequence[Surface], made: Sequence[Made], at: FloatArray | None, found: _Found
-) -> list[tuple[Surface, Made]]:
-    """Each thing that is made with the surface that was read, outlines of a plate by where they are. A
-    surface may be made more than once, roughly and then finely; outlines, which have no names, once each."""
-    out: list[tuple[Surface, Made]] = []
-    left = list(surfaces)
-    for one in made:
-        base = one.name.split("_", 1)[0]
-        named = [surface for surface in surfaces if surface.name == one.name]
+def _match_surfaces(
+    surfaces: Sequence[PartSurface],
+    produced: Sequence[ProducedSurface],
+    pose_in_stock: FloatArray | None,
+    findings: _PartFileFindings,
+) -> list[tuple[PartSurface, ProducedSurface]]:
+    """Match each produced surface with the surface that was read, outlines of a plate by their position.
+
+    A surface may be made more than once, roughly and then finely. Outlines, which have no names, are made
+    once each.
+    """
+    out: list[tuple[PartSurface, ProducedSurface]] = []
+    unmatched = list(surfaces)
+    for item in produced:
+        base = item.name.split("_", 1)[0]
+        named = [surface for surface in surfaces if surface.name == item.name]
         if named:
-            out.append((named[0], one))
-            left = [surface for surface in left if surface is not named[0]]
+            out.append((named[0], item))
+            unmatched = [surface for surface in unmatched if surface is not named[0]]
             continue
-        fits: list[int] = []
-        if at is not None:
-            fits = [
-                k for k, surface in enumerate(left) if surface.name == base and base in comparison.OUTLINES
+        candidates: list[int] = []
+        if pose_in_stock is not None:
+            candidates = [
+                k
+                for k, surface in enumerate(unmatched)
+                if surface.name == base and base in comparison.OUTLINES
             ]
-            box = _box(one.vertices)
-            far = [np.abs(_box(left[k].bound @ at[:3, :3].T + at[:3, 3]) - box).max() for k in fits]
-            fits = [fits[int(np.argmin(far))]] if fits else []
-        if fits:
-            out.append((left.pop(fits[0]), one))
+            box = _box(item.vertices)
+            distances = [
+                np.abs(_box(unmatched[k].bound @ pose_in_stock[:3, :3].T + pose_in_stock[:3, 3]) - box).max()
+                for k in candidates
+            ]
+            candidates = [candidates[int(np.argmin(distances))]] if candidates else []
+        if candidates:
+            out.append((unmatched.pop(candidates[0]), item))
             continue
-        what = f"{one.segment} makes {one.name}, which the part, read once more, does not have"
-        found.issues.append(Issue(PART_FILE, what, field=one.segment))
+        what = f"{item.segment} makes {item.name}, which the part as read does not have"
+        findings.issues.append(Issue(PART_FILE, what, field=item.segment))
     return out
 
 
@@ -183,147 +242,208 @@ def _box(points: FloatArray) -> FloatArray:
     return np.stack([points.min(axis=0), points.max(axis=0)])
 
 
-def _stated_place(part: Any, surfaces: Sequence[Surface], block: FloatArray) -> FloatArray | None:
-    """The part's frame (4, 4) in that of the block, None where the problem leaves it open: outlines are in
-    the middle, turned by a quarter where they fit only so."""
-    said = part.get("in_stock")
-    if said is not None and not isinstance(said, str):
-        return pose(said)
+def _stated_pose(part: Any, surfaces: Sequence[PartSurface], block: FloatArray) -> FloatArray | None:
+    """Return the part's frame (4, 4) in the block's frame, or None if the problem leaves it open.
+
+    Outlines are in the middle of the plate, rotated by a quarter turn if they only fit so.
+    """
+    stated_pose = part.get("in_stock")
+    if stated_pose is not None and not isinstance(stated_pose, str):
+        return pose_of(stated_pose)
     if not part.get("plate"):
         return None
     low, high = _box(np.concatenate([surface.bound for surface in surfaces]))
-    wide = (high - low)[:2]
+    size = (high - low)[:2]
     out = np.eye(4)
-    if (wide > block[:2] + 1e-9).any() and (wide[::-1] <= block[:2] + 1e-9).all():
+    if (size > block[:2] + 1e-9).any() and (size[::-1] <= block[:2] + 1e-9).all():
         out[:2, :2] = [[0.0, -1.0], [1.0, 0.0]]
     out[:2, 3] = -out[:2, :2] @ (0.5 * (low + high))[:2]
     return out
 
 
-def _place(
-    surfaces: Sequence[Surface], pairs: Sequence[tuple[Surface, Made]], block: FloatArray
+def _find_pose(
+    surfaces: Sequence[PartSurface], pairs: Sequence[tuple[PartSurface, ProducedSurface]], block: FloatArray
 ) -> FloatArray:
-    """The place of a part, in the middle of the block, that fits what is made best, over the ways in which
-    its guides may be joined."""
+    """Find the pose of a part, in the middle of the block, that fits best to what is made.
+
+    All ways in which the guides of its surfaces may be joined are tried.
+    """
     if any(surface.part_of for surface in surfaces):
-        surface, one = pairs[0]
-        return comparison.found_piece(
-            comparison.of_claim(one, FEWEST_PLACES),
-            on_triangles(surface.facets, np.arange(len(surface.facets)) + 1, _TARGET_PLACES),
+        surface, produced = pairs[0]
+        return comparison.piece_pose(
+            comparison.claimed_points(produced, MIN_POINTS),
+            on_triangles(surface.facets, np.arange(len(surface.facets)) + 1, _TARGET_POINTS),
         )
-    target = [comparison.of_claim(one, _TARGET_PLACES // len(pairs)) for _, one in pairs]
-    bound, middle = np.concatenate([s.bound for s in surfaces]), np.array([0.0, 0.0, 0.5 * block[2]])
-    tried = []
-    ways = range(max(len(surface.samples) for surface, _ in pairs))
-    for all_around, k in itertools.product((False, True), ways):
+    target = [comparison.claimed_points(produced, _TARGET_POINTS // len(pairs)) for _, produced in pairs]
+    bound, centre = np.concatenate([s.bound for s in surfaces]), np.array([0.0, 0.0, 0.5 * block[2]])
+    candidates = []
+    join_variants = range(max(len(surface.samples) for surface, _ in pairs))
+    for all_around, k in itertools.product((False, True), join_variants):
         source = [surface.samples[min(k, len(surface.samples) - 1)] for surface, _ in pairs]
-        at = comparison.aligned_pose(source, target, bound, middle, all_around)
-        share = [
-            _Tried(surface, one, own.moved(at), at).share
-            for (surface, one), own in zip(pairs, source, strict=True)
+        candidate = comparison.aligned_pose(source, target, bound, centre, all_around)
+        fractions = [
+            _SurfaceComparison(surface, produced, reading.moved(candidate), candidate).fraction
+            for (surface, produced), reading in zip(pairs, source, strict=True)
         ]
-        tried.append((min(share), at))
-        if tried[-1][0] >= max(one.wanted.share for _, one in pairs) - SHARE_NOISE:
+        candidates.append((min(fractions), candidate))
+        if candidates[-1][0] >= max(produced.required.fraction for _, produced in pairs) - FRACTION_TOLERANCE:
             break
-    return max(tried, key=lambda one: one[0])[1]
+    return max(candidates, key=lambda produced: produced[0])[1]
 
 
-def _lies_well(surfaces: Sequence[Surface], at: FloatArray, block: FloatArray, found: _Found) -> None:
-    """A part whose place is open fits into the block, and a front looks up."""
+def _check_found_pose(
+    surfaces: Sequence[PartSurface], pose_in_stock: FloatArray, block: FloatArray, findings: _PartFileFindings
+) -> None:
+    """Check that a part without a stated pose fits into the block, and that a front faces up."""
     front = next((surface for surface in surfaces if surface.name == "front"), None)
-    if front is not None and float((front.samples[0].normals @ at[2, :3]).mean()) <= 0.0:
-        what = "the front, read once more, does not look up"
-        found.issues.append(Issue(PART_FILE, what, field="part.in_stock"))
+    if front is not None and float((front.samples[0].normals @ pose_in_stock[2, :3]).mean()) <= 0.0:
+        what = "the front of the part as read does not face up"
+        findings.issues.append(Issue(PART_FILE, what, field="part.in_stock"))
     if any(surface.part_of for surface in surfaces):
         return
-    low, high = _box(np.concatenate([surface.bound for surface in surfaces]) @ at[:3, :3].T + at[:3, 3])
-    out = float((high - low - block).max())
-    if out > MOST_STANDING_OUT:
-        text = f"the part as it is made, read once more, is {mm(out):.2f} mm larger than the block"
-        found.issues.append(issue(PART_FILE, text, in_mm(out, MOST_STANDING_OUT), field="part.in_stock"))
+    low, high = _box(
+        np.concatenate([surface.bound for surface in surfaces]) @ pose_in_stock[:3, :3].T
+        + pose_in_stock[:3, 3]
+    )
+    oversize = float((high - low - block).max())
+    if oversize > MAX_OVERSIZE_M:
+        text = f"the part as read is {mm(oversize):.2f} mm larger than the block"
+        findings.issues.append(
+            measured_issue(PART_FILE, text, measure_in_mm(oversize, MAX_OVERSIZE_M), field="part.in_stock")
+        )
 
 
-class _Tried:
-    """One reading of a surface, in the block's frame, against what is made."""
+class _SurfaceComparison:
+    """One reading of a surface, in the block's frame, against what is made.
 
-    def __init__(self, surface: Surface, one: Made, places: Samples, at: FloatArray) -> None:
-        self.surface, self.one, self.places = surface, one, places
-        self.off = one.off(places)
-        self.limit = one.wanted.tolerance + surface.spare + READING_ERROR
-        self.wanted = one.wanted.share - SHARE_NOISE
-        self.counts = np.ones(len(places.points), dtype=np.bool_)
-        if one.wanted.margin > 0.0:
-            rim = surface.rim() @ at[:3, :3].T + at[:3, 3]
-            self.counts = comparison.beside(places.points, rim) > one.wanted.margin
-        self.good = np.abs(self.off) <= self.limit  # NaN is not good
-        self.share = float(self.good[self.counts].mean()) if self.counts.any() else 0.0
+    Attributes:
+        surface: Surface of the part.
+        produced: What the programs make.
+        points: Points of the surface.
+        deviation: Deviation (N,) [m] of what is made at the points.
+        limit: Allowed deviation [m].
+        required: Required fraction of good points.
+        counts: Which points (N,) are off the edge strip and count.
+        good: Which points (N,) are within the limit.
+        fraction: Fraction of good points.
+    """
 
-    def judge(self, found: _Found) -> None:
-        """Tell what is found."""
-        surface, one, seen = self.surface, self.one, int(self.counts.sum())
-        found.record(surface.file, seen, self.share, self.wanted)
-        fewest = FEWEST_PLACES_OF_STRIP if one.wanted.margin > 0.0 else min(FEWEST_PLACES, len(self.good))
-        if seen < fewest:
-            what = f"{seen} places of {surface.name} of {surface.file} were looked at, wanted: {fewest}"
-            found.issues.append(Issue(PART_FILE, what, field=one.segment, value=seen, limit=fewest))
-        if self.share < self.wanted:
-            off = np.where(self.counts, self.off, 0.0)
-            told = _Told(surface.file, one.segment, self.share, self.wanted, self.limit)
-            found.issues.append(told.issue(self.places, off))
+    def __init__(
+        self, surface: PartSurface, produced: ProducedSurface, points: Samples, pose_in_stock: FloatArray
+    ) -> None:
+        self.surface, self.produced, self.points = surface, produced, points
+        self.deviation = produced.deviation(points)
+        self.limit = produced.required.tolerance + surface.spare + READING_TOLERANCE_M
+        self.required = produced.required.fraction - FRACTION_TOLERANCE
+        self.counts = np.ones(len(points.points), dtype=np.bool_)
+        if produced.required.margin > 0.0:
+            rim = surface.rim() @ pose_in_stock[:3, :3].T + pose_in_stock[:3, 3]
+            self.counts = comparison.distance_to_edges(points.points, rim) > produced.required.margin
+        self.good = np.abs(self.deviation) <= self.limit  # NaN is not good
+        self.fraction = float(self.good[self.counts].mean()) if self.counts.any() else 0.0
+
+    def report(self, findings: _PartFileFindings) -> None:
+        """Add the result to the findings."""
+        surface, produced, count = self.surface, self.produced, int(self.counts.sum())
+        findings.record(surface.file, count, self.fraction, self.required)
+        min_count = (
+            MIN_POINTS_BESIDE_STRIP if produced.required.margin > 0.0 else min(MIN_POINTS, len(self.good))
+        )
+        if count < min_count:
+            what = f"{count} points of {surface.name} of {surface.file} were compared; required: {min_count}"
+            findings.issues.append(
+                Issue(PART_FILE, what, field=produced.segment, value=count, limit=min_count)
+            )
+        if self.fraction < self.required:
+            deviation = np.where(self.counts, self.deviation, 0.0)
+            difference = _FileDifference(
+                surface.file, produced.segment, self.fraction, self.required, self.limit
+            )
+            findings.issues.append(difference.issue(self.points, deviation))
 
 
 @dataclasses.dataclass(frozen=True)
-class _Told:
-    """How a file differs from what is made in a segment."""
+class _FileDifference:
+    """Difference between a file and what is made in a segment.
+
+    Attributes:
+        file: Name of the file.
+        segment: Segment that makes the surface.
+        fraction: Fraction of points within the limit.
+        required: Required fraction.
+        limit: Allowed deviation [m].
+    """
 
     file: str
     segment: str
-    share: float
-    wanted: float
+    fraction: float
+    required: float
     limit: float
 
-    def issue(self, places: Samples, off: FloatArray) -> Issue:
-        """The issue, with the worst of the places (N) that are ``off`` (N,) [m]; NaN where nothing came."""
-        k = int(np.argmax(np.where(np.isfinite(off), np.abs(off), -1.0)))
-        missed = int((~np.isfinite(off)).sum())
-        at = ", ".join(f"{mm(v):.2f}" for v in places.points[k])
+    def issue(self, points: Samples, deviation: FloatArray) -> Issue:
+        """Return the issue, with the worst point.
+
+        Args:
+            points: Points (N,) of the surface.
+            deviation: Deviations (N,) [m], NaN where nothing is made.
+        """
+        k = int(np.argmax(np.where(np.isfinite(deviation), np.abs(deviation), -1.0)))
+        missing = int((~np.isfinite(deviation)).sum())
+        position = ", ".join(f"{mm(v):.2f}" for v in points.points[k])
         what = (
-            f"{self.file}, read once more: {100 * self.share:.1f} % of {len(off)} places are within "
-            f"{mm(self.limit):.3g} mm of what is made in {self.segment}; wanted: {100 * self.wanted:g} %"
+            f"{self.file} as read: {100 * self.fraction:.1f} % of {len(deviation)} points are within "
+            f"{mm(self.limit):.3g} mm of what is made in {self.segment}; required: {100 * self.required:g} %"
         )
-        if np.isfinite(off[k]):
-            what += f"; row {places.row[k]} at {at} mm in the block is {mm(float(off[k])):.3f} mm off"
-        if missed:
-            what += f"; nothing comes near {missed} of them"
-        return issue(PART_FILE, what, in_percent(self.share, self.wanted), field=self.segment)
+        if np.isfinite(deviation[k]):
+            what += (
+                f"; row {points.row[k]} at {position} mm in the block deviates by "
+                f"{mm(float(deviation[k])):.3f} mm"
+            )
+        if missing:
+            what += f"; {missing} of them are not reached"
+        return measured_issue(
+            PART_FILE, what, measure_in_percent(self.fraction, self.required), field=self.segment
+        )
 
 
-def _lies_on(surface: Surface, one: Made, at: FloatArray, found: _Found) -> None:
-    """Of a strip, what is made lies on the surface that was read, as near as the problem allows."""
-    if not one.along_strips:
+def _check_strip(
+    surface: PartSurface, produced: ProducedSurface, pose_in_stock: FloatArray, findings: _PartFileFindings
+) -> None:
+    """Check that what is made of a strip lies on the surface that was read, within the tolerance of the
+    problem.
+    """
+    if not produced.along_strips:
         return
-    places = comparison.of_claim(one, FEWEST_PLACES)
-    off = one.off(places)
-    points = places.points + off[:, None] * places.normals
-    known = np.isfinite(off)
-    facets = surface.facets @ at[:3, :3].T + at[:3, 3]
-    apart = np.full(len(points), np.nan)
-    apart[known] = comparison.off_facets(points[known], facets)
-    limit = one.wanted.tolerance + surface.spare + READING_ERROR
-    wanted = one.wanted.share - SHARE_NOISE
-    share = float((apart <= limit).mean())
-    found.record(surface.file, len(points), share, wanted)
-    if share < wanted:
-        found.issues.append(_Told(surface.file, one.segment, share, wanted, limit).issue(places, apart))
+    claimed_points = comparison.claimed_points(produced, MIN_POINTS)
+    deviation = produced.deviation(claimed_points)
+    points = claimed_points.points + deviation[:, None] * claimed_points.normals
+    known = np.isfinite(deviation)
+    facets = surface.facets @ pose_in_stock[:3, :3].T + pose_in_stock[:3, 3]
+    distances = np.full(len(points), np.nan)
+    distances[known] = comparison.distance_to_facets(points[known], facets)
+    limit = produced.required.tolerance + surface.spare + READING_TOLERANCE_M
+    required = produced.required.fraction - FRACTION_TOLERANCE
+    fraction = float((distances <= limit).mean())
+    findings.record(surface.file, len(points), fraction, required)
+    if fraction < required:
+        findings.issues.append(
+            _FileDifference(surface.file, produced.segment, fraction, required, limit).issue(
+                claimed_points, distances
+            )
+        )
 
 
-def _judge_sheet(made: MadeSheet, found: _Found) -> None:
-    """The walls of a sheet against those of the file."""
-    sheet, wanted = made.sheet, made.share - SHARE_NOISE
-    spare = READING_ERROR + sheet.tolerance
-    good = (made.off <= made.allowed + spare) & (made.off >= -made.tolerance - spare)
-    share = float(good.mean())
-    found.record(sheet.file, len(good), share, wanted)
-    if share < wanted:
-        told = _Told(sheet.file, made.segment, share, wanted, float(made.allowed.max()))
-        found.issues.append(told.issue(sheet.walls, made.off))
+def _compare_sheet(produced: ProducedSheet, findings: _PartFileFindings) -> None:
+    """Compare the walls of a produced sheet with those of the file."""
+    sheet, required = produced.sheet, produced.fraction - FRACTION_TOLERANCE
+    tolerance = READING_TOLERANCE_M + sheet.tolerance
+    good = (produced.deviation <= produced.allowed + tolerance) & (
+        produced.deviation >= -produced.tolerance - tolerance
+    )
+    fraction = float(good.mean())
+    findings.record(sheet.file, len(good), fraction, required)
+    if fraction < required:
+        difference = _FileDifference(
+            sheet.file, produced.segment, fraction, required, float(produced.allowed.max())
+        )
+        findings.issues.append(difference.issue(sheet.walls, produced.deviation))

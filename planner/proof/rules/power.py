@@ -1,27 +1,32 @@
-"""The rule on signals of power sources."""
+"""verify.signals: signals of power sources."""
 
 from collections.abc import Iterator
 
 from planner.claims.claim import powers
 from planner.issues import Issue
-from planner.programs.job import controllers
+from planner.programs.job import group_by_controller
 from planner.programs.stages import TaskText
-from planner.programs.steps import MessageStep, MoveStep, SignalStep, Step
+from planner.programs.steps import MessageStep, MoveStep, ProgramStep, SignalStep
 from planner.proof.context import Context
-from planner.proof.language_contribution import checked
-from planner.proof.rule import Outcome, at_step, rule
+from planner.proof.language_contribution import check_task
+from planner.proof.rule import RuleOutcome, rule, step_issue
 
 
 @rule("verify.signals")
-def signals(context: Context) -> Outcome:
-    """Only the signals of wires, spindles, knives, torches and clamps that sink are switched, to 0 or 1, at
-    once, by one task of a controller between two synchronisation points, and are off before anybody is asked
-    or an arm moves."""
+def signals(context: Context) -> RuleOutcome:
+    """Only signals of wires, spindles, knives, torches and sinking clamps are switched.
+    They are set to 0 or 1 without delay, by one task of a controller between two synchronisation points,
+    and are off before the operator is asked or an arm moves.
+    """
     issues: list[Issue] = []
-    known = {power.signal.lower() for power in powers(context.claims)}
-    known.add(context.problem.cell.controller.wire_signal.lower())
-    issues += _left_on(context, known)
-    runs = {task.name: tasks for tasks in controllers(context.problem, context.job.tasks) for task in tasks}
+    power_signals = {power.signal.lower() for power in powers(context.claims)}
+    power_signals.add(context.problem.cell.controller.wire_signal.lower())
+    issues += _possibly_left_on(context, power_signals)
+    controller_tasks = {
+        task.name: tasks
+        for tasks in group_by_controller(context.problem, context.job.tasks)
+        for task in tasks
+    }
     for stage in context.job.stages:
         switches: dict[str, TaskText] = {}  # of each controller, by its first task
         for task in context.job.tasks:
@@ -29,43 +34,45 @@ def signals(context: Context) -> Outcome:
                 if not isinstance(step, SignalStep):
                     continue
                 faults = []
-                if step.signal.lower() not in known:
+                if step.signal.lower() not in power_signals:
                     faults.append(
-                        f"{step.signal} is no signal of a wire, a spindle, a knife, a clamp or a torch"
+                        f"{step.signal} is not a signal of a wire, a spindle, a knife, a clamp or a torch"
                     )
                 if step.value not in (0.0, 1.0):
-                    faults.append(f"{step.signal} is set to {step.value:g}, neither 0 nor 1")
+                    faults.append(f"{step.signal} is set to {step.value:g}; allowed: 0 or 1")
                 if step.delay:
-                    faults.append(f"{step.signal} is switched {step.delay:g} s later")
-                first = switches.setdefault(runs[task.name][0].name, task)
+                    faults.append(f"{step.signal} is switched with a delay of {step.delay:g} s")
+                first = switches.setdefault(controller_tasks[task.name][0].name, task)
                 if first is not task:
                     faults.append(f"{first.name} switches a signal between the same synchronisation points")
-                issues += [at_step("verify.signals", fault, task, step) for fault in faults]
+                issues += [step_issue("verify.signals", fault, task, step) for fault in faults]
     for task in context.job.tasks:
-        issues += checked("verify.signals", context, task).issues
-    return Outcome(tuple(issues))
+        issues += check_task("verify.signals", context, task).issues
+    return RuleOutcome(tuple(issues))
 
 
-def _left_on(context: Context, known: set[str]) -> list[Issue]:
-    """Power that a program before this one may have left on, when a task asks or moves at first."""
+def _possibly_left_on(context: Context, power_signals: set[str]) -> list[Issue]:
+    """Report power that an earlier run may have left on when a task first asks or moves."""
     issues = []
     for task in context.job.tasks:
-        off: set[str] = set()
-        first: Step | None = None
+        switched_off: set[str] = set()
+        first: ProgramStep | None = None
         for step in task.steps:
             if isinstance(step, MoveStep) or (isinstance(step, MessageStep) and step.confirm):
                 first = first or step
-            elif isinstance(step, SignalStep) and step.signal.lower() in known:
+            elif isinstance(step, SignalStep) and step.signal.lower() in power_signals:
                 name = step.signal.lower()
-                if name not in off and (first is not None or step.value):
-                    what = f"{step.signal} is not switched off first; a run before this may have left it on"
-                    issues.append(at_step("verify.signals", what, task, step))
-                off.add(name)
+                if name not in switched_off and (first is not None or step.value):
+                    what = f"{step.signal} is not switched off first; an earlier run may have left it on"
+                    issues.append(step_issue("verify.signals", what, task, step))
+                switched_off.add(name)
     return issues
 
 
-def all_steps(context: Context) -> Iterator[tuple[int, TaskText, Step]]:
-    """Steps of all tasks, stage by stage; within a stage only one task switches."""
+def all_steps(context: Context) -> Iterator[tuple[int, TaskText, ProgramStep]]:
+    """Yield stage number, task and step of all tasks, stage by stage. Only one task switches within a
+    stage.
+    """
     for number, stage in enumerate(context.job.stages):
         for task in context.job.tasks:
             yield from ((number, task, step) for step in stage.steps[task.name])

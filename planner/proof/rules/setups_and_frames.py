@@ -1,7 +1,7 @@
-"""Rules on what stands or is mounted where, setup by setup, and who confirms it.
+"""Rules on what is mounted or placed where, setup by setup, and who confirms it.
 
-verify.tool_data, work_object, held_frame, load, base_frames: tools, work objects, held work, loads
-and bases. verify.setup: who confirms setups, and what stands where in each of them.
+verify.tool_data, work_object, held_frame, load, base_frames: tools, work objects, held work, loads and
+bases. verify.setup: who confirms setups, and what is where in each of them.
 """
 
 import numpy as np
@@ -17,140 +17,157 @@ from planner.programs.steps import (
     JointTarget,
     MessageStep,
     MoveStep,
-    Step,
+    ProgramStep,
     Tool,
-    letters,
+    normalised_text,
     rotation,
 )
 from planner.proof.context import Context
-from planner.proof.findings import Findings, in_mm
-from planner.proof.rule import Outcome, at_step, mm, rule
-from planner.proof.setups import Asked, all_asked, one_line, shown_letters, stays
+from planner.proof.findings import Findings, measure_in_mm
+from planner.proof.rule import RuleOutcome, mm, rule, step_issue
+from planner.proof.setups import (
+    OperatorQuestion,
+    operator_questions,
+    shown_characters,
+    single_spaced,
+    stock_unmoved,
+)
 from planner.tooling import Tool as WantedTool
 
-FRAME_POSITION = 1e-6
-"""How far a written frame may be off the problem's [m]: its last decimal."""
-FRAME_ANGLE = 1e-6
-"""The same of its turn [rad]."""
-MASS_ERROR = 1e-3
-"""How far a mass may be off [kg]: its last decimal."""
-CENTRE_ERROR = 1e-5
-"""How far a centre of gravity may be off [m], in each coordinate."""
-INERTIA_ERROR = 5e-6
-"""How far moments of inertia may be off [kg m^2]: their last decimals; those of a block by 1 % too."""
-LEAST_LOAD = 0.001
+FRAME_TOLERANCE_M = 1e-6
+"""Tolerance [m] between the position of a written frame and of the problem's: its last decimal."""
+FRAME_TOLERANCE_RAD = 1e-6
+"""Tolerance [rad] between the rotation of a written frame and of the problem's."""
+MASS_TOLERANCE_KG = 1e-3
+"""Tolerance [kg] of masses: the last decimal."""
+CENTRE_TOLERANCE_M = 1e-5
+"""Tolerance [m] of each coordinate of a centre of gravity."""
+INERTIA_TOLERANCE_KG_M2 = 5e-6
+"""Tolerance [kg m^2] of moments of inertia: their last decimals. Those of a block may deviate by 1 % in
+addition.
+"""
+LOAD0_MASS_KG = 0.001
 """Mass [kg] of load0."""
 
 
 @rule("verify.tool_data")
-def tool_data(context: Context) -> Outcome:
+def tool_data(context: Context) -> RuleOutcome:
     """All moves use the tool that their arm has in that setup, with its TCP, mass and centre of gravity."""
     findings = Findings("verify.tool_data", context, worst=0.0)
     for task in context.job.tasks:
         seen: set[tuple[int, int]] = set()
         for number, stage in enumerate(context.job.stages):
             index = int(context.spans.of_stage[number])
-            wanted = context.setups[index].cell.arm(task.arm.name).tool
+            expected = context.setups[index].cell.arm(task.arm.name).tool
             for step in stage.moves(task.name):
                 if (index, id(step.tool)) in seen:
                     continue
                 seen.add((index, id(step.tool)))
-                shift, faults = _tool_faults(step.tool, wanted)
-                findings.highest(shift)
+                shift, faults = _tool_faults(step.tool, expected)
+                findings.note_highest(shift)
                 if not step.tool_name:
-                    faults.append("it stands in place; moves name their tool")
+                    faults.append("it is written in the move; moves must name their tool")
                 for fault in faults:
-                    findings.at_step(f"tool {step.tool_name or '(in place)'}: {fault}", task, step)
-    return findings.outcome(mm, "mm", FRAME_POSITION)
+                    findings.add_at_step(f"tool {step.tool_name or '(in place)'}: {fault}", task, step)
+    return findings.outcome(mm, "mm", FRAME_TOLERANCE_M)
 
 
-def _tool_faults(tool: Tool, wanted: WantedTool) -> tuple[float, list[str]]:
-    shift, turn = _apart(tool.pose, wanted.tcp)
+def _tool_faults(tool: Tool, expected: WantedTool) -> tuple[float, list[str]]:
+    shift, turn = _pose_difference(tool.pose, expected.tcp)
     faults = []
-    if shift > FRAME_POSITION or turn > FRAME_ANGLE:
-        what = f"its TCP is off that of {wanted.name} by {mm(shift):.4f} mm and {np.rad2deg(turn):.4f} deg"
+    if shift > FRAME_TOLERANCE_M or turn > FRAME_TOLERANCE_RAD:
+        what = (
+            f"its TCP is {mm(shift):.4f} mm and {np.rad2deg(turn):.4f} deg away from that of {expected.name}"
+        )
         faults.append(what)
     if not tool.held:
         faults.append("it is not held by the robot")
-    if abs(tool.load.mass - wanted.mass) > MASS_ERROR:
-        faults.append(f"its mass is {tool.load.mass:g} kg, not {wanted.mass:g} kg")
-    if np.abs(tool.load.centre - wanted.cog).max() > CENTRE_ERROR:
+    if abs(tool.load.mass - expected.mass) > MASS_TOLERANCE_KG:
+        faults.append(f"its mass is {tool.load.mass:g} kg, not {expected.mass:g} kg")
+    if np.abs(tool.load.centre - expected.cog).max() > CENTRE_TOLERANCE_M:
         faults.append("its centre of gravity is not the tool's")
-    if np.abs(tool.load.inertia).max() > INERTIA_ERROR:
-        faults.append("it has moments of inertia, of which the problem says nothing")
+    if np.abs(tool.load.inertia).max() > INERTIA_TOLERANCE_KG_M2:
+        faults.append("it has moments of inertia, which the problem does not state")
     return shift, faults
 
 
 @rule("verify.work_object")
-def work_object(context: Context) -> Outcome:
-    """Straight moves are in the world or in the block's frame, which is the same in all tasks of a setup and
-    where the problem wants it."""
+def work_object(context: Context) -> RuleOutcome:
+    """Straight moves are in the world or in the block's frame.
+    The block's frame is the same in all tasks of a setup, and is the one that the problem requires.
+    """
     findings = Findings("verify.work_object", context, worst=0.0)
     for index, task, move, wobj in context.work_objects:
         if not wobj.fixed:
-            continue  # a frame that moves is for verify.held_frame
+            continue  # moving frames are checked by verify.held_frame
         if move.in_world:
-            shift, turn = _apart(wobj.user @ wobj.object, np.eye(4))
-            if shift > FRAME_POSITION or turn > FRAME_ANGLE:
+            shift, turn = _pose_difference(wobj.user @ wobj.object, np.eye(4))
+            if shift > FRAME_TOLERANCE_M or turn > FRAME_TOLERANCE_RAD:
                 what = f"{move.wobj_name} is {mm(shift):.4f} mm and {np.rad2deg(turn):.4f} deg off the world"
-                findings.at_step(what, task, move)
+                findings.add_at_step(what, task, move)
             continue
         if wobj.held or wobj.unit or not move.wobj_name:
-            what = f"{move.wobj_name or 'a work object in place'} is held, moved by a unit or has no name"
-            findings.at_step(what, task, move)
-        place = context.places[index]
-        shift, turn = _apart(wobj.user @ wobj.object, np.eye(4) if place is None else place)
-        findings.highest(shift)
-        if shift > FRAME_POSITION or turn > FRAME_ANGLE:
-            what = f"{move.wobj_name} is {mm(shift):.4f} mm off where the block stands in setup {index + 1}"
-            findings.at_step(what, task, move)
+            what = f"{move.wobj_name or 'a work object in a move'} is held, moved by a unit or has no name"
+            findings.add_at_step(what, task, move)
+        stock_frame = context.stock_frames[index]
+        shift, turn = _pose_difference(
+            wobj.user @ wobj.object, np.eye(4) if stock_frame is None else stock_frame
+        )
+        findings.note_highest(shift)
+        if shift > FRAME_TOLERANCE_M or turn > FRAME_TOLERANCE_RAD:
+            what = f"{move.wobj_name} is {mm(shift):.4f} mm away from the block's frame in setup {index + 1}"
+            findings.add_at_step(what, task, move)
     for index in range(len(context.setups)):
-        if context.stock(index).held_by is None:
-            _where_it_stands(findings, index)
-    return findings.outcome(mm, "mm", FRAME_POSITION)
+        if context.stock_at(index).held_by is None:
+            _check_stock_frame(findings, index)
+    return findings.outcome(mm, "mm", FRAME_TOLERANCE_M)
 
 
-def _where_it_stands(findings: Findings, index: int) -> None:
-    """Whether the block's frame in the text is one that the problem allows."""
+def _check_stock_frame(findings: Findings, index: int) -> None:
+    """Check that the block's frame in the text is one that the problem allows."""
     context = findings.context
-    stock, place = context.stock(index), context.places[index]
-    if place is None:
-        what = f"nothing in the programs says where the block stands in setup {index + 1}"
-        findings.add(what, hint="state stock.place where no work is in its frame")
+    stock, stock_frame = context.stock_at(index), context.stock_frames[index]
+    if stock_frame is None:
+        what = f"the programs do not state the block's frame in setup {index + 1}"
+        findings.add(what, hint="state stock.place if no work is in its frame")
         return
-    wanted = stock.place
-    said = "the problem's"
-    if wanted is None and index and stays(context.problem, context.setups[index]):
-        wanted, said = context.places[index - 1], "that of the setup before, from which nothing moves it"
-    if wanted is not None:
-        shift, turn = _apart(place, wanted)
-        if shift > FRAME_POSITION or turn > FRAME_ANGLE:
+    expected = stock.place
+    source = "the problem's"
+    if expected is None and index and stock_unmoved(context.problem, context.setups[index]):
+        expected, source = (
+            context.stock_frames[index - 1],
+            "that of the setup before, since which nothing moves it",
+        )
+    if expected is not None:
+        shift, turn = _pose_difference(stock_frame, expected)
+        if shift > FRAME_TOLERANCE_M or turn > FRAME_TOLERANCE_RAD:
             message = (
                 f"the block's frame in setup {index + 1} is {mm(shift):.4f} mm and "
-                f"{np.rad2deg(turn):.4f} deg off {said}"
+                f"{np.rad2deg(turn):.4f} deg away from {source}"
             )
-            findings.add(message, in_mm(shift, FRAME_POSITION))
-    elif not stock.leans_freely:
-        tilt = float(np.linalg.norm((place[:3, :3] @ stock.attitude.T)[2, :] - [0.0, 0.0, 1.0]))
-        if tilt > 2.0 * FRAME_ANGLE:
+            findings.add(message, measure_in_mm(shift, FRAME_TOLERANCE_M))
+    elif not stock.is_attitude_free:
+        tilt = float(np.linalg.norm((stock_frame[:3, :3] @ stock.attitude.T)[2, :] - [0.0, 0.0, 1.0]))
+        if tilt > 2.0 * FRAME_TOLERANCE_RAD:
             findings.add(
-                f"the block leans {np.rad2deg(tilt):.4f} deg off the attitude that the problem gives it"
+                f"the block is tilted {np.rad2deg(tilt):.4f} deg from the attitude that the problem states"
             )
 
 
 @rule("verify.held_frame", HoldsStock)
-def held_frame(context: Context) -> Outcome:
-    """Work on a held block is in the frame that its holder's flange carries, in synchronised blocks, and the
-    holder itself moves in the world; no other work is."""
+def held_frame(context: Context) -> RuleOutcome:
+    """Work on a held block is in the frame that its holder's flange carries, in synchronised blocks.
+    The holder itself moves in the world. No other work is in a moving frame.
+    """
     findings = Findings("verify.held_frame", context, worst=0.0)
     units = {task.arm.name: task.unit for task in context.job.tasks}
-    holders = (context.holder(index) for index in range(len(context.setups)))
+    holders = (context.stock_holder(index) for index in range(len(context.setups)))
     lost = sorted({held.arm for held in holders if held is not None} - set(units))
     for arm in lost:
         findings.add(f"{arm} holds the block, but has no program")
     for number, stage, task, moves in context.moves():
         index = int(context.spans.of_stage[number])
-        held = context.holder(index)
+        held = context.stock_holder(index)
         seen: set[int] = set()
         for move in moves:
             if move.by_joints or id(move.wobj) in seen:
@@ -159,232 +176,267 @@ def held_frame(context: Context) -> Outcome:
             wobj, faults = move.wobj, list[str]()
             if held is None or task.arm.name == held.arm:
                 if not wobj.fixed:
-                    faults.append(f"{move.wobj_name} moves, but what {task.arm.name} works on does not")
+                    faults.append(f"{move.wobj_name} moves, but the work of {task.arm.name} does not")
                 elif held is not None and not move.in_world:
                     faults.append(f"{task.arm.name} holds the block and must move in the world, in wobj0")
             elif wobj.fixed:
-                faults.append(f"the block is held by {held.arm}, but {move.wobj_name} stands still")
+                faults.append(f"the block is held by {held.arm}, but {move.wobj_name} is fixed")
             else:
                 tool = context.setups[index].cell.arm(held.arm).tool
-                shift, turn = _apart(wobj.object, tool.tcp)
-                findings.highest(shift)
+                shift, turn = _pose_difference(wobj.object, tool.tcp)
+                findings.note_highest(shift)
                 if wobj.held:
                     faults.append(f"{move.wobj_name} is held by its own robot")
                 if wobj.unit.lower() != units.get(held.arm, "").lower():
                     faults.append(f"{move.wobj_name} is moved by '{wobj.unit}', not by {units.get(held.arm)}")
-                if shift > FRAME_POSITION or turn > FRAME_ANGLE:
+                if shift > FRAME_TOLERANCE_M or turn > FRAME_TOLERANCE_RAD:
                     faults.append(
-                        f"{move.wobj_name} is {mm(shift):.4f} mm and {np.rad2deg(turn):.4f} deg off the "
-                        f"TCP of {held.arm}"
+                        f"{move.wobj_name} is {mm(shift):.4f} mm and {np.rad2deg(turn):.4f} deg away from "
+                        f"the TCP of {held.arm}"
                     )
-                if max(_apart(wobj.user, np.eye(4))) > 1e-9:
-                    what = "is not zero; for a frame that moves the controller sets it itself"
+                if max(_pose_difference(wobj.user, np.eye(4))) > 1e-9:
+                    what = "is not zero, but the controller sets the user frame of a moving work object"
                     faults.append(f"the user frame of {move.wobj_name} {what}")
                 if not stage.synchronised:
                     faults.append("work on a held block runs outside a synchronised block")
             for fault in faults:
-                findings.at_step(fault, task, move)
-    return findings.outcome(mm, "mm", FRAME_POSITION)
+                findings.add_at_step(fault, task, move)
+    return findings.outcome(mm, "mm", FRAME_TOLERANCE_M)
 
 
 @rule("verify.load", HoldsStock)
-def load(context: Context) -> Outcome:
-    """The controller knows the held block's load from its setup's confirmation on until it is let go."""
+def load(context: Context) -> RuleOutcome:
+    """The controller knows the load of a held block from the confirmation of its setup until the block is
+    released.
+    """
     findings = Findings("verify.load", context)
-    worked = len(context.problem.setups) - 1  # what is held stays so while axes go home behind it
+    last_setup = len(context.problem.setups) - 1  # a held block stays held while axes move home at the end
     for task in context.job.tasks:
         name = task.arm.name
-        known: int | None = None  # the setup whose block the controller counts with
+        loaded_setup: int | None = None  # the setup whose block's load the controller has
         for number, stage in enumerate(context.job.stages):
-            index = min(int(context.spans.of_stage[number]), worked)
-            held = context.holder(index)
-            wanted = held if held is not None and held.arm == name else None
-            asked = context.spans.asked[index]
+            index = min(int(context.spans.of_stage[number]), last_setup)
+            held = context.stock_holder(index)
+            expected = held if held is not None and held.arm == name else None
+            confirmations = context.spans.confirmations[index]
             for step in stage.steps[task.name]:
                 if isinstance(step, CarryStep):
-                    early = bool(asked) and number <= asked[0].stage
-                    fault, known = _carried(step, wanted, context.stock(index), index)
-                    fault = f"setup {index + 1} is not confirmed yet" if early and wanted else fault
+                    early = bool(confirmations) and number <= confirmations[0].stage
+                    fault, loaded_setup = _load_fault(step, expected, context.stock_at(index), index)
+                    fault = f"setup {index + 1} is not confirmed yet" if early and expected else fault
                     if fault:
-                        findings.at_step(fault, task, step)
+                        findings.add_at_step(fault, task, step)
                 if isinstance(step, MoveStep):
-                    before = bool(asked) and number < asked[0].stage
-                    if wanted is not None and known != index and not before:
+                    unconfirmed = bool(confirmations) and number < confirmations[0].stage
+                    if expected is not None and loaded_setup != index and not unconfirmed:
                         what = f"{name} moves the block of setup {index + 1} without its load"
-                        findings.at_step(what, task, step, "GripLoad first")
-                        known = index
-                    if wanted is None and known is not None:
-                        what = f"{name} still counts with a load that it no longer holds"
-                        findings.at_step(what, task, step, "GripLoad load0 first")
-                        known = None
+                        findings.add_at_step(what, task, step, "call GripLoad first")
+                        loaded_setup = index
+                    if expected is None and loaded_setup is not None:
+                        what = f"{name} still has the load of a block that it no longer holds"
+                        findings.add_at_step(what, task, step, "call GripLoad load0 first")
+                        loaded_setup = None
     held_at_all = any(setup.stock_holders for setup in context.setup_claims)
     return findings.outcome_without_value("" if held_at_all else "nothing is held")
 
 
-def _carried(step: CarryStep, wanted: HoldsStock | None, stock: Stock, index: int) -> tuple[str, int | None]:
-    """What is wrong with a load, and the setup whose block it is, None for no load."""
-    if wanted is None:
-        none = abs(step.load.mass) <= LEAST_LOAD + 1e-9
-        return ("" if none else f"a load of {step.load.mass:g} kg, but no block is held"), None
-    if abs(step.load.mass - wanted.mass) > MASS_ERROR:
-        return f"the load is {step.load.mass:g} kg; the block is {wanted.mass:.4f} kg", index
-    if np.abs(step.load.centre - wanted.cog).max() > CENTRE_ERROR:
+def _load_fault(
+    step: CarryStep, expected: HoldsStock | None, stock: Stock, index: int
+) -> tuple[str, int | None]:
+    """Return what is wrong with a load, and the setup whose block it is, None for no load."""
+    if expected is None:
+        is_load0 = abs(step.load.mass) <= LOAD0_MASS_KG + 1e-9
+        return ("" if is_load0 else f"a load of {step.load.mass:g} kg, but no block is held"), None
+    if abs(step.load.mass - expected.mass) > MASS_TOLERANCE_KG:
+        return f"the load is {step.load.mass:g} kg; the block is {expected.mass:.4f} kg", index
+    if np.abs(step.load.centre - expected.cog).max() > CENTRE_TOLERANCE_M:
         return "the load's centre of gravity is not the block's", index
-    turn, grip = rotation(step.load.axes), wanted.grip[:3, :3]
-    said, true = (turn * step.load.inertia) @ turn.T, (grip * _moments(stock, wanted.mass)) @ grip.T
-    if np.abs(said - true).max() > INERTIA_ERROR + 0.01 * np.abs(true).max():
+    turn, grip = rotation(step.load.axes), expected.grip[:3, :3]
+    stated_inertia, expected_inertia = (
+        (turn * step.load.inertia) @ turn.T,
+        (grip * _block_inertia(stock, expected.mass)) @ grip.T,
+    )
+    if (
+        np.abs(stated_inertia - expected_inertia).max()
+        > INERTIA_TOLERANCE_KG_M2 + 0.01 * np.abs(expected_inertia).max()
+    ):
         return "the load's moments of inertia are not the block's", index
     return "", index
 
 
-def _moments(stock: Stock, mass: float) -> FloatArray:
-    """Moments of inertia (3,) [kg m^2] of a solid block about its own axes through its centre."""
+def _block_inertia(stock: Stock, mass: float) -> FloatArray:
+    """Return the moments of inertia (3,) [kg m^2] of a solid block about its own axes through its centre."""
     square = (stock.upper - stock.lower) ** 2
     return np.asarray(mass / 12.0 * (square.sum() - square))
 
 
 @rule("verify.base_frames")
-def base_frames(context: Context) -> Outcome:
+def base_frames(context: Context) -> RuleOutcome:
     """Each task states the base frame that its arm must have, and it is the problem's."""
     findings = Findings("verify.base_frames", context, worst=0.0)
     for task in context.job.tasks:
         declared = context.declared_bases.get(task.arm.name)
         if declared is None:
             message = f"{task.name} does not state the base frame it was planned for (CONST pose base_frame)"
-            findings.at_step(message, task, None)
+            findings.add_at_step(message, task, None)
             continue
         if task.arm.base_auto:
             continue
-        shift, turn = _apart(declared, task.arm.base)
-        findings.highest(shift)
-        if shift > FRAME_POSITION or turn > FRAME_ANGLE:
+        shift, turn = _pose_difference(declared, task.arm.base)
+        findings.note_highest(shift)
+        if shift > FRAME_TOLERANCE_M or turn > FRAME_TOLERANCE_RAD:
             message = (
-                f"the base of {task.arm.name} is {mm(shift):.4f} mm and {np.rad2deg(turn):.4f} deg off "
-                "the problem's"
+                f"the base of {task.arm.name} is {mm(shift):.4f} mm and {np.rad2deg(turn):.4f} deg away "
+                "from the problem's"
             )
-            findings.at_step(message, task, None)
-    return findings.outcome(mm, "mm", FRAME_POSITION)
+            findings.add_at_step(message, task, None)
+    return findings.outcome(mm, "mm", FRAME_TOLERANCE_M)
 
 
-def _apart(a: FloatArray, b: FloatArray) -> tuple[float, float]:
+def _pose_difference(a: FloatArray, b: FloatArray) -> tuple[float, float]:
     relative = inverse(a) @ b
     return float(np.linalg.norm(a[:3, 3] - b[:3, 3])), float(np.linalg.norm(log_rotation(relative[:3, :3])))
 
 
-HOME_ERROR = 1e-4
-"""How far a joint may be off home [rad] to be there."""
+HOME_TOLERANCE_RAD = 1e-4
+"""Tolerance [rad] within which a joint is at home."""
 
 
 @rule("verify.setup")
-def setup(context: Context) -> Outcome:
-    """Each setup is told and confirmed once, in order, with all arms at home and nothing moving till then,
-    and no arm moves at all before the operator has confirmed something."""
-    issues: list[Issue] = _unasked(context)
-    last = -1
-    for index, here in enumerate(context.setups):
-        if not here.steps:
+def setup(context: Context) -> RuleOutcome:
+    """Each setup is described and confirmed once, in order, with all arms at home and nothing moving
+    before. No arm moves at all before the operator has confirmed something.
+    """
+    issues: list[Issue] = _unconfirmed_move(context)
+    last_stage = -1
+    for index, current in enumerate(context.setups):
+        if not current.steps:
             if index:
-                what = f"setup {here.number} changes the cell, but says nothing that could be confirmed"
+                what = f"setup {current.number} changes the cell, but has no steps to confirm"
                 issues.append(Issue("verify.setup", what, hint="name the setup's steps"))
             continue
-        places = context.spans.asked[index]
-        if len(places) != 1:
-            count = f"{len(places)} times" if places else "never"
-            what = f"the confirmation of setup {here.number} is asked for {count}; it must be asked for once"
-            step = places[1] if places else None
-            issues.append(_at(step, what) if step else Issue("verify.setup", what, hint=here.confirmation))
+        confirmations = context.spans.confirmations[index]
+        if len(confirmations) != 1:
+            count = f"{len(confirmations)} times" if confirmations else "never"
+            what = f"the confirmation of setup {current.number} is asked for {count}; required: once"
+            step = confirmations[1] if confirmations else None
+            issues.append(
+                _question_issue(step, what)
+                if step
+                else Issue("verify.setup", what, hint=current.confirmation)
+            )
             continue
-        (place,) = places
-        if place.stage <= last:
-            issues.append(_at(place, f"setup {here.number} is confirmed before the one that comes first"))
-        last = max(last, place.stage)
-        if not place.step.certain:
-            issues.append(_at(place, f"setup {here.number} goes on without anybody pressing OK"))
-        shown, wanted = shown_letters(context.job, place), "".join(letters(step) for step in here.steps)
-        if shown != wanted:
-            missing = next((step for step in here.steps if letters(step) not in shown), None)
-            what = "with something else than what is to be done" if missing is None else f"without: {missing}"
-            issues.append(_at(place, f"setup {here.number} is confirmed {what}"))
-        issues += _standing(context, place, here.number, first=index == 0)
-    issues += _lookalikes(context)
-    return Outcome(tuple(issues), nothing="" if any(s.steps for s in context.setups) else "one setup")
+        (confirmation,) = confirmations
+        if confirmation.stage <= last_stage:
+            issues.append(
+                _question_issue(confirmation, f"setup {current.number} is confirmed before an earlier setup")
+            )
+        last_stage = max(last_stage, confirmation.stage)
+        if not confirmation.step.certain:
+            issues.append(
+                _question_issue(confirmation, f"setup {current.number} continues without a press of OK")
+            )
+        shown, expected = (
+            shown_characters(context.job, confirmation),
+            "".join(normalised_text(step) for step in current.steps),
+        )
+        if shown != expected:
+            missing = next((step for step in current.steps if normalised_text(step) not in shown), None)
+            what = "with texts other than its steps" if missing is None else f"without: {missing}"
+            issues.append(_question_issue(confirmation, f"setup {current.number} is confirmed {what}"))
+        issues += _arms_not_at_rest(context, confirmation, current.number, first=index == 0)
+    issues += _misplaced_confirmations(context)
+    return RuleOutcome(tuple(issues), nothing="" if any(s.steps for s in context.setups) else "one setup")
 
 
-def _unasked(context: Context) -> list[Issue]:
-    """A first move that nobody has confirmed."""
+def _unconfirmed_move(context: Context) -> list[Issue]:
+    """Report a first move that no operator has confirmed."""
     for stage in context.job.stages:
-        asked = False
+        confirmed = False
         for task in context.job.tasks:
             for step in stage.steps[task.name]:
                 if isinstance(step, MessageStep) and step.confirm and step.certain:
-                    asked = True
+                    confirmed = True
                     break
                 if isinstance(step, MoveStep):
-                    what = "an arm moves, and nobody was asked before whether its way is clear"
-                    return [at_step("verify.setup", what, task, step, "ask the operator first")]
-        if asked:
+                    what = "an arm moves, but the operator was not asked before whether its path is clear"
+                    return [step_issue("verify.setup", what, task, step, "ask the operator first")]
+        if confirmed:
             return []
     return []
 
 
-def _standing(context: Context, place: Asked, number: int, first: bool) -> list[Issue]:
-    """Faults of arms that move at the confirmation, are not at home, or moved before the first one."""
+def _arms_not_at_rest(
+    context: Context, confirmation: OperatorQuestion, number: int, first: bool
+) -> list[Issue]:
+    """Report arms that move at the confirmation, are not at home, or moved before the first confirmation."""
     issues = []
-    stage = context.job.stages[place.stage]
+    stage = context.job.stages[confirmation.stage]
     if stage.synchronised or any(stage.moves(task.name) for task in context.job.tasks):
-        issues.append(_at(place, f"an arm may move while setup {number} is being confirmed"))
+        issues.append(
+            _question_issue(confirmation, f"an arm may move while setup {number} is being confirmed")
+        )
     for task in context.job.tasks:
         machine = task.arm.data
-        moves = [m for earlier in context.job.stages[: place.stage] for m in earlier.moves(task.name)]
-        away = [m for m in (moves if first else moves[-1:]) if not at_home(m, machine, task.arm.home)]
-        if away:
+        moves = [m for earlier in context.job.stages[: confirmation.stage] for m in earlier.moves(task.name)]
+        not_home = [m for m in (moves if first else moves[-1:]) if not at_home(m, machine, task.arm.home)]
+        if not_home:
             what = f"{task.arm.name} is not at home when setup {number} is confirmed"
-            issues.append(at_step("verify.setup", what, task, away[-1], "let it go home first"))
+            issues.append(step_issue("verify.setup", what, task, not_home[-1], "move it home first"))
     return issues
 
 
 def at_home(move: MoveStep, machine: RobotData, home: FloatArray) -> bool:
-    """Whether a move ends at home and stops there."""
+    """Return whether a move ends at home and stops there."""
     if not isinstance(move.target, JointTarget):
         return False
     q = machine.from_controller(move.target.joints)
-    return bool(np.abs(q - home).max() <= HOME_ERROR and move.zone.fine)
+    return bool(np.abs(q - home).max() <= HOME_TOLERANCE_RAD and move.zone.fine)
 
 
-def _lookalikes(context: Context) -> list[Issue]:
-    """Other questions that hold a setup's words, and setup texts where the proof does not follow."""
-    wanted = [s for s in context.setups if s.steps]
-    own = {id(q.step) for places in context.spans.asked for q in places}
+def _misplaced_confirmations(context: Context) -> list[Issue]:
+    """Report other questions with a setup's words, and setup texts in program parts that the proof does not
+    follow.
+    """
+    with_steps = [s for s in context.setups if s.steps]
+    confirmation_ids = {id(q.step) for confirmations in context.spans.confirmations for q in confirmations}
     issues = [
-        _at(question, f"a question other than the confirmation of setup {here.number} holds its words")
-        for question in all_asked(context.job)
-        for here in wanted
-        if id(question.step) not in own and _like(question.step, here.confirmation)
+        _question_issue(
+            question, f"a question other than the confirmation of setup {current.number} has its words"
+        )
+        for question in operator_questions(context.job)
+        for current in with_steps
+        if id(question.step) not in confirmation_ids and _contains_text(question.step, current.confirmation)
     ]
     for task in context.job.tasks:
-        aside = [step for step in task.steps if isinstance(step, ChoiceStep)]
-        hidden = [s for choice in aside for s in _inside(choice)]
+        branches = [step for step in task.steps if isinstance(step, ChoiceStep)]
+        hidden = [s for choice in branches for s in _branch_steps(choice)]
         hidden += [s for block in (task.handlers, task.undos) for steps in block.values() for s in steps]
         issues += [
-            at_step("verify.setup", f"the confirmation of setup {here.number} is asked for aside", task, step)
+            step_issue(
+                "verify.setup", f"a branch asks for the confirmation of setup {current.number}", task, step
+            )
             for step in hidden
-            for here in wanted
-            if isinstance(step, MessageStep) and _like(step, here.confirmation)
+            for current in with_steps
+            if isinstance(step, MessageStep) and _contains_text(step, current.confirmation)
         ]
     return issues
 
 
-def _inside(choice: ChoiceStep) -> list[Step]:
+def _branch_steps(choice: ChoiceStep) -> list[ProgramStep]:
     return [
         s
         for step in choice.steps
-        for s in ([step, *_inside(step)] if isinstance(step, ChoiceStep) else [step])
+        for s in ([step, *_branch_steps(step)] if isinstance(step, ChoiceStep) else [step])
     ]
 
 
-def _like(step: MessageStep, confirmation: str) -> bool:
-    return letters(confirmation) in letters(" ".join(step.lines)) or one_line(confirmation) in step.text
+def _contains_text(step: MessageStep, confirmation: str) -> bool:
+    return (
+        normalised_text(confirmation) in normalised_text(" ".join(step.lines))
+        or single_spaced(confirmation) in step.text
+    )
 
 
-def _at(asked: Asked, message: str) -> Issue:
-    return at_step("verify.setup", message, asked.task, asked.step)
+def _question_issue(question: OperatorQuestion, message: str) -> Issue:
+    return step_issue("verify.setup", message, question.task, question.step)

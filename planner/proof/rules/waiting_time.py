@@ -1,7 +1,7 @@
 """Rules on time that passes while nothing moves.
 
-verify.power_idle: how long arms may stand with the power of a wire or a spindle on.
-verify.meeting_time: how long tasks wait where they meet.
+verify.power_idle: how long arms may stand with the power of a wire or a spindle on. verify.meeting_time:
+how long tasks wait where they meet.
 """
 
 import dataclasses
@@ -13,85 +13,111 @@ from planner.claims.handshake import HandshakeKind
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
 from planner.programs import job, stages
-from planner.programs.handshake.automata import Reading
-from planner.programs.stages import Stage, TaskText, sync_points
-from planner.programs.steps import ChoiceStep, MessageStep, MoveStep, SettingStep, SignalStep, Step, WaitStep
+from planner.programs.handshake.automata import ProgramAutomaton
+from planner.programs.stages import JobStage, TaskText, sync_points
+from planner.programs.steps import (
+    ChoiceStep,
+    MessageStep,
+    MoveStep,
+    ProgramStep,
+    SettingStep,
+    SignalStep,
+    WaitStep,
+)
 from planner.programs.text import segment_of_name
 from planner.proof.context import Context
-from planner.proof.language_contribution import of_task
-from planner.proof.replay.logic import between, dwell_time
-from planner.proof.rule import Outcome, at_node, at_step, mm, rule
+from planner.proof.language_contribution import language_of_task
+from planner.proof.replay.logic import dwell_time, steps_between_moves
+from planner.proof.rule import RuleOutcome, mm, node_issue, rule, step_issue
 
 POWER_IDLE = "verify.power_idle"
-"""Code of the rule about power before anything moves."""
+"""Code of the rule on power while nothing moves."""
 MEETING_TIME = "verify.meeting_time"
-"""Code of the rule about waits at meetings."""
-IDLE_FACTOR = 1.1
-"""Power may be on this many times as long as the problem says before anything moves..."""
-IDLE_SPARE = 0.5
-"""...and so much longer [s]: statements take time, too."""
-SLOW_FACTOR = 2.0
-"""With a hot wire a move may take this many times as long as at the lowest feed..."""
-RAMP_TIME = 5.0
-"""...and so much longer [s]: moves that are short or turn a tool take what their ramps take."""
-TRAVEL_SPARE = 1.0
-"""Waits for external axes may be so much [s] shorter than what their ways add: texts have rounded speeds."""
-ISSUES_SHOWN = 50
-"""Issues of one task at most."""
+"""Code of the rule on waits at meetings."""
+MAX_IDLE_FACTOR = 1.1
+"""Factor by which power may be on longer than stated before anything moves."""
+IDLE_SPARE_S = 0.5
+"""Time [s] by which power may be on longer in addition to :data:`MAX_IDLE_FACTOR`, because statements take
+time, too.
+"""
+MAX_SLOW_FACTOR = 2.0
+"""Maximum ratio between the time of a move with a hot wire and the time at the lowest feed."""
+RAMP_TIME_S = 5.0
+"""Time [s] by which a move with a hot wire may take longer in addition to :data:`MAX_SLOW_FACTOR`.
+Short moves and rotations of a tool take the time of their ramps.
+"""
+TRAVEL_SPARE_S = 1.0
+"""Time [s] by which waits for external axes may be shorter than the axes' motion, because texts have
+rounded speeds.
+"""
+MAX_ISSUES_SHOWN = 50
+"""Maximum number of issues of one task."""
 
 
 @dataclasses.dataclass(frozen=True)
 class _Slot:
-    """What tasks do between one motion and the next in a stage. ``moved``: a motion follows. ``segment``:
-    that of the motion before, as the text says it, "" for none."""
+    """What tasks do between one motion and the next in a stage.
+
+    Attributes:
+        stage: Index of the stage.
+        steps: Steps by task.
+        motion_follows: Whether a motion follows.
+        segment: Key of the segment of the motion before, as the text names it, empty for none.
+    """
 
     stage: int
-    steps: Mapping[str, tuple[Step, ...]]
-    moved: bool
+    steps: Mapping[str, tuple[ProgramStep, ...]]
+    motion_follows: bool
     segment: str
 
 
 @dataclasses.dataclass
 class _Power:
-    """A signal on its way through the slots: whether it is ``on``; since the last motion, which task switched
-    it on, and for how long [s] it has been on."""
+    """State of a signal while the slots are traversed.
+
+    Attributes:
+        on: Whether it is on.
+        switching_task: Task that switched it on since the last motion.
+        on_time: Time [s] for which it has been on since the last motion.
+    """
 
     on: bool = False
-    by: str = ""
-    spent: float = 0.0
+    switching_task: str = ""
+    on_time: float = 0.0
 
 
 @rule("verify.power_idle")
-def power_idle(context: Context) -> Outcome:
-    """With the power of a wire or a spindle on, the arms stand no longer than the problem says that it takes
-    to heat up or to run up, or a G-code file waits; nobody is asked anything but about an elastic wire before
-    it moves; and no hot wire creeps."""
+def power_idle(context: Context) -> RuleOutcome:
+    """With the power of a wire or a spindle on, the arms stand no longer than heating up or running up
+    takes. The times are stated in the problem, and a G-code file may wait, too. The operator is asked
+    nothing, except about an elastic wire before it moves. No hot wire creeps.
+    """
     issues: list[Issue] = []
     worst = 0.0
     slots = tuple(_slots(context))
-    dwells = _dwells(context)
+    dwells = _longest_dwells(context)
     for signal in sorted({claim.signal.lower(): claim.signal for claim in context.contacts}.values()):
-        for tasks in job.controllers(context.problem, context.job.tasks):
-            own = frozenset(task.name for task in tasks)
-            walk = _Walk(context, signal, own, dwells)
+        for tasks in job.group_by_controller(context.problem, context.job.tasks):
+            controller_tasks = frozenset(task.name for task in tasks)
+            walk = _PowerWalk(context, signal, controller_tasks, dwells)
             for slot in slots:
-                walk.take(slot)
-            issues += [*walk.issues[:ISSUES_SHOWN], *_creeping(context, signal, own)]
+                walk.process(slot)
+            issues += [*walk.issues[:MAX_ISSUES_SHOWN], *_slow_moves(context, signal, controller_tasks)]
             worst = max(worst, walk.worst)
-    issues += _unclaimed(context)
+    issues += _unclaimed_power(context)
     if not context.contacts:
-        return Outcome(tuple(issues), nothing="no power")
-    return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of the time allowed")
+        return RuleOutcome(tuple(issues), nothing="no power")
+    return RuleOutcome(tuple(issues), 100.0 * worst, 100.0, "% of the time allowed")
 
 
-def _unclaimed(context: Context) -> list[Issue]:
-    """The cell's signal for a wire, on where no operation has a wire on it."""
+def _unclaimed_power(context: Context) -> list[Issue]:
+    """Report the cell's wire signal if it is on but no operation has a wire on it."""
     signal = context.problem.cell.controller.wire_signal
     if any(claim.signal.lower() == signal.lower() for claim in context.contacts):
         return []
-    what = f"{signal} goes on, and no operation of the problem has anything that it heats or drives"
+    what = f"{signal} is switched on, but no operation of the problem has a wire or drive on it"
     return [
-        at_step(POWER_IDLE, what, task, step)
+        step_issue(POWER_IDLE, what, task, step)
         for task in context.job.tasks
         for step in task.steps
         if isinstance(step, SignalStep) and step.signal.lower() == signal.lower() and step.value
@@ -99,7 +125,7 @@ def _unclaimed(context: Context) -> list[Issue]:
 
 
 def _slots(context: Context) -> Iterator[_Slot]:
-    """All slots of the job in the order in which they pass."""
+    """Yield all slots of the job in the order in which they pass."""
     segment = ""
     for number, stage in enumerate(context.job.stages):
         movers = [task.name for task in context.job.tasks if stage.moves(task.name)]
@@ -108,129 +134,152 @@ def _slots(context: Context) -> Iterator[_Slot]:
             yield _Slot(number, rest, False, segment)
         for group in [movers] if stage.synchronised and movers else [[name] for name in movers]:
             count = max(len(stage.moves(name)) for name in group)
-            parts = {name: between(stage.steps[name], count) for name in group}
+            parts = {name: steps_between_moves(stage.steps[name], count) for name in group}
             for i in range(count + 1):
                 steps = {name: tuple(part[i]) for name, part in parts.items()}
                 yield _Slot(number, {**steps, **(rest if i == 0 else {})}, i < count, segment)
                 segment = _segment(stage, group[0], i) if i < count else segment
 
 
-def _segment(stage: Stage, task: str, i: int) -> str:
+def _segment(stage: JobStage, task: str, i: int) -> str:
     moves = stage.moves(task)
     return segment_of_name(moves[min(i, len(moves) - 1)].procedure).key
 
 
-class _Walk:
-    """Goes through the slots with one signal of the controller that runs the tasks ``own``."""
+class _PowerWalk:
+    """Traverses the slots with one signal of the controller that runs some tasks.
+
+    Attributes:
+        context: The proof.
+        signal: Name of the signal.
+        key: Name of the signal in lower case.
+        dwells: Longest stated wait [s] by setup and segment.
+        controller_tasks: Names of the controller's tasks.
+        tasks: All tasks by name.
+        mounted: Stages in which a wire is mounted.
+        power: State of the signal.
+        issues: What is wrong.
+        worst: Largest time with power as a fraction of the allowed one.
+    """
 
     def __init__(
-        self, context: Context, signal: str, own: Collection[str], dwells: Mapping[tuple[int, str], float]
+        self,
+        context: Context,
+        signal: str,
+        controller_tasks: Collection[str],
+        dwells: Mapping[tuple[int, str], float],
     ) -> None:
         self.context, self.signal, self.key, self.dwells = context, signal, signal.lower(), dwells
-        self.own = own
+        self.controller_tasks = controller_tasks
         self.tasks = {task.name: task for task in context.job.tasks}
         self.mounted = {n for phase in context.phases for n in range(phase.first, phase.last + 1)}
         self.power = _Power()
         self.issues: list[Issue] = []
         self.worst = 0.0
 
-    def take(self, slot: _Slot) -> None:
-        """One slot. What other tasks do counts where it keeps a task waiting that has left the power on."""
+    def process(self, slot: _Slot) -> None:
+        """Process one slot. Other tasks count if they keep a task waiting that has left the power on."""
         power = self.power
-        switches = next((n for n, steps in slot.steps.items() if n in self.own and self._switched(steps)), "")
-        since = 0.0
-        now = 0.0
+        switches = next(
+            (n for n, steps in slot.steps.items() if n in self.controller_tasks and self._switched(steps)), ""
+        )
+        switched_on = 0.0
+        elapsed = 0.0
         for step in slot.steps.get(switches, ()):
             if isinstance(step, SignalStep) and step.signal.lower() == self.key:
                 if step.value and not power.on:
-                    since, power.by = now, switches
+                    switched_on, power.switching_task = elapsed, switches
                 elif power.on and not step.value:
-                    power.spent += now - since
-                    self._judge(slot)
+                    power.on_time += elapsed - switched_on
+                    self._check_on_time(slot)
                 power.on = bool(step.value)
             elif power.on:
-                self._endless(slot, switches, step)
-            now += dwell_time([step])
+                self._check_unbounded(slot, switches, step)
+            elapsed += dwell_time([step])
         if power.on:
             for name, steps in slot.steps.items():
                 for step in steps if name != switches else ():
-                    self._endless(slot, name, step)
-            power.spent += max(dwell_time(list(steps)) for steps in slot.steps.values()) - since
-            self._judge(slot)
-        if slot.moved:
-            power.by, power.spent = "", 0.0
+                    self._check_unbounded(slot, name, step)
+            power.on_time += max(dwell_time(list(steps)) for steps in slot.steps.values()) - switched_on
+            self._check_on_time(slot)
+        if slot.motion_follows:
+            power.switching_task, power.on_time = "", 0.0
 
-    def _switched(self, steps: Sequence[Step]) -> bool:
+    def _switched(self, steps: Sequence[ProgramStep]) -> bool:
         return any(isinstance(step, SignalStep) and step.signal.lower() == self.key for step in steps)
 
-    def _judge(self, slot: _Slot) -> None:
-        """Whether the power has been on for too long since the last motion."""
+    def _check_on_time(self, slot: _Slot) -> None:
+        """Report power that has been on for too long since the last motion."""
         setup = int(self.context.spans.of_stage[slot.stage])
         contacts = self.context.setup_claims[setup].contacts
         heat = (claim.heat_up for claim in contacts if claim.signal.lower() == self.key)
-        stated = max(heat, default=0.0) if self.power.by else 0.0
+        stated = max(heat, default=0.0) if self.power.switching_task else 0.0
         stated += self.dwells.get((setup, slot.segment), 0.0)
-        allowed = IDLE_FACTOR * stated + IDLE_SPARE
-        self.worst = max(self.worst, self.power.spent / allowed)
-        if self.power.spent <= allowed:
+        allowed = MAX_IDLE_FACTOR * stated + IDLE_SPARE_S
+        self.worst = max(self.worst, self.power.on_time / allowed)
+        if self.power.on_time <= allowed:
             return
-        name, step = _longest(slot)
-        what = f"{self.signal} is on for {self.power.spent:g} s while nothing moves; allowed: {allowed:g} s"
+        name, step = _longest_wait(slot)
+        what = f"{self.signal} is on for {self.power.on_time:g} s while nothing moves; allowed: {allowed:g} s"
         hint = "switch it off before, or wait as long as the problem says"
-        issue = at_step(POWER_IDLE, what, self.tasks[name], step, hint)
-        self.issues.append(dataclasses.replace(issue, value=self.power.spent, limit=allowed, unit="s"))
-        self.power.spent = 0.0
+        issue = step_issue(POWER_IDLE, what, self.tasks[name], step, hint)
+        self.issues.append(dataclasses.replace(issue, value=self.power.on_time, limit=allowed, unit="s"))
+        self.power.on_time = 0.0
 
-    def _endless(self, slot: _Slot, name: str, step: Step) -> None:
-        """A step with the power on that nobody knows the end of."""
+    def _check_unbounded(self, slot: _Slot, name: str, step: ProgramStep) -> None:
+        """Report a step with the power on whose end is unknown."""
         if isinstance(step, MessageStep) and step.confirm:
-            if name == self.power.by and slot.stage in self.mounted:
-                return  # a wire that is taken up hot, before it moves
+            if name == self.power.switching_task and slot.stage in self.mounted:
+                return  # an elastic wire is tensioned while hot, before it moves
             self._fault(name, step, "waits for an answer")
         elif isinstance(step, WaitStep) and step.signal:
             self._fault(name, step, f"waits for {step.signal}")
         elif isinstance(step, WaitStep) and step.seconds is None and step.kind != "WaitRob":
-            self._fault(name, step, "waits for as long as is known at run time only")
-        elif isinstance(step, ChoiceStep) and (step.repeats or any(_waits(inside) for inside in step.steps)):
+            self._fault(name, step, "waits for a time that is known only at run time")
+        elif isinstance(step, ChoiceStep) and (
+            step.repeats or any(_takes_time(inside) for inside in step.steps)
+        ):
             self._fault(name, step, f"loops or waits on {step.condition}")
-        elif isinstance(step, ChoiceStep) and _stands(step, self.key):
+        elif isinstance(step, ChoiceStep) and _may_stop_with_power(step, self.key):
             self._fault(name, step, f"may stop on {step.condition}")
 
-    def _fault(self, name: str, step: Step, what: str) -> None:
+    def _fault(self, name: str, step: ProgramStep, what: str) -> None:
         what = f"{name} {what} while {self.signal} is on"
-        self.issues.append(at_step(POWER_IDLE, what, self.tasks[name], step, "switch it off before"))
+        self.issues.append(step_issue(POWER_IDLE, what, self.tasks[name], step, "switch it off before"))
 
 
-def _waits(step: Step) -> bool:
-    """Whether a step of a branch takes time."""
+def _takes_time(step: ProgramStep) -> bool:
+    """Return whether a step of a branch takes time."""
     if isinstance(step, ChoiceStep):
-        return step.repeats or any(_waits(inside) for inside in step.steps)
+        return step.repeats or any(_takes_time(inside) for inside in step.steps)
     return isinstance(step, WaitStep) or (isinstance(step, MessageStep) and step.confirm)
 
 
-def _stands(choice: ChoiceStep, key: str) -> bool:
-    """Whether a branch stops the arm or the program and has not switched the signal off before."""
+def _may_stop_with_power(choice: ChoiceStep, key: str) -> bool:
+    """Return whether a branch stops the arm or the program without switching the signal off first."""
     for step in choice.steps:
         if isinstance(step, SignalStep) and step.signal.lower() == key and not step.value:
             return False
-        if isinstance(step, SettingStep) or (isinstance(step, ChoiceStep) and _stands(step, key)):
+        if isinstance(step, SettingStep) or (
+            isinstance(step, ChoiceStep) and _may_stop_with_power(step, key)
+        ):
             return True
     return False
 
 
-def _longest(slot: _Slot) -> tuple[str, Step | None]:
-    found = [
+def _longest_wait(slot: _Slot) -> tuple[str, ProgramStep | None]:
+    waits = [
         (step.pause, name, step)
         for name, steps in slot.steps.items()
         for step in steps
         if isinstance(step, WaitStep)
     ]
-    _, name, step = max(found, key=lambda item: item[0], default=(0.0, next(iter(slot.steps)), None))
+    _, name, step = max(waits, key=lambda item: item[0], default=(0.0, next(iter(slot.steps)), None))
     return name, step
 
 
-def _dwells(context: Context) -> dict[tuple[int, str], float]:
-    """The longest wait [s] that a G-code file asks for at one place, by setup and segment."""
+def _longest_dwells(context: Context) -> dict[tuple[int, str], float]:
+    """Return the longest wait [s] that a G-code file states at one position, by setup and segment."""
     out: dict[tuple[int, str], float] = {}
     for claim in context.claims:
         if claim.longest_stop is not None:
@@ -239,141 +288,175 @@ def _dwells(context: Context) -> dict[tuple[int, str], float]:
     return out
 
 
-def _creeping(context: Context, signal: str, own: Collection[str]) -> list[Issue]:
-    """Moves with a wire that tasks ``own`` have made hot, which take much longer than at the lowest feed."""
+def _slow_moves(context: Context, signal: str, controller_tasks: Collection[str]) -> list[Issue]:
+    """Report moves with a wire heated by the tasks ``controller_tasks`` that take much longer than at the
+    lowest feed.
+    """
     motion = context.motion
     if not len(motion.node_sample):
         return []
-    on = motion.on_for(signal, own, motion.time[motion.node_sample] - 0.5 * motion.node_duration) >= 0.0
+    on = (
+        motion.signal_on_time(
+            signal, controller_tasks, motion.time[motion.node_sample] - 0.5 * motion.node_duration
+        )
+        >= 0.0
+    )
     issues = []
     for index, setup in enumerate(context.setup_claims):
         if all(claim.signal.lower() != signal.lower() for claim in setup.contacts):
             continue
-        least = min((c.lower for c in context.feeds if context.setup_of(c) == index), default=0.0)
+        min_feed = min((c.lower for c in context.feeds if context.setup_of(c) == index), default=0.0)
         lever = 0.5 * max((c.heated_length for group in setup.groups for c in group), default=0.0)
-        here = np.flatnonzero(on & (context.spans.of_stage[motion.node_stage] == index))
-        if least <= 0.0 or lever <= 0.0 or not len(here):
+        rows = np.flatnonzero(on & (context.spans.of_stage[motion.node_stage] == index))
+        if min_feed <= 0.0 or lever <= 0.0 or not len(rows):
             continue
-        way = np.max([_ways(context, arm, lever)[here] for arm in motion.tcp], axis=0)
-        most = SLOW_FACTOR * way / least + RAMP_TIME
-        for k in np.flatnonzero(motion.node_duration[here] > most)[:ISSUES_SHOWN]:
-            took = float(motion.node_duration[here[k]])
-            what = f"{signal} is on while a move of {mm(way[k]):.2f} mm takes {took:g} s; at the lowest feed "
-            what += f"it takes {way[k] / least:.2f} s"
-            issue = at_node(POWER_IDLE, what, motion, next(iter(motion.tcp)), int(here[k]))
-            issues.append(dataclasses.replace(issue, value=took, limit=float(most[k]), unit="s"))
+        path = np.max([_path_lengths(context, arm, lever)[rows] for arm in motion.tcp], axis=0)
+        max_times = MAX_SLOW_FACTOR * path / min_feed + RAMP_TIME_S
+        for k in np.flatnonzero(motion.node_duration[rows] > max_times)[:MAX_ISSUES_SHOWN]:
+            duration = float(motion.node_duration[rows[k]])
+            what = (
+                f"{signal} is on while a move of {mm(path[k]):.2f} mm takes {duration:g} s; at the lowest "
+                "feed "
+            )
+            what += f"it takes {path[k] / min_feed:.2f} s"
+            issue = node_issue(POWER_IDLE, what, motion, next(iter(motion.tcp)), int(rows[k]))
+            issues.append(dataclasses.replace(issue, value=duration, limit=float(max_times[k]), unit="s"))
     return issues
 
 
-def _ways(context: Context, arm: str, lever: float) -> FloatArray:
-    """How far (K,) [m] a tool goes in each move, at most, ``lever`` [m] off its TCP."""
+def _path_lengths(context: Context, arm: str, lever: float) -> FloatArray:
+    """Return the maximum path (K,) [m] in each move of a point at ``lever`` [m] from the TCP."""
     motion = context.motion
     rows = motion.node_sample
-    before = np.concatenate([[0], rows[:-1]])
-    step = motion.tcp[arm][rows] - motion.tcp[arm][before]
-    x, z, way = (np.linalg.norm(step[:, :3, axis], axis=1) for axis in (0, 2, 3))
-    turn = np.maximum(x, z)
-    return np.asarray(way + lever * turn)
+    previous = np.concatenate([[0], rows[:-1]])
+    step = motion.tcp[arm][rows] - motion.tcp[arm][previous]
+    x, z, shift = (np.linalg.norm(step[:, :3, axis], axis=1) for axis in (0, 2, 3))
+    rotation = np.maximum(x, z)
+    return np.asarray(shift + lever * rotation)
 
 
 @rule("verify.meeting_time")
-def meeting_time(context: Context) -> Outcome:
-    """Where tasks meet they wait for each other without a limit of time, which would end a run whenever
-    somebody takes longer to answer. Two controllers wait as long as the problem says: while the other one
-    asks somebody no less than for its patience, while it takes axes elsewhere for so long besides."""
+def meeting_time(context: Context) -> RuleOutcome:
+    """Tasks wait for each other without a time limit where they meet.
+    A limit would end a run whenever somebody takes longer to answer. Two controllers wait as long as the
+    problem states: at least for its patience while the other one asks somebody, plus the time for which
+    the other one moves axes.
+    """
     issues = []
     for task in context.job.tasks:
         for point in sync_points(task):
             if point.limited:
                 what = (
-                    f"{point.kind} {point.ident} ends the run when the other task comes later than its time"
+                    f"{point.kind} {point.ident} has a time limit and ends the run if the other task is late"
                 )
-                issues.append(at_step(MEETING_TIME, what, task, point, "leave \\TimeOut out"))
-    if context.job.readings is not None and len(context.job.tasks) == 2:
-        issues += _answers(context)
-    return Outcome(tuple(issues))
+                issues.append(step_issue(MEETING_TIME, what, task, point, "remove \\TimeOut"))
+    if context.job.automata_by_arm is not None and len(context.job.tasks) == 2:
+        issues += _check_handshake_waits(context)
+    return RuleOutcome(tuple(issues))
 
 
-def _answers(context: Context) -> Iterator[Issue]:
-    """Waits for the other controller that are too short for what it does before, or longer than anything
-    takes."""
-    readings, handshake = context.job.readings or {}, context.problem.cell.controller.handshake
+def _check_handshake_waits(context: Context) -> Iterator[Issue]:
+    """Report waits for the other controller that are too short for its work before, or longer than anything
+    takes.
+    """
+    readings, handshake = context.job.automata_by_arm or {}, context.problem.cell.controller.handshake
     tasks = context.job.tasks
     for task, other in (tasks, tasks[::-1]):
-        mine, theirs = readings[task.name], readings[other.name]
-        asks = _intervals(other, theirs, _asks)
-        midway = asks.copy() if of_task(other).restarts is not None else set[int]()
-        asks |= _intervals(other, theirs, _moves) - _intervals(task, mine, _moves)
-        travels = _travels(context, other, theirs)
-        most = max(handshake.patience, handshake.timeout) + 1.0 + _busy(other) + sum(travels.values())
-        watched = stages.wiring(context.problem).watches.get(task.name, frozenset())
-        for step, interval in _meetings(task, mine, handshake.kind, watched, midway):
-            least = handshake.patience if interval in asks else min(handshake.timeout, handshake.patience)
-            least += max(travels.get(interval, 0.0) - TRAVEL_SPARE, 0.0)
+        own_reading, other_reading = readings[task.name], readings[other.name]
+        asks = _intervals_with(other, other_reading, _asks)
+        midway = asks.copy() if language_of_task(other).restarts is not None else set[int]()
+        asks |= _intervals_with(other, other_reading, _moves) - _intervals_with(task, own_reading, _moves)
+        travels = _travel_times(context, other, other_reading)
+        max_wait = (
+            max(handshake.patience, handshake.timeout) + 1.0 + _busy_time(other) + sum(travels.values())
+        )
+        watched = stages.controller_wiring(context.problem).running_inputs.get(task.name, frozenset())
+        for step, interval in _protocol_waits(task, own_reading, handshake.kind, watched, midway):
+            min_wait = handshake.patience if interval in asks else min(handshake.timeout, handshake.patience)
+            min_wait += max(travels.get(interval, 0.0) - TRAVEL_SPARE_S, 0.0)
             if step.seconds is None:
-                what = f"{task.name} may wait for {step.signal} for ever; state a limit"
-                yield at_step(MEETING_TIME, what, task, step)
-            elif not least <= step.seconds <= most:
+                what = f"{task.name} may wait for {step.signal} forever; state a time limit"
+                yield step_issue(MEETING_TIME, what, task, step)
+            elif not min_wait <= step.seconds <= max_wait:
                 what = f"{task.name} waits for {step.signal} for {step.seconds:g} s; "
-                what += f"wanted: {least:g} to {most:.0f} s"
-                yield at_step(MEETING_TIME, what, task, step, "as the handshake's timeout and patience say")
+                what += f"allowed: {min_wait:g} to {max_wait:.0f} s"
+                yield step_issue(MEETING_TIME, what, task, step, "see timeout and patience of the handshake")
 
 
-def _intervals(task: TaskText, reading: Reading, chosen: Callable[[Step], bool]) -> set[int]:
-    """Intervals between meetings in which a program has such steps."""
+def _intervals_with(
+    task: TaskText, reading: ProgramAutomaton, chosen: Callable[[ProgramStep], bool]
+) -> set[int]:
+    """Return the intervals between meetings in which a program has the chosen steps."""
     return {n for n, step in zip(reading.interval, task.steps, strict=True) if chosen(step)}
 
 
-def _travels(context: Context, task: TaskText, reading: Reading) -> dict[int | None, float]:
-    """How long [s] a task takes external axes elsewhere, by intervals between meetings."""
+def _travel_times(context: Context, task: TaskText, reading: ProgramAutomaton) -> dict[int | None, float]:
+    """Return the time [s] for which a task moves external axes, by intervals between meetings."""
     out: dict[int | None, float] = {}
     for number, step in zip(reading.interval, task.steps, strict=True):
-        seconds = context.travels.get(id(step), 0.0)
+        seconds = context.travel_times.get(id(step), 0.0)
         if seconds > 0.0:
             out[number] = out.get(number, 0.0) + seconds
     return out
 
 
-def _meetings(
-    task: TaskText, reading: Reading, kind: HandshakeKind, watched: Collection[str], midway: Collection[int]
+def _protocol_waits(
+    task: TaskText,
+    reading: ProgramAutomaton,
+    kind: HandshakeKind,
+    watched: Collection[str],
+    midway: Collection[int],
 ) -> Iterator[tuple[WaitStep, int | None]]:
-    """Waits of the protocol, each with the other program's interval that it may last: what that does before
-    it arrives. None where both have arrived, and at the lead's start, when the operator has seen to it.
+    """Yield the waits of the protocol, each with the interval of the other program that it may last.
 
-    ``midway``: meetings in the middle of which the other program asks, so that who follows waits there.
-    A look whether the other program runs (an input that is ``watched``) lasts as long as the meeting behind
-    it may; whether that stands is seen at the start, when somebody stops it.
+    In that interval the other program works before it arrives. It is None where both have arrived, and at
+    the start of the leading program, which the operator ensures. A check whether the other program runs (an
+    input in ``watched``) lasts as long as the meeting after it may. Whether the other one is stopped is
+    checked at the start, when somebody stops it.
+
+    Args:
+        task: Task whose waits are meant.
+        reading: Its actions and intervals.
+        kind: Kind of the handshake.
+        watched: Inputs of running wires, in lower case.
+        midway: Meetings during which the other program asks a question, so that the follower waits there.
     """
-    before: SignalStep | None = None
-    looks: list[WaitStep] = []
-    own = zip(reading.protocol, reading.interval, task.steps, strict=True)
-    for step, number in [(step, number) for mine, number, step in own if mine]:
+    last_signal: SignalStep | None = None
+    checks: list[WaitStep] = []
+    protocol_steps = zip(reading.protocol, reading.interval, task.steps, strict=True)
+    for step, number in [(step, number) for mine, number, step in protocol_steps if mine]:
         if isinstance(step, SignalStep):
-            before = step
+            last_signal = step
         elif isinstance(step, WaitStep) and step.signal.lower() in watched:
             if step.value:
-                looks.append(step)
+                checks.append(step)
             else:
                 yield step, None
         elif isinstance(step, WaitStep):
-            leads = before is not None and before.value == step.value  # it asks, and waits for the answer
-            met = kind == "four_phase" and not step.value
-            late = number - 1 if leads else number
-            held = met and not leads and number in midway
-            interval = None if (met and not held) or (leads and late <= 0) else late
-            yield from ((one, interval) for one in (*looks, step))
-            looks = []
+            leads = (
+                last_signal is not None and last_signal.value == step.value
+            )  # it requests and waits for the answer
+            both_arrived = kind == "four_phase" and not step.value
+            waiting_interval = number - 1 if leads else number
+            is_held = both_arrived and not leads and number in midway
+            interval = (
+                None
+                if (both_arrived and not is_held) or (leads and waiting_interval <= 0)
+                else waiting_interval
+            )
+            yield from ((wait, interval) for wait in (*checks, step))
+            checks = []
 
 
-def _asks(step: Step) -> bool:
+def _asks(step: ProgramStep) -> bool:
     return isinstance(step, MessageStep) and step.confirm
 
 
-def _moves(step: Step) -> bool:
+def _moves(step: ProgramStep) -> bool:
     return isinstance(step, MoveStep)
 
 
-def _busy(task: TaskText) -> float:
-    """How long [s] a task moves and waits by what it states."""
+def _busy_time(task: TaskText) -> float:
+    """Return the time [s] for which a task moves and waits according to its text."""
     moves = sum(step.time or 0.0 for step in task.steps if isinstance(step, MoveStep))
     return moves + dwell_time([step for step in task.steps if isinstance(step, WaitStep)])

@@ -1,4 +1,4 @@
-"""The 3D view of pages: WebGL scripts that the service sends as modules and offline files hold as text."""
+"""3D view of pages: WebGL scripts that the service sends as modules and offline files embed as text."""
 
 import functools
 import re
@@ -7,18 +7,23 @@ from pathlib import Path
 from typing import Final
 
 FOLDER: Final = Path(__file__).resolve().parent
-"""Where the modules lie."""
+"""Folder of the modules."""
 MODULES: Final = ("matrix.js", "orbit.js", "panels.js")
-"""Modules of plain WebGL in the order in which they need one another."""
+"""Modules of plain WebGL, in the order of their dependencies."""
 THREE_MODULES: Final = ("matrix.js", "orbit.js", "stage.js")
-"""Modules that draw by three.js, the same."""
+"""Modules that draw with three.js, in the order of their dependencies."""
 FILM_MODULES: Final = (*THREE_MODULES, "film.js")
-"""Modules that draw a plan, the same."""
+"""Modules that draw a plan with three.js, in the order of their dependencies."""
 
 
-def script(own: str, modules: Sequence[str] = MODULES) -> str:
-    """A script that imports from these modules, as one text that imports nothing; three.js not included."""
-    texts = [*((FOLDER / name).read_text("utf-8") for name in modules), own]
+def bundle_script(main_script: str, modules: Sequence[str] = MODULES) -> str:
+    """Bundle a script with the modules that it imports, without three.js.
+
+    Args:
+        main_script: Text of the script.
+        modules: Names of the modules.
+    """
+    texts = [*((FOLDER / name).read_text("utf-8") for name in modules), main_script]
     whole = "\n".join(
         re.sub(r'^import .* from "\./[\w./]+";\n', "", text, flags=re.MULTILINE) for text in texts
     )
@@ -26,29 +31,33 @@ def script(own: str, modules: Sequence[str] = MODULES) -> str:
 
 
 @functools.cache
-def three() -> str:
-    """three.js as a script that imports nothing and leaves all that it has in ``THREE``."""
+def three_js() -> str:
+    """Return three.js as a script without imports that defines ``THREE``."""
     core, module = (
         (FOLDER / "vendor" / f"three.{name}.min.js").read_text("utf-8") for name in ("core", "module")
     )
-    core = re.sub(r"export\s*\{([^{}]*)\};?\s*$", lambda found: f"return {{{_fields(found[1])}}};", core)
+    core = re.sub(
+        r"export\s*\{([^{}]*)\};?\s*$", lambda match: f"return {{{_object_fields(match[1])}}};", core
+    )
     module = re.sub(r'export\s*\{[^{}]*\}\s*from\s*"\./three\.core\.min\.js";?', "", module)
     module = re.sub(
         r'import\s*\{([^{}]*)\}\s*from\s*"\./three\.core\.min\.js";?',
-        lambda found: f"const {{{_fields(found[1], swapped=True)}}} = core;",
+        lambda match: f"const {{{_object_fields(match[1], swapped=True)}}} = core;",
         module,
     )
     module = re.sub(
-        r"export\s*\{([^{}]*)\};?\s*$", lambda found: f"return {{...core, {_fields(found[1])}}};", module
+        r"export\s*\{([^{}]*)\};?\s*$",
+        lambda match: f"return {{...core, {_object_fields(match[1])}}};",
+        module,
     )
     return f"const THREE = (() => {{\nconst core = (() => {{\n{core}\n}})();\n{module}\n}})();\n"
 
 
-def _fields(names: str, swapped: bool = False) -> str:
-    """Names of an export, "own as told, ...", as an object's fields, or of an import as a pattern."""
+def _object_fields(names: str, swapped: bool = False) -> str:
+    """Convert an export list, "local as exported, ...", to object fields, or an import list to a pattern."""
     out = []
-    for name in filter(None, (one.strip() for one in names.split(","))):
-        own, _, told = name.partition(" as ")
-        own, told = own.strip(), (told or own).strip()
-        out.append(f"{own}:{told}" if swapped else f"{told}:{own}")
+    for name in filter(None, (part.strip() for part in names.split(","))):
+        local_name, _, exported_name = name.partition(" as ")
+        local_name, exported_name = local_name.strip(), (exported_name or local_name).strip()
+        out.append(f"{local_name}:{exported_name}" if swapped else f"{exported_name}:{local_name}")
     return ",".join(out)

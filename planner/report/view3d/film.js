@@ -294,7 +294,7 @@ export class Replay extends Stage {
 
   pick(at) {
     const found = this.hit(at);
-    if (!found) return this.told?.("Nothing is there.");
+    if (!found) return this.told?.("No surface here.");
     if (this.picked.length > 1) this.picked = [];
     const frame = this.frames.get(found.object.userData.body);
     const own = frame ? found.point.clone().applyMatrix4(frame.matrix.clone().invert()) : found.point.clone();
@@ -320,7 +320,7 @@ export class Replay extends Stage {
   }
 
   words(places) {
-    if (places.length < 2) return places.length ? "Now the second point" : "Choose two points";
+    if (places.length < 2) return places.length ? "Select the second point" : "Select two points";
     const way = places[1].clone().sub(places[0]);
     return `${way.length().toFixed(1)} mm (x ${way.x.toFixed(1)}, y ${way.y.toFixed(1)}, z ${way.z.toFixed(1)})`;
   }

@@ -1,1 +1,1 @@
-"""Where the second robot of a cell stands, from points that both robots probed."""
+"""Alignment of the second robot of a cell, from points that both robots probed."""

@@ -1,7 +1,8 @@
-"""What is probed to align a cell: the points of both robots, which arm moves, and its file with the new base.
+"""Input and output of an alignment.
 
-Points stand in each robot's own base. In the cell's file only the numbers change, comments and layout
-stay.
+The input is the probed points of both robots and the arm that moves, the output the cell file with the new
+base. Points are in each robot's own base. In the cell file only the numbers change; comments and layout are
+kept.
 """
 
 import copy
@@ -16,26 +17,32 @@ from typing import Any, Final
 import numpy as np
 import yaml
 
-from planner.files import is_file, no_file
+from planner.files import is_file, missing_file_reason
 from planner.geometry.arrays import BoolArray, FloatArray, to_rpy
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, TandemError, refusal
+from planner.issues import Issue, TandemError, issue_error
 from planner.problem import Arm, Cell
 from planner.reading import strict_yaml
 from planner.reading.problem import read_cell
 from planner.reading.strict_yaml import Document
 
 MAX_BYTES: Final = 1_000_000
-"""Bytes that a file of probed points may have."""
-FARTHEST: Final = 100_000.0
-"""Coordinates up to this [mm] are read."""
+"""Maximum size [bytes] of a file of probed points."""
+MAX_COORDINATE_MM: Final = 100_000.0
+"""Largest accepted coordinate [mm]."""
 AXES: Final = ("x_mm", "y_mm", "z_mm")
-"""Ends of the columns of a point."""
+"""Suffixes of the columns of a point."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ProbedPoints:
-    """``names`` of N points; ``first`` and ``second`` (N, 3) [m]: where each robot's TCP was, in its base."""
+    """N probed points.
+
+    Attributes:
+        names: Names of the points.
+        first: (N, 3) [m] TCP of the first robot, in its base.
+        second: (N, 3) [m] TCP of the second robot, in its base.
+    """
 
     names: tuple[str, ...]
     first: FloatArray
@@ -43,10 +50,13 @@ class ProbedPoints:
 
 
 def read(path: Path, arms: tuple[str, str]) -> ProbedPoints:
-    """Probed points from a CSV file with the columns name, and <arm>.x_mm, .y_mm and .z_mm of both arms.
+    """Read probed points from a CSV file with the columns name, and <arm>.x_mm, .y_mm and .z_mm of both arms.
 
-    Commas, or semicolons with decimal commas; lines that begin with # are skipped, a column note is not read.
-    Raises `TandemError` (align.file) with every fault and its line.
+    Separators are commas, or semicolons with decimal commas. Lines that begin with # and a column note are
+    ignored.
+
+    Raises:
+        TandemError: align.file, with every fault and its line.
     """
     file = str(path)
     rows = _rows(path)
@@ -68,13 +78,15 @@ def read(path: Path, arms: tuple[str, str]) -> ProbedPoints:
         if not name or name in names:
             what = f"got the name {name!r} again" if name else "got no name"
             issues.append(
-                _fault(file, line, "name", f"{what}, allowed a name of its own for each point", "name it")
+                _fault(file, line, "name", f"{what}, allowed a unique name for each point", "name it")
             )
         names.append(name)
         values.append([_number(text) for text in texts])
         for column, text, value in zip(columns[1:], texts, values[-1], strict=True):
-            if not abs(value) <= FARTHEST:
-                what = f"got {text!r}, allowed a number from {-FARTHEST:g} to {FARTHEST:g}"
+            if not abs(value) <= MAX_COORDINATE_MM:
+                what = (
+                    f"got {text!r}, allowed a number from {-MAX_COORDINATE_MM:g} to {MAX_COORDINATE_MM:g} mm"
+                )
                 issues.append(_fault(file, line, column, what, "correct it, or leave the point out"))
     if issues:
         raise TandemError(issues)
@@ -86,7 +98,7 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
     """Lines with their cells, the headings first."""
     file = str(path)
     if not is_file(path):
-        raise TandemError(_fault(file, None, None, f"{file}: {no_file(path)}", "check the path"))
+        raise TandemError(_fault(file, None, None, f"{file}: {missing_file_reason(path)}", "check the path"))
     try:
         if path.stat().st_size > MAX_BYTES:
             raise TandemError(_fault(file, None, None, f"larger than {MAX_BYTES / 1e6:g} MB", "cut it down"))
@@ -135,56 +147,75 @@ def _fault(file: str, line: int | None, field: str | None, what: str, hint: str)
     return Issue("align.file", what, file=file, line=line, field=field, hint=hint)
 
 
-def moved_arm(cell: Cell, wanted: str | None, file: str) -> int:
-    """Index of the arm whose base is looked for: the second unless ``wanted`` names one. Raises `TandemError`
-    (align.cell)."""
+def moved_arm(cell: Cell, arm_name: str | None, file: str) -> int:
+    """Index of the arm whose base is searched: the second one unless ``arm_name`` is given.
+
+    Raises:
+        TandemError: align.cell.
+    """
     names = [arm.name for arm in cell.arms]
     if len(names) != 2:
-        what = f"the cell has {len(names)} arm, allowed 2: one robot alone needs no alignment"
-        raise refusal("align.cell", what, file=file, hint="take a cell of two robots")
-    if wanted is not None and wanted not in names:
-        what = f"arm: got {wanted!r}, allowed {', '.join(names)}"
-        raise refusal("align.cell", what, file=file, hint="name an arm of the cell")
-    index = 1 if wanted is None else names.index(wanted)
+        what = f"the cell has {len(names)} arm, allowed 2: a single robot needs no alignment"
+        raise issue_error("align.cell", what, file=file, hint="take a cell of two robots")
+    if arm_name is not None and arm_name not in names:
+        what = f"arm: got {arm_name!r}, allowed {', '.join(names)}"
+        raise issue_error("align.cell", what, file=file, hint="name an arm of the cell")
+    index = 1 if arm_name is None else names.index(arm_name)
     if cell.arms[1 - index].base_auto:
-        what = f"the base of {names[1 - index]} is itself to be searched (base_auto)"
+        what = f"the base of {names[1 - index]} is to be searched as well (base_auto)"
         hint = "state it, and align the other arm to it"
         field = f"arms.{1 - index}.base_auto"
-        raise refusal("align.cell", what, file=file, field=field, hint=hint)
+        raise issue_error("align.cell", what, file=file, field=field, hint=hint)
     return index
 
 
 def used_points(points: ProbedPoints, left_out: Sequence[str], file: str) -> BoolArray:
-    """Which points (N,) count; raises `TandemError` (align.file) for names that no point has."""
+    """Which points (N,) are used.
+
+    Raises:
+        TandemError: align.file for unknown names.
+    """
     unknown = [name for name in left_out if name not in points.names]
     if unknown:
         what = f"to leave out: got {', '.join(unknown)}, allowed {', '.join(points.names)}"
-        raise refusal("align.file", what, file=file, hint="correct the name")
+        raise issue_error("align.file", what, file=file, hint="correct the name")
     return np.array([name not in left_out for name in points.names], dtype=bool)
 
 
 def require_reach(cell: Cell, order: tuple[int, int], points: ProbedPoints, file: str) -> None:
-    """Raise `TandemError` (align.units) for points that no TCP of the arm can come to: they are in another
-    unit or frame. ``order``: indices of the arms that probed first and second."""
+    """Require that each TCP can reach its points; otherwise they are in another unit or frame.
+
+    Args:
+        cell: Cell with both arms.
+        order: Indices of the arms that probed first and second.
+        points: Probed points.
+        file: Name of their file.
+
+    Raises:
+        TandemError: align.units.
+    """
     issues = []
     for k, where in zip(order, (points.first, points.second), strict=True):
         arm = cell.arms[k]
         data = arm.data
-        most = (
+        max_distance = (
             data.reach + float(np.linalg.norm(arm.tool.tcp[:3, 3])) + 1.0
         )  # the base lies below the shoulder
-        far = np.linalg.norm(where, axis=1)
+        is_too_far = np.linalg.norm(where, axis=1)
         issues += [
-            _too_far(cell.arms[k], data.title, points.names[i], far[i], most, file)
-            for i in np.flatnonzero(far > most).tolist()
+            _too_far(cell.arms[k], data.title, points.names[i], is_too_far[i], max_distance, file)
+            for i in np.flatnonzero(is_too_far > max_distance).tolist()
         ]
     if issues:
         raise TandemError(issues)
 
 
 def require_readable(text: str, output: Path, document: Document) -> None:
-    """Raise `TandemError` (align.cell) if the new cell cannot be read where it is to be: files that it names
-    are looked for from there."""
+    """Require that the new cell can be read at its output path, from which the files that it names are found.
+
+    Raises:
+        TandemError: align.cell.
+    """
     if output.resolve().parent == document.path.resolve().parent:
         return
     with tempfile.TemporaryDirectory() as folder:
@@ -196,27 +227,27 @@ def require_readable(text: str, output: Path, document: Document) -> None:
         read_cell(new)
     except TandemError as error:
         what = f"the cell cannot be read at {output}: {error.issues[0].message}"
-        hint = "write it beside the old one, so that the files it names are found"
-        raise refusal("align.cell", what, file=str(output), hint=hint) from error
+        hint = "write it to the folder of the old one, so that the files it names are found"
+        raise issue_error("align.cell", what, file=str(output), hint=hint) from error
 
 
-def _too_far(arm: Arm, title: str, point: str, got: float, most: float, file: str) -> Issue:
+def _too_far(arm: Arm, title: str, point: str, got: float, max_distance: float, file: str) -> Issue:
     return Issue(
         "align.units",
         f"point {point!r} is {got / MM:.0f} mm from the base of {arm.name}, allowed up to "
-        f"{most / MM:.0f} mm, where {title} with its tool comes",
+        f"{max_distance / MM:.0f} mm, the reach of {title} with its tool",
         file=file,
         arm=arm.name,
         target=point,
         value=got / MM,
-        limit=most / MM,
+        limit=max_distance / MM,
         unit="mm",
         hint="give mm in the robot's own base, not in the world or a work object",
     )
 
 
 Change = tuple[int, int, str]
-"""From where to where text is replaced, and by what."""
+"""Start and end of a replaced text, and its replacement."""
 POSE_KEYS: Final = ("xyz_mm", "rpy_deg")
 """Keys of a base in a cell file: position and attitude."""
 
@@ -229,17 +260,22 @@ def rounded(base: FloatArray) -> tuple[list[float], list[float]]:
 
 
 def with_base(document: Document, index: int, base: FloatArray) -> str:
-    """The text of a cell's file in which the arm ``index`` has the ``base`` (4, 4), which is no longer to
-    be searched.
+    """Text of a cell file in which an arm has a new base, which is no longer searched.
 
-    Raises `TandemError` (align.cell) where the file's layout does not allow it: an alias, for example.
+    Args:
+        document: Cell file.
+        index: Index of the arm.
+        base: (4, 4) new base.
+
+    Raises:
+        TandemError: align.cell if the layout of the file does not allow it, for example with an alias.
     """
     text = document.text.decode("utf-8-sig")
-    before: Any = yaml.safe_load(text)
+    original: Any = yaml.safe_load(text)
     values = dict(zip(POSE_KEYS, rounded(base), strict=True))
     root = yaml.compose(text, Loader=yaml.SafeLoader)
     if root is None:
-        raise ValueError("an empty file is no cell")
+        raise ValueError("an empty file is not a cell")
     try:
         changes = _changes(root, index, values)
         for start, end, new in sorted(changes, reverse=True):
@@ -247,19 +283,19 @@ def with_base(document: Document, index: int, base: FloatArray) -> str:
         got: Any = yaml.safe_load(text)
     except (yaml.YAMLError, LookupError) as error:
         raise _refuse(document, index, str(error)) from error
-    if _plain(got) != _plain(_wanted(before, index, values)):
-        raise _refuse(document, index, "an alias or merge key stands for a part of it")
+    if _plain(got) != _plain(_expected_data(original, index, values)):
+        raise _refuse(document, index, "a part of it is an alias or merge key")
     return text
 
 
-def _wanted(data: Any, index: int, values: dict[str, list[float]]) -> Any:
-    wanted = copy.deepcopy(data)
-    arm = dict(wanted["arms"][index])
+def _expected_data(data: Any, index: int, values: dict[str, list[float]]) -> Any:
+    expected = copy.deepcopy(data)
+    arm = dict(expected["arms"][index])
     arm["base"] = dict(values)
     if arm.get("base_auto"):
         arm["base_auto"] = False
-    wanted["arms"] = [*wanted["arms"][:index], arm, *wanted["arms"][index + 1 :]]
-    return wanted
+    expected["arms"] = [*expected["arms"][:index], arm, *expected["arms"][index + 1 :]]
+    return expected
 
 
 def _changes(root: yaml.Node, index: int, values: dict[str, list[float]]) -> list[Change]:
@@ -287,7 +323,7 @@ def _changes(root: yaml.Node, index: int, values: dict[str, list[float]]) -> lis
 
 
 def _insert(mapping: yaml.MappingNode, entry: str) -> Change:
-    """An entry before the first of a mapping, in its own layout."""
+    """Insert an entry before the first one of a mapping, in its layout."""
     mark = mapping.value[0][0].start_mark
     gap = ", " if mapping.flow_style else "\n" + " " * mark.column
     return mark.index, mark.index, entry + gap
@@ -295,16 +331,16 @@ def _insert(mapping: yaml.MappingNode, entry: str) -> Change:
 
 def _put(node: yaml.Node, new: str) -> Change:
     if isinstance(node, yaml.CollectionNode) and not node.flow_style:
-        raise LookupError("it is laid out in an unexpected way")
+        raise LookupError("its layout is unexpected")
     lead = " " if node.start_mark.index == node.end_mark.index else ""  # a key without a value
     return node.start_mark.index, node.end_mark.index, lead + new
 
 
 def _get(mapping: yaml.Node, key: str) -> Any:
-    found = _find(mapping, key)
-    if found is None:
-        raise LookupError(f"{key} comes from elsewhere")
-    return found
+    value = _find(mapping, key)
+    if value is None:
+        raise LookupError(f"{key} is defined elsewhere")
+    return value
 
 
 def _find(mapping: yaml.Node, key: str) -> Any:
@@ -316,7 +352,7 @@ def _listed(values: list[float]) -> str:
 
 
 def _plain(data: Any) -> Any:
-    """Numbers as floats, tuples as lists, so that only values are compared."""
+    """Numbers as floats and tuples as lists, so that only values are compared."""
     if isinstance(data, dict):
         return {key: _plain(value) for key, value in data.items()}
     if isinstance(data, list | tuple):
@@ -327,7 +363,7 @@ def _plain(data: Any) -> Any:
 
 
 def _refuse(document: Document, index: int, why: str) -> TandemError:
-    return refusal(
+    return issue_error(
         "align.cell",
         f"the base of arm {index + 1} cannot be rewritten in place: {why}",
         file=str(document.path),

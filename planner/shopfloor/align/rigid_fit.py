@@ -1,7 +1,7 @@
-"""Where a second robot stands, from points that both robots probed: the best rigid motion in closed form.
+"""Pose of a second robot from points that both robots probed: the best rigid motion in closed form.
 
-Least squares after Kabsch (1976) with Umeyama's sign (1991), so that no reflection comes out. Which points
-are bad: the fewest whose absence lets the others agree.
+Least squares after Kabsch (1976) with Umeyama's sign (1991), which excludes reflections. Bad points are the
+smallest set without which the others agree.
 """
 
 import dataclasses
@@ -14,23 +14,31 @@ import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray, from_parts
 from planner.geometry.units import LENGTH_UNITS, MM
-from planner.issues import Issue, Severity, TandemError, refusal
+from planner.issue_codes import format_message
+from planner.issues import Issue, Severity, TandemError, issue_error
 
-LEAST_SPREAD: Final = 10.0 * MM
-"""Points closer together than this are one place."""
+MIN_SPREAD_M: Final = 10.0 * MM
+"""Extent [m] below which points count as one position."""
 LINE_WIDTH_RATIO, NARROW_WIDTH_RATIO = 0.01, 0.1
-"""Width over length of the points: below the first they are on one line, below the second nearly."""
-MOST_LEFT_OUT_SETS: Final = 5000
-"""So many sets of points are left out in turn; beyond that, one point after the other."""
+"""Ratio of width to length of the points: below the first they are on one line, below the second nearly."""
+MAX_LEFT_OUT_SETS: Final = 5000
+"""Maximum number of sets of points that are left out in turn. Beyond it, points are left out one after the
+other.
+"""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Alignment:
-    """``pose`` (4, 4): base of the second robot in that of the first. ``residual`` (N, 3) [m]: probed by the
-    first less probed by the second, in the first's base; of points that were not ``used`` (N,) as well.
+    """Result of an alignment.
 
-    ``sigma`` [m] is the standard deviation of a coordinate, from the residuals; ``position_sigma`` [m] and
-    ``turn_sigma`` [rad] what that makes of the second base's place and turn, in the worst direction.
+    Attributes:
+        pose: (4, 4) base of the second robot in that of the first.
+        residual: (N, 3) [m] points of the first robot minus those of the second, in the first's base; also of
+            unused points.
+        used: (N,) whether a point was used.
+        sigma: Standard deviation [m] of a coordinate, from the residuals.
+        position_sigma: Standard deviation [m] of the second base's position, in the worst direction.
+        turn_sigma: Standard deviation [rad] of its rotation, in the worst direction.
     """
 
     pose: FloatArray
@@ -48,18 +56,30 @@ class Alignment:
 
 
 def rigid_fit(a: FloatArray, b: FloatArray, weight: FloatArray) -> FloatArray:
-    """Poses (..., 4, 4) that carry points ``b`` (N, 3) onto ``a`` (N, 3) with the least sum of squares, for
-    weights (..., N)."""
+    """Least-squares poses (..., 4, 4) that map points ``b`` (N, 3) onto ``a`` (N, 3).
+
+    Args:
+        a: (N, 3) target points.
+        b: (N, 3) points to move.
+        weight: (..., N) weights.
+    """
     return _fit(a, b, weight, mirrored=False)
 
 
 def align(
     a: FloatArray, b: FloatArray, names: Sequence[str], arms: tuple[str, str], used: BoolArray | None = None
 ) -> Alignment:
-    """The second robot's base in that of the first, from points (N, 3) [m] as the first (``a``) and the
-    second robot (``b``) probed them, each in its own base; ``used`` (N,) leaves others out.
+    """Compute the second robot's base in that of the first.
 
-    Raises `TandemError`: align.few_points, align.same_points, align.collinear, align.units, align.mirrored.
+    Args:
+        a: (N, 3) [m] points in the base of the first robot.
+        b: (N, 3) [m] the same points in the base of the second robot.
+        names: Names of the points.
+        arms: Names of both arms.
+        used: (N,) which points are used; None for all.
+
+    Raises:
+        TandemError: align.few_points, align.same_points, align.collinear, align.units, align.mirrored.
     """
     use = np.ones(len(a), dtype=bool) if used is None else used
     _require_points(a[use], b[use], [n for n, u in zip(names, use, strict=True) if u], arms)
@@ -80,38 +100,49 @@ def align(
 
 
 def collinearity_warnings(a: FloatArray, b: FloatArray, arms: tuple[str, str]) -> tuple[Issue, ...]:
-    """Warnings (align.collinear): points nearly on one line leave the turn about it loose."""
+    """Return ``align.collinear`` for points nearly on one line.
+
+    Such points hardly determine the rotation about it.
+    """
     width, length = min((_extents(p)[1], _extents(p)[0]) for p in (a, b))
     if width >= NARROW_WIDTH_RATIO * length:
         return ()
     text = (
         f"the probed points of {arms[0]} and {arms[1]} lie within {width / MM:.0f} mm of one line "
-        f"{length / MM:.0f} mm long (in the mean); the turn about it is loose"
+        f"{length / MM:.0f} mm long (in the mean); the rotation about it is poorly determined"
     )
     hint = "probe a point farther off that line"
     return (Issue("align.collinear", text, Severity.WARNING, value=width / MM, unit="mm", hint=hint),)
 
 
 def tolerance_issues(
-    found: Alignment, a: FloatArray, b: FloatArray, names: Sequence[str], tolerance: float
+    alignment: Alignment, a: FloatArray, b: FloatArray, names: Sequence[str], tolerance: float
 ) -> list[Issue]:
-    """Errors where points are farther than ``tolerance`` [m] from their fit: align.bad_point for each of the
-    fewest points without which the others agree, align.large_residual if these cannot be told."""
-    use = np.flatnonzero(found.used)
-    if float(found.distance[use].max()) <= tolerance:
+    """Errors for points that are farther than ``tolerance`` [m] from their fit.
+
+    align.bad_point for each of the smallest set of points without which the others agree;
+    align.large_residual if no such set can be determined.
+    """
+    use = np.flatnonzero(alignment.used)
+    if float(alignment.distance[use].max()) <= tolerance:
         return []
     bad = bad_points(a[use], b[use], tolerance)
     if bad is None:
-        return [_disagreeing_pair(found, a[use], b[use], [names[k] for k in use.tolist()], tolerance)]
+        return [_disagreeing_pair(alignment, a[use], b[use], [names[k] for k in use.tolist()], tolerance)]
     good = use[~np.isin(np.arange(len(use)), bad)]
     pose = rigid_fit(a[good], b[good], np.ones(len(good)))
     issues = []
     for k in use[bad].tolist():
-        off = a[k] - (pose[:3, :3] @ b[k] + pose[:3, 3])
-        size = float(np.linalg.norm(off)) / MM
-        text = (
-            f"point {names[k]!r} is {size:.2f} mm from where the others put it "
-            f"({off[0] / MM:+.2f}, {off[1] / MM:+.2f}, {off[2] / MM:+.2f} mm), allowed {tolerance / MM:g} mm"
+        offset = a[k] - (pose[:3, :3] @ b[k] + pose[:3, 3])
+        size = float(np.linalg.norm(offset)) / MM
+        text = format_message(
+            "align.bad_point",
+            point=names[k],
+            distance_mm=size,
+            x_mm=offset[0] / MM,
+            y_mm=offset[1] / MM,
+            z_mm=offset[2] / MM,
+            tolerance_mm=tolerance / MM,
         )
         hint = f"probe it again with both robots, or leave it out: --leave-out {names[k]}"
         issues.append(
@@ -130,11 +161,13 @@ def tolerance_issues(
 
 
 def bad_points(a: FloatArray, b: FloatArray, tolerance: float) -> list[int] | None:
-    """The fewest points without which all others are within ``tolerance`` [m] of their fit; None if there are
-    none such, or if several sets of points would do about as well."""
+    """Smallest set of points without which all others are within ``tolerance`` [m] of their fit.
+
+    None if there is none, or if several sets do almost equally well.
+    """
     count = len(a)
     for size in range(1, count - 2):
-        if math.comb(count, size) > MOST_LEFT_OUT_SETS:
+        if math.comb(count, size) > MAX_LEFT_OUT_SETS:
             return _left_out_one_by_one(a, b, tolerance)
         sets = np.array(list(itertools.combinations(range(count), size)))
         weight = np.ones((len(sets), count))
@@ -151,7 +184,7 @@ def bad_points(a: FloatArray, b: FloatArray, tolerance: float) -> list[int] | No
 
 
 def _left_out_one_by_one(a: FloatArray, b: FloatArray, tolerance: float) -> list[int] | None:
-    """Leaves out the point whose absence helps most, again and again, up to a third of all."""
+    """Leave out the point whose absence helps most, repeatedly, up to a third of all."""
     weight, out = np.ones(len(a)), []
     for _ in range(len(a) // 3):
         trial = weight * (1.0 - np.eye(len(a)))
@@ -166,8 +199,10 @@ def _left_out_one_by_one(a: FloatArray, b: FloatArray, tolerance: float) -> list
 
 
 def _misfit(a: FloatArray, b: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Largest and root mean square distance (M,) [m] of the points of weight 1 from their fits, for weights
-    (M, N); infinite where those lie on one line."""
+    """Largest and RMS distance (M,) [m] of the points of weight 1 from their fits, for weights (M, N).
+
+    Both are infinite where the points are on one line.
+    """
     pose = rigid_fit(a, b, weight)
     moved = np.einsum("mij,nj->mni", pose[:, :3, :3], b) + pose[:, None, :3, 3]
     square = ((a - moved) ** 2).sum(axis=-1) * weight
@@ -190,7 +225,7 @@ def _fit(a: FloatArray, b: FloatArray, weight: FloatArray, mirrored: bool) -> Fl
 
 
 def _extents(points: FloatArray) -> FloatArray:
-    """Root mean square of the points along their principal axes (3,) [m], largest first."""
+    """RMS extents (3,) [m] of the points along their principal axes, largest first."""
     c = points - points.mean(axis=0)
     values: FloatArray = np.linalg.svd(c, compute_uv=False) / math.sqrt(len(points))
     return values if len(points) >= 3 else np.pad(values, (0, 3 - len(values)))
@@ -202,17 +237,17 @@ def _require_points(a: FloatArray, b: FloatArray, names: Sequence[str], arms: tu
         raise _refuse("align.few_points", f"{what}, allowed three or more", "probe four or more, far apart")
     for points, arm in ((a, arms[0]), (b, arms[1])):
         length, width, _ = _extents(points)
-        if length < LEAST_SPREAD:
+        if length < MIN_SPREAD_M:
             text = f"the points that {arm} probed lie within {length / MM:.2f} mm of each other (in the mean)"
             raise _refuse(
                 "align.same_points",
-                f"{text}, allowed {LEAST_SPREAD / MM:g} mm or more",
-                "probe points far apart; if they were, the file is not in mm as its columns say",
+                f"{text}, allowed {MIN_SPREAD_M / MM:g} mm or more",
+                "probe points far apart; if they are, the file is not in mm as its columns say",
             )
-        if width < max(LINE_WIDTH_RATIO * length, 0.1 * LEAST_SPREAD):
+        if width < max(LINE_WIDTH_RATIO * length, 0.1 * MIN_SPREAD_M):
             text = (
                 f"the points that {arm} probed lie on one line, {width / MM:.2g} mm off it over "
-                f"{length / MM:.0f} mm (in the mean); the turn about that line is unknown"
+                f"{length / MM:.0f} mm (in the mean); the rotation about that line is unknown"
             )
             away = max(NARROW_WIDTH_RATIO * 3 * length / MM, 10)
             hint = f"probe one more point off the line by {away:.0f} mm or more"
@@ -235,30 +270,38 @@ def _require_points(a: FloatArray, b: FloatArray, names: Sequence[str], arms: tu
             f"the points of {arms[1]} are a mirror image of those of {arms[0]}: {mirrored / MM:.2f} mm off "
             f"as an image, {rms / MM:.0f} mm off as they are (in the mean)"
         )
-        raise _refuse("align.mirrored", text, "look for an axis with the wrong sign, or two columns swapped")
+        raise _refuse("align.mirrored", text, "check for an axis with the wrong sign, or two swapped columns")
 
 
 def _unit_guess(ratio: float) -> str:
     for name, unit in LENGTH_UNITS.items():
         for factor, text in ((unit / MM, "those of the first"), (MM / unit, "those of the second")):
             if name != "mm" and abs(ratio / factor - 1.0) < 0.05:
-                return f"; it looks as if {text} were in {name!r}, not mm"
+                return f"; {text} seem to be in {name!r}, not mm"
     return ""
 
 
 def _disagreeing_pair(
-    found: Alignment, a: FloatArray, b: FloatArray, names: Sequence[str], tolerance: float
+    alignment: Alignment, a: FloatArray, b: FloatArray, names: Sequence[str], tolerance: float
 ) -> Issue:
-    """No point is to blame alone: name the two points whose distance the robots disagree on most."""
+    """Issue if no single point is to blame.
+
+    It names the two points whose distance the robots disagree on most.
+    """
     i, j = np.triu_indices(len(a), 1)
     gap = np.linalg.norm(a[i] - a[j], axis=1) - np.linalg.norm(b[i] - b[j], axis=1)
     k = int(np.argmax(np.abs(gap)))
-    worst = float(found.distance[found.used].max()) / MM
+    worst = float(alignment.distance[alignment.used].max()) / MM
     return Issue(
         "align.large_residual",
-        f"points are up to {worst:.2f} mm from their fit, allowed {tolerance / MM:g} mm, and no one of them "
-        f"is surely to blame; most of all the robots disagree by {abs(gap[k]) / MM:.2f} mm on the distance "
-        f"of {names[i[k]]!r} and {names[j[k]]!r}",
+        format_message(
+            "align.large_residual",
+            max_distance_mm=worst,
+            tolerance_mm=tolerance / MM,
+            disagreement_mm=abs(gap[k]) / MM,
+            first_point=names[i[k]],
+            second_point=names[j[k]],
+        ),
         value=worst,
         limit=tolerance / MM,
         unit="mm",
@@ -267,4 +310,4 @@ def _disagreeing_pair(
 
 
 def _refuse(code: str, text: str, hint: str) -> TandemError:
-    return refusal(code, text, hint=hint)
+    return issue_error(code, text, hint=hint)

@@ -1,1 +1,1 @@
-"""Verified programs to controllers and back: files alone, nothing is started."""
+"""Transfer of verified programs to controllers and back. Only files are handled; nothing is started."""

@@ -1,63 +1,68 @@
-"""Programs brought back from a controller: all files of a folder there, by their names in it."""
+"""Download of programs: all files of a folder on a controller, by their names in it."""
 
 from pathlib import PurePosixPath
 
-from planner.issues import refusal
+from planner.issues import issue_error
 from planner.shopfloor.loading.store import Store
 
-MOST_FILES = 10_000
-"""Files and folders that are fetched at most: more is no folder of ours."""
-MOST_DEEP = 8
-"""Folders within each other; ours are two."""
-MOST_BYTES = 500_000_000
-"""Bytes of all of them at most."""
+MAX_FILES = 10_000
+"""Maximum number of files and folders. A folder with more was not written by Tandem."""
+MAX_DEPTH = 8
+"""Maximum nesting of folders. Uploads have two levels."""
+MAX_BYTES = 500_000_000
+"""Maximum total size [bytes]."""
 
 
 def folder(store: Store, name: str) -> str:
-    """The folder that an upload of the result named ``name`` made: itself, or with a number. Raises
-    ``TandemError`` (``upload.missing``) where there is none, or more than one."""
-    there = store.listing("") or {}
-    own = [
-        one for one, deeper in there.items() if deeper and one.removeprefix(name).strip("_0123456789") == ""
+    """Folder that an upload of the result ``name`` created: that name, possibly with a number.
+
+    Raises:
+        TandemError: ``upload.missing`` if there is none, or more than one.
+    """
+    names = store.listing("") or {}
+    matching = [
+        one for one, deeper in names.items() if deeper and one.removeprefix(name).strip("_0123456789") == ""
     ]
-    own = sorted(one for one in own if one == name or one.startswith(f"{name}_"))
-    if len(own) == 1:
-        return own[0]
+    matching = sorted(one for one in matching if one == name or one.startswith(f"{name}_"))
+    if len(matching) == 1:
+        return matching[0]
     what = (
         f"{name}: no such folder on the controller"
-        if not own
-        else f"more than one is there: {', '.join(own)}"
+        if not matching
+        else f"the controller has more than one: {', '.join(matching)}"
     )
-    raise refusal("upload.missing", f"{what}; give the one that is meant by --there")
+    raise issue_error("upload.missing", f"{what}; name the right one with --there")
 
 
 def fetch(store: Store, folder: str) -> dict[str, bytes]:
-    """All files under a folder by their names in it. Raises ``TandemError`` (``upload.missing``)."""
+    """Fetch all files in a folder, by their names in it.
+
+    Raises:
+        TandemError: ``upload.missing``.
+    """
     out: dict[str, bytes] = {}
     todo, count, size = [""], 0, 0
     while todo:
         inner = todo.pop()
-        there = store.listing(f"{folder}/{inner}".rstrip("/"))
-        if there is None:
-            what = f"{folder}: no such folder on the controller; give the one that upload named by --there"
-            raise refusal("upload.missing", what)
-        for name, deeper in there.items():
+        listing = store.listing(f"{folder}/{inner}".rstrip("/"))
+        if listing is None:
+            what = f"{folder}: no such folder on the controller; give --there the folder that upload reported"
+            raise issue_error("upload.missing", what)
+        for name, deeper in listing.items():
             path = f"{inner}/{name}".lstrip("/")
             odd = PurePosixPath(name).name != name or name in (".", "..") or "\\" in name
             if odd or not name.isprintable():
-                raise refusal("upload.controller", f"{name!r} is no name of a file in a folder")
+                raise issue_error("upload.controller", f"{name!r} is not a valid file name")
             count += 1
             if deeper:
                 todo.append(path)
             elif (content := store.read(f"{folder}/{path}")) is not None:
                 out[path] = content
                 size += len(content)
-            if count > MOST_FILES or size > MOST_BYTES or path.count("/") > MOST_DEEP:
-                what = (
-                    f"{folder}: over {MOST_FILES} files and folders, {MOST_BYTES / 1e6:g} MB or {MOST_DEEP} "
-                )
-                what += "folders within each other are in it; give the one that upload named by --there"
-                raise refusal("upload.missing", what)
+            if count > MAX_FILES or size > MAX_BYTES or path.count("/") > MAX_DEPTH:
+                what = f"{folder}: over {MAX_FILES} files and folders, {MAX_BYTES / 1e6:g} MB or {MAX_DEPTH} "
+                what += "nested folders; give --there the folder that upload reported"
+                raise issue_error("upload.missing", what)
     if not out:
-        raise refusal("upload.missing", f"{folder}: no files in it")
+        raise issue_error("upload.missing", f"{folder}: it has no files")
     return out

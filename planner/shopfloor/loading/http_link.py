@@ -1,6 +1,9 @@
-"""HTTP to one controller: digest login of RWS 1.0, basic login of RWS 2.0 by TLS, no hidden retries.
+"""HTTP connection to one controller.
 
-Digest access authentication: RFC 7616 (MD5, qop "auth"). The password is in no message and no log.
+It supports digest login of RWS 1.0 and basic login over TLS of RWS 2.0, and has no hidden retries. The
+password appears in no message and no log.
+
+Source: Digest access authentication, RFC 7616 (MD5, qop "auth").
 """
 
 import base64
@@ -14,15 +17,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from urllib.parse import SplitResult, urlsplit
 
-from planner.issues import TandemError, refusal
+from planner.issues import TandemError, issue_error
 
-MOST_BYTES = 50_000_000
-"""Bytes of an answer that are read at most."""
+MAX_BYTES = 50_000_000
+"""Maximum size [bytes] of an answer."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Login:
-    """Who logs in; ``password`` is never shown."""
+    """User and password; the password is never shown."""
 
     user: str
     password: str = dataclasses.field(repr=False)
@@ -30,56 +33,71 @@ class Login:
 
 @dataclasses.dataclass(frozen=True)
 class Trust:
-    """Whose certificates are trusted: those that this machine trusts, or those of the file ``authority``, or
-    the one of which ``fingerprint`` is the SHA-256, such as a controller's self-signed one."""
+    """Trusted certificates: those that this machine trusts, those of a file, or a single one.
+
+    Attributes:
+        authority: File of trusted certificates.
+        fingerprint: SHA-256 of a trusted certificate, such as a controller's self-signed one.
+    """
 
     authority: Path | None = None
     fingerprint: str | None = None
 
     def context(self) -> ssl.SSLContext:
-        """What TLS is made with; with a fingerprint, :meth:`check` must follow before anything is sent.
-        Raises ``TandemError`` (``upload.address``)."""
+        """TLS context. With a fingerprint, :meth:`check` must follow before anything is sent.
+
+        Raises:
+            TandemError: ``upload.address``.
+        """
         if self.fingerprint is not None and not re.fullmatch(r"[0-9a-f]{64}", _plain(self.fingerprint)):
             what = f"--fingerprint: got {self.fingerprint}, allowed are 64 hexadecimal digits (SHA-256)"
-            raise refusal("upload.address", what, field="fingerprint")
+            raise issue_error("upload.address", what, field="fingerprint")
         try:
             context = ssl.create_default_context(cafile=None if not self.authority else str(self.authority))
         except OSError as error:
             what = f"the file of certificates {self.authority} cannot be used ({error})"
-            raise refusal("upload.address", what, field="ca") from error
+            raise issue_error("upload.address", what, field="ca") from error
         if self.fingerprint is not None:
             context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
         return context
 
     def check(self, socket: object, url: str) -> None:
-        """Hold a certificate against the fingerprint. Raises ``TandemError`` (``upload.login``)."""
+        """Compare a certificate with the fingerprint.
+
+        Raises:
+            TandemError: ``upload.login``.
+        """
         if self.fingerprint is None or not isinstance(socket, ssl.SSLSocket):
             return
         shown = socket.getpeercert(binary_form=True) or b""
-        got, wanted = hashlib.sha256(shown).hexdigest(), _plain(self.fingerprint)
-        if got != wanted:
-            what = f"the certificate of {url} has SHA-256 {got}, --fingerprint names {wanted}"
-            hint = "compare it with the controller's own before you trust it"
-            raise refusal("upload.login", what, hint=hint)
+        got, expected = hashlib.sha256(shown).hexdigest(), _plain(self.fingerprint)
+        if got != expected:
+            what = f"the certificate of {url} has SHA-256 {got}, --fingerprint names {expected}"
+            hint = "compare it with the controller's certificate before you trust it"
+            raise issue_error("upload.login", what, hint=hint)
 
 
 def _plain(fingerprint: str) -> str:
-    """A fingerprint without colons, spaces and the word before it."""
+    """A fingerprint without colons, spaces and prefix."""
     return re.sub(r"[\s:]", "", fingerprint.lower().removeprefix("sha256"))
 
 
 def address(url: str) -> SplitResult:
-    """The parts of a URL. Raises ``TandemError`` (``upload.address``) where it is none, or holds a user or a
-    password, which would be in shells' histories and logs."""
+    """Parse a URL.
+
+    Raises:
+        TandemError: ``upload.address`` if it is not a URL, or contains a user or a password, which would end
+            up in shell histories and logs.
+    """
     try:
         parts = urlsplit(url)
-        _ = parts.port  # asked later: from 0 to 65535
+        _ = parts.port  # raises ValueError outside 0 to 65535
     except ValueError as error:
-        what = f"got {url}, which is no URL ({error}); allowed: http://HOST[:PORT], ftp://HOST[:PORT]/FOLDER"
-        raise refusal("upload.address", what, field="controller") from error
+        what = f"got {url}, not a URL ({error}); allowed: http://HOST[:PORT], ftp://HOST[:PORT]/FOLDER"
+        raise issue_error("upload.address", what, field="controller") from error
     if parts.username or parts.password:
-        what = "a URL must hold no user or password; use --user and TANDEM_CONTROLLER_PASSWORD"
-        raise refusal("upload.address", what)
+        what = "a URL must not contain a user or password; use --user and TANDEM_CONTROLLER_PASSWORD"
+        raise issue_error("upload.address", what)
     return parts
 
 
@@ -93,8 +111,15 @@ class Answer:
 
 @dataclasses.dataclass
 class Link:
-    """One connection to ``url``. ``basic``: login by RWS 2.0's basic scheme, which is refused without TLS.
-    ``timeout`` [s] of each wait."""
+    """One connection to ``url``.
+
+    Attributes:
+        url: Address of the controller.
+        login: User and password.
+        basic: Whether the basic scheme of RWS 2.0 is used, which is refused without TLS.
+        timeout: Timeout [s] of each wait.
+        trust: Trusted certificates.
+    """
 
     url: str
     login: Login
@@ -106,10 +131,10 @@ class Link:
         parts = address(self.url)
         if parts.scheme not in ("http", "https") or not parts.hostname or parts.path not in ("", "/"):
             what = f"got {self.url}, allowed: http://HOST[:PORT] or https://HOST[:PORT]"
-            raise refusal("upload.address", what, field="controller")
+            raise issue_error("upload.address", what, field="controller")
         if self.basic and parts.scheme != "https":
-            what = "RWS 2.0 sends the password as it is, so it is used by https alone; give https://HOST"
-            raise refusal("upload.address", what, field="controller")
+            what = "RWS 2.0 sends the password unencrypted, so only https is allowed; give https://HOST"
+            raise issue_error("upload.address", what, field="controller")
         self._connection = self._connect(parts.scheme, parts.hostname, parts.port)
         self._cookie, self._challenge, self._count = "", dict[str, str](), 0
 
@@ -120,7 +145,7 @@ class Link:
         return http.client.HTTPSConnection(host, port, timeout=self.timeout, context=context)
 
     def _open(self) -> None:
-        """Connect, and hold the certificate against the stated fingerprint before anything is sent."""
+        """Connect, and check the certificate against the fingerprint before anything is sent."""
         if self._connection.sock is not None:
             return
         self._connection.connect()
@@ -133,81 +158,85 @@ class Link:
     def ask(
         self, method: str, path: str, body: bytes | None = None, headers: Mapping[str, str] | None = None
     ) -> Answer:
-        """One request; raises ``TandemError`` (``upload.controller``, ``upload.login``)."""
+        """Send one request.
+
+        Raises:
+            TandemError: ``upload.controller``, ``upload.login``.
+        """
         answer, challenge = self._once(method, path, body, headers or {})
         again = bool(challenge) and (not self._sent or "stale=true" in challenge.lower())
         if answer.status == 401 and not self.basic and again:  # the first half of a digest login
             answer, _ = self._once(method, path, body, headers or {})
         if answer.status == 401:
             what = f"{self.url} refuses user {self.login.user!r} (HTTP 401 at {path})"
-            raise refusal("upload.login", what, hint="give --user and the right password")
+            raise issue_error("upload.login", what, hint="give --user and the right password")
         return answer
 
     def _once(
         self, method: str, path: str, body: bytes | None, headers: Mapping[str, str]
     ) -> tuple[Answer, str]:
-        own: dict[str, str | bytes] = dict(headers)
+        request_headers: dict[str, str | bytes] = dict(headers)
         self._sent = bool(self.basic or self._challenge)
         if self.basic:
             plain = f"{self.login.user}:{self.login.password}".encode()
-            own["Authorization"] = "Basic " + base64.b64encode(plain).decode()
+            request_headers["Authorization"] = "Basic " + base64.b64encode(plain).decode()
         elif self._challenge:
-            own["Authorization"] = self._digest(method, path).encode()
+            request_headers["Authorization"] = self._digest(method, path).encode()
         if self._cookie:
-            own["Cookie"] = self._cookie
+            request_headers["Cookie"] = self._cookie
         try:
             self._open()
-            self._connection.request(method, path, body, own)
+            self._connection.request(method, path, body, request_headers)
             response = self._connection.getresponse()
-            content = response.read(MOST_BYTES + 1)
-            if len(content) <= MOST_BYTES and response.length:  # a read with a limit does not ask that
+            content = response.read(MAX_BYTES + 1)
+            if len(content) <= MAX_BYTES and response.length:  # a limited read does not check this
                 raise http.client.IncompleteRead(content, response.length)
         except ssl.SSLCertVerificationError as error:
             what = f"the certificate of {self.url} is not trusted ({error.verify_message})"
-            hint = "give --ca FILE, or --fingerprint SHA256 for a self-signed one that you have compared"
-            raise refusal("upload.login", what, hint=hint) from error
+            hint = "give --ca FILE, or --fingerprint SHA256 for a self-signed one that you have checked"
+            raise issue_error("upload.login", what, hint=hint) from error
         except (OSError, http.client.HTTPException) as error:
             self._connection.close()
             name = "no answer in time" if isinstance(error, TimeoutError) else type(error).__name__
             what = f"{method} {self.url}{path}: {name} ({error}), waited up to {self.timeout:g} s"
             if isinstance(error, http.client.IncompleteRead):
-                what = f"{method} {self.url}{path}: the answer broke off behind {len(error.partial)} bytes, "
+                what = f"{method} {self.url}{path}: the answer ended after {len(error.partial)} bytes, "
                 what += f"{error.expected or 'some'} before its end"
-            hint = "see that the controller is on and reachable, and try again"
-            raise refusal("upload.controller", what, hint=hint) from error
-        except ValueError as error:  # headers that no request may have
+            hint = "check that the controller is on and reachable, and try again"
+            raise issue_error("upload.controller", what, hint=hint) from error
+        except ValueError as error:  # invalid header values
             self._connection.close()
-            what = f"user {self.login.user!r} cannot log in by HTTP ({error})"
-            raise refusal("upload.login", what, hint="give --user as the controller has it") from error
-        if len(content) > MOST_BYTES:
+            what = f"user {self.login.user!r} cannot log in over HTTP ({error})"
+            raise issue_error("upload.login", what, hint="give --user as the controller has it") from error
+        if len(content) > MAX_BYTES:
             self._connection.close()
-            raise refusal("upload.controller", f"{path}: over {MOST_BYTES} bytes came back")
+            raise issue_error("upload.controller", f"{path}: the answer is longer than {MAX_BYTES} bytes")
         kept = [value.split(";")[0] for value in response.headers.get_all("Set-Cookie") or ()]
         self._cookie = "; ".join(kept) or self._cookie
-        asked = response.headers.get("WWW-Authenticate", "")
-        if asked.lower().startswith("digest"):
-            pairs = re.findall(r'(\w+)=(?:"([^"]*)"|([^\s,]+))', asked)
+        request = response.headers.get("WWW-Authenticate", "")
+        if request.lower().startswith("digest"):
+            pairs = re.findall(r'(\w+)=(?:"([^"]*)"|([^\s,]+))', request)
             self._challenge, self._count = {k.lower(): a or b for k, a, b in pairs}, 0
-        return Answer(response.status, content), asked
+        return Answer(response.status, content), request
 
     def _digest(self, method: str, path: str) -> str:
         """Return the authorization header of RFC 7616, section 3.4."""
-        given, own = self._challenge, self.login
+        given, login = self._challenge, self.login
         self._count += 1
         count, client = f"{self._count:08x}", secrets.token_hex(8)
         realm, nonce = given.get("realm", ""), given.get("nonce", "")
-        first = _md5(f"{own.user}:{realm}:{own.password}")
+        first = _md5(f"{login.user}:{realm}:{login.password}")
         second = _md5(f"{method}:{path}")
         quality = "qop" in given
         middle = f"{nonce}:{count}:{client}:auth" if quality else nonce
-        out = f'Digest username="{own.user}", realm="{realm}", nonce="{nonce}", uri="{path}", '
+        out = f'Digest username="{login.user}", realm="{realm}", nonce="{nonce}", uri="{path}", '
         out += f'response="{_md5(f"{first}:{middle}:{second}")}"'
         if quality:
             out += f', qop=auth, nc={count}, cnonce="{client}"'
         return out + (f', opaque="{given["opaque"]}"' if "opaque" in given else "")
 
     def close(self) -> None:
-        """End the connection."""
+        """Close the connection."""
         self._connection.close()
 
 

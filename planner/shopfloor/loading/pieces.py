@@ -1,7 +1,9 @@
-"""Programs cut into what a person changes: RAPID by statements, KRL by lines, each with its place.
+"""Programs split into statements that a person may change.
 
-Nothing is judged here, and no text is refused: what somebody typed at a pendant is cut all the same; whether
-it is a program is for the proof to say.
+RAPID is split by statements, KRL by lines, each with its place.
+
+Nothing is judged and no text is refused here: whatever was typed at a pendant is split. Whether it is a valid
+program is for the proof.
 """
 
 import dataclasses
@@ -11,17 +13,17 @@ from typing import Final
 
 from planner.languages.krl import LANGUAGE as KRL
 from planner.languages.rapid import LANGUAGE as RAPID
-from planner.shopfloor.loading.literals import Shape, shape
+from planner.shopfloor.loading.literals import TextShape, text_shape
 
 _RAPID_PART: Final = re.compile(r'"[^"\n]*"|![^\n]*|;|\n|[^"!;\n]+|"')
 _RAPID_HEADER: Final = re.compile(r"\s*(?:%%%|VERSION:\s*\d+|LANGUAGE:\s*\w+)\s*", re.IGNORECASE)
-"""Lines that controllers put in front of a module when they save it."""
+"""Lines that controllers add before a module when they save it."""
 _RAPID_BLOCK: Final = re.compile(
     r"(?:MODULE|ENDMODULE|(?:LOCAL\s+)?(?:PROC|FUNC|TRAP)|END(?:PROC|FUNC|TRAP|IF|WHILE|FOR|TEST)|ERROR|UNDO"
     r"|BACKWARD|IF\b.*\bTHEN|ELSEIF\b.*\bTHEN|ELSE|WHILE\b.*\bDO|FOR\b.*\bDO|TEST|CASE|DEFAULT)\b[^;]*",
     re.IGNORECASE | re.DOTALL,
 )
-"""What stands on a line of its own without a semicolon."""
+"""Block keywords that end without a semicolon."""
 _OPENS: Final = re.compile(
     r"(?:LOCAL\s+)?(?:PROC|FUNC\s+\w+|TRAP|GLOBAL\s+DEF|DEF|DEFFCT\s+\w+)\s+(\w+)", re.I
 )
@@ -29,24 +31,30 @@ _CLOSES: Final = re.compile(r"(?:ENDPROC|ENDFUNC|ENDTRAP|END|ENDFCT)\b", re.IGNO
 MOVE: Final = re.compile(
     r"(?:Move\w+|Trigg[LJC]\w*|PTP|LIN|CIRC|SPTP|SLIN|SCIRC|SPL)(?:_REL)?\b(?!\s*=)", re.I
 )
-"""How a statement begins that leads to a target."""
+"""Start of a statement that moves to a target."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Piece:
-    """A statement: where it begins (``line`` from 1), its ``text`` in one line, its ``shape``, the
-    ``routine`` that it stands in, "" outside of any, and of a move which of that routine it is (``target``
-    from 1)."""
+    """A statement.
+
+    Attributes:
+        line: Its first line, from 1.
+        text: Its text in one line.
+        shape: Its shape.
+        routine: The routine that contains it; "" outside of any.
+        target: For a move its number in the routine, from 1.
+    """
 
     line: int
     text: str
-    shape: Shape
+    shape: TextShape
     routine: str = ""
     target: int | None = None
 
     @property
-    def place(self) -> str:
-        """As people find it."""
+    def location(self) -> str:
+        """Place of the statement for users."""
         inside = f"{self.routine}, " if self.routine else ""
         return (
             f"{inside}target {self.target} (line {self.line})" if self.target else f"{inside}line {self.line}"
@@ -54,18 +62,18 @@ class Piece:
 
     @property
     def comment(self) -> bool:
-        """Whether no controller runs it."""
+        """Whether it is a comment."""
         return self.text.startswith(("!", ";"))
 
 
 def kind(name: str) -> str:
-    """``rapid`` or ``krl`` by a file's ending, else "": compared byte by byte."""
+    """Return ``rapid`` or ``krl`` by a file's suffix, "" for files that are compared as bytes."""
     ending = PurePosixPath(name).suffix.lower()
     return "rapid" if ending in RAPID.endings else "krl" if ending in KRL.file_endings else ""
 
 
 def pieces(name: str, text: str) -> list[Piece]:
-    """The statements of a program file, in order; ends of lines are any."""
+    """Statements of a program file, in order; any line ends."""
     plain = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
     found = _rapid(plain) if kind(name) == "rapid" else _lines(plain)
     out: list[Piece] = []
@@ -76,21 +84,23 @@ def pieces(name: str, text: str) -> list[Piece]:
             routine, count = opened.group(1), 0
         move = MOVE.match(one) is not None
         count += move
-        out.append(Piece(line, one, shape(one), routine, count if move else None))
+        out.append(Piece(line, one, text_shape(one), routine, count if move else None))
         if _CLOSES.match(one):
             routine = ""
     return out
 
 
 def _lines(text: str) -> list[tuple[int, str]]:
-    """KRL's lines, without empty ones and the header (&REL: the controller counts revisions)."""
+    """KRL lines, without empty ones and the header (&REL, with which the controller counts revisions)."""
     lines = enumerate(text.split("\n"), 1)
     return [(k, line) for k, line in lines if line.strip() and not line.lstrip().startswith("&")]
 
 
 def _rapid(text: str) -> list[tuple[int, str]]:
-    """RAPID's statements and comments with the lines that they begin on: a controller may break and join
-    lines when it saves a module."""
+    """RAPID statements and comments with their first lines.
+
+    A controller may break and join lines when it saves a module.
+    """
     out: list[tuple[int, str]] = []
     line, start, open_text = 1, 1, ""
 
@@ -119,7 +129,7 @@ def _rapid(text: str) -> list[tuple[int, str]]:
                 close()
                 out.append((line, part))
             else:
-                out.append((line, part))  # in the midst of a statement, which goes on
+                out.append((line, part))  # the statement continues
         else:
             if not open_text.strip():
                 start = line

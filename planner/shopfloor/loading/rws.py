@@ -1,16 +1,18 @@
-"""ABB controllers by Robot Web Services: states, configuration and files, never a start, a pointer or a mode.
+"""ABB controllers over Robot Web Services: states, configuration and files.
+
+Never a start, a pointer or a mode.
 
 1.0 (IRC5, RobotWare 6; digest login): ABB, Application manual Robot Web Services, 3HAC050973-001 revision M,
 pages at developercenter.robotstudio.com/api/rwsApi: fs_directory_get_page, fs_directory_create_page,
 fs_file_get_page, fs_file_upload_page, cfg_get_instance_page, panel_opmode_get_page, rapid_execution_page,
 rapid_tasks_page, rapid_modules_get_page, rapid_symbol_data_page, rwsystem_get_system (options too),
-msh_domain_request_page. ``json=1`` asks for JSON.
+msh_domain_request_page. ``json=1`` requests JSON.
 
-2.0 (OmniCore, RobotWare 7; basic login by TLS): 3HAC073675-001 revision L, at
-developercenter.robotstudio.com/api/RWS, Swagger_Doc/RAPID_Service.yaml for RAPID; actions are the last word
+2.0 (OmniCore, RobotWare 7; basic login over TLS): 3HAC073675-001 revision L, at
+developercenter.robotstudio.com/api/RWS, Swagger_Doc/RAPID_Service.yaml for RAPID. Actions are the last word
 of the path, media types carry ``v=2.0``. For files, mastership (domain ``edit``) and configuration its pages
-were not at hand: those are as public clients have them, such as rpiRobotics/abb_robot_client (RobotWare 7)
-and others who say that a virtual RobotWare 7 took them. No controller has answered to this code.
+were not available. Those follow public clients such as rpiRobotics/abb_robot_client (RobotWare 7) and others
+that report success with a virtual RobotWare 7. The code has not been tested on a controller.
 
 Base frames are read from MOC, where ``base_frame_pos_x`` is in metres (Technical reference manual System
 parameters; abb_librws of ros-industrial reads the same).
@@ -23,15 +25,15 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 from urllib.parse import parse_qsl, quote, urlencode, urljoin, urlsplit
 
-from planner.issues import TandemError, refusal
+from planner.issues import TandemError, issue_error
 from planner.shopfloor.loading.http_link import Answer, Link
 
-MOST_PAGES = 500
-"""Pages of one list that are followed at most."""
+MAX_PAGES = 500
+"""Maximum number of pages of one list."""
 
 
 class Rws:
-    """A controller that speaks RWS ``version`` 1 or 2."""
+    """A controller with RWS ``version`` 1 or 2."""
 
     def __init__(self, link: Link, version: int) -> None:
         self.link, self.version = link, version
@@ -51,7 +53,7 @@ class Rws:
 
     @property
     def execution(self) -> str:
-        """running or stopped."""
+        """Execution state: ``running`` or ``stopped``."""
         return self._value("/rw/rapid/execution", "ctrlexecstate")
 
     @property
@@ -61,28 +63,30 @@ class Rws:
 
     @property
     def options(self) -> tuple[str, ...]:
-        """Options that are installed."""
+        """Installed options."""
         path = "/rw/system/options"
         out = tuple(str(one["option"]) for one in self._items(path) if "option" in one)
         if not out:
-            raise refusal("upload.controller", f"{path}: no option is told; each controller has some")
+            raise issue_error(
+                "upload.controller", f"{path}: no option is reported, but each controller has some"
+            )
         return out
 
     @property
     def tasks(self) -> tuple[str, ...]:
-        """RAPID tasks by name."""
+        """Names of the RAPID tasks."""
         return tuple(self._named("/rw/rapid/tasks", "rap-task"))
 
     def modules(self, task: str) -> tuple[str, ...]:
-        """Names of the modules that are loaded in a task."""
+        """Names of the modules loaded in a task."""
         one, two = f"/rw/rapid/modules?task={quote(task)}", f"/rw/rapid/tasks/{quote(task)}/modules"
         return tuple(self._named(one if self.version == 1 else two, "rap-module-info"))
 
     @property
     def signals(self) -> dict[str, str]:
         """Types (DO, DI ...) of all signals, by name."""
-        found = self._named("/rw/iosystem/signals", "ios-signal")
-        return {name: str(one.get("type", "")) for name, one in found.items()}
+        items = self._named("/rw/iosystem/signals", "ios-signal")
+        return {name: str(one.get("type", "")) for name, one in items.items()}
 
     @property
     def robots(self) -> dict[str, dict[str, str]]:
@@ -96,8 +100,10 @@ class Rws:
         return out
 
     def datum(self, task: str, module: str, name: str) -> str | None:
-        """Text of a RAPID datum as it is now, None where the controller tells none of that name: 404, or 400
-        with a code of its own."""
+        """Current text of a RAPID datum; None if the controller reports no datum of that name.
+
+        The status is 404 then, or 400 with a code of its own.
+        """
         where = f"RAPID/{quote(task)}/{quote(module)}/{quote(name)}"
         path = f"/rw/rapid/symbol/data/{where}" if self.version == 1 else f"/rw/rapid/symbol/{where}/data"
         answer = self._get(path)
@@ -107,32 +113,36 @@ class Rws:
         return str(values[0]) if values else None
 
     def hold(self) -> None:
-        """Take mastership of RAPID, so that nobody else changes it meanwhile. Raises (``upload.busy``)."""
+        """Take mastership of RAPID, so that nobody else changes it meanwhile.
+
+        Raises:
+            TandemError: ``upload.busy``.
+        """
         one, two = "/rw/mastership/rapid?action=request", "/rw/mastership/edit/request"
         answer = self._post(one if self.version == 1 else two, {})
         if answer.status not in (200, 204):
-            what = f"mastership of RAPID is refused ({_why(answer)}): somebody else holds it"
-            hint = "let go of it at the pendant or in RobotStudio, and try again"
-            raise refusal("upload.busy", what, hint=hint)
+            what = f"mastership of RAPID is refused ({_why(answer)}): another client holds it"
+            hint = "release it at the pendant or in RobotStudio, and try again"
+            raise issue_error("upload.busy", what, hint=hint)
 
     def release(self) -> bool:
-        """Give mastership back; whether the controller says so."""
+        """Release mastership; returns whether the controller confirms it."""
         one, two = "/rw/mastership/rapid?action=release", "/rw/mastership/edit/release"
         return self._post(one if self.version == 1 else two, {}).status in (200, 204)
 
     # ---- files ----
 
     def listing(self, folder: str) -> dict[str, bool] | None:
-        """{name: whether it is a folder} under the home folder, None where there is no such folder."""
+        """{name: whether it is a folder} under the home folder; None if there is no such folder."""
         path = self._file(folder)
         answer = self._get(path)
         if answer.status == 404:
             return None
-        found = [i for i in _all(self._read(path, answer)) if str(i.get("_type", "")).startswith("fs-")]
-        return {str(i["_title"]): str(i["_type"]).startswith("fs-dir") for i in found if "_title" in i}
+        items = [i for i in _all(self._read(path, answer)) if str(i.get("_type", "")).startswith("fs-")]
+        return {str(i["_title"]): str(i["_type"]).startswith("fs-dir") for i in items if "_title" in i}
 
     def make(self, folder: str) -> None:
-        """Make a folder in one that is there."""
+        """Create a folder in an existing one."""
         above, _, name = folder.rpartition("/")
         if self.version == 1:
             answer = self._post(self._file(above), {"fs-newname": name, "fs-action": "create"})
@@ -149,7 +159,7 @@ class Rws:
             raise self._unwritten(name, answer)
 
     def read(self, name: str) -> bytes | None:
-        """A file's bytes, None where there is none."""
+        """Content of a file; None if there is none."""
         answer = self.link.ask("GET", self._file(name), None, self._headers())
         if answer.status == 404:
             return None
@@ -158,12 +168,12 @@ class Rws:
         return answer.body
 
     def remove(self, name: str) -> bool:
-        """Delete a file or an empty folder; whether it is gone."""
+        """Delete a file or an empty folder; returns whether it is gone."""
         return self.link.ask("DELETE", self._file(name), None, self._headers()).status in (200, 204, 404)
 
     def close(self) -> None:
-        """End the session, of which a controller has only so many, and the connection."""
-        with contextlib.suppress(TandemError):  # nothing hangs on it: sessions end by themselves
+        """End the session, of which a controller has a limited number, and the connection."""
+        with contextlib.suppress(TandemError):  # not essential: sessions expire by themselves
             self.link.ask("GET", "/logout", None, self._headers())
         self.link.close()
 
@@ -177,8 +187,8 @@ class Rws:
         return {**({} if self.version == 1 else {"Accept": "application/hal+json;v=2.0"}), **(more or {})}
 
     def _get(self, path: str) -> Answer:
-        asked = path + ("&" if "?" in path else "?") + "json=1" if self.version == 1 else path
-        return self.link.ask("GET", asked, None, self._headers())
+        answer = path + ("&" if "?" in path else "?") + "json=1" if self.version == 1 else path
+        return self.link.ask("GET", answer, None, self._headers())
 
     def _post(self, path: str, values: dict[str, str]) -> Answer:
         kind = "application/x-www-form-urlencoded" + ("" if self.version == 1 else ";v=2.0")
@@ -199,42 +209,48 @@ class Rws:
         """All objects of a list, page by page."""
         out: list[dict[str, Any]] = []
         following: str | None = path
-        for _ in range(MOST_PAGES):
+        for _ in range(MAX_PAGES):
             if following is None:
                 return out
             answer = self._get(following)
             data = self._read(following, answer)
-            if not {"_embedded", "state"} & data.keys():  # no list: what is not in it is not known
+            if not {"_embedded", "state"} & data.keys():  # not a list, so missing items prove nothing
                 raise self._strange(following, answer)
             out += _all(data)
             link, base = (_link(data, name) for name in ("next", "base"))
             following = None if not link else self._next(link, base, path)
-        raise refusal("upload.controller", f"{path}: over {MOST_PAGES} pages")
+        raise issue_error("upload.controller", f"{path}: over {MAX_PAGES} pages")
 
     def _named(self, path: str, kind: str) -> dict[str, dict[str, Any]]:
-        """Entries of a list that are of a kind, by their names. Raises ``TandemError`` where one has none,
-        and where all are of other kinds: what is not understood is not taken for nothing."""
+        """Entries of a list that are of one kind, by their names.
+
+        Raises ``TandemError`` if one has no name, or if all are of other kinds: an unknown format must not
+        look like an empty list.
+        """
         entries = [one for one in self._items(path) if "_type" in one]
         own = [one for one in entries if str(one["_type"]).startswith(kind)]
         bad = next((one for one in own if not isinstance(one.get("name"), str)), None)
         if bad is not None or (entries and not own):
-            what = (
-                f"{path}: a {kind} there has no name" if bad is not None else f"{path}: no {kind} in the list"
-            )
-            raise refusal("upload.controller", what)
+            what = f"{path}: a {kind} has no name" if bad is not None else f"{path}: no {kind} in the list"
+            raise issue_error("upload.controller", what)
         return {one["name"]: one for one in own}
 
     def _next(self, link: str, base: str | None, path: str) -> str:
-        """Path of the next page: links are relative to the page's ``base`` where it tells one, and have
-        ampersands as in XML. Raises ``TandemError`` where they lead to another machine."""
+        """Path of the next page.
+
+        Links are relative to the page's ``base`` if it states one, and have ampersands as in XML. Raises
+        ``TandemError`` if they lead to another machine.
+        """
         try:
             start = urljoin(f"{self.link.url}/", base or f"{path.partition('?')[0].rpartition('/')[0]}/")
             whole = urlsplit(urljoin(start, html.unescape(link)))
         except ValueError as error:
-            raise refusal("upload.controller", f"{path}: {link!r} is no next page") from error
+            raise issue_error("upload.controller", f"{path}: {link!r} is not a valid next page") from error
         kept = [(k, v) for k, v in parse_qsl(whole.query) if k != "json"]
         if base is None and whole.netloc != urlsplit(self.link.url).netloc:
-            raise refusal("upload.controller", f"{path}: the next page is elsewhere ({link})")
+            raise issue_error(
+                "upload.controller", f"{path}: the next page is on another server or path ({link})"
+            )
         return whole.path + (f"?{urlencode(kept)}" if kept else "")
 
     def _value(self, path: str, key: str) -> str:
@@ -245,29 +261,25 @@ class Rws:
         raise self._strange(path, answer)
 
     def _strange(self, path: str, answer: Answer) -> TandemError:
-        what = (
-            f"{self.link.url}{path} answers otherwise than RWS {self.version}.0 is described: {_why(answer)}"
-        )
-        hint = "see that --rws is the controller's"
+        what = f"{self.link.url}{path} does not answer like RWS {self.version}.0: {_why(answer)}"
+        hint = "check that --rws is the controller's version"
         if answer.status >= 500:
             what = f"{self.link.url}{path}: the controller cannot answer now: {_why(answer)}"
-            hint = (
-                "try again in a while; it has so many sessions, and those that broke off count until they end"
-            )
+            hint = "try again later; sessions are limited, and interrupted ones count until they expire"
         elif 300 <= answer.status < 400:
-            what = f"{self.link.url}{path}: {_why(answer)} leads elsewhere, where no password is sent"
+            what = f"{self.link.url}{path}: {_why(answer)} redirects elsewhere, where no password is sent"
             hint = "give the controller's own address; RobotWare 7 is reached by https://"
-        return refusal("upload.controller", what, hint=hint)
+        return issue_error("upload.controller", what, hint=hint)
 
     def _unwritten(self, name: str, answer: Answer) -> TandemError:
         full = answer.status == 507 or b"space" in answer.body.lower() or b"full" in answer.body.lower()
-        what = f"{name} is not written: {_why(answer)}" + ("; the controller's disk is full" if full else "")
-        hint = "make room on the controller, then send again" if full else "see the rights of the user there"
-        return refusal("upload.write", what, hint=hint)
+        what = f"{name} could not be written: {_why(answer)}" + ("; the disk is full" if full else "")
+        hint = "free disk space, then send again" if full else "check the user's rights on the controller"
+        return issue_error("upload.write", what, hint=hint)
 
 
 def _link(data: dict[str, Any], name: str) -> str | None:
-    """Where a link of an answer leads, None where it has none."""
+    """Target of a link of an answer; None if it has none."""
     links = data.get("_links")
     link = links.get(name) if isinstance(links, dict) else None
     href = link.get("href") if isinstance(link, dict) else None
@@ -275,8 +287,10 @@ def _link(data: dict[str, Any], name: str) -> str | None:
 
 
 def _all(data: Any) -> Iterator[dict[str, Any]]:
-    """All objects of an answer, at any depth: 1.0 has them in ``_embedded._state``, 2.0 in ``state`` and
-    ``_embedded.resources``."""
+    """All objects of an answer, at any depth.
+
+    1.0 has them in ``_embedded._state``, 2.0 in ``state`` and ``_embedded.resources``.
+    """
     if isinstance(data, dict):
         yield data
         for value in data.values():
@@ -286,9 +300,9 @@ def _all(data: Any) -> Iterator[dict[str, Any]]:
             yield from _all(value)
 
 
-def _attributes(found: Iterable[dict[str, Any]]) -> dict[str, str]:
-    """Names and values of the attributes of a configuration's instance."""
-    inside = (i for one in found for i in _all(one) if str(i.get("_type", "")).startswith("cfg-ia-t"))
+def _attributes(items: Iterable[dict[str, Any]]) -> dict[str, str]:
+    """Names and values of the attributes of a configuration instance."""
+    inside = (i for one in items for i in _all(one) if str(i.get("_type", "")).startswith("cfg-ia-t"))
     return {str(i["_title"]): str(i.get("value", "")) for i in inside if "_title" in i}
 
 

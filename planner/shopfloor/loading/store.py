@@ -1,7 +1,7 @@
-"""Where program files go, seen as folders and files: a share, an FTP server, or a controller's home folder.
+"""Stores for program files, seen as folders and files: a share, an FTP server, or a controller's home folder.
 
-FTP by the standard library's ``ftplib`` (RFC 959), with TLS for ``ftps://`` (RFC 4217). Replies 452 and 552
-say that there is no room (RFC 959, 4.2.1).
+FTP uses the standard library's ``ftplib`` (RFC 959), with TLS for ``ftps://`` (RFC 4217). Replies 452 and 552
+mean that there is no space (RFC 959, 4.2.1).
 """
 
 import ftplib
@@ -14,49 +14,53 @@ from typing import Final, Protocol
 from urllib.parse import unquote
 
 from planner.files import is_disk_full
-from planner.issues import TandemError, refusal
-from planner.shopfloor.loading.http_link import MOST_BYTES, Login, Trust, address
+from planner.issues import TandemError, issue_error
+from planner.shopfloor.loading.http_link import MAX_BYTES, Login, Trust, address
 
 _UNIX: Final = re.compile(
     r"(?P<folder>[-dl])[rwxsStT-]{9}\S?\s+(?:\S+\s+){4,7}?(?:\d{4}|\d\d?:\d\d)\s(?P<name>.+)"
 )
 _DOS: Final = re.compile(r"\d[\d-]+\s+\d\d?:\d\d\s*(?:[AP]M)?\s+(?P<folder><DIR>|\d+)\s+(?P<name>.+)")
-"""Lines of LIST as servers of UNIX and of DOS print them."""
+"""Lines of LIST as UNIX and DOS servers print them."""
 
 
 class Store(Protocol):
-    """Folders and files of a controller by names with ``/``; "" is the folder that was given."""
+    """Folders and files of a controller, by names with ``/``; "" is the given folder."""
 
     def listing(self, folder: str) -> dict[str, bool] | None:
-        """{name: whether it is a folder}, None where there is no such folder."""
+        """{name: whether it is a folder}; None if there is no such folder."""
 
     def make(self, folder: str) -> None:
-        """Make a folder in one that is there."""
+        """Create a folder in an existing one."""
 
     def write(self, name: str, content: bytes) -> None:
-        """Write a file; raises ``TandemError`` (``upload.write``)."""
+        """Write a file.
+
+        Raises:
+            TandemError: ``upload.write``.
+        """
 
     def read(self, name: str) -> bytes | None:
-        """A file's bytes, None where there is none."""
+        """Content of a file; None if there is none."""
 
     def remove(self, name: str) -> bool:
-        """Delete a file or an empty folder; whether it is gone."""
+        """Delete a file or an empty folder; returns whether it is gone."""
 
     def close(self) -> None:
-        """End the connection."""
+        """Close the connection."""
 
 
-class Share:
-    """A folder that is mounted here."""
+class MountedFolder:
+    """A mounted folder."""
 
     def __init__(self, root: Path) -> None:
         if not root.is_dir():
-            what = f"{root}: no such folder; mount the controller's share, or give the right one"
-            raise refusal("upload.controller", what)
+            what = f"{root}: no such folder; mount the controller's share, or correct the path"
+            raise issue_error("upload.controller", what)
         self.root = root
 
     def listing(self, folder: str) -> dict[str, bool] | None:
-        """As :class:`Store` has it."""
+        """See :class:`Store`."""
         path = self.root / folder
         try:
             return {p.name: p.is_dir() for p in path.iterdir()} if path.is_dir() else None
@@ -64,14 +68,14 @@ class Share:
             raise _unread(path, error) from error
 
     def make(self, folder: str) -> None:
-        """As :class:`Store` has it."""
+        """See :class:`Store`."""
         try:
             (self.root / folder).mkdir()
         except OSError as error:
             raise _unwritten(folder, error) from error
 
     def write(self, name: str, content: bytes) -> None:
-        """As :class:`Store` has it; a file that is there is never written over."""
+        """See :class:`Store`; an existing file is never overwritten."""
         try:
             with (self.root / name).open("xb") as stream:
                 stream.write(content)
@@ -79,7 +83,7 @@ class Share:
             raise _unwritten(name, error) from error
 
     def read(self, name: str) -> bytes | None:
-        """As :class:`Store` has it."""
+        """See :class:`Store`."""
         path = self.root / name
         try:
             return path.read_bytes() if path.is_file() else None
@@ -87,7 +91,7 @@ class Share:
             raise _unread(path, error) from error
 
     def remove(self, name: str) -> bool:
-        """As :class:`Store` has it."""
+        """See :class:`Store`."""
         path = self.root / name
         try:
             if path.is_dir():
@@ -99,59 +103,67 @@ class Share:
         return True
 
     def close(self) -> None:
-        """As :class:`Store` has it."""
+        """See :class:`Store`."""
 
 
 def _unread(path: Path, error: OSError) -> TandemError:
     what = f"{path} cannot be read ({error.strerror or error})"
-    return refusal("upload.controller", what, hint="see that the share is mounted, and the rights")
+    return issue_error("upload.controller", what, hint="check that the share is mounted, and its permissions")
 
 
 WIRE: Final = "latin-1"
-"""Lines of FTP are bytes: each is a letter of this. Names are UTF-8 (RFC 2640) where they can be; a server of
-another kind, as on Windows, has bytes that are not, in lists and replies."""
+"""Encoding of FTP lines, in which each byte is one letter. Names are UTF-8 (RFC 2640) where possible. Other
+servers, such as those on Windows, use bytes that are not UTF-8 in lists and replies.
+"""
 
 
 def _text(line: str) -> str:
-    """What a server said; bytes that are not UTF-8 are kept apart, so that :func:`_wire` gives them back."""
+    """Text from a server. Bytes that are not UTF-8 are escaped so that :func:`_wire` restores them."""
     return line.encode(WIRE, "replace").decode("utf-8", "surrogateescape")
 
 
-def _told(error: Exception) -> str:
-    """What an error says, of a server or of this machine, to be shown."""
+def _error_text(error: Exception) -> str:
+    """Text of an error, from a server or from this machine, for display."""
     return str(error).encode(WIRE, "replace").decode("utf-8", "replace") or type(error).__name__
 
 
 def _wire(text: str) -> str:
-    """Text as it is sent. Raises ``TandemError`` (``upload.address``) for control characters, which would be
-    commands of their own."""
+    """Text as it is sent.
+
+    Raises ``TandemError`` (``upload.address``) for control characters, which would be commands of their own.
+    """
     if any(ord(letter) < 32 for letter in text):
-        what = "names, users and passwords of FTP have no control characters, such as ends of lines"
-        raise refusal("upload.address", what)
+        what = "names, users and passwords for FTP must not contain control characters, such as line breaks"
+        raise issue_error("upload.address", what)
     return text.encode("utf-8", "surrogateescape").decode(WIRE)
 
 
 class _Channel(ftplib.FTP_TLS):
-    """FTP over TLS of which every connection, those of data too, shows the certificate that is trusted."""
+    """FTP over TLS that checks the trusted certificate on every connection, including data connections."""
 
     trust = Trust()
     url = ""
 
     def ntransfercmd(self, cmd: str, rest: int | str | None = None) -> tuple[socket.socket, int | None]:
-        """As the base class has it."""
+        """See the base class."""
         made, size = super().ntransfercmd(cmd, rest)
         self.trust.check(made, self.url)
         return made, size
 
 
 class Ftp:
-    """A folder of an FTP server, ``ftp://HOST[:PORT]/FOLDER``. The password goes over the wire as it is, but
-    for ``ftps``. Raises ``TandemError`` (``upload.*``)."""
+    """A folder of an FTP server, ``ftp://HOST[:PORT]/FOLDER``.
+
+    The password is sent in plain text, except with ``ftps``.
+
+    Raises:
+        TandemError: ``upload.*``.
+    """
 
     def __init__(self, url: str, login: Login, timeout: float, trust: Trust | None = None) -> None:
         parts = address(url)
         if not parts.hostname:
-            raise refusal("upload.address", f"got {url}, allowed: ftp://HOST[:PORT]/FOLDER")
+            raise issue_error("upload.address", f"got {url}, allowed: ftp://HOST[:PORT]/FOLDER")
         self._url = f"{parts.scheme}://{parts.hostname}"
         link = (
             self._secure(trust or Trust(), timeout)
@@ -169,16 +181,16 @@ class Ftp:
             link.cwd(_wire(unquote(parts.path)) or "/")
             self._root = _text(link.pwd()).rstrip("/")
         except ftplib.error_perm as error:
-            what = f"{url}: user {login.user!r} or the folder is refused ({_told(error)[:60]})"
-            raise refusal("upload.login", what) from error
+            what = f"{url}: user {login.user!r} or the folder is refused ({_error_text(error)[:60]})"
+            raise issue_error("upload.login", what) from error
         except ssl.SSLCertVerificationError as error:
             what = f"the certificate of {self._url} is not trusted ({error.verify_message})"
-            hint = "give --ca FILE, or --fingerprint SHA256 for a self-signed one that you have compared"
-            raise refusal("upload.login", what, hint=hint) from error
+            hint = "give --ca FILE, or --fingerprint SHA256 for a self-signed one that you have checked"
+            raise issue_error("upload.login", what, hint=hint) from error
         except ftplib.all_errors as error:
-            what = f"{url} cannot be reached ({_told(error)}), waited up to {timeout:g} s"
-            hint = "see that the server is on and reachable, and try again"
-            raise refusal("upload.controller", what, hint=hint) from error
+            what = f"{url} cannot be reached ({_error_text(error)}), waited up to {timeout:g} s"
+            hint = "check that the server is on and reachable, and try again"
+            raise issue_error("upload.controller", what, hint=hint) from error
         self._link = link
 
     def _secure(self, trust: Trust, timeout: float) -> _Channel:
@@ -187,8 +199,10 @@ class Ftp:
         return link
 
     def listing(self, folder: str) -> dict[str, bool] | None:
-        """As :class:`Store` has it; by MLSD (RFC 3659) where the server knows it, else by LIST as UNIX or DOS
-        print it."""
+        """See :class:`Store`.
+
+        By MLSD (RFC 3659) if the server supports it, else by LIST as UNIX or DOS print it.
+        """
         path = self._path(folder)
         try:
             self._link.cwd(_wire(path))
@@ -197,7 +211,7 @@ class Ftp:
         except ftplib.all_errors as error:
             raise self._gone(path, error) from error
         try:
-            # values of facts are in any case (RFC 3659, 7.2)
+            # fact values are case-insensitive (RFC 3659, 7.2)
             rows = [
                 (_text(name), facts.get("type", "").lower()) for name, facts in self._link.mlsd(_wire(path))
             ]
@@ -212,7 +226,7 @@ class Ftp:
         try:
             self._link.retrlines("LIST", lines.append)
         except ftplib.error_perm as error:
-            if str(error).startswith("550"):  # how some servers say that a folder is empty
+            if str(error).startswith("550"):  # some servers answer 550 for an empty folder
                 return {}
             raise self._gone(path, error) from error
         except ftplib.all_errors as error:
@@ -223,35 +237,35 @@ class Ftp:
                 continue
             found = _UNIX.match(line) or _DOS.match(line)
             if found is None:
-                what = f"{self._url}{path}: a line of its list of files cannot be read: {line[:80]!r}"
-                raise refusal("upload.controller", what)
+                what = f"{self._url}{path}: a line of its file list cannot be parsed: {line[:80]!r}"
+                raise issue_error("upload.controller", what)
             if found["name"] not in (".", ".."):
                 out[found["name"]] = found["folder"] in ("d", "<DIR>")
         return out
 
     def make(self, folder: str) -> None:
-        """As :class:`Store` has it."""
+        """See :class:`Store`."""
         try:
             self._link.mkd(_wire(self._path(folder)))
         except ftplib.all_errors as error:
             raise _unwritten(folder, error) from error
 
     def write(self, name: str, content: bytes) -> None:
-        """As :class:`Store` has it."""
+        """See :class:`Store`."""
         try:
             self._link.storbinary(f"STOR {_wire(self._path(name))}", io.BytesIO(content))
         except ftplib.all_errors as error:
             raise _unwritten(name, error) from error
 
     def read(self, name: str) -> bytes | None:
-        """As :class:`Store` has it."""
+        """See :class:`Store`."""
         out = io.BytesIO()
 
         def keep(part: bytes) -> None:
-            if out.tell() + len(part) > MOST_BYTES:
-                self.close()  # the rest of it is not waited for
-                what = f"{self._url}{self._path(name)}: over {MOST_BYTES} bytes came back"
-                raise refusal("upload.controller", what)
+            if out.tell() + len(part) > MAX_BYTES:
+                self.close()  # do not wait for the rest
+                what = f"{self._url}{self._path(name)}: the file is longer than {MAX_BYTES} bytes"
+                raise issue_error("upload.controller", what)
             out.write(part)
 
         try:
@@ -263,7 +277,7 @@ class Ftp:
         return out.getvalue()
 
     def remove(self, name: str) -> bool:
-        """As :class:`Store` has it."""
+        """See :class:`Store`."""
         for gone in (self._link.delete, self._link.rmd):
             try:
                 gone(_wire(self._path(name)))
@@ -276,22 +290,20 @@ class Ftp:
         return own not in (self.listing(above) or {})
 
     def close(self) -> None:
-        """As :class:`Store` has it."""
+        """See :class:`Store`."""
         self._link.close()
 
     def _path(self, name: str) -> str:
         return f"{self._root}/{name}" if name else self._root or "/"
 
     def _gone(self, path: str, error: Exception) -> TandemError:
-        what = f"{self._url}{path}: {_told(error)}"
-        return refusal("upload.controller", what, hint="see that the server answers, and try again")
+        what = f"{self._url}{path}: {_error_text(error)}"
+        return issue_error("upload.controller", what, hint="check that the server answers, and try again")
 
 
 def _unwritten(name: str, error: Exception) -> TandemError:
-    why = error.strerror if isinstance(error, OSError) and error.strerror else _told(error)
+    why = error.strerror if isinstance(error, OSError) and error.strerror else _error_text(error)
     full = is_disk_full(error) or re.search(r"\b(?:452|552)\b|space|quota", str(error), re.IGNORECASE)
-    what = f"{name} is not written ({why})" + ("; the disk there is full" if full else "")
-    hint = (
-        "make room there, then send again" if full else "see the room and the rights there, then send again"
-    )
-    return refusal("upload.write", what, hint=hint)
+    what = f"{name} could not be written ({why})" + ("; the disk is full" if full else "")
+    hint = "free disk space, then send again" if full else "check free space and permissions, then send again"
+    return issue_error("upload.write", what, hint=hint)

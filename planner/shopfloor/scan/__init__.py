@@ -1,1 +1,1 @@
-"""Scans of formed parts: where they lie, how far they are off the wanted face, and what tools do about it."""
+"""Scans of formed parts: their pose, their deviation from the nominal face, and the adjustment of tools."""

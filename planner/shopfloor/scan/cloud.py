@@ -1,8 +1,8 @@
 """Points of a scan, from a PLY, XYZ, STL or OBJ file.
 
-Scans are larger than parts and need no faces: of a mesh the vertices are taken. An XYZ file has a point a
-line, x, y and z first, with blanks, tabs, commas or semicolons between; its first line may be of names or a
-count.
+Scans are larger than parts and need no faces: of a mesh only the vertices are used. An XYZ file has one point
+per line, starting with x, y and z, separated by blanks, tabs, commas or semicolons. Its first line may hold
+names or a count.
 """
 
 import codecs
@@ -15,39 +15,46 @@ from typing import Final
 
 import numpy as np
 
-from planner.files import is_file, no_file
+from planner.files import is_file, missing_file_reason
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import LENGTH_UNITS, MM
-from planner.issues import TandemError, refusal
+from planner.issue_codes import format_message
+from planner.issues import TandemError, issue_error
 
 SUFFIXES: Final = (".ply", ".xyz", ".txt", ".stl", ".obj")
-"""Kinds of files that are read."""
+"""Supported suffixes."""
 UNITS: Final = {name: LENGTH_UNITS[name] for name in ("mm", "cm", "m", "in")}
-"""Units [m] that a scan's lengths are stated in."""
+"""Units [m] of a scan's lengths."""
 TEXTS: Final = (".xyz", ".txt")
-"""Of these, texts with a point a line."""
-MOST_BYTES: Final = 600_000_000
-"""Bytes of a file at most."""
-LEAST_POINTS: Final = 1_000
-"""Points that tell a part's shape at least."""
-LEAST_EXTENT: Final = 0.2
-MOST_EXTENT: Final = 5.0
-"""Scans are so many times as large as the sheet."""
-MOST_POINTS: Final = 20_000_000
-"""Points of a scan at most."""
+"""Suffixes of text files with one point per line."""
+MAX_BYTES: Final = 600_000_000
+"""Maximum size [bytes] of a file."""
+MIN_POINTS: Final = 1_000
+"""Minimum number of points that show a part's shape."""
+MIN_EXTENT_RATIO: Final = 0.2
+MAX_EXTENT_RATIO: Final = 5.0
+"""Allowed ratio of the extent of a scan to that of the sheet."""
+MAX_POINTS: Final = 20_000_000
+"""Maximum number of points of a scan."""
 VERTEX: Final = re.compile(rb"^v[ \t](.*)$", re.MULTILINE)
 """A vertex of an OBJ file."""
 HEAD: Final = re.compile(rb"\s*(?:\d+|[\"']?[A-Za-z_][^\d\s]*(?:[\s,;]+[\"']?[A-Za-z_][^\s,;]*)+)\s*")
-"""A first line that is no point: a count, as in PTS files, or names of columns."""
+"""A first line that is not a point: a count, as in PTS files, or column names."""
 DECIMAL_COMMAS: Final = re.compile(rb"\s*-?\d+,\d+\s*[;\t ]\s*-?\d+,\d+\s*[;\t ]")
-"""A point whose decimals have commas: between its lengths there is something else."""
+"""A point with decimal commas: its numbers have another separator."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Cloud:
-    """The ``points`` (N, 3) [m] of a scan in its own frame, from ``file`` with the SHA-256 ``digest``;
-    ``dropped`` of it had no finite place, or were corners of an STL file that came again; the file's lengths
-    are in ``unit`` metres."""
+    """Points of a scan.
+
+    Attributes:
+        file: Name of the file.
+        digest: Its SHA-256.
+        points: (N, 3) [m] points in the scan's frame.
+        dropped: Number of points that were not finite, or repeated corners of an STL file.
+        unit: Unit [m] of the file's lengths.
+    """
 
     file: str
     digest: str
@@ -57,33 +64,37 @@ class Cloud:
 
 
 def read(path: Path, unit: float) -> Cloud:
-    """Read a scan whose lengths are in ``unit`` metres. Raises ``TandemError`` (scan.file)."""
+    """Read a scan whose lengths are in ``unit`` metres.
+
+    Raises:
+        TandemError: scan.file.
+    """
     if not is_file(path):
-        raise _refused(path, no_file(path), "check the path")
+        raise _refused(path, missing_file_reason(path), "check the path")
     if path.suffix.lower() not in SUFFIXES:
         raise _refused(
-            path, f"got {path.suffix or 'no suffix'!r}, read are {', '.join(SUFFIXES)}", "convert it"
+            path, f"got {path.suffix or 'no suffix'!r}, allowed {', '.join(SUFFIXES)}", "convert it"
         )
     size = path.stat().st_size
-    if size > MOST_BYTES:
-        what = f"{size / 1e6:.0f} MB, up to {MOST_BYTES / 1e6:.0f} MB are read"
+    if size > MAX_BYTES:
+        what = f"got {size / 1e6:.0f} MB, allowed {MAX_BYTES / 1e6:.0f} MB"
         raise _refused(path, what, "export every second point")
     data = path.read_bytes()
     try:
         points = _points(path.suffix.lower(), data)
-    except Exception as error:  # readers of damaged files raise anything
+    except Exception as error:  # readers raise arbitrary exceptions for damaged files
         reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
-        hint = "export it again, a text without lines of names" if path.suffix in TEXTS else "export it again"
+        hint = "export it again, without lines of names" if path.suffix in TEXTS else "export it again"
         raise _refused(path, f"cannot be read ({reason})", hint) from error
     count = len(points)
-    if count > MOST_POINTS:
-        what = f"got {count} points, allowed {MOST_POINTS}"
+    if count > MAX_POINTS:
+        what = f"got {count} points, allowed {MAX_POINTS}"
         raise _refused(path, what, "export fewer of them")
     points = points[np.isfinite(points).all(axis=1)] * unit
-    if path.suffix.lower() == ".stl":  # has each vertex once for each of its faces
+    if path.suffix.lower() == ".stl":  # repeats each vertex for each of its faces
         points = _once(points)
-    if len(points) < LEAST_POINTS:
-        what = f"got {len(points)} points, allowed {LEAST_POINTS} or more"
+    if len(points) < MIN_POINTS:
+        what = f"got {len(points)} points, allowed {MIN_POINTS} or more"
         raise _refused(path, what, "export the whole scan as points or as a mesh")
     return Cloud(path.name, hashlib.sha256(data).hexdigest(), points, count - len(points), unit)
 
@@ -93,7 +104,7 @@ def _points(kind: str, data: bytes) -> FloatArray:
         return _table(data)
     if kind == ".obj":
         return _table(b"\n".join(VERTEX.findall(data.replace(b"\r", b"\n"))))
-    import trimesh  # half a second that the other kinds do not wait for
+    import trimesh  # imported here because it takes half a second
 
     loaded = trimesh.load(io.BytesIO(data), kind[1:], process=False)
     points = getattr(loaded, "vertices", ())  # a file without any is read as an empty scene
@@ -101,12 +112,12 @@ def _points(kind: str, data: bytes) -> FloatArray:
 
 
 def _once(points: FloatArray) -> FloatArray:
-    """Each of the points (N, 3) once, as they come first.
+    """Unique points (N, 3), in the order of their first occurrence.
 
-    One number a point is sorted, mixed of the bits of its three: a fifth of the time of sorting rows. That
-    two of a million points share theirs is rarer than once in ten million files.
+    One number per point, mixed from the bits of its coordinates, is sorted, in a fifth of the time of sorting
+    rows. A collision among a million points is rarer than once in ten million files.
     """
-    bits = (points + 0.0).view(np.uint64)  # no -0.0 beside 0.0
+    bits = (points + 0.0).view(np.uint64)  # turns -0.0 into 0.0
     mixed = np.zeros(len(points), dtype=np.uint64)
     for k in range(3):  # steps of splitmix64, Steele, Lea and Flood 2014
         mixed = (mixed ^ bits[:, k]) + np.uint64(0x9E3779B97F4A7C15)
@@ -117,8 +128,10 @@ def _once(points: FloatArray) -> FloatArray:
 
 
 def _table(data: bytes) -> FloatArray:
-    """The first three columns (N, 3) of a text; lines that begin with # or // are left out, and a first line
-    of names, or of how many points follow."""
+    """The first three columns (N, 3) of a text.
+
+    Lines that begin with # or //, and a header or count, are left out.
+    """
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         data = data.decode("utf-16").encode()
     data = data.removeprefix(codecs.BOM_UTF8)
@@ -130,7 +143,7 @@ def _table(data: bytes) -> FloatArray:
     if len(lines) > 1 and HEAD.fullmatch(lines[0]):
         del lines[0]
     if DECIMAL_COMMAS.match(lines[0]):
-        raise ValueError("its decimals have commas, read are points: 12.5 in place of 12,5")
+        raise ValueError("it has decimal commas; use decimal points: 12.5 instead of 12,5")
     for mark in (b";", b","):
         if mark in lines[0]:
             lines = [line.replace(mark, b" ") for line in lines]
@@ -139,20 +152,30 @@ def _table(data: bytes) -> FloatArray:
 
 
 def require_size(cloud: Cloud, longest: float) -> None:
-    """Raise ``TandemError`` (scan.unit) where a scan is far larger or smaller than a sheet whose longer side
-    is ``longest`` [m]. A scan may show some of the sheet alone, or the table around it."""
+    """Require that a scan is about as large as the sheet.
+
+    A scan may show only part of the sheet, or the table around it.
+
+    Args:
+        cloud: Points of the scan.
+        longest: Longer side [m] of the sheet.
+
+    Raises:
+        TandemError: scan.unit.
+    """
     low, high = np.percentile(cloud.points, (2, 98), axis=0)
     extent = float((high - low).max())
-    if not LEAST_EXTENT * longest <= extent <= MOST_EXTENT * longest:
+    if not MIN_EXTENT_RATIO * longest <= extent <= MAX_EXTENT_RATIO * longest:
         what = (
             f"{cloud.file}: its points are {extent / MM:.4g} mm across in the stated unit, the sheet is "
-            f"{longest / MM:g} mm; allowed are {LEAST_EXTENT:g} to {MOST_EXTENT:g} times that"
+            f"{longest / MM:g} mm; allowed are {MIN_EXTENT_RATIO:g} to {MAX_EXTENT_RATIO:g} times that"
         )
         like = [name for name, one in UNITS.items() if 0.8 <= extent * one / cloud.unit / longest <= 1.25]
-        what += f"; in {like[0]!r} it would be about as large" if len(like) == 1 else ""
+        what += f"; in {like[0]!r} the sizes would match" if len(like) == 1 else ""
         hint = "state the unit that the scanner writes (--unit), or name the result folder of this part"
-        raise refusal("scan.unit", what, field="unit", value=extent / MM, unit="mm", hint=hint)
+        raise issue_error("scan.unit", what, field="unit", value=extent / MM, unit="mm", hint=hint)
 
 
 def _refused(path: Path, what: str, hint: str) -> TandemError:
-    return refusal("scan.file", f"{path.name}: {what}", file=str(path), hint=hint)
+    message = format_message("scan.file", file=path.name, fault=what)
+    return issue_error("scan.file", message, file=str(path), hint=hint)

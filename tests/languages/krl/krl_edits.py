@@ -1,4 +1,4 @@
-"""KRL texts of ``krl_job`` as rows and places, read and changed."""
+"""KRL texts of ``krl_job`` as rows and poses, read and edited."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from tests.proof.registry import pick
 
 MAIN, DATA, MOVES = "left/straight.src", "left/straight.dat", ("left/straight_1.src", "left/straight_2.src")
-_PLACE = re.compile(r"\{X ([-\d.]+),Y ([-\d.]+),Z ([-\d.]+),A ([-\d.]+),B ([-\d.]+),C ([-\d.]+)")
+_POSE = re.compile(r"\{X ([-\d.]+),Y ([-\d.]+),Z ([-\d.]+),A ([-\d.]+),B ([-\d.]+),C ([-\d.]+)")
 
 
 def rows_of(texts, file):
@@ -36,29 +36,29 @@ def edit(rng, texts, file, pattern, new):
     return put(texts, file, rows)
 
 
-def place_of(row):
-    return np.array([float(value) for value in _PLACE.search(row).groups()])
+def pose_of(row):
+    return np.array([float(value) for value in _POSE.search(row).groups()])
 
 
-def with_place(row, place):
-    """The row with another place, with the decimals that targets have."""
-    found = _PLACE.search(row)
-    parts = [f"{n} {v + 0.0:.{4 if n in 'XYZ' else 5}f}" for n, v in zip("XYZABC", place, strict=True)]
+def with_pose(row, pose):
+    """Return the row with another pose, with the decimals of targets."""
+    found = _POSE.search(row)
+    parts = [f"{n} {v + 0.0:.{4 if n in 'XYZ' else 5}f}" for n, v in zip("XYZABC", pose, strict=True)]
     return row[: found.start()] + "{" + ",".join(parts) + row[found.end() :]
 
 
 def moved(rng, row, size):
-    """The row with its place off by ``size`` mm in a random direction."""
-    place = place_of(row)
+    """Return the row with its position shifted by ``size`` mm in a random direction."""
+    place = pose_of(row)
     way = rng.normal(size=3)
     place[:3] += size * way / np.linalg.norm(way)
-    return with_place(row, place)
+    return with_pose(row, place)
 
 
-def turned(rng, row, degrees):
+def rotated(rng, row, degrees):
     """The row turned by an angle about a random axis."""
-    place = place_of(row)
+    place = pose_of(row)
     axis = rng.normal(size=3)
     turn = Rotation.from_rotvec(np.deg2rad(degrees) * axis / np.linalg.norm(axis))
     place[3:] = (turn * Rotation.from_euler("ZYX", place[3:], degrees=True)).as_euler("ZYX", degrees=True)
-    return with_place(row, place)
+    return with_pose(row, place)

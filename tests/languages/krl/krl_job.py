@@ -23,7 +23,7 @@ def problem():
 
 @functools.cache
 def claims(count=12):
-    """What the process claims, and every pose within 0.1 mm and 0.1 degrees."""
+    """The claims of the process, and every pose within 0.1 mm and 0.1 degrees."""
     out = {}
     plan = straight_job.plan(count, model=MODEL)
     for (name, own), operation in zip(straight_job.claims().items(), plan.operations, strict=True):
@@ -47,4 +47,4 @@ def older():
 @functools.cache
 def older_programs(count=12):
     """The texts of the job in the older dialect."""
-    return write.programs(straight_job.plan(count, model=MODEL), older())
+    return write.program_files(straight_job.plan(count, model=MODEL), older())

@@ -1,5 +1,8 @@
-"""Faults put into KRL texts, by kind and seeded. Geometric faults are twice the tolerance that they violate:
-0.2 mm and 0.2 degrees where 0.1 are claimed, 0.002 mm for frames."""
+"""Seeded faults in KRL texts, by kind.
+
+Geometric faults are twice the tolerance that they violate: 0.2 mm and 0.2 degrees where 0.1 are claimed,
+0.002 mm for frames.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +17,12 @@ from tests.languages.krl.krl_edits import (
     MOVES,
     edit,
     moved,
-    place_of,
+    pose_of,
     put,
+    rotated,
     rows_of,
-    turned,
     where,
-    with_place,
+    with_pose,
 )
 from tests.proof.registry import Table, into, pick
 
@@ -307,20 +310,20 @@ def wrong_load(rng, texts):
 
 @mutator("verify.tool_data")
 def wrong_mass(rng, texts):
-    return edit(rng, texts, DATA, "LOAD", lambda row: re.sub(r"M ([\d.]+)", _heavier, row, count=1))
+    return edit(rng, texts, DATA, "LOAD", lambda row: re.sub(r"M ([\d.]+)", _increase_mass, row, count=1))
 
 
-def _heavier(found):
-    return f"M {float(found.group(1)) + 0.002:.3f}"
+def _increase_mass(match):
+    return f"M {float(match.group(1)) + 0.002:.3f}"
 
 
 @mutator("verify.tool_data")
 def centre_in_metres(rng, texts):
-    return edit(rng, texts, DATA, "LOAD", lambda row: re.sub(r"Z (\d\d+\.\d+)", _metres, row, count=1))
+    return edit(rng, texts, DATA, "LOAD", lambda row: re.sub(r"Z (\d\d+\.\d+)", _to_metres, row, count=1))
 
 
-def _metres(found):
-    return f"Z {1e-3 * float(found.group(1)):.6f}"
+def _to_metres(match):
+    return f"Z {1e-3 * float(match.group(1)):.6f}"
 
 
 # ---- poses ----------------------------------------
@@ -333,7 +336,7 @@ def pose_off(rng, texts):
 
 @mutator("verify.follows")
 def pose_turned(rng, texts):
-    return edit(rng, texts, pick(rng, MOVES), "^SLIN", lambda row: turned(rng, row, 0.2))
+    return edit(rng, texts, pick(rng, MOVES), "^SLIN", lambda row: rotated(rng, row, 0.2))
 
 
 @mutator("verify.follows")
@@ -343,7 +346,7 @@ def start_off(rng, texts):
 
 @mutator("verify.follows")
 def start_turned(rng, texts):
-    return edit(rng, texts, DATA, "E6POS", lambda row: turned(rng, row, 0.2))
+    return edit(rng, texts, DATA, "E6POS", lambda row: rotated(rng, row, 0.2))
 
 
 @mutator("verify.follows")
@@ -370,8 +373,8 @@ def swapped_moves(rng, texts):
 @mutator("verify.follows")
 def swapped_angles(rng, texts):
     def swap(row):
-        place = place_of(row)
-        return with_place(row, [*place[:3], place[5], place[4], place[3]])
+        place = pose_of(row)
+        return with_pose(row, [*place[:3], place[5], place[4], place[3]])
 
     return edit(rng, texts, pick(rng, MOVES), "^SLIN", swap)
 
@@ -381,9 +384,9 @@ def fixed_axes(rng, texts):
     """Angles by the other order of turns: as if A, B, C were about x, y, z."""
 
     def other(row):
-        place = place_of(row)
+        place = pose_of(row)
         turn = Rotation.from_euler("ZYX", place[3:], degrees=True)
-        return with_place(row, [*place[:3], *turn.as_euler("XYZ", degrees=True)])
+        return with_pose(row, [*place[:3], *turn.as_euler("XYZ", degrees=True)])
 
     return edit(rng, texts, pick(rng, MOVES), "^SLIN", other)
 
@@ -391,8 +394,8 @@ def fixed_axes(rng, texts):
 @mutator("verify.follows")
 def radians(rng, texts):
     def convert(row):
-        place = place_of(row)
-        return with_place(row, [*place[:3], *np.deg2rad(place[3:])])
+        place = pose_of(row)
+        return with_pose(row, [*place[:3], *np.deg2rad(place[3:])])
 
     return edit(rng, texts, pick(rng, MOVES), "^SLIN", convert)
 
@@ -400,8 +403,8 @@ def radians(rng, texts):
 @mutator("verify.follows")
 def metres(rng, texts):
     def convert(row):
-        place = place_of(row)
-        return with_place(row, [*(1e-3 * place[:3]), *place[3:]])
+        place = pose_of(row)
+        return with_pose(row, [*(1e-3 * place[:3]), *place[3:]])
 
     return edit(rng, texts, pick(rng, MOVES), "^SLIN", convert)
 
@@ -409,9 +412,9 @@ def metres(rng, texts):
 @mutator("verify.follows")
 def sign_of_angle(rng, texts):
     def flip(row):
-        place = place_of(row)
+        place = pose_of(row)
         place[3] *= -1.0
-        return with_place(row, place)
+        return with_pose(row, place)
 
     return edit(rng, texts, pick(rng, MOVES), "^SLIN", flip)
 
@@ -438,23 +441,23 @@ def _flipped(row, name, bit):
 @mutator("verify.setup")
 def home_off(rng, texts):
     axis = int(rng.integers(1, 7))
-    return edit(rng, texts, DATA, "x_home", lambda row: re.sub(rf"A{axis} ([-\d.]+)", _more, row))
+    return edit(rng, texts, DATA, "x_home", lambda row: re.sub(rf"A{axis} ([-\d.]+)", _increase, row))
 
 
-def _more(found):
-    name = found.group(0).split()[0]
-    return f"{name} {float(found.group(1)) + 0.02:.6f}"
+def _increase(match):
+    name = match.group(0).split()[0]
+    return f"{name} {float(match.group(1)) + 0.02:.6f}"
 
 
 @mutator("verify.setup")
 def joint_sign(rng, texts):
     axis = pick(rng, [2, 3, 5, 6])
-    return edit(rng, texts, DATA, "x_home", lambda row: re.sub(rf"A{axis} ([-\d.]+)", _negative, row))
+    return edit(rng, texts, DATA, "x_home", lambda row: re.sub(rf"A{axis} ([-\d.]+)", _negate, row))
 
 
-def _negative(found):
-    name = found.group(0).split()[0]
-    return f"{name} {-float(found.group(1)):.6f}"
+def _negate(match):
+    name = match.group(0).split()[0]
+    return f"{name} {-float(match.group(1)):.6f}"
 
 
 @mutator("verify.continuity")

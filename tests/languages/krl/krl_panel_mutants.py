@@ -1,5 +1,7 @@
-"""Faults in what KRL programs ask, tell and look at, by kind and seeded: of krc4 into the table of
-``krl_mutants``, of krc2 into one of their own."""
+"""Seeded faults in the questions, messages and checks of KRL programs, by kind.
+
+Those of krc4 go into the table of ``krl_mutants``, those of krc2 into a table of their own.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,7 @@ def text_of(rows, i):
     return re.search(r'Msg_txt\[\] "(.*)"', rows[i + 2]).group(1)
 
 
-def said(text):
+def message_row(text):
     """The row that sets the text of a message."""
     return f'tm_msg={{Modul[] "Tandem",Nr 2,Msg_txt[] "{text}"}}'
 
@@ -353,7 +355,7 @@ def halts_with_power(rng, texts):
 @mutator("verify.syntax")
 def state_of_nothing(rng, texts):
     text = pick(rng, ["Waiting for arm right.", "Cutting.", "Wire is cold."])
-    new = f"{said(text)}\ntm_state=Set_KrlMsg(#STATE,tm_msg,tm_par[],tm_opt)"
+    new = f"{message_row(text)}\ntm_state=Set_KrlMsg(#STATE,tm_msg,tm_par[],tm_opt)"
     return edit(rng, texts, MAIN, r"^(PTP|straight_\d)", lambda row: f"{new}\n{row}")
 
 
@@ -437,7 +439,7 @@ def question_lost(rng, texts):
 
 @older("verify.syntax")
 def dialog_of_the_other_dialect(rng, texts):
-    new = f"{said('Done.')}\ntm_ticket=Set_KrlMsg(#NOTIFY,tm_msg,tm_par[],tm_opt)"
+    new = f"{message_row('Done.')}\ntm_ticket=Set_KrlMsg(#NOTIFY,tm_msg,tm_par[],tm_opt)"
     return edit(rng, texts, MAIN, "^PTP", lambda row: f"{new}\n{row}")
 
 

@@ -30,7 +30,7 @@ def written(folder, points, path="spline", **controller):
 
 
 def bow(count=81):
-    """Points (N, 3) [mm] of the way."""
+    """Points (N, 3) [mm] of the path."""
     turn = np.linspace(-0.5, 0.5, count)
     return np.stack([540 + 120 * (1 - np.cos(turn)), 120 * np.sin(turn), 600 + 10 * np.sin(3 * turn)], axis=1)
 
@@ -42,7 +42,7 @@ def job():
     problem = pipeline.load(written(folder, bow()))
     plan = solve.solve(problem, [registry.job(problem, 0).targets()])
     prover = Prover(problem, registry.claims(problem))
-    return problem, plan, dict(write.programs(plan, problem)), prover
+    return problem, plan, dict(write.program_files(plan, problem)), prover
 
 
 def broken(texts):

@@ -1,4 +1,4 @@
-"""Faults put into spline blocks of KRL, by kind and seeded, and rewrites that change nothing."""
+"""Seeded faults in spline blocks of KRL, by kind, and rewrites that change nothing."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 
-from tests.languages.krl.krl_edits import moved, place_of, turned, where, with_place
+from tests.languages.krl.krl_edits import moved, pose_of, rotated, where, with_pose
 from tests.languages.krl.spline_job import MOVES
 from tests.proof.registry import named, pick
 
@@ -127,7 +127,7 @@ def point_moved(rng, texts):
 def point_turned(rng, texts):
     rows = lines(texts)
     at = pick(rng, points(rows))
-    rows[at] = turned(rng, rows[at], 2 * TOLERANCE)
+    rows[at] = rotated(rng, rows[at], 2 * TOLERANCE)
     return put(texts, rows)
 
 
@@ -146,11 +146,11 @@ def kink_between_two_poses(rng, texts):
     """A point of its own, off the way, between two poses that are kept: only the curve tells."""
     rows = lines(texts)
     at = pick(rng, points(rows))
-    middle = 0.5 * (place_of(rows[at]) + place_of(rows[at + 2]))
+    middle = 0.5 * (pose_of(rows[at]) + pose_of(rows[at + 2]))
     middle[2] += 0.6 * rng.choice([-1, 1])
-    share = 0.5 * float(rows[at + 3].split("= ")[1])
-    new = [with_place(rows[at], middle), f"TIME_BLOCK PART = {share:.8f}"]
-    rows[at + 3] = f"TIME_BLOCK PART = {share:.8f}"
+    fraction = 0.5 * float(rows[at + 3].split("= ")[1])
+    new = [with_pose(rows[at], middle), f"TIME_BLOCK PART = {fraction:.8f}"]
+    rows[at + 3] = f"TIME_BLOCK PART = {fraction:.8f}"
     return put(texts, [*rows[: at + 2], *new, *rows[at + 2 :]])
 
 
@@ -162,12 +162,12 @@ def more_than_500_points(rng, texts):
         if row.startswith("SPL {"):
             waits = row
         elif waits is not None:
-            here = place_of(waits)
+            here = pose_of(waits)
             count = 1 if before is None else 8
             part = float(row.split("= ")[1]) / count
             for k in range(1, count + 1):
                 place = here if k == count else before + (here - before) * k / count
-                out += [with_place(waits, place), f"TIME_BLOCK PART = {part:.9f}"]
+                out += [with_pose(waits, place), f"TIME_BLOCK PART = {part:.9f}"]
             before, waits = here, None
         else:
             out.append(row)
@@ -325,7 +325,7 @@ def slow_turning(rng, texts):
     """Slower than the points turn: they do not turn at all but for one."""
     rows = [re.sub(r"(ORI[12])=200.0", r"\1=0.1", row) for row in lines(texts)]
     at = pick(rng, points(rows))
-    rows[at] = turned(rng, rows[at], 0.5 * TOLERANCE)
+    rows[at] = rotated(rng, rows[at], 0.5 * TOLERANCE)
     return put(texts, rows)
 
 
@@ -393,11 +393,11 @@ def a_point_more_on_the_way(rng, texts):
     """Half way between two points, on the circle through them but for a micrometre."""
     rows = lines(texts)
     at = pick(rng, points(rows))
-    before, here, there, after = (place_of(rows[k]) for k in (at - 2, at, at + 2, at + 4))
+    before, here, there, after = (pose_of(rows[k]) for k in (at - 2, at, at + 2, at + 4))
     middle = (9.0 * (here + there) - before - after) / 16.0
-    share = 0.5 * float(rows[at + 3].split("= ")[1])
-    new = [with_place(rows[at], middle), f"TIME_BLOCK PART = {share:.8f}"]
-    rows[at + 3] = f"TIME_BLOCK PART = {share:.8f}"
+    fraction = 0.5 * float(rows[at + 3].split("= ")[1])
+    new = [with_pose(rows[at], middle), f"TIME_BLOCK PART = {fraction:.8f}"]
+    rows[at + 3] = f"TIME_BLOCK PART = {fraction:.8f}"
     return put(texts, [*rows[: at + 2], *new, *rows[at + 2 :]])
 
 
@@ -406,7 +406,7 @@ def instances(kinds, seeds):
     return [(name, seed) for name in kinds for seed in seeds]
 
 
-def made(name, seed, texts):
+def apply_mutation(name, seed, texts):
     """Texts with a fault or rewrite."""
     table = MUTATORS if name in MUTATORS else REWRITES
     out = table[name](np.random.default_rng([seed, sum(map(ord, name))]), texts)

@@ -1,5 +1,7 @@
-"""Two controllers of which one or both speak KRL: their handshakes are proven, and every fault in every
-statement of the protocol is caught."""
+"""Two controllers, one or both with KRL: their handshakes are proven.
+
+Every fault in every statement of the protocol is caught.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,7 @@ GUARD = 11
 @functools.cache
 def job(models, kind, every):
     plan, problem = krl_job.two(models, kind, every)
-    return dataclasses.replace(problem, accept=("stock.hangs",)), write.programs(plan, problem)
+    return dataclasses.replace(problem, accept=("stock.hangs",)), write.program_files(plan, problem)
 
 
 def context(models, kind, every, programs=None):
@@ -39,10 +41,10 @@ def context(models, kind, every, programs=None):
 def broken(models, kind, every, programs):
     """Whether the text, the handshake or the counts of moves are at fault."""
     found = context(models, kind, every, programs)
-    if not found.readable:
+    if not found.is_readable:
         return True
     issues = handshake.handshake(found).issues
-    if found.playable:
+    if found.is_replayable:
         issues += (
             *synchronisation.move_count(found).issues,
             *synchronisation.stop_before_logic(found).issues,
@@ -65,12 +67,12 @@ def test_two_krl_programs_meet_as_often_as_the_mixed_pair(kind, every):
     assert handshake.handshake(ours).issues == ()
     where = [handshake.handshake(found).where.split(",")[0] for found in (ours, mixed)]
     assert where[0] == where[1] and "meetings" in where[0]
-    readings = ours.job.readings
+    readings = ours.job.automata_by_arm
     for arm in ("left", "right"):
         # a question stops a KRL program, and a box no RAPID one; gates count places
         a, b = (
             [(x.kind, x.wire, x.value) for x in found[arm].actions if x.kind not in ("pause", "gate")]
-            for found in (readings, mixed.job.readings)
+            for found in (readings, mixed.job.automata_by_arm)
         )
         assert a == b
 
@@ -165,4 +167,4 @@ def test_the_older_dialect_meets_too():
 
 def job_of(dialect):
     plan, problem = krl_job.two(KUKAS, dialect=dialect)
-    return problem, write.programs(plan, problem)
+    return problem, write.program_files(plan, problem)

@@ -1,4 +1,4 @@
-"""A milling job of a KUKA arm: what its operator is told and asked, and how far its cutter goes."""
+"""A milling job of a KUKA arm: the operator dialogue, and the extent of the cutter's motion."""
 
 from __future__ import annotations
 
@@ -16,19 +16,24 @@ MAIN, MOVES = "robot/wall.src", "robot/wall_1.src"
 BLOCK = r"tm_answer=0\r\nWHILE tm_answer<>1\r\ntm_msg=.*{text}.*\r\n(?:.*\r\n){{8}}"
 """A dialog with some text in it, eleven rows."""
 READY = BLOCK.format(text="Block and cutter")
-TOLD = rf"(?:tm_answer=0\r\n(?:.*\r\n){{10}})+?{READY}"
+QUESTION = rf"(?:tm_answer=0\r\n(?:.*\r\n){{10}})+?{READY}"
 """The question with what is to be read before it."""
 DONE = BLOCK.format(text="Spindle st")
 
 FAULTS: dict[str, tuple[str, str, str, str]] = {
     "nobody is asked before the arm moves": ("verify.setup", MAIN, BLOCK.format(text="Is the stock"), ""),
-    "nobody is asked before the spindle": ("verify.dialogue", MAIN, TOLD, ""),
+    "nobody is asked before the spindle": ("verify.dialogue", MAIN, QUESTION, ""),
     "a text to be read that no question follows": ("verify.syntax", MAIN, READY, ""),
     "something else is asked": ("verify.dialogue", MAIN, r'"Block and cutter[^"]*"', '"Coffee?"'),
-    "asked when it runs already": ("verify.dialogue", MAIN, rf"({TOLD})(\$OUT\[17\]=TRUE.*\r\n)", r"\2\1"),
-    "another speed is told": ("verify.dialogue", MAIN, "12000 1/min", "22000 1/min"),
-    "another cutter is told": ("verify.dialogue", MAIN, "mill of 12 mm", "mill of 10 mm"),
-    "nothing is told": ("verify.dialogue", MAIN, BLOCK.format(text="1/min"), ""),
+    "asked when it runs already": (
+        "verify.dialogue",
+        MAIN,
+        rf"({QUESTION})(\$OUT\[17\]=TRUE.*\r\n)",
+        r"\2\1",
+    ),
+    "another speed is stated": ("verify.dialogue", MAIN, "12000 1/min", "22000 1/min"),
+    "another cutter is stated": ("verify.dialogue", MAIN, "mill of 12 mm", "mill of 10 mm"),
+    "nothing is stated": ("verify.dialogue", MAIN, BLOCK.format(text="1/min"), ""),
     "hands come near while it runs down": ("verify.dialogue", MAIN, rf"WAIT SEC 1\r\n({DONE})", r"\1"),
     "nobody says that it stands": ("verify.dialogue", MAIN, DONE, ""),
     "a PLC says that the block is clamped": (

@@ -1,5 +1,7 @@
-"""KRL programs as the planner writes them are proven; each kind of fault is caught by the rule that is named
-for it, and seeded mutants are all caught."""
+"""KRL programs of the planner are proven.
+
+Each kind of fault is caught by its rule, and all seeded mutants are caught.
+"""
 
 from __future__ import annotations
 

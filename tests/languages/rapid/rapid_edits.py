@@ -1,4 +1,4 @@
-"""RAPID texts of ``small_job`` as rows, moves and fields, read and changed."""
+"""RAPID texts of ``small_job`` as rows, moves and fields, read and edited."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def shifted(texts: Texts, task: int, k: int, by) -> Texts:
 
 
 def tilted(texts: Texts, task: int, k: int, degrees: float) -> Texts:
-    """A tool turned about its own x axis at one target."""
+    """Rotate a tool about its own x axis at one target."""
     w, x, y, z = (float(v) for v in field(texts, task, k, "orient").split(","))
     c, s = np.cos(0.5 * np.deg2rad(degrees)), np.sin(0.5 * np.deg2rad(degrees))
     turned = np.array([w * c - x * s, x * c + w * s, y * c + z * s, z * c - y * s])
@@ -101,7 +101,7 @@ def timed(texts: Texts, k: int, factor: float) -> Texts:
     return both(texts, k, lambda t, task, i: change(t, task, i, time=f"{time:.5f}", speed="v7000"))
 
 
-def one(rng: np.random.Generator) -> int:
+def random_task(rng: np.random.Generator) -> int:
     return int(rng.integers(1, 3))
 
 

@@ -1,6 +1,8 @@
-"""The jobs of ``straight_job``, ``small_job`` and ``held_job`` by joint trajectories: one arm with a bow over
-two setups, two arms with a bent wire, and one that holds what the other one cuts; one controller of ROS 2
-moves all joints."""
+"""The jobs of ``straight_job``, ``small_job`` and ``held_job`` as joint trajectories.
+
+They are one arm with a bow over two setups, two arms with a bent wire, and one arm that holds the block that
+the other one cuts. One ROS 2 controller moves all joints.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,7 @@ def driven(problem):
     """The problem with arms that trajectories drive."""
     cell = problem.cell
     arms = tuple(
-        dataclasses.replace(arm, given=dataclasses.replace(arm.data, family="ROS")) for arm in cell.arms
+        dataclasses.replace(arm, custom_data=dataclasses.replace(arm.data, family="ROS")) for arm in cell.arms
     )
     prefix = {arm.name: f"{arm.name}_" for arm in arms}
     controller = dataclasses.replace(cell.controller, language="ros", joint_prefix=prefix)
@@ -39,12 +41,12 @@ def bent_problem():
 
 @functools.cache
 def bow_programs():
-    return write.programs(straight_job.plan(COUNT), bow_problem())
+    return write.program_files(straight_job.plan(COUNT), bow_problem())
 
 
 @functools.cache
 def bent_programs():
-    return write.programs(small_job.plan(), bent_problem())
+    return write.program_files(small_job.plan(), bent_problem())
 
 
 def held_problem():
@@ -53,7 +55,7 @@ def held_problem():
 
 @functools.cache
 def held_programs():
-    return write.programs(held_job.plan(), held_problem())
+    return write.program_files(held_job.plan(), held_problem())
 
 
 def rows_of(programs):

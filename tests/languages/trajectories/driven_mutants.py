@@ -1,14 +1,16 @@
-"""Faults put into files of trajectories, by kind and seeded; all but those of the seal itself are sealed
-anew, as somebody would who means it."""
+"""Seeded faults in trajectory files, by kind.
+
+All except those of the seal itself are sealed again, as a deliberate attacker would do.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from planner.catalogue.robots import robot
-from planner.cell.kinematics import forward
+from planner.cell.kinematics import forward_kinematics
 from planner.geometry.arrays import inverse
-from planner.languages.trajectories.writer.straight_ways import Driven, solved
+from planner.languages.trajectories.writer.straight_segments import TrajectoryArm, solve_joints
 from tests.languages.trajectories.driven_job import rows_of, sealed, written
 from tests.proof import held_job
 from tests.proof.registry import Table, into, pick
@@ -282,9 +284,10 @@ def a_short_swing_between_samples(rng, programs):
     rows = rows_of(programs)
     i = pick(rng, work(rows))
     before, here = rows[i - 1], rows[i]
-    share = 0.0051 / (here["t"] - before["t"])
+    fraction = 0.0051 / (here["t"] - before["t"])
     between = {
-        key: [b + share * (a - b) for a, b in zip(before[key], here[key], strict=True)] for key in ("q", "v")
+        key: [b + fraction * (a - b) for a, b in zip(before[key], here[key], strict=True)]
+        for key in ("q", "v")
     }
     swung = {**here, "v": [*here["v"][:-1], 40.0]}
     return sealed(
@@ -342,7 +345,7 @@ def an_operation_too_many(rng, programs):
 
 @mutator("verify.dialogue")
 def another_tool_that_is_told(rng, programs):
-    """The right one is told behind it, so that moves have that."""
+    """The right tool is announced after the wrong one, so that the moves have it."""
     rows = rows_of(programs)
     i = pick(rng, where(rows, "tool"))
     other = pick(rng, [{"tool": "gripper"}, {"mass": 50.0}])
@@ -565,10 +568,13 @@ def the_wire_stands_still_in_a_block_that_moves(rng, programs):
     left, right = base
     tcp = {arm: tool.arm(arm).tool.tcp for arm in ("left", "right")}
     soon = 1e-6
-    held = [right @ forward(data, q[6:] + k * soon * np.array(v[6:])) @ tcp["right"] for k in (0.0, 1.0)]
-    wanted = held[1] @ inverse(held[0]) @ left @ forward(data, q[:6]) @ tcp["left"]
-    driven = Driven(data, left, tcp["left"], slice(0, 6))
-    rate = (solved(driven, wanted[None], q[None, :6], np.zeros(1, dtype=int))[0] - q[:6]) / soon
+    held = [
+        right @ forward_kinematics(data, q[6:] + k * soon * np.array(v[6:])) @ tcp["right"]
+        for k in (0.0, 1.0)
+    ]
+    expected = held[1] @ inverse(held[0]) @ left @ forward_kinematics(data, q[:6]) @ tcp["left"]
+    driven = TrajectoryArm(data, left, tcp["left"], slice(0, 6))
+    rate = (solve_joints(driven, expected[None], q[None, :6], np.zeros(1, dtype=int))[0] - q[:6]) / soon
     return changed(programs, i, v=[*rate.tolist(), *v[6:]])
 
 

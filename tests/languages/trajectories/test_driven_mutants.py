@@ -1,5 +1,7 @@
-"""Files of trajectories as the planner writes them are proven, of one arm and of two; each kind of fault is
-caught by the rule that is named for it, and seeded mutants are all caught."""
+"""Trajectory files of the planner are proven, for one arm and for two.
+
+Each kind of fault is caught by its rule, and all seeded mutants are caught.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from planner.cell.kinematics import forward
+from planner.cell.kinematics import forward_kinematics
 from planner.geometry.arrays import inverse
 from planner.languages.trajectories.reader import rows as rows_of_text
 from planner.processes.hotwire.claims import StraightWire
@@ -81,8 +83,8 @@ def test_line_ends_change_nothing():
 
 def test_the_replay_lays_the_cubic_of_positions_and_velocities():
     """scipy's Hermite spline has the joints that the proof's replay has, at all samples of a goal."""
-    read = job.read(driven_job.bent_problem(), driven_job.bent_programs())
-    assert not read.faults and not read.flow
+    read = job.read_job(driven_job.bent_problem(), driven_job.bent_programs())
+    assert not read.faults and not read.flow_faults
     stage = max(read.stages, key=lambda one: len(one.moves("left")))
     task = read.tasks[0]
     steps = stage.moves("left")
@@ -90,15 +92,15 @@ def test_the_replay_lays_the_cubic_of_positions_and_velocities():
     v = np.array([step.target.rates for step in steps])
     start = q[0] - 0.01
     t = np.cumsum([step.time for step in steps])
-    row = moves.Row(
+    row = moves.ArmMoves(
         task, steps, None, np.eye(4), None, np.zeros(len(q), bool), None, q, None, None, None, None, rates=v
     )
-    law = moves.driven_law([row])
+    law = moves.trajectory_time_law([row])
     when = np.linspace(0.0, t[-1], 5000)
-    wanted = CubicHermiteSpline(
+    expected = CubicHermiteSpline(
         np.append(0.0, t), np.concatenate([start[None], q]), np.concatenate([np.zeros((1, 6)), v])
     )
-    np.testing.assert_allclose(moves.driven_joints(law, start, row, when), wanted(when), atol=1e-12)
+    np.testing.assert_allclose(moves.trajectory_joints(law, start, row, when), expected(when), atol=1e-12)
 
 
 def test_rows_that_are_none_are_refused_by_what_they_are():
@@ -157,8 +159,8 @@ def test_speeds_are_those_that_the_block_sees_also_where_an_arm_goes_alone_in_it
             continue
         ends = [rows[line - 1] for line in (move.line - 1, move.line)]
         seen = [
-            inverse(right @ forward(data, np.array(row["q"][6:])) @ tcp["right"])
-            @ (left @ forward(data, np.array(row["q"][:6])) @ tcp["left"])
+            inverse(right @ forward_kinematics(data, np.array(row["q"][6:])) @ tcp["right"])
+            @ (left @ forward_kinematics(data, np.array(row["q"][:6])) @ tcp["left"])
             for row in ends
         ]
         way = np.linalg.norm(seen[1][:3, 3] - seen[0][:3, 3])
@@ -174,7 +176,7 @@ def test_two_files_are_one_too_many():
     proof = prover("bow").prove({**programs, "other.trajectory.jsonl": text})
     assert not proof.ok
     (issue,) = (issue for issue in proof.issues if issue.code == "verify.files")
-    assert "one file is wanted" in issue.message and issue.hint == "take all but one away"
+    assert "only one file is allowed" in issue.message and issue.hint == "remove all but one"
 
 
 def test_a_file_that_cannot_be_read_is_there_and_one_of_another_robot_is_told_as_that():
@@ -187,7 +189,7 @@ def test_a_file_that_cannot_be_read_is_there_and_one_of_another_robot_is_told_as
     rows = driven_job.rows_of(programs)
     rows[1]["robot"] = "kr6_r700"
     (issue, *_) = prover("bow").prove(driven_job.sealed(programs, rows), first_error=True).issues
-    assert "arm left is said to be kr6_r700; wanted: irb140" in issue.message
+    assert "arm left is stated as kr6_r700; expected: irb140" in issue.message
 
 
 def test_joints_are_written_with_nine_decimals():

@@ -1,5 +1,7 @@
-"""Two UR controllers that meet: programs as they are written are proven, and faults in every statement by
-which they meet, watch each other and ask somebody are caught."""
+"""Two UR controllers with a handshake: programs of the planner are proven.
+
+Faults in every statement of the meeting, the mutual watch and the questions are caught.
+"""
 
 from __future__ import annotations
 
@@ -37,10 +39,10 @@ RULES = (
 def faults(problem, programs):
     """What is found, the text itself where it has no straight way."""
     context = Context(problem, {"panel": ()}, programs)
-    if not context.readable:
+    if not context.is_readable:
         return ["no straight way"]
     found = [str(issue) for issue in rules_handshake.handshake(context).issues]
-    if context.playable and not found:
+    if context.is_replayable and not found:
         found += [str(issue) for rule in RULES for issue in rule(context).issues]
     return found
 
@@ -176,16 +178,16 @@ def every_fault(programs):
                 yield f"{what}", f"{file}:{i + 1} {rows[i][:60]}", {**programs, file: "\n".join(changed)}
 
 
-def missed(problem, found):
-    tried = collections.Counter(what for what, _, _ in found)
-    return [(what, where) for what, where, programs in found if not faults(problem, programs)], tried
+def missed_mutants(problem, mutants):
+    tried = collections.Counter(what for what, _, _ in mutants)
+    return [(what, where) for what, where, programs in mutants if not faults(problem, programs)], tried
 
 
 def test_some_faults_are_caught():
     problem, good = ur_pair.problem(), ur_pair.programs()
     found = list(every_fault(good))
     rows = np.random.default_rng(3).permutation(len(found))[:20]
-    passed, tried = missed(problem, [found[i] for i in rows])
+    passed, tried = missed_mutants(problem, [found[i] for i in rows])
     assert passed == []
     assert len(tried) > 8
 
@@ -193,14 +195,14 @@ def test_some_faults_are_caught():
 def test_every_stand_around_the_rise_of_a_running_wire_is_demanded():
     problem, good = ur_pair.problem(), ur_pair.programs()
     found = [fault for fault in every_fault(good) if " sleep" in fault[1]]
-    passed, tried = missed(problem, found)
+    passed, tried = missed_mutants(problem, found)
     assert passed == []
     assert tried == {"stands not": 8, "stands shorter": 8}
     rows = good[FILES["left"]].split("\n")
     clear = rows.index("await_line(False,30.0)")  # the lead's, behind the second rise
     changed = "\n".join([*rows[:clear], *rows[clear + 1 :]])
     (first,) = faults(problem, {**good, FILES["left"]: changed})[:1]
-    assert "no wait sees the other one's line at 0" in first
+    assert "no wait checks that the other program's line is 0" in first
 
 
 def test_every_fault_of_the_look_at_a_wire_that_stays_high_is_caught():
@@ -213,7 +215,7 @@ def test_every_fault_of_the_look_at_a_wire_that_stays_high_is_caught():
         for i in (first, first + 1)
         for what, changed in in_row(rows, i)
     ]
-    passed, tried = missed(problem, found)
+    passed, tried = missed_mutants(problem, found)
     assert passed == []
     assert len(tried) == 8 and tried["left out"]
 
@@ -231,7 +233,7 @@ def test_a_look_that_compares_one_input_twice_is_refused_also_where_nothing_call
 @pytest.mark.parametrize(("kind", "every"), FORMS)
 def test_every_fault_is_caught(kind, every):
     problem, good = ur_pair.problem(kind, every), ur_pair.programs(kind, every)
-    passed, tried = missed(problem, list(every_fault(good)))
+    passed, tried = missed_mutants(problem, list(every_fault(good)))
     assert passed == []
     assert tried.total() > 300 and len(tried) > 30
 
@@ -239,11 +241,11 @@ def test_every_fault_is_caught(kind, every):
 def test_a_ur_arm_beside_an_abb_arm_and_a_toggle_are_refused():
     """Nothing keeps an ABB program from going on behind a stop, and a toggle tells too little."""
     for kind, right, text, hint in (
-        ("four_phase", "irb140", "nothing keeps one of another controller from going on", "two arms of UR"),
+        ("four_phase", "irb140", "nothing prevents one of another controller from", "two arms of UR"),
         ("toggle", "ur10e", "at every second meeting", "kind: four_phase"),
     ):
         with pytest.raises(TandemError) as caught:
-            write.programs(ur_pair.plan(right=right), ur_pair.problem(kind, 3, right=right))
+            write.program_files(ur_pair.plan(right=right), ur_pair.problem(kind, 3, right=right))
         (issue,) = caught.value.issues
         assert issue.code == "post.controller"
         assert text in issue.message and hint in issue.hint
@@ -252,14 +254,14 @@ def test_a_ur_arm_beside_an_abb_arm_and_a_toggle_are_refused():
 def test_power_that_is_on_during_a_question_is_refused():
     plan = ur_pair.plan()
     (operation,) = plan.operations
-    actions = tuple(a for a in operation.targets.actions if a.kind != "off" or a.at > 12)
+    actions = tuple(a for a in operation.targets.actions if a.kind != "off" or a.target > 12)
     targets = dataclasses.replace(operation.targets, actions=actions)
     plan = dataclasses.replace(plan, operations=(dataclasses.replace(operation, targets=targets),))
     with pytest.raises(TandemError) as caught:
-        write.programs(plan, ur_pair.problem())
+        write.program_files(plan, ur_pair.problem())
     (issue,) = caught.value.issues
     assert issue.code == "post.handshake_process"
-    assert "doGripper of arm left is on while one of the arms asks" in issue.message
+    assert "doGripper of arm left is on while one of the programs asks" in issue.message
 
 
 def test_programs_on_other_wires_than_the_cells_are_caught():
@@ -278,7 +280,7 @@ def test_programs_on_other_wires_than_the_cells_are_caught():
         numbers = {arm: {**own, **more.get(arm, {})} for arm, own in io.items()}
         assert faults(ur_pair.problem(numbers=numbers), good), what
     alike = {arm: {**own, **dict(zip(ur_pair.LINES, (0, 0, 1, 1), strict=True))} for arm, own in io.items()}
-    texts = write.programs(ur_pair.plan(), ur_pair.problem(numbers=io))
+    texts = write.program_files(ur_pair.plan(), ur_pair.problem(numbers=io))
     same = {path: text.replace("out(2,", "out(0,").replace("out(3", "out(1") for path, text in texts.items()}
     same = {path: text.replace("in(2)", "in(0)").replace("in(3)", "in(1)") for path, text in same.items()}
     found = faults(ur_pair.problem(numbers=alike), same)
@@ -299,11 +301,11 @@ def test_an_arm_that_stands_while_the_other_one_moves_is_no_movel():
     for own in (pose, q):
         own["right"] = own["right"].copy()
         own["right"][4:] = own["right"][3]
-    exits = {**operation.exit, "right": np.stack([q["right"][-1], operation.exit["right"][-1]])}
+    exits = {**operation.retreat, "right": np.stack([q["right"][-1], operation.retreat["right"][-1]])}
     targets = dataclasses.replace(operation.targets, pose=pose)
-    stands = dataclasses.replace(operation, targets=targets, q=q, exit=exits)
+    stands = dataclasses.replace(operation, targets=targets, q=q, retreat=exits)
     problem = ur_pair.problem()
-    texts = write.programs(dataclasses.replace(plan, operations=(stands,)), problem)
+    texts = write.program_files(dataclasses.replace(plan, operations=(stands,)), problem)
     proof = Prover(problem, ur_pair.claims()).prove(texts)
     assert [str(issue) for issue in proof.issues] == []
     text = texts[FILES["right"]]

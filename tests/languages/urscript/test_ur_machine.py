@@ -1,5 +1,7 @@
-"""Programs of two UR controllers are run by a machine of the tests' own, with stops, pauses, cut wires and
-mistakes at random: arms stay within one step, and nothing moves or has power when the other one is gone."""
+"""Programs of two UR controllers on a simulated machine, with random stops, pauses, cut wires and mistakes.
+
+The arms stay within one step of each other. Nothing moves or has power after the other controller is gone.
+"""
 
 from __future__ import annotations
 
@@ -14,25 +16,25 @@ from tests.languages.urscript.ur_machine import TICK, Machine, Pair
 WIRES = ((0, 0, 1, 2), (1, 2, 0, 0), (0, 1, 1, 3), (1, 3, 0, 1))
 """Lines of the meetings, then those that say who runs, by the numbers of ``ur_pair``."""
 POWER = 9
-MOST_TICKS = 20_000
+MAX_TICKS = 20_000
 REACTION = 3
 """Ticks in which a program sees its input and ends."""
 
 
-def pair(seed=0, pauses=False, kind="four_phase", every=1, exchanged=False, slow=0.0, **more):
+def create_pair(seed=0, pauses=False, kind="four_phase", every=1, exchanged=False, reply_delay=0.0, **more):
     texts = ur_pair.programs(kind, every)
     names = [f"{arm}/small.script" for arm in ("left", "right")]
     order = names[::-1] if exchanged else names
     lines = {names[0]: LEAD_LINE, names[1]: FOLLOW_LINE}
     machines = [Machine(texts[name], pauses, **{"keeps": {lines[name]}, **more}) for name in order]
     lead = 1 if exchanged else 0
-    out = Pair(*machines, WIRES, 1 + seed % 4, slow)
+    out = Pair(*machines, WIRES, 1 + seed % 4, reply_delay)
     machines[lead].start(0.0)
     return out
 
 
 def within_a_step(two, every):
-    """Neither arm has begun a move more than a step behind the other one's last."""
+    """Check that no arm has started a move more than a step after the other one's last."""
     a, b = two.machines
     assert max(a.moves - b.done, b.moves - a.done) <= every, (a.moves, b.moves, a.done, b.done)
     assert not (a.moving == "movej" and b.moving == "movej")
@@ -43,7 +45,7 @@ def within_a_step(two, every):
 def test_both_come_to_their_end_whatever_a_popup_is(kind, every, pauses):
     """A popup that holds a program is a pause, at which outputs fall, or is none."""
     for delay in range(2):
-        two = pair(delay, pauses, kind, every, slow=2.0 * delay)
+        two = create_pair(delay, pauses, kind, every, reply_delay=2.0 * delay)
         while not two.ended and two.now < 400.0:
             two.tick()
             within_a_step(two, every)
@@ -56,7 +58,7 @@ def test_both_come_to_their_end_whatever_a_popup_is(kind, every, pauses):
 def test_nothing_moves_or_has_power_behind_a_stop_of_the_other_one(what, pauses):
     rng = np.random.default_rng(7 + pauses)
     for case in range(6):
-        two = pair(case, pauses, slow=3.0)
+        two = create_pair(case, pauses, reply_delay=3.0)
         at, victim = float(rng.uniform(1.0, 60.0)), int(rng.integers(2))
         gone, other = two.machines[victim], two.machines[1 - victim]
         while two.now < at and not two.ended:
@@ -87,7 +89,7 @@ def test_nothing_moves_or_has_power_behind_a_stop_of_the_other_one(what, pauses)
 
 def test_without_the_thread_the_other_one_goes_on():
     """What the tests above look for is there to be found."""
-    two = pair()
+    two = create_pair()
     for machine in two.machines:
         machine.body = [row for row in machine.body if not str(row).startswith("watching")]
     while two.machines[0].moves < 7:
@@ -100,8 +102,8 @@ def test_without_the_thread_the_other_one_goes_on():
 
 def test_each_others_program_moves_nothing():
     """Two arms of one model: the look at the arm passes, and no wire says that the other one runs."""
-    two = pair(exchanged=True)
-    for _ in range(MOST_TICKS):
+    two = create_pair(exchanged=True)
+    for _ in range(MAX_TICKS):
         two.tick()
         lead, follow = two.machines[::-1]
         if "Start the program" in lead.asked and not follow.running and not follow.why:
@@ -113,9 +115,9 @@ def test_each_others_program_moves_nothing():
 
 
 def test_one_program_alone_moves_nothing():
-    two = pair()
+    two = create_pair()
     two.machines[1].why = "not started"
-    for _ in range(MOST_TICKS):
+    for _ in range(MAX_TICKS):
         two.tick()
         if two.machines[0].asked:
             two.machines[0].answer()
@@ -126,7 +128,7 @@ def test_one_program_alone_moves_nothing():
 def test_one_that_is_started_anew_moves_nothing():
     """One was stopped in the middle and is started again alone: the other one has ended by then."""
     for victim in (0, 1):
-        two = pair()
+        two = create_pair()
         while two.machines[0].moves < 7:
             two.tick()
         gone, other = two.machines[victim], two.machines[1 - victim]
@@ -146,14 +148,14 @@ def test_one_that_is_started_anew_moves_nothing():
 def test_an_output_that_nobody_set_to_fall_is_found():
     """Low when not running was forgotten, and an earlier run has left the wire high: the program takes it
     back and ends."""
-    two = pair(keeps={1}, outputs={1})
+    two = create_pair(keeps={1}, outputs={1})
     for _ in range(50):
         two.tick()
     assert two.machines[0].why == "stays high" and not two.machines[0].moves
     assert 1 not in two.machines[0].high
-    two = pair()
+    two = create_pair()
     two.machines[1].high = {3}  # of the one that follows, which has not been started yet
-    for _ in range(MOST_TICKS):
+    for _ in range(MAX_TICKS):
         two.tick()
     assert two.machines[0].why == "waited" and not two.machines[0].moves
 
@@ -180,9 +182,11 @@ def disturbed(two, rng, victim):
 
 
 def beside_another(texts, seed, rounds):
-    """The longest row of ticks in which an arm moves while the other program runs at another meeting. They
-    go on up to some instant, half of the times a question, and are stopped, paused, continued and started by
-    people then, who confirm whatever is asked."""
+    """Return the longest run of ticks in which an arm moves while the other program is at another meeting.
+
+    The programs run up to some instant, half of the time up to a question. Then people stop, pause, continue
+    and start them, and confirm every question.
+    """
     rng = np.random.default_rng(seed)
     worst = moved = 0
     for case in range(rounds):

@@ -1,5 +1,7 @@
-"""URScript programs as the planner writes them are proven; each kind of fault is caught by the rule that is
-named for it, and seeded mutants are all caught."""
+"""URScript programs of the planner are proven.
+
+Each kind of fault is caught by its rule, and all seeded mutants are caught.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,7 @@ from planner.geometry.arrays import from_rpy
 from planner.languages.urscript.writer import program, syntax
 from planner.languages.writing import write
 from planner.proof.prove import Prover
-from planner.proof.same_program import same_program
+from planner.proof.same_program import is_same_program
 from tests import urdf_text
 from tests.languages.urscript import ur_job
 from tests.languages.urscript.ur_mutants import FILE, MUTATORS
@@ -65,31 +67,31 @@ def test_comments_and_white_space_change_nothing():
     other = {FILE: text}
     assert text != programs[FILE]
     assert prover().prove(other).ok
-    assert not same_program(programs, {FILE: text.replace("t=0.72023", "t=0.72024", 1)})
+    assert not is_same_program(programs, {FILE: text.replace("t=0.72023", "t=0.72024", 1)})
     bare = {FILE: re.sub(r"\r\n#.*", "", programs[FILE])}
-    assert same_program(programs, bare)
+    assert is_same_program(programs, bare)
 
 
-def turned():
+def rotated_base_job():
     """The job with a URDF whose base_link is turned by 180 degrees, as ROS has it, and the arm's base too."""
     problem, plan = ur_job.problem(), straight_job.plan(12, model=ur_job.MODEL)
     turn = from_rpy([0.0, 0.0, 0.0], [0.0, 0.0, np.pi])
     (arm,) = problem.cell.arms
-    arm = dataclasses.replace(arm, base=turn, given=urdf_text.ur10e_data(turn))
+    arm = dataclasses.replace(arm, base=turn, custom_data=urdf_text.ur10e_data(turn))
     cell = dataclasses.replace(problem.cell, arms=(arm,))
     return dataclasses.replace(problem, cell=cell), dataclasses.replace(plan, bases={"left": turn})
 
 
 def test_a_writer_that_takes_base_link_for_the_controllers_base_is_caught(monkeypatch):
-    problem, plan = turned()
+    problem, plan = rotated_base_job()
     own = Prover(problem, ur_job.claims())
-    texts = write.programs(plan, problem)
+    texts = write.program_files(plan, problem)
     moves = [text.replace("\r\n", "\n").split("# Operation")[1:] for text in texts.values()]
     plain = [text.replace("\r\n", "\n").split("# Operation")[1:] for text in ur_job.programs().values()]
     assert moves == plain
     assert own.prove(texts).ok
     monkeypatch.setattr(program, "controller_base", lambda arm: np.eye(4))
-    proof = own.prove(write.programs(plan, problem))
+    proof = own.prove(write.program_files(plan, problem))
     assert not proof.ok
     assert {"verify.base_frames", "verify.cell_check"} <= provers.broken(proof)
 
@@ -97,15 +99,15 @@ def test_a_writer_that_takes_base_link_for_the_controllers_base_is_caught(monkey
 def test_a_writer_in_other_units_is_caught(monkeypatch):
     """Degrees for radians of joints, millimetres for metres of targets, milliseconds for seconds."""
     problem, plan = ur_job.problem(), straight_job.plan(12, model=ur_job.MODEL)
-    joints, straight = syntax.joints, syntax.straight
+    joints, straight = syntax.format_joints, syntax.linear_moves
     faults = {
-        "joints": lambda q: joints(np.rad2deg(q)),
-        "straight": lambda track, radius, frame: straight(
+        "format_joints": lambda q: joints(np.rad2deg(q)),
+        "linear_moves": lambda track, radius, frame: straight(
             dataclasses.replace(track, position=1e3 * track.position), radius, frame
         ),
-        "real": lambda value, decimals: f"{1e3 * value:.3f}",
+        "format_real": lambda value, decimals: f"{1e3 * value:.3f}",
     }
     for name, fault in faults.items():
         with monkeypatch.context() as patch:
             patch.setattr(syntax, name, fault)
-            assert not prover().prove(write.programs(plan, problem), first_error=True).ok, name
+            assert not prover().prove(write.program_files(plan, problem), first_error=True).ok, name

@@ -21,7 +21,7 @@ def problem():
 
 @functools.cache
 def claims(count=12):
-    """What the process claims, and every pose within 0.1 mm and 0.1 degrees."""
+    """The claims of the process, and every pose within 0.1 mm and 0.1 degrees."""
     out = {}
     plan = straight_job.plan(count, model=MODEL)
     for (name, own), operation in zip(straight_job.claims().items(), plan.operations, strict=True):

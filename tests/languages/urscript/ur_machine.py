@@ -1,7 +1,7 @@
-"""Two UR controllers that run the texts of their programs, tick by tick, with wires between them.
+"""Two simulated UR controllers that run the texts of their programs tick by tick, with wires between them.
 
-Written from docs/urscript.md for the tests, beside reader and writer: what a statement does is what a person
-would expect of it. Time is counted in ticks of 10 ms, and wires take some of them.
+They are written for the tests from docs/urscript.md, independent of reader and writer. Time is counted in
+ticks of 10 ms, and wires delay signals by some of them.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ _IN = re.compile(r"get_(standard|configurable)_digital_in\((\d)\)")
 _BACK = re.compile(r"get_(standard|configurable)_digital_out\((\d)\)")
 
 
-def _number(found):
-    return int(found[2]) + 8 * (found[1] == "configurable")
+def _signal_number(match):
+    return int(match[2]) + 8 * (match[1] == "configurable")
 
 
 class Machine:
@@ -41,7 +41,7 @@ class Machine:
         self.until, self.moving, self.limit, self.wait = 0.0, "", 0.0, None
 
     def _divide(self):
-        """Functions and the thread by name, and what stands beside them."""
+        """Separate functions and the thread, by name, from the remaining rows."""
         depth, block = 0, []
         for row in self.rows[1:-1]:
             opens = bool(re.match(r"(def|thread|if|while)\b", row))
@@ -94,9 +94,9 @@ class Machine:
         held = bool(self.asked) and self.popups_pause
         if self.watching and not held:
             thread = self.functions["watch_partner"]
-            runs, own = _number(_IN.search(thread[1])), _BACK.search(thread[1])
-            if runs not in inputs or (own and _number(own) not in self.high):
-                self._off(thread)
+            runs, own = _signal_number(_IN.search(thread[1])), _BACK.search(thread[1])
+            if runs not in inputs or (own and _signal_number(own) not in self.high):
+                self._run_outputs(thread)
                 self.end("watched")
                 return
         if self.asked:
@@ -111,22 +111,22 @@ class Machine:
             if not self._statement(self.body[self.at], now, inputs):
                 return
 
-    def _off(self, block):
+    def _run_outputs(self, block):
         for row in block:
             if found := _OUT.match(row):
                 self._set(found)
 
-    def _set(self, found):
-        number = _number(found)
-        self.rises += number == self.line and found[3] == "True" and number not in self.high
-        self.high = self.high | {number} if found[3] == "True" else self.high - {number}
+    def _set(self, match):
+        number = _signal_number(match)
+        self.rises += number == self.line and match[3] == "True" and number not in self.high
+        self.high = self.high | {number} if match[3] == "True" else self.high - {number}
 
     def _statement(self, row, now, inputs):
         """Do one statement; whether the next one may follow in the same tick."""
         if isinstance(row, tuple):
             found = re.match(r"if get_(standard|configurable)_digital_out\((\d)\)", row[0])
-            if found and _number(found) in self.high:
-                self._off(row)
+            if found and _signal_number(found) in self.high:
+                self._run_outputs(row)
                 self.end("stays high")
                 return False
             self.at += 1
@@ -144,20 +144,23 @@ class Machine:
             block = self.functions[found[1]]
             self.limit = now + float(found[3]) if self.wait is None else self.limit
             self.wait = row
-            high = _number(_IN.search(block[2])) in inputs
-            lost = _number(_BACK.search(block[3])) not in self.high
+            high = _signal_number(_IN.search(block[2])) in inputs
+            lost = _signal_number(_BACK.search(block[3])) not in self.high
             if lost or high != (found[2] == "True"):
                 if lost or now > self.limit:
-                    self._off(block)
+                    self._run_outputs(block)
                     self.end("waited")
                 return False
             self.wait = None
         elif found := re.match(r"check_partner\((True|False),(True|False)\)", row):
             block = self.functions["check_partner"]
-            (line, runs), own = (_number(one) for one in _IN.finditer(block[1])), _BACK.search(block[1])
-            wanted = found[1] == "True", True, found[2] == "True"
-            if (line in inputs, runs in inputs, _number(own) in self.high) != wanted:
-                self._off(block)
+            (line, runs), own = (
+                (_signal_number(one) for one in _IN.finditer(block[1])),
+                _BACK.search(block[1]),
+            )
+            expected = found[1] == "True", True, found[2] == "True"
+            if (line in inputs, runs in inputs, _signal_number(own) in self.high) != expected:
+                self._run_outputs(block)
                 self.end("checked")
                 return False
         elif row.startswith("watching = run"):
@@ -186,16 +189,18 @@ class Machine:
 
 
 class Pair:
-    """Two machines, of which the first leads, with four wires of some ticks' delay, and an operator who does
-    as he is told, and answers in ``slow`` [s]."""
+    """Two machines and an operator. The first machine leads. Four wires have a delay of some ticks.
 
-    def __init__(self, left, right, wires, delay, slow=0.0):
+    The operator follows the instructions and answers within ``reply_delay`` [s].
+    """
+
+    def __init__(self, left, right, wires, delay, reply_delay=0.0):
         self.machines = (left, right)
         self.wires, self.delay = wires, delay
         """(from, output, to, input), from and to being 0 or 1."""
         self.now, self.past = 0.0, []
         self.cut = set()
-        self.slow, self.since = slow, [0.0, 0.0]
+        self.reply_delay, self.since = reply_delay, [0.0, 0.0]
 
     def tick(self, answers=True):
         self.past = [*self.past[-self.delay :], [set(m.high) for m in self.machines]]
@@ -219,7 +224,7 @@ class Pair:
             gate = "say that it is ready" in machine.asked
             if not machine.asked or (gate and not ready):
                 self.since[i] = self.now
-            elif self.now >= self.since[i] + self.slow:
+            elif self.now >= self.since[i] + self.reply_delay:
                 machine.answer()
                 self.since[i] = self.now
 

@@ -1,5 +1,8 @@
-"""Faults put into URScript texts, by kind and seeded. Geometric faults are twice the tolerance that they
-violate: 0.2 mm and 0.2 degrees where 0.1 are claimed, 0.002 mm for frames."""
+"""Seeded faults in URScript texts, by kind.
+
+Geometric faults are twice the tolerance that they violate: 0.2 mm and 0.2 degrees where 0.1 are claimed,
+0.002 mm for frames.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +59,7 @@ def moved(rng, row, size):
     return with_pose(row, pose)
 
 
-def turned(rng, row, degrees):
+def rotated(rng, row, degrees):
     """The row turned by an angle about a random axis."""
     pose, axis = pose_of(row), rng.normal(size=3)
     turn = Rotation.from_rotvec(np.deg2rad(degrees) * axis / np.linalg.norm(axis))
@@ -391,20 +394,20 @@ def wrong_payload(rng, texts):
 
 @mutator("verify.tool_data")
 def wrong_mass(rng, texts):
-    return edit(rng, texts, "^set_payload", lambda row: re.sub(r"\(([\d.]+)", _heavier, row))
+    return edit(rng, texts, "^set_payload", lambda row: re.sub(r"\(([\d.]+)", _increase_mass, row))
 
 
-def _heavier(found):
-    return f"({float(found[1]) + 0.002:.3f}"
+def _increase_mass(match):
+    return f"({float(match[1]) + 0.002:.3f}"
 
 
 @mutator("verify.tool_data")
 def centre_in_millimetres(rng, texts):
-    return edit(rng, texts, "^set_payload", lambda row: re.sub(r"([\d.]+)\]", _thousand, row))
+    return edit(rng, texts, "^set_payload", lambda row: re.sub(r"([\d.]+)\]", _to_millimetres, row))
 
 
-def _thousand(found):
-    return f"{1e3 * float(found[1]):.6f}]"
+def _to_millimetres(match):
+    return f"{1e3 * float(match[1]):.6f}]"
 
 
 # ---- poses ----------------------------------------
@@ -417,17 +420,17 @@ def pose_off(rng, texts):
 
 @mutator("verify.follows")
 def pose_turned(rng, texts):
-    return edit(rng, texts, "^movel", lambda row: turned(rng, row, 0.2))
+    return edit(rng, texts, "^movel", lambda row: rotated(rng, row, 0.2))
 
 
 @mutator("verify.follows")
 def start_off(rng, texts):
     """Of the joints that an operation begins at, one is off by 0.1 degrees."""
 
-    def off(row):
+    def shift_joint(row):
         return re.sub(r"\[([^,]+)", lambda found: f"[{float(found[1]) + 0.00175:.9f}", row)
 
-    return edit(rng, texts, "^x_._start", off)
+    return edit(rng, texts, "^x_._start", shift_joint)
 
 
 @mutator("verify.follows")

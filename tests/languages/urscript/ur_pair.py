@@ -1,5 +1,7 @@
-"""Two UR10e on controllers of their own: both go along a block and meet on the way, one of them switches a
-spindle on and off and asks a person in between."""
+"""Two UR10e with a controller each: both move along a block and meet on the way.
+
+In between, one of them switches a spindle on and off and asks the operator.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,7 @@ from planner.geometry.arrays import from_rpy
 from planner.languages.writing import write
 from planner.problem import Arm, Controller
 from planner.proof.kinematics import arm_model, inverse_kinematics
-from planner.targets import Action
+from planner.targets import TargetAction
 from planner.tooling import wire_holder
 from tests import urdf_text
 from tests.proof import small_job
@@ -29,7 +31,7 @@ BASES = {
 SIGNAL = "doGripper"
 LINES = ("doPartner", "diPartner", "doRunning", "diPartnerRunning")
 NUMBERS = {"left": (0, 0, 1, 1), "right": (2, 2, 3, 3)}
-NEAR = np.deg2rad([180.0, -60.0, 100.0, -130.0, -90.0, 0.0])
+JOINT_GUESS = np.deg2rad([180.0, -60.0, 100.0, -130.0, -90.0, 0.0])
 """Joints near home."""
 QUESTION = "Is the block in place?"
 AGAIN = "Go on?"
@@ -53,7 +55,7 @@ def _arms(right):
     ends = small_job.ends(np.array([small_job.AWAY]), False, 0.15)
     out = []
     for name, side in (("left", "start"), ("right", "end")):
-        bare = Arm(name, "ur10e", BASES[name], wire_holder("across", side), NEAR, given=_data())
+        bare = Arm(name, "ur10e", BASES[name], wire_holder("across", side), JOINT_GUESS, custom_data=_data())
         out.append(dataclasses.replace(bare, home=_joints(bare, ends[name])[0]))
     if right == "irb140":
         out[1] = small_job.problem().cell.arms[1]
@@ -62,10 +64,12 @@ def _arms(right):
 
 def _joints(arm, pose):
     """Joints (N, 6) of TCP poses (N, 4, 4) in the block's frame, by the branch of the arm's home."""
-    machine = arm_model.machine_of(arm.data)
+    machine = arm_model.robot_machine(arm.data)
     flange = np.linalg.inv(arm.base) @ small_job.STOCK @ pose @ np.linalg.inv(arm.tool.tcp)
     branch = np.full(len(pose), int(inverse_kinematics.branch_of(machine, arm.home)))
-    q = inverse_kinematics.continued(machine, inverse_kinematics.solve(machine, flange, branch), arm.home)
+    q = inverse_kinematics.unwrapped_path(
+        machine, inverse_kinematics.solve(machine, flange, branch), arm.home
+    )
     assert np.isfinite(q).all(), arm.name
     return q
 
@@ -85,8 +89,11 @@ def problem(kind="four_phase", every=1, numbers=None, right="ur10e"):
 
 
 def plan(count=2, switched=True, right="ur10e"):
-    """The plan: the way of the small job's arms, without the wire between them. The left arm asks at the
-    first targets and where the way turns back, and unless ``switched`` is False it switches there too."""
+    """Return the plan: the path of the small job's arms, without the wire between them.
+
+    The left arm asks at the first targets and where the path reverses. Unless ``switched`` is False, it
+    switches there too.
+    """
     whole = small_job.plan(count)
     (operation,) = whole.operations
     arms = {arm.name: arm for arm in _arms(right)}
@@ -94,14 +101,14 @@ def plan(count=2, switched=True, right="ur10e"):
     q = {name: _joints(arm, targets.pose[name]) for name, arm in arms.items()}
     turn = next(i for i, segment in enumerate(targets.segment) if str(segment) == "link") - 1
     actions = (
-        Action(0, "message", text="Mount a block."),
-        Action(0, "confirm", text=QUESTION),
-        Action(0, "on", signal=SIGNAL),
-        Action(0, "wait", seconds=1.0),
-        Action(turn, "off", signal=SIGNAL),
-        Action(turn, "confirm", text=AGAIN),
-        Action(turn, "on", signal=SIGNAL),
-        Action(targets.count - 1, "off", signal=SIGNAL),
+        TargetAction(0, "message", text="Mount a block."),
+        TargetAction(0, "confirm", text=QUESTION),
+        TargetAction(0, "on", signal=SIGNAL),
+        TargetAction(0, "wait", seconds=1.0),
+        TargetAction(turn, "off", signal=SIGNAL),
+        TargetAction(turn, "confirm", text=AGAIN),
+        TargetAction(turn, "on", signal=SIGNAL),
+        TargetAction(targets.count - 1, "off", signal=SIGNAL),
     )
     if not switched:
         actions = tuple(action for action in actions if not action.signal)
@@ -111,15 +118,14 @@ def plan(count=2, switched=True, right="ur10e"):
         targets=own,
         q=q,
         time=1.5 * operation.time,
-        entry={name: np.stack([arms[name].home, q[name][0]]) for name in ARMS},
-        exit={name: np.stack([q[name][-1], arms[name].home]) for name in ARMS},
+        approach={name: np.stack([arms[name].home, q[name][0]]) for name in ARMS},
+        retreat={name: np.stack([q[name][-1], arms[name].home]) for name in ARMS},
     )
     return dataclasses.replace(whole, operations=(made,), bases={arm.name: arm.base for arm in _arms(right)})
 
 
 def claims():
-    """Of the job in which nothing is switched: what the operator is told and asked, and what always has to
-    hold."""
+    """Claims of the job without switching: the operator dialogue and the claims of every job."""
     first = (
         message_step(Sentence("Mount a block.")),
         question_step(Sentence(QUESTION)),
@@ -132,7 +138,7 @@ def claims():
 @functools.cache
 def programs(kind="four_phase", every=1, count=2, switched=True, right="ur10e"):
     """The texts of the job as the planner writes them, with bare line feeds."""
-    texts = write.programs(plan(count, switched, right), problem(kind, every, right=right))
+    texts = write.program_files(plan(count, switched, right), problem(kind, every, right=right))
     return {
         path: text.replace("\r\n", "\n") if path.endswith(".script") else text for path, text in texts.items()
     }

@@ -1,5 +1,4 @@
-"""Random targets of a robot, what its language says of them, and which solutions of an independent inverse
-kinematics that selects."""
+"""Random targets of a robot, their text, and the solutions of an independent IK that it selects."""
 
 from __future__ import annotations
 
@@ -11,13 +10,13 @@ import py_opw_kinematics as opw
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from planner.catalogue.robots import RobotData, robot
-from planner.cell.kinematics import forward
+from planner.cell.kinematics import forward_kinematics
 from planner.geometry.arrays import to_quaternion
 from planner.languages.krl.writer import syntax as linear_moves
 from planner.languages.krl.writer.data import status, turn
 from planner.languages.rapid.writer import syntax
 from planner.languages.rapid.writer.syntax import confdata
-from planner.languages.writing.layout import Track
+from planner.languages.writing.layout import MoveTable
 
 SINGULAR = np.sin(np.deg2rad(5.0))
 """Targets are as far from the singular posture of the wrist as plans keep by default."""
@@ -26,8 +25,13 @@ CHUNK = 20_000
 
 @dataclasses.dataclass(frozen=True)
 class Fidelity:
-    """``selected``: share of the targets of which the text selects the planned solution and no other one;
-    ``position`` [mm] and ``angle`` [deg]: the most that a pose read from the text is off."""
+    """Results of :func:`measure`.
+
+    Attributes:
+        selected: Fraction of the targets whose text selects the planned solution and no other one.
+        position: Largest position error [mm] of a pose that is read from the text.
+        angle: Largest angle error [deg] of such a pose.
+    """
 
     selected: float
     position: float
@@ -51,7 +55,7 @@ def sample(arm: RobotData, count: int, seed: int = 0) -> np.ndarray:
 
 
 def solutions(arm: RobotData, poses: np.ndarray) -> np.ndarray:
-    """All solutions (N, 8, 6) of py-opw-kinematics in the arm's serial angles; NaN where there is none."""
+    """All solutions (N, 8, 6) of py-opw-kinematics in the arm's serial angles; NaN where none exists."""
     p = arm.opw
     model = opw.KinematicModel(
         **{key: getattr(p, key) for key in ("a1", "a2", "b", "c1", "c2", "c3", "c4")},
@@ -62,12 +66,12 @@ def solutions(arm: RobotData, poses: np.ndarray) -> np.ndarray:
 
 
 def selects(arm: RobotData, q: np.ndarray) -> np.ndarray:
-    """Whether (N,) status and turn, or confdata, leave one solution within the limits: the planned one.
+    """Return whether (N,) status and turn, or confdata, leave only the planned solution within the limits.
 
-    Bits of turns and quadrants count axis by axis, so the solutions that a branch gives with all whole turns
-    are counted as a product over the axes.
+    Bits of turns and quadrants count per axis, so the solutions of a branch with all whole turns are counted
+    as a product over the axes.
     """
-    found = solutions(arm, forward(arm, q))
+    found = solutions(arm, forward_kinematics(arm, q))
     exists = np.isfinite(found).all(axis=2)
     found = np.where(exists[..., None], found, 0.0)
     variants = found[..., None] + 2.0 * np.pi * np.arange(-2, 3)  # (N, 8, 6, 5)
@@ -75,8 +79,8 @@ def selects(arm: RobotData, q: np.ndarray) -> np.ndarray:
     if arm.family == "KUKA":
         same = status(arm, found) == status(arm, q)[:, None]
         bits = np.round(np.rad2deg(variants), 4) < 0.0
-        wanted = (turn(arm, q)[:, None] >> np.arange(6)) & 1
-        fits = bits == wanted[:, None, :, None].astype(bool)
+        expected = (turn(arm, q)[:, None] >> np.arange(6)) & 1
+        fits = bits == expected[:, None, :, None].astype(bool)
     else:
         conf = confdata(arm, q)
         same = confdata(arm, found)[..., 3] == conf[:, None, 3]
@@ -92,20 +96,20 @@ def selects(arm: RobotData, q: np.ndarray) -> np.ndarray:
 
 def read_back(arm: RobotData, q: np.ndarray) -> tuple[float, float]:
     """The most that poses read from the text of straight moves are off [mm], [deg]."""
-    poses = forward(arm, q)
+    poses = forward_kinematics(arm, q)
     quaternion = np.round(to_quaternion(poses[:, :3, :3]), 8)
     position = np.round(1e3 * poses[:, :3, 3], 4)
     ones = np.ones(len(q))
-    track = Track(position, quaternion, q, ones, ones, ones, ones, "world")
+    track = MoveTable(position, quaternion, q, ones, ones, ones, ones, "world")
     stop = np.zeros(len(q), dtype=bool)
     if arm.family == "KUKA":
-        rows = linear_moves.rows(track, stop, linear_moves.written(poses[0]))
-        text = [line for line in linear_moves.lines(rows, "krc4").move if line.startswith("SLIN")]
+        rows = linear_moves.krl_moves(track, stop, linear_moves.rounded_pose(poses[0]))
+        text = [line for line in linear_moves.move_text(rows, "krc4").move if line.startswith("SLIN")]
         values = np.array([[float(v) for v in re.findall(r"[XYZABC] (-?[\d.]+)", t)] for t in text])
         turns = Rotation.from_euler("ZYX", values[:, 3:], degrees=True)
         poses = poses[np.flatnonzero(~rows.still)]
     else:
-        text = syntax.move_lines(arm, track, None, np.full(len(q), "z1"), "t", "w")
+        text = syntax.move_lines(arm, track, None, np.full(len(q), "z1"), syntax.FrameNames("t", "w"))
         found = [re.match(r"MoveL \[\[([^]]*)\],\[([^]]*)\]", line) for line in text]
         values = np.array([[float(v) for v in ",".join(m.groups()).split(",")] for m in found if m])
         turns = Rotation.from_quat(values[:, 3:], scalar_first=True)
@@ -115,7 +119,7 @@ def read_back(arm: RobotData, q: np.ndarray) -> tuple[float, float]:
 
 
 def measure(name: str, count: int) -> Fidelity:
-    """The fidelity of a robot's language on so many random targets."""
+    """Return the fidelity of a robot's language on ``count`` random targets."""
     arm = robot(name)
     q = sample(arm, count)
     chosen = np.concatenate([selects(arm, q[i : i + CHUNK]) for i in range(0, count, CHUNK)])

@@ -1,4 +1,4 @@
-"""Small plans for KUKA arms, and what a person finds in the text of their programs."""
+"""Small plans for KUKA arms, and helpers that read the text of their programs."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from planner.claims.handshake import Handshake
-from planner.targets import Action
+from planner.targets import TargetAction
 from tests.languages.writing import krl_job, synthetic
 
 HOME = np.deg2rad([0.0, -90.0, 90.0, 0.0, 30.0, 0.0])
 START = np.deg2rad([5.0, -70.0, 80.0, 15.0, 45.0, -25.0])
 LABELS = ["mount", "approach", "approach", *["cut/front"] * 4, "retreat", "unmount"]
 ACTIONS = (
-    Action(0, "message", text="Check the cutter."),
-    Action(0, "on", signal="doSpindle"),
-    Action(0, "wait", seconds=2.5),
-    Action(0, "confirm", text="Is the spindle up to speed?"),
-    Action(8, "off", signal="doSpindle"),
+    TargetAction(0, "message", text="Check the cutter."),
+    TargetAction(0, "on", signal="doSpindle"),
+    TargetAction(0, "wait", seconds=2.5),
+    TargetAction(0, "confirm", text="Is the spindle up to speed?"),
+    TargetAction(8, "off", signal="doSpindle"),
 )
 MOVE = re.compile(
     r"^(SLIN|LIN) \{X ([-\d.]+),Y ([-\d.]+),Z ([-\d.]+),A ([-\d.]+),B ([-\d.]+),C ([-\d.]+)\}( C_\w+)?$"
@@ -43,15 +43,15 @@ def alone(model="kr10_r1100", q=None, labels=LABELS, stop=(6,), actions=ACTIONS,
 
 
 def synthetic_homes(work, job):
-    """The operation with ways from and to the arms' own homes."""
+    """Return the operation with approach from and retreat to the arms' own homes."""
     homes = {arm.name: arm.home for arm in job.cell.arms}
     entry = {a: np.stack([homes[a], 0.5 * (homes[a] + q[0]), q[0]]) for a, q in work.q.items()}
     leave = {a: np.stack([q[-1], 0.5 * (homes[a] + q[-1]), homes[a]]) for a, q in work.q.items()}
-    return dataclasses.replace(work, entry=entry, exit=leave)
+    return dataclasses.replace(work, approach=entry, retreat=leave)
 
 
 def two(models=("kr10_r1100", "kr10_r1100"), kind="four_phase", every=1, actions=(), **controller):
-    """Two arms on controllers of their own; returns (plan, problem)."""
+    """Two arms with a controller each; returns (plan, problem)."""
     io = {
         arm: {
             "doSpindle": 17,

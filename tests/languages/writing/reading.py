@@ -1,4 +1,4 @@
-"""What a person finds in the text of programs: modules, moves, and statements in the order they run."""
+"""Helpers that read the text of programs: modules, moves, and statements in execution order."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MOVE = re.compile(
 
 def programs(plan, problem, margins=None):
     """Texts as they are written, RAPID's with bare line feeds."""
-    return bare(write.programs(plan, problem, margins))
+    return bare(write.program_files(plan, problem, margins))
 
 
 def modules(files, task, kind=""):

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from planner.catalogue.robots import robot
-from planner.cell.kinematics import forward
+from planner.cell.kinematics import forward_kinematics
 from planner.claims.claim import HoldsStock
 from planner.claims.segments import Segment
 from planner.geometry.arrays import from_rpy, inverse
 from planner.plans import OperationPlan, Plan
-from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock
-from planner.targets import Action, Targets
+from planner.problem import Arm, Cell, Controller, Problem, Settings, SetupChange, Stock
+from planner.targets import TargetAction, Targets
 from planner.tooling import PlainTool, bow, gripper_plate
 
 HOME = np.deg2rad([0.0, 0.0, 0.0, 0.0, 30.0, 0.0])
@@ -23,10 +23,10 @@ DIGEST = "0123456789abcdef" * 4  # SHA-256 in length
 STOCK = from_rpy([0.55, 0.0, 0.2], [0.0, 0.0, np.pi / 2])
 BASES = {"left": np.eye(4), "right": from_rpy([1.1, 0.0, 0.0], [0.0, 0.0, np.pi])}
 ACTIONS = (
-    Action(0, "message", text="Mount a wire of 812.5 mm, cold."),
-    Action(0, "on", signal="doWirePower"),
-    Action(0, "wait", seconds=12.5),
-    Action(0, "confirm", text='Take up the slack at the slide, then press "OK".'),
+    TargetAction(0, "message", text="Mount a wire of 812.5 mm, cold."),
+    TargetAction(0, "on", signal="doWirePower"),
+    TargetAction(0, "wait", seconds=12.5),
+    TargetAction(0, "confirm", text='Take up the slack at the slide, then press "OK".'),
 )
 
 
@@ -39,7 +39,7 @@ class Work:
     arms: tuple = ("left", "right")
 
     def leaves(self, stock):
-        """The block as it was."""
+        """Return the block unchanged."""
         return stock
 
 
@@ -64,7 +64,7 @@ def problem(arms=("left", "right"), model="irb140", **controller):
 def world_tcp(job, arm, q):
     """TCP poses in the world."""
     item = job.cell.arm(arm)
-    return item.base @ forward(robot(item.robot), q) @ item.tool.tcp
+    return item.base @ forward_kinematics(robot(item.robot), q) @ item.tool.tcp
 
 
 def operation(
@@ -77,19 +77,20 @@ def operation(
     step=0.5,
     coupled=True,
     frame="stock",
-    place=STOCK,
+    stock_pose=STOCK,
 ):
-    """An operation with joints ``q`` {arm: (N, 6)}; it stops at targets ``stop``, the first and the last.
+    """Return an operation with joints ``q`` {arm: (N, 6)}.
 
-    ``job``: whatever has the cell as it is then, a problem or a setup.
+    It stops at targets ``stop``, the first and the last. ``job``: problem or setup with the cell at that
+    time.
     """
     count = len(segment)
     stops = np.zeros(count, dtype=bool)
     stops[[0, -1, *stop]] = True
-    place = inverse(place) if frame == "stock" else np.eye(4)
+    stock_pose = inverse(stock_pose) if frame == "stock" else np.eye(4)
     targets = Targets(
         arms=tuple(q),
-        pose={arm: place @ world_tcp(job, arm, joints) for arm, joints in q.items()},
+        pose={arm: stock_pose @ world_tcp(job, arm, joints) for arm, joints in q.items()},
         frame=dict.fromkeys(q, frame),
         freedoms=(),
         feed=np.full(count, 0.02),
@@ -108,16 +109,16 @@ def operation(
         q=q,
         values=np.zeros((count, 0)),
         time=step * np.arange(count, dtype=np.float64),
-        entry={arm: np.stack([HOME, middle, joints[0]]) for arm, joints in q.items()},
-        exit={arm: np.stack([joints[-1], middle, HOME]) for arm, joints in q.items()},
-        order=tuple(q),
+        approach={arm: np.stack([HOME, middle, joints[0]]) for arm, joints in q.items()},
+        retreat={arm: np.stack([joints[-1], middle, HOME]) for arm, joints in q.items()},
+        arm_order=tuple(q),
         metrics={},
     )
 
 
-def plan(*operations, places=(STOCK,)):
+def plan(*operations, stock_poses=(STOCK,)):
     """A plan of these operations."""
-    return Plan("test", DIGEST, {}, places, BASES, operations, {})
+    return Plan("test", DIGEST, {}, stock_poses, BASES, operations, {})
 
 
 def sweep(count, size=0.3, start=START):
@@ -141,21 +142,26 @@ def small(actions=ACTIONS, **settings):
         "unmount",
     ]
     q = {"left": sweep(9), "right": sweep(9, 0.25)}
-    off = (Action(6, "off", signal="doWirePower"), Action(8, "confirm", text="Take the wire off."))
+    off = (
+        TargetAction(6, "off", signal="doWirePower"),
+        TargetAction(8, "confirm", text="Take the wire off."),
+    )
     return plan(operation(job, q, labels, stop=(6,), actions=(*actions, *off))), job
 
 
-TURNED = from_rpy([0.5, 0.1, 0.25], [0.0, np.pi / 2, 0.3])
+ROTATED_STOCK = from_rpy([0.5, 0.1, 0.25], [0.0, np.pi / 2, 0.3])
 
 
 def two_setups():
     """A bow on the left arm cuts alone, then both arms work on the turned block; returns (plan, problem)."""
     job = problem()
     changes = {
-        0: Change(steps=("Mount the tool bow_400 on arm left.", "Clamp the block as the setup sheet says.")),
-        1: Change(
+        0: SetupChange(
+            steps=("Mount the tool bow_400 on arm left.", "Clamp the block as the setup sheet says.")
+        ),
+        1: SetupChange(
             tools={"left": tool()},
-            stock={"place": TURNED, "attitude": TURNED[:3, :3]},
+            stock={"place": ROTATED_STOCK, "attitude": ROTATED_STOCK[:3, :3]},
             steps=("Mount the tool Holder on arm left.", "Turn the block and clamp it again."),
         ),
     }
@@ -169,26 +175,28 @@ def two_setups():
     both = {"left": sweep(6), "right": sweep(6, 0.25)}
     made = plan(
         operation(first, alone, labels, name="sides", actions=(), coupled=False),
-        operation(second, both, ["mount", *["cut/front"] * 4, "retreat"], name="faces", place=TURNED),
-        places=(STOCK, TURNED),
+        operation(
+            second, both, ["mount", *["cut/front"] * 4, "retreat"], name="faces", stock_pose=ROTATED_STOCK
+        ),
+        stock_poses=(STOCK, ROTATED_STOCK),
     )
     return made, job
 
 
 GRIP = from_rpy([0.02, -0.01, 0.0], [0.0, 0.0, 0.4])
-FREE = Change(stock={"held_by": None}, steps=("Take the block off its gripper and clamp it.",))
+FREE = SetupChange(stock={"held_by": None}, steps=("Take the block off its gripper and clamp it.",))
 
 
 def held(released=False):
     """The right arm holds the block while the left one cuts it with a bow; returns (plan, problem).
 
-    ``released``: afterwards the block stands, and the left arm works alone.
+    ``released``: afterwards the block is put down, and the left arm works alone.
     """
     job = problem()
     tools = (bow(), gripper_plate(0.16, 0.12))
     arms = tuple(dataclasses.replace(a, tool=t) for a, t in zip(job.cell.arms, tools, strict=True))
     stock = Stock(np.array([0.3, 0.2, 0.25]), STOCK, np.eye(3), held_by="right", grip=GRIP)
-    changes = {0: Change(steps=("Fix the block to the gripper of arm right as the setup sheet says.",))}
+    changes = {0: SetupChange(steps=("Fix the block to the gripper of arm right as the setup sheet says.",))}
     if released:
         changes[1] = FREE
     work = (Work("held"), Work("standing", arms=("left",)))[: 2 if released else 1]
@@ -210,4 +218,4 @@ def held(released=False):
         operations.append(
             operation(job.setups[1], alone, ["cut/top"] * 4, name="standing", actions=(), coupled=False)
         )
-    return plan(*operations, places=(STOCK,) * len(job.setups)), job
+    return plan(*operations, stock_poses=(STOCK,) * len(job.setups)), job

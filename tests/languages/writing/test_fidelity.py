@@ -1,4 +1,4 @@
-"""What is posted selects the planned solution and reads back as planned, for every robot of the catalogue."""
+"""Posted targets select the planned solution and read back as planned, for every robot of the catalogue."""
 
 from __future__ import annotations
 

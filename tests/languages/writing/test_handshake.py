@@ -14,10 +14,10 @@ from planner.claims.handshake import Handshake, PartnerSignals
 from planner.issues import TandemError
 from planner.languages.rapid.reader.reader import read_task
 from planner.languages.writing import handshake, write
-from planner.languages.writing.handshake import meeting_rows, stretched
-from planner.languages.writing.steps import build
-from planner.languages.writing.write import notes
-from planner.targets import Action
+from planner.languages.writing.handshake import lengthen_for_stops, meeting_rows
+from planner.languages.writing.steps import build_job
+from planner.languages.writing.write import program_notes
+from planner.targets import TargetAction
 from tests.languages.writing import reading, synthetic
 from tests.languages.writing.reading import programs
 
@@ -32,7 +32,7 @@ def cell(kind="four_phase", every=1, **fields):
     return synthetic.problem(sync="handshake", handshake=Handshake(kind, every, **fields), **controllers)
 
 
-def made(kind="four_phase", every=1, actions=(), **fields):
+def plan_and_job(kind="four_phase", every=1, actions=(), **fields):
     job = cell(kind, every, **fields)
     q = {"left": synthetic.sweep(9), "right": synthetic.sweep(9, 0.25)}
     work = synthetic.operation(job, q, LABELS, stop=(6,), actions=actions, coupled=False)
@@ -40,11 +40,11 @@ def made(kind="four_phase", every=1, actions=(), **fields):
 
 
 def written(kind="four_phase", every=1, **fields):
-    return programs(*made(kind, every, **fields))
+    return programs(*plan_and_job(kind, every, **fields))
 
 
 def run(files, arm):
-    """What a program does to the lines, its boxes and moves, in order; looks at the running wire left out."""
+    """Return the program's output changes, boxes and moves in order, without checks of the running wire."""
     out = []
     for line in reading.flat(files, arm):
         signal = FORM.match(line)
@@ -60,10 +60,10 @@ def run(files, arm):
 
 
 def explore(a, b, start=(0, 0), trusted=True):
-    """All states that two runs can get into, as (place of each, line of each), and those with no way on.
+    """Return all reachable states of two runs, and those without a successor.
 
-    One event at a time, of either side: so every delay is among the ways. ``trusted``: the lead's second box
-    is confirmed only once the other panel says that it is ready.
+    A state is (position of each, line of each). Events occur one at a time, on either side, so every delay is
+    covered. ``trusted``: the lead's second box is confirmed only after the other panel reports ready.
     """
     ready = next(i for i, (kind, _, _) in enumerate(b) if kind == "TPWrite")
     boxes = [i for i, (kind, _, _) in enumerate(a) if kind == "UIMsgBox"]
@@ -200,21 +200,21 @@ def test_moves_that_stop_more_often_than_planned_take_the_time_that_takes():
     """From rest to rest by a cubic: highest speed 1.5 times the mean, highest acceleration 6 d / T^2."""
     planned, stop = np.full(4, 0.1), np.array([False, True, True, True])
     slow, still = np.full(4, 0.06), [np.zeros((4, 6))]
-    assert stretched(planned, stop, slow, still) == pytest.approx([0.1] * 4)
-    assert stretched(planned, stop, 2 * slow, still) == pytest.approx([0.16, 0.16, 0.18, 0.18])
+    assert lengthen_for_stops(planned, stop, slow, still) == pytest.approx([0.1] * 4)
+    assert lengthen_for_stops(planned, stop, 2 * slow, still) == pytest.approx([0.16, 0.16, 0.18, 0.18])
     steps = np.zeros((4, 6))
     steps[:, 2] = -0.02  # a step of 0.02 times the acceleration allowed
-    got = stretched(planned, stop, slow, [steps])
+    got = lengthen_for_stops(planned, stop, slow, [steps])
     assert got == pytest.approx(np.sqrt([0.08, 0.08, 0.12, 0.12]), abs=1.1e-5)
     time = np.linspace(0.0, got[3], 2001)
-    share = time / got[3]
-    acceleration = np.gradient(np.gradient(0.02 * (3 * share**2 - 2 * share**3), time), time)
+    fraction = time / got[3]
+    acceleration = np.gradient(np.gradient(0.02 * (3 * fraction**2 - 2 * fraction**3), time), time)
     assert 0.98 < np.abs(acceleration[2:-2]).max() <= 1.001
-    assert not len(stretched(planned[:0], stop[:0], slow[:0], [steps[:0]]))
+    assert not len(lengthen_for_stops(planned[:0], stop[:0], slow[:0], [steps[:0]]))
 
 
 def test_waits_are_as_long_as_stated():
-    actions = (Action(6, "wait", seconds=90.5), Action(6, "message", text="Half way."))
+    actions = (TargetAction(6, "wait", seconds=90.5), TargetAction(6, "message", text="Half way."))
     files = written("toggle", 1, actions=actions, timeout=7.5, patience=600.0)
     main = files["right/TandemMain_2.mod"]
     assert "WaitDI diPartner,1\\MaxTime:=7.5;" in main and "\\MaxTime:=691;" in main
@@ -234,7 +234,7 @@ def test_signals_have_each_controllers_own_names():
 
 
 def test_power_is_switched_off_by_the_controller_that_switches_it_on():
-    actions = (Action(0, "on", signal="doWirePower"), Action(8, "off", signal="doWirePower"))
+    actions = (TargetAction(0, "on", signal="doWirePower"), TargetAction(8, "off", signal="doWirePower"))
     files = written(actions=actions)
     assert "doWirePower" not in "\n".join(reading.modules(files, "right").values())
     handlers = re.findall(r"\n  ERROR\n +(\S+ ?\S*)", "\n".join(reading.modules(files, "left").values()))
@@ -242,9 +242,9 @@ def test_power_is_switched_off_by_the_controller_that_switches_it_on():
 
 
 def test_only_procedures_that_are_called_are_written():
-    for every, wanted in ((1, {"handshake_0", "handshake_1"}), (9, {"handshake_0", "handshake_1"})):
+    for every, expected in ((1, {"handshake_0", "handshake_1"}), (9, {"handshake_0", "handshake_1"})):
         main = written("toggle", every)["left/TandemMain_1.mod"]
-        assert set(re.findall(r"PROC (handshake\w*)", main)) == wanted
+        assert set(re.findall(r"PROC (handshake\w*)", main)) == expected
     job = cell("toggle", 100)
     q = {"left": synthetic.sweep(4), "right": synthetic.sweep(4, 0.25)}
     plan = synthetic.plan(synthetic.operation(job, q, ["cut/b"] * 4, actions=(), coupled=False))
@@ -256,7 +256,7 @@ def test_one_arm_alone_needs_no_handshake():
     work = synthetic.operation(job, {"right": synthetic.sweep(5)}, ["cut/a"] * 5, actions=(), coupled=False)
     files = programs(synthetic.plan(work), job)
     assert {name.split("/")[0] for name in files} == {"right"}
-    assert "WaitDI" not in "\n".join(files.values()) and not notes(synthetic.plan(work), job)
+    assert "WaitDI" not in "\n".join(files.values()) and not program_notes(synthetic.plan(work), job)
 
 
 def test_an_arm_that_works_alone_is_waited_for():
@@ -281,7 +281,7 @@ def test_an_arm_that_works_alone_is_waited_for():
 @pytest.mark.parametrize("coupled", [True, False])
 def test_what_cannot_live_with_a_step_apart_is_refused_with_the_reason(coupled):
     if coupled:
-        plan, job = made()
+        plan, job = plan_and_job()
         work = plan.operations[0]
         work = dataclasses.replace(work, targets=dataclasses.replace(work.targets, coupled=True))
         plan, word = synthetic.plan(work), "wire"
@@ -318,10 +318,11 @@ def test_long_programs_are_split_where_the_arms_meet():
 def brute(a, b, meets, fine=60):
     """The drift by looking at very many pairs of instants."""
     out, first = np.zeros(len(meets)), 0
-    share = np.linspace(0.0, 1.0, fine + 1)[:, None]
+    fraction = np.linspace(0.0, 1.0, fine + 1)[:, None]
     for last in np.flatnonzero(meets).tolist():
         x, y = (
-            np.concatenate([p[i] + share * (p[i + 1] - p[i]) for i in range(first, last + 1)]) for p in (a, b)
+            np.concatenate([p[i] + fraction * (p[i + 1] - p[i]) for i in range(first, last + 1)])
+            for p in (a, b)
         )
         gap = np.linalg.norm(x[:, None] - y[None], axis=2)
         planned = np.diag(gap)
@@ -351,9 +352,9 @@ def test_the_drift_of_parallel_tools_in_closed_form():
 
 
 def test_the_drift_is_told_in_a_note_and_in_the_headers():
-    plan, job = made("toggle", 4)
-    (note,) = notes(plan, job)
-    drift = build(plan, job).drifts[0]
+    plan, job = plan_and_job("toggle", 4)
+    (note,) = program_notes(plan, job)
+    drift = build_job(plan, job).drifts[0]
     poses = plan.operations[0].targets.poses(plan.operations[0].values)
     ways = [poses[arm][:, :3, 3] for arm in ("left", "right")]
     expected = brute(*ways, np.array([0, 0, 0, 1, 0, 1, 0, 1]))
@@ -367,4 +368,4 @@ def test_the_drift_is_told_in_a_note_and_in_the_headers():
 
 
 def test_one_controller_has_no_drift_to_tell():
-    assert notes(*synthetic.small()) == ()
+    assert program_notes(*synthetic.small()) == ()

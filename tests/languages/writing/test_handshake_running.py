@@ -1,4 +1,4 @@
-"""The running wire between two controllers: lines of their configuration, and what they come to."""
+"""The running wire between two controllers: the lines of their configuration and their logic values."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from planner.claims.handshake import PartnerSignals
 from planner.languages.krl.writer import controller_files as krl_files
 from planner.languages.rapid.writer import controller_files as rapid_files
 from planner.languages.writing import handshake, write
-from planner.targets import Action
+from planner.targets import TargetAction
 from tests.languages.writing import krl_job, synthetic
 from tests.proof import handshake_job
 
@@ -20,7 +20,7 @@ KUKA, ABB = "kr10_r1100", "irb140"
 
 
 def value(expression, signals):
-    """What an expression of the submit interpreter comes to."""
+    """Evaluate an expression of the submit interpreter."""
     words = expression.partition(";")[0]
     words = re.sub(r"\$?\w+(\[\d+\])?", lambda m: _word(m.group(), signals), words)
     return bool(eval(words, {"__builtins__": {}}))
@@ -80,7 +80,7 @@ def test_an_abb_controller_drives_its_wire_from_the_system_and_stops_by_the_othe
     declared = [row["Name"] for row in rows["EIO_SIGNAL"]]
     assert declared == ["doRunning", "diPartnerRunning", other["Res"]]
     longest = dataclasses.replace(PartnerSignals(), partner_running="d" * 24)
-    assert len(longest.lost) <= 32
+    assert len(longest.lost_input) <= 32
     assert (
         rapid_files.rapid_power_term(krl_job.two((ABB, KUKA))[1].cell.controller, "left")
         == "diPartnerRunning"
@@ -90,14 +90,14 @@ def test_an_abb_controller_drives_its_wire_from_the_system_and_stops_by_the_othe
 @pytest.mark.parametrize(
     "text",
     (
-        handshake.PARTNER_STANDS,
-        handshake.PARTNER_RUNS,
+        handshake.PARTNER_NOT_RUNNING,
+        handshake.PARTNER_STILL_RUNNING,
         sentences.START_PARTNER.words,
         sentences.UNANSWERED.words,
     ),
 )
 def test_every_text_on_the_running_wire_is_in_some_program(text):
-    files = [*handshake_job.programs().values(), *write.programs(*krl_job.two()).values()]
+    files = [*handshake_job.programs().values(), *write.program_files(*krl_job.two()).values()]
     given = " ".join(re.sub(r"[^\w .:]", "", "\n".join(files).replace("TPWrite", "")).split())
     words = text.format(other="right", input="diPartnerRunning")
     assert " ".join(re.sub(r"[^\w .:]", "", words).split()) in given
@@ -108,11 +108,11 @@ def test_a_signal_that_powers_nothing_is_no_matter_of_the_controller():
     job = synthetic.problem(("left",))
     found = {}
     for powers in (True, False):
-        actions = [Action(0, kind, signal="doStep", powers=powers) for kind in ("on", "off")]
+        actions = [TargetAction(0, kind, signal="doStep", switches_power=powers) for kind in ("on", "off")]
         made = synthetic.operation(
             job, {"left": synthetic.sweep(4)}, ["cut/a"] * 4, actions=actions, coupled=False
         )
-        texts = write.programs(synthetic.plan(made), job)
+        texts = write.program_files(synthetic.plan(made), job)
         found[powers] = {name for name in texts if name.startswith("controller/")}
         assert any("doStep" in text for text in texts.values())
     assert found[True] and not found[False]

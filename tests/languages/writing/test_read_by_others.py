@@ -1,6 +1,6 @@
-"""Programs are read by grammars that others wrote: RAPID by the package ``rapidchecker``, KRL for KR C2 by
-the grammar ``kuka/krl.g4`` of antlr/grammars-v4. Both run in an environment of their own, which ``.ci/run``
-makes.
+"""Third-party grammars read the programs: RAPID by ``rapidchecker``, KRL for KR C2 by ``kuka/krl.g4``.
+
+The grammar is from antlr/grammars-v4. Both run in an environment of their own, which ``.ci/run`` creates.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from planner import pipeline
-from planner.languages.writing.write import programs
+from planner.languages.writing.write import program_files
 from tests.languages.writing import krl_job
 from tests.processes.forming.proof import forming_job
 from tests.processes.hotwire.proof import bead_job, straight_job
@@ -74,9 +74,9 @@ JOBS: dict[str, Callable[[], Mapping[str, str]]] = {
     "milling": lambda: milled(),
 }
 KRL_JOBS: dict[str, Callable[[], Mapping[str, str]]] = {
-    "one arm with a spindle": lambda: programs(*krl_job.alone(dialect="krc2")),
-    "handshake, four phases": lambda: programs(*krl_job.two(dialect="krc2")),
-    "handshake, toggle": lambda: programs(*krl_job.two(kind="toggle", every=2, dialect="krc2")),
+    "one arm with a spindle": lambda: program_files(*krl_job.alone(dialect="krc2")),
+    "handshake, four phases": lambda: program_files(*krl_job.two(dialect="krc2")),
+    "handshake, toggle": lambda: program_files(*krl_job.two(kind="toggle", every=2, dialect="krc2")),
 }
 
 
@@ -86,8 +86,8 @@ def milled() -> Mapping[str, str]:
         return pipeline.plan(pipeline.load(planner_jobs.engrave(Path(folder)))).programs
 
 
-def found(script: str, texts: Mapping[str, str], *arguments: str) -> dict[str, list[str]]:
-    """What the others' reader says of texts, with line ends as it takes them."""
+def reader_messages(script: str, texts: Mapping[str, str], *arguments: str) -> dict[str, list[str]]:
+    """Return the messages of a third-party reader on texts, with the line ends that it accepts."""
     plain = {name: text.replace("\r\n", "\n") for name, text in texts.items()}
     done = subprocess.run(
         [PYTHON, "-c", script, *arguments],
@@ -98,8 +98,8 @@ def found(script: str, texts: Mapping[str, str], *arguments: str) -> dict[str, l
         env={key: value for key, value in os.environ.items() if key != "PYTHONPATH"},
     )
     assert done.returncode == 0, done.stderr
-    told: dict[str, list[str]] = json.loads(done.stdout)
-    return told
+    results: dict[str, list[str]] = json.loads(done.stdout)
+    return results
 
 
 def modules(job: str) -> dict[str, str]:
@@ -114,14 +114,14 @@ def modules(job: str) -> dict[str, str]:
 def test_rapid_is_read(job: str) -> None:
     texts = modules(job)
     assert len(texts) >= 3
-    assert found(RAPID, texts) == {name: [] for name in texts}
+    assert reader_messages(RAPID, texts) == {name: [] for name in texts}
 
 
 @reads_rapid
 def test_what_is_no_rapid_is_told() -> None:
     name, text = next((n, t) for n, t in modules("poses").items() if "Cut" in n)
     broken = {"colon": text.replace("\\T:=", "\\T=", 1), "end": text.replace("ENDPROC", "", 1)}
-    assert all(found(RAPID, broken).values()), name
+    assert all(reader_messages(RAPID, broken).values()), name
 
 
 @reads_krl
@@ -129,11 +129,11 @@ def test_what_is_no_rapid_is_told() -> None:
 def test_krl_is_read(job: str) -> None:
     texts = {name: text for name, text in KRL_JOBS[job]().items() if not name.startswith("controller/")}
     assert len(texts) >= 2
-    assert found(KRL, texts, GRAMMAR) == {name: [] for name in texts}
+    assert reader_messages(KRL, texts, GRAMMAR) == {name: [] for name in texts}
 
 
 @reads_krl
 def test_what_is_no_krl_is_told() -> None:
     name, text = next((n, t) for n, t in KRL_JOBS["one arm with a spindle"]().items() if n.endswith("_1.src"))
     broken = {"brace": text.replace("}", "", 1), "end": text.replace("\nEND", "\nENDWHILE", 1)}
-    assert all(found(KRL, broken, GRAMMAR).values()), name
+    assert all(reader_messages(KRL, broken, GRAMMAR).values()), name

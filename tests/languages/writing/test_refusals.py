@@ -1,4 +1,4 @@
-"""Plans that no program can carry out are refused with the issue that says why."""
+"""Plans that no program can carry out are refused with the issue that states the reason."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from planner.claims.segments import Segment
 from planner.issues import TandemError
-from planner.targets import Action
+from planner.targets import TargetAction
 from tests.languages.writing import krl_job, synthetic
 from tests.languages.writing.reading import programs
 
@@ -63,21 +63,23 @@ def test_joints_that_are_not_finite(small):
 
 @pytest.mark.parametrize("together", [("entry",), ("entry", "exit"), ("elsewhere",)])
 def test_ways_at_once_that_no_program_can_go(small, together):
-    way = {arm: path[: 1 + k] for k, (arm, path) in enumerate(small[0].operations[0].entry.items())}
-    assert refused(changed(small[0], together=together, entry=way), small[1]) == {"post.plan"}
+    way = {arm: path[: 1 + k] for k, (arm, path) in enumerate(small[0].operations[0].approach.items())}
+    assert refused(changed(small[0], synchronised=together, approach=way), small[1]) == {"post.plan"}
 
 
 @pytest.mark.parametrize("models", [("irb140",) * 2, ("kr10_r1100", "irb140"), ("kr10_r1100",) * 2])
 def test_ways_at_once_of_two_controllers(models):
     plan, problem = krl_job.two(models)
     programs(plan, problem)
-    assert refused(changed(plan, together=("entry",)), problem) == {"post.plan"}
-    assert refused(changed(plan, together=("exit",)), problem) == {"post.plan"}
+    assert refused(changed(plan, synchronised=("entry",)), problem) == {"post.plan"}
+    assert refused(changed(plan, synchronised=("exit",)), problem) == {"post.plan"}
 
 
 @pytest.mark.parametrize("at", [4, -1, 9])
 def test_an_action_where_the_motion_does_not_stop(small, at):
-    assert refused(changed(small[0], actions=(Action(at, "message", text="?"),)), small[1]) == {"post.action"}
+    assert refused(changed(small[0], actions=(TargetAction(at, "message", text="?"),)), small[1]) == {
+        "post.action"
+    }
 
 
 @pytest.mark.parametrize("label", ["1st", "exit", "a" * 40, "!!!"])
@@ -105,7 +107,9 @@ def test_a_label_with_the_name_of_another_thing(small):
 
 
 def test_a_signal_that_gives_no_name(small):
-    assert refused(changed(small[0], actions=(Action(0, "on", signal="2nd"),)), small[1]) == {"post.name"}
+    assert refused(changed(small[0], actions=(TargetAction(0, "on", signal="2nd"),)), small[1]) == {
+        "post.name"
+    }
 
 
 @pytest.mark.parametrize("mass", [0.0, -1.0, float("nan")])

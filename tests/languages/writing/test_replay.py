@@ -9,16 +9,16 @@ from hypothesis import strategies as st
 
 from planner.programs import job
 from planner.proof.replay import playback
-from planner.proof.setups import spans
-from planner.targets import Action
+from planner.proof.setups import setup_spans
+from planner.targets import TargetAction
 from tests.languages.writing import synthetic
 from tests.languages.writing.reading import programs
 
 
 def read(plan, problem):
     """The programs as read; without faults."""
-    text = job.read(problem, programs(plan, problem))
-    assert not text.faults and not text.flow and not text.strays
+    text = job.read_job(problem, programs(plan, problem))
+    assert not text.faults and not text.flow_faults and not text.strays
     assert text.stages
     return text
 
@@ -55,12 +55,12 @@ SEGMENTS = st.lists(st.tuples(KINDS, st.integers(1, 6), st.booleans()), min_size
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(SEGMENTS, st.booleans(), st.integers(0, 3), st.booleans())
 def test_any_row_of_segments_reads_back_with_pairs_and_points_in_order(segments, together, repeats, twice):
-    labels, stops, actions = ["mount"], [], [Action(0, "on", signal="doWirePower")]
+    labels, stops, actions = ["mount"], [], [TargetAction(0, "on", signal="doWirePower")]
     for label, count, stop in segments:
         labels += [label] * count
         if stop:
             stops.append(len(labels) - 1)
-            actions.append(Action(len(labels) - 1, "confirm", text=label))
+            actions.append(TargetAction(len(labels) - 1, "confirm", text=label))
     arms = ("left", "right") if together else ("right",)
     problem = synthetic.problem()
     q = {arm: synthetic.sweep(len(labels), size) for arm, size in zip(arms, (0.3, 0.2), strict=False)}
@@ -84,12 +84,12 @@ def test_any_row_of_segments_reads_back_with_pairs_and_points_in_order(segments,
 
 
 @pytest.mark.parametrize(
-    "made", [synthetic.two_setups, synthetic.held, lambda: synthetic.held(released=True)]
+    "build_job", [synthetic.two_setups, synthetic.held, lambda: synthetic.held(released=True)]
 )
-def test_setups_and_held_blocks_lead_back_to_the_planned_joints(made):
-    plan, problem = made()
+def test_setups_and_held_blocks_lead_back_to_the_planned_joints(build_job):
+    plan, problem = build_job()
     text = read(plan, problem)
-    of_stage = spans(problem.setups, text).of_stage
+    of_stage = setup_spans(problem.setups, text).of_stage
     assert sorted(set(of_stage.tolist())) == list(range(len(problem.setups)))
     mounted = [{arm.name: arm.tool.tcp for arm in setup.cell.arms} for setup in problem.setups]
     motion = playback.replay(text, plan.bases, [mounted[i] for i in of_stage])
@@ -97,5 +97,5 @@ def test_setups_and_held_blocks_lead_back_to_the_planned_joints(made):
     reached = {arm: np.concatenate([motion.node_conf_q[arm], motion.q[arm]]) for arm in motion.q}
     for operation in plan.operations:
         for arm, q in operation.q.items():
-            for wanted in q:
-                assert np.nanmin(np.abs(reached[arm] - wanted).max(axis=1)) < 1e-6
+            for expected in q:
+                assert np.nanmin(np.abs(reached[arm] - expected).max(axis=1)) < 1e-6

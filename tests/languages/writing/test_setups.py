@@ -1,4 +1,4 @@
-"""Programs of several setups and of a block that an arm holds: what is asked, named, carried and where."""
+"""Programs of several setups and of a held block: questions, names, carried loads and poses."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from planner.catalogue.robots import robot
-from planner.cell.kinematics import forward
+from planner.cell.kinematics import forward_kinematics
 from planner.geometry.arrays import from_quaternion
 from planner.issues import TandemError
 from planner.languages.rapid.reader.reader import read_task
-from planner.problem import Change
+from planner.problem import SetupChange
 from tests.languages.writing import synthetic
 from tests.languages.writing.reading import data, flat, modules, moves, pose, programs, targets
 
@@ -40,13 +40,13 @@ def at(lines, text):
 
 
 def question(number):
-    return f'UIMsgBox\\Header:="Tandem","Setup {number} done as told, nobody in the cell?"'
+    return f'UIMsgBox\\Header:="Tandem","Setup {number} done as instructed, nobody in the cell?"'
 
 
 def tcp(setup, plan, arm, q):
-    """TCP in the world by the arm's own kinematics."""
+    """Return the TCP in the world by the arm's own kinematics."""
     item = setup.cell.arm(arm)
-    return plan.bases[arm] @ forward(robot(item.robot), q) @ item.tool.tcp
+    return plan.bases[arm] @ forward_kinematics(robot(item.robot), q) @ item.tool.tcp
 
 
 @pytest.mark.parametrize("job", ["two", "held"])
@@ -102,12 +102,12 @@ def test_tools_and_work_objects_are_those_of_the_setup(two):
         np.testing.assert_allclose(
             pose(data(files, "T_ROB1", "tooldata", name)[1]), setup.cell.arm("left").tool.tcp, atol=1e-8
         )
-    for name, place in (("w_stock", synthetic.STOCK), ("w_stock_2", synthetic.TURNED)):
+    for name, place in (("w_stock", synthetic.STOCK), ("w_stock_2", synthetic.ROTATED_STOCK)):
         value = data(files, "T_ROB1", "wobjdata", name)
         assert value[:3] == [False, True, ""]
         np.testing.assert_allclose(pose(value[3]) @ pose(value[4]), place, atol=1e-7)
     for setup, operation, part in ((first, 0, slice(0, 6)), (second, 1, slice(6, 11))):
-        work = plan.places[setup.number - 1] @ targets(rows[part])
+        work = plan.stock_poses[setup.number - 1] @ targets(rows[part])
         q = plan.operations[operation].q["left"][1:]
         np.testing.assert_allclose(work, tcp(setup, plan, "left", q), atol=2e-7)
     ways = [line for line in flat(files, "T_ROB1") if line.startswith("MoveAbsJ")]
@@ -140,7 +140,7 @@ def test_tools_that_differ_have_names_that_differ():
     ],
 )
 def test_names_of_tools_are_as_long_as_rapid_takes(name, called, second):
-    """RAPID's identifiers have 32 characters at most; two tools of one name are told apart."""
+    """RAPID identifiers have at most 32 characters. Two tools of one name get different identifiers."""
     plan, problem = synthetic.two_setups()
     tools = [synthetic.tool(name=name, mass=2.0 + n) for n in (1, 2)]
     arms = (dataclasses.replace(problem.cell.arms[0], tool=tools[0]), problem.cell.arms[1])
@@ -163,7 +163,7 @@ def test_work_on_a_held_block_follows_the_other_arms_flange(held):
     assert {row[8] for row in rows} == {"w_held"}
     work = data(files, "T_ROB1", "wobjdata", "w_held")
     assert work[:3] == [False, False, "ROB_2"]
-    flange = plan.bases["right"] @ forward(robot("irb140"), operation.q["right"][1:])
+    flange = plan.bases["right"] @ forward_kinematics(robot("irb140"), operation.q["right"][1:])
     reached = flange @ pose(work[3]) @ pose(work[4]) @ targets(rows)
     np.testing.assert_allclose(reached, tcp(setup, plan, "left", operation.q["left"][1:]), atol=5e-7)
 
@@ -172,8 +172,8 @@ def test_the_holders_own_moves_are_in_the_world(held):
     plan, problem, files = held
     rows = moves(files, "T_ROB2")
     assert {row[8] for row in rows} == {"wobj0"}
-    wanted = tcp(problem.setups[0], plan, "right", plan.operations[0].q["right"][1:])
-    np.testing.assert_allclose(targets(rows), wanted, atol=2e-7)
+    expected = tcp(problem.setups[0], plan, "right", plan.operations[0].q["right"][1:])
+    np.testing.assert_allclose(targets(rows), expected, atol=2e-7)
     assert "wobjdata" not in files["T_ROB2/TandemData_2.mod"]
 
 
@@ -215,14 +215,14 @@ def test_the_load_is_the_blocks_in_the_tools_frame(held):
 def test_a_block_that_two_setups_hold_has_a_load_in_each():
     plan, problem = synthetic.held()
     work = (*problem.operations, dataclasses.replace(problem.operations[0], name="again"))
-    changes = {**problem.changes, 1: Change(stock={"oversize": np.zeros((2, 3))}, steps=("Turn it.",))}
+    changes = {**problem.changes, 1: SetupChange(stock={"oversize": np.zeros((2, 3))}, steps=("Turn it.",))}
     problem = dataclasses.replace(problem, operations=work, changes=changes)
     operation = plan.operations[0]
     segment = tuple(dataclasses.replace(own, name=own.name and "other") for own in operation.targets.segment)
     again = dataclasses.replace(
         operation, name="again", targets=dataclasses.replace(operation.targets, segment=segment)
     )
-    plan = dataclasses.replace(plan, operations=(operation, again), places=plan.places * 2)
+    plan = dataclasses.replace(plan, operations=(operation, again), stock_poses=plan.stock_poses * 2)
     files = programs(plan, problem)
     lines = [line for line in flat(files, "T_ROB2") if line.startswith("GripLoad")]
     assert lines == ["GripLoad load_block;", "GripLoad load_block_2;"]
@@ -239,11 +239,11 @@ def test_a_held_block_of_unknown_weight_is_refused():
     assert caught.value.issues[0].hint
 
 
-@pytest.mark.parametrize("places", [1, 0])
-def test_a_plan_of_fewer_setups_than_the_problem_has_is_refused(two, places):
+@pytest.mark.parametrize("pose_count", [1, 0])
+def test_a_plan_of_fewer_setups_than_the_problem_has_is_refused(two, pose_count):
     plan, problem, _ = two
     with pytest.raises(TandemError) as caught:
-        programs(dataclasses.replace(plan, places=plan.places[:places]), problem)
+        programs(dataclasses.replace(plan, stock_poses=plan.stock_poses[:pose_count]), problem)
     assert [issue.code for issue in caught.value.issues] == ["post.plan"]
 
 

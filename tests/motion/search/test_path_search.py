@@ -1,4 +1,4 @@
-"""Which samples are tried for a path, against all of them."""
+"""The samples that are tried for a path, compared with all samples."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import pytest
 
 from planner.motion.planning_scene import Scene
 from planner.motion.search import path_search
-from planner.motion.search.ladder_search import Blocked, Found, search
-from planner.motion.search.reach import SLIDE_SAMPLES, SPIN_STEP, sample
+from planner.motion.search.layered_graph_search import BlockedSearch, PathResult, search_graph
+from planner.motion.search.reach import SLIDE_SAMPLES, SPIN_STEP_RAD, sample_freedoms
 from planner.targets import ScrewFreedom, Targets
 from tests.motion.scenes import box, pair
 
@@ -36,17 +36,17 @@ def test_a_path_that_more_samples_have_is_found_though_dead_ends_are_told_from_t
 
     def counted(scene: Scene, targets: Targets, grid, **words):  # type: ignore[no-untyped-def]
         searched.append((targets.count, grid.samples))
-        return search(scene, targets, grid, **words)
+        return search_graph(scene, targets, grid, **words)
 
-    monkeypatch.setattr(path_search, "search", counted)
+    monkeypatch.setattr(path_search, "search_graph", counted)
     spared = found = 0
     for number, (scene, targets) in enumerate(posts(7)):
-        many = sample(targets, SPIN_STEP, SLIDE_SAMPLES)
-        wanted = search(scene, targets, many, moves=True)
+        many = sample_freedoms(targets, SPIN_STEP_RAD, SLIDE_SAMPLES)
+        expected = search_graph(scene, targets, many, moves=True)
         searched.clear()
         _, got = path_search.find_path(scene, targets, fine=False)
-        assert isinstance(got, Blocked) == isinstance(wanted, Blocked), number
-        spared += isinstance(got, Blocked) and (targets.count, many.samples) not in searched
-        found += isinstance(got, Found)
+        assert isinstance(got, BlockedSearch) == isinstance(expected, BlockedSearch), number
+        spared += isinstance(got, BlockedSearch) and (targets.count, many.samples) not in searched
+        found += isinstance(got, PathResult)
     assert spared >= 3
     assert found >= 3

@@ -1,5 +1,7 @@
-"""The proof's own kinematics: the chain that it reads from a URDF against Drake, what it derives from it
-against another library, and what it refuses."""
+"""The proof's own kinematics: the chain of a URDF against Drake, derived values against another library.
+
+Refusals are tested too.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from planner.catalogue import robots
 from planner.issues import TandemError
 from planner.proof.kinematics import arm_model, inverse_kinematics
-from planner.proof.kinematics.chain import POSTURES_TOGETHER
+from planner.proof.kinematics.chain import POSTURES_PER_BATCH
 from tests.robot_sample import SAMPLE
 
 
@@ -46,14 +48,14 @@ def drakes(plant, links, q):
 
 @pytest.mark.parametrize("name", SAMPLE)
 def test_every_link_is_where_drake_has_it(name):
-    machine = arm_model.machine_of(robots.robot(name))
+    machine = arm_model.robot_machine(robots.robot(name))
     q = postures(machine)
     plant = plant_of(robots.urdf_path(name).read_text("utf-8"))
-    wanted = drakes(plant, machine.chain.links, q)
-    off = np.abs(machine.chain.frames(q) - wanted).max(axis=(0, 2, 3))
+    expected = drakes(plant, machine.chain.links, q)
+    deviation = np.abs(machine.chain.frames(q) - expected).max(axis=(0, 2, 3))
     assert machine.chain.links == (*(f"link_{i}" for i in range(1, 7)), "tool0")
-    assert off.max() <= 1e-12, dict(zip(machine.chain.links, off, strict=True))
-    np.testing.assert_allclose(machine.flange(q), wanted[:, 6], atol=1e-12)
+    assert deviation.max() <= 1e-12, dict(zip(machine.chain.links, deviation, strict=True))
+    np.testing.assert_allclose(machine.flange(q), expected[:, 6], atol=1e-12)
 
 
 @pytest.mark.parametrize("name", SAMPLE)
@@ -61,8 +63,8 @@ def test_the_file_is_xml_with_its_namespace_and_the_catalogues_figures(name):
     text = robots.urdf_path(name).read_text("utf-8")
     assert ET.fromstring(text).get("name") == name
     assert 'xmlns:drake="' in text
-    machine = arm_model.machine_of(robots.robot(name))
-    assert arm_model.differences(machine) == []
+    machine = arm_model.robot_machine(robots.robot(name))
+    assert arm_model.compare_with_catalogue(machine) == []
     np.testing.assert_allclose(machine.chain.lower, machine.data.lower, atol=1e-12)
     np.testing.assert_allclose(machine.chain.upper, machine.data.upper, atol=1e-12)
     np.testing.assert_allclose(machine.chain.velocity, machine.data.velocity, atol=1e-12)
@@ -71,7 +73,7 @@ def test_the_file_is_xml_with_its_namespace_and_the_catalogues_figures(name):
 @pytest.mark.parametrize("name", SAMPLE)
 def test_every_solution_leads_back_to_its_pose_by_drake(name):
     """All eight branches of poses that random joints make; some of the other branches are out of reach."""
-    machine = arm_model.machine_of(robots.robot(name))
+    machine = arm_model.robot_machine(robots.robot(name))
     q = np.random.default_rng(12).uniform(machine.data.lower, machine.data.upper, (40, 6))
     plant = plant_of(robots.urdf_path(name).read_text("utf-8"))
     pose = drakes(plant, ["tool0"], q)[:, 0]
@@ -80,23 +82,23 @@ def test_every_solution_leads_back_to_its_pose_by_drake(name):
     assert good.reshape(-1, 8).any(axis=1).all()
     assert good.sum() > 4 * len(q)
     back = drakes(plant, ["tool0"], found[good])[:, 0]
-    assert np.abs(back - np.repeat(pose, 8, axis=0)[good]).max() <= inverse_kinematics.REPRODUCED
+    assert np.abs(back - np.repeat(pose, 8, axis=0)[good]).max() <= inverse_kinematics.POSE_TOLERANCE
 
 
 def test_a_solution_that_the_chain_does_not_lead_back_from_does_not_count():
-    machine = arm_model.machine_of(robots.robot("irb140"))
+    machine = arm_model.robot_machine(robots.robot("irb140"))
     q = np.random.default_rng(3).uniform(machine.data.lower, machine.data.upper, (50, 6))
     pose, branch = machine.flange(q), inverse_kinematics.branch_of(machine, q)
     assert np.isfinite(inverse_kinematics.solve(machine, pose, branch)).all()
     for field in ("a1", "a2", "b", "c1", "c2", "c3", "c4"):
         shape = dataclasses.replace(machine.shape, **{field: getattr(machine.shape, field) + 1e-7})
-        wrong = dataclasses.replace(machine, spherical=shape)
+        wrong = dataclasses.replace(machine, spherical_shape=shape)
         assert np.isnan(inverse_kinematics.solve(wrong, pose, branch)).all(axis=1).mean() > 0.9
 
 
 def test_batches_keep_their_shape():
-    machine = arm_model.machine_of(robots.robot("kr60_ha"))
-    q = postures(machine, POSTURES_TOGETHER + 6).reshape(-1, 2, 6)
+    machine = arm_model.robot_machine(robots.robot("kr60_ha"))
+    q = postures(machine, POSTURES_PER_BATCH + 6).reshape(-1, 2, 6)
     assert machine.chain.frames(q).shape == (len(q), 2, 7, 4, 4)
     assert machine.flange(q[0, 0]).shape == (4, 4)
     for i in (0, len(q) // 2, len(q) - 1):
@@ -183,11 +185,11 @@ def test_a_chain_written_by_others_is_read_and_its_shape_found(seed):
     model, text = random_arm(rng)
     chain = arm_model.read_chain(text)
     q = rng.uniform(-3.0, 3.0, (60, 6))
-    wanted = drakes(plant_of(text), chain.links, q)
-    np.testing.assert_allclose(chain.frames(q), wanted, atol=1e-12)
+    expected = drakes(plant_of(text), chain.links, q)
+    np.testing.assert_allclose(chain.frames(q), expected, atol=1e-12)
     other = opw.Robot(model, degrees=False)
     np.testing.assert_allclose(chain.tip(q), [other.forward(tuple(row)).as_matrix() for row in q], atol=1e-9)
-    machine = arm_model.Machine(robots.robot("irb140"), chain, arm_model.shape_of(chain))
+    machine = arm_model.RobotMachine(robots.robot("irb140"), chain, arm_model.shape_of(chain))
     back = inverse_kinematics.solve(machine, chain.tip(q), inverse_kinematics.branch_of(machine, q))
     assert np.isfinite(back).all()
     turns = (back - q + np.pi) % (2.0 * np.pi) - np.pi
@@ -210,25 +212,28 @@ UNREADABLE = {
     "not XML": (TEXT[: len(TEXT) // 2], "is not XML"),
     "a prefix without its namespace": ('<robot><drake:capsule radius="1"/></robot>', "unbound prefix"),
     "another kind of file": ("<sdf/>", "begins with <sdf>"),
-    "no flange": (TEXT.replace('<child link="tool0"/>', '<child link="tool1"/>'), "nothing holds tool0"),
+    "no flange": (
+        TEXT.replace('<child link="tool0"/>', '<child link="tool1"/>'),
+        "tool0 has no parent joint",
+    ),
     "a circle": (
         TEXT.replace('<parent link="base_link"/>', '<parent link="link_3"/>'),
-        "nothing holds link_",
+        " has no parent joint",
     ),
-    "five joints": (TEXT.replace('joint_4" type="revolute"', 'joint_4" type="fixed"'), "has 5 joints"),
-    "a slide": (TEXT.replace('joint_4" type="revolute"', 'joint_4" type="prismatic"'), "5 of them turning"),
+    "five joints": (TEXT.replace('joint_4" type="revolute"', 'joint_4" type="fixed"'), "has 5 moving joints"),
+    "a slide": (TEXT.replace('joint_4" type="revolute"', 'joint_4" type="prismatic"'), "5 of them revolute"),
     "a word": (TEXT.replace('<axis xyz="0 1 0"/>', '<axis xyz="0 up 0"/>', 1), "3 finite numbers"),
     "two numbers": (TEXT.replace('<axis xyz="0 1 0"/>', '<axis xyz="0 1"/>', 1), "3 finite numbers"),
     "no number": (TEXT.replace('<axis xyz="0 1 0"/>', '<axis xyz="0 nan 0"/>', 1), "3 finite numbers"),
-    "no axis": (TEXT.replace('<axis xyz="0 1 0"/>', '<axis xyz="0 0 0"/>', 1), "which is none"),
-    "no parent": (TEXT.replace('<parent link="link_2"/>', ""), "names no parent link"),
-    "two parents": (TEXT.replace('<child link="link_4"/>', '<child link="link_5"/>'), "on two joints"),
+    "no axis": (TEXT.replace('<axis xyz="0 1 0"/>', '<axis xyz="0 0 0"/>', 1), "with the invalid axis"),
+    "no parent": (TEXT.replace('<parent link="link_2"/>', ""), "without a parent link"),
+    "two parents": (TEXT.replace('<child link="link_4"/>', '<child link="link_5"/>'), "to two joints"),
     "axis 2 askew": (TEXT.replace('<axis xyz="0 1 0"/>', '<axis xyz="0 1 0.001"/>', 1), "square to axis 1"),
     "axis 3 askew": (
         in_joint(3, 'xyz="0 1 0"', 'xyz="0.001 1 0"'),
-        "0.057296 deg off from being parallel to",
+        "0.057296 deg away from being parallel to",
     ),
-    "an offset wrist": (in_joint(6, 'xyz="0 0 0"', 'xyz="0 0 0.05"'), "50.000000 mm beside"),
+    "an offset wrist": (in_joint(6, 'xyz="0 0 0"', 'xyz="0 0 0.05"'), "50.000000 mm away from"),
 }
 
 
@@ -239,7 +244,7 @@ def test_what_is_no_such_robot_is_refused_in_words(case, tmp_path, monkeypatch):
     path.write_text(text, "utf-8")
     monkeypatch.setattr(arm_model, "urdf_path", lambda name: path)
     with pytest.raises(TandemError) as caught:
-        arm_model.machine_of(robots.robot("irb140"))
+        arm_model.robot_machine(robots.robot("irb140"))
     (issue,) = caught.value.issues
     assert issue.code == "verify.robot_model"
     assert words in issue.message, issue.message

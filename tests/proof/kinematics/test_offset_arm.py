@@ -1,4 +1,4 @@
-"""Arms with an offset wrist in the proof: postures that go on along a path, where they end, singular ones."""
+"""Arms with an offset wrist in the proof: continuous postures along a path, their ends, and singular ones."""
 
 from __future__ import annotations
 
@@ -9,34 +9,34 @@ from planner.motion import offset_wrist
 from planner.proof.kinematics import arm_model, inverse_kinematics, offset_arm
 
 GOFA = robot("crb15000_5_95")
-MACHINE = arm_model.machine_of(GOFA)
+MACHINE = arm_model.robot_machine(GOFA)
 CHAIN = MACHINE.chain
 START = np.deg2rad([10.0, 20.0, -10.0, 30.0, 70.0, -40.0])
 END = START + np.array([0.5, -0.3, 0.4, -0.6, 0.3, 0.9])
 
 
-def way(start, end, count):
+def interpolate(start, end, count):
     return start + np.linspace(0.0, 1.0, count)[1:, None] * (end - start)
 
 
 def test_joints_go_on_from_those_before_them():
-    q = way(START, END, 200)
+    q = interpolate(START, END, 200)
     found = offset_arm.follow(CHAIN, CHAIN.tip(q), START)
     assert np.abs(found - q).max() < 1e-9
-    one = offset_arm._one_by_one(CHAIN, CHAIN.tip(q[:40]), START)
+    one = offset_arm._follow_stepwise(CHAIN, CHAIN.tip(q[:40]), START)
     assert np.abs(one - found[:40]).max() < 1e-9
     assert len(offset_arm.follow(CHAIN, np.zeros((0, 4, 4)), START)) == 0
 
 
 def test_whole_turns_go_on_too():
-    q = way(START, START + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 7.0]), 200)
+    q = interpolate(START, START + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 7.0]), 200)
     assert np.abs(offset_arm.follow(CHAIN, CHAIN.tip(q), START) - q).max() < 1e-9
 
 
 def test_steps_that_are_too_long_and_places_out_of_reach_have_no_joints():
-    far = way(START, START + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), 3)
+    far = interpolate(START, START + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), 3)
     assert np.isnan(offset_arm.follow(CHAIN, CHAIN.tip(far), START)).all()
-    q = way(START, END, 100)
+    q = interpolate(START, END, 100)
     flange = CHAIN.tip(q)
     flange[60:, 0, 3] += 1.5
     found = offset_arm.follow(CHAIN, flange, START)
@@ -49,7 +49,7 @@ def test_beyond_a_singular_posture_nothing_is_followed():
     start = START.copy()
     end = start.copy()
     start[4], end[4] = 0.6, -0.6
-    q = way(start, end, 400)
+    q = interpolate(start, end, 400)
     tips, points, tip = offset_arm._axes(CHAIN, q)
     side = np.sign(np.linalg.det(offset_arm._jacobian(tips, points, tip)))
     passed = int(np.argmax(side != side[0]))
@@ -70,8 +70,8 @@ def test_no_point_is_farther_from_an_axis_than_its_lever():
     q = np.random.default_rng(4).uniform(GOFA.lower, GOFA.upper, (300, 6))
     lines, points, tip = offset_arm._axes(CHAIN, q)
     point = tip[:, :3, 3] + 0.2 * tip[:, :3, 0]
-    off = np.linalg.norm(np.cross(point[:, None] - points, lines), axis=-1)
-    assert (off <= offset_arm.levers(CHAIN, 0.2) + 1e-12).all()
+    deviation = np.linalg.norm(np.cross(point[:, None] - points, lines), axis=-1)
+    assert (deviation <= offset_arm.max_axis_distances(CHAIN, 0.2) + 1e-12).all()
 
 
 def test_confdata_select_nothing_of_such_an_arm():

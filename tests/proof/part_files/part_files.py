@@ -1,13 +1,15 @@
-"""Files and figures of parts that problems state, for tests of the proof's readers."""
+"""Part files and problem entries for tests of the proof's readers."""
 
 import numpy as np
 
 
-def absolute(said, folder):
+def with_absolute_files(source, folder):
     """The problem's source, where file names are absolute."""
-    if isinstance(said, dict):
-        return {k: str(folder / v) if k == "file" else absolute(v, folder) for k, v in said.items()}
-    return [absolute(v, folder) for v in said] if isinstance(said, list) else said
+    if isinstance(source, dict):
+        return {
+            k: str(folder / v) if k == "file" else with_absolute_files(v, folder) for k, v in source.items()
+        }
+    return [with_absolute_files(v, folder) for v in source] if isinstance(source, list) else source
 
 
 def grid_obj(path, height, cells=12, scale=1.0):

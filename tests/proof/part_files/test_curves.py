@@ -6,8 +6,8 @@ import pytest
 from ezdxf import path as ezpath
 from scipy.spatial import cKDTree
 
-from planner.geometry.curves import ArcRail, Loft, curve_points
-from planner.geometry.wing import naca, read_airfoil
+from planner.geometry.curves import ArcRail, LoftSurface, curve_points
+from planner.geometry.wing import naca_section, read_airfoil
 from planner.issues import TandemError
 from planner.proof.part_files import UnreadError
 from planner.proof.part_files.curves import bezier, bspline, read_curves
@@ -15,7 +15,7 @@ from planner.proof.part_files.meshes import loft_points
 from planner.proof.part_files.surfaces import read_section, section_of_digits
 from planner.reading.part_ruled import read_dxf
 
-SECTION = naca("2412", 30)
+SECTION = naca_section("2412", 30)
 
 
 def text_of(points, head="NACA 2412"):
@@ -56,7 +56,7 @@ def test_forms_of_airfoils_are_read_as_the_planner_reads_them(tmp_path, name) ->
 @pytest.mark.parametrize("digits", ["0012", "2412", "4415", "23012", "23112", "44018", "25110"])
 def test_digits_give_the_section_of_their_formulas(digits) -> None:
     """Both write the formulas down by themselves: the places of one lie on the other."""
-    own, other = section_of_digits(digits), naca(digits, 3000)
+    own, other = section_of_digits(digits), naca_section(digits, 3000)
     assert np.max(cKDTree(other).query(own)[0]) < 4e-4
     assert abs(np.ptp(own[:, 1]) - np.ptp(other[:, 1])) < 2e-5
     np.testing.assert_allclose(own[[0, -1]], other[[0, -1]], atol=1e-9)
@@ -143,7 +143,7 @@ KINDS = (
     "joined, open",
 )
 APPROXIMATE = 3e-4
-"""ezdxf makes arcs of Bezier curves, which are off them by 2.7e-4 of the radius (Goldapp, CAGD 8, 1991)."""
+"""ezdxf approximates arcs by Bezier curves, with an error of 2.7e-4 of the radius (Goldapp, CAGD 8, 1991)."""
 
 
 def drawing(tmp_path, *names):
@@ -157,12 +157,12 @@ def drawing(tmp_path, *names):
     return path
 
 
-def far(points, others):
-    """How far points (N, 3) are from a polyline at most."""
+def max_distance(points, others):
+    """Return the largest distance of points (N, 3) from a polyline."""
     start, way = others[:-1], np.diff(others, axis=0)
     off = points[:, None] - start
-    share = np.clip((off * way).sum(2) / np.maximum((way * way).sum(1), 1e-30), 0, 1)
-    return float(np.linalg.norm(off - share[..., None] * way, axis=2).min(axis=1).max())
+    fraction = np.clip((off * way).sum(2) / np.maximum((way * way).sum(1), 1e-30), 0, 1)
+    return float(np.linalg.norm(off - fraction[..., None] * way, axis=2).min(axis=1).max())
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -177,16 +177,16 @@ def test_forms_of_curves_are_read_as_the_planner_reads_them(tmp_path, name, unit
         )
         rough = 1e-3 if name == "rational spline" else APPROXIMATE
         limit = 5e-6 + rough * float(np.ptp(one, axis=0).max())
-        assert far(one, two) < limit
-        assert far(two, one) < limit
+        assert max_distance(one, two) < limit
+        assert max_distance(two, one) < limit
 
 
 def test_an_arc_is_where_its_angles_say(tmp_path) -> None:
     """From 300 to 45 degrees about (5, 6), radius 12, anticlockwise."""
     (curve,) = read_curves(drawing(tmp_path, "arc"), 1.0, "0")
     angle = np.deg2rad([300.0, 352.5, 405.0])
-    wanted = np.column_stack([5 + 12 * np.cos(angle), 6 + 12 * np.sin(angle), 0 * angle])
-    np.testing.assert_allclose(curve.points[[0, len(curve.points) // 2, -1]], wanted, atol=0.05)
+    expected = np.column_stack([5 + 12 * np.cos(angle), 6 + 12 * np.sin(angle), 0 * angle])
+    np.testing.assert_allclose(curve.points[[0, len(curve.points) // 2, -1]], expected, atol=0.05)
     np.testing.assert_allclose(np.linalg.norm(curve.points[:, :2] - [5, 6], axis=1), 12.0, atol=1e-9)
 
 
@@ -227,23 +227,23 @@ def test_a_loft_is_the_planners_loft(count) -> None:
     }
     u, v = rng.uniform(size=(2, 200))
     arc = ArcRail(0.3, np.deg2rad(10), np.deg2rad(80), np.array([0.005, 0.006, 0.007]))
-    wanted = Loft("bspline", at, control / 1000.0, arc).points(u, v)
-    np.testing.assert_allclose(loft_points(said, u, v), wanted, atol=1e-12)
+    expected = LoftSurface("bspline", at, control / 1000.0, arc).points(u, v)
+    np.testing.assert_allclose(loft_points(said, u, v), expected, atol=1e-12)
 
 
 def test_a_rational_spline_is_that_of_its_definition(tmp_path) -> None:
     """Against ezdxf's B-splines, by which no path of it works."""
     path = drawing(tmp_path, "rational spline")
     (entity, *_) = ezdxf.readfile(path).modelspace()
-    wanted = np.array([tuple(p) for p in entity.construction_tool().approximate(500)])
+    expected = np.array([tuple(p) for p in entity.construction_tool().approximate(500)])
     (curve,) = read_curves(path, 1.0, "0")
-    assert far(wanted, curve.points) < 1e-3
+    assert max_distance(expected, curve.points) < 1e-3
 
 
 def test_ezdxf_flattens_the_same_slanted_arc(tmp_path) -> None:
     """Against ezdxf's own geometry, without the planner."""
     path = drawing(tmp_path, "arc in a slanted plane")
     (entity, *_) = ezdxf.readfile(path).modelspace()
-    wanted = np.array([tuple(p) for p in ezpath.make_path(entity).flattening(1e-4)])
+    expected = np.array([tuple(p) for p in ezpath.make_path(entity).flattening(1e-4)])
     (curve,) = read_curves(path, 1.0, "0")
-    assert far(wanted, curve.points) < 12 * APPROXIMATE
+    assert max_distance(expected, curve.points) < 12 * APPROXIMATE

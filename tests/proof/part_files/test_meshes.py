@@ -13,13 +13,13 @@ from planner.issues import TandemError
 from planner.proof.part_files import UnreadError
 from planner.proof.part_files.meshes import read_facets
 
-PLACES = np.array([[0, 0, 0], [40, 0, 5], [40, 30, 0], [0, 30, -5], [20, 15, 9.5]], dtype=float)
+VERTICES = np.array([[0, 0, 0], [40, 0, 5], [40, 30, 0], [0, 30, -5], [20, 15, 9.5]], dtype=float)
 FANS = [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]]
-SQUARE = "".join(f"v {x} {y} {z}\n" for x, y, z in PLACES[:4])
+SQUARE = "".join(f"v {x} {y} {z}\n" for x, y, z in VERTICES[:4])
 
 
 def sorted_corners(corners):
-    """Triangles (F, 3, 3), each begun at its least corner, in an order of their own."""
+    """Triangles (F, 3, 3), each starting at its smallest corner, in canonical order."""
     corners = np.asarray(corners, dtype=float).round(5)
     out = []
     for triangle in corners.tolist():
@@ -29,7 +29,7 @@ def sorted_corners(corners):
 
 
 def alike(path, unit=0.001):
-    """Whether the proof's reader and the planner's, which is trimesh's, read the same triangles."""
+    """Return whether the proof's reader and the planner's (trimesh) read the same triangles."""
     mesh = read_mesh(path, unit)
     own = sorted_corners(read_facets(path).corners * unit * 1e3)
     other = sorted_corners(mesh.vertices[mesh.faces] * 1e3)
@@ -39,14 +39,14 @@ def alike(path, unit=0.001):
 OBJS = {
     "quads": SQUARE + "f 1 2 3 4\n",
     "negative": SQUARE + "f -4 -3 -2\nf -4 -2 -1\n",
-    "colours": "".join(f"v {x} {y} {z} 0.1 0.2 0.3\n" for x, y, z in PLACES) + "f 1 2 5\nf 2 3 5\n",
+    "colours": "".join(f"v {x} {y} {z} 0.1 0.2 0.3\n" for x, y, z in VERTICES) + "f 1 2 5\nf 2 3 5\n",
     "textures and normals": SQUARE + "vt 0 0\nvn 0 0 1\nf 1/1/1 2/1/1 3/1/1\nf 1//1 3//1 4//1\n",
     "objects, comments, long lines": "# made by hand\no one\n"
     + SQUARE
     + "g a\nf 1 2 \\\n 3\nusemtl x\nf 1 3 4\n",
     "a pentagon": SQUARE + "v -10 15 1\nf 1 2 3 4 5\n",
     "windows": (SQUARE + "f 1 2 3\nf 1 3 4\n").replace("\n", "\r\n"),
-    "weights": "".join(f"v {x} {y} {z} 1.0\n" for x, y, z in PLACES[:4]) + "f 1 2 3\nf 1 3 4\n",
+    "weights": "".join(f"v {x} {y} {z} 1.0\n" for x, y, z in VERTICES[:4]) + "f 1 2 3\nf 1 3 4\n",
 }
 
 
@@ -72,14 +72,14 @@ def stl_text(more=""):
     rows = []
     for a, b, c in FANS:
         rows.append(" facet normal 0 0 1\n  outer loop")
-        rows += ["   vertex " + " ".join(f"{v:e}" for v in PLACES[i]) for i in (a, b, c)]
+        rows += ["   vertex " + " ".join(f"{v:e}" for v in VERTICES[i]) for i in (a, b, c)]
         rows.append("  endloop\n endfacet")
     return "solid part made by hand\n" + "\n".join(rows) + "\nendsolid part\n" + more
 
 
 def stl_binary(head=b"binary"):
     """A binary STL of the four triangles."""
-    body = b"".join(struct.pack("<12fH", 0, 0, 1, *PLACES[f].ravel(), 0) for f in FANS)
+    body = b"".join(struct.pack("<12fH", 0, 0, 1, *VERTICES[f].ravel(), 0) for f in FANS)
     return head.ljust(80, b" ") + struct.pack("<I", len(FANS)) + body
 
 
@@ -100,17 +100,17 @@ def test_forms_of_stl_are_read_as_the_planner_reads_them(tmp_path, data) -> None
     path.write_bytes(data)
     found = read_facets(path).corners
     count = 2 if b"SOLID" in data else 1
-    wanted = sorted_corners(np.concatenate([PLACES[np.array(FANS)]] * count))
-    np.testing.assert_allclose(sorted_corners(found), wanted, atol=2e-5)
+    expected = sorted_corners(np.concatenate([VERTICES[np.array(FANS)]] * count))
+    np.testing.assert_allclose(sorted_corners(found), expected, atol=2e-5)
     if count == 1:
         assert alike(path)
 
 
 def ply(form, extra=True, ragged=False, name="vertex_indices"):
-    """A PLY of the four triangles, with properties and elements that nobody asked for."""
+    """Return a PLY file of the four triangles, with additional properties and elements."""
     order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}[form]
     faces = [*FANS[1:], [0, 1, 4]] if not ragged else [[0, 1, 4], [1, 2, 3, 4], [3, 0, 4]]
-    head = [f"ply\nformat {form} 1.0\ncomment by hand\nelement vertex {len(PLACES)}", "property double x"]
+    head = [f"ply\nformat {form} 1.0\ncomment by hand\nelement vertex {len(VERTICES)}", "property double x"]
     head += ["property double y", "property double z", *(["property uchar red"] if extra else [])]
     head.append(f"element face {len(faces)}")
     head += ["property float quality"] if extra and not ragged else []
@@ -118,7 +118,7 @@ def ply(form, extra=True, ragged=False, name="vertex_indices"):
     if extra:
         head += ["element edge 2", "property int vertex1", "property int vertex2"]
     head.append("end_header\n")
-    rows = [(order + "3d" + ("B" if extra else ""), [*place, *([7] if extra else [])]) for place in PLACES]
+    rows = [(order + "3d" + ("B" if extra else ""), [*place, *([7] if extra else [])]) for place in VERTICES]
     for face in faces:
         quality = [0.5] if extra and not ragged else []
         rows.append((order + "f" * len(quality) + f"B{len(face)}i", [*quality, len(face), *face]))
@@ -139,8 +139,10 @@ def test_forms_of_ply_are_read_as_the_planner_reads_them(tmp_path, form, extra, 
     if ragged and form != "ascii":  # the planner refuses lists of several lengths in binary files
         with pytest.raises(TandemError):
             read_mesh(path, 0.001)
-        wanted = np.concatenate([PLACES[np.array([[0, 1, 4], [3, 0, 4]])], PLACES[[[1, 2, 3], [1, 3, 4]]]])
-        np.testing.assert_allclose(sorted_corners(read_facets(path).corners), sorted_corners(wanted))
+        expected = np.concatenate(
+            [VERTICES[np.array([[0, 1, 4], [3, 0, 4]])], VERTICES[[[1, 2, 3], [1, 3, 4]]]]
+        )
+        np.testing.assert_allclose(sorted_corners(read_facets(path).corners), sorted_corners(expected))
     else:
         assert alike(path)
 

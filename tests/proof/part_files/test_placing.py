@@ -1,4 +1,4 @@
-"""Where a part lies that the problem lays freely: found again on what is made, against its true place."""
+"""The pose of a part that the problem places freely: recovered from the cut surfaces."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from planner.proof.part_files import comparison, on_triangles
 
 def panel(x: np.ndarray, y: np.ndarray, sag: tuple[float, float]) -> np.ndarray:
     """A sheet bent to a radius of 0.78 m along x whose section sags from one amount to another [m]."""
-    share = (x - x.min()) / np.ptp(x)
-    bow = sag[0] + share * (sag[1] - sag[0])
+    fraction = (x - x.min()) / np.ptp(x)
+    bow = sag[0] + fraction * (sag[1] - sag[0])
     return np.asarray(np.sqrt(0.78**2 - x**2) - 0.78 - bow * (y / 0.07) ** 2)
 
 
@@ -37,8 +37,8 @@ def test_a_gentle_panel_is_found_where_it_lies(sag: tuple[float, float]) -> None
     source = on_triangles(read, rows, 600)
     at = comparison.aligned_pose([source], [on_triangles(made, rows, 20_000)], read.reshape(-1, 3), middle)
     x, y, z = source.moved(at).points.T
-    off = np.abs(z - panel(np.clip(x, -0.14, 0.14), y, sag))
-    assert np.percentile(off, 99) < 2e-5
+    deviation = np.abs(z - panel(np.clip(x, -0.14, 0.14), y, sag))
+    assert np.percentile(deviation, 99) < 2e-5
     assert np.abs(at @ away - np.eye(4)).max() < 2e-3
 
 

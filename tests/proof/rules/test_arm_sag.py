@@ -1,4 +1,4 @@
-"""verify.sag, and places of bent arms by the proof's own way: against the planner's, and with figures off."""
+"""verify.sag and the proof's poses of arms with sag: against the planner's, and with wrong figures."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import pytest
 from planner import pipeline
 from planner.catalogue import robots
 from planner.catalogue.robots import JointStiffness, robot
-from planner.cell.compliance import PointLoad, given_way
-from planner.cell.kinematics import forward
+from planner.cell.compliance import PointLoad, joint_deflection
+from planner.cell.kinematics import forward_kinematics
 from planner.claims.claim import ArmSags
 from planner.geometry.arrays import from_rpy
 from planner.geometry.units import GRAVITY
 from planner.processes import registry
 from planner.proof import prove
-from planner.proof.kinematics.arm_model import machine_of
-from planner.proof.replay.bending import Bent
+from planner.proof.kinematics.arm_model import robot_machine
+from planner.proof.replay.arm_deflection import SaggingArm
 from tests.proof.planner_jobs import JOBS
 from tests.robot_sample import SAMPLE
 
@@ -45,7 +45,7 @@ def test_the_proof_bends_an_arm_as_the_planner_unbends_it(name: str, frame: Any)
     data = robot(name)
     q = np.random.default_rng(8).uniform(0.8 * data.lower, 0.8 * data.upper, (200, 6))
     force, cog = np.array([1200.0, -700.0, 2600.0]), np.array([0.02, -0.04, 0.2])
-    flange = forward(data, q)
+    flange = forward_kinematics(data, q)
     hand = flange @ TCP
     to_base = BASE[:3, :3].T
     feed = np.random.default_rng(9).uniform(-0.7, 0.7, (200, 3))
@@ -56,14 +56,16 @@ def test_the_proof_bends_an_arm_as_the_planner_unbends_it(name: str, frame: Any)
         "tool": hand[:, :3, :3] @ force,
         "feed": force[0] * ahead + force[1] * np.cross(down, ahead) + force[2] * down,
     }[frame]
-    share = np.linspace(0.0, 1.0, 200)[:, None]
+    fraction = np.linspace(0.0, 1.0, 200)[:, None]
     loads = (
         PointLoad((flange @ np.append(cog, 1.0))[:, :3], np.tile(to_base @ [0, 0, -35 * GRAVITY], (200, 1))),
-        PointLoad(hand[:, :3, 3], share * work),
+        PointLoad(hand[:, :3, 3], fraction * work),
     )
-    drives = q - given_way(data, JointStiffness(JOINTS, ""), q, loads)
+    drives = q - joint_deflection(data, JointStiffness(JOINTS, ""), q, loads)
     claim = ArmSags("a", JOINTS, 35.0, cog, force[None], np.zeros(1), frame, 0.1)
-    bent = Bent(machine_of(robots.robot(name)), claim, BASE, TCP, np.eye(4)).joints(drives, share[:, 0], feed)
+    bent = SaggingArm(robot_machine(robots.robot(name)), claim, BASE, TCP, np.eye(4)).loaded_joints(
+        drives, fraction[:, 0], feed
+    )
     assert np.abs(drives - q).max() > 1e-3
     np.testing.assert_allclose(bent, q, atol=1e-9)
 
@@ -77,7 +79,8 @@ def test_the_clean_proof_tells_the_largest_shift(proven: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("field", "value"), [("joints", 1.01), ("mass", 0.9), ("cog", 1.1), ("force", -1.0), ("most", 2.0)]
+    ("field", "value"),
+    [("joints", 1.01), ("mass", 0.9), ("cog", 1.1), ("force", -1.0), ("max_deflection", 2.0)],
 )
 def test_a_claim_that_is_not_the_problems_is_refused(field: str, value: float, proven: Any) -> None:
     problem, claims, programs = proven
@@ -113,7 +116,9 @@ def test_programs_that_make_up_for_nothing_are_not_proven_for_arms_that_give_way
 
 def test_a_shift_beyond_what_the_problem_allows_is_refused(proven: Any) -> None:
     problem, _, programs = proven
-    arms = tuple(dataclasses.replace(a, sag=dataclasses.replace(a.sag, most=1e-4)) for a in problem.cell.arms)
+    arms = tuple(
+        dataclasses.replace(a, sag=dataclasses.replace(a.sag, max_correction=1e-4)) for a in problem.cell.arms
+    )
     tight = dataclasses.replace(problem, cell=dataclasses.replace(problem.cell, arms=arms))
     found = prove.prove(tight, registry.claims(tight), programs)
     assert {i.code for i in found.issues if i.value and i.value > 0.1} >= {"verify.sag"}
@@ -123,5 +128,5 @@ def test_a_process_that_claims_nothing_is_refused_though_its_arms_sag(proven: An
     _, claims, _ = proven
     alone = {name: tuple(c for c in group if isinstance(c, ArmSags)) for name, group in claims.items()}
     assert all(alone.values())
-    assert {issue.code for issue in prove.unproven(alone)} == {"claims.none"}
-    assert prove.unproven(claims) == []
+    assert {issue.code for issue in prove.unproven_claims(alone)} == {"claims.none"}
+    assert prove.unproven_claims(claims) == []

@@ -1,5 +1,7 @@
-"""Arms on axes whose programs meet by signals: one goes to its station while the other one waits, folded, for
-as long as that takes."""
+"""Arms on external axes whose programs meet by signals.
+
+One arm moves to its station while the other one waits, folded, until it is done.
+"""
 
 from __future__ import annotations
 
@@ -21,16 +23,16 @@ from tests.track_job import TRACK
 from tests.two_arms_job import BOTH, LEFT, RIGHT, problem
 
 FOLDER = tempfile.TemporaryDirectory()
-"""Where the files of the planned job lie as long as tests run."""
+"""Folder of the planned job's files while tests run."""
 OPERATIONS = [("side", LEFT, (-900.0, -700.0)), ("both", BOTH, (-150.0, 150.0))]
 METS: dict[str, Any] = {"sync": "handshake", "handshake": {"patience_s": 5}}
-"""Either arm is waited for at least so long; ways of 800 mm take 3.45 s more."""
+"""Minimum waiting time for either arm. Paths of 800 mm take 3.45 s more."""
 NUMBERS = {"doPartner": 101, "diPartner": 101, "doRunning": 102, "diPartnerRunning": 102, "doMoveEnable": 103}
 
 
 @functools.cache
 def planned() -> Outcome:
-    """Both arms on a track, of units of one name: each is on a controller of its own."""
+    """Both arms on a track, with equal unit names: each has its own controller."""
     tracks = [{"track": {**TRACK, "home_mm": home}} for home in (0, 100)]
     made = problem(Path(FOLDER.name), OPERATIONS, tracks[1], 7, left=tracks[0], controller=METS)
     return planner.plan(made)
@@ -46,12 +48,12 @@ def test_arms_on_tracks_meet_by_signals() -> None:
     assert out.verified, [str(issue) for issue in out.issues]
     assert out.plan.stations[0]["left"] < -0.2
     text = out.programs["right/TandemMain_2.mod"]
-    stand = text[text.index("Meeting: left stands at its station") :]
+    stand = text[text.index("Meeting: left is at its station") :]
     wait = stand[stand.index("WaitDI diPartner,1") :].split(":=")[1].split(";")[0]
     assert float(wait) > 5.0 + abs(out.plan.stations[0]["left"]) / 0.25
 
 
-STATION = "Meeting: left stands at its station"
+STATION = "Meeting: left is at its station"
 
 
 def _without(text: str, mark: str) -> str:
@@ -61,7 +63,7 @@ def _without(text: str, mark: str) -> str:
 
 
 def _later(text: str) -> str:
-    """The right arm leaves home before the left one stands at its station."""
+    """The right arm leaves home before the left one is at its station."""
     at = text.index(f"    ! {STATION}")
     away = "    MoveAbsJ [[0,-40,0,0,30,0],[100,9E9,9E9,9E9,9E9,9E9]]\\NoEOffs,v_entry,fine,t_ball_tool;\n"
     return text[:at] + away + text[at:]
@@ -127,4 +129,4 @@ def test_a_track_does_not_go_along_a_step_apart(tmp_path: Path) -> None:
 def test_a_track_goes_along_where_its_arm_works_alone(tmp_path: Path) -> None:
     operations = [OPERATIONS[0], ("alone", RIGHT, (0.0, 1.0))]
     out = planner.plan(problem(tmp_path, operations, count=5, controller={"sync": "handshake"}))
-    assert out.verified and set(out.plan.operations[0].targets.ride) == {"left"}
+    assert out.verified and set(out.plan.operations[0].targets.track_positions) == {"left"}

@@ -1,4 +1,4 @@
-"""Rules whose fault is not one of the text alone: the cell, the claim or the posture is what is broken."""
+"""Rules for faults that are not in the text alone: the cell, the claim or the posture is wrong."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from planner.catalogue.robots import robot
-from planner.cell.plant import build
+from planner.cell.plant import build_cell_model
 from planner.geometry.arrays import Shape, from_rpy
 from planner.issue_codes import CODES
 from planner.issues import Issue, with_remedy
@@ -162,12 +162,12 @@ def test_a_zone_between_a_joint_move_and_a_straight_one():
 
 def test_drake_must_put_the_tools_where_the_replay_has_them():
     context = Context(small_job.problem(), small_job.claims(), programs())
-    model = build(context.problem.cell, context.problem.stock, context.stock_pose, context.bases)
+    model = build_cell_model(context.problem.cell, context.problem.stock, context.stock_pose, context.bases)
     context.put(MODELS, lambda index: model)
     assert robot_motion.kinematics(context).issues == ()
     motion = context.motion
     off = {arm: Poses.of(pose[:]) for arm, pose in motion.tcp.items()}
-    off["left"].place[:, 0] += 2.0 * robot_motion.TCP_ERROR
+    off["left"].position[:, 0] += 2.0 * robot_motion.TCP_TOLERANCE_M
     context.__dict__["motion"] = dataclasses.replace(motion, tcp=off)
     found = robot_motion.kinematics(context).issues
     assert {issue.code for issue in found} == {"verify.kinematics"}

@@ -1,4 +1,4 @@
-"""What bears a block, by the proof's own measure: each fault alone, on problems with a known answer."""
+"""The support of a block, by the proof's own measure: each fault alone, on problems with a known answer."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from planner.geometry.units import GRAVITY
 from planner.problem import Obstacle, Problem
 from planner.proof.context import Context
 from planner.proof.prove import Prover
-from planner.proof.rules.block_support import rests
+from planner.proof.rules.block_support import block_support
 from planner.reading.stock import PEDESTAL
 from planner.tooling import gripper_plate
 from tests.processes.hotwire.proof import straight_job
@@ -24,7 +24,7 @@ from tests.proof import held_job
 
 def faults(problem: Problem, job: Any) -> list[str]:
     context = Context(problem, job.claims(), job.programs(6))
-    return [issue.message for issue in rests(context).issues]
+    return [issue.message for issue in block_support(context).issues]
 
 
 def held(**change: Any) -> Problem:
@@ -48,7 +48,7 @@ def test_the_job_as_it_is_holds() -> None:
     [
         (from_rpy([0.01, -0.005, 0.001], [0.0, 0.0, 0.1]), "1.00 mm"),
         (from_rpy([0.01, -0.005, 0.0], [0.03, 0.0, 0.1]), "1.72 deg"),
-        (from_rpy([0.2, 0.0, 0.0], [0.0, 0.0, 0.0]), "out of the block's bottom face"),
+        (from_rpy([0.2, 0.0, 0.0], [0.0, 0.0, 0.0]), "beyond the block's bottom face"),
     ],
 )
 def test_a_block_off_its_gripper(grip: np.ndarray, word: str) -> None:
@@ -58,12 +58,12 @@ def test_a_block_off_its_gripper(grip: np.ndarray, word: str) -> None:
 
 def test_a_gripper_that_is_too_weak_too_large_or_too_heavy() -> None:
     mass = held_job.problem().stock.mass
-    for share, fits in ((2.99, False), (3.01, True)):
-        tool = gripper_plate(0.04, 0.04, holding=share * mass * GRAVITY)
+    for fraction, fits in ((2.99, False), (3.01, True)):
+        tool = gripper_plate(0.04, 0.04, holding_force=fraction * mass * GRAVITY)
         assert (faults(with_gripper(tool), held_job) == []) == fits
-    assert "stands" in faults(with_gripper(gripper_plate(0.9, 0.04, holding=1e5)), held_job)[0]
-    heavy = dataclasses.replace(gripper_plate(0.04, 0.04, holding=1e5), mass=500.0)
-    assert "carries" in faults(with_gripper(heavy), held_job)[0]
+    assert "extends" in faults(with_gripper(gripper_plate(0.9, 0.04, holding_force=1e5)), held_job)[0]
+    heavy = dataclasses.replace(gripper_plate(0.04, 0.04, holding_force=1e5), mass=500.0)
+    assert "payload of the arm" in faults(with_gripper(heavy), held_job)[0]
 
 
 def post(length: float, top: float = 0.0) -> tuple[Shape, ...]:
@@ -77,7 +77,7 @@ def standing(
     searched: bool = False,
     **change: Any,
 ) -> list[str]:
-    """The faults of the job of a block that stands, lifted to a height; ``searched``: nobody states it."""
+    """Return the faults of the job of a fixed block at a height; ``searched``: the height is not stated."""
     problem = straight_job.problem()
     place = np.array(problem.stock.place if problem.stock.place is not None else np.eye(4))
     place[2, 3] = height - float((place[:3, :3] @ np.array([0.0, 0.0, 0.0]))[2])
@@ -85,16 +85,16 @@ def standing(
     cell = dataclasses.replace(problem.cell, obstacles=obstacles)
     changed = dataclasses.replace(problem, stock=own, cell=cell, changes={}, accept=accept)
     context = Context(changed, straight_job.claims(), straight_job.programs(6))
-    context.__dict__["places"] = (place,) * len(context.setups)
-    return [issue.message for issue in rests(context).issues]
+    context.__dict__["stock_frames"] = (place,) * len(context.setups)
+    return [issue.message for issue in block_support(context).issues]
 
 
 def test_a_support_bears_its_block_and_stands_on_something() -> None:
     assert standing(0.7, support=post(2.0)) == []
-    assert "hangs 700 mm" in standing(0.7)[0]
+    assert "is 700 mm above" in standing(0.7)[0]
     assert standing(0.02) == []
     assert "ends 100 mm" in standing(0.7, support=post(0.6))[0]
-    assert "hangs 60 mm" in standing(0.7, support=post(2.0, -0.06))[0]
+    assert "is 60 mm above" in standing(0.7, support=post(2.0, -0.06))[0]
     bench = Obstacle("bench", (Shape("box", (3.0, 3.0, 0.05), from_rpy((0.0, 0.0, 0.075), (0, 0, 0))),))
     assert standing(0.7, (bench,), support=post(0.6)) == []
     beside = Obstacle("bench", (Shape("box", (0.1, 0.1, 0.05), from_rpy((5.0, 0.0, 0.075), (0, 0, 0))),))
@@ -106,10 +106,10 @@ def test_a_support_beside_its_block_and_a_block_that_tips_off_a_body() -> None:
         return tuple(Shape("box", (0.05, 0.05, 2.0), from_rpy((x, 0.0, top - 1.0), (0, 0, 0))) for x in at)
 
     assert standing(0.7, support=posts(0.02)) == []
-    assert "middle of the block is 5 mm beside" in standing(0.7, support=posts(0.03))[0]
+    assert "centre of the block is 5 mm outside" in standing(0.7, support=posts(0.03))[0]
     assert standing(0.7, support=posts(0.05, -0.05)) == []
-    assert "nothing of its support is under" in standing(0.7, support=posts(1.0))[0]
-    assert "nothing of its support is under" in standing(0.7, support=posts(1.0, top=0.5))[0]
+    assert "no part of the support is under" in standing(0.7, support=posts(1.0))[0]
+    assert "no part of the support is under" in standing(0.7, support=posts(1.0, top=0.5))[0]
 
     def bench(x: float) -> Obstacle:
         return Obstacle("bench", (Shape("box", (0.2, 3.0, 0.1), from_rpy((x, 0.0, 0.65), (0, 0, 0))),))
@@ -118,7 +118,7 @@ def test_a_support_beside_its_block_and_a_block_that_tips_off_a_body() -> None:
     assert place is not None
     x = float(place[0, 3])
     assert standing(0.7, (bench(x + 0.09),)) == []
-    assert "hangs 700 mm" in standing(0.7, (bench(x + 0.11),))[0]
+    assert "is 700 mm above" in standing(0.7, (bench(x + 0.11),))[0]
     assert standing(0.7, (bench(x + 0.11), bench(x - 0.13))) == []
 
 
@@ -138,7 +138,7 @@ def test_what_is_made_stands_on_the_floor_and_is_no_higher_than_what_is_in_stock
 
 def test_a_pedestal_that_is_made_elsewhere_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     with_support = support.with_support
-    for shift, word in (((0.3, 0.0, 0.0), "under the block"), ((0.0, 0.0, -0.1), "hangs 100 mm")):
+    for shift, word in (((0.3, 0.0, 0.0), "under the block"), ((0.0, 0.0, -0.1), "is 100 mm above")):
 
         def wrong(*given: Any, shift: tuple[float, float, float] = shift) -> Any:
             made = with_support(*given)
@@ -183,7 +183,7 @@ def test_what_is_made_for_a_searched_place_is_in_no_body(searched: bool) -> None
     bench = Obstacle("bench", (Shape("box", (0.1, 0.1, 0.4), at),))
     own = ("stock.support",)  # what is searched is Tandem's own choice
     found = standing(0.7, (bench,), accept=own, searched=searched, pedestal=PEDESTAL)
-    assert ("inside of what is made" in " ".join(found)) == searched
+    assert ("inside the pedestal" in " ".join(found)) == searched
 
 
 def test_standing_bodies_are_not_inside_of_one_another() -> None:
@@ -191,7 +191,7 @@ def test_standing_bodies_are_not_inside_of_one_another() -> None:
     and the arm; a support that ends 30 mm above it. Neither is looked at for clearance: both stand still."""
     problem = straight_job.problem()
     texts = straight_job.programs(6)
-    x, y = (float(v) for v in straight_job.PLACES[0][:2, 3])
+    x, y = (float(v) for v in straight_job.STOCK_POSES[0][:2, 3])
     low = Shape("box", (0.04, 0.04, 0.04), from_rpy((x, y, 0.01), (0, 0, 0)))
     cell = dataclasses.replace(problem.cell, obstacles=(Obstacle("box", (low,)),))
     inside = dataclasses.replace(low, pose=from_rpy((0.0, 0.0, 0.01), (0, 0, 0)))
@@ -203,9 +203,7 @@ def test_standing_bodies_are_not_inside_of_one_another() -> None:
         ),
     ):
         proof = Prover(changed, straight_job.claims()).prove(texts)
-        found = [
-            i.bodies for i in proof.issues if i.code == "verify.clearance" and "stand still" in i.message
-        ]
+        found = [i.bodies for i in proof.issues if i.code == "verify.clearance" and "stationary" in i.message]
         assert found
         assert all(set(pair) == {"stock", other} for pair in found)
 
@@ -221,8 +219,8 @@ def test_what_is_searched_for_a_pedestal_is_as_high_as_one() -> None:
         corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
         box = stock.lower + corners * (stock.upper - stock.lower)
         place[2, 3] = 0.7 + off - float((box @ stock.attitude.T)[:, 2].min())
-        context.__dict__["places"] = (place,) * len(context.setups)
-        assert (rests(context).issues == ()) == fits
+        context.__dict__["stock_frames"] = (place,) * len(context.setups)
+        assert (block_support(context).issues == ()) == fits
 
 
 def test_the_verdict_hangs_on_it() -> None:

@@ -1,4 +1,4 @@
-"""Files for controllers beside the programs: what is written, and that each fault in them is found."""
+"""Controller files that accompany the programs: their content, and each fault in them is found."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import pytest
 
 from planner.languages.rapid.reader.configuration import rapid_signals
 from planner.languages.writing import write
-from planner.problem import DevicePlace, Interlock, PowerOutput
+from planner.problem import DeviceBit, Interlock, PowerOutput
 from planner.proof.context import Context
 from planner.proof.prove import Prover
 from planner.proof.rules.controller_files import controller_files
-from planner.reading.controller import faults
-from planner.targets import Action
+from planner.reading.controller import controller_faults
+from planner.targets import TargetAction
 from tests.languages.krl import krl_job
 from tests.languages.writing import krl_job as post_job
 from tests.processes.hotwire.proof import straight_job
@@ -35,7 +35,7 @@ def controlled(problem, **fields):
 @functools.cache
 def abb(robotware=6):
     problem = controlled(small_job.problem(), interlock=WIRED, robotware=robotware)
-    return Prover(problem, small_job.claims()), write.programs(small_job.plan(COUNT), problem)
+    return Prover(problem, small_job.claims()), write.program_files(small_job.plan(COUNT), problem)
 
 
 @functools.cache
@@ -44,7 +44,7 @@ def kuka():
     io = {arm: {**numbers, "doWirePowerOut": 40} for arm, numbers in plain.cell.controller.io.items()}
     problem = controlled(plain, io=io)
     plan = straight_job.plan(COUNT, model=krl_job.MODEL)
-    return Prover(problem, krl_job.claims(COUNT)), write.programs(plan, problem)
+    return Prover(problem, krl_job.claims(COUNT)), write.program_files(plan, problem)
 
 
 def broken(job, files):
@@ -166,26 +166,26 @@ def test_files_of_a_job_without_power_are_refused():
 
 
 ARC = (
-    Action(0, "message", text="Check the torch."),
-    Action(0, "confirm", text="Is it ready?"),
-    Action(0, "on", signal="doArc"),
-    Action(0, "input", signal="diArcOk", seconds=5.0),
-    Action(8, "off", signal="doArc"),
+    TargetAction(0, "message", text="Check the torch."),
+    TargetAction(0, "confirm", text="Is it ready?"),
+    TargetAction(0, "on", signal="doArc"),
+    TargetAction(0, "input", signal="diArcOk", seconds=5.0),
+    TargetAction(8, "off", signal="doArc"),
 )
-"""What a torch asks of its program."""
+"""Requirements of a torch on its program."""
 ROW = '-Name "diArcOk" -SignalType "DI"'
 
 
 @functools.cache
 def torch_job(placed=True):
     """(problem, files) of one ABB arm whose program waits for an input."""
-    places = {"left": {"diArcOk": DevicePlace("Local_IO", 5)}} if placed else {}
+    places = {"left": {"diArcOk": DeviceBit("Local_IO", 5)}} if placed else {}
     outputs = {"doArc": PowerOutput("doArcOut", "Local_IO", 5)}
-    plan, problem = post_job.alone("irb140", actions=ARC, interlock=Interlock(outputs, places=places))
-    return problem, write.programs(plan, problem)
+    plan, problem = post_job.alone("irb140", actions=ARC, interlock=Interlock(outputs, device_bits=places))
+    return problem, write.program_files(plan, problem)
 
 
-def told(problem, files):
+def file_messages(problem, files):
     return [issue.message for issue in controller_files(Context(problem, {"panel": ()}, files)).issues]
 
 
@@ -193,12 +193,12 @@ def test_an_input_that_the_program_waits_for_is_declared():
     problem, files = torch_job()
     assert f'{ROW} -Device "Local_IO" -DeviceMap "5"' in files[HOME + "EIO.cfg"]
     assert "diArcOk: input, Local_IO, bit 5" in files[HOME + "README.txt"]
-    assert told(problem, files) == []
+    assert file_messages(problem, files) == []
     problem, files = torch_job(placed=False)
     assert ROW in files[HOME + "EIO.cfg"]
     assert "diArcOk: input, NO DEVICE" in files[HOME + "README.txt"]
     assert "places: {left: {diArcOk:" in files[HOME + "README.txt"]
-    assert told(problem, files) == []
+    assert file_messages(problem, files) == []
 
 
 @pytest.mark.parametrize(
@@ -220,7 +220,7 @@ def test_a_signal_that_is_not_declared_as_it_is_used_is_found(old, new):
     problem, files = torch_job()
     changed = swap(files, HOME + "EIO.cfg", old, new, np.random.default_rng(0))
     assert changed != files
-    assert any("EIO.cfg" in one for one in told(problem, changed))
+    assert any("EIO.cfg" in one for one in file_messages(problem, changed))
 
 
 @pytest.mark.parametrize(
@@ -236,7 +236,7 @@ def test_a_signal_that_the_text_names_besides_has_to_be_declared(old, new):
     problem, files = torch_job()
     name = next(name for name in sorted(files) if name.endswith(".mod") and "diArcOk" in files[name])
     changed = swap(files, name, old, new, np.random.default_rng(0))
-    assert any("EIO.cfg" in one for one in told(problem, changed))
+    assert any("EIO.cfg" in one for one in file_messages(problem, changed))
 
 
 def test_signals_of_a_text_by_their_use():
@@ -250,12 +250,12 @@ def test_signals_of_a_text_by_their_use():
 
 def test_handshakes_and_their_lines_are_declared_on_both_sides():
     plan, problem = post_job.two(("irb140", "irb140"), actions=post_job.ACTIONS)
-    files = write.programs(plan, problem)
+    files = write.program_files(plan, problem)
     for arm in ("left", "right"):
         text = files[f"controller/{arm}/EIO.cfg"]
         assert '-Name "doPartner" -SignalType "DO"' in text
         assert '-Name "diPartner" -SignalType "DI"' in text
-    assert told(problem, files) == []
+    assert file_messages(problem, files) == []
     wrong = swap(
         files,
         "controller/right/EIO.cfg",
@@ -263,7 +263,7 @@ def test_handshakes_and_their_lines_are_declared_on_both_sides():
         r'\1"DO"',
         np.random.default_rng(0),
     )
-    assert any("diPartner" in one for one in told(problem, wrong))
+    assert any("diPartner" in one for one in file_messages(problem, wrong))
 
 
 def test_places_are_of_signals_that_are_there_and_of_one_each():
@@ -271,19 +271,24 @@ def test_places_are_of_signals_that_are_there_and_of_one_each():
     operation = dataclasses.make_dataclass("Own", ["process", "arms", "signal", "ok_signal"])
     one = operation("trim", ("left",), "doArc", "diArcOk")
 
-    def found(**places):
-        lock = Interlock({}, places={"left": {name: DevicePlace(*at) for name, at in places.items()}})
+    def messages_for(**device_places):
+        lock = Interlock(
+            {}, device_bits={"left": {name: DeviceBit(*at) for name, at in device_places.items()}}
+        )
         made = controlled(problem, interlock=lock)
-        return [issue.message for issue in faults(made.cell, [one])]
+        return [issue.message for issue in controller_faults(made.cell, [one])]
 
-    assert found(diArcOk=("Local_IO", 5)) == []
-    assert any("no signal diElse" in message for message in found(diElse=("Local_IO", 5)))
+    assert messages_for(diArcOk=("Local_IO", 5)) == []
+    assert any("no signal diElse" in message for message in messages_for(diElse=("Local_IO", 5)))
     two = dataclasses.replace(one, ok_signal="diFlame")
-    lock = Interlock({}, places={"left": {n: DevicePlace("Local_IO", 5) for n in ("diArcOk", "diFlame")}})
-    issues = faults(controlled(problem, interlock=lock).cell, [one, two])
+    lock = Interlock({}, device_bits={"left": {n: DeviceBit("Local_IO", 5) for n in ("diArcOk", "diFlame")}})
+    issues = controller_faults(controlled(problem, interlock=lock).cell, [one, two])
     assert any("both bit 5 of Local_IO" in issue.message for issue in issues)
     clash = dataclasses.replace(one, ok_signal="doArcOut")
-    assert any("one use" in issue.message for issue in faults(problem.cell, [one, clash]))
+    assert any("one use" in issue.message for issue in controller_faults(problem.cell, [one, clash]))
     for name in ("answer", "tandem_lit_1", "TandemPower"):
-        told = [issue.message for issue in faults(problem.cell, [dataclasses.replace(one, ok_signal=name)])]
-        assert any(name in message and "would hide the signal" in message for message in told), told
+        messages = [
+            issue.message
+            for issue in controller_faults(problem.cell, [dataclasses.replace(one, ok_signal=name)])
+        ]
+        assert any(name in message and "would shadow the signal" in message for message in messages), messages

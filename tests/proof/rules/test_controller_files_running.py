@@ -1,4 +1,4 @@
-"""Files of two controllers that run beside each other: the wires by which each knows of the other one."""
+"""Files of two controllers that work together: the wires by which each monitors the other one."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from planner.languages.writing import write
-from planner.problem import DevicePlace, Interlock, PowerOutput
+from planner.problem import DeviceBit, Interlock, PowerOutput
 from planner.proof.context import Context
 from planner.proof.prove import Prover
 from planner.proof.rules.controller_files import controller_files
@@ -30,17 +30,19 @@ CASES = [((A, K), "left"), ((K, A), "right"), ((K, A), "left"), ((A, K), "right"
 def job(models, real=True):
     """(problem, files) of a job whose first arm switches a spindle."""
     places = {
-        arm: {"doRunning": DevicePlace("Local_IO", 6), "diPartnerRunning": DevicePlace("Local_IO", 7)}
+        arm: {"doRunning": DeviceBit("Local_IO", 6), "diPartnerRunning": DeviceBit("Local_IO", 7)}
         for arm, model in zip(FOLDERS, models, strict=True)
         if model == A
     }
     power = {"doSpindle": PowerOutput("doSpindleOut", "Local_IO", 3)}
-    plan, problem = krl_job.two(models, actions=krl_job.ACTIONS, interlock=Interlock(power, places=places))
+    plan, problem = krl_job.two(
+        models, actions=krl_job.ACTIONS, interlock=Interlock(power, device_bits=places)
+    )
     if real:
         io = {arm: {**names, "doSpindleOut": 40} for arm, names in problem.cell.controller.io.items()}
         controller = dataclasses.replace(problem.cell.controller, io=io)
         problem = dataclasses.replace(problem, cell=dataclasses.replace(problem.cell, controller=controller))
-    return problem, write.programs(plan, problem)
+    return problem, write.program_files(plan, problem)
 
 
 def faults(problem, files):
@@ -94,7 +96,7 @@ def test_the_stop_before_the_first_meeting_is_no_stop_in_a_cut():
     """What the program powers is off before it stops by itself, so nobody is asked at its next start."""
     for models, dialect in [((A, K), "krc4"), ((K, A), "krc4"), ((K, K), "krc2")]:
         plan, problem = krl_job.two(models, actions=krl_job.ACTIONS, dialect=dialect)
-        files = write.programs(plan, problem)
+        files = write.program_files(plan, problem)
         if models[0] == A:
             main = files["left/TandemMain_1.mod"].partition("PROC main()")[2]
             off, stop, on = "SetDO doSpindle,0;", r"\n *Stop;", "operation_1;"

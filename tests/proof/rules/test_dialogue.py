@@ -1,4 +1,4 @@
-"""What programs tell and ask is refused where it is not word for word what follows from the problem."""
+"""Messages and questions of programs are refused unless they match the problem word for word."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from planner.motion import solve
 from planner.processes import registry
 from planner.processes.hotwire.claims import WireJoins
 from planner.proof.context import Context
-from planner.proof.dialogue import chosen_groups
+from planner.proof.dialogue import with_chosen_groups
 from planner.proof.prove import Prover
 from tests import line_ends
 from tests.languages.krl.reader.wall_program import MAIN as MAIN_KRL
@@ -96,12 +96,12 @@ def test_the_proof_is_of_the_wire_that_the_operator_is_told_to_mount():
     programs = dialogue_job.choice_programs()
     context = Context(small_job.problem(), dialogue_job.choice_claims(), programs)
     assert [type(claim) for claim in context.claims] == [OneOf]
-    told = chosen_groups(context)
-    assert told.untold == ()
-    assert [wire.length for wire in told.of(WireJoins)] == [pytest.approx(small_job.LENGTH)]
+    told = with_chosen_groups(context)
+    assert told.dialogue_issues == ()
+    assert [wire.length for wire in told.claims_of(WireJoins)] == [pytest.approx(small_job.LENGTH)]
     longer = edit(programs, COLD, "513.2 mm")
-    told = chosen_groups(Context(small_job.problem(), dialogue_job.choice_claims(), longer))
-    assert [wire.length for wire in told.of(WireJoins)] == [pytest.approx(small_job.LENGTH + 0.02)]
+    told = with_chosen_groups(Context(small_job.problem(), dialogue_job.choice_claims(), longer))
+    assert [wire.length for wire in told.claims_of(WireJoins)] == [pytest.approx(small_job.LENGTH + 0.02)]
     assert [issue.code for issue in faults("choice", longer)] == [CODE]  # it is locked at another length
 
 
@@ -127,14 +127,14 @@ def test_another_wire_at_hand_that_is_told_all_through_does_not_go_with_the_moti
 )
 def test_a_wire_that_is_not_at_hand_is_refused(old, new):
     found = faults("choice", edit(dialogue_job.choice_programs(), old, new))
-    assert any(issue.code == CODE and "told none" in issue.message for issue in found)
+    assert any(issue.code == CODE and "name none of the items to mount" in issue.message for issue in found)
 
 
 def test_wires_that_a_text_cannot_tell_apart_are_refused():
     (choice,) = dialogue_job.choice_claims()["panel"]
     twice = {"panel": (OneOf((choice.either[1], choice.either[1])),)}
-    context = chosen_groups(Context(small_job.problem(), twice, dialogue_job.choice_programs()))
-    assert ["more than one" in issue.message for issue in context.untold] == [True]
+    context = with_chosen_groups(Context(small_job.problem(), twice, dialogue_job.choice_programs()))
+    assert ["more than one" in issue.message for issue in context.dialogue_issues] == [True]
 
 
 # ---- what was accepted before ----
@@ -147,7 +147,7 @@ def edit(texts, old, new, file=None):
     return {**texts, file: texts[file].replace(old, new, 1)}
 
 
-def said(text):
+def shown(text):
     return f'    TPWrite "{text}";'
 
 
@@ -158,44 +158,54 @@ def box(text, more=""):
 MAIN, OTHER = "T_ROB1/TandemMain_1.mod", "T_ROB2/TandemMain_2.mod"
 FIRST_BOX = 'UIMsgBox\\Header:="Tandem","Wire clamped'
 ATTACKS = {
-    "another wire": ("bent", "493.2", "693.2", "other figures: cold_mm is 693.2, by the problem 493.2"),
+    "another wire": (
+        "bent",
+        "493.2",
+        "693.2",
+        "other figures: cold_mm is 693.2, expected by the problem 493.2",
+    ),
     "not taken up": ("bent", "Slide taken up to 500.0", "Slide taken up to 510.0", "hot_mm is 510.0"),
-    "ten times the power": ("bow", "78 W", "780 W", "power_w is 780, by the problem 78"),
-    "the opposite": ("bent", "slide free, block fixed", "slide locked, block fixed", "is not what is wanted"),
+    "ten times the power": ("bow", "78 W", "780 W", "power_w is 780, expected by the problem 78"),
+    "the opposite": (
+        "bent",
+        "slide free, block fixed",
+        "slide locked, block fixed",
+        "differs from what is expected",
+    ),
     "another question": (
         "bow",
         "Wire taut, block fixed, nobody in the cell?",
         LIES[1],
-        "is not what is wanted",
+        "differs from what is expected",
     ),
-    "no time to answer": (
+    "no time to answer": ("bow", "\\Icon:=iconInfo", "\\Icon:=iconInfo\\MaxTime:=1", "without a press of OK"),
+    "hands at once": (
         "bow",
-        "\\Icon:=iconInfo",
-        "\\Icon:=iconInfo\\MaxTime:=1",
-        "without anybody pressing",
+        "WaitTime 10;",
+        shown(LIES[0]).strip() + " WaitTime 10;",
+        "is not expected before",
     ),
-    "hands at once": ("bow", "WaitTime 10;", said(LIES[0]).strip() + " WaitTime 10;", "is not wanted before"),
-    "no cooling": ("bent", "    WaitTime 30;", "", "comes where a wait of 30 s"),
-    "short cooling": ("bent", "WaitTime 30;", "WaitTime 0.01;", "wanted: a wait of 30 s"),
-    "an hour of heat": ("bent", "WaitTime 10;", "WaitTime 3600;", "wanted: a wait of 10 s"),
+    "no cooling": ("bent", "    WaitTime 30;", "", "appears where a wait of 30 s"),
+    "short cooling": ("bent", "WaitTime 30;", "WaitTime 0.01;", "expected: a wait of 30 s"),
+    "an hour of heat": ("bent", "WaitTime 10;", "WaitTime 3600;", "expected: a wait of 10 s"),
     "while an arm moves": (
         "bent",
         "MoveAbsJ j_1_entry_1",
-        said(LIES[3]).strip() + " MoveAbsJ j_1_entry_1",
-        "is not wanted before",
+        shown(LIES[3]).strip() + " MoveAbsJ j_1_entry_1",
+        "is not expected before",
     ),
     "erased": ("bent", FIRST_BOX, "TPErase; " + FIRST_BOX, "TPErase"),
     "in the handler": (
         "bow",
         'TPWrite "Check the arm',
-        said(LIES[2]).strip() + ' TPWrite "Check the arm',
+        shown(LIES[2]).strip() + ' TPWrite "Check the arm',
         "shows",
     ),
     "after the start": (
         "bow",
         "    operation_1;",
         box(LIES[1]) + "\n    operation_1;",
-        "is not wanted before",
+        "is not expected before",
     ),
 }
 
@@ -204,8 +214,8 @@ ATTACKS = {
 def test_attacks_are_refused_with_a_true_word(name):
     job, old, new, word = ATTACKS[name]
     issues = faults(job, edit(JOBS[job][2](), old, new))
-    told = [issue.message for issue in issues if issue.code == CODE]
-    assert told and any(word in message for message in told), told
+    messages = [issue.message for issue in issues if issue.code == CODE]
+    assert messages and any(word in message for message in messages), messages
 
 
 def test_a_question_by_the_other_task_is_refused():
@@ -218,11 +228,11 @@ def test_a_question_by_the_other_task_is_refused():
     texts = edit(texts, own + "\n", "", MAIN)
     texts = edit(texts, f"    WaitSyncTask {meets[0]}", f"{own}\n    WaitSyncTask {meets[0]}", OTHER)
     messages = [issue.message for issue in faults("bent", texts)]
-    assert any("it is for task T_ROB1 to do" in message for message in messages), messages
+    assert any("it belongs to task T_ROB1" in message for message in messages), messages
 
 
 def test_undo_says_nothing():
-    texts = edit(JOBS["bent"][2](), "SyncMoveUndo;", f"{said(LIES[2]).strip()} SyncMoveUndo;", MAIN)
+    texts = edit(JOBS["bent"][2](), "SyncMoveUndo;", f"{shown(LIES[2]).strip()} SyncMoveUndo;", MAIN)
     assert any("UNDO shows" in issue.message for issue in faults("bent", texts))
 
 
@@ -230,7 +240,7 @@ def test_undo_says_nothing():
 def test_a_guarded_wait_of_krl_asks_nothing_of_its_own(mark):
     said = WAIT.replace("HALT", f"{mark} Take the block out\nHALT")
     text = read(main=MAIN_KRL.replace("wall_1()\n", f"{said}wall_1()\n"))
-    assert [fault.message for fault in text.faults] == ["a guarded wait tells and asks nothing of its own"]
+    assert [fault.message for fault in text.faults] == ["a guarded wait must not contain a marked comment"]
 
 
 @pytest.mark.parametrize(
@@ -313,7 +323,7 @@ def milled(tmp_path_factory):
     path = small_mill.write(folder, small_mill.PANEL, small_mill.BALL, cuts=cuts, part=None)
     problem = planner.load(path)
     targets = [job.targets() for job in registry.jobs(problem)]
-    programs = line_ends.bare(write.programs(solve.solve(problem, targets), problem))
+    programs = line_ends.bare(write.program_files(solve.solve(problem, targets), problem))
     held = Prover(problem, registry.claims(problem))
     return programs, lambda texts: held.prove(texts, last=CODE).issues
 
@@ -348,7 +358,7 @@ def test_a_wait_at_another_place_is_refused(milled):
     text = programs[file].replace("    WaitTime 0.5;\n", "", 1)
     text = text.replace("    WaitTime 0.25;\n", "    WaitTime 0.5;\n    WaitTime 0.25;\n", 1)
     assert len(calls) >= 2 and any(
-        "at another place" in issue.message for issue in issues({**programs, file: text})
+        "at another position" in issue.message for issue in issues({**programs, file: text})
     )
 
 
@@ -367,7 +377,7 @@ def test_spacers_are_as_thick_as_the_slot(tmp_path, heat):
     path.write_text(yaml.safe_dump(data))
     problem = planner.load(path)
     targets = [job.targets() for job in registry.jobs(problem)]
-    programs = line_ends.bare(write.programs(solve.solve(problem, targets), problem))
+    programs = line_ends.bare(write.program_files(solve.solve(problem, targets), problem))
     held = Prover(problem, registry.claims(problem))
     assert held.prove(programs).ok
     file = main_of(programs)
@@ -383,11 +393,11 @@ def test_spacers_are_as_thick_as_the_slot(tmp_path, heat):
 WAIT_DI = r"WaitDI (\w+),(\d)\\MaxTime:=(\d+);"
 
 
-UNANSWERED = sentences.UNANSWERED.filled(other="right")
+UNANSWERED = sentences.UNANSWERED.format(other="right")
 
 
 def flagged(end, text=UNANSWERED):
-    """The programs for two controllers, with a flag and a branch behind one wait in place of an error."""
+    """Return programs for two controllers in which a flag and a branch after one wait replace an error."""
     programs = JOBS["handshake"][2]()
     file = next(file for file in programs if file.startswith("left") and "Main" in file)
     branch = f'    IF late THEN\n      TPWrite "{text}";\n      {end}\n    ENDIF'

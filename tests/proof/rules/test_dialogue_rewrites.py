@@ -1,4 +1,4 @@
-"""What programs tell and ask is proven, too, where the same is written in other ways."""
+"""Equivalent rewrites of messages and questions are proven too."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Every rule passes the clean programs, and each kind of fault in the text is caught by the rule that is
-named for it.
-"""
+"""Every rule passes the clean programs, and each kind of text fault is caught by its rule."""
 
 from __future__ import annotations
 

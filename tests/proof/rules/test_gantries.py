@@ -1,5 +1,4 @@
-"""Gantries in programs: where arms and what axes carry stand by the text, and how values, units and ways go
-wrong."""
+"""Gantries in programs: poses of arms and carried bodies by the text, faults in values, units and paths."""
 
 from __future__ import annotations
 
@@ -13,16 +12,16 @@ import numpy as np
 import pytest
 
 import planner
-from planner.cell import axis_way
+from planner.cell import external_axis_motion
 from planner.cell.bodies import Solid
-from planner.cell.kinematics import forward
+from planner.cell.kinematics import forward_kinematics
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, Shape
 from planner.problem import Cell, LinearAxis, Obstacle
 from planner.proof.context import Context
 from planner.proof.models import MODELS
 from planner.proof.prove import Prover
-from planner.proof.rules import external_axes, track_way
+from planner.proof.rules import external_axes, track_clearance
 from tests import gantry_job
 from tests.proof.provers import prover_of
 
@@ -32,23 +31,23 @@ A, B, LEG = "[-500.0000,0.0000,", "[800.0000,200.0000,", "[800.0000,0.0000,"
 
 @pytest.fixture(scope="module")
 def prover() -> Prover:
-    return prover_of(gantry_job.planned())
+    return prover_of(gantry_job.planned_job())
 
 
 def test_the_text_has_base_and_bodies_where_sums_by_hand_have_them(prover: Prover) -> None:
-    out = gantry_job.planned()
+    out = gantry_job.planned_job()
     assert out.verified, [str(issue) for issue in out.issues]
     ends = [out.plan.stations[i] for i in range(2)]
     shown = [[1e3 * one["left/bridge"], 1e3 * one["left/lift"]] for one in ends]
     np.testing.assert_allclose(shown, [[-500.0, 0.0], [800.0, 200.0]])
-    context = external_axes.standing(Context(prover.problem, prover.claims, out.programs))
+    context = external_axes.with_text_stations(Context(prover.problem, prover.claims, out.programs))
     for index, (y, z) in enumerate([(-0.5, 0.0), (0.8, 0.2)]):
-        arm, made = prover.problem.cell.arm("left"), out.plan.operations[index]
+        arm, operation_plan = prover.problem.cell.arm("left"), out.plan.operations[index]
         base = arm.base.copy()
         base[:3, 3] += [0.0, y, z]
-        np.testing.assert_allclose(context.based(index)["left"], base, atol=1e-9)
-        tcp = (base @ forward(arm.data, made.q["left"]) @ arm.tool.tcp)[:, :3, 3]
-        assert np.linalg.norm(tcp - made.targets.pose["left"][:, :3, 3], axis=1).max() < 1e-6
+        np.testing.assert_allclose(context.base_poses(index)["left"], base, atol=1e-9)
+        tcp = (base @ forward_kinematics(arm.data, operation_plan.q["left"]) @ arm.tool.tcp)[:, :3, 3]
+        assert np.linalg.norm(tcp - operation_plan.targets.pose["left"][:, :3, 3], axis=1).max() < 1e-6
         nodes = context.spans.of_stage[context.motion.node_stage] == index
         text = context.motion.node_tcp["left"][nodes][:, :3, 3]
         assert np.linalg.norm(text[:, None] - tcp, axis=2).min(axis=0).max() < 1e-6
@@ -102,7 +101,7 @@ def leg(text: str, number: int, new: str) -> str:
 
 
 MOVE = "    MoveAbsJ j_2_station_{}\\NoEOffs,v_entry,fine,t_ball_tool;\n"
-LOOK = "    check_axes;\n"
+HOME_CHECK = "    check_axes;\n"
 MUTANTS: dict[str, tuple[str, Callable[[str], str]]] = {
     "a value off by 1 mm": ("external_axes", lambda t: cuts(t, B, "[801.0000,200.0000,")),
     "the other one off by 1 mm": ("external_axes", lambda t: cuts(t, B, "[800.0000,199.0000,")),
@@ -152,7 +151,7 @@ MUTANTS: dict[str, tuple[str, Callable[[str], str]]] = {
         lambda t: first(t, MOVE.format(1), MOVE.format(1) + MOVE.format(2) + MOVE.format(1)),
     ),
     "fast": ("external_axes", lambda t: first(t, "v_entry:=[250,45,250,", "v_entry:=[250,45,400,")),
-    "no look": ("external_axes", lambda t: first(t, LOOK, "")),
+    "no look": ("external_axes", lambda t: first(t, HOME_CHECK, "")),
     "one look is missing": (
         "cell_check",
         lambda t: re.sub(r' *check_axis "Axis GANTRY_1 lift"[^\n]*\n', "", t, count=1),
@@ -179,7 +178,7 @@ LATER = (
     "a look at the other column",
     "beyond the range",
 )
-"""Those that are much like others are long tests."""
+"""Faults that resemble others; they are long tests."""
 
 
 @pytest.mark.sampled(every=3)
@@ -188,16 +187,16 @@ LATER = (
 )
 def test_a_wrong_gantry_is_refused(prover: Prover, name: str) -> None:
     word, change = MUTANTS[name]
-    proof = prover.prove(broken(gantry_job.planned().programs, change))
+    proof = prover.prove(broken(gantry_job.planned_job().programs, change))
     assert not proof.ok
     assert f"verify.{word}" in {issue.code for issue in proof.issues}, [str(i) for i in proof.issues]
 
 
-def with_axis(prover: Prover, place: int, **changes: Any) -> Prover:
+def with_axis(prover: Prover, index: int, **changes: Any) -> Prover:
     arm = prover.problem.cell.arm("left")
-    axes = list(arm.axes)
-    axes[place] = dataclasses.replace(axes[place], **changes)
-    cell = dataclasses.replace(prover.problem.cell, arms=(dataclasses.replace(arm, axes=tuple(axes)),))
+    axes = list(arm.linear_axes)
+    axes[index] = dataclasses.replace(axes[index], **changes)
+    cell = dataclasses.replace(prover.problem.cell, arms=(dataclasses.replace(arm, linear_axes=tuple(axes)),))
     return Prover(dataclasses.replace(prover.problem, cell=cell), prover.claims)
 
 
@@ -216,7 +215,7 @@ def test_programs_of_another_axis_are_refused(prover: Prover, name: str) -> None
     """The same text for a cell whose axis is another one; where it goes elsewhere no joints fit its
     targets."""
     place, changes, _ = OTHERS[name]
-    proof = with_axis(prover, place, **changes).prove(gantry_job.planned().programs)
+    proof = with_axis(prover, place, **changes).prove(gantry_job.planned_job().programs)
     assert not proof.ok
     codes = {issue.code for issue in proof.issues}
     assert name == "direction" or "verify.external_axes" in codes, codes
@@ -226,17 +225,17 @@ def test_programs_of_another_axis_are_refused(prover: Prover, name: str) -> None
 
 
 def over(prover: Prover, *shapes: Shape) -> list[str]:
-    """What verify.track_way says with one more body in the cell."""
+    """Return the messages of verify.track_way with an additional body in the cell."""
     cell = prover.problem.cell
     body = (Obstacle("thing", shapes),) if shapes else ()
     there = dataclasses.replace(cell, obstacles=(*cell.obstacles, *body))
     made = Prover(dataclasses.replace(prover.problem, cell=there), prover.claims)
-    found = made.prove(gantry_job.planned().programs).issues
+    found = made.prove(gantry_job.planned_job().programs).issues
     return [issue.message for issue in found if issue.code == "verify.track_way"]
 
 
 def everywhere(model: CellModel, riders: Sequence[Solid], fixed: Sequence[Solid], *_: Any) -> BoolArray:
-    """A planner to which all that stands is a rail."""
+    """Let the planner treat all fixed bodies as rails."""
     return np.ones((len(riders), len(fixed)), bool)
 
 
@@ -264,25 +263,32 @@ def test_a_body_on_the_way_of_the_lift_alone_is_seen(prover: Prover) -> None:
 def test_a_planner_that_leaves_out_what_rides_is_not_believed(
     prover: Prover, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(axis_way, "carried", lambda cell, name: {})
-    monkeypatch.setattr(axis_way, "_borne", lambda model, own, fixed, *_: np.ones(len(fixed), bool))
-    right, told = track_way._strayed, list[str]()
+    monkeypatch.setattr(external_axis_motion, "carried_bodies", lambda cell, name: {})
+    monkeypatch.setattr(
+        external_axis_motion, "_supporting_shapes", lambda model, own, fixed, *_: np.ones(len(fixed), bool)
+    )
+    right, told = track_clearance._check_query_poses, list[str]()
 
-    def heard(*args: Any) -> str:
+    def record(*args: Any) -> str:
         told.append(right(*args))
         return told[-1]
 
-    monkeypatch.setattr(track_way, "_strayed", heard)  # of issues with one code the worst alone is told
+    monkeypatch.setattr(
+        track_clearance, "_check_query_poses", record
+    )  # only the worst issue of each code is reported
     assert over(prover)
-    assert {one.removeprefix("it was looked at without ") for one in told} == {"column, console", "console"}
+    assert {one.removeprefix("distances were measured without ") for one in told} == {
+        "column, console",
+        "console",
+    }
 
 
 def test_a_planner_that_leaves_out_an_end_stop_is_not_believed(
     prover: Prover, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     thing = box(-0.9, 0.5, 1.5, (0.3, 0.1, 0.1))
-    monkeypatch.setattr(axis_way, "_sliding", everywhere)
-    assert any("nothing shows that column keeps" in message for message in over(prover, thing))
+    monkeypatch.setattr(external_axis_motion, "_sliding_shapes", everywhere)
+    assert any("it is not proven that column keeps" in message for message in over(prover, thing))
     assert not over(prover)
 
 
@@ -293,12 +299,14 @@ def test_a_post_beside_a_carriage_is_no_bearing(
     """3 mm beside the column where its way begins, which leaves it behind. A planner that takes it for a rail
     is not believed; one as long as the rails is one, as nothing tells it from a guide."""
     if blind:
-        monkeypatch.setattr(axis_way, "_sliding", everywhere)
+        monkeypatch.setattr(external_axis_motion, "_sliding_shapes", everywhere)
     words = (
-        "nothing shows that column keeps 10 mm off thing" if blind else "column and thing are 3.000 mm apart"
+        "it is not proven that column keeps 10 mm from thing"
+        if blind
+        else "column and thing are 3.000 mm apart"
     )
-    told = over(prover, box(-0.547, 0.0, 0.3, (0.1, 0.4, 0.4)))
-    assert any(words in message for message in told), told
+    reported = over(prover, box(-0.547, 0.0, 0.3, (0.1, 0.4, 0.4)))
+    assert any(words in message for message in reported), reported
     assert not over(prover, box(-0.547, 0.0, 0.3, (0.1, 4.0, 0.4)))
 
 
@@ -307,7 +315,7 @@ def test_rails_that_are_shorter_than_the_range_are_told(tmp_path: Path) -> None:
     short = {"kind": "box", "size_mm": [300, 2000, 100], "pose": {"xyz_mm": [-700, 0, 50]}}
     bodies = ({"name": "rails", "shapes": [short]}, gantry_job.COLUMN, gantry_job.CONSOLE)
     (issue,) = planner.check(gantry_job.problem(tmp_path, obstacles=bodies))
-    assert "column and rails come as near as 1.0 mm, where it begins; what bears a body" in issue.message
+    assert "column and rails come as close as 1.0 mm at its start; the support of a" in issue.message
 
 
 @pytest.mark.parametrize("blind", [False, True])
@@ -317,7 +325,7 @@ def test_what_is_lowered_keeps_off_the_floor(
     """A foot of the console that ends 4 mm above the floor; a planner that does not look there is not
     believed."""
     if blind:
-        monkeypatch.setattr(axis_way, "_low", lambda *args: {})
+        monkeypatch.setattr(external_axis_motion, "_floor_distances", lambda *args: {})
     cell = prover.problem.cell
     foot = box(-0.3, 0.0, 0.104, (0.1, 0.1, 0.2))
     bodies = tuple(
@@ -325,10 +333,10 @@ def test_what_is_lowered_keeps_off_the_floor(
         for body in cell.obstacles
     )
     there = dataclasses.replace(prover.problem, cell=dataclasses.replace(cell, obstacles=bodies))
-    found = Prover(there, prover.claims).prove(gantry_job.planned().programs).issues
-    told = [issue.message for issue in found if issue.code == "verify.track_way"]
+    found = Prover(there, prover.claims).prove(gantry_job.planned_job().programs).issues
+    messages = [issue.message for issue in found if issue.code == "verify.track_way"]
     words = "console is 4.000 mm above the floor" if blind else "console and the floor are 4.000 mm apart"
-    assert [text for text in told if words in text], [str(i) for i in found]
+    assert [text for text in messages if words in text], [str(i) for i in found]
 
 
 @pytest.mark.parametrize("blind", [False, True])
@@ -344,9 +352,9 @@ def test_a_base_is_not_lowered_into_the_floor(
     made = gantry_job.problem(tmp_path, axes, (), -1500.0, base={"xyz_mm": [0, 0, 0]})
     if not blind:
         (issue,) = [one for one in planner.check(made) if one.code == "motion.station"]
-        assert "left/base_link goes below the floor" in issue.message
+        assert "left/base_link moves below the floor" in issue.message
         return
-    monkeypatch.setattr(axis_way, "_low", lambda *args: {})
+    monkeypatch.setattr(external_axis_motion, "_floor_distances", lambda *args: {})
     out = planner.plan(made)
     assert not out.verified
     assert any("left/base_link is -300.000 mm above the floor" in one.message for one in out.issues), [
@@ -360,34 +368,38 @@ def test_a_block_is_no_bearing(prover: Prover, monkeypatch: pytest.MonkeyPatch, 
     believed."""
     if blind:
         every = {body.name for body in prover.problem.cell.obstacles} | {"stock"}
-        monkeypatch.setattr(axis_way, "_bearers", lambda *args: every)
-        monkeypatch.setattr(axis_way, "_sliding", everywhere)
+        monkeypatch.setattr(external_axis_motion, "_bearing_bodies", lambda *args: every)
+        monkeypatch.setattr(external_axis_motion, "_sliding_shapes", everywhere)
     place = np.eye(4)
     place[:3, 3] = [-0.548, 0.0, 0.2]
     stock = dataclasses.replace(prover.problem.stock, place=place)
     made = Prover(dataclasses.replace(prover.problem, stock=stock), prover.claims)
-    context = external_axes.standing(Context(made.problem, made.claims, gantry_job.planned().programs))
-    found = track_way.track_way(context).issues
-    told = [one.message for one in found if "bridge from 0 mm to -500 mm: " in one.message]
-    words = "nothing shows that column keeps 10 mm off stock"
+    context = external_axes.with_text_stations(
+        Context(made.problem, made.claims, gantry_job.planned_job().programs)
+    )
+    found = track_clearance.track_clearance(context).issues
+    messages = [one.message for one in found if "bridge from 0 mm to -500 mm: " in one.message]
+    words = "it is not proven that column keeps 10 mm from stock"
     words = words if blind else "column and stock are 2.000 mm apart"
-    assert any(words in text for text in told), [str(one) for one in found]
+    assert any(words in text for text in messages), [str(one) for one in found]
 
 
 @pytest.mark.parametrize("what", ["bodies of setups", "bodies of models", "sums of the planner"])
 def test_a_body_left_behind_is_refused(prover: Prover, monkeypatch: pytest.MonkeyPatch, what: str) -> None:
     """Where the planner's own placing goes wrong, by which bodies stand, too, the proof's does not."""
     if what == "bodies of setups":
-        monkeypatch.setattr(Cell, "gone", lambda self, there, here: self)
+        monkeypatch.setattr(Cell, "with_moved_bodies", lambda self, there, here: self)
         code, words = "verify.external_axes", "is not where GANTRY_1"
     elif what == "bodies of models":
-        monkeypatch.setattr(CellModel, "motion", lambda self, name: np.eye(4))
-        code, words = "verify.track_way", "stands elsewhere in setup"
+        monkeypatch.setattr(CellModel, "axis_motion", lambda self, name: np.eye(4))
+        code, words = "verify.track_way", "the axes under it put it in setup"
     else:
-        right = LinearAxis.moved
-        monkeypatch.setattr(LinearAxis, "moved", lambda self, pose, value: right(self, pose, 1.001 * value))
+        right = LinearAxis.translate
+        monkeypatch.setattr(
+            LinearAxis, "translate", lambda self, pose, value: right(self, pose, 1.001 * value)
+        )
         code, words = "verify.external_axes", "is not where GANTRY_1"
     made = Prover(prover.problem, prover.claims)
-    found = made.prove(gantry_job.planned().programs).issues
-    told = [issue.message for issue in found if issue.code == code]
-    assert [text for text in told if words in text], [str(i) for i in found]
+    found = made.prove(gantry_job.planned_job().programs).issues
+    messages = [issue.message for issue in found if issue.code == code]
+    assert [text for text in messages if words in text], [str(i) for i in found]

@@ -1,4 +1,4 @@
-"""Links and tool of one arm are held to a clearance of their own, and nothing else is."""
+"""Links and tool of one arm keep a self-clearance of their own. Other bodies are not affected."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ import functools
 import numpy as np
 import pytest
 
-from planner.cell.plant import build
+from planner.cell.plant import build_cell_model
 from planner.proof.prove import Prover
-from planner.proof.rules.clearance import aside, of_one_arm
+from planner.proof.rules.clearance import excluded_pairs, self_clearance_pairs
 from tests.proof import held_job, small_job
 from tests.proof.mutants import bent
 from tests.proof.provers import broken
 
 CODES = {"verify.clearance", "verify.own_clearance"}
 NEAR_DEG = 104.0
-"""Axis 5 of the first waypoint, at which the wire's holder is 5.1 mm off its own forearm."""
+"""Axis 5 of the first waypoint, at which the wire holder is 5.1 mm from its own forearm."""
 
 
 @functools.cache
@@ -55,25 +55,25 @@ def test_two_arms_are_never_held_to_the_clearance_of_one():
 
 
 def test_a_clearance_below_a_wide_one_of_its_own_is_the_lesser_one():
-    assert small_job.problem(clearance=0.002).settings.of_one_arm == 0.002
-    assert small_job.problem(clearance=0.05).settings.of_one_arm == 0.005
+    assert small_job.problem(clearance=0.002).settings.self_clearance == 0.002
+    assert small_job.problem(clearance=0.05).settings.self_clearance == 0.005
 
 
 def test_a_block_that_an_arm_holds_and_a_wire_are_no_part_of_the_arm():
     own = held_job.problem()
     setup = own.setups[0]
-    model = build(setup.cell, setup.stock, np.eye(4))
+    model = build_cell_model(setup.cell, setup.stock, np.eye(4))
     bodies = {solid.body for solid in model.solids}
     assert {"stock", "left/edge"} <= bodies
-    pairs = of_one_arm(model)
+    pairs = self_clearance_pairs(model)
     parts = ("base_link", "link_1", "link_2", "link_3", "link_4", "link_5", "link_6", "tool")
-    wanted = {
+    expected = {
         frozenset((f"{arm}/{a}", f"{arm}/{b}"))
         for arm in ("left", "right")
         for i, a in enumerate(parts)
         for b in parts[:i]
     }
-    assert pairs == wanted
-    assert aside(model, itself=False) == pairs
-    assert aside(model, itself=True) & pairs == frozenset()
-    assert len(aside(model, itself=True)) + len(pairs) == len(bodies) * (len(bodies) - 1) // 2
+    assert pairs == expected
+    assert excluded_pairs(model, itself=False) == pairs
+    assert excluded_pairs(model, itself=True) & pairs == frozenset()
+    assert len(excluded_pairs(model, itself=True)) + len(pairs) == len(bodies) * (len(bodies) - 1) // 2

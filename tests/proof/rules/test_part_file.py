@@ -1,8 +1,7 @@
-"""What the proof itself reads of part files is held against what is made: readings that agree pass, and any
-that differs does not.
+"""The proof's own reading of part files against the produced surfaces: only equal readings pass.
 
-Wires and cutters here make exactly what a reading of the planner says; the file, or the problem's numbers,
-say another thing wherever a reading is wrong. So the reading is the one fault there is.
+Wires and cutters here produce exactly the planner's reading. The file or the problem's numbers differ from it
+in each wrong case, so that the reading is the only fault.
 """
 
 from __future__ import annotations
@@ -18,62 +17,66 @@ import pytest
 from planner.claims.segments import Segment
 from planner.geometry.mesh import vertex_normals
 from planner.geometry.rulings import outward_sides, tessellate
-from planner.geometry.wing import naca
+from planner.geometry.wing import naca_section
 from planner.processes.hotwire.claims import CutsSurface, KerfCurve
-from planner.processes.hotwire.proof.cut_surface import Sweep
+from planner.processes.hotwire.proof.cut_surface import WireSweep
 from planner.processes.hotwire.proof.rules.cut_part import SWEEPS
 from planner.processes.milling.proof.tool_motion import MILLING
 from planner.proof.prove import Prover
 from planner.proof.rules import part_file
 from tests.processes.forming.proof import forming_job
-from tests.proof.part_files.part_files import HIGH, LOW, absolute, grid_obj, hills
+from tests.proof.part_files.part_files import HIGH, LOW, grid_obj, hills, with_absolute_files
 from tests.reading.part_specs import make
 
 KERF, TOLERANCE = 0.002, 0.3
 SIZE = np.array([0.5, 0.7, 0.2])
 
 
-def finely(own):
+def refine(surface):
     """The surface with rulings at most 2 mm apart."""
-    ring = np.append(np.arange(len(own.start)), 0) if own.closed else np.arange(len(own.start))
-    start, end = own.start[ring], own.end[ring]
+    ring = np.append(np.arange(len(surface.start)), 0) if surface.closed else np.arange(len(surface.start))
+    start, end = surface.start[ring], surface.end[ring]
     step = np.maximum(*(np.linalg.norm(np.diff(guide, axis=0), axis=1) for guide in (start, end)))
     at = [np.linspace(k, k + 1, int(np.ceil(s / 0.002)) + 1)[:-1] for k, s in enumerate(step)]
-    at = np.concatenate([*at, [] if own.closed else [float(len(step))]])
+    at = np.concatenate([*at, [] if surface.closed else [float(len(step))]])
     rows = [
         np.stack([np.interp(at, np.arange(len(ring)), column) for column in g.T], 1) for g in (start, end)
     ]
-    corner = (at == np.rint(at)) & own.corner[np.rint(at).astype(int) % len(own.corner)]
-    return dataclasses.replace(own, start=rows[0], end=rows[1], corner=corner)
+    corner = (at == np.rint(at)) & surface.corner[np.rint(at).astype(int) % len(surface.corner)]
+    return dataclasses.replace(surface, start=rows[0], end=rows[1], corner=corner)
 
 
-def swept_rulings(own):
-    """The wire along rulings, half a kerf off on their outer side, beyond both ends; at corners it turns
-    about the edge."""
-    own = finely(own)
+def swept_rulings(surface):
+    """Return the wire along rulings, offset outwards by half a kerf, beyond both ends.
+
+    At corners it rotates about the edge.
+    """
+    surface = refine(surface)
     lines = []
-    for normal in outward_sides(own):
-        start, end = own.start + 0.5 * KERF * normal[:, 0], own.end + 0.5 * KERF * normal[:, 1]
-        share = np.concatenate([[-0.3], np.linspace(0.0, 1.0, 41), [1.3]])[:, None]
-        lines.append(start[:, None] + share * (end - start)[:, None])
+    for normal in outward_sides(surface):
+        start, end = surface.start + 0.5 * KERF * normal[:, 0], surface.end + 0.5 * KERF * normal[:, 1]
+        fraction = np.concatenate([[-0.3], np.linspace(0.0, 1.0, 41), [1.3]])[:, None]
+        lines.append(start[:, None] + fraction * (end - start)[:, None])
     points = np.stack(lines, axis=1)
-    points = (np.concatenate([points, points[:1]]) if own.closed else points).reshape(-1, *points.shape[2:])
-    return Sweep.steady(points if own.closed else points[1:-1])
+    points = (np.concatenate([points, points[:1]]) if surface.closed else points).reshape(
+        -1, *points.shape[2:]
+    )
+    return WireSweep.continuous(points if surface.closed else points[1:-1])
 
 
 def swept_grid(mesh, cells=12):
-    """The wire along the rows of vertices of a face from `grid_obj`, half a kerf off."""
+    """Return the wire along the vertex rows of a face from `grid_obj`, offset by half a kerf."""
     points = mesh.vertices + 0.5 * KERF * vertex_normals(mesh)
     grid = points.reshape(cells + 1, cells + 1, 3)
     wide = [2 * grid[:, :1] - grid[:, 1:2], grid, 2 * grid[:, -1:] - grid[:, -2:-1]]
     rows = np.concatenate(wide, axis=1)
     rows = np.concatenate([2 * rows[:1] - rows[1:2], rows, 2 * rows[-1:] - rows[-2:-1]])
-    return Sweep.steady(rows)
+    return WireSweep.continuous(rows)
 
 
-def judged(read, said, folder, cuts="all", size=SIZE, operation=None):
-    """The rule where the planner read ``read`` and the problem states ``said``."""
-    part = make(read, folder, size)
+def judge_part(read_source, source, folder, cuts="all", size=SIZE, operation=None):
+    """Run the rule where the planner reads ``read_source`` and the problem states ``source``."""
+    part = make(read_source, folder, size)
     surfaces, sweeps = [], []
     for own in part.ruled:
         if own.name != "edges":
@@ -92,13 +95,13 @@ def judged(read, said, folder, cuts="all", size=SIZE, operation=None):
         name="cut", process="straight_wire", cuts=cuts, shape_tol_mm=TOLERANCE, share=0.95
     )
     problem = SimpleNamespace(
-        source={"part": absolute(said, folder)},
+        source={"part": with_absolute_files(source, folder)},
         stock=SimpleNamespace(size=size),
         operations=(operation or straight,),
         part=part,
     )
     facts = {SWEEPS: sweeps, MILLING: SimpleNamespace(surfaces=())}
-    context = SimpleNamespace(problem=problem, of=lambda kind: tuple(surfaces), get=facts.__getitem__)
+    context = SimpleNamespace(problem=problem, claims_of=lambda kind: tuple(surfaces), get=facts.__getitem__)
     return part_file.part_file(context)
 
 
@@ -109,9 +112,9 @@ def elastic(*faces):
     )
 
 
-def changed(said, **fields):
+def changed(source, **fields):
     """A part with other values at fields that are named by their path, ``__`` between its words."""
-    out = copy.deepcopy(said)
+    out = copy.deepcopy(source)
     for path, value in fields.items():
         words = [int(word) if word.isdigit() else word for word in path.split("__")]
         at = out
@@ -121,14 +124,14 @@ def changed(said, **fields):
     return out
 
 
-def good(outcome, places=500):
+def passes(outcome, min_samples=500):
     """Whether the rule passes, with all the places looked at."""
-    counted = sum(int(text.split(" places")[0]) for text in outcome.where.split(", "))
-    return not outcome.issues and outcome.worst >= 95.0 and counted >= places
+    counted = sum(int(text.split(" points")[0]) for text in outcome.where.split(", "))
+    return not outcome.issues and outcome.worst >= 95.0 and counted >= min_samples
 
 
-def bad(outcome):
-    """Whether it does not, and says by how much."""
+def fails(outcome):
+    """Return whether the rule fails with a measured deviation."""
     return bool(outcome.issues) and all(issue.code == "verify.part_file" for issue in outcome.issues)
 
 
@@ -154,9 +157,9 @@ def faces(tmp_path):
     return tmp_path
 
 
-@pytest.mark.parametrize("said", [MESH, PLACED], ids=["auto", "placed"])
-def test_a_mesh_that_both_read_alike_is_proven(faces, said) -> None:
-    assert good(judged(said, said, faces, operation=elastic("front", "back")), 1000)
+@pytest.mark.parametrize("source", [MESH, PLACED], ids=["auto", "placed"])
+def test_a_mesh_that_both_read_alike_is_proven(faces, source) -> None:
+    assert passes(judge_part(source, source, faces, operation=elastic("front", "back")), 1000)
 
 
 @pytest.mark.sampled(every=3)
@@ -179,7 +182,7 @@ def test_a_mesh_that_both_read_alike_is_proven(faces, said) -> None:
 )
 def test_a_mesh_that_is_read_otherwise_is_not_proven(faces, wrong) -> None:
     """Wherever the part is: a mirror and a scale are no motion."""
-    assert bad(judged(changed(MESH, **wrong), MESH, faces, operation=elastic("front", "back")))
+    assert fails(judge_part(changed(MESH, **wrong), MESH, faces, operation=elastic("front", "back")))
 
 
 @pytest.mark.parametrize(
@@ -192,7 +195,7 @@ def test_a_mesh_that_is_read_otherwise_is_not_proven(faces, wrong) -> None:
     ],
 )
 def test_a_placed_mesh_that_is_put_elsewhere_is_not_proven(faces, wrong) -> None:
-    assert bad(judged(changed(PLACED, **wrong), PLACED, faces, operation=elastic("front", "back")))
+    assert fails(judge_part(changed(PLACED, **wrong), PLACED, faces, operation=elastic("front", "back")))
 
 
 def test_a_face_that_looks_the_other_way_is_not_proven(faces) -> None:
@@ -202,36 +205,36 @@ def test_a_face_that_looks_the_other_way_is_not_proven(faces) -> None:
         "in_stock": PLACED["in_stock"],
     }
     right = changed(turned, front__mesh__flip=False)
-    assert good(judged(right, right, faces, operation=elastic("front")))
-    assert bad(judged(turned, right, faces, operation=elastic("front")))
+    assert passes(judge_part(right, right, faces, operation=elastic("front")))
+    assert fails(judge_part(turned, right, faces, operation=elastic("front")))
 
 
 def test_where_and_by_how_much_is_told(faces) -> None:
-    found = judged(
+    found = judge_part(
         changed(PLACED, in_stock__xyz_mm=[-60, -40, 30.9]), PLACED, faces, operation=elastic("front")
     )
     (issue,) = found.issues
     assert issue.field == "cut/front"
-    assert "front.obj, read once more: 0.0 % of 600 places are within 0.32 mm" in issue.message
-    off = float(issue.message.split("block is ")[1].split(" mm")[0])
+    assert "front.obj as read: 0.0 % of 600 points are within 0.32 mm" in issue.message
+    off = float(issue.message.split("deviates by ")[1].split(" mm")[0])
     assert 0.85 < abs(off) < 0.95  # moved by 0.9 mm
 
 
 def test_a_file_that_is_gone_or_broken_is_told_by_its_name(faces) -> None:
     (faces / "front.obj").rename(faces / "kept.obj")
     read = changed(PLACED, front__mesh__file="kept.obj")
-    found = judged(read, PLACED, faces, operation=elastic("front"))
+    found = judge_part(read, PLACED, faces, operation=elastic("front"))
     assert "front.obj cannot be opened" in found.issues[0].message
     (faces / "front.obj").write_text("v 1 2\nf 1 1 1\n")
-    found = judged(read, PLACED, faces, operation=elastic("front"))
-    assert "front.obj cannot be read a second time" in found.issues[0].message
+    found = judge_part(read, PLACED, faces, operation=elastic("front"))
+    assert "front.obj cannot be read by the proof" in found.issues[0].message
 
 
 def test_a_file_that_has_changed_since_is_told(faces) -> None:
     (faces / "kept.obj").write_bytes((faces / "front.obj").read_bytes())
     grid_obj(faces / "front.obj", lambda x, y: hills(x, y) + 0.9)
-    assert bad(
-        judged(changed(PLACED, front__mesh__file="kept.obj"), PLACED, faces, operation=elastic("front"))
+    assert fails(
+        judge_part(changed(PLACED, front__mesh__file="kept.obj"), PLACED, faces, operation=elastic("front"))
     )
 
 
@@ -252,17 +255,17 @@ WING = {
 def airfoils(tmp_path):
     """Two airfoils, and others."""
     for name, digits in (("root.dat", "2412"), ("tip.dat", "23112"), ("other.dat", "4409")):
-        rows = [f"{x:.7f} {y:.7f}" for x, y in naca(digits, 60)]
+        rows = [f"{x:.7f} {y:.7f}" for x, y in naca_section(digits, 60)]
         (tmp_path / name).write_text("airfoil\n" + "\n".join(rows))
-    rows = [f"{x:.7f} {-y:.7f}" for x, y in naca("2412", 60)]
+    rows = [f"{x:.7f} {-y:.7f}" for x, y in naca_section("2412", 60)]
     (tmp_path / "upside_down.dat").write_text("airfoil\n" + "\n".join(rows[::-1]))
     return tmp_path
 
 
 def test_a_wing_that_both_read_alike_is_proven(airfoils) -> None:
-    assert good(judged({"wing": WING}, {"wing": WING}, airfoils))
+    assert passes(judge_part({"wing": WING}, {"wing": WING}, airfoils))
     found = {"wing": {**WING, "match": "least_twist"}}
-    assert good(judged(found, found, airfoils))
+    assert passes(judge_part(found, found, airfoils))
 
 
 @pytest.mark.sampled(every=3)
@@ -283,7 +286,7 @@ def test_a_wing_that_both_read_alike_is_proven(airfoils) -> None:
     ids=lambda wrong: " ".join(wrong),
 )
 def test_a_wing_that_is_read_otherwise_is_not_proven(airfoils, wrong) -> None:
-    assert bad(judged({"wing": changed(WING, **wrong)}, {"wing": WING}, airfoils))
+    assert fails(judge_part({"wing": changed(WING, **wrong)}, {"wing": WING}, airfoils))
 
 
 # ---- guides and drawings ----
@@ -314,9 +317,9 @@ def drawings(tmp_path):
 
 
 def test_guides_that_both_read_alike_are_proven(drawings) -> None:
-    assert good(judged(RULED, RULED, drawings))
+    assert passes(judge_part(RULED, RULED, drawings))
     loose = {key: value for key, value in RULED.items() if key != "in_stock"}
-    assert good(judged(loose, loose, drawings))
+    assert passes(judge_part(loose, loose, drawings))
 
 
 @pytest.mark.parametrize(
@@ -332,8 +335,8 @@ def test_guides_that_both_read_alike_are_proven(drawings) -> None:
     ids=lambda wrong: " ".join(wrong),
 )  # fmt: skip
 def test_guides_that_are_read_otherwise_are_not_proven(drawings, wrong) -> None:
-    found = judged(changed(RULED, **wrong), RULED, drawings)
-    assert bad(found) or ("polyline_mm" in " ".join(wrong) and "match" not in " ".join(wrong))
+    found = judge_part(changed(RULED, **wrong), RULED, drawings)
+    assert fails(found) or ("polyline_mm" in " ".join(wrong) and "match" not in " ".join(wrong))
 
 
 def test_rulings_joined_otherwise_are_not_proven(drawings) -> None:
@@ -346,9 +349,9 @@ def test_rulings_joined_otherwise_are_not_proven(drawings) -> None:
     }
     said = {"ruled": [{**own, "match": "parameter"}], "in_stock": {"xyz_mm": [-100, 0, 30]}}
     other = changed(said, ruled__0__match="arc_length")
-    assert good(judged(said, said, drawings))
-    assert good(judged(other, other, drawings))
-    assert bad(judged(other, said, drawings))
+    assert passes(judge_part(said, said, drawings))
+    assert passes(judge_part(other, other, drawings))
+    assert fails(judge_part(other, said, drawings))
 
 
 PLATE = {"plate": {"dxf": {"file": "plate.dxf", "unit": "mm"}}}
@@ -357,9 +360,9 @@ PLATE = {"plate": {"dxf": {"file": "plate.dxf", "unit": "mm"}}}
 @pytest.mark.parametrize("more", [{}, {"in_stock": {"xyz_mm": [-90, -80, 0], "rpy_deg": [0, 0, 10]}}])
 def test_outlines_that_both_read_alike_are_proven(drawings, more) -> None:
     said = {**PLATE, **more}
-    assert good(judged(said, said, drawings), 1200)
+    assert passes(judge_part(said, said, drawings), 1200)
     one = (SimpleNamespace(surface="hole_a"),)
-    assert good(judged(said, said, drawings, one))
+    assert passes(judge_part(said, said, drawings, one))
 
 
 @pytest.mark.parametrize(
@@ -373,43 +376,41 @@ def test_outlines_that_both_read_alike_are_proven(drawings, more) -> None:
 )
 def test_outlines_that_are_read_otherwise_are_not_proven(drawings, wrong) -> None:
     size = np.array([6.0, 6.0, 0.2])
-    assert bad(judged(changed(PLATE, **wrong), PLATE, drawings, size=size))
+    assert fails(judge_part(changed(PLATE, **wrong), PLATE, drawings, size=size))
 
 
 def test_an_outline_that_is_lost_is_not_proven(drawings) -> None:
     more = {
         "plate": {**PLATE["plate"], "outlines": [{"polyline_mm": [[0, 150], [50, 150], [50, 190], [0, 190]]}]}
     }
-    assert good(judged(more, more, drawings), 1800)
-    lost = judged(PLATE, {**more, "in_stock": {}}, drawings)
-    assert any(
-        "2 outlines are cut; the part, read once more, has 3" in issue.message for issue in lost.issues
-    )
+    assert passes(judge_part(more, more, drawings), 1800)
+    lost = judge_part(PLATE, {**more, "in_stock": {}}, drawings)
+    assert any("2 outlines are cut; the part as read has 3" in issue.message for issue in lost.issues)
 
 
 def test_a_surface_that_nobody_claims_is_told(drawings) -> None:
-    found = judged(RULED, RULED, drawings, (SimpleNamespace(surface="roof"),))
-    assert bad(found)
-    assert "nothing is claimed of cut/roof" in found.issues[0].message
+    found = judge_part(RULED, RULED, drawings, (SimpleNamespace(surface="roof"),))
+    assert fails(found)
+    assert "no claim covers cut/roof" in found.issues[0].message
 
 
 @pytest.mark.parametrize("name", ["wall_in", "Wall_out", "trim_x"])
 def test_names_that_end_like_ways_are_found(drawings, name) -> None:
     said = changed(RULED, ruled__0__name=name)
-    assert good(judged(said, said, drawings, (SimpleNamespace(surface=name),)))
+    assert passes(judge_part(said, said, drawings, (SimpleNamespace(surface=name),)))
 
 
 @pytest.mark.parametrize("name", ["outline", "hole"])
 def test_a_ruled_surface_called_like_an_outline_is_none_of_a_plate(drawings, name) -> None:
     said = changed(RULED, ruled__0__name=name)
     said = {**said, "ruled": said["ruled"][:1]}
-    assert good(judged(said, said, drawings))
+    assert passes(judge_part(said, said, drawings))
 
 
 def test_what_no_operation_makes_is_not_looked_at(drawings) -> None:
-    found = judged(RULED, RULED, drawings, (SimpleNamespace(trim=("top",)),))
+    found = judge_part(RULED, RULED, drawings, (SimpleNamespace(trim=("top",)),))
     assert not found.issues
-    assert found.nothing == "no operation makes what the problem states"
+    assert found.nothing == "no operation makes a surface of the part"
 
 
 # ---- sheets ----
@@ -427,7 +428,7 @@ def dish_file(path, raised=0.0, scale=1e3, mirrored=False):
     )
 
 
-def formed(path, **said):
+def judge_formed(path, **source):
     """The rule's result for the programs of the small forming job."""
     operation = SimpleNamespace(
         name="dish",
@@ -438,8 +439,8 @@ def formed(path, **said):
         strategy="in_place",
         leaves=lambda stock: stock,
     )
-    part = {"sheet_mesh": {"file": str(path), "unit": "mm", "face": "bottom", **said}}
-    where = {"in_stock": said.pop("in_stock")} if "in_stock" in said else {}
+    part = {"sheet_mesh": {"file": str(path), "unit": "mm", "face": "bottom", **source}}
+    where = {"in_stock": source.pop("in_stock")} if "in_stock" in source else {}
     part["sheet_mesh"].pop("in_stock", None)
     problem = dataclasses.replace(
         forming_job.problem(), operations=(operation,), source={"part": {**part, **where}}
@@ -450,9 +451,9 @@ def formed(path, **said):
 
 def test_a_sheet_that_both_read_alike_is_proven(tmp_path) -> None:
     dish_file(tmp_path / "dish.obj")
-    rule, issues = formed(tmp_path / "dish.obj")
+    rule, issues = judge_formed(tmp_path / "dish.obj")
     assert rule.passed, issues
-    assert rule.where == "800 places of dish.obj"
+    assert rule.where == "800 points of dish.obj"
 
 
 @pytest.mark.sampled(every=3)
@@ -465,7 +466,7 @@ def test_a_sheet_that_is_read_otherwise_is_not_proven(tmp_path, wrong) -> None:
         said = {"in_stock": {"xyz_mm": [0.5, 0, 0]}}
     if wrong == "flat":
         path.write_text("v 0 0 0\nv 50 0 0\nv 0 50 0\nf 1 2 3\n")
-    rule, issues = formed(path, **said)
+    rule, issues = judge_formed(path, **said)
     assert rule.ran
     assert not rule.passed
     assert "dish.obj" in issues[0].message
@@ -484,6 +485,6 @@ def test_irregular_rings_whose_place_is_open_are_found(tmp_path, seed) -> None:
 
     sides = {"name": "sides", "closed": True, "match": "least_twist"}
     said = {"ruled": [sides | {"start": ring(0.0, 1.0, 0.0), "end": ring(100.0, 0.7, 0.2)}]}
-    assert not judged(said, said, tmp_path, size=np.array([0.9, 1.1, 0.7])).issues
+    assert not judge_part(said, said, tmp_path, size=np.array([0.9, 1.1, 0.7])).issues
     wrong = {"ruled": [sides | {"start": ring(0.0, 1.0, 0.0), "end": ring(100.0, 0.72, 0.2)}]}
-    assert judged(wrong, said, tmp_path, size=np.array([0.9, 1.1, 0.7])).issues
+    assert judge_part(wrong, said, tmp_path, size=np.array([0.9, 1.1, 0.7])).issues

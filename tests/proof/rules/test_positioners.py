@@ -1,4 +1,4 @@
-"""Positioners in programs: where the block is by the text, and how units, values and frames go wrong."""
+"""Positioners in programs: the pose of the block by the text, and faults in units, values and frames."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner.cell import axis_way
+from planner.cell import external_axis_motion
 from planner.problem import Cell, Obstacle, RotaryAxis, Turntable
 from planner.proof.prove import Prover
 from tests import positioner_job
@@ -22,17 +22,17 @@ TILT, TURN = "60.0000", "-180.0000"
 STAND = f"[{TILT},{TURN},9E9"
 LEG = f"[-20.0000,{TURN},9E9"
 """Between both stations: turned, and not tilted yet."""
-BEFORE = "[-20.0000,40.0000,9E9"
+FIRST_STATION = "[-20.0000,40.0000,9E9"
 """The first station."""
 
 
 @pytest.fixture(scope="module")
 def prover() -> Prover:
-    return prover_of(positioner_job.planned())
+    return prover_of(positioner_job.planned_job())
 
 
 def test_where_the_block_is_follows_from_the_text_within_a_micrometre(prover: Prover) -> None:
-    out = positioner_job.planned()
+    out = positioner_job.planned_job()
     assert out.verified and prover.prove(out.programs).ok  # of the text alone
     stands = out.plan.stations[1]
     np.testing.assert_allclose(
@@ -84,7 +84,7 @@ MUTANTS = {
     "both exchanged": ("external_axes", lambda t: t.replace(STAND, f"[{TURN},{TILT},9E9")),
     "both exchanged, within their ranges": (
         "external_axes",
-        lambda t: t.replace(BEFORE, "[40.0000,-20.0000,9E9"),
+        lambda t: t.replace(FIRST_STATION, "[40.0000,-20.0000,9E9"),
     ),
     "the other sense of the tilt": ("external_axes", lambda t: t.replace("[-20.0000,", "[20.0000,")),
     "the other sense of the turn": ("external_axes", lambda t: t.replace(",40.0000,9E9", ",-40.0000,9E9")),
@@ -134,19 +134,19 @@ KIN = (
     "home",
     "speed",
 )
-"""Those that are much like others."""
+"""Faults that resemble others."""
 
 
-def some(names: Iterable[str]) -> list[Any]:
-    """All names, those of :data:`KIN` as long tests."""
-    return [pytest.param(one, marks=pytest.mark.long) if one in KIN else one for one in names]
+def mark_long(names: Iterable[str]) -> list[Any]:
+    """Return all names, those of :data:`KIN` as long tests."""
+    return [pytest.param(name, marks=pytest.mark.long) if name in KIN else name for name in names]
 
 
 @pytest.mark.sampled(every=2)
-@pytest.mark.parametrize("name", some(MUTANTS))
+@pytest.mark.parametrize("name", mark_long(MUTANTS))
 def test_a_wrong_positioner_is_refused(prover: Prover, name: str) -> None:
     word, change = MUTANTS[name]
-    proof = prover.prove(broken(positioner_job.planned(), change))
+    proof = prover.prove(broken(positioner_job.planned_job(), change))
     assert not proof.ok
     assert f"verify.{word}" in {issue.code for issue in proof.issues}, [str(i) for i in proof.issues]
 
@@ -162,7 +162,7 @@ OTHERS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", some(OTHERS))
+@pytest.mark.parametrize("name", mark_long(OTHERS))
 def test_programs_of_another_tilt_axis_are_refused(prover: Prover, name: str) -> None:
     """The same text for a cell whose tilt axis is another one."""
     table = prover.problem.cell.turntable
@@ -170,7 +170,7 @@ def test_programs_of_another_tilt_axis_are_refused(prover: Prover, name: str) ->
     other = dataclasses.replace(table, tilt=dataclasses.replace(table.tilt, **OTHERS[name]))
     cell = dataclasses.replace(prover.problem.cell, turntable=other)
     made = Prover(dataclasses.replace(prover.problem, cell=cell), prover.claims)
-    codes = {issue.code for issue in made.prove(positioner_job.planned().programs).issues}
+    codes = {issue.code for issue in made.prove(positioner_job.planned_job().programs).issues}
     assert "verify.external_axes" in codes
 
 
@@ -179,17 +179,17 @@ def test_a_turn_by_other_code_is_held_against_the_problems(
     prover: Prover, monkeypatch: pytest.MonkeyPatch, what: str
 ) -> None:
     """Where the planner's own turn goes wrong, by which bodies are placed, too, the proof's does not."""
-    right = RotaryAxis.turned
+    right = RotaryAxis.rotate
     if what == "block":
         monkeypatch.setattr(
-            RotaryAxis, "turned", lambda self, place, value: right(self, place, 1.001 * value)
+            RotaryAxis, "rotate", lambda self, place, value: right(self, place, 1.001 * value)
         )
     else:
-        monkeypatch.setattr(Cell, "gone", lambda self, there, here: self)
-    found = Prover(prover.problem, prover.claims).prove(positioner_job.planned().programs).issues
-    told = [issue.message for issue in found if issue.code == "verify.external_axes"]
+        monkeypatch.setattr(Cell, "with_moved_bodies", lambda self, there, here: self)
+    found = Prover(prover.problem, prover.claims).prove(positioner_job.planned_job().programs).issues
+    messages = [issue.message for issue in found if issue.code == "verify.external_axes"]
     words = "mm and" if what == "block" else "cradle is not where STN_1"
-    assert [text for text in told if words in text], [str(i) for i in found]
+    assert [text for text in messages if words in text], [str(i) for i in found]
 
 
 @pytest.mark.parametrize(("height", "clear"), [(60.0, True), (380.0, False)])
@@ -202,7 +202,7 @@ def test_the_way_of_the_tilt_is_looked_at(prover: Prover, height: float, clear: 
     here = Obstacle("box", (Shape("box", (0.2, 0.2, 1e-3 * height), pose),))
     cell = dataclasses.replace(prover.problem.cell, obstacles=(*prover.problem.cell.obstacles, here))
     there = Prover(dataclasses.replace(prover.problem, cell=cell), prover.claims)
-    codes = {issue.code for issue in there.prove(positioner_job.planned().programs).issues}
+    codes = {issue.code for issue in there.prove(positioner_job.planned_job().programs).issues}
     assert ("verify.track_way" not in codes) == clear
 
 
@@ -218,7 +218,7 @@ def test_a_planner_that_leaves_out_a_column_is_not_believed(
             [[a.body in ("cradle", "turntable") and b.body == "posts" for b in fixed] for a in riders]
         )
 
-    monkeypatch.setattr(axis_way, "_bearing", by_bodies)
+    monkeypatch.setattr(external_axis_motion, "_bearing_shapes", by_bodies)
     pose = np.eye(4)
     pose[:3, 3] = 0.816, 0.0, 0.5e-3 * height
     column = Shape("box", (0.06, 0.1, 1e-3 * height), pose)
@@ -228,25 +228,25 @@ def test_a_planner_that_leaves_out_a_column_is_not_believed(
     ]
     cell = dataclasses.replace(prover.problem.cell, obstacles=tuple(bodies))
     there = Prover(dataclasses.replace(prover.problem, cell=cell), prover.claims)
-    found = there.prove(positioner_job.planned().programs).issues
-    told = [issue.message for issue in found if issue.code == "verify.track_way"]
-    assert (not told) == clear
-    assert clear or "nothing shows that" in told[0]
+    found = there.prove(positioner_job.planned_job().programs).issues
+    messages = [issue.message for issue in found if issue.code == "verify.track_way"]
+    assert (not messages) == clear
+    assert clear or "it is not proven that" in messages[0]
 
 
 def test_a_way_of_the_other_sense_is_refused(prover: Prover, monkeypatch: pytest.MonkeyPatch) -> None:
     """Looks on the way of a turn of the tilted block the wrong way round about the leaning axis."""
-    right = Turntable.pivot
+    right = Turntable.axis_at_tilt
 
     def wrong(self: Turntable, name: str, tilt: float) -> RotaryAxis:
         found = right(self, name, tilt)
         return dataclasses.replace(found, axis=-found.axis) if name != "stock/tilt" and tilt else found
 
-    programs = positioner_job.planned().programs
+    programs = positioner_job.planned_job().programs
     assert "verify.track_way" not in {
         i.code for i in Prover(prover.problem, prover.claims).prove(programs).issues
     }
-    monkeypatch.setattr(Turntable, "pivot", wrong)
+    monkeypatch.setattr(Turntable, "axis_at_tilt", wrong)
     found = Prover(prover.problem, prover.claims).prove(programs).issues
-    told = [issue.message for issue in found if issue.code == "verify.track_way"]
-    assert [text for text in told if "stock was looked at elsewhere" in text], [str(i) for i in found]
+    messages = [issue.message for issue in found if issue.code == "verify.track_way"]
+    assert [text for text in messages if "distances of stock were" in text], [str(i) for i in found]

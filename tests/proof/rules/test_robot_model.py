@@ -1,5 +1,7 @@
-"""Robots whose files or whose dimensions in the catalogue are not those of the arm that was planned with:
-nothing is proven, and every link counts."""
+"""Robots whose files or catalogue dimensions differ from the planned arm: nothing is proven.
+
+Every link counts.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +14,10 @@ import pytest
 import yaml
 
 from planner.catalogue import robots
-from planner.cell.plant import CellModel, build
+from planner.cell.plant import CellModel, build_cell_model
 from planner.issues import TandemError
 from planner.proof.context import Context
-from planner.proof.kinematics.chain import Chain
+from planner.proof.kinematics.chain import SerialChain
 from planner.proof.models import MODELS
 from planner.proof.prove import Prover, prove
 from planner.proof.rules import robot_motion
@@ -34,7 +36,7 @@ LENGTHS = ("a1", "a2", "b", "c1", "c2", "c3", "c4")
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """A catalogue of its own, which everything reads in place of the one that is built in."""
+    """Use a separate catalogue instead of the built-in one."""
     small_job.programs()
     copy = tmp_path / "urdf"
     shutil.copytree(robots.data_dir("urdf"), copy)
@@ -45,7 +47,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def changed(text, joint, kind, axis, rng):
-    """The URDF with one origin or axis off by 1 mm or 0.1 degree, either way."""
+    """Return the URDF with one origin or axis off by 1 mm or 0.1 degree, in either direction."""
     found = re.search(rf'<joint name="{joint}".*?</joint>', text, re.DOTALL)
     by = rng.choice([-1.0, 1.0])
     if kind == "axis":
@@ -105,7 +107,7 @@ def test_a_catalogue_that_is_off_ends_not_proven(folder, key):
     ("key", "axis", "by", "words"),
     [
         ("offset_deg", 2, 0.1, "offset of axis 3"),
-        ("sign", 5, -2, "axis 6 turns the other way"),
+        ("sign", 5, -2, "axis 6 turns in opposite directions"),
         ("velocity_deg_s", 1, 1.0, "speed of axis 2"),
     ],
 )
@@ -139,7 +141,7 @@ def test_drake_is_not_asked_to_plan_with_a_file_that_cannot_be_read(folder):
     (folder / "irb140.urdf").write_text("<robot", "utf-8")
     problem = small_job.problem()
     with pytest.raises(TandemError) as caught:
-        build(problem.cell, problem.stock, np.eye(4))
+        build_cell_model(problem.cell, problem.stock, np.eye(4))
     (issue,) = caught.value.issues
     assert issue.code == "catalogue.missing_data"
     assert str(folder / "irb140.urdf") in issue.message
@@ -157,7 +159,7 @@ def kinematics(context, model):
 def small():
     context = Context(small_job.problem(), small_job.claims(), small_job.programs())
     place = context.stock_pose
-    return context, build(context.problem.cell, context.problem.stock, place, context.bases)
+    return context, build_cell_model(context.problem.cell, context.problem.stock, place, context.bases)
 
 
 def test_a_thousand_samples_are_looked_at(small):
@@ -170,14 +172,14 @@ def test_a_thousand_samples_are_looked_at(small):
 @pytest.mark.parametrize("link", range(7))
 def test_a_link_that_the_proofs_chain_has_elsewhere(small, monkeypatch, link):
     context, model = small
-    ask = Chain.frames
+    ask = SerialChain.frames
 
     def frames(chain, q):
         out = ask(chain, q)
         out[..., link, 0, 3] += 1e-8
         return out
 
-    monkeypatch.setattr(Chain, "frames", frames)
+    monkeypatch.setattr(SerialChain, "frames", frames)
     found = kinematics(context, model).issues
     name = f"link_{link + 1}" if link < 6 else "tool"
     assert {issue.code for issue in found} == {"verify.kinematics"}
@@ -199,7 +201,7 @@ def test_a_link_that_the_clearance_has_elsewhere(small, monkeypatch, body):
     monkeypatch.setattr(CellModel, "poses", poses)
     found = kinematics(context, model).issues
     assert {issue.bodies for issue in found} == {(f"right/{body}",)}
-    assert "bounds the clearance" in found[0].message
+    assert "the clearance bounds" in found[0].message
 
 
 def test_the_planners_chain_is_held_against_drake(small, monkeypatch):
@@ -216,12 +218,12 @@ def test_the_planners_chain_is_held_against_drake(small, monkeypatch):
 
 def test_a_held_block_is_looked_at():
     context = Context(held_job.problem(), held_job.claims(), held_job.programs())
-    held = next(i for i in range(len(context.setups)) if context.holder(i) is not None)
+    held = next(i for i in range(len(context.setups)) if context.stock_holder(i) is not None)
     models = context.get(MODELS)
     model = models(held)
     assert robot_motion.kinematics(context).issues == ()
     grip = dataclasses.replace(model.stock, grip=model.stock.grip + 1e-5 * np.eye(4, k=3))
-    moved = build(model.cell, grip, model.stock_pose, context.bases)
+    moved = build_cell_model(model.cell, grip, model.stock_pose, context.bases)
     context.put(MODELS, lambda index: moved if index == held else models(index))
     found = robot_motion.kinematics(context).issues
     assert ("stock",) in {issue.bodies for issue in found}

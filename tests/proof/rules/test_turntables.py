@@ -1,4 +1,4 @@
-"""Turntables in programs: where the block is by the text, and how units, values and frames go wrong."""
+"""Turntables in programs: the pose of the block by the text, and faults in units, values and frames."""
 
 from __future__ import annotations
 
@@ -14,44 +14,44 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import planner
-from planner.cell.kinematics import forward
+from planner.cell.kinematics import forward_kinematics
 from planner.geometry.arrays import inverse
 from planner.pipeline import Outcome
 from planner.problem import Obstacle
 from planner.proof.context import Context
 from planner.proof.prove import Prover
 from planner.proof.rules import external_axes
-from planner.reading.cell import ObstacleFile, shape
+from planner.reading.cell import ObstacleFile, build_shape
 from tests import table_job
 from tests.proof.provers import prover_of
 
-THERE = "120.0000"
+SECOND_STATION = "120.0000"
 """The second station as the text has it."""
 
 
 @pytest.fixture(scope="module")
 def prover() -> Prover:
-    return prover_of(table_job.planned())
+    return prover_of(table_job.planned_job())
 
 
 def test_where_the_block_is_follows_from_the_text_within_a_micrometre(prover: Prover) -> None:
-    out = table_job.planned()
+    out = table_job.planned_job()
     assert out.verified and out.plan.stations[0]["stock"] == 0.0
-    assert np.rad2deg(out.plan.stations[1]["stock"]) == pytest.approx(float(THERE))
-    context = external_axes.standing(Context(prover.problem, prover.claims, out.programs))
-    turn = Rotation.from_euler("z", float(THERE), degrees=True).as_matrix()  # scipy's
+    assert np.rad2deg(out.plan.stations[1]["stock"]) == pytest.approx(float(SECOND_STATION))
+    context = external_axes.with_text_stations(Context(prover.problem, prover.claims, out.programs))
+    turn = Rotation.from_euler("z", float(SECOND_STATION), degrees=True).as_matrix()  # scipy's
     centre, stated = np.array([0.9, 0.0, 0.2]), prover.problem.stock.place
     assert stated is not None
-    place = context.places[1]
+    place = context.stock_frames[1]
     assert place is not None
     np.testing.assert_allclose(place[:3, :3], turn @ stated[:3, :3], atol=1e-8)
     np.testing.assert_allclose(place[:3, 3], centre + turn @ (stated[:3, 3] - centre), atol=1e-7)
     for index, setup in enumerate(out.problem.setups):
-        made, planned = out.plan.operations[index], setup.cell.arm("left")
-        tcp = planned.base @ forward(planned.data, made.q["left"]) @ planned.tool.tcp
-        seen = (inverse(np.asarray(context.places[index])) @ tcp)[:, :3, 3]
-        wanted = made.targets.pose["left"][:, :3, 3]
-        assert np.linalg.norm(seen - wanted, axis=1).max() < 1e-6
+        operation_plan, planned = out.plan.operations[index], setup.cell.arm("left")
+        tcp = planned.base @ forward_kinematics(planned.data, operation_plan.q["left"]) @ planned.tool.tcp
+        seen = (inverse(np.asarray(context.stock_frames[index])) @ tcp)[:, :3, 3]
+        expected = operation_plan.targets.pose["left"][:, :3, 3]
+        assert np.linalg.norm(seen - expected, axis=1).max() < 1e-6
         nodes = context.spans.of_stage[context.motion.node_stage] == index
         text = context.motion.node_tcp["left"][nodes][:, :3, 3]
         assert np.linalg.norm(text[:, None] - tcp[1:, :3, 3], axis=2).min(axis=0).max() < 1e-6
@@ -64,7 +64,7 @@ def first(text: str, old: str, new: str) -> str:
 
 def moves(text: str, new: str, count: int = 0) -> str:
     """The second station's value in straight moves."""
-    return re.sub(rf"(MoveL .*?),\[{THERE},", rf"\1,[{new},", text, count=count)
+    return re.sub(rf"(MoveL .*?),\[{SECOND_STATION},", rf"\1,[{new},", text, count=count)
 
 
 def frame(text: str, change: Any) -> str:
@@ -75,17 +75,17 @@ def frame(text: str, change: Any) -> str:
 
 
 def mirrored(data: str) -> str:
-    """A frame turned the other way round: q4 with the other sign."""
+    """Return a frame with the inverse rotation: q4 with the other sign."""
     return re.sub(r"(0\.00000000,0\.00000000),(0\.9063\d+)", r"\1,-\2", data)
 
 
 def third(text: str) -> str:
     """The third straight move of the second operation turns the table by half a degree."""
-    at = [m.start() for m in re.finditer(rf"MoveL [^\n]*,\[{THERE},", text)][2]
-    return text[:at] + first(text[at:], f"[{THERE},", "[120.5000,")
+    at = [m.start() for m in re.finditer(rf"MoveL [^\n]*,\[{SECOND_STATION},", text)][2]
+    return text[:at] + first(text[at:], f"[{SECOND_STATION},", "[120.5000,")
 
 
-HERE = r"    MoveAbsJ j_2_station_1\NoEOffs,v_entry,fine,t_ball_tool;" + "\n"
+TABLE_MOVE = r"    MoveAbsJ j_2_station_1\NoEOffs,v_entry,fine,t_ball_tool;" + "\n"
 """The move that turns the table, and that home again."""
 
 MUTANTS = {
@@ -105,13 +105,19 @@ MUTANTS = {
     "missing at home": ("external_axes", lambda t: first(t, "[0.0000,9E9", "[9E9,9E9")),
     "another value in the cut": ("external_axes", lambda t: moves(t, "130.0000")),
     "it changes inside a cut": ("external_axes", third),
-    "another value all along": ("external_axes", lambda t: t.replace(THERE, "130.0000")),
-    "another value of a tenth": ("work_object", lambda t: t.replace(THERE, "120.1000")),
-    "wrong sign": ("external_axes", lambda t: t.replace(THERE, f"-{THERE}")),
-    "beyond the range": ("external_axes", lambda t: t.replace(THERE, "190.0000")),
-    "in radians": ("external_axes", lambda t: t.replace(THERE, "2.4435")),
-    "a second axis": ("external_axes", lambda t: t.replace(f"[{THERE},9E9", f"[{THERE},10")),
-    "the axis as the second": ("external_axes", lambda t: t.replace(f"[{THERE},9E9", f"[9E9,{THERE}")),
+    "another value all along": ("external_axes", lambda t: t.replace(SECOND_STATION, "130.0000")),
+    "another value of a tenth": ("work_object", lambda t: t.replace(SECOND_STATION, "120.1000")),
+    "wrong sign": ("external_axes", lambda t: t.replace(SECOND_STATION, f"-{SECOND_STATION}")),
+    "beyond the range": ("external_axes", lambda t: t.replace(SECOND_STATION, "190.0000")),
+    "in radians": ("external_axes", lambda t: t.replace(SECOND_STATION, "2.4435")),
+    "a second axis": (
+        "external_axes",
+        lambda t: t.replace(f"[{SECOND_STATION},9E9", f"[{SECOND_STATION},10"),
+    ),
+    "the axis as the second": (
+        "external_axes",
+        lambda t: t.replace(f"[{SECOND_STATION},9E9", f"[9E9,{SECOND_STATION}"),
+    ),
     "another frame": ("work_object", lambda t: frame(t, lambda d: first(d, "240.0000", "245.0000"))),
     "a frame turned the other way": ("work_object", lambda t: frame(t, mirrored)),
     "the frame of before": ("external_axes", lambda t: t.replace("WObj:=w_stock_2", "WObj:=w_stock")),
@@ -127,17 +133,17 @@ MUTANTS = {
         "external_axes",
         lambda t: first(t, "v_entry:=[250,45,250,20]", "v_entry:=[250,45,250,90]"),
     ),
-    "not folded": ("external_axes", lambda t: first(t, HERE, "")),
+    "not folded": ("external_axes", lambda t: first(t, TABLE_MOVE, "")),
     "back before the arm is home": (
         "external_axes",
-        lambda t: t[: t.rindex(HERE)] + t[t.rindex(HERE) :].replace("j_2_station_1", "j_home"),
+        lambda t: t[: t.rindex(TABLE_MOVE)] + t[t.rindex(TABLE_MOVE) :].replace("j_2_station_1", "j_home"),
     ),
     "nobody keeps off": (
         "external_axes",
         lambda t: first(
             t,
             '  ERROR\n    StopMove\\Quick;\n    TPWrite "Tandem: error in operation_1',
-            HERE + '  ERROR\n    StopMove\\Quick;\n    TPWrite "Tandem: error in operation_1',
+            TABLE_MOVE + '  ERROR\n    StopMove\\Quick;\n    TPWrite "Tandem: error in operation_1',
         ),
     ),
     "no look before the first move": ("external_axes", lambda t: first(t, "    check_axes;\n", "")),
@@ -151,7 +157,10 @@ MUTANTS = {
         "external_axes",
         lambda t: re.sub(r" *UIMsgBox[^\n]*All work done[^\n]*\n[^\n]*\n", "", t, count=1),
     ),
-    "told another value": ("setup", lambda t: first(t, f"turns to {THERE} deg", "turns to 130.0000 deg")),
+    "told another value": (
+        "setup",
+        lambda t: first(t, f"turns to {SECOND_STATION} deg", "turns to 130.0000 deg"),
+    ),
 }
 
 
@@ -169,7 +178,7 @@ def broken(outcome: Outcome, change: Any) -> dict[str, str]:
 @pytest.mark.parametrize("name", MUTANTS)
 def test_a_wrong_turntable_is_refused(prover: Prover, name: str) -> None:
     word, change = MUTANTS[name]
-    proof = prover.prove(broken(table_job.planned(), change))
+    proof = prover.prove(broken(table_job.planned_job(), change))
     assert not proof.ok
     assert f"verify.{word}" in {issue.code for issue in proof.issues}, [str(i) for i in proof.issues]
 
@@ -192,14 +201,14 @@ def test_programs_of_another_turntable_are_refused(prover: Prover, name: str) ->
     assert cell.turntable is not None
     other = dataclasses.replace(cell, turntable=dataclasses.replace(cell.turntable, **OTHERS[name]))
     made = Prover(dataclasses.replace(prover.problem, cell=other), prover.claims)
-    codes = {issue.code for issue in made.prove(table_job.planned().programs).issues}
+    codes = {issue.code for issue in made.prove(table_job.planned_job().programs).issues}
     assert "verify.external_axes" in codes
 
 
 def test_a_unit_that_the_cell_does_not_have_is_refused(prover: Prover) -> None:
     cell = dataclasses.replace(prover.problem.cell, turntable=None)
     other = Prover(dataclasses.replace(prover.problem, cell=cell), prover.claims)
-    codes = {issue.code for issue in other.prove(table_job.planned().programs).issues}
+    codes = {issue.code for issue in other.prove(table_job.planned_job().programs).issues}
     assert {"verify.external_axes", "verify.move_kinds"} <= codes
 
 
@@ -209,18 +218,20 @@ def test_a_turn_by_other_code_is_held_against_the_problems(
     """Where the planner's own turn, by which it wrote frames, goes wrong, the proof's does not."""
     from planner.problem import Turntable
 
-    right = Turntable.turned
-    monkeypatch.setattr(Turntable, "turned", lambda self, place, value: right(self, place, -value))
+    right = Turntable.rotate
+    monkeypatch.setattr(Turntable, "rotate", lambda self, place, value: right(self, place, -value))
 
     def change(text: str) -> str:
-        turn = Rotation.from_euler("z", 10.0 - float(THERE), degrees=True)
+        turn = Rotation.from_euler("z", 10.0 - float(SECOND_STATION), degrees=True)
         centre, stated = np.array([900.0, 0.0, 200.0]), np.array([930.0, 20.0, 240.0])
-        x, y, z = centre + Rotation.from_euler("z", -float(THERE), degrees=True).apply(stated - centre)
+        x, y, z = centre + Rotation.from_euler("z", -float(SECOND_STATION), degrees=True).apply(
+            stated - centre
+        )
         q = turn.as_quat(scalar_first=True)
         data = f'[FALSE,TRUE,"",[[{x:.4f},{y:.4f},{z:.4f}],[{",".join(f"{v:.8f}" for v in q)}]],'
         return frame(text, lambda d: data + d.split("]],", 1)[1])
 
-    proof = prover.prove(broken(table_job.planned(), change))
+    proof = prover.prove(broken(table_job.planned_job(), change))
     codes = {issue.code for issue in proof.issues}
     assert "verify.work_object" not in codes and "verify.external_axes" in codes
 
@@ -230,17 +241,17 @@ def test_the_way_between_stations_is_looked_at(prover: Prover, side: float, clea
     """A post where the block sweeps by, and one where it does not: its far corner goes round at 405 mm."""
     box = {"kind": "box", "size_mm": [40, 40, 600], "pose": {"xyz_mm": [900, side, 300]}}
     made = ObstacleFile.model_validate({"name": "post", "shapes": [box]})
-    here = Obstacle("post", tuple(shape(one, prover.problem.path.parent) for one in made.shapes))
+    here = Obstacle("post", tuple(build_shape(one, prover.problem.path.parent) for one in made.shapes))
     cell = dataclasses.replace(prover.problem.cell, obstacles=(*prover.problem.cell.obstacles, here))
     there = Prover(dataclasses.replace(prover.problem, cell=cell), prover.claims)
-    codes = {issue.code for issue in there.prove(table_job.planned().programs).issues}
+    codes = {issue.code for issue in there.prove(table_job.planned_job().programs).issues}
     assert ("verify.track_way" not in codes) == clear
 
 
 # ---- two arms ----
 
 FOLDER = tempfile.TemporaryDirectory()
-"""Where the files of the job of two arms lie as long as tests run."""
+"""Folder of the files of the job with two arms while tests run."""
 
 
 @functools.cache
@@ -261,7 +272,9 @@ def test_the_other_arm_has_to_be_at_home_while_the_table_turns() -> None:
     out = of_two()
     assert out.verified
     data = out.programs["T_ROB1/TandemData_1.mod"]
-    assert f"[9E9,{THERE},9E9" in data and THERE not in out.programs["T_ROB2/TandemData_2.mod"]
+    assert (
+        f"[9E9,{SECOND_STATION},9E9" in data and SECOND_STATION not in out.programs["T_ROB2/TandemData_2.mod"]
+    )
     made = prover_of(out)
 
     def change(text: str) -> str:
@@ -271,5 +284,5 @@ def test_the_other_arm_has_to_be_at_home_while_the_table_turns() -> None:
         return text[:at] + away + text[at:]
 
     found = made.prove(broken(out, change)).issues
-    told = [i.message for i in found if i.code == "verify.external_axes"]
-    assert "STN_1 moves while right is not at home" in told, [str(i) for i in found]
+    messages = [i.message for i in found if i.code == "verify.external_axes"]
+    assert "STN_1 moves while right is not at home" in messages, [str(i) for i in found]

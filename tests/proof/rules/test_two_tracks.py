@@ -1,4 +1,4 @@
-"""Two arms on one rail, whose tracks go one after the other: the order of the text counts."""
+"""Two arms on one rail whose tracks move one after the other: the order in the text matters."""
 
 from __future__ import annotations
 
@@ -17,12 +17,15 @@ from tests import track_job
 from tests.proof.provers import prover_of
 
 FOLDER = tempfile.TemporaryDirectory()
-"""Where the files of the job lie as long as tests run."""
+"""Folder of the job's files while tests run."""
 
 
 def problem(folder: Path) -> planner.Problem:
-    """The right arm goes from 300 mm out of the way, then the left one from -1000 mm to where the right one
-    was; so they have to go home in the other order."""
+    """Return a problem of two arms on one rail.
+
+    The right arm moves out of the way by 300 mm, then the left one moves from -1000 mm to the right one's
+    position. They have to return home in the other order.
+    """
     arms = [
         {**track_job.ARM, "name": name, "track": {**track_job.TRACK, "unit": unit, "home_mm": home}}
         for name, unit, home in (("left", "TRACK_1", -1000), ("right", "TRACK_2", 300))
@@ -63,7 +66,7 @@ def test_arms_on_one_rail_go_home_one_after_the_other() -> None:
 
 HOME = r"    MoveAbsJ j_home\NoEOffs,v_entry,fine,t_ball_tool;" + "\n"
 AWAY = HOME.replace("j_home", "[[30,0,0,0,30,0],[-1000,9E9,9E9,9E9,9E9,9E9]]")
-TOLD = "    ! meet_16: left stands at its station\n"
+MEETING_COMMENT = "    ! meet_16: left is at its station\n"
 MET = "    WaitSyncTask meet_16,all_tasks;\n"
 
 
@@ -75,12 +78,12 @@ def first(text: str, old: str, new: str) -> str:
 MUTANTS: dict[str, tuple[str, Callable[[str], str], Callable[[str], str]]] = {
     "the right one home first": (
         "track_way",
-        lambda left: first(left, HOME + TOLD + MET, TOLD + MET + HOME),
-        lambda right: first(first(right, MET + HOME, MET), TOLD, HOME + TOLD),
+        lambda left: first(left, HOME + MEETING_COMMENT + MET, MEETING_COMMENT + MET + HOME),
+        lambda right: first(first(right, MET + HOME, MET), MEETING_COMMENT, HOME + MEETING_COMMENT),
     ),
     "the left one works before the right one goes home": (  # which rules have at home by then
         "external_axes",
-        lambda left: first(left, HOME + TOLD, HOME + AWAY + HOME + TOLD),
+        lambda left: first(left, HOME + MEETING_COMMENT, HOME + AWAY + HOME + MEETING_COMMENT),
         lambda right: right,
     ),
 }

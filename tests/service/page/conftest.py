@@ -1,4 +1,7 @@
-"""A real browser: the distribution's Chromium, driven by Playwright, drawing in software."""
+"""A real browser for the page tests: the distribution's Chromium, driven by Playwright.
+
+It renders in software.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
-"""``python -m tests.service.page.held PORT DATA``: the service with a team that holds every job at the stage
-``motion`` until there is a file ``go`` in the data folder."""
+"""``python -m tests.service.page.held PORT DATA``: the service with a fake team that holds jobs.
+
+Every job stays at the stage ``motion`` until the file ``go`` exists in the data folder.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +9,18 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from planner.batch.job import Event
+from planner.batch.job import JobEvent
 from planner.service import app
 from planner.service.service import Options
-from tests.service.support import Team
+from tests.service.support import FakeTeam
 
 DATA = Path(sys.argv[2])
 
 
-class Held(Team):
+class HeldTeam(FakeTeam):
     """Waits for the file."""
 
-    def events(self, timeout_s: float) -> Iterator[Event]:
+    def events(self, timeout_s: float) -> Iterator[JobEvent]:
         if (DATA / "go").exists():
             self.hold.clear()
         else:
@@ -27,5 +29,5 @@ class Held(Team):
 
 
 if __name__ == "__main__":
-    app.make_team = lambda options: Held  # type: ignore[assignment]
+    app.worker_pool_factory = lambda options: HeldTeam  # type: ignore[assignment]
     app.serve(Options(DATA, port=int(sys.argv[1]), examiners=1))

@@ -1,7 +1,7 @@
-"""Every page at three widths, light and dark: axe-core (Deque, the referee of accessibility that browsers'
-developer tools have) finds nothing, nothing is cut off, and every control has a name.
+"""Accessibility of every page at three widths, in the light and the dark scheme.
 
-``TANDEM_AXE`` is the file ``axe.min.js`` of npm's package ``axe-core``.
+axe-core (Deque, the engine in the developer tools of browsers) finds nothing, nothing is cut off, and every
+control has a name. ``TANDEM_AXE`` is the file ``axe.min.js`` of npm's package ``axe-core``.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from planner.reading import strict_yaml
 from tests import small_problem
 from tests.element.shells import cap, shell
 from tests.service.page.test_elements_page import upload
-from tests.service.support import ROOT, until
+from tests.service.support import ROOT, wait_until
 
 SIZES: Final = ((390, 844), (768, 1024), (1440, 900))
 Scheme = Literal["light", "dark"]
 SCHEMES: Final[tuple[Scheme, ...]] = ("light", "dark")
-LOOKS: Final = [(scheme, size) for scheme in SCHEMES for size in SIZES]
+DISPLAY_VARIANTS: Final = [(scheme, size) for scheme in SCHEMES for size in SIZES]
 AXE: Final = os.environ.get("TANDEM_AXE", "")
 LONG_NAME: Final = "W" * 24
 """The longest name that a problem may have, of the widest letter."""
@@ -65,7 +65,7 @@ NAMELESS: Final = """() => {
 
 
 @pytest.fixture(scope="module")
-def served(
+def page_addresses(
     server: str, browser: Browser, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[dict[str, str]]:
     """Addresses of all pages, by name."""
@@ -84,7 +84,7 @@ def served(
     upload(tab, server, [held / "held.yaml", path, held / "shell.obj", cell])
     element = tab.url
     tab.close()
-    until(lambda: all(client.job(one)["state"] not in ("queued", "running") for one in (*jobs, none)))
+    wait_until(lambda: all(client.job(item)["state"] not in ("queued", "running") for item in (*jobs, none)))
     yield {
         "jobs": f"{server}/",
         "new": f"{server}/ui/new",
@@ -109,7 +109,7 @@ def served(
     }
 
 
-def shown(page: Page, name: str, address: str) -> None:
+def open_whole_page(page: Page, name: str, address: str) -> None:
     """The page as it is when all of it has come."""
     page.goto(address)
     kind, _, state = name.partition(": ")
@@ -171,18 +171,18 @@ PAGES: Final = (
 @pytest.mark.sampled(every=4)
 @pytest.mark.parametrize("name", PAGES)
 def test_nothing_is_cut_off_and_every_control_has_a_name(
-    page: Page, served: dict[str, str], name: str
+    page: Page, page_addresses: dict[str, str], name: str
 ) -> None:
     page.set_viewport_size({"width": 390, "height": 844})
-    shown(page, name, served[name])
+    open_whole_page(page, name, page_addresses[name])
     for width, height in SIZES:
         page.set_viewport_size({"width": width, "height": height})
         assert page.evaluate(CUT_OFF) == [], width
         assert page.evaluate(NAMELESS) == [], width
 
 
-def test_what_is_cut_off_or_nameless_is_found(page: Page, served: dict[str, str]) -> None:
-    shown(page, "login", served["login"])
+def test_what_is_cut_off_or_nameless_is_found(page: Page, page_addresses: dict[str, str]) -> None:
+    open_whole_page(page, "login", page_addresses["login"])
     page.set_viewport_size({"width": 390, "height": 844})
     page.evaluate(
         """() => {
@@ -198,10 +198,19 @@ def test_what_is_cut_off_or_nameless_is_found(page: Page, served: dict[str, str]
 
 @pytest.mark.sampled(every=4)
 @pytest.mark.skipif(not AXE, reason="TANDEM_AXE names no axe.min.js: npm pack axe-core")
-@pytest.mark.parametrize("looks", [LOOKS[:1] + LOOKS[-1:], pytest.param(LOOKS[1:-1], marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "variants",
+    [
+        DISPLAY_VARIANTS[:1] + DISPLAY_VARIANTS[-1:],
+        pytest.param(DISPLAY_VARIANTS[1:-1], marks=pytest.mark.long),
+    ],
+)
 @pytest.mark.parametrize("name", PAGES)
 def test_axe_finds_nothing(
-    browser: Browser, served: dict[str, str], name: str, looks: Sequence[tuple[Scheme, tuple[int, int]]]
+    browser: Browser,
+    page_addresses: dict[str, str],
+    name: str,
+    variants: Sequence[tuple[Scheme, tuple[int, int]]],
 ) -> None:
     """Narrow and light, wide and dark; between these in the long run."""
     context = browser.new_context(bypass_csp=True)  # its script is none of the page's own
@@ -209,34 +218,34 @@ def test_axe_finds_nothing(
     page = context.new_page()
     page.set_default_timeout(30_000)
     found = []
-    shown(page, name, served[name])
+    open_whole_page(page, name, page_addresses[name])
     # what the card of the check lies over for the moment would be held against its colours
     page.add_style_tag(content="#check-card { position: static !important; }")
-    for scheme, (width, height) in looks:
+    for scheme, (width, height) in variants:
         page.emulate_media(color_scheme=scheme)
         page.set_viewport_size({"width": width, "height": height})
         found += [
-            (scheme, width, one["id"], [node["html"][:200] for node in one["nodes"]])
-            for one in violations(page)
+            (scheme, width, violation["id"], [node["html"][:200] for node in violation["nodes"]])
+            for violation in violations(page)
         ]
     context.close()
     assert found == []
 
 
 def violations(page: Page) -> list[dict[str, Any]]:
-    """What axe says of the page; of what is in its frames, those pages' own tests do."""
+    """Return axe's violations on the page. Frames are excluded, because their pages have their own tests."""
     asked = "axe.run({exclude: [['iframe']]}, {resultTypes: ['violations']}).then((all) => all.violations)"
     out: list[dict[str, Any]] = page.evaluate(asked)
     return out
 
 
 @pytest.mark.skipif(not AXE, reason="TANDEM_AXE names no axe.min.js: npm pack axe-core")
-def test_axe_sees_the_colours_of_both_schemes(browser: Browser, served: dict[str, str]) -> None:
-    """It is no judge that says yes to all."""
+def test_axe_sees_the_colours_of_both_schemes(browser: Browser, page_addresses: dict[str, str]) -> None:
+    """The check itself can fail."""
     context = browser.new_context(bypass_csp=True, color_scheme="dark")
     context.add_init_script(path=AXE)
     page = context.new_page()
-    shown(page, "login", served["login"])
+    open_whole_page(page, "login", page_addresses["login"])
     page.evaluate("document.querySelector('h1').style.color = '#333'")
-    assert "color-contrast" in [one["id"] for one in violations(page)]
+    assert "color-contrast" in [violation["id"] for violation in violations(page)]
     context.close()

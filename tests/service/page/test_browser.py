@@ -1,4 +1,4 @@
-"""The page in a real browser: whole jobs, refusals at their fields, a service that goes down in between."""
+"""The page in a real browser: whole jobs, refusals at their fields, and a service that goes down."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from planner.service.models import Database, default_url
 from planner.service.security import Auth
 from tests.service.support import ROOT, Process, free_port
 
-MOST_MS = 180_000
+MAX_WAIT_MS = 180_000
 
 
 def open_problem(page: Page, server: str, files: list[Path]) -> None:
-    """Upload a problem of one's own on the page for new jobs."""
+    """Upload the user's own problem on the page for new jobs."""
     page.goto(f"{server}/ui/new")
     page.get_by_text("Sheet forming").wait_for()
     page.locator("#problem-file").set_input_files(files)
@@ -66,15 +66,15 @@ def answers(address: str, timeout_s: float = 60.0) -> None:
     raise TimeoutError(address)
 
 
-def was_read(page: Page) -> None:
+def wait_until_read(page: Page) -> None:
     """Wait until the problem was read; the check of the whole may go on."""
-    expect(page.locator("#verdict")).to_contain_text(re.compile("Looking|Testing|Ready|to correct"))
+    expect(page.locator("#verdict")).to_contain_text(re.compile("Checking|Testing|Ready|to correct"))
 
 
 def start(page: Page) -> None:
     """Begin to plan, when the whole was checked."""
     button = page.get_by_role("button", name="Start planning")
-    expect(button).to_be_enabled(timeout=MOST_MS)
+    expect(button).to_be_enabled(timeout=MAX_WAIT_MS)
     button.click()
 
 
@@ -93,10 +93,10 @@ ENTER = """() => {
 """Presses Enter where the focus is, which the page has to take for itself."""
 
 
-def bundled(page: Page, server: str, name: str) -> None:
+def open_bundled(page: Page, server: str, name: str) -> None:
     """Begin with a bundled problem, and wait until it is read."""
     page.goto(f"{server}/ui/new?example={name}")
-    was_read(page)
+    wait_until_read(page)
 
 
 def test_a_whole_job_from_upload_to_download(
@@ -108,9 +108,9 @@ def test_a_whole_job_from_upload_to_download(
     page.goto(server)
     page.get_by_role("link", name="New job").first.click()
     with page.expect_file_chooser() as chooser:
-        page.get_by_text("Or open problem files of your own").click()
+        page.get_by_text("Or open your own problem files").click()
     chooser.value.set_files(small)
-    was_read(page)
+    wait_until_read(page)
     expect(page.locator("#size")).to_have_text("100 × 100 × 100 mm")
     start(page)
     page.wait_for_url("**/ui/jobs/*")
@@ -118,10 +118,10 @@ def test_a_whole_job_from_upload_to_download(
     page.get_by_role("button", name="Release", exact=True).click()
     page.keyboard.type("A B")  # into who releases, without a click
     page.evaluate(ENTER)  # which neither releases nor throws away what was typed
-    expect(page.get_by_label("Who releases")).to_have_value("A B")
+    expect(page.get_by_label("Released by")).to_have_value("A B")
     page.get_by_role("dialog").get_by_role("button", name="Release", exact=True).click()
     expect(page.locator("#released-list")).to_contain_text("Released by A B, ")
-    expect(page.locator("#figures")).to_contain_text("Least clearance")
+    expect(page.locator("#figures")).to_contain_text("Minimum clearance")
     report = page.frame_locator("iframe.report")
     expect(report.get_by_role("heading", name="small")).to_be_visible()
     with page.expect_download() as caught:
@@ -132,7 +132,7 @@ def test_a_whole_job_from_upload_to_download(
     page.get_by_role("tab", name="Replay").click()
     frame = page.frame_locator("iframe.replay")
     expect(frame.locator("#bar .time")).to_contain_text("/ 0:08.5", timeout=60_000)
-    with_issues_at(page, 6.7, 8.7)  # on the programs' clock; the work goes on from 4.1 to 9.3 s there
+    with_issues_at(page, 6.7, 8.7)  # on the programs' clock; the work takes from 4.1 to 9.3 s there
     page.get_by_role("button", name="Show at 0:06.7").click()
     time = frame.locator("#bar .time")
     expect(time).to_contain_text("0:04.", timeout=60_000)
@@ -172,8 +172,8 @@ def test_a_list_that_is_open_shows_jobs_that_others_send(page: Page, server: str
 
 
 def test_what_has_no_plan_says_what_where_and_what_to_do(page: Page, server: str) -> None:
-    bundled(page, server, "infeasible/wire_too_short")
-    expect(page.locator("#verdict")).to_contain_text("to correct", timeout=MOST_MS)
+    open_bundled(page, server, "infeasible/wire_too_short")
+    expect(page.locator("#verdict")).to_contain_text("to correct", timeout=MAX_WAIT_MS)
     expect(page.locator("#check-issues")).to_contain_text(re.compile("length_mm: [0-9]+"))
     expect(page.get_by_role("button", name="Start planning")).to_be_disabled()
     client = planner.Client(server)
@@ -201,18 +201,18 @@ def test_ready_is_said_when_the_whole_was_checked(page: Page, server: str, small
     with page.expect_request(re.compile("/v1/check.reach")):
         open_problem(page, server, small)
     verdict, button = page.locator("#verdict"), page.get_by_role("button", name="Start planning")
-    expect(verdict).to_contain_text("Looked at 6 of 6 targets: no fault so far")
+    expect(verdict).to_contain_text("Checked 6 of 6 targets: no errors so far")
     expect(verdict).to_contain_text("Testing the part, the tools and the reach")
     expect(button).to_be_disabled()
     for route in waiting:
         route.continue_()
     page.unroute_all()
-    expect(verdict).to_contain_text("Ready", timeout=MOST_MS)
+    expect(verdict).to_contain_text("Ready", timeout=MAX_WAIT_MS)
     expect(button).to_be_enabled()
     text = small[0].read_text()
     small[0].write_text(text.replace("robot: irb140", "robot: irb140\n      base: {xyz_mm: [-1900, 0, 0]}"))
     open_problem(page, server, small)
-    expect(verdict).to_contain_text("to correct", timeout=MOST_MS)
+    expect(verdict).to_contain_text("to correct", timeout=MAX_WAIT_MS)
     expect(page.locator("#check-issues")).to_contain_text("reach")
     expect(button).to_be_disabled()
 
@@ -224,10 +224,10 @@ def test_the_next_change_breaks_off_the_look_at_the_one_before(
     page.route(re.compile("/v1/check.targets"), lambda route: waiting.append(route))
     with page.expect_request(re.compile("/v1/check.targets")):
         open_problem(page, server, small)
-    with page.expect_event("requestfailed", lambda asked: "/v1/check" in asked.url):
+    with page.expect_event("requestfailed", lambda request: "/v1/check" in request.url):
         page.locator("#f-name").fill("renamed")
     page.unroute_all(behavior="ignoreErrors")
-    expect(page.locator("#verdict")).to_contain_text("Ready", timeout=MOST_MS)
+    expect(page.locator("#verdict")).to_contain_text("Ready", timeout=MAX_WAIT_MS)
 
 
 def test_a_fault_of_the_first_look_is_told_while_the_whole_goes_on(
@@ -239,7 +239,7 @@ def test_a_fault_of_the_first_look_is_told_while_the_whole_goes_on(
     small[0].write_text(text.replace("robot: irb140", "robot: irb140\n      base: {xyz_mm: [-1900, 0, 0]}"))
     with page.expect_request(re.compile("/v1/check.reach")):
         open_problem(page, server, small)
-    expect(page.locator("#verdict")).to_contain_text("1 thing to correct; looked at 1 of 6 targets so far")
+    expect(page.locator("#verdict")).to_contain_text("1 thing to correct; checked 1 of 6 targets so far")
     expect(page.locator("#check-issues")).to_contain_text("cannot reach")
     expect(page.get_by_role("button", name="Start planning")).to_be_disabled()
     page.unroute_all(behavior="ignoreErrors")
@@ -262,7 +262,7 @@ def test_a_refusal_shows_at_its_field(page: Page, server: str, small: list[Path]
 
 
 def test_a_part_in_the_wrong_unit_is_seen_and_told(page: Page, server: str, tmp_path: Path) -> None:
-    bundled(page, server, "cone_spif")
+    open_bundled(page, server, "cone_spif")
     cone = trimesh.load(ROOT / "problems" / "cone_spif" / "cone.ply", force="mesh")
     cone.apply_scale(1e-3)
     page.locator("#files").set_input_files(
@@ -279,7 +279,7 @@ def test_a_part_in_the_wrong_unit_is_seen_and_told(page: Page, server: str, tmp_
     rows.first.locator("input").check()
     expect(unit.locator(".fault.error")).to_contain_text("in the stated unit")
     page.locator('.unit-row input[value="m"]').check()
-    was_read(page)
+    wait_until_read(page)
     expect(page.locator("#size")).to_contain_text("× 25 mm")
 
 
@@ -302,7 +302,7 @@ def test_the_last_choice_holds_although_an_earlier_one_is_slower(page: Page, ser
 
 
 def test_another_cell_is_taken_with_its_arms(page: Page, server: str) -> None:
-    bundled(page, server, "wing")
+    open_bundled(page, server, "wing")
     page.locator("#cell").select_option("irb140_bow")
     expect(page.locator("#arms")).to_contain_text("IRB140")
     expect(page.locator("#changes")).to_contain_text("changed")
@@ -330,7 +330,7 @@ def test_the_page_is_used_by_keyboard_alone(page: Page, server: str) -> None:
         if page.evaluate("document.activeElement.name") == "process":
             break
     page.keyboard.press("Space")
-    was_read(page)
+    wait_until_read(page)
     page.keyboard.press("ArrowRight")
     expect(page.locator("#source")).to_have_text(re.compile("bundled problem"))
     expect(page.locator("input[name=process]:checked")).to_have_value("straight_wire")
@@ -406,18 +406,18 @@ def test_a_job_goes_on_when_the_service_is_killed_and_started_again(
 def test_a_token_is_asked_for_once_and_refused_at_its_field(page: Page, tmp_path: Path) -> None:
     data = tmp_path / "data"
     data.mkdir()
-    token = Auth(Database(default_url(data))).make("ann")
+    token = Auth(Database(default_url(data))).create_token("ann")
     process = Process(data, "--require-token").wait()
     try:
         page.goto(f"{process.url}/ui/new?process=forming")
         expect(page).to_have_url(re.compile(r"/ui/login\?next="))
         page.get_by_label("Token").fill(token[:-1] + "!")
         page.get_by_role("button", name="Log in").click()
-        expect(page.locator(".fault.error")).to_contain_text("unknown or was revoked")
+        expect(page.locator(".fault.error")).to_contain_text("unknown or revoked")
         page.get_by_label("Token").fill(token)
         page.keyboard.press("Enter")
         page.wait_for_url("**/ui/new?process=forming")
-        was_read(page)
+        wait_until_read(page)
         assert token not in str(page.context.storage_state()["origins"])
         page.get_by_role("button", name="Log out").click()
         page.wait_for_url("**/ui/login")
@@ -428,7 +428,7 @@ def test_a_token_is_asked_for_once_and_refused_at_its_field(page: Page, tmp_path
 
 
 def test_a_token_given_before_the_script_is_there_is_not_sent(page: Page, server: str) -> None:
-    """A form without its script asks for `/ui/login?` anew: token and the page that was wanted are lost."""
+    """A form without its script requests `/ui/login?` again: the token and the requested page are lost."""
     held: list[Route] = []
     page.route("**/static/login.js", lambda route: held.append(route))
     page.goto(f"{server}/ui/login?next=/ui/drafts", wait_until="commit")
@@ -445,7 +445,7 @@ def test_a_token_given_before_the_script_is_there_is_not_sent(page: Page, server
 def test_every_field_of_the_schema_has_a_part_of_the_form(page: Page, server: str) -> None:
     """Each definition, each of its fields, and each choice of a field is drawn with a value in it; all that
     can be filled in has a label."""
-    bundled(page, server, "engrave")
+    open_bundled(page, server, "engrave")
     drawn, nameless = page.evaluate(
         """async () => {
           const { Form } = await import("/ui/static/form.js");
@@ -486,7 +486,7 @@ def test_every_field_of_the_schema_has_a_part_of_the_form(page: Page, server: st
 
 def test_fields_that_users_name_are_parts_of_the_form(page: Page, server: str) -> None:
     """Work offsets of G-code: added, filled, refused at the field, removed."""
-    bundled(page, server, "gcode")
+    open_bundled(page, server, "gcode")
     offsets = page.locator('[data-path="operations.0.cuts.0.gcode.offsets"]')
     page.evaluate("import('/ui/static/issues.js').then(i => i.goTo('operations.0.cuts.0.gcode.offsets'))")
     offsets.locator("select").select_option("G58")
@@ -503,7 +503,7 @@ def test_fields_that_users_name_are_parts_of_the_form(page: Page, server: str) -
 
 
 def test_changes_are_not_lost_without_a_word(page: Page, server: str) -> None:
-    bundled(page, server, "engrave")
+    open_bundled(page, server, "engrave")
     page.locator("#f-name").fill("mine")
     page.locator("#example").focus()
     page.locator("#example").select_option("flank_wall")

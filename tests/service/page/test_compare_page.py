@@ -1,4 +1,4 @@
-"""Two jobs compared on the page: both plans in one picture at one time, and what differs in programs."""
+"""Comparison of two jobs on the page: both plans in one picture at one time, and differences of programs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from playwright.sync_api import TimeoutError as NotInTime
 import planner
 from tests import small_problem
 from tests.service.page.test_access import CUT_OFF, NAMELESS
-from tests.service.support import named
+from tests.service.support import named_problem
 
 TIP: Final = """() => {
   const tip = (film, frames) => {
@@ -34,15 +34,15 @@ def jobs(server: str, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, st
     higher = "\n".join(row.replace(",500,", ",540,").replace(",20", ",10") for row in rows) + "\n"
     for name, table in (("lower", None), ("higher", higher)):
         folder = tmp_path_factory.mktemp(name)
-        ids.append(client.submit(planner.load(small_problem.write(folder, named(name), table))))
-    assert [client.wait(one)["state"] for one in ids] == ["verified", "verified"]
+        ids.append(client.submit(planner.load(small_problem.write(folder, named_problem(name), table))))
+    assert [client.wait(item)["state"] for item in ids] == ["verified", "verified"]
     return ids[0], ids[1]
 
 
 @pytest.fixture(scope="module")
-def moved(server: str, tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The first of these, its block 40 mm aside and a table beside it."""
-    text = named("moved").replace("xyz_mm: [450, 0, 0]", "xyz_mm: [450, 40, 0]")
+def moved_job(server: str, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The first of these jobs, with its block moved by 40 mm and a table added beside it."""
+    text = named_problem("moved").replace("xyz_mm: [450, 0, 0]", "xyz_mm: [450, 40, 0]")
     box = "{kind: box, size_mm: [300, 300, 100], pose: {xyz_mm: [450, 700, 50]}}"
     text = text.replace("stock: {", f"  obstacles: [{{name: table, shapes: [{box}]}}]\nstock: {{")
     client = planner.Client(server)
@@ -56,7 +56,9 @@ def none(server: str, tmp_path_factory: pytest.TempPathFactory) -> str:
     """A job without a plan."""
     client = planner.Client(server)
     far = "\n".join([small_problem.COLUMNS, *small_problem.ROWS]).replace("450,", "4500,") + "\n"
-    job = client.submit(planner.load(small_problem.write(tmp_path_factory.mktemp("far"), named("far"), far)))
+    job = client.submit(
+        planner.load(small_problem.write(tmp_path_factory.mktemp("far"), named_problem("far"), far))
+    )
     assert client.wait(job)["state"] == "infeasible"
     return job
 
@@ -76,10 +78,10 @@ def figures(page: Page) -> Locator:
 
 @pytest.mark.long
 def test_what_of_the_second_stands_elsewhere_is_drawn_and_named(
-    page: Page, server: str, jobs: tuple[str, str], moved: str
+    page: Page, server: str, jobs: tuple[str, str], moved_job: str
 ) -> None:
     """The block and a table of the other problem, and not what both have at one place."""
-    page.goto(f"{server}/ui/compare?a={jobs[0]}&b={moved}")
+    page.goto(f"{server}/ui/compare?a={jobs[0]}&b={moved_job}")
     page.get_by_role("button", name="Draw both over each other").click()
     legend = page.locator("#both-legend")
     expect(legend).to_contain_text("Second, clear: block, obstacles; arms, tools as in the first")
@@ -104,9 +106,9 @@ def test_what_of_the_second_stands_elsewhere_is_drawn_and_named(
 
 @pytest.mark.long
 def test_another_choice_is_drawn_as_the_former_was(
-    page: Page, server: str, jobs: tuple[str, str], moved: str, none: str
+    page: Page, server: str, jobs: tuple[str, str], moved_job: str, none: str
 ) -> None:
-    page.goto(f"{server}/ui/compare?a={jobs[0]}&b={moved}")
+    page.goto(f"{server}/ui/compare?a={jobs[0]}&b={moved_job}")
     page.get_by_role("button", name="Draw both over each other").click()
     legend = page.locator("#both-legend")
     expect(legend).to_contain_text("block, obstacles")
@@ -125,8 +127,8 @@ def test_another_choice_is_drawn_as_the_former_was(
     page.locator("#a").select_option(jobs[1])
     expect(legend).to_contain_text("block as in the first")
     held: list[Route] = []
-    page.route(re.compile(f"/v1/jobs/{moved}/files/replay.html$"), lambda route: held.append(route))
-    page.locator("#b").select_option(moved)
+    page.route(re.compile(f"/v1/jobs/{moved_job}/files/replay.html$"), lambda route: held.append(route))
+    page.locator("#b").select_option(moved_job)
     expect(page.get_by_role("button", name="Loading")).to_be_visible()
     page.locator("#b").select_option(jobs[0])
     expect(legend).to_contain_text("block as in the first")
@@ -143,31 +145,33 @@ def test_a_job_that_is_gone_is_told_and_nothing_else_is_shown_for_it(
     page: Page, server: str, jobs: tuple[str, str], tmp_path: Path
 ) -> None:
     client = planner.Client(server)
-    gone = client.submit(planner.load(small_problem.write(tmp_path, named("gone"))))
+    gone = client.submit(planner.load(small_problem.write(tmp_path, named_problem("gone"))))
     client.wait(gone)
     page.goto(f"{server}/ui/compare?a={jobs[0]}&b={jobs[1]}")
     expect(figures(page)).to_have_count(3)
     client.delete(gone)
     page.locator("#b").select_option(gone)
-    expect(page.locator("#banner")).to_contain_text("there is none")
-    expect(page.locator("#result")).to_have_text("These two cannot be compared now.")
+    expect(page.locator("#banner")).to_contain_text("not found")
+    expect(page.locator("#result")).to_have_text("These jobs cannot be compared now.")
     page.locator("#b").select_option(jobs[1])
     expect(figures(page)).to_have_count(3)
     expect(page.locator("#banner")).to_be_hidden()
     page.goto(f"{server}/ui/compare?a={gone}&b={jobs[1]}")  # as a link that somebody kept
-    expect(page.locator("#banner")).to_contain_text("there is none")
+    expect(page.locator("#banner")).to_contain_text("not found")
     page.locator("#a").select_option(jobs[0])
     expect(figures(page)).to_have_count(3)
 
 
 @pytest.mark.long
 def test_a_job_under_way_is_followed_to_its_end(page: Page, server: str, jobs: tuple[str, str]) -> None:
-    """Its state and stage as they change; figures, programs and the picture when it has ended, without
-    anybody's doing, and over a time in which the service is away."""
+    """The page updates by itself, also after a time without the service.
+
+    State and stage change with the job; figures, programs and the picture appear when it has ended.
+    """
     as_it_is: dict[str, Any] = planner.Client(server).job(jobs[1])
     now = {**as_it_is, "state": "queued", "stage": "", "metrics": None, "seconds": None}
-    one, files = re.compile(f"/v1/jobs/{jobs[1]}$"), re.compile(f"/v1/jobs/{jobs[1]}/files$")
-    page.route(one, lambda route: route.fulfill(json=now))
+    item, files = re.compile(f"/v1/jobs/{jobs[1]}$"), re.compile(f"/v1/jobs/{jobs[1]}/files$")
+    page.route(item, lambda route: route.fulfill(json=now))
     page.route(files, lambda route: route.fulfill(json={"files": []}))
     page.goto(f"{server}/ui/compare?a={jobs[0]}&b={jobs[1]}")
     states = page.locator("#result td.state")
@@ -178,16 +182,16 @@ def test_a_job_under_way_is_followed_to_its_end(page: Page, server: str, jobs: t
     expect(page.locator("#b option:checked")).to_contain_text("Planning")
     now = {**now, "stage": "proof", "fraction": 0.25}
     expect(states.nth(1)).to_contain_text("proof, 25 %")
-    page.unroute(one)
-    page.route(one, lambda route: route.abort())
+    page.unroute(item)
+    page.route(item, lambda route: route.abort())
     expect(page.locator("#banner")).to_contain_text("cannot be reached")
     page.unroute(files)
-    page.unroute(one)
+    page.unroute(item)
     expect(states).to_have_text(["Verified", "Verified"])
     expect(page.locator("#banner")).to_be_hidden()
     expect(page.get_by_role("button", name="Draw both over each other")).to_be_visible()
     expect(page.locator("#b option:checked")).to_contain_text("Verified")
-    with pytest.raises(NotInTime), page.expect_request(one, timeout=3000):
+    with pytest.raises(NotInTime), page.expect_request(item, timeout=3000):
         pass  # nothing more is asked for
 
 
@@ -211,7 +215,7 @@ def test_jobs_beyond_the_list_are_swapped_and_a_service_that_is_away_is_asked_ag
 
 
 def test_the_picture_comes_when_the_service_is_back(page: Page, server: str, jobs: tuple[str, str]) -> None:
-    """Browsers keep that a script did not come: asked for while the service was away, it never came."""
+    """Browsers cache that a script failed to load: requested while the service was away, it never came."""
     page.goto(f"{server}/ui/compare?a={jobs[0]}&b={jobs[1]}")
     page.route("**/ui/static/*", lambda route: route.abort())
     page.get_by_role("button", name="Draw both over each other").click()
@@ -228,11 +232,11 @@ def test_nothing_can_be_chosen_before_there_is_something_to_choose(
     page.route("**/v1/jobs?limit=200", lambda route: held.append(route))
     page.goto(f"{server}/ui/compare")
     controls = [page.locator("#a"), page.locator("#b"), page.locator("#swap")]
-    for one in controls:
-        expect(one).to_be_disabled()
+    for control in controls:
+        expect(control).to_be_disabled()
     held[0].continue_()
-    for one in controls:
-        expect(one).to_be_enabled()
+    for control in controls:
+        expect(control).to_be_enabled()
     page.locator("#a").select_option(jobs[0])
     page.locator("#b").select_option(jobs[1])
     expect(figures(page)).to_have_count(3)
@@ -253,14 +257,14 @@ def test_both_plans_are_drawn_over_each_other_at_one_time(
         told = page.evaluate(f"[[...{read}], both.{own}.times.clock]")
         program, replay = np.array(told[1]).T
         reached.append(np.interp(told[0], replay, program))  # targets on the clock of the programs
-    assert [len(one) for one in tips] == [len(one) for one in reached]
+    assert [len(item) for item in tips] == [len(item) for item in reached]
     assert reached[1][-1] > 1.3 * reached[0][-1]
     for t in (*reached[0][[0, 2, -1]], *reached[1][[0, 2, -1]]):
         page.evaluate("(t) => both.go(t)", float(t))
         for way, times, seen in zip(tips, reached, page.evaluate(TIP), strict=True):
             if times[0] <= t <= times[-1]:
-                wanted = [np.interp(t, times, way[:, axis]) for axis in range(3)]
-                assert np.abs(np.subtract(seen, wanted)).max() < 2.0, (t, seen, wanted)
+                expected = [np.interp(t, times, way[:, axis]) for axis in range(3)]
+                assert np.abs(np.subtract(seen, expected)).max() < 2.0, (t, seen, expected)
     page.evaluate("both.go(both.end)")
     expect(page.locator("#both-said")).to_contain_text("First: is done")
     assert page.evaluate("both.ghost.bodies.some((one) => one.visible)")
@@ -278,7 +282,7 @@ def test_both_plans_are_drawn_over_each_other_at_one_time(
 
 def test_programs_say_what_differs(page: Page, server: str, jobs: tuple[str, str]) -> None:
     client = planner.Client(server)
-    texts: list[dict[str, Any]] = [client.programs(one) for one in jobs]
+    texts: list[dict[str, Any]] = [client.programs(job) for job in jobs]
     page.goto(f"{server}/ui/compare?a={jobs[0]}&b={jobs[1]}")
     programs = page.get_by_role("heading", name="Programs").locator("..")
     names = sorted(texts[0].keys() | texts[1].keys())
@@ -302,7 +306,7 @@ def test_a_job_without_a_plan_is_compared_without_a_picture(
     page: Page, server: str, jobs: tuple[str, str], none: str
 ) -> None:
     page.goto(f"{server}/ui/compare?a={jobs[0]}&b={none}")
-    expect(page.locator("#result")).to_contain_text("in the first alone")
+    expect(page.locator("#result")).to_contain_text("only in the first")
     expect(page.get_by_role("button", name="Draw both over each other")).to_have_count(0)
 
 

@@ -1,5 +1,7 @@
-"""Who clicks, types or drops before the page's scripts or the service's answers have come: each control
-works, or is disabled until it does."""
+"""Clicks, input and dropped files before the scripts or the answers of the service have arrived.
+
+Each control works, or is disabled until it does.
+"""
 
 from __future__ import annotations
 
@@ -40,8 +42,8 @@ def job(server: str, tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 @contextmanager
-def holding(page: Page, address: re.Pattern[str]) -> Iterator[None]:
-    """Requests of that address have their answers when this ends."""
+def hold_requests(page: Page, address: re.Pattern[str]) -> Iterator[None]:
+    """Hold the answers of requests to an address until the context ends."""
     held: list[Route] = []
     over = False
     page.route(address, lambda route: route.continue_() if over else held.append(route))
@@ -56,7 +58,7 @@ def holding(page: Page, address: re.Pattern[str]) -> Iterator[None]:
 def test_nothing_takes_a_click_before_its_script_is_there(
     page: Page, server: str, job: str, name: str
 ) -> None:
-    with holding(page, re.compile(f"/ui/static/{name}.js$")):
+    with hold_requests(page, re.compile(f"/ui/static/{name}.js$")):
         page.goto(server + PAGES[name].format(job=job), wait_until="commit")
         theme = page.get_by_role("button", name=re.compile("Use .* colours"))
         expect(theme).to_be_enabled()
@@ -80,7 +82,7 @@ def test_a_page_whose_scripts_do_not_come_says_so(page: Page, server: str) -> No
     page.route("**/ui/static/issues.js", lambda route: route.abort())
     page.goto(f"{server}/ui/new")
     expect(page.locator("#banner")).to_have_text(
-        "This page was not loaded whole, and nothing on it works. Load it anew."
+        "This page was not loaded completely and does not work. Reload it."
     )
     assert page.evaluate(ENABLED) == []
 
@@ -89,7 +91,7 @@ def test_a_page_whose_scripts_do_not_come_says_so(page: Page, server: str) -> No
 def test_a_problem_that_is_chosen_early_is_opened(
     page: Page, server: str, small: list[Path], late: str
 ) -> None:
-    with holding(page, re.compile(late)):
+    with hold_requests(page, re.compile(late)):
         page.goto(f"{server}/ui/new", wait_until="commit")
         chooser = page.locator("#problem-file")
         expect(chooser).to_be_disabled()
@@ -103,14 +105,14 @@ def test_an_element_that_is_chosen_early_is_sent(page: Page, server: str, tmp_pa
     element = tmp_path / "wall.yaml"
     element.write_text("element: 1\nname: wall\n")
     for late in ("/ui/static/elements.js$", "/ui/example-elements$"):
-        with page.expect_request(re.compile("/v1/elements$")), holding(page, re.compile(late)):
+        with page.expect_request(re.compile("/v1/elements$")), hold_requests(page, re.compile(late)):
             page.goto(f"{server}/ui/elements", wait_until="commit")
             page.locator("#files").set_input_files(element)
         expect(page.locator("#issues li").first).to_be_visible()
 
 
 def test_words_are_sought_although_who_asks_is_not_known_yet(page: Page, server: str, job: str) -> None:
-    with holding(page, re.compile("/v1/session$")):
+    with hold_requests(page, re.compile("/v1/session$")):
         page.goto(server, wait_until="commit")
         with page.expect_request(re.compile("search=nothing")):
             page.get_by_label("Find jobs").fill("nothing such")
@@ -118,12 +120,10 @@ def test_words_are_sought_although_who_asks_is_not_known_yet(page: Page, server:
 
 
 @pytest.mark.parametrize(
-    ("name", "asked"), [("new", "/v1/schema"), ("drafts", "/v1/drafts"), ("elements", "/ui/example-elements")]
+    ("name", "path"), [("new", "/v1/schema"), ("drafts", "/v1/drafts"), ("elements", "/ui/example-elements")]
 )
-def test_what_a_page_needs_is_asked_for_until_it_comes(
-    page: Page, server: str, name: str, asked: str
-) -> None:
-    address = re.compile(re.escape(asked))
+def test_what_a_page_needs_is_asked_for_until_it_comes(page: Page, server: str, name: str, path: str) -> None:
+    address = re.compile(re.escape(path))
     page.route(address, lambda route: route.abort())
     page.goto(server + PAGES[name])
     expect(page.locator("#banner")).to_contain_text("cannot be reached. Trying again")
@@ -179,8 +179,8 @@ def test_what_is_changed_while_the_service_is_away_is_not_sent_as_it_was(
     go.click()
     page.wait_for_url(re.compile("/ui/jobs/"))
     client = planner.Client(server)
-    assert [one["name"] for one in client.jobs("before")] == []
-    assert [one["name"] for one in client.jobs("after")] == ["after"]
+    assert [job["name"] for job in client.jobs("before")] == []
+    assert [job["name"] for job in client.jobs("after")] == ["after"]
 
 
 def test_planning_is_started_again_after_a_refusal_that_the_problem_has_no_part_in(
@@ -204,7 +204,7 @@ def test_planning_is_started_again_after_a_refusal_that_the_problem_has_no_part_
 def test_a_file_that_is_written_anew_since_it_was_chosen_is_sent_as_it_was(
     page: Page, server: str, small: list[Path]
 ) -> None:
-    """A browser sends none of it, and what it says of that sounds as if the service were away."""
+    """A browser sends nothing of a changed file, and its error reads as if the service were away."""
     page.goto(f"{server}/ui/new")
     page.locator("#problem-file").set_input_files(small)
     go = page.get_by_role("button", name="Start planning")

@@ -1,5 +1,8 @@
-"""Building elements on the page, in a real browser: uploaded, divided anew by sliders, ticked off at the
-robot, changed and deleted by others meanwhile."""
+"""Building elements on the page, in a real browser.
+
+They are uploaded, divided again with sliders, ticked off at the robot, and meanwhile changed and deleted by
+other users.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from PIL import Image
 from playwright.sync_api import Page, Route, expect
 
 from tests.element.shells import cap, shell
-from tests.element.test_saw_jobs import together
+from tests.element.test_saw_jobs import write_small_shell
 
 COUNT = 24
 
@@ -45,7 +48,7 @@ def test_an_element_is_divided_by_sliders_and_ticked_off(page: Page, server: str
     upload(page, server, files)
     expect(page.locator("#verdict")).to_contain_text(f"{COUNT} panels")
     expect(page.locator(".panel-id").first).to_have_text(re.compile("^[A-Z][0-9]{2}$"))
-    expect(page.locator("#foam-said")).to_contain_text("Robot hours: the cuts alone take about")
+    expect(page.locator("#foam-said")).to_contain_text("Robot hours: cutting takes about")
     expect(page.locator("#foam-said")).to_contain_text(f"Proven: 0 of {COUNT}")
 
     seen = np.asarray(Image.open(io.BytesIO(page.locator("#canvas").screenshot())).convert("RGB"))
@@ -101,10 +104,10 @@ def test_an_element_is_divided_by_sliders_and_ticked_off(page: Page, server: str
     page.get_by_role("button", name="A01 glued").click()  # a tap that was wrong
     expect(page.locator("#told")).to_contain_text("0 are glued, 0 cut")
 
-    page.get_by_role("button", name="Make job of A02").click()
+    page.get_by_role("button", name="Create job of A02").click()
     row = page.locator('[data-panel="A02"]')
     expect(row.get_by_role("link", name="Job of A02")).to_have_attribute("href", re.compile("/ui/jobs/"))
-    page.get_by_role("button", name="Stop what waits").click()
+    page.get_by_role("button", name="Cancel open jobs").click()
     expect(row.locator(".badge")).to_have_text("Cancelled")
 
     page.set_viewport_size({"width": 390, "height": 800})
@@ -122,14 +125,14 @@ def test_an_element_is_divided_by_sliders_and_ticked_off(page: Page, server: str
     other.get_by_role("button", name="Delete").click()
     other.get_by_role("dialog").get_by_role("button", name="Delete").click()
     other.wait_for_url("**/ui/elements")
-    expect(page.locator("#banner")).to_contain_text("there no more")
+    expect(page.locator("#banner")).to_contain_text("no longer exists")
     expect(page.get_by_role("button", name="A01 cut")).to_be_disabled()
 
 
 def test_jobs_of_raw_blocks_are_ticked_off_with_their_panels(page: Page, server: str, tmp_path: Path) -> None:
-    upload(page, server, together(tmp_path))
-    made = re.fullmatch("Make jobs of all ([0-9]+)", page.locator("#plan").inner_text())
-    assert made is not None
+    upload(page, server, write_small_shell(tmp_path))
+    match = re.fullmatch("Create jobs of all ([0-9]+)", page.locator("#plan").inner_text())
+    assert match is not None
     row = page.locator("#block-jobs li").filter(has_text=" together").first
     job = row.locator("b").inner_text()
     names = re.findall(r"\b[A-C][0-9]{2}", row.locator(".sub").inner_text())
@@ -143,9 +146,9 @@ def test_jobs_of_raw_blocks_are_ticked_off_with_their_panels(page: Page, server:
     expect(cut).to_have_attribute("aria-pressed", "true")
     expect(page.get_by_role("button", name=f"{names[1]} cut")).to_have_attribute("aria-pressed", "true")
     expect(page.locator("#told")).to_contain_text(f"again/{names[0]}.yaml")
-    page.get_by_role("button", name=f"Make own job of {names[0]}").press("Enter")
+    page.get_by_role("button", name=f"Create own job of {names[0]}").press("Enter")
     expect(page.get_by_role("link", name=f"Job of {names[0]}")).to_be_focused()
     expect(first).not_to_contain_text("with others")
-    page.get_by_role("button", name="Stop what waits").click()
-    left = int(made[1]) + 1  # what was stopped, too
-    expect(page.locator("#plan")).to_have_text(f"Make jobs of all {left}")
+    page.get_by_role("button", name="Cancel open jobs").click()
+    left = int(match[1]) + 1  # what was stopped, too
+    expect(page.locator("#plan")).to_have_text(f"Create jobs of all {left}")

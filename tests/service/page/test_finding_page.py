@@ -1,4 +1,4 @@
-"""Jobs found again on the page, what people call them, and many deleted at once."""
+"""Search for jobs on the page, their titles, and deletion of many jobs."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from sqlalchemy import update
 from planner.files import THUMBNAIL
 from planner.service.jobs import Jobs, NewJob, put_files
 from planner.service.models import JOBS, Database, default_url
-from planner.service.security import LOCAL, Limits
-from planner.service.storage import Files
+from planner.service.security import LOCAL, ServiceLimits
+from planner.service.storage import ContentStore
 from tests.report.test_thumbnail import noise
 from tests.service.page.test_access import CUT_OFF, NAMELESS
 from tests.service.support import Process
@@ -38,8 +38,8 @@ def shop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, dict[s
     data = tmp_path_factory.mktemp("finding") / "data"
     data.mkdir()
     database = Database(default_url(data))
-    jobs, ids = Jobs(database, Limits()), {}
-    files = {"problem/problem.yaml": Files(data / "files").put(io.BytesIO(b"{}"))}
+    jobs, ids = Jobs(database, ServiceLimits()), {}
+    files = {"problem/problem.yaml": ContentStore(data / "files").put(io.BytesIO(b"{}"))}
     for name, (title, tags, notes) in CALLED.items():
         new = NewJob(LOCAL, name, "0" * 64, name, ("targets",), files, 1.0, 1.0)
         ids[name] = jobs.create(new).id
@@ -47,7 +47,7 @@ def shop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, dict[s
             db.execute(update(JOBS).where(JOBS.c.id == ids[name]).values(state="infeasible"))
         jobs.describe(ids[name], {"title": title, "tags": tags, "notes": notes})
     for name, content in DRAWN.items():
-        drawn = Files(data / "files").put(io.BytesIO(content))
+        drawn = ContentStore(data / "files").put(io.BytesIO(content))
         with database.write() as db:
             put_files(db, ids[name], {THUMBNAIL: drawn})
     database.close()
@@ -65,14 +65,14 @@ def test_jobs_are_found_by_words_and_tags_and_sorted(page: Page, shop: tuple[str
     expect(names.nth(2)).to_have_text("<img src=x onerror=alert(1)>")
     page.get_by_label("Find jobs").fill("GEWÖLBE tuesday")
     expect(names).to_have_count(1)
-    page.reload()  # the address keeps what was asked
+    page.reload()  # the address keeps the query
     expect(names).to_have_text(["Gewölbe 3 – Ostseite"])
     page.get_by_label("Find jobs").fill("nothing of this")
-    expect(page.get_by_text("No job is so.")).to_be_visible()
+    expect(page.get_by_text("No matching jobs.")).to_be_visible()
     page.get_by_label("Find jobs").fill("")
     expect(names).to_have_count(len(CALLED))
     page.get_by_role("button", name="dome", exact=True).first.click()
-    page.get_by_label("In the order").select_option("by title")
+    page.get_by_label("Order").select_option("by title")
     expect(names).to_have_text(["Gewölbe 3 – Ostseite", "W" * 200, "لوحة القبو ٤"])
     page.reload()
     expect(names).to_have_count(3)
@@ -116,8 +116,8 @@ def test_each_job_has_a_picture_or_the_sign_of_its_process(
     page: Page, shop: tuple[str, dict[str, str]]
 ) -> None:
     url, ids = shop
-    asked: list[str] = []
-    page.on("request", lambda request: asked.append(request.url))
+    requests: list[str] = []
+    page.on("request", lambda request: requests.append(request.url))
     page.goto(url)
     expect(page.locator(".job-name")).to_have_count(len(CALLED))
     picture = page.get_by_role("img", name="The cell of Gewölbe 3 – Ostseite")
@@ -126,28 +126,28 @@ def test_each_job_has_a_picture_or_the_sign_of_its_process(
     signs = page.get_by_role("img", name="Given poses, no picture")
     expect(signs).to_have_count(3)  # that of a picture which is none is one of them
     path = f"{url}/v1/jobs/{{}}/files/{THUMBNAIL}"
-    assert {one for one in asked if THUMBNAIL in one} == {path.format(ids[name]) for name in DRAWN}
-    asked.clear()
+    assert {item for item in requests if THUMBNAIL in item} == {path.format(ids[name]) for name in DRAWN}
+    requests.clear()
     change = "(path) => fetch(path, { method: 'PATCH', body: JSON.stringify({ tags: ['fresh'] }) })"
     page.evaluate(change, f"/v1/jobs/{ids['plain']}")
     expect(page.get_by_role("button", name="fresh")).to_be_visible()  # all rows were drawn anew
     expect(picture).to_have_js_property("naturalWidth", 200)
-    assert path.format(ids["panel_03"]) not in asked
+    assert path.format(ids["panel_03"]) not in requests
 
 
 def test_a_title_is_given_on_the_page(page: Page, shop: tuple[str, dict[str, str]]) -> None:
     url, ids = shop
     page.goto(f"{url}/ui/jobs/{ids['plain']}")
     page.get_by_role("button", name="Title, tags, notes").click()
-    ask = page.get_by_role("dialog", name="What people call this job")
+    ask = page.get_by_role("dialog", name="Title, tags and notes of this job")
     ask.get_by_label("Title").fill("a\u202eb")
-    ask.get_by_role("button", name="Keep").click()
+    ask.get_by_role("button", name="Save").click()
     expect(page.locator("#banner")).to_contain_text("right-to-left override")
     page.get_by_role("button", name="Title, tags, notes").click()
     ask.get_by_label("Title").fill("קמרון 3")
     ask.get_by_label("Tags").fill("new, , new,  old ")
     ask.get_by_label("Notes").fill("one\ntwo")
-    ask.get_by_role("button", name="Keep").click()
+    ask.get_by_role("button", name="Save").click()
     expect(page.get_by_role("heading", name="קמרון 3")).to_be_visible()
     expect(page.locator("#job-tags .tag")).to_have_text(["new", "old"])
     expect(page.locator("#facts")).to_contain_text("plain")

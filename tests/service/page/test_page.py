@@ -1,4 +1,4 @@
-"""What the page is made of, without a browser: policy, bundled problems, pictures, the package."""
+"""The content of the page without a browser: policy, bundled problems, pictures, and the package."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ import pytest
 from planner import pipeline
 from planner.geometry.arrays import Mesh
 from planner.report import view3d
-from planner.service import bundled
+from planner.service import bundled_examples
 from planner.service.app import PAGE_FOLDER, STATIC
-from planner.service.upload_reader import examine_element, path_bars, shapes, thinned
+from planner.service.upload_reader import decimate, examine_element, path_bars, shapes
 from tests import small_problem
 from tests.service.support import ROOT as REPOSITORY
 from tests.service.support import TABLE, InProcess
@@ -26,13 +26,13 @@ PAGES += [f"/ui/{kind}/{'0' * 32}" for kind in ("jobs", "elements")]
 
 
 @pytest.fixture(scope="module")
-def here(tmp_path_factory: pytest.TempPathFactory) -> Iterator[InProcess]:
+def running_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[InProcess]:
     with InProcess(tmp_path_factory.mktemp("page") / "data", examiners=1) as made:
         yield made
 
 
 class Markup(HTMLParser):
-    """Collects what a strict policy would not let run, what is fetched, and what has no name."""
+    """Collects what a strict policy would block, the fetched URLs, and controls without a name."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -53,8 +53,8 @@ class Markup(HTMLParser):
 
 
 @pytest.mark.parametrize("path", PAGES)
-def test_pages_run_their_own_files_alone(here: InProcess, path: str) -> None:
-    answer = here.http.get(path)
+def test_pages_run_their_own_files_alone(running_service: InProcess, path: str) -> None:
+    answer = running_service.http.get(path)
     assert answer.status_code == 200
     policy = answer.headers["content-security-policy"]
     assert "default-src 'none'" in policy
@@ -65,7 +65,7 @@ def test_pages_run_their_own_files_alone(here: InProcess, path: str) -> None:
     for place in markup.fetched:
         assert place.startswith(("/", "#")), f"{path} needs the internet for {place}"
         if place.startswith("/ui/static/"):
-            assert here.http.get(place).status_code == 200, place
+            assert running_service.http.get(place).status_code == 200, place
 
 
 def test_scripts_make_no_markup_of_text_and_fetch_nothing_from_elsewhere() -> None:
@@ -83,8 +83,8 @@ def test_scripts_make_no_markup_of_text_and_fetch_nothing_from_elsewhere() -> No
         urls = set(re.findall(r"https?://[^\"'` ]+", text)) - {"http://www.w3.org/2000/svg"}
         assert not urls, f"{path.name}: {urls}"
         for name in re.findall(r'from "(\./[^"]+)"', text):
-            found = [folder for folder in (STATIC, view3d.FOLDER) if (folder / name).is_file()]
-            assert len(found) == 1, f"{path.name}: {name}"
+            result = [folder for folder in (STATIC, view3d.FOLDER) if (folder / name).is_file()]
+            assert len(result) == 1, f"{path.name}: {name}"
 
 
 def test_vendored_scripts_have_their_licence_beside_them() -> None:
@@ -113,14 +113,16 @@ def test_what_draws_cells_imports_nothing_but_its_own_files() -> None:
         "/ui/static/",
     ],
 )
-def test_what_is_no_page_is_404(here: InProcess, path: str) -> None:
-    answer = here.http.get(path)
+def test_what_is_no_page_is_404(running_service: InProcess, path: str) -> None:
+    answer = running_service.http.get(path)
     assert answer.status_code == 404
     assert answer.json()["issues"][0]["code"] == "service.not_found"
 
 
-def test_pages_are_no_part_of_the_api(here: InProcess) -> None:
-    assert not [path for path in here.http.get("/openapi.json").json()["paths"] if path.startswith("/ui")]
+def test_pages_are_no_part_of_the_api(running_service: InProcess) -> None:
+    assert not [
+        path for path in running_service.http.get("/openapi.json").json()["paths"] if path.startswith("/ui")
+    ]
 
 
 def test_bundled_problems_need_a_token_where_others_do(tmp_path: Path) -> None:
@@ -129,7 +131,7 @@ def test_bundled_problems_need_a_token_where_others_do(tmp_path: Path) -> None:
 
     data = tmp_path / "data"
     data.mkdir()
-    Auth(Database(default_url(data))).make("ann")
+    Auth(Database(default_url(data))).create_token("ann")
     with InProcess(data, require_token=True, examiners=1) as closed:
         for path in (
             "/ui/examples",
@@ -141,40 +143,40 @@ def test_bundled_problems_need_a_token_where_others_do(tmp_path: Path) -> None:
         assert closed.http.get("/").status_code == 200
 
 
-@pytest.mark.parametrize("name", sorted(bundled.problems()))
+@pytest.mark.parametrize("name", sorted(bundled_examples.problems()))
 def test_every_bundled_problem_is_data_with_its_files(name: str) -> None:
-    found = bundled.problem(name)
-    assert found["problem"]["tandem"] == 1  # a template is none
-    assert isinstance(found["problem"]["cell"], dict)
-    assert found["problem"]["operations"]
-    for file in found["files"]:
-        assert bundled.file(name, file).is_file()
-    assert "make_" not in bundled.problems()[name]["about"]
+    result = bundled_examples.problem(name)
+    assert result["problem"]["tandem"] == 1  # a template is none
+    assert isinstance(result["problem"]["cell"], dict)
+    assert result["problem"]["operations"]
+    for file in result["files"]:
+        assert bundled_examples.file(name, file).is_file()
+    assert "make_" not in bundled_examples.problems()[name]["about"]
 
 
-@pytest.mark.parametrize("name", sorted(bundled.elements()))
+@pytest.mark.parametrize("name", sorted(bundled_examples.elements()))
 def test_every_bundled_element_is_read_out_of_its_files_alone(name: str, tmp_path: Path) -> None:
-    found = bundled.elements()[name]
-    uploads = {one: bundled.file(name, one) for one in found["files"]}
+    result = bundled_examples.elements()[name]
+    uploads = {file: bundled_examples.file(name, file) for file in result["files"]}
     (tmp_path / "read").mkdir()
-    read = examine_element(tmp_path / "read", uploads.pop(found["file"]), uploads, 10_000_000, {})
+    read = examine_element(tmp_path / "read", uploads.pop(result["file"]), uploads, 10_000_000, {})
     assert read.issues == ()
-    assert read.summary["kind"] == found["kind"]
-    assert "tandem element" not in found["about"]
+    assert read.summary["kind"] == result["kind"]
+    assert "tandem element" not in result["about"]
 
 
-def test_bundled_files_are_those_that_problems_name(here: InProcess) -> None:
+def test_bundled_files_are_those_that_problems_name(running_service: InProcess) -> None:
     for file in ("problem.yaml", "../cells/irb140_ball.yaml", "/etc/passwd", "expect.yaml"):
-        answer = here.http.get("/ui/example/file", params={"name": "cone_spif", "file": file})
+        answer = running_service.http.get("/ui/example/file", params={"name": "cone_spif", "file": file})
         assert answer.status_code == 404
-        answer = here.http.get("/ui/example/file", params={"name": "dome_267", "file": file})
+        answer = running_service.http.get("/ui/example/file", params={"name": "dome_267", "file": file})
         assert answer.status_code == 404
-    assert here.http.get("/ui/example", params={"name": "../planner"}).status_code == 404
-    assert here.http.get("/ui/example", params={"name": "dome_267"}).status_code == 404
+    assert running_service.http.get("/ui/example", params={"name": "../planner"}).status_code == 404
+    assert running_service.http.get("/ui/example", params={"name": "dome_267"}).status_code == 404
 
 
-def test_a_preview_has_the_shapes_and_their_size(here: InProcess) -> None:
-    answer = here.post(path="/ui/preview")
+def test_a_preview_has_the_shapes_and_their_size(running_service: InProcess) -> None:
+    answer = running_service.post(path="/ui/preview")
     assert answer.status_code == 200
     way, block = answer.json()["shapes"]
     vertices = np.array(block["vertices"]).reshape(-1, 3)
@@ -183,7 +185,7 @@ def test_a_preview_has_the_shapes_and_their_size(here: InProcess) -> None:
     bars = np.array(way["vertices"]).reshape(-1, 8, 3)
     assert bars.mean(axis=1).tolist() == [[0.0, y, 500.0] for y in range(-40, 41, 20)]
     assert (
-        here.http.post(
+        running_service.http.post(
             "/ui/preview", files=[("problem", ("p", "a: 1")), ("files", ("t.csv", TABLE))]
         ).status_code
         == 422
@@ -195,14 +197,14 @@ def test_the_picture_of_a_part_is_as_large_as_the_part() -> None:
     assert problem.part is not None
     assert problem.part.formed is not None
     body = next(body for body in shapes(problem)[0] if body["kind"] == "part")
-    wanted = problem.part.formed.mesh.vertices * 1e3
+    expected = problem.part.formed.mesh.vertices * 1e3
     got = np.array(body["vertices"]).reshape(-1, 3)
-    np.testing.assert_allclose(np.ptp(got, axis=0), np.ptp(wanted, axis=0), rtol=0.02)
+    np.testing.assert_allclose(np.ptp(got, axis=0), np.ptp(expected, axis=0), rtol=0.02)
 
 
-def test_a_fault_of_a_table_shows_before_planning(here: InProcess) -> None:
+def test_a_fault_of_a_table_shows_before_planning(running_service: InProcess) -> None:
     files = [("problem", ("p.yaml", small_problem.PROBLEM)), ("files", ("targets.csv", TABLE[:-3]))]
-    answer = here.http.post("/ui/preview", files=files)
+    answer = running_service.http.post("/ui/preview", files=files)
     assert answer.status_code == 200
     assert not answer.json()["ok"]
     assert [issue["code"] for issue in answer.json()["issues"]] == ["targets.file"]
@@ -222,7 +224,7 @@ def test_a_large_mesh_is_thinned_and_keeps_its_shape() -> None:
     import trimesh
 
     sphere = trimesh.creation.icosphere(subdivisions=7, radius=0.1)
-    thin = thinned(Mesh(np.asarray(sphere.vertices), np.asarray(sphere.faces)), most=30_000)
+    thin = decimate(Mesh(np.asarray(sphere.vertices), np.asarray(sphere.faces)), max_triangles=30_000)
     assert 2_000 < len(thin.faces) <= 30_000
     made = trimesh.Trimesh(thin.vertices, thin.faces, process=False)
     assert made.area == pytest.approx(4 * np.pi * 0.01, rel=0.02)

@@ -1,4 +1,4 @@
-"""A whole job of each process in a real browser, from its bundled problem to the programs."""
+"""One whole job of each process in a real browser, from its bundled problem to the programs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SMALLEST = {
     "milling": "engrave",
     "targets": "gauge_lanes",
 }
-MOST_MS = 900_000
+MAX_WAIT_MS = 900_000
 
 
 @pytest.mark.long
@@ -26,11 +26,11 @@ def test_a_whole_job_of_each_process(page: Page, server: str, process: str) -> N
     page.locator("#rest").wait_for()
     page.locator("#example").select_option(SMALLEST[process])
     expect(page.locator("#source")).to_have_text(f"from the bundled problem {SMALLEST[process]}")
-    expect(page.locator("#verdict")).to_contain_text("Ready", timeout=MOST_MS)
+    expect(page.locator("#verdict")).to_contain_text("Ready", timeout=MAX_WAIT_MS)
     expect(page.locator("#size")).to_contain_text("mm")
     page.get_by_role("button", name="Start planning").click()
     page.wait_for_url("**/ui/jobs/*")
-    expect(page.locator("#state")).to_have_text("Verified", timeout=MOST_MS)
+    expect(page.locator("#state")).to_have_text("Verified", timeout=MAX_WAIT_MS)
     with page.expect_download() as caught:
         page.get_by_role("link", name="Download programs").click()
     with zipfile.ZipFile(caught.value.path()) as archive:

@@ -1,4 +1,4 @@
-"""Releases on the page, by whom they may be made, and what of the page a role sees."""
+"""Releases on the page, who may make them, and what each role sees of the page."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from tests.service.support import Process
 
 @pytest.fixture(scope="module")
 def shop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, str, dict[str, str]]]:
-    """A service that asks for tokens: its address, a verified job of bob, and the tokens of the team."""
+    """A service that requires tokens: its address, a verified job of bob, and the tokens of the team."""
     folder = tmp_path_factory.mktemp("shop")
     data = folder / "data"
     data.mkdir()
     auth = Auth(Database(default_url(data)))
     tokens = {
-        "ann": auth.make("ann", "release", "shop"),
-        "bob": auth.make("bob", "plan", "shop"),
-        "lea": auth.make("lea", "view", "shop"),
-        "cell-3": auth.make("cell-3", None, "shop", scope="released"),
+        "ann": auth.create_token("ann", "release", "shop"),
+        "bob": auth.create_token("bob", "plan", "shop"),
+        "lea": auth.create_token("lea", "view", "shop"),
+        "cell-3": auth.create_token("cell-3", None, "shop", scope="released"),
     }
     process = Process(data, "--require-token").wait()
     client = planner.Client(process.url, tokens["bob"])
@@ -58,7 +58,7 @@ def test_programs_are_released_and_withdrawn_by_name(
     digest = planner.Client(url, tokens["lea"]).job(job)["digest"]
     expect(ask.locator("#release-what")).to_contain_text(digest[:16])
     expect(ask.locator("#release-what dt")).to_have_count(7)
-    expect(ask.get_by_label("Who releases")).to_be_hidden()
+    expect(ask.get_by_label("Released by")).to_be_hidden()
     page.keyboard.press("Escape")
     expect(ask).to_be_hidden()
     expect(page.locator("#released-title")).to_contain_text("Not released")
@@ -87,11 +87,11 @@ def test_programs_are_released_and_withdrawn_by_name(
     expect(screen.get_by_role("heading", name="Nothing is released")).to_be_visible()
     screen.close()
     page.goto(url)
-    expect(page.locator(".jobs .sub").first).to_contain_text("of bob")
+    expect(page.locator(".jobs .sub").first).to_contain_text("by bob")
 
 
 def at_the_cell(page: Page, url: str, token: str, job: str) -> Page:
-    """The page as a token sees it that reads what is released: the job, and nothing that it may not do."""
+    """The page for a token that reads released jobs: it shows the job, and no forbidden control."""
     browser = page.context.browser
     assert browser is not None
     screen = browser.new_page(viewport={"width": 390, "height": 844})
@@ -99,7 +99,7 @@ def at_the_cell(page: Page, url: str, token: str, job: str) -> Page:
     screen.on("response", lambda answer: refused.append(answer.url) if answer.status == 403 else None)
     login(screen, url, token)
     screen.goto(url)
-    expect(screen.locator("#me")).to_have_text("cell-3 · shop · released programs alone")
+    expect(screen.locator("#me")).to_have_text("cell-3 · shop · released programs only")
     screen.get_by_role("link", name="small").click()
     expect(screen.get_by_role("link", name="Download released programs")).to_be_visible()
     expect(screen.get_by_role("tab", name="Replay")).to_be_visible()
@@ -140,11 +140,11 @@ def test_who_releases_says_so_where_no_tokens_are_asked_for(page: Page, server: 
     ask = page.get_by_role("dialog", name="Release these programs?")
     ask.get_by_role("button", name="Release", exact=True).click()
     expect(ask).to_be_visible()  # a name is wanted
-    ask.get_by_label("Who releases").fill("רות 3")
+    ask.get_by_label("Released by").fill("רות 3")
     ask.get_by_role("button", name="Release", exact=True).click()
     expect(page.locator("#released-list bdi").first).to_have_text("רות 3")
     other = client.release  # once more, meanwhile
-    with pytest.raises(planner.TandemError, match="released it") as caught:
+    with pytest.raises(planner.TandemError, match="released by") as caught:
         other(job, name="Ann")
     assert caught.value.issues[0].code == "service.release"
     outcome = client.plan(planner.load(small_problem.write(tmp_path)))
@@ -154,7 +154,7 @@ def test_who_releases_says_so_where_no_tokens_are_asked_for(page: Page, server: 
     assert sorted(client.programs(job)) == sorted(outcome.programs)
     taken = client.withdraw(job, "a test", name="Ann")
     assert taken["withdrawn"]["by"] == "Ann"
-    assert [one["by"] for one in client.releases(job)] == ["רות 3"]
+    assert [release["by"] for release in client.releases(job)] == ["רות 3"]
 
 
 def test_who_may_release_sees_what_was_done(page: Page, shop: tuple[str, str, dict[str, str]]) -> None:
@@ -163,23 +163,23 @@ def test_who_may_release_sees_what_was_done(page: Page, shop: tuple[str, str, di
     page.goto(url)
     page.get_by_role("link", name="Audit", exact=True).click()
     expect(page.locator("#rows")).to_contain_text("submitted")
-    page.get_by_label("What was done").select_option("submitted")
+    page.get_by_label("Action").select_option("submitted")
     expect(page.locator("#rows tr")).to_have_count(1)
     expect(page.locator("#rows tr")).to_contain_text("bob")
-    page.get_by_label("Of the job").fill("0" * 32)
-    expect(page.get_by_text("Nothing of this was done.")).to_be_visible()
-    page.get_by_label("Of the job").fill("<b>x</b>")
+    page.get_by_label("Job").fill("0" * 32)
+    expect(page.get_by_text("No matching entries.")).to_be_visible()
+    page.get_by_label("Job").fill("<b>x</b>")
     expect(page.locator("#banner")).to_contain_text("job")
-    page.get_by_label("Of the job").fill(job)
+    page.get_by_label("Job").fill(job)
     expect(page.locator("#rows tr")).to_have_count(1)
-    page.get_by_label("Of the job").fill("")  # a long one is moved in its field
+    page.get_by_label("Job").fill("")  # a long one is moved in its field
     for width in (390, 1440):
         page.set_viewport_size({"width": width, "height": 900})
         assert (page.evaluate(CUT_OFF), page.evaluate(NAMELESS)) == ([], [])
     page.context.clear_cookies()
     login(page, url, tokens["bob"])
     page.goto(f"{url}/ui/audit")
-    expect(page.locator("#banner")).to_contain_text("the role release")
+    expect(page.locator("#banner")).to_contain_text("required release")
     expect(page.get_by_role("link", name="Audit", exact=True)).to_be_hidden()
 
 
@@ -189,16 +189,16 @@ def test_a_link_to_look_is_made_shown_and_withdrawn(
     url, job, tokens = shop
     login(page, url, tokens["bob"])
     page.goto(f"{url}/ui/jobs/{job}")
-    page.get_by_role("button", name="Links to look").click()
-    ask = page.get_by_role("dialog", name="Links to look at this job")
+    page.get_by_role("button", name="View links").click()
+    ask = page.get_by_role("dialog", name="View links of this job")
     expect(ask.locator("#looks-none")).to_be_visible()
-    ask.get_by_label("Good for, in days").fill("31")
-    ask.get_by_role("button", name="Make a link").click()
+    ask.get_by_label("Valid for [days]").fill("31")
+    ask.get_by_role("button", name="Create a link").click()
     expect(ask.locator("#looks-new")).to_be_hidden()  # 30 days at most
-    ask.get_by_label("Good for, in days").fill("3")
-    ask.get_by_role("button", name="Make a link").click()
-    expect(ask.locator("#looks-list")).to_contain_text("made by bob")
-    address = ask.get_by_label("The new link").input_value()
+    ask.get_by_label("Valid for [days]").fill("3")
+    ask.get_by_role("button", name="Create a link").click()
+    expect(ask.locator("#looks-list")).to_contain_text("created by bob")
+    address = ask.get_by_label("New link, shown only once").input_value()
     stranger = browser.new_context(viewport={"width": 390, "height": 844})
     tab, asked = stranger.new_page(), list[str]()
     faults = list[str]()
@@ -207,7 +207,7 @@ def test_a_link_to_look_is_made_shown_and_withdrawn(
     tab.goto(address)
     expect(tab.locator("#state")).to_have_text("Verified")
     expect(tab.locator("#outcome-title")).to_contain_text("Verified")
-    expect(tab.locator("#facts")).to_contain_text("this link ends")
+    expect(tab.locator("#facts")).to_contain_text("this link expires")
     expect(tab.locator("#figures .tile").first).to_be_visible()
     assert (tab.evaluate(CUT_OFF), tab.evaluate(NAMELESS)) == ([], [])
     expect(tab.locator("button, input, form")).to_have_count(0)
@@ -215,26 +215,26 @@ def test_a_link_to_look_is_made_shown_and_withdrawn(
         tab.get_by_role("link", name="Open the replay").click()
     expect(opened.value).to_have_title(re.compile("small"))
     opened.value.close()
-    assert [one for one in asked if "/v1/" in one] == [
+    assert [item for item in asked if "/v1/" in item] == [
         f"{url}/v1/jobs/{job}/looks/{address.split('/')[-1]}"  # the job's data alone, once
     ]
     assert (faults, stranger.cookies()) == ([], [])
     ask.get_by_role("button", name="Withdraw the link").click()
     expect(ask.locator("#looks-none")).to_be_visible()
     tab.reload()
-    expect(tab.get_by_role("alert")).to_contain_text("there is no such link: it is over, was withdrawn")
+    expect(tab.get_by_role("alert")).to_contain_text("link: expired, withdrawn or incomplete")
     stranger.close()
 
 
 def test_an_element_has_a_title_and_its_proven_panels_are_released_by_one_act(
     page: Page, server: str, tmp_path: Path
 ) -> None:
-    """What the service does with it is for tests/service/test_elements.py: here it is played."""
+    """The answers of the service are simulated here; tests/service/test_elements.py tests the service."""
     state = {"A01": "verified", "A02": "verified", "A03": "infeasible", "A04": "verified"}
     said = {"A04": "withdrawn"}  # with a reason, which the dialog does not show
     sent: list[dict[str, Any]] = []
 
-    def told(route: Route) -> None:
+    def fulfill_states(route: Route) -> None:
         answer = route.fetch()
         body = answer.json()
         for one in body.get("panels", []):
@@ -247,11 +247,11 @@ def test_an_element_has_a_title_and_its_proven_panels_are_released_by_one_act(
     def release(route: Route) -> None:
         sent.append(route.request.post_data_json)
         said["A01"] = "released"
-        why = {"code": "service.release", "severity": "error", "message": "it was planned again meanwhile"}
+        why = {"code": "service.release", "severity": "error", "message": "it was planned again"}
         refused = [{"panel": "A02", "issues": [why]}]
         route.fulfill(status=201, json={"releases": [{"panel": "A01"}], "refused": refused})
 
-    page.route(re.compile("/v1/elements/[0-9a-f]{32}$"), told)
+    page.route(re.compile("/v1/elements/[0-9a-f]{32}$"), fulfill_states)
     page.route(re.compile("/v1/elements/[0-9a-f]{32}/release$"), release)
     upload(page, server, shell_files(tmp_path))
     row = page.locator('[data-panel="A01"]')
@@ -259,32 +259,32 @@ def test_an_element_has_a_title_and_its_proven_panels_are_released_by_one_act(
     page.get_by_role("button", name="Release 2 proven panels").click()
     ask = page.get_by_role("dialog", name="Release these programs?")
     expect(ask.locator("#release-count")).to_have_text(
-        f"2 panels; {COUNT - 2} others not: not proven, released already, or withdrawn."
+        f"2 panels; {COUNT - 2} others excluded: not proven, already released, or withdrawn."
     )
     for width in (390, 1440):
         page.set_viewport_size({"width": width, "height": 900})
         assert (page.evaluate(CUT_OFF), page.evaluate(NAMELESS)) == ([], [])
-    ask.get_by_label("Who releases").fill("רות")
+    ask.get_by_label("Released by").fill("רות")
     ask.get_by_label("Note").fill("<b>Nordseite</b>")
     ask.get_by_role("button", name="Release", exact=True).click()
-    expect(page.locator("#banner")).to_have_text("A02 was not released: it was planned again meanwhile")
+    expect(page.locator("#banner")).to_have_text("A02 was not released: it was planned again")
     expect(row.locator(".released-released")).to_have_text("released")
     expect(page.get_by_role("button", name="Release 1 proven panel")).to_be_visible()
     shown = {"job": "ab" * 16, "digest": "cd" * 32}
     assert sent == [{"panels": {"A01": shown, "A02": shown}, "note": "<b>Nordseite</b>", "name": "רות"}]
     page.get_by_role("button", name="Title, tags, notes").click()
-    ask = page.get_by_role("dialog", name="What people call this element")
+    ask = page.get_by_role("dialog", name="Title, tags and notes of this element")
     ask.get_by_label("Title").fill("Gewölbe <b>٣</b>")
-    ask.get_by_label("Tags, with commas between").fill("Halle, قبو")
+    ask.get_by_label("Tags, separated by commas").fill("Halle, قبو")
     ask.get_by_label("Notes").fill("Dienstag")
-    ask.get_by_role("button", name="Keep").click()
+    ask.get_by_role("button", name="Save").click()
     expect(page.locator("#name")).to_have_text("Gewölbe <b>٣</b>")
     expect(page.locator("#job-notes")).to_have_text("Dienstag")
     page.get_by_role("link", name="Halle").click()
     names = page.locator(".job-name")
     expect(names).to_have_text(["Gewölbe <b>٣</b>"])
     page.get_by_label("Find elements").fill("wand")
-    expect(page.get_by_text("No element is so.")).to_be_visible()
+    expect(page.get_by_text("No matching elements.")).to_be_visible()
     page.get_by_label("Find elements").fill("dienstag gewölbe")
     expect(names).to_have_text(["Gewölbe <b>٣</b>"])
     expect(page).to_have_url(re.compile("tag=Halle.*search=dienstag"))
@@ -312,8 +312,10 @@ WHOLE: Final = """() => {
 def test_the_head_of_the_page_is_whole_at_each_width(
     page: Page, shop: tuple[str, str, dict[str, str]]
 ) -> None:
-    """With all pages in it, who is logged in, and where to log out: on telephones the last page was cut off,
-    and on tablets two words stood in two lines."""
+    """The head shows all pages, the user, and the logout control.
+
+    On telephones the last page was cut off, and on tablets two words were broken into two lines.
+    """
     url, _, tokens = shop
     login(page, url, tokens["ann"])
     page.goto(f"{url}/ui/audit")

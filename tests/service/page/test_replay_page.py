@@ -1,4 +1,4 @@
-"""The replay in a browser, from its file alone: it opens on the work; bar, colours, measure, widths."""
+"""The replay in a browser, from its file alone: it opens on the work; time bar, colours, measuring, width."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def opened(page: Page, files: Path, at: str = "#t=0") -> list[str]:
-    """Opens the replay; addresses that it asks for."""
-    asked: list[str] = []
-    page.on("request", lambda one: asked.append(one.url))
+def open_replay(page: Page, files: Path, at: str = "#t=0") -> list[str]:
+    """Open the replay; return the addresses that it requests."""
+    requests: list[str] = []
+    page.on("request", lambda one: requests.append(one.url))
     page.goto((files / "replay.html").as_uri() + at)
     page.wait_for_function("window.replay && replay.view.shown > 0")
-    return asked
+    return requests
 
 
-def drawn(page: Page) -> np.ndarray[Any, Any]:
+def canvas_picture(page: Page) -> np.ndarray[Any, Any]:
     """The picture (height, width, 3) once all is drawn."""
     before = page.evaluate("replay.view.shown")
     page.evaluate("replay.view.draw()")
@@ -51,12 +51,12 @@ def drawn(page: Page) -> np.ndarray[Any, Any]:
 
 
 def test_it_opens_on_the_work_and_follows_the_tool(page: Page, files: Path) -> None:
-    asked = opened(page, files)
+    asked = open_replay(page, files)
     assert len(asked) == 1 and asked[0].startswith("file:")
     assert (files / "replay.html").stat().st_size < 2_000_000  # 3.3 MB by Meshcat
-    drawn(page)
+    canvas_picture(page)
     half = 500.0 * job.SIZE
-    middle = 1000.0 * job.PLACE[:3, 3] + [0.0, 0.0, half[2]]  # a stock frame's origin is amid its foot
+    middle = 1000.0 * job.STOCK_POSE[:3, 3] + [0.0, 0.0, half[2]]  # a stock frame's origin is amid its foot
     corners = [middle + half * [x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
     seen = np.array([page.evaluate(SEEN, corner.tolist()) for corner in corners])
     assert np.abs(seen).max() < 1.0
@@ -64,13 +64,13 @@ def test_it_opens_on_the_work_and_follows_the_tool(page: Page, files: Path) -> N
     base = page.evaluate(SEEN, [-950.0, 0.0, 0.0])
     assert np.abs(base).max() > 0.9
     page.get_by_role("button", name="Cell").click()
-    drawn(page)
+    canvas_picture(page)
     assert np.abs(page.evaluate(SEEN, [-950.0, 0.0, 0.0])).max() < 1.0
     page.get_by_role("button", name="Work").click()
     page.get_by_role("button", name="Follow tool").click()
-    for share in (0.2, 0.6):
-        page.evaluate(f"replay.bar.go({share} * replay.bar.end)")
-        drawn(page)
+    for fraction in (0.2, 0.6):
+        page.evaluate(f"replay.bar.go({fraction} * replay.bar.end)")
+        canvas_picture(page)
         tip = page.evaluate("replay.view.tip().toArray()")
         assert np.abs(page.evaluate(SEEN, tip)).max() < 0.01
     page.keyboard.press("f")
@@ -78,10 +78,10 @@ def test_it_opens_on_the_work_and_follows_the_tool(page: Page, files: Path) -> N
 
 
 def test_the_tools_are_where_the_plan_has_them(page: Page, files: Path) -> None:
-    """Between the arms' tips, by the plan's kinematics at a target, against what is drawn at its time."""
+    """Compare the position between the arms' tips, by the plan's kinematics, with the picture at its time."""
     from planner.report.scene import flange_poses
 
-    opened(page, files)
+    open_replay(page, files)
     problem, (operation,) = job.problem(), job.plan().operations
     for row in (20, len(operation.time) // 2):
         page.evaluate(f"replay.bar.go(replay.bar.reached[{row}])")
@@ -95,7 +95,7 @@ def test_the_tools_are_where_the_plan_has_them(page: Page, files: Path) -> None:
 
 
 def test_its_bar_is_worked_by_keys_and_says_where_it_is(page: Page, files: Path) -> None:
-    opened(page, files)
+    open_replay(page, files)
     time = page.get_by_role("slider", name="Time")
     play = page.locator("#play")
     expect(play).to_have_attribute("aria-label", "Play")
@@ -120,13 +120,13 @@ def test_its_bar_is_worked_by_keys_and_says_where_it_is(page: Page, files: Path)
 
 
 def test_colours_are_the_proofs_and_their_words_the_reports(page: Page, files: Path) -> None:
-    opened(page, files)
+    open_replay(page, files)
     series, report = job.proof().series, (files / "report.html").read_text("utf-8")
     page.evaluate("replay.bar.go(0.6 * replay.bar.end)")
-    plain = drawn(page)
+    plain = canvas_picture(page)
     page.select_option("#colours", label="clearance")
-    assert (np.abs(drawn(page) - plain).max(axis=-1) > 30).mean() > 0.02
-    words = re.search(r"least: [\d.]+ mm at [\d.]+ s, [^;<]+", page.locator("#key").inner_text())
+    assert (np.abs(canvas_picture(page) - plain).max(axis=-1) > 30).mean() > 0.02
+    words = re.search(r"minimum: [\d.]+ mm at [\d.]+ s, [^;<]+", page.locator("#key").inner_text())
     assert words is not None and words[0] in report
     values = np.array(
         page.evaluate("[...replay.view.read(replay.view.layer.values[''])].map((v) => v === v ? v : 1e9)")
@@ -140,7 +140,7 @@ def test_colours_are_the_proofs_and_their_words_the_reports(page: Page, files: P
     )
     assert values[at] <= curve.min() + 1e-3
     page.select_option("#colours", label="deviation")
-    drawn(page)
+    canvas_picture(page)
     worst = max(job.proof().surfaces, key=lambda face: face.largest)
     expect(page.locator("#key")).to_contain_text(f"largest: {1000 * worst.largest:.3f} mm")
     assert f"{1000 * worst.largest:.3f} mm" in report
@@ -150,14 +150,14 @@ def test_colours_are_the_proofs_and_their_words_the_reports(page: Page, files: P
         red, blue = shades[np.nanargmax(deviation)], shades[np.nanargmin(deviation)]
         assert red[0] > red[2] and blue[2] > blue[0]
     page.select_option("#colours", label="none")
-    assert (np.abs(drawn(page) - plain).max(axis=-1) > 30).mean() < 0.002
+    assert (np.abs(canvas_picture(page) - plain).max(axis=-1) > 30).mean() < 0.002
     expect(page.locator("#key")).to_be_hidden()
 
 
 def test_two_points_are_measured(page: Page, files: Path) -> None:
-    opened(page, files)
+    open_replay(page, files)
     page.get_by_role("button", name="Cell").click()
-    drawn(page)
+    canvas_picture(page)
     page.get_by_role("button", name="Measure").click()
     canvas = page.locator("#scene")
     box = canvas.bounding_box()
@@ -167,9 +167,9 @@ def test_two_points_are_measured(page: Page, files: Path) -> None:
         at = {"x": 0.5 * (x + 1.0) * box["width"], "y": 0.5 * (1.0 - y) * box["height"]}
         canvas.click(position=at)  # type: ignore[arg-type]
     told = page.locator("#measured").inner_text()
-    found = re.match(r"([\d.]+) mm", told)
-    assert found is not None and float(found[1]) == pytest.approx(480.0, abs=8.0)  # a pixel is 4 mm
-    expect(page.locator(".measure")).to_have_text(found[0])
+    match = re.match(r"([\d.]+) mm", told)
+    assert match is not None and float(match[1]) == pytest.approx(480.0, abs=8.0)  # a pixel is 4 mm
+    expect(page.locator(".measure")).to_have_text(match[0])
     page.keyboard.press("Escape")
     expect(page.locator("#measured")).to_be_empty()
 
@@ -184,9 +184,9 @@ def test_nothing_is_cut_off_and_every_control_has_a_name(
     page.emulate_media(color_scheme=scheme)
     if AXE:
         page.add_init_script(path=AXE)
-    opened(page, files)
+    open_replay(page, files)
     page.select_option("#colours", label="clearance")
-    ground = np.median(drawn(page).reshape(-1, 3), axis=0)
+    ground = np.median(canvas_picture(page).reshape(-1, 3), axis=0)
     assert (ground > 180).all() if scheme == "light" else (ground < 80).all()
     assert page.evaluate("document.scrollingElement.scrollWidth") <= wide
     for control in page.locator("button, select, input").all():
@@ -197,9 +197,9 @@ def test_nothing_is_cut_off_and_every_control_has_a_name(
         "location.hash = 'theme=' + (matchMedia('(prefers-color-scheme: dark)').matches ? 'light' : 'dark')"
     )
     page.wait_for_timeout(200)
-    assert (np.median(drawn(page).reshape(-1, 3), axis=0) > 180).all() == (scheme == "dark")
+    assert (np.median(canvas_picture(page).reshape(-1, 3), axis=0) > 180).all() == (scheme == "dark")
     if AXE:
-        found = page.evaluate(
+        result = page.evaluate(
             "axe.run().then((one) => one.violations.map((v) => v.id + ' ' + v.nodes[0].html))"
         )
-        assert found == []
+        assert result == []

@@ -1,4 +1,4 @@
-"""The least FTP server with TLS (RFC 4217) that a test needs: one user, one folder, one certificate."""
+"""A minimal FTP server with TLS (RFC 4217) for tests: one user, one folder, one certificate."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import threading
 from pathlib import Path
 
 
-class Ftps:
-    """``data_certificate``: another one for connections of data, such as of somebody in between."""
+class FtpsServer:
+    """``data_certificate``: another certificate for data connections, such as that of a man in the middle."""
 
     def __init__(self, root: Path, certificate: Path, data_certificate: Path | None = None) -> None:
-        self.root, self.said = root, list[str]()
+        self.root, self.commands = root, list[str]()
         self.contexts = []
         for pem in (certificate, data_certificate or certificate):
             context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
@@ -38,7 +38,7 @@ class Ftps:
             stream, passive = control.makefile("rb"), socket.socket()
             while line := stream.readline():
                 word, _, rest = line.decode().strip().partition(" ")
-                self.said.append(f"{word} {rest}".strip())
+                self.commands.append(f"{word} {rest}".strip())
                 path = self.root / rest.strip("/")
                 if word == "AUTH":
                     control.sendall(b"234 go on\r\n")

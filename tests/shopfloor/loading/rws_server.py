@@ -1,4 +1,6 @@
-"""A server of our own that answers as the public descriptions of Robot Web Services say; no controller.
+"""A fake controller that answers as the public descriptions of Robot Web Services say.
+
+No real controller is used.
 
 1.0: pages of 3HAC050973-001 revision M (JSON by ``json=1``, digest login, actions as ``?action=``). 2.0:
 3HAC073675-001 and public clients (basic login, ``v=2.0`` in media types, actions as the path's last word).
@@ -54,10 +56,16 @@ def fingerprint(pem: Path) -> str:
     return hashlib.sha256(ssl.PEM_cert_to_DER_cert(text[text.index("-----BEGIN CERT") :])).hexdigest()
 
 
-class Controller:
-    """State of the pretended controller, and what it was asked for. ``fail`` {part of "VERB path": status};
-    ``drop``: parts of requests at which the connection breaks; ``cut``: bytes that get lost of each file;
-    ``lies`` {part of a path: what is answered there}; ``halves``: part of a path whose answers break off."""
+class FakeController:
+    """State of the fake controller, and the requests that it received.
+
+    Attributes:
+        fail: {part of "VERB path": status}.
+        drop: Parts of requests at which the connection breaks.
+        cut: Number of bytes that are lost of each file.
+        lies: {part of a path: false answer}.
+        halves: Part of a path whose answers break off.
+    """
 
     def __init__(self, version: int = 1, tls: Path | None = None) -> None:
         self.version = version
@@ -74,7 +82,7 @@ class Controller:
         self.short = False  # whether lists of instances tell their names alone
         self.lies: dict[str, bytes] = {}
         self.halves = ""
-        self.cut, self.slow, self.asked = 0, 0.0, list[tuple[str, str]]()
+        self.cut, self.delay_s, self.requests = 0, 0.0, list[tuple[str, str]]()
         outer = self
 
         class Handler(BaseHTTPRequestHandler):
@@ -104,8 +112,8 @@ class Controller:
     def answer(self, h: BaseHTTPRequestHandler) -> None:
         body = h.rfile.read(int(h.headers.get("Content-Length", 0)))
         parts = urlsplit(h.path)
-        time.sleep(self.slow)
-        if self.expires and len(self.asked) == self.expires:
+        time.sleep(self.delay_s)
+        if self.expires and len(self.requests) == self.expires:
             self.nonce, self.expires = "n2", 0
         if not self.allowed(h):
             old = 'nonce="n1"' in h.headers.get("Authorization", "") and self.nonce != "n1"
@@ -113,7 +121,7 @@ class Controller:
             asked += ", stale=true" if old else ""
             self.send(h, 401, b"", asked if self.version == 1 else "Basic")
             return
-        self.asked.append((h.command, h.path))
+        self.requests.append((h.command, h.path))
         if any(part in f"{h.command} {unquote(h.path)}" for part in self.drop):
             h.close_connection = True
             return
@@ -155,14 +163,14 @@ class Controller:
             return given == "Basic " + base64.b64encode(f"{USER}:{SECRET}".encode()).decode()
         v = dict(re.findall(r'(\w+)="?([^",]+)"?', given))
         first, second = md5(f"{USER}:{REALM}:{SECRET}"), md5(f"{h.command}:{v.get('uri')}")
-        wanted = md5(f"{first}:{self.nonce}:{v.get('nc')}:{v.get('cnonce')}:auth:{second}")
-        return v.get("response") == wanted and v.get("uri") == h.path
+        expected = md5(f"{first}:{self.nonce}:{v.get('nc')}:{v.get('cnonce')}:auth:{second}")
+        return v.get("response") == expected and v.get("uri") == h.path
 
     @staticmethod
-    def send(h: BaseHTTPRequestHandler, status: int, content: bytes, asked: str = "") -> None:
+    def send(h: BaseHTTPRequestHandler, status: int, content: bytes, challenge: str = "") -> None:
         h.send_response(status)
-        if asked:
-            h.send_header("WWW-Authenticate", asked)
+        if challenge:
+            h.send_header("WWW-Authenticate", challenge)
         h.send_header("Content-Length", str(len(content)))
         h.end_headers()
         h.wfile.write(content)

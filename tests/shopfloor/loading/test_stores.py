@@ -1,4 +1,4 @@
-"""Shares and FTP, against pyftpdlib; files of a KUKA controller in the form that archives have."""
+"""Shares and FTP, against pyftpdlib; files of a KUKA controller in the format of its archives."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from planner.shopfloor.loading import download, upload
 from planner.shopfloor.loading import store as stores
 from planner.shopfloor.loading.http_link import Login, Trust
 from planner.shopfloor.loading.proven import Proven
-from planner.shopfloor.loading.store import Ftp, Share
+from planner.shopfloor.loading.store import Ftp, MountedFolder
 from tests.processes.hotwire.proof import bead_job
-from tests.shopfloor.loading.ftps_server import Ftps
+from tests.shopfloor.loading.ftps_server import FtpsServer
 from tests.shopfloor.loading.rws_server import certificate, fingerprint
 
 MACHINE = '$TRAFONAME[]="#KR60HA C4 FLR"\n$ROBROOT={X 0.0,Y 0.0,Z 0.0,A 0.0,B 0.0,C 0.0}\n'
@@ -82,16 +82,16 @@ def test_programs_go_by_ftp_into_a_new_folder_and_come_back(
     assert download.fetch(store, second.folder) == dict(result.files)
     assert (root / "old.src").read_text() == "DEF old()\nEND\n"
     assert not second.ready
-    with pytest.raises(TandemError, match=f"more than one is there: {first.folder}, {second.folder}"):
+    with pytest.raises(TandemError, match=f"has more than one: {first.folder}, {second.folder}"):
         download.folder(store, first.folder)
     with pytest.raises(TandemError, match="no such folder") as caught:
         download.folder(store, "tandem_other_00000000")
     assert caught.value.issues[0].code == "upload.missing"
     handler.abstracted_fs = FullDisk
-    with pytest.raises(TandemError, match="disk there is full") as caught:
+    with pytest.raises(TandemError, match="disk is full") as caught:
         upload.to_store(Ftp(url, Login("kuka", "secret"), 5.0), result)
     assert caught.value.issues[0].code == "upload.write"
-    assert "nothing of it was left" in str(caught.value)
+    assert "nothing of it remains" in str(caught.value)
     assert {path.name for path in root.iterdir()} == {"old.src", first.folder, second.folder}
     store._link.sock.shutdown(socket.SHUT_RDWR)  # type: ignore[union-attr]
     with pytest.raises(TandemError, match="try again") as caught:
@@ -119,7 +119,7 @@ def test_ftp_that_refuses_or_is_not_there_is_told(server: tuple[str, Any, Path])
 
 
 class Renames(AbstractedFS):
-    """A server that has names of its own for what it gets."""
+    """A server that renames the files that it gets."""
 
     def open(self, filename: str, mode: str) -> Any:
         return super().open(f"{filename}.1" if "w" in mode else filename, mode)
@@ -135,13 +135,13 @@ def test_ftp_servers_of_other_kinds(
     store = Ftp(url, Login("kuka", "secret"), 5.0)
     sent = upload.to_store(store, result)
     assert download.fetch(store, sent.folder) == dict(result.files)
-    monkeypatch.setattr(stores, "MOST_BYTES", 100)
-    with pytest.raises(TandemError, match="over 100 bytes"):
+    monkeypatch.setattr(stores, "MAX_BYTES", 100)
+    with pytest.raises(TandemError, match="longer than 100 bytes"):
         download.fetch(store, sent.folder)
     monkeypatch.undo()
     handler.abstracted_fs = Renames
     store = Ftp(url, Login("kuka", "secret"), 5.0)
-    with pytest.raises(TandemError, match=r"nothing came back, .*take it away by hand"):
+    with pytest.raises(TandemError, match=r"nothing read back, .*delete by hand"):
         upload.to_store(store, result)
     with pytest.raises(TandemError, match="control characters"):
         store.read("x\r\nDELE y")
@@ -152,13 +152,13 @@ def test_ftp_by_tls_trusts_the_pinned_certificate_alone(tmp_path: Path, result: 
     for name in ("root", "own", "other"):
         (tmp_path / name).mkdir()
     own, other = certificate(tmp_path / "own"), certificate(tmp_path / "other")
-    server = Ftps(tmp_path / "root", own)
+    server = FtpsServer(tmp_path / "root", own)
     login, pinned = Login("kuka", "secret"), Trust(fingerprint=fingerprint(own))
     store = Ftp(server.url, login, 5.0, pinned)
     sent = upload.to_store(store, result)
     assert download.fetch(store, sent.folder) == dict(result.files)
-    assert "PROT P" in server.said
-    server.said.clear()
+    assert "PROT P" in server.commands
+    server.commands.clear()
     for trust, words in (
         (Trust(), "is not trusted"),
         (Trust(fingerprint=fingerprint(other)), "--fingerprint names"),
@@ -166,9 +166,9 @@ def test_ftp_by_tls_trusts_the_pinned_certificate_alone(tmp_path: Path, result: 
         with pytest.raises(TandemError, match=words) as caught:
             Ftp(server.url, login, 5.0, trust)
         assert caught.value.issues[0].code == "upload.login"
-    assert not [word for word in server.said if "secret" in word or "USER" in word]
+    assert not [word for word in server.commands if "secret" in word or "USER" in word]
     server.close()
-    between = Ftps(tmp_path / "root", own, other)
+    between = FtpsServer(tmp_path / "root", own, other)
     with pytest.raises(TandemError, match="--fingerprint names") as caught:
         upload.to_store(Ftp(between.url, login, 5.0, pinned), result)
     assert caught.value.issues[0].code == "upload.login"
@@ -195,7 +195,7 @@ def test_lists_as_servers_of_unix_and_dos_print_them(line: str, name: str, deepe
     store = Ftp.__new__(Ftp)
     store._link, store._url = Link(), "ftp://host"  # type: ignore[assignment]
     assert store._listed("/") == {name: deeper}
-    with pytest.raises(TandemError, match="cannot be read"):
+    with pytest.raises(TandemError, match="cannot be parsed"):
         bad = type("Bad", (), {"retrlines": lambda _, command, take: take("?? what")})()
         store._link = bad
         store._listed("/")
@@ -209,7 +209,7 @@ def test_files_of_a_kuka_controller_are_compared_where_they_are(
         (tmp_path / root / folder).mkdir(parents=True)
         (tmp_path / root / folder / name).write_bytes(text.replace("\n", "\r\n").encode())
     (tmp_path / given).mkdir(parents=True, exist_ok=True)
-    sent = upload.to_store(Share(tmp_path / given), result)
+    sent = upload.to_store(MountedFolder(tmp_path / given), result)
     agreed = " ".join(sent.agreed)
     assert "$ROBROOT" in agreed
     assert "t_plain (TOOL_DATA[1])" in agreed
@@ -223,13 +223,9 @@ def test_files_of_a_kuka_controller_are_compared_where_they_are(
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        (
-            "Z 160.0",
-            "Z 161.5",
-            "t_plain: TOOL_DATA[1] of that name is another one: off by 1.500 mm, 0.000 deg",
-        ),
+        ("Z 160.0", "Z 161.5", "t_plain: TOOL_DATA[1] of that name differs: off by 1.500 mm, 0.000 deg"),
         ("Z 160.0,A 0.0", "Z 160.0,A 0.5", "off by 0.000 mm, 0.500 deg"),
-        ("M 0.9", "M 1.9", "LOAD_DATA[1] of that name is another one"),
+        ("M 0.9", "M 1.9", "LOAD_DATA[1] of that name differs"),
         (
             "Y 0.0,Z 0.0,A 0.0,B 0.0,C 0.0}\n",
             "Y 3.0,Z 4.0,A 0.0,B 0.0,C 0.0}\n",
@@ -248,14 +244,14 @@ def test_a_kuka_controller_that_is_another_is_refused(
         (tmp_path / path).parent.mkdir()
         (tmp_path / path).write_text(text)
     with pytest.raises(TandemError) as caught:
-        upload.to_store(Share(tmp_path), result)
+        upload.to_store(MountedFolder(tmp_path), result)
     assert caught.value.issues[0].code == "upload.differs"
     assert words in str(caught.value)
     assert {path.name for path in tmp_path.iterdir()} == {"System", "Mada"}
 
 
 def test_what_a_kuka_controller_does_not_tell_is_named(tmp_path: Path, result: Proven) -> None:
-    sent = upload.to_store(Share(tmp_path), result)
+    sent = upload.to_store(MountedFolder(tmp_path), result)
     told = " ".join(issue.message for issue in sent.issues)
     assert all(word in told for word in ("$ROBROOT", "no $config.dat", "mode, version"))
     assert sent.agreed == ()
@@ -263,5 +259,5 @@ def test_what_a_kuka_controller_does_not_tell_is_named(tmp_path: Path, result: P
     (tmp_path / "System" / "$config.dat").write_text(
         CONFIG.replace('"plain"', '"other"').replace("Z 160.0", "Z 9.0")
     )
-    sent = upload.to_store(Share(tmp_path), result)
+    sent = upload.to_store(MountedFolder(tmp_path), result)
     assert any("t_plain: no TOOL_DATA has that name or value" in issue.message for issue in sent.issues)

@@ -1,4 +1,4 @@
-"""What somebody changed at a pendant, found by place and figure; another print of the same is no change."""
+"""Changes made at a pendant, reported by position and value. Another formatting of the same is no change."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def krl() -> dict[str, str]:
     return {name: text.replace("\r\n", "\n") for name, text in bead_job.programs("kuka").items()}
 
 
-def saved(text: str) -> str:
+def saved_module(text: str) -> str:
     """A module as a controller may save it: its header, short numbers, CR LF, a statement in two lines."""
     code = re.sub(r"(?<=[\[,=])(-?\d+)\.0+(?=[\],\\;])", r"\1", text)  # 160.0000 as 160
     code = re.sub(r"(-?\d*\.\d*?[1-9])0+(?=[\],\\;])", r"\1", code).replace("9E9", "9E+09")
@@ -40,10 +40,10 @@ def crlf(text: str) -> str:
 
 
 def test_another_print_is_no_change(rapid: dict[str, str], krl: dict[str, str]) -> None:
-    assert saved(rapid[CUT]) != rapid[CUT]
-    assert "9E+09" in saved(rapid[CUT])
+    assert saved_module(rapid[CUT]) != rapid[CUT]
+    assert "9E+09" in saved_module(rapid[CUT])
     for name in (CUT, DATA, MAIN):
-        assert changes(name, rapid[name], crlf(saved(rapid[name]))) == []
+        assert changes(name, rapid[name], crlf(saved_module(rapid[name]))) == []
     for name, text in krl.items():
         other = (
             re.sub(r"(\d\.\d*?)0+(?=[,}\n ])", r"\g<1>0", text)
@@ -144,15 +144,15 @@ ENDMODULE
 )
 def test_each_kind_of_change(old: str, new: str, words: str) -> None:
     assert MODULE.count(old) == 1
-    (told,) = changes("m.mod", MODULE, MODULE.replace(old, new))
-    assert words in told
+    (change,) = changes("m.mod", MODULE, MODULE.replace(old, new))
+    assert words in change
 
 
 def test_krl_by_degrees_about_z_y_x(krl: dict[str, str]) -> None:
-    name = next(one for one in krl if one.endswith("_1.src"))
+    name = next(item for item in krl if item.endswith("_1.src"))
     moved = krl[name].replace("X -18.0000,Y -15.0000,Z 90.0000,A 3.00000", "X -18.3,Y -15.4,Z 90.0,A 4.0", 1)
-    (told,) = changes(name, krl[name], crlf(moved))
-    assert re.fullmatch(r"beads_1, target 3 \(line \d+\): moved by 0\.500 mm, turned by 1\.000 deg", told)
+    (change,) = changes(name, krl[name], crlf(moved))
+    assert re.fullmatch(r"beads_1, target 3 \(line \d+\): moved by 0\.500 mm, turned by 1\.000 deg", change)
     # at C = 180, A and -A about z are both seen; two angles that are the same attitude are no turn: at B = 90
     # only A - C counts (KUKA's z, y', x'')
     line = "DEF a()\nLIN {{X 1.0,Y 2.0,Z 3.0,A {},B 90.0,C {}}} C_DIS\nEND\n"
@@ -179,11 +179,11 @@ def test_krl_by_degrees_about_z_y_x(krl: dict[str, str]) -> None:
     ],
 )
 def test_other_changes_of_krl(krl: dict[str, str], ending: str, old: str, new: str, words: str) -> None:
-    name = next(one for one in krl if one.endswith(ending))
+    name = next(item for item in krl if item.endswith(ending))
     changed: Callable[[str], str] = lambda text: text.replace(old, new, 1)  # noqa: E731
     assert changed(krl[name]) != krl[name]
-    (told,) = changes(name, krl[name], crlf(changed(krl[name])))
-    assert words in told
+    (change,) = changes(name, krl[name], crlf(changed(krl[name])))
+    assert words in change
 
 
 def test_files_that_are_missing_or_new_are_named(rapid: dict[str, str]) -> None:

@@ -1,4 +1,4 @@
-"""Scans of a known part: what is asked of pose and field, and what is refused. Truth is what was made up."""
+"""Scans of a known part: accuracy of pose and field, and what is refused. The truth is synthetic."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from scipy.spatial.transform import Rotation
 from planner.geometry.arrays import FloatArray, Mesh
 from planner.geometry.units import MM
 from planner.issues import Severity, TandemError
-from planner.problem import Formed, Part
+from planner.problem import FormedPart, Part
 from planner.proof.part_files.meshes import read_points
 from planner.shopfloor.align.probing import ProbedPoints
 from planner.shopfloor.scan import cloud, deviation, freedoms
 from planner.shopfloor.scan.cloud import Cloud
 from tests import small_forming
 from tests.processes.forming.plan.shapes import pit
-from tests.shopfloor.scan.made_scan import Field, MadeScan, made_scan, write_ply
+from tests.shopfloor.scan.synthetic_scan import Field, SyntheticScan, make_scan, write_ply
 
 SIZE = np.array([160.0, 160.0, 1.0]) * MM
 DEEP = 6.0 * MM
@@ -34,38 +34,38 @@ def dish() -> Mesh:
 
 
 def part(mesh: Mesh) -> Part:
-    return Part(formed=Formed(mesh))
+    return Part(formed=FormedPart(mesh))
 
 
 def springs(q: FloatArray) -> FloatArray:
     """More with depth, three crests around, as if a clamp gave way there."""
     depth = np.clip((SIZE[2] - q[:, 2]) / DEEP, 0.0, 1.0)
-    far = np.minimum(np.hypot(q[:, 0], q[:, 1]) / 0.015, 1.0)
-    return 0.7 * MM * np.sqrt(depth) * (1.0 + 0.4 * far * np.sin(3.0 * np.arctan2(q[:, 1], q[:, 0])))
+    distance = np.minimum(np.hypot(q[:, 0], q[:, 1]) / 0.015, 1.0)
+    return 0.7 * MM * np.sqrt(depth) * (1.0 + 0.4 * distance * np.sin(3.0 * np.arctan2(q[:, 1], q[:, 0])))
 
 
 def tilts(q: FloatArray) -> FloatArray:
-    """A part that comes back on one side alone: what a fit to the whole part would hide in the pose."""
+    """A part that springs back on one side: a fit to the whole part would hide this in the pose."""
     depth = np.clip((SIZE[2] - q[:, 2]) / DEEP, 0.0, 1.0)
     return depth * (0.5 * MM + 20.0 * MM * q[:, 0])
 
 
-def fitted(made: MadeScan, mesh: Mesh, marks: bool = True) -> tuple[FloatArray, deviation.Deviation]:
-    known = ProbedPoints(("a", "b", "c", "d"), made.sheet, made.scan) if marks else None
-    whole = Cloud("scan.ply", "0" * 64, made.points, 0)
+def fit_scan(sample: SyntheticScan, mesh: Mesh, marks: bool = True) -> tuple[FloatArray, deviation.Deviation]:
+    known = ProbedPoints(("a", "b", "c", "d"), sample.sheet, sample.scan) if marks else None
+    whole = Cloud("scan.ply", "0" * 64, sample.points, 0)
     pose, found = deviation.of_part(whole, part(mesh), SIZE, known, True)
     return pose.matrix, found
 
 
-@pytest.mark.parametrize(("off", "seed"), [(springs, 1), (springs, 2), (tilts, 3)])
-def test_a_known_field_and_pose_come_back(dish: Mesh, off: Field, seed: int) -> None:
-    made = made_scan(dish, SIZE, off, seed, hole=(0.02, 0.0, 0.006))
-    pose, found = fitted(made, dish)
+@pytest.mark.parametrize(("true_deviation", "seed"), [(springs, 1), (springs, 2), (tilts, 3)])
+def test_a_known_field_and_pose_come_back(dish: Mesh, true_deviation: Field, seed: int) -> None:
+    made = make_scan(dish, SIZE, true_deviation, seed, hole=(0.02, 0.0, 0.006))
+    pose, found = fit_scan(made, dish)
     wrong = pose @ np.linalg.inv(made.pose)
     assert np.abs(wrong[:3, 3]).max() < 0.05 * MM
     assert np.degrees(Rotation.from_matrix(wrong[:3, :3]).magnitude()) < 0.05
-    known = np.isfinite(found.off)
-    error = found.off[known] - off(found.point[known])
+    known = np.isfinite(found.deviation)
+    error = found.deviation[known] - true_deviation(found.point[known])
     assert np.sqrt(np.mean(error**2)) < 0.05 * MM
     assert np.abs(error).max() < 0.2 * MM
     assert known.mean() > 0.95
@@ -73,37 +73,39 @@ def test_a_known_field_and_pose_come_back(dish: Mesh, off: Field, seed: int) -> 
     assert 0.07 * found.used < found.stray < 0.12 * found.used
     assert 0.04 * MM < found.noise < 0.08 * MM
     (hole,) = found.holes
-    np.testing.assert_allclose(hole.place[:2], [0.02, 0.0], atol=1.5 * MM)
+    np.testing.assert_allclose(hole.position[:2], [0.02, 0.0], atol=1.5 * MM)
     assert 6.0 * MM < hole.across < 14.0 * MM
 
 
 def test_without_marks_height_and_tilt_are_found_and_said(dish: Mesh) -> None:
-    made = made_scan(dish, SIZE, springs, 4, turn=(0.002, -0.003, 0.0))
-    here = changed(made, made.points + made.pose[:3, 3] @ made.pose[:3, :3] + np.array([0.0, 0.0, 0.002]))
-    pose, found = fitted(here, dish, marks=False)
+    made = make_scan(dish, SIZE, springs, 4, turn=(0.002, -0.003, 0.0))
+    shifted = replace_points(
+        made, made.points + made.pose[:3, 3] @ made.pose[:3, :3] + np.array([0.0, 0.0, 0.002])
+    )
+    pose, found = fit_scan(shifted, dish, marks=False)
     assert abs(pose[2, 3] + 0.002) < 0.02 * MM
     np.testing.assert_allclose(pose[:3, :3], made.pose[:3, :3], atol=1e-4)
-    known = np.isfinite(found.off)
-    assert np.sqrt(np.mean((found.off[known] - springs(found.point[known])) ** 2)) < 0.05 * MM
-    whole = Cloud("scan.ply", "0" * 64, here.points, 0)
+    known = np.isfinite(found.deviation)
+    assert np.sqrt(np.mean((found.deviation[known] - springs(found.point[known])) ** 2)) < 0.05 * MM
+    whole = Cloud("scan.ply", "0" * 64, shifted.points, 0)
     told, more = deviation.of_part(whole, part(dish), SIZE, None, True)
-    (one,) = freedoms.issues(more, told, "scan.ply")
-    assert one.code == "scan.no_marks"
-    assert one.severity is Severity.WARNING
-    assert "x, y and the turn about z it leaves free" in one.message
-    assert "of the turn this part shows nothing" in one.message  # it is round
+    (issue,) = freedoms.issues(more, told, "scan.ply")
+    assert issue.code == "scan.no_marks"
+    assert issue.severity is Severity.WARNING
+    assert "x, y and the rotation about z are taken as the scan has them" in issue.message
+    assert "the rotation cannot be observed on this part" in issue.message  # it is round
     assert np.isinf(told.within[[2, 3, 4]]).all()
     assert (told.within[[0, 1, 5]] < [1e-5, 1e-5, 0.001 * MM]).all()
     # walls of 40 degrees
-    assert f"Each mm beside puts up to {np.sin(np.radians(40.0)):.2f} mm" in one.message
+    assert f"Each mm of offset adds up to {np.sin(np.radians(40.0)):.2f} mm" in issue.message
     freedoms.require_place(more, told, "scan.ply")
     # a scan that lies 3 mm beside the part is off by that on every wall, less where a wall ends
-    moved = dataclasses.replace(whole, points=here.points + np.array([0.003, 0.0, 0.0]))
+    moved = dataclasses.replace(whole, points=shifted.points + np.array([0.003, 0.0, 0.0]))
     told, more = deviation.of_part(moved, part(dish), SIZE, None, True)
-    (one,) = freedoms.issues(more, told, "scan.ply")
-    x, y = re.search(r"lay \(([-0-9.]+), ([-0-9.]+)\) mm beside", one.message).groups()  # type: ignore[union-attr]
+    (issue,) = freedoms.issues(more, told, "scan.ply")
+    x, y = re.search(r"offset by \(([-0-9.]+), ([-0-9.]+)\) mm from", issue.message).groups()  # type: ignore[union-attr]
     np.testing.assert_allclose([float(x), float(y)], [3.0, 0.0], atol=0.5)
-    with pytest.raises(TandemError, match="targets would be moved by where the scan lies") as error:
+    with pytest.raises(TandemError, match="targets would be moved by the scan's offset") as error:
         freedoms.require_place(more, told, "scan.ply")
     assert error.value.issues[0].code == "scan.no_marks"
     # marks, as is advised, put it where it is
@@ -118,51 +120,50 @@ def test_without_marks_height_and_tilt_are_found_and_said(dish: Mesh) -> None:
 def test_a_turn_shows_on_a_part_that_is_not_round() -> None:
     """A trough of 45 degrees, 100 x 30 mm: turned by a degree about its middle, and that alone."""
     trough = pit(shapely.box(-0.05, -0.015, 0.05, 0.015), 45.0, 0.008)
-    made = made_scan(
+    made = make_scan(
         trough, SIZE * [1.2, 1, 1], lambda q: np.zeros(len(q)), 4, stray=0.0, turn=(0.0, 0.0, 0.0)
     )
     turn = Rotation.from_rotvec([0.0, 0.0, np.radians(1.0)]).as_matrix()
     whole = Cloud("scan.ply", "0" * 64, (made.points + made.pose[:3, 3]) @ turn.T, 0)
     pose, found = deviation.of_part(whole, part(trough), SIZE * [1.2, 1, 1], None, True)
-    seen = freedoms.sideways(found)
+    seen = freedoms.in_plane_motion(found)
     assert abs(np.degrees(seen.turn) - 1.0) < 0.15
     assert np.abs(seen.move).max() < 0.05 * MM
-    assert seen.share > 0.8
+    assert seen.fraction > 0.8
     assert not seen.hidden
-    with pytest.raises(TandemError, match=r"turned by (0\.[89]|1\.)\d* deg"):
+    with pytest.raises(TandemError, match=r"rotated by (0\.[89]|1\.)\d* deg"):
         freedoms.require_place(found, pose, "scan.ply")
 
 
 def test_marks_say_how_well_a_scan_lies_and_which_of_them_is_doubted(dish: Mesh) -> None:
     """Four marks at the corners of a rectangle, each known to 0.02 mm: the mean of them to half of that."""
-    made = made_scan(dish, SIZE, springs, 8)
+    made = make_scan(dish, SIZE, springs, 8)
     names = ("a", "b", "c", "d")
     whole = Cloud("scan.ply", "0" * 64, made.points, 0)
     pose, found = deviation.of_part(whole, part(dish), SIZE, ProbedPoints(names, made.sheet, made.scan), True)
-    assert 0.25 < pose.beside / (np.sqrt(2.0) * 0.01 * MM) < 2.0
+    assert 0.25 < pose.position_sigma / (np.sqrt(2.0) * 0.01 * MM) < 2.0
     assert freedoms.issues(found, pose, "scan.ply") == []
     far = made.scan.copy()
     far[2, 0] += 1.0 * MM
     pose, found = deviation.of_part(whole, part(dish), SIZE, ProbedPoints(names, made.sheet, far), True)
     assert pose.doubtful == ("c",)
-    (one,) = freedoms.issues(found, pose, "scan.ply")
-    assert one.code == "scan.marks"
-    assert "'c' is 0." in one.message
-    assert "without 'c' the others agree" in one.message
-    assert one.limit == 0.05
+    (issue,) = freedoms.issues(found, pose, "scan.ply")
+    assert issue.code == "scan.marks"
+    assert "'c' is 0." in issue.message
+    assert "without 'c' the others agree" in issue.message
+    assert issue.limit == 0.05
     wrong = pose.matrix @ np.linalg.inv(made.pose)
-    assert np.linalg.norm(wrong[:2, 3]) < 3.0 * one.value * MM
+    assert np.linalg.norm(wrong[:2, 3]) < 3.0 * issue.value * MM
 
 
 def test_what_is_too_shallow_is_told_where_the_tool_is(dish: Mesh) -> None:
-    """What comes back grows along a wall: points stand above the place that sank by so much less, not above
-    the nearest one."""
+    """Springback grows along a wall: scan points are above the point that sank less, not the nearest one."""
 
     def grows(q: FloatArray) -> FloatArray:
         return np.asarray(np.clip((1.0 * MM - q[:, 2]) / (6.0 * MM), 0.0, 1.0) * 2.0 * MM)
 
-    made = made_scan(dish, SIZE, grows, 9, noise=0.0, stray=0.0, marks=0.0, along_z=True)
-    _, found = fitted(made, dish)
+    made = make_scan(dish, SIZE, grows, 9, noise=0.0, stray=0.0, marks=0.0, along_z=True)
+    _, found = fit_scan(made, dish)
     wall = found.point[(found.normal[:, 2] < 0.9) & (found.point[:, 2] < -1.0 * MM)]
     above = found.along_z(wall)
     known = np.isfinite(above)
@@ -170,56 +171,68 @@ def test_what_is_too_shallow_is_told_where_the_tool_is(dish: Mesh) -> None:
     assert np.median(np.abs(above[known] - grows(wall[known]))) < 0.03 * MM
 
 
-def changed(made: MadeScan, points: FloatArray, scan: FloatArray | None = None) -> MadeScan:
-    return MadeScan(points, made.pose, made.sheet, made.scan if scan is None else scan)
+def replace_points(
+    sample: SyntheticScan, points: FloatArray, scan: FloatArray | None = None
+) -> SyntheticScan:
+    return SyntheticScan(points, sample.pose, sample.sheet, sample.scan if scan is None else scan)
 
 
 def test_scans_that_are_none_of_the_part_are_refused_by_what_they_are(dish: Mesh) -> None:
-    lean = trimesh.Trimesh(dish.vertices, dish.faces, process=False)
-    slab = Mesh(lean.vertices * [1.0, 1.0, -4.0], lean.faces[:, ::-1])
-    made = made_scan(dish, SIZE, springs, 5)
+    tilt = trimesh.Trimesh(dish.vertices, dish.faces, process=False)
+    slab = Mesh(tilt.vertices * [1.0, 1.0, -4.0], tilt.faces[:, ::-1])
+    made = make_scan(dish, SIZE, springs, 5)
     groove = pit(shapely.box(-0.03, -0.01, 0.03, 0.01).buffer(0.006), 45.0, DEEP)
-    alike = made_scan(groove, SIZE, springs, 5)
-    other = made_scan(slab, SIZE, lambda q: np.zeros(len(q)), 5)
+    alike = make_scan(groove, SIZE, springs, 5)
+    other = make_scan(slab, SIZE, lambda q: np.zeros(len(q)), 5)
     there = made.points @ made.pose[:3, :3].T + made.pose[:3, 3]
     flat_gone = np.abs(there[:, 2] - SIZE[2]) > 4.0 * MM
     flat_alone = np.hypot(there[:, 0], there[:, 1]) > np.hypot(*dish.vertices[:, :2].T).max() + 2.0 * MM
     corner = (there[:, 0] > 0.005) & (there[:, 1] > 0.005)
     for name, scan, code, words in (
-        ("other", other, "scan.other_part", "name the result folder of the part"),
-        ("inches", changed(made, made.points / 25.4, made.scan / 25.4), "scan.unit", "in 'in' it would be"),
-        ("metres", changed(made, made.points / 1e3, made.scan / 1e3), "scan.unit", "in 'm' it would be"),
-        ("marks in metres", changed(made, made.points, made.scan * 1000.0), "align.units", "in mm"),
+        ("other", other, "scan.other_part", "name the result folder of the scanned part"),
+        (
+            "inches",
+            replace_points(made, made.points / 25.4, made.scan / 25.4),
+            "scan.unit",
+            "in 'in' the sizes",
+        ),
+        ("metres", replace_points(made, made.points / 1e3, made.scan / 1e3), "scan.unit", "in 'm' the sizes"),
+        ("marks in metres", replace_points(made, made.points, made.scan * 1000.0), "align.units", "in mm"),
         (
             "mirrored",
-            changed(made, made.points * [-1, 1, 1], made.scan * [-1, 1, 1]),
+            replace_points(made, made.points * [-1, 1, 1], made.scan * [-1, 1, 1]),
             "scan.other_part",
             "mirrored along z",  # its marks are in a plane, and fit when it is turned over
         ),
         (
             "mirrored beside its marks",
-            changed(made, made.points * [-1, 1, 1]),
+            replace_points(made, made.points * [-1, 1, 1]),
             "scan.flat",
-            "with x of the scan turned round it would lie there",
+            "with the sign of x reversed in the scan it would fit",
         ),
         (
             "inside out",
-            changed(made, made.points, made.scan * [1, -1, 1]),
+            replace_points(made, made.points, made.scan * [1, -1, 1]),
             "scan.flat",
-            "the wrong sign of y",
+            "a wrong sign of y",
         ),
         (
             "a blank",
-            changed(made, made.points[flat_alone]),
+            replace_points(made, made.points[flat_alone]),
             "scan.other_part",
-            "shows the flat around it alone",
+            "shows only the flat around the part",
         ),
-        ("as deep", alike, "scan.other_part", "places of one wanted depth differ"),
-        ("no flat", changed(made, made.points[flat_gone]), "scan.flat", "scan the flat around the part"),
-        ("a part of it", changed(made, made.points[corner]), "scan.other_part", "scan the whole part"),
+        ("as deep", alike, "scan.other_part", "places of the same nominal depth differ"),
+        (
+            "no flat",
+            replace_points(made, made.points[flat_gone]),
+            "scan.flat",
+            "scan the flat around the part",
+        ),
+        ("a part of it", replace_points(made, made.points[corner]), "scan.other_part", "scan the whole part"),
     ):
         with pytest.raises(TandemError) as error:
-            fitted(scan, dish)
+            fit_scan(scan, dish)
         issue = error.value.issues[0]
         assert issue.code == code, (name, issue.message)
         assert words in f"{issue.message} {issue.hint}", (name, issue.message)
@@ -227,11 +240,11 @@ def test_scans_that_are_none_of_the_part_are_refused_by_what_they_are(dish: Mesh
 
 @pytest.mark.parametrize(("axis", "factor"), [("x", [-1.0, 1.0, 1.0]), ("z", [1.0, 1.0, -1.0])])
 def test_a_mirrored_scan_in_the_right_place_is_called_so(dish: Mesh, axis: str, factor: list[float]) -> None:
-    """Without marks, or by marks in a plane, which fit their mirror image: only what is formed tells."""
+    """Without marks, or with coplanar marks, which fit their mirror image: only the formed shape shows it."""
     groove = dish.vertices.copy()
     groove[:, 2] *= 1.0 + 0.9 * np.tanh(groove[:, 0] / 0.01)
     uneven = Mesh(groove, dish.faces)
-    made = made_scan(uneven, SIZE, lambda q: np.zeros(len(q)), 6, 40_000, turn=(0.0, 0.0, 0.0))
+    made = make_scan(uneven, SIZE, lambda q: np.zeros(len(q)), 6, 40_000, turn=(0.0, 0.0, 0.0))
     there = made.points + made.pose[:3, 3]
     scan = Cloud("scan.ply", "0" * 64, there * factor, 0)
     with pytest.raises(TandemError, match=f"mirrored along {axis} it would be") as error:
@@ -240,7 +253,7 @@ def test_a_mirrored_scan_in_the_right_place_is_called_so(dish: Mesh, axis: str, 
 
 
 def test_the_other_face_is_told_by_marks(dish: Mesh) -> None:
-    made = made_scan(dish, SIZE * [1, 1, 8], springs, 7)
+    made = make_scan(dish, SIZE * [1, 1, 8], springs, 7)
     known = ProbedPoints(("a", "b", "c", "d"), made.sheet, made.scan)
     with pytest.raises(TandemError) as error:
         deviation.of_part(Cloud("s", "", made.points, 0), part(dish), SIZE * [1, 1, 8], known, False)
@@ -264,9 +277,9 @@ def test_all_kinds_of_files_say_the_same(tmp_path: Path) -> None:
     (tmp_path / "i.xyz").write_bytes(f"# B\xfcro\n{plain}".encode("latin-1"))
     (tmp_path / "j.obj").write_bytes(f"# B\xfcro\n{rows}".encode("latin-1"))
     for path in sorted(tmp_path.iterdir()):
-        found = cloud.read(path, 0.001)
-        assert found.file == path.name
-        a, b = (one[np.lexsort(one.T)] for one in (found.points, 0.001 * points))
+        result = cloud.read(path, 0.001)
+        assert result.file == path.name
+        a, b = (item[np.lexsort(item.T)] for item in (result.points, 0.001 * points))
         np.testing.assert_allclose(a, b, atol=1e-9)
         again = 0.001 * read_points(path)  # as the proof reads it
         np.testing.assert_allclose(again[np.lexsort(again.T)], b, atol=1e-9)
@@ -289,10 +302,10 @@ def test_bad_files_are_refused_in_words(tmp_path: Path) -> None:
         ("cut.ply", "cannot be read"),
         ("words.xyz", "cannot be read"),
         ("other.xyz", "cannot be read"),
-        ("commas.txt", "its decimals have commas"),
+        ("commas.txt", "it has decimal commas"),
         ("none.ply", "got 0 points"),
         ("empty.obj", "no points"),
-        ("scan.e57", "read are .ply, .xyz"),
+        ("scan.e57", "allowed .ply, .xyz"),
         ("nan.ply", "got 0 points"),
         ("gone.ply", "no such file"),
     ):

@@ -1,6 +1,6 @@
-"""A package with a process of its own: a gauge goes round on a circle above the block.
+"""A package with its own process: a gauge moves on a circle above the block.
 
-It brings a kind of claim, the rule that proves it, issue codes, and parts of the report. Its pyproject.toml
+It adds a kind of claim, the rule that proves it, issue codes, and parts of the report. Its pyproject.toml
 would state ``ring = "tests.toys.gauge:PROCESS"`` under ``[project.entry-points."tandem.processes"]``.
 """
 

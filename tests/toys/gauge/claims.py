@@ -1,4 +1,4 @@
-"""What must hold of a gauge."""
+"""Claims of the gauge process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The circle as targets, and as what must hold."""
+"""Targets and claims of the circle."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class RingJob(Job[Ring]):
             issues=() if margin > AMPLE_MM else (note,),
         )
 
-    def stated(self) -> tuple[Claim, ...]:
+    def make_claims(self) -> tuple[Claim, ...]:
         """State that the tool passes twelve places of the circle in order, and how low it may be."""
         (arm,) = self.operation.arms
         places = self._around(np.arange(0.0, 361.0, 30.0) * DEG)

@@ -25,5 +25,5 @@ class Ring(Strict):
     feed_mm_s: Annotated[float, Field(gt=0)]
 
     def leaves(self, stock: Stock) -> Stock:
-        """Return the block as it was."""
+        """Return the block unchanged."""
         return stock

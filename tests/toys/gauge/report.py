@@ -1,4 +1,4 @@
-"""What gauges add to the report: a tile, a row of the setup sheet and a chart."""
+"""Contributions of the gauge to the report: a tile, a row of the setup sheet and a chart."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from planner.geometry.units import MM
 from planner.plans import OperationPlan, Plan
 from planner.problem import Setup
 from planner.proof.verdict import Proof
-from planner.report.charts import Level, Line
-from planner.report.contribution import ProcessMotion, ReportOfProcess, Row, TimeChart
+from planner.report.charts import ChartLine, LimitLine
 from planner.report.markup import Tile
+from planner.report.plugin_contributions import ProcessMotion, ReportOfProcess, SetupRow, TimeChart
 from tests.toys.gauge.claims import KeepsAbove
 
 
@@ -27,16 +27,16 @@ def _tiles(plan: Plan, proof: Proof | None) -> tuple[Tile, ...]:
     return () if found.worst is None else (Tile("gauge above the block", f"{found.worst:.1f}", found.unit),)
 
 
-def _setup_rows(setup: Setup, plan: Plan, operation: OperationPlan, proof: Proof | None) -> list[Row]:
+def _setup_rows(setup: Setup, plan: Plan, operation: OperationPlan, proof: Proof | None) -> list[SetupRow]:
     return [("gauge stays above the block by", f"{one.height / MM:.1f} mm") for one in _claims(operation)]
 
 
 def _motion(plan: Plan, series: Mapping[str, Any]) -> ProcessMotion:
     limits = tuple(
-        Level(one.height / MM, "allowed") for operation in plan.operations for one in _claims(operation)
+        LimitLine(one.height / MM, "allowed") for operation in plan.operations for one in _claims(operation)
     )
     lines = tuple(
-        Line("tip", series[name], series[name.replace("time", "height")] / MM)
+        ChartLine("tip", series[name], series[name.replace("time", "height")] / MM)
         for name in series
         if re.fullmatch(r"ring/\d+/time", name)
     )

@@ -14,13 +14,13 @@ to rest, straight in joint space and by a cubic in time, and arrives at the time
 
 from typing import Final
 
-from planner.issue_codes import Code
+from planner.issue_codes import IssueCode
 from planner.runtime.plugins import Language
 
 CODES: Final = {
-    "joint_table.job": Code("a job that joint tables cannot state"),
-    "joint_table.start": Code("a joint table does not begin at home"),
-    "joint_table.straight": Code("between two rows of a joint table the tool leaves the straight way"),
+    "joint_table.job": IssueCode("a job that joint tables cannot state"),
+    "joint_table.start": IssueCode("a joint table does not begin at home"),
+    "joint_table.straight": IssueCode("between two rows of a joint table the tool leaves the straight way"),
 }
 LANGUAGE: Final = Language(
     title="joint tables",

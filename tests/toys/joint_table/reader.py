@@ -17,12 +17,12 @@ from planner.programs.language import Arms, Files, Reader, ReadTasks
 from planner.programs.program_text import NO_TEXT, ProgramText
 from planner.programs.stages import TaskText
 
-Place = tuple[str, str, int, str]
+StepOrigin = tuple[str, str, int, str]
 Frames = tuple[steps.Tool, str, steps.WorkObject, str]
 NUMBER: Final = re.compile(r"-?\d{1,9}\.\d{1,12}", re.ASCII)
 NO_AXES: Final = np.zeros(6)
 NO_TURN: Final = np.array([1.0, 0.0, 0.0, 0.0])
-NO_LIMIT: Final = steps.Speed(np.inf, np.inf, np.inf, np.inf)
+NO_LIMIT: Final = steps.MoveSpeed(np.inf, np.inf, np.inf, np.inf)
 STOP: Final = steps.Zone(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -48,7 +48,7 @@ class JointTable(ProgramText):
 def _read(problem: Problem, arms: Arms, files: Files) -> ReadTasks:
     ((name, arm),) = arms.items()
     path, text = min(files.items())
-    file, line, done = path.rpartition("/")[2], 1, list[steps.Step]()
+    file, line, done = path.rpartition("/")[2], 1, list[steps.ProgramStep]()
     try:
         rows = [row.split(",") for row in text.splitlines()]
         digest, base, frames = _head(arm, rows if len(files) == 1 else [])
@@ -68,7 +68,7 @@ def _read(problem: Problem, arms: Arms, files: Files) -> ReadTasks:
         if not len(start):
             raise ValueError("no row of joints at the time 0")
     except ValueError as error:
-        fault = steps.Fault(line, 1, "joint_table.syntax", str(error), path)
+        fault = steps.TextFault(line, 1, "joint_table.syntax", str(error), path)
         return ReadTasks((TaskText(name, arm, NO_TEXT, (), files),), (fault,))
     table = JointTable(digest, base, start)
     return ReadTasks((TaskText(name, arm, table, tuple(done), files),))
@@ -81,17 +81,17 @@ def _head(arm: Arm, rows: list[list[str]]) -> tuple[str, FloatArray, Frames]:
     if names != [arm.name, arm.robot]:
         raise ValueError(f"the arm is {' '.join(names)}; wanted: {arm.name} {arm.robot}")
     mass, *centre = _numbers(numbers[7:], 4)
-    load = steps.Load(mass, np.array(centre) * MM, NO_TURN, np.zeros(3))
+    load = steps.LoadData(mass, np.array(centre) * MM, NO_TURN, np.zeros(3))
     frame = steps.WorkObject(False, True, "", np.eye(4), _pose(block))
     return digest, _pose(base), (steps.Tool(True, _pose(numbers[:7]), load), tool, frame, "block")
 
 
-def _move(place: Place, arm: Arm, q: FloatArray, time: float, frames: Frames) -> steps.MoveStep:
+def _move(origin: StepOrigin, arm: Arm, q: FloatArray, time: float, frames: Frames) -> steps.MoveStep:
     if not time > 0.0:
         raise ValueError("times do not ascend")
     way = steps.JointTarget(arm.data.to_controller(q), NO_AXES)
-    target = way if place[1] == "main" else steps.PassedTarget(q, np.zeros_like(q), NO_AXES)
-    return steps.MoveStep(*place, "row", target, "", None, time, None, NO_LIMIT, STOP, "a stop", *frames, ())
+    target = way if origin[1] == "main" else steps.PassedTarget(q, np.zeros_like(q), NO_AXES)
+    return steps.MoveStep(*origin, "row", target, "", None, time, None, NO_LIMIT, STOP, "a stop", *frames, ())
 
 
 def _numbers(cells: Sequence[str], count: int) -> list[float]:

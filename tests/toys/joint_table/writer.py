@@ -7,13 +7,13 @@ from typing import Final
 
 import numpy as np
 
-from planner.cell.kinematics import forward
+from planner.cell.kinematics import forward_kinematics
 from planner.claims import sentences
 from planner.geometry.arrays import FloatArray, to_quaternion
 from planner.geometry.units import MM
 from planner.issues import Issue
 from planner.languages.writing.language import Margins, Writer, WrittenPrograms
-from planner.languages.writing.layout import Job, Joints, Run, TaskProgram
+from planner.languages.writing.layout import JobPrograms, JointMove, SegmentRun, TaskProgram
 from planner.plans import Plan
 from planner.problem import Arm, Problem, Settings
 from planner.targets import Targets
@@ -22,24 +22,24 @@ PEAK: Final = 1.5  # highest speed of a cubic from rest to rest, of its mean
 
 
 def _write(
-    tasks: Sequence[TaskProgram], job: Job, plan: Plan, problem: Problem, margins: Margins
+    tasks: Sequence[TaskProgram], job: JobPrograms, plan: Plan, problem: Problem, margins: Margins
 ) -> WrittenPrograms:
     (task,) = tasks  # WRITER states no value of `sync`
     arm, clocks = task.arm, dict[int, FloatArray]()
     load = _numbers((arm.tool.mass, *(np.asarray(arm.tool.cog) / MM)))
     rows = [("digest", plan.digest), ("arm", arm.name, arm.robot), ("base", *_pose(task.base))]
-    rows += [("tool", arm.tool.name, *_pose(arm.tool.tcp), *load), ("block", *_pose(plan.places[0]))]
-    rows += [("ask", sentences.READY.filled()), _row("", 0.0, arm.home)]
+    rows += [("tool", arm.tool.name, *_pose(arm.tool.tcp), *load), ("block", *_pose(plan.stock_poses[0]))]
+    rows += [("ask", sentences.READY.format()), _row("", 0.0, arm.home)]
     time, here = 0.0, arm.home
     for index, operation in enumerate(task.operations):
         passed = list[float]()
         for step in operation.steps:
-            moves = [(step.q, 0.0)] if isinstance(step, Joints) else []
-            if isinstance(step, Run) and operation.track is not None:
+            moves = [(step.q, 0.0)] if isinstance(step, JointMove) else []
+            if isinstance(step, SegmentRun) and operation.moves is not None:
                 some = slice(step.first, step.last)
-                moves = list(zip(operation.track.q[some], operation.track.duration[some], strict=True))
+                moves = list(zip(operation.moves.q[some], operation.moves.duration[some], strict=True))
             for q, duration in moves:
-                segment = str(step.segment) if isinstance(step, Run) else ""
+                segment = str(step.segment) if isinstance(step, SegmentRun) else ""
                 passed = passed or ([time] if segment else [])
                 if segment or np.abs(q - here).max() > 1e-6:
                     time = round(time + max(PEAK * duration, _time(arm, here, q, problem.settings)) + 1e-5, 5)
@@ -54,7 +54,7 @@ def _write(
 def _time(arm: Arm, start: FloatArray, end: FloatArray, settings: Settings) -> float:
     """Time [s] in which a move from rest to rest keeps all limits of joints and of the tool."""
     change, data = np.abs(end - start), arm.data
-    place = (forward(data, np.linspace(start, end, 201)) @ arm.tool.tcp)[:, :3, 3]
+    place = (forward_kinematics(data, np.linspace(start, end, 201)) @ arm.tool.tcp)[:, :3, 3]
     fastest = 200.0 * np.linalg.norm(np.diff(place, axis=0), axis=1).max()
     return max(
         float((PEAK * change / (settings.speed_fraction * data.velocity)).max()),
@@ -75,11 +75,11 @@ def _numbers(values: Iterable[float]) -> Iterator[str]:
     return (f"{value:.8f}" for value in values)
 
 
-def _refuse(problem: Problem, made: Sequence[Targets], arms: Sequence[Arm]) -> Iterator[Issue]:
+def _refuse(problem: Problem, planned: Sequence[Targets], arms: Sequence[Arm]) -> Iterator[Issue]:
     lacking = {
-        "actions": any(targets.actions for targets in made),
+        "actions": any(targets.actions for targets in planned),
         "setups": len(problem.setups) > 1 or bool(problem.setups[0].steps),
-        "blocks that an arm holds": any(one.stock.held_by for one in problem.setups),
+        "blocks that an arm holds": any(setup.stock.held_by for setup in problem.setups),
         "turntables": problem.cell.turntable is not None,
     }
     for what in (word for word, found in lacking.items() if found):

@@ -1,1 +1,1 @@
-"""Reads KRL programs strictly: from text to the steps of a task."""
+"""Strict reader of KRL programs, from text to the steps of a task."""

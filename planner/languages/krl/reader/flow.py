@@ -1,12 +1,13 @@
-"""The straight way of one KRL program through its files: settings put into moves, names replaced by values.
+"""Main flow of one KRL program through its files: settings are attached to moves, names replaced by values.
 
-The subset has no conditions but the guarded wait, so there is one way. Settings are modal; what a program has
-not stated itself behind BAS(#INITMOV,0) is not known, and no move may depend on it.
+The subset has no conditions but the guarded wait, so the flow is unique. Settings are modal. A setting that
+a program has not stated after BAS(#INITMOV,0) is unknown, and no move may depend on it.
 """
 
 import itertools
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple, NoReturn
 
 import numpy as np
@@ -14,212 +15,268 @@ import numpy as np
 from planner.geometry.arrays import FloatArray
 from planner.languages.krl import sentences as krl_sentences
 from planner.languages.krl.reader import syntax_tree
-from planner.languages.krl.reader.panel import Panel, PanelError
+from planner.languages.krl.reader.panel import OperatorPanel, PanelError
 from planner.languages.krl.reader.values import NO_LOAD, held_load, quaternion
 from planner.programs import steps
-from planner.programs.signals import Signals
+from planner.programs.signals import NumberedSignals
 
-MAX_CALLS = 10
-"""Programs that call each other may be so deep."""
-MOST_STATEMENTS = 100_000
-"""Statements that may run more than once; programs call each other seldom."""
+MAX_CALL_DEPTH = 10
+"""Maximum call depth of programs."""
+MAX_STATEMENTS = 100_000
+"""Maximum number of statements that are executed repeatedly. Programs rarely call each other."""
 MAIN_PROCEDURE = "main"
-"""What the procedure of the main program is called in steps: its own name is the problem's."""
+"""Name of the main program's procedure in steps; its real name is that of the problem."""
 _BLOCK_LOAD = "l_block_"
-"""How the loads of a tool together with a block are called."""
+"""Prefix of the names of loads of a tool together with a block."""
 _EXACT_STOP = steps.Zone(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-"""At a point without an approximation: the arm stops there."""
+"""Zone of a point without approximation: the arm stops there."""
 _FLY_BY = steps.Zone(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-"""At a point of a spline block: the arm goes through it without a stop."""
-AXIS_LOOK = "$AXIS_ACT"
-"""Kind of the step that looks at an external axis: its values are column [from 0], home and most off it
-[mm or deg], its one switch is the text that is shown."""
+"""Zone of a point of a spline block: the arm passes through it without a stop."""
+AXIS_CHECK = "$AXIS_ACT"
+"""Kind of the step that checks an external axis.
+
+Its values are column (from 0), home, and tolerance [mm or deg]; its one switch is the text that is shown.
+"""
 _PRELUDE = (
     (False, "GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )"),
-    (True, "INTERRUPT ON 3 behind it"),
-    (syntax_tree.Start, "BAS(#INITMOV,0) behind it"),
+    (True, "INTERRUPT ON 3 after it"),
+    (syntax_tree.InitMotion, "BAS(#INITMOV,0) after it"),
 )
-"""What the main program begins with, and how faults name it."""
-_PRELUDE_REASON = "stop reactions and settings need"
-"""Why they are needed, for faults."""
+"""First statements of the main program, and their names in messages."""
+_PRELUDE_REASON = "stop reactions and settings require"
+"""Why they are required, for messages."""
 _UNBOUNDED = 1.0
-"""A length [m] that is no bound: for a corner that the angle alone decides."""
+"""A length [m] that is no bound, for a corner that only the angle determines."""
 
 
 class _Pose(NamedTuple):
-    """A target as the text has it, to know how far the next move goes: X, Y, Z [mm], unit quaternion."""
+    """A target as written, the start of the next move: X, Y, Z [mm], unit quaternion."""
 
     position: tuple[float, float, float]
     quaternion: tuple[float, float, float, float]
 
 
-class Runner:
-    """Runs the main program. `entered`: names of the programs that ran, in lower case."""
+@dataclass(frozen=True)
+class _KrlMotion:
+    """Motion that a statement commands.
+
+    Attributes:
+        target: The target.
+        speed: Speeds in force.
+        time: Time [s], None for a PTP.
+        target_name: Name of the target in the data list, "" for a target in place.
+        zone: Corner at the target.
+        zone_name: Word that selects the corner, "" for an exact stop.
+    """
+
+    target: steps.JointTarget | steps.StatusTarget | steps.RobTarget
+    speed: steps.MoveSpeed
+    time: float | None
+    target_name: str = ""
+    zone: steps.Zone = _EXACT_STOP
+    zone_name: str = ""
+
+
+class KrlRunner:
+    """Executes the main program symbolically and collects its steps.
+
+    Attributes:
+        programs: Programs by lower-case name.
+        data: The data list.
+        base: The robot's foot in the world, (4, 4) [m].
+        signals: Names of the numbered signals.
+        panel: State of the operator panel.
+        steps: Steps so far.
+        entered: Lower-case names of the programs that ran.
+        settings: Values of the settings in force.
+        tools: Tools by name.
+        work_objects: Work objects by name.
+        pose: Last pose, None if unknown.
+        outer: External axes at the last pose.
+        ptp_axis_values: Values of the axes under the arm at the last PTP.
+        move_axis_values: Values of the axes under the arm at the last straight move.
+        outputs_on: Numbers of the outputs that are on.
+        carried: Name of the load with a block, "" for none.
+        load_line: Line of the last $LOAD.
+        program: The current program.
+        procedure: Name of the current segment.
+        depth: Call depth.
+        started: Whether BAS(#INITMOV,0) has run.
+        budget: Remaining statement budget.
+    """
 
     def __init__(
         self,
-        programs: Mapping[str, syntax_tree.Program],
+        programs: Mapping[str, syntax_tree.KrlProgram],
         data: syntax_tree.DataList,
         base: FloatArray,
-        signals: Signals,
-        panel: Panel,
+        signals: NumberedSignals,
+        panel: OperatorPanel,
     ) -> None:
         self.programs, self.data, self.base, self.signals = programs, data, base, signals
         self.panel = panel
-        self.steps: list[steps.Step] = []
+        self.steps: list[steps.ProgramStep] = []
         self.entered: set[str] = set()
         self.settings: dict[str, float | str] = {}
         self.tools: dict[str, steps.Tool] = {}
-        self.works: dict[str, steps.WorkObject] = {}
-        self.here: _Pose | None = None
-        self.outer: syntax_tree.Outer = ()
-        self.stood: tuple[float, ...] | None = None
-        self.rode: tuple[float, ...] | None = None
-        self.on: set[int] = set()
+        self.work_objects: dict[str, steps.WorkObject] = {}
+        self.pose: _Pose | None = None
+        self.outer: syntax_tree.StatedAxisValues = ()
+        self.ptp_axis_values: tuple[float, ...] | None = None
+        self.move_axis_values: tuple[float, ...] | None = None
+        self.outputs_on: set[int] = set()
         self.carried = ""
         self.load_line = 0
-        self.program: syntax_tree.Program
+        self.program: syntax_tree.KrlProgram
         self.procedure = MAIN_PROCEDURE
         self.depth = 0
         self.started = False
-        self.work = MOST_STATEMENTS + sum(len(program.body) for program in programs.values())
+        self.budget = MAX_STATEMENTS + sum(len(program.body) for program in programs.values())
         self._open: list[str] = []
 
-    def run(self, main: syntax_tree.Program) -> tuple[steps.Step, ...]:
-        """Steps of the main program. Raises `FlowError`."""
+    def run(self, main: syntax_tree.KrlProgram) -> tuple[steps.ProgramStep, ...]:
+        """Return the steps of the main program.
+
+        Raises:
+            FlowError: A statement is out of place, or a value is not known.
+        """
         self.program = main
         self.entered.add(main.name.lower())
         self._open.append(main.name.lower())
-        head = [s for s in main.body if not isinstance(s, syntax_tree.Said)][:3]
-        for wanted, s in itertools.zip_longest(_PRELUDE, head):
-            part = s.on if isinstance(s, syntax_tree.StopInterrupt) else type(s)
-            if part != wanted[0]:
-                what = f"the main program does not begin with {wanted[1]}, as {_PRELUDE_REASON}"
-                self._fail(s.line if s else 1, what)
+        head = [
+            statement for statement in main.body if not isinstance(statement, syntax_tree.CommentStatement)
+        ][:3]
+        for expected, statement in itertools.zip_longest(_PRELUDE, head):
+            part = statement.on if isinstance(statement, syntax_tree.StopInterrupt) else type(statement)
+            if part != expected[0]:
+                what = f"the main program does not start with {expected[1]}, as {_PRELUDE_REASON}"
+                self._fail(statement.line if statement else 1, what)
         self._block(main.body)
         return tuple(self.steps)
 
     def _fail(self, line: int, message: str) -> NoReturn:
-        raise steps.FlowError([steps.Fault(line, 1, "krl.flow", message, self.program.file)])
+        raise steps.FlowError([steps.TextFault(line, 1, "krl.flow", message, self.program.file)])
 
-    def _misplaced(self, line: int, wrong: bool, message: str) -> None:
-        """Refuse what stands where the programs do not have it."""
+    def _refuse_position(self, line: int, wrong: bool, message: str) -> None:
+        """Refuse a statement where the programs do not allow it."""
         if wrong:
             self._fail(line, message)
 
-    def _block(self, body: Sequence[syntax_tree.Statement]) -> None:
+    def _block(self, body: Sequence[syntax_tree.KrlStatement]) -> None:
         for statement in body:
-            self.work -= 1
-            if self.work < 0:
+            self.budget -= 1
+            if self.budget < 0:
                 self._fail(statement.line, "the programs call each other too often to be read")
-            if isinstance(statement, syntax_tree.Straight):
-                self._straight(statement)
+            if isinstance(statement, syntax_tree.LinearStatement):
+                self._linear(statement)
                 continue
-            if isinstance(statement, syntax_tree.Spline):
+            if isinstance(statement, syntax_tree.SplineStatement):
                 self._spline(statement)
                 continue
-            if not isinstance(statement, syntax_tree.Set | syntax_tree.Said):
-                self._carry(statement.line)
-            self._hear(statement)
+            if not isinstance(statement, syntax_tree.SettingStatement | syntax_tree.CommentStatement):
+                self._emit_load_change(statement.line)
+            self._check_panel_state(statement)
             self._statement(statement)
         if not self.depth:
-            self._close(body[-1].line if body else 1)
+            self._check_panel_end(body[-1].line if body else 1)
 
-    def _hear(self, statement: syntax_tree.Statement) -> None:
+    def _check_panel_state(self, statement: syntax_tree.KrlStatement) -> None:
         try:
             self.panel.check(statement, self.depth)
-            self._say(statement)
+            self._emit_message(statement)
         except PanelError as wrong:
             self._fail(statement.line, str(wrong))
 
-    def _close(self, line: int) -> None:
-        """Refuse what the panel still waits for at the end of the main program."""
+    def _check_panel_end(self, line: int) -> None:
+        """Refuse statements that the panel still expects at the end of the main program."""
         try:
             self.panel.check(None, 0)
         except PanelError as wrong:
             self._fail(line, str(wrong))
 
-    def _say(self, statement: syntax_tree.Statement) -> None:
-        said = self.panel.take(statement, self.depth)
-        if self.on and self.panel.halts(statement):
-            self._fail(statement.line, f"the program may halt while $OUT[{min(self.on)}] is on")
-        if said is not None:
+    def _emit_message(self, statement: syntax_tree.KrlStatement) -> None:
+        message = self.panel.take(statement, self.depth)
+        if self.outputs_on and self.panel.may_stop(statement):
+            self._fail(statement.line, f"the program may halt while $OUT[{min(self.outputs_on)}] is on")
+        if message is not None:
             where = (self.program.file.rpartition("/")[2], self.procedure, statement.line, "")
-            lines = (said.text,)
+            lines = (message.text,)
             self.steps.append(
-                steps.MessageStep(*where, said.kind, lines, said.confirm, said.text, said.confirm, said.panel)
+                steps.MessageStep(
+                    *where, message.kind, lines, message.confirm, message.text, message.confirm, message.panel
+                )
             )
 
-    def _statement(self, statement: syntax_tree.Statement) -> None:
+    def _statement(self, statement: syntax_tree.KrlStatement) -> None:
         line = statement.line
         where = (self.program.file.rpartition("/")[2], self.procedure, line, "")
         match statement:
-            case syntax_tree.Start():
+            case syntax_tree.InitMotion():
                 if self.started or self.depth:
-                    self._fail(line, "BAS(#INITMOV,0) stands elsewhere than at the start of the main program")
+                    self._fail(line, "BAS(#INITMOV,0) is allowed only at the start of the main program")
                 self.started = True
                 self.steps.append(steps.SettingStep(*where, "BAS(#INITMOV,0)", (), ()))
-            case syntax_tree.Set(name=name, value=value):
-                self._set(line, name, value)
-            case syntax_tree.Said(kind="segment", text=text):
+            case syntax_tree.SettingStatement(name=name, value=value):
+                self._setting(line, name, value)
+            case syntax_tree.CommentStatement(kind="segment", text=text):
                 self.procedure = text
             case syntax_tree.StopInterrupt():
-                what = "the interrupt of stop messages stands elsewhere than at the start"
-                self._misplaced(line, bool(self.steps) or self.depth > 0, what)
-            case syntax_tree.Halt() if self.panel.dialect == "krc4":
+                what = "the interrupt of stop messages is allowed only at the start"
+                self._refuse_position(line, bool(self.steps) or self.depth > 0, what)
+            case syntax_tree.HaltStatement() if self.panel.dialect == "krc4":
                 self.steps.append(steps.SettingStep(*where, "HALT", (), (), stops=True))
-            case syntax_tree.Foot():
+            case syntax_tree.RobrootCheck():
                 self.steps.append(steps.SettingStep(*where, "$ROBROOT", (), ()))
-            case syntax_tree.AxisLook(column=column, home=home, most=most, text=text):
-                self.steps.append(steps.SettingStep(*where, AXIS_LOOK, (text,), (column, home, most)))
-            case syntax_tree.Output(number=number, value=on):
-                self.on = self.on | {number} if on else self.on - {number}
+            case syntax_tree.ExternalAxisCheck(column=column, home=home, tolerance=most, text=text):
+                self.steps.append(steps.SettingStep(*where, AXIS_CHECK, (text,), (column, home, most)))
+            case syntax_tree.OutputStatement(number=number, value=on):
+                self.outputs_on = self.outputs_on | {number} if on else self.outputs_on - {number}
                 name = self.signals.outputs.get(number, f"$OUT[{number}]")
                 self.steps.append(steps.SignalStep(*where, "$OUT", name, float(on), 0.0, True))
-            case syntax_tree.Listen(number=number, value=on, seconds=seconds):
+            case syntax_tree.InputPoll(number=number, value=on, seconds=seconds):
                 name = self.signals.inputs.get(number, f"$IN[{number}]")
                 self.steps.append(
-                    steps.WaitStep(*where, "WHILE", seconds, name, float(on), False, again=True)
+                    steps.WaitStep(*where, "WHILE", seconds, name, float(on), False, repeats=True)
                 )
-            case syntax_tree.Await():
-                self._await(statement, where)
-            case syntax_tree.Pause(seconds=seconds) if self._moving:
-                self._stand(line, seconds)
-            case syntax_tree.Pause(seconds=seconds):
+            case syntax_tree.InputWait():
+                self._input_wait(statement, where)
+            case syntax_tree.WaitSecStatement(seconds=seconds) if self._is_moving:
+                self._dwell(line, seconds)
+            case syntax_tree.WaitSecStatement(seconds=seconds):
                 self.steps.append(steps.WaitStep(*where, "WAIT SEC", seconds, "", None, True))
-            case syntax_tree.Joint(name=name):
-                self._joint(line, name)
-            case syntax_tree.Call(name=name):
+            case syntax_tree.PtpStatement(name=name):
+                self._ptp(line, name)
+            case syntax_tree.CallStatement(name=name):
                 self._call(line, name)
 
-    def _await(self, wait: syntax_tree.Await, where: tuple[str, str, int, str]) -> None:
-        """A wait for an input, behind which everything is off where it was in vain."""
+    def _input_wait(self, wait: syntax_tree.InputWait, where: tuple[str, str, int, str]) -> None:
+        """A wait for an input of the process; on a timeout everything is switched off."""
         line = wait.line
-        self._misplaced(
-            line, self.depth > 0, "a wait for the process stands elsewhere than in the main program"
+        self._refuse_position(
+            line, self.depth > 0, "a wait for the process is allowed only in the main program"
         )
-        if left := self.on - wait.off:
-            self._fail(line, f"the program may end while $OUT[{min(left)}] is on")
+        if still_on := self.outputs_on - wait.outputs_off:
+            self._fail(line, f"the program may end while $OUT[{min(still_on)}] is on")
         name = self.signals.inputs.get(wait.number, f"$IN[{wait.number}]")
-        wanted = krl_sentences.NO_INPUT.filled(signal=name, seconds=wait.seconds)
-        wanted = wanted if self.panel.dialect == "krc4" else ""
-        if steps.letters(wait.text) != steps.letters(wanted):
-            self._fail(line, f"a wait that was in vain shows {wait.text!r}; wanted: {wanted!r}")
-        if wanted and not self.panel.prepared:
-            self._fail(line, "a message, and tm_opt is not set before")
+        expected = krl_sentences.INPUT_TIMEOUT.format(signal=name, seconds=wait.seconds)
+        expected = expected if self.panel.dialect == "krc4" else ""
+        if steps.normalised_text(wait.text) != steps.normalised_text(expected):
+            self._fail(line, f"a wait that times out shows {wait.text!r}; expected {expected!r}")
+        if expected and not self.panel.prepared:
+            self._fail(line, "tm_opt is not set before this message")
         self.steps.append(steps.WaitStep(*where, "WHILE", wait.seconds, name, float(wait.value), False))
 
     @property
-    def _moving(self) -> bool:
-        """Whether a file with moves is being read, in which a wait stands for a move."""
+    def _is_moving(self) -> bool:
+        """Whether the current program contains moves; a wait in it stands for a move."""
         return self.depth > 0 and self.program.moves > 0
 
     def _call(self, line: int, name: str) -> None:
         program = self.programs.get(name)
-        if program is None or self.depth >= MAX_CALLS or name in self._open:
-            what = "is none of the programs" if program is None else "calls itself"
+        if program is None or self.depth >= MAX_CALL_DEPTH or name in self._open:
+            what = "is not one of the programs" if program is None else "calls itself"
             self._fail(line, f"{name}() {what}")
-        here = self.program, self.procedure
+        caller = self.program, self.procedure
         self.entered.add(name)
         self._open.append(name)
         self.program, self.depth = program, self.depth + 1
@@ -228,14 +285,14 @@ class Runner:
                 self.settings.pop(setting, None)
         self._block(program.body)
         self._open.pop()
-        (self.program, self.procedure), self.depth = here, self.depth - 1
+        (self.program, self.procedure), self.depth = caller, self.depth - 1
 
     # ---- settings ----
 
-    def _set(self, line: int, name: str, value: float | str) -> None:
+    def _setting(self, line: int, name: str, value: float | str) -> None:
         where = "a file with moves" if name in syntax_tree.MOTION_SETTINGS else "the main program"
         wrong = (name in syntax_tree.MOTION_SETTINGS) != (self.depth > 0)
-        self._misplaced(line, wrong, f"{name.upper()} is set elsewhere than in {where}")
+        self._refuse_position(line, wrong, f"{name.upper()} may be set only in {where}")
         if name in syntax_tree.CHOICE_SETTINGS:
             where_ = (self.program.file.rpartition("/")[2], self.procedure, line, "")
             self.steps.append(steps.SettingStep(*where_, name.upper(), (), ()))
@@ -247,195 +304,220 @@ class Runner:
             if name == "$load":
                 self.load_line = line
             else:
-                self.here = None
+                self.pose = None
         self.settings[name] = value
 
-    def _needed(self, line: int, names: Sequence[str]) -> None:
+    def _require_settings(self, line: int, names: Sequence[str]) -> None:
         missing = [name for name in names if name not in self.settings]
         if missing:
             self._fail(line, f"{missing[0].upper()} is not set before this move; set it")
 
     def _tool(self, line: int) -> tuple[steps.Tool, str]:
-        self._needed(line, ("$tool", "$load", *syntax_tree.CHOICE_SETTINGS))
+        self._require_settings(line, ("$tool", "$load", *syntax_tree.CHOICE_SETTINGS))
         name = str(self.settings["$tool"])
         if name not in self.tools:
-            own = self.data.items.get(_own_load(name))
-            if own is None or own.kind != "load":
-                self._fail(line, f"the data list has no LOAD {_own_load(name)} for {name}")
-            self.tools[name] = steps.Tool(True, self.data.items[name].value, own.value)
+            load = self.data.items.get(_tool_load(name))
+            if load is None or load.kind != "load":
+                self._fail(line, f"the data list has no LOAD {_tool_load(name)} for {name}")
+            self.tools[name] = steps.Tool(True, self.data.items[name].value, load.value)
         return self.tools[name], self.data.items[name].name
 
-    def _work(self, line: int) -> tuple[steps.WorkObject, str]:
-        self._needed(line, ("$base",))
+    def _work_object(self, line: int) -> tuple[steps.WorkObject, str]:
+        self._require_settings(line, ("$base",))
         name = str(self.settings["$base"])
-        if name not in self.works:
-            self.works[name] = steps.WorkObject(False, True, "", self.base, self.data.items[name].value)
-        return self.works[name], self.data.items[name].name
+        if name not in self.work_objects:
+            self.work_objects[name] = steps.WorkObject(
+                False, True, "", self.base, self.data.items[name].value
+            )
+        return self.work_objects[name], self.data.items[name].name
 
-    def _carry(self, line: int) -> None:
-        """A step where the load is another one than before: the tool's own, or one of the tool with what it
-        holds."""
+    def _emit_load_change(self, line: int) -> None:
+        """Append a step if the load changes: to the tool's own load, or to one of the tool with a block."""
         if "$tool" not in self.settings or "$load" not in self.settings:
             return
         tool, load = str(self.settings["$tool"]), str(self.settings["$load"])
-        carried = "" if load == _own_load(tool) else load
+        carried = "" if load == _tool_load(tool) else load
         if carried == self.carried:
             return
         if carried and not carried.startswith(_BLOCK_LOAD):
-            self._fail(self.load_line, f"{load} is neither the load of {tool} nor one of it with a block")
-        mine, _ = self._tool(line)
-        whole: steps.Load = self.data.items[load].value
-        found = held_load(whole, mine.load, mine.pose) if carried else NO_LOAD
+            self._fail(self.load_line, f"{load} is neither the load of {tool} nor a load of it with a block")
+        tool_value, _ = self._tool(line)
+        whole: steps.LoadData = self.data.items[load].value
+        held = held_load(whole, tool_value.load, tool_value.pose) if carried else NO_LOAD
         where = (self.program.file.rpartition("/")[2], self.procedure, self.load_line, "")
-        self.steps.append(steps.CarryStep(*where, found, load))
+        self.steps.append(steps.CarryStep(*where, held, load))
         self.carried = carried
 
     # ---- moves ----
 
-    def _joint(self, line: int, name: str) -> None:
-        self._misplaced(line, self.depth > 0, "PTP stands elsewhere than in the main program")
-        what = "an arm moves before the program has looked at $ROBROOT"
-        self._misplaced(line, not self.panel.looked, what)
+    def _ptp(self, line: int, name: str) -> None:
+        self._refuse_position(line, self.depth > 0, "PTP is allowed only in the main program")
+        what = "the arm moves before the program has checked $ROBROOT"
+        self._refuse_position(line, not self.panel.robroot_checked, what)
         item = self.data.items.get(name)
         if item is None or item.kind not in ("e6axis", "e6pos"):
             self._fail(line, f"{name} is no E6AXIS or E6POS of the data list")
-        self._needed(line, syntax_tree.AXIS_SPEEDS)
-        share = tuple(float(self.settings[axis]) / 100.0 for axis in syntax_tree.AXIS_SPEEDS)
-        speed = steps.Speed(math.inf, math.inf, 0.0, 0.0, share, self._outer_shares())
+        self._require_settings(line, syntax_tree.AXIS_SPEEDS)
+        fractions = tuple(float(self.settings[axis]) / 100.0 for axis in syntax_tree.AXIS_SPEEDS)
+        speed = steps.MoveSpeed(math.inf, math.inf, 0.0, 0.0, fractions, self._external_speed_fractions())
         target: steps.JointTarget | steps.StatusTarget = item.value
-        self._move(line, "PTP", target, item.name, None, speed, _EXACT_STOP, "")
-        if self.panel.along and self._under(target) not in (self.stood, self.rode):
-            self.panel.looked = False  # where the axes stand now is not known before the next look
-        self.stood, self.rode = self._under(target), None
-        self.here, self.outer = None, ()
+        self._move(line, "PTP", _KrlMotion(target, speed, None, target_name=item.name))
+        if self.panel.axis_directions and self._arm_axis_values(target) not in (
+            self.ptp_axis_values,
+            self.move_axis_values,
+        ):
+            self.panel.robroot_checked = False  # the position of the axes is unknown until the next check
+        self.ptp_axis_values, self.move_axis_values = self._arm_axis_values(target), None
+        self.pose, self.outer = None, ()
         if isinstance(target, steps.StatusTarget):
             x, y, z = (1e3 * target.position).tolist()
             w, i, j, k = target.quaternion.tolist()
-            self.here = _Pose((x, y, z), (w, i, j, k))
+            self.pose = _Pose((x, y, z), (w, i, j, k))
             self.outer = tuple(enumerate(target.external.tolist()))
 
-    def _under(self, target: steps.RobTarget | steps.JointTarget | steps.StatusTarget) -> tuple[float, ...]:
-        """Values of the external axes that take the arm, as a target has them."""
-        return tuple(float(target.external[column]) for column in self.panel.along)
+    def _arm_axis_values(
+        self, target: steps.RobTarget | steps.JointTarget | steps.StatusTarget
+    ) -> tuple[float, ...]:
+        """Values of the external axes that move the arm, as a target states them."""
+        return tuple(float(target.external[column]) for column in self.panel.axis_directions)
 
-    def _straight(self, move: syntax_tree.Straight) -> None:
+    def _linear(self, move: syntax_tree.LinearStatement) -> None:
         line = move.line
-        here = self._begins(line, move.word)
-        self._needed(line, tuple(syntax_tree.MOTION_SETTINGS))
-        speed, way, turn, there = self._paced(line, here, move.place)
-        target = _target(there, move.outer)
+        start = self._start_pose(line, move.word)
+        self._require_settings(line, tuple(syntax_tree.MOTION_SETTINGS))
+        speed, distance, turn, end = self._speed_and_distance(line, start, move.target)
+        target = _target(end, move.outer)
         zone, name = self._zone(move.corner)
-        time = max(way / speed.tcp, turn / speed.turn)
-        self._move(line, move.word, target, "", time, speed, zone, name)
-        self.here, self.outer, self.rode = there, move.outer, self._under(target)
+        time = max(distance / speed.tcp, turn / speed.turn)
+        self._move(line, move.word, _KrlMotion(target, speed, time, zone=zone, zone_name=name))
+        self.pose, self.outer, self.move_axis_values = end, move.outer, self._arm_axis_values(target)
 
-    def _spline(self, block: syntax_tree.Spline) -> None:
-        """The points of a spline block as moves: each takes its share of the block's time, and only the last
-        one ends in a stop."""
-        self._begins(block.line, "SPLINE")
-        self._needed(block.line, tuple(syntax_tree.MOTION_SETTINGS))
+    def _spline(self, block: syntax_tree.SplineStatement) -> None:
+        """Append the points of a spline block as moves.
+
+        Each takes its fraction of the block's time, and only the last one ends in a stop.
+        """
+        self._start_pose(block.line, "SPLINE")
+        self._require_settings(block.line, tuple(syntax_tree.MOTION_SETTINGS))
         last = next((step for step in reversed(self.steps) if isinstance(step, steps.MoveStep)), None)
         if last is None or not last.zone.fine:
-            self._fail(block.line, "SPLINE does not begin at an exact stop; the move before it must be one")
-        left = block.moves
+            self._fail(
+                block.line, "SPLINE does not start at an exact stop; the previous move must end in one"
+            )
+        remaining = block.moves
         for item in block.points:
-            if isinstance(item, syntax_tree.Said):
+            if isinstance(item, syntax_tree.CommentStatement):
                 self._statement(item)
-            elif isinstance(item, syntax_tree.Point) and self.here is not None:
-                left -= 1
-                speed, _, _, there = self._paced(item.line, self.here, item.place)
-                target = _target(there, item.outer)
-                zone, name = (_FLY_BY, syntax_tree.SPLINE_MOVE) if left else (_EXACT_STOP, "")
+            elif isinstance(item, syntax_tree.SplinePoint) and self.pose is not None:
+                remaining -= 1
+                speed, _, _, end = self._speed_and_distance(item.line, self.pose, item.target)
+                target = _target(end, item.outer)
+                zone, name = (_FLY_BY, syntax_tree.SPLINE_MOVE) if remaining else (_EXACT_STOP, "")
                 seconds = item.part * block.seconds
-                self._move(item.line, syntax_tree.SPLINE_MOVE, target, "", seconds, speed, zone, name)
-                self.here, self.outer = there, item.outer
+                motion = _KrlMotion(target, speed, seconds, zone=zone, zone_name=name)
+                self._move(item.line, syntax_tree.SPLINE_MOVE, motion)
+                self.pose, self.outer = end, item.outer
 
-    def _begins(self, line: int, word: str) -> _Pose:
-        """The pose at which a straight move, or a spline block, begins."""
-        self._carry(line)
-        what = f"{word} stands in the main program; moves have files of their own"
-        self._misplaced(line, not self.depth, what)
-        if self.here is None:
-            self._fail(line, f"{word} begins at no pose of this $BASE and $TOOL; PTP to an E6POS first")
-        return self.here
+    def _start_pose(self, line: int, word: str) -> _Pose:
+        """Pose at which a straight move or a spline block starts."""
+        self._emit_load_change(line)
+        what = f"{word} is in the main program; moves belong in separate files"
+        self._refuse_position(line, not self.depth, what)
+        if self.pose is None:
+            self._fail(
+                line, f"the start pose of {word} in this $BASE and $TOOL is unknown; add a PTP to an E6POS"
+            )
+        return self.pose
 
-    def _paced(
-        self, line: int, here: _Pose, place: tuple[float, float, float, float, float, float]
-    ) -> tuple[steps.Speed, float, float, _Pose]:
-        """The speeds in force, way [m] and turn [rad] to a place, and that."""
+    def _speed_and_distance(
+        self, line: int, start: _Pose, target: tuple[float, float, float, float, float, float]
+    ) -> tuple[steps.MoveSpeed, float, float, _Pose]:
+        """Speeds in force, distance [m] and rotation [rad] to a target, and the target."""
         velocity, turning = float(self.settings["$vel.cp"]), float(self.settings["$vel.ori1"])
         if self.settings["$vel.ori2"] != turning:
             self._fail(line, "$VEL.ORI1 and $VEL.ORI2 differ; set both to one value")
-        x, y, z, a, b, c = place
-        there = _Pose((x, y, z), quaternion(a, b, c))
-        way, turn = _apart(here, there)
+        x, y, z, a, b, c = target
+        end = _Pose((x, y, z), quaternion(a, b, c))
+        distance, turn = _distance_and_angle(start, end)
         rate = math.sqrt(2.0) * math.radians(turning)
-        return steps.Speed(velocity, rate, 0.0, 0.0, outer=self._outer_shares()), way, turn, there
+        return (
+            steps.MoveSpeed(velocity, rate, 0.0, 0.0, external=self._external_speed_fractions()),
+            distance,
+            turn,
+            end,
+        )
 
-    def _outer_shares(self) -> tuple[float, ...]:
-        """The shares (6,) of their own speeds that external axes may take."""
-        return tuple(float(self.settings.get(axis, 0.0)) / 100.0 for axis in syntax_tree.OUTER_SPEEDS)
+    def _external_speed_fractions(self) -> tuple[float, ...]:
+        """Fractions (6,) of their own speeds that external axes may use."""
+        return tuple(float(self.settings.get(axis, 0.0)) / 100.0 for axis in syntax_tree.EXTERNAL_AXIS_SPEEDS)
 
-    def _stand(self, line: int, seconds: float) -> None:
-        """A wait in a file with moves: the arm's part of a move in which it stands still."""
-        if self.here is None:
-            self._fail(line, "WAIT SEC stands for a move, but the arm is at no pose of this $BASE and $TOOL")
-        target = _target(self.here, self.outer)
-        speed = steps.Speed(1.0, 1.0, 0.0, 0.0)
-        self._move(line, "WAIT SEC", target, "", seconds, speed, _EXACT_STOP, "")
+    def _dwell(self, line: int, seconds: float) -> None:
+        """A wait in a file with moves: this arm's part of a move in which it stands still."""
+        if self.pose is None:
+            self._fail(
+                line, "WAIT SEC stands for a move, but the arm's pose in this $BASE and $TOOL is unknown"
+            )
+        target = _target(self.pose, self.outer)
+        speed = steps.MoveSpeed(1.0, 1.0, 0.0, 0.0)
+        self._move(line, "WAIT SEC", _KrlMotion(target, speed, seconds))
 
-    def _move(
-        self,
-        line: int,
-        word: str,
-        target: steps.JointTarget | steps.StatusTarget | steps.RobTarget,
-        name: str,
-        time: float | None,
-        speed: steps.Speed,
-        zone: steps.Zone,
-        corner: str,
-    ) -> None:
+    def _move(self, line: int, word: str, motion: _KrlMotion) -> None:
         tool, tool_name = self._tool(line)
-        work, work_name = self._work(line)
+        work, work_name = self._work_object(line)
         where = (self.program.file.rpartition("/")[2], self.procedure, line, "")
-        stop = corner or "an exact stop"
         self.steps.append(
             steps.MoveStep(
-                *(*where, word, target, name, None, time, None, speed, zone, stop),
-                *(tool, tool_name, work, work_name, ()),
+                *where,
+                kind=word,
+                target=motion.target,
+                target_name=motion.target_name,
+                id=None,
+                time=motion.time,
+                velocity=None,
+                speed=motion.speed,
+                zone=motion.zone,
+                zone_name=motion.zone_name or "an exact stop",
+                tool=tool,
+                tool_name=tool_name,
+                wobj=work,
+                wobj_name=work_name,
+                switches=(),
             )
         )
 
     def _zone(self, corner: str) -> tuple[steps.Zone, str]:
         if not corner:
             return _EXACT_STOP, ""
-        way, angle = 1e-3 * float(self.settings["$apo.cdis"]), math.radians(float(self.settings["$apo.cori"]))
+        distance, angle = (
+            1e-3 * float(self.settings["$apo.cdis"]),
+            math.radians(float(self.settings["$apo.cori"])),
+        )
         if corner == "C_DIS":
             angle = math.pi
         if corner == "C_ORI":
-            way = _UNBOUNDED
-        # external axes leave their ways with the tool, where that does
-        return steps.Zone(False, way, 0.0, 0.0, angle, way, 0.0), corner
+            distance = _UNBOUNDED
+        # external axes leave their paths where the tool does
+        return steps.Zone(False, distance, 0.0, 0.0, angle, distance, 0.0), corner
 
 
-def _target(place: _Pose, outer: syntax_tree.Outer) -> steps.RobTarget:
-    """A pose that the arm goes straight to, with the external axes that the text states there."""
+def _target(pose: _Pose, outer: syntax_tree.StatedAxisValues) -> steps.RobTarget:
+    """Target pose of a straight move, with the external axes that the text states there."""
     axes = np.full(6, steps.UNUSED_AXIS)
     for column, value in outer:
         axes[column] = value
-    return steps.RobTarget(1e-3 * np.array(place.position), np.array(place.quaternion), None, axes)
+    return steps.RobTarget(1e-3 * np.array(pose.position), np.array(pose.quaternion), None, axes)
 
 
-def _own_load(tool: str) -> str:
-    """The name of a tool's own load: l_x of t_x."""
+def _tool_load(tool: str) -> str:
+    """Name of a tool's own load: l_x for t_x."""
     return "l_" + tool.removeprefix("t_")
 
 
-def _apart(a: _Pose, b: _Pose) -> tuple[float, float]:
-    """Way [m] and angle [rad] from one pose to another."""
-    way = math.dist(a.position, b.position)
+def _distance_and_angle(a: _Pose, b: _Pose) -> tuple[float, float]:
+    """Distance [m] and angle [rad] between two poses."""
+    distance = math.dist(a.position, b.position)
     (w, x, y, z), (s, i, j, k) = a.quaternion, b.quaternion
-    # the vector part of the turn between them: its length is the sine of half the angle, exact for small ones
+    # vector part of the relative rotation: its length is sin(angle / 2), exact for small angles
     u = (w * i - x * s - y * k + z * j, w * j + x * k - y * s - z * i, w * k - x * j + y * i - z * s)
     cosine = w * s + x * i + y * j + z * k
-    return 1e-3 * way, 2.0 * math.atan2(math.hypot(*u), abs(cosine))
+    return 1e-3 * distance, 2.0 * math.atan2(math.hypot(*u), abs(cosine))

@@ -1,4 +1,4 @@
-"""Programs of any origin, read as far as possible."""
+"""Reads programs of any origin as far as possible."""
 
 import re
 from collections.abc import Sequence
@@ -6,15 +6,22 @@ from contextlib import suppress
 from typing import Final
 
 from planner.languages.krl.reader import reader
-from planner.languages.krl.reader.flow import Runner
-from planner.languages.krl.reader.panel import Panel
-from planner.languages.krl.reader.syntax_tree import Listen, Output, Program, Said, Start, Statement
+from planner.languages.krl.reader.flow import KrlRunner
+from planner.languages.krl.reader.panel import OperatorPanel
+from planner.languages.krl.reader.syntax_tree import (
+    CommentStatement,
+    InitMotion,
+    InputPoll,
+    KrlProgram,
+    KrlStatement,
+    OutputStatement,
+)
 from planner.languages.krl.reader.values import NO_LOAD
 from planner.problem import Arm, Problem
-from planner.programs.language import Files, Gap, PartlyRead, Way
-from planner.programs.signals import krl_signals
-from planner.programs.steps import Fault, FlowError, MoveStep, Tool
-from planner.programs.text import strange
+from planner.programs.language import Files, Gap, PartialPath, PartlyRead
+from planner.programs.signals import controller_signals
+from planner.programs.steps import FlowError, MoveStep, TextFault, Tool
+from planner.programs.text import unexpected_characters
 
 MOVE_PATTERN: Final = re.compile(
     r"^[ \t]*((?:(?:S?PTP|S?LIN|S?CIRC)(?:_REL)?|SPL|ASYPTP))\b(?!\s*=)", re.IGNORECASE | re.MULTILINE
@@ -27,36 +34,42 @@ def read_partly(problem: Problem, arm: Arm, files: Files) -> PartlyRead:
 
     Args:
         problem: The problem.
-        arm: The arm of the programs.
+        arm: Arm of the programs.
         files: Texts of the programs and data lists by path.
+
+    Returns:
+        The programs, their moves with gaps, and the faults.
     """
     controller = problem.cell.controller
     text = reader.read(files, controller.max_bytes, controller.dialect)
-    faults = [*text.faults, *(fault for file, own in files.items() for fault in strange(file, own))]
-    way: Way = ()
+    faults = [
+        *text.faults,
+        *(fault for file, content in files.items() for fault in unexpected_characters(file, content)),
+    ]
+    path: PartialPath = ()
     if text.main is not None and text.data is not None:
         base = arm.base if text.base is None else text.base
-        panel = Panel(text.dialect, arm.name, ())
-        runner = _PartialRunner(text.programs, text.data, base, krl_signals(problem, arm), panel)
-        runner.begin(faults)
-        runner.go(text.main)
-        faults += runner.lost
-        way = tuple(runner.way)
-    return PartlyRead(text, way, tuple(faults))
+        panel = OperatorPanel(text.dialect, arm.name, ())
+        runner = _PartialKrlRunner(text.programs, text.data, base, controller_signals(problem, arm), panel)
+        runner.set_up(faults)
+        runner.run_main(text.main)
+        faults += runner.flow_faults
+        path = tuple(runner.path)
+    return PartlyRead(text, path, tuple(faults))
 
 
-class _PartialRunner(Runner):
-    """Runs what is read; notes the rest."""
+class _PartialKrlRunner(KrlRunner):
+    """Executes the statements that could be read, and records gaps for the others."""
 
-    def begin(self, faults: Sequence[Fault]) -> None:
-        """Before :meth:`go`."""
-        self.lost: list[Fault] = []
-        self.way: list[MoveStep | Gap] = []
-        self.bad = {(fault.file, fault.line) for fault in faults}
-        self.taken = 0
+    def set_up(self, faults: Sequence[TextFault]) -> None:
+        """Set up the state; call before :meth:`run_main`."""
+        self.flow_faults: list[TextFault] = []
+        self.path: list[MoveStep | Gap] = []
+        self.faulty_lines = {(fault.file, fault.line) for fault in faults}
+        self.flushed = 0
 
-    def go(self, main: Program) -> None:
-        """All of the main program."""
+    def run_main(self, main: KrlProgram) -> None:
+        """Execute the main program."""
         self.program = main
         self.entered.add(main.name.lower())
         self._open.append(main.name.lower())
@@ -65,51 +78,51 @@ class _PartialRunner(Runner):
         self._flush()
 
     def _flush(self) -> None:
-        self.way += [step for step in self.steps[self.taken :] if isinstance(step, MoveStep)]
-        self.taken = len(self.steps)
+        self.path += [step for step in self.steps[self.flushed :] if isinstance(step, MoveStep)]
+        self.flushed = len(self.steps)
 
-    def _block(self, body: Sequence[Statement]) -> None:
+    def _block(self, body: Sequence[KrlStatement]) -> None:
         last = 0
         for statement in body:
-            if isinstance(statement, Said | Output | Listen | Start):
-                if isinstance(statement, Said) and statement.kind == "segment":
+            if isinstance(statement, CommentStatement | OutputStatement | InputPoll | InitMotion):
+                if isinstance(statement, CommentStatement) and statement.kind == "segment":
                     self.procedure = statement.text
                 continue
             lines = range(last, statement.line + 1)
-            if any((self.program.file, line) in self.bad for line in lines):
+            if any((self.program.file, line) in self.faulty_lines for line in lines):
                 self._flush()
-                self.way.append(Gap())
-                self.here = None
+                self.path.append(Gap())
+                self.pose = None
             last = statement.line + 1
-            if (self.program.file, statement.line) in self.bad:
+            if (self.program.file, statement.line) in self.faulty_lines:
                 continue
-            here, depth, opened = self.program, self.depth, list(self._open)
+            program, depth, opened = self.program, self.depth, list(self._open)
             try:
                 super()._block([statement])
             except FlowError as wrong:
-                self.lost += wrong.faults
-                self.program, self.depth, self._open = here, depth, opened
+                self.flow_faults += wrong.faults
+                self.program, self.depth, self._open = program, depth, opened
                 self._flush()
-                self.way.append(Gap())
-                self.here = None
-                if self.work < 0:
+                self.path.append(Gap())
+                self.pose = None
+                if self.budget < 0:
                     raise
 
-    def _misplaced(self, line: int, wrong: bool, message: str) -> None:
-        """Others put moves and settings where they like."""
+    def _refuse_position(self, line: int, wrong: bool, message: str) -> None:
+        """Accept every position: programs of other origin put moves and settings anywhere."""
 
     def _tool(self, line: int) -> tuple[Tool, str]:
-        self._needed(line, ("$tool",))
+        self._require_settings(line, ("$tool",))
         item = self.data.items.get(str(self.settings["$tool"]))
         if item is None or item.kind != "frame":
             self._fail(line, "the tool of this move is not read")
         return Tool(True, item.value, NO_LOAD), item.name
 
-    def _hear(self, statement: Statement) -> None:
-        """What is shown and asked is left to its owner, too."""
+    def _check_panel_state(self, statement: KrlStatement) -> None:
+        """Ignore the panel, which is up to the program's owner."""
 
-    def _close(self, line: int) -> None:
-        """So is how the program ends."""
+    def _check_panel_end(self, line: int) -> None:
+        """Ignore how the program ends."""
 
-    def _carry(self, line: int) -> None:
-        """Loads are left to their owner."""
+    def _emit_load_change(self, line: int) -> None:
+        """Ignore loads."""

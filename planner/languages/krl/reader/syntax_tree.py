@@ -1,51 +1,57 @@
-"""KRL files as read: statements and declarations, each with its line, and the words of the language.
+"""Statements and declarations of KRL files as read, each with its line, and the words of the language.
 
-Words are names that nothing may take, settings that a program may make, and their ranges. System
-variables and their units (m/s, deg/s, mm, deg, percent): KUKA's expert manual as cited in public
-posts and grammars; docs/krl.md says which of them were seen where.
+The words are reserved names, and settings that a program may make, with their ranges. System variables and
+their units (m/s, deg/s, mm, deg, percent): KUKA's expert manual as cited in public posts and grammars.
+docs/krl.md says which of them were seen where.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal, NamedTuple
 
-Outer = tuple[tuple[int, float], ...]
-"""External axes of a target in place: their columns [from 0], E1 to E6, with values [mm or deg] in single
-precision; those that are not stated are left out."""
+StatedAxisValues = tuple[tuple[int, float], ...]
+"""External axes of a target in place: columns from 0 (E1 to E6) with values [mm or deg].
+
+Values are in single precision; axes that are not stated are left out.
+"""
 
 
 @dataclass(frozen=True, slots=True)
-class Statement:
-    """`line` counts from 1 in its file."""
+class KrlStatement:
+    """A statement; `line` counts from 1 in its file."""
 
     line: int
 
 
 @dataclass(frozen=True, slots=True)
-class Start(Statement):
-    """BAS(#INITMOV,0): all settings as the controller has them."""
+class InitMotion(KrlStatement):
+    """BAS(#INITMOV,0): resets all settings to the controller's values."""
 
 
 @dataclass(frozen=True, slots=True)
-class Set(Statement):
-    """A setting, its name in lower case; `value` is a number, or a name or #word in lower case."""
+class SettingStatement(KrlStatement):
+    """A setting.
+
+    Attributes:
+        name: Lower-case name.
+        value: A number, or a name or #word in lower case.
+    """
 
     name: str
     value: float | str
 
 
 @dataclass(frozen=True, slots=True)
-class Output(Statement):
-    """$OUT[`number`] is switched."""
+class OutputStatement(KrlStatement):
+    """Switches $OUT[`number`]."""
 
     number: int
     value: bool
 
 
 @dataclass(frozen=True, slots=True)
-class Listen(Statement):
-    """The guarded loop that waits for $IN[`number`] to be `value`; after `seconds` it asks and waits
-    again."""
+class InputPoll(KrlStatement):
+    """The guarded loop that waits for $IN[`number`] to be `value`; after `seconds` it asks and repeats."""
 
     number: int
     value: bool
@@ -53,170 +59,218 @@ class Listen(Statement):
 
 
 @dataclass(frozen=True, slots=True)
-class Await(Statement):
-    """The loop that waits for $IN[`number`] to be `value`; after `seconds` it switches the outputs `off`,
-    shows `text` ("" where nothing is shown), and never goes on."""
+class InputWait(KrlStatement):
+    """The loop that waits for $IN[`number`] to be `value`, and ends the program on a timeout.
+
+    Attributes:
+        seconds: Timeout [s].
+        outputs_off: Outputs that are switched off then.
+        text: What is shown then, "" for nothing.
+    """
 
     number: int
     value: bool
     seconds: float
-    off: frozenset[int]
+    outputs_off: frozenset[int]
     text: str
 
 
 @dataclass(frozen=True, slots=True)
-class Joint(Statement):
+class PtpStatement(KrlStatement):
     """PTP to the data `name`."""
 
     name: str
 
 
 @dataclass(frozen=True, slots=True)
-class Straight(Statement):
-    """LIN or SLIN (`word`) to X, Y, Z [mm], A, B, C [deg], in single precision; `corner` C_DIS, C_ORI, C_SPL,
-    or "" for an exact stop; `outer` as :data:`Outer` has it."""
+class LinearStatement(KrlStatement):
+    """A straight move.
+
+    Attributes:
+        word: LIN or SLIN.
+        target: X, Y, Z [mm], A, B, C [deg] in single precision.
+        corner: C_DIS, C_ORI, C_SPL, or "" for an exact stop.
+        outer: External axes.
+    """
 
     word: str
-    place: tuple[float, float, float, float, float, float]
+    target: tuple[float, float, float, float, float, float]
     corner: str
-    outer: Outer = ()
+    outer: StatedAxisValues = ()
 
 
 @dataclass(frozen=True, slots=True)
-class Pause(Statement):
+class WaitSecStatement(KrlStatement):
     """WAIT SEC [s]."""
 
     seconds: float
 
 
 @dataclass(frozen=True, slots=True)
-class Halt(Statement):
+class HaltStatement(KrlStatement):
     """HALT."""
 
 
 @dataclass(frozen=True, slots=True)
-class StopInterrupt(Statement):
+class StopInterrupt(KrlStatement):
     """The interrupt of stop messages is declared, or switched `on`."""
 
     on: bool
 
 
 @dataclass(frozen=True, slots=True)
-class Foot(Statement):
-    """The loop that halts as long as $ROBROOT is off zero: by `shift` [mm] or the sum of its angles by `turn`
-    [deg]. `text` is shown, "" where nothing is. `along`: of an arm on external axes, by their columns [from
-    0], $ROBROOT_C less these directions times their values, in single steps along the axes of $WORLD, is what
-    is looked at."""
+class RobrootCheck(KrlStatement):
+    """The loop that halts while $ROBROOT is not zero.
+
+    Attributes:
+        shift: Tolerance of its position [mm].
+        turn: Tolerance of the sum of its angles [deg].
+        text: What is shown, "" for nothing.
+        axis_directions: Directions of external axes under the arm, by column from 0. Then $ROBROOT_C, less
+            these directions times the axis values, is checked, by single steps along the axes of $WORLD.
+    """
 
     shift: float
     turn: float
     text: str
-    along: tuple[tuple[int, tuple[float, float, float]], ...] = ()
+    axis_directions: tuple[tuple[int, tuple[float, float, float]], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
-class AxisLook(Statement):
-    """The program never goes on where the external axis number `column` [from 0] is more than `most` off
-    `home` [mm or deg]. `text` is shown, "" where nothing is."""
+class ExternalAxisCheck(KrlStatement):
+    """The check that stops the program for good unless an external axis is at home.
+
+    Attributes:
+        column: Number of the axis, from 0.
+        home: Its home [mm or deg].
+        tolerance: Tolerance [mm or deg].
+        text: What is shown, "" for nothing.
+    """
 
     column: int
     home: float
-    most: float
+    tolerance: float
     text: str
 
 
 @dataclass(frozen=True, slots=True)
-class NotExternal(Statement):
-    """The loop that halts as long as the mode of operation is automatic external."""
+class ExternalModeRefusal(KrlStatement):
+    """The loop that halts while the mode of operation is automatic external."""
 
 
 @dataclass(frozen=True, slots=True)
-class Prepared(Statement):
-    """Options of messages, without parameters and with no keys but the first two."""
+class MessageOptions(KrlStatement):
+    """Sets the options of messages, without parameters and with no keys but the first two."""
 
 
 @dataclass(frozen=True, slots=True)
-class Dialog(Statement):
-    """The loop that shows the dialog `text` until its first key is pressed: "yes" beside No, "next" or
-    "read"."""
+class DialogStatement(KrlStatement):
+    """The loop that shows a dialog until its first key is pressed.
+
+    Attributes:
+        text: The text.
+        key: The first key: "yes" (beside No), "next" or "read".
+    """
 
     text: str
     key: str
 
 
 @dataclass(frozen=True, slots=True)
-class Notice(Statement):
-    """A message on the panel: a note, or what is so (`state`) until it is cleared."""
+class MessageStatement(KrlStatement):
+    """A message on the panel: a note, or a `state` that is shown until it is cleared."""
 
     text: str
     state: bool
 
 
 @dataclass(frozen=True, slots=True)
-class Cleared(Statement):
-    """The message of a state is taken back."""
+class ClearState(KrlStatement):
+    """Clears the message of a state."""
 
 
 @dataclass(frozen=True, slots=True)
-class Call(Statement):
+class CallStatement(KrlStatement):
     """A call of the subprogram `name`, in lower case."""
 
     name: str
 
 
 @dataclass(frozen=True, slots=True)
-class Said(Statement):
-    """A comment that the proof reads: one that is to be "told" to the operator, a line of a "question" before
-    HALT, or the head of a "segment", whose label is the text."""
+class CommentStatement(KrlStatement):
+    """A comment that the proof reads.
+
+    Attributes:
+        kind: "told" for a message to the operator, "question" for a line of a question before HALT, or
+            "segment" for the start of a segment.
+        text: The text, or the label of the segment.
+    """
 
     kind: Literal["told", "question", "segment"]
     text: str
 
 
 @dataclass(frozen=True, slots=True)
-class Point(Statement):
-    """SPL to X, Y, Z [mm], A, B, C [deg] in a spline block; ``part``: its share, 0 to 1, of the block's
-    time; ``outer`` as :data:`Outer` has it."""
+class SplinePoint(KrlStatement):
+    """SPL in a spline block.
 
-    place: tuple[float, float, float, float, float, float]
+    Attributes:
+        target: X, Y, Z [mm], A, B, C [deg].
+        part: Fraction of the block's time, 0 to 1.
+        outer: External axes.
+    """
+
+    target: tuple[float, float, float, float, float, float]
     part: float
-    outer: Outer = ()
+    outer: StatedAxisValues = ()
 
 
 @dataclass(frozen=True, slots=True)
-class Spline(Statement):
-    """SPLINE to ENDSPLINE: its points, with the heads of segments before them, and all its time [s]."""
+class SplineStatement(KrlStatement):
+    """SPLINE to ENDSPLINE.
 
-    points: tuple[Point | Said, ...]
+    Attributes:
+        points: Its points, with the starts of segments before them.
+        seconds: Its total time [s].
+    """
+
+    points: tuple[SplinePoint | CommentStatement, ...]
     seconds: float
 
     @property
     def moves(self) -> int:
-        """How many points there are."""
-        return sum(isinstance(point, Point) for point in self.points)
+        """Number of points."""
+        return sum(isinstance(point, SplinePoint) for point in self.points)
 
 
 @dataclass(frozen=True, slots=True)
-class Program:
-    """A .src file: its `name` as in DEF, the subprograms that it declares by EXT, its statements, and its
-    variables as (type, name), all in lower case."""
+class KrlProgram:
+    """A .src file.
+
+    Attributes:
+        file: Its path.
+        name: Name as in DEF.
+        external: Subprograms that it declares by EXT, in lower case.
+        body: Its statements.
+        variables: Its variables as (type, name), in lower case.
+    """
 
     file: str
     name: str
     external: tuple[str, ...]
-    body: tuple[Statement, ...]
+    body: tuple[KrlStatement, ...]
     variables: tuple[tuple[str, str], ...] = ()
 
     @property
     def moves(self) -> int:
-        """How many straight moves and points of spline blocks there are."""
-        splines = sum(statement.moves for statement in self.body if isinstance(statement, Spline))
-        return splines + sum(isinstance(statement, Straight) for statement in self.body)
+        """Number of straight moves and points of spline blocks."""
+        splines = sum(statement.moves for statement in self.body if isinstance(statement, SplineStatement))
+        return splines + sum(isinstance(statement, LinearStatement) for statement in self.body)
 
 
 @dataclass(frozen=True, slots=True)
-class Data:
-    """One declaration of a .dat file: `kind` frame, load, e6pos, e6axis or char, `name` as written."""
+class KrlDeclaration:
+    """One declaration of a .dat file: `kind` is frame, load, e6pos, e6axis or char, `name` is as written."""
 
     line: int
     kind: str
@@ -226,17 +280,17 @@ class Data:
 
 @dataclass(frozen=True, slots=True)
 class DataList:
-    """A .dat file; `items` by name in lower case."""
+    """A .dat file; `items` are by lower-case name."""
 
     file: str
     name: str
-    items: Mapping[str, Data]
+    items: Mapping[str, KrlDeclaration]
 
 
-NAME_LENGTH: Final = 24
-"""Longest name in KRL [characters]."""
-LINE_LENGTH: Final = 200
-"""Longest line that is read [characters]."""
+MAX_NAME_LENGTH: Final = 24
+"""Maximum length of a KRL name [characters]."""
+MAX_LINE_LENGTH: Final = 200
+"""Maximum length of a line that is read [characters]."""
 
 _RESERVED_TEXT = """
 and b_and b_exor b_not b_or bool brake c_dis c_ori c_ptp c_spl c_vel case channel char circ circ_rel const
@@ -249,13 +303,13 @@ tool_data base_data main bas ir_stopm krlmsg_t krlmsgpar_t krlmsgopt_t krlmsgdlg
 exists_krlmsg exists_krldlg clear_krlmsg tm_msg tm_par tm_opt tm_key tm_ticket tm_state tm_answer tm_gone
 tm_shift tm_turn
 """
-"""Words that no name may be."""
+"""Words that cannot be names."""
 RESERVED: Final = frozenset(_RESERVED_TEXT.split())
-"""Words of the language, names of its own routines and types, and those of our variables."""
+"""Words of the language, names of its routines and types, and our variables."""
 
 
-class Range(NamedTuple):
-    """Values that a setting may have; ``whole``: numbers without decimals only."""
+class SettingRange(NamedTuple):
+    """Allowed values of a setting; ``whole``: integers only."""
 
     low: float
     high: float
@@ -263,32 +317,35 @@ class Range(NamedTuple):
 
 
 MOTION_SETTINGS: Final = {
-    "$vel.cp": Range(1e-6, 3.0),
-    "$vel.ori1": Range(0.01, 1000.0),
-    "$vel.ori2": Range(0.01, 1000.0),
-    "$apo.cdis": Range(1e-4, 1000.0),
-    "$apo.cori": Range(1e-4, 180.0),
+    "$vel.cp": SettingRange(1e-6, 3.0),
+    "$vel.ori1": SettingRange(0.01, 1000.0),
+    "$vel.ori2": SettingRange(0.01, 1000.0),
+    "$apo.cdis": SettingRange(1e-4, 1000.0),
+    "$apo.cori": SettingRange(1e-4, 180.0),
 }
-"""Settings of files with moves; each of these files makes all of them before its first move."""
+"""Settings of files with moves; each such file makes all of them before its first move."""
 AXIS_SPEEDS: Final = tuple(f"$vel_axis[{axis}]" for axis in range(1, 7))
 """Speeds of axes [%]."""
-OUTER_SPEEDS: Final = tuple(f"$vel_extax[{axis}]" for axis in range(1, 7))
-"""Speeds of external axes [%]: whole numbers, of what the machine data allow."""
+EXTERNAL_AXIS_SPEEDS: Final = tuple(f"$vel_extax[{axis}]" for axis in range(1, 7))
+"""Speeds of external axes [%]: integers, relative to the limits of the machine data."""
 NUMBER_SETTINGS: Final = {
     **MOTION_SETTINGS,
-    **dict.fromkeys((*AXIS_SPEEDS, *OUTER_SPEEDS), Range(1.0, 100.0, True)),
+    **dict.fromkeys((*AXIS_SPEEDS, *EXTERNAL_AXIS_SPEEDS), SettingRange(1.0, 100.0, True)),
 }
 """All settings that are numbers."""
 CHOICE_SETTINGS: Final = {"$ipo_mode": ("#base",), "$ori_type": ("#var",), "$advance": ("3",)}
-"""Settings with the values that are understood: tools in hand, turns at a constant rate, and an advance run,
-without which each corner is a stop."""
+"""Settings with their supported values.
+
+They mean: tools on the flange, rotations at a constant rate, and an advance run, without which each corner
+is a stop.
+"""
 FRAME_SETTINGS: Final = {"$tool": "frame", "$base": "frame", "$load": "load"}
 """Settings that name data, with their type."""
-FOOT_SHIFT_MM: Final = 0.1
-"""How far $ROBROOT may be off zero: its way [mm],"""
-FOOT_TURN_DEG: Final = 0.02
-"""and the sum of its angles [deg]."""
-ALONG_ERROR: Final = 2e-6
-"""How far a part of the direction of a track may be off in a look: it is written with 6 decimals."""
+ROBROOT_POSITION_TOLERANCE_MM: Final = 0.1
+"""Tolerance of the position of $ROBROOT [mm]."""
+ROBROOT_ROTATION_TOLERANCE_DEG: Final = 0.02
+"""Tolerance of the sum of the angles of $ROBROOT [deg]."""
+DIRECTION_TOLERANCE: Final = 2e-6
+"""Tolerance of a component of a track's direction in a check: it is written with 6 decimals."""
 SPLINE_MOVE: Final = "SPL"
-"""What moves of a spline block are called in steps."""
+"""Kind of the moves of a spline block in steps."""

@@ -1,4 +1,4 @@
-"""The task of an arm: its programs, and what they do."""
+"""Reads the task of an arm: its programs, and what they do."""
 
 from typing import Final
 
@@ -6,32 +6,32 @@ from planner.languages.krl.reader import reader
 from planner.languages.krl.reader.partial import MOVE_PATTERN, read_partly
 from planner.problem import Arm, Problem
 from planner.programs.language import Arms, Files, Reader, ReadTasks
-from planner.programs.signals import krl_signals
+from planner.programs.signals import controller_signals
 from planner.programs.stages import TaskText
-from planner.programs.steps import Fault, FlowError, Step
+from planner.programs.steps import FlowError, ProgramStep, TextFault
 
 
 def _read(problem: Problem, arms: Arms, files: Files) -> ReadTasks:
     controller = problem.cell.controller
     ((name, arm),) = arms.items()
     text = reader.read(files, controller.max_bytes, controller.dialect)
-    steps, entered, lost = tuple[Step, ...](), frozenset[str](), tuple[Fault, ...]()
+    steps, entered, flow_faults = tuple[ProgramStep, ...](), frozenset[str](), tuple[TextFault, ...]()
     if not text.faults:
         base = arm.base if text.base is None else text.base
         try:
             others = [other.name for other in problem.cell.arms if other.name != arm.name]
-            signals = krl_signals(problem, arm)
-            steps, entered = reader.flow(text, base, signals, arm.name, others, _along(arm))
+            signals = controller_signals(problem, arm)
+            steps, entered = reader.main_flow(text, base, signals, arm.name, others, _axis_directions(arm))
         except FlowError as wrong:
-            lost = wrong.faults
+            flow_faults = wrong.faults
     called = frozenset(("", program) for program in entered)
-    return ReadTasks((TaskText(name, arm, text, steps, files, called=called),), text.faults, lost)
+    return ReadTasks((TaskText(name, arm, text, steps, files, called=called),), text.faults, flow_faults)
 
 
-def _along(arm: Arm) -> dict[int, tuple[float, float, float]]:
-    """The unit vectors, in the axes of an arm's foot, along which external axes move it, by their columns."""
+def _axis_directions(arm: Arm) -> dict[int, tuple[float, float, float]]:
+    """Unit vectors, in the foot's axes, along which external axes move an arm, by column."""
     out = {}
-    for rail in arm.axes:
+    for rail in arm.linear_axes:
         x, y, z = (float(column @ rail.axis) for column in arm.base[:3, :3].T)
         out[rail.column] = (x, y, z)
     return out

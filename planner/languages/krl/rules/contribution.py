@@ -1,23 +1,23 @@
-"""What KRL contributes to the proof."""
+"""Rules, checks and texts that KRL contributes to the proof."""
 
 from typing import Final
 
 from planner.claims import sentences
-from planner.languages.krl.reader.parser import without_comments
+from planner.languages.krl.reader.parser import significant_lines
 from planner.languages.krl.rules import controller_files, external_axes, moves, spline, text
 from planner.languages.krl.sentences import KRL_EARLIER
-from planner.proof.language_contribution import ExternalAxes, ProofOfLanguage, StartSentences
+from planner.proof.language_contribution import AxisFormat, ProofOfLanguage, StartSentences
 
 
 def _same_text(first: str, second: str) -> bool:
-    return without_comments(first) == without_comments(second)
+    return significant_lines(first) == significant_lines(second)
 
 
 PROOF: Final = ProofOfLanguage(
     rules=(moves.status, spline.spline),
     checks={"verify.hidden": moves.hidden, "verify.move_kinds": moves.move_kinds},
     same_text=_same_text,
-    targets_in=text.targets_in,
+    targets_in=text.target_offsets,
     likely_cause=text.likely_cause,
     start=StartSentences(
         ready=sentences.KRL_READY,
@@ -25,8 +25,8 @@ PROOF: Final = ProofOfLanguage(
         leader_earlier=KRL_EARLIER,
         follower_earlier=KRL_EARLIER,
     ),
-    external_axes=ExternalAxes(looks_at=external_axes.looks_at),
+    external_axes=AxisFormat(checks_home=external_axes.checks_axis),
     controller_files=controller_files.controller_files,
     corners=moves.corners,
-    slowest=moves.creeps,
+    slowest=moves.is_slowest,
 )

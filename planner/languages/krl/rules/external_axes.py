@@ -1,19 +1,29 @@
-"""The look of KRL programs at external axes."""
+"""The check of external axes in KRL programs."""
 
-from planner.languages.krl.reader.flow import AXIS_LOOK
-from planner.languages.krl.sentences import KRL_AXIS_AWAY
+from planner.languages.krl.reader.flow import AXIS_CHECK
+from planner.languages.krl.sentences import KRL_AXIS_NOT_HOME
 from planner.programs.steps import SettingStep
 from planner.proof.context import Context
-from planner.proof.kinematics.external_axes import SAME_VALUE, OuterAxis
-from planner.proof.rules.external_axes import OFF_HOME
+from planner.proof.kinematics.external_axes import AXIS_VALUE_TOLERANCE, TaskAxis
+from planner.proof.rules.external_axes import HOME_TOLERANCES
 
 
-def looks_at(context: Context, axis: OuterAxis, step: SettingStep) -> bool:
-    """Return whether a step looks at an axis, at its home, closely enough, and tells the operator."""
-    if step.kind != AXIS_LOOK:
+def checks_axis(context: Context, axis: TaskAxis, step: SettingStep) -> bool:
+    """Return whether a step checks that an axis is at home, closely enough, and informs the operator.
+
+    Args:
+        context: The proof.
+        axis: The external axis.
+        step: The step.
+    """
+    if step.kind != AXIS_CHECK:
         return False
-    column, home, most = step.values
-    text = KRL_AXIS_AWAY.filled(unit=axis.unit, sign=axis.sign, home=f"{home:.4f}")
+    column, home, tolerance = step.values
+    text = KRL_AXIS_NOT_HOME.format(unit=axis.label, sign=axis.unit_symbol, home=f"{home:.4f}")
     is_krc4 = context.problem.cell.controller.dialect == "krc4"
-    here = column == axis.column and abs(axis.scale * home - axis.home) <= SAME_VALUE
-    return here and most <= OFF_HOME[axis.sign] and step.switches == (text if is_krc4 else "",)
+    is_same_axis = column == axis.column and abs(axis.scale * home - axis.home) <= AXIS_VALUE_TOLERANCE
+    return (
+        is_same_axis
+        and tolerance <= HOME_TOLERANCES[axis.unit_symbol]
+        and step.switches == (text if is_krc4 else "",)
+    )

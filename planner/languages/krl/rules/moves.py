@@ -1,4 +1,4 @@
-"""Moves of KRL programs: approximation, accelerations and status."""
+"""KRL's part of the rules on moves: approximation, minimum speeds and status."""
 
 import itertools
 from collections.abc import Sequence
@@ -8,48 +8,64 @@ import numpy as np
 from planner.issues import Issue
 from planner.languages.krl.reader.reader import KrlText
 from planner.programs.stages import TaskText
-from planner.programs.steps import MOST_OUTER, JointTarget, MoveStep, PassedTarget, RobTarget, StatusTarget
+from planner.programs.steps import (
+    MAX_EXTERNAL_VALUE,
+    JointTarget,
+    MoveStep,
+    PassedTarget,
+    RobTarget,
+    StatusTarget,
+)
 from planner.proof.context import Context
 from planner.proof.kinematics import arm_model
-from planner.proof.kinematics.external_axes import outer_axes, outer_values, slid
+from planner.proof.kinematics.external_axes import axis_translation, axis_values, task_axes
 from planner.proof.kinematics.inverse_kinematics import select_by_status
-from planner.proof.replay.moves import flange_at, solutions
-from planner.proof.rule import Outcome, at_step, mm, rule
+from planner.proof.replay.moves import flange_at, status_solutions
+from planner.proof.rule import RuleOutcome, mm, rule, step_issue
 
-_SAME_PLACE = 1e-5
-"""A move whose TCP goes no farther [m] turns only."""
-_SMALLEST_ZONE = 1.001e-6
-"""Roundings so small [m] need no room: the controller itself never takes more than half of a move."""
-_SMALLEST_ZONE_TURN = 1.001 * np.deg2rad(0.001)
-"""Roundings of the orientation below this angle [rad] need no room either."""
-_CREEP_SPEED = 0.11e-3
-"""Moves slower than this [m/s], and than the next, are as fast as KRL lets them be; no feed or limit is so
-low."""
-_CREEP_TURN_RATE = np.deg2rad(0.15)
-"""Turns slower than this rate [rad/s], and than the next turn, are as fast as KRL allows."""
-_OTHER_SOLUTION = np.deg2rad(0.01)
-"""Joints that differ by more [rad] are another solution."""
+_POSITION_TOLERANCE_M = 1e-5
+"""Distance of the TCP [m] below which a move only rotates."""
+_MIN_ZONE_M = 1.001e-6
+"""Rounding [m] that needs no check: the controller itself never uses more than half of a move."""
+_MIN_ZONE_ANGLE_RAD = 1.001 * np.deg2rad(0.001)
+"""Rounding of the orientation [rad] that needs no check either."""
+_MIN_SPEED_M_S = 0.11e-3
+"""Minimum speed of a move in KRL [m/s], with its rounding. No feed or limit is so low."""
+_MIN_ROTATION_SPEED_RAD_S = np.deg2rad(0.15)
+"""Minimum rotation speed of a move in KRL [rad/s], with its rounding."""
+_SOLUTION_TOLERANCE_RAD = np.deg2rad(0.01)
+"""Joint difference [rad] above which two solutions are different."""
 
 
-def move_kinds(context: Context, task: TaskText) -> Outcome:
-    """Moves of a task without external axes that use one (verify.move_kinds)."""
-    if outer_axes(task.arm, context.problem.cell.turntable):  # then verify.external_axes looks
-        return Outcome()
+def move_kinds(context: Context, task: TaskText) -> RuleOutcome:
+    """Refuse moves that use external axes in a task without external axes (verify.move_kinds).
+
+    Args:
+        context: The proof.
+        task: The task.
+    """
+    if task_axes(task.arm, context.problem.cell.turntable):  # covered by verify.external_axes
+        return RuleOutcome()
     out = []
     for step in task.steps:
         if not isinstance(step, MoveStep):
             continue
         stated = np.abs(step.target.external)
-        if stated[stated < MOST_OUTER].max(initial=0.0) > 0.0:
-            what = "the target moves an external axis; E1 to E6 are 0 here"
-            out.append(at_step("verify.move_kinds", what, task, step))
-    return Outcome(tuple(out))
+        if stated[stated < MAX_EXTERNAL_VALUE].max(initial=0.0) > 0.0:
+            what = "the target moves an external axis; E1 to E6 must be 0 here"
+            out.append(step_issue("verify.move_kinds", what, task, step))
+    return RuleOutcome(tuple(out))
 
 
-def hidden(context: Context, task: TaskText) -> Outcome:
-    """Programs that nothing calls (verify.hidden)."""
+def hidden(context: Context, task: TaskText) -> RuleOutcome:
+    """Refuse programs that are never called (verify.hidden).
+
+    Args:
+        context: The proof.
+        task: The task.
+    """
     programs = task.text.programs if isinstance(task.text, KrlText) else {}
-    return Outcome(
+    return RuleOutcome(
         tuple(
             Issue("verify.hidden", f"{program.name}() is never called", arm=task.arm.name, file=program.file)
             for name, program in programs.items()
@@ -59,86 +75,96 @@ def hidden(context: Context, task: TaskText) -> Outcome:
 
 
 def corners(task: TaskText, moves: Sequence[MoveStep]) -> tuple[list[Issue], float]:
-    """Corners that take more than half of a move beside them, by way or, where the TCP stands, by angle; and
-    the largest size over that [mm]."""
+    """Return issues of corners that use more than half of an adjacent move, and the largest excess [mm].
+
+    They are compared by distance or, if the TCP stands, by angle.
+
+    Args:
+        task: The task.
+        moves: Its moves.
+    """
     out, worst = [], 0.0
-    steps = [_apart(a, b) for a, b in itertools.pairwise(moves)]
+    steps = [_distance_and_angle(a, b) for a, b in itertools.pairwise(moves)]
     for i, move in enumerate(moves):
         if move.zone.fine or move.by_joints:
             continue
-        beside = [step for step in steps[max(i - 1, 0) : i + 1] if step is not None]
-        if not beside:
+        adjacent = [step for step in steps[max(i - 1, 0) : i + 1] if step is not None]
+        if not adjacent:
             continue
-        way, turn = min(step[0] for step in beside), min(step[1] for step in beside)
-        if way > _SAME_PLACE:
-            over = move.zone.tcp - max(0.5 * way, _SMALLEST_ZONE)
-            worst = max(worst, mm(over))
-            size, half = mm(move.zone.tcp), mm(0.5 * way)
-            what = f"the corner takes {size:g} mm; half of the shorter move is {half:.4f} mm"
+        distance, turn = min(step[0] for step in adjacent), min(step[1] for step in adjacent)
+        if distance > _POSITION_TOLERANCE_M:
+            excess = move.zone.tcp - max(0.5 * distance, _MIN_ZONE_M)
+            worst = max(worst, mm(excess))
+            size, half = mm(move.zone.tcp), mm(0.5 * distance)
+            what = f"the corner uses {size:g} mm; half of the shorter move is {half:.4f} mm"
         else:
-            over = move.zone.turn_angle - max(0.5 * turn, _SMALLEST_ZONE_TURN)
+            excess = move.zone.turn_angle - max(0.5 * turn, _MIN_ZONE_ANGLE_RAD)
             angles = np.rad2deg([move.zone.turn_angle, 0.5 * turn])
-            what = f"the corner takes {angles[0]:g} deg; half of the shorter turn is {angles[1]:.5f} deg"
-        if over > 1e-9:
-            out.append(at_step("verify.zone_size", what, task, move))
+            what = f"the corner uses {angles[0]:g} deg; half of the smaller rotation is {angles[1]:.5f} deg"
+        if excess > 1e-9:
+            out.append(step_issue("verify.zone_size", what, task, move))
     return out, worst
 
 
-def _apart(a: MoveStep, b: MoveStep) -> tuple[float, float] | None:
-    """Way [m] and angle [rad] between the targets of two moves in one frame, None where they have none."""
+def _distance_and_angle(a: MoveStep, b: MoveStep) -> tuple[float, float] | None:
+    """Distance [m] and angle [rad] between the targets of two moves in one frame, None if they have none."""
     if (
         isinstance(a.target, JointTarget | PassedTarget)
         or not isinstance(b.target, RobTarget)
         or a.wobj is not b.wobj
     ):
         return None
-    way = float(np.linalg.norm(a.target.position - b.target.position))
+    distance = float(np.linalg.norm(a.target.position - b.target.position))
     cosine = abs(float(a.target.quaternion @ b.target.quaternion))
-    return way, 2.0 * float(np.arccos(min(cosine, 1.0)))
+    return distance, 2.0 * float(np.arccos(min(cosine, 1.0)))
 
 
-def creeps(move: MoveStep) -> bool:
-    """Whether a move is as slow as KRL can state it."""
-    return move.speed.tcp <= _CREEP_SPEED and move.speed.turn <= np.sqrt(2.0) * _CREEP_TURN_RATE
+def is_slowest(move: MoveStep) -> bool:
+    """Return whether a move is as slow as KRL can state it."""
+    return move.speed.tcp <= _MIN_SPEED_M_S and move.speed.turn <= np.sqrt(2.0) * _MIN_ROTATION_SPEED_RAD_S
 
 
 @rule("verify.status")
-def status(context: Context) -> Outcome:
-    """KRL: Status and Turn of each pose that is a target by joints select one solution within the limits,
-    whether or not Turn counts for axes near zero."""
+def status(context: Context) -> RuleOutcome:
+    """KRL: Status and Turn of each PTP target pose select exactly one joint solution within the limits.
+
+    This must hold whether or not Turn counts for axes near zero.
+    """
     issues: list[Issue] = []
-    near: list[str] = []
+    near_zero: list[str] = []
     targets = 0
     for task in context.job.tasks:
         for move in task.steps:
             if isinstance(move, MoveStep) and isinstance(move.target, StatusTarget):
                 targets += 1
-                wrong, axes = _chosen(context, task, move, move.target)
-                issues += [at_step("verify.status", what, task, move) for what in wrong]
-                near += [f"axis {axis} at {move.target_name}" for axis in axes]
-    told = f"{targets} targets" if targets else ""
-    where = f"{told}; near zero: {', '.join(near)}" if near else told
-    return Outcome(tuple(issues), where=where, nothing="" if targets else "no target states Status and Turn")
+                wrong, axes = _status_faults(context, task, move, move.target)
+                issues += [step_issue("verify.status", what, task, move) for what in wrong]
+                near_zero += [f"axis {axis} at {move.target_name}" for axis in axes]
+    summary = f"{targets} targets" if targets else ""
+    where = f"{summary}; near zero: {', '.join(near_zero)}" if near_zero else summary
+    return RuleOutcome(
+        tuple(issues), where=where, nothing="" if targets else "no target states Status and Turn"
+    )
 
 
-def _chosen(
+def _status_faults(
     context: Context, task: TaskText, move: MoveStep, target: StatusTarget
 ) -> tuple[list[str], tuple[int, ...]]:
-    """What is wrong with Status and Turn of a move's target, and axes near zero."""
-    machine, base = arm_model.machine_of(task.arm.data), context.bases[task.arm.name]
-    if task.arm.axes:  # by what the target itself states
+    """Faults of Status and Turn of a move's target, and axes near zero."""
+    machine, base = arm_model.robot_machine(task.arm.data), context.bases[task.arm.name]
+    if task.arm.linear_axes:  # at the axis values that the target states
         base = np.array(base)
-        base[:3, 3] += slid(task.arm, outer_values(task.arm, target.external))
+        base[:3, 3] += axis_translation(task.arm, axis_values(task.arm, target.external))
     bits = f"S {target.status} and T {target.turn}"
-    found = solutions(move, machine, base)
-    if len(found.q) != 1:
-        count = "no joint solution" if not len(found.q) else f"{len(found.q)} joint solutions"
-        return [f"{bits} select {count} within the limits; one is needed"], ()
+    selected = status_solutions(move, machine, base)
+    if len(selected.q) != 1:
+        count = "no joint solution" if not len(selected.q) else f"{len(selected.q)} joint solutions"
+        return [f"{bits} select {count} within the limits; exactly one is required"], ()
     wrong = []
-    for axis in found.near_zero:
+    for axis in selected.near_zero:
         other = select_by_status(
             machine, flange_at(move, base), target.status, target.turn ^ (1 << (axis - 1))
         )
-        if any(np.abs(q - found.q[0]).max() > _OTHER_SOLUTION for q in other.q):
+        if any(np.abs(q - selected.q[0]).max() > _SOLUTION_TOLERANCE_RAD for q in other.q):
             wrong.append(f"{bits}: axis {axis} is near zero, and without its turn another solution fits")
-    return wrong, found.near_zero
+    return wrong, selected.near_zero

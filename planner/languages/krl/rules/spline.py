@@ -1,11 +1,9 @@
-"""verify.spline: what is not known of the curves of KRL's spline blocks is bounded.
+"""The rule verify.spline: bounds what is not known of the curves of KRL's spline blocks.
 
-All other rules hold with that much less room.
-
-The replay goes straight from point to point (:mod:`planner.proof.replay.moves`). A controller's
-curve may be elsewhere, by :mod:`planner.languages.krl.reader.spline_curve`; :class:`Allowance` says by how
-much at most, and :func:`tightened` takes it off clearance, margins, tolerances and feeds, once and
-for all rules.
+All other rules then hold with correspondingly less margin. The replay is straight from point to point
+(:mod:`planner.proof.replay.moves`). A controller's curve may deviate, by
+:mod:`planner.languages.krl.reader.spline_curve`; :class:`Allowance` holds the maximum deviation, and
+:func:`tightened` subtracts it from clearance, margins, tolerances and feeds, once for all rules.
 """
 
 import dataclasses
@@ -14,40 +12,49 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims.claim import Allowance, on_straight_moves_alone
+from planner.claims.claim import Allowance, kinds_on_straight_moves
 from planner.geometry.arrays import FloatArray, IntArray, log_rotation
 from planner.issues import Issue
 from planner.languages.krl.reader import spline_curve
-from planner.languages.krl.reader.spline_curve import TURN_LEVER, Bounds
+from planner.languages.krl.reader.spline_curve import ROTATION_LEVER_M_PER_RAD, SplineCurveBounds
 from planner.languages.krl.reader.syntax_tree import SPLINE_MOVE
 from planner.programs.stages import TaskText
 from planner.programs.steps import JointTarget, MoveStep, PassedTarget, poses
 from planner.proof.context import Context
 from planner.proof.kinematics import arm_model
-from planner.proof.replay.moves import ACCURACY, ACCURACY_TURN
-from planner.proof.rule import Outcome, at_step, mm, rule
-from planner.proof.rules.robot_motion import TCP_SLACK
+from planner.proof.replay.moves import PATH_ACCURACY_M, PATH_ACCURACY_RAD
+from planner.proof.rule import RuleOutcome, mm, rule, step_issue
+from planner.proof.rules.robot_motion import TCP_SPEED_FACTOR
 
 SPLINE: Final = "verify.spline"
 """Code of this rule."""
-MOST_OFF_STRAIGHT: Final = 0.1e-3
-"""How far [m] a curve may be off its straight ways: no tolerance of a part is to go into that alone."""
-FASTER_FACTOR: Final = 1.15
-"""Between two points a tool may be faster by this factor than on the fastest way of the segment near them."""
+MAX_DEVIATION_M: Final = 0.1e-3
+"""Maximum deviation of a curve from its straight segments [m]: it must not use up a part's tolerance."""
+MAX_SPEED_FACTOR: Final = 1.15
+"""Maximum speed of a tool between two points, relative to the fastest of the segment's moves near them."""
 JOINT_RATE_FACTOR: Final = 1.25
-"""Joints per way are less than so many times what they are at ends and middle of a segment."""
+"""Bound on joint change per distance, relative to its values at the ends and the middle of a segment."""
 JOINT_RATE_SPREAD: Final = 1.5
-"""They may differ so much between these."""
-ARM_REACH: Final = 0.4
-"""Bodies of an arm reach no farther [m] from the line through its joints and its tool's tip."""
-NOT_SEEN_TEXT: Final = "not seen on a controller"
-"""What proofs say of how controllers plan blocks."""
+"""Maximum ratio between these values."""
+BODY_RADIUS_M: Final = 0.4
+"""Maximum distance [m] of bodies of an arm from the line through its joints and its tool tip."""
+NOT_OBSERVED_TEXT: Final = "not seen on a controller"
+"""Text of proofs on how controllers plan blocks."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Block:
-    """A spline block: its moves, as ``nodes`` (N,) of the motion, through ``pose`` (N + 1, 4, 4) in the frame
-    ``work`` (4, 4) of the world, with the tool ``tool`` (4, 4), over ``duration`` (N,) [s]."""
+class SplineBlock:
+    """A spline block.
+
+    Attributes:
+        task: Its task.
+        moves: Its N moves.
+        nodes: Their nodes of the motion, (N,).
+        pose: Points in the work frame, (N + 1, 4, 4) [m].
+        work: Work frame in the world, (4, 4) [m].
+        tool: The tool, (4, 4) [m].
+        duration: Times of the moves, (N,) [s].
+    """
 
     task: TaskText
     moves: tuple[MoveStep, ...]
@@ -58,8 +65,8 @@ class Block:
     duration: FloatArray
 
 
-def blocks(context: Context) -> Iterator[Block]:
-    """The spline blocks of all tasks, in order."""
+def blocks(context: Context) -> Iterator[SplineBlock]:
+    """Yield the spline blocks of all tasks, in order."""
     for task in context.job.tasks:
         moves = [step for step in task.steps if isinstance(step, MoveStep)]
         first = None
@@ -72,139 +79,143 @@ def blocks(context: Context) -> Iterator[Block]:
                 first = None
 
 
-def _block(task: TaskText, moves: list[MoveStep], first: int, end: int) -> Block:
-    own = tuple(moves[first:end])
+def _block(task: TaskText, moves: list[MoveStep], first: int, end: int) -> SplineBlock:
+    block_moves = tuple(moves[first:end])
     targets = [move.target for move in moves[max(first - 1, 0) : end]]
     joint = JointTarget | PassedTarget
-    place = np.array([target.position for target in targets if not isinstance(target, joint)])
+    position = np.array([target.position for target in targets if not isinstance(target, joint)])
     turn = np.array([target.quaternion for target in targets if not isinstance(target, joint)])
-    work = own[0].wobj.user @ own[0].wobj.object
-    times = np.array([move.time or 0.0 for move in own])
-    return Block(task, own, np.arange(first, end), poses(place, turn), work, own[0].tool.pose, times)
+    work = block_moves[0].wobj.user @ block_moves[0].wobj.object
+    times = np.array([move.time or 0.0 for move in block_moves])
+    return SplineBlock(
+        task, block_moves, np.arange(first, end), poses(position, turn), work, block_moves[0].tool.pose, times
+    )
 
 
 @rule("verify.spline")
-def spline(context: Context) -> Outcome:
-    """Spline blocks (KRL): whatever curve of the fifth order a controller lays through their points, it is so
-    near to the straight ways between them that all other rules hold with that much less room, and no faster
-    than allowed."""
-    found = list(blocks(context))
-    if not found:
-        return Outcome(nothing="no spline block")
-    issues = _refused(context, found)
+def spline(context: Context) -> RuleOutcome:
+    """KRL: any quintic curve of a spline block is near enough to the straight moves, and not too fast.
+
+    All other rules then hold with a correspondingly smaller margin.
+    """
+    all_blocks = list(blocks(context))
+    if not all_blocks:
+        return RuleOutcome(nothing="no spline block")
+    issues = _refusals(context, all_blocks)
     if issues:
-        return Outcome(tuple(issues))
-    own: list[Allowance] = []
+        return RuleOutcome(tuple(issues))
+    allowances: list[Allowance] = []
     worst = 0.0
-    for block in found:
-        bounds = spline_curve.bounds(block.pose, block.duration)
-        issues += _near(block, bounds) + _paced(context, block, bounds)
-        worst = max(worst, float(bounds.off.max()))
-        one, wrong = _joints(context, block, bounds)
+    for block in all_blocks:
+        bounds = spline_curve.bound_curves(block.pose, block.duration)
+        issues += _deviation_issues(block, bounds) + _speed_issues(context, block, bounds)
+        worst = max(worst, float(bounds.deviation.max()))
+        allowance, wrong = _joint_allowance(context, block, bounds)
         issues += wrong
-        own.append(one)
-    most = Allowance(
-        np.concatenate([one.way for one in own]),
-        np.concatenate([one.turn for one in own]),
-        max(one.joints for one in own),
-        max(one.body for one in own),
-        FASTER_FACTOR,
+        allowances.append(allowance)
+    combined = Allowance(
+        np.concatenate([allowance.position for allowance in allowances]),
+        np.concatenate([allowance.rotation for allowance in allowances]),
+        max(allowance.joints for allowance in allowances),
+        max(allowance.body for allowance in allowances),
+        MAX_SPEED_FACTOR,
     )
-    issues += _left(context, found[0], most) if not issues else []
-    points = sum(len(block.moves) for block in found)
-    where = f"{len(found)} blocks of {points} points, how they are planned {NOT_SEEN_TEXT}"
-    return Outcome(
+    issues += _used_up_claims(context, all_blocks[0], combined) if not issues else []
+    points = sum(len(block.moves) for block in all_blocks)
+    where = f"{len(all_blocks)} blocks of {points} points, planning {NOT_OBSERVED_TEXT}"
+    return RuleOutcome(
         tuple(issues),
         mm(worst),
-        mm(MOST_OFF_STRAIGHT),
-        "mm off the straight ways",
+        mm(MAX_DEVIATION_M),
+        "mm from the straight moves",
         where,
-        context=None if issues else tightened(context, most),
+        context=None if issues else tightened(context, combined),
     )
 
 
-def _refused(context: Context, found: list[Block]) -> list[Issue]:
+def _refusals(context: Context, all_blocks: list[SplineBlock]) -> list[Issue]:
     issues = []
-    controller, first = context.problem.cell.controller, found[0]
+    controller, first = context.problem.cell.controller, all_blocks[0]
     if controller.path != "spline":
-        what = "a spline block; the cell's controller asks for path: slin; write SLIN, or set path: spline"
-        issues.append(at_step(SPLINE, what, first.task, first.moves[0]))
+        what = "a spline block, but the cell's controller has path: slin; write SLIN, or set path: spline"
+        issues.append(step_issue(SPLINE, what, first.task, first.moves[0]))
     if len(context.job.tasks) > 1:
-        what = "a spline block where two arms share the work; allowed: one arm alone; write SLIN"
-        issues.append(at_step(SPLINE, what, first.task, first.moves[0]))
-    for block in found:
-        if arm_model.machine_of(block.task.arm.data).data.coupling is not None:
+        what = "a spline block in work of two arms; allowed: a single arm; write SLIN"
+        issues.append(step_issue(SPLINE, what, first.task, first.moves[0]))
+    for block in all_blocks:
+        if arm_model.robot_machine(block.task.arm.data).data.coupling is not None:
             what = "a spline block of an arm with parallel rods, whose joints are not bounded; write SLIN"
-            issues.append(at_step(SPLINE, what, block.task, block.moves[0]))
-    for kind in on_straight_moves_alone(context.claims):
-        what = f"a spline block in a job that claims {kind}, which is proven on straight ways alone"
-        issues.append(at_step(SPLINE, f"{what}; write SLIN", first.task, first.moves[0]))
+            issues.append(step_issue(SPLINE, what, block.task, block.moves[0]))
+    for kind in kinds_on_straight_moves(context.claims):
+        what = f"a spline block in a job that claims {kind}, which is proven on straight moves only"
+        issues.append(step_issue(SPLINE, f"{what}; write SLIN", first.task, first.moves[0]))
     for claim in context.feeds:
         if claim.lower > 0.0:
-            what = f"a spline block where {claim.segment} has a least feed, and a curve no least speed"
-            issues.append(at_step(SPLINE, f"{what}; write SLIN", first.task, first.moves[0]))
+            what = (
+                f"a spline block where {claim.segment} has a minimum feed, but a curve has no minimum speed"
+            )
+            issues.append(step_issue(SPLINE, f"{what}; write SLIN", first.task, first.moves[0]))
     if (
         not issues
         and context.motion.node_segment
-        and len(context.motion.node_segment) < 1 + max(int(block.nodes[-1]) for block in found)
+        and len(context.motion.node_segment) < 1 + max(int(block.nodes[-1]) for block in all_blocks)
     ):
-        issues.append(at_step(SPLINE, "the motion lacks moves of a block", first.task, first.moves[0]))
+        issues.append(step_issue(SPLINE, "the motion lacks moves of a block", first.task, first.moves[0]))
     return issues
 
 
-def _near(block: Block, bounds: Bounds) -> list[Issue]:
-    """Segments on which curves may be too far off."""
-    far = np.flatnonzero(~(bounds.off <= MOST_OFF_STRAIGHT))
+def _deviation_issues(block: SplineBlock, bounds: SplineCurveBounds) -> list[Issue]:
+    """Issues of segments on which curves may deviate too far."""
+    too_far = np.flatnonzero(~(bounds.deviation <= MAX_DEVIATION_M))
     return [
-        at_step(
+        step_issue(
             SPLINE,
-            f"between the point before and this one a curve may be {mm(bounds.off[i]):.4f} mm off "
-            f"the straight way (turns by {TURN_LEVER:g} m/rad); allowed: {mm(MOST_OFF_STRAIGHT):g}; a "
-            "kink: stop there, or put "
-            "points nearer to each other",
+            f"between the previous point and this one a curve may deviate {mm(bounds.deviation[i]):.4f} mm "
+            f"from the straight move (rotations by {ROTATION_LEVER_M_PER_RAD:g} m/rad); allowed: "
+            f"{mm(MAX_DEVIATION_M):g}. At a kink, stop there, or put points closer to each other",
             block.task,
             block.moves[i],
         )
-        for i in far[:20].tolist()
+        for i in too_far[:20].tolist()
     ]
 
 
-def _paced(context: Context, block: Block, bounds: Bounds) -> list[Issue]:
-    """Speeds of the tool between points, and speeds in force that would not let the times be kept."""
+def _speed_issues(context: Context, block: SplineBlock, bounds: SplineCurveBounds) -> list[Issue]:
+    """Issues of tool speeds between points, and of speed settings that prevent the block's times."""
     issues, task = [], block.task
-    limit = TCP_SLACK * context.problem.settings.tcp_speed
-    step = spline_curve.steps(block.pose)[:, 2]
+    limit = TCP_SPEED_FACTOR * context.problem.settings.tcp_speed
+    step = spline_curve.segment_steps(block.pose)[:, 2]
     mean = np.linalg.norm(step[:, :3], axis=1) / block.duration
-    turning = np.linalg.norm(step[:, 3:], axis=1) / TURN_LEVER / block.duration
-    near = _nearby(context, block, mean)
+    turning = np.linalg.norm(step[:, 3:], axis=1) / ROTATION_LEVER_M_PER_RAD / block.duration
+    nearby_speed = _nearby_speed(context, block, mean)
     for i, move in enumerate(block.moves):
         if not bounds.speed[i] <= limit:
             what = f"the tool may move at {mm(bounds.speed[i]):.2f} mm/s; allowed: {mm(limit):g}"
-            issues.append(at_step(SPLINE, what, task, move))
-        elif context.feeds and bounds.speed[i] > FASTER_FACTOR * near[i] + 1e-9:
+            issues.append(step_issue(SPLINE, what, task, move))
+        elif context.feeds and bounds.speed[i] > MAX_SPEED_FACTOR * nearby_speed[i] + 1e-9:
             what = f"before this point a curve may move the tool at {mm(bounds.speed[i]):.2f} mm/s; allowed: "
             what += (
-                f"{mm(FASTER_FACTOR * near[i]):.2f}, {FASTER_FACTOR:g} times as fast as on its segment's "
-                "ways nearby"
+                f"{mm(MAX_SPEED_FACTOR * nearby_speed[i]):.2f}, {MAX_SPEED_FACTOR:g} times the speed of its "
+                "segment's moves nearby"
             )
-            issues.append(at_step(SPLINE, what, task, move))
+            issues.append(step_issue(SPLINE, what, task, move))
         if move.speed.tcp > limit:
             what = f"$VEL.CP is {mm(move.speed.tcp):g} mm/s; allowed: {mm(limit):g}"
-            issues.append(at_step(SPLINE, what, task, move))
+            issues.append(step_issue(SPLINE, what, task, move))
         if turning[i] > move.speed.turn:
-            what = f"the tool turns at {np.rad2deg(turning[i]):.2f} deg/s, faster than $VEL.ORI lets it"
-            issues.append(at_step(SPLINE, what, task, move))
+            what = f"the tool rotates at {np.rad2deg(turning[i]):.2f} deg/s, faster than $VEL.ORI allows"
+            issues.append(step_issue(SPLINE, what, task, move))
     labels = {context.motion.node_label[node] for node in block.nodes}
     for claim in context.claims:
         segment = claim.uneven_feed()
         if segment is not None and segment.key in labels:
-            what = f"a spline block in {segment}, whose feed changes on the way; write SLIN"
-            issues.append(at_step(SPLINE, what, task, block.moves[0]))
+            what = f"a spline block in {segment}, whose feed changes along the path; write SLIN"
+            issues.append(step_issue(SPLINE, what, task, block.moves[0]))
     return issues[:20]
 
 
-def _nearby(context: Context, block: Block, mean: FloatArray) -> FloatArray:
-    """The highest mean speed (N,) on segments of the block up to two before and behind each, of one label."""
+def _nearby_speed(context: Context, block: SplineBlock, mean: FloatArray) -> FloatArray:
+    """Highest mean speed (N,) of the block's segments of one label up to two before and after each."""
     label = context.motion.node_label[block.nodes]
     out = mean.copy()
     for k in (1, 2):
@@ -214,19 +225,21 @@ def _nearby(context: Context, block: Block, mean: FloatArray) -> FloatArray:
     return out
 
 
-def _joints(context: Context, block: Block, bounds: Bounds) -> tuple[Allowance, list[Issue]]:
-    """What curves of a block may be off in the joints, and limits and speeds that they may pass."""
+def _joint_allowance(
+    context: Context, block: SplineBlock, bounds: SplineCurveBounds
+) -> tuple[Allowance, list[Issue]]:
+    """Joint deviation of curves of a block, and issues of joint limits and speeds that they may exceed."""
     task, motion = block.task, context.motion
-    machine, q = arm_model.machine_of(task.arm.data), motion.q[task.arm.name]
+    machine, q = arm_model.robot_machine(task.arm.data), motion.q[task.arm.name]
     data = machine.data
     at = motion.node_sample[block.nodes]
-    before = np.concatenate([[motion.node_sample[block.nodes[0] - 1]], at[:-1]])
-    way, turn = _rounded(block)
-    way, turn = bounds.way + way, bounds.turn + turn
-    off = np.hypot(way, TURN_LEVER * turn)
+    previous = np.concatenate([[motion.node_sample[block.nodes[0] - 1]], at[:-1]])
+    translation, turn = _replay_deviation(block)
+    translation, turn = bounds.translation + translation, bounds.rotation + turn
+    deviation = np.hypot(translation, ROTATION_LEVER_M_PER_RAD * turn)
     base = context.bases[task.arm.name]
     world = (block.work @ block.pose)[:, :3, :3]
-    step = spline_curve.steps(block.pose)[:, 2] / block.duration[:, None]
+    step = spline_curve.segment_steps(block.pose)[:, 2] / block.duration[:, None]
     twist = np.concatenate(
         [
             np.einsum("ij,nj->ni", block.work[:3, :3], step[:, :3]),
@@ -234,48 +247,50 @@ def _joints(context: Context, block: Block, bounds: Bounds) -> tuple[Allowance, 
         ],
         axis=1,
     )
-    places = [
-        _inverse(_jacobian(machine, q[rows], block.tool, base)) for rows in (before, (before + at) // 2, at)
+    inverses = [
+        _inverse(_jacobian(machine, q[rows], block.tool, base))
+        for rows in (previous, (previous + at) // 2, at)
     ]
-    ways = np.array([np.linalg.norm(back, axis=2) for back in places])
-    per_way = JOINT_RATE_FACTOR * ways.max(axis=0)
+    joint_rates = np.array([np.linalg.norm(inverse, axis=2) for inverse in inverses])
+    per_way = JOINT_RATE_FACTOR * joint_rates.max(axis=0)
     rate = JOINT_RATE_FACTOR * np.max(
-        [np.abs(np.einsum("nij,nj->ni", back, twist)) for back in places], axis=0
+        [np.abs(np.einsum("nij,nj->ni", inverse, twist)) for inverse in inverses], axis=0
     )
-    shift = per_way * off[:, None]
-    rate = rate + per_way * bounds.change[:, None]
+    shift = per_way * deviation[:, None]
+    rate = rate + per_way * bounds.speed_change[:, None]
     issues = []
     for i, move in enumerate(block.moves):
-        if not (ways[:, i].max(axis=0) <= JOINT_RATE_SPREAD * ways[:, i].min(axis=0)).all():
+        if not (joint_rates[:, i].max(axis=0) <= JOINT_RATE_SPREAD * joint_rates[:, i].min(axis=0)).all():
+            what = "the joints change so much before this point that their values do not bound a curve; "
+            what += "put points closer to each other, or keep farther from singularities"
+            issues.append(step_issue(SPLINE, what, task, move))
+        joints = q[previous[i] : at[i] + 1]
+        margin = np.minimum(joints.min(axis=0) - data.lower, data.upper - joints.max(axis=0)) - shift[i]
+        axis = int(np.argmin(margin))
+        if not margin[axis] >= 0.0:
+            what = f"a curve may move axis {axis + 1} {np.rad2deg(-margin[axis]):.3f} deg beyond its limit"
+            issues.append(step_issue(SPLINE, what, task, move))
+        speed_fraction = rate[i] / data.velocity
+        axis = int(np.argmax(speed_fraction))
+        if not speed_fraction[axis] <= 1.0:
             what = (
-                "the joints change so much before this point that a curve is not bounded by what they are; "
+                f"a curve may need {100 * speed_fraction[axis]:.0f} % of the speed of axis {axis + 1}; "
+                "allowed: 100 %"
             )
-            what += "put points nearer to each other, or keep farther off singular postures"
-            issues.append(at_step(SPLINE, what, task, move))
-        some = q[before[i] : at[i] + 1]
-        room = np.minimum(some.min(axis=0) - data.lower, data.upper - some.max(axis=0)) - shift[i]
-        axis = int(np.argmin(room))
-        if not room[axis] >= 0.0:
-            what = f"a curve may take axis {axis + 1} {np.rad2deg(-room[axis]):.3f} deg beyond its limit"
-            issues.append(at_step(SPLINE, what, task, move))
-        share = rate[i] / data.velocity
-        axis = int(np.argmax(share))
-        if not share[axis] <= 1.0:
-            what = (
-                f"a curve may need {100 * share[axis]:.0f} % of the speed of axis {axis + 1}; allowed: 100 %"
-            )
-            issues.append(at_step(SPLINE, what, task, move))
-    body = _bodies(machine, q[at], block.tool, shift, way, turn)
-    return Allowance(way, turn, float(shift.max()), body, FASTER_FACTOR), issues[:20]
+            issues.append(step_issue(SPLINE, what, task, move))
+    body = _body_deviation(machine, q[at], block.tool, shift, translation, turn)
+    return Allowance(translation, turn, float(shift.max()), body, MAX_SPEED_FACTOR), issues[:20]
 
 
-def _rounded(block: Block) -> tuple[FloatArray, FloatArray]:
-    """How far (N,) [m] and (N,) [rad] the replay itself is off the straight ways: its corners are rounded
-    over half of the shorter segment at most, by h |change of speed| / 4, where ramps are up to twice as
-    fast, and within its accuracy."""
-    step = spline_curve.steps(block.pose)
+def _replay_deviation(block: SplineBlock) -> tuple[FloatArray, FloatArray]:
+    """Deviation (N,) [m] and (N,) [rad] of the replay itself from the straight segments.
+
+    Its corners are rounded over half of the shorter segment at most, by h |change of speed| / 4, where ramps
+    are up to twice as fast, and within its accuracy.
+    """
+    step = spline_curve.segment_steps(block.pose)
     rate = step[:, 2] / block.duration[:, None]
-    after = step[:-1, 3] / block.duration[1:, None]  # as the segment before sees it
+    after = step[:-1, 3] / block.duration[1:, None]  # in the frame of the previous segment
     half = 0.5 * np.minimum(block.duration[:-1], block.duration[1:])
     change = 2.0 * half[:, None] * (np.abs(after) + np.abs(rate[:-1])) / 4.0
     straight = 2.0 * half[:, None] * np.abs(after - rate[:-1]) / 4.0
@@ -283,83 +298,104 @@ def _rounded(block: Block) -> tuple[FloatArray, FloatArray]:
     ramps[:1] = ramps[-1:] = True
     change = np.where(ramps[:, None], change, straight)
     out = []
-    for some, scale, most in ((slice(0, 3), 1.0, ACCURACY), (slice(3, 6), TURN_LEVER, ACCURACY_TURN)):
-        corner = np.minimum(np.linalg.norm(change[:, some], axis=1) / scale, most)
+    for components, scale, accuracy in (
+        (slice(0, 3), 1.0, PATH_ACCURACY_M),
+        (slice(3, 6), ROTATION_LEVER_M_PER_RAD, PATH_ACCURACY_RAD),
+    ):
+        corner = np.minimum(np.linalg.norm(change[:, components], axis=1) / scale, accuracy)
         out.append(np.maximum(np.append(corner, 0.0), np.append(0.0, corner)))
     return out[0], out[1]
 
 
 def _inverse(jacobian: FloatArray) -> FloatArray:
-    """Inverses (N, 6, 6); out of all bounds where there is none."""
+    """Inverses (N, 6, 6), with very large entries for singular matrices."""
     known = np.linalg.cond(jacobian) < 1.0 / np.finfo(np.float64).eps
     out = np.full_like(jacobian, 1e9)
     out[known] = np.linalg.inv(jacobian[known])
     return out
 
 
-def _jacobian(machine: arm_model.Machine, q: FloatArray, tool: FloatArray, base: FloatArray) -> FloatArray:
-    """(N, 6, 6) how the TCP moves [m/rad] and turns, by LEVER, in the world with the joints q (N, 6)."""
+def _jacobian(
+    machine: arm_model.RobotMachine, q: FloatArray, tool: FloatArray, base: FloatArray
+) -> FloatArray:
+    """Jacobian (N, 6, 6) of the TCP in the world for joints q (N, 6).
+
+    Rows are position [m/rad] and rotation times ``ROTATION_LEVER_M_PER_RAD``, by central differences.
+    """
     size = 1e-5
     out = np.empty((len(q), 6, 6))
     for joint in range(6):
         shift = np.zeros(6)
         shift[joint] = size
-        two = [base @ machine.flange(q + sign * shift) @ tool for sign in (-1.0, 1.0)]
-        out[:, :3, joint] = (two[1][:, :3, 3] - two[0][:, :3, 3]) / (2 * size)
-        turn = two[1][:, :3, :3] @ np.swapaxes(two[0][:, :3, :3], 1, 2)
-        out[:, 3:, joint] = TURN_LEVER * log_rotation(turn) / (2 * size)
+        perturbed = [base @ machine.flange(q + sign * shift) @ tool for sign in (-1.0, 1.0)]
+        out[:, :3, joint] = (perturbed[1][:, :3, 3] - perturbed[0][:, :3, 3]) / (2 * size)
+        turn = perturbed[1][:, :3, :3] @ np.swapaxes(perturbed[0][:, :3, :3], 1, 2)
+        out[:, 3:, joint] = ROTATION_LEVER_M_PER_RAD * log_rotation(turn) / (2 * size)
     return out
 
 
-def _bodies(
-    machine: arm_model.Machine,
+def _body_deviation(
+    machine: arm_model.RobotMachine,
     q: FloatArray,
     tool: FloatArray,
     shift: FloatArray,
-    way: FloatArray,
-    turn: FloatArray,
+    translation: FloatArray,
+    rotation: FloatArray,
 ) -> float:
-    """How far [m] any body of the arm is off at most, where its joints q (N, 6) are off by ``shift`` (N, 6)
-    [rad] and its TCP by ``way`` (N,) [m] and ``turn`` (N,) [rad].
+    """Maximum deviation [m] of any body of the arm.
 
-    The links up to the forearm go with the first three joints; those of the wrist, whose axes meet, with two
-    more, about a place that they do not leave; the last link and the tool as the TCP does.
+    The links up to the forearm move with the first three joints. Those of a wrist, whose axes meet, also
+    move with two more joints about that point. The last link and the tool move with the TCP.
+
+    Args:
+        machine: The arm.
+        q: Joints, (N, 6) [rad].
+        tool: The tool, (4, 4) [m].
+        shift: Joint deviations, (N, 6) [rad].
+        translation: Deviations of the TCP, (N,) [m].
+        rotation: Rotation deviations of the TCP, (N,) [rad].
     """
     origins = machine.chain.frames(q)[:, :, :3, 3]
     reach = np.stack(
         [
-            ARM_REACH + np.linalg.norm(origins[:, k + 1 : 6] - origins[:, k, None], axis=2).max(axis=1)
+            BODY_RADIUS_M + np.linalg.norm(origins[:, k + 1 : 6] - origins[:, k, None], axis=2).max(axis=1)
             for k in range(3)
         ],
         axis=1,
     )
-    links = (shift[:, :3] * reach).sum(axis=1) + ARM_REACH * shift[:, 3:5].sum(axis=1)
-    held = way + (ARM_REACH + float(np.linalg.norm(tool[:3, 3]))) * turn
-    return float(np.maximum(links, held).max())
+    links = (shift[:, :3] * reach).sum(axis=1) + BODY_RADIUS_M * shift[:, 3:5].sum(axis=1)
+    tool_deviation = translation + (BODY_RADIUS_M + float(np.linalg.norm(tool[:3, 3]))) * rotation
+    return float(np.maximum(links, tool_deviation).max())
 
 
-def _left(context: Context, first: Block, most: Allowance) -> list[Issue]:
-    """Claims of which a curve leaves nothing."""
+def _used_up_claims(context: Context, first: SplineBlock, allowance: Allowance) -> list[Issue]:
+    """Issues of claims whose tolerance a curve uses up."""
     issues = []
     for claim in context.claims:
-        gone = claim.used_up(most)
-        if gone is not None:
-            what = f"curves may be {mm(gone[0]):.4f} mm off, which leaves nothing of the {mm(gone[1]):g} mm "
-            what += f"that {type(claim).__name__} allows; put points nearer to each other, or write SLIN"
-            issues.append(at_step(SPLINE, what, first.task, first.moves[0]))
+        used = claim.used_up(allowance)
+        if used is not None:
+            what = f"curves may deviate {mm(used[0]):.4f} mm, which uses up the {mm(used[1]):g} mm "
+            what += f"that {type(claim).__name__} allows; put points closer to each other, or write SLIN"
+            issues.append(step_issue(SPLINE, what, first.task, first.moves[0]))
     return issues[:5]
 
 
-def tightened(context: Context, most: Allowance) -> Context:
-    """The same proof with that much less room: clearance and margins, tolerances and feeds of claims."""
+def tightened(context: Context, allowance: Allowance) -> Context:
+    """Return the proof with tightened clearance and margins, and claims with tightened tolerances and feeds.
+
+    Args:
+        context: The proof.
+        allowance: Maximum deviation of all curves.
+    """
     settings = dataclasses.replace(
-        context.problem.settings.wider(most.body),
-        singularity_margin=context.problem.settings.singularity_margin + 2.0 * most.joints,
+        context.problem.settings.widen_clearances(allowance.body),
+        singularity_margin=context.problem.settings.singularity_margin + 2.0 * allowance.joints,
     )
     problem = dataclasses.replace(context.problem, settings=settings)
-    less = {
-        name: tuple(claim.tightened(most) for claim in group) for name, group in context.by_operation.items()
+    claims = {
+        name: tuple(claim.tightened(allowance) for claim in group)
+        for name, group in context.by_operation.items()
     }
-    out = context.replaced(problem, less)
-    vars(out)["motion"] = context.motion  # it follows from the text alone
+    out = context.with_changes(problem, claims)
+    vars(out)["motion"] = context.motion  # depends on the text only
     return out

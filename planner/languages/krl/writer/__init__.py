@@ -1,1 +1,1 @@
-"""KRL for KUKA controllers."""
+"""Writer of KRL programs and of the controller files for KUKA controllers."""

@@ -1,8 +1,8 @@
-"""What goes with KRL programs: lines for the controller on power outputs, and notes to the user.
+"""Controller files for power outputs, which go with KRL programs, and notes to the user.
 
-No output of KRL falls at a stop by itself. Lines of the submit interpreter take it back, also the
-real output where the cell has one besides the program's request, and hold the arm until somebody
-says how it goes on, or, where a torch burned, until the program is reset.
+No output of KRL goes off at a stop by itself. Lines of the submit interpreter reset it, and also the real
+output if the cell has one besides the program's request. They hold the arm until the operator decides how to
+continue or, after a stop at which a torch burned, until the program is reset.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,92 +11,114 @@ from typing import Final
 import numpy as np
 
 from planner.claims.handshake import SignalWire
+from planner.issue_codes import format_message
 from planner.issues import Issue, Severity
 from planner.languages.krl.writer import spline_blocks
-from planner.languages.krl.writer.data import Data, near_zero
+from planner.languages.krl.writer.data import TaskDeclarations, axes_near_zero
 from planner.languages.writing import handshake
 from planner.languages.writing.layout import TaskProgram
 from planner.plans import Plan
 from planner.problem import Controller, KrlDialect, Problem
 
 POWER_FLAG: Final = "TANDEM_CUT"
-"""The variable of a controller that says that a wire or tool was on when the program stopped."""
+"""Controller variable: a wire or tool was on when the program stopped."""
 TORCH_FLAG: Final = "TANDEM_LIT"
-"""That a torch burned then."""
+"""Controller variable: a torch burned when the program stopped."""
 KRL_PARTNER_SEEN: Final = "TANDEM_SEEN"
-"""The variable of a KUKA controller that says that both programs have run since the last stop."""
+"""Variable of a KUKA controller: both programs have run since the last stop."""
 KRL_RUNS: Final = "$PRO_ACT AND $PERI_RDY"
-"""That a program runs with the drives on."""
+"""Condition: a program runs with the drives on."""
 
 
-def files(
+def build_files(
     controller: Controller,
     arm: str,
     signals: Sequence[str],
     wires: Sequence[SignalWire] = (),
     torches: Sequence[str] = (),
 ) -> dict[str, str]:
-    """The files, by name, for the controller of ``arm`` whose program switches ``signals``; ``wires``: the
-    running wires between it and another controller; ``torches``: those signals that light one."""
+    """Return the files of the controller of an arm by name.
+
+    Args:
+        controller: Controllers of the cell.
+        arm: Name of the arm.
+        signals: Power outputs that its program switches.
+        wires: Running wires between it and another controller.
+        torches: Those of ``signals`` that light a torch.
+    """
     runs = KRL_RUNS + (f" AND {krl_power_term(controller, arm)}" if wires else "")
-    numbers = {signal: controller.number(arm, signal) for signal in signals}
+    numbers = {signal: controller.signal_number(arm, signal) for signal in signals}
     flags = {signal: TORCH_FLAG if signal in torches else POWER_FLAG for signal in signals}
-    taken = [line for signal, number in numbers.items() for line in _taken(number, flags[signal])]
+    reset_lines = [
+        line for signal, number in numbers.items() for line in _reset_request(number, flags[signal])
+    ]
     submit = krl_submit_lines(controller, arm) if wires else []
-    submit += [f"IF NOT ({runs}) THEN", *taken, "ENDIF"] if taken else []
-    submit += _ended([numbers[signal] for signal in torches]) if torches else []
+    submit += [f"IF NOT ({runs}) THEN", *reset_lines, "ENDIF"] if reset_lines else []
+    submit += _torch_lock([numbers[signal] for signal in torches]) if torches else []
     for signal, number in numbers.items():
-        real = controller.number(arm, controller.interlock.of(signal).signal)
-        if real is not None:
-            submit.append(f"$OUT[{real}]=$OUT[{number}] AND {runs}")
-    kept = [flag for flag in (POWER_FLAG, TORCH_FLAG) if flag in flags.values()]
-    submit += [f"IF {POWER_FLAG} THEN", "$OV_PRO=0", "ENDIF"] if POWER_FLAG in kept else []
-    variables = kept + ([KRL_PARTNER_SEEN] if wires else [])
+        output_number = controller.signal_number(arm, controller.interlock.power_output(signal).signal)
+        if output_number is not None:
+            submit.append(f"$OUT[{output_number}]=$OUT[{number}] AND {runs}")
+    used_flags = [flag for flag in (POWER_FLAG, TORCH_FLAG) if flag in flags.values()]
+    submit += [f"IF {POWER_FLAG} THEN", "$OV_PRO=0", "ENDIF"] if POWER_FLAG in used_flags else []
+    variables = used_flags + ([KRL_PARTNER_SEEN] if wires else [])
     out = {
         "config_user.dat": _text([f"DECL BOOL {name}=FALSE" for name in variables]),
         "sps_user.sub": _text(submit),
     }
-    if taken:  # the real outputs too: a submit interpreter that stands takes none back
-        locks = (controller.interlock.of(signal).signal for signal in signals)
-        outputs = (controller.number(arm, lock) for lock in locks)
-        off = [f"$OUT[{number}]=FALSE" for number in outputs if number is not None]
-        out["ir_stopm_user.src"] = _text([*taken, *off])
+    if reset_lines:  # the real outputs too: a submit interpreter that is stopped resets none
+        output_names = (controller.interlock.power_output(signal).signal for signal in signals)
+        outputs = (controller.signal_number(arm, lock) for lock in output_names)
+        switch_off = [f"$OUT[{number}]=FALSE" for number in outputs if number is not None]
+        out["ir_stopm_user.src"] = _text([*reset_lines, *switch_off])
     return out | {"README.txt": _readme(controller, arm, signals, wires, torches)}
 
 
 def krl_power_term(controller: Controller, arm: str) -> str:
-    """The further AND term of the power of a KUKA arm's controller."""
-    return f"$IN[{controller.number(arm, controller.handshake.of(arm).partner_running)}]"
+    """Return the additional AND term of the power of a KUKA arm's controller: the running input.
+
+    Args:
+        controller: Controllers of the cell.
+        arm: Name of the arm.
+    """
+    return f"$IN[{controller.signal_number(arm, controller.handshake.of(arm).partner_running)}]"
 
 
 def krl_submit_lines(controller: Controller, arm: str) -> list[str]:
-    """Lines for the cycle of the submit interpreter of a KUKA arm's controller.
+    """Return the lines for the cycle of the submit interpreter of a KUKA arm's controller.
 
-    $MOVE_ENABLE looks at the level of its input and holds a start up too, so a controller whose partner has
-    not run yet would never start: the wire counts from the first time on that both are seen to run.
+    $MOVE_ENABLE reads the level of its input and also blocks a start. A controller whose partner has not run
+    yet would therefore never start. So the wire counts only after both programs have been seen to run.
+
+    Args:
+        controller: Controllers of the cell.
+        arm: Name of the arm.
     """
-    own = controller.handshake.of(arm)
-    out, enable = controller.number(arm, own.running), controller.number(arm, own.move_enable)
-    given = krl_power_term(controller, arm)
+    signals = controller.handshake.of(arm)
+    out, enable = (
+        controller.signal_number(arm, signals.running),
+        controller.signal_number(arm, signals.move_enable),
+    )
+    partner_running = krl_power_term(controller, arm)
     return [
-        f"$OUT[{out}]={KRL_RUNS} ; {own.running}",
+        f"$OUT[{out}]={KRL_RUNS} ; {signals.running}",
         "IF NOT $PRO_ACT THEN",
         f"{KRL_PARTNER_SEEN}=FALSE",
         "ENDIF",
-        f"IF $PRO_ACT AND {given} THEN ; {own.partner_running}",
+        f"IF $PRO_ACT AND {partner_running} THEN ; {signals.partner_running}",
         f"{KRL_PARTNER_SEEN}=TRUE",
         "ENDIF",
-        f"$OUT[{enable}]={given} OR NOT {KRL_PARTNER_SEEN} ; {own.move_enable}",
+        f"$OUT[{enable}]={partner_running} OR NOT {KRL_PARTNER_SEEN} ; {signals.move_enable}",
     ]
 
 
-def _taken(number: int | None, flag: str) -> list[str]:
-    """The request is taken back, and that it was on is kept."""
+def _reset_request(number: int | None, flag: str) -> list[str]:
+    """Statements that reset a request and record that it was on."""
     return [f"IF $OUT[{number}] THEN", f"{flag}=TRUE", "ENDIF", f"$OUT[{number}]=FALSE"]
 
 
-def _ended(numbers: Sequence[int | None]) -> list[str]:
-    """Where a torch burned no start goes on, nor is it lit by hand, until the program is reset."""
+def _torch_lock(numbers: Sequence[int | None]) -> list[str]:
+    """Statements that block starts, and switching the torch on by hand, until the program is reset."""
     return [
         *("IF $PRO_STATE1==#P_RESET THEN", f"{TORCH_FLAG}=FALSE", "ENDIF"),
         f"IF {TORCH_FLAG} THEN",
@@ -109,78 +131,78 @@ def _text(lines: Sequence[str]) -> str:
     return "".join(f"{line}\n" for line in ["; Written by Tandem.", *lines])
 
 
-_LOAD: Final = """For the controller of arm {arm}. Make an archive first.
+_INSTRUCTIONS: Final = """For the controller of arm {arm}. Make an archive first.
 
 1. config_user.dat: into the user fold of $CONFIG.DAT.
-2. sps_user.sub: into the user fold of the LOOP of SPS.SUB; no WAIT and no motion may stand there.
+2. sps_user.sub: into the user fold of the LOOP of SPS.SUB, which must contain no WAIT or motion.
 3. {stops}
 4. Restart the submit interpreter; it must run whenever the program does.
 5. {trial}
 """
-_STOPS: Final = "ir_stopm_user.src: into the user fold of IR_STOPM.SRC."
-_NO_STOPS: Final = "IR_STOPM.SRC stays as it is: this program switches no power."
+_STOP_FILE: Final = "ir_stopm_user.src: into the user fold of IR_STOPM.SRC."
+_NO_STOP_FILE: Final = "IR_STOPM.SRC stays unchanged: this program switches no power."
 _TRIAL: Final = """\
 Try it without wire and with the tool off: set the output by hand while the program waits, then
    stop. It must fall, and the arm must not move at the next start."""
 _TORCH_TRIAL: Final = """\
 Try it with the supply of the torch off and its input bridged: stop the program while the output
    is TRUE. It must fall, the arm must not move at the next start, and the output must not be set
-   by hand; a reset alone leads out."""
-_LOOK: Final = "Look at the outputs below while a program runs and while it stands."
+   by hand; only a reset clears this state."""
+_NO_POWER_TRIAL: Final = "Watch the outputs below while a program runs and while it is stopped."
 
-_WIRE: Final = """
+_RUNNING_WIRES_SECTION: Final = """
 Running wires, between this controller and the one of arm {other}:
   $OUT[{out}] {running}: 1 while this program runs; to {their} of arm {other}
-  $IN[{given}] {partner}: 1 while the program of arm {other} runs; from {source} of it
+  $IN[{given}] {partner}: 1 while the program of arm {other} runs; from its {source}
   $OUT[{enable}] {move}: to the input that $MOVE_ENABLE reads, with $CHCK_MOVENA=TRUE
 
 Try them before the first cut, without wire and with the tool off, all motors on: let both programs
 run at reduced speed and pull the wire at $IN[{given}].
 This arm must stop at once{falls}. Its stop must stop arm {other}, too.
-Then the same with the other wire, and by stopping either program.
+Repeat with the other wire, and by stopping either program.
 After a stop either side may be started first; nothing has power before both run.
 
 Seen: $PRO_ACT, $MOVE_ENABLE with $CHCK_MOVENA, outputs set by the submit interpreter.
 To be checked at the controller: that $PRO_ACT falls at every stop; that the input of $MOVE_ENABLE
-counts in all modes that are used.
+works in all modes that are used.
 """
 
-_POWER: Final = """
+_POWER_SECTION: Final = """
 Outputs:
 {signals}
 
 {behind}{both}
 
-Seen: $OUT[n] = request AND $PRO_ACT in the submit interpreter, which runs on through stops;
-IR_STOPM as the user's place for reactions to stops, and its interrupt at the head of programs.
+Seen: $OUT[n] = request AND $PRO_ACT in the submit interpreter, which keeps running at stops;
+IR_STOPM as the place for the user's reactions to stops, and its interrupt at the start of programs.
 
 To be checked at the controller: $PERI_RDY (drives ready); that $OV_PRO can be set by the submit
 interpreter in all modes; that IR_STOPM runs at every stop message.
 
 The submit interpreter is no safety function: an emergency stop must cut the power by itself, too.
 """
-_HOT: Final = """
-Mounting a hot wire with the gate open: in automatic the open gate takes the drives away, and the
-power with them. Mount it cold; or in T1 while somebody else holds enabling switch and start key and
-the program waits; behind a change of mode the power is off.
+_HOT_WIRE_SECTION: Final = """
+Mounting a hot wire with the gate open: in automatic the open gate switches off the drives, and the
+power with them. Mount it cold; or in T1 while a second person holds enabling switch and start key
+and the program waits; after a change of mode the power is off.
 """
 
 
-_FREED: Final = """\
-Behind a stop with the power on {flag} is TRUE and the override 0. Free the wire or the tool, or
+_RESTART_SECTION: Final = """\
+After a stop with the power on {flag} is TRUE and the override 0. Free the wire or the tool, or
 set the output again by hand and wait until it is hot or runs at full speed; then set {flag} to
-FALSE in the variable display and the override to what it was. Never do so while block or part is in
-the way of a cold wire or a tool that stands."""
-_NEVER_LIT: Final = """\
+FALSE in the variable display and restore the override. Never do so while stock or part is in
+the path of a cold wire or of a tool that does not run."""
+_TORCH_SECTION: Final = """\
 {torches} lights a torch.
-Behind a stop while it burned {flag} is TRUE: the submit interpreter holds that output at FALSE
-and the override at 0, whatever is set by hand, until the program is reset. It does not go on: the
-arc would burn where the torch stands, or metal would stay in the slot. Move the torch out by hand,
-look at the sheet, reset the program, and set the override to what it was. It cuts all of its slots:
-begin anew on a sheet without them, else plan anew what is left. Never select a line, and never
-write {flag}. Behind a power failure do the same, also where it is FALSE.
+After a stop while it burned {flag} is TRUE: the submit interpreter holds that output at FALSE
+and the override at 0, whatever is set by hand, until the program is reset. It does not resume: the
+arc would burn where the torch is, or metal would stay in the slot. Move the torch out by hand,
+inspect the sheet, reset the program, and restore the override. It cuts all of its slots:
+start on a sheet without them, otherwise replan what is left. Never select a line, and never
+write {flag}. After a power failure do the same, even if it is FALSE.
 
-To be checked at the controller: $PRO_STATE1, and that it is #P_RESET behind a reset alone."""
+To be checked at the controller: $PRO_STATE1, and that it is #P_RESET only after a reset."""
 
 
 def _readme(
@@ -192,105 +214,129 @@ def _readme(
 ) -> str:
     rows = []
     for signal in signals:
-        lock = controller.interlock.of(signal).signal
-        number, real = controller.number(arm, signal), controller.number(arm, lock)
-        if real is None:
-            rows.append(f"  $OUT[{number}] {signal}: set by the program, taken back at a stop")
+        output_name = controller.interlock.power_output(signal).signal
+        number, output_number = (
+            controller.signal_number(arm, signal),
+            controller.signal_number(arm, output_name),
+        )
+        if output_number is None:
+            rows.append(f"  $OUT[{number}] {signal}: set by the program, reset at a stop")
         else:
             rows.append(f"  $OUT[{number}] {signal}: request of the program, wired to nothing")
-            rows.append(f"  $OUT[{real}] {lock}: the power hangs on this one")
-    by_hand = bool(set(signals) - set(torches))
-    stops, trial = (_STOPS, _TRIAL if by_hand else _TORCH_TRIAL) if rows else (_NO_STOPS, _LOOK)
-    out = _LOAD.format(arm=arm, stops=stops, trial=trial)
+            rows.append(f"  $OUT[{output_number}] {output_name}: this one switches the power")
+    manual_requests = bool(set(signals) - set(torches))
+    stops, trial = (
+        (_STOP_FILE, _TRIAL if manual_requests else _TORCH_TRIAL)
+        if rows
+        else (_NO_STOP_FILE, _NO_POWER_TRIAL)
+    )
+    out = _INSTRUCTIONS.format(arm=arm, stops=stops, trial=trial)
     if wires:
-        out += _wire(controller, arm, wires, bool(rows))
+        out += _running_wires_section(controller, arm, wires, bool(rows))
     if rows:
         both = "\nThe power stays on only while the program of the other arm runs, too." if wires else ""
-        behind = [_FREED.format(flag=POWER_FLAG)] if by_hand else []
-        behind += [_NEVER_LIT.format(flag=TORCH_FLAG, torches=", ".join(torches))] if torches else []
-        out += _POWER.format(signals="\n".join(rows), behind="\n\n".join(behind), both=both)
-        out += _HOT if by_hand else ""
+        after_stop = [_RESTART_SECTION.format(flag=POWER_FLAG)] if manual_requests else []
+        after_stop += [_TORCH_SECTION.format(flag=TORCH_FLAG, torches=", ".join(torches))] if torches else []
+        out += _POWER_SECTION.format(signals="\n".join(rows), behind="\n\n".join(after_stop), both=both)
+        out += _HOT_WIRE_SECTION if manual_requests else ""
     return out
 
 
-def _wire(controller: Controller, arm: str, wires: Sequence[SignalWire], powered: bool) -> str:
-    there, here = handshake.running_wires(wires, arm)
-    own = controller.handshake.of(arm)
-    out, given, enable = (
-        controller.number(arm, name) for name in (own.running, own.partner_running, own.move_enable)
+def _running_wires_section(
+    controller: Controller, arm: str, wires: Sequence[SignalWire], powered: bool
+) -> str:
+    outgoing, incoming = handshake.running_wires(wires, arm)
+    signals = controller.handshake.of(arm)
+    running, partner_running, enable = (
+        controller.signal_number(arm, name)
+        for name in (signals.running, signals.partner_running, signals.move_enable)
     )
-    return _WIRE.format(
-        other=there.sink,
-        out=out,
-        running=own.running,
-        their=there.input,
-        given=given,
-        partner=own.partner_running,
-        source=here.output,
+    return _RUNNING_WIRES_SECTION.format(
+        other=outgoing.sink,
+        out=running,
+        running=signals.running,
+        their=outgoing.input,
+        given=partner_running,
+        partner=signals.partner_running,
+        source=incoming.output,
         enable=enable,
-        move=own.move_enable,
+        move=signals.move_enable,
         falls=", and its power fall" if powered else "",
     )
 
 
-MEMORY_BYTES: Final = 4_000_000
-"""Bytes that a controller has for programs (KSS 8.3, told in a forum)."""
-TURN_OFF: Final = np.deg2rad(0.05)
-"""A classical LIN and a turn about one axis may differ by so much [rad] before it is told."""
+MAX_PROGRAM_BYTES: Final = 4_000_000
+"""Program memory of a controller [bytes] (KSS 8.3, according to a forum post)."""
+MAX_ROTATION_DEVIATION_RAD: Final = np.deg2rad(0.05)
+"""Deviation [rad] between a classical LIN and a rotation about one axis above which a note is issued."""
 
 
 def notes(
     tasks: Sequence[TaskProgram], plan: Plan, problem: Problem, files: Mapping[str, str]
 ) -> tuple[Issue, ...]:
-    """Turn bits near zero (``post.turn_near_zero``), large turns in one move (``post.krl_turn``), files
-    that are too long for some controllers (``post.krl_size``), what spline blocks rest on (``post.spline``),
-    and moves that are in none (``post.spline_left``)."""
+    """Return notes to the user on KRL programs.
+
+    They concern turn bits near zero (``post.turn_near_zero``), large rotations in one move
+    (``post.krl_turn``), programs that exceed the memory of some controllers (``post.krl_size``), assumptions
+    of spline blocks (``post.spline``), and moves that are in no block (``post.spline_left``).
+
+    Args:
+        tasks: Tasks of KUKA arms.
+        plan: The plan.
+        problem: Its problem.
+        files: Texts of the programs by path.
+    """
     out: list[Issue] = []
     dialect = problem.cell.controller.dialect
     for task in tasks:
-        out += [*_turn_bits(task), *_turns(task, plan, dialect), *_size(task, files)]
+        out += [*_turn_bit_notes(task), *_rotation_notes(task, plan, dialect), *_size_notes(task, files)]
         if problem.cell.controller.path == "spline":
-            out += _splines(task, plan)
+            out += _spline_notes(task, plan)
     return tuple(out)
 
 
-def _turn_bits(task: TaskProgram) -> list[Issue]:
+def _turn_bit_notes(task: TaskProgram) -> list[Issue]:
     out = []
     for number, operation in enumerate(task.operations, 1):
         q = spline_blocks.first_joints(operation)
-        axes = [] if q is None else near_zero(task.robot, q).tolist()
+        axes = [] if q is None else axes_near_zero(task.robot, q).tolist()
         if axes:
             listed = ", ".join(f"A{axis}" for axis in axes)
-            message = (
-                f"operation {operation.name}: at its first target p_{number}_start {listed} of arm "
-                f"{task.arm.name} is within 2 degrees of zero, where a controller may pass over the turn bit"
+            message = format_message(
+                "post.turn_near_zero",
+                operation=operation.name,
+                operation_number=number,
+                axes=listed,
+                arm=task.arm.name,
             )
-            hint = (
-                "watch the way from the station before at low speed, or turn or move the stock until these "
-            )
-            hint += "axes are farther off zero at that target"
+            hint = "watch the move from the previous station at low speed, or rotate or move the stock until "
+            hint += "these axes are farther from zero at that target"
             out.append(
                 Issue("post.turn_near_zero", message, Severity.WARNING, arm=task.arm.name, index=0, hint=hint)
             )
     return out
 
 
-def _turns(task: TaskProgram, plan: Plan, dialect: KrlDialect) -> list[Issue]:
+def _rotation_notes(task: TaskProgram, plan: Plan, dialect: KrlDialect) -> list[Issue]:
     out = []
     for operation, rows in zip(
-        task.operations, spline_blocks.operation_rows(task, Data(task, plan)), strict=True
+        task.operations, spline_blocks.operation_rows(task, TaskDeclarations(task, plan)), strict=True
     ):
-        if rows is None or not len(rows.turn):
+        if rows is None or not len(rows.rotation):
             continue
-        worst = int(np.argmax(rows.turn))
-        off = float(rows.turn[worst]) ** 2 / 16.0
-        if off > TURN_OFF:
-            count = int(np.sum(rows.turn**2 / 16.0 > TURN_OFF))
-            place = f"{operation.segments[worst]}, move {worst + 1}"
-            message = (
-                f"operation {operation.name}: {count} moves of arm {task.arm.name} turn so far at once that "
-                f"a controller that swivels and rotates the tool may be {np.rad2deg(off):.2f} degrees off "
-                f"between their ends; most at {place}, with {np.rad2deg(rows.turn[worst]):.1f} degrees"
+        worst = int(np.argmax(rows.rotation))
+        deviation = float(rows.rotation[worst]) ** 2 / 16.0
+        if deviation > MAX_ROTATION_DEVIATION_RAD:
+            count = int(np.sum(rows.rotation**2 / 16.0 > MAX_ROTATION_DEVIATION_RAD))
+            location = f"{operation.segments[worst]}, move {worst + 1}"
+            message = format_message(
+                "post.krl_turn",
+                operation=operation.name,
+                move_count=count,
+                arm=task.arm.name,
+                deviation_deg=np.rad2deg(deviation),
+                location=location,
+                rotation_deg=np.rad2deg(rows.rotation[worst]),
             )
             out.append(
                 Issue(
@@ -298,21 +344,22 @@ def _turns(task: TaskProgram, plan: Plan, dialect: KrlDialect) -> list[Issue]:
                     message,
                     Severity.WARNING if dialect == "krc2" else Severity.NOTE,
                     arm=task.arm.name,
-                    target=place,
-                    value=float(np.rad2deg(off)),
-                    limit=float(np.rad2deg(TURN_OFF)),
+                    target=location,
+                    value=float(np.rad2deg(deviation)),
+                    limit=float(np.rad2deg(MAX_ROTATION_DEVIATION_RAD)),
                     unit="deg",
-                    hint="look at these moves at low speed, or put targets closer, so that the tool turns by "
-                    f"{np.floor(np.rad2deg(4.0 * np.sqrt(TURN_OFF)) * 10.0) / 10.0:.1f} degrees or less in a "
-                    "move",
+                    hint="watch these moves at low speed, or put targets closer, so that the tool rotates "
+                    "by "
+                    f"{np.floor(np.rad2deg(4.0 * np.sqrt(MAX_ROTATION_DEVIATION_RAD)) * 10.0) / 10.0:.1f} "
+                    "degrees or less in a move",
                 )
             )
     return out
 
 
-def _splines(task: TaskProgram, plan: Plan) -> list[Issue]:
-    found = spline_blocks.operation_blocks(task, plan, Data(task, plan))
-    named = zip(task.operations, found, strict=True)
+def _spline_notes(task: TaskProgram, plan: Plan) -> list[Issue]:
+    runs_by_operation = spline_blocks.operation_runs(task, plan, TaskDeclarations(task, plan))
+    named = zip(task.operations, runs_by_operation, strict=True)
     return [
         issue
         for operation, runs in named
@@ -320,16 +367,15 @@ def _splines(task: TaskProgram, plan: Plan) -> list[Issue]:
     ]
 
 
-def _size(task: TaskProgram, files: Mapping[str, str]) -> list[Issue]:
+def _size_notes(task: TaskProgram, files: Mapping[str, str]) -> list[Issue]:
     size = sum(len(text) for path, text in files.items() if path.startswith(f"{task.arm.name}/"))
-    if size <= MEMORY_BYTES:
+    if size <= MAX_PROGRAM_BYTES:
         return []
-    message = (
-        f"the programs of arm {task.arm.name} have {size / 1e6:.1f} MB; some controllers hold "
-        f"{MEMORY_BYTES / 1e6:g} MB"
+    message = format_message(
+        "post.krl_size", arm=task.arm.name, size_mb=size / 1e6, max_size_mb=MAX_PROGRAM_BYTES / 1e6
     )
     hint = "load the files one after the other, or split the job into "
-    hint += f"{int(np.ceil(size / MEMORY_BYTES))} problems of like length"
+    hint += f"{int(np.ceil(size / MAX_PROGRAM_BYTES))} problems of similar length"
     return [
         Issue(
             "post.krl_size",
@@ -337,7 +383,7 @@ def _size(task: TaskProgram, files: Mapping[str, str]) -> list[Issue]:
             Severity.WARNING,
             arm=task.arm.name,
             value=size / 1e6,
-            limit=MEMORY_BYTES / 1e6,
+            limit=MAX_PROGRAM_BYTES / 1e6,
             unit="MB",
             hint=hint,
         )

@@ -1,12 +1,11 @@
-"""The data list of a KUKA arm's program: all that its moves refer to, under one name each.
+"""The data list of a KUKA arm's program: everything that its moves refer to, under one name each.
 
-Loads: a KUKA controller is told one load, of the tool and of the block that it holds together.
+Loads: a KUKA controller takes one load, for the tool and the block that it holds together.
 
-Status and turn say which of the arm's postures a PTP to a pose means. S bit 0 (1): the wrist's
-centre lies behind axis 1. Bit 1 (2): axis 3 is bent to the positive side of the posture in which
-shoulder, elbow and wrist's centre are in line. Bit 2 (4): axis 5 is negative. T bit i - 1: axis i
-is negative. Sources: KUKA's expert programming manual as cited in a forum (bit 0); points taught on
-real robots (bits 1, 2).
+Status and turn select one of the arm's postures for a PTP to a pose. S bit 0 (1): the wrist centre is behind
+axis 1. Bit 1 (2): axis 3 is on the positive side of the posture in which shoulder, elbow and wrist centre
+are in line. Bit 2 (4): axis 5 is negative. T bit i - 1: axis i is negative. Sources: KUKA's expert
+programming manual as cited in a forum (bit 0); points taught on real robots (bits 1, 2).
 """
 
 import itertools
@@ -16,55 +15,74 @@ from typing import Final
 import numpy as np
 
 from planner.catalogue.robots import RobotData
-from planner.cell.kinematics import forward
+from planner.cell.kinematics import forward_kinematics
 from planner.geometry.arrays import FloatArray, IntArray, from_parts, inverse
-from planner.issues import refusal
-from planner.languages.krl.writer.syntax import NAME_LENGTH, aggregate, e6axis, e6pos, frame, name, written
-from planner.languages.writing.layout import Joints, Load, OperationProgram, TaskProgram, number
+from planner.issues import issue_error
+from planner.languages.krl.writer.syntax import (
+    MAX_NAME_LENGTH,
+    aggregate,
+    e6axis,
+    e6pos,
+    frame,
+    identifier,
+    rounded_pose,
+)
+from planner.languages.writing.layout import HeldLoad, JointMove, OperationProgram, TaskProgram, format_fixed
 from planner.languages.writing.steps import require_mass
 from planner.plans import Plan
 from planner.tooling import Tool
 
 
-def load_data(tool: Tool, held: Load | None) -> str:
-    """A LOAD: mass [kg], centre in the flange's frame [mm, deg], moments of inertia about the axes there.
+def load_data(tool: Tool, held: HeldLoad | None) -> str:
+    """Format a LOAD: mass [kg], centre in the flange frame [mm, deg], moments of inertia about its axes.
 
-    A tool is a point mass, as the problem states it; ``held`` has its axes and moments. Both together have
-    the centre of mass, and the principal axes and moments by the parallel axis theorem. Raises
-    :class:`TandemError` (``post.tool``) for a tool without mass.
+    A tool is a point mass, as the problem states it; ``held`` has its own axes and moments. Together they
+    have the common centre of mass, with principal axes and moments by the parallel axis theorem.
+
+    Args:
+        tool: The tool.
+        held: What it holds, or None.
+
+    Raises:
+        TandemError: ``post.tool`` for a tool without mass.
     """
     require_mass(tool)
     mass, centre, axes, moments = tool.mass, np.asarray(tool.cog), np.eye(3), np.zeros(3)
     if held is not None:
-        mass, centre, axes, moments = _together(tool, held)
-    pose = frame(from_parts(axes, centre), millimetres=3)
-    inertia = aggregate(dict(zip("XYZ", (number(v, 6) for v in moments), strict=True)))
-    return aggregate({"M": number(mass, 3), "CM": pose, "J": inertia})
+        mass, centre, axes, moments = _combined_load(tool, held)
+    pose = frame(from_parts(axes, centre), decimals=3)
+    inertia = aggregate(dict(zip("XYZ", (format_fixed(v, 6) for v in moments), strict=True)))
+    return aggregate({"M": format_fixed(mass, 3), "CM": pose, "J": inertia})
 
 
-def _together(tool: Tool, held: Load) -> tuple[float, FloatArray, FloatArray, FloatArray]:
-    """Mass, centre (3,), axes (3, 3) and moments (3,) of tool and block in the flange's frame."""
-    turned = tool.tcp[:3, :3] @ held.axes
-    place = tool.tcp[:3, :3] @ held.cog + tool.tcp[:3, 3]
+def _combined_load(tool: Tool, held: HeldLoad) -> tuple[float, FloatArray, FloatArray, FloatArray]:
+    """Mass, centre (3,), axes (3, 3) and moments (3,) of tool and block in the flange frame."""
+    held_axes = tool.tcp[:3, :3] @ held.axes
+    held_centre = tool.tcp[:3, :3] @ held.cog + tool.tcp[:3, 3]
     mass = tool.mass + held.mass
-    centre = (tool.mass * tool.cog + held.mass * place) / mass
-    tensor = turned @ np.diag(held.inertia) @ turned.T
-    for weight, at in ((tool.mass, tool.cog), (held.mass, place)):
-        arm = at - centre
-        tensor = tensor + weight * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    centre = (tool.mass * tool.cog + held.mass * held_centre) / mass
+    tensor = held_axes @ np.diag(held.inertia) @ held_axes.T
+    for weight, point in ((tool.mass, tool.cog), (held.mass, held_centre)):
+        lever = point - centre
+        tensor = tensor + weight * (lever @ lever * np.eye(3) - np.outer(lever, lever))
     moments, axes = np.linalg.eigh(tensor)
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     return mass, centre, axes, moments
 
 
 DEGREE_DECIMALS: Final = 4
-"""Joints are rounded so before they are looked at, so that one on a border is not settled by noise."""
-TURN_IGNORED: Final = np.deg2rad(2.0)
-"""A controller may leave the turn bit of an axis so near to zero alone [rad]."""
+"""Decimals to which joints in degrees are rounded first, so that noise does not decide on a border."""
+TURN_BIT_TOLERANCE_RAD: Final = np.deg2rad(2.0)
+"""Joint angle [rad] up to which a controller may ignore the turn bit of an axis."""
 
 
 def status(robot: RobotData, q: FloatArray) -> IntArray:
-    """S (...,) of serial joint angles q (..., 6) [rad]."""
+    """Return S (...,).
+
+    Args:
+        robot: The robot.
+        q: Serial joint angles, (..., 6) [rad].
+    """
     rounded = _rounded(robot, q)
     p = robot.opw
     theta = p.signs * robot.from_controller(rounded) - p.offsets
@@ -76,26 +94,45 @@ def status(robot: RobotData, q: FloatArray) -> IntArray:
 
 
 def turn(robot: RobotData, q: FloatArray) -> IntArray:
-    """T (...,) of serial joint angles q (..., 6) [rad]."""
+    """Return T (...,).
+
+    Args:
+        robot: The robot.
+        q: Serial joint angles, (..., 6) [rad].
+    """
     return np.asarray((_rounded(robot, q) < 0.0) @ (1 << np.arange(6)), dtype=np.int64)
 
 
-def near_zero(robot: RobotData, q: FloatArray) -> IntArray:
-    """Axes, from 1, of joints (6,) [rad] whose turn bit a controller may leave alone."""
-    return np.flatnonzero(np.abs(robot.to_controller(q)) <= TURN_IGNORED) + 1
+def axes_near_zero(robot: RobotData, q: FloatArray) -> IntArray:
+    """Return the axes, from 1, whose turn bit a controller may ignore.
+
+    Args:
+        robot: The robot.
+        q: Serial joint angles, (6,) [rad].
+    """
+    return np.flatnonzero(np.abs(robot.to_controller(q)) <= TURN_BIT_TOLERANCE_RAD) + 1
 
 
 def _rounded(robot: RobotData, q: FloatArray) -> FloatArray:
-    """Return the joints (..., 6) [rad] as the controller stores them, rounded."""
+    """Joints (..., 6) [rad] as the controller stores them, rounded."""
     return np.deg2rad(np.round(np.rad2deg(robot.to_controller(q)), DEGREE_DECIMALS))
 
 
-_STEM_LENGTH = NAME_LENGTH - 3
-"""A number may follow where two tools are called alike."""
+_STEM_LENGTH = MAX_NAME_LENGTH - 3
+"""Maximum length of a tool's name, without the number that tells equal names apart."""
 
 
-class Data:
-    """Names and declarations of one task; things with equal values have one name."""
+class TaskDeclarations:
+    """Names and declarations of one task; equal values have one name.
+
+    Attributes:
+        task: The task.
+        plan: The plan that is written.
+        lines: Declarations by name.
+        tools: Names of tools, by tool name and value.
+        joints: Names of joint positions, by value.
+        loads: Names of loads.
+    """
 
     def __init__(self, task: TaskProgram, plan: Plan) -> None:
         self.task, self.plan = task, plan
@@ -104,78 +141,118 @@ class Data:
         self.joints: dict[str, str] = {}
         self.loads: dict[tuple[str, str], str] = {}
         self.declare("FRAME", "base_frame", frame(task.base))
-        self.joint(Joints(task.arm.home, "home", station=task.home_station), 0)
+        self.joint(JointMove(task.arm.home, "home", axis_setpoint=task.home_setpoint), 0)
 
-    def declare(self, kind: str, word: str, value: str) -> str:
-        """A declaration of ``word``; returns it. Raises ``TandemError`` (``post.name``) for two values."""
-        line = f"DECL {kind} {word}={value}"
-        if self.lines.setdefault(word, line) != line:
-            message = f"two things of arm {self.task.arm.name} would be called {word}"
-            raise refusal("post.name", message, hint="give the tool another name")
-        return word
+    def declare(self, kind: str, name: str, value: str) -> str:
+        """Declare a name and return it.
+
+        Args:
+            kind: KRL type.
+            name: The name.
+            value: The aggregate as text.
+
+        Raises:
+            TandemError: ``post.name`` if the name has another value already.
+        """
+        line = f"DECL {kind} {name}={value}"
+        if self.lines.setdefault(name, line) != line:
+            message = f"arm {self.task.arm.name} would use the name {name} twice"
+            raise issue_error("post.name", message, hint="give the tool another name")
+        return name
 
     def tool(self, tool: Tool) -> str:
-        """Name of a tool's frame."""
+        """Return the name of a tool's frame."""
         key = (tool.name, frame(tool.tcp) + load_data(tool, None))
         if key not in self.tools:
-            stem = name(f"t_{tool.name}", _STEM_LENGTH)[2:]
+            stem = identifier(f"t_{tool.name}", _STEM_LENGTH)[2:]
             names = itertools.chain([stem], (f"{stem}_{n}" for n in itertools.count(2)))
-            own = next(one for one in names if one not in self.tools.values())
-            self.tools[key] = own
-            self.declare("FRAME", f"t_{own}", frame(tool.tcp))
-            self.declare("LOAD", f"l_{own}", load_data(tool, None))
+            unique_name = next(candidate for candidate in names if candidate not in self.tools.values())
+            self.tools[key] = unique_name
+            self.declare("FRAME", f"t_{unique_name}", frame(tool.tcp))
+            self.declare("LOAD", f"l_{unique_name}", load_data(tool, None))
         return f"t_{self.tools[key]}"
 
-    def load(self, tool: Tool, held: Load | None) -> str:
-        """Name of the load of a tool with what it holds."""
+    def load(self, tool: Tool, held: HeldLoad | None) -> str:
+        """Return the name of the load of a tool with what it holds.
+
+        Args:
+            tool: The tool.
+            held: What it holds, or None.
+        """
         if held is None:
             return f"l_{self.tool(tool)[2:]}"
         return self.declare("LOAD", f"l_block_{held.setup}", load_data(tool, held))
 
     def base(self, operation: OperationProgram) -> str:
-        """Name of the base of an operation's moves, or of the cell's world where it has none."""
+        """Return the name of the base of an operation's moves, or of the cell's world if it has none."""
         pose, word = self.base_pose(operation)
         return self.declare("FRAME", word, frame(pose))
 
     def base_pose(self, operation: OperationProgram) -> tuple[FloatArray, str]:
-        """The base (4, 4) of an operation's moves as the robot's foot sees it, and its name."""
-        kind = "world" if operation.track is None else operation.track.frame
+        """Return the base of an operation's moves in the robot's foot frame, (4, 4) [m], and its name.
+
+        Raises:
+            TandemError: ``post.frame`` for a frame that KRL has no base for.
+        """
+        kind = "world" if operation.moves is None else operation.moves.frame
         foot = inverse(self.task.base)
         if kind == "world":
             return foot, "b_world"
         if kind == "stock":
-            place = self.plan.places[operation.setup - 1]
-            return foot @ place, "b_stock" if operation.setup == 1 else f"b_stock_{operation.setup}"
-        message = f"targets of {self.task.arm.name} lie in {kind!r}, which KRL has no base for"
-        raise refusal("post.frame", message, hint="allowed: stock, world")
+            stock_pose = self.plan.stock_poses[operation.setup - 1]
+            return foot @ stock_pose, "b_stock" if operation.setup == 1 else f"b_stock_{operation.setup}"
+        message = f"targets of {self.task.arm.name} are in {kind!r}, for which KRL has no base"
+        raise issue_error("post.frame", message, hint="allowed: stock, world")
 
-    def joint(self, step: Joints, operation: int) -> str:
-        """Name of the joints of a step of an operation, counted from 1."""
-        text = e6axis(np.rad2deg(self.task.robot.to_controller(step.q)), step.station)
+    def joint(self, step: JointMove, operation: int) -> str:
+        """Return the name of the joint position of a step.
+
+        Args:
+            step: The joint move.
+            operation: Number of its operation, from 1.
+        """
+        text = e6axis(np.rad2deg(self.task.robot.to_controller(step.q)), step.axis_setpoint)
         if text not in self.joints:
-            stem = "x_home" if step.place == "home" else f"x_{operation}_{step.place}"
+            stem = "x_home" if step.role == "home" else f"x_{operation}_{step.role}"
             count = sum(word.startswith(stem) for word in self.joints.values())
-            word = stem if step.place == "home" else f"{stem}_{count + 1}"
+            word = stem if step.role == "home" else f"{stem}_{count + 1}"
             self.joints[text] = self.declare("E6AXIS", word, text)
         return self.joints[text]
 
     def start(self, operation: OperationProgram, q: FloatArray, number: int) -> str:
-        """Name of the first target of an operation, counted from 1: its pose in the base, status and turn."""
+        """Return the name of the first target of an operation: its pose in the base, status and turn.
+
+        Args:
+            operation: The operation.
+            q: Serial joint angles there, (6,) [rad].
+            number: Number of the operation, from 1.
+        """
         position, angles = self.start_pose(operation, q)
         robot = self.task.robot
-        axes = operation.station
+        axes = operation.axis_setpoint
         value = e6pos(position, angles, int(status(robot, q)), int(turn(robot, q)), axes)
         return self.declare("E6POS", f"p_{number}_start", value)
 
     def start_pose(self, operation: OperationProgram, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Position (3,) [mm] and A, B, C (3,) [deg] of the TCP at joints (6,), as written."""
-        flange = forward(self.task.robot, q)
-        if operation.arm.axes:  # the base is seen from where the foot is at values 0
-            flange = inverse(self.task.base) @ operation.arm.base @ flange
-        return written(inverse(self.base_pose(operation)[0]) @ flange @ operation.arm.tool.tcp)
+        """Return position (3,) [mm] and A, B, C (3,) [deg] of the TCP, as written.
 
-    def list(self, stem: str, header: list[str], digest: Mapping[str, str]) -> list[str]:
-        """The lines of the data list ``stem``; ``digest``: text constants by name."""
+        Args:
+            operation: The operation.
+            q: Serial joint angles, (6,) [rad].
+        """
+        flange = forward_kinematics(self.task.robot, q)
+        if operation.arm.linear_axes:  # the base is relative to the foot at axis values 0
+            flange = inverse(self.task.base) @ operation.arm.base @ flange
+        return rounded_pose(inverse(self.base_pose(operation)[0]) @ flange @ operation.arm.tool.tcp)
+
+    def data_list(self, stem: str, header: list[str], digest: Mapping[str, str]) -> list[str]:
+        """Return the lines of the data list.
+
+        Args:
+            stem: Name of the data list.
+            header: Comment lines.
+            digest: Text constants by name.
+        """
         out = [f"DEFDAT {stem} PUBLIC", *header]
         for word, value in digest.items():
             out += [f"DECL CHAR {word}[{len(value)}]", f'{word}[]="{value}"']

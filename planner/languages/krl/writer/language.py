@@ -1,4 +1,4 @@
-"""KRL, as programs are written in it."""
+"""The writer of KRL as the planner uses it."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -7,28 +7,28 @@ from planner.issues import Issue
 from planner.languages.krl.writer import controller_files
 from planner.languages.krl.writer.program import write
 from planner.languages.krl.writer.spline_blocks import spline_refusals
-from planner.languages.krl.writer.syntax import settled
+from planner.languages.krl.writer.syntax import snap_poses
 from planner.languages.writing.language import PoweredSignals, Writer
-from planner.languages.writing.layout import Job, TaskProgram
-from planner.languages.writing.refusals import unnumbered
+from planner.languages.writing.layout import JobPrograms, TaskProgram
+from planner.languages.writing.refusals import unnumbered_signals
 from planner.problem import Arm, Controller, Problem
 from planner.targets import Targets
 
 
-def _refuse(problem: Problem, made: Sequence[Targets], arms: Sequence[Arm]) -> list[Issue]:
+def _refuse(problem: Problem, targets: Sequence[Targets], arms: Sequence[Arm]) -> list[Issue]:
     partners = problem.cell.controller.handshake
     return [
         issue
         for arm in arms
-        for issue in unnumbered(problem, made, arm, "KRL", [partners.of(arm.name).move_enable])
+        for issue in unnumbered_signals(problem, targets, arm, "KRL", [partners.of(arm.name).move_enable])
     ]
 
 
 def _controller_files(
-    job: Job, tasks: Sequence[TaskProgram], controller: Controller, powered: PoweredSignals
+    job: JobPrograms, tasks: Sequence[TaskProgram], controller: Controller, powered: PoweredSignals
 ) -> dict[str, str]:
     del job
-    return controller_files.files(
+    return controller_files.build_files(
         controller, tasks[0].arm.name, powered.signals, powered.wires, powered.torches
     )
 
@@ -37,7 +37,7 @@ WRITER: Final = Writer(
     write,
     syncs=("handshake",),
     stops_at_pauses=True,
-    round_poses=settled,
+    round_poses=snap_poses,
     refuse=_refuse,
     refuse_settings=spline_refusals,
     controller_files=_controller_files,

@@ -1,11 +1,11 @@
-"""KRL as text: numbers, names, aggregates, straight moves, and what a controller shows on its panel.
+"""Formats KRL: numbers, names, aggregates, straight moves, and panel output.
 
-Dialogs are krc4, comments and HALT krc2. HALT is no confirmation: in automatic external a PLC that
-pulses its start signal goes on behind it. Dialogs are answered at the panel in every mode; where
-there are none (krc2), that mode is refused.
+Dialogs are krc4; comments and HALT are krc2. HALT is no confirmation: in automatic external a PLC that
+pulses its start signal resumes after it. Dialogs are answered at the panel in every mode. Without dialogs
+(krc2) this mode is refused.
 
-**Straight moves** of whole tracks at once (`Rows`, `lines`): poses, speeds, corners, and their
-text. KRL states no times: a move's speeds are those that its planned time asks for, rounded down.
+**Straight moves** are formatted for whole tracks at once (`KrlMoves`, `move_text`): poses, speeds, corners,
+and their text. KRL states no times: the speeds of a move follow from its planned time, rounded down.
 """
 
 import dataclasses
@@ -17,30 +17,30 @@ from typing import Final
 import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, from_quaternion
-from planner.geometry.corner_rounding import FINE_ZONES
-from planner.issues import refusal
+from planner.geometry.corner_rounding import FINE_ZONE_SIZES
+from planner.issues import issue_error
 from planner.languages.krl import sentences as krl_sentences
 from planner.languages.writing.layout import (
     POSITION_DECIMALS,
     TRACK_COLUMN,
-    Outer,
-    Track,
-    number,
-    plain,
-    short,
+    ExternalAxisValues,
+    MoveTable,
+    format_fixed,
+    format_short,
+    to_ascii,
 )
-from planner.problem import OUTER_DECIMALS, KrlDialect
+from planner.problem import EXTERNAL_AXIS_DECIMALS, KrlDialect
 
-NAME_LENGTH: Final = 24
-"""Longest name in KRL [characters]."""
+MAX_NAME_LENGTH: Final = 24
+"""Maximum length of a KRL name [characters]."""
 ANGLE_DECIMALS: Final = 5
 """Decimals of A, B, C of targets in degrees."""
 _FRAME_ANGLE_DECIMALS: Final = 6
 """Decimals of the angles of a FRAME in degrees."""
 _POLE_COSINE: Final = 1e-7
-"""Below this cosine of B, A and C turn about one axis, and C is 0."""
-_OUTER_AXES: Final = 6
-"""External axes of a structure, E1 to E6."""
+"""Cosine of B below which A and C rotate about the same axis, so that C is set to 0."""
+_EXTERNAL_AXIS_COUNT: Final = 6
+"""Number of external axes in an aggregate, E1 to E6."""
 
 _RESERVED_TEXT: Final = """
 and anin anout b_and b_exor b_not b_or bool brake c_dis c_ori c_ptp c_spl c_vel case char circ circ_rel
@@ -53,32 +53,38 @@ trigger true until var vel wait when while with x y z a b c s t bas home sps cel
 user_grp user_saf config krlmsg_t krlmsgpar_t krlmsgopt_t krlmsgdlgsk_t set_krlmsg set_krldlg exists_krlmsg
 exists_krldlg clear_krlmsg tm_msg tm_par tm_opt tm_key tm_ticket tm_state tm_answer tm_gone tm_shift tm_turn
 """
-"""Words that no name may be."""
+"""Words that cannot be names."""
 RESERVED: Final = frozenset(_RESERVED_TEXT.split())
-"""Words of the language, components of its structures, names that every controller has, and those of our own
-variables."""
+"""Words of the language, components of its structures, names that every controller has, and our variables."""
 
 
-def name(text: str, length: int = NAME_LENGTH) -> str:
-    """A name from text, in small letters: letters, digits and single underscores, a letter first, cut to
-    ``length``.
+def identifier(text: str, length: int = MAX_NAME_LENGTH) -> str:
+    """Return a lower-case name made from text: letters, digits and single underscores, with a letter first.
 
-    Raises :class:`TandemError` (``post.name``) when that gives no name that KRL takes.
+    Args:
+        text: The text.
+        length: Maximum length; longer names are cut.
+
+    Raises:
+        TandemError: ``post.name`` if the result is no valid KRL name.
     """
-    out = re.sub(r"[^a-z0-9]+", "_", plain(text).lower()).strip("_")[:length].rstrip("_")
+    out = re.sub(r"[^a-z0-9]+", "_", to_ascii(text).lower()).strip("_")[:length].rstrip("_")
     if not re.match(r"[a-z]", out) or out in RESERVED:
-        message = f"{text!r} cannot name anything in KRL (it gives {out!r})"
-        raise refusal("post.name", message, hint="a letter first, no reserved word")
+        message = f"{text!r} gives no valid KRL name (got {out!r})"
+        raise issue_error("post.name", message, hint="a letter first, no reserved word")
     return out
 
 
 def comment(text: str) -> list[str]:
-    """Comment lines of plain text, wrapped."""
-    return [f"; {line}" for line in textwrap.wrap(plain(text), 100)]
+    """Return comment lines of plain text, wrapped."""
+    return [f"; {line}" for line in textwrap.wrap(to_ascii(text), 100)]
 
 
 def abc(rotation: FloatArray) -> FloatArray:
-    """KUKA's A, B, C (..., 3) [deg] of rotations (..., 3, 3) = Rz(A) Ry(B) Rx(C); C is 0 where B is +-90."""
+    """Return KUKA's A, B, C (..., 3) [deg] of rotations R = Rz(A) Ry(B) Rx(C), (..., 3, 3).
+
+    C is 0 if B is +-90.
+    """
     r = np.asarray(rotation, dtype=np.float64)
     flat = np.hypot(r[..., 0, 0], r[..., 1, 0])
     pole = flat < _POLE_COSINE
@@ -89,7 +95,7 @@ def abc(rotation: FloatArray) -> FloatArray:
 
 
 def rotation(degrees: FloatArray) -> FloatArray:
-    """Rotations (..., 3, 3) of KUKA's A, B, C (..., 3) [deg]."""
+    """Return the rotations (..., 3, 3) of KUKA's A, B, C (..., 3) [deg]."""
     cos, sin = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
     (ca, cb, cc), (sa, sb, sc) = np.moveaxis(cos, -1, 0), np.moveaxis(sin, -1, 0)
     rows = [
@@ -100,77 +106,107 @@ def rotation(degrees: FloatArray) -> FloatArray:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def frame(pose: FloatArray, millimetres: int = 4) -> str:
-    """A FRAME of (4, 4) [m]: mm with so many decimals, degrees with 6."""
-    position = [number(1e3 * v, millimetres) for v in pose[:3, 3]]
-    angles = [number(v, _FRAME_ANGLE_DECIMALS) for v in abc(pose[:3, :3])]
+def frame(pose: FloatArray, decimals: int = 4) -> str:
+    """Format a FRAME; angles have 6 decimals.
+
+    Args:
+        pose: The pose, (4, 4) [m].
+        decimals: Decimals of the position in mm.
+    """
+    position = [format_fixed(1e3 * v, decimals) for v in pose[:3, 3]]
+    angles = [format_fixed(v, _FRAME_ANGLE_DECIMALS) for v in abc(pose[:3, :3])]
     return aggregate(dict(zip("XYZABC", [*position, *angles], strict=True)))
 
 
 def e6pos(
-    position: FloatArray, angles: FloatArray, status: int, turn: int, station: Outer | None = None
+    position: FloatArray,
+    angles: FloatArray,
+    status: int,
+    turn: int,
+    station: ExternalAxisValues | None = None,
 ) -> str:
-    """An E6POS of a position (3,) [mm] and angles (3,) [deg] as targets are written, external axes at
-    ``station``."""
-    values = [*(number(v, 4) for v in position), *(number(v, ANGLE_DECIMALS) for v in angles)]
+    """Format an E6POS.
+
+    Args:
+        position: Position as targets are written, (3,) [mm].
+        angles: A, B, C, (3,) [deg].
+        status: S.
+        turn: T.
+        station: Values of the external axes, or None.
+    """
+    values = [*(format_fixed(v, 4) for v in position), *(format_fixed(v, ANGLE_DECIMALS) for v in angles)]
     fields = dict(zip("XYZABC", values, strict=True)) | {"S": str(status), "T": str(turn)}
-    return aggregate(fields | _all_outer(station))
+    return aggregate(fields | _all_external_axes(station))
 
 
-def e6axis(degrees: FloatArray, station: Outer | None = None) -> str:
-    """An E6AXIS of the controller's joint values (6,) [deg], external axes at ``station``."""
-    fields = {f"A{i}": number(v, 6) for i, v in enumerate(degrees, 1)}
-    return aggregate(fields | _all_outer(station))
+def e6axis(degrees: FloatArray, station: ExternalAxisValues | None = None) -> str:
+    """Format an E6AXIS.
+
+    Args:
+        degrees: Joint values of the controller, (6,) [deg].
+        station: Values of the external axes, or None.
+    """
+    fields = {f"A{i}": format_fixed(v, 6) for i, v in enumerate(degrees, 1)}
+    return aggregate(fields | _all_external_axes(station))
 
 
-def _all_outer(station: Outer | None) -> dict[str, str]:
-    """E1 to E6 [mm or deg] at a station; axes that are not there are 0."""
+def _all_external_axes(station: ExternalAxisValues | None) -> dict[str, str]:
+    """E1 to E6 [mm or deg] at a station; unused axes are 0."""
     values = dict(station or ())
-    columns = range(_OUTER_AXES)
-    return {f"E{i + 1}": number(values[i], OUTER_DECIMALS) if i in values else "0.0" for i in columns}
+    columns = range(_EXTERNAL_AXIS_COUNT)
+    return {
+        f"E{i + 1}": format_fixed(values[i], EXTERNAL_AXIS_DECIMALS) if i in values else "0.0"
+        for i in columns
+    }
 
 
-def outer(station: Outer | None) -> str:
-    """What a target in place has behind its pose: the external axes that the program moves."""
-    return "".join(f",E{column + 1} {number(value, OUTER_DECIMALS)}" for column, value in station or ())
+def stated_external_axes(station: ExternalAxisValues | None) -> str:
+    """Return the external axes that follow the pose of a target in place: those that the program moves."""
+    return "".join(
+        f",E{column + 1} {format_fixed(value, EXTERNAL_AXIS_DECIMALS)}" for column, value in station or ()
+    )
 
 
-def ridden(station: Outer | None, value: float) -> Outer:
-    """A station with another value [mm] of the track."""
+def with_track_position(station: ExternalAxisValues | None, value: float) -> ExternalAxisValues:
+    """Return a station with another value [mm] of the track.
+
+    Args:
+        station: Values of the external axes, or None.
+        value: Value of the track [mm].
+    """
     return tuple({**dict(station or ()), TRACK_COLUMN: value}.items())
 
 
 def aggregate(fields: Mapping[str, str]) -> str:
-    """``{X 1.0,Y 2.0}``"""
+    """Format an aggregate, such as ``{X 1.0,Y 2.0}``."""
     return "{" + ",".join(f"{key} {value}" for key, value in fields.items()) + "}"
 
 
-KRC2_FOOT: Final = "Arm {arm}: $ROBROOT is off zero by tm_shift mm, tm_turn deg."
-"""As `planner.languages.krl.sentences.FOOT`, where a message has no parameters."""
-KRC2_FOOT_RIDES: Final = "Arm {arm}: $ROBROOT_C is off track by tm_shift mm, tm_turn deg."
-"""The same of `FOOT_RIDES`."""
-EXTERNAL_REFUSAL: Final = (
-    "In automatic external a PLC would answer. Take another mode of operation, then Start."
+KRC2_ROBROOT_DEVIATION: Final = "Arm {arm}: $ROBROOT is off zero by tm_shift mm, tm_turn deg."
+"""`planner.languages.krl.sentences.ROBROOT_DEVIATION` for krc2, whose messages have no parameters."""
+KRC2_ROBROOT_TRACK_DEVIATION: Final = "Arm {arm}: $ROBROOT_C is off track by tm_shift mm, tm_turn deg."
+"""`planner.languages.krl.sentences.ROBROOT_TRACK_DEVIATION` for krc2, whose messages have no parameters."""
+EXTERNAL_MODE_REFUSAL: Final = (
+    "In automatic external a PLC would answer. Select another mode of operation, then Start."
 )
-"""Shown where a question would be asked in automatic external."""
+"""Shown instead of a question in automatic external."""
 YES, NO, NEXT, READ = "Yes", "No", "Next", "Read"
-"""Keys of dialogs; the first key of each goes on."""
-TEXT_LENGTH: Final = 80
-"""Characters of a message's text."""
-ALONG_DECIMALS: Final = 6
-"""Decimals of a track's direction: some 0.005 mm over 10 m."""
-FOOT_SHIFT, FOOT_TURN = "0.1", "0.02"
-"""How far the robot's foot may be off zero: [mm], [deg]."""
+"""Keys of dialogs; the program continues after the first key of each."""
+MAX_TEXT_LENGTH: Final = 80
+"""Maximum length of a message's text [characters]."""
+DIRECTION_DECIMALS: Final = 6
+"""Decimals of a track's direction: about 0.005 mm over 10 m."""
+ROBROOT_POSITION_TOLERANCE_MM, ROBROOT_ROTATION_TOLERANCE_DEG = "0.1", "0.02"
+"""Tolerance of the robot's foot: distance [mm] and rotation [deg] from zero."""
+AXIS_HOME_TOLERANCE: Final = {"mm": "1.0", "deg": "0.1"}
+"""Tolerance of an external axis at home before the first move, by the unit of its values."""
 
-AXIS_AWAY: Final = {"mm": "1.0", "deg": "0.1"}
-"""How far an external axis may be off home before the first move, by the unit of its values."""
-
-INTERRUPT: Final = ("GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )", "INTERRUPT ON 3")
-"""What lets the stop reactions of IR_STOPM.src act, as in every program that KUKA's template makes."""
+STOP_INTERRUPT: Final = ("GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )", "INTERRUPT ON 3")
+"""Statements that enable the stop reactions of IR_STOPM.src, as in every program from KUKA's template."""
 EXT_BAS: Final = "EXT BAS (BAS_COMMAND :IN,REAL :IN )"
 """Declaration of the controller's BAS."""
-_FOOT_DECLARATION: Final = "DECL REAL tm_shift,tm_turn"
-"""Variables of what `KRC2_FOOT` shows."""
+_ROBROOT_DECLARATION: Final = "DECL REAL tm_shift,tm_turn"
+"""Variables that `KRC2_ROBROOT_DEVIATION` shows."""
 _MESSAGE_DECLARATIONS: Final = (
     "DECL KrlMsg_T tm_msg",
     "DECL KrlMsgPar_T tm_par[3]",
@@ -181,19 +217,21 @@ _MESSAGE_DECLARATIONS: Final = (
 )
 """Variables of messages."""
 _COMMENT_WIDTH: Final = 100
-"""Comments are wrapped at so many characters."""
+"""Maximum length of a comment line [characters]."""
 
 
 def declarations(dialect: KrlDialect) -> list[str]:
-    """The variables of a main program."""
-    return [*(_MESSAGE_DECLARATIONS if dialect == "krc4" else ()), _FOOT_DECLARATION]
+    """Return the declarations of the variables of a main program."""
+    return [*(_MESSAGE_DECLARATIONS if dialect == "krc4" else ()), _ROBROOT_DECLARATION]
 
 
-def prepared(dialect: KrlDialect) -> list[str]:
-    """What stands before the first message: options, and no parameters or keys; krc2: refusal of the mode
-    in which a PLC starts programs."""
+def message_setup(dialect: KrlDialect) -> list[str]:
+    """Return the statements before the first message: options, and empty parameters and keys.
+
+    In krc2 they refuse the mode in which a PLC starts programs.
+    """
     if dialect == "krc2":
-        return _not_external()
+        return _refuse_external_mode()
     return [
         "tm_opt={VL_Stop TRUE,Clear_P_Reset TRUE,Clear_P_SAW TRUE,Log_To_DB FALSE}",
         *(f"tm_par[{i}]={{Par_Type #EMPTY}}" for i in range(1, 4)),
@@ -202,70 +240,111 @@ def prepared(dialect: KrlDialect) -> list[str]:
 
 
 def question_lines(text: str, dialect: KrlDialect) -> list[str]:
-    """A question: the program goes on when the operator says yes, and asks again else. krc4: dialogs, those
-    before the last with the key Next; krc2: comments with their mark, and HALT, in no mode of a PLC."""
+    """Return a question: the program continues if the operator answers yes, and asks again otherwise.
+
+    krc4 uses dialogs, all but the last with the key Next. krc2 uses marked comments and HALT, never in
+    automatic external.
+
+    Args:
+        text: The question.
+        dialect: KRL dialect.
+    """
     if dialect == "krc2":
-        return [*_marked("?", text), "HALT", *_not_external()]
-    *first, last = _parts(text)
+        return [*_marked_comment("?", text), "HALT", *_refuse_external_mode()]
+    *first, last = _message_parts(text)
     return [*(line for part in first for line in _dialog(part, NEXT)), *_dialog(last, YES, NO)]
 
 
 def message_lines(text: str, dialect: KrlDialect, before_question: bool = False) -> list[str]:
-    """What the operator is told; ``before_question``: a question follows that is answered by it, so that it
-    has to be read first (krc4: by dialogs with the key Read)."""
+    """Return the statements that show a message.
+
+    Args:
+        text: The message.
+        dialect: KRL dialect.
+        before_question: A question follows whose answer depends on the message, so that the operator must
+            read it first (krc4: dialogs with the key Read).
+    """
     if dialect == "krc2":
-        return _marked("*", text)
-    parts = _parts(text)
+        return _marked_comment("*", text)
+    parts = _message_parts(text)
     if before_question:
         return [line for part in parts for line in _dialog(part, READ)]
     shown = ([_message(part, 2), "tm_ticket=Set_KrlMsg(#NOTIFY,tm_msg,tm_par[],tm_opt)"] for part in parts)
     return [line for lines in shown for line in lines]
 
 
-def during(text: str, lines: list[str], dialect: KrlDialect) -> list[str]:
-    """The lines with a text on the panel while they run (krc4)."""
+def with_state(text: str, lines: list[str], dialect: KrlDialect) -> list[str]:
+    """Return statements with a text on the panel while they run (krc4).
+
+    Args:
+        text: The text.
+        lines: The statements.
+        dialect: KRL dialect.
+    """
     if dialect == "krc2":
         return lines
-    (part,) = _parts(text)
+    (part,) = _message_parts(text)
     shown = [_message(part, 3), "tm_state=Set_KrlMsg(#STATE,tm_msg,tm_par[],tm_opt)"]
     return [*shown, *lines, "tm_gone=Clear_KrlMsg(tm_state)"]
 
 
-def ended(text: str, dialect: KrlDialect) -> list[str]:
-    """The program says why, on the panel (krc4) or where it stands, and never goes on."""
+def end_program(text: str, dialect: KrlDialect) -> list[str]:
+    """Return statements that show a reason, on the panel (krc4) or as a comment, and never resume.
+
+    Args:
+        text: The reason.
+        dialect: KRL dialect.
+    """
     shown = comment(text)
     if dialect == "krc4":
         shown = [_message(text, 5), "tm_ticket=Set_KrlMsg(#NOTIFY,tm_msg,tm_par[],tm_opt)"]
     return [*shown, "LOOP", "HALT", "ENDLOOP"]
 
 
-def robroot_check(arm: str, dialect: KrlDialect, along: Mapping[int, FloatArray] | None = None) -> list[str]:
-    """The program halts, whatever is started, until ``$ROBROOT`` is zero: by the length of its way, and by
-    the sum of its angles, which no turn exceeds.
+def robroot_check(
+    arm: str, dialect: KrlDialect, axis_directions: Mapping[int, FloatArray] | None = None
+) -> list[str]:
+    """Return statements that halt, at every start, until the robot's foot is where the plan has it.
 
-    ``along`` {column: (3,)}: directions in ``$WORLD`` in which external axes take the arm. There ``$ROBROOT``
-    counts for nothing, and ``$ROBROOT_C`` is where the foot is (KR C2 machine data, 2.1.9 $ERSYSROOT): it has
-    to be what the values make of these directions, by the sum of what is off along the axes of ``$WORLD``.
+    ``$ROBROOT`` must be zero, by the length of its position and by the sum of its angles, which bounds every
+    rotation. For an arm on external axes ``$ROBROOT`` has no effect, and ``$ROBROOT_C`` is the pose of the
+    foot (KR C2 machine data, 2.1.9 $ERSYSROOT). It must equal the values of the axes times their directions,
+    by the sum of the deviations along the axes of ``$WORLD``.
+
+    Args:
+        arm: Name of the arm.
+        dialect: KRL dialect.
+        axis_directions: Directions in ``$WORLD`` in which external axes move the arm, {column: (3,)}.
     """
-    root = "$ROBROOT_C" if along else "$ROBROOT"
-    turned = f"tm_turn={'+'.join(f'ABS({root}.{a})' for a in 'ABC')}"
-    if not along:
+    root = "$ROBROOT_C" if axis_directions else "$ROBROOT"
+    rotation_line = f"tm_turn={'+'.join(f'ABS({root}.{a})' for a in 'ABC')}"
+    if not axis_directions:
         squares = "+".join(f"{root}.{axis}*{root}.{axis}" for axis in "XYZ")
-        shifts = [f"tm_shift=SQRT({squares})"]
+        shift_lines = [f"tm_shift=SQRT({squares})"]
     else:
-        off = []
+        deviations = []
         for row, axis in enumerate("XYZ"):
-            parts = {column: round(float(way[row]), ALONG_DECIMALS) for column, way in along.items()}
-            taken = "".join(
-                f"{'+' if part < 0.0 else '-'}{abs(part):.{ALONG_DECIMALS}f}*$AXIS_ACT.E{column + 1}"
+            parts = {
+                column: round(float(direction[row]), DIRECTION_DECIMALS)
+                for column, direction in axis_directions.items()
+            }
+            axis_terms = "".join(
+                f"{'+' if part < 0.0 else '-'}{abs(part):.{DIRECTION_DECIMALS}f}*$AXIS_ACT.E{column + 1}"
                 for column, part in sorted(parts.items())
             )
-            off.append(f"ABS({root}.{axis}{taken})")
-        shifts = [f"tm_shift={off[0]}", *(f"tm_shift=tm_shift+{one}" for one in off[1:])]
-    looked = [*shifts, turned]
-    names = (krl_sentences.FOOT_RIDES if along else krl_sentences.FOOT).filled(arm=arm)
+            deviations.append(f"ABS({root}.{axis}{axis_terms})")
+        shift_lines = [
+            f"tm_shift={deviations[0]}",
+            *(f"tm_shift=tm_shift+{deviation}" for deviation in deviations[1:]),
+        ]
+    deviation_lines = [*shift_lines, rotation_line]
+    names = (
+        krl_sentences.ROBROOT_TRACK_DEVIATION if axis_directions else krl_sentences.ROBROOT_DEVIATION
+    ).format(arm=arm)
     if dialect == "krc2":
-        shown = comment((KRC2_FOOT_RIDES if along else KRC2_FOOT).format(arm=arm))
+        shown = comment(
+            (KRC2_ROBROOT_TRACK_DEVIATION if axis_directions else KRC2_ROBROOT_DEVIATION).format(arm=arm)
+        )
         after: list[str] = []
     else:
         shown = [
@@ -277,17 +356,23 @@ def robroot_check(arm: str, dialect: KrlDialect, along: Mapping[int, FloatArray]
             "tm_ticket=Set_KrlMsg(#NOTIFY,tm_msg,tm_par[],tm_opt)",
         ]
         after = ["tm_par[1].Par_Type=#EMPTY", "tm_par[2].Par_Type=#EMPTY"]
-    away = f"WHILE (tm_shift>{FOOT_SHIFT}) OR (tm_turn>{FOOT_TURN})"
-    return [*looked, away, *shown, "HALT", *looked, "ENDWHILE", *after]
+    loop = f"WHILE (tm_shift>{ROBROOT_POSITION_TOLERANCE_MM}) OR (tm_turn>{ROBROOT_ROTATION_TOLERANCE_DEG})"
+    return [*deviation_lines, loop, *shown, "HALT", *deviation_lines, "ENDWHILE", *after]
 
 
 def axis_check(axis: tuple[str, str], column: int, home: float, dialect: KrlDialect) -> list[str]:
-    """The program never goes on where an external axis, number ``column`` [from 0], is off its ``home`` [mm
-    or deg]; ``axis``: its name, and the unit of its values."""
+    """Return statements that stop the program for good if an external axis is not at home.
+
+    Args:
+        axis: Name of the axis, and unit of its values.
+        column: Number of the axis, from 0.
+        home: Its home [mm or deg].
+        dialect: KRL dialect.
+    """
     unit, sign = axis
-    wanted = number(home, OUTER_DECIMALS)
-    off = f"{'+' if wanted.startswith('-') else '-'}{wanted.removeprefix('-')}"
-    text = krl_sentences.KRL_AXIS_AWAY.filled(unit=unit, sign=sign, home=wanted)
+    home_text = format_fixed(home, EXTERNAL_AXIS_DECIMALS)
+    offset = f"{'+' if home_text.startswith('-') else '-'}{home_text.removeprefix('-')}"
+    text = krl_sentences.KRL_AXIS_NOT_HOME.format(unit=unit, sign=sign, home=home_text)
     shown = comment(text.replace("%1", "tm_shift"))
     if dialect == "krc4":
         shown = [
@@ -296,30 +381,35 @@ def axis_check(axis: tuple[str, str], column: int, home: float, dialect: KrlDial
             _message(text, 6),
             "tm_ticket=Set_KrlMsg(#NOTIFY,tm_msg,tm_par[],tm_opt)",
         ]
-    most = AXIS_AWAY[sign]
-    looked = f"tm_shift=ABS($AXIS_ACT.E{column + 1}{off})"
-    return [looked, f"IF tm_shift>{most} THEN", *shown, "LOOP", "HALT", "ENDLOOP", "ENDIF"]
+    tolerance = AXIS_HOME_TOLERANCE[sign]
+    deviation_line = f"tm_shift=ABS($AXIS_ACT.E{column + 1}{offset})"
+    return [deviation_line, f"IF tm_shift>{tolerance} THEN", *shown, "LOOP", "HALT", "ENDLOOP", "ENDIF"]
 
 
-def _not_external() -> list[str]:
-    return ["WHILE $MODE_OP==#EX", *comment(EXTERNAL_REFUSAL), "HALT", "ENDWHILE"]
+def _refuse_external_mode() -> list[str]:
+    return ["WHILE $MODE_OP==#EX", *comment(EXTERNAL_MODE_REFUSAL), "HALT", "ENDWHILE"]
 
 
-def _marked(mark: str, text: str) -> list[str]:
-    return [f";{mark} {line}" for line in textwrap.wrap(plain(text), _COMMENT_WIDTH, break_on_hyphens=False)]
+def _marked_comment(mark: str, text: str) -> list[str]:
+    return [
+        f";{mark} {line}" for line in textwrap.wrap(to_ascii(text), _COMMENT_WIDTH, break_on_hyphens=False)
+    ]
 
 
-def _parts(text: str) -> list[str]:
-    """A text in parts that a message takes; raises :class:`TandemError` (``post.name``) for what none can
-    show: words that are too long, quotes, and marks of parameters."""
-    flat = plain(text)
+def _message_parts(text: str) -> list[str]:
+    """A text in parts that fit into a message.
+
+    Raises :class:`planner.issues.TandemError` (``post.name``) for texts that cannot be shown: long words,
+    quotes, parameter marks.
+    """
+    flat = to_ascii(text)
     word = max(flat.split(), key=len, default="")
-    if len(word) > TEXT_LENGTH or '"' in flat or re.search(r"%\d", flat):
-        got = f"{word[:20]}... of {len(word)} characters" if len(word) > TEXT_LENGTH else repr(flat)
+    if len(word) > MAX_TEXT_LENGTH or '"' in flat or re.search(r"%\d", flat):
+        got = f"{word[:20]}... of {len(word)} characters" if len(word) > MAX_TEXT_LENGTH else repr(flat)
         what = f"the panel of a KUKA controller cannot show {got}"
-        hint = f"give names of at most {TEXT_LENGTH} characters, without quotes and %"
-        raise refusal("post.name", what, hint=hint)
-    return textwrap.wrap(flat, TEXT_LENGTH, break_on_hyphens=False, break_long_words=False)
+        hint = f"give names of at most {MAX_TEXT_LENGTH} characters, without quotes and %"
+        raise issue_error("post.name", what, hint=hint)
+    return textwrap.wrap(flat, MAX_TEXT_LENGTH, break_on_hyphens=False, break_long_words=False)
 
 
 def _message(text: str, number: int) -> str:
@@ -327,7 +417,7 @@ def _message(text: str, number: int) -> str:
 
 
 def _dialog(text: str, yes: str, no: str = "") -> list[str]:
-    """A dialog that comes back until its first key is pressed; if it cannot be shown, too."""
+    """A dialog that reappears until its first key is pressed, also if it cannot be shown."""
     other = f'{{SK_type #VALUE,SK_txt[] "{no}"}}' if no else "{SK_type #EMPTY}"
     return [
         "tm_answer=0",
@@ -344,80 +434,99 @@ def _dialog(text: str, yes: str, no: str = "") -> list[str]:
     ]
 
 
-LED_BY_WAY_MM: Final = 0.01
-"""Least way [mm] of a move whose speed along it sets the time."""
-LEAST_SPEED: Final = 1e-4
-"""Least $VEL.CP [m/s]."""
-LEAST_MOVE_TIME: Final = 6e-3
-"""No controller plans a move in less [s]."""
-LEAST_TURN_RATE: Final = 0.1
-"""Least $VEL.ORI [deg/s]."""
-FREE_TURN_RATE: Final = 200.0
-"""$VEL.ORI [deg/s] of moves whose way sets the time."""
+MIN_LINEAR_DISTANCE_MM: Final = 0.01
+"""Minimum distance [mm] of a move whose TCP speed determines its time."""
+MIN_SPEED_M_S: Final = 1e-4
+"""Minimum $VEL.CP [m/s]."""
+MIN_MOVE_TIME_S: Final = 6e-3
+"""Minimum time in which a controller plans a move [s]."""
+MIN_ROTATION_SPEED_DEG_S: Final = 0.1
+"""Minimum $VEL.ORI [deg/s]."""
+FREE_ROTATION_SPEED_DEG_S: Final = 200.0
+"""$VEL.ORI [deg/s] of moves whose distance determines the time."""
 SPEED_DECIMALS: Final = 8
 """Decimals of $VEL.CP in m/s."""
-TURN_DECIMALS: Final = 5
+ROTATION_SPEED_DECIMALS: Final = 5
 """Decimals of $VEL.ORI1 and $VEL.ORI2 in deg/s."""
-APPROXIMATION_DISTANCES: Final = (15.0, 10.0, 7.0, 5.0, 3.0, 2.0, 1.5, 1.0, *FINE_ZONES)
-"""$APO.CDIS [mm]."""
-APPROXIMATION_ANGLES: Final = (1.0, *FINE_ZONES)
-"""$APO.CORI [deg]."""
-FREE_ANGLE: Final = 180.0
-"""$APO.CORI [deg] of corners that $APO.CDIS alone rounds."""
-_MODAL: Final = ("$VEL.CP", "$VEL.ORI1", "$VEL.ORI2", "$APO.CDIS", "$APO.CORI")
-"""Variables that each move may set anew, in this order."""
+APPROXIMATION_DISTANCES: Final = (15.0, 10.0, 7.0, 5.0, 3.0, 2.0, 1.5, 1.0, *FINE_ZONE_SIZES)
+"""Values of $APO.CDIS [mm]."""
+APPROXIMATION_ANGLES: Final = (1.0, *FINE_ZONE_SIZES)
+"""Values of $APO.CORI [deg]."""
+FREE_APPROXIMATION_ANGLE_DEG: Final = 180.0
+"""$APO.CORI [deg] of corners that only $APO.CDIS rounds."""
+_MODAL_SETTINGS: Final = ("$VEL.CP", "$VEL.ORI1", "$VEL.ORI2", "$APO.CDIS", "$APO.CORI")
+"""Variables that each move may set, in this order."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Rows:
-    """M moves as KRL has them, all as written.
+class KrlMoves:
+    """M moves, with all values as KRL states them.
 
-    ``position`` (M, 3) [mm], ``angles`` (M, 3) [deg]; ``way`` (M,) [mm] and ``turn`` (M,) [rad] from the pose
-    before; ``duration`` (M,) [s] planned; ``speed`` (M,) [m/s] and ``turning`` (M,) [deg/s] allowed;
-    ``distance`` (M,) [mm] and ``angle`` (M,) [deg] of the corners; ``stop``, ``still`` (M,): the move ends in
-    an exact stop, goes nowhere.
+    Attributes:
+        position: Targets, (M, 3) [mm].
+        angles: A, B, C, (M, 3) [deg].
+        length: Distance from the previous pose, (M,) [mm].
+        rotation: Rotation from the previous pose, (M,) [rad].
+        duration: Planned time, (M,) [s].
+        speed: Speed of the TCP, (M,) [m/s].
+        rotation_speed: Rotation speed, (M,) [deg/s].
+        distance: Approximation distance of the corner, (M,) [mm].
+        angle: Approximation angle of the corner, (M,) [deg].
+        stop: Whether the move ends in an exact stop, (M,).
+        still: Whether the move goes nowhere, (M,).
     """
 
     position: FloatArray
     angles: FloatArray
-    way: FloatArray
-    turn: FloatArray
+    length: FloatArray
+    rotation: FloatArray
     duration: FloatArray
     speed: FloatArray
-    turning: FloatArray
+    rotation_speed: FloatArray
     distance: FloatArray
     angle: FloatArray
     stop: BoolArray
     still: BoolArray
 
 
-def written(pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Positions (..., 3) [mm] and A, B, C (..., 3) [deg] of poses (..., 4, 4) [m], rounded as written."""
+def rounded_pose(pose: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return positions (..., 3) [mm] and A, B, C (..., 3) [deg] of poses (..., 4, 4) [m], as written.
+
+    They are rounded to the written decimals.
+    """
     position = np.round(1e3 * pose[..., :3, 3], POSITION_DECIMALS) + 0.0
     return position, np.round(abc(pose[..., :3, :3]), ANGLE_DECIMALS) + 0.0
 
 
-def rows(track: Track, stop: BoolArray, start: tuple[FloatArray, FloatArray]) -> Rows:
-    """The moves of a track; ``start``: position (3,) [mm] and angles (3,) [deg] before them, as written."""
+def krl_moves(track: MoveTable, stop: BoolArray, start: tuple[FloatArray, FloatArray]) -> KrlMoves:
+    """Return the moves of a track.
+
+    Args:
+        track: Targets of one operation.
+        stop: Which moves end in a stop, (M,).
+        start: Position (3,) [mm] and angles (3,) [deg] before them, as written.
+    """
     angles = np.round(abc(from_quaternion(track.quaternion)), ANGLE_DECIMALS) + 0.0
     position, angles = np.concatenate([start[0][None], track.position]), np.vstack([start[1], angles])
-    _settle(position, angles)
-    way = np.linalg.norm(np.diff(position, axis=0), axis=1)
-    turn = _turns(angles)
+    _snap_in_place(position, angles)
+    length = np.linalg.norm(np.diff(position, axis=0), axis=1)
+    turn = _rotation_angles(angles)
     still = np.all(np.diff(position, axis=0) == 0.0, axis=1) & (turn == 0.0)
     stop = stop | still | np.append(still[1:], False)
-    wanted = 1e-3 * way / track.duration
-    led = (way >= LED_BY_WAY_MM) & (wanted >= LEAST_SPEED)
-    turning = _down(np.rad2deg(turn) / (np.sqrt(2.0) * track.duration), TURN_DECIMALS)
+    planned_speed = 1e-3 * length / track.duration
+    is_linear = (length >= MIN_LINEAR_DISTANCE_MM) & (planned_speed >= MIN_SPEED_M_S)
+    turning = _round_down(np.rad2deg(turn) / (np.sqrt(2.0) * track.duration), ROTATION_SPEED_DECIMALS)
     distance, angle = _corners(track)
-    return Rows(
+    return KrlMoves(
         position=position[1:],
         angles=angles[1:],
-        way=way,
-        turn=turn,
+        length=length,
+        rotation=turn,
         duration=track.duration,
-        speed=np.maximum(_down(wanted, SPEED_DECIMALS), LEAST_SPEED),
-        turning=np.where(led, FREE_TURN_RATE, np.maximum(turning, LEAST_TURN_RATE)),
+        speed=np.maximum(_round_down(planned_speed, SPEED_DECIMALS), MIN_SPEED_M_S),
+        rotation_speed=np.where(
+            is_linear, FREE_ROTATION_SPEED_DEG_S, np.maximum(turning, MIN_ROTATION_SPEED_DEG_S)
+        ),
         distance=distance,
         angle=angle,
         stop=stop,
@@ -425,144 +534,188 @@ def rows(track: Track, stop: BoolArray, start: tuple[FloatArray, FloatArray]) ->
     )
 
 
-def settled(position: FloatArray, quaternion: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Positions (N, 3) [mm] and quaternions (N, 4) with those that KRL has as the place before as that one:
-    a move between them would go nowhere."""
-    at, angles = position.copy(), np.round(abc(from_quaternion(quaternion)), ANGLE_DECIMALS) + 0.0
-    _settle(at, angles)
+def snap_poses(position: FloatArray, quaternion: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return positions and quaternions in which poses that KRL cannot tell from the previous one equal it.
+
+    A move between such poses would go nowhere.
+
+    Args:
+        position: Positions, (N, 3) [mm].
+        quaternion: Orientations, (N, 4).
+    """
+    snapped, angles = position.copy(), np.round(abc(from_quaternion(quaternion)), ANGLE_DECIMALS) + 0.0
+    _snap_in_place(snapped, angles)
     out = quaternion.copy()
-    for row in np.flatnonzero((np.diff(np.hstack([at, angles]), axis=0) == 0.0).all(axis=1)).tolist():
+    for row in np.flatnonzero((np.diff(np.hstack([snapped, angles]), axis=0) == 0.0).all(axis=1)).tolist():
         out[row + 1] = out[row]
-    return at, out
+    return snapped, out
 
 
-def _settle(position: FloatArray, angles: FloatArray) -> None:
-    """Places that are no farther from the one before than the least speed goes in the least time of a move
-    are that one, and so are poses that are no farther turned, either."""
-    # both turning speeds of a path run together, so that a turn may take but 0.7 of what one alone takes
-    near, alike = 1e3 * LEAST_SPEED * LEAST_MOVE_TIME, 2.0 * LEAST_TURN_RATE * LEAST_MOVE_TIME
-    # the one before may have been put back by as much
-    for row in np.flatnonzero(np.abs(np.diff(position, axis=0)).max(axis=1) < 2.0 * near).tolist():
-        far, turned = (np.abs(values[row + 1] - values[row]).max() for values in (position, angles))
-        if far < near:
+def _snap_in_place(position: FloatArray, angles: FloatArray) -> None:
+    """Snap positions, and with them orientations, to the previous ones if the move would be too short.
+
+    The limit is the distance that the minimum speed covers in the minimum time of a move. Orientations have
+    a corresponding limit.
+    """
+    # both rotation speeds of a path act together, so a rotation may take only 0.7 of the time of one alone
+    position_tolerance, angle_tolerance = (
+        1e3 * MIN_SPEED_M_S * MIN_MOVE_TIME_S,
+        2.0 * MIN_ROTATION_SPEED_DEG_S * MIN_MOVE_TIME_S,
+    )
+    # the previous row may have been snapped back by as much, hence the factor 2
+    for row in np.flatnonzero(
+        np.abs(np.diff(position, axis=0)).max(axis=1) < 2.0 * position_tolerance
+    ).tolist():
+        distance, angle = (np.abs(values[row + 1] - values[row]).max() for values in (position, angles))
+        if distance < position_tolerance:
             position[row + 1] = position[row]
-            angles[row + 1] = angles[row] if turned < alike else angles[row + 1]
+            angles[row + 1] = angles[row] if angle < angle_tolerance else angles[row + 1]
 
 
 @dataclasses.dataclass(frozen=True)
-class Lines:
-    """The text of M moves: ``move`` without settings, ``settings`` that change before each one, each a line
-    with its end, and ``values`` (M, 5) in force then."""
+class MoveText:
+    """Text of M moves.
+
+    Attributes:
+        move: The moves without settings.
+        settings: Settings that change before each move, each on a line with its end.
+        values: Values in force at each move, (M, 5).
+    """
 
     move: list[str]
     settings: list[str]
     values: FloatArray
 
     def sizes(self) -> IntArray:
-        """Characters (M,) of each move with its settings; ends of lines count twice."""
+        """Return the size (M,) of each move with its settings [characters]; line ends count twice."""
         pairs = zip(self.settings, self.move, strict=True)
         return np.array(
             [len(a) + a.count("\n") + len(b) + b.count("\n") + 2 for a, b in pairs], dtype=np.int64
         )
 
-    def of(self, row: int, fresh: bool) -> list[str]:
-        """The lines of a move; ``fresh``: with all settings, for the first one of a file."""
-        head = _settings(self.values[row].tolist()) if fresh else self.settings[row]
+    def lines(self, row: int, fresh: bool) -> list[str]:
+        """Return the lines of a move.
+
+        Args:
+            row: Index of the move.
+            fresh: Whether to state all settings, as for the first move of a file.
+        """
+        head = _setting_lines(self.values[row].tolist()) if fresh else self.settings[row]
         return [*head.splitlines(), *self.move[row].splitlines()]
 
-    def replaced(self, move: list[str], values: FloatArray) -> "Lines":
-        """With other text for the moves, which may have several lines, and other values in force."""
-        return Lines(move, _changes(values), values)
+    def replaced(self, move: list[str], values: FloatArray) -> "MoveText":
+        """Return the lines with other text, perhaps several lines for a move, and other values.
+
+        Args:
+            move: Text of each move.
+            values: Values in force, (M, 5).
+        """
+        return MoveText(move, _setting_changes(values), values)
 
 
-def lines(
-    moves: Rows, dialect: KrlDialect, station: Outer | None = None, along: FloatArray | None = None
-) -> Lines:
-    """The text of all moves, external axes at ``station``; ``along`` (M,) [mm]: values of a track that goes
-    along."""
-    axes = [outer(station)] * len(moves.stop)
-    if along is not None:
-        axes = [outer(ridden(station, value)) for value in along.tolist()]
+def move_text(
+    moves: KrlMoves,
+    dialect: KrlDialect,
+    station: ExternalAxisValues | None = None,
+    track_positions: FloatArray | None = None,
+) -> MoveText:
+    """Return the text of all moves.
+
+    Args:
+        moves: The moves.
+        dialect: KRL dialect.
+        station: Values of the external axes, or None.
+        track_positions: Values of a coordinated track, (M,) [mm], or None.
+    """
+    axes = [stated_external_axes(station)] * len(moves.stop)
+    if track_positions is not None:
+        axes = [
+            stated_external_axes(with_track_position(station, value)) for value in track_positions.tolist()
+        ]
     word = "SLIN" if dialect == "krc4" else "LIN"
-    values = _modal(moves)
-    settings = _changes(values)
-    poses = zip(moves.position.tolist(), moves.angles.tolist(), axes, _ends(moves, dialect), strict=True)
+    values = _values_in_force(moves)
+    settings = _setting_changes(values)
+    poses = zip(moves.position.tolist(), moves.angles.tolist(), axes, _end_words(moves, dialect), strict=True)
     move = [
-        f"{word} {{X {x:.4f},Y {y:.4f},Z {z:.4f},A {a:.5f},B {b:.5f},C {c:.5f}{stands}}}{end}"
-        for (x, y, z), (a, b, c), stands, end in poses
+        f"{word} {{X {x:.4f},Y {y:.4f},Z {z:.4f},A {a:.5f},B {b:.5f},C {c:.5f}{external}}}{end}"
+        for (x, y, z), (a, b, c), external, end in poses
     ]
     for row in np.flatnonzero(moves.still).tolist():
-        move[row] = f"WAIT SEC {short(float(moves.duration[row]), 5)}"
-    return Lines(move, settings, values)
+        move[row] = f"WAIT SEC {format_short(float(moves.duration[row]), 5)}"
+    return MoveText(move, settings, values)
 
 
-def _changes(values: FloatArray) -> list[str]:
-    """The settings that change before each of M moves, given the values (M, 5) in force."""
+def _setting_changes(values: FloatArray) -> list[str]:
+    """Settings that change before each of M moves, given the values (M, 5) in force."""
     changed = np.diff(values, axis=0, prepend=np.nan) != 0.0
     return [
-        _settings(row, new) if some else ""
-        for row, new, some in zip(
+        _setting_lines(row, new) if any_new else ""
+        for row, new, any_new in zip(
             values.tolist(), changed.tolist(), changed.any(axis=1).tolist(), strict=True
         )
     ]
 
 
-def _modal(moves: Rows) -> FloatArray:
-    """(M, 5) values in force at each move; where nothing moves or nothing is rounded those before stay."""
-    table = np.stack([moves.speed, moves.turning, moves.turning, moves.distance, moves.angle], axis=1)
+def _values_in_force(moves: KrlMoves) -> FloatArray:
+    """Values (M, 5) in force at each move; moves that go nowhere or round nothing keep previous values."""
+    table = np.stack(
+        [moves.speed, moves.rotation_speed, moves.rotation_speed, moves.distance, moves.angle], axis=1
+    )
     keep = np.stack([moves.still] * 3 + [moves.stop] * 2, axis=1)
     source = np.where(keep, 0, np.arange(len(table))[:, None])
     latest = np.maximum.accumulate(source, axis=0) if len(table) else source
     return np.take_along_axis(table, latest, axis=0)
 
 
-def _settings(values: Sequence[float], new: Sequence[bool] = (True,) * len(_MODAL)) -> str:
+def _setting_lines(values: Sequence[float], new: Sequence[bool] = (True,) * len(_MODAL_SETTINGS)) -> str:
     """Lines, each with its end, that set those of the values that are new."""
-    decimals = (SPEED_DECIMALS, TURN_DECIMALS, TURN_DECIMALS, 3, 3)
+    decimals = (SPEED_DECIMALS, ROTATION_SPEED_DECIMALS, ROTATION_SPEED_DECIMALS, 3, 3)
     return "".join(
         f"{word}={_real(value, digits)}\n"
-        for word, value, changed, digits in zip(_MODAL, values, new, decimals, strict=True)
+        for word, value, changed, digits in zip(_MODAL_SETTINGS, values, new, decimals, strict=True)
         if changed
     )
 
 
 def _real(value: float, decimals: int) -> str:
-    text = short(value, decimals)
+    text = format_short(value, decimals)
     return text if "." in text else f"{text}.0"
 
 
-def _ends(moves: Rows, dialect: KrlDialect) -> list[str]:
-    """The end word of each move, with a blank before it."""
-    by_way = np.where(moves.angle == FREE_ANGLE, " C_DIS", " C_ORI")
+def _end_words(moves: KrlMoves, dialect: KrlDialect) -> list[str]:
+    """End word of each move, with a leading blank."""
+    by_way = np.where(moves.angle == FREE_APPROXIMATION_ANGLE_DEG, " C_DIS", " C_ORI")
     word = np.full(len(moves.stop), " C_SPL") if dialect == "krc4" else by_way
     return [str(end) for end in np.where(moves.stop, "", word)]
 
 
-def _corners(track: Track) -> tuple[FloatArray, FloatArray]:
-    """Distances (M,) [mm] and angles (M,) [deg] that the corners may take."""
-    turning = track.reach <= 0.0  # also where a move of some micrometres turns nothing
-    distance = _largest(APPROXIMATION_DISTANCES, track.reach)
-    angle = _largest(APPROXIMATION_ANGLES, np.rad2deg(track.reach_turn))
-    return np.where(turning, APPROXIMATION_DISTANCES[-1], distance), np.where(turning, angle, FREE_ANGLE)
+def _corners(track: MoveTable) -> tuple[FloatArray, FloatArray]:
+    """Approximation distances (M,) [mm] and angles (M,) [deg] of the corners."""
+    rotates_only = track.max_zone <= 0.0  # also for a move of some micrometres without rotation
+    distance = _largest_fitting(APPROXIMATION_DISTANCES, track.max_zone)
+    angle = _largest_fitting(APPROXIMATION_ANGLES, np.rad2deg(track.max_zone_rotation))
+    return np.where(rotates_only, APPROXIMATION_DISTANCES[-1], distance), np.where(
+        rotates_only, angle, FREE_APPROXIMATION_ANGLE_DEG
+    )
 
 
-def _largest(sizes: Sequence[float], room: FloatArray) -> FloatArray:
-    """(M,) the largest of the descending sizes within the room, or the smallest one."""
-    index: IntArray = np.searchsorted(-np.array(sizes), -room - 1e-9)
+def _largest_fitting(sizes: Sequence[float], available: FloatArray) -> FloatArray:
+    """Largest of the descending sizes that fits, or the smallest size, (M,)."""
+    index: IntArray = np.searchsorted(-np.array(sizes), -available - 1e-9)
     return np.asarray(np.array(sizes)[np.minimum(index, len(sizes) - 1)])
 
 
-def _turns(angles: FloatArray) -> FloatArray:
+def _rotation_angles(angles: FloatArray) -> FloatArray:
     """Angles (M,) [rad] between M + 1 orientations A, B, C (M + 1, 3) [deg].
 
-    By the chord of the matrices, |R1 - R0| = 2 sqrt(2) sin(w / 2) in the Frobenius norm: exact also where the
-    turn is small. Equal angles turn by exactly 0.
+    By the chord of the matrices, |R1 - R0| = 2 sqrt(2) sin(w / 2) in the Frobenius norm, which is also exact
+    for small rotations. Equal angles give exactly 0.
     """
     r = rotation(angles)
     chord = np.linalg.norm(np.diff(r, axis=0), axis=(1, 2)) / (2.0 * np.sqrt(2.0))
     return np.asarray(2.0 * np.arcsin(np.minimum(chord, 1.0)))
 
 
-def _down(value: FloatArray, decimals: int) -> FloatArray:
-    """Rounded down to so many decimals."""
+def _round_down(value: FloatArray, decimals: int) -> FloatArray:
+    """Values rounded down to ``decimals``."""
     return np.asarray(np.floor(value * 10.0**decimals) / 10.0**decimals)

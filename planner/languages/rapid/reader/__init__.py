@@ -1,1 +1,1 @@
-"""RAPID read strictly: from text to the straight way of a task."""
+"""Strict reader of RAPID, from text to the main flow of a task."""

@@ -1,15 +1,15 @@
-"""Configuration files of ABB controllers."""
+"""Reads configuration files of ABB controllers and the signals in RAPID text."""
 
 import re
 from typing import Final
 
-from planner.languages.rapid.reader.lexer import Cursor
+from planner.languages.rapid.reader.lexer import RapidCursor
 from planner.programs.text import STRING
 
-Row = frozenset[tuple[str, str]]
-"""Attributes of an instance with their values, "" for one that has none; names in lower case."""
-_SILENT_ATTRIBUTES = ("label", "category")
-"""Attributes that change nothing."""
+InstanceRow = frozenset[tuple[str, str]]
+"""Attributes of an instance with their values, "" for one without a value; names in lower case."""
+_IGNORED_ATTRIBUTES = ("label", "category")
+"""Attributes without effect."""
 _ATTRIBUTE = re.compile(r'-(\w+)(?:\s+("[^"]*"|[^\s"-][^\s"]*))?(?:\s+|$)')
 """An attribute of a line of a configuration file."""
 _SPELLINGS: Final = {
@@ -20,83 +20,89 @@ _SPELLINGS: Final = {
         *("Res", "Act1", "Oper1", "Act2", "Oper2", "Act3", "Oper3", "Act4", "Act1_invert"),
     )
 }
-"""Attributes as a controller writes them: whether it minds their case is not known."""
+"""Attributes as a controller writes them. It is not known whether it distinguishes case."""
 _INSTANCE_KIND = re.compile(r"(\w+):")
-"""The kind of what such a file lists."""
+"""The line that opens a list of instances of one type."""
 
 
-class UnreadError(Exception):
-    """A file that is not what its name says; the message says where."""
+class ConfigurationSyntaxError(Exception):
+    """A file that is no valid configuration; the message says where."""
 
 
-def configuration(text: str) -> tuple[str, dict[str, list[Row]]]:
-    """The head of a configuration file, and its rows by type. Raises :class:`UnreadError`."""
+def parse_configuration(text: str) -> tuple[str, dict[str, list[InstanceRow]]]:
+    """Return the head of a configuration file, and its rows by type.
+
+    Raises:
+        ConfigurationSyntaxError: The file is not valid.
+    """
     head, _, rest = text.replace("\r\n", "\n").partition("\n")
-    out: dict[str, list[Row]] = {}
+    out: dict[str, list[InstanceRow]] = {}
     kind: str | None = None
     if head != head.strip() or head.endswith("\\"):
-        raise UnreadError(f"{head[:40]!r} is no head")
+        raise ConfigurationSyntaxError(f"{head[:40]!r} is no valid head")
     for line in re.sub(r"\\\n[ \t]*", " ", rest).split("\n"):
         plain = line.strip()
         if not plain:
             continue
-        found = _INSTANCE_KIND.fullmatch(plain)
+        type_line = _INSTANCE_KIND.fullmatch(plain)
         if plain == "#":
             kind = None
-        elif found is not None and kind is None:
-            kind = found.group(1)
+        elif type_line is not None and kind is None:
+            kind = type_line.group(1)
             if kind != kind.upper():
-                raise UnreadError(f"{kind} is to be spelled {kind.upper()}")
+                raise ConfigurationSyntaxError(f"{kind} must be spelled {kind.upper()}")
             if kind in out:
-                raise UnreadError(f"{kind} stands there twice")
+                raise ConfigurationSyntaxError(f"{kind} occurs twice")
             out[kind] = []
         elif kind is not None:
-            out[kind].append(_row(plain))
+            out[kind].append(_parse_row(plain))
         else:
-            raise UnreadError(f"{plain[:40]!r} belongs to no type")
+            raise ConfigurationSyntaxError(f"{plain[:40]!r} belongs to no type")
     return head, out
 
 
-def _row(line: str) -> Row:
+def _parse_row(line: str) -> InstanceRow:
     values: dict[str, str] = {}
-    place = 0
-    while place < len(line):
-        found = _ATTRIBUTE.match(line, place)
-        if found is None:
-            raise UnreadError(f"{line[place : place + 40]!r} is no attribute")
-        spelled, value = found.group(1), (found.group(2) or "").strip('"')
+    offset = 0
+    while offset < len(line):
+        match = _ATTRIBUTE.match(line, offset)
+        if match is None:
+            raise ConfigurationSyntaxError(f"{line[offset : offset + 40]!r} is no attribute")
+        spelled, value = match.group(1), (match.group(2) or "").strip('"')
         name = spelled.lower()
         if _SPELLINGS.get(name, spelled) != spelled:
-            raise UnreadError(f"-{spelled} is to be spelled -{_SPELLINGS[name]}")
+            raise ConfigurationSyntaxError(f"-{spelled} must be spelled -{_SPELLINGS[name]}")
         if name in values:
-            raise UnreadError(f"-{name} stands there twice in one row")
+            raise ConfigurationSyntaxError(f"-{name} occurs twice in one row")
         values[name] = value
-        place = found.end()
-    return frozenset((name, value) for name, value in values.items() if name not in _SILENT_ATTRIBUTES)
+        offset = match.end()
+    return frozenset((name, value) for name, value in values.items() if name not in _IGNORED_ATTRIBUTES)
 
 
-def crossed(row: Row) -> tuple[str, frozenset[str]] | None:
-    """The result and the terms of a cross connection, all of them joined by AND, "not " before one that is
-    turned over; None for any other."""
+def cross_connection(row: InstanceRow) -> tuple[str, frozenset[str]] | None:
+    """Return result and terms of a cross connection whose terms are all joined by AND, else None.
+
+    An inverted term has the prefix "not ".
+    """
     values = dict(row)
     values.pop("name", None)
     result = values.pop("res", "")
     terms: list[str] = []
     while f"act{len(terms) + 1}" in values:
         number = len(terms) + 1
-        turned = values.get(f"act{number}_invert") == ""
-        if turned:
+        inverted = values.get(f"act{number}_invert") == ""
+        if inverted:
             del values[f"act{number}_invert"]
-        terms.append(f"{'not ' if turned else ''}{values.pop(f'act{number}')}")
-    joints = [values.pop(f"oper{number}", "") for number in range(1, len(terms))]
-    if values or not result or any(joint.upper() != "AND" for joint in joints):
+        terms.append(f"{'not ' if inverted else ''}{values.pop(f'act{number}')}")
+    operators = [values.pop(f"oper{number}", "") for number in range(1, len(terms))]
+    if values or not result or any(operator.upper() != "AND" for operator in operators):
         return None
     return result.lower(), frozenset(term.lower() for term in terms)
 
 
 def rapid_words(text: str) -> list[str]:
-    """The words of RAPID text without comments, case only kept in strings, numbers by their values."""
-    cursor, out = Cursor(text), []
+    """Return the words of RAPID text without comments: numbers by value, all but strings in lower case."""
+    cursor, out = RapidCursor(text), []
     while cursor.token.kind != "end":
         kind, word = cursor.token.kind, cursor.token.text
         out.append(word if kind == "string" else repr(float(word)) if kind == "number" else word.lower())
@@ -108,17 +114,19 @@ _SIGNAL_WORD = re.compile(
     r"(?i)\b(setdo|set|reset|invertdo|pulsedo|waitdo|doutput|testdo|waitdi|dinput|testdi)\b"
     r"\s*\(?\s*(?:\\\s*\w+\s*(?::=[^,;]*)?,?\s*)*([a-z]\w*)"
 )
-"""Instructions and functions of RAPID that name a digital signal, options before it left out."""
+"""Instructions and functions of RAPID that name a digital signal, with the options before it skipped."""
 _INPUT_WORDS: Final = ("waitdi", "dinput", "testdi")
-"""Those whose signal is an input."""
+"""The words of ``_SIGNAL_WORD`` whose signal is an input."""
 
 
 def rapid_signals(text: str) -> list[tuple[str, str]]:
-    """The digital signals that RAPID text names, as it spells them first, with "DI" or "DO" by what is done
-    with each; in comments and strings there are none. Sorted by name."""
-    bare = re.sub(r"!.*", "", STRING.sub('""', text))
-    found: dict[tuple[str, str], str] = {}
-    for word, name in _SIGNAL_WORD.findall(bare):
+    """Return the digital signals in RAPID text, each with "DI" or "DO" by its use, sorted by name.
+
+    A name is spelled as where it occurs first. Comments and strings are ignored.
+    """
+    code = re.sub(r"!.*", "", STRING.sub('""', text))
+    spellings: dict[tuple[str, str], str] = {}
+    for word, name in _SIGNAL_WORD.findall(code):
         kind = "DI" if word.lower() in _INPUT_WORDS else "DO"
-        found.setdefault((name.lower(), kind), name)
-    return [(name, kind) for (_, kind), name in sorted(found.items())]
+        spellings.setdefault((name.lower(), kind), name)
+    return [(name, kind) for (_, kind), name in sorted(spellings.items())]

@@ -1,8 +1,8 @@
-"""Expressions and built-in instructions of RAPID; number lists and usual moves read in one step.
+"""Parses expressions and built-in instructions of RAPID, with a fast path for number lists and usual moves.
 
-Arguments of instructions are read in their general form and held against the table of forms. A job
-has thousands of moves that differ in their numbers only: whatever does not match their pattern
-exactly goes the ordinary way, which gives the same result and explains faults.
+Arguments of instructions are parsed in their general form and checked against the table of forms. A job has
+thousands of moves that differ only in their numbers. Text that does not match the pattern of such a move
+exactly is parsed in the general way, which gives the same result and explains faults.
 """
 
 import json
@@ -15,10 +15,10 @@ from planner.languages.rapid.reader.lexer import (
     INSTRUCTIONS,
     MOVE_INSTRUCTIONS,
     RESERVED,
-    Cursor,
-    Form,
+    InstructionForm,
+    RapidCursor,
     RapidSyntaxError,
-    shown,
+    shorten,
 )
 from planner.languages.rapid.reader.syntax_tree import (
     NUMBER_TYPES,
@@ -29,45 +29,52 @@ from planner.languages.rapid.reader.syntax_tree import (
     Function,
     Instruction,
     Literal,
-    Move,
+    MoveStatement,
     Name,
+    RapidStatement,
     RapidValueError,
-    Statement,
     Unary,
     base_type,
-    build,
+    build_value,
 )
-from planner.programs.steps import LARGEST_NUMBER
+from planner.programs.steps import MAX_NUMBER
 
 MAX_BRACKETS = 40
-"""Brackets inside one another at most."""
+"""Maximum nesting depth of brackets. Chosen: expressions are walked by recursion."""
 MAX_OPERATORS = 60
-"""Operators of one expression at most: what is read here is walked through by recursion."""
+"""Maximum number of operators in one expression. Chosen: expressions are walked by recursion."""
 
 NUMERIC_TEXT = re.compile(r"[\[\]\d+\-.eE, \t\r\n]*")
-"""Text of brackets and numbers alone, as most data have."""
+"""Text that consists of brackets and numbers only, as most data do."""
 _COMPARISONS = frozenset({"=", "<>", "<", ">", "<=", ">="})
-"""Operators that compare."""
+"""Comparison operators."""
 
 
-def expression(cursor: Cursor, longest_string: int, depth: int = 0) -> Expr:
-    """One expression: [NOT] terms joined by OR and XOR, of relations joined by AND. Raises
-    `RapidSyntaxError`.
+def parse_expression(cursor: RapidCursor, max_string_length: int, depth: int = 0) -> Expr:
+    """Parse one expression: [NOT] terms joined by OR and XOR; a term is relations joined by AND.
+
+    Args:
+        cursor: Position in the text.
+        max_string_length: Maximum length of a string [characters].
+        depth: Nesting depth of brackets.
+
+    Raises:
+        RapidSyntaxError: The text is no expression of the subset.
     """
     if depth > MAX_BRACKETS:
         raise cursor.fault(f"at most {MAX_BRACKETS} nested brackets")
     if not depth:
         cursor.operators = 0
-    left = _logical_term(cursor, longest_string, depth)
+    left = _logical_term(cursor, max_string_length, depth)
     while True:
         start = cursor.token.start
         word = cursor.take_word("or", "xor")
         if word is None:
             return left
-        left = _joined(cursor, start, word, left, _logical_term(cursor, longest_string, depth))
+        left = _binary_node(cursor, start, word, left, _logical_term(cursor, max_string_length, depth))
 
 
-def _logical_term(cursor: Cursor, longest: int, depth: int) -> Expr:
+def _logical_term(cursor: RapidCursor, longest: int, depth: int) -> Expr:
     start = cursor.token.start
     negated = cursor.take_word("not") is not None
     left = _relation(cursor, longest, depth)
@@ -76,13 +83,11 @@ def _logical_term(cursor: Cursor, longest: int, depth: int) -> Expr:
         if cursor.take_word("and") is None:
             return Unary(start, "not", left) if negated else left
         if negated:
-            raise RapidSyntaxError(
-                at, "rapid.syntax", "NOT before AND: write brackets that say what it means"
-            )
-        left = _joined(cursor, at, "and", left, _relation(cursor, longest, depth))
+            raise RapidSyntaxError(at, "rapid.syntax", "NOT before AND is ambiguous. Add brackets")
+        left = _binary_node(cursor, at, "and", left, _relation(cursor, longest, depth))
 
 
-def _relation(cursor: Cursor, longest: int, depth: int) -> Expr:
+def _relation(cursor: RapidCursor, longest: int, depth: int) -> Expr:
     left = _sum(cursor, longest, depth)
     token = cursor.token
     if token.kind == "symbol" and token.text in _COMPARISONS:
@@ -91,47 +96,47 @@ def _relation(cursor: Cursor, longest: int, depth: int) -> Expr:
     return left
 
 
-def _sum(cursor: Cursor, longest: int, depth: int) -> Expr:
+def _sum(cursor: RapidCursor, longest: int, depth: int) -> Expr:
     left = _product(cursor, longest, depth)
     while cursor.token.kind == "symbol" and cursor.token.text in "+-":
         token = cursor.take()
-        left = _joined(cursor, token.start, token.text, left, _product(cursor, longest, depth))
+        left = _binary_node(cursor, token.start, token.text, left, _product(cursor, longest, depth))
     return left
 
 
-def _product(cursor: Cursor, longest: int, depth: int) -> Expr:
+def _product(cursor: RapidCursor, longest: int, depth: int) -> Expr:
     left = _primary(cursor, longest, depth)
     while (cursor.token.kind == "symbol" and cursor.token.text in "*/") or cursor.token.word in (
         "div",
         "mod",
     ):
         token = cursor.take()
-        left = _joined(cursor, token.start, token.word, left, _primary(cursor, longest, depth))
+        left = _binary_node(cursor, token.start, token.word, left, _primary(cursor, longest, depth))
     return left
 
 
-def _joined(cursor: Cursor, start: int, operator: str, left: Expr, right: Expr) -> Expr:
+def _binary_node(cursor: RapidCursor, start: int, operator: str, left: Expr, right: Expr) -> Expr:
     cursor.operators += 1
     if cursor.operators > MAX_OPERATORS:
-        message = f"the expression has more than {MAX_OPERATORS} operators; part it"
+        message = f"the expression has more than {MAX_OPERATORS} operators; split it"
         raise RapidSyntaxError(start, "rapid.syntax", message)
     return Binary(start, operator, left, right)
 
 
-def _primary(cursor: Cursor, longest: int, depth: int) -> Expr:
+def _primary(cursor: RapidCursor, longest: int, depth: int) -> Expr:
     token = cursor.token
     if token.kind == "number":
-        return Literal(token.start, "num", number(cursor.take().text, token.start))
+        return Literal(token.start, "num", parse_number(cursor.take().text, token.start))
     if token.kind == "string":
         return Literal(token.start, "string", _string(cursor, longest))
     if token.kind == "name":
         return _name(cursor, longest, depth)
     if token.kind == "symbol":
         if token.text == "[":
-            return aggregate(cursor, longest, depth)
+            return parse_aggregate(cursor, longest, depth)
         if token.text == "(":
             cursor.take()
-            inside = expression(cursor, longest, depth + 1)
+            inside = parse_expression(cursor, longest, depth + 1)
             cursor.expect_symbol(")", "to close the bracket")
             return inside
         if token.text in "+-":
@@ -139,39 +144,47 @@ def _primary(cursor: Cursor, longest: int, depth: int) -> Expr:
     raise cursor.fault("a value: a number, a string, [..], a name or a function")
 
 
-def number(text: str, start: int) -> float:
-    """The number of an unsigned numeral; refuses what a controller's number cannot hold."""
+def parse_number(text: str, start: int) -> float:
+    """Return the value of an unsigned numeral.
+
+    Args:
+        text: The numeral.
+        start: Its offset.
+
+    Raises:
+        RapidSyntaxError: The number exceeds what a controller holds.
+    """
     value = float(text)
-    if value >= LARGEST_NUMBER:
-        raise RapidSyntaxError(start, "rapid.number", f"{shown(text)} is too large for a number")
+    if value >= MAX_NUMBER:
+        raise RapidSyntaxError(start, "rapid.number", f"{shorten(text)} is too large for a number")
     return value
 
 
-def _signed(cursor: Cursor, longest: int, depth: int) -> Expr:
+def _signed(cursor: RapidCursor, longest: int, depth: int) -> Expr:
     sign = cursor.take()
     if depth > MAX_BRACKETS:
         raise cursor.fault(f"at most {MAX_BRACKETS} nested signs")
     operand = _primary(cursor, longest, depth + 1)
     if isinstance(operand, Literal) and operand.kind == "num":
         value = -operand.value if sign.text == "-" else operand.value
-        return Literal(sign.start, "num", value or 0.0)  # controllers write -0.00, too
+        return Literal(sign.start, "num", value or 0.0)  # controllers also write -0.00
     return Unary(sign.start, sign.text, operand)
 
 
-def _string(cursor: Cursor, longest: int) -> str:
+def _string(cursor: RapidCursor, longest: int) -> str:
     token = cursor.take()
     value = token.text[1:-1].replace('""', '"')
     if "\\" in value.replace("\\\\", ""):
-        message = f"the string {shown(value)} holds a character by its number; write the character"
+        message = f"the string {shorten(value)} contains a character code; write the character itself"
         raise RapidSyntaxError(token.start, "rapid.syntax", message)
     value = value.replace("\\\\", "\\")
     if len(value) > longest:
-        message = f"the string {shown(value)} has {len(value)} characters; allowed: {longest}"
+        message = f"the string {shorten(value)} has {len(value)} characters; allowed: {longest}"
         raise RapidSyntaxError(token.start, "rapid.string_length", message)
     return value
 
 
-def _name(cursor: Cursor, longest: int, depth: int) -> Expr:
+def _name(cursor: RapidCursor, longest: int, depth: int) -> Expr:
     token = cursor.token
     if token.word in ("true", "false"):
         return Literal(token.start, "bool", cursor.take().word == "true")
@@ -184,89 +197,116 @@ def _name(cursor: Cursor, longest: int, depth: int) -> Expr:
     while not cursor.take_symbol(")"):
         if arguments:
             cursor.expect_symbol(",", "or ) in the function's arguments")
-        arguments.append(expression(cursor, longest, depth + 1))
+        arguments.append(parse_expression(cursor, longest, depth + 1))
     return Function(token.start, token.text, tuple(arguments))
 
 
-def aggregate(cursor: Cursor, longest: int, depth: int) -> Expr:
-    """`[a, b, ...]`: a `Literal` of kind "list" when all inside are numbers, else an `Aggregate`."""
+def parse_aggregate(cursor: RapidCursor, longest: int, depth: int) -> Expr:
+    """Parse `[a, b, ...]`: a `Literal` of kind "list" if it holds only numbers, else an `Aggregate`.
+
+    Args:
+        cursor: Position in the text, at the opening bracket.
+        longest: Maximum length of a string [characters].
+        depth: Nesting depth of brackets.
+    """
     start = cursor.token.start
-    quick = number_list(cursor.text, start)
-    if quick is not None:
-        cursor.jump(quick[1])
-        return Literal(start, "list", quick[0])
+    numbers = parse_number_list(cursor.text, start)
+    if numbers is not None:
+        cursor.jump(numbers[1])
+        return Literal(start, "list", numbers[0])
     if depth > MAX_BRACKETS:
         raise cursor.fault(f"at most {MAX_BRACKETS} nested brackets")
     cursor.take()
-    items = [expression(cursor, longest, depth + 1)]
+    items = [parse_expression(cursor, longest, depth + 1)]
     while cursor.take_symbol(","):
-        items.append(expression(cursor, longest, depth + 1))
+        items.append(parse_expression(cursor, longest, depth + 1))
     cursor.expect_symbol("]", "or a comma in the list")
     return Aggregate(start, tuple(items))
 
 
 _DECODER = json.JSONDecoder()
-"""Reads text of brackets and numbers fast."""
+"""Parses text of brackets and numbers fast."""
 
 
-def number_list(text: str, start: int) -> tuple[list[Any], int] | None:
-    """Nested number list at `start` and the offset behind it, or None when it is not plainly one.
+def parse_number_list(text: str, start: int) -> tuple[list[Any], int] | None:
+    """Return the nested number list at an offset and the offset after it, or None if it is no plain list.
 
-    A list of plain numbers is JSON too, and the JSON reader is fast. Anything else (names, truths, faults)
-    returns None, and the ordinary way reads it and says what is wrong.
+    A list of plain numbers is also JSON, and the JSON decoder is fast. Anything else (names, truth values,
+    faults) returns None; the general parser reads it and explains faults.
+
+    Args:
+        text: Text of the module.
+        start: Offset of the list.
     """
     try:
-        found, end = _DECODER.raw_decode(text, start)
+        items, end = _DECODER.raw_decode(text, start)
     except (ValueError, RecursionError):
         return None
     if NUMERIC_TEXT.fullmatch(text, start, end) is None or text.count("[", start, end) > MAX_BRACKETS:
         return None
-    return (found, end) if isinstance(found, list) and _finite(found) else None
+    return (items, end) if isinstance(items, list) and _all_finite(items) else None
 
 
-def _finite(found: Any) -> bool:
-    if isinstance(found, list):
-        return bool(found) and all(map(_finite, found))
-    return bool(-LARGEST_NUMBER < found < LARGEST_NUMBER)
+def _all_finite(value: Any) -> bool:
+    if isinstance(value, list):
+        return bool(value) and all(map(_all_finite, value))
+    return bool(-MAX_NUMBER < value < MAX_NUMBER)
 
 
-def plain(found: Expr) -> Any:
-    """Nested lists of numbers, truths and strings of an expression without names, or None."""
-    if isinstance(found, Literal):
-        return found.value
-    if isinstance(found, Aggregate):
-        items = [plain(item) for item in found.items]
+def literal_items(expr: Expr) -> Any:
+    """Return nested lists of the literals of an expression without names, or None."""
+    if isinstance(expr, Literal):
+        return expr.value
+    if isinstance(expr, Aggregate):
+        items = [literal_items(item) for item in expr.items]
         return None if any(item is None for item in items) else items
     return None
 
 
-def typed(found: Expr, kind: str) -> Expr:
-    """The expression as a `Literal` of type `kind` where it holds no names. Raises `RapidSyntaxError` where
-    it does not fit.
+def typed_literal(expr: Expr, kind: str) -> Expr:
+    """Return the expression as a `Literal` of a type if it contains no names, else unchanged.
+
+    Args:
+        expr: The expression.
+        kind: The RAPID type.
+
+    Raises:
+        RapidSyntaxError: The value does not fit the type.
     """
-    if kind in OPAQUE_TYPES or isinstance(found, Name | Function | Unary | Binary):
-        return found
-    items = plain(found)
+    if kind in OPAQUE_TYPES or isinstance(expr, Name | Function | Unary | Binary):
+        return expr
+    items = literal_items(expr)
     if items is None:
-        return found
+        return expr
     try:
-        return Literal(found.start, base_type(kind) if kind in NUMBER_TYPES else kind, build(kind, items))
+        return Literal(
+            expr.start, base_type(kind) if kind in NUMBER_TYPES else kind, build_value(kind, items)
+        )
     except RapidValueError as wrong:
-        raise RapidSyntaxError(found.start, wrong.code, wrong.message) from None
+        raise RapidSyntaxError(expr.start, wrong.code, wrong.message) from None
 
 
-class _Option(NamedTuple):
+class _RapidOption(NamedTuple):
     name: str
     value: Expr | None
     slot: int
     start: int
 
 
-def instruction(cursor: Cursor, line: int, longest_string: int) -> Statement:
-    """The instruction at the cursor, which stands on its name. Raises `RapidSyntaxError`."""
+def parse_instruction(cursor: RapidCursor, line: int, max_string_length: int) -> RapidStatement:
+    """Parse the instruction whose name is at the cursor.
+
+    Args:
+        cursor: Position in the text.
+        line: Line of the statement, from 1.
+        max_string_length: Maximum length of a string [characters].
+
+    Raises:
+        RapidSyntaxError: Arguments or options do not fit the instruction.
+    """
     first = cursor.take()
     form = INSTRUCTIONS[first.word]
-    required, options = _arguments(cursor, longest_string, form)
+    required, options = _arguments(cursor, max_string_length, form)
     cursor.expect_symbol(";", f"or a further argument of {form.name}")
     if len(required) != len(form.required):
         got = f"{form.name} has {len(required)} required arguments; allowed: {len(form.required)}"
@@ -294,12 +334,14 @@ def instruction(cursor: Cursor, line: int, longest_string: int) -> Statement:
         "wobj": values.get("wobj"),
     }
     switches = tuple(name for name in values if name not in ("id", "t", "v", "wobj"))
-    return Move(line, first.start, form.name, target, speed, zone, tool, switches=switches, **named)
+    return MoveStatement(line, first.start, form.name, target, speed, zone, tool, switches=switches, **named)
 
 
-def _arguments(cursor: Cursor, longest: int, form: Form) -> tuple[list[Expr], list[_Option]]:
+def _arguments(
+    cursor: RapidCursor, longest: int, form: InstructionForm
+) -> tuple[list[Expr], list[_RapidOption]]:
     required: list[Expr] = []
-    options: list[_Option] = []
+    options: list[_RapidOption] = []
     while not (cursor.token.kind == "symbol" and cursor.token.text == ";"):
         comma = cursor.take_symbol(",")
         if cursor.token.kind == "symbol" and cursor.token.text == "\\":
@@ -308,12 +350,12 @@ def _arguments(cursor: Cursor, longest: int, form: Form) -> tuple[list[Expr], li
             if token.kind != "name":
                 raise cursor.fault("the name of an option")
             cursor.take()
-            value = expression(cursor, longest) if cursor.take_symbol(":=") else None
-            options.append(_Option(token.word, value, len(required), token.start))
+            value = parse_expression(cursor, longest) if cursor.take_symbol(":=") else None
+            options.append(_RapidOption(token.word, value, len(required), token.start))
         elif comma and not (required or options):
             raise cursor.fault(f"the first argument of {form.name}")
         elif comma or not (required or options):
-            required.append(expression(cursor, longest))
+            required.append(parse_expression(cursor, longest))
         else:
             raise cursor.fault(f'"," or ";" in the arguments of {form.name}')
     return required, options
@@ -323,26 +365,30 @@ def _argument(value: Expr, kind: str) -> Expr:
     if kind.startswith("variable") or kind in ("syncident", "tasks", "signaldo", "signaldi", "clock"):
         if not isinstance(value, Name):
             raise RapidSyntaxError(
-                value.start, "rapid.type", f"a name of {kind.removeprefix('variable ')} data must stand here"
+                value.start, "rapid.type", f"expected a name of {kind.removeprefix('variable ')} data"
             )
         return value
-    return typed(value, kind)
+    return typed_literal(value, kind)
 
 
-def _option(option: _Option, form: Form) -> Expr | None:
+def _option(option: _RapidOption, form: InstructionForm) -> Expr | None:
     allowed = form.options.get(option.name)
     if allowed is None:
         names = ", ".join("\\" + name for name in form.options) or "no options"
         raise RapidSyntaxError(
-            option.start, "rapid.options", f"{form.name} has no option {shown(option.name)}; allowed: {names}"
+            option.start,
+            "rapid.options",
+            f"{form.name} has no option {shorten(option.name)}; allowed: {names}",
         )
     slot, kind = allowed
     if option.slot != slot:
-        message = f"\\{option.name} is behind argument {option.slot} of {form.name}; allowed: behind {slot}"
+        message = (
+            f"\\{option.name} follows argument {option.slot} of {form.name}; allowed: after argument {slot}"
+        )
         raise RapidSyntaxError(option.start, "rapid.options", message)
     if (option.value is None) != (kind == "switch"):
-        wanted = "takes no value" if kind == "switch" else f"needs a value (\\{option.name}:=...)"
-        raise RapidSyntaxError(option.start, "rapid.options", f"{form.name}: \\{option.name} {wanted}")
+        requirement = "takes no value" if kind == "switch" else f"needs a value (\\{option.name}:=...)"
+        raise RapidSyntaxError(option.start, "rapid.options", f"{form.name}: \\{option.name} {requirement}")
     return None if option.value is None else _argument(option.value, kind)
 
 
@@ -350,8 +396,8 @@ _MOVE_HEAD = re.compile(
     r"(?:Move(?P<linear>[LJ])|MoveAbsJ)[ \t]+(?P<name>[A-Za-z]\w*)?", re.IGNORECASE | re.ASCII
 )
 """First words of a move."""
-_MOVES = {"L": "MoveL", "J": "MoveJ"}
-# possessive, as three runs of blanks in a row would be tried against each other
+_MOVE_KINDS = {"L": "MoveL", "J": "MoveJ"}
+# possessive quantifiers: three runs of blanks in a row would backtrack against each other
 _MOVE_TAIL = re.compile(
     r"""[ \t]*+(?:\\ID:=(?P<id>\d{1,9}))?[ \t]*+(?P<still>\\NoEOffs)?[ \t]*+,[ \t]*+
     (?P<speed>[A-Za-z]\w*|\[[^\[\]]*\])(?:[ \t]*+\\T:=(?P<time>\d+(?:\.\d+)?))?[ \t]*+,[ \t]*+
@@ -359,55 +405,60 @@ _MOVE_TAIL = re.compile(
     (?:[ \t]*+\\WObj:=(?P<wobj>[A-Za-z]\w*))?[ \t]*+;""",
     re.IGNORECASE | re.ASCII | re.VERBOSE,
 )
-"""The rest of a move behind its target."""
+"""Rest of a move after its target."""
 
 
-def quick_move(cursor: Cursor, line: int) -> Move | None:
-    """The move at the cursor, or None when it is not of the usual form; then the cursor has not moved."""
+def parse_usual_move(cursor: RapidCursor, line: int) -> MoveStatement | None:
+    """Parse the move at the cursor if it has the usual form; otherwise return None and leave the cursor.
+
+    Args:
+        cursor: Position in the text.
+        line: Line of the statement, from 1.
+    """
     text, first = cursor.text, cursor.token.start
     head = _MOVE_HEAD.match(text, first)
     if head is None:
         return None
-    kind = "MoveAbsJ" if head["linear"] is None else _MOVES[head["linear"].upper()]
+    kind = "MoveAbsJ" if head["linear"] is None else _MOVE_KINDS[head["linear"].upper()]
     try:
         end = head.end()
         if head["name"]:
-            target: Expr | None = _free_name(head["name"], head.start("name"))
+            target: Expr | None = _data_name(head["name"], head.start("name"))
         else:
-            found = number_list(text, end)
-            if found is None:
+            numbers = parse_number_list(text, end)
+            if numbers is None:
                 return None
             record = "jointtarget" if kind == "MoveAbsJ" else "robtarget"
-            target, end = Literal(end, record, build(record, found[0])), found[1]
+            target, end = Literal(end, record, build_value(record, numbers[0])), numbers[1]
         tail = _MOVE_TAIL.match(text, end)
         if tail is None or target is None or (tail["still"] and kind != "MoveAbsJ"):
             return None
-        zone = _free_name(tail["zone"], tail.start("zone"))
-        tool = _free_name(tail["tool"], tail.start("tool"))
-        wobj = _free_name(tail["wobj"], tail.start("wobj")) if tail["wobj"] else None
+        zone = _data_name(tail["zone"], tail.start("zone"))
+        tool = _data_name(tail["tool"], tail.start("tool"))
+        wobj = _data_name(tail["wobj"], tail.start("wobj")) if tail["wobj"] else None
         speed = _speed(text, tail)
         if zone is None or tool is None or speed is None or (tail["wobj"] and wobj is None):
             return None
     except RapidValueError:
         return None
-    if tail["time"] and float(tail["time"]) >= LARGEST_NUMBER:
+    if tail["time"] and float(tail["time"]) >= MAX_NUMBER:
         return None
     ident = Literal(tail.start("id"), "num", float(tail["id"])) if tail["id"] else None
     time = Literal(tail.start("time"), "num", float(tail["time"])) if tail["time"] else None
     switches = ("noeoffs",) if tail["still"] else ()
     cursor.jump(tail.end())
-    return Move(line, first, kind, target, speed, zone, tool, ident, time, None, wobj, switches)
+    return MoveStatement(line, first, kind, target, speed, zone, tool, ident, time, None, wobj, switches)
 
 
-def _free_name(text: str, start: int) -> Name | None:
-    return None if text.lower() in RESERVED else Name(start, sys.intern(text))  # by the ten thousand
+def _data_name(text: str, start: int) -> Name | None:
+    return None if text.lower() in RESERVED else Name(start, sys.intern(text))  # names repeat
 
 
 def _speed(text: str, tail: re.Match[str]) -> Expr | None:
     start = tail.start("speed")
     if text[start] != "[":
-        return _free_name(tail["speed"], start)
-    found = number_list(text, start)
-    if found is None or found[1] != tail.end("speed"):
+        return _data_name(tail["speed"], start)
+    numbers = parse_number_list(text, start)
+    if numbers is None or numbers[1] != tail.end("speed"):
         return None
-    return Literal(start, "speeddata", build("speeddata", found[0]))
+    return Literal(start, "speeddata", build_value("speeddata", numbers[0]))

@@ -1,8 +1,8 @@
-"""All that a task does and may do: its straight way through the modules, what errors and UNDO run.
+"""Everything that a task does or may do: its main flow through the modules, and its ERROR and UNDO sections.
 
-On the straight way calls are put in place and names replaced by values. Conditions on constants are
-decided. A condition known at run time only (an operator's answer, IsSyncMoveOn()) must not decide
-over motion, signals or synchronisation: such a program cannot be proven and is refused.
+On the main flow calls are expanded and names replaced by values. Conditions on constants are decided. A
+condition that is only known at run time (an operator's answer, IsSyncMoveOn()) must not decide over motion,
+signals or synchronisation: such a program cannot be proven and is refused.
 """
 
 import re
@@ -12,23 +12,23 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import Literal
 
-from planner.languages.rapid.reader.evaluation import UNKNOWN, Evaluator, Names
+from planner.languages.rapid.reader.evaluation import UNKNOWN, Evaluator, NameTable
 from planner.languages.rapid.reader.lexer import INSTRUCTIONS
 from planner.languages.rapid.reader.syntax_tree import (
     PREDEFINED,
     Assign,
-    Data,
+    DataDeclaration,
     Expr,
     For,
     If,
     Instruction,
     LateCall,
     Module,
-    Move,
+    MoveStatement,
     Name,
     ProcCall,
     Procedure,
-    Statement,
+    RapidStatement,
     Value,
     While,
 )
@@ -36,110 +36,135 @@ from planner.programs.steps import (
     CallStep,
     CarryStep,
     ChoiceStep,
-    Fault,
     FlowError,
     LoadStep,
     MessageStep,
     MoveStep,
+    ProgramStep,
     SettingStep,
     SignalStep,
-    Step,
     SyncStep,
+    TextFault,
     WaitStep,
     WorkObject,
-    single,
+    to_single,
 )
 
 CHECK_MODULE = re.compile(r"(?i)TandemCheck_\w+\.(modx?)$")
-"""Names of the modules that compare the cell with the plan, which a rule of their own reads."""
-AXES_CHECK = "check_axes"
-"""Name of the procedure there that looks at external axes, and the kind of the step that calls it."""
-MAX_CALLS = 50
-"""Procedures that call each other may be so deep."""
-MAX_LOOPS = 100_000
-"""Rounds of a FOR at most."""
+"""Names of the modules that compare the cell with the plan; a separate rule reads them."""
+AXES_CHECK_PROCEDURE = "check_axes"
+"""Name of the procedure in that module that checks external axes, and kind of the step that calls it."""
+MAX_CALL_DEPTH = 50
+"""Maximum call depth of procedures."""
+MAX_ITERATIONS = 100_000
+"""Maximum number of iterations of a FOR."""
 _END_STATEMENTS = ("RETURN", "EXIT", "RAISE", "RETRY", "TRYNEXT")
 """Statements that end a procedure or handler."""
 _MESSAGE_STATEMENTS = ("TPWrite", "TPErase", "UIMsgBox", "TPReadFK", "ErrWrite")
-"""Statements that show or ask something."""
+"""Statements that show a text or ask a question."""
 _STOP_STATEMENTS = ("EXIT", "Stop", "StopMove")
 """Statements that stop the motion."""
 
 
 class _LeaveError(Exception):
-    """A RETURN, EXIT, RAISE, RETRY or TRYNEXT was met."""
+    """Raised at a RETURN, EXIT, RAISE, RETRY or TRYNEXT."""
 
     def __init__(self, word: str) -> None:
         super().__init__(word)
         self.word = word
 
 
-class Runner(Evaluator):
-    """Runs procedures and collects their steps; `entered`: what ran or may run. `handler`: a section in which
-    steps may hang on run-time conditions."""
+class RapidRunner(Evaluator):
+    """Executes procedures symbolically and collects their steps.
 
-    def __init__(self, modules: Sequence[Module], handler: bool = False, names: Names | None = None) -> None:
+    Attributes:
+        handler: Whether this is an ERROR or UNDO section, whose steps may depend on run-time conditions.
+        steps: Steps so far.
+        procedure: The current procedure.
+        condition: Run-time condition of the current branch, "" for none.
+        depth: Call depth.
+        entered: (module, procedure) of everything that ran or may run.
+    """
+
+    def __init__(
+        self, modules: Sequence[Module], handler: bool = False, names: NameTable | None = None
+    ) -> None:
         super().__init__(modules, names)
         self.handler = handler
-        self.steps: list[Step] = []
+        self.steps: list[ProgramStep] = []
         self.procedure = ""
         self.condition = ""
         self.depth = 0
         self.entered: set[tuple[str, str]] = set()
-        self._at = 0
+        self._offset = 0
 
     # ---- entry ----
 
-    def run(self, entry: str) -> tuple[Step, ...]:
-        """Steps from the procedure `entry` on."""
-        found = [
+    def run(self, entry: str) -> tuple[ProgramStep, ...]:
+        """Return the steps from a procedure on.
+
+        Args:
+            entry: Name of the procedure.
+
+        Raises:
+            FlowError: The procedure is missing, calls never end, or run-time conditions decide over motion.
+        """
+        entries = [
             (module, procedure)
             for module in self.modules.values()
             for procedure in module.procedures
             if procedure.name.lower() == entry.lower()
         ]
-        if len(found) == 1 and not found[0][1].local:
-            return self.run_block(*found[0], found[0][1].body)
-        what = f"several procedures {entry}, or a local one" if found else f"no procedure {entry}"
-        raise FlowError([Fault(1, 1, "rapid.flow", f"{what} in the task's modules", self.module.file)])
+        if len(entries) == 1 and not entries[0][1].local:
+            return self.run_block(*entries[0], entries[0][1].body)
+        what = f"several procedures {entry}, or a local procedure," if entries else f"no procedure {entry}"
+        raise FlowError([TextFault(1, 1, "rapid.flow", f"{what} in the task's modules", self.module.file)])
 
-    def run_block(self, module: Module, procedure: Procedure, body: Sequence[Statement]) -> tuple[Step, ...]:
-        """Steps of a block of a procedure."""
+    def run_block(
+        self, module: Module, procedure: Procedure, body: Sequence[RapidStatement]
+    ) -> tuple[ProgramStep, ...]:
+        """Return the steps of a block of a procedure.
+
+        Args:
+            module: Module of the procedure.
+            procedure: The procedure.
+            body: Statements of the block.
+        """
         self.module, self.procedure = module, procedure.name
         self.entered.add((module.name, procedure.name))
-        self._at = procedure.start
+        self._offset = procedure.start
         with suppress(_LeaveError):
             try:
                 self.block(body)
             except RecursionError:
-                raise self.fail(self._at, "blocks and calls are nested too deeply") from None
+                raise self.flow_error(self._offset, "blocks and calls are nested too deeply") from None
         return tuple(self.steps)
 
     # ---- statements ----
 
-    def block(self, statements: Sequence[Statement]) -> None:
-        """Runs statements one after the other."""
+    def block(self, statements: Sequence[RapidStatement]) -> None:
+        """Execute statements in order."""
         for statement in statements:
             self.statement(statement)
 
-    def statement(self, statement: Statement) -> None:
-        """Runs one statement; what it does is appended to ``steps``."""
-        self._spend(statement, 5 if isinstance(statement, Move) else 1)
+    def statement(self, statement: RapidStatement) -> None:
+        """Execute one statement and append its effects to ``steps``."""
+        self._spend(statement, 5 if isinstance(statement, MoveStatement) else 1)
         match statement:
-            case Move():
+            case MoveStatement():
                 self.steps.append(self._move(statement))
             case Instruction():
                 self._instruction(statement)
             case Assign():
                 self._assign(statement.target, self.value(statement.value, self._kind(statement.target)))
             case ProcCall():
-                self._checks(statement)
+                self._append_axes_check(statement)
                 self.call(statement.start, statement.name)
             case LateCall():
                 name = self.value(statement.name, "string")
                 if not isinstance(name, str):
-                    raise self.fail(
-                        statement.start, "the name of the procedure to call is known at run time only"
+                    raise self.flow_error(
+                        statement.start, "the name of the called procedure is known at run time only"
                     )
                 self.steps.append(CallStep(*self._where(statement), name))
                 self.call(statement.start, name)
@@ -150,85 +175,98 @@ class Runner(Evaluator):
             case For():
                 self._for(statement)
 
-    def _spend(self, statement: Statement, work: int) -> None:
-        self._at = statement.start
-        self.names.work -= work
-        if self.names.work < 0:
-            raise self.fail(statement.start, "the program has no end, or runs its lines too often to be read")
+    def _spend(self, statement: RapidStatement, work: int) -> None:
+        self._offset = statement.start
+        self.names.budget -= work
+        if self.names.budget < 0:
+            raise self.flow_error(
+                statement.start, "the program has no end, or executes its lines too often to be read"
+            )
 
-    def _checks(self, statement: ProcCall) -> None:
-        """A step for a call of the look at external axes, whose statements a rule of its own reads."""
-        found = self.find(statement.name.lower())
-        file = "" if found is None else PurePosixPath(found[0].file).name
-        if statement.name.lower() == AXES_CHECK and CHECK_MODULE.match(file):
-            self.steps.append(SettingStep(*self._where(statement), AXES_CHECK, (), ()))
+    def _append_axes_check(self, statement: ProcCall) -> None:
+        """Append a step for a call of the external-axis check, whose statements a separate rule reads."""
+        declaration = self.find(statement.name.lower())
+        file = "" if declaration is None else PurePosixPath(declaration[0].file).name
+        if statement.name.lower() == AXES_CHECK_PROCEDURE and CHECK_MODULE.match(file):
+            self.steps.append(SettingStep(*self._where(statement), AXES_CHECK_PROCEDURE, (), ()))
 
     def call(self, start: int, name: str) -> None:
-        """Put the steps of a procedure in place. `name` may be "module:procedure"."""
+        """Expand the steps of a procedure.
+
+        Args:
+            start: Offset of the call.
+            name: Name of the procedure, perhaps as "module:procedure".
+        """
         holder, _, short = name.rpartition(":")
-        found = self.find(short.lower())
+        declaration = self.find(short.lower())
         if holder:
             module = self.modules.get(holder.lower())
             items = self.names.items(module).get(short.lower(), []) if module else []
-            found = (module, items[0]) if module and items else None
-        if found is None or not isinstance(found[1], Procedure):
-            raise self.fail(start, f"no procedure {name} in the task's modules")
-        if self.depth >= MAX_CALLS:
-            raise self.fail(start, f"calls nested more than {MAX_CALLS} deep; {name} may call itself")
-        here = self.module, self.procedure
-        self.entered.add((found[0].name, found[1].name))
-        self.module, self.procedure, self.depth = found[0], found[1].name, self.depth + 1
+            declaration = (module, items[0]) if module and items else None
+        if declaration is None or not isinstance(declaration[1], Procedure):
+            raise self.flow_error(start, f"no procedure {name} in the task's modules")
+        if self.depth >= MAX_CALL_DEPTH:
+            raise self.flow_error(
+                start, f"calls nested more than {MAX_CALL_DEPTH} deep; {name} may call itself"
+            )
+        caller = self.module, self.procedure
+        self.entered.add((declaration[0].name, declaration[1].name))
+        self.module, self.procedure, self.depth = declaration[0], declaration[1].name, self.depth + 1
         try:
-            self.block(found[1].body)
+            self.block(declaration[1].body)
         except _LeaveError as left:
             if left.word != "RETURN":
                 raise
         finally:
-            (self.module, self.procedure), self.depth = here, self.depth - 1
+            (self.module, self.procedure), self.depth = caller, self.depth - 1
 
-    def _where(self, statement: Statement) -> tuple[str, str, int, str]:
+    def _where(self, statement: RapidStatement) -> tuple[str, str, int, str]:
         return self.module.name, self.procedure, statement.line, self.condition
 
     def _kind(self, name: Name) -> str:
-        found = self.find(name.key)
-        return found[1].kind if found and isinstance(found[1], Data) else "num"
+        declaration = self.find(name.key)
+        return declaration[1].kind if declaration and isinstance(declaration[1], DataDeclaration) else "num"
 
     def _assign(self, name: Expr, value: Value) -> None:
         if isinstance(name, Name):
-            found = self.find(name.key)
-            if found:
-                self.cells[found[0].name.lower(), name.key] = value
+            declaration = self.find(name.key)
+            if declaration:
+                self.assigned[declaration[0].name.lower(), name.key] = value
 
-    def _needed(self, expr: Expr, kind: str) -> Value:
+    def _require_value(self, expr: Expr, kind: str) -> Value:
         value = self.value(expr, kind)
         if value is None:
-            raise self.fail(expr.start, f"this {kind} is known at run time only; the motion cannot be proven")
+            raise self.flow_error(
+                expr.start, f"this {kind} is known at run time only; the motion cannot be proven"
+            )
         return value
 
-    def _move(self, move: Move) -> MoveStep:
+    def _move(self, move: MoveStatement) -> MoveStep:
         form = INSTRUCTIONS[move.kind.lower()]
-        target = self._needed(move.target, form.required[0])
-        ident = None if move.id is None else int(self._needed(move.id, "num"))
-        time = None if move.time is None else single(self._needed(move.time, "num"))
-        velocity = None if move.velocity is None else single(self._needed(move.velocity, "num")) * 1e-3
+        target = self._require_value(move.target, form.required[0])
+        ident = None if move.id is None else int(self._require_value(move.id, "num"))
+        time = None if move.time is None else to_single(self._require_value(move.time, "num"))
+        velocity = (
+            None if move.velocity is None else to_single(self._require_value(move.velocity, "num")) * 1e-3
+        )
         wobj: WorkObject = (
-            PREDEFINED["wobj0"][1] if move.wobj is None else self._needed(move.wobj, "wobjdata")
+            PREDEFINED["wobj0"][1] if move.wobj is None else self._require_value(move.wobj, "wobjdata")
         )
         return MoveStep(
             *self._where(move),
             move.kind,
             target,
-            _text(move.target),
+            _name_text(move.target),
             ident,
             time,
             velocity,
-            self._needed(move.speed, "speeddata"),
-            self._needed(move.zone, "zonedata"),
-            _text(move.zone),
-            self._needed(move.tool, "tooldata"),
-            _text(move.tool),
+            self._require_value(move.speed, "speeddata"),
+            self._require_value(move.zone, "zonedata"),
+            _name_text(move.zone),
+            self._require_value(move.tool, "tooldata"),
+            _name_text(move.tool),
             wobj,
-            "wobj0" if move.wobj is None else _text(move.wobj),
+            "wobj0" if move.wobj is None else _name_text(move.wobj),
             move.switches,
         )
 
@@ -236,32 +274,36 @@ class Runner(Evaluator):
         name, arguments, options = statement.name, statement.arguments, dict(statement.options)
         where = self._where(statement)
         if name in ("SetDO", "Set", "Reset"):
-            value = self._needed(arguments[1], "num") if name == "SetDO" else float(name == "Set")
+            value = self._require_value(arguments[1], "num") if name == "SetDO" else float(name == "Set")
             delay = self.value(options.get("sdelay"), "num") or 0.0
-            self.steps.append(SignalStep(*where, name, _text(arguments[0]), value, delay, "sync" in options))
+            self.steps.append(
+                SignalStep(*where, name, _name_text(arguments[0]), value, delay, "sync" in options)
+            )
         elif name in ("WaitTime", "WaitRob", "WaitDI"):
             seconds = self.value(arguments[0] if name == "WaitTime" else options.get("maxtime"), "num")
-            signal = _text(arguments[0]) if name == "WaitDI" else ""
+            signal = _name_text(arguments[0]) if name == "WaitDI" else ""
             value = self.value(arguments[1], "num") if name == "WaitDI" else None
             flag = options.get("timeflag")
-            told = _text(flag) if flag is not None else ""
-            self.steps.append(WaitStep(*where, name, seconds, signal, value, "inpos" in options, told))
+            flag_name = _name_text(flag) if flag is not None else ""
+            self.steps.append(WaitStep(*where, name, seconds, signal, value, "inpos" in options, flag_name))
             if flag is not None:
                 self._assign(flag, UNKNOWN)
         elif name in _MESSAGE_STATEMENTS:
             self._message(statement, options)
         elif name.startswith(("WaitSync", "SyncMove")):
-            ident = _text(arguments[0]) if arguments else ""
-            tasks = self._needed(arguments[1], "tasks") if len(arguments) > 1 else ()
+            ident = _name_text(arguments[0]) if arguments else ""
+            tasks = self._require_value(arguments[1], "tasks") if len(arguments) > 1 else ()
             self.steps.append(SyncStep(*where, name, ident, tasks, "timeout" in options))
         elif name in ("Load", "UnLoad"):
-            path = self._needed(arguments[0], "string")
+            path = self._require_value(arguments[0], "string")
             file = self.value(options.get("file"), "string")
             self.steps.append(LoadStep(*where, name, path + (f"/{file}" if file else "")))
         elif name in ("ActUnit", "DeactUnit"):
-            self.steps.append(SettingStep(*where, name, (), (), unit=_text(arguments[0]).lower()))
+            self.steps.append(SettingStep(*where, name, (), (), unit=_name_text(arguments[0]).lower()))
         elif name == "GripLoad":
-            self.steps.append(CarryStep(*where, self._needed(arguments[0], "loaddata"), _text(arguments[0])))
+            self.steps.append(
+                CarryStep(*where, self._require_value(arguments[0], "loaddata"), _name_text(arguments[0]))
+            )
         else:
             values = tuple(
                 self.value(argument, "num") for argument in arguments if not isinstance(argument, Name)
@@ -273,7 +315,7 @@ class Runner(Evaluator):
     def _message(self, statement: Instruction, options: dict[str, Expr | None]) -> None:
         name, arguments = statement.name, statement.arguments
         shown = [value for value in (options.get("header"), *arguments) if value is not None]
-        # shown by their numbers, in whatever order they are written
+        # the panel shows lines by number, in whatever order the text lists them
         shown += [
             value
             for key, value in sorted(options.items())
@@ -297,7 +339,7 @@ class Runner(Evaluator):
         )
         header = lines[0] if options.get("header") is not None else ""
         others = tuple(
-            (key, "" if value is None else _text(value))
+            (key, "" if value is None else _name_text(value))
             for key, value in options.items()
             if key != "header" and not key.startswith("msgline")
         )
@@ -331,55 +373,55 @@ class Runner(Evaluator):
             self._choice(statement, statement.source, lambda: self.block(statement.body), True)
 
     def _for(self, statement: For) -> None:
-        first, last = self._needed(statement.first, "num"), self._needed(statement.last, "num")
-        step = self._needed(statement.step, "num") if statement.step else (1.0 if last >= first else -1.0)
-        if step == 0 or abs(last - first) > MAX_LOOPS * abs(step):
-            raise self.fail(statement.start, f"FOR from {first:g} to {last:g} by {step:g} has no end")
+        first, last = self._require_value(statement.first, "num"), self._require_value(statement.last, "num")
+        step = (
+            self._require_value(statement.step, "num") if statement.step else (1.0 if last >= first else -1.0)
+        )
+        if step == 0 or abs(last - first) > MAX_ITERATIONS * abs(step):
+            raise self.flow_error(statement.start, f"FOR from {first:g} to {last:g} by {step:g} does not end")
         key = ("for", statement.name.lower())
-        outer = self.cells.get(key)
+        outer = self.assigned.get(key)
         for count in range(int((last - first) / step + 1e-9) + 1 if (last - first) / step >= 0 else 0):
             self._spend(statement, 1)
-            self.cells[key] = first + count * step
+            self.assigned[key] = first + count * step
             self.block(statement.body)
-        self.cells[key] = outer
+        self.assigned[key] = outer
 
     def _choice(
-        self, statement: Statement, condition: str, run: Callable[[], None], repeats: bool = False
+        self, statement: RapidStatement, condition: str, run: Callable[[], None], repeats: bool = False
     ) -> None:
-        """Steps under a run-time condition: kept aside if harmless, refused if they move, switch or
-        synchronise.
-        """
-        self._spend(statement, 1 + len(self.cells))
-        steps, outer, cells = self.steps, self.condition, dict(self.cells)
+        """Collect the steps under a run-time condition; refuse those that move, switch or synchronise."""
+        self._spend(statement, 1 + len(self.assigned))
+        steps, outer, cells = self.steps, self.condition, dict(self.assigned)
         self.steps, self.condition = [], condition if not outer else f"{outer} and {condition}"
         try:
             run()
         except _LeaveError:
             pass
         finally:
-            aside, self.steps, self.condition = self.steps, steps, outer
-        # what the branch may or may not have assigned is not known behind it
-        self.cells = {
-            key: value if cells.get(key, self) is value else UNKNOWN for key, value in self.cells.items()
+            branch_steps, self.steps, self.condition = self.steps, steps, outer
+        # values that the branch may or may not have assigned are unknown after it
+        self.assigned = {
+            key: value if cells.get(key, self) is value else UNKNOWN for key, value in self.assigned.items()
         }
         where = (self.module.name, self.procedure, statement.line, condition)
         if self.handler:
-            self.steps.extend(aside)
+            self.steps.extend(branch_steps)
             return
-        for step in aside:
-            if not _harmless(step, aside):
-                raise self.fail(
+        for step in branch_steps:
+            if not _harmless(step, branch_steps):
+                raise self.flow_error(
                     statement.start,
-                    f"whether line {step.line} is run is known at run time only ({condition})",
+                    f"whether line {step.line} is executed is known at run time only ({condition})",
                 )
-        self.steps.append(ChoiceStep(*where, tuple(aside), repeats))
+        self.steps.append(ChoiceStep(*where, tuple(branch_steps), repeats))
 
 
-def _harmless(step: Step, branch: Sequence[Step]) -> bool:
-    """Whether a step may hang on what is known at run time only: it talks, waits or stops the task for good.
+def _harmless(step: ProgramStep, branch: Sequence[ProgramStep]) -> bool:
+    """Whether a step may depend on a run-time condition: it shows text, waits or stops the task for good.
 
-    In a branch that ends the task, signals may be switched off before. A branch that leaves its procedure
-    (RETURN, RAISE) would leave out what follows there.
+    In a branch that ends the task, signals may be switched off first. A branch that leaves its procedure
+    (RETURN, RAISE) would skip the statements that follow there.
     """
     last = branch[-1]
     ends = isinstance(last, SettingStep) and last.kind == "EXIT" and last.condition == branch[0].condition
@@ -392,72 +434,92 @@ def _harmless(step: Step, branch: Sequence[Step]) -> bool:
             return isinstance(step, MessageStep | WaitStep | CallStep | ChoiceStep)
 
 
-def _text(expr: Expr) -> str:
+def _name_text(expr: Expr) -> str:
     return expr.text if isinstance(expr, Name) else ""
 
 
-Sections = Mapping[tuple[str, str], tuple[Step, ...]]
+Sections = Mapping[tuple[str, str], tuple[ProgramStep, ...]]
 
 
-def flatten(modules: Sequence[Module], entry: str = "main") -> tuple[Step, ...]:
-    """All steps of a task from `entry` on, for modules without faults (`reader.read_task`).
+def main_steps(modules: Sequence[Module], entry: str = "main") -> tuple[ProgramStep, ...]:
+    """Return all steps of a task.
 
-    Raises `FlowError` when the entry is missing, the calls have no end, or run-time conditions decide over
-    the motion.
+    Args:
+        modules: Modules without faults (`reader.read_task`).
+        entry: Procedure to start from.
+
+    Raises:
+        FlowError: The entry is missing, the calls never end, or run-time conditions decide over motion.
     """
-    return Runner(modules).run(entry)
+    return RapidRunner(modules).run(entry)
 
 
 @dataclass(frozen=True, slots=True)
-class Flow:
-    """All that a task may do: `steps` of its straight way, steps of each ERROR section (`handlers`) and UNDO
-    section (`undos`) by (module, procedure), in which branches on run-time conditions are included and say
-    so, and `called`: (module, procedure) of all that runs or may run, those sections included."""
+class TaskFlow:
+    """Everything that a task may do.
 
-    steps: tuple[Step, ...]
+    Attributes:
+        steps: Steps of the main flow.
+        handlers: Steps of each ERROR section by (module, procedure). Branches on run-time conditions are
+            included, and their steps state the condition.
+        undos: Steps of each UNDO section by (module, procedure), with branches included in the same way.
+        called: (module, procedure) of everything that runs or may run, those sections included.
+    """
+
+    steps: tuple[ProgramStep, ...]
     handlers: Sections
     undos: Sections
     called: frozenset[tuple[str, str]]
 
 
-def flow(modules: Sequence[Module], entry: str = "main") -> Flow:
-    """What :func:`flatten` gives, with all that may run beside it; raises as that does."""
-    names = Names(modules)
-    runner = Runner(modules, names=names)
+def task_flow(modules: Sequence[Module], entry: str = "main") -> TaskFlow:
+    """Return the main flow of :func:`main_steps` with everything else that may run.
+
+    Args:
+        modules: Modules without faults.
+        entry: Procedure to start from.
+
+    Raises:
+        FlowError: The entry is missing, the calls never end, or run-time conditions decide over motion.
+    """
+    names = NameTable(modules)
+    runner = RapidRunner(modules, names=names)
     steps = runner.run(entry)
     errors, undo = (_sections(modules, names, which) for which in ("error", "undo"))
-    return Flow(steps, errors, undo, _called(modules, names, runner.entered))
+    return TaskFlow(steps, errors, undo, _called_procedures(modules, names, runner.entered))
 
 
-def handlers(modules: Sequence[Module]) -> Sections:
-    """The :class:`Flow`'s `handlers` alone."""
-    return _sections(modules, Names(modules), "error")
+def error_handlers(modules: Sequence[Module]) -> Sections:
+    """Return the steps of all ERROR sections by (module, procedure)."""
+    return _sections(modules, NameTable(modules), "error")
 
 
-def _called(
-    modules: Sequence[Module], names: Names, entered: set[tuple[str, str]]
+def _called_procedures(
+    modules: Sequence[Module], names: NameTable, entered: set[tuple[str, str]]
 ) -> frozenset[tuple[str, str]]:
-    """What may run where the straight way has `entered` these procedures."""
+    """Procedures that may run if the main flow has ``entered`` the given ones."""
     by_name = {(m.name, p.name): p for m in modules for p in reversed(m.procedures)}
-    found = set(entered)
-    todo = set(found)
+    called = set(entered)
+    todo = set(called)
     while todo:
         holder, name = todo.pop()
         module, procedure = names.modules[holder.lower()], by_name[holder, name]
         for block in (procedure.error, procedure.undo):
-            aside = Runner(modules, handler=True, names=names)
-            aside.run_block(module, procedure, block or ())
-            todo |= aside.entered - found
-            found |= aside.entered
-    return frozenset(found)
+            runner = RapidRunner(modules, handler=True, names=names)
+            runner.run_block(module, procedure, block or ())
+            todo |= runner.entered - called
+            called |= runner.entered
+    return frozenset(called)
 
 
-def _sections(modules: Sequence[Module], names: Names, which: str) -> dict[tuple[str, str], tuple[Step, ...]]:
-    found: dict[tuple[str, str], tuple[Step, ...]] = {}
+def _sections(
+    modules: Sequence[Module], names: NameTable, which: str
+) -> dict[tuple[str, str], tuple[ProgramStep, ...]]:
+    sections: dict[tuple[str, str], tuple[ProgramStep, ...]] = {}
     for module in modules:
         for procedure in module.procedures:
             block = getattr(procedure, which)
             if block is not None:
-                runner = Runner(modules, handler=True, names=names)
-                found[module.name, procedure.name] = runner.run_block(module, procedure, block)
-    return found
+                runner = RapidRunner(modules, handler=True, names=names)
+                sections[module.name, procedure.name] = runner.run_block(module, procedure, block)
+    return sections

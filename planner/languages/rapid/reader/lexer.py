@@ -1,10 +1,10 @@
-"""Words of a RAPID text, read one at a time with their places, and the words that a program may use.
+"""Lexer of RAPID text, and the table of words and instructions that a program may use.
 
-The cursor is lazy: it looks one token ahead and leaves the text as it is, so that the parser can
-take whole move instructions and whole number lists in one step where they have their usual form.
+The cursor is lazy: it looks one token ahead and leaves the text unchanged, so that the parser can take whole
+move instructions and number lists in one step if they have their usual form.
 
-Forms of instructions, with what arguments they take: ABB, Technical reference manual RAPID
-Instructions, Functions and Data types, 3HAC16581-1.
+Forms of instructions with their arguments: ABB, Technical reference manual RAPID Instructions, Functions and
+Data types, 3HAC16581-1.
 """
 
 import re
@@ -24,9 +24,14 @@ _TOKEN = re.compile(
 )
 
 
-class Token(NamedTuple):
-    """One word: `kind` is name, number, string, symbol, bad or end; `word` is `text` in lower case; `start`
-    an offset.
+class RapidToken(NamedTuple):
+    """One token.
+
+    Attributes:
+        kind: name, number, string, symbol, bad or end.
+        text: As written.
+        word: ``text`` in lower case.
+        start: Offset in the text.
     """
 
     kind: str
@@ -36,8 +41,12 @@ class Token(NamedTuple):
 
 
 class RapidSyntaxError(Exception):
-    """Reading of one statement gave up; the parser turns it into a `Fault` and goes on behind the
-    statement.
+    """Parsing of one statement failed. The parser turns it into a `Fault` and resumes after the statement.
+
+    Attributes:
+        start: Offset of the fault.
+        code: Issue code.
+        message: What is wrong.
     """
 
     def __init__(self, start: int, code: str, message: str) -> None:
@@ -47,72 +56,95 @@ class RapidSyntaxError(Exception):
         self.message = message
 
 
-class Cursor:
-    """A place in a RAPID text with one token of look-ahead (`token`)."""
+class RapidCursor:
+    """Position in a RAPID text with one token of look-ahead.
+
+    Attributes:
+        text: The text.
+        end: Offset after the last token taken.
+        operators: Number of operators so far in the current expression.
+        token: The next token.
+    """
 
     def __init__(self, text: str) -> None:
         self.text = text
-        self._starts = [0, *(found.end() for found in re.finditer("\n", text))]
-        self.end = 0  # offset behind the last token taken
-        self.operators = 0  # of the expression that is being read
-        self.token = Token("end", "", "", 0)
+        self._starts = [0, *(match.end() for match in re.finditer("\n", text))]
+        self.end = 0  # offset after the last token taken
+        self.operators = 0  # in the current expression
+        self.token = RapidToken("end", "", "", 0)
         self.jump(0)
 
     def jump(self, offset: int) -> None:
-        """Go on at `offset`, which must not lie inside a string or a comment."""
+        """Continue at ``offset``, which must not be inside a string or a comment."""
         self.end = offset
         self.token = self._scan(offset)
 
-    def _scan(self, offset: int) -> Token:
+    def _scan(self, offset: int) -> RapidToken:
         skipped = _SKIP.match(self.text, offset)
         start = skipped.end() if skipped else offset
-        found = _TOKEN.match(self.text, start)
-        if found is None:
-            return Token("end", "", "", len(self.text))
-        text = found.group()
-        return Token(found.lastgroup or "bad", text, text.lower(), start)
+        match = _TOKEN.match(self.text, start)
+        if match is None:
+            return RapidToken("end", "", "", len(self.text))
+        text = match.group()
+        return RapidToken(match.lastgroup or "bad", text, text.lower(), start)
 
-    def take(self) -> Token:
-        """The current token; moves on to the next."""
+    def take(self) -> RapidToken:
+        """Return the current token and move to the next one."""
         token = self.token
         self.end = token.start + len(token.text)
         self.token = self._scan(self.end)
         return token
 
     def take_symbol(self, symbol: str) -> bool:
-        """Take the token if it is this symbol."""
+        """Take the token if it is this symbol, and return whether it was."""
         if self.token.kind == "symbol" and self.token.text == symbol:
             self.take()
             return True
         return False
 
     def take_word(self, *words: str) -> str | None:
-        """Take the token if it is one of these words (lower case); gives the word taken."""
+        """Take the token if it is one of these lower-case words, and return the word or None."""
         if self.token.kind == "name" and self.token.word in words:
             return self.take().word
         return None
 
     def expect_symbol(self, symbol: str, where: str) -> None:
-        """Take this symbol or raise `RapidSyntaxError`."""
+        """Take a symbol.
+
+        Args:
+            symbol: The symbol.
+            where: Where it must stand, for the message.
+
+        Raises:
+            RapidSyntaxError: The token is another one.
+        """
         if not self.take_symbol(symbol):
             raise self.fault(f'"{symbol}" {where}')
 
     def expect_word(self, word: str, where: str) -> None:
-        """Take this word or raise `RapidSyntaxError`."""
+        """Take a word.
+
+        Args:
+            word: The word in lower case.
+            where: Where it must stand, for the message.
+
+        Raises:
+            RapidSyntaxError: The token is another one.
+        """
         if self.take_word(word) is None:
             raise self.fault(f"{word.upper()} {where}")
 
     def fault(self, allowed: str) -> RapidSyntaxError:
-        """What to raise when the current token is not what is `allowed` here."""
+        """Return the exception for a current token that is not what is ``allowed`` here."""
         token = self.token
         if token.kind == "end":
             return RapidSyntaxError(token.start, "rapid.syntax", f"the text ends here; expected {allowed}")
         if token.kind == "bad":
-            return bad_token(token)
-        return RapidSyntaxError(token.start, "rapid.syntax", f"got {shown(token.text)}; expected {allowed}")
+            return bad_token_error(token)
+        return RapidSyntaxError(token.start, "rapid.syntax", f"got {shorten(token.text)}; expected {allowed}")
 
-    def place(self, offset: int) -> tuple[int, int]:
-        """Line and column, from 1, of an offset."""
+    def line_and_column(self, offset: int) -> tuple[int, int]:
+        """Return line and column of an offset, both from 1."""
         row = bisect_right(self._starts, offset)
         return row, offset - self._starts[row - 1] + 1
 
@@ -122,32 +154,32 @@ class Cursor:
         return tuple(self._starts)
 
     def line(self, offset: int) -> int:
-        """Line, from 1, of an offset."""
+        """Return the line of an offset, from 1."""
         return bisect_right(self._starts, offset)
 
 
-def shown(text: str) -> str:
-    """Text for a message, cut to a readable length."""
+def shorten(text: str) -> str:
+    """Return text for a message, cut to 40 characters."""
     return repr(text if len(text) <= 40 else text[:37] + "...")
 
 
-def bad_token(token: Token) -> RapidSyntaxError:
-    """The fault of a token that no RAPID text may contain."""
+def bad_token_error(token: RapidToken) -> RapidSyntaxError:
+    """Return the exception for a token that no RAPID text may contain."""
     text, first = token.text, token.text[0]
     if first == '"':
         return RapidSyntaxError(
-            token.start, "rapid.syntax", f"the string {shown(text)} is not closed on its line"
+            token.start, "rapid.syntax", f"the string {shorten(text)} is not closed on its line"
         )
     if first.isdigit() and re.fullmatch(r"[\d.]+(?:[eE][\w.#]*)?|\d[\d.]*#\w*", text):
         return RapidSyntaxError(
-            token.start, "rapid.number", f"{shown(text)} is not a number; allowed: 12, 12.5, 1.2E3"
+            token.start, "rapid.number", f"{shorten(text)} is not a number; allowed: 12, 12.5, 1.2E3"
         )
     if first.isdigit():
         return RapidSyntaxError(
-            token.start, "rapid.name_form", f"{shown(text)}: a name must not start with a digit"
+            token.start, "rapid.name_form", f"{shorten(text)}: a name must not start with a digit"
         )
     return RapidSyntaxError(
-        token.start, "rapid.syntax", f"{shown(text)} is not part of RAPID; names use A-Z, 0-9 and _"
+        token.start, "rapid.syntax", f"{shorten(text)} is not part of RAPID; names use A-Z, 0-9 and _"
     )
 
 
@@ -165,11 +197,15 @@ MODULE_ATTRIBUTES = frozenset({"sysmodule", "noview", "nostepin", "viewonly", "r
 
 
 @dataclass(frozen=True)
-class Form:
-    """An instruction: official `name`, types of the required arguments, options as name -> (slot, type).
+class InstructionForm:
+    """Form of an instruction.
 
-    Slot n means: behind the n-th required argument. Type "switch" takes no value. "signal..." types are
-    names that the controller's configuration declares. "variable <type>" must be a VAR or PERS.
+    Attributes:
+        name: Official spelling.
+        required: Types of the required arguments. "signal..." types are names that the controller's
+            configuration declares. "variable <type>" must be a VAR or PERS.
+        options: Options by name, as (slot, type). Slot n means after the n-th required argument. Type
+            "switch" takes no value.
     """
 
     name: str
@@ -177,7 +213,7 @@ class Form:
     options: dict[str, tuple[int, str]] = field(default_factory=dict)
 
 
-def _move(name: str, target: str, extra: dict[str, tuple[int, str]]) -> Form:
+def _move(name: str, target: str, extra: dict[str, tuple[int, str]]) -> InstructionForm:
     options: dict[str, tuple[int, str]] = {
         "conc": (0, "switch"),
         "id": (1, "num"),
@@ -187,11 +223,11 @@ def _move(name: str, target: str, extra: dict[str, tuple[int, str]]) -> Form:
         "wobj": (4, "wobjdata"),
         "tload": (4, "loaddata"),
     }
-    return Form(name, (target, "speeddata", "zonedata", "tooldata"), options | extra)
+    return InstructionForm(name, (target, "speeddata", "zonedata", "tooldata"), options | extra)
 
 
 _BOX_LINES: dict[str, tuple[int, str]] = {f"msgline{n}": (1, "string") for n in range(2, 6)}
-"""Options of a message box: its lines but for the first,"""
+"""Options of a message box for its lines after the first."""
 _BOX_OPTIONS = {
     "header": (0, "string"),
     **_BOX_LINES,
@@ -199,71 +235,73 @@ _BOX_OPTIONS = {
     "buttons": (1, "num"),
     "icon": (1, "num"),
 }
-"""and all others."""
+"""All options of a message box."""
 _BOX_OPTIONS |= {"result": (1, "variable num"), "maxtime": (1, "num")}
 
 _FORMS = (
     _move("MoveAbsJ", "jointtarget", {"noeoffs": (1, "switch")}),
     _move("MoveJ", "robtarget", {}),
     _move("MoveL", "robtarget", {"corr": (4, "switch")}),
-    Form("SetDO", ("signaldo", "num"), {"sdelay": (0, "num"), "sync": (0, "switch")}),
-    Form("Set", ("signaldo",)),
-    Form("Reset", ("signaldo",)),
-    Form("WaitTime", ("num",), {"inpos": (0, "switch")}),
-    Form("WaitRob", (), {"inpos": (0, "switch"), "zerospeed": (0, "switch")}),
-    Form("WaitDI", ("signaldi", "num"), {"maxtime": (2, "num"), "timeflag": (2, "variable bool")}),
-    Form("TPErase"),
-    Form(
+    InstructionForm("SetDO", ("signaldo", "num"), {"sdelay": (0, "num"), "sync": (0, "switch")}),
+    InstructionForm("Set", ("signaldo",)),
+    InstructionForm("Reset", ("signaldo",)),
+    InstructionForm("WaitTime", ("num",), {"inpos": (0, "switch")}),
+    InstructionForm("WaitRob", (), {"inpos": (0, "switch"), "zerospeed": (0, "switch")}),
+    InstructionForm("WaitDI", ("signaldi", "num"), {"maxtime": (2, "num"), "timeflag": (2, "variable bool")}),
+    InstructionForm("TPErase"),
+    InstructionForm(
         "TPWrite",
         ("string",),
         {"num": (1, "num"), "bool": (1, "bool"), "pos": (1, "pos"), "orient": (1, "orient")},
     ),
-    Form("UIMsgBox", ("string",), _BOX_OPTIONS),
-    Form("TPReadFK", ("variable num", *("string",) * 6), {"maxtime": (7, "num")}),
-    Form("WaitSyncTask", ("syncident", "tasks"), {"inpos": (0, "switch"), "timeout": (2, "num")}),
-    Form("SyncMoveOn", ("syncident", "tasks"), {"timeout": (2, "num")}),
-    Form("SyncMoveOff", ("syncident",), {"timeout": (1, "num")}),
-    Form("SyncMoveUndo"),
-    Form("StopMove", (), {"quick": (0, "switch"), "allmotiontasks": (0, "switch")}),
-    Form("StartMove", (), {"allmotiontasks": (0, "switch")}),
-    Form("ClearPath"),
-    Form("StorePath", (), {"keepsync": (0, "switch")}),
-    Form("RestoPath"),
-    Form("ConfL", (), {"on": (0, "switch"), "off": (0, "switch")}),
-    Form("ConfJ", (), {"on": (0, "switch"), "off": (0, "switch")}),
-    Form("SingArea", (), {"off": (0, "switch"), "wrist": (0, "switch")}),
-    Form("AccSet", ("num", "num")),
-    Form("VelSet", ("num", "num")),
-    Form("ActUnit", ("mecunit",)),
-    Form("DeactUnit", ("mecunit",)),
-    Form("EOffsOff"),
-    Form("GripLoad", ("loaddata",)),
-    Form("ClkReset", ("clock",)),
-    Form("ClkStart", ("clock",)),
-    Form("ClkStop", ("clock",)),
-    Form("Load", ("string",), {"dynamic": (0, "switch"), "file": (1, "string"), "checkref": (1, "switch")}),
-    Form(
+    InstructionForm("UIMsgBox", ("string",), _BOX_OPTIONS),
+    InstructionForm("TPReadFK", ("variable num", *("string",) * 6), {"maxtime": (7, "num")}),
+    InstructionForm("WaitSyncTask", ("syncident", "tasks"), {"inpos": (0, "switch"), "timeout": (2, "num")}),
+    InstructionForm("SyncMoveOn", ("syncident", "tasks"), {"timeout": (2, "num")}),
+    InstructionForm("SyncMoveOff", ("syncident",), {"timeout": (1, "num")}),
+    InstructionForm("SyncMoveUndo"),
+    InstructionForm("StopMove", (), {"quick": (0, "switch"), "allmotiontasks": (0, "switch")}),
+    InstructionForm("StartMove", (), {"allmotiontasks": (0, "switch")}),
+    InstructionForm("ClearPath"),
+    InstructionForm("StorePath", (), {"keepsync": (0, "switch")}),
+    InstructionForm("RestoPath"),
+    InstructionForm("ConfL", (), {"on": (0, "switch"), "off": (0, "switch")}),
+    InstructionForm("ConfJ", (), {"on": (0, "switch"), "off": (0, "switch")}),
+    InstructionForm("SingArea", (), {"off": (0, "switch"), "wrist": (0, "switch")}),
+    InstructionForm("AccSet", ("num", "num")),
+    InstructionForm("VelSet", ("num", "num")),
+    InstructionForm("ActUnit", ("mecunit",)),
+    InstructionForm("DeactUnit", ("mecunit",)),
+    InstructionForm("EOffsOff"),
+    InstructionForm("GripLoad", ("loaddata",)),
+    InstructionForm("ClkReset", ("clock",)),
+    InstructionForm("ClkStart", ("clock",)),
+    InstructionForm("ClkStop", ("clock",)),
+    InstructionForm(
+        "Load", ("string",), {"dynamic": (0, "switch"), "file": (1, "string"), "checkref": (1, "switch")}
+    ),
+    InstructionForm(
         "UnLoad", ("string",), {"errifchanged": (0, "switch"), "save": (0, "switch"), "file": (1, "string")}
     ),
-    Form("Stop", (), {"noregain": (0, "switch"), "allmovetasks": (0, "switch")}),
-    Form(
+    InstructionForm("Stop", (), {"noregain": (0, "switch"), "allmovetasks": (0, "switch")}),
+    InstructionForm(
         "ErrWrite",
         ("string", "string"),
         {f"rl{n}": (2, "string") for n in range(2, 5)} | {"w": (0, "switch")},
     ),
     # statements of one word; the parser reads them the same way
-    Form("EXIT"),
-    Form("RETURN"),
-    Form("RAISE"),
-    Form("RETRY"),
-    Form("TRYNEXT"),
+    InstructionForm("EXIT"),
+    InstructionForm("RETURN"),
+    InstructionForm("RAISE"),
+    InstructionForm("RETRY"),
+    InstructionForm("TRYNEXT"),
 )
-INSTRUCTIONS: dict[str, Form] = {form.name.lower(): form for form in _FORMS}
-"""Instructions by name, in small letters."""
+INSTRUCTIONS: dict[str, InstructionForm] = {form.name.lower(): form for form in _FORMS}
+"""Instructions by lower-case name."""
 MOVE_INSTRUCTIONS = frozenset({"moveabsj", "movej", "movel"})
 """Instructions that move an arm."""
 IN_HANDLER_ONLY = frozenset({"retry", "trynext"})
-"""Instructions of error handlers alone."""
+"""Instructions that are allowed in error handlers only."""
 EXCLUSIVE_OPTIONS = (
     ("v", "t"),
     ("on", "off"),

@@ -1,7 +1,7 @@
-"""RAPID programs of one task, read strictly: text of modules to `Module`, and all their faults.
+"""Strict reader of the RAPID programs of one task: from texts to `Module` values and all their faults.
 
-`read_task` gives the modules and every fault of syntax, names, types and sizes. The reader shares no code
-with the writer: it knows the language from ABB's manuals only.
+`read_task` returns the modules and every fault of syntax, names, types and sizes. The reader shares no code
+with the writer: it implements the language from ABB's manuals only.
 """
 
 import functools
@@ -13,10 +13,10 @@ from pathlib import PurePosixPath
 from planner.languages.rapid.reader import syntax_tree
 from planner.languages.rapid.reader.expressions import (
     MAX_BRACKETS,
-    expression,
-    instruction,
-    quick_move,
-    typed,
+    parse_expression,
+    parse_instruction,
+    parse_usual_move,
+    typed_literal,
 )
 from planner.languages.rapid.reader.flow import CHECK_MODULE
 from planner.languages.rapid.reader.lexer import (
@@ -24,34 +24,41 @@ from planner.languages.rapid.reader.lexer import (
     INSTRUCTIONS,
     MODULE_ATTRIBUTES,
     RESERVED,
-    Cursor,
+    RapidCursor,
     RapidSyntaxError,
-    Token,
-    bad_token,
-    shown,
+    RapidToken,
+    bad_token_error,
+    shorten,
 )
 from planner.languages.rapid.reader.program_text import RapidText
-from planner.languages.rapid.reader.type_check import Checker
+from planner.languages.rapid.reader.type_check import TypeChecker
 from planner.programs import text as program_text
-from planner.programs.steps import Fault
+from planner.programs.steps import TextFault
 
 _CLOSING_WORDS = ("endproc", "endmodule", "error", "undo", "proc")
-"""Words that end what is open."""
+"""Words that close an open block or procedure."""
 _BLOCK_ENDS = ("endif", "else", "elseif", "endwhile", "endfor")
 """Words that end a block of statements."""
 _STORAGE_WORDS = ("const", "var", "pers", "task", "local")
-"""Words that declarations begin with."""
+"""First words of declarations."""
 _STATEMENT_STARTS = frozenset(
     {*INSTRUCTIONS, *_CLOSING_WORDS, *_BLOCK_ENDS, *_STORAGE_WORDS, "if", "while", "for"}
 )
-"""Words that a statement or declaration begins with."""
+"""First words of statements and declarations."""
 _FILE_HEADER = re.compile(r"\s*%%%\s*VERSION:\s*1\s+LANGUAGE:\s*ENGLISH\s*%%%", re.IGNORECASE)
-"""Lines that controllers put in front of modules."""
+"""Header line that controllers write in front of modules."""
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
-    """What a module may be: `line` characters, `name` characters, `string` characters, `bytes`."""
+class ModuleLimits:
+    """Size limits of a module.
+
+    Attributes:
+        line: Maximum length of a line [characters].
+        name: Maximum length of a name [characters].
+        string: Maximum length of a string [characters].
+        bytes: Maximum size of the module [bytes].
+    """
 
     line: int = 250
     name: int = 32
@@ -59,26 +66,41 @@ class Limits:
     bytes: int = 1_000_000
 
 
-class Parser:
-    """Reads one module. `faults` collects everything found; `module` reads on behind each fault."""
+class RapidParser:
+    """Parses one module and continues after each fault.
 
-    def __init__(self, text: str, file: str, limits: Limits, quick: bool = True) -> None:
+    Attributes:
+        text: The text.
+        file: Its path, for faults.
+        limits: Size limits.
+        fast_moves: Whether usual moves take the fast path.
+        cursor: Position in the text.
+        faults: All faults so far.
+    """
+
+    def __init__(self, text: str, file: str, limits: ModuleLimits, fast_moves: bool = True) -> None:
         self.text = text
         self.file = file
         self.limits = limits
-        self.quick = quick
-        self.cursor = Cursor(text)
-        self.faults: list[Fault] = []
+        self.fast_moves = fast_moves
+        self.cursor = RapidCursor(text)
+        self.faults: list[TextFault] = []
 
     def fault(self, start: int, code: str, message: str) -> None:
-        """Note a fault at an offset."""
-        line, column = self.cursor.place(start)
-        self.faults.append(Fault(line, column, code, message, self.file))
+        """Record a fault.
+
+        Args:
+            start: Offset in the text.
+            code: Issue code.
+            message: What is wrong.
+        """
+        line, column = self.cursor.line_and_column(start)
+        self.faults.append(TextFault(line, column, code, message, self.file))
 
     # ---- module level ----
 
     def module(self) -> syntax_tree.Module | None:
-        """The module, or None when not even its frame is there."""
+        """Return the module, or None if its frame is missing."""
         self._skip_old_header()
         try:
             self.cursor.expect_word("module", "to open the module")
@@ -87,7 +109,7 @@ class Parser:
         except RapidSyntaxError as wrong:
             self.fault(wrong.start, wrong.code, wrong.message)
             return None
-        data: list[syntax_tree.Data] = []
+        data: list[syntax_tree.DataDeclaration] = []
         procedures: list[syntax_tree.Procedure] = []
         while self.cursor.take_word("endmodule") is None:
             token = self.cursor.token
@@ -99,7 +121,7 @@ class Parser:
                 self.fault(data[-1].start, "rapid.syntax", "data must be declared before the first PROC")
         else:
             if self.cursor.token.kind != "end":
-                self._note(self.cursor.fault("nothing behind ENDMODULE"))
+                self._record(self.cursor.fault("nothing after ENDMODULE"))
         size = len(self.text.encode("utf-8", "surrogatepass"))
         starts = self.cursor.starts
         return syntax_tree.Module(
@@ -113,7 +135,7 @@ class Parser:
             self.cursor.jump(head.end())
 
     def _attributes(self) -> tuple[str, ...]:
-        found: list[str] = []
+        attributes: list[str] = []
         if self.cursor.take_symbol("("):
             while True:
                 word = self.cursor.take_word(*MODULE_ATTRIBUTES)
@@ -121,13 +143,15 @@ class Parser:
                     raise self.cursor.fault(
                         "a module attribute: " + ", ".join(sorted(MODULE_ATTRIBUTES)).upper()
                     )
-                found.append(word)
+                attributes.append(word)
                 if not self.cursor.take_symbol(","):
                     break
-            self.cursor.expect_symbol(")", "behind the module attributes")
-        return tuple(found)
+            self.cursor.expect_symbol(")", "after the module attributes")
+        return tuple(attributes)
 
-    def _declaration(self, data: list[syntax_tree.Data], procedures: list[syntax_tree.Procedure]) -> None:
+    def _declaration(
+        self, data: list[syntax_tree.DataDeclaration], procedures: list[syntax_tree.Procedure]
+    ) -> None:
         first = self.cursor.token
         local = self.cursor.take_word("local") is not None
         if self.cursor.take_word("proc"):
@@ -137,11 +161,11 @@ class Parser:
         if storage is None:
             raise self.cursor.fault("a declaration (CONST, VAR, PERS, TASK PERS), PROC or ENDMODULE")
         if storage == "task":
-            self.cursor.expect_word("pers", "behind TASK")
+            self.cursor.expect_word("pers", "after TASK")
             storage = "task pers"
         data.append(self._data(first, storage.upper(), local))
 
-    def _data(self, first: Token, storage: str, local: bool) -> syntax_tree.Data:
+    def _data(self, first: RapidToken, storage: str, local: bool) -> syntax_tree.DataDeclaration:
         token = self.cursor.token
         if token.kind != "name" or token.word not in syntax_tree.ALL_TYPES:
             raise self.cursor.fault("a data type: " + ", ".join(sorted(syntax_tree.ALL_TYPES)))
@@ -153,19 +177,19 @@ class Parser:
             if re.fullmatch(r"[1-9][0-9]{0,6}", self.cursor.token.text) is None:
                 raise self.cursor.fault("the array's length, a whole number from 1 to 9999999")
             size = int(self.cursor.take().text)
-            self.cursor.expect_symbol("}", "behind the array's length")
+            self.cursor.expect_symbol("}", "after the array's length")
         initial: syntax_tree.Expr | None = None
         if self.cursor.take_symbol(":="):
-            initial = expression(self.cursor, self.limits.string)
+            initial = parse_expression(self.cursor, self.limits.string)
             if size is None:
-                initial = typed(initial, kind)
-        self.cursor.expect_symbol(";", "behind the declaration")
+                initial = typed_literal(initial, kind)
+        self.cursor.expect_symbol(";", "after the declaration")
         if initial is None and storage != "VAR":
             what = "a literal" if "PERS" in storage else "a value"
             self.fault(
                 start, "rapid.no_value", f"{storage} {name} has no value; it must be given {what} with :="
             )
-        return syntax_tree.Data(
+        return syntax_tree.DataDeclaration(
             self.cursor.line(first.start), start, name, kind, storage, local, size, initial
         )
 
@@ -175,53 +199,55 @@ class Parser:
             raise self.cursor.fault(f"the {what}'s name")
         if token.word in RESERVED:
             raise RapidSyntaxError(
-                token.start, "rapid.name_reserved", f"{shown(token.text)} is a reserved word of RAPID"
+                token.start, "rapid.name_reserved", f"{shorten(token.text)} is a reserved word of RAPID"
             )
         if token.word in INSTRUCTIONS or token.word in FUNCTIONS or token.word in syntax_tree.ALL_TYPES:
-            message = f"{shown(token.text)} is built in (instruction, function or type); choose another name"
+            message = (
+                f"{shorten(token.text)} is built in (instruction, function or type); choose another name"
+            )
             self.fault(token.start, "rapid.name_reserved", message)
         if len(token.text) > self.limits.name:
-            message = f"{shown(token.text)} has {len(token.text)} characters; allowed: {self.limits.name}"
+            message = f"{shorten(token.text)} has {len(token.text)} characters; allowed: {self.limits.name}"
             self.fault(token.start, "rapid.name_length", message)
         return self.cursor.take().text
 
     # ---- procedures and blocks ----
 
-    def _procedure(self, first: Token, local: bool) -> syntax_tree.Procedure:
+    def _procedure(self, first: RapidToken, local: bool) -> syntax_tree.Procedure:
         start = self.cursor.token.start
         name = self._new_name("procedure")
-        self.cursor.expect_symbol("(", "behind the procedure's name")
+        self.cursor.expect_symbol("(", "after the procedure's name")
         self.cursor.expect_symbol(")", "(procedures of this subset take no parameters)")
         body = self._block(_CLOSING_WORDS, 0)
         error = self._block(_CLOSING_WORDS, 0) if self.cursor.take_word("error") else None
         undo = self._block(_CLOSING_WORDS, 0) if self.cursor.take_word("undo") else None
         if self.cursor.take_word("endproc") is None:
-            self._note(self.cursor.fault(f"ENDPROC of {name}"))
+            self._record(self.cursor.fault(f"ENDPROC of {name}"))
         return syntax_tree.Procedure(self.cursor.line(first.start), start, name, local, body, error, undo)
 
-    def _block(self, ends: tuple[str, ...], depth: int) -> tuple[syntax_tree.Statement, ...]:
+    def _block(self, ends: tuple[str, ...], depth: int) -> tuple[syntax_tree.RapidStatement, ...]:
         if depth > MAX_BRACKETS:
             raise self.cursor.fault(f"at most {MAX_BRACKETS} nested blocks")
-        found: list[syntax_tree.Statement] = []
+        statements: list[syntax_tree.RapidStatement] = []
         while not (self.cursor.token.kind == "end" or self._at(ends)):
             if self._at((*_CLOSING_WORDS, "local")):
-                break  # an inner block that was never closed; its owner says so
-            self._guard(lambda: found.append(self._statement(depth)))
-        return tuple(found)
+                break  # an inner block is not closed; the enclosing one reports it
+            self._guard(lambda: statements.append(self._statement(depth)))
+        return tuple(statements)
 
     def _at(self, words: tuple[str, ...]) -> bool:
         return self.cursor.token.kind == "name" and self.cursor.token.word in words
 
-    def _statement(self, depth: int) -> syntax_tree.Statement:
+    def _statement(self, depth: int) -> syntax_tree.RapidStatement:
         first = self.cursor.token
         line = self.cursor.line(first.start)
         if first.kind == "name":
-            if self.quick and first.word.startswith("move"):
-                move = quick_move(self.cursor, line)
+            if self.fast_moves and first.word.startswith("move"):
+                move = parse_usual_move(self.cursor, line)
                 if move is not None:
                     return move
             if first.word in INSTRUCTIONS:
-                return instruction(self.cursor, line, self.limits.string)
+                return parse_instruction(self.cursor, line, self.limits.string)
             if first.word == "if":
                 return self._if(line, depth)
             if first.word == "while":
@@ -232,30 +258,31 @@ class Parser:
                 raise self.cursor.fault("an instruction of the subset")
             return self._named(line)
         if self.cursor.take_symbol("%"):
-            called = typed(expression(self.cursor, self.limits.string), "string")
-            self.cursor.expect_symbol("%", "behind the name to call")
-            self.cursor.expect_symbol(";", "behind the call")
+            called = typed_literal(parse_expression(self.cursor, self.limits.string), "string")
+            self.cursor.expect_symbol("%", "after the name to call")
+            self.cursor.expect_symbol(";", "after the call")
             return syntax_tree.LateCall(line, first.start, called)
         raise self.cursor.fault("a statement")
 
-    def _named(self, line: int) -> syntax_tree.Statement:
+    def _named(self, line: int) -> syntax_tree.RapidStatement:
         first = self.cursor.take()
         if self.cursor.take_symbol(":="):
-            value = expression(self.cursor, self.limits.string)
-            self.cursor.expect_symbol(";", "behind the assignment")
+            value = parse_expression(self.cursor, self.limits.string)
+            self.cursor.expect_symbol(";", "after the assignment")
             return syntax_tree.Assign(line, first.start, syntax_tree.Name(first.start, first.text), value)
         if not self.cursor.take_symbol(";"):
             raise self.cursor.fault(
-                f'";" or ":=" behind {shown(first.text)}, no instruction of the subset that takes arguments'
+                f'";" or ":=" after {shorten(first.text)}, which is no instruction of the subset with '
+                "arguments"
             )
         return syntax_tree.ProcCall(line, first.start, first.text)
 
     def _condition(self) -> tuple[syntax_tree.Expr, str]:
         start = self.cursor.token.start
-        found = expression(self.cursor, self.limits.string)
-        return found, " ".join(self.text[start : self.cursor.end].split())
+        condition = parse_expression(self.cursor, self.limits.string)
+        return condition, " ".join(self.text[start : self.cursor.end].split())
 
-    def _if(self, line: int, depth: int) -> syntax_tree.Statement:
+    def _if(self, line: int, depth: int) -> syntax_tree.RapidStatement:
         first = self.cursor.take()
         condition, source = self._condition()
         if self.cursor.take_word("then") is None:  # the short form: IF condition statement;
@@ -269,30 +296,30 @@ class Parser:
         sources = [source]
         while self.cursor.take_word("elseif"):
             condition, source = self._condition()
-            self.cursor.expect_word("then", "behind the condition of ELSEIF")
+            self.cursor.expect_word("then", "after the condition of ELSEIF")
             branches.append((condition, self._block(ends, depth + 1)))
             sources.append(source)
         otherwise = self._block(("endif",), depth + 1) if self.cursor.take_word("else") else ()
         self._close("endif", line)
         return syntax_tree.If(line, first.start, tuple(branches), otherwise, tuple(sources))
 
-    def _while(self, line: int, depth: int) -> syntax_tree.Statement:
+    def _while(self, line: int, depth: int) -> syntax_tree.RapidStatement:
         first = self.cursor.take()
         condition, source = self._condition()
-        self.cursor.expect_word("do", "behind the condition of WHILE")
+        self.cursor.expect_word("do", "after the condition of WHILE")
         body = self._block(("endwhile",), depth + 1)
         self._close("endwhile", line)
         return syntax_tree.While(line, first.start, condition, body, source)
 
-    def _for(self, line: int, depth: int) -> syntax_tree.Statement:
+    def _for(self, line: int, depth: int) -> syntax_tree.RapidStatement:
         first = self.cursor.take()
         name = self._new_name("loop counter")
-        self.cursor.expect_word("from", "behind the loop counter")
-        start = expression(self.cursor, self.limits.string)
-        self.cursor.expect_word("to", "behind the first value")
-        last = expression(self.cursor, self.limits.string)
-        step = expression(self.cursor, self.limits.string) if self.cursor.take_word("step") else None
-        self.cursor.expect_word("do", "behind the range of FOR")
+        self.cursor.expect_word("from", "after the loop counter")
+        start = parse_expression(self.cursor, self.limits.string)
+        self.cursor.expect_word("to", "after the first value")
+        last = parse_expression(self.cursor, self.limits.string)
+        step = parse_expression(self.cursor, self.limits.string) if self.cursor.take_word("step") else None
+        self.cursor.expect_word("do", "after the range of FOR")
         body = self._block(("endfor",), depth + 1)
         self._close("endfor", line)
         return syntax_tree.For(line, first.start, name, start, last, step, body)
@@ -303,117 +330,127 @@ class Parser:
 
     # ---- faults ----
 
-    def _note(self, wrong: RapidSyntaxError) -> None:
+    def _record(self, wrong: RapidSyntaxError) -> None:
         self.fault(wrong.start, wrong.code, wrong.message)
 
     def _guard(self, read: Callable[[], None]) -> None:
-        """Read one item; on a fault note it and go on behind the next ";" or at the next line that opens
-        something.
-        """
-        before = self.cursor.token.start
+        """Parse one item. On a fault, record it and resume after the next ";" or at the next opening word."""
+        start = self.cursor.token.start
         try:
             read()
         except RapidSyntaxError as wrong:
-            self._note(wrong)
-            self._resume(wrong.start, before)
+            self._record(wrong)
+            self._resume(wrong.start, start)
 
-    def _resume(self, start: int, before: int) -> None:
-        if before < self.cursor.end and self.text[self.cursor.end - 1] == ";":
-            return  # the statement was whole; what it says is wrong
-        line, column = self.cursor.place(start)
-        if not self.text[start - column + 1 : start].strip():
-            line -= 1  # the statement before ended without its ";"; this line may be sound
-        if self.cursor.token.start == before and self.cursor.token.kind != "end":
-            self.cursor.take()  # always move on
+    def _resume(self, fault_start: int, item_start: int) -> None:
+        if item_start < self.cursor.end and self.text[self.cursor.end - 1] == ";":
+            return  # the statement is complete, only its content is wrong
+        line, column = self.cursor.line_and_column(fault_start)
+        if not self.text[fault_start - column + 1 : fault_start].strip():
+            line -= 1  # the previous statement lacks its ";"; this line may be correct
+        if self.cursor.token.start == item_start and self.cursor.token.kind != "end":
+            self.cursor.take()  # guarantees progress
         while self.cursor.token.kind != "end":
             token = self.cursor.token
-            here = self.cursor.line(token.start)
+            token_line = self.cursor.line(token.start)
             if (
                 token.kind == "name"
                 and token.word in _STATEMENT_STARTS
-                and (here > line or token.word in _CLOSING_WORDS)
+                and (token_line > line or token.word in _CLOSING_WORDS)
             ):
                 return
-            if token.kind == "bad" and here > line:
-                self._note(bad_token(token))
-                line = here
+            if token.kind == "bad" and token_line > line:
+                self._record(bad_token_error(token))
+                line = token_line
             if self.cursor.take().text == ";":
                 return
 
 
-_COMPARES = re.compile(
+_COMPARING_TEXT = re.compile(
     r"(?is)(?<=PROC check_(?:cell|axes)\(\)).*?(?=^\s*ERROR\b)|^\s*PROC check_pose\b.*(?=^\s*ENDMODULE)", re.M
 )
 
 
-def masked(text: str) -> str:
-    """A module that compares the cell with the plan without what compares, which takes procedures with
-    parameters; places stay as they are."""
-    return _COMPARES.sub(lambda found: re.sub(r"[^\r\n]", " ", found.group()), text)
+def mask_comparisons(text: str) -> str:
+    """Return a check module with its comparing procedures blanked, because they take parameters.
+
+    Offsets and lines stay unchanged.
+    """
+    return _COMPARING_TEXT.sub(lambda match: re.sub(r"[^\r\n]", " ", match.group()), text)
 
 
 def read_module(
-    text: str | bytes, file: str = "", limits: Limits | None = None, quick: bool = True
-) -> tuple[syntax_tree.Module | None, tuple[Fault, ...]]:
-    """One module and its faults of syntax and size (names of other modules are checked by `read_task`).
+    text: str | bytes, file: str = "", limits: ModuleLimits | None = None, fast_moves: bool = True
+) -> tuple[syntax_tree.Module | None, tuple[TextFault, ...]]:
+    """Return one module and its faults of syntax and size; `read_task` checks names of other modules.
 
-    `quick=False` reads every move the ordinary way; it gives the same result and is there to prove that.
+    Args:
+        text: The text.
+        file: Its path, for faults.
+        limits: Size limits.
+        fast_moves: Whether usual moves take the fast path. False gives the same result; tests compare both.
     """
-    limits = limits or Limits()
+    limits = limits or ModuleLimits()
     size = len(text)
     if isinstance(text, bytes):
-        text, _ = program_text.settled(file, program_text.decode(text))
-    faults: list[Fault] = []
+        text, _ = program_text.normalise_text(file, program_text.decode(text))
+    faults: list[TextFault] = []
     if size > limits.bytes:
         faults.append(
-            Fault(1, 1, "rapid.file_size", f"{size} bytes; allowed: {limits.bytes}; split the module", file)
+            TextFault(
+                1, 1, "rapid.file_size", f"{size} bytes; allowed: {limits.bytes}; split the module", file
+            )
         )
         if size > 20 * limits.bytes:
             return None, tuple(faults)  # not worth reading
-    parser = Parser(text, file, limits, quick)
+    parser = RapidParser(text, file, limits, fast_moves)
     module = parser.module()
     for row, line in enumerate(text.split("\n"), 1):
         if len(line.rstrip("\r")) > limits.line:
             message = f"the line has {len(line.rstrip())} characters; allowed: {limits.line}"
-            faults.append(Fault(row, limits.line + 1, "rapid.line_length", message, file))
+            faults.append(TextFault(row, limits.line + 1, "rapid.line_length", message, file))
     faults += parser.faults
     return module, tuple(sorted(faults, key=lambda fault: (fault.line, fault.column)))
 
 
-MOST_KEPT = 32_768
-"""Characters of a module that is remembered; longer ones would take much memory."""
+MAX_CACHED_LENGTH = 32_768
+"""Maximum size of a module that is cached [characters]; longer ones would take much memory."""
 
 
 @functools.lru_cache(maxsize=32)
-def _kept(text: str, file: str, limits: Limits | None) -> tuple[syntax_tree.Module | None, tuple[Fault, ...]]:
-    """:func:`read_module`, remembered: of programs that differ in one module the others are read once."""
+def _read_module_cached(
+    text: str, file: str, limits: ModuleLimits | None
+) -> tuple[syntax_tree.Module | None, tuple[TextFault, ...]]:
+    """Cached :func:`read_module`: modules that several programs share are read once."""
     return read_module(text, file, limits)
 
 
 def read_task(
-    files: Mapping[str, str | bytes], limits: Limits | None = None, signals: Iterable[str] | None = None
+    files: Mapping[str, str | bytes], limits: ModuleLimits | None = None, signals: Iterable[str] | None = None
 ) -> RapidText:
-    """All modules of one task (file name -> text). `signals`: names of the configured signals, None to
-    allow any name.
+    """Read all modules of one task.
 
-    Modules that are loaded while the task runs belong to `files` too.
+    Args:
+        files: Texts by file name, including modules that are loaded while the task runs.
+        limits: Size limits.
+        signals: Names of the configured signals; None allows any name.
     """
     modules: list[syntax_tree.Module] = []
-    faults: list[Fault] = []
+    faults: list[TextFault] = []
     names: dict[str, str] = {}
     for file, text in files.items():
         if isinstance(text, str) and CHECK_MODULE.match(PurePosixPath(file).name):
-            text = masked(text)
-        short = isinstance(text, str) and len(text) <= MOST_KEPT
-        module, wrong = _kept(text, file, limits) if short else read_module(text, file, limits)
+            text = mask_comparisons(text)
+        short = isinstance(text, str) and len(text) <= MAX_CACHED_LENGTH
+        module, wrong = _read_module_cached(text, file, limits) if short else read_module(text, file, limits)
         faults += wrong
         if module is None:
             continue
         if module.name.lower() in names:
             message = f"module {module.name} is already in {names[module.name.lower()]}; names must differ"
-            faults.append(Fault(1, 1, "rapid.name_duplicate", message, file))
+            faults.append(TextFault(1, 1, "rapid.name_duplicate", message, file))
             continue
         names[module.name.lower()] = file
         modules.append(module)
-    checker = Checker(modules, None if signals is None else frozenset(signals))
+    checker = TypeChecker(modules, None if signals is None else frozenset(signals))
     return RapidText(tuple(modules), (*faults, *checker.run()))

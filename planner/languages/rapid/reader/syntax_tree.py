@@ -1,10 +1,10 @@
-"""What a RAPID module says, as frozen values: nodes of the syntax tree, and RAPID's data records.
+"""Syntax tree of a RAPID module, and RAPID's data records, as frozen values.
 
-Every node knows its offset in the text or its line. Records have their order and types, predefined
-data, and the step from numbers to the values of :mod:`planner.programs.steps` in SI units.
-Order of the components, units (mm, degrees, s, kg) and the figures of the predefined speeds and
-zones: ABB, Technical reference manual RAPID Instructions, Functions and Data types, 3HAC16581-1
-(robtarget, speeddata, zonedata...).
+Every node knows its offset in the text or its line. The module has order and types of the records,
+predefined data, and the conversion from numbers to the values of :mod:`planner.programs.steps` in SI units.
+Order of the components, units (mm, degrees, s, kg) and values of the predefined speeds and zones: ABB,
+Technical reference manual RAPID Instructions, Functions and Data types, 3HAC16581-1 (robtarget, speeddata,
+zonedata...).
 """
 
 import functools
@@ -19,12 +19,12 @@ from planner.geometry.arrays import FloatArray, read_only
 from planner.programs import steps
 
 QUATERNION_TOLERANCE = 1e-5
-"""How far the norm of a quaternion may be off 1."""
+"""Maximum deviation of the norm of a quaternion from 1."""
 
 
 @dataclass(frozen=True, slots=True)
 class SyncIdent:
-    """A synchronisation point; tasks meet where the names agree."""
+    """A synchronisation point. Tasks meet at points of equal name."""
 
     name: str
 
@@ -47,17 +47,22 @@ RECORDS: dict[str, tuple[str, ...]] = {
     "zonedata": ("bool", *("num",) * 6),
     "tasks": ("string",),
 }
-"""Components of each record, in order."""
+"""Types of the components of each record, in order."""
 NUMBER_TYPES = frozenset({"num", "btnres", "buttondata", "icondata", "errnum", "dionum"})
 """Types whose values are numbers."""
 OPAQUE_TYPES = frozenset({"syncident", "clock", "signaldo", "signaldi"})
-"""Types whose values no program sees."""
+"""Types whose values are not visible to a program."""
 ALL_TYPES = frozenset(RECORDS) | NUMBER_TYPES | OPAQUE_TYPES | {"bool", "string"}
-"""All types that are understood."""
+"""All supported types."""
 
 
 class RapidValueError(Exception):
-    """A value does not fit its type. `code` and `message` for a `Fault`."""
+    """A value does not fit its type.
+
+    Attributes:
+        code: Issue code for a `Fault`.
+        message: What is wrong.
+    """
 
     def __init__(self, code: str, message: str) -> None:
         super().__init__(message)
@@ -66,17 +71,23 @@ class RapidValueError(Exception):
 
 
 def base_type(name: str) -> str:
-    """The type that counts for agreement: aliases of num are num."""
+    """Return the type that counts for agreement: aliases of num are num."""
     return "num" if name in NUMBER_TYPES else name
 
 
-def build(kind: str, items: Any) -> Value:
-    """The value of type `kind` from nested lists of numbers, truths and strings in file units. Numbers in
-    records are those that the controller holds, in single precision.
+def build_value(kind: str, items: Any) -> Value:
+    """Return the value of a type.
 
-    Raises `RapidValueError` where count, type, norm or range is wrong.
+    Numbers in records are rounded to single precision, as the controller holds them.
+
+    Args:
+        kind: The RAPID type.
+        items: Nested lists of numbers, truth values and strings in file units.
+
+    Raises:
+        RapidValueError: Count, type, norm or range is wrong.
     """
-    if kind == "robtarget":  # the common case, without the general walk
+    if kind == "robtarget":  # fast path for the common case
         try:
             (x, y, z), (a, b, c, d), conf, external = items
             c1, c4, c6, cx = map(int, conf)
@@ -87,30 +98,39 @@ def build(kind: str, items: Any) -> Value:
                 and four == tuple(conf)
                 and set(map(type, [*numbers, *conf])) <= {int, float}
             ):
-                _unit("robtarget.2", (a, b, c, d))
+                _require_unit_norm("robtarget.2", (a, b, c, d))
                 if math.isfinite(sum(numbers)):
                     axes = _NO_AXES if external == _NO_AXIS_VALUES else np.array(external, dtype=float)
-                    place, turn = steps.singles((x, y, z)) * 1e-3, steps.singles((a, b, c, d))
-                    return steps.RobTarget(place, turn, _one_configuration(four), axes)
+                    position, quaternion = steps.to_singles((x, y, z)) * 1e-3, steps.to_singles((a, b, c, d))
+                    return steps.RobTarget(position, quaternion, _shared_configuration(four), axes)
         except (TypeError, ValueError, OverflowError):
-            pass  # the walk below finds what is wrong and says so
-    conform(kind, items, kind)
+            pass  # the general check below reports what is wrong
+    check_components(kind, items, kind)
     convert = _CONVERTERS.get(kind)
     return convert(items) if convert else items
 
 
 _NO_AXIS_VALUES = [steps.UNUSED_AXIS] * 6
 _NO_AXES = read_only(np.array(_NO_AXIS_VALUES))
-"""The external axes of nearly all of tens of thousands of targets, kept once."""
+"""The external axes of nearly all of tens of thousands of targets, shared to save memory."""
 
 
 @functools.lru_cache(maxsize=256)
-def _one_configuration(four: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
+def _shared_configuration(four: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
     return four
 
 
-def conform(kind: str, items: Any, path: str) -> None:
-    """Raise `RapidValueError` unless `items` has the components of `kind`."""
+def check_components(kind: str, items: Any, path: str) -> None:
+    """Check that values have the components of a type.
+
+    Args:
+        kind: The RAPID type.
+        items: Nested lists of numbers, truth values and strings.
+        path: Name of the value, for messages.
+
+    Raises:
+        RapidValueError: They do not.
+    """
     if kind in RECORDS:
         parts = RECORDS[kind]
         if not isinstance(items, list | tuple):
@@ -122,20 +142,22 @@ def conform(kind: str, items: Any, path: str) -> None:
                 "rapid.arity", f"{path}: got {len(items)} components; a {kind} has {len(parts)}"
             )
         for number, (part, item) in enumerate(zip(parts, items, strict=True), 1):
-            conform(part, item, f"{path}.{number}")
+            check_components(part, item, f"{path}.{number}")
         if kind == "orient":
-            _unit(path, items)
+            _require_unit_norm(path, items)
         if kind == "confdata" and any(value != int(value) for value in items):
-            raise RapidValueError("rapid.type", f"{path}: configuration numbers are whole; got {list(items)}")
+            raise RapidValueError(
+                "rapid.type", f"{path}: configuration numbers must be integers; got {list(items)}"
+            )
         return
-    wanted = base_type(kind)
-    if _kind(items) != wanted:
-        raise RapidValueError("rapid.type", f"{path}: got {_kind(items)}; expected {wanted}")
-    if wanted == "num" and not abs(items) < steps.LARGEST_NUMBER:
-        raise RapidValueError("rapid.number", f"{path}: {items} is no number that a controller holds")
+    expected = base_type(kind)
+    if _kind(items) != expected:
+        raise RapidValueError("rapid.type", f"{path}: got {_kind(items)}; expected {expected}")
+    if expected == "num" and not abs(items) < steps.MAX_NUMBER:
+        raise RapidValueError("rapid.number", f"{path}: {items} exceeds the numbers of a controller")
 
 
-def _unit(path: str, q: Any) -> None:
+def _require_unit_norm(path: str, q: Any) -> None:
     norm = math.sqrt(sum(float(value) ** 2 for value in q))
     if not abs(norm - 1.0) <= QUATERNION_TOLERANCE:
         allowed = f"1 within {QUATERNION_TOLERANCE:g}"
@@ -155,33 +177,33 @@ def _kind(item: Any) -> str:
 
 
 def _pos(items: Any) -> FloatArray:
-    return steps.singles(items) * 1e-3
+    return steps.to_singles(items) * 1e-3
 
 
 def _pose(items: Any) -> FloatArray:
-    return steps.poses(_pos(items[0]), steps.singles(items[1]))
+    return steps.poses(_pos(items[0]), steps.to_singles(items[1]))
 
 
-def _load(items: Any) -> steps.Load:
-    return steps.Load(
-        float(items[0]), _pos(items[1]), steps.singles(items[2]), np.array(items[3:], dtype=float)
+def _load(items: Any) -> steps.LoadData:
+    return steps.LoadData(
+        float(items[0]), _pos(items[1]), steps.to_singles(items[2]), np.array(items[3:], dtype=float)
     )
 
 
 def _rob(items: Any) -> steps.RobTarget:
     c1, c4, c6, cx = (int(value) for value in items[2])
     return steps.RobTarget(
-        _pos(items[0]), steps.singles(items[1]), (c1, c4, c6, cx), np.array(items[3], dtype=float)
+        _pos(items[0]), steps.to_singles(items[1]), (c1, c4, c6, cx), np.array(items[3], dtype=float)
     )
 
 
-def _speed(items: Any) -> steps.Speed:
-    tcp, turn, linear, rotary = map(steps.single, items)
-    return steps.Speed(tcp * 1e-3, math.radians(turn), linear * 1e-3, math.radians(rotary))
+def _speed(items: Any) -> steps.MoveSpeed:
+    tcp, turn, linear, rotary = map(steps.to_single, items)
+    return steps.MoveSpeed(tcp * 1e-3, math.radians(turn), linear * 1e-3, math.radians(rotary))
 
 
 def _zone(items: Any) -> steps.Zone:
-    fine, (tcp, turn, external, angle, linear, rotary) = items[0], map(steps.single, items[1:])
+    fine, (tcp, turn, external, angle, linear, rotary) = items[0], map(steps.to_single, items[1:])
     lengths = (tcp * 1e-3, turn * 1e-3, external * 1e-3)
     return steps.Zone(fine, *lengths, math.radians(angle), linear * 1e-3, math.radians(rotary))
 
@@ -189,11 +211,11 @@ def _zone(items: Any) -> steps.Zone:
 _CONVERTERS: dict[str, Callable[[Any], Value]] = {
     "num": float,
     "pos": _pos,
-    "orient": steps.singles,
+    "orient": steps.to_singles,
     "pose": _pose,
     "robtarget": _rob,
     "jointtarget": lambda items: steps.JointTarget(
-        np.radians(steps.singles(items[0])), np.array(items[1], dtype=float)
+        np.radians(steps.to_singles(items[0])), np.array(items[1], dtype=float)
     ),
     "loaddata": _load,
     "tooldata": lambda items: steps.Tool(items[0], _pose(items[1]), _load(items[2])),
@@ -204,10 +226,10 @@ _CONVERTERS: dict[str, Callable[[Any], Value]] = {
     "zonedata": _zone,
     "tasks": lambda items: items[0],
 }
-"""What makes a value of each type from parsed data."""
+"""Converters from parsed data to a value, by type."""
 
 _UNIT_POSE = [[0, 0, 0], [1, 0, 0, 0]]
-"""The pose that moves nothing."""
+"""The identity pose."""
 _SPEEDS_MM_S = (
     "5 10 20 30 40 50 60 80 100 150 200 300 400 500 600 800 1000 1500 2000 2500 3000 4000 5000 6000 7000"
 )
@@ -220,7 +242,7 @@ _ZONES_MM = {
     15: (15, 23, 2.3),
     20: (20, 30, 3),
 }
-"""Predefined zones: way of the TCP and of external axes [mm], turn [deg]."""
+"""Predefined zones: distance of the TCP and of external axes [mm], reorientation [deg]."""
 _ZONES_MM |= {30: (30, 45, 4.5), 40: (40, 60, 6), 50: (50, 75, 7.5), 60: (60, 90, 9), 80: (80, 120, 12)}
 _ZONES_MM |= {100: (100, 150, 15), 150: (150, 225, 23), 200: (200, 300, 30)}
 
@@ -230,26 +252,28 @@ _NUMBERED = {
     "btnnone btnok btnabrtrtryign btnokcancel btnretrycancel btnyesno btnyesnocancel": -1,
     "iconnone iconinfo iconwarning iconerror": 0,
 }
-"""Answers, buttons and icons of message boxes: each one's number is one more than that of the one before,
-with the number of the first."""
+"""Answers, buttons and icons of message boxes, numbered consecutively from the stated first number."""
 _ERRORS = "err_wait_maxtime err_path_stop err_robmove err_refunkprc err_filnotfnd err_ioenable"
-"""Numbers of errors, which the controller alone knows."""
+"""Error numbers, whose values only the controller knows."""
 
 
 def _predefined() -> dict[str, tuple[str, Value]]:
     table: dict[str, tuple[str, Value]] = {
-        f"v{v}": ("speeddata", build("speeddata", [v, 500, 5000, 1000]))
+        f"v{v}": ("speeddata", build_value("speeddata", [v, 500, 5000, 1000]))
         for v in map(int, _SPEEDS_MM_S.split())
     }
-    # vmax is the robot's own highest TCP speed: the instruction sets no limit
-    table["vmax"] = ("speeddata", steps.Speed(math.inf, math.radians(500), 5.0, math.radians(1000)))
+    # vmax is the robot's own maximum TCP speed: the instruction sets no limit
+    table["vmax"] = ("speeddata", steps.MoveSpeed(math.inf, math.radians(500), 5.0, math.radians(1000)))
     for name, (tcp, turn, angle) in _ZONES_MM.items():
-        table[f"z{name}"] = ("zonedata", build("zonedata", [False, tcp, turn, turn, angle, turn, angle]))
-    table["fine"] = ("zonedata", build("zonedata", [True, 0, 0, 0, 0, 0, 0]))
+        table[f"z{name}"] = (
+            "zonedata",
+            build_value("zonedata", [False, tcp, turn, turn, angle, turn, angle]),
+        )
+    table["fine"] = ("zonedata", build_value("zonedata", [True, 0, 0, 0, 0, 0, 0]))
     load = [0.001, [0, 0, 0.001], [1, 0, 0, 0], 0, 0, 0]
-    table["load0"] = ("loaddata", build("loaddata", load))
-    table["tool0"] = ("tooldata", build("tooldata", [True, _UNIT_POSE, load]))
-    table["wobj0"] = ("wobjdata", build("wobjdata", [False, True, "", _UNIT_POSE, _UNIT_POSE]))
+    table["load0"] = ("loaddata", build_value("loaddata", load))
+    table["tool0"] = ("tooldata", build_value("tooldata", [True, _UNIT_POSE, load]))
+    table["wobj0"] = ("wobjdata", build_value("wobjdata", [False, True, "", _UNIT_POSE, _UNIT_POSE]))
     for names, first in _NUMBERED.items():
         table |= {name: ("num", float(number)) for number, name in enumerate(names.split(), first)}
     table |= {"pi": ("num", 3.141592654), "high": ("num", 1.0), "low": ("num", 0.0), "edge": ("num", 2.0)}
@@ -259,7 +283,7 @@ def _predefined() -> dict[str, tuple[str, Value]]:
 
 
 PREDEFINED = _predefined()
-"""Data that every RAPID program knows."""
+"""Predefined data of RAPID: name -> (type, value)."""
 
 
 # ---- expressions; `start` is the offset in the module's text -----------------------------------------------
@@ -267,7 +291,7 @@ PREDEFINED = _predefined()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Literal:
-    """A value that stands in the text; `kind` is its RAPID type."""
+    """A literal value; `kind` is its RAPID type."""
 
     start: int
     kind: str
@@ -276,7 +300,7 @@ class Literal:
 
 @dataclass(frozen=True, slots=True)
 class Aggregate:
-    """`[a, b, ...]` whose type its place decides."""
+    """`[a, b, ...]`, whose type follows from the context."""
 
     start: int
     items: "tuple[Expr, ...]"
@@ -284,14 +308,14 @@ class Aggregate:
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """A name of data; `text` as written."""
+    """A name of data; `text` is as written."""
 
     start: int
     text: str
 
     @property
     def key(self) -> str:
-        """The name as RAPID compares it."""
+        """The name in lower case: RAPID ignores case."""
         return self.text.lower()
 
 
@@ -330,16 +354,25 @@ Expr = Literal | Aggregate | Name | Function | Unary | Binary
 
 
 @dataclass(frozen=True, slots=True)
-class Statement:
-    """`line` from 1; `start` the offset of its first word."""
+class RapidStatement:
+    """A statement.
+
+    Attributes:
+        line: Line, from 1.
+        start: Offset of its first word.
+    """
 
     line: int
     start: int
 
 
 @dataclass(frozen=True, slots=True)
-class Move(Statement):
-    """`kind` MoveAbsJ, MoveJ or MoveL; `switches` holds conc, noeoffs, inpos... as given, in lower case."""
+class MoveStatement(RapidStatement):
+    """A move instruction: `kind` is MoveAbsJ, MoveJ or MoveL.
+
+    Attributes:
+        switches: Options without value (conc, noeoffs, inpos...) as written, in lower case.
+    """
 
     kind: str
     target: Expr
@@ -354,9 +387,13 @@ class Move(Statement):
 
 
 @dataclass(frozen=True, slots=True)
-class Instruction(Statement):
-    """Any other built-in instruction: `name` in its official spelling, required arguments, options by
-    lower-case name.
+class Instruction(RapidStatement):
+    """Any other built-in instruction.
+
+    Attributes:
+        name: Official spelling.
+        arguments: Required arguments.
+        options: (lower-case name, value or None for a switch).
     """
 
     name: str
@@ -365,64 +402,73 @@ class Instruction(Statement):
 
 
 @dataclass(frozen=True, slots=True)
-class Assign(Statement):
-    """`target := value;`"""
+class Assign(RapidStatement):
+    """An assignment: `target := value;`."""
 
     target: Name
     value: Expr
 
 
 @dataclass(frozen=True, slots=True)
-class ProcCall(Statement):
-    """`name;`"""
+class ProcCall(RapidStatement):
+    """A procedure call: `name;`."""
 
     name: str
 
 
 @dataclass(frozen=True, slots=True)
-class LateCall(Statement):
-    """`%"module:procedure"%;`"""
+class LateCall(RapidStatement):
+    """A late-bound procedure call: `%"module:procedure"%;`."""
 
     name: Expr
 
 
 @dataclass(frozen=True, slots=True)
-class If(Statement):
-    """`branches`: condition and body of IF and each ELSEIF; `otherwise`: body of ELSE. `source`: text of
-    the conditions.
+class If(RapidStatement):
+    """An IF statement.
+
+    Attributes:
+        branches: Condition and body of IF and of each ELSEIF.
+        otherwise: Body of ELSE.
+        source: Texts of the conditions.
     """
 
-    branches: tuple[tuple[Expr, tuple[Statement, ...]], ...]
-    otherwise: tuple[Statement, ...]
+    branches: tuple[tuple[Expr, tuple[RapidStatement, ...]], ...]
+    otherwise: tuple[RapidStatement, ...]
     source: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class While(Statement):
-    """`WHILE condition DO body ENDWHILE`"""
+class While(RapidStatement):
+    """A loop: `WHILE condition DO body ENDWHILE`."""
 
     condition: Expr
-    body: tuple[Statement, ...]
+    body: tuple[RapidStatement, ...]
     source: str
 
 
 @dataclass(frozen=True, slots=True)
-class For(Statement):
-    """`FOR name FROM first TO last [STEP step] DO body ENDFOR`"""
+class For(RapidStatement):
+    """A counted loop: `FOR name FROM first TO last [STEP step] DO body ENDFOR`."""
 
     name: str
     first: Expr
     last: Expr
     step: Expr | None
-    body: tuple[Statement, ...]
+    body: tuple[RapidStatement, ...]
 
 
 # ---- declarations ------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class Data:
-    """One data declaration: `storage` CONST, VAR, PERS or TASK PERS; `size` of an array or None."""
+class DataDeclaration:
+    """A data declaration.
+
+    Attributes:
+        storage: CONST, VAR, PERS or TASK PERS.
+        size: Size of an array, or None.
+    """
 
     line: int
     start: int
@@ -436,26 +482,33 @@ class Data:
 
 @dataclass(frozen=True, slots=True)
 class Procedure:
-    """A procedure without parameters; `error` and `undo` are its handlers, None where it has none."""
+    """A procedure without parameters; `error` and `undo` are its handlers, None if missing."""
 
     line: int
     start: int
     name: str
     local: bool
-    body: tuple[Statement, ...]
-    error: tuple[Statement, ...] | None = None
-    undo: tuple[Statement, ...] | None = None
+    body: tuple[RapidStatement, ...]
+    error: tuple[RapidStatement, ...] | None = None
+    undo: tuple[RapidStatement, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Module:
-    """A module; `file` is where it came from, `bytes` its size, `lines` its number of lines."""
+    """A module.
+
+    Attributes:
+        file: Path that it was read from.
+        bytes: Size [bytes].
+        lines: Number of lines.
+        starts: Offsets of the lines, which locate later faults.
+    """
 
     name: str
     attributes: tuple[str, ...]
-    data: tuple[Data, ...]
+    data: tuple[DataDeclaration, ...]
     procedures: tuple[Procedure, ...]
     file: str
     bytes: int
     lines: int
-    starts: tuple[int, ...]  # offsets of the lines, to place later faults
+    starts: tuple[int, ...]  # offsets of the lines

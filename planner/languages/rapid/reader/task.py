@@ -1,45 +1,49 @@
-"""The task of an arm: its modules, and what they do."""
+"""Reads the task of an arm: its modules, and what they do."""
 
 import functools
 from typing import Final
 
-from planner.languages.rapid.reader.flow import Flow, flow
+from planner.languages.rapid.reader.flow import TaskFlow, task_flow
 from planner.languages.rapid.reader.partial import MOVE_PATTERN, read_partly
 from planner.languages.rapid.reader.program_text import RapidText
-from planner.languages.rapid.reader.reader import MOST_KEPT, Limits, read_task
+from planner.languages.rapid.reader.reader import MAX_CACHED_LENGTH, ModuleLimits, read_task
 from planner.problem import Problem
 from planner.programs.language import Arms, Files, Reader, ReadTasks, Sharing
 from planner.programs.stages import TaskText
-from planner.programs.steps import Fault, FlowError
+from planner.programs.steps import FlowError, TextFault
 
 
-def _followed(
-    files: tuple[tuple[str, str], ...], most_bytes: int
-) -> tuple[RapidText, Flow, tuple[Fault, ...]]:
-    """Modules of a task, all that they may do, and why they have no straight way."""
-    text = read_task(dict(files), Limits(bytes=most_bytes))
-    way, lost = Flow((), {}, {}, frozenset()), tuple[Fault, ...]()
+def _read_and_follow(
+    files: tuple[tuple[str, str], ...], max_bytes: int
+) -> tuple[RapidText, TaskFlow, tuple[TextFault, ...]]:
+    """Modules of a task, everything that they may do, and the faults of its main flow."""
+    text = read_task(dict(files), ModuleLimits(bytes=max_bytes))
+    main_flow, flow_faults = TaskFlow((), {}, {}, frozenset()), tuple[TextFault, ...]()
     if not text.faults:
         try:
-            way = flow(text.modules)
+            main_flow = task_flow(text.modules)
         except FlowError as wrong:
-            lost = wrong.faults
-    return text, way, lost
+            flow_faults = wrong.faults
+    return text, main_flow, flow_faults
 
 
-_kept = functools.lru_cache(maxsize=8)(_followed)
-"""Remembered: where programs differ in one task, the others are followed once."""
+_read_and_follow_cached = functools.lru_cache(maxsize=8)(_read_and_follow)
+"""Cached :func:`_read_and_follow`: tasks that several program sets share are followed once."""
 
 
 def _read(problem: Problem, arms: Arms, files: Files) -> ReadTasks:
     controller = problem.cell.controller
     ((name, arm),) = arms.items()
-    number = [one.name for one in problem.cell.arms].index(arm.name)
+    number = [cell_arm.name for cell_arm in problem.cell.arms].index(arm.name)
     unit = controller.units[number] if number < len(controller.units) else ""
-    short = sum(map(len, files.values())) <= MOST_KEPT
-    text, way, lost = (_kept if short else _followed)(tuple(files.items()), controller.max_bytes)
-    task = TaskText(name, arm, text, way.steps, files, unit, way.handlers, way.undos, way.called)
-    return ReadTasks((task,), text.faults, lost)
+    short = sum(map(len, files.values())) <= MAX_CACHED_LENGTH
+    text, main_flow, flow_faults = (_read_and_follow_cached if short else _read_and_follow)(
+        tuple(files.items()), controller.max_bytes
+    )
+    task = TaskText(
+        name, arm, text, main_flow.steps, files, unit, main_flow.handlers, main_flow.undos, main_flow.called
+    )
+    return ReadTasks((task,), text.faults, flow_faults)
 
 
 READER: Final = Reader(

@@ -1,35 +1,43 @@
-"""Names and types over all modules of one task: what is declared, what is used, whether it fits."""
+"""Checks names and types over all modules of one task: declarations, uses, and whether they agree."""
 
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 
 from planner.languages.rapid.reader import syntax_tree
-from planner.languages.rapid.reader.lexer import FUNCTIONS, IN_HANDLER_ONLY, INSTRUCTIONS, shown
-from planner.programs.steps import Fault
+from planner.languages.rapid.reader.lexer import FUNCTIONS, IN_HANDLER_ONLY, INSTRUCTIONS, shorten
+from planner.programs.steps import TextFault
 
 _SIGNAL_TYPES = ("signaldo", "signaldi")
 """Types of signals."""
 _MOVE_OPTIONS = ("id", "time", "velocity", "wobj")
-"""Fields of a move whose types are checked: numbers, and the work object."""
+"""Fields of a move whose types are checked: numbers and the work object."""
 
 
-class Checker:
-    """Checks the modules of one task together. `signals`: names of the configured signals, None when not
-    known.
+class TypeChecker:
+    """Checks the modules of one task together.
+
+    Attributes:
+        modules: The modules.
+        signals: Lower-case names of the configured signals, None if not known.
+        faults: Faults so far.
+        module: The current module.
+        globals: Declarations that all modules see.
+        locals: Declarations of each module.
+        counters: Loop counters in scope.
     """
 
     def __init__(self, modules: Sequence[syntax_tree.Module], signals: frozenset[str] | None = None) -> None:
         self.modules = modules
         self.signals = None if signals is None else frozenset(name.lower() for name in signals)
-        self.faults: list[Fault] = []
+        self.faults: list[TextFault] = []
         self.module = modules[0] if modules else None
-        self.globals: dict[str, syntax_tree.Data | syntax_tree.Procedure] = {}
-        self.locals: dict[str, dict[str, syntax_tree.Data | syntax_tree.Procedure]] = {}
+        self.globals: dict[str, syntax_tree.DataDeclaration | syntax_tree.Procedure] = {}
+        self.locals: dict[str, dict[str, syntax_tree.DataDeclaration | syntax_tree.Procedure]] = {}
         self.counters: list[str] = []
-        self._fitting: set[tuple[str, str, str]] = set()
+        self._checked: set[tuple[str, str, str]] = set()
 
-    def run(self) -> tuple[Fault, ...]:
-        """All faults, in the order of the modules and lines."""
+    def run(self) -> tuple[TextFault, ...]:
+        """Return all faults, in the order of files and lines."""
         for module in self.modules:
             self.module = module
             self._declare(module)
@@ -44,16 +52,22 @@ class Checker:
         return tuple(sorted(self.faults, key=lambda fault: (fault.file, fault.line, fault.column)))
 
     def fault(self, start: int, code: str, message: str) -> None:
-        """Note a fault at an offset of the current module."""
+        """Record a fault.
+
+        Args:
+            start: Offset in the current module.
+            code: Issue code.
+            message: What is wrong.
+        """
         if self.module is not None:
-            self.faults.append(placed(self.module, start, code, message))
+            self.faults.append(fault_at(self.module, start, code, message))
 
     # ---- declarations ----
 
     def _declare(self, module: syntax_tree.Module) -> None:
         names: dict[str, str] = {module.name.lower(): "the module"}
-        own = self.locals.setdefault(module.name.lower(), {})
-        items: list[syntax_tree.Data | syntax_tree.Procedure] = [*module.data, *module.procedures]
+        declared = self.locals.setdefault(module.name.lower(), {})
+        items: list[syntax_tree.DataDeclaration | syntax_tree.Procedure] = [*module.data, *module.procedures]
         for item in items:
             key = item.name.lower()
             taken = names.get(key)
@@ -65,19 +79,19 @@ class Checker:
                 self.fault(
                     item.start,
                     "rapid.name_duplicate",
-                    f"{shown(item.name)} is already {taken}; names must differ",
+                    f"{shorten(item.name)} is already {taken}; names must differ",
                 )
             names[key] = f"declared in line {item.line}"
-            own[key] = item
+            declared[key] = item
             if not item.local:
                 self.globals.setdefault(key, item)
 
-    def find(self, key: str) -> syntax_tree.Data | syntax_tree.Procedure | None:
-        """What a name means in the current module."""
-        own = self.locals.get(self.module.name.lower(), {}) if self.module else {}
-        return own.get(key) or self.globals.get(key)
+    def find(self, key: str) -> syntax_tree.DataDeclaration | syntax_tree.Procedure | None:
+        """Return the declaration that a lower-case name refers to in the current module, or None."""
+        declared = self.locals.get(self.module.name.lower(), {}) if self.module else {}
+        return declared.get(key) or self.globals.get(key)
 
-    def _data(self, data: syntax_tree.Data) -> None:
+    def _data(self, data: syntax_tree.DataDeclaration) -> None:
         if data.initial is None:
             return
         if data.kind in syntax_tree.OPAQUE_TYPES:
@@ -102,13 +116,13 @@ class Checker:
 
     # ---- statements ----
 
-    def _block(self, statements: Iterable[syntax_tree.Statement], handler: bool) -> None:
+    def _block(self, statements: Iterable[syntax_tree.RapidStatement], handler: bool) -> None:
         for statement in statements:
             self._statement(statement, handler)
 
-    def _statement(self, statement: syntax_tree.Statement, handler: bool) -> None:
+    def _statement(self, statement: syntax_tree.RapidStatement, handler: bool) -> None:
         match statement:
-            case syntax_tree.Move():
+            case syntax_tree.MoveStatement():
                 self._move(statement)
             case syntax_tree.Instruction():
                 self._instruction(statement, handler)
@@ -116,7 +130,9 @@ class Checker:
                 self._assign(statement)
             case syntax_tree.ProcCall():
                 if not isinstance(self.find(statement.name.lower()), syntax_tree.Procedure):
-                    what = f"{shown(statement.name)} is no procedure of the task's modules and no instruction"
+                    what = (
+                        f"{shorten(statement.name)} is no procedure of the task's modules and no instruction"
+                    )
                     self.fault(statement.start, "rapid.unknown_procedure", what)
             case syntax_tree.LateCall():
                 self.expect(statement.name, "string")
@@ -138,18 +154,21 @@ class Checker:
                 self.counters.pop()
 
     def _counter(self, loop: syntax_tree.For) -> None:
-        """A counter is seen in its loop alone; one that has the name of other data would hide them from the
-        reader in what the loop calls."""
+        """Check the name of a loop counter.
+
+        A counter is visible in its loop only. With the name of other data it would hide them from the reader
+        in procedures that the loop calls.
+        """
         key = loop.name.lower()
         if (
             key in syntax_tree.PREDEFINED
             or key in self.counters
-            or any(key in own for own in self.locals.values())
+            or any(key in declared for declared in self.locals.values())
         ):
-            message = f"{shown(loop.name)} is the name of other data; a loop counter needs one of its own"
+            message = f"{shorten(loop.name)} is the name of other data; a loop counter needs a unique name"
             self.fault(loop.start, "rapid.name_duplicate", message)
 
-    def _move(self, move: syntax_tree.Move) -> None:
+    def _move(self, move: syntax_tree.MoveStatement) -> None:
         form = INSTRUCTIONS[move.kind.lower()]
         for value, kind in zip((move.target, move.speed, move.zone, move.tool), form.required, strict=True):
             self.expect(value, kind)
@@ -159,7 +178,9 @@ class Checker:
                 self.expect(value, kind)
         for option in (move.id, move.time, move.velocity):
             if isinstance(option, syntax_tree.Literal) and option.value <= 0:
-                self.fault(option.start, "rapid.number", f"{option.value:g} must be above 0 (\\ID, \\T, \\V)")
+                self.fault(
+                    option.start, "rapid.number", f"\\ID, \\T and \\V must be positive; got {option.value:g}"
+                )
         if isinstance(move.id, syntax_tree.Literal) and move.id.value != int(move.id.value):
             self.fault(move.id.start, "rapid.number", f"\\ID is {move.id.value:g}; allowed: whole numbers")
 
@@ -176,70 +197,77 @@ class Checker:
                 self.expect(option, form.options[name][1])
 
     def _assign(self, statement: syntax_tree.Assign) -> None:
-        found = self.find(statement.target.key)
-        if not isinstance(found, syntax_tree.Data):
+        declaration = self.find(statement.target.key)
+        if not isinstance(declaration, syntax_tree.DataDeclaration):
             self._unknown(statement.target)
-        elif found.storage == "CONST" or found.kind in syntax_tree.OPAQUE_TYPES:
-            message = f"{found.name} is {found.storage} {found.kind}; it cannot be assigned"
+        elif declaration.storage == "CONST" or declaration.kind in syntax_tree.OPAQUE_TYPES:
+            message = f"{declaration.name} is {declaration.storage} {declaration.kind}; it cannot be assigned"
             self.fault(statement.target.start, "rapid.type", message)
         else:
-            self.expect(statement.value, found.kind)
+            self.expect(statement.value, declaration.kind)
 
     # ---- expressions ----
 
     def expect(self, value: syntax_tree.Expr, kind: str) -> None:
-        """Note a fault unless `value` is of type `kind`."""
+        """Record a fault unless an expression has a type.
+
+        Args:
+            value: The expression.
+            kind: The RAPID type, perhaps "variable <type>".
+        """
         if isinstance(value, syntax_tree.Literal) and value.kind == kind != "list":
             return
         if isinstance(value, syntax_tree.Name) and self.module is not None and not self.counters:
-            place = (self.module.name, value.text, kind)  # moves by the thousand name the same data
-            if place in self._fitting:
+            cache_key = (self.module.name, value.text, kind)  # thousands of moves name the same data
+            if cache_key in self._checked:
                 return
-            before = len(self.faults)
+            fault_count = len(self.faults)
             self._expect(value, kind)
-            if len(self.faults) == before:
-                self._fitting.add(place)
+            if len(self.faults) == fault_count:
+                self._checked.add(cache_key)
             return
         self._expect(value, kind)
 
     def _expect(self, value: syntax_tree.Expr, kind: str) -> None:
         variable = kind.startswith("variable ")
-        wanted = syntax_tree.base_type(kind.removeprefix("variable "))
-        if isinstance(value, syntax_tree.Aggregate) and wanted in syntax_tree.RECORDS:
-            parts = syntax_tree.RECORDS[wanted]
+        expected = syntax_tree.base_type(kind.removeprefix("variable "))
+        if isinstance(value, syntax_tree.Aggregate) and expected in syntax_tree.RECORDS:
+            parts = syntax_tree.RECORDS[expected]
             if len(parts) != len(value.items):
-                got = f"got {len(value.items)} components; a {wanted} has {len(parts)}"
+                got = f"got {len(value.items)} components; a {expected} has {len(parts)}"
                 self.fault(value.start, "rapid.arity", got)
                 return
             for part, item in zip(parts, value.items, strict=True):
                 self.expect(item, part)
             return
-        if wanted == "mecunit" and isinstance(value, syntax_tree.Name) and self.find(value.key) is None:
-            return  # the controller's configuration has them
-        if wanted in _SIGNAL_TYPES and isinstance(value, syntax_tree.Name) and self.find(value.key) is None:
+        if expected == "mecunit" and isinstance(value, syntax_tree.Name) and self.find(value.key) is None:
+            return  # the controller's configuration declares mechanical units
+        if expected in _SIGNAL_TYPES and isinstance(value, syntax_tree.Name) and self.find(value.key) is None:
             if self.signals is not None and value.key not in self.signals:
                 known = ", ".join(sorted(self.signals))
-                message = f"{shown(value.text)} is not a signal of the cell; known: {known}"
+                message = f"{shorten(value.text)} is not a signal of the cell; known: {known}"
                 self.fault(value.start, "rapid.undeclared", message)
             return
         if isinstance(value, syntax_tree.Literal) and value.kind == "list":
             try:
-                syntax_tree.conform(wanted, value.value, wanted)
+                syntax_tree.check_components(expected, value.value, expected)
             except syntax_tree.RapidValueError as wrong:
                 self.fault(value.start, wrong.code, wrong.message)
             return
         inferred = self.infer(value)
-        if inferred is not None and inferred != wanted:
-            self.fault(value.start, "rapid.type", f"got {inferred}; expected {wanted}")
+        if inferred is not None and inferred != expected:
+            self.fault(value.start, "rapid.type", f"got {inferred}; expected {expected}")
         elif variable and isinstance(value, syntax_tree.Name):
-            found = self.find(value.key)
-            if not isinstance(found, syntax_tree.Data) or found.storage == "CONST":
+            declaration = self.find(value.key)
+            if not isinstance(declaration, syntax_tree.DataDeclaration) or declaration.storage == "CONST":
                 self.fault(
-                    value.start, "rapid.type", f"{shown(value.text)} must be a VAR or PERS, for it is written"
+                    value.start,
+                    "rapid.type",
+                    f"{shorten(value.text)} is written to, so it must be a VAR or PERS",
                 )
 
     def infer(self, value: syntax_tree.Expr) -> str | None:
-        """The type of an expression, or None when a fault was noted."""
+        """Return the type of an expression, or None if a fault was recorded."""
         match value:
             case syntax_tree.Literal():
                 return value.kind
@@ -259,16 +287,18 @@ class Checker:
     def _name(self, value: syntax_tree.Name) -> str | None:
         if value.key in self.counters:
             return "num"
-        found = self.find(value.key)
-        if isinstance(found, syntax_tree.Data):
-            return syntax_tree.base_type(found.kind)
+        declaration = self.find(value.key)
+        if isinstance(declaration, syntax_tree.DataDeclaration):
+            return syntax_tree.base_type(declaration.kind)
         if value.key in syntax_tree.PREDEFINED:
             return syntax_tree.PREDEFINED[value.key][0]
         self._unknown(value)
         return None
 
     def _unknown(self, value: syntax_tree.Name) -> None:
-        message = f"{shown(value.text)} is not declared in the task's modules and not predefined; declare it"
+        message = (
+            f"{shorten(value.text)} is not declared in the task's modules and not predefined; declare it"
+        )
         self.fault(value.start, "rapid.undeclared", message)
 
     def _function(self, value: syntax_tree.Function) -> str | None:
@@ -278,7 +308,7 @@ class Checker:
             self.fault(
                 value.start,
                 "rapid.undeclared",
-                f"function {shown(value.text)} is not known; allowed: {allowed}",
+                f"function {shorten(value.text)} is not known; allowed: {allowed}",
             )
             return None
         kinds, result = known
@@ -310,14 +340,21 @@ class Checker:
         return result
 
 
-def placed(module: syntax_tree.Module, start: int, code: str, message: str) -> Fault:
-    """A fault at an offset of a module's text."""
+def fault_at(module: syntax_tree.Module, start: int, code: str, message: str) -> TextFault:
+    """Return a fault at an offset of a module's text.
+
+    Args:
+        module: The module.
+        start: Offset in its text.
+        code: Issue code.
+        message: What is wrong.
+    """
     row = bisect_right(module.starts, start)
-    return Fault(row, start - module.starts[row - 1] + 1, code, message, module.file)
+    return TextFault(row, start - module.starts[row - 1] + 1, code, message, module.file)
 
 
 def walk(value: syntax_tree.Expr) -> Iterator[syntax_tree.Expr]:
-    """The expression and all in it."""
+    """Yield the expression and all its subexpressions."""
     yield value
     match value:
         case syntax_tree.Aggregate():
@@ -335,12 +372,12 @@ def walk(value: syntax_tree.Expr) -> Iterator[syntax_tree.Expr]:
 
 
 def elements(value: syntax_tree.Expr) -> tuple[syntax_tree.Expr, ...] | None:
-    """The elements of a list expression, or None when it is none."""
+    """Return the elements of a list expression, or None if it is no list."""
     if isinstance(value, syntax_tree.Aggregate):
         return value.items
     if isinstance(value, syntax_tree.Literal) and value.kind == "list":
         return tuple(
             syntax_tree.Literal(value.start, "list" if isinstance(item, list) else "num", item)
             for item in value.value
-        )  # one place for all: the list was read in one step
+        )  # all share one offset: the list was parsed in one step
     return None

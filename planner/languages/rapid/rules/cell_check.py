@@ -1,4 +1,4 @@
-"""The cell check of RAPID programs: positions and frames that it compares."""
+"""The rule verify.cell_check on the cell check of RAPID programs: frames and positions that it compares."""
 
 import re
 from collections.abc import Sequence
@@ -9,76 +9,100 @@ from planner.languages.rapid import sentences as rapid_sentences
 from planner.languages.rapid.reader.configuration import rapid_words
 from planner.languages.rapid.reader.flow import CHECK_MODULE
 from planner.languages.rapid.reader.program_text import modules_of
-from planner.languages.rapid.reader.reader import masked
+from planner.languages.rapid.reader.reader import mask_comparisons
 from planner.languages.rapid.reader.syntax_tree import Instruction, Literal, ProcCall
 from planner.programs.stages import TaskText
 from planner.programs.steps import BASE_FRAME
 from planner.proof.context import Context
-from planner.proof.kinematics.external_axes import OuterAxis, outer_axes
-from planner.proof.rule import Outcome
+from planner.proof.kinematics.external_axes import TaskAxis, task_axes
+from planner.proof.rule import RuleOutcome
 from planner.proof.rules.controller_files import CELL_CHECK
-from planner.proof.rules.external_axes import OFF_HOME
+from planner.proof.rules.external_axes import HOME_TOLERANCES
 
-_BEFORE_CALL = frozenset({"ConfJ", "ConfL", "SingArea", "SetDO", "Reset"})
-"""What may stand in main before the call."""
+_ALLOWED_BEFORE_CALL = frozenset({"ConfJ", "ConfL", "SingArea", "SetDO", "Reset"})
+"""Statements that may precede the call in main."""
 _CHECK_HEAD = ["proc", "check_cell", "(", ")"]
 """First words of the procedure that checks the cell."""
 _AXES_HEAD = ["proc", "check_axes", "(", ")"]
 """First words of the procedure that checks the positions of tracks and turntables."""
-_DISTANCE, _TURN = 0.1, 0.02
+_POSITION_TOLERANCE_MM, _ROTATION_TOLERANCE_DEG = 0.1, 0.02
 """How far the controller's frames may be off the plan's [mm], [degrees]."""
 
 
-def cell_check(context: Context, task: TaskText) -> Outcome:
-    """Faults of the comparison of the cell with the plan (verify.cell_check)."""
+def cell_check(context: Context, task: TaskText) -> RuleOutcome:
+    """Return the faults of the comparison of the cell with the plan (verify.cell_check).
+
+    Args:
+        context: The proof.
+        task: The task.
+    """
     hint = "plan again; copy all modules"
-    found = _check_faults(context, task)
-    return Outcome(
-        tuple(Issue(CELL_CHECK, what, arm=task.arm.name, file=file, hint=hint) for file, what in found)
+    faults = _check_faults(context, task)
+    return RuleOutcome(
+        tuple(Issue(CELL_CHECK, what, arm=task.arm.name, file=file, hint=hint) for file, what in faults)
     )
 
 
 def _check_faults(context: Context, task: TaskText) -> list[tuple[str, str]]:
-    own = [path for path in task.files if CHECK_MODULE.match(PurePosixPath(path).name)]
-    if len(own) != 1:
-        return [(task.name, f"{len(own)} modules compare the cell with the plan; wanted: one, TandemCheck_n")]
-    out = [] if _called(task) else [(task.name, "main does not call check_cell before anything else")]
-    file = own[0]
+    check_modules = [path for path in task.files if CHECK_MODULE.match(PurePosixPath(path).name)]
+    if len(check_modules) != 1:
+        return [
+            (
+                task.name,
+                f"{len(check_modules)} modules compare the cell with the plan; required: one, TandemCheck_n",
+            )
+        ]
+    out = (
+        [] if _is_called_first(task) else [(task.name, "main does not call check_cell before anything else")]
+    )
+    file = check_modules[0]
     words = rapid_words(task.files[file])
-    together = len(context.job.tasks) > 1 and context.job.readings is None
-    parts = _parts(words)
+    multiple_tasks = len(context.job.tasks) > 1 and context.job.automata_by_arm is None
+    parts = _split_module(words)
     if parts is None:
-        return [*out, (file, "it is not of the form that check_cell has")]
+        return [*out, (file, "the procedure check_cell does not have its expected form")]
     module, body, handler, rest = parts
-    axes = outer_axes(task.arm, context.problem.cell.turntable)
-    second, looks, rest = _axes_parts(rest) if axes else ([], [], rest)
-    if rapid_words(masked(task.files[file])) != [*module, *_CHECK_HEAD, *handler, *second, "endmodule"]:
-        out.append((file, "its handler cannot be told from what compares"))
-    if looks != _axes_wanted(axes):
-        out.append((file, "it does not look as it should whether tracks and turntables are at home"))
-    head, calls = _wanted(context, task)
-    if module[:1] != ["module"] or len(module) != 2 or rest != rapid_words(_helpers(together, bool(axes))):
-        out.append((file, "the procedures that compare are not as they should be"))
+    axes = task_axes(task.arm, context.problem.cell.turntable)
+    axes_frame, axes_statements, rest = _split_axes_check(rest) if axes else ([], [], rest)
+    if rapid_words(mask_comparisons(task.files[file])) != [
+        *module,
+        *_CHECK_HEAD,
+        *handler,
+        *axes_frame,
+        "endmodule",
+    ]:
+        out.append((file, "its error handler cannot be separated from its comparisons"))
+    if axes_statements != _expected_axes_check(axes):
+        out.append((file, "it does not check correctly that tracks and turntables are at home"))
+    head, calls = _expected_statements(context, task)
+    if (
+        module[:1] != ["module"]
+        or len(module) != 2
+        or rest != rapid_words(_expected_helpers(multiple_tasks, bool(axes)))
+    ):
+        out.append((file, "the comparing procedures differ from their expected text"))
     if body[: len(head)] != head:
-        out.append((file, "it does not read the base frame as it should, or not of this robot"))
+        out.append((file, "it does not read the base frame of this robot as expected"))
     compared = sorted(body[len(head) :])
-    out += [(file, f"it does not compare {_shown_call(lost)}") for lost in sorted(set(calls) - set(compared))]
+    out += [
+        (file, f"it does not compare {_describe_call(call)}") for call in sorted(set(calls) - set(compared))
+    ]
     if not out and compared != sorted(calls):
-        out.append((file, "it does more than compare what was planned"))
+        out.append((file, "it does more than the expected comparisons"))
     return out
 
 
-def _shown_call(call: str) -> str:
-    found = re.search(r'"([^"]*)"', call)
-    return (found.group(1) if found else call) + " with what was planned"
+def _describe_call(call: str) -> str:
+    match = re.search(r'"([^"]*)"', call)
+    return (match.group(1) if match else call) + " with the plan"
 
 
-def _called(task: TaskText) -> bool:
+def _is_called_first(task: TaskText) -> bool:
     mains = [p for module in modules_of(task.text) for p in module.procedures if p.name.lower() == "main"]
     for statement in mains[0].body if len(mains) == 1 else ():
         if isinstance(statement, ProcCall):
             return statement.name.lower() == "check_cell"
-        if not (isinstance(statement, Instruction) and statement.name in _BEFORE_CALL):
+        if not (isinstance(statement, Instruction) and statement.name in _ALLOWED_BEFORE_CALL):
             return False
         if statement.name == "SetDO" and not (
             isinstance(statement.arguments[1], Literal) and statement.arguments[1].value == 0
@@ -87,9 +111,11 @@ def _called(task: TaskText) -> bool:
     return False
 
 
-def _parts(words: Sequence[str]) -> tuple[list[str], list[str], list[str], list[str]] | None:
-    """Words before the procedure, its statements, words of its handler, which is judged as those of all
-    procedures are, and words behind it."""
+def _split_module(words: Sequence[str]) -> tuple[list[str], list[str], list[str], list[str]] | None:
+    """Words before the procedure, its statements, words of its handler, and words after it.
+
+    The handler is checked by the rule on all handlers.
+    """
     text = list(words)
     at = next((i for i in range(len(text)) if text[i : i + 4] == _CHECK_HEAD), None)
     if at is None or "error" not in text[at:] or "endproc" not in text[at:]:
@@ -97,35 +123,37 @@ def _parts(words: Sequence[str]) -> tuple[list[str], list[str], list[str], list[
     handler, end = text.index("error", at), text.index("endproc", at)
     if handler > end or text[-1:] != ["endmodule"]:
         return None
-    body: list[str] = [" ".join(part) for part in _split(text[at + 4 : handler])]
+    body: list[str] = [" ".join(part) for part in _split_statements(text[at + 4 : handler])]
     return text[:at], body, text[handler : end + 1], text[end + 1 : -1]
 
 
-def _axes_parts(rest: Sequence[str]) -> tuple[list[str], list[str], list[str]]:
-    """Words of the frame of the procedure that looks at external axes, with its handler, its statements, and
-    words behind it; all is behind it where there is none."""
+def _split_axes_check(rest: Sequence[str]) -> tuple[list[str], list[str], list[str]]:
+    """Frame and statements of the procedure that checks external axes, and the words after it.
+
+    The frame includes the handler. Without such a procedure all words come after it.
+    """
     text = list(rest)
     if text[: len(_AXES_HEAD)] != _AXES_HEAD or "error" not in text or "endproc" not in text:
         return [], [], text
     handler, end = text.index("error"), text.index("endproc")
     if handler > end:
         return [], [], text
-    body = [" ".join(part) for part in _split(text[len(_AXES_HEAD) : handler])]
+    body = [" ".join(part) for part in _split_statements(text[len(_AXES_HEAD) : handler])]
     return [*_AXES_HEAD, *text[handler : end + 1]], body, text[end + 1 :]
 
 
-def _axes_wanted(axes: Sequence[OuterAxis]) -> list[str]:
+def _expected_axes_check(axes: Sequence[TaskAxis]) -> list[str]:
     text = "VAR jointtarget cfg_here; cfg_here:=CJointT();" if axes else ""
-    for axis in sorted(axes, key=lambda one: one.column):
-        here = f"cfg_here.extax.eax_{'abcdef'[axis.column]}"
-        name = rapid_sentences.AXIS_OF.filled(unit=axis.unit)
+    for axis in sorted(axes, key=lambda external_axis: external_axis.column):
+        value = f"cfg_here.extax.eax_{'abcdef'[axis.column]}"
+        name = rapid_sentences.AXIS_OF.format(unit=axis.label)
         home = f"{axis.home / axis.scale:.4f}"
         home = home.removeprefix("-") if float(home) == 0.0 else home
-        text += f'check_axis "{name}",{here},{home},{OFF_HOME[axis.sign]:g};'
+        text += f'check_axis "{name}",{value},{home},{HOME_TOLERANCES[axis.unit_symbol]:g};'
     return _statements(text)
 
 
-def _split(words: Sequence[str]) -> list[list[str]]:
+def _split_statements(words: Sequence[str]) -> list[list[str]]:
     out: list[list[str]] = [[]]
     for word in words:
         if word == ";":
@@ -136,96 +164,97 @@ def _split(words: Sequence[str]) -> list[list[str]]:
 
 
 def _statements(text: str) -> list[str]:
-    return [" ".join(part) for part in _split(rapid_words(text))]
+    return [" ".join(part) for part in _split_statements(rapid_words(text))]
 
 
-def _wanted(context: Context, task: TaskText) -> tuple[list[str], list[str]]:
-    """How the base frame is read, in this order, and the comparisons, in any order."""
+def _expected_statements(context: Context, task: TaskText) -> tuple[list[str], list[str]]:
+    """Statements that read the base frame, in this order, and comparisons, in any order."""
     controller = context.problem.cell.controller
     arms = [arm.name for arm in context.problem.cell.arms]
-    place = f'"/MOC/ROBOT/{controller.robot(arms.index(task.arm.name))}"'
+    config_path = f'"/MOC/ROBOT/{controller.robot_name(arms.index(task.arm.name))}"'
     read = "VAR pose cfg_base; VAR num cfg_value;"
     for axis in "xyz":
         read += (
-            f'ReadCfgData {place},"base_frame_pos_{axis}",cfg_value; cfg_base.trans.{axis}:=1000*cfg_value;'
+            f'ReadCfgData {config_path},"base_frame_pos_{axis}",cfg_value; '
+            f"cfg_base.trans.{axis}:=1000*cfg_value;"
         )
     for part in range(4):
-        read += f'ReadCfgData {place},"base_frame_orient_u{part}",cfg_value;'
+        read += f'ReadCfgData {config_path},"base_frame_orient_u{part}",cfg_value;'
         read += f"cfg_base.rot.q{part + 1}:=cfg_value;"
-    calls = f'check_pose "{rapid_sentences.BASE_OF.filled(arm=task.arm.name)}",cfg_base,{BASE_FRAME};'
+    calls = f'check_pose "{rapid_sentences.BASE_OF.format(arm=task.arm.name)}",cfg_base,{BASE_FRAME};'
     for data in (data for module in modules_of(task.text) for data in module.data):
         if not isinstance(data.initial, Literal) or data.kind not in ("tooldata", "wobjdata"):
             continue
-        calls += _compared(data.name, data.kind, _raw(task, data.name))
+        calls += _comparisons(data.name, data.kind, _declared_components(task, data.name))
     return _statements(read), _statements(calls)
 
 
-def _compared(name: str, kind: str, value: Sequence[str]) -> str:
-    """Comparisons of a declared tool or work object, whose parts are ``value`` as text."""
+def _comparisons(name: str, kind: str, value: Sequence[str]) -> str:
+    """Comparisons of a declared tool or work object, whose components are ``value`` as text."""
     if kind == "tooldata":
-        text = f'check_pose "{rapid_sentences.FRAME_OF.filled(name=name)}",{name}.tframe,{value[1]};'
-        return text + f'check_true "{rapid_sentences.HOLDER_OF.filled(name=name)}",{name}.robhold;'
-    text = f'check_pose "{rapid_sentences.OBJECT_FRAME_OF.filled(name=name)}",{name}.oframe,{value[4]};'
-    who = f'check_true "{rapid_sentences.HOLDER_OF.filled(name=name)}",NOT {name}.robhold AND '
+        text = f'check_pose "{rapid_sentences.FRAME_OF.format(name=name)}",{name}.tframe,{value[1]};'
+        return text + f'check_true "{rapid_sentences.HOLDER_OF.format(name=name)}",{name}.robhold;'
+    text = f'check_pose "{rapid_sentences.OBJECT_FRAME_OF.format(name=name)}",{name}.oframe,{value[4]};'
+    holder_check = f'check_true "{rapid_sentences.HOLDER_OF.format(name=name)}",NOT {name}.robhold AND '
     if value[1].upper() == "TRUE":
-        text += f'check_pose "{rapid_sentences.USER_FRAME_OF.filled(name=name)}",{name}.uframe,{value[3]};'
-        return text + f"{who}{name}.ufprog;"
-    return text + f"{who}NOT {name}.ufprog AND {name}.ufmec={value[2]};"
+        text += f'check_pose "{rapid_sentences.USER_FRAME_OF.format(name=name)}",{name}.uframe,{value[3]};'
+        return text + f"{holder_check}{name}.ufprog;"
+    return text + f"{holder_check}NOT {name}.ufprog AND {name}.ufmec={value[2]};"
 
 
-def _raw(task: TaskText, name: str) -> list[str]:
+def _declared_components(task: TaskText, name: str) -> list[str]:
     for path, text in task.files.items():
         if CHECK_MODULE.match(PurePosixPath(path).name):
             continue
         if re.search(rf"(?i)\b{name}\s*:=", text) is None:
-            continue  # nor without comments, of which each leaves a semicolon
+            continue  # a comment becomes one semicolon below, so the name would not appear then either
         plain = re.sub(r"(?m)^\s*!.*|;\s*!.*", ";", text)
-        found = re.search(rf"(?i)\b{name}\s*:=\s*\[(.*?)\]\s*;", plain, re.DOTALL)
-        if found is not None:
-            return _components(found.group(1))
+        match = re.search(rf"(?i)\b{name}\s*:=\s*\[(.*?)\]\s*;", plain, re.DOTALL)
+        if match is not None:
+            return _components(match.group(1))
     return [""] * 5
 
 
 def _components(text: str) -> list[str]:
     out, depth, quoted = [""], 0, False
-    for sign in text:
-        quoted ^= sign == '"'
-        depth += 0 if quoted else (sign == "[") - (sign == "]")
-        if sign == "," and depth == 0 and not quoted:
+    for character in text:
+        quoted ^= character == '"'
+        depth += 0 if quoted else (character == "[") - (character == "]")
+        if character == "," and depth == 0 and not quoted:
             out.append("")
         else:
-            out[-1] += sign
+            out[-1] += character
     return [part.strip() for part in out] + [""] * 5
 
 
-def _helpers(together: bool, axes: bool) -> str:
-    """The procedures that compare, as they have to be; ``axes``: tracks and turntables, too."""
+def _expected_helpers(multiple_tasks: bool, with_axes: bool) -> str:
+    """Expected text of the comparing procedures; ``with_axes``: tracks and turntables included."""
     parts = ("1", "2", "3", "4")
     dot = "+".join(f"got.rot.q{i}*wanted.rot.q{i}" for i in parts)
     squares = "+".join(f"Pow(got.rot.q{i}-off_sign*wanted.rot.q{i},2)" for i in parts)
-    stop = "Stop\\AllMoveTasks" if together else "Stop"
+    stop = "Stop\\AllMoveTasks" if multiple_tasks else "Stop"
     axis = f"""
     PROC check_axis(string what, num got, num wanted, num most)
       IF Abs(got-wanted)>most THEN
-        TPWrite what; TPWrite "{rapid_sentences.OFF_HOME}"\\Num:=got-wanted; check_stop;
+        TPWrite what; TPWrite "{rapid_sentences.HOME_DEVIATION}"\\Num:=got-wanted; check_stop;
       ENDIF
     ENDPROC"""
-    said_last = "".join(f'TPWrite "{line}";' for line in rapid_sentences.NOTHING_MOVES)
+    final_texts = "".join(f'TPWrite "{line}";' for line in rapid_sentences.MOTION_BLOCKED)
     return f"""
     PROC check_pose(string what, pose got, pose wanted)
       VAR num off_sign:=1; VAR num off_turn;
       IF {dot}<0 THEN off_sign:=-1; ENDIF
       off_turn:=114.591559*Sqrt({squares});
-      IF Distance(got.trans,wanted.trans)>{_DISTANCE} OR off_turn>{_TURN} THEN
-        TPWrite what; TPWrite "{rapid_sentences.OFF_BY_MM}"\\Num:=Distance(got.trans,wanted.trans);
-        TPWrite "{rapid_sentences.OFF_BY_DEGREES}"\\Num:=off_turn; check_stop;
+      IF Distance(got.trans,wanted.trans)>{_POSITION_TOLERANCE_MM} OR off_turn>{_ROTATION_TOLERANCE_DEG} THEN
+        TPWrite what; TPWrite "{rapid_sentences.POSITION_DEVIATION}"\\Num:=Distance(got.trans,wanted.trans);
+        TPWrite "{rapid_sentences.ROTATION_DEVIATION}"\\Num:=off_turn; check_stop;
       ENDIF
     ENDPROC
     PROC check_true(string what, bool same)
-      IF NOT same THEN TPWrite what; TPWrite "{rapid_sentences.NOT_AS_PLANNED}"; check_stop; ENDIF
+      IF NOT same THEN TPWrite what; TPWrite "{rapid_sentences.DIFFERS_FROM_PLAN}"; check_stop; ENDIF
     ENDPROC
-    {axis if axes else ""}
+    {axis if with_axes else ""}
     PROC check_stop()
-      {said_last} WHILE TRUE DO {stop}; ENDWHILE
+      {final_texts} WHILE TRUE DO {stop}; ENDWHILE
     ENDPROC
     """

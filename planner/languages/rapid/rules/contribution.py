@@ -1,4 +1,4 @@
-"""What RAPID contributes to the proof."""
+"""Rules, checks and texts that RAPID contributes to the proof."""
 
 from typing import Final
 
@@ -12,7 +12,7 @@ from planner.languages.rapid.rules import (
     settings,
     text,
 )
-from planner.proof.language_contribution import ExternalAxes, ProofOfLanguage, StartSentences
+from planner.proof.language_contribution import AxisFormat, ProofOfLanguage, StartSentences
 
 PROOF: Final = ProofOfLanguage(
     rules=(settings.error_handler, settings.undo, confdata.confdata),
@@ -29,12 +29,12 @@ PROOF: Final = ProofOfLanguage(
     },
     job_checks={"verify.files": text.program_lists},
     same_text=text.same_text,
-    targets_in=text.targets_in,
+    targets_in=text.target_offsets,
     start=StartSentences(joined=sentences.NO_WIRE),
-    external_axes=ExternalAxes(
+    external_axes=AxisFormat(
         names=("eax_a", "eax_b", "eax_c", "eax_d", "eax_e", "eax_f"),
         zero_is_unused=False,
-        looks_at=external_axes.looks_at,
+        checks_home=external_axes.checks_axis,
     ),
     controller_files=controller_files.controller_files,
 )

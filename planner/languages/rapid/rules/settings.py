@@ -11,35 +11,39 @@ from planner.programs.steps import (
     LoadStep,
     MessageStep,
     MoveStep,
+    ProgramStep,
     SettingStep,
     SignalStep,
-    Step,
     SyncStep,
     WaitStep,
 )
 from planner.proof.context import Context
 from planner.proof.findings import Findings
-from planner.proof.rule import Outcome, rule
+from planner.proof.rule import RuleOutcome, rule
 
 UNDO_RULE = "verify.undo"
 """Code of the rule about UNDO handlers."""
 
 
 @rule("verify.undo")
-def undo(context: Context) -> Outcome:
-    """Where a task switches power or opens synchronised blocks, every procedure has an UNDO that switches the
-    power off first and leaves the block, whichever of the called ones the program pointer is moved out of;
-    KRL and URScript have none."""
+def undo(context: Context) -> RuleOutcome:
+    """RAPID: each procedure of a task that switches power or synchronises moves has an UNDO that ends both.
+
+    UNDO switches the power off first and then leaves the synchronised block, whichever called procedure the
+    program pointer is moved out of. KRL and URScript have no UNDO.
+    """
     findings = Findings(UNDO_RULE, context)
-    wanted = False
+    applies = False
     hint = "switch the power off, then SyncMoveUndo, in UNDO of every procedure"
     for task in context.job.tasks:
-        signals, blocks = powers(context, task), _blocks(task)
-        wanted |= bool(signals or blocks) and isinstance(task.text, RapidText)
+        signals, blocks = power_outputs(context, task), _has_blocks(task)
+        applies |= bool(signals or blocks) and isinstance(task.text, RapidText)
         for module, procedure in _procedures(task):
-            faults = _faults(task.undos.get((module.name, procedure.name)), signals, blocks)
-            _add(findings, task, module, procedure, [f"UNDO of {procedure.name}: {f}" for f in faults], hint)
-    return findings.outcome_without_value("" if wanted else "no power and no block")
+            faults = _undo_faults(task.undos.get((module.name, procedure.name)), signals, blocks)
+            _add_findings(
+                findings, task, module, procedure, [f"UNDO of {procedure.name}: {f}" for f in faults], hint
+            )
+    return findings.outcome_without_value("" if applies else "no power outputs and no synchronised blocks")
 
 
 def _procedures(task: TaskText) -> Iterator[tuple[Module, Procedure]]:
@@ -48,7 +52,7 @@ def _procedures(task: TaskText) -> Iterator[tuple[Module, Procedure]]:
             yield module, procedure
 
 
-def _add(
+def _add_findings(
     findings: Findings,
     task: TaskText,
     module: Module,
@@ -61,69 +65,78 @@ def _add(
         findings.add(what, arm=task.arm.name, file=file, line=procedure.line, field=procedure.name, hint=hint)
 
 
-def powers(context: Context, task: TaskText) -> list[str]:
-    """Signals of power that a task can switch: all of one controller's tasks, or those of its own one."""
-    everywhere = sorted({power.signal for power in claimed_powers(context.claims) if not power.pulsed})
-    if context.job.readings is None:
-        return everywhere
-    own = {step.signal.lower() for step in task.steps if isinstance(step, SignalStep)}
-    return [signal for signal in everywhere if signal.lower() in own]
+def power_outputs(context: Context, task: TaskText) -> list[str]:
+    """Return the power outputs that a task can switch: those of all tasks of one controller, or its own.
+
+    Args:
+        context: The proof.
+        task: The task.
+    """
+    claimed = sorted({power.signal for power in claimed_powers(context.claims) if not power.pulsed})
+    if context.job.automata_by_arm is None:
+        return claimed
+    switched = {step.signal.lower() for step in task.steps if isinstance(step, SignalStep)}
+    return [signal for signal in claimed if signal.lower() in switched]
 
 
-def _blocks(task: TaskText) -> bool:
+def _has_blocks(task: TaskText) -> bool:
     return any(point.kind == "SyncMoveOn" for point in sync_points(task))
 
 
-def _faults(steps: tuple[Step, ...] | None, signals: list[str], blocks: bool) -> list[str]:
-    """What an UNDO section lacks."""
+def _undo_faults(steps: tuple[ProgramStep, ...] | None, signals: list[str], blocks: bool) -> list[str]:
+    """Faults of an UNDO section."""
     if not signals and not blocks:
         return []
     if steps is None:
         return ["there is none"]
     plain = [s for s in steps if not isinstance(s, MessageStep) and not s.condition]
-    off = {s.signal.lower() for s in plain if isinstance(s, SignalStep) and not (s.value or s.delay)}
-    faults = [f"it does not switch {signal} off" for signal in signals if signal.lower() not in off]
-    left = [i for i, step in enumerate(plain) if isinstance(step, SyncStep) and step.kind == "SyncMoveUndo"]
-    if blocks and not left:
-        faults.append("it does not leave the block (SyncMoveUndo)")
-    if left and any(isinstance(step, SignalStep) for step in plain[left[0] :]):
-        faults.append("it leaves the block before the power is off")
+    switched_off = {s.signal.lower() for s in plain if isinstance(s, SignalStep) and not (s.value or s.delay)}
+    faults = [f"it does not switch {signal} off" for signal in signals if signal.lower() not in switched_off]
+    block_ends = [
+        i for i, step in enumerate(plain) if isinstance(step, SyncStep) and step.kind == "SyncMoveUndo"
+    ]
+    if blocks and not block_ends:
+        faults.append("it does not end the synchronised block (SyncMoveUndo)")
+    if block_ends and any(isinstance(step, SignalStep) for step in plain[block_ends[0] :]):
+        faults.append("it ends the synchronised block before the power is off")
     return faults
 
 
 _REFUSED_ATTRIBUTES = {
-    "sysmodule": "it stays in the controller when the program is taken out, beside the next one",
+    "sysmodule": "it stays in the controller after the program is removed",
     "noview": "nobody can read it at the controller",
-    "nostepin": "stepping through the program passes over it, moves and all",
+    "nostepin": "stepping through the program skips it with its moves",
     "viewonly": "nobody can correct it at the controller",
     "readonly": "nobody can correct it at the controller",
 }
-"""Attributes of modules that are refused, and why."""
+"""Attributes of modules that are refused, with the reason."""
 
 
 @rule("verify.error_handler")
-def error_handler(context: Context) -> Outcome:
-    """Every procedure has an error handler that switches the power off first, stops the motion, says so,
-    stops all tasks, and does not go on; it switches no track or table on or off; KRL and URScript have
-    none."""
+def error_handler(context: Context) -> RuleOutcome:
+    """RAPID: every procedure has an error handler that switches power off, stops all tasks and stays stopped.
+
+    It switches the power off first, stops the motion, reports the error, stops all tasks, and does not
+    resume. It switches no track or table on or off. KRL and URScript have no error handlers.
+    """
     findings = Findings("verify.error_handler", context)
-    many = len(context.job.tasks) > 1 and context.job.readings is None
+    multiple_tasks = len(context.job.tasks) > 1 and context.job.automata_by_arm is None
     for task in context.job.tasks:
-        signals = powers(context, task)
+        signals = power_outputs(context, task)
         for module, procedure in _procedures(task):
             handler = task.handlers.get((module.name, procedure.name))
-            faults = ["it has none"] if handler is None else _handler_faults(handler, signals, many)
-            told = [f"error handler of {procedure.name}: {fault}" for fault in faults]
-            _add(findings, task, module, procedure, told)
+            faults = ["it has none"] if handler is None else _handler_faults(handler, signals, multiple_tasks)
+            findings_text = [f"error handler of {procedure.name}: {fault}" for fault in faults]
+            _add_findings(findings, task, module, procedure, findings_text)
     return findings.outcome_without_value()
 
 
-def _handler_faults(steps: tuple[Step, ...], signals: list[str], many: bool) -> list[str]:
+def _handler_faults(steps: tuple[ProgramStep, ...], signals: list[str], multiple_tasks: bool) -> list[str]:
     head = [s for s in steps if not isinstance(s, MessageStep) or s.confirm][: len(signals)]
-    signs = [s for s in head if isinstance(s, SignalStep)]
-    off = {s.signal.lower() for s in signs if not (s.value or s.condition or s.delay)}
-    left = [signal for signal in signals if signal.lower() not in off]
-    faults = [f"it does not switch {signal} off before anything else" for signal in left]
+    signal_steps = [s for s in head if isinstance(s, SignalStep)]
+    switched_off = {s.signal.lower() for s in signal_steps if not (s.value or s.condition or s.delay)}
+    still_on = [signal for signal in signals if signal.lower() not in switched_off]
+    faults = [f"it does not switch {signal} off before anything else" for signal in still_on]
     if any(isinstance(step, SignalStep) and step.value for step in steps):
         faults.append("it switches something on")
     if any(isinstance(step, MoveStep | LoadStep) for step in steps):
@@ -132,7 +145,7 @@ def _handler_faults(steps: tuple[Step, ...], signals: list[str], many: bool) -> 
     if kinds & {"ActUnit", "DeactUnit"}:
         faults.append("it switches a track or table on or off")
     if kinds & {"RETRY", "TRYNEXT", "StartMove", "RETURN"}:
-        faults.append("it goes on with the program")
+        faults.append("it resumes the program")
     plain = [step for step in steps if not step.condition]
     halts = [step for step in plain if isinstance(step, SettingStep) and step.kind == "Stop"]
     plain_settings = ((i, s) for i, s in enumerate(steps) if isinstance(s, SettingStep) and not s.condition)
@@ -140,12 +153,12 @@ def _handler_faults(steps: tuple[Step, ...], signals: list[str], many: bool) -> 
     if stop is None:
         faults.append("it does not stop the motion (StopMove)")
     elif any(isinstance(step, WaitStep | MessageStep) for step in steps[:stop]):
-        faults.append("it waits or talks before it stops the motion (StopMove)")
+        faults.append("it waits or shows a text before it stops the motion (StopMove)")
     if not any(isinstance(step, MessageStep) and step.text.strip() for step in plain):
-        faults.append("it tells nobody what has happened (TPWrite)")
+        faults.append("it does not report the error (TPWrite)")
     if not halts:
         faults.append("it does not stop the program before it ends (Stop)")
-    elif many and not any("allmovetasks" in step.switches for step in halts):
+    elif multiple_tasks and not any("allmovetasks" in step.switches for step in halts):
         faults.append("it does not stop the other tasks (Stop\\AllMoveTasks)")
     last = steps[-1] if steps else None
     if not (isinstance(last, SettingStep) and last.kind in ("EXIT", "RAISE") and not last.condition):
@@ -153,13 +166,18 @@ def _handler_faults(steps: tuple[Step, ...], signals: list[str], many: bool) -> 
     return faults
 
 
-def hidden(context: Context, task: TaskText) -> Outcome:
-    """Attributes of modules, and procedures that nothing calls (verify.hidden)."""
+def hidden(context: Context, task: TaskText) -> RuleOutcome:
+    """Refuse attributes of modules and procedures that are never called (verify.hidden).
+
+    Args:
+        context: The proof.
+        task: The task.
+    """
     findings, arm = Findings("verify.hidden", context), task.arm.name
     for module in modules_of(task.text):
-        for word in (*module.attributes, *_system(module)):
+        for word in (*module.attributes, *_implied_attributes(module)):
             what = f"module {module.name} is {word.upper()}: {_REFUSED_ATTRIBUTES[word]}"
-            findings.add(what, arm=arm, file=module.file, hint="take the attribute out")
+            findings.add(what, arm=arm, file=module.file, hint="remove the attribute")
         for procedure in module.procedures:
             if (module.name, procedure.name) not in task.called:
                 what, file = f"{module.name}:{procedure.name} is never called", f"{task.name}/{module.name}"
@@ -167,12 +185,17 @@ def hidden(context: Context, task: TaskText) -> Outcome:
     return findings.outcome_without_value()
 
 
-def _system(module: Module) -> tuple[str, ...]:
+def _implied_attributes(module: Module) -> tuple[str, ...]:
     return ("sysmodule",) if PurePosixPath(module.file).suffix.lower().startswith(".sys") else ()
 
 
-def hidden_signals(context: Context, task: TaskText) -> Outcome:
-    """Data that hide signals of the controller (verify.signals)."""
+def hidden_signals(context: Context, task: TaskText) -> RuleOutcome:
+    """Refuse data that hide signals of the controller (verify.signals).
+
+    Args:
+        context: The proof.
+        task: The task.
+    """
     findings = Findings("verify.signals", context)
     for data in (data for module in modules_of(task.text) for data in module.data):
         if data.kind.startswith("signal"):

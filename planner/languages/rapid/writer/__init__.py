@@ -1,1 +1,1 @@
-"""Writes RAPID programs and the configuration of ABB controllers."""
+"""Writer of RAPID programs and of the configuration of ABB controllers."""

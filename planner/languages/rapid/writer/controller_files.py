@@ -1,9 +1,9 @@
-"""Files for an ABB controller, beside the program: what its power outputs hang on besides the program.
+"""Configuration files and system module of an ABB controller, which switch power outputs beside the program.
 
-The program sets a request; a cross connection lets the real output follow while a program runs and the motors
-are on, of two controllers on both sides. Event routines take the request back at every stop, and ask at a
-start behind a stop in a cut. Behind a stop at which a torch burned no program goes on: only one that begins
-anew is asked about, and nobody sets a torch's request by hand.
+The program sets a request. A cross connection lets the real output follow while a program runs and the
+motors are on; with two controllers, while this holds for both. Event routines reset the request at every
+stop, and ask the operator at a start after a stop in a cut. After a stop at which a torch burned, no program
+resumes: the operator is asked only at a start from main, and nobody can set the request of a torch by hand.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,51 +14,64 @@ from planner.claims.handshake import SignalWire
 from planner.languages.rapid import sentences as rapid_sentences
 from planner.languages.rapid.writer.syntax import identifier, quoted
 from planner.languages.writing import handshake
+from planner.languages.writing.language import PoweredSignals
 from planner.problem import Controller
 
 POWER_MODULE: Final = "TandemPower"
-"""Name of the module that switches outputs off and on at stops."""
-_OFF_AT: Final = ("STOP", "QSTOP", "RESET")
-"""System events at which outputs go off."""
-_ON_AT: Final = ("START", "RESTART", "STEP")
-"""System events at which an output may be on again."""
-_RESTARTS: Final = ("RESTART", "STEP")
-"""Those of them at which a program goes on where it stopped."""
-_POWERED_UP: Final = "POWER_ON"
-"""The system event of a controller that was off, when no stop was seen."""
+"""Name of the module that switches outputs at stops and starts."""
+_POWER_OFF_EVENTS: Final = ("STOP", "QSTOP", "RESET")
+"""System events at which outputs are switched off."""
+_POWER_ON_EVENTS: Final = ("START", "RESTART", "STEP")
+"""System events at which an output may be switched on again."""
+_RESUME_EVENTS: Final = ("RESTART", "STEP")
+"""The events of ``_POWER_ON_EVENTS`` at which a program resumes where it stopped."""
+_POWER_UP_EVENT: Final = "POWER_ON"
+"""System event of a controller that was off, so that it saw no stop."""
 SignalType = Literal["DI", "DO"]
-"""What a controller calls a digital input and a digital output."""
+"""ABB's names for a digital input and a digital output."""
 _CONFIG_WIDTH: Final = 80
-"""Lines of a configuration file are broken at so many characters."""
+"""Maximum length of a line of a configuration file [characters]; longer rows are continued."""
 ConfigurationRow = Mapping[str, str | None]
-"""An instance of a type of ABB's configuration: values by attribute, None for one without a value."""
+"""An instance of a type of ABB's configuration: values by attribute, None where one has no value."""
 
 
-def files(
+def build_files(
     controller: Controller,
     tasks: Sequence[str],
-    signals: Sequence[str],
-    others: Mapping[str, SignalType],
     arms: Sequence[str],
-    wires: Sequence[SignalWire] = (),
-    torches: Sequence[str] = (),
+    powered: PoweredSignals,
+    other_signals: Mapping[str, SignalType],
 ) -> dict[str, str]:
-    """The files, by name, for motion ``tasks`` of the one controller of ``arms``, whose programs switch
-    ``signals``, which power something, and name ``others``; ``wires``: the running wires between it and
-    another controller; ``torches``: those of the signals that light one."""
-    arm = arms[0]
-    requests = [identifier(signal) for signal in signals]
-    lit = [identifier(signal) for signal in torches]
-    suffix = ".sys" if controller.robotware == 6 else ".sysx"
-    more = {identifier(name): kind for name, kind in others.items()}
-    named: list[ConfigurationRow] = [
-        {"Name": name, "SignalType": kind, **placed(controller, arms, name)} for name, kind in more.items()
+    """Return the files of one controller by name.
+
+    These are EIO.cfg, README.txt and, if the programs switch power, SYS.cfg and the module TandemPower.
+
+    Args:
+        controller: Controllers of the cell.
+        tasks: Motion tasks of this controller.
+        arms: Names of its arms.
+        powered: Power outputs that its programs switch, and the running wires between it and another
+            controller.
+        other_signals: Other signals that its programs name, with their types.
+    """
+    arm, wires = arms[0], powered.wires
+    requests = [identifier(signal) for signal in powered.signals]
+    torch_requests = [identifier(signal) for signal in powered.torches]
+    other_types = {identifier(name): kind for name, kind in other_signals.items()}
+    other_rows: list[ConfigurationRow] = [
+        {"Name": name, "SignalType": kind, **device_attributes(controller, arms, name)}
+        for name, kind in other_types.items()
     ]
-    out = {"EIO.cfg": _eio(controller, requests, lit, arm, bool(wires), named)}
+    out = {"EIO.cfg": _eio(controller, requests, torch_requests, arm, bool(wires), other_rows)}
     if requests:
-        out["SYS.cfg"] = _sys(controller, tasks, suffix, bool(lit))
-        out[f"{POWER_MODULE}{suffix}"] = _module(controller, requests, lit, len(tasks) > 1)
-    return out | {"README.txt": _readme(controller, requests, lit, suffix, arm, wires, named)}
+        out["SYS.cfg"] = _sys(controller, tasks, bool(torch_requests))
+        out[_module_file(controller)] = _module(controller, requests, torch_requests, len(tasks) > 1)
+    return out | {"README.txt": _readme(controller, requests, torch_requests, arm, wires, other_rows)}
+
+
+def _module_file(controller: Controller) -> str:
+    """Name of the file of the module that switches outputs; RobotWare 7 has another suffix."""
+    return f"{POWER_MODULE}{'.sys' if controller.robotware == 6 else '.sysx'}"
 
 
 def _eio(
@@ -66,31 +79,35 @@ def _eio(
     requests: Sequence[str],
     torches: Sequence[str],
     arm: str,
-    joined: bool,
-    named: Sequence[ConfigurationRow],
+    has_partner: bool,
+    other_rows: Sequence[ConfigurationRow],
 ) -> str:
-    lock = controller.interlock
-    partner = [rapid_power_term(controller, arm)] if joined else []
-    more = rapid_running_rows(controller, arm) if joined else {}
+    interlock = controller.interlock
+    partner = [rapid_power_term(controller, arm)] if has_partner else []
+    running_rows = rapid_running_rows(controller, arm) if has_partner else {}
     signals: list[ConfigurationRow] = []
-    crossed: list[ConfigurationRow] = []
+    cross_connections: list[ConfigurationRow] = []
     for number, request in enumerate(requests, 1):
-        real = lock.of(request)
-        place = {"Device": real.device, "DeviceMap": str(real.bit)} if real.device else {}
+        output = interlock.power_output(request)
+        wiring = {"Device": output.device, "DeviceMap": str(output.bit)} if output.device else {}
         access = "TandemTorch" if request in torches else "TandemRequest"
         signals.append({"Name": request, "SignalType": "DO", "Access": access})
-        signals.append({"Name": real.signal, "SignalType": "DO", **place, "Access": "ReadOnly"})
-        terms = (request, lock.cycle, lock.motors, *partner)
-        row: dict[str, str | None] = {"Name": f"TandemPower{number}", "Res": real.signal}
+        signals.append({"Name": output.signal, "SignalType": "DO", **wiring, "Access": "ReadOnly"})
+        terms = (request, interlock.cycle, interlock.motors, *partner)
+        row: dict[str, str | None] = {"Name": f"TandemPower{number}", "Res": output.signal}
         for i, term in enumerate(terms, 1):
             row[f"Act{i}"] = term
             if i < len(terms):
                 row[f"Oper{i}"] = "AND"
-        crossed.append(row)
+        cross_connections.append(row)
     signals += [
-        {"Name": name, "SignalType": "DO", "Access": "ReadOnly"} for name in (lock.cycle, lock.motors)
+        {"Name": name, "SignalType": "DO", "Access": "ReadOnly"}
+        for name in (interlock.cycle, interlock.motors)
     ]
-    states = [{"Status": "CycleOn", "Signal": lock.cycle}, {"Status": "MotOnState", "Signal": lock.motors}]
+    states = [
+        {"Status": "CycleOn", "Signal": interlock.cycle},
+        {"Status": "MotOnState", "Signal": interlock.motors},
+    ]
     levels: list[ConfigurationRow] = []
     if set(requests) - set(torches):
         levels.append({"Name": "TandemRequest", "Rapid": None, "LocalManual": None, "LocalAuto": None})
@@ -99,50 +116,72 @@ def _eio(
     head = f"EIO:CFG_1.0:{controller.robotware}:{1 if controller.robotware == 6 else 0}::"
     sections: dict[str, Sequence[ConfigurationRow]] = {
         "EIO_ACCESS": levels,
-        "EIO_SIGNAL": [*signals, *named, *more.get("EIO_SIGNAL", [])],
+        "EIO_SIGNAL": [*signals, *other_rows, *running_rows.get("EIO_SIGNAL", [])],
         "SYSSIG_OUT": states,
-        "SYSSIG_IN": more.get("SYSSIG_IN", []),
-        "EIO_CROSS": [*crossed, *more.get("EIO_CROSS", [])],
+        "SYSSIG_IN": running_rows.get("SYSSIG_IN", []),
+        "EIO_CROSS": [*cross_connections, *running_rows.get("EIO_CROSS", [])],
     }
     return _cfg(head, {kind: rows for kind, rows in sections.items() if rows})
 
 
-def _sys(controller: Controller, tasks: Sequence[str], suffix: str, torch: bool) -> str:
+def _sys(controller: Controller, tasks: Sequence[str], has_torch: bool) -> str:
     hooks: list[ConfigurationRow] = []
     for number, task in enumerate(tasks):
-        again = "tandem_again" if number == 0 else "tandem_wait"
-        at = dict.fromkeys(_OFF_AT, "tandem_off") | dict.fromkeys(_ON_AT, again)
-        if torch:
-            at |= {"START": "tandem_begin" if number == 0 else "tandem_wait", _POWERED_UP: "tandem_lost"}
-            at |= dict.fromkeys(_RESTARTS, again if number == 0 else "tandem_stay")
-        routines = at.items()
+        start_routine = "tandem_again" if number == 0 else "tandem_wait"
+        routine_by_event = dict.fromkeys(_POWER_OFF_EVENTS, "tandem_off") | dict.fromkeys(
+            _POWER_ON_EVENTS, start_routine
+        )
+        if has_torch:
+            routine_by_event |= {
+                "START": "tandem_begin" if number == 0 else "tandem_wait",
+                _POWER_UP_EVENT: "tandem_lost",
+            }
+            routine_by_event |= dict.fromkeys(_RESUME_EVENTS, start_routine if number == 0 else "tandem_stay")
+        routines = routine_by_event.items()
         hooks += [{"Routine": routine, "Shelf": shelf, "Task": task} for shelf, routine in routines]
     loaded: list[ConfigurationRow] = [
-        {"File": f"HOME:/{POWER_MODULE}{suffix}", "ModName": POWER_MODULE, "AllTask": None}
+        {"File": f"HOME:/{_module_file(controller)}", "ModName": POWER_MODULE, "AllTask": None}
     ]
     head = f"SYS:CFG_1.0:{controller.robotware}:0::"
     return _cfg(head, {"CAB_TASK_MODULES": loaded, "CAB_EXEC_HOOKS": hooks})
 
 
 def rapid_power_term(controller: Controller, arm: str) -> str:
-    """The further AND term of the power of an ABB arm's controller: the input from the other one."""
+    """Return the additional AND term of an arm's power: the running input from the other controller.
+
+    Args:
+        controller: Controllers of the cell.
+        arm: Name of the arm.
+    """
     return identifier(controller.handshake.of(arm).partner_running)
 
 
 def rapid_running_rows(controller: Controller, arm: str) -> dict[str, list[ConfigurationRow]]:
-    """Rows of EIO.cfg by type, for the controller of an ABB arm; the outputs of the system that say that a
-    program runs and motors are on are declared beside them.
+    """Return the rows of EIO.cfg for the running wires of an ABB arm's controller, by type.
+
+    The system outputs for a running program and for motors that are on are declared elsewhere in the same
+    file.
 
     Seen in backups of real cells: SYSSIG_OUT of CycleOn into EIO_CROSS. From public tools that write such
     files: -Act1_invert, SYSSIG_IN. From memory: the action Stop, and that it acts on the rising edge.
+
+    Args:
+        controller: Controllers of the cell.
+        arm: Name of the arm.
     """
-    own, lock = controller.handshake.of(arm), controller.interlock
-    running, given, lost = identifier(own.running), identifier(own.partner_running), identifier(own.lost)
-    out, into = (placed(controller, [arm], name) for name in (own.running, own.partner_running))
+    signals, interlock = controller.handshake.of(arm), controller.interlock
+    running, partner_running, lost = (
+        identifier(signals.running),
+        identifier(signals.partner_running),
+        identifier(signals.lost_input),
+    )
+    output_wiring, input_wiring = (
+        device_attributes(controller, [arm], name) for name in (signals.running, signals.partner_running)
+    )
     return {
         "EIO_SIGNAL": [
-            {"Name": running, "SignalType": "DO", **out, "Access": "ReadOnly"},
-            {"Name": given, "SignalType": "DI", **into},
+            {"Name": running, "SignalType": "DO", **output_wiring, "Access": "ReadOnly"},
+            {"Name": partner_running, "SignalType": "DI", **input_wiring},
             {"Name": lost, "SignalType": "DI"},
         ],
         "SYSSIG_IN": [{"Signal": lost, "Action": "Stop"}],
@@ -150,24 +189,30 @@ def rapid_running_rows(controller: Controller, arm: str) -> dict[str, list[Confi
             {
                 "Name": "TandemRunning",
                 "Res": running,
-                "Act1": identifier(lock.cycle),
+                "Act1": identifier(interlock.cycle),
                 "Oper1": "AND",
-                "Act2": identifier(lock.motors),
+                "Act2": identifier(interlock.motors),
             },
-            {"Name": "TandemPartner", "Res": lost, "Act1": given, "Act1_invert": None},
+            {"Name": "TandemPartner", "Res": lost, "Act1": partner_running, "Act1_invert": None},
         ],
     }
 
 
-def placed(controller: Controller, arms: Sequence[str], signal: str) -> dict[str, str]:
-    """Device and bit of a signal at the controller of these arms; none where the cell states none."""
-    places = (controller.interlock.place(arm, signal) for arm in arms)
-    place = next((place for place in places if place is not None), None)
-    return {"Device": place.device, "DeviceMap": str(place.bit)} if place else {}
+def device_attributes(controller: Controller, arms: Sequence[str], signal: str) -> dict[str, str]:
+    """Return device and bit of a signal, or nothing if the cell states none.
+
+    Args:
+        controller: Controllers of the cell.
+        arms: Names of the arms of this controller.
+        signal: Name of the signal.
+    """
+    connections = (controller.interlock.device_bit(arm, signal) for arm in arms)
+    connection = next((connection for connection in connections if connection is not None), None)
+    return {"Device": connection.device, "DeviceMap": str(connection.bit)} if connection else {}
 
 
 def _cfg(head: str, sections: Mapping[str, Sequence[ConfigurationRow]]) -> str:
-    """A configuration file; long rows go on behind a backslash."""
+    """Text of a configuration file; long rows are continued with a backslash."""
     out = [head]
     for kind, rows in sections.items():
         out += ["#", f"{kind}:"]
@@ -184,21 +229,23 @@ def _cfg(head: str, sections: Mapping[str, Sequence[ConfigurationRow]]) -> str:
     return "\n".join([*out, ""])
 
 
-def _module(controller: Controller, requests: Sequence[str], torches: Sequence[str], together: bool) -> str:
+def _module(
+    controller: Controller, requests: Sequence[str], torches: Sequence[str], multiple_tasks: bool
+) -> str:
     flags = {
         request: f"tandem_{'lit' if request in torches else 'cut'}_{number}"
         for number, request in enumerate(requests, 1)
     }
-    lit = [flags[request] for request in torches]
-    cut = {request: flag for request, flag in flags.items() if request not in torches}
-    stop = "Stop\\AllMoveTasks;" if together else "Stop;"
+    torch_flags = [flags[request] for request in torches]
+    other_flags = {request: flag for request, flag in flags.items() if request not in torches}
+    stop = "Stop\\AllMoveTasks;" if multiple_tasks else "Stop;"
     out = [
         f"MODULE {POWER_MODULE}(SYSMODULE)",
         "  ! Written by Tandem for the event routines that SYS.cfg names.",
-        "  ! Whether the power was on at a stop, and nobody has said yet how it goes on.",
+        "  ! TRUE: the power was on at a stop, and the operator has not answered yet.",
         *(f"  PERS bool {flag}:=FALSE;" for flag in flags.values()),
         "",
-        "  ! At every stop: power that was on does not come back by itself.",
+        "  ! At every stop: power that was on stays off until the operator answers.",
         "  PROC tandem_off()",
     ]
     for request, flag in flags.items():
@@ -210,54 +257,59 @@ def _module(controller: Controller, requests: Sequence[str], torches: Sequence[s
         ]
     out += ["  ENDPROC"]
     if torches:
-        out += _begun_anew(torches, flags, stop)
-    out += ["", "  ! At every start: no arm moves on in a cut before somebody says that it may."]
-    out += ["  PROC tandem_again()", *(["    VAR num answer;"] if cut else []), "    tandem_off;"]
-    out += _ended(lit)
-    for request, flag in cut.items():
-        real = controller.interlock.of(request).signal
+        out += _torch_routines(torches, flags, stop)
+    out += ["", "  ! At every start: no arm continues a cut before the operator confirms it."]
+    out += ["  PROC tandem_again()", *(["    VAR num answer;"] if other_flags else []), "    tandem_off;"]
+    out += _end_if_set(torch_flags)
+    for request, flag in other_flags.items():
+        output = controller.interlock.power_output(request).signal
         out += [
-            *_asked(flag, rapid_sentences.again(request), rapid_sentences.BUTTONS),
-            f"      ELSEIF answer=2 AND DOutput({real})=1 THEN",
+            *_question_loop(flag, rapid_sentences.restart_question(request), rapid_sentences.RESTART_BUTTONS),
+            f"      ELSEIF answer=2 AND DOutput({output})=1 THEN",
             f"        {flag}:=FALSE;",
-            *_refused(rapid_sentences.REFUSED, stop),
+            *_refusal_branch(rapid_sentences.RESTART_REFUSED, stop),
         ]
     out += ["  ENDPROC"]
-    if together:
+    if multiple_tasks:
         out += ["", "  ! The other task waits for the answer.", "  PROC tandem_wait()", "    tandem_off;"]
         out += [f"    WaitUntil NOT {flag};" for flag in flags.values()]
         out += ["  ENDPROC"]
-    if together and torches:
-        out += ["", "  ! Nor does it go on where a torch burned.", "  PROC tandem_stay()", "    tandem_off;"]
-        out += [*_ended(lit), "    tandem_wait;", "  ENDPROC"]
+    if multiple_tasks and torches:
+        out += [
+            "",
+            "  ! After a stop at which a torch burned it does not resume.",
+            "  PROC tandem_stay()",
+            "    tandem_off;",
+        ]
+        out += [*_end_if_set(torch_flags), "    tandem_wait;", "  ENDPROC"]
     return "\n".join([*out, "ENDMODULE", ""])
 
 
-def _begun_anew(torches: Sequence[str], flags: Mapping[str, str], stop: str) -> list[str]:
-    """What becomes of a program that stopped while a torch burned."""
+def _torch_routines(torches: Sequence[str], flags: Mapping[str, str], stop: str) -> list[str]:
+    """Routines for a program that stopped while a torch burned."""
     out = ["", "  ! A controller that was off saw no stop: a torch may have burned."]
     out += ["  PROC tandem_lost()", *(f"    {flags[request]}:=TRUE;" for request in torches)]
     out += ["    tandem_off;", "  ENDPROC", ""]
-    out += ["  ! Where a torch burned no start goes on; PP to main alone leads out."]
+    out += ["  ! After a stop at which a torch burned only PP to main helps."]
     out += ["  PROC tandem_end()", "    WHILE TRUE DO"]
-    out += [f"      TPWrite {quoted(line)};" for line in rapid_sentences.ENDED]
+    out += [f"      TPWrite {quoted(line)};" for line in rapid_sentences.TORCH_RESTART_REFUSED]
     out += [f"      {stop}", "    ENDWHILE", "  ENDPROC", ""]
-    out += ["  ! At a start anew: nothing is lit again, and all slots are still to be cut."]
+    out += ["  ! At a start from main: no torch is lit again, and no slot is cut yet."]
     out += ["  PROC tandem_begin()", "    VAR num answer;", "    tandem_off;"]
     for request in torches:
-        words = rapid_sentences.burned(request)
-        out += _asked(flags[request], words, rapid_sentences.BEGIN_BUTTONS)
-        out += _refused(rapid_sentences.ENDED, stop)
+        question = rapid_sentences.torch_restart_question(request)
+        out += _question_loop(flags[request], question, rapid_sentences.TORCH_RESTART_BUTTONS)
+        out += _refusal_branch(rapid_sentences.TORCH_RESTART_REFUSED, stop)
     return [*out, "    tandem_again;", "  ENDPROC"]
 
 
-def _ended(flags: Sequence[str]) -> list[str]:
-    """The program ends if one of the ``flags`` of torches is TRUE."""
+def _end_if_set(flags: Sequence[str]) -> list[str]:
+    """Statements that end the program if one of the torches' ``flags`` is TRUE."""
     return [line for flag in flags for line in (f"    IF {flag} THEN", "      tandem_end;", "    ENDIF")]
 
 
-def _asked(flag: str, lines: Sequence[str], buttons: Sequence[str]) -> list[str]:
-    """A question as long as a flag is TRUE, which the first answer takes back."""
+def _question_loop(flag: str, lines: Sequence[str], buttons: Sequence[str]) -> list[str]:
+    """A question that repeats while a flag is TRUE; the first answer resets the flag."""
     return [
         f"    WHILE {flag} DO",
         f"      answer:=UIMessageBox(\\Header:={quoted(sentences.HEADER)}",
@@ -270,50 +322,50 @@ def _asked(flag: str, lines: Sequence[str], buttons: Sequence[str]) -> list[str]
     ]
 
 
-def _refused(lines: Sequence[str], stop: str) -> list[str]:
-    told = [f"        TPWrite {quoted(line)};" for line in lines]
-    return ["      ELSE", *told, f"        {stop}", "      ENDIF", "    ENDWHILE"]
+def _refusal_branch(lines: Sequence[str], stop: str) -> list[str]:
+    shown = [f"        TPWrite {quoted(line)};" for line in lines]
+    return ["      ELSE", *shown, f"        {stop}", "      ENDIF", "    ENDWHILE"]
 
 
-_STEPS: Final = """For the controller that these programs run on. Make a backup first.
+_INSTRUCTIONS: Final = """For the controller that these programs run on. Make a backup first.
 
 1. {module}
 2. Load {files}: Control Panel, Configuration, File, Load Parameters, "Load parameters
-   if no duplicates". A signal that has one of these names already must be taken out first.
+   if no duplicates". Remove any signal that already has one of these names first.
 3. Restart the controller.{held}
 4. {trial}
 """
-_COPY: Final = "Copy {module} to HOME: of the controller."
-_NO_COPY: Final = "No module is needed: this program switches no power."
-_HELD: Final = " Every motion task then holds the module and the event routines."
+_COPY_MODULE: Final = "Copy {module} to HOME: of the controller."
+_NO_MODULE: Final = "No module is needed: this program switches no power."
+_RESTART_EFFECT: Final = " Every motion task then has the module and the event routines."
 _TRIAL: Final = """\
 Try it without wire and with the tool off: start, set the request by hand, stop. The real output
    must fall with the program, with the motors, and when the enabling device is let go."""
 _TORCH_TRIAL: Final = """\
 Try it with the supply of the torch off and its input bridged: start, stop while the request is
    1. The real output must fall with the program, with the motors, and when the enabling device is
-   let go; Start and a step must stop at once, and only PP to main ask."""
-_LOOK: Final = "Look at the signals below while a program runs and while it stands."
+   let go; Start and a step must stop at once, and only PP to main asks."""
+_NO_POWER_TRIAL: Final = "Watch the signals below while a program runs and while it is stopped."
 
-_WIRE: Final = """
+_RUNNING_WIRES_SECTION: Final = """
 Running wires, between this controller and the one of arm {other}:
 {ends}
-  {lost}: on no device; {partner} turned over, whose rise stops the program
+  {lost}: on no device; {partner} inverted; its rising edge stops the program
 
 Try them before the first cut, without wire and with the tool off, all motors on: let both programs
 run at reduced speed and pull the wire at {partner}.
 This arm must stop at once{falls}. Its stop must stop arm {other}, too.
-Then the same with the other wire, and by stopping either program.
+Repeat with the other wire, and by stopping either program.
 After a stop either side may be started first; nothing has power before both run.
 
 Seen in public tools that write such files: -Act1_invert, SYSSIG_IN; in a backup: SYSSIG_OUT with
 CycleOn into EIO_CROSS. To be checked at the controller: SYSSIG_OUT with MotOnState; the action
-Stop, that it acts on the rise alone, and that Start is not held up while
-{lost} is 1. If it is, neither side can be started first: a PLC then
-has to make a pulse of the rise.
+Stop, that it acts on the rising edge only, and that Start is not blocked while
+{lost} is 1. If it is, neither side can be started first: a PLC must then
+turn the rising edge into a pulse.
 """
 
-_POWER: Final = """
+_POWER_SECTION: Final = """
 Signals:
 {signals}{both}
 
@@ -330,33 +382,33 @@ A cross connection is no safety function: an emergency stop must cut the power b
 """
 
 
-_BY_HAND: Final = """\
+_MANUAL_REQUEST_CHECK: Final = """\
 ; that TandemRequest lets
 the operator set the request by hand in automatic"""
-_TORCH: Final = """
+_TORCH_SECTION: Final = """
 {torches} lights a torch.
-Behind a stop while it burned, and when the controller was off, no program goes on: nobody can set
+After a stop while it burned, and after the controller was off, no program resumes: nobody can set
 that request by hand (TandemTorch), no question offers it, and a start or a step stops at once. Move
-the torch out by hand, look at the sheet, then PP to main in all tasks and Start: "Begin" is the
-answer for a sheet that has no slot of this program yet. Else plan anew what is left. Never move PP
-into the program: it would light the torch where it stands.
+the torch out by hand, inspect the sheet, then PP to main in all tasks and Start: "Begin" is the
+answer for a sheet that has no slot of this program yet. Otherwise replan what is left. Never move
+PP into the program: it would light the torch where it is.
 
-To be checked, too: the shelf POWER_ON; that Start behind PP to main runs START, and behind a stop
+To be checked, too: the shelf POWER_ON; that Start after PP to main runs START, and after a stop
 RESTART; that nobody can set a signal of access TandemTorch at the panel.
 """
-_HOT: Final = """
-Mounting a hot wire with the gate open: in automatic the guard stop takes motors and program away,
-and the power with them. Mount it cold; or in manual at reduced speed, while somebody else holds the
+_HOT_WIRE_SECTION: Final = """
+Mounting a hot wire with the gate open: in automatic the guard stop ends motors and program, and the
+power with them. Mount it cold; or in manual at reduced speed, while a second person holds the
 enabling device and the program waits at its question. The job then runs to its end in manual: a
-change to automatic is a stop, at which the power falls.
+change to automatic is a stop, at which the power goes off.
 """
 
 
-_OTHERS: Final = """
+_OTHER_SIGNALS_SECTION: Final = """
 Other signals that the programs name, without which they do not load:
 {signals}
 
-One that the controller has already, wired, may stay as it is; its type has to be the same.
+A wired signal that the controller already has may stay unchanged if its type is the same.
 """
 
 
@@ -364,80 +416,89 @@ def _readme(
     controller: Controller,
     requests: Sequence[str],
     torches: Sequence[str],
-    suffix: str,
     arm: str,
     wires: Sequence[SignalWire],
-    named: Sequence[ConfigurationRow],
+    other_rows: Sequence[ConfigurationRow],
 ) -> str:
-    module = _COPY.format(module=f"{POWER_MODULE}{suffix}") if requests else _NO_COPY
+    module = _COPY_MODULE.format(module=_module_file(controller)) if requests else _NO_MODULE
     names = "EIO.cfg and SYS.cfg" if requests else "EIO.cfg"
-    by_hand = bool(set(requests) - set(torches))
-    held, trial = (_HELD, _TRIAL if by_hand else _TORCH_TRIAL) if requests else ("", _LOOK)
-    out = _STEPS.format(module=module, files=names, held=held, trial=trial)
+    manual_requests = bool(set(requests) - set(torches))
+    restart_effect, trial = (
+        (_RESTART_EFFECT, _TRIAL if manual_requests else _TORCH_TRIAL) if requests else ("", _NO_POWER_TRIAL)
+    )
+    out = _INSTRUCTIONS.format(module=module, files=names, held=restart_effect, trial=trial)
     if wires:
-        out += _wire(controller, arm, wires, bool(requests))
+        out += _running_wires_section(controller, arm, wires, bool(requests))
     if requests:
         both = "\nThe power is on only while the program of the other arm runs, too." if wires else ""
-        rows, said = "\n".join(_outputs(controller, requests)), _BY_HAND if by_hand else ""
-        out += _POWER.format(signals=rows, both=both, by_hand=said)
-        out += _TORCH.format(torches=" and ".join(torches)) if torches else ""
-        out += _HOT if by_hand else ""
-    if named:
-        more = [line for row in named for line in _named(row, arm)]
-        out += _OTHERS.format(signals="\n".join(more))
+        rows, manual_check = (
+            "\n".join(_power_output_lines(controller, requests)),
+            _MANUAL_REQUEST_CHECK if manual_requests else "",
+        )
+        out += _POWER_SECTION.format(signals=rows, both=both, by_hand=manual_check)
+        out += _TORCH_SECTION.format(torches=" and ".join(torches)) if torches else ""
+        out += _HOT_WIRE_SECTION if manual_requests else ""
+    if other_rows:
+        signal_lines = [line for row in other_rows for line in _other_signal_lines(row, arm)]
+        out += _OTHER_SIGNALS_SECTION.format(signals="\n".join(signal_lines))
     return out
 
 
-def _named(row: ConfigurationRow, arm: str) -> list[str]:
-    """What is said of a signal that powers nothing."""
+def _other_signal_lines(row: ConfigurationRow, arm: str) -> list[str]:
+    """README lines on a signal that switches no power."""
     name = row["Name"]
-    kind, dead = (
+    kind, consequence = (
         ("input", "nothing drives it") if row["SignalType"] == "DI" else ("output", "it drives nothing")
     )
     if "Device" in row:
         return [f"  {name}: {kind}, {row['Device']}, bit {row['DeviceMap']}"]
     stated = f"places: {{{arm}: {{{name}: {{device: D, device_map: 0}}}}}}"
     return [
-        f"  {name}: {kind}, NO DEVICE, so that {dead}; state it in the cell:",
+        f"  {name}: {kind}, NO DEVICE, so that {consequence}; state it in the cell:",
         f"    controller: {{interlock: {{{stated}}}}}",
     ]
 
 
-def _outputs(controller: Controller, requests: Sequence[str]) -> list[str]:
+def _power_output_lines(controller: Controller, requests: Sequence[str]) -> list[str]:
     rows = []
     for request in requests:
-        real = controller.interlock.of(request)
+        output = controller.interlock.power_output(request)
         rows.append(f"  {request}: request of the program, on no device")
-        if real.device:
-            rows.append(f"  {real.signal}: {real.device}, bit {real.bit}; the power hangs on this one")
+        if output.device:
+            rows.append(f"  {output.signal}: {output.device}, bit {output.bit}; this one switches the power")
         else:
-            rows.append(f"  {real.signal}: NO DEVICE, so nothing is powered; state it in the cell:")
+            rows.append(f"  {output.signal}: NO DEVICE, so nothing is powered; state it in the cell:")
             rows.append(
                 f"    controller: {{interlock: {{outputs: {{{request}: {{device: D, device_map: 0}}}}}}}}"
             )
     return rows
 
 
-def _wire(controller: Controller, arm: str, wires: Sequence[SignalWire], powered: bool) -> str:
-    there, here = handshake.running_wires(wires, arm)
-    own = controller.handshake.of(arm)
+def _running_wires_section(
+    controller: Controller, arm: str, wires: Sequence[SignalWire], powered: bool
+) -> str:
+    outgoing, incoming = handshake.running_wires(wires, arm)
+    signals = controller.handshake.of(arm)
     rows = []
     for name, what in (
-        (own.running, f"output, 1 while this program runs; to {there.input} of arm {there.sink}"),
-        (own.partner_running, f"input, 1 while the other one runs; from {here.output} of arm {here.source}"),
+        (signals.running, f"output, 1 while this program runs; to {outgoing.input} of arm {outgoing.sink}"),
+        (
+            signals.partner_running,
+            f"input, 1 while the other one runs; from {incoming.output} of arm {incoming.source}",
+        ),
     ):
-        place = controller.interlock.place(arm, name)
+        connection = controller.interlock.device_bit(arm, name)
         rows.append(f"  {name}: {what}")
-        if place is not None:
-            rows.append(f"    {place.device}, bit {place.bit}")
+        if connection is not None:
+            rows.append(f"    {connection.device}, bit {connection.bit}")
         else:
             rows.append("    NO DEVICE, so the wire does not work yet; state it in the cell:")
             stated = f"places: {{{arm}: {{{name}: {{device: D, device_map: 0}}}}}}"
             rows.append(f"    controller: {{interlock: {{{stated}}}}}")
-    return _WIRE.format(
-        other=there.sink,
+    return _RUNNING_WIRES_SECTION.format(
+        other=outgoing.sink,
         ends="\n".join(rows),
-        lost=own.lost,
-        partner=own.partner_running,
+        lost=signals.lost_input,
+        partner=signals.partner_running,
         falls=", and its power fall" if powered else "",
     )

@@ -1,4 +1,4 @@
-"""RAPID, as programs are written in it."""
+"""The writer of RAPID as the planner uses it."""
 
 import re
 from collections.abc import Sequence
@@ -11,14 +11,14 @@ from planner.languages.rapid.writer.controller_files import SignalType
 from planner.languages.rapid.writer.program import write
 from planner.languages.rapid.writer.syntax import procedure
 from planner.languages.writing.language import PoweredSignals, Writer
-from planner.languages.writing.layout import Do, Job, TaskProgram
+from planner.languages.writing.layout import ActionStep, JobPrograms, TaskProgram
 from planner.problem import Controller
 
-_OWN_NAMES: Final = re.compile(
+_USED_NAMES: Final = re.compile(
     r"main|operation_\d+|handshake\w*|block_\d+_\w+|meet_\d+|j_\w+|t_\w+|w_\w+|z_turn_\d+|z\d+[mu]m|v_entry|"
     r"load_block\w*|check_(cell|pose|true|stop)|base_frame|problem_digest|all_tasks"
 )
-"""Names of other things in RAPID programs."""
+"""Names that RAPID programs use for other things."""
 
 
 def _refuse_segment(segment: Segment) -> tuple[Issue, ...]:
@@ -26,32 +26,37 @@ def _refuse_segment(segment: Segment) -> tuple[Issue, ...]:
         name = procedure(segment)
     except TandemError as error:
         return error.issues
-    if _OWN_NAMES.fullmatch(name.lower()) is None:
+    if _USED_NAMES.fullmatch(name.lower()) is None:
         return ()
-    what = f"segment {str(segment)!r} would be called {name}, as other things in RAPID programs are"
+    what = f"segment {str(segment)!r} would be called {name}, a name that RAPID programs use already"
     return (Issue("post.name", what, hint="give it another kind or name"),)
 
 
 def _controller_files(
-    job: Job, tasks: Sequence[TaskProgram], controller: Controller, powered: PoweredSignals
+    job: JobPrograms, tasks: Sequence[TaskProgram], controller: Controller, powered: PoweredSignals
 ) -> dict[str, str]:
     others = _other_signals(job, tasks, powered.signals)
     units, arms = [task.task for task in tasks], [task.arm.name for task in tasks]
-    return controller_files.files(
-        controller, units, powered.signals, others, arms, powered.wires, powered.torches
-    )
+    return controller_files.build_files(controller, units, arms, powered, others)
 
 
-def _other_signals(job: Job, tasks: Sequence[TaskProgram], signals: Sequence[str]) -> dict[str, SignalType]:
-    """Signals besides the powering ``signals`` that the programs of one ABB controller name, with types:
-    inputs that they wait for, outputs that ask for a step, and the lines between two controllers."""
+def _other_signals(
+    job: JobPrograms, tasks: Sequence[TaskProgram], signals: Sequence[str]
+) -> dict[str, SignalType]:
+    """Signals of the programs of one ABB controller, with types, without the power outputs ``signals``.
+
+    These are inputs that programs wait for, outputs that request a step, and the lines between two
+    controllers.
+    """
     steps = [step for task in tasks for operation in task.operations for step in operation.steps]
-    inputs = {step.action.signal for step in steps if isinstance(step, Do) and step.action.kind == "input"}
-    outputs = {signal for task in tasks for signal in job.switched(task)} - set(signals)
+    inputs = {
+        step.action.signal for step in steps if isinstance(step, ActionStep) and step.action.kind == "input"
+    }
+    outputs = {signal for task in tasks for signal in job.switched_signals(task)} - set(signals)
     if job.handshake is not None:
         lines = [job.handshake.of(task.arm.name) for task in tasks]
-        inputs |= {own.input for own in lines}
-        outputs |= {own.output for own in lines}
+        inputs |= {line.input for line in lines}
+        outputs |= {line.output for line in lines}
     kinds: dict[str, SignalType] = dict.fromkeys(sorted(outputs, key=str.lower), "DO")
     return kinds | dict.fromkeys(sorted(inputs, key=str.lower), "DI")
 

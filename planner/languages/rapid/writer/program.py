@@ -1,9 +1,10 @@
-"""RAPID programs of a job: for each task a data module, a main module, cut modules, a list (.pgf).
+"""RAPID programs of a job. Each task has a data module, a main module, cut modules and a list (.pgf).
 
-For two controllers that share digital signals the steps of :mod:`planner.languages.writing.handshake` are
-put as text.
+For two controllers that share digital signals, the steps of :mod:`planner.languages.writing.handshake` are
+written as text.
 """
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -12,24 +13,25 @@ from numpy.typing import NDArray
 from planner.catalogue.robots import OffsetParameters
 from planner.claims import sentences
 from planner.claims.sentences import HEADER, UNANSWERED
-from planner.issues import refusal
+from planner.issues import issue_error
 from planner.languages.rapid.writer import data as rapid_data
 from planner.languages.rapid.writer.data import (
     ENTRY_SPEED_NAME,
     TASK_LIST,
-    Stations,
-    Tools,
-    block,
+    JointTargetNames,
+    ToolNames,
+    block_name,
     data_lines,
     load_name,
-    meet,
+    meeting_name,
     wobj_name,
 )
 from planner.languages.rapid.writer.syntax import (
+    FrameNames,
     action_lines,
-    box,
     comment,
     identifier,
+    message_box,
     move_lines,
     part_names,
     quoted,
@@ -44,67 +46,105 @@ from planner.problem import Controller, Problem
 from planner.runtime.version import __version__
 
 
-def partner_lines(partner: handshake.Partner, steps: Sequence[handshake.PartnerStep]) -> list[str]:
-    """The statements of the steps."""
-    return [line for step in steps for line in _step(partner, step)]
+def partner_lines(partner: handshake.HandshakeSide, steps: Sequence[handshake.PartnerStep]) -> list[str]:
+    """Return the statements of handshake steps.
+
+    Args:
+        partner: The handshake as one of the two programs sees it.
+        steps: Its steps.
+    """
+    return [line for step in steps for line in _step_lines(partner, step)]
 
 
-def partner_call(partner: handshake.Partner, number: int) -> str:
-    """The call behind a move at which the meeting ``number`` is; empty for 0."""
-    return "" if number == 0 else f"{_name(partner.phases(number))};"
+def partner_call(partner: handshake.HandshakeSide, number: int) -> str:
+    """Return the call after a move that ends at a meeting; empty for meeting 0.
+
+    Args:
+        partner: The handshake as one of the two programs sees it.
+        number: Number of the meeting.
+    """
+    return "" if number == 0 else f"{_procedure_name(partner.phases(number))};"
 
 
-def partner_procedures(partner: handshake.Partner, task: layout.TaskProgram) -> dict[str, list[str]]:
-    """Bodies of the procedures that the task's moves are followed by, by name."""
-    made = {_name(p): partner_lines(partner, partner.step(n)) for p, n in partner.kinds(task).items()}
-    return {name: made[name] for name in sorted(made)}
+def partner_procedures(partner: handshake.HandshakeSide, task: layout.TaskProgram) -> dict[str, list[str]]:
+    """Return the bodies of the handshake procedures that are called after moves, by name.
+
+    Args:
+        partner: The handshake as one of the two programs sees it.
+        task: The task.
+    """
+    bodies = {
+        _procedure_name(p): partner_lines(partner, partner.meeting_after_move(n))
+        for p, n in partner.meeting_kinds(task).items()
+    }
+    return {name: bodies[name] for name in sorted(bodies)}
 
 
-def partner_unanswered(partner: handshake.Partner) -> list[str]:
-    """What an error handler says of a wait that was over its time."""
-    text = write_lines(UNANSWERED.filled(other=partner.other))
+def partner_timeout_lines(partner: handshake.HandshakeSide) -> list[str]:
+    """Return the statements by which an error handler reports a wait that timed out."""
+    text = write_lines(UNANSWERED.format(other=partner.other))
     return ["IF ERRNO=ERR_WAIT_MAXTIME THEN", *(f"  {line}" for line in text), "ENDIF"]
 
 
-def _name(phases: tuple[int, ...]) -> str:
+def _procedure_name(phases: tuple[int, ...]) -> str:
     return f"handshake_{phases[0]}" if len(phases) == 1 else "handshake"
 
 
-def _step(partner: handshake.Partner, step: handshake.PartnerStep) -> list[str]:
-    own = partner.handshake.of(partner.arm)
+def _step_lines(partner: handshake.HandshakeSide, step: handshake.PartnerStep) -> list[str]:
+    signals = partner.handshake.of(partner.arm)
     match step:
         case handshake.SetLine(value):
-            return [f"SetDO\\Sync,{identifier(own.output)},{value};"]
+            return [f"SetDO\\Sync,{identifier(signals.output)},{value};"]
         case handshake.AwaitLine(value, seconds):
-            return [f"WaitDI {identifier(own.input)},{value}\\MaxTime:={layout.short(seconds, 3)};"]
+            return [
+                f"WaitDI {identifier(signals.input)},{value}\\MaxTime:={layout.format_short(seconds, 3)};"
+            ]
         case handshake.AwaitRunning(value, seconds):
-            return [f"WaitDI {identifier(own.partner_running)},{value}\\MaxTime:={layout.short(seconds, 3)};"]
-        case handshake.Halt(text):
-            return ["Stop;", *box(HEADER, text)]
-        case handshake.Ask(text):
-            return box(HEADER, text)
-        case handshake.Tell(text):
+            return [
+                "WaitDI "
+                f"{identifier(signals.partner_running)},{value}\\MaxTime:={layout.format_short(seconds, 3)};"
+            ]
+        case handshake.StopAndAsk(text):
+            return ["Stop;", *message_box(HEADER, text)]
+        case handshake.AskOperator(text):
+            return message_box(HEADER, text)
+        case handshake.ShowText(text):
             return write_lines(text)
-        case handshake.Note(text):
+        case handshake.CommentStep(text):
             return comment(text)
 
 
 NameArray = NDArray[np.str_]
 
-_LINES_KEPT = "Error handlers leave these lines alone: a change would be read as an arrival."
-"""Said of the lines between two controllers."""
+_LINES_UNCHANGED = "Error handlers do not change these lines: a change would signal an arrival."
+"""Comment on the lines between two controllers."""
 _INDENT = "  "
 """One level of indentation."""
 _PROC_BYTES = 1500
-"""Bytes of a procedure without its moves."""
+"""Size of a procedure without its moves [bytes]."""
 _CALL_BYTES = 20
-"""Bytes of the call that a handshake adds to each move."""
+"""Size of the call that a handshake adds to each move [bytes]."""
 
 
 def write(
-    tasks: Sequence[layout.TaskProgram], job: layout.Job, plan: Plan, problem: Problem, margins: Margins
+    tasks: Sequence[layout.TaskProgram],
+    job: layout.JobPrograms,
+    plan: Plan,
+    problem: Problem,
+    margins: Margins,
 ) -> WrittenPrograms:
-    """Write the programs of ABB arms. Raises :class:`TandemError` (``post.*``)."""
+    """Write the programs of ABB arms.
+
+    Args:
+        tasks: Tasks to write.
+        job: All tasks of the job.
+        plan: The plan.
+        problem: Its problem.
+        margins: Smallest margins of the plan, for the header.
+
+    Raises:
+        TandemError: ``post.*``.
+    """
     zone = [_zones(job, i) for i in range(len(plan.operations))]
     moves = {task.number: _moves(task, job, zone) for task in tasks}
     sizes = [
@@ -121,10 +161,11 @@ def write(
     if job.handshake is not None:
         sizes = [size + _CALL_BYTES for size in sizes]
     limits = problem.cell.controller
-    split = part_names(layout.parts(job, sizes, _PROC_BYTES, limits.max_moves, limits.max_bytes))
+    split = part_names(layout.module_parts(job, sizes, _PROC_BYTES, limits.max_moves, limits.max_bytes))
     out: dict[str, str] = {}
     for task in tasks:
-        writer = _Task(task, job, plan, problem, margins, split, moves[task.number])
+        procedures = _MoveProcedures(split, moves[task.number])
+        writer = _TaskWriter(task, job, plan, problem, margins, procedures)
         own_zones = {name for op in zone for name in op.get(task.number, np.array([])).tolist()}
         out |= {name: text.replace("\n", layout.LINE_END) for name, text in writer.files(own_zones).items()}
     layout.require_sizes(out, limits, "modules")
@@ -132,74 +173,90 @@ def write(
 
 
 def module_suffix(controller: Controller) -> str:
-    """Ending of the names of modules: RobotWare 7 does not load ``.mod``."""
+    """Return the suffix of module files: RobotWare 7 does not load ``.mod``."""
     return ".mod" if controller.robotware == 6 else ".modx"
 
 
-def _moving(job: layout.Job, operation: int) -> list[layout.TaskProgram]:
-    return [task for task in job.tasks if task.operations[operation].track is not None]
+def _moving_tasks(job: layout.JobPrograms, operation: int) -> list[layout.TaskProgram]:
+    return [task for task in job.tasks if task.operations[operation].moves is not None]
 
 
-def _zones(job: layout.Job, operation: int) -> dict[int, NameArray]:
-    """Zone names of each task's moves; stops are the same moves in all tasks."""
+def _zones(job: layout.JobPrograms, operation: int) -> dict[int, NameArray]:
+    """Zone names of each task's moves; stops are at the same moves in all tasks."""
     out = {}
-    for task in _moving(job, operation):
+    for task in _moving_tasks(job, operation):
         program = task.operations[operation]
-        if program.track is not None:
-            out[task.number] = zones(program.track, program.stop)
+        if program.moves is not None:
+            out[task.number] = zones(program.moves, program.stop)
     return out
 
 
 def _moves(
-    task: layout.TaskProgram, job: layout.Job, zone: Sequence[Mapping[int, NameArray]]
+    task: layout.TaskProgram, job: layout.JobPrograms, zone: Sequence[Mapping[int, NameArray]]
 ) -> list[list[str]]:
     out: list[list[str]] = []
-    tools = Tools(task)
+    tools = ToolNames(task)
     for i, program in enumerate(task.operations):
-        if program.track is None:
+        if program.moves is None:
             out.append([])
             continue
-        ids = program.ids if len(_moving(job, i)) > 1 and job.handshake is None else None
-        names = (tools.of(program.arm.tool), wobj_name(program.track.frame, program.setup))
-        own = zone[i][task.number]
-        out.append(move_lines(task.robot, program.track, ids, own, *names, program.station))
+        ids = program.ids if len(_moving_tasks(job, i)) > 1 and job.handshake is None else None
+        frames = FrameNames(tools.of(program.arm.tool), wobj_name(program.moves.frame, program.setup))
+        zone_names = zone[i][task.number]
+        out.append(move_lines(task.robot, program.moves, ids, zone_names, frames, program.axis_setpoint))
     return out
 
 
-class _Task:
+@dataclasses.dataclass(frozen=True)
+class _MoveProcedures:
+    """Moves of a task, and the procedures into which they are split.
+
+    Attributes:
+        names: Name of the procedure of each part.
+        moves: Lines of the moves of each operation, empty for an operation in which the arm has no moves.
+    """
+
+    names: Mapping[layout.ModulePart, str]
+    moves: Sequence[Sequence[str]]
+
+
+class _TaskWriter:
     """Writes the modules of one task."""
 
     def __init__(
         self,
         task: layout.TaskProgram,
-        job: layout.Job,
+        job: layout.JobPrograms,
         plan: Plan,
         problem: Problem,
         margins: Margins,
-        split: Mapping[layout.Part, str],
-        moves: Sequence[Sequence[str]],
+        procedures: _MoveProcedures,
     ) -> None:
         self.task, self.job, self.plan, self.problem = task, job, plan, problem
-        self.margins, self.split, self.moves = margins, split, moves
-        self.stations = Stations(task)
-        self.tools = Tools(task)
-        self.partner = handshake.Partner.of(task, job)
-        self.signals = job.switched(task)
+        self.margins, self.split, self.moves = margins, procedures.names, procedures.moves
+        self.stations = JointTargetNames(task)
+        self.tools = ToolNames(task)
+        self.partner = handshake.HandshakeSide.of(task, job)
+        self.signals = job.switched_signals(task)
         # tasks of two controllers may have the same name
-        alone = problem.cell.controller.sync == "handshake"
-        self.folder = task.arm.name if alone else task.task
+        uses_handshake = problem.cell.controller.sync == "handshake"
+        self.folder = task.arm.name if uses_handshake else task.task
 
     def files(self, zone_names: set[str]) -> dict[str, str]:
-        """The task's files by relative name."""
+        """Return the task's files by relative name.
+
+        Args:
+            zone_names: Names of the zones that its moves use.
+        """
         n = self.task.number
         names = (self.tools, self.stations)
         data = data_lines(self.task, self.job, self.plan, self.problem, names, zone_names)
         bodies = {f"TandemData_{n}": data, f"TandemMain_{n}": self._main(), f"TandemCheck_{n}": self._check()}
-        own = [part for part in self.split if self.task.operations[part.operation].track is not None]
-        for module in dict.fromkeys(part.module for part in own):
-            lines = [line for part in own if part.module == module for line in [*self._part(part), ""]]
+        parts = [part for part in self.split if self.task.operations[part.operation].moves is not None]
+        for module in dict.fromkeys(part.module for part in parts):
+            lines = [line for part in parts if part.module == module for line in [*self._part(part), ""]]
             bodies[f"TandemCut{module}_{n}"] = lines[:-1]
-        self._unique(bodies)
+        self._require_unique_names(bodies)
         suffix = module_suffix(self.problem.cell.controller)
         files = {f"{name}{suffix}": self._module(name, lines) for name, lines in bodies.items()}
         listed = "".join(f"\t<Module>{name}</Module>\n" for name in files)
@@ -207,8 +264,8 @@ class _Task:
         files[f"Tandem_{n}.pgf"] = f"{head}<Program>\n{listed}</Program>\n"
         return {f"{self.folder}/{name}": text for name, text in files.items()}
 
-    def _unique(self, bodies: Mapping[str, Sequence[str]]) -> None:
-        """Raise an issue when two things of the task would have one name."""
+    def _require_unique_names(self, bodies: Mapping[str, Sequence[str]]) -> None:
+        """Raise an issue if two things of the task would have the same name."""
         words = [
             line.split("(")[0].split(":=")[0].rstrip(";").split() for body in bodies.values() for line in body
         ]
@@ -217,12 +274,12 @@ class _Task:
             for w in words
             if w and w[0] in ("PROC", "CONST", "PERS", "TASK", "VAR")
         ]
-        double = (
+        duplicates = (
             sorted({name for name in names if names.count(name) > 1}) if len(set(names)) < len(names) else []
         )
-        if double:
-            message = f"two things of task {self.task.task} would be called {double[0]}"
-            raise refusal("post.name", message, hint="give the segment or tool another name")
+        if duplicates:
+            message = f"task {self.task.task} would use the name {duplicates[0]} twice"
+            raise issue_error("post.name", message, hint="give the segment or tool another name")
 
     def _module(self, name: str, lines: Sequence[str]) -> str:
         inside = [f"{_INDENT}{line}" if line else "" for line in [*self._header(), "", *lines]]
@@ -230,54 +287,54 @@ class _Task:
 
     def _header(self) -> list[str]:
         task = self.task
-        told = [
+        header_sentences = [
             f"Written by Tandem {__version__} for task {task.task}, {task.unit}: {task.robot.title}.",
             f"Arm {task.arm.name}, tool {tool_names(task)}. Written, not taught: plan again to change it.",
             *origin(self.plan, self.margins),
         ]
         if isinstance(task.robot.form, OffsetParameters):
-            told.append(
-                "Arm with an offset wrist: how it counts confdata is not settled, so they are all 0 here and "
-                "ConfL is off: moves go on from the posture of the joint move before them. First run it "
+            header_sentences.append(
+                "Arm with an offset wrist: how it counts confdata is not confirmed, so they are all 0 here "
+                "and ConfL is off: moves continue from the posture of the previous joint move. First run it "
                 "without stock."
             )
         if task.robot.coupling is not None:
-            told.append(
+            header_sentences.append(
                 "Parallel-rod arm: jointtargets hold the controller's axis 3 (serial angle plus axis 2). How "
-                "this arm counts cfx is not settled, so ConfL is off here: first run it without stock."
+                "this arm counts cfx is not confirmed, so ConfL is off here: first run it without stock."
             )
         if self.partner is not None:
             signals, wires, *drifts = meeting_sentences(self.partner, self.job)
-            told += [signals, f"{wires} {_LINES_KEPT}", *drifts]
+            header_sentences += [signals, f"{wires} {_LINES_UNCHANGED}", *drifts]
         if self.signals:
-            told.append(
+            header_sentences.append(
                 f"Error handlers switch {', '.join(self.signals)} off first. An emergency stop runs no "
-                "handler: wire the power so that it falls with the motors."
+                "handler: wire the power so that it goes off with the motors."
             )
-        return [line for sentence in told for line in comment(sentence)]
+        return [line for sentence in header_sentences for line in comment(sentence)]
 
     # ---- main module ----
 
     def _main(self) -> list[str]:
-        conf = "Off" if self.task.robot.unnamed else "On"
+        conf = "Off" if self.task.robot.has_unnamed_postures else "On"
         body = [f"{rapid_data.CELL_CHECK};", "ConfJ\\On;", f"ConfL\\{conf};", "SingArea\\Off;"]
-        moved = [axis.unit for axis in self.task.arm.axes]
+        moved = [axis.unit for axis in self.task.arm.linear_axes]
         moved += [] if self.task.table is None else [self.task.table.unit]
         units = [f"ActUnit {identifier(unit)};" for unit in dict.fromkeys(moved)]
-        body += [*units, "EOffsOff;"] if units else []  # offsets of another program would shift the axes
-        clear = (sentences.CLEAR if self.problem.setups[0].steps else sentences.READY).filled()
+        body += [*units, "EOffsOff;"] if units else []  # offsets of another program shift the axes
+        clear = (sentences.CLEAR if self.problem.setups[0].steps else sentences.READY).format()
         if self.partner is not None:
             body += [
-                *self._power_off(),
-                *partner_lines(self.partner, self.partner.start(sentences.EARLIER, clear)),
+                *self._power_off_lines(),
+                *partner_lines(self.partner, self.partner.start_steps(sentences.EARLIER_RUN, clear)),
             ]
         elif self.task.number == 1:
-            body += self._power_off()
-            # also keeps a controller that repeats its program from starting over by itself
-            body += box(sentences.HEADER, sentences.NO_WIRE.filled() if self.job.coupled else clear)
+            body += self._power_off_lines()
+            # the question also stops a controller that repeats its program from starting over
+            body += message_box(sentences.HEADER, sentences.NO_WIRE.format() if self.job.coupled else clear)
         count = len(self.task.operations)
         body += [f"operation_{i};" for i in range(1, count + 1)]
-        body += [] if self.partner is None else partner_lines(self.partner, self.partner.end())
+        body += [] if self.partner is None else partner_lines(self.partner, self.partner.end_steps())
         out = self._procedure("main", body)
         if self.partner is not None:
             for name, lines in partner_procedures(self.partner, self.task).items():
@@ -287,15 +344,15 @@ class _Task:
         return out
 
     def _check(self) -> list[str]:
-        task, together = self.task, len(self.job.tasks) > 1 and self.partner is None
-        place = [arm.name for arm in self.problem.cell.arms].index(task.arm.name)
-        robot = self.problem.cell.controller.robot(place)
-        body = rapid_data.check_procedures(task, self.job, self.plan, self.tools, robot)
+        task, multiple_tasks = self.task, len(self.job.tasks) > 1 and self.partner is None
+        arm_index = [arm.name for arm in self.problem.cell.arms].index(task.arm.name)
+        robot = self.problem.cell.controller.robot_name(arm_index)
+        body = rapid_data.cell_check_statements(task, self.job, self.plan, self.tools, robot)
         out = self._procedure(rapid_data.CELL_CHECK, body)
-        axes = rapid_data.axes_checks(task)
+        axes = rapid_data.axes_check_statements(task)
         if axes:
             out += ["", *self._procedure(rapid_data.AXES_CHECK, axes)]
-        return [*out, "", *rapid_data.helpers(together, bool(axes))]
+        return [*out, "", *rapid_data.check_helpers(multiple_tasks, bool(axes))]
 
     def _operation(self, index: int, operation: layout.OperationProgram) -> list[str]:
         body = comment(f"Operation {operation.name}.")
@@ -303,42 +360,45 @@ class _Task:
             body += self._step(step, index)
         return self._procedure(f"operation_{index + 1}", body)
 
-    def _step(self, step: layout.Step, operation: int) -> list[str]:
+    def _step(self, step: layout.TaskStep, operation: int) -> list[str]:
         match step:
-            case layout.Joints():
+            case layout.JointMove():
                 name = self.stations.of(step, operation + 1)
                 tool = self.tools.of(self.task.operations[operation].arm.tool)
                 ident = "" if step.id is None else f"\\ID:={step.id}"
                 return [f"MoveAbsJ {name}{ident}\\NoEOffs,{ENTRY_SPEED_NAME},fine,{tool};"]
-            case layout.AxesLook():
+            case layout.AxesCheck():
                 return [f"{rapid_data.AXES_CHECK};"]
-            case layout.Meet(number, reached, seconds) if self.partner is not None:
-                steps = self.partner.meet(number, seconds)
+            case layout.Meeting(number, reached, seconds) if self.partner is not None:
+                steps = self.partner.meeting_after_solo(number, seconds)
                 return [*comment(f"Meeting: {reached}"), *partner_lines(self.partner, steps)]
             case layout.SyncOn() | layout.SyncOff() if self.partner is not None:
                 return []
-            case layout.Meet(number, reached):
-                return [*comment(f"{meet(number)}: {reached}"), f"WaitSyncTask {meet(number)},{TASK_LIST};"]
+            case layout.Meeting(number, reached):
+                return [
+                    *comment(f"{meeting_name(number)}: {reached}"),
+                    f"WaitSyncTask {meeting_name(number)},{TASK_LIST};",
+                ]
             case layout.SyncOn(number):
-                return [f"SyncMoveOn {block(number, 'on')},{TASK_LIST};"]
+                return [f"SyncMoveOn {block_name(number, 'on')},{TASK_LIST};"]
             case layout.SyncOff(number):
-                return [f"SyncMoveOff {block(number, 'off')};"]
-            case layout.Do(action):
+                return [f"SyncMoveOff {block_name(number, 'off')};"]
+            case layout.ActionStep(action):
                 return action_lines(action)
-            case layout.Carry(load):
+            case layout.CarryLoad(load):
                 return [f"GripLoad {load_name(load)};"]
-            case layout.Run():
+            case layout.SegmentRun():
                 inside = (p for p in self.split if p.operation == step.operation)
                 return [f"{self.split[p]};" for p in inside if step.first <= p.first < step.last]
 
     # ---- procedures ----
 
-    def _part(self, part: layout.Part) -> list[str]:
+    def _part(self, part: layout.ModulePart) -> list[str]:
         operation = self.task.operations[part.operation]
         rows = slice(part.first, part.last)
         seconds = (
-            layout.short(float(operation.track.duration[rows].sum()), 2)
-            if operation.track is not None
+            layout.format_short(float(operation.moves.duration[rows].sum()), 2)
+            if operation.moves is not None
             else "0"
         )
         body = comment(f"Segment {part.segment}: {part.last - part.first} moves, {seconds} s.")
@@ -351,29 +411,29 @@ class _Task:
     def _procedure(self, name: str, body: Sequence[str]) -> list[str]:
         out = [f"PROC {name}()", *(_INDENT + line for line in body)]
         out += ["ERROR", *(_INDENT + line for line in self._handler(name))]
-        leave = [*self._power_off(), *self._block_off()]
+        leave = [*self._power_off_lines(), *self._leave_block_lines()]
         if leave:
-            # in every one: whether a pointer that is moved runs the innermost UNDO alone is not certain
+            # in every procedure: a pointer that is moved may run the innermost UNDO only (not confirmed)
             out += ["UNDO", *(_INDENT + line for line in ("! the program pointer was moved away", *leave))]
         return [*out, "ENDPROC"]
 
-    def _power_off(self) -> list[str]:
+    def _power_off_lines(self) -> list[str]:
         return [f"SetDO {identifier(signal)},0;" for signal in self.signals]
 
-    def _block_off(self) -> list[str]:
+    def _leave_block_lines(self) -> list[str]:
         return ["SyncMoveUndo;"] if self.job.blocks and self.partner is None else []
 
     def _handler(self, name: str) -> list[str]:
-        """Power off, then stop; the program ends there, so that no arm goes on by itself."""
-        joined = (sentences.JOINED if self.job.coupled else sentences.ALONE).filled()
+        """Body of an error handler: power off, then stop. EXIT ends the program, so no arm resumes."""
+        warning = (sentences.JOINED if self.job.coupled else sentences.ALONE).format()
         stop = "Stop\\AllMoveTasks;" if len(self.job.tasks) > 1 and self.partner is None else "Stop;"
-        note = quoted(f"{sentences.FAILED.filled(procedure=name)} ")
+        note = quoted(f"{sentences.FAILED.format(procedure=name)} ")
         return [
-            *self._power_off(),
+            *self._power_off_lines(),
             "StopMove\\Quick;",
             f"TPWrite {note}\\Num:=ERRNO;",
-            *([] if self.partner is None else partner_unanswered(self.partner)),
-            f"TPWrite {quoted(joined)};",
+            *([] if self.partner is None else partner_timeout_lines(self.partner)),
+            f"TPWrite {quoted(warning)};",
             stop,
             "EXIT;",
         ]

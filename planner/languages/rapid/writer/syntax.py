@@ -1,11 +1,12 @@
-"""How RAPID writes numbers, texts, names and moves, with speeds, zones and confdata, whole tracks at once.
+"""Formats RAPID numbers, strings, names and moves with speeds, zones and confdata, for whole tracks at once.
 
-Confdata says which of the arm's postures a target means: cf1, cf4, cf6 are the quadrants of axes 1,
-4 and 6, floor(angle / 90 deg); cfx = 4 * (wrist centre behind axis 1) + 2 * (wrist centre behind
-the lower arm) + (axis 5 negative). Source: ABB, Technical reference manual RAPID Instructions,
-Functions and Data types, 3HAC16581-1, data type confdata.
+Confdata selects one of the arm's postures for a target. cf1, cf4 and cf6 are the quadrants of axes 1, 4 and
+6: floor(angle / 90 deg). cfx = 4 * (wrist centre behind axis 1) + 2 * (wrist centre behind the lower arm) +
+(axis 5 negative). Source: ABB, Technical reference manual RAPID Instructions, Functions and Data types,
+3HAC16581-1, data type confdata.
 """
 
+import dataclasses
 import re
 import textwrap
 from collections.abc import Collection, Iterable, Sequence
@@ -18,23 +19,31 @@ from planner.catalogue.robots import OffsetParameters, RobotData
 from planner.claims.segments import Segment, fold
 from planner.claims.sentences import HEADER
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, to_quaternion
-from planner.geometry.corner_rounding import FINE_ZONES
-from planner.issues import TandemError, refusal
-from planner.languages.writing.layout import TRACK_COLUMN, Outer, Part, Track, number, plain, short
-from planner.languages.writing.refusals import alike
-from planner.problem import OUTER_DECIMALS
-from planner.targets import Action
+from planner.geometry.corner_rounding import FINE_ZONE_SIZES
+from planner.issues import TandemError, issue_error
+from planner.languages.writing.layout import (
+    TRACK_COLUMN,
+    ExternalAxisValues,
+    ModulePart,
+    MoveTable,
+    format_fixed,
+    format_short,
+    to_ascii,
+)
+from planner.languages.writing.refusals import equal_names_issue
+from planner.problem import EXTERNAL_AXIS_DECIMALS
+from planner.targets import TargetAction
 
-NAME_LENGTH: Final = 32
-"""Longest name in RAPID [characters]."""
-STRING_LENGTH: Final = 80
-"""Longest string in RAPID [characters]; lines on the operator's panel have half of it."""
-BOX_LINE: Final = 55
-"""Characters of one line of a message box, which has five."""
-BOX_LINES: Final = 5
-"""Lines of a message box."""
+MAX_NAME_LENGTH: Final = 32
+"""Maximum length of a RAPID name [characters]."""
+MAX_STRING_LENGTH: Final = 80
+"""Maximum length of a RAPID string [characters]; lines on the operator's panel have half of it."""
+BOX_LINE_LENGTH: Final = 55
+"""Maximum length of one of the five lines of a message box [characters]."""
+MAX_BOX_LINES: Final = 5
+"""Maximum number of lines of a message box."""
 UNUSED_AXES: Final = "[9E9,9E9,9E9,9E9,9E9,9E9]"
-"""External axes that are not there."""
+"""Value of extjoint without external axes."""
 
 _RESERVED_TEXT: Final = """
 alias and backward case connect const default div do else elseif endfor endfunc endif endmodule endproc
@@ -43,99 +52,122 @@ nostepin not noview or pers proc raise readonly record retry return step sysmodu
 trap true trynext undo var viewonly while with xor load stop set reset main tool0 wobj0 fine load0 errno
 high low edge pi intno
 """
-"""Words that no name may be."""
+"""Words that cannot be names."""
 RESERVED: Final = frozenset(_RESERVED_TEXT.split())
-"""Reserved words of the language and built-in names that a label could be taken for."""
+"""Reserved words of the language, and built-in names that a label could be confused with."""
 
 
 def vector(values: Iterable[float], decimals: int) -> str:
-    """``[a,b,...]``"""
-    return "[" + ",".join(number(float(value), decimals) for value in values) + "]"
+    """Format numbers as ``[a,b,...]``.
+
+    Args:
+        values: The numbers.
+        decimals: Maximum number of decimals.
+    """
+    return "[" + ",".join(format_fixed(float(value), decimals) for value in values) + "]"
 
 
 def pose(matrix: FloatArray) -> str:
-    """RAPID's pose of (4, 4) [m]: position in mm with 4 decimals, unit quaternion with 8."""
+    """Format a pose (4, 4) [m] for RAPID: position in mm with 4 decimals, unit quaternion with 8."""
     return f"[{vector(matrix[:3, 3] * 1e3, 4)},{vector(to_quaternion(matrix[:3, :3]), 8)}]"
 
 
-def external_axes(station: Outer | None) -> str:
-    """RAPID's extjoint: values of external axes [mm or deg] in their columns; None: no axis."""
+def external_axes(station: ExternalAxisValues | None) -> str:
+    """Format the extjoint of external axis values [mm or deg] by column; None means no axis."""
     if not station:
         return UNUSED_AXES
     values = dict(station)
-    return f"[{','.join(number(values[k], OUTER_DECIMALS) if k in values else '9E9' for k in range(6))}]"
+    texts = (format_fixed(values[k], EXTERNAL_AXIS_DECIMALS) if k in values else "9E9" for k in range(6))
+    return f"[{','.join(texts)}]"
 
 
-def jointtarget(degrees: FloatArray, station: Outer | None = None) -> str:
-    """RAPID's jointtarget of the controller's joint values (6,) [deg] and of external axes."""
+def jointtarget(degrees: FloatArray, station: ExternalAxisValues | None = None) -> str:
+    """Format a jointtarget.
+
+    Args:
+        degrees: Joint values of the controller, (6,) [deg].
+        station: Values of the external axes [mm or deg], or None.
+    """
     return f"[{vector(degrees, 6)},{external_axes(station)}]"
 
 
 def quoted(text: str) -> str:
-    """A string literal of plain text of at most 80 characters; quotes and backslashes are doubled."""
+    """Return a string literal of plain text of at most 80 characters; quotes and backslashes are doubled."""
     return '"' + text.replace("\\", "\\\\").replace('"', '""') + '"'
 
 
 def comment(text: str, indent: str = "") -> list[str]:
-    """Comment lines of plain text, wrapped."""
-    return [f"{indent}! {line}" for line in textwrap.wrap(plain(text), 100)]
+    """Return comment lines of plain text, wrapped at 100 characters.
+
+    Args:
+        text: The text.
+        indent: Put in front of each line.
+    """
+    return [f"{indent}! {line}" for line in textwrap.wrap(to_ascii(text), 100)]
 
 
 def identifier(text: str) -> str:
-    """A name from text: letters, digits and single underscores, a letter first.
+    """Return a name made from text: letters, digits and single underscores, with a letter first.
 
-    Raises :class:`TandemError` (``post.name``) when that gives no name that RAPID takes.
+    Raises:
+        TandemError: ``post.name`` if the result is no valid RAPID name.
     """
-    name = re.sub(r"[^A-Za-z0-9]+", "_", plain(text)).strip("_")
-    if not re.match(r"[A-Za-z]", name) or len(name) > NAME_LENGTH - 4 or name.lower() in RESERVED:
-        message = f"{text!r} cannot name anything in RAPID (it gives {name!r})"
-        hint = f"a letter first, at most {NAME_LENGTH - 4} characters, no reserved word"
-        raise refusal("post.name", message, hint=hint)
+    name = re.sub(r"[^A-Za-z0-9]+", "_", to_ascii(text)).strip("_")
+    if not re.match(r"[A-Za-z]", name) or len(name) > MAX_NAME_LENGTH - 4 or name.lower() in RESERVED:
+        message = f"{text!r} gives no valid RAPID name (got {name!r})"
+        hint = f"a letter first, at most {MAX_NAME_LENGTH - 4} characters, no reserved word"
+        raise issue_error("post.name", message, hint=hint)
     return name
 
 
 def write_lines(text: str) -> list[str]:
-    """Instructions that show text on the operator's panel."""
-    return [f"TPWrite {quoted(line)};" for line in textwrap.wrap(plain(text), STRING_LENGTH // 2)]
+    """Return the instructions that show text on the operator's panel."""
+    return [f"TPWrite {quoted(line)};" for line in textwrap.wrap(to_ascii(text), MAX_STRING_LENGTH // 2)]
 
 
-def box(header: str, text: str) -> list[str]:
-    """Instructions that show text and wait until the operator presses OK; long text takes several boxes."""
-    lines = textwrap.wrap(plain(text), BOX_LINE) or [""]
+def message_box(header: str, text: str) -> list[str]:
+    """Return the instructions that show text until the operator presses OK; long text takes several boxes.
+
+    Args:
+        header: Title of the box.
+        text: The text.
+    """
+    lines = textwrap.wrap(to_ascii(text), BOX_LINE_LENGTH) or [""]
     out = []
-    for first in range(0, len(lines), BOX_LINES):
-        shown = [quoted(line) for line in lines[first : first + BOX_LINES]]
+    for first in range(0, len(lines), MAX_BOX_LINES):
+        shown = [quoted(line) for line in lines[first : first + MAX_BOX_LINES]]
         out += [f"UIMsgBox\\Header:={quoted(header)},{shown[0]}"]
         out += [f"    \\MsgLine{i}:={line}" for i, line in enumerate(shown[1:], 2)]
         out += ["    \\Buttons:=btnOK\\Icon:=iconInfo;"]
     return out
 
 
-def action_lines(action: Action) -> list[str]:
-    """The instructions of an action of the process."""
+def action_lines(action: TargetAction) -> list[str]:
+    """Return the instructions of an action of the process."""
     match action.kind:
         case "message":
             return write_lines(action.text)
         case "confirm":
-            return box(HEADER, action.text)
+            return message_box(HEADER, action.text)
         case "on":
             return [f"SetDO {identifier(action.signal)},1;"]
         case "off":
             return [f"SetDO {identifier(action.signal)},0;"]
         case "wait":
-            return [f"WaitTime {short(action.seconds, 3)};"]
+            return [f"WaitTime {format_short(action.seconds, 3)};"]
         case "input":
-            return [f"WaitDI {identifier(action.signal)},1\\MaxTime:={short(action.seconds, 3)};"]
+            return [f"WaitDI {identifier(action.signal)},1\\MaxTime:={format_short(action.seconds, 3)};"]
 
 
 LONG_KIND_MARK: Final = "__k"
-"""Stands behind a kind that has underscores of its own, which else ends at the first one."""
+"""Follows a kind that contains underscores. Other kinds end at the first underscore."""
 
 
-def part_names(parts: Sequence[Part]) -> dict[Part, str]:
-    """``cut_front`` for the first visit of ``cut/front``, ``cut_front__2`` for the second.
+def part_names(parts: Sequence[ModulePart]) -> dict[ModulePart, str]:
+    """Name procedures: ``cut_front`` for the first visit of ``cut/front``, ``cut_front__2`` for the second.
 
-    Raises :class:`TandemError` (``post.name``).
+    Raises:
+        TandemError: ``post.name``.
     """
     visits: dict[str, int] = {}
     known: dict[str, Segment] = {}
@@ -143,19 +175,21 @@ def part_names(parts: Sequence[Part]) -> dict[Part, str]:
 
 
 def procedure(segment: Segment) -> str:
-    """``cut_front`` for ``cut/front``: the label as a RAPID name, the same one for no two segments that
-    differ in more than case and runs of underscores.
+    """Return the procedure name of a segment: ``cut_front`` for ``cut/front``.
 
-    A kind ends at the first underscore; ``__k`` stands behind one that has underscores of its own. Raises
-    :class:`TandemError` (``post.name``).
+    Two segments share a name only if they differ in nothing but case and runs of underscores. A kind ends at
+    the first underscore; ``__k`` follows a kind that contains underscores.
+
+    Raises:
+        TandemError: ``post.name``.
     """
     name, kind = identifier(str(segment)), fold(segment.kind)
     if "_" not in kind:
         return name
     full = f"{kind}{LONG_KIND_MARK}{name[len(kind) :]}"
-    if len(full) > NAME_LENGTH - 4:
+    if len(full) > MAX_NAME_LENGTH - 4:
         message = f"segment {str(segment)!r} would be called {full}, which is too long"
-        raise refusal("post.name", message, hint=f"allowed: {NAME_LENGTH - 4} characters")
+        raise issue_error("post.name", message, hint=f"allowed: {MAX_NAME_LENGTH - 4} characters")
     return full
 
 
@@ -163,41 +197,54 @@ def _name(segment: Segment, visits: dict[str, int], known: dict[str, Segment]) -
     name = procedure(segment)
     other = known.setdefault(name.lower(), segment)
     if other != segment:
-        raise TandemError(alike(other, segment))
+        raise TandemError(equal_names_issue(other, segment))
     visits[name] = visits.get(name, 0) + 1
     full = name if visits[name] == 1 else f"{name}__{visits[name]}"
-    if len(full) > NAME_LENGTH:
-        message = f"segment {str(segment)!r} comes {visits[name]} times, and {full} is too long for a name"
-        raise refusal("post.name", message, hint=f"shorten the label; allowed: {NAME_LENGTH} characters")
+    if len(full) > MAX_NAME_LENGTH:
+        message = f"segment {str(segment)!r} occurs {visits[name]} times, and {full} is too long for a name"
+        raise issue_error(
+            "post.name", message, hint=f"shorten the label; allowed: {MAX_NAME_LENGTH} characters"
+        )
     return full
 
 
 _DEGREE_DECIMALS = 4
-"""Decimals of joints in degrees to which they are rounded before their quadrant is taken."""
+"""Decimals to which joint angles in degrees are rounded before their quadrant is computed."""
 
 
 def confdata(robot: RobotData, q: FloatArray) -> IntArray:
-    """(..., 4) cf1, cf4, cf6, cfx of serial joint angles q (..., 6) [rad].
+    """Return confdata (..., 4): cf1, cf4, cf6, cfx.
 
-    Angles are rounded to 0.0001 deg first, about what the rounding of a written target moves an axis by, so
-    that an axis on the border of two quadrants gets one number and not the noise of its last digits. All 0
-    for an arm with an offset wrist: how it counts them is not settled, and its programs run with ConfL off.
+    Angles are first rounded to 0.0001 deg, about as much as the rounding of a written target moves an axis.
+    An axis on the border of two quadrants then gets a stable number instead of the noise of its last digits.
+    All are 0 for an arm with an offset wrist: its numbering of configurations is not confirmed, and its
+    programs run with ConfL off.
+
+    Args:
+        robot: The robot.
+        q: Serial joint angles, (..., 6) [rad].
     """
     if isinstance(robot.form, OffsetParameters):
         return np.zeros((*q.shape[:-1], 4), dtype=np.int64)
     degrees = np.round(np.rad2deg(robot.to_controller(q)), _DEGREE_DECIMALS)
     out = np.empty((*q.shape[:-1], 4), dtype=np.int64)
     out[..., :3] = np.floor(degrees[..., [0, 3, 5]] / 90.0)
-    out[..., 3] = posture(robot, q)
+    out[..., 3] = cfx(robot, q)
     return out
 
 
-def posture(robot: RobotData, q: FloatArray) -> IntArray:
-    """cfx (...,) of serial joint angles q (..., 6) [rad]."""
+def cfx(robot: RobotData, q: FloatArray) -> IntArray:
+    """Return cfx (...,).
+
+    Args:
+        robot: The robot.
+        q: Serial joint angles, (..., 6) [rad].
+    """
     p = robot.opw
     theta = p.signs * q - p.offsets
     lower, elbow = theta[..., 1], theta[..., 2]
-    # the wrist centre as the lower arm sees it, and its distance in front of axis 1
+    # wrist centre across the lower arm, and its distance in front of axis 1:
+    # across = a2 cos(t3) + c3 sin(t3), ahead = a1 + (c2 + c3 cos(t3) - a2 sin(t3)) sin(t2) + across cos(t2)
     across = p.a2 * np.cos(elbow) + p.c3 * np.sin(elbow)
     ahead = (
         p.a1 + (p.c2 + p.c3 * np.cos(elbow) - p.a2 * np.sin(elbow)) * np.sin(lower) + across * np.cos(lower)
@@ -214,79 +261,111 @@ PREDEFINED_SPEEDS: Final = (
 )
 """TCP speeds [mm/s] of the predefined speeddata v5 ... v7000."""
 
-OWN_ZONES: Final = {f"z{size:g}mm": size for size in (10.0, 5.0, 3.0, 2.0)} | {
-    f"z{1e3 * size:g}um": size for size in (1.5, *FINE_ZONES) if size != 0.3
+DECLARED_ZONES: Final = {f"z{size:g}mm": size for size in (10.0, 5.0, 3.0, 2.0)} | {
+    f"z{1e3 * size:g}um": size for size in (1.5, *FINE_ZONE_SIZES) if size != 0.3
 }
-"""Zones of our own by the way of the TCP [mm], for dense targets."""
+"""Declared zones for dense targets: name -> path distance of the TCP [mm]."""
 
-TURN_ZONES: Final = {f"z_turn_{1e3 * size:g}": size for size in (1.0, *FINE_ZONES)}
-"""Zones of our own for a TCP that stands and turns [deg], named after thousandths of a degree."""
+ROTATION_ZONES: Final = {f"z_turn_{1e3 * size:g}": size for size in (1.0, *FINE_ZONE_SIZES)}
+"""Declared zones for a TCP that rotates in place: name in thousandths of a degree -> angle [deg]."""
 
-# name and the larger one of a zone's sizes for position and for turning [mm], largest first
+# zone name and the larger of its sizes for position and for reorientation [mm], largest first
 _ZONES: Final = sorted(
-    [("z10", 15.0), ("z5", 8.0), ("z1", 1.0), ("z0", 0.3), *OWN_ZONES.items()], key=lambda zone: -zone[1]
+    [("z10", 15.0), ("z5", 8.0), ("z1", 1.0), ("z0", 0.3), *DECLARED_ZONES.items()], key=lambda zone: -zone[1]
 )
 
 
-def own_zones(used: Collection[str]) -> list[str]:
-    """Declarations of those of our zones that are used; angles follow the sizes as in the predefined ones."""
+def zone_declarations(used: Collection[str]) -> list[str]:
+    """Return the declarations of the zones in ``used`` that are not predefined.
+
+    Their angles follow from their sizes as for the predefined zones.
+    """
     out = [
         f"CONST zonedata {name}:=[FALSE,{size:g},{size:g},{size:g},{size / 10:.4f},{size:g},{size / 10:.4f}];"
-        for name, size in OWN_ZONES.items()
+        for name, size in DECLARED_ZONES.items()
         if name in used
     ]
     out += [
         f"CONST zonedata {name}:=[FALSE,0,0,0,{size:.4f},0,{size:.4f}];"
-        for name, size in TURN_ZONES.items()
+        for name, size in ROTATION_ZONES.items()
         if name in used
     ]
     return out
 
 
-def zones(track: Track, stop: BoolArray) -> NameArray:
-    """Names (M,) of the zones: fine at a stop, else the largest one within the room that the corner has."""
-    names = np.array([*(name for name, _ in _ZONES), *TURN_ZONES, "fine"])
-    moving = _largest([size for _, size in _ZONES], track.reach)
-    turning = _largest(list(TURN_ZONES.values()), np.rad2deg(track.reach_turn))
-    standing = moving == len(_ZONES)
-    choice = np.where(standing, np.minimum(len(_ZONES) + turning, len(names) - 2), moving)
+def zones(track: MoveTable, stop: BoolArray) -> NameArray:
+    """Return the zone name of each move (M,): fine at a stop, else the largest zone that fits the corner.
+
+    Args:
+        track: Targets of one operation.
+        stop: Which moves end in a stop, (M,).
+    """
+    names = np.array([*(name for name, _ in _ZONES), *ROTATION_ZONES, "fine"])
+    position_index = _largest_fitting([size for _, size in _ZONES], track.max_zone)
+    rotation_index = _largest_fitting(list(ROTATION_ZONES.values()), np.rad2deg(track.max_zone_rotation))
+    rotates_in_place = position_index == len(_ZONES)
+    choice = np.where(
+        rotates_in_place, np.minimum(len(_ZONES) + rotation_index, len(names) - 2), position_index
+    )
     return np.asarray(names[np.where(stop, len(names) - 1, choice)])
 
 
-def _largest(sizes: Sequence[float], room: FloatArray) -> IntArray:
-    """Index (M,) of the first of the descending sizes within the room; their count where there is none."""
-    return np.searchsorted(-np.array(sizes), -room - 1e-9)
+def _largest_fitting(sizes: Sequence[float], available: FloatArray) -> IntArray:
+    """Index (M,) of the first of the descending sizes that fits the distance; their count if none fits."""
+    return np.searchsorted(-np.array(sizes), -available - 1e-9)
 
 
-def speeds(track: Track) -> NameArray:
-    """Names (M,) of the predefined speeds: the least that is not below what distance and time give."""
+def speeds(track: MoveTable) -> NameArray:
+    """Return the predefined speed of each move (M,): the smallest that is not below distance / duration."""
     names = np.array([*(f"v{speed}" for speed in PREDEFINED_SPEEDS), "vmax"])
     return np.asarray(names[np.searchsorted(PREDEFINED_SPEEDS, track.distance / track.duration - 1e-9)])
 
 
+@dataclasses.dataclass(frozen=True)
+class FrameNames:
+    """Names of the data that define the frames of moves.
+
+    Attributes:
+        tool: Name of the tooldata.
+        wobj: Name of the wobjdata.
+    """
+
+    tool: str
+    wobj: str
+
+
 def move_lines(
     robot: RobotData,
-    track: Track,
+    track: MoveTable,
     ids: IntArray | None,
     zone: NameArray,
-    tool: str,
-    wobj: str,
-    station: Outer | None = None,
+    frames: FrameNames,
+    station: ExternalAxisValues | None = None,
 ) -> list[str]:
-    """One MoveL a row, with ``\\T`` and, where the move has a partner, ``\\ID``; external axes stand at
-    ``station``, if there are any, or are where the track goes along."""
-    outer = [external_axes(station)] * len(zone)
-    if track.outer is not None:
-        rest = dict(station or ())
-        outer = [external_axes(tuple({**rest, TRACK_COLUMN: v}.items())) for v in track.outer.tolist()]
+    r"""Return one MoveL per target, with ``\T`` and, if the move has a partner, ``\ID``.
+
+    Args:
+        robot: The robot.
+        track: Targets of one operation, M of them.
+        ids: Numbers that moves of synchronised tasks share, (M,), or None.
+        zone: Zone names, (M,).
+        frames: Names of the tooldata and the wobjdata.
+        station: Values of the external axes, or None. A coordinated track replaces its value at each target.
+    """
+    external = [external_axes(station)] * len(zone)
+    if track.track_positions is not None:
+        fixed = dict(station or ())
+        external = [
+            external_axes(tuple({**fixed, TRACK_COLUMN: v}.items())) for v in track.track_positions.tolist()
+        ]
     conf = confdata(robot, track.q)
-    tail = f",{tool}\\WObj:={wobj};"
+    tail = f",{frames.tool}\\WObj:={frames.wobj};"
     marks = [""] * len(zone) if ids is None else [f"\\ID:={i}" for i in ids.tolist()]
     rows = zip(
         track.position.tolist(),
         track.quaternion.tolist(),
         conf.tolist(),
-        outer,
+        external,
         marks,
         speeds(track).tolist(),
         track.duration.tolist(),

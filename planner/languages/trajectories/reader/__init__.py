@@ -1,1 +1,1 @@
-"""Joint trajectories of ROS 2 read strictly: from rows to the straight way of each arm."""
+"""Strict reader of ROS 2 joint trajectories, from rows to the main flow of each arm."""

@@ -1,40 +1,40 @@
-"""The text of an arm that a file of trajectories moves."""
+"""Text of an arm that a trajectory file moves."""
 
 import dataclasses
 from typing import ClassVar
 
 from planner.geometry.arrays import FloatArray
-from planner.languages.trajectories.reader.rows import Program
+from planner.languages.trajectories.reader.rows import TrajectoryProgram
 from planner.problem import Arm
-from planner.programs.program_text import ProgramText, Size
+from planner.programs.program_text import PartSize, ProgramText
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class TrajectoryText(ProgramText):
-    """What was read.
+    """A trajectory file as read.
 
     Attributes:
         program: The program that moves the arm, perhaps with others.
-        base: Base (4, 4) of the arm in the world.
+        base: Base of the arm in the world, (4, 4) [m].
     """
 
     language: ClassVar[str] = "trajectories"
     is_trajectory: ClassVar[bool] = True
 
-    program: Program
+    program: TrajectoryProgram
     base: FloatArray
 
     @property
     def digest(self) -> str:
-        """The problem that the file names."""
+        """Digest of the problem that the file names."""
         return self.program.digest
 
     def base_of(self, arm: Arm) -> FloatArray:
-        """Return the base that the file declares for the arm."""
+        """Return the base that the file declares for the arm, (4, 4) [m]."""
         return self.base
 
     @property
-    def sizes(self) -> tuple[Size, ...]:
+    def sizes(self) -> tuple[PartSize, ...]:
         """Number of points of the file."""
         file = self.program.file
-        return (Size(file, file, self.program.points, "points"),)
+        return (PartSize(file, file, self.program.points, "points"),)

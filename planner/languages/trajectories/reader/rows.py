@@ -1,9 +1,9 @@
-"""The rows of a trajectory file, read strictly: JSON Lines, one step or one point of a move a line.
+"""Strict reader of the rows of a trajectory file: JSON Lines, one step or one point of a move per line.
 
-A row is an object with exactly the keys of its kind, in their order. Numbers are plain decimals; NaN, a key
-that stands twice, a key or kind of row that is not known, and a last row that does not count and seal the
-rows before it are faults. The reader shares no code with the writer: it knows the rows from
-docs/trajectories.md."""
+A row is an object with exactly the keys of its kind, in their order. Numbers are plain decimals. Faults are
+NaN, duplicate keys, unknown keys or kinds of rows, and a last row that does not match number and hash of the
+rows before it. The reader shares no code with the writer: it implements docs/trajectories.md.
+"""
 
 import hashlib
 import json
@@ -13,26 +13,31 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from planner.programs.steps import Fault
+from planner.programs.steps import TextFault
 
 VERSION: Final = 2
-"""The form of the file that is read."""
-MOST_VALUE: Final = 1e6
-"""Numbers are no larger [s, rad, m, kg]."""
+"""Supported version of the file format."""
+MAX_VALUE: Final = 1e6
+"""Maximum magnitude of numbers [s, rad, m, kg]."""
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_/.-]{0,99}", re.ASCII)
 _NUMBER: Final = re.compile(r"-?\d{1,7}(\.\d{1,12})?", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Row:
-    """Where a row stands [from 1]."""
+class TrajectoryRow:
+    """A row; ``line`` counts from 1."""
 
     line: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ArmRow(Row):
-    """An arm: its `joints` by name, in the order of all numbers, and its `base` (6,) in the world."""
+class ArmRow(TrajectoryRow):
+    """An arm.
+
+    Attributes:
+        joints: Names of its joints, in the order of all numbers.
+        base: Base in the world, (6,).
+    """
 
     arm: str
     robot: str
@@ -41,9 +46,14 @@ class ArmRow(Row):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OperationRow(Row):
-    """An operation begins, in a setup [from 1] in which the block stands at `block` (6,) in the world, or in
-    the frame of the TCP of the arm that it is `held_by`."""
+class OperationRow(TrajectoryRow):
+    """Start of an operation.
+
+    Attributes:
+        setup: Number of the setup, from 1.
+        held_by: Arm that holds the block, "" for none.
+        block: Pose of the block, (6,), in the world, or in the TCP frame of the arm that holds it.
+    """
 
     operation: str
     setup: int
@@ -52,8 +62,14 @@ class OperationRow(Row):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ToolRow(Row):
-    """What an arm carries from here on: `tcp` (6,) in the flange, `mass` [kg] and `centre` (3,) [m]."""
+class ToolRow(TrajectoryRow):
+    """Tool that an arm carries from here on.
+
+    Attributes:
+        tcp: TCP in the flange frame, (6,).
+        mass: Mass [kg].
+        centre: Centre of mass, (3,) [m].
+    """
 
     tool: str
     arm: str
@@ -63,10 +79,17 @@ class ToolRow(Row):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CarryRow(Row):
-    """What an arm's tool holds from here on, in the frame of its TCP: `mass` [kg], 0 for nothing, `centre`
-    (3,) [m], moments of `inertia` (3,) [kg m^2] about `axes` (3,), a rotation vector, through it. The
-    operator says that the arm's controller knows it, or nothing more is done."""
+class CarryRow(TrajectoryRow):
+    """Load that an arm's tool holds from here on, in its TCP frame.
+
+    The operator confirms that the arm's controller knows it; otherwise the run ends.
+
+    Attributes:
+        mass: Mass [kg], 0 for nothing.
+        centre: Centre of mass, (3,) [m].
+        axes: Rotation vector of the principal axes, (3,).
+        inertia: Principal moments of inertia, (3,) [kg m^2].
+    """
 
     arm: str
     mass: float
@@ -77,8 +100,8 @@ class CarryRow(Row):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AtRow(Row):
-    """All joints stand at `at` [rad], each `within` [rad], or nothing more is done."""
+class AtRow(TrajectoryRow):
+    """Check of all joints: they are at ``at`` [rad], each ``within`` [rad]; otherwise the run ends."""
 
     at: tuple[float, ...]
     within: float
@@ -86,31 +109,31 @@ class AtRow(Row):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TellRow(Row):
-    """The operator is told something."""
+class TellRow(TrajectoryRow):
+    """Message to the operator."""
 
     text: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AskRow(Row):
-    """The operator is asked something, and says yes, or nothing more is done."""
+class AskRow(TrajectoryRow):
+    """Question to the operator; without a yes the run ends."""
 
     text: str
     on_failure: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SetRow(Row):
-    """An output is switched."""
+class SetRow(TrajectoryRow):
+    """Switches an output."""
 
     signal: str
     to: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AwaitRow(Row):
-    """An input is waited for, `within` [s], or nothing more is done."""
+class AwaitRow(TrajectoryRow):
+    """Waits ``within`` [s] for an input; otherwise the run ends."""
 
     signal: str
     to: int
@@ -119,17 +142,23 @@ class AwaitRow(Row):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DwellRow(Row):
-    """Nothing is done for `seconds`."""
+class DwellRow(TrajectoryRow):
+    """Waits for ``seconds``."""
 
     seconds: float
     on_failure: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Point(Row):
-    """A point of a move: `t` [s] from its start, `q` [rad] and `v` [rad/s] of all joints, the label of the
-    `segment`, "" in a move that has none."""
+class TrajectoryPoint(TrajectoryRow):
+    """A point of a move.
+
+    Attributes:
+        t: Time from the start of the move [s].
+        q: All joints [rad].
+        v: All joint velocities [rad/s].
+        segment: Label of the segment, "" in a move without segments.
+    """
 
     t: float
     q: tuple[float, ...]
@@ -138,80 +167,107 @@ class Point(Row):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MoveRow(Row):
-    """One goal: the `arms` that move, tolerances of all joints on the `path` and at the `goal` [rad], and
-    by how much it may be late, `goal_time` [s]. `points` follow."""
+class MoveRow(TrajectoryRow):
+    """One goal.
+
+    Attributes:
+        arms: Arms that move.
+        path: Path tolerances of all joints [rad].
+        goal: Goal tolerances of all joints [rad].
+        goal_time: Allowed delay [s].
+        points: Its points.
+    """
 
     arms: tuple[str, ...]
     path: tuple[float, ...]
     goal: tuple[float, ...]
     goal_time: float
     on_failure: tuple[str, ...]
-    points: list[Point] = field(default_factory=list)
+    points: list[TrajectoryPoint] = field(default_factory=list)
 
 
 MayFail = CarryRow | AtRow | AskRow | AwaitRow | DwellRow | MoveRow
-"""Rows of steps that may not end; ``on_failure`` names the outputs that fall then."""
+"""Rows of steps that may fail; ``on_failure`` names the outputs that are then switched off."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Program:
-    """A file: what it says of itself, its arms, and its rows behind them, a move with its points."""
+class TrajectoryProgram:
+    """A trajectory file.
+
+    Attributes:
+        file: Its path.
+        problem: Name of the problem.
+        digest: Digest of the problem.
+        arms: Its arms.
+        rows: Its further rows; a move contains its points.
+    """
 
     file: str
     problem: str
     digest: str
     arms: tuple[ArmRow, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[TrajectoryRow, ...]
 
     @property
     def points(self) -> int:
-        """How many points all moves have."""
+        """Number of points of all moves."""
         return sum(len(row.points) for row in self.rows if isinstance(row, MoveRow))
 
     @property
     def width(self) -> int:
-        """How many joints all arms have."""
+        """Number of joints of all arms."""
         return sum(len(arm.joints) for arm in self.arms)
 
 
 class RowError(Exception):
-    """A row is none. `kind` is a fault's code without the language."""
+    """A row is not valid.
+
+    Attributes:
+        kind: Issue code without the language.
+        message: What is wrong.
+    """
 
     def __init__(self, kind: str, message: str) -> None:
         super().__init__(message)
         self.kind, self.message = kind, message
 
 
-def read(file: str, text: str, most_bytes: int) -> tuple[Program | None, tuple[Fault, ...]]:
-    """The program of a file's text, None where there is none, and all faults."""
-    faults: list[Fault] = []
+def read(file: str, text: str, max_bytes: int) -> tuple[TrajectoryProgram | None, tuple[TextFault, ...]]:
+    """Return the program of a file, or None, and all faults.
+
+    Args:
+        file: Its path.
+        text: Its text.
+        max_bytes: Maximum size [bytes].
+    """
+    faults: list[TextFault] = []
     size = len(text.encode("utf-8", "surrogatepass"))
-    if size > most_bytes:
-        what = f"{size} bytes; allowed: {most_bytes}; split the job"
-        return None, (Fault(1, 1, "trajectory.file_size", what, file),)  # rows of one as long take minutes
+    if size > max_bytes:
+        what = f"{size} bytes; allowed: {max_bytes}; split the job"
+        # parsing a file of this size takes minutes
+        return None, (TextFault(1, 1, "trajectory.file_size", what, file),)
     lines = text.replace("\r\n", "\n").split("\n")
     if lines[-1] != "":
-        faults.append(Fault(len(lines), 1, "trajectory.syntax", "the file ends within a line", file))
+        faults.append(TextFault(len(lines), 1, "trajectory.syntax", "the file ends within a line", file))
     else:
         lines = lines[:-1]
-    found: list[Any] = []
+    parsed: list[Any] = []
     for number, line in enumerate(lines, 1):
         try:
-            found.append(_row(number, line))
+            parsed.append(_parse_row(number, line))
         except RowError as wrong:
-            faults.append(Fault(number, 1, f"trajectory.{wrong.kind}", wrong.message, file))
-            if len(faults) > _MOST_FAULTS:
+            faults.append(TextFault(number, 1, f"trajectory.{wrong.kind}", wrong.message, file))
+            if len(faults) > _MAX_FAULTS:
                 break
     if faults:
         return None, tuple(faults)
     try:
-        return _program(file, lines, found), ()
+        return _build_program(file, lines, parsed), ()
     except _MisplacedError as wrong:
-        return None, (Fault(wrong.line, 1, f"trajectory.{wrong.kind}", wrong.message, file),)
+        return None, (TextFault(wrong.line, 1, f"trajectory.{wrong.kind}", wrong.message, file),)
 
 
-_MOST_FAULTS: Final = 50
+_MAX_FAULTS: Final = 50
 
 
 class _MisplacedError(RowError):
@@ -242,61 +298,61 @@ class _End:
     sha256: str
 
 
-def _program(file: str, lines: Sequence[str], found: Sequence[Any]) -> Program:
-    """The rows as a program. Raises `_MisplacedError` for one that stands where it must not."""
-    if not found or not isinstance(found[0], _Head):
-        raise _MisplacedError(1, "the file does not begin with its head (tandem_trajectory)")
-    head, end = found[0], found[-1]
+def _build_program(file: str, lines: Sequence[str], parsed: Sequence[Any]) -> TrajectoryProgram:
+    """The rows as a program. Raises `_MisplacedError` for a row that is out of place."""
+    if not parsed or not isinstance(parsed[0], _Head):
+        raise _MisplacedError(1, "the file does not start with its head (tandem_trajectory)")
+    head, end = parsed[0], parsed[-1]
     if head.version != VERSION:
         raise _MisplacedError(1, f"tandem_trajectory is {head.version}; allowed: {VERSION}")
     if not isinstance(end, _End):
-        raise _MisplacedError(len(found), "the file does not close with its end; it was cut off")
-    if end.rows != len(found):
-        raise _MisplacedError(end.line, f"the end counts {end.rows} rows; the file has {len(found)}")
-    sealed = hashlib.sha256(
+        raise _MisplacedError(len(parsed), "the file does not end with its end row; it is incomplete")
+    if end.rows != len(parsed):
+        raise _MisplacedError(end.line, f"the end row states {end.rows} rows; the file has {len(parsed)}")
+    digest = hashlib.sha256(
         "".join(f"{line}\n" for line in lines[:-1]).encode("ascii", "replace")
     ).hexdigest()
-    if end.sha256 != sealed:
-        raise _MisplacedError(end.line, "the rows are not those that the end was written for (sha256)")
+    if end.sha256 != digest:
+        raise _MisplacedError(end.line, "the rows do not match the hash of the end row (sha256)")
     arms: list[ArmRow] = []
-    rows: list[Row] = []
+    rows: list[TrajectoryRow] = []
     segment: str | None = None
-    for row in found[1:-1]:
+    for row in parsed[1:-1]:
         move = rows[-1] if rows and isinstance(rows[-1], MoveRow) else None
         match row:
             case ArmRow() if not rows and segment is None:
                 arms.append(row)
             case _Segment() if move is not None and (segment is not None or len(move.points) == 1):
                 segment = row.segment
-            case Point() if move is not None:
-                move.points.append(Point(row.line, row.t, row.q, row.v, segment or ""))
-            case Row() if not isinstance(row, ArmRow | Point) and arms:
+            case TrajectoryPoint() if move is not None:
+                move.points.append(TrajectoryPoint(row.line, row.t, row.q, row.v, segment or ""))
+            case TrajectoryRow() if not isinstance(row, ArmRow | TrajectoryPoint) and arms:
                 if isinstance(row, OperationRow) and not rows and row.setup != 1:
-                    raise _MisplacedError(row.line, "the first operation is of setup 1")
+                    raise _MisplacedError(row.line, "the first operation must be in setup 1")
                 rows.append(row)
                 segment = None
             case _:
-                raise _MisplacedError(row.line, "this row does not stand where it may")
-    program = Program(file, head.problem, head.digest, tuple(arms), tuple(rows))
+                raise _MisplacedError(row.line, "this row is not allowed here")
+    program = TrajectoryProgram(file, head.problem, head.digest, tuple(arms), tuple(rows))
     for name, values in (("arms", [a.arm for a in arms]), ("joints", [j for a in arms for j in a.joints])):
         if len(set(values)) != len(values):
             raise _MisplacedError(
-                arms[0].line, f"the {name} {', '.join(values)} are not different", "name_duplicate"
+                arms[0].line, f"the names of the {name} {', '.join(values)} must differ", "name_duplicate"
             )
     if not arms:
         raise _MisplacedError(1, "the file names no arm")
-    spelt: dict[str, str] = {}
+    spellings: dict[str, str] = {}
     for row in rows:
-        _fits(row, program)
+        _check_row(row, program)
         for name in _signals(row):
-            other = spelt.setdefault(name.lower(), name)
-            if other != name:  # one signal to the proof, two services to a runner
-                what = f"{name} stands elsewhere as {other}; one name is spelt one way"
+            other = spellings.setdefault(name.lower(), name)
+            if other != name:  # the proof ignores case, but a runner would use two services
+                what = f"{name} is spelt {other} elsewhere; use one spelling"
                 raise _MisplacedError(row.line, what, "name_duplicate")
     return program
 
 
-def _signals(row: Row) -> tuple[str, ...]:
+def _signals(row: TrajectoryRow) -> tuple[str, ...]:
     match row:
         case SetRow(signal=name):
             return (name,)
@@ -305,12 +361,12 @@ def _signals(row: Row) -> tuple[str, ...]:
     return row.on_failure if isinstance(row, MayFail) else ()
 
 
-def _fits(row: Row, program: Program) -> None:
-    """Raise where a row's numbers are not one for each joint, or its arms are not those of the file."""
+def _check_row(row: TrajectoryRow, program: TrajectoryProgram) -> None:
+    """Raise unless a row has one number for each joint, and only arms of the file."""
     known = [arm.arm for arm in program.arms]
     match row:
         case AtRow(at=values):
-            _wide(row, program, values)
+            _require_width(row, program, values)
         case OperationRow(held_by=arm) if arm and arm not in known:
             raise _MisplacedError(row.line, f"there is no arm {arm}", "undeclared")
         case ToolRow(arm=arm) | CarryRow(arm=arm) if arm not in known:
@@ -320,16 +376,16 @@ def _fits(row: Row, program: Program) -> None:
                 raise _MisplacedError(
                     row.line, f"move of {list(arms)}; the file's arms are {known}", "undeclared"
                 )
-            _wide(row, program, row.path)
-            _wide(row, program, row.goal)
+            _require_width(row, program, row.path)
+            _require_width(row, program, row.goal)
             if not points:
                 raise _MisplacedError(row.line, "a move without points")
             for point in points:
-                _wide(point, program, point.q)
-                _wide(point, program, point.v)
+                _require_width(point, program, point.q)
+                _require_width(point, program, point.v)
 
 
-def _wide(row: Row, program: Program, values: Sequence[float]) -> None:
+def _require_width(row: TrajectoryRow, program: TrajectoryProgram, values: Sequence[float]) -> None:
     if len(values) != program.width:
         raise _MisplacedError(
             row.line, f"{len(values)} numbers; the file's arms have {program.width} joints", "type"
@@ -339,9 +395,9 @@ def _wide(row: Row, program: Program, values: Sequence[float]) -> None:
 # ---- one row ----
 
 
-def _row(number: int, line: str) -> Any:
+def _parse_row(number: int, line: str) -> Any:
     if not line.isascii():
-        raise RowError("syntax", "the row holds other characters than ASCII")
+        raise RowError("syntax", "the row contains characters that are not ASCII")
     try:
         value = json.loads(
             line, object_pairs_hook=_object, parse_constant=_constant, parse_float=_number, parse_int=_number
@@ -353,49 +409,49 @@ def _row(number: int, line: str) -> Any:
     keys = tuple(value)
     kind = _KINDS.get(keys[0])
     if kind is None:
-        raise RowError("syntax", f"{keys[0]!r} begins no row; known are {', '.join(_KINDS)}")
-    wanted, make = kind
-    if keys != tuple(wanted):
+        raise RowError("syntax", f"unknown row {keys[0]!r}; allowed: {', '.join(_KINDS)}")
+    parsers, make = kind
+    if keys != tuple(parsers):
         raise RowError(
-            "syntax", f"a row {keys[0]!r} has the keys {list(wanted)}, in this order; got {list(keys)}"
+            "syntax", f"a row {keys[0]!r} has the keys {list(parsers)}, in this order; got {list(keys)}"
         )
-    parts = [take(name, value[name]) for name, take in wanted.items()]
+    parts = [take(name, value[name]) for name, take in parsers.items()]
     return make(number, *parts)
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     out = dict(pairs)
     if len(out) != len(pairs):
-        raise RowError("name_duplicate", "a key stands twice in one row")
+        raise RowError("name_duplicate", "a key occurs twice in one row")
     return out
 
 
 def _constant(word: str) -> float:
-    raise RowError("number", f"{word} is no number of a trajectory")
+    raise RowError("number", f"{word} is not allowed in a trajectory")
 
 
 def _number(word: str) -> float | int:
     if _NUMBER.fullmatch(word) is None:
-        raise RowError("number", f"{word}: plain decimals must stand here, with at most 12 behind the point")
+        raise RowError("number", f"{word}: expected a plain decimal with at most 12 digits after the point")
     return float(word) if "." in word else int(word)
 
 
 def _real(name: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise RowError("type", f"{name} is no number")
-    if not (math.isfinite(value) and abs(value) <= MOST_VALUE):
-        raise RowError("number", f"{name} is {value}; allowed: up to {MOST_VALUE:g}")
+    if not (math.isfinite(value) and abs(value) <= MAX_VALUE):
+        raise RowError("number", f"{name} is {value}; allowed: up to {MAX_VALUE:g}")
     return float(value)
 
 
-def _whole(name: str, value: Any) -> int:
+def _integer(name: str, value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, int):
-        raise RowError("type", f"{name} is no whole number")
+        raise RowError("type", f"{name} is no integer")
     return value
 
 
 def _bit(name: str, value: Any) -> int:
-    if _whole(name, value) not in (0, 1):
+    if _integer(name, value) not in (0, 1):
         raise RowError("type", f"{name} is {value}; allowed: 0 and 1")
     return int(value)
 
@@ -405,8 +461,8 @@ def _reals(count: int | None = None) -> Callable[[str, Any], tuple[float, ...]]:
         if not isinstance(value, list):
             raise RowError("type", f"{name} is no list of numbers")
         if count is not None and len(value) != count:
-            raise RowError("type", f"{name} has {len(value)} numbers; {count} must stand here")
-        return tuple(_real(name, one) for one in value)
+            raise RowError("type", f"{name} has {len(value)} numbers; expected {count}")
+        return tuple(_real(name, number) for number in value)
 
     return take
 
@@ -414,7 +470,7 @@ def _reals(count: int | None = None) -> Callable[[str, Any], tuple[float, ...]]:
 def _name(name: str, value: Any) -> str:
     if not isinstance(value, str) or _NAME.fullmatch(value) is None:
         raise RowError(
-            "name_form", f"{name} is {value!r}; a letter, then letters, digits and _ / . - stand here"
+            "name_form", f"{name} is {value!r}; expected a letter, then letters, digits and _ / . -"
         )
     return value
 
@@ -426,9 +482,9 @@ def _name_or_none(name: str, value: Any) -> str:
 def _names(name: str, value: Any) -> tuple[str, ...]:
     if not isinstance(value, list):
         raise RowError("type", f"{name} is no list of names")
-    out = tuple(_name(name, one) for one in value)
-    if len({one.lower() for one in out}) != len(out):
-        raise RowError("name_duplicate", f"{name}: {', '.join(out)} are not different")
+    out = tuple(_name(name, item) for item in value)
+    if len({item.lower() for item in out}) != len(out):
+        raise RowError("name_duplicate", f"{name}: {', '.join(out)} must differ")
     return out
 
 
@@ -438,20 +494,20 @@ def _text(name: str, value: Any) -> str:
     return value
 
 
-def _point(line: int, t: float, q: tuple[float, ...], v: tuple[float, ...]) -> Point:
-    return Point(line, t, q, v, "")
+def _point(line: int, t: float, q: tuple[float, ...], v: tuple[float, ...]) -> TrajectoryPoint:
+    return TrajectoryPoint(line, t, q, v, "")
 
 
 _Keys = Mapping[str, Callable[[str, Any], Any]]
-_FALLS: Final[_Keys] = {"on_failure": _names}
+_ON_FAILURE: Final[_Keys] = {"on_failure": _names}
 _KINDS: Final[Mapping[str, tuple[_Keys, Callable[..., Any]]]] = {
     "tandem_trajectory": (
-        {"tandem_trajectory": _whole, "written_by": _text, "problem": _text, "problem_digest": _text},
+        {"tandem_trajectory": _integer, "written_by": _text, "problem": _text, "problem_digest": _text},
         _Head,
     ),
     "arm": ({"arm": _name, "robot": _name, "joints": _names, "base": _reals(6)}, ArmRow),
     "operation": (
-        {"operation": _text, "setup": _whole, "held_by": _name_or_none, "block": _reals(6)},
+        {"operation": _text, "setup": _integer, "held_by": _name_or_none, "block": _reals(6)},
         OperationRow,
     ),
     "tool": ({"tool": _name, "arm": _name, "tcp": _reals(6), "mass": _real, "centre": _reals(3)}, ToolRow),
@@ -462,19 +518,22 @@ _KINDS: Final[Mapping[str, tuple[_Keys, Callable[..., Any]]]] = {
             "centre": _reals(3),
             "axes": _reals(3),
             "inertia": _reals(3),
-            **_FALLS,
+            **_ON_FAILURE,
         },
         CarryRow,
     ),
-    "at": ({"at": _reals(), "within": _real, **_FALLS}, AtRow),
+    "at": ({"at": _reals(), "within": _real, **_ON_FAILURE}, AtRow),
     "tell": ({"tell": _text}, TellRow),
-    "ask": ({"ask": _text, **_FALLS}, AskRow),
+    "ask": ({"ask": _text, **_ON_FAILURE}, AskRow),
     "set": ({"set": _name, "to": _bit}, SetRow),
-    "await": ({"await": _name, "to": _bit, "within": _real, **_FALLS}, AwaitRow),
-    "dwell": ({"dwell": _real, **_FALLS}, DwellRow),
-    "move": ({"move": _names, "path": _reals(), "goal": _reals(), "goal_time": _real, **_FALLS}, MoveRow),
+    "await": ({"await": _name, "to": _bit, "within": _real, **_ON_FAILURE}, AwaitRow),
+    "dwell": ({"dwell": _real, **_ON_FAILURE}, DwellRow),
+    "move": (
+        {"move": _names, "path": _reals(), "goal": _reals(), "goal_time": _real, **_ON_FAILURE},
+        MoveRow,
+    ),
     "segment": ({"segment": _text}, _Segment),
     "t": ({"t": _real, "q": _reals(), "v": _reals()}, _point),
-    "end": ({"end": _whole, "sha256": _text}, _End),
+    "end": ({"end": _integer, "sha256": _text}, _End),
 }
-"""Kinds of rows by their first key: all keys with what reads their values, and what they become."""
+"""Kinds of rows by their first key: parsers of all keys, and the class of the row."""

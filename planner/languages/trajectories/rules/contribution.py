@@ -1,18 +1,18 @@
-"""What joint trajectories contribute to the proof."""
+"""Rules, checks and texts that joint trajectories contribute to the proof."""
 
 from typing import Final
 
 from planner.claims import sentences
-from planner.languages.trajectories.reader.flow import BEGINS
+from planner.languages.trajectories.reader.flow import FIRST_POINT_KINDS
 from planner.languages.trajectories.rules import trajectories
 from planner.programs.stages import TaskText
 from planner.proof.context import Context
 from planner.proof.language_contribution import ProofOfLanguage, StartSentences
-from planner.proof.rule import Outcome
+from planner.proof.rule import RuleOutcome
 
 
-def _unknown_start(context: Context, task: TaskText) -> Outcome:
-    return Outcome(nothing="each move begins where it was looked at")
+def _unknown_start(context: Context, task: TaskText) -> RuleOutcome:
+    return RuleOutcome(nothing="each move starts from the checked posture")
 
 
 PROOF: Final = ProofOfLanguage(
@@ -23,8 +23,8 @@ PROOF: Final = ProofOfLanguage(
         trajectories.between_points,
     ),
     checks={"verify.unknown_start": _unknown_start},
-    job_checks={"verify.dialogue": trajectories.announced},
+    job_checks={"verify.dialogue": trajectories.announcement_issues},
     start=StartSentences(ready=sentences.KRL_READY, clear=sentences.KRL_CLEAR),
     missing_file="no file of trajectories moves arm {arm}",
-    begins=frozenset(BEGINS.values()),
+    starting_kinds=frozenset(FIRST_POINT_KINDS.values()),
 )

@@ -1,1 +1,1 @@
-"""Joint trajectories for the joint_trajectory_controller of ROS 2."""
+"""Writer of joint trajectories for the joint_trajectory_controller of ROS 2."""

@@ -1,4 +1,4 @@
-"""Trajectories of ROS 2, as they are written."""
+"""The writer of ROS 2 trajectories as the planner uses it."""
 
 from typing import Final
 
@@ -9,6 +9,6 @@ from planner.languages.writing.language import Writer
 WRITER: Final = Writer(
     write,
     syncs=("multimove",),
-    opt_in="where a computer with ROS 2 moves it, set controller: {language: ros}",
+    opt_in="if a computer with ROS 2 moves it, set controller: {language: ros}",
     refuse=refuse,
 )

@@ -1,8 +1,9 @@
-"""The trajectory file of a job: one controller of ROS 2 moves all joints of all arms, goal by goal.
+"""The trajectory file of a job: one ROS 2 controller moves all joints of all arms, goal by goal.
 
-What the tasks of a job do side by side becomes one sequence: an action of the arm that leads, a way from rest
-to rest, a goal of work. Before each goal the runner looks where the joints are; each step that may not end
-names the outputs that are on, which the runner takes back then."""
+The parallel tasks of a job become one sequence: an action of the arm that leads, a rest-to-rest move, a goal
+of work. Before each goal the runner checks the joints. Each step that may fail names the outputs that are
+on, which the runner then switches off.
+"""
 
 import dataclasses
 import itertools
@@ -15,54 +16,77 @@ import numpy as np
 from planner.claims import sentences
 from planner.geometry.arrays import FloatArray, IntArray, log_rotation
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError, refusal
+from planner.issue_codes import format_message
+from planner.issues import Issue, TandemError, issue_error
 from planner.languages.trajectories.writer import rows
-from planner.languages.trajectories.writer.beginnings import settling_time, way_time
-from planner.languages.trajectories.writer.clocks import passed, spliced
-from planner.languages.trajectories.writer.curves import Curve, curve
+from planner.languages.trajectories.writer.clocks import passing_times, splice_clocks
+from planner.languages.trajectories.writer.curves import TrajectoryPoints, fit_curve
+from planner.languages.trajectories.writer.requirements import segment_requirements
 from planner.languages.trajectories.writer.rows import JOINT_DECIMALS, TIME_DECIMALS, row
-from planner.languages.trajectories.writer.straight_ways import Driven, NotKeptError
-from planner.languages.trajectories.writer.wanted import wanted
+from planner.languages.trajectories.writer.start_times import rest_to_rest_time, settling_time
+from planner.languages.trajectories.writer.straight_segments import PathNotKeptError, TrajectoryArm
 from planner.languages.writing import layout
 from planner.languages.writing.language import Margins, WrittenPrograms
 from planner.languages.writing.steps import require_mass
 from planner.plans import Plan
 from planner.problem import Arm, Controller, Problem
 from planner.runtime.version import __version__
-from planner.targets import Action, Targets
+from planner.targets import TargetAction, Targets
 from planner.tooling import Tool
 
-SAME_JOINTS: Final = 1e-6
-"""Joints [rad] that differ by less are one place."""
-WITHIN_GOALS: Final = 2.0
-"""Where a move begins is looked at within so many times what its goal may be off."""
-Piece = tuple[bool, Mapping[str, list[layout.Step]]]
-"""What stands between two meetings: whether arms move at once, and steps by arm."""
+JOINT_TOLERANCE_RAD: Final = 1e-6
+"""Joint tolerance [rad] below which two postures are the same."""
+CHECK_TOLERANCE_FACTOR: Final = 2.0
+"""Tolerance of the check before a move, relative to the goal tolerance."""
+ParallelSteps = tuple[bool, Mapping[str, list[layout.TaskStep]]]
+"""Steps between two meetings: whether arms move at once, and the steps by arm."""
 
 
 def joint_names(arm: Arm, controller: Controller) -> tuple[str, ...]:
-    """What the controller calls the joints of an arm."""
+    """Return the controller's names of the joints of an arm.
+
+    Args:
+        arm: The arm.
+        controller: Controllers of the cell.
+    """
     prefix = controller.joint_prefix.get(arm.name, "")
     return tuple(f"{prefix}{joint}" for joint in arm.data.joints)
 
 
 def write(
-    tasks: Sequence[layout.TaskProgram], job: layout.Job, plan: Plan, problem: Problem, margins: Margins
+    tasks: Sequence[layout.TaskProgram],
+    job: layout.JobPrograms,
+    plan: Plan,
+    problem: Problem,
+    margins: Margins,
 ) -> WrittenPrograms:
-    """Write the file of a job. Raises :class:`TandemError` (``post.*``)."""
+    """Write the file of a job.
+
+    Args:
+        tasks: Not used: one controller moves all arms.
+        job: All tasks.
+        plan: The plan.
+        problem: Its problem.
+        margins: Not used: the file has no comments.
+
+    Raises:
+        TandemError: ``post.*``.
+    """
     del tasks, margins  # one controller moves all arms, and the file has no comments
-    main = _Main(job, plan, problem)
+    main = _TrajectoryWriter(job, plan, problem)
     path = f"{rows.stem(problem.name)}.trajectory.jsonl"
-    text = rows.sealed(main.lines())
+    text = rows.seal_rows(main.lines())
     layout.require_one_file(path, text, problem.cell.controller, main.points, "points")
     planned = [operation.time for operation in plan.operations]
-    return WrittenPrograms({path: text}, {k: spliced(planned[k], runs) for k, runs in main.runs.items()})
+    return WrittenPrograms(
+        {path: text}, {k: splice_clocks(planned[k], runs) for k, runs in main.runs.items()}
+    )
 
 
-class _Main:
+class _TrajectoryWriter:
     """Writes the rows of a job."""
 
-    def __init__(self, job: layout.Job, plan: Plan, problem: Problem) -> None:
+    def __init__(self, job: layout.JobPrograms, plan: Plan, problem: Problem) -> None:
         self.job, self.plan, self.problem = job, plan, problem
         self.controller = problem.cell.controller
         self.arms = [task.arm.name for task in job.tasks]
@@ -71,43 +95,43 @@ class _Main:
         ends = [0, *itertools.accumulate(widths)]
         self.columns = {arm: slice(ends[i], ends[i + 1]) for i, arm in enumerate(self.arms)}
         self.width = ends[-1]
-        self.here = np.concatenate([task.arm.home for task in job.tasks])
-        self.on: list[str] = []
+        self.posture = np.concatenate([task.arm.home for task in job.tasks])
+        self.outputs_on: list[str] = []
         self.tools: dict[str, Tool] = {}
-        self.begins: tuple[str, Mapping[str, layout.OperationProgram]] | None = None
-        """The operation's own row, and its programs, until something moves."""
-        self.out: list[str] = []
+        self.pending_operation: tuple[str, Mapping[str, layout.OperationProgram]] | None = None
+        """Row and programs of the operation until the first move."""
+        self.rows_out: list[str] = []
         self.points = 0
         self.runs: dict[int, list[tuple[IntArray, FloatArray]]] = {}
-        """Of each operation what its curves go to, and when."""
+        """Targets of the curves of each operation, and path positions with times."""
 
     def lines(self) -> list[str]:
-        """All rows but the last one."""
+        """Return all rows but the last one."""
         head = {
             "tandem_trajectory": rows.VERSION,
             "written_by": f"Tandem {__version__}",
-            "problem": rows.text(self.problem.name) or "problem",
+            "problem": rows.ascii_text(self.problem.name) or "problem",
             "problem_digest": self.plan.digest,
         }
-        self.out.append(row(head))
+        self.rows_out.append(row(head))
         for task in self.job.tasks:
             self._arm(task)
         for signal in self.job.signals:
             self._switch(signal, False)
-        clear = (sentences.KRL_CLEAR if self.problem.setups[0].steps else sentences.KRL_READY).filled()
+        clear = (sentences.KRL_CLEAR if self.problem.setups[0].steps else sentences.KRL_READY).format()
         self._ask(clear)
         for index in range(len(self.job.tasks[0].operations)):
             self._operation({task.arm.name: task.operations[index] for task in self.job.tasks})
-        return self.out
+        return self.rows_out
 
     def _arm(self, task: layout.TaskProgram) -> None:
         values = {
-            "arm": rows.name(task.arm.name),
-            "robot": rows.name(task.arm.robot),
-            "joints": [rows.name(name) for name in joint_names(task.arm, self.controller)],
+            "arm": rows.require_name(task.arm.name),
+            "robot": rows.require_name(task.arm.robot),
+            "joints": [rows.require_name(name) for name in joint_names(task.arm, self.controller)],
             "base": rows.pose(task.base),
         }
-        self.out.append(row(values))
+        self.rows_out.append(row(values))
 
     # ---- operations ----
 
@@ -116,18 +140,18 @@ class _Main:
         stock = self.problem.setups[first.setup - 1].stock
         holder = stock.held_by
         head = {
-            "operation": rows.text(first.name) or "operation",
+            "operation": rows.ascii_text(first.name) or "operation",
             "setup": first.setup,
-            "held_by": rows.name(holder) if holder else "",
-            "block": rows.pose(stock.grip if holder else self.plan.places[first.setup - 1]),
+            "held_by": rows.require_name(holder) if holder else "",
+            "block": rows.pose(stock.grip if holder else self.plan.stock_poses[first.setup - 1]),
         }
-        self.begins = row(head), programs  # behind the setup in which tools are mounted
-        for together, steps in _pieces(programs):
+        self.pending_operation = row(head), programs  # written after the setup in which tools are mounted
+        for together, steps in _parallel_steps(programs):
             if together:
-                self._together(steps, programs)
+                self._synchronised(steps, programs)
             else:
-                for arm, own in steps.items():
-                    self._alone(arm, own, programs[arm])
+                for arm, arm_steps in steps.items():
+                    self._solo(arm, arm_steps, programs[arm])
 
     def _tool(self, arm: str, program: layout.OperationProgram) -> None:
         tool = program.arm.tool
@@ -136,53 +160,61 @@ class _Main:
         self.tools[arm] = tool
         require_mass(tool)
         values = {
-            "tool": rows.name(tool.name),
+            "tool": rows.require_name(tool.name),
             "arm": arm,
             "tcp": rows.pose(tool.tcp),
             "mass": rows.real(tool.mass, 3),
             "centre": rows.numbers(np.asarray(tool.cog), 6),
         }
-        self.out.append(row(values))
+        self.rows_out.append(row(values))
 
-    def _alone(self, arm: str, steps: Sequence[layout.Step], program: layout.OperationProgram) -> None:
-        for kind, group in itertools.groupby(steps, key=lambda step: isinstance(step, layout.Run)):
+    def _solo(self, arm: str, steps: Sequence[layout.TaskStep], program: layout.OperationProgram) -> None:
+        for kind, group in itertools.groupby(steps, key=lambda step: isinstance(step, layout.SegmentRun)):
             if kind:
-                runs = [step for step in group if isinstance(step, layout.Run)]
+                runs = [step for step in group if isinstance(step, layout.SegmentRun)]
                 self._work((arm,), {arm: program}, runs)
                 continue
             for step in group:
                 match step:
-                    case layout.Joints(q=q):
-                        self._way({arm: q}, {arm: program})
-                    case layout.Do(action):
+                    case layout.JointMove(q=q):
+                        self._rest_to_rest({arm: q}, {arm: program})
+                    case layout.ActionStep(action):
                         self._action(action, arm)
-                    case layout.Carry(load):
+                    case layout.CarryLoad(load):
                         self._carry(arm, load)
 
-    def _together(
-        self, steps: Mapping[str, Sequence[layout.Step]], programs: Mapping[str, layout.OperationProgram]
+    def _synchronised(
+        self, steps: Mapping[str, Sequence[layout.TaskStep]], programs: Mapping[str, layout.OperationProgram]
     ) -> None:
-        moving = {arm: own for arm, own in steps.items() if own}
-        runs = {arm: [step for step in own if isinstance(step, layout.Run)] for arm, own in moving.items()}
-        ways = {arm: [step for step in own if isinstance(step, layout.Joints)] for arm, own in moving.items()}
+        moving = {arm: arm_steps for arm, arm_steps in steps.items() if arm_steps}
+        runs = {
+            arm: [step for step in arm_steps if isinstance(step, layout.SegmentRun)]
+            for arm, arm_steps in moving.items()
+        }
+        joint_moves = {
+            arm: [step for step in arm_steps if isinstance(step, layout.JointMove)]
+            for arm, arm_steps in moving.items()
+        }
         if any(runs.values()):
             self._work(tuple(moving), programs, next(iter(runs.values())))
-        for stations in zip(*ways.values(), strict=True):
-            self._way({arm: step.q for arm, step in zip(ways, stations, strict=True)}, programs)
+        for stations in zip(*joint_moves.values(), strict=True):
+            self._rest_to_rest(
+                {arm: step.q for arm, step in zip(joint_moves, stations, strict=True)}, programs
+            )
 
     def _driven(
         self, arms: Sequence[str], programs: Mapping[str, layout.OperationProgram]
-    ) -> dict[str, Driven]:
-        """The arms that move, their joints side by side."""
-        out: dict[str, Driven] = {}
+    ) -> dict[str, TrajectoryArm]:
+        """The arms that move, with consecutive joint columns."""
+        out: dict[str, TrajectoryArm] = {}
         first = 0
         for arm in arms:
             task = self.tasks[arm]
-            own = slice(first, first + task.robot.axes)
-            out[arm] = Driven(task.robot, task.base, programs[arm].arm.tool.tcp, own)
-            first = own.stop
+            columns = slice(first, first + task.robot.axes)
+            out[arm] = TrajectoryArm(task.robot, task.base, programs[arm].arm.tool.tcp, columns)
+            first = columns.stop
         for arm, driven in out.items():
-            track = programs[arm].track
+            track = programs[arm].moves
             holder = "" if track is None else track.frame.removeprefix("held:")
             if track is not None and holder != track.frame and holder in out:
                 out[arm] = dataclasses.replace(driven, carrier=out[holder])
@@ -190,97 +222,113 @@ class _Main:
 
     # ---- moves ----
 
-    def _way(self, ends: Mapping[str, FloatArray], programs: Mapping[str, layout.OperationProgram]) -> None:
+    def _rest_to_rest(
+        self, ends: Mapping[str, FloatArray], programs: Mapping[str, layout.OperationProgram]
+    ) -> None:
         arms = [arm for arm in self.arms if arm in ends]
-        goal = self.here.copy()
+        goal = self.posture.copy()
         for arm in arms:
             goal[self.columns[arm]] = np.round(ends[arm], JOINT_DECIMALS)
-        if np.abs(goal - self.here).max() < SAME_JOINTS:
+        if np.abs(goal - self.posture).max() < JOINT_TOLERANCE_RAD:
             return
         driven, limits = self._driven(arms, programs), self.problem.settings
-        start, end = (np.concatenate([q[self.columns[arm]] for arm in arms]) for q in (self.here, goal))
-        shares = (limits.speed_fraction, limits.acceleration_fraction)
-        took = way_time(driven, start, end, shares, limits.tcp_speed)
-        begun = self._move(arms)
-        self._point(begun + took + 10.0**-TIME_DECIMALS, goal, np.zeros(self.width))
+        start, end = (np.concatenate([q[self.columns[arm]] for arm in arms]) for q in (self.posture, goal))
+        fractions = (limits.speed_fraction, limits.acceleration_fraction)
+        duration = rest_to_rest_time(driven, start, end, fractions, limits.tcp_speed)
+        start_time = self._move(arms)
+        self._point(start_time + duration + 10.0**-TIME_DECIMALS, goal, np.zeros(self.width))
 
     def _work(
-        self, arms: Sequence[str], programs: Mapping[str, layout.OperationProgram], runs: Sequence[layout.Run]
+        self,
+        arms: Sequence[str],
+        programs: Mapping[str, layout.OperationProgram],
+        runs: Sequence[layout.SegmentRun],
     ) -> None:
         first, last = runs[0].first, runs[-1].last
-        tracks = {arm: programs[arm].track for arm in arms}
+        tracks = {arm: programs[arm].moves for arm in arms}
         lead = programs[arms[0]]
-        some = slice(first, last)
-        start = np.concatenate([self.here[self.columns[arm]] for arm in arms])
-        found = [track.q[some] for track in tracks.values() if track is not None]
-        q = np.concatenate([start[None], np.concatenate(found, axis=1)])
+        rows_of_run = slice(first, last)
+        start = np.concatenate([self.posture[self.columns[arm]] for arm in arms])
+        joints = [track.q[rows_of_run] for track in tracks.values() if track is not None]
+        q = np.concatenate([start[None], np.concatenate(joints, axis=1)])
         driven = list(self._driven(arms, programs).values())
         targets, speed = self.plan.operations[runs[0].operation].targets, self.problem.settings.tcp_speed
         moving = {arm: programs[arm] for arm in arms}
         try:
-            made = curve(driven, q, lead.stop[some], wanted(targets, moving, some, speed))
-        except NotKeptError as lost:
-            segment = lead.segments[first + lost.row]
-            message = (
-                f"operation {lead.name}: on the way to target {first + lost.row + 1} ({segment}): {lost.why}"
+            trajectory = fit_curve(
+                driven, q, lead.stop[rows_of_run], segment_requirements(targets, moving, rows_of_run, speed)
             )
-            hint = _helps(targets, int(lead.targets[first + lost.row]), lost.share)
-            raise refusal("post.trajectory", message, arm=arms[0], hint=hint) from None
-        self.runs.setdefault(runs[0].operation, []).append((lead.targets[some], passed(driven[0], q, made)))
-        begun = self._move(arms)
-        labels = [layout.mark(lead.segments[first + row]) for row in made.end[1:].tolist()]
-        self._points(made, begun, arms, labels)
+        except PathNotKeptError as lost:
+            message = format_message(
+                "post.trajectory",
+                operation=lead.name,
+                target_number=first + lost.row + 1,
+                segment=lead.segments[first + lost.row],
+                reason=lost.reason,
+            )
+            hint = _remedy(targets, int(lead.targets[first + lost.row]), lost.feed_fraction)
+            raise issue_error("post.trajectory", message, arm=arms[0], hint=hint) from None
+        self.runs.setdefault(runs[0].operation, []).append(
+            (lead.targets[rows_of_run], passing_times(driven[0], q, trajectory))
+        )
+        start_time = self._move(arms)
+        labels = [layout.segment_mark(lead.segments[first + row]) for row in trajectory.end[1:].tolist()]
+        self._points(trajectory, start_time, arms, labels)
 
-    def _points(self, made: Curve, begun: float, arms: Sequence[str], labels: Sequence[str]) -> None:
-        said = ""
+    def _points(
+        self, trajectory: TrajectoryPoints, start_time: float, arms: Sequence[str], labels: Sequence[str]
+    ) -> None:
+        current_segment = ""
         for k, segment in enumerate(labels, 1):
-            if segment != said:
-                self.out.append(row({"segment": segment}))
-                said = segment
-            q, v, first = self.here.copy(), np.zeros(self.width), 0
+            if segment != current_segment:
+                self.rows_out.append(row({"segment": segment}))
+                current_segment = segment
+            q, v, first = self.posture.copy(), np.zeros(self.width), 0
             for arm in arms:
-                own = self.columns[arm]
-                width = own.stop - own.start
-                q[own] = np.round(made.q[k, first : first + width], JOINT_DECIMALS)
-                v[own] = made.v[k, first : first + width]
+                columns = self.columns[arm]
+                width = columns.stop - columns.start
+                q[columns] = np.round(trajectory.q[k, first : first + width], JOINT_DECIMALS)
+                v[columns] = trajectory.v[k, first : first + width]
                 first += width
-            self._point(begun + float(made.t[k]), q, v)
+            self._point(start_time + float(trajectory.t[k]), q, v)
 
     def _move(self, arms: Sequence[str]) -> float:
-        """A move and its first point, where it begins; the time [s] of that."""
+        """Append a move and its first point, the start posture; return the time [s] of that point."""
         controller = self.controller
-        if self.begins is not None:
-            head, programs = self.begins
-            self.out.append(head)
+        if self.pending_operation is not None:
+            head, programs = self.pending_operation
+            self.rows_out.append(head)
             for arm, program in programs.items():
                 self._tool(arm, program)
-            self.begins = None
-        self._at()
+            self.pending_operation = None
+        self._posture_check()
         values = {
             "move": list(arms),
             "path": rows.numbers([controller.path_tolerance] * self.width, JOINT_DECIMALS),
             "goal": rows.numbers([controller.goal_tolerance] * self.width, JOINT_DECIMALS),
             "goal_time": rows.real(controller.goal_time, 3),
-            "on_failure": list(self.on),
+            "on_failure": list(self.outputs_on),
         }
-        self.out.append(row(values))
-        within = WITHIN_GOALS * controller.goal_tolerance
-        begun = settling_time(self._all(), self.here, within, self.problem.settings.tcp_speed)
-        self._point(begun, self.here, np.zeros(self.width))
-        return float(np.round(begun, TIME_DECIMALS))
+        self.rows_out.append(row(values))
+        tolerance = CHECK_TOLERANCE_FACTOR * controller.goal_tolerance
+        start_time = settling_time(self._all_arms(), self.posture, tolerance, self.problem.settings.tcp_speed)
+        self._point(start_time, self.posture, np.zeros(self.width))
+        return float(np.round(start_time, TIME_DECIMALS))
 
-    def _all(self) -> list[Driven]:
-        """All arms with what they carry: those that stand may be off as well."""
-        own = ((self.tasks[arm], self.columns[arm]) for arm in self.arms)
+    def _all_arms(self) -> list[TrajectoryArm]:
+        """All arms with what they carry: arms that stand still may deviate as well."""
+        tasks = ((self.tasks[arm], self.columns[arm]) for arm in self.arms)
         return [
-            Driven(task.robot, task.base, self.tools.get(task.arm.name, task.arm.tool).tcp, columns)
-            for task, columns in own
+            TrajectoryArm(task.robot, task.base, self.tools.get(task.arm.name, task.arm.tool).tcp, columns)
+            for task, columns in tasks
         ]
 
-    def _at(self) -> None:
-        within = WITHIN_GOALS * self.controller.goal_tolerance
-        here = rows.numbers(self.here, JOINT_DECIMALS)
-        self.out.append(row({"at": here, "within": rows.real(within, 6), "on_failure": list(self.on)}))
+    def _posture_check(self) -> None:
+        tolerance = CHECK_TOLERANCE_FACTOR * self.controller.goal_tolerance
+        joints = rows.numbers(self.posture, JOINT_DECIMALS)
+        self.rows_out.append(
+            row({"at": joints, "within": rows.real(tolerance, 6), "on_failure": list(self.outputs_on)})
+        )
 
     def _point(self, time: float, q: FloatArray, v: FloatArray) -> None:
         values = {
@@ -288,14 +336,14 @@ class _Main:
             "q": rows.numbers(q, JOINT_DECIMALS),
             "v": rows.numbers(v, JOINT_DECIMALS),
         }
-        self.out.append(row(values))
-        self.here = np.round(q, JOINT_DECIMALS)
+        self.rows_out.append(row(values))
+        self.posture = np.round(q, JOINT_DECIMALS)
         self.points += 1
 
-    # ---- what is said and switched ----
+    # ---- messages and signals ----
 
-    def _carry(self, arm: str, load: layout.Load | None) -> None:
-        """What the tool holds from here on, in the frame of its TCP; of nothing the mass is 0."""
+    def _carry(self, arm: str, load: layout.HeldLoad | None) -> None:
+        """Append what the tool holds from here on, in its TCP frame; the mass is 0 for nothing."""
         mass, centre, turn, inertia = 0.0, np.zeros(3), np.zeros(3), np.zeros(3)
         if load is not None:
             mass, centre, inertia = load.mass, load.cog, load.inertia
@@ -306,62 +354,64 @@ class _Main:
             "centre": rows.numbers(centre, 6),
             "axes": rows.numbers(turn, JOINT_DECIMALS),
             "inertia": rows.numbers(inertia, 6),
-            "on_failure": list(self.on),
+            "on_failure": list(self.outputs_on),
         }
-        self.out.append(row(values))
+        self.rows_out.append(row(values))
 
     def _ask(self, text: str) -> None:
-        self.out.append(row({"ask": rows.text(text), "on_failure": list(self.on)}))
+        self.rows_out.append(row({"ask": rows.ascii_text(text), "on_failure": list(self.outputs_on)}))
 
     def _switch(self, signal: str, on: bool) -> None:
-        self.on = [name for name in self.on if name != signal] + ([signal] if on else [])
-        self.out.append(row({"set": rows.name(signal), "to": int(on)}))
+        self.outputs_on = [name for name in self.outputs_on if name != signal] + ([signal] if on else [])
+        self.rows_out.append(row({"set": rows.require_name(signal), "to": int(on)}))
 
-    def _action(self, action: Action, arm: str) -> None:
+    def _action(self, action: TargetAction, arm: str) -> None:
         match action.kind:
             case "message":
-                self.out.append(row({"tell": rows.text(action.text)}))
+                self.rows_out.append(row({"tell": rows.ascii_text(action.text)}))
             case "confirm":
                 self._ask(action.text)
             case "on" | "off":
                 self._switch(action.signal, action.kind == "on")
             case "wait":
-                self.out.append(row({"dwell": rows.real(action.seconds, 3), "on_failure": list(self.on)}))
+                self.rows_out.append(
+                    row({"dwell": rows.real(action.seconds, 3), "on_failure": list(self.outputs_on)})
+                )
             case "input":
-                raise TandemError(no_torch(arm))
+                raise TandemError(torch_issue(arm))
 
 
-def _helps(targets: Targets, row: int, share: float) -> str:
-    """What to do where no points keep the way to target ``row``, or but a ``share`` of its least feed."""
+def _remedy(targets: Targets, row: int, feed_fraction: float) -> str:
+    """Remedy if no points keep the path to target ``row``, or only ``feed_fraction`` of its minimum feed."""
     if targets.may_stop or not targets.segment[row].works:
-        return "let the motion stop at sharp corners, or go slower there"
-    slower = "go slower there (feed_mm_s), allow more (shape_tol_mm), or round the corner in the part"
-    if share < 1.0:
-        least = math.floor(10.0 * share * targets.feed_min[row] / MM) / 10.0
-        return f"feed_min_mm_s: {least:g} there, which is kept; or {slower}"
-    return slower
+        return "stop the motion at sharp corners, or reduce the speed there"
+    remedies = "lower the feed there (feed_mm_s), allow more (shape_tol_mm), or round the corner of the part"
+    if feed_fraction < 1.0:
+        min_feed_mm_s = math.floor(10.0 * feed_fraction * targets.feed_min[row] / MM) / 10.0
+        return f"set feed_min_mm_s: {min_feed_mm_s:g} there, which can be kept, or {remedies}"
+    return remedies
 
 
-def no_torch(arm: str) -> Issue:
-    """Why an arm that is driven by trajectories cuts with no torch."""
-    what = f"arm {arm} is to cut with a torch, driven by trajectories: nothing between the goals of a runner "
-    what += "sees an arc go out, or a torch stand"
-    hint = "cut by a mill (by: {kind: mill}), or take an arm of ABB, KUKA or UR in its own language"
+def torch_issue(arm: str) -> Issue:
+    """Return the issue that an arm that is driven by trajectories cannot cut with a torch."""
+    what = f"arm {arm} cuts with a torch but is driven by trajectories: during a goal the runner does not "
+    what += "detect a lost arc or a torch that stands still"
+    hint = "cut with a mill (by: {kind: mill}), or use an arm of ABB, KUKA or UR in its own language"
     return Issue("post.controller", what, arm=arm, hint=hint)
 
 
-def _pieces(programs: Mapping[str, layout.OperationProgram]) -> list[Piece]:
-    """The steps of an operation between meetings, side by side."""
-    parts: list[list[tuple[bool, list[layout.Step]]]] = []
+def _parallel_steps(programs: Mapping[str, layout.OperationProgram]) -> list[ParallelSteps]:
+    """Steps of an operation between meetings, for all arms."""
+    parts: list[list[tuple[bool, list[layout.TaskStep]]]] = []
     for program in programs.values():
-        inside, own = False, [(False, list[layout.Step]())]
+        inside, groups = False, [(False, list[layout.TaskStep]())]
         for step in program.steps:
-            if isinstance(step, layout.SyncOn | layout.SyncOff | layout.Meet):
+            if isinstance(step, layout.SyncOn | layout.SyncOff | layout.Meeting):
                 inside = isinstance(step, layout.SyncOn)
-                own.append((inside, []))
+                groups.append((inside, []))
             else:
-                own[-1][1].append(step)
-        parts.append(own)
+                groups[-1][1].append(step)
+        parts.append(groups)
     return [
         (pieces[0][0], {arm: steps for arm, (_, steps) in zip(programs, pieces, strict=True)})
         for pieces in zip(*parts, strict=True)

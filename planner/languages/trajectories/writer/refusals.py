@@ -1,4 +1,4 @@
-"""What trajectory files cannot express."""
+"""Refusals of jobs that trajectory files cannot express."""
 
 from collections.abc import Sequence
 
@@ -9,10 +9,15 @@ from planner.problem import Arm, Problem, lights_torch
 from planner.targets import Targets
 
 
-def refuse(problem: Problem, made: Sequence[Targets], arms: Sequence[Arm]) -> list[Issue]:
-    """Why arms that trajectories drive cannot do a job: names of joints that two arms share, torches, tracks
-    and what turns the block."""
-    del made
+def refuse(problem: Problem, targets: Sequence[Targets], arms: Sequence[Arm]) -> list[Issue]:
+    """Return the reasons why arms that trajectories drive cannot do a job: joint names and torches.
+
+    Args:
+        problem: The problem.
+        targets: Not used.
+        arms: The arms.
+    """
+    del targets
     issues = []
     seen: dict[str, str] = {}
     for arm in arms:
@@ -20,19 +25,19 @@ def refuse(problem: Problem, made: Sequence[Targets], arms: Sequence[Arm]) -> li
             other = seen.setdefault(joint, arm.name)
             if other != arm.name:
                 got = f"arms {other} and {arm.name} both have a joint {joint}, and one controller moves both"
-                hint = (
-                    f"controller: {{joint_prefix: {{{other}: {other}_, {arm.name}: {arm.name}_}}}}, as the "
-                )
-                hint += "controller's configuration calls them"
+                hint = f"controller: {{joint_prefix: {{{other}: {other}_, {arm.name}: {arm.name}_}}}}, as "
+                hint += "in the controller's configuration"
                 field = "controller.joint_prefix"
                 issues.append(Issue("post.name", got, field=field, arm=arm.name, hint=hint))
                 break
             if trajectory_rows.NAME.fullmatch(joint) is None:
-                got = f"{joint!r}, a joint of arm {arm.name}, cannot be named in a file of trajectories; "
+                got = f"{joint!r}, a joint of arm {arm.name}, is not valid in a trajectory file; "
                 got += "allowed: a letter, then letters, digits and _ / . -, 100 at most"
-                hint = "rename it in the URDF, or set a letter before it (controller: joint_prefix), and the "
-                hint += "same at the controller"
+                hint = (
+                    "rename it in the URDF, or add a prefix with a letter (controller: joint_prefix), also "
+                )
+                hint += "at the controller"
                 issues.append(Issue("post.name", got, arm=arm.name, hint=hint))
     lit = [operation for operation in problem.operations if lights_torch(operation)]
-    issues += [trajectories.no_torch(lit[0].arms[0])] if lit else []
+    issues += [trajectories.torch_issue(lit[0].arms[0])] if lit else []
     return issues

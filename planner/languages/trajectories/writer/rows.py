@@ -1,7 +1,8 @@
-"""Rows of a trajectory file: JSON Lines, one step or one point of a move a line
-([page](docs/trajectories.md)).
+"""Formats rows of a trajectory file: JSON Lines, one step or one point of a move per line.
 
-Metres, radians, seconds, kilograms; a pose is a position and a rotation vector."""
+The format is described in [docs/trajectories.md](docs/trajectories.md). Units are metres, radians, seconds
+and kilograms. A pose is a position and a rotation vector.
+"""
 
 import hashlib
 import json
@@ -10,11 +11,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 from planner.geometry.arrays import FloatArray, log_rotation
-from planner.issues import refusal
-from planner.languages.writing.layout import LINE_END, number, plain
+from planner.issues import issue_error
+from planner.languages.writing.layout import LINE_END, format_fixed, to_ascii
 
 VERSION: Final = 2
-"""The form of the file."""
+"""Version of the file format."""
 TIME_DECIMALS: Final = 6
 """Decimals of times in s."""
 JOINT_DECIMALS: Final = 9
@@ -22,62 +23,82 @@ JOINT_DECIMALS: Final = 9
 METRE_DECIMALS: Final = 7
 """Decimals of positions in m."""
 NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_/.-]{0,99}", re.ASCII)
-"""What may be a name in a row."""
+"""Pattern of names in a row."""
 
 
 def row(values: Mapping[str, object]) -> str:
-    """A row of keys and their values, which are JSON already where they are :class:`Written`."""
+    """Return a row of keys and values; :class:`JsonText` values are JSON already."""
     parts = (f"{json.dumps(key)}:{_value(value)}" for key, value in values.items())
     return f"{{{','.join(parts)}}}"
 
 
-class Written(str):
-    """A value as it stands in the row."""
+class JsonText(str):
+    """A value that is already formatted."""
 
 
 def _value(value: object) -> str:
-    return value if isinstance(value, Written) else json.dumps(value, separators=(",", ":"))
+    return value if isinstance(value, JsonText) else json.dumps(value, separators=(",", ":"))
 
 
-def text(value: str) -> str:
-    """Text as it stands in a row: printable ASCII on one line."""
-    return plain(value)
+def ascii_text(value: str) -> str:
+    """Return text as one line of printable ASCII."""
+    return to_ascii(value)
 
 
-def name(value: str) -> str:
-    """A name as rows have them. Raises :class:`TandemError` (``post.name``) for what is none."""
+def require_name(value: str) -> str:
+    """Return a valid name unchanged.
+
+    Raises:
+        TandemError: The text is no valid name (``post.name``).
+    """
     if NAME.fullmatch(value) is None:
-        message = f"{value!r} cannot name anything in a trajectory file"
+        message = f"{value!r} is no valid name in a trajectory file"
         hint = "a letter, then letters, digits and _ / . -, 100 at most"
-        raise refusal("post.name", message, hint=hint)
+        raise issue_error("post.name", message, hint=hint)
     return value
 
 
 def stem(problem: str) -> str:
-    """The file's name without its ending, from the problem's. Raises as :func:`name`."""
-    return name(re.sub(r"[^a-z0-9]+", "_", plain(problem).lower()).strip("_")[:60].strip("_"))
+    """Return the file name without suffix for a problem's name.
+
+    Raises:
+        TandemError: The result is no valid name (``post.name``).
+    """
+    return require_name(re.sub(r"[^a-z0-9]+", "_", to_ascii(problem).lower()).strip("_")[:60].strip("_"))
 
 
-def numbers(values: Iterable[float], decimals: int) -> Written:
-    """A list of numbers."""
-    return Written(f"[{','.join(number(float(v), decimals) for v in values)}]")
+def numbers(values: Iterable[float], decimals: int) -> JsonText:
+    """Format a list of numbers.
+
+    Args:
+        values: The numbers.
+        decimals: Number of decimals.
+    """
+    return JsonText(f"[{','.join(format_fixed(float(v), decimals) for v in values)}]")
 
 
-def real(value: float, decimals: int) -> Written:
-    """A number."""
-    return Written(number(value, decimals))
+def real(value: float, decimals: int) -> JsonText:
+    """Format a number.
+
+    Args:
+        value: The number.
+        decimals: Number of decimals.
+    """
+    return JsonText(format_fixed(value, decimals))
 
 
-def pose(matrix: FloatArray) -> Written:
-    """A pose of (4, 4) [m]."""
-    place = [number(float(v), METRE_DECIMALS) for v in matrix[:3, 3]]
-    turn = [number(float(v), JOINT_DECIMALS) for v in log_rotation(matrix[None, :3, :3])[0]]
-    return Written(f"[{','.join([*place, *turn])}]")
+def pose(matrix: FloatArray) -> JsonText:
+    """Format a pose (4, 4) [m]."""
+    position = [format_fixed(float(v), METRE_DECIMALS) for v in matrix[:3, 3]]
+    turn = [format_fixed(float(v), JOINT_DECIMALS) for v in log_rotation(matrix[None, :3, :3])[0]]
+    return JsonText(f"[{','.join([*position, *turn])}]")
 
 
-def sealed(lines: Sequence[str]) -> str:
-    """The file of these rows and the one that counts and seals them: SHA-256 of the rows before it, each with
-    a line feed."""
+def seal_rows(lines: Sequence[str]) -> str:
+    """Return the file of these rows with the last row, which has their number and SHA-256.
+
+    The hash covers the rows before it, each with a line feed.
+    """
     digest = hashlib.sha256("".join(f"{line}\n" for line in lines).encode("ascii")).hexdigest()
     rows = [*lines, row({"end": len(lines) + 1, "sha256": digest})]
     return "".join(f"{line}{LINE_END}" for line in rows)

@@ -1,15 +1,15 @@
-"""The straight way of a URScript program: settings put into moves, names replaced by values.
+"""The straight path of a URScript program: settings are put into moves, names are replaced by values.
 
-There is one way: the only branches end the program. The first statements look whether the controller
-moves the planned arm. A straight move takes its time t, whatever else; its blend radius r bounds how
-far from its target the way may leave the straight lines, and 0 is an exact stop.
+There is one path, because the only branches end the program. The first statements check whether the
+controller moves the planned arm. A straight move takes its time t in any case. Its blend radius r bounds
+how far from its target the path may leave the straight lines; 0 is an exact stop.
 
-A program that meets another controller's has three functions and a thread, which end it as they have to
-be: the own running wire and all that it has switched on go off before. All of them read that wire back,
-which stays low behind a pause. Questions stand between its fall and its rise; nothing else switches it.
+A program that meets another controller's has three functions and a thread, which end it in a defined way:
+its own running wire and all that it has switched on go off before. All of them read that wire back, which
+stays low after a pause. Questions are between its fall and its rise; nothing else switches it.
 
-A torch that has a thread burns from its output's rise on, at rest; behind the wait for its input and a pause
-the thread begins, and only straight moves stand between that and its end, with which the output falls.
+A torch with a thread burns from its output's rise on, at rest. After the wait for its input and a pause the
+thread starts. Only straight moves are between that and its end, with which the output falls.
 """
 
 import math
@@ -24,26 +24,36 @@ from planner.geometry.arrays import FloatArray, exp_rotation, to_quaternion
 from planner.languages.urscript import sentences as urscript_sentences
 from planner.languages.urscript.reader import syntax_tree
 from planner.languages.urscript.reader.reader import ScriptText, pose
-from planner.languages.urscript.reader.torches import Torches
+from planner.languages.urscript.reader.torches import TorchChecks
 from planner.programs import steps
-from planner.programs.handshake.moves import SLOW
+from planner.programs.handshake.wire_operations import MIN_SETTLING_TIME_S
 
 MAIN_PROCEDURE: Final = "main"
-"""What the program is called in steps outside of its segments: its own name is the problem's."""
-LOOK_KIND: Final = "get_forward_kin"
-"""Kind of the step that looks whether the controller moves the planned arm; its values are joints, the point
-of the flange and its place as poses, and the distance allowed."""
-SETTLED: Final = 0.1
-"""How long [s] a program stands behind the rise of its running wire, so that it reads it back as it is."""
+"""Name of the program in steps outside of its segments. Its own name is the problem's."""
+ARM_CHECK_KIND: Final = "get_forward_kin"
+"""Kind of the step that checks whether the controller moves the planned arm.
+Its values are joints, the point of the flange and its position as poses, and the allowed distance.
+"""
+SETTLING_TIME_S: Final = 0.1
+"""Time [s] for which a program waits after the rise of its running wire, so that it reads it back
+correctly.
+"""
 _EXACT_STOP: Final = steps.Zone(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _NO_AXES: Final = np.zeros(6)
-"""Values of external axes, of which there are none."""
+"""Values of external axes, which do not exist."""
 
 
 @dataclass(frozen=True)
-class Wires:
-    """Names of a controller's outputs and inputs by number; of one that another one stands beside (`other`,
-    else empty) its output to that one and its running wire."""
+class ControllerWires:
+    """Names of a controller's signals.
+
+    Attributes:
+        outputs: Outputs by number.
+        inputs: Inputs by number.
+        other: Arm of the other controller, empty for none.
+        line: Output to the other controller.
+        running: Running wire.
+    """
 
     outputs: Mapping[int, str]
     inputs: Mapping[int, str]
@@ -52,119 +62,164 @@ class Wires:
     running: str = ""
 
 
-def flow(
-    text: ScriptText, base: FloatArray, wires: Wires, arm: str, model: str, velocity: FloatArray
-) -> tuple[steps.Step, ...]:
-    """Steps of a program without faults. ``base`` (4, 4): the controller's base in the world; ``arm``,
-    ``model``: names of arm and robot; ``velocity`` (6,) [rad/s] of its axes. Raises `FlowError`."""
+def flow_steps(
+    text: ScriptText, base: FloatArray, wires: ControllerWires, arm: str, model: str, velocity: FloatArray
+) -> tuple[steps.ProgramStep, ...]:
+    """Return the steps of a program without faults.
+
+    Args:
+        text: The program as read.
+        base: The controller's base (4, 4) in the world.
+        wires: Names of the controller's signals.
+        arm: Name of the arm.
+        model: Name of the robot.
+        velocity: Maximum speeds (6,) [rad/s] of its axes.
+
+    Raises:
+        FlowError: The program does not have the required structure.
+    """
     if text.program is None:
         return ()
-    return _Runner(
-        text.program, base, wires, urscript_sentences.OTHER_ARM.filled(arm=arm, model=model), velocity
+    return _FlowReader(
+        text.program, base, wires, urscript_sentences.OTHER_ARM.format(arm=arm, model=model), velocity
     ).run()
 
 
-class _Runner:
+@dataclass(frozen=True)
+class _ScriptMotion:
+    """Motion that a statement commands.
+
+    Attributes:
+        target: The target.
+        speed: Speeds in force.
+        zone: Corner at the target.
+        work_object: Frame of the target.
+        work_object_name: Name of that frame, "" for a joint target.
+        time: Time [s], None for a joint move.
+        target_name: Name of the target, "" for a target in place.
+        acceleration: Acceleration of the leading axis [rad/s^2], None for a straight move.
+    """
+
+    target: steps.JointTarget | steps.RobTarget
+    speed: steps.MoveSpeed
+    zone: steps.Zone
+    work_object: steps.WorkObject
+    work_object_name: str
+    time: float | None = None
+    target_name: str = ""
+    acceleration: float | None = None
+
+
+class _FlowReader:
     def __init__(
-        self, program: syntax_tree.Program, base: FloatArray, wires: Wires, other: str, velocity: FloatArray
+        self,
+        program: syntax_tree.ScriptProgram,
+        base: FloatArray,
+        wires: ControllerWires,
+        other: str,
+        velocity: FloatArray,
     ) -> None:
         self.program, self.base, self.wires = program, base, wires
         self.other, self.velocity = other, velocity
-        self.steps: list[steps.Step] = []
+        self.steps: list[steps.ProgramStep] = []
         self.procedure = MAIN_PROCEDURE
         self.tool_name = ""
-        self.load: steps.Load | None = None
+        self.load: steps.LoadData | None = None
         self.tools: dict[tuple[str, int], steps.Tool] = {}
         self.works: dict[str, steps.WorkObject] = {}
-        self.looked = self.moved = self.reading = False
+        self.arm_checked = self.moved = self.awaits_question = False
         self.load_line = 0
         self.meets = bool(program.endings)
-        self.low: syntax_tree.Output | None = None
+        self.question_wire: syntax_tree.SetOutput | None = None
         """Where the running wire has fallen for a question that is still open."""
-        self.asked = self.watched = self.stays_low = self.rose = self.unwatched = False
+        self.question_asked = self.watched = self.stays_low = self.wire_rose = self.must_watch = False
         self.waited = 0.0
-        self.torches = Torches(program, self._fail, self._output, self._input)
+        self.torches = TorchChecks(program, self._fail, self._output, self._input)
 
-    def run(self) -> tuple[steps.Step, ...]:
+    def run(self) -> tuple[steps.ProgramStep, ...]:
         if self.meets:
-            self._endings()
-        self.torches.begin()
+            self._check_functions()
+        self.torches.check_functions()
         for statement in self.program.body:
-            if isinstance(statement, syntax_tree.Begins):
+            if isinstance(statement, syntax_tree.SegmentComment):
                 self.procedure = statement.label
                 continue
-            if self.reading and not (isinstance(statement, syntax_tree.Popup) and statement.kind != "note"):
-                self._fail(statement, "a text that is to be read before a question, and no question follows")
-            if not isinstance(statement, syntax_tree.Straight | syntax_tree.Stand):
+            if self.awaits_question and not (
+                isinstance(statement, syntax_tree.Popup) and statement.kind != "note"
+            ):
+                self._fail(statement, "an informational popup is not followed by a question")
+            if not isinstance(statement, syntax_tree.ScriptLinearMove | syntax_tree.DwellMove):
                 self.procedure = MAIN_PROCEDURE
-            self.torches.take(statement)
-            if not (self.meets and self._runs_or_not(statement)):
+            self.torches.process(statement)
+            if not (self.meets and self._take_running_wire(statement)):
                 self._statement(statement)
-        if self.reading:
-            self._fail(self.program.body[-1], "a text that is to be read before a question, and none follows")
+        if self.awaits_question:
+            self._fail(self.program.body[-1], "the last informational popup is not followed by a question")
         self.torches.end(self.program.body[-1])
-        if self.low is not None or self.rose:
-            last = self.low or self.program.body[-1]
-            self._fail(last, "the running wire falls for a question, and does not rise and settle behind it")
+        if self.question_wire is not None or self.wire_rose:
+            last = self.question_wire or self.program.body[-1]
+            self._fail(last, "the running wire falls for a question, and does not rise and settle after it")
         return tuple(self.steps)
 
     def _fail(self, statement: syntax_tree.Statement, message: str) -> NoReturn:
-        raise steps.FlowError([steps.Fault(statement.line, 1, "urscript.flow", message, self.program.file)])
+        raise steps.FlowError(
+            [steps.TextFault(statement.line, 1, "urscript.flow", message, self.program.file)]
+        )
 
-    def _where(self, statement: syntax_tree.Statement) -> tuple[str, str, int, str]:
+    def _location(self, statement: syntax_tree.Statement) -> tuple[str, str, int, str]:
         return self.program.file.rpartition("/")[2], self.procedure, statement.line, ""
 
     def _statement(self, statement: syntax_tree.Statement) -> None:
-        where = self._where(statement)
+        where = self._location(statement)
         match statement:
             case syntax_tree.SetTcp(name=name):
                 self.tool_name, self.load = name, None
             case syntax_tree.SetPayload(mass=mass, centre=centre):
                 if not self.tool_name:
-                    self._fail(statement, "a payload before any tool")
+                    self._fail(statement, "a payload is set before any tool")
                 axes = np.array([1.0, 0.0, 0.0, 0.0])
                 self.load, self.load_line = (
-                    steps.Load(mass, np.array(centre), axes, np.zeros(3)),
+                    steps.LoadData(mass, np.array(centre), axes, np.zeros(3)),
                     statement.line,
                 )
-            case syntax_tree.Output(number=number, value=on):
-                if on and not self.looked:
-                    self._fail(statement, "an output is on before the program has looked at the arm")
+            case syntax_tree.SetOutput(number=number, value=on):
+                if on and not self.arm_checked:
+                    self._fail(statement, "an output is switched on before the program has checked the arm")
                 name = self._output(number)
                 self.steps.append(steps.SignalStep(*where, "set_digital_out", name, float(on), 0.0, True))
-            case syntax_tree.Pause(seconds=seconds):
+            case syntax_tree.SleepStatement(seconds=seconds):
                 self.steps.append(steps.WaitStep(*where, "sleep", seconds, "", None, True))
             case syntax_tree.Popup(kind=kind, text=text):
                 asks = kind == "question"
-                self.reading = kind == "read"
-                if self.meets and kind != "note" and self.low is None:
+                self.awaits_question = kind == "read"
+                if self.meets and kind != "note" and self.question_wire is None:
                     self._fail(statement, "a popup holds the program while its running wire is high")
-                self.asked |= asks
+                self.question_asked |= asks
                 panel: Literal["line", ""] = "" if asks else "line"
                 falls = self.meets and asks
-                step = steps.MessageStep(*where, "popup", (text,), asks, text, asks, panel, stands=falls)
+                step = steps.MessageStep(
+                    *where, "popup", (text,), asks, text, asks, panel, counts_as_stopped=falls
+                )
                 self.steps.append(step)
-            case syntax_tree.Look():
-                self._look(statement)
-            case syntax_tree.StaysLow(number=number) if self.torches.watches(number):
+            case syntax_tree.PoseCheck():
+                self._check_arm(statement)
+            case syntax_tree.OutputLowCheck(number=number) if self.torches.watches(number):
                 if any(isinstance(step, steps.SignalStep) for step in self.steps):
-                    what = "the program looks whether a torch stays on behind what it has switched"
+                    what = "the program checks whether a torch stays on after it has switched outputs"
                     self._fail(statement, what)
-            case syntax_tree.StaysLow(number=number, off=off, text=text):
-                wanted = urscript_sentences.STAYS_ON.filled(signal=self.wires.running)
-                if not self.meets or not self._runs(number) or text != wanted:
+            case syntax_tree.OutputLowCheck(number=number, switched_off=off, text=text):
+                expected_text = urscript_sentences.STAYS_ON.format(signal=self.wires.running)
+                if not self.meets or not self._runs(number) or text != expected_text:
                     self._fail(
-                        statement, "a look at an output that is not the own running wire's, or its text"
+                        statement, "a check of an output other than the running wire's, or with another text"
                     )
                 if off != (number,):
-                    what = (
-                        f"{self.wires.running} has to go off, and nothing else, where it is found to stay on"
-                    )
+                    what = f"only {self.wires.running} must be switched off where it is found to stay on"
                     self._fail(statement, what)
                 if self.stays_low:
-                    self._fail(statement, "the program looks again whether its running wire stays high")
+                    self._fail(statement, "the program checks again whether its running wire stays high")
                 self.stays_low = True
-            case syntax_tree.Await(name=name, value=value, seconds=seconds):
+            case syntax_tree.AwaitSignal(name=name, value=value, seconds=seconds):
                 ending = self.program.endings.get(name)
                 if ending is None:
                     self._fail(statement, f"there is no function {name}")
@@ -173,34 +228,38 @@ class _Runner:
             case syntax_tree.AwaitArc(name=name, seconds=seconds):
                 given = self._input(self.program.torches[name].given or 0)
                 self.steps.append(steps.WaitStep(*where, name, seconds, given, 1.0, True))
-            case syntax_tree.GuardArc(name=name, on=on):
+            case syntax_tree.ArcWatchdog(name=name, on=on):
                 thread = self.program.torches[name]
                 given = "" if thread.given is None else self._input(thread.given)
-                own = self._output(-1 if thread.own is None else thread.own)
-                self.steps.append(steps.GuardStep(*where, own, given, thread.stood, thread.far, on))
-            case syntax_tree.Check(value=value, own=own):
+                output_name = self._output(-1 if thread.torch_output is None else thread.torch_output)
+                self.steps.append(
+                    steps.GuardStep(
+                        *where, output_name, given, thread.max_standing_time, thread.min_travel, on
+                    )
+                )
+            case syntax_tree.PartnerCheck(value=value, running=output_name):
                 ending = self.program.endings.get(syntax_tree.CHECK)
                 if ending is None:
                     self._fail(statement, f"there is no function {syntax_tree.CHECK}")
                 line, runs = map(self._input, ending.numbers)
-                self.steps.append(steps.CheckStep(*where, line, int(value), runs, own))
-            case syntax_tree.Watch(on=on):
+                self.steps.append(steps.CheckStep(*where, line, int(value), runs, output_name))
+            case syntax_tree.WatchdogThread(on=on):
                 self._watch(statement, on)
-            case syntax_tree.Joint():
+            case syntax_tree.ScriptJointMove():
                 self._joint(statement)
-            case syntax_tree.Straight():
+            case syntax_tree.ScriptLinearMove():
                 self._straight(statement)
-            case syntax_tree.Stand():
-                self._stand(statement)
+            case syntax_tree.DwellMove():
+                self._standing_move(statement)
 
-    def _look(self, look: syntax_tree.Look) -> None:
-        if self.looked or self.moved:
-            self._fail(look, "the program looks at the arm elsewhere than before it moves")
-        if look.text != self.other:
-            self._fail(look, f"the arm is looked at with the text {look.text!r}; wanted: {self.other!r}")
-        values = (*self.program.data[look.name].value, *look.tip, *look.place, look.most)
-        self.steps.append(steps.SettingStep(*self._where(look), LOOK_KIND, (), values))
-        self.looked = True
+    def _check_arm(self, check: syntax_tree.PoseCheck) -> None:
+        if self.arm_checked or self.moved:
+            self._fail(check, "the program must check the arm before it moves")
+        if check.text != self.other:
+            self._fail(check, f"the check of the arm shows {check.text!r}; expected: {self.other!r}")
+        values = (*self.program.data[check.name].value, *check.tip, *check.position, check.tolerance)
+        self.steps.append(steps.SettingStep(*self._location(check), ARM_CHECK_KIND, (), values))
+        self.arm_checked = True
 
     # ---- the other controller ----
 
@@ -211,14 +270,16 @@ class _Runner:
         return self.wires.inputs.get(number, f"input {number}")
 
     def _runs(self, number: int) -> bool:
-        """Whether an output is the own running wire's."""
+        """Return whether an output is this controller's running wire."""
         return self._output(number).lower() == self.wires.running.lower()
 
-    def _endings(self) -> None:
-        """The functions and the thread are there, read the own running wire back, and switch off what has to
-        be off where a program ends."""
-        found, wires = self.program.endings, self.wires
-        first = next(iter(found.values()))
+    def _check_functions(self) -> None:
+        """Check the functions and the thread.
+
+        They must exist, read the running wire back, and switch off what must be off at the end.
+        """
+        endings, wires = self.program.endings, self.wires
+        first = next(iter(endings.values()))
         missing = [
             name
             for name in (
@@ -228,81 +289,83 @@ class _Runner:
                 syntax_tree.WATCH,
                 syntax_tree.STAND,
             )
-            if name not in found
+            if name not in endings
         ]
         if missing or not wires.other:
-            what = (
-                f"{', '.join(missing)} is missing" if missing else "there is no other controller to wait for"
-            )
+            what = f"{', '.join(missing)} is missing" if missing else "no other controller exists to wait for"
             self._fail(first, what)
-        switched = (s.number for s in self.program.body if isinstance(s, syntax_tree.Output) and s.value)
+        switched = (s.number for s in self.program.body if isinstance(s, syntax_tree.SetOutput) and s.value)
         on = {self._output(number).lower() for number in switched} - {wires.line.lower()}
-        for name, ending in found.items():
+        for name, ending in endings.items():
             if name == syntax_tree.STAND:
                 continue  # it ends nothing
-            if not self._runs(ending.own):
-                self._fail(ending, f"{name} reads {self._output(ending.own)} back, not {wires.running}")
+            if not self._runs(ending.running):
+                self._fail(
+                    ending, f"{name} reads back {self._output(ending.running)} instead of {wires.running}"
+                )
             lost = urscript_sentences.PARTNER_LOST if name == syntax_tree.WATCH else sentences.UNANSWERED
-            wanted = lost.filled(other=wires.other)
-            if ending.text != wanted:
-                self._fail(ending, f"{name} shows {ending.text!r}; wanted: {wanted!r}")
-            off = [self._output(number).lower() for number in ending.off]
-            if off[:1] != [wires.running.lower()]:
-                self._fail(ending, f"{name} does not take {wires.running} back before all else")
-            if left := sorted(on - set(off)):
+            expected_text = lost.format(other=wires.other)
+            if ending.text != expected_text:
+                self._fail(ending, f"{name} shows {ending.text!r}; expected: {expected_text!r}")
+            switched_off = [self._output(number).lower() for number in ending.switched_off]
+            if switched_off[:1] != [wires.running.lower()]:
+                self._fail(ending, f"{name} does not switch off {wires.running} before all else")
+            if left := sorted(on - set(switched_off)):
                 self._fail(ending, f"{name} leaves {', '.join(left)} on")
-            if wires.line.lower() in off:
+            if wires.line.lower() in switched_off:
                 self._fail(
                     ending, f"{name} switches {wires.line}, which the other program would take for an arrival"
                 )
 
-    def _runs_or_not(self, statement: syntax_tree.Statement) -> bool:
-        """Take the running wire's fall before a question, what may stand while it is low, and its rise and
-        settling; whether the statement is no more than that."""
-        if self.rose:
-            if not isinstance(statement, syntax_tree.Pause) or statement.seconds != SETTLED:
-                self._fail(statement, f"behind the rise of the running wire sleep({SETTLED}) must stand")
-            self.rose, self.unwatched = False, True
+    def _take_running_wire(self, statement: syntax_tree.Statement) -> bool:
+        """Process statements on the running wire and return whether the statement is only that.
+
+        They are its fall before a question, what may come while it is low, its rise, and the pause after
+        that.
+        """
+        if self.wire_rose:
+            if not isinstance(statement, syntax_tree.SleepStatement) or statement.seconds != SETTLING_TIME_S:
+                self._fail(statement, f"sleep({SETTLING_TIME_S}) must follow the rise of the running wire")
+            self.wire_rose, self.must_watch = False, True
             return True
-        if self.unwatched and isinstance(statement, syntax_tree.Pause):
-            self._fail(
-                statement, "the program waits behind the rise of its running wire, and watches nothing"
-            )
-        own = isinstance(statement, syntax_tree.Output) and self._runs(statement.number)
-        self.unwatched = self.unwatched and not (
-            own or isinstance(statement, syntax_tree.Watch | syntax_tree.Await)
+        if self.must_watch and isinstance(statement, syntax_tree.SleepStatement):
+            self._fail(statement, "the program waits after the rise of its running wire without watching")
+        is_running_wire = isinstance(statement, syntax_tree.SetOutput) and self._runs(statement.number)
+        self.must_watch = self.must_watch and not (
+            is_running_wire or isinstance(statement, syntax_tree.WatchdogThread | syntax_tree.AwaitSignal)
         )
-        if self.low is None:
-            if not own or not isinstance(statement, syntax_tree.Output) or statement.value:
+        if self.question_wire is None:
+            if not is_running_wire or not isinstance(statement, syntax_tree.SetOutput) or statement.value:
                 return False
             if not self.stays_low:
-                what = "nothing looks before whether the running wire stays high without a program"
+                what = "nothing checks before whether the running wire stays high without a program"
                 self._fail(statement, what)
-            self.low, self.asked, self.waited = statement, False, 0.0
-            self.steps.append(steps.RunningStep(*self._where(statement), False))
+            self.question_wire, self.question_asked, self.waited = statement, False, 0.0
+            self.steps.append(steps.RunningStep(*self._location(statement), False))
             return True
         match statement:
-            case syntax_tree.Output(value=True) if own and self.asked:
-                self.steps.append(steps.RunningStep(*self._where(statement), True, self.waited))
-                self.low, self.rose = None, True
+            case syntax_tree.SetOutput(value=True) if is_running_wire and self.question_asked:
+                self.steps.append(steps.RunningStep(*self._location(statement), True, self.waited))
+                self.question_wire, self.wire_rose = None, True
                 return True
-            case syntax_tree.Pause(seconds=seconds) if self.asked:
+            case syntax_tree.SleepStatement(seconds=seconds) if self.question_asked:
                 self.waited += seconds
-                if self.waited > SLOW:  # what is longer the model of both programs does not know
+                if self.waited > MIN_SETTLING_TIME_S:  # the model of both programs has no longer waits
                     self._fail(
-                        statement, f"more than {SLOW} s between a look and the rise of the running wire"
+                        statement,
+                        f"more than {MIN_SETTLING_TIME_S} s between a check and the rise of the running wire",
                     )
                 return True
-            case syntax_tree.Popup() | syntax_tree.Check(own=False):
+            case syntax_tree.Popup() | syntax_tree.PartnerCheck(running=False):
                 self.waited = 0.0
                 return False
         line = (
-            isinstance(statement, syntax_tree.Output)
+            isinstance(statement, syntax_tree.SetOutput)
             and not statement.value
             and self._is_line(statement.number)
         )
-        if not line or self.asked:
-            self._fail(statement, "something else than a question while the running wire is low")
+        if not line or self.question_asked:
+            self._fail(statement, "only a question may come while the running wire is low")
         return False
 
     def _is_line(self, number: int) -> bool:
@@ -316,40 +379,46 @@ class _Runner:
         if ending is None:
             self._fail(statement, f"there is no thread {syntax_tree.WATCH}")
         self.watched = on
-        self.steps.append(steps.WatchStep(*self._where(statement), self._input(ending.numbers[0]), on))
+        self.steps.append(steps.WatchStep(*self._location(statement), self._input(ending.numbers[0]), on))
 
     # ---- moves ----
 
-    def _joint(self, move: syntax_tree.Joint) -> None:
+    def _joint(self, move: syntax_tree.ScriptJointMove) -> None:
         target = steps.JointTarget(np.array(self.program.data[move.name].value), _NO_AXES)
-        share = tuple(float(move.speed / most) for most in self.velocity)
-        speed = steps.Speed(math.inf, math.inf, 0.0, 0.0, share)
-        where = steps.WorkObject(False, True, "", self.base, np.eye(4)), ""
-        self._move(move, target, move.name, None, speed, _EXACT_STOP, where, move.acceleration)
+        fractions = tuple(float(move.speed / axis_speed) for axis_speed in self.velocity)
+        speed = steps.MoveSpeed(math.inf, math.inf, 0.0, 0.0, fractions)
+        base = steps.WorkObject(False, True, "", self.base, np.eye(4))
+        motion = _ScriptMotion(
+            target, speed, _EXACT_STOP, base, "", target_name=move.name, acceleration=move.acceleration
+        )
+        self._move(move, motion)
 
-    def _straight(self, move: syntax_tree.Straight) -> None:
+    def _straight(self, move: syntax_tree.ScriptLinearMove) -> None:
         if not self.moved:
-            self._fail(move, "movel begins nowhere; movej to joints first")
-        turn = to_quaternion(exp_rotation(np.array(move.place[3:])))
-        target = steps.RobTarget(np.array(move.place[:3]), turn, None, _NO_AXES)
+            self._fail(move, "movel has no known start; use movej to joints first")
+        turn = to_quaternion(exp_rotation(np.array(move.target[3:])))
+        target = steps.RobTarget(np.array(move.target[:3]), turn, None, _NO_AXES)
         stop = move.radius == 0.0
         zone = _EXACT_STOP if stop else steps.Zone(False, move.radius, 0.0, 0.0, 0.0, 0.0, 0.0)
-        speed = steps.Speed(math.inf, math.inf, 0.0, 0.0)
-        self._move(move, target, "", move.seconds, speed, zone, (self._work(move.frame), move.frame))
+        speed = steps.MoveSpeed(math.inf, math.inf, 0.0, 0.0)
+        work_object = self._work_object(move.frame)
+        self._move(move, _ScriptMotion(target, speed, zone, work_object, move.frame, time=move.seconds))
 
-    def _stand(self, stand: syntax_tree.Stand) -> None:
-        """The arm's part of a move in which only the other one moves."""
+    def _standing_move(self, stand: syntax_tree.DwellMove) -> None:
+        """Add the arm's part of a move in which only the other arm moves."""
         last = next((step for step in reversed(self.steps) if isinstance(step, steps.MoveStep)), None)
         if (
             syntax_tree.STAND not in self.program.endings
             or last is None
             or not isinstance(last.target, steps.RobTarget)
         ):
-            self._fail(stand, f"{syntax_tree.STAND} stands for a move behind a movel")
-        where = last.wobj, last.wobj_name
-        self._move(stand, last.target, "", stand.seconds, last.speed, _EXACT_STOP, where)
+            self._fail(stand, f"{syntax_tree.STAND} is allowed only after a movel")
+        motion = _ScriptMotion(
+            last.target, last.speed, _EXACT_STOP, last.wobj, last.wobj_name, time=stand.seconds
+        )
+        self._move(stand, motion)
 
-    def _work(self, name: str) -> steps.WorkObject:
+    def _work_object(self, name: str) -> steps.WorkObject:
         if name not in self.works:
             seen = pose(self.program.data[name].value)
             self.works[name] = steps.WorkObject(False, True, "", self.base, seen)
@@ -357,7 +426,7 @@ class _Runner:
 
     def _tool(self, statement: syntax_tree.Statement) -> steps.Tool:
         if self.load is None:
-            self._fail(statement, "an arm moves before set_tcp and set_payload behind it have said its tool")
+            self._fail(statement, "an arm moves before set_tcp and then set_payload have set its tool")
         key = self.tool_name, self.load_line
         if key not in self.tools:
             self.tools[key] = steps.Tool(True, pose(self.program.data[self.tool_name].value), self.load)
@@ -365,29 +434,36 @@ class _Runner:
 
     def _move(
         self,
-        move: syntax_tree.Joint | syntax_tree.Straight | syntax_tree.Stand,
-        target: steps.JointTarget | steps.RobTarget,
-        name: str,
-        time: float | None,
-        speed: steps.Speed,
-        zone: steps.Zone,
-        work: tuple[steps.WorkObject, str],
-        acceleration: float | None = None,
+        move: syntax_tree.ScriptJointMove | syntax_tree.ScriptLinearMove | syntax_tree.DwellMove,
+        motion: _ScriptMotion,
     ) -> None:
-        if not self.looked:
-            self._fail(move, "an arm moves before the program has looked whether it is the planned one")
+        if not self.arm_checked:
+            self._fail(move, "an arm moves before the program has checked whether it is the planned one")
         tool = self._tool(move)
         kind = {
-            syntax_tree.Joint: "movej",
-            syntax_tree.Straight: "movel",
-            syntax_tree.Stand: syntax_tree.STAND,
+            syntax_tree.ScriptJointMove: "movej",
+            syntax_tree.ScriptLinearMove: "movel",
+            syntax_tree.DwellMove: syntax_tree.STAND,
         }[type(move)]
-        stop = "an exact stop" if zone.fine else f"r={zone.tcp:g}"
+        zone = motion.zone
         self.steps.append(
             steps.MoveStep(
-                *(*self._where(move), kind, target, name, None, time, None, speed, zone, stop),
-                *(tool, self.tool_name, *work, ()),
-                acceleration,
+                *self._location(move),
+                kind=kind,
+                target=motion.target,
+                target_name=motion.target_name,
+                id=None,
+                time=motion.time,
+                velocity=None,
+                speed=motion.speed,
+                zone=zone,
+                zone_name="an exact stop" if zone.fine else f"r={zone.tcp:g}",
+                tool=tool,
+                tool_name=self.tool_name,
+                wobj=motion.work_object,
+                wobj_name=motion.work_object_name,
+                switches=(),
+                acceleration=motion.acceleration,
             )
         )
         self.moved = True

@@ -1,7 +1,7 @@
-"""URScript text to statements: words of a line, then the one form that each statement may have.
+"""Parser of URScript: words of a line, then the one form that each statement may have.
 
-Whatever is not of such a form is a fault with its line. Words count with their case. Comments begin
-with # and say nothing, but for the head of a segment.
+All else is a fault with its line. Words are case-sensitive. Comments begin with # and have no meaning,
+except for the head of a segment.
 """
 
 import functools
@@ -10,47 +10,52 @@ from collections.abc import Callable
 from typing import Final, Literal
 
 from planner.languages.urscript.reader import syntax_tree
-from planner.languages.urscript.reader.functions import awaits_arc, ended, function, switched_off
+from planner.languages.urscript.reader.functions import (
+    awaits_arc,
+    read_ending,
+    read_function,
+    read_switched_off,
+)
 from planner.languages.urscript.reader.words import (
     OUTPUT_WORDS,
     OUTPUTS_READ,
-    Line,
     Part,
     Rows,
     ScriptError,
-    Word,
-    above_zero,
-    must_be,
+    ScriptLine,
+    ScriptWord,
+    expect_lines,
+    format_code,
     next_line,
     output_read,
-    parted,
     popup,
-    shown_code,
-    switched,
+    positive_number,
+    split_comment,
+    switched_output,
 )
-from planner.programs.steps import Fault
+from planner.programs.steps import TextFault
 
 _SEGMENT: Final = re.compile(r"#\s*Segment\s+([\w/]+):.*", re.ASCII)
-"""The comment with which a segment begins."""
+"""Comment at the start of a segment."""
 _TITLES: Final[dict[tuple[str, bool], Literal["question", "read", "note"]]] = {
     ("Tandem asks", True): "question",
     ("Tandem tells", True): "read",
     ("Tandem", False): "note",
 }
-"""What a popup is by its title, and whether it holds the program."""
+"""Kind of a popup by its title, and by whether it holds the program."""
 _KILL: Final = re.compile(rf"kill\s+({syntax_tree.WATCHING}|{syntax_tree.WATCHING_ARC}((?:_\d+)?))")
 _RUN_WATCH: Final = re.compile(rf"{syntax_tree.WATCHING}\s*=\s*run\s+{syntax_tree.WATCH}\s*\(\s*\)")
 _RUN_ARC: Final = re.compile(
     rf"{syntax_tree.WATCHING_ARC}((?:_\d+)?)\s*=\s*run\s+{syntax_tree.WATCH_ARC}((?:_\d+)?)\s*\(\s*\)"
 )
-"""Statements that end and begin threads."""
-MOST_SECONDS: Final = 3600.0
-"""Longest move or pause that is read [s]."""
-MOST_WAIT: Final = 1e6
-"""Longest wait for the other program that is read [s]."""
+"""Statements that end and start threads."""
+MAX_READ_SECONDS: Final = 3600.0
+"""Maximum readable time [s] of a move or pause."""
+MAX_READ_WAIT_S: Final = 1e6
+"""Maximum readable time [s] of a wait for the other program."""
 
 
-def _radius(words: Line) -> float:
+def _radius(words: ScriptLine) -> float:
     radius = words.number()
     if not 0.0 <= radius <= 1.0:
         raise ScriptError("type", f"r is {radius:g}; allowed: 0 to 1 (m)")
@@ -60,100 +65,118 @@ def _radius(words: Line) -> float:
 def _popup(line: int, text: str, title: str, blocking: bool) -> syntax_tree.Statement:
     kind = _TITLES.get((title, blocking))
     if kind is None:
-        told = "blocking" if blocking else "not blocking"
-        raise ScriptError("syntax", f"a popup with the title {title!r}, {told}: none of these programs")
+        holding = "blocking" if blocking else "not blocking"
+        raise ScriptError("syntax", f"a popup with the title {title!r}, {holding}: not one of these programs")
     return syntax_tree.Popup(line, kind, text)
 
 
 def _thread(line: int, row: str) -> syntax_tree.Statement | None:
-    """The statement that begins or ends a thread, None for another one."""
-    if found := _KILL.fullmatch(row):
-        if found[1] == syntax_tree.WATCHING:
-            return syntax_tree.Watch(line, False)
-        return syntax_tree.GuardArc(line, syntax_tree.WATCH_ARC + found[2], False)
+    """Return the statement that starts or ends a thread, None for other statements."""
+    if match := _KILL.fullmatch(row):
+        if match[1] == syntax_tree.WATCHING:
+            return syntax_tree.WatchdogThread(line, False)
+        return syntax_tree.ArcWatchdog(line, syntax_tree.WATCH_ARC + match[2], False)
     if _RUN_WATCH.fullmatch(row):
-        return syntax_tree.Watch(line, True)
-    if found := _RUN_ARC.fullmatch(row):
-        thread = syntax_tree.WATCH_ARC + found[2]
-        if found[1] != found[2]:
-            raise ScriptError("syntax", f"{thread} is held by another one's variable")
-        return syntax_tree.GuardArc(line, thread, True)
+        return syntax_tree.WatchdogThread(line, True)
+    if match := _RUN_ARC.fullmatch(row):
+        thread = syntax_tree.WATCH_ARC + match[2]
+        if match[1] != match[2]:
+            raise ScriptError("syntax", f"{thread} is held by the variable of another thread")
+        return syntax_tree.ArcWatchdog(line, thread, True)
     return None
 
 
 _CALLS: Final[dict[str, tuple[Callable[..., syntax_tree.Statement], tuple[Part, ...]]]] = {
     "movel": (
-        syntax_tree.Straight,
-        ("pose_trans(", Line.name, ",", Line.pose, "),t=", above_zero(MOST_SECONDS, "t"), ",r=", _radius),
+        syntax_tree.ScriptLinearMove,
+        (
+            "pose_trans(",
+            ScriptLine.name,
+            ",",
+            ScriptLine.pose,
+            "),t=",
+            positive_number(MAX_READ_SECONDS, "t"),
+            ",r=",
+            _radius,
+        ),
     ),
-    "movej": (syntax_tree.Joint, (Line.name, ",a=", above_zero(100.0, "a"), ",v=", above_zero(10.0, "v"))),
-    "set_tcp": (syntax_tree.SetTcp, (Line.name,)),
+    "movej": (
+        syntax_tree.ScriptJointMove,
+        (ScriptLine.name, ",a=", positive_number(100.0, "a"), ",v=", positive_number(10.0, "v")),
+    ),
+    "set_tcp": (syntax_tree.SetTcp, (ScriptLine.name,)),
     "set_payload": (
         syntax_tree.SetPayload,
-        (above_zero(1000.0, "the mass"), ",", lambda words: words.numbers(3)),
+        (positive_number(1000.0, "the mass"), ",", lambda words: words.numbers(3)),
     ),
-    "sleep": (syntax_tree.Pause, (above_zero(MOST_SECONDS, "a pause"),)),
+    "sleep": (syntax_tree.SleepStatement, (positive_number(MAX_READ_SECONDS, "a pause"),)),
     "popup": (_popup, popup(error=False)),
-    syntax_tree.CHECK: (syntax_tree.Check, (Line.flag, ",", Line.flag)),
-    syntax_tree.STAND: (syntax_tree.Stand, (above_zero(MOST_SECONDS, "a move's time"),)),
+    syntax_tree.CHECK: (syntax_tree.PartnerCheck, (ScriptLine.flag, ",", ScriptLine.flag)),
+    syntax_tree.STAND: (syntax_tree.DwellMove, (positive_number(MAX_READ_SECONDS, "a move's time"),)),
     **{
         word: (
-            functools.partial(syntax_tree.Await, name=word),
-            (Line.flag, ",", above_zero(MOST_WAIT, "the longest wait")),
+            functools.partial(syntax_tree.AwaitSignal, name=word),
+            (ScriptLine.flag, ",", positive_number(MAX_READ_WAIT_S, "the longest wait")),
         )
         for word in (syntax_tree.AWAIT_LINE, syntax_tree.AWAIT_RUNNING)
     },
-    **{word: (syntax_tree.Output, switched(first)) for word, first in OUTPUT_WORDS.items()},
+    **{word: (syntax_tree.SetOutput, switched_output(first)) for word, first in OUTPUT_WORDS.items()},
 }
-"""Statements by the function that they call: what they become, and the form of the parameters."""
+"""Statements by the function that they call: their class, and the form of the parameters."""
 
 
-class Reader:
-    """Reads one file; `faults` are filled meanwhile."""
+class ScriptReader:
+    """Reads one file and collects its `faults`."""
 
     def __init__(self, text: str, file: str) -> None:
         self.rows = text.split("\n")
         self.file = file
-        self.faults: list[Fault] = []
+        self.faults: list[TextFault] = []
 
     def fault(self, line: int, kind: str, message: str) -> None:
-        self.faults.append(Fault(line, 1, f"urscript.{kind}", message, self.file))
+        """Record a fault of a line (from 1) with the code ``urscript.KIND``."""
+        self.faults.append(TextFault(line, 1, f"urscript.{kind}", message, self.file))
 
-    def program(self) -> syntax_tree.Program | None:
-        """The file's program, None where it has no head."""
-        name, data, body, closed = "", dict[str, syntax_tree.Data](), list[syntax_tree.Statement](), False
-        endings: dict[str, syntax_tree.Ending | syntax_tree.ArcFunction] = {}
+    def program(self) -> syntax_tree.ScriptProgram | None:
+        """Return the file's program, None if it has no head."""
+        name, data, body, closed = (
+            "",
+            dict[str, syntax_tree.ScriptVariable](),
+            list[syntax_tree.Statement](),
+            False,
+        )
+        endings: dict[str, syntax_tree.EndingFunction | syntax_tree.ArcFunction] = {}
         rows = iter(enumerate(self.rows, 1))
         for line, row in rows:
             if len(row.rstrip()) > syntax_tree.LINE_LENGTH:
                 self.fault(line, "line_length", f"{len(row)} characters; allowed: {syntax_tree.LINE_LENGTH}")
-            code, comment = parted(row)
+            code, comment = split_comment(row)
             try:
                 if (segment := _SEGMENT.fullmatch(comment)) and not code and name and not closed:
-                    body.append(syntax_tree.Begins(line, segment[1]))
+                    body.append(syntax_tree.SegmentComment(line, segment[1]))
                 if not code:
                     continue
                 if closed:
-                    raise ScriptError("syntax", f"{shown_code(code)}: nothing stands behind the program")
-                words = Line(code)
+                    raise ScriptError("syntax", f"{format_code(code)}: nothing may follow the program")
+                words = ScriptLine(code)
                 if not name:
                     name = _head(words)
                 elif code == "end":
                     closed = True
-                elif words.next in (Word("name", "def"), Word("name", "thread")):
-                    if any(not isinstance(statement, syntax_tree.Begins) for statement in body):
-                        raise ScriptError("syntax", "a function or thread stands behind the first statement")
-                    word, ending = function(line, words, rows)
+                elif words.next_word in (ScriptWord("name", "def"), ScriptWord("name", "thread")):
+                    if any(not isinstance(statement, syntax_tree.SegmentComment) for statement in body):
+                        raise ScriptError("syntax", "a function or thread follows the first statement")
+                    word, ending = read_function(line, words, rows)
                     if word in endings:
                         raise ScriptError(
-                            "name_duplicate", f"{word} stands in line {endings[word].line} already"
+                            "name_duplicate", f"{word} is defined in line {endings[word].line} already"
                         )
                     endings[word] = ending
                 elif (watch := _thread(line, code)) is not None:
                     body.append(watch)
                 elif code.startswith("if"):
                     body.append(self._branch(line, words, rows))
-                elif words.words[1:2] == (Word("sign", "="),):
+                elif words.words[1:2] == (ScriptWord("sign", "="),):
                     self._datum(line, words, data, body)
                 else:
                     body.append(_call(line, words))
@@ -162,56 +185,70 @@ class Reader:
                 if not name:
                     return None
         if not name:
-            self.fault(len(self.rows), "syntax", "the file has no program: def NAME(): must stand here")
+            self.fault(len(self.rows), "syntax", "the file has no program: expected def NAME():")
             return None
         if not closed:
             self.fault(len(self.rows), "syntax", "the program has no end")
-        met = {word: one for word, one in endings.items() if isinstance(one, syntax_tree.Ending)}
-        torches = {word: one for word, one in endings.items() if isinstance(one, syntax_tree.ArcFunction)}
-        return syntax_tree.Program(self.file, name, data, tuple(body), met, torches)
+        meeting_functions = {
+            word: definition
+            for word, definition in endings.items()
+            if isinstance(definition, syntax_tree.EndingFunction)
+        }
+        torches = {
+            word: definition
+            for word, definition in endings.items()
+            if isinstance(definition, syntax_tree.ArcFunction)
+        }
+        return syntax_tree.ScriptProgram(self.file, name, data, tuple(body), meeting_functions, torches)
 
     def _datum(
-        self, line: int, words: Line, data: dict[str, syntax_tree.Data], body: list[syntax_tree.Statement]
+        self,
+        line: int,
+        words: ScriptLine,
+        data: dict[str, syntax_tree.ScriptVariable],
+        body: list[syntax_tree.Statement],
     ) -> None:
-        (name,) = words.values(Line.name, "=")
-        _named(name)
+        (name,) = words.values(ScriptLine.name, "=")
+        _check_name(name)
         if name in data:
             raise ScriptError("name_duplicate", f"{name} has a value in line {data[name].line} already")
-        if any(not isinstance(statement, syntax_tree.Begins) for statement in body):
-            raise ScriptError("syntax", f"{name} gets its value behind the first statement")
-        if words.next.kind == "text":
-            found = syntax_tree.Data(line, "text", words.text())
-        elif words.next.text == "p":
-            found = syntax_tree.Data(line, "pose", words.pose())
+        if any(not isinstance(statement, syntax_tree.SegmentComment) for statement in body):
+            raise ScriptError("syntax", f"{name} gets its value after the first statement")
+        if words.next_word.kind == "text":
+            datum = syntax_tree.ScriptVariable(line, "text", words.text())
+        elif words.next_word.text == "p":
+            datum = syntax_tree.ScriptVariable(line, "pose", words.pose())
         else:
-            found = syntax_tree.Data(line, "joints", words.numbers(6))
+            datum = syntax_tree.ScriptVariable(line, "joints", words.numbers(6))
         words.rest()
-        data[name] = found
+        data[name] = datum
 
-    def _branch(self, line: int, words: Line, rows: Rows) -> syntax_tree.Look | syntax_tree.StaysLow:
-        """The two branches there are: both show a text and end the program."""
+    def _branch(
+        self, line: int, words: ScriptLine, rows: Rows
+    ) -> syntax_tree.PoseCheck | syntax_tree.OutputLowCheck:
+        """Read one of the two branches that exist. Both show a text and end the program."""
         words.values("if")
-        if words.next.text in OUTPUTS_READ:
+        if words.next_word.text in OUTPUTS_READ:
             (number,) = words.rest(output_read, ":")
-            off, text = switched_off(rows, blocking=True)
-            must_be(rows, "end")
-            return syntax_tree.StaysLow(line, number, off, text)
-        looked: tuple[Part, ...] = (Line.name, ",", Line.pose, "),", Line.pose)
-        name, tip, place, most = words.rest(
-            "point_dist(get_forward_kin(", *looked, ")>", above_zero(1.0, "the distance"), ":"
+            switched_outputs, text = read_switched_off(rows, blocking=True)
+            expect_lines(rows, "end")
+            return syntax_tree.OutputLowCheck(line, number, switched_outputs, text)
+        arm_check: tuple[Part, ...] = (ScriptLine.name, ",", ScriptLine.pose, "),", ScriptLine.pose)
+        name, tip, position, tolerance = words.rest(
+            "point_dist(get_forward_kin(", *arm_check, ")>", positive_number(1.0, "the distance"), ":"
         )
-        text = ended(next_line(rows), rows, blocking=True)
-        must_be(rows, "end")
-        return syntax_tree.Look(line, name, tip, place, most, text)
+        text = read_ending(next_line(rows), rows, blocking=True)
+        expect_lines(rows, "end")
+        return syntax_tree.PoseCheck(line, name, tip, position, tolerance, text)
 
 
-def _head(words: Line) -> str:
-    (name,) = words.rest("def", Line.name, "():")
-    _named(name)
+def _head(words: ScriptLine) -> str:
+    (name,) = words.rest("def", ScriptLine.name, "():")
+    _check_name(name)
     return str(name)
 
 
-def _named(name: str) -> None:
+def _check_name(name: str) -> None:
     if len(name) > syntax_tree.NAME_LENGTH:
         raise ScriptError(
             "name_length", f"{name} has {len(name)} characters; allowed: {syntax_tree.NAME_LENGTH}"
@@ -221,18 +258,18 @@ def _named(name: str) -> None:
         or re.fullmatch(syntax_tree.ARC_FUNCTION, name)
         or re.fullmatch(syntax_tree.ARC_VARIABLE, name)
     ):
-        raise ScriptError("name_reserved", f"{name} is a word of URScript; take another name")
+        raise ScriptError("name_reserved", f"{name} is a word of URScript; use another name")
 
 
-def _call(line: int, words: Line) -> syntax_tree.Statement:
+def _call(line: int, words: ScriptLine) -> syntax_tree.Statement:
     word = words.take("name", what="a statement")
     if awaits_arc(word):
         make: Callable[..., syntax_tree.Statement] = functools.partial(syntax_tree.AwaitArc, name=word)
-        parts: tuple[Part, ...] = (above_zero(MOST_SECONDS, "the longest wait"),)
+        parts: tuple[Part, ...] = (positive_number(MAX_READ_SECONDS, "the longest wait"),)
     elif word in _CALLS:
         make, parts = _CALLS[word]
     else:
-        raise ScriptError("syntax", f"{word}: no statement of these programs")
+        raise ScriptError("syntax", f"{word}: not a statement of these programs")
     out = make(line, *words.values("(", *parts))
     words.rest(")")
     return out

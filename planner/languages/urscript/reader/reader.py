@@ -1,7 +1,7 @@
-"""The URScript program of one arm, read strictly: the door of the reader.
+"""The URScript program of one arm, read strictly: the entry point of the reader.
 
-`read` gives the program and every fault of its text; `flow` its straight way. The reader shares no
-code with the writer: it knows the language from docs/urscript.md and the sources named there.
+`read` returns the program and every fault of its text; `flow` its straight path. The reader shares no code
+with the writer: it knows the language from docs/urscript.md and the sources named there.
 """
 
 from collections.abc import Iterator, Mapping
@@ -12,90 +12,104 @@ from typing import ClassVar
 import numpy as np
 
 from planner.geometry.arrays import FloatArray, exp_rotation, from_parts, inverse
-from planner.languages.urscript.reader.parser import Reader
-from planner.languages.urscript.reader.syntax_tree import Joint, Look, Program, SetTcp, Six, Straight
+from planner.languages.urscript.reader.parser import ScriptReader
+from planner.languages.urscript.reader.syntax_tree import (
+    PoseCheck,
+    ScriptJointMove,
+    ScriptLinearMove,
+    ScriptProgram,
+    SetTcp,
+    SixNumbers,
+)
 from planner.problem import Arm
-from planner.programs.program_text import ProgramText, Size
-from planner.programs.steps import BASE_FRAME, DIGEST, Fault
-from planner.proof.kinematics.arm_model import machine_of
+from planner.programs.program_text import PartSize, ProgramText
+from planner.programs.steps import BASE_FRAME, DIGEST, TextFault
+from planner.proof.kinematics.arm_model import robot_machine
 
 
 @dataclass(frozen=True, slots=True)
 class ScriptText(ProgramText):
-    """The program of one arm, None where there is none, and all `faults`."""
+    """The program of one arm as read.
+
+    Attributes:
+        program: The program, None if there is none.
+        faults: All faults of the text.
+    """
 
     language: ClassVar[str] = "urscript"
 
-    program: Program | None
-    faults: tuple[Fault, ...]
+    program: ScriptProgram | None
+    faults: tuple[TextFault, ...]
 
     @property
     def base(self) -> FloatArray | None:
-        """Where the program says that the controller's base is in the cell (4, 4), None if it does not."""
+        """The controller's base (4, 4) in the cell as the program states it, None if it does not."""
         item = None if self.program is None else self.program.data.get(BASE_FRAME)
         return pose(item.value) if item is not None and item.kind == "pose" else None
 
     @property
     def digest(self) -> str:
-        """The problem that the program names."""
+        """Digest of the problem that the program names."""
         item = None if self.program is None else self.program.data.get(DIGEST)
         return str(item.value) if item is not None and item.kind == "text" else ""
 
     def base_of(self, arm: Arm) -> FloatArray | None:
-        """Return the base of the arm, which is not that of its controller."""
-        return None if self.base is None else np.asarray(self.base @ inverse(machine_of(arm.data).table.base))
+        """Return the base of the arm, which differs from that of its controller."""
+        return (
+            None if self.base is None else np.asarray(self.base @ inverse(robot_machine(arm.data).table.base))
+        )
 
     @property
-    def sizes(self) -> tuple[Size, ...]:
+    def sizes(self) -> tuple[PartSize, ...]:
         """Number of moves of the program."""
-        one = self.program
-        return () if one is None else (Size(one.file, one.file, one.moves),)
+        program = self.program
+        return () if program is None else (PartSize(program.file, program.file, program.moves),)
 
 
-def pose(values: Six) -> FloatArray:
-    """Pose (4, 4) of a position [m] and a rotation vector [rad]."""
+def pose(values: SixNumbers) -> FloatArray:
+    """Return the pose (4, 4) of a position [m] and a rotation vector [rad]."""
     return from_parts(exp_rotation(np.array(values[3:])), np.array(values[:3]))
 
 
 def read(files: Mapping[str, str], most_bytes: int) -> ScriptText:
-    """All files of one arm (file name -> text), of which there has to be one."""
-    faults: list[Fault] = []
-    programs: list[Program] = []
+    """Read all files of one arm (file name -> text). There has to be exactly one."""
+    faults: list[TextFault] = []
+    programs: list[ScriptProgram] = []
     for file, text in files.items():
         size = len(text.encode("utf-8", "surrogatepass"))
         if size > most_bytes:
             what = f"{size} bytes; allowed: {most_bytes}; split the job"
-            faults.append(Fault(1, 1, "urscript.file_size", what, file))
-        reader = Reader(text.replace("\r\n", "\n"), file)
-        found = reader.program()
+            faults.append(TextFault(1, 1, "urscript.file_size", what, file))
+        reader = ScriptReader(text.replace("\r\n", "\n"), file)
+        program = reader.program()
         faults += reader.faults
-        if found is None:
+        if program is None:
             continue
-        programs.append(found)
-        if PurePosixPath(file).stem != found.name:
-            what = f"the file holds {found.name}; file and program must have one name"
-            faults.append(Fault(1, 1, "urscript.name_file", what, file))
-        faults += _checked(found)
+        programs.append(program)
+        if PurePosixPath(file).stem != program.name:
+            what = f"the file contains {program.name}; file and program must have the same name"
+            faults.append(TextFault(1, 1, "urscript.name_file", what, file))
+        faults += _check_names(program)
     if len(files) > 1:
         what = f"the arm has {len(files)} programs; it needs one"
-        faults.append(Fault(1, 1, "urscript.name_duplicate", what, sorted(files)[1]))
+        faults.append(TextFault(1, 1, "urscript.name_duplicate", what, sorted(files)[1]))
     return ScriptText(programs[0] if len(programs) == 1 else None, tuple(faults))
 
 
-def _checked(program: Program) -> Iterator[Fault]:
-    """Faults of names that are used: what is not there, or of another kind."""
+def _check_names(program: ScriptProgram) -> Iterator[TextFault]:
+    """Yield faults of used names: missing, or of another kind."""
     for statement in program.body:
         match statement:
-            case SetTcp(name=name) | Straight(frame=name):
-                wanted = "pose"
-            case Joint(name=name) | Look(name=name):
-                wanted = "joints"
+            case SetTcp(name=name) | ScriptLinearMove(frame=name):
+                expected = "pose"
+            case ScriptJointMove(name=name) | PoseCheck(name=name):
+                expected = "joints"
             case _:
                 continue
         item = program.data.get(name)
         if item is None:
             what = f"{name} has no value"
-            yield Fault(statement.line, 1, "urscript.undeclared", what, program.file)
-        elif item.kind != wanted:
-            what = f"{name} is {item.kind}; {wanted} must stand here"
-            yield Fault(statement.line, 1, "urscript.type", what, program.file)
+            yield TextFault(statement.line, 1, "urscript.undeclared", what, program.file)
+        elif item.kind != expected:
+            what = f"{name} is {item.kind}; expected: {expected}"
+            yield TextFault(statement.line, 1, "urscript.type", what, program.file)

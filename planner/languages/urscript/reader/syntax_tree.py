@@ -1,16 +1,16 @@
-"""URScript as read: statements and data, each with its line, in the language's units: m, s, rad."""
+"""Syntax tree of URScript: statements and data, each with its line, in the language's units: m, s, rad."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
-Six = tuple[float, float, float, float, float, float]
+SixNumbers = tuple[float, float, float, float, float, float]
 """A pose (position [m], rotation vector [rad]) or joints [rad]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Statement:
-    """`line` counts from 1."""
+    """A statement. `line` counts from 1."""
 
     line: int
 
@@ -31,15 +31,15 @@ class SetPayload(Statement):
 
 
 @dataclass(frozen=True, slots=True)
-class Output(Statement):
-    """A digital output by its number, 8 and more for configurable ones, is switched."""
+class SetOutput(Statement):
+    """A digital output is switched, by its number, 8 and more for configurable ones."""
 
     number: int
     value: bool
 
 
 @dataclass(frozen=True, slots=True)
-class Pause(Statement):
+class SleepStatement(Statement):
     """sleep [s]."""
 
     seconds: float
@@ -47,26 +47,38 @@ class Pause(Statement):
 
 @dataclass(frozen=True, slots=True)
 class Popup(Statement):
-    """A popup: `kind` a question, a text to be read before one, or one that is shown meanwhile."""
+    """A popup.
+
+    Attributes:
+        kind: A question, a text to be read before one, or a text that is shown meanwhile.
+        text: Its text.
+    """
 
     kind: Literal["question", "read", "note"]
     text: str
 
 
 @dataclass(frozen=True, slots=True)
-class Look(Statement):
-    """The program ends unless the point `tip` of the flange is at `place` in the controller's base within
-    `most` [m] at the joints `name`; `text` is shown then."""
+class PoseCheck(Statement):
+    """The program ends unless a point of the flange is where it is expected.
+
+    Attributes:
+        name: Joints at which it is checked.
+        tip: Point of the flange.
+        position: Expected position in the controller's base.
+        tolerance: Tolerance [m].
+        text: Text that is shown before the program ends.
+    """
 
     name: str
-    tip: Six
-    place: Six
-    most: float
+    tip: SixNumbers
+    position: SixNumbers
+    tolerance: float
     text: str
 
 
 @dataclass(frozen=True, slots=True)
-class Joint(Statement):
+class ScriptJointMove(Statement):
     """movej to the joints `name`; `acceleration` [rad/s^2] and `speed` [rad/s] of the leading axis."""
 
     name: str
@@ -75,29 +87,43 @@ class Joint(Statement):
 
 
 @dataclass(frozen=True, slots=True)
-class Straight(Statement):
-    """movel to `place` in the frame `frame`, in `seconds`, with the blend radius `radius` [m], 0 for an exact
-    stop."""
+class ScriptLinearMove(Statement):
+    """movel.
+
+    Attributes:
+        frame: Frame of the target.
+        target: Target.
+        seconds: Time [s].
+        radius: Blend radius [m], 0 for an exact stop.
+    """
 
     frame: str
-    place: Six
+    target: SixNumbers
     seconds: float
     radius: float
 
 
 @dataclass(frozen=True, slots=True)
-class StaysLow(Statement):
-    """The program ends when the output `number` is on: it switches the outputs `off` and shows `text`
-    before."""
+class OutputLowCheck(Statement):
+    """The program ends if an output is on.
+
+    Attributes:
+        number: The output.
+        switched_off: Outputs that are switched off before.
+        text: Text that is shown before.
+    """
 
     number: int
-    off: tuple[int, ...]
+    switched_off: tuple[int, ...]
     text: str
 
 
 @dataclass(frozen=True, slots=True)
-class Await(Statement):
-    """A call of the function `name`, which waits until its input has the level `value`, `seconds` at most."""
+class AwaitSignal(Statement):
+    """A call of the function `name`.
+
+    It waits until its input has the level `value`, for at most `seconds`.
+    """
 
     value: bool
     seconds: float
@@ -105,50 +131,62 @@ class Await(Statement):
 
 
 @dataclass(frozen=True, slots=True)
-class Stand(Statement):
-    """A call of the function that is a move of no way, in `seconds`."""
+class DwellMove(Statement):
+    """A call of the function that replaces a move of zero length, in `seconds`."""
 
     seconds: float
 
 
 @dataclass(frozen=True, slots=True)
-class Watch(Statement):
-    """The thread that watches the other program begins, or is killed."""
+class WatchdogThread(Statement):
+    """The thread that watches the other program starts, or is killed."""
 
     on: bool
 
 
 @dataclass(frozen=True, slots=True)
-class Check(Statement):
-    """A call of the function that ends the program unless the other one's line is `value`, that one runs, and
-    the own running wire is `own`."""
+class PartnerCheck(Statement):
+    """A call of the function that ends the program on an unexpected state of the other program.
+
+    It ends the program unless the other program runs and signals are as expected.
+
+    Attributes:
+        value: Expected level of the other one's line.
+        running: Expected level of this program's running wire.
+    """
 
     value: bool
-    own: bool
+    running: bool
 
 
 @dataclass(frozen=True, slots=True)
-class Ending(Statement):
-    """A function or thread that ends the program over the inputs `numbers`, or where the output `own` is not
-    as it should be: it switches the outputs `off` and shows `text` before."""
+class EndingFunction(Statement):
+    """A function or thread that ends the program because of inputs or of its running wire.
+
+    Attributes:
+        numbers: Inputs that it reads.
+        running: Output that it reads back.
+        switched_off: Outputs that are switched off before.
+        text: Text that is shown before.
+    """
 
     numbers: tuple[int, ...]
-    own: int
-    off: tuple[int, ...]
+    running: int
+    switched_off: tuple[int, ...]
     text: str
 
 
 @dataclass(frozen=True, slots=True)
 class AwaitArc(Statement):
-    """A call of the function `name`, which waits until a torch burns, `seconds` at most."""
+    """A call of the function `name`, which waits until a torch burns, for at most `seconds`."""
 
     seconds: float
     name: str
 
 
 @dataclass(frozen=True, slots=True)
-class GuardArc(Statement):
-    """The thread `name`, which watches a torch that burns, begins or is killed."""
+class ArcWatchdog(Statement):
+    """The thread `name`, which monitors a burning torch, starts or is killed."""
 
     name: str
     on: bool
@@ -156,28 +194,37 @@ class GuardArc(Statement):
 
 @dataclass(frozen=True, slots=True)
 class ArcFunction(Statement):
-    """The function that waits for a torch to burn, or the thread that watches it: it switches the outputs
-    `off`, shows `text` and ends the program where the input `given` does not say in time that it burns, or
-    not any more, where the output `own` (None of the function) is off, or where the torch stands for more
-    than `stood` [s], no farther than `far` [m] from a place. `given` is None of a thread without an input."""
+    """The function that waits for a torch to burn, or the thread that monitors it.
+
+    It ends the program if the input does not show in time that the torch burns, or no longer shows it, if
+    the output is off, or if the torch stands.
+
+    Attributes:
+        given: Input of the torch, None for a thread without one.
+        torch_output: Output of the torch, None for the function.
+        switched_off: Outputs that are switched off before the end.
+        text: Text that is shown before the end.
+        max_standing_time: Time [s] for which the torch may stand.
+        min_travel: Distance [m] that it has to move in that time.
+    """
 
     given: int | None
-    own: int | None
-    off: tuple[int, ...]
+    torch_output: int | None
+    switched_off: tuple[int, ...]
     text: str
-    stood: float = 0.0
-    far: float = 0.0
+    max_standing_time: float = 0.0
+    min_travel: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
-class Begins(Statement):
-    """A comment that says which segment begins: its label."""
+class SegmentComment(Statement):
+    """A comment with the label of the segment that starts."""
 
     label: str
 
 
 @dataclass(frozen=True, slots=True)
-class Data:
+class ScriptVariable:
     """A variable: `kind` pose, joints or text."""
 
     line: int
@@ -186,51 +233,60 @@ class Data:
 
 
 @dataclass(frozen=True, slots=True)
-class Program:
-    """A file: the `name` as in def, its data by name, and its statements behind them. `endings`: the
-    functions and the thread of a program that meets another one, by name; else empty. `torches`: functions
-    and threads of torches."""
+class ScriptProgram:
+    """A file.
+
+    Attributes:
+        file: Name of the file.
+        name: Name of the program.
+        data: Its data by name.
+        body: Its statements after the data.
+        endings: Functions and thread of a program that meets another one, by name, else empty.
+        torches: Functions and threads of torches, by name.
+    """
 
     file: str
     name: str
-    data: Mapping[str, Data]
+    data: Mapping[str, ScriptVariable]
     body: tuple[Statement, ...]
-    endings: Mapping[str, Ending] = field(default_factory=dict)
+    endings: Mapping[str, EndingFunction] = field(default_factory=dict)
     torches: Mapping[str, ArcFunction] = field(default_factory=dict)
 
     @property
     def moves(self) -> int:
-        """How many straight moves there are."""
-        return sum(isinstance(statement, Straight) for statement in self.body)
+        """Number of straight moves."""
+        return sum(isinstance(statement, ScriptLinearMove) for statement in self.body)
 
 
 NAME_LENGTH: Final = 32
-"""Longest name [characters]."""
+"""Maximum length [characters] of a name."""
 LINE_LENGTH: Final = 400
-"""Longest line that is read [characters]."""
+"""Maximum length [characters] of a line that is read."""
 TEXT_LENGTH: Final = 255
-"""Longest text of a popup [characters]."""
+"""Maximum length [characters] of a popup's text."""
 CHECK_POINT: Final = (0.1, 0.2, 0.3)
-"""The point of the flange [m] that programs look at: off all axes, so that its place tells base and flange
-turned."""
-LOOK_ERROR: Final = 0.01
-"""How far [m] a program may let the controller's flange be off at most: arms are calibrated one by one."""
+"""Point of the flange [m] that programs check.
+It is off all axes, so that its position reveals a rotated base or flange.
+"""
+MAX_CHECK_TOLERANCE_M: Final = 0.01
+"""Maximum tolerance [m] for the controller's flange, because arms are calibrated individually."""
 
 AWAIT_LINE, AWAIT_RUNNING = "await_line", "await_running"
-"""The functions that wait for the other controller's line, and for its running wire."""
+"""Functions that wait for the other controller's line, and for its running wire."""
 CHECK = "check_partner"
-"""The function that looks at both at one instant."""
+"""Function that checks both at one instant."""
 STAND = "stand"
-"""The function that waits in place of a move."""
+"""Function that waits in place of a move."""
 WATCH, WATCHING = "watch_partner", "watching"
-"""The thread that watches that wire, and the variable that holds it."""
+"""Thread that watches that wire, and the variable that holds it."""
 AWAIT_ARC, WATCH_ARC, WATCHING_ARC = "await_arc", "watch_arc", "watching_arc"
-"""The function that waits for a torch to burn, the thread that watches it, and what holds that; of further
-torches with a number behind."""
+"""Function that waits for a torch to burn, thread that monitors it, and variable that holds the thread.
+Those of further torches have a number appended.
+"""
 ARC_FUNCTION: Final = rf"({AWAIT_ARC}|{WATCH_ARC})(?:_\d+)?"
-"""Names of these functions and threads,"""
+"""Pattern of the names of these functions and threads."""
 ARC_VARIABLE: Final = rf"{WATCHING_ARC}(?:_\d+)?"
-"""and of what holds them."""
+"""Pattern of the names of these variables."""
 
 _RESERVED_TEXT = """
 and break continue def elif else end enter_critical exit_critical false False for global halt if in join kill

@@ -8,10 +8,10 @@ from planner.issues import TandemError
 from planner.languages.urscript.reader import flow, reader
 from planner.problem import Problem
 from planner.programs.language import Arms, Files, Reader, ReadTasks
-from planner.programs.signals import krl_signals
+from planner.programs.signals import controller_signals
 from planner.programs.stages import TaskText
-from planner.programs.steps import Fault, FlowError, Step
-from planner.proof.kinematics.arm_model import machine_of
+from planner.programs.steps import FlowError, ProgramStep, TextFault
+from planner.proof.kinematics.arm_model import robot_machine
 
 _MOVE_PATTERN: Final = re.compile(r"\b((?:move[jlpc]|servo[jc]|speed[jl]|optimove[jl]))[ \t]*\(")
 """Functions that move the arm."""
@@ -21,22 +21,24 @@ def _read(problem: Problem, arms: Arms, files: Files) -> ReadTasks:
     controller = problem.cell.controller
     ((name, arm),) = arms.items()
     text = reader.read(files, controller.max_bytes)
-    steps, lost = tuple[Step, ...](), tuple[Fault, ...]()
+    steps, lost = tuple[ProgramStep, ...](), tuple[TextFault, ...]()
     if not text.faults and text.program is not None:
-        names = krl_signals(problem, arm)
-        wires = flow.Wires(names.outputs, names.inputs)
+        names = controller_signals(problem, arm)
+        wires = flow.ControllerWires(names.outputs, names.inputs)
         others = [other.name for other in problem.cell.arms if other.name != arm.name]
         if controller.sync == "handshake" and others:
-            own = controller.handshake.of(arm.name)
-            wires = dataclasses.replace(wires, other=others[0], line=own.output, running=own.running)
+            partner_signals = controller.handshake.of(arm.name)
+            wires = dataclasses.replace(
+                wires, other=others[0], line=partner_signals.output, running=partner_signals.running
+            )
         try:
-            base = arm.base @ machine_of(arm.data).table.base if text.base is None else text.base
-            steps = flow.flow(text, base, wires, arm.name, arm.robot, arm.data.velocity)
+            base = arm.base @ robot_machine(arm.data).table.base if text.base is None else text.base
+            steps = flow.flow_steps(text, base, wires, arm.name, arm.robot, arm.data.velocity)
         except FlowError as wrong:
             lost = wrong.faults
         except TandemError as wrong:
             what = wrong.issues[0].message
-            lost = (Fault(1, 1, "urscript.flow", what, text.program.file),)
+            lost = (TextFault(1, 1, "urscript.flow", what, text.program.file),)
     return ReadTasks((TaskText(name, arm, text, steps, files),), text.faults, lost)
 
 

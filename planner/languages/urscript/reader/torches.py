@@ -1,8 +1,9 @@
-"""Torches in the straight way of a URScript program: what has to stand where one burns, and what its function
-and its thread have to do.
+"""Torches in the straight path of a URScript program.
 
-A controller may be paused anywhere, and goes on in the middle. Its output is low then, and stays low: so a
-torch burns only where nothing moves yet, or where a thread watches that it does.
+This module reads the statements that are required while a torch burns, and its function and thread.
+
+A controller may be paused anywhere, and continues there. Its output is low then, and stays low. So a torch
+burns only while nothing moves yet, or while a thread monitors it.
 """
 
 import enum
@@ -13,132 +14,146 @@ from planner.languages.urscript import sentences as urscript_sentences
 from planner.languages.urscript.reader import syntax_tree
 
 
-class _State(enum.Enum):
-    OFF = "no torch burns"
+class _TorchState(enum.Enum):
+    NOT_BURNING = "no torch burns"
     LIT = "it has been lit, and nothing has moved"
     BURNS = "the program has waited for it"
     GUARDED = "the thread watches it"
     LEFT = "the thread has ended"
 
 
-class Torches:
-    """Goes through the statements of a program with the outputs that threads of torches watch. ``fail``
-    refuses a statement; ``output`` and ``input`` name the controller's by their numbers."""
+class TorchChecks:
+    """Checks the statements of a program on the outputs that threads of torches monitor.
+
+    Attributes:
+        program: The program.
+        fail: Refuses a statement.
+        output: Names an output by its number.
+        input: Names an input by its number.
+        torch_outputs: Outputs of torches.
+        state: State of the torch that burns.
+        number: Its output.
+        checked: Outputs that the program has checked at its start.
+    """
 
     def __init__(
         self,
-        program: syntax_tree.Program,
+        program: syntax_tree.ScriptProgram,
         fail: Callable[[syntax_tree.Statement, str], NoReturn],
         output: Callable[[int], str],
         given: Callable[[int], str],
     ) -> None:
         self.program, self.fail, self.output, self.input = program, fail, output, given
-        self.own = {one.own for one in program.torches.values() if one.own is not None}
-        self.state, self.number = _State.OFF, -1
-        self.looked: set[int] = set()
+        self.torch_outputs = {
+            function.torch_output
+            for function in program.torches.values()
+            if function.torch_output is not None
+        }
+        self.state, self.number = _TorchState.NOT_BURNING, -1
+        self.checked: set[int] = set()
 
     def watches(self, number: int) -> bool:
-        """Whether an output is a torch's."""
-        return number in self.own
+        """Return whether an output is a torch's."""
+        return number in self.torch_outputs
 
-    def begin(self) -> None:
-        """Functions and threads take all power back, and say why they end the program."""
-        switched = {s.number for s in self.program.body if isinstance(s, syntax_tree.Output) and s.value}
-        for name, one in self.program.torches.items():
-            if left := sorted(map(self.output, switched - set(one.off))):
-                self.fail(one, f"{name} leaves {', '.join(left)} on")
-            if one.own is None:
+    def check_functions(self) -> None:
+        """Check that functions and threads switch all power off, and show why they end the program."""
+        switched = {s.number for s in self.program.body if isinstance(s, syntax_tree.SetOutput) and s.value}
+        for name, function in self.program.torches.items():
+            if left := sorted(map(self.output, switched - set(function.switched_off))):
+                self.fail(function, f"{name} leaves {', '.join(left)} on")
+            if function.torch_output is None:
                 continue
-            signal = self.output(one.own)
-            wanted = urscript_sentences.TORCH_STOOD.filled(signal=signal)
-            if one.given is not None:
-                wanted = urscript_sentences.ARC_LOST.filled(signal=signal, ok_signal=self.input(one.given))
-            if one.text != wanted:
-                self.fail(one, f"{name} shows {one.text!r}; wanted: {wanted!r}")
+            signal = self.output(function.torch_output)
+            expected_text = urscript_sentences.TORCH_STOOD.format(signal=signal)
+            if function.given is not None:
+                expected_text = urscript_sentences.ARC_LOST.format(
+                    signal=signal, ok_signal=self.input(function.given)
+                )
+            if function.text != expected_text:
+                self.fail(function, f"{name} shows {function.text!r}; expected: {expected_text!r}")
 
-    def take(self, statement: syntax_tree.Statement) -> None:
-        """One statement, in its order."""
-        if isinstance(statement, syntax_tree.StaysLow) and self.watches(statement.number):
-            self._look(statement)
+    def process(self, statement: syntax_tree.Statement) -> None:
+        """Process the next statement."""
+        if isinstance(statement, syntax_tree.OutputLowCheck) and self.watches(statement.number):
+            self._check_low(statement)
         elif isinstance(statement, syntax_tree.AwaitArc):
             self._await(statement)
-        elif isinstance(statement, syntax_tree.GuardArc):
+        elif isinstance(statement, syntax_tree.ArcWatchdog):
             self._guard(statement)
-        elif isinstance(statement, syntax_tree.Output) and self.watches(statement.number):
+        elif isinstance(statement, syntax_tree.SetOutput) and self.watches(statement.number):
             self._switch(statement)
-        elif self.state in (_State.LIT, _State.BURNS):
-            if not isinstance(statement, syntax_tree.Pause):
+        elif self.state in (_TorchState.LIT, _TorchState.BURNS):
+            if not isinstance(statement, syntax_tree.SleepStatement):
                 self.fail(statement, f"{self._lit} is on, and no thread watches it yet")
-        elif self.state is _State.LEFT:
-            self.fail(statement, f"{self._lit} is on, and no thread watches it any more")
-        elif self.state is _State.GUARDED and not isinstance(statement, syntax_tree.Straight):
-            self.fail(statement, f"something else than movel while {self._lit} is on")
+        elif self.state is _TorchState.LEFT:
+            self.fail(statement, f"{self._lit} is on, and no thread watches it now")
+        elif self.state is _TorchState.GUARDED and not isinstance(statement, syntax_tree.ScriptLinearMove):
+            self.fail(statement, f"only movel is allowed while {self._lit} is on")
 
     def end(self, last: syntax_tree.Statement) -> None:
-        """Behind the last statement."""
-        if self.state is not _State.OFF:
+        """Check the state after the last statement."""
+        if self.state is not _TorchState.NOT_BURNING:
             self.fail(last, f"the program ends while {self._lit} is on")
 
     @property
     def _lit(self) -> str:
         return self.output(self.number)
 
-    def _function(self, statement: syntax_tree.AwaitArc | syntax_tree.GuardArc) -> syntax_tree.ArcFunction:
-        found = self.program.torches.get(statement.name)
-        if found is None:
+    def _function(self, statement: syntax_tree.AwaitArc | syntax_tree.ArcWatchdog) -> syntax_tree.ArcFunction:
+        function = self.program.torches.get(statement.name)
+        if function is None:
             self.fail(statement, f"there is no {statement.name}")
-        return found
+        return function
 
-    def _look(self, look: syntax_tree.StaysLow) -> None:
-        wanted = urscript_sentences.STAYS_ON.filled(signal=self.output(look.number))
-        if look.text != wanted:
-            self.fail(look, f"the look at a torch shows {look.text!r}; wanted: {wanted!r}")
-        if look.off != (look.number,):
-            what = f"{self.output(look.number)} has to go off, and nothing else, where it is found to stay on"
-            self.fail(look, what)
-        if look.number in self.looked:
-            self.fail(look, f"the program looks again whether {self.output(look.number)} stays on")
-        self.looked.add(look.number)
+    def _check_low(self, check: syntax_tree.OutputLowCheck) -> None:
+        expected_text = urscript_sentences.STAYS_ON.format(signal=self.output(check.number))
+        if check.text != expected_text:
+            self.fail(check, f"the check of a torch shows {check.text!r}; expected: {expected_text!r}")
+        if check.switched_off != (check.number,):
+            what = f"only {self.output(check.number)} must be switched off where it is found to stay on"
+            self.fail(check, what)
+        if check.number in self.checked:
+            self.fail(check, f"the program checks again whether {self.output(check.number)} stays on")
+        self.checked.add(check.number)
 
     def _await(self, wait: syntax_tree.AwaitArc) -> None:
         function = self._function(wait)
-        if self.state is not _State.LIT:
-            self.fail(wait, "a wait for an arc elsewhere than right behind its output's rise")
-        wanted = urscript_sentences.NO_ARC.filled(
+        if self.state is not _TorchState.LIT:
+            self.fail(wait, "a wait for an arc must directly follow its output's rise")
+        expected_text = urscript_sentences.NO_ARC.format(
             signal=self.input(function.given or 0), seconds=wait.seconds
         )
-        if function.text != wanted:
-            self.fail(wait, f"{wait.name} shows {function.text!r}; wanted: {wanted!r}")
-        self.state = _State.BURNS
+        if function.text != expected_text:
+            self.fail(wait, f"{wait.name} shows {function.text!r}; expected: {expected_text!r}")
+        self.state = _TorchState.BURNS
 
-    def _guard(self, guard: syntax_tree.GuardArc) -> None:
+    def _guard(self, guard: syntax_tree.ArcWatchdog) -> None:
         thread = self._function(guard)
         if not guard.on:
-            if self.state is not _State.GUARDED or thread.own != self.number:
+            if self.state is not _TorchState.GUARDED or thread.torch_output != self.number:
                 self.fail(guard, f"{guard.name} does not run")
-            self.state = _State.LEFT
+            self.state = _TorchState.LEFT
             return
-        if self.state not in (_State.LIT, _State.BURNS) or thread.own != self.number:
-            self.fail(guard, f"{guard.name} begins where its torch has not just been lit")
-        if (self.state is _State.BURNS) != (thread.given is not None):
-            self.fail(guard, f"the program waits for another torch than {guard.name} watches")
-        self.state = _State.GUARDED
+        if self.state not in (_TorchState.LIT, _TorchState.BURNS) or thread.torch_output != self.number:
+            self.fail(guard, f"{guard.name} starts where its torch has not just been lit")
+        if (self.state is _TorchState.BURNS) != (thread.given is not None):
+            self.fail(guard, f"the program waits for another torch than that of {guard.name}")
+        self.state = _TorchState.GUARDED
 
-    def _switch(self, statement: syntax_tree.Output) -> None:
+    def _switch(self, statement: syntax_tree.SetOutput) -> None:
         if statement.value:
-            if self.state is not _State.OFF:
-                self.fail(statement, f"{self.output(statement.number)} goes on while {self._lit} is on")
-            if statement.number not in self.looked:
-                what = (
-                    f"nothing looks before whether {self.output(statement.number)} stays on without a program"
-                )
+            if self.state is not _TorchState.NOT_BURNING:
+                self.fail(statement, f"{self.output(statement.number)} is set while {self._lit} is on")
+            if statement.number not in self.checked:
+                what = f"nothing checks whether {self.output(statement.number)} stays on without a program"
                 self.fail(statement, what)
-            self.state, self.number = _State.LIT, statement.number
+            self.state, self.number = _TorchState.LIT, statement.number
             return
-        if self.state is _State.OFF:
+        if self.state is _TorchState.NOT_BURNING:
             return
-        if self.state is not _State.LEFT or statement.number != self.number:
+        if self.state is not _TorchState.LEFT or statement.number != self.number:
             self.fail(
-                statement, f"an output goes off while the thread that watches {self._lit} runs, or before"
+                statement, f"an output is switched off before the thread that watches {self._lit} has ended"
             )
-        self.state = _State.OFF
+        self.state = _TorchState.NOT_BURNING

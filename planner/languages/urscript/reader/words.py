@@ -1,5 +1,7 @@
-"""The words of a line of URScript, taken one by one, and lines of one form: what the readers of statements
-and of functions have in common. Numbers are plain or with an exponent, smaller than a controller's largest.
+"""The words of a line of URScript, taken one by one, and lines of one form.
+
+The readers of statements and of functions share these. Numbers are plain or with an exponent, smaller than
+a controller's largest.
 """
 
 import functools
@@ -8,8 +10,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, NoReturn
 
-from planner.languages.urscript.reader.syntax_tree import TEXT_LENGTH, Six
-from planner.programs.steps import LARGEST_NUMBER
+from planner.languages.urscript.reader.syntax_tree import TEXT_LENGTH, SixNumbers
+from planner.programs.steps import MAX_NUMBER
 
 _WORD: Final = re.compile(
     r"\s*(?:(?P<number>-?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?(?![\w.]))|(?P<name>[A-Za-z_]\w*)"
@@ -18,11 +20,11 @@ _WORD: Final = re.compile(
 )
 """A word of a line: a number, a name, a text, or a sign."""
 OUTPUT_WORDS: Final = {"set_standard_digital_out": 0, "set_configurable_digital_out": 8}
-"""Functions that switch digital outputs, and the number of their first one here."""
+"""Functions that switch digital outputs, and the number of their first output here."""
 OUTPUTS_READ: Final = {"get_standard_digital_out": 0, "get_configurable_digital_out": 8}
-"""Those that read outputs."""
+"""Functions that read outputs, and the number of their first output here."""
 OUTPUTS_EACH: Final = 8
-"""How many outputs each of them has."""
+"""Number of outputs of each of them."""
 
 
 class ScriptError(Exception):
@@ -34,138 +36,151 @@ class ScriptError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Word:
-    """`kind` number, name, text or sign, and the word as written."""
+class ScriptWord:
+    """A word as written, with its `kind`: number, name, text or sign."""
 
     kind: str
     text: str
 
 
-def _words(code: str) -> tuple[Word, ...]:
-    out: list[Word] = []
-    place = 0
+def _words(code: str) -> tuple[ScriptWord, ...]:
+    out: list[ScriptWord] = []
+    position = 0
     code = code.rstrip()
-    while place < len(code):
-        found = _WORD.match(code, place)
-        if found is None or found.lastgroup is None:
-            raise ScriptError("syntax", f"{code[place : place + 20].strip()!r}: no word of these programs")
-        out.append(Word(found.lastgroup, found[found.lastgroup]))
-        place = found.end()
+    while position < len(code):
+        match = _WORD.match(code, position)
+        if match is None or match.lastgroup is None:
+            raise ScriptError(
+                "syntax", f"{code[position : position + 20].strip()!r}: not a word of these programs"
+            )
+        out.append(ScriptWord(match.lastgroup, match[match.lastgroup]))
+        position = match.end()
     return tuple(out)
 
 
 @functools.cache
-def _fixed(code: str) -> tuple[tuple[Word, str], ...]:
-    """Words that have to stand as they are, and what faults call them: "" for themselves in quotes."""
-    out: list[tuple[Word, str]] = []
+def _fixed_words(code: str) -> tuple[tuple[ScriptWord, str], ...]:
+    """Return words that have to be exactly so, and their names in faults: "" for themselves in quotes."""
+    out: list[tuple[ScriptWord, str]] = []
     words = _words(code)
     for index, word in enumerate(words):
         what = word.text if word.kind == "number" else ""
-        if word.kind == "name" and words[index + 1 : index + 2] == (Word("sign", "="),):
+        if word.kind == "name" and words[index + 1 : index + 2] == (ScriptWord("sign", "="),):
             what = f"the parameter {word.text}="
         out.append((word, what))
     return tuple(out)
 
 
-class Line:
+class ScriptLine:
     """The words of a line, taken one by one."""
 
     def __init__(self, code: str) -> None:
         self.words = _words(code)
-        self.at = 0
+        self.position = 0
 
     @property
-    def next(self) -> Word:
-        return self.words[self.at] if self.at < len(self.words) else Word("end", "the line's end")
+    def next_word(self) -> ScriptWord:
+        """The next word, which is not taken; of kind ``end`` at the end of the line."""
+        return (
+            self.words[self.position]
+            if self.position < len(self.words)
+            else ScriptWord("end", "the line's end")
+        )
 
-    def fail(self, wanted: str) -> NoReturn:
-        raise ScriptError("syntax", f"{self.next.text}: {wanted} must stand here")
+    def fail(self, expected: str) -> NoReturn:
+        """Raise a syntax error that names the next word and the expected text."""
+        raise ScriptError("syntax", f"{self.next_word.text}: expected {expected}")
 
     def take(self, kind: str, text: str = "", what: str = "") -> str:
-        """The next word, which has to be of a kind, and if stated the very text."""
-        word = self.next
+        """Take the next word, which must be of a kind, and equal to ``text`` if stated."""
+        word = self.next_word
         if word.kind != kind or (text and word.text != text):
             self.fail(what or (repr(text) if text else f"a {kind}"))
-        self.at += 1
+        self.position += 1
         return word.text
 
     def values(self, *parts: "Part") -> list[Any]:
-        """The values of what stands next, which has to be of this form."""
+        """Take the next words, which must be of this form, and return their values."""
         out = []
         for part in parts:
             if isinstance(part, str):
-                for word, what in _fixed(part):
+                for word, what in _fixed_words(part):
                     self.take(word.kind, word.text, what)
             else:
                 out.append(part(self))
         return out
 
     def rest(self, *parts: "Part") -> list[Any]:
-        """The values of all that is left of the line, which has to be of this form."""
+        """Take the rest of the line, which must be of this form, and return its values."""
         out = self.values(*parts)
-        if self.next.kind != "end":
+        if self.next_word.kind != "end":
             self.fail("nothing more")
         return out
 
     def name(self) -> str:
+        """Take a name."""
         return self.take("name")
 
     def number(self) -> float:
+        """Take a number within the range of a controller."""
         text = self.take("number")
         value = float(text)
-        if not abs(value) < LARGEST_NUMBER:
-            raise ScriptError("number", f"{text:.40} is no number that a controller holds")
+        if not abs(value) < MAX_NUMBER:
+            raise ScriptError("number", f"{text:.40} is too large for a controller")
         return value or 0.0
 
     def flag(self) -> bool:
+        """Take ``True`` or ``False``."""
         word = self.take("name", what="True or False")
         if word not in ("True", "False"):
-            raise ScriptError("syntax", f"{word}: True or False must stand here")
+            raise ScriptError("syntax", f"{word}: expected True or False")
         return word == "True"
 
     def text(self) -> str:
+        """Take a string literal and return its content."""
         text = self.take("text")[1:-1]
         if len(text) > TEXT_LENGTH:
             raise ScriptError("string_length", f"a text of {len(text)} characters; allowed: {TEXT_LENGTH}")
         return text
 
     def numbers(self, count: int) -> tuple[float, ...]:
-        """A list of so many numbers."""
+        """Take a list of ``count`` numbers."""
         self.take("sign", "[")
         out = [self.number()]
-        while self.next.text == ",":
+        while self.next_word.text == ",":
             self.take("sign", ",")
             out.append(self.number())
         self.take("sign", "]")
         if len(out) != count:
-            raise ScriptError("type", f"a list of {len(out)} numbers; {count} are needed")
+            raise ScriptError("type", f"a list of {len(out)} numbers; required: {count}")
         return tuple(out)
 
-    def pose(self) -> Six:
+    def pose(self) -> SixNumbers:
+        """Take a pose ``p[x, y, z, rx, ry, rz]``."""
         self.take("name", "p", "a pose p[...]")
         x, y, z, rx, ry, rz = self.numbers(6)
         return x, y, z, rx, ry, rz
 
 
-Part = str | Callable[[Line], Any]
-"""A part of a line: words as they are, or what reads a value."""
+Part = str | Callable[[ScriptLine], Any]
+"""A part of a line: fixed words, or a function that reads a value."""
 
 
-def above_zero(most: float, what: str) -> Callable[[Line], float]:
-    """Reads a number above 0, to ``most``."""
+def positive_number(maximum: float, what: str) -> Callable[[ScriptLine], float]:
+    """Return a reader of a number above 0, up to a maximum."""
 
-    def read(words: Line) -> float:
+    def read(words: ScriptLine) -> float:
         value = words.number()
-        if not 0.0 < value <= most:
-            raise ScriptError("type", f"{what} is {value:g}; allowed: above 0, to {most:g}")
+        if not 0.0 < value <= maximum:
+            raise ScriptError("type", f"{what} is {value:g}; allowed: above 0, to {maximum:g}")
         return value
 
     return read
 
 
 def popup(error: bool) -> tuple[Part, ...]:
-    """Text, title, and whether it holds the program, of a popup."""
-    return (Line.text, ",", Line.text, f",False,{error},blocking=", Line.flag)
+    """Return the form of a popup: text, title, and whether it holds the program."""
+    return (ScriptLine.text, ",", ScriptLine.text, f",False,{error},blocking=", ScriptLine.flag)
 
 
 Rows = Iterator[tuple[int, str]]
@@ -173,35 +188,35 @@ Rows = Iterator[tuple[int, str]]
 
 
 def next_code(rows: Rows) -> str:
-    """The code of the next row that has any, empty behind the last one."""
-    return next((code for _, row in rows if (code := parted(row)[0])), "")
+    """Return the code of the next row that has any, empty after the last one."""
+    return next((code for _, row in rows if (code := split_comment(row)[0])), "")
 
 
-def next_line(rows: Rows) -> Line:
-    """The words of the next row that has any."""
-    return Line(next_code(rows))
+def next_line(rows: Rows) -> ScriptLine:
+    """Return the words of the next row that has any."""
+    return ScriptLine(next_code(rows))
 
 
-def must_be(rows: Rows, *wanted: str) -> None:
-    """The next lines, which have to be these very ones but for spaces."""
-    for one in wanted:
+def expect_lines(rows: Rows, *expected: str) -> None:
+    """Take the next lines, which must be exactly these, except for spaces."""
+    for line in expected:
         code = next_code(rows)
-        if Line(code).words != Line(one).words:
-            raise ScriptError("syntax", f"{shown_code(code)}: {one} must stand here")
+        if ScriptLine(code).words != ScriptLine(line).words:
+            raise ScriptError("syntax", f"{format_code(code)}: expected {line}")
 
 
-def _number_of(words: Line, what: str) -> int:
+def _number_of(words: ScriptLine, what: str) -> int:
     text = words.take("number")
     if not text.isdigit() or int(text) >= OUTPUTS_EACH:
         raise ScriptError("type", f"{what}{text}; allowed: whole numbers from 0 to {OUTPUTS_EACH - 1}")
     return int(text)
 
 
-def _reads(known: Mapping[str, int]) -> Callable[[Line], int]:
-    def read(words: Line) -> int:
+def _reads(known: Mapping[str, int]) -> Callable[[ScriptLine], int]:
+    def read(words: ScriptLine) -> int:
         word = words.take("name", what=" or ".join(known))
         if word not in known:
-            raise ScriptError("syntax", f"{word}: {' or '.join(known)} must stand here")
+            raise ScriptError("syntax", f"{word}: expected {' or '.join(known)}")
         words.values("(")
         number = known[word] + _number_of(words, f"{word} of ")
         words.values(")")
@@ -211,19 +226,21 @@ def _reads(known: Mapping[str, int]) -> Callable[[Line], int]:
 
 
 input_read = _reads({"get_standard_digital_in": 0, "get_configurable_digital_in": 8})
-"""Reads the number of an input that a function reads."""
+"""Reads the number of an input in a call that reads it."""
 output_read = _reads(OUTPUTS_READ)
-"""Reads the number of an output that a function reads back."""
+"""Reads the number of an output in a call that reads it back."""
 
 
-def switched(first: int) -> tuple[Part, ...]:
-    """The number of an output that is switched, counted on from ``first``, and its value."""
-    return (lambda words: first + _number_of(words, "output "), ",", Line.flag)
+def switched_output(first: int) -> tuple[Part, ...]:
+    """Return the form of a switched output: its number, counted from ``first``, and its value."""
+    return (lambda words: first + _number_of(words, "output "), ",", ScriptLine.flag)
 
 
-def parted(row: str) -> tuple[str, str]:
-    """A row's code and its comment; no text holds a quote, so that the first # outside of quotes begins
-    it."""
+def split_comment(row: str) -> tuple[str, str]:
+    """Return a row's code and its comment.
+
+    No text contains a quote, so the first # outside of quotes starts the comment.
+    """
     inside = False
     for i, letter in enumerate(row):
         if letter == '"':
@@ -234,10 +251,10 @@ def parted(row: str) -> tuple[str, str]:
 
 
 def without_comments(content: str) -> list[str]:
-    """The rows of a file without comments, white space around them, and empty rows."""
-    return [code for row in content.split("\n") if (code := parted(row)[0])]
+    """Return the rows of a file without comments, surrounding white space, and empty rows."""
+    return [code for row in content.split("\n") if (code := split_comment(row)[0])]
 
 
-def shown_code(code: str) -> str:
-    """A line as a message shows it."""
+def format_code(code: str) -> str:
+    """Format a line for a message."""
     return repr(code if len(code) <= 60 else code[:57] + "...") if code else "the file's end"

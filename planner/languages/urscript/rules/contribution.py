@@ -16,13 +16,13 @@ def _same_text(first: str, second: str) -> bool:
     return without_comments(first) == without_comments(second)
 
 
-def _stands_still(move: MoveStep) -> str:
-    return "" if move.kind == STAND else f"the movel goes nowhere; {STAND} waits in place of it"
+def _zero_length_fault(move: MoveStep) -> str:
+    return "" if move.kind == STAND else f"the movel has zero length; use {STAND} instead"
 
 
 PROOF: Final = ProofOfLanguage(
     checks={"verify.cell_check": robot_check},
-    job_checks={"verify.handshake": handshake.handshake},
+    job_checks={"verify.handshake": handshake.handshake_issues},
     same_text=_same_text,
     start=StartSentences(
         ready=sentences.KRL_READY,
@@ -31,7 +31,7 @@ PROOF: Final = ProofOfLanguage(
         follower_earlier=UR_CALLED,
         start_partner=UR_START_PARTNER,
     ),
-    stands_still=_stands_still,
+    zero_length_fault=_zero_length_fault,
     watches_torch=True,
     restarts=handshake.restarts,
 )

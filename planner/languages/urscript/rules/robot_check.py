@@ -3,41 +3,51 @@
 import numpy as np
 
 from planner.geometry.arrays import inverse
-from planner.languages.urscript.reader.flow import LOOK_KIND
+from planner.languages.urscript.reader.flow import ARM_CHECK_KIND
 from planner.languages.urscript.reader.reader import pose
-from planner.languages.urscript.reader.syntax_tree import CHECK_POINT, LOOK_ERROR
+from planner.languages.urscript.reader.syntax_tree import CHECK_POINT, MAX_CHECK_TOLERANCE_M
 from planner.programs.stages import TaskText
-from planner.programs.steps import SettingStep, Step
+from planner.programs.steps import ProgramStep, SettingStep
 from planner.proof.context import Context
 from planner.proof.kinematics import arm_model
-from planner.proof.rule import Outcome, at_step, mm
+from planner.proof.rule import RuleOutcome, mm, step_issue
 from planner.proof.rules.controller_files import CELL_CHECK
-from planner.proof.rules.setups_and_frames import FRAME_POSITION, HOME_ERROR
+from planner.proof.rules.setups_and_frames import FRAME_TOLERANCE_M, HOME_TOLERANCE_RAD
 
 
-def robot_check(context: Context, task: TaskText) -> Outcome:
-    """Faults of the comparison of the arm with the planned one (verify.cell_check)."""
-    return Outcome(tuple(at_step(CELL_CHECK, fault, task, step) for step, fault in _faults(task)))
+def robot_check(context: Context, task: TaskText) -> RuleOutcome:
+    """Return the faults of the comparison of the arm with the planned one (verify.cell_check)."""
+    return RuleOutcome(
+        tuple(step_issue(CELL_CHECK, fault, task, step) for step, fault in _check_faults(task))
+    )
 
 
-def _faults(task: TaskText) -> list[tuple[Step | None, str]]:
-    """What is wrong with the look of a URScript program at its arm, step by step."""
-    steps = [s for s in task.steps if isinstance(s, SettingStep) and s.kind == LOOK_KIND]
+def _check_faults(task: TaskText) -> list[tuple[ProgramStep | None, str]]:
+    """Return the faults of a program's check of its arm, step by step."""
+    steps = [s for s in task.steps if isinstance(s, SettingStep) and s.kind == ARM_CHECK_KIND]
     if len(steps) != 1:
         return [
-            (None, f"the program looks {len(steps)} times whether the arm is the planned one; once is due")
+            (None, f"the program checks {len(steps)} times that the arm is the planned one; required: once")
         ]
-    (step,), machine = steps, arm_model.machine_of(task.arm.data)
-    out: list[tuple[Step | None, str]] = []
-    q, tip, place, most = (np.array(step.values[a:b]) for a, b in ((0, 6), (6, 12), (12, 18), (18, 19)))
-    if np.abs(q - task.arm.home).max() > HOME_ERROR:
-        out.append((step, "the arm is looked at elsewhere than at home"))
-    if np.abs(tip[:3] - CHECK_POINT).max() > FRAME_POSITION:
-        out.append((step, f"the point of the flange is {tip[:3].tolist()} m; wanted: {list(CHECK_POINT)}"))
+    (step,), machine = steps, arm_model.robot_machine(task.arm.data)
+    out: list[tuple[ProgramStep | None, str]] = []
+    q, tip, position, tolerance = (
+        np.array(step.values[a:b]) for a, b in ((0, 6), (6, 12), (12, 18), (18, 19))
+    )
+    if np.abs(q - task.arm.home).max() > HOME_TOLERANCE_RAD:
+        out.append((step, "the arm is not checked at its home joints"))
+    if np.abs(tip[:3] - CHECK_POINT).max() > FRAME_TOLERANCE_M:
+        out.append((step, f"the point of the flange is {tip[:3].tolist()} m; expected: {list(CHECK_POINT)}"))
     flange = inverse(machine.table.base) @ machine.flange(q)
-    off = float(np.linalg.norm((flange @ pose(tuple(tip)))[:3, 3] - place[:3]))
-    if off > FRAME_POSITION:
-        out.append((step, f"the arm's URDF has that point {mm(off):.4f} mm from where the program wants it"))
-    if most[0] > LOOK_ERROR:
-        out.append((step, f"the point may be off by {mm(most[0]):g} mm; allowed: {mm(LOOK_ERROR):g}"))
+    distance = float(np.linalg.norm((flange @ pose(tuple(tip)))[:3, 3] - position[:3]))
+    if distance > FRAME_TOLERANCE_M:
+        out.append((step, f"by the arm's URDF that point is {mm(distance):.4f} mm away from the program's"))
+    if tolerance[0] > MAX_CHECK_TOLERANCE_M:
+        out.append(
+            (
+                step,
+                f"the tolerance of the point is {mm(tolerance[0]):g} mm; allowed: "
+                f"{mm(MAX_CHECK_TOLERANCE_M):g}",
+            )
+        )
     return out

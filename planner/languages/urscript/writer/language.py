@@ -9,8 +9,8 @@ from planner.languages.writing.language import Writer
 WRITER: Final = Writer(
     write,
     syncs=("handshake",),
-    unmixed="a program of UR begins anew behind each stop, and nothing keeps one of another controller from "
-    "going on in the middle, where it would meet the one that begins",
+    unmixed="a UR program restarts after each stop, and nothing prevents one of another controller from "
+    "continuing in the middle, where it would meet the restarted one",
     stops_at_turns=True,
     stops_at_pauses=True,
     refuse=refuse,

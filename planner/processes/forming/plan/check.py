@@ -1,11 +1,11 @@
-"""What a forming job is refused for, or warned of, once its tools' paths are known.
+"""Checks of a forming job once its tool paths are known: refusals and warnings.
 
-**What a ball cannot reach** of a part: sharp floors, fillets and hollows that are tighter than it
-is. There it leaves a fillet of its own radius, whatever the path: told before anything is planned.
-A ball above a hollow is beyond the plane of each place that is in its way, by its radius; the
-nearest place for its centre that is beyond all of them is found by Dykstra's alternating
-projections (Boyle and Dykstra 1986). In a corner between two planes at the angle a to each other it
-stays R (1 / cos(a / 2) - 1) off.
+**Regions that a ball cannot reach**: sharp floors, fillets and hollows that are tighter than the ball. There
+the ball leaves a fillet of its own radius, whatever the path, so this is reported before anything is planned.
+
+A ball above a hollow has its centre beyond the plane of each facet in its way, by its radius R. The nearest
+such centre is found by Dykstra's alternating projections (Boyle and Dykstra 1986). In a corner between two
+planes at the angle a to each other the ball stays R (1 / cos(a / 2) - 1) away.
 """
 
 import dataclasses
@@ -16,337 +16,434 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from planner.catalogue.materials import thickness_doubt
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray, distinct_rows, dots
-from planner.geometry.curves import along, arc_length
-from planner.geometry.mesh import TriangleMesh, face_areas, face_normals, small_pieces
+from planner.catalogue.materials import untested_thickness_warning
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, unique_rows
+from planner.geometry.curves import arc_length, interpolate_polyline
+from planner.geometry.mesh import TriangleMesh, bisect_triangles, face_areas, face_normals
 from planner.geometry.units import DEG, MM, measurement
+from planner.issue_codes import format_message
 from planner.issues import Issue, Severity
 from planner.problem import Setup
 from planner.processes.forming.plan import two_point
-from planner.processes.forming.plan.claims import scallop
-from planner.processes.forming.plan.contact import MIRROR, Face, Pass, ToolPath
+from planner.processes.forming.plan.claims import scallop_heights
+from planner.processes.forming.plan.contact import MIRROR, ContactFace, FormingPass, FormingToolPath
 from planner.processes.forming.plan.operation import die_mesh
-from planner.processes.forming.plan.passes import SAME_ANGLE, pass_issues
-from planner.processes.forming.plan.paths.level_lines import FLATTEST_WALL
-from planner.processes.forming.plan.process_plan import Work
-from planner.processes.forming.plan.sheet_mechanics import ForceEstimate, estimate, payload_issue, steepest
-from planner.processes.forming.plan.sheet_state import clear_issues, states
+from planner.processes.forming.plan.passes import ANGLE_TOLERANCE_RAD, pass_issues
+from planner.processes.forming.plan.paths.level_lines import MIN_WALL_ANGLE_RAD
+from planner.processes.forming.plan.process_plan import FormingWork
+from planner.processes.forming.plan.sheet_mechanics import (
+    ForceEstimate,
+    estimate_force,
+    payload_issue,
+    wall_angle,
+)
+from planner.processes.forming.plan.sheet_state import clearance_issues, sheet_states
 from planner.processes.forming.plan.support.clearance import clamp_issues
 from planner.processes.forming.plan.support.modes import support_issues
 from planner.processes.forming.plan.two_point import die_issues
-from planner.tooling import profile
+from planner.tooling import head_outline
 
 
-def check(work: Work, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> list[Issue]:
-    """All issues of a job but its die's: metal, passes, forces, the die's holder, supports that cannot do as
-    they should, tools that would cut into what is formed already."""
-    out = [*work.tree.issues, *_metal(work), *_forces(work, setup, paths), *_clear(work, paths)]
-    out += clamped_issues(work, paths)
+def check(
+    work: FormingWork, setup: Setup, paths: Sequence[tuple[FormingPass, FormingToolPath]]
+) -> list[Issue]:
+    """Return all issues of a job except those of its die.
+
+    Covers metal, passes, forces, the die's holder, supports that do not fulfil their task, and tools that
+    would cut into sheet that is formed already.
+    """
+    out = [
+        *work.tree.issues,
+        *_metal_issues(work),
+        *_force_issues(work, setup, paths),
+        *_clearance_issues(work, paths),
+    ]
+    out += clamp_reach_issues(work, paths)
     out += flat_issues(work, paths) if work.operation.level is None else ()
     return [*out, *two_point.step_issues(work, paths)]
 
 
-def shift_issues(work: Work) -> Iterator[Issue]:
-    """Features around whose wall the support cannot be turned by the stated shift (forming.shift): beyond the
-    vertical it would leave the wall that it supports."""
-    shift, final = work.operation.shift_deg, {one.feature: one for one in work.passes}
-    for number, one in final.items():
-        wall = steepest(one.vertices, one.faces) / DEG
-        if shift > wall + SAME_ANGLE / DEG:
-            what = (
-                f"feature {number}: shift_deg is {shift:g}, allowed is 0 to {wall:.1f}, the angle of its wall"
-            )
-            hint = "take a smaller shift_deg; at the wall's angle the support is straight behind the former"
+def shift_issues(work: FormingWork) -> Iterator[Issue]:
+    """Check that the support can be shifted around the forming tool as stated (forming.shift).
+
+    Beyond the vertical the support would leave the wall that it supports, so the shift is limited by the wall
+    angle.
+    """
+    shift, final = (
+        work.operation.shift_deg,
+        {forming_pass.feature: forming_pass for forming_pass in work.passes},
+    )
+    for number, forming_pass in final.items():
+        wall = wall_angle(forming_pass.vertices, forming_pass.faces) / DEG
+        if shift > wall + ANGLE_TOLERANCE_RAD / DEG:
+            what = format_message("forming.shift", feature=number, shift_deg=shift, wall_angle_deg=wall)
+            hint = "reduce shift_deg; at the wall angle the support is directly below the forming tool"
             yield Issue(
                 "forming.shift", what, field="shift_deg", value=shift, limit=wall, unit="deg", hint=hint
             )
 
 
-def step_issues(work: Work) -> Iterator[Issue]:
-    """A stepdown that is more than the whole part is deep (forming.path_options): its one loop would be at
-    the floor, where balls are easily too large, and nothing above it would be formed."""
+def step_issues(work: FormingWork) -> Iterator[Issue]:
+    """Check that the step-down is no larger than the part's depth (forming.path_options).
+
+    Otherwise the only loop would be at the floor, where balls are easily too large, and nothing above it
+    would be formed.
+    """
     op = work.operation
-    deep = max(abs(one.end - one.start) for one in work.passes) / MM
-    if op.mode != "adsif" and op.stepdown_mm is not None and op.stepdown_mm > deep:
-        what = f"stepdown_mm is {op.stepdown_mm:g}, allowed is up to {deep:.3g}, the depth of the part"
-        hint = f"take a tenth of that, {0.1 * deep:.2g}, or state scallop_mm instead"
+    depth_mm = max(abs(forming_pass.end - forming_pass.start) for forming_pass in work.passes) / MM
+    if op.mode != "adsif" and op.stepdown_mm is not None and op.stepdown_mm > depth_mm:
+        what = f"stepdown_mm is {op.stepdown_mm:g}, allowed is up to {depth_mm:.3g}, the depth of the part"
+        hint = f"use a tenth of that, {0.1 * depth_mm:.2g}, or state scallop_mm instead"
         yield Issue(
             "forming.path_options",
             what,
             field="operations.stepdown_mm",
-            **measurement(op.stepdown_mm, deep, "mm"),
+            **measurement(op.stepdown_mm, depth_mm, "mm"),
             hint=hint,
         )
 
 
-def flat_issues(work: Work, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue]:
-    """Walls so flat that loops by a step in height leave more of a pass between them than its share lets them
-    (forming.path_options)."""
-    op, most = work.operation, 1.0 - work.operation.share
-    for one, path in paths if op.stepdown_mm is not None and op.mode != "adsif" else ():
-        mesh, radius = TriangleMesh(one.vertices, one.faces), work.heads[work.former(one)].radius
-        height = one.vertices[one.faces][:, :, 2]
-        level = [(np.abs(height - z) < CONTACT_TOLERANCE).all(axis=1) for z in (one.start, one.end)]
+def flat_issues(work: FormingWork, paths: Sequence[tuple[FormingPass, FormingToolPath]]) -> Iterator[Issue]:
+    """Report walls that are too flat for a constant step-down (forming.path_options).
+
+    Loops at a constant step in height leave more of such a pass between them than its share allows.
+    """
+    op, max_fraction = work.operation, 1.0 - work.operation.share
+    for forming_pass, path in paths if op.stepdown_mm is not None and op.mode != "adsif" else ():
+        mesh, radius = (
+            TriangleMesh(forming_pass.vertices, forming_pass.faces),
+            work.heads[work.forming_arm(forming_pass)].radius,
+        )
+        height = forming_pass.vertices[forming_pass.faces][:, :, 2]
+        level = [
+            (np.abs(height - z) < CONTACT_TOLERANCE_M).all(axis=1)
+            for z in (forming_pass.start, forming_pass.end)
+        ]
         area = np.where(level[0] | level[1], 0.0, face_areas(mesh))
         angle = np.arccos(np.clip(face_normals(mesh)[:, 2], -1.0, 1.0))
-        ridge = scallop(work, one) + op.gouge_tol_mm * MM
-        flat = np.flatnonzero((area > 0.0) & (angle < FLATTEST_WALL) & (ridge < 0.5 * radius))
-        if area[flat].sum() <= most * area.sum():
+        ridge = scallop_heights(work, forming_pass) + op.gouge_tol_mm * MM
+        flat = np.flatnonzero((area > 0.0) & (angle < MIN_WALL_ANGLE_RAD) & (ridge < 0.5 * radius))
+        if area[flat].sum() <= max_fraction * area.sum():
             continue
-        parts, owner = small_pieces(one.vertices[one.faces[flat]], FINE_SPACING * radius, _MOST_PIECES)
+        parts, owner = bisect_triangles(
+            forming_pass.vertices[forming_pass.faces[flat]], FINE_SPACING_FRACTION * radius, _MAX_PIECES
+        )
         size = np.linalg.norm(np.cross(parts[:, 1] - parts[:, 0], parts[:, 2] - parts[:, 0]), axis=1)
-        gone = arc_length(path.former)
-        places = np.linspace(0.0, gone[-1], int(gone[-1] / (FINE_SPACING * radius)) + 2)
-        apart = cKDTree(along(path.former, gone, places)).query(parts.mean(axis=1))[0]
-        left = 0.5 * float(size[apart - radius > ridge[flat][owner]].sum() / area.sum())
-        if left <= most:
+        arc = arc_length(path.forming_centre)
+        stations = np.linspace(0.0, arc[-1], int(arc[-1] / (FINE_SPACING_FRACTION * radius)) + 2)
+        distance = cKDTree(interpolate_polyline(path.forming_centre, arc, stations)).query(
+            parts.mean(axis=1)
+        )[0]
+        uncovered = 0.5 * float(size[distance - radius > ridge[flat][owner]].sum() / area.sum())
+        if uncovered <= max_fraction:
             continue
-        what = f"pass {one.name}: loops {op.stepdown_mm:g} mm apart in height leave {100 * left:.0f} % of "
-        what += f"its walls between them, which are flatter than {FLATTEST_WALL / DEG:.3g} deg; allowed is "
-        what += f"{100 * most:.3g} %"
-        hint = "state scallop_mm: 0.01 in place of stepdown_mm: loops are then nearer where walls are flat"
-        field, value, limit = "operations.stepdown_mm", 100 * left, 100 * most
+        what = (
+            f"pass {forming_pass.name}: loops {op.stepdown_mm:g} mm apart in height leave "
+            f"{100 * uncovered:.0f} % of "
+        )
+        what += (
+            f"its walls between them, which are flatter than {MIN_WALL_ANGLE_RAD / DEG:.3g} deg; allowed is "
+        )
+        what += f"{100 * max_fraction:.3g} %"
+        hint = "state scallop_mm: 0.01 instead of stepdown_mm, so that loops are closer where walls are flat"
+        field, value, limit = "operations.stepdown_mm", 100 * uncovered, 100 * max_fraction
         yield Issue("forming.path_options", what, field=field, value=value, limit=limit, unit="%", hint=hint)
 
 
-def of_die(work: Work) -> Iterator[Issue]:
-    """Issues of the die, which asks for no path: a part that it is not the die of is not to be blamed on a
-    ball."""
+def die_check(work: FormingWork) -> Iterator[Issue]:
+    """Check the die, which needs no path.
+
+    This runs first, so that a part that does not match the die is not reported as a ball that is too large.
+    """
     die = work.operation.die
     if die is not None:
-        final = {one.feature: one for one in work.passes}  # shapes in between stand off the die
+        final = {
+            forming_pass.feature: forming_pass for forming_pass in work.passes
+        }  # intermediate shapes do not touch the die
         tolerance = work.operation.gouge_tol_mm * MM
         yield from die_issues(tuple(final.values()), die, die_mesh(die), work.thickness, tolerance)
 
 
-def force(work: Work, one: Pass, path: ToolPath) -> ForceEstimate:
-    """The axial force on the forming tool of a pass."""
-    op, radius = work.operation, work.heads[work.former(one)].radius
+def forming_force(work: FormingWork, forming_pass: FormingPass, path: FormingToolPath) -> ForceEstimate:
+    """Return the axial force on the forming tool of a pass."""
+    op, radius = work.operation, work.heads[work.forming_arm(forming_pass)].radius
     walls = path.contact.angle[path.contact.angle > 0.0]
     if op.stepdown_mm is not None:
         step = op.stepdown_mm * MM
     else:  # the step whose ridges are as high as stated, at the steepest wall
         ridge = (op.scallop_mm or 0.0) * MM
         step = 2.0 * float(np.sin(walls.max())) * float(np.sqrt(2.0 * radius * ridge - ridge**2))
-    given = None if work.stated is None else work.stated.former[one.name]
-    return estimate(work.sheet.metal, work.thickness, 2.0 * radius, step, walls, given)
+    given = None if work.stated_forces is None else work.stated_forces.forming_force[forming_pass.name]
+    return estimate_force(work.sheet.metal, work.thickness, 2.0 * radius, step, walls, given)
 
 
-def _clear(work: Work, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue]:
-    found = states(work.tree, work.mesh, work.passes, work.thickness, work.before)
-    state_of = {one.name: state for one, state in zip(work.passes, found, strict=True)}
-    for one, path in paths:
-        state = state_of[one.name]
-        arms = tuple(filter(None, (work.former(one), work.supporter(one))))
+def _clearance_issues(
+    work: FormingWork, paths: Sequence[tuple[FormingPass, FormingToolPath]]
+) -> Iterator[Issue]:
+    pass_states = sheet_states(work.tree, work.mesh, work.passes, work.thickness, work.previous_features)
+    state_of = {
+        forming_pass.name: state for forming_pass, state in zip(work.passes, pass_states, strict=True)
+    }
+    for forming_pass, path in paths:
+        state = state_of[forming_pass.name]
+        arms = tuple(filter(None, (work.forming_arm(forming_pass), work.support_arm(forming_pass))))
         heads = [work.heads[arm] for arm in arms]
         support = heads[1] if len(heads) > 1 else None
-        yield from support_issues(one, path, work.operation, heads[0], support, work.thickness)
-        profiles = [profile(head) for head in heads]
-        yield from clear_issues(one, path, state, arms, profiles, work.pressed)
+        yield from support_issues(forming_pass, path, work.operation, heads[0], support, work.thickness)
+        profiles = [head_outline(head) for head in heads]
+        yield from clearance_issues(forming_pass, path, state, arms, profiles, work.allowed_penetration)
 
 
-def clamped_issues(work: Work, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue]:
-    """Tools that reach into the clamp on the paths as they are gone (forming.clamp); motion may tilt some out
-    of there."""
+def clamp_reach_issues(
+    work: FormingWork, paths: Sequence[tuple[FormingPass, FormingToolPath]]
+) -> Iterator[Issue]:
+    """Report tools that reach into the clamp on the given paths (forming.clamp).
+
+    Motion may tilt some tools out of the clamp, so operations with a tilt cone are not checked here.
+    """
     if work.operation.cone_deg == 0.0:
-        for one, path in paths:
-            arms = tuple(filter(None, (work.former(one), work.supporter(one))))
-            yield from clamp_issues(one, path, work.clamp, arms, [profile(work.heads[arm]) for arm in arms])
+        for forming_pass, path in paths:
+            arms = tuple(filter(None, (work.forming_arm(forming_pass), work.support_arm(forming_pass))))
+            yield from clamp_issues(
+                forming_pass, path, work.clamp, arms, [head_outline(work.heads[arm]) for arm in arms]
+            )
 
 
-def _metal(work: Work) -> Iterator[Issue]:
-    doubt = thickness_doubt(work.sheet.metal, work.thickness)
+def _metal_issues(work: FormingWork) -> Iterator[Issue]:
+    doubt = untested_thickness_warning(work.sheet.metal, work.thickness)
     if doubt is not None:
         yield doubt
     yield from pass_issues(work.passes, work.thickness, work.operation, work.sheet.metal)
 
 
-def _forces(work: Work, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue]:
-    """The largest force of each arm against what it carries."""
-    most: dict[str, ForceEstimate] = {}
-    for one, path in paths:
-        found = force(work, one, path)
-        for arm in filter(None, (work.former(one), work.supporter(one))):
-            if work.operation.mode == "heat" and arm != work.former(one):
+def _force_issues(
+    work: FormingWork, setup: Setup, paths: Sequence[tuple[FormingPass, FormingToolPath]]
+) -> Iterator[Issue]:
+    """Compare the largest force on each arm with its payload."""
+    largest: dict[str, ForceEstimate] = {}
+    for forming_pass, path in paths:
+        estimated = forming_force(work, forming_pass, path)
+        for arm in filter(None, (work.forming_arm(forming_pass), work.support_arm(forming_pass))):
+            if work.operation.mode == "heat" and arm != work.forming_arm(forming_pass):
                 continue
-            own, support = found, work.operation.support_force_n
-            if arm != work.former(one) and support is not None:
-                own = ForceEstimate(support, support, support, found.angle, "support_force_n")
-            if arm not in most or own.force > most[arm].force:
-                most[arm] = own
-    for arm, found in most.items():
+            arm_force, support = estimated, work.operation.support_force_n
+            if arm != work.forming_arm(forming_pass) and support is not None:
+                arm_force = ForceEstimate(support, support, support, estimated.angle, "support_force_n")
+            if arm not in largest or arm_force.force > largest[arm].force:
+                largest[arm] = arm_force
+    for arm, estimated in largest.items():
         mounted = setup.cell.arm(arm)
         data = mounted.data
-        issue = payload_issue(found, f"arm {arm}", data.title, data.payload, mounted.tool.mass)
+        issue = payload_issue(estimated, f"arm {arm}", data.title, data.payload, mounted.tool.mass)
         if issue is not None:
             yield issue
 
 
-REACHED_WITHIN: Final = 2e-5
-"""A ball that comes so near [m] to a place reaches it."""
-FINE_SPACING: Final = 0.1
-"""Distance of the places that are looked at, over the ball's radius."""
-COARSE_SPACING: Final = 0.35
-"""Distance of the places that are looked at first, over the ball's radius: corners are wider than that all
-along."""
-CONTACT_TOLERANCE: Final = 2e-6
-"""A ball may cut into the face by so much [m]; heights that differ by less are one level."""
-_WORST_PLACES: Final = 12
-"""Places farthest from the ball around which corners of the mesh are looked at, too."""
-_MOST_NEIGHBOURS: Final = 800
-"""Places around those that are looked at, at most; of more, evenly spread ones."""
-_MOST_PIECES: Final = 60_000
-"""Pieces that the face is divided into at most."""
-_MOST_PLANES: Final = 12
-"""Planes of the face at most that bound the nearest centre of the ball; one is added in each round."""
+REACHED_TOLERANCE_M: Final = 2e-5
+"""A ball this near [m] to a point reaches it."""
+FINE_SPACING_FRACTION: Final = 0.1
+"""Spacing of the points of the fine check, as a fraction of the ball's radius."""
+COARSE_SPACING_FRACTION: Final = 0.35
+"""Spacing of the points of the coarse check, as a fraction of the ball's radius.
+
+Corners are wider than that along their whole length.
+"""
+CONTACT_TOLERANCE_M: Final = 2e-6
+"""Allowed penetration [m] of a ball into the face. Heights that differ by less are one level."""
+_WORST_POINTS: Final = 12
+"""Number of points farthest from the ball around which corners of the mesh are checked, too."""
+_MAX_NEIGHBOURS: Final = 800
+"""Maximum number of points around those. Larger sets are decimated evenly."""
+_MAX_PIECES: Final = 60_000
+"""Maximum number of pieces into which the face is divided."""
+_MAX_PLANES: Final = 12
+"""Maximum number of planes of the face that bound the nearest centre of the ball. Each round adds one."""
 _PROJECTION_SWEEPS: Final = 80
-"""Sweeps over these planes by which the nearest centre beyond all of them is found."""
+"""Sweeps over these planes to find the nearest centre beyond all of them."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Unreached:
-    """What a ball does not reach of a pass: by how much at most it stays ``off`` [m], at the place ``at``
-    (3,) [m] of the face that it forms; the ``volume`` [m^3] that its fillets leave, in how many ``places``;
-    and the ``share`` of the walls."""
+class UnreachedRegion:
+    """Region of a pass that a ball does not reach.
 
-    off: float
-    at: FloatArray
+    Attributes:
+        max_distance: Largest distance [m] between ball and face.
+        point: Point (3,) [m] of the face with the largest distance.
+        volume: Volume [m^3] of the fillets that the ball leaves.
+        regions: Number of separate regions.
+        wall_fraction: Fraction of the walls that is not reached.
+    """
+
+    max_distance: float
+    point: FloatArray
     volume: float
-    places: int
-    share: float
+    regions: int
+    wall_fraction: float
 
 
-def unreached(one: Pass, radius: float) -> Unreached | None:
-    """What a ball of ``radius`` [m] does not reach of the face of a pass, None where it reaches all of it."""
-    vertices = one.vertices if one.side > 0 else one.vertices * MIRROR
-    start, end = one.side * one.start, one.side * one.end
-    box = np.stack([one.region.min(axis=0), one.region.max(axis=0)])[:, :2]
-    face = Face(TriangleMesh(vertices, one.faces), radius, box)
+def find_unreached(forming_pass: FormingPass, radius: float) -> UnreachedRegion | None:
+    """Return what a ball does not reach of the face of a pass, or None if it reaches all of it.
+
+    Args:
+        forming_pass: Pass whose face is checked.
+        radius: Radius [m] of the ball.
+    """
+    vertices = forming_pass.vertices if forming_pass.side > 0 else forming_pass.vertices * MIRROR
+    start, end = forming_pass.side * forming_pass.start, forming_pass.side * forming_pass.end
+    box = np.stack([forming_pass.region.min(axis=0), forming_pass.region.max(axis=0)])[:, :2]
+    face = ContactFace(TriangleMesh(vertices, forming_pass.faces), radius, box)
     corners = vertices[face.mesh.faces]
     moved = np.flatnonzero(
-        corners[:, :, 2].min(axis=1) < start - CONTACT_TOLERANCE
-    )  # the flat around is reached anyhow
+        corners[:, :, 2].min(axis=1) < start - CONTACT_TOLERANCE_M
+    )  # the flat around the feature is always reached
     corners = corners[moved]
-    parts, owner = small_pieces(corners, FINE_SPACING * radius, _MOST_PIECES)
+    parts, owner = bisect_triangles(corners, FINE_SPACING_FRACTION * radius, _MAX_PIECES)
     area = 0.5 * np.linalg.norm(np.cross(parts[:, 1] - parts[:, 0], parts[:, 2] - parts[:, 0]), axis=1)
     corner = corners[owner][:, :, 2]
-    flat = [(np.abs(corner - level) < CONTACT_TOLERANCE).all(axis=1) for level in (start, end)]
+    flat = [(np.abs(corner - level) < CONTACT_TOLERANCE_M).all(axis=1) for level in (start, end)]
     wall = np.asarray(~(flat[0] | flat[1]))
     points, normal = parts.mean(axis=1), face.normals[moved[owner]]
-    few = _thinned(points, wall, COARSE_SPACING * radius)[0]
-    hit = few[face.pushed(points[few], normal[few]) > REACHED_WITHIN]
+    # coarse pass: only the surroundings of points that are not reached are refined
+    sampled = _decimate(points, wall, COARSE_SPACING_FRACTION * radius)[0]
+    hit = sampled[face.pushed(points[sampled], normal[sampled]) > REACHED_TOLERANCE_M]
     if not len(hit):
         return None
-    near = cKDTree(points[hit]).query(points, distance_upper_bound=2.0 * COARSE_SPACING * radius)[0]
-    some = np.flatnonzero(np.isfinite(near))
-    first, cell = _thinned(points[some], wall[some], FINE_SPACING * radius)
-    total = np.bincount(cell, area[some])
+    hit_distance = cKDTree(points[hit]).query(
+        points, distance_upper_bound=2.0 * COARSE_SPACING_FRACTION * radius
+    )[0]
+    candidates = np.flatnonzero(np.isfinite(hit_distance))
+    first, cell = _decimate(points[candidates], wall[candidates], FINE_SPACING_FRACTION * radius)
+    total = np.bincount(cell, area[candidates])
     all_walls = float(area[wall].sum())
-    rows = some[first]
+    rows = candidates[first]
     area[rows] = total
     back = nearest_centres(face, points[rows], normal[rows]) - points[rows]
-    apart = np.linalg.norm(back, axis=1)
-    use = apart > radius + REACHED_WITHIN
-    rows, back, apart = rows[use], back[use], apart[use]
+    distance = np.linalg.norm(back, axis=1)
+    use = distance > radius + REACHED_TOLERANCE_M
+    rows, back, distance = rows[use], back[use], distance[use]
     if not len(rows):
         return None
-    # of each place the sector between it and the ball, as in a straight crease
-    along = np.maximum(dots(back, normal[rows]), 0.0) / apart
-    volume = float((0.5 * (apart**2 - radius**2) / apart * along * area[rows]).sum())
-    k = int(np.argmax(apart))
-    at = points[rows[k]] if one.side > 0 else points[rows[k]] * MIRROR
-    share = float(area[rows][wall[rows]].sum() / max(all_walls, 1e-12))
-    # the farthest are corners of the mesh itself, beside these
-    worst = points[rows[np.argsort(apart)[-_WORST_PLACES:]]]
-    around = np.unique(np.concatenate(cKDTree(points).query_ball_point(worst, 2.0 * FINE_SPACING * radius)))
-    around = around[:: -(-len(around) // _MOST_NEIGHBOURS)].astype(np.int64)
+    # sector between each point and the ball, as in a straight crease at distance d:
+    # dV = (d^2 - R^2) / (2 d) cos(angle) dA
+    along = np.maximum(dots(back, normal[rows]), 0.0) / distance
+    volume = float((0.5 * (distance**2 - radius**2) / distance * along * area[rows]).sum())
+    k = int(np.argmax(distance))
+    point = points[rows[k]] if forming_pass.side > 0 else points[rows[k]] * MIRROR
+    wall_fraction = float(area[rows][wall[rows]].sum() / max(all_walls, 1e-12))
+    # corners of the mesh near these points are farther from the ball than the points themselves
+    worst = points[rows[np.argsort(distance)[-_WORST_POINTS:]]]
+    around = np.unique(
+        np.concatenate(cKDTree(points).query_ball_point(worst, 2.0 * FINE_SPACING_FRACTION * radius))
+    )
+    around = around[:: -(-len(around) // _MAX_NEIGHBOURS)].astype(np.int64)
     corner, up = parts[around].reshape(-1, 3), np.repeat(normal[around], 3, axis=0)
-    far = np.linalg.norm(nearest_centres(face, corner, up) - corner, axis=1)
-    most = max(float(far.max()), float(apart[k]))
-    return Unreached(most - radius, at, volume, _groups(points[rows], radius), share)
+    corner_distance = np.linalg.norm(nearest_centres(face, corner, up) - corner, axis=1)
+    max_distance = max(float(corner_distance.max()), float(distance[k]))
+    return UnreachedRegion(
+        max_distance - radius, point, volume, _region_count(points[rows], radius), wall_fraction
+    )
 
 
-def _thinned(points: FloatArray, wall: BoolArray, size: float) -> tuple[IntArray, IntArray]:
-    """The first (C,) of N points, of walls and of what is none, in each cell of a ``size`` [m], and the cells
-    (N,)."""
+def _decimate(points: FloatArray, wall: BoolArray, size: float) -> tuple[IntArray, IntArray]:
+    """First of N points in each cell.
+
+    Returns the first point (C,) in each cell of ``size`` [m], walls and others separately, and the cell (N,)
+    of each point.
+    """
     key = np.column_stack([np.floor(points / size).astype(np.int64), wall])
-    _, first, cell = distinct_rows(key)
+    _, first, cell = unique_rows(key)
     return first, cell
 
 
-def nearest_centres(face: Face, points: FloatArray, normal: FloatArray) -> FloatArray:
-    """The nearest centres (N, 3) [m] to ``points`` (N, 3) of a face, with unit ``normal`` (N, 3) up, of its
-    balls that cut in nowhere."""
-    found = points + face.radius * normal
-    open_: IntArray = np.arange(len(points))
-    # planes in the way: unit normals, and how far along them a centre is at least
+def nearest_centres(face: ContactFace, points: FloatArray, normal: FloatArray) -> FloatArray:
+    """Find the nearest ball centres to points of a face at which the balls do not cut into the face.
+
+    Args:
+        face: Face with the radius of the ball.
+        points: Points (N, 3) [m] of the face.
+        normal: Upward unit normals (N, 3).
+
+    Returns:
+        Centres (N, 3) [m].
+    """
+    centres = points + face.radius * normal
+    active: IntArray = np.arange(len(points))
+    # active half-spaces: unit normals, and the minimum coordinate of a centre along them
     up = np.zeros((len(points), 0, 3))
     level = np.zeros((len(points), 0))
-    for _ in range(_MOST_PLANES):
-        distance, place, away = face.deepest(found[open_])
-        deep = distance < face.radius - CONTACT_TOLERANCE
-        open_, place, away = open_[deep], place[deep], away[deep]
-        if not len(open_):
+    for _ in range(_MAX_PLANES):
+        distance, foot, away = face.deepest(centres[active])
+        deep = distance < face.radius - CONTACT_TOLERANCE_M
+        active, foot, away = active[deep], foot[deep], away[deep]
+        if not len(active):
             break
         up = np.concatenate([up[deep], away[:, None]], axis=1)
-        level = np.concatenate([level[deep], (dots(away, place) + face.radius)[:, None]], axis=1)
-        found[open_] = _projected(points[open_], up, level)
-    return found
+        level = np.concatenate([level[deep], (dots(away, foot) + face.radius)[:, None]], axis=1)
+        centres[active] = _project_beyond_planes(points[active], up, level)
+    return centres
 
 
-def _projected(points: FloatArray, up: FloatArray, level: FloatArray) -> FloatArray:
-    """The nearest places (N, 3) to ``points`` (N, 3) beyond K planes, ``up`` (N, K, 3), ``level`` (N, K)."""
-    place = points.copy()
+def _project_beyond_planes(points: FloatArray, up: FloatArray, level: FloatArray) -> FloatArray:
+    """Nearest positions (N, 3) to ``points`` (N, 3) beyond K planes.
+
+    Dykstra's projections onto the half-spaces {x: up_k . x >= level_k} with ``up`` (N, K, 3) and ``level``
+    (N, K); ``push`` is the correction of each plane.
+    """
+    position = points.copy()
     push = np.zeros(level.shape)
     for _ in range(_PROJECTION_SWEEPS if level.shape[1] > 1 else 1):
         for k in range(level.shape[1]):
-            free = dots(place, up[:, k]) - push[:, k]
+            free = dots(position, up[:, k]) - push[:, k]
             fresh = np.maximum(level[:, k] - free, 0.0)
-            place += (fresh - push[:, k])[:, None] * up[:, k]
+            position += (fresh - push[:, k])[:, None] * up[:, k]
             push[:, k] = fresh
-    return place
+    return position
 
 
-def _groups(points: FloatArray, radius: float) -> int:
-    """How many places that are apart points (N, 3) make up."""
-    near = cKDTree(points).sparse_distance_matrix(
-        cKDTree(points), 4.0 * FINE_SPACING * radius, output_type="coo_matrix"
+def _region_count(points: FloatArray, radius: float) -> int:
+    """Number of separate regions that points (N, 3) make up."""
+    neighbours = cKDTree(points).sparse_distance_matrix(
+        cKDTree(points), 4.0 * FINE_SPACING_FRACTION * radius, output_type="coo_matrix"
     )
-    return int(connected_components(near, directed=False)[0])
+    return int(connected_components(neighbours, directed=False)[0])
 
 
-def unreached_issues(work: Work) -> Iterator[Issue]:
-    """What the balls do not reach of the part (forming.unreached): a note, a warning where that is more of
-    the walls than may be off, or an error beyond the user's ``unreached_mm``."""
+def unreached_issues(work: FormingWork) -> Iterator[Issue]:
+    """Report what the balls do not reach of the part (forming.unreached).
+
+    The issue is a note; a warning if the unreached fraction of the walls is above the allowed one; an error
+    beyond the user's ``unreached_mm``.
+    """
     op = work.operation
-    for one in {one.feature: one for one in work.passes}.values():
-        radius = work.heads[work.former(one)].radius
-        found = unreached(one, radius)
-        if found is None:
+    for forming_pass in {forming_pass.feature: forming_pass for forming_pass in work.passes}.values():
+        radius = work.heads[work.forming_arm(forming_pass)].radius
+        region = find_unreached(forming_pass, radius)
+        if region is None:
             continue
         limit = op.unreached_mm
-        off = found.off / MM
-        x, y, z = found.at / MM
-        many = "one place" if found.places == 1 else f"{found.places} places"
+        distance_mm = region.max_distance / MM
+        x, y, z = region.point / MM
+        many = "one region" if region.regions == 1 else f"{region.regions} regions"
         what = (
-            f"pass {one.name}: a ball of {radius / MM:.2f} mm radius stays up to {off:.2f} mm off the part, "
-            f"most at ({x:.1f}, {y:.1f}, {z:.1f}) mm, and leaves fillets of its own radius in {many}, about "
-            f"{found.volume / MM**3:.3g} mm3; it does not reach {100.0 * found.share:.1f} % of the walls"
+            f"pass {forming_pass.name}: a ball of {radius / MM:.2f} mm radius stays up to {distance_mm:.2f} "
+            f"mm off the part (at ({x:.1f}, {y:.1f}, {z:.1f}) mm) and leaves fillets of its own radius in "
+            f"{many}, about {region.volume / MM**3:.3g} mm3; it does not reach "
+            f"{100.0 * region.wall_fraction:.1f} % of the walls"
         )
-        severity = Severity.NOTE if found.share <= 1.0 - op.share else Severity.WARNING
-        hint = "a smaller ball reaches more, and a part that is rounded by the ball's radius is reached whole"
+        severity = Severity.NOTE if region.wall_fraction <= 1.0 - op.share else Severity.WARNING
+        hint = "use a smaller ball, or round the part by the ball's radius so that all of it is reached"
         if limit is None:
-            hint += "; unreached_mm says how far it may stay off"
-        elif off > limit:
-            severity, what = Severity.ERROR, f"{what}; unreached_mm allows {limit:g} mm"
-            hint = "take a smaller ball, round the part there by the ball's radius"
-            hint += f", or allow {off + 0.01:.2f} mm"
+            hint += "; unreached_mm limits the distance"
+        elif distance_mm > limit:
+            severity = Severity.ERROR
+            what += f"; unreached_mm allows {limit:g} mm"
+            hint = "use a smaller ball, round the part there by the ball's radius"
+            hint += f", or allow {distance_mm + 0.01:.2f} mm"
         yield Issue(
             "forming.unreached",
             what,
             severity,
             field="operations.unreached_mm",
-            **measurement(off, limit, "mm"),
+            **measurement(distance_mm, limit, "mm"),
             hint=hint,
         )

@@ -1,7 +1,7 @@
-"""What must hold of a forming job, as claims, from the problem alone.
+"""Requirements on a forming job, as claims that follow from the problem alone.
 
-The claim of the part (`wanted_part`) is what a forming operation is to make, copied from the problem and
-worked out by nobody: all other claims of its passes are held against it.
+The claim of the part (`part_claim`) copies from the problem what a forming operation has to make, without
+any calculation. All other claims of its passes are checked against it.
 """
 
 from typing import Final
@@ -21,167 +21,225 @@ from planner.claims.dialogue import (
 from planner.geometry.arrays import FloatArray
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.units import DEG, MM
-from planner.issues import refusal
+from planner.issues import issue_error
 from planner.problem import Part, Setup, Sheet
 from planner.processes.forming import claims as facts
 from planner.processes.forming import sentences
 from planner.processes.forming.plan import two_point
-from planner.processes.forming.plan.contact import Pass
-from planner.processes.forming.plan.level import pass_of
+from planner.processes.forming.plan.contact import FormingPass
+from planner.processes.forming.plan.level import level_pass
 from planner.processes.forming.plan.operation import GAP_MODES, Forming
 from planner.processes.forming.plan.paths import adsif_response, level_lines
-from planner.processes.forming.plan.process_plan import Work, segment
-from planner.processes.forming.plan.sheet_mechanics import by_corner
-from planner.processes.forming.plan.sheet_state import State, states
+from planner.processes.forming.plan.process_plan import FormingWork, forming_segment
+from planner.processes.forming.plan.sheet_mechanics import face_by_corner
+from planner.processes.forming.plan.sheet_state import PassSheetState, sheet_states
 from planner.processes.forming.plan.support.modes import border_curve
-from planner.processes.forming.plan.support.opposite import FACING_TURN
-from planner.tooling import FormingTool, profile
+from planner.processes.forming.plan.support.opposite import MAX_FACING_ANGLE_RAD
+from planner.tooling import FormingTool, head_outline
 
-BORDER_TOLERANCE: Final = 0.5 * MM
-"""How far a support may be off the border that it runs along [m]."""
-HEAT_TOLERANCE: Final = 2.0 * MM
-"""How far a source of heat may be off its place opposite the forming ball [m]."""
-LEVEL_LEAN: Final = 0.05 * DEG
-"""How far tools at the sheet's level may lean besides what the user allows [rad]."""
-NOZZLE_LEAN: Final = 10.0 * DEG
-"""How far [rad] that place may be off the face's normal, and the nozzle off what is between that and the
-vertical: it follows the smooth face, not its facets."""
+BORDER_TOLERANCE_M: Final = 0.5 * MM
+"""Maximum deviation [m] of a support from the border that it runs along."""
+HEAT_TOLERANCE_M: Final = 2.0 * MM
+"""Maximum deviation [m] of a heat source from its position opposite the forming ball."""
+LEVEL_TILT_RAD: Final = 0.05 * DEG
+"""Tilt [rad] that tools at the sheet's level may have in addition to what the user allows."""
+NOZZLE_TILT_RAD: Final = 10.0 * DEG
+"""Maximum angle [rad] of that position from the face's normal, and of the nozzle from the directions between
+the normal and the vertical. The nozzle follows the smooth face, not its facets.
+"""
 
 
-def claims(work: Work) -> tuple[Claim, ...]:
-    """The claims of all passes."""
-    found = states(work.tree, work.mesh, work.passes, work.thickness, work.before)
-    out: list[Claim] = [facts.FormsInOrder(tuple(segment(one) for one in work.passes))]
+def claims(work: FormingWork) -> tuple[Claim, ...]:
+    """Return the claims of all passes."""
+    pass_states = sheet_states(work.tree, work.mesh, work.passes, work.thickness, work.previous_features)
+    out: list[Claim] = [
+        facts.FormsInOrder(tuple(forming_segment(forming_pass) for forming_pass in work.passes))
+    ]
     if work.operation.springback is not None:
-        out.append(facts.ComesBack(work.operation.name, tuple(segment(one) for one in work.passes)))
+        out.append(
+            facts.CompensatesSpringback(
+                work.operation.name, tuple(forming_segment(forming_pass) for forming_pass in work.passes)
+            )
+        )
     if work.operation.level is not None:
-        own = pass_of(work, work.operation.level)
-        out.append(facts.FormsLevel(work.operation.name, segment(own)))
+        level_forming_pass = level_pass(work, work.operation.level)
+        out.append(facts.FormsLevel(work.operation.name, forming_segment(level_forming_pass)))
     sinking = two_point.holder_claim(work)
     if sinking is not None:
         out.append(sinking)
-    for one, state in zip(work.passes, found, strict=True):
-        out.append(_state(work, one, state))
-        out.append(facts.FormingFeed(segment(one), work.operation.arms, work.operation.feed_mm_s * MM))
-        out += _lean(work, one)
-        other = work.supporter(one)
-        by_table = work.operation.mode == "adsif" and other is not None
-        out += [_by_table(work, one, other)] if by_table and other is not None else _of(work, one)
+    for forming_pass, state in zip(work.passes, pass_states, strict=True):
+        out.append(_sheet_state_claim(work, forming_pass, state))
+        out.append(
+            facts.FormingFeed(
+                forming_segment(forming_pass), work.operation.arms, work.operation.feed_mm_s * MM
+            )
+        )
+        out += _tilt_claims(work, forming_pass)
+        support_arm = work.support_arm(forming_pass)
+        by_table = work.operation.mode == "adsif" and support_arm is not None
+        out += (
+            [_table_claim(work, forming_pass, support_arm)]
+            if by_table and support_arm is not None
+            else _surface_claims(work, forming_pass)
+        )
     return tuple(out)
 
 
-def _lean(work: Work, one: Pass) -> list[Claim]:
-    """How far tools may lean; a source of heat leans as the wall does, and by the table adsif has its own."""
-    op, other = work.operation, work.supporter(one)
+def _tilt_claims(work: FormingWork, forming_pass: FormingPass) -> list[Claim]:
+    """Claim on the tilt of the tools.
+
+    A heat source tilts with the wall and is not included. In adsif the claim of the table covers the tilt.
+    """
+    op, support_arm = work.operation, work.support_arm(forming_pass)
     if op.mode == "adsif":
         return []
-    arms = (work.former(one), *(() if other is None or op.mode == "heat" else (other,)))
-    upper = LEVEL_LEAN + (op.lean_deg + op.cone_deg) * DEG
-    return [facts.ToolsLean(segment(one), arms, tuple(work.above(arm) for arm in arms), upper)]
-
-
-def _by_table(work: Work, one: Pass, other: str) -> facts.FormsByTable:
-    op, held = work.operation, work.operation.adsif
-    arms = (work.former(one), other)
-    give = 0.0 if held.stiffness_n_mm is None else held.force_n / held.stiffness_n_mm * MM
-    return facts.FormsByTable(
-        segment(one),
-        arms,
-        one.side,
-        (work.heads[arms[0]].radius, work.heads[arms[1]].radius),
-        one.vertices,
-        one.faces,
-        one.start,
-        one.end,
-        thickness=work.thickness,
-        metal=work.sheet.metal.name,
-        table=adsif_response.table_text(held.file or adsif_response.BUILT_IN_FILE),
-        prefer=held.prefer,
-        pitch=held.pitch_mm * MM,
-        sag=_sag(op, one),
-        projection=held.projection_mm * MM,
-        give=give,
-        turning=1 if op.direction == "ccw" else -1,
-        tolerance=op.gap_tol_mm * MM,
-        lean=LEVEL_LEAN + op.cone_deg * DEG,
+    arms = (
+        work.forming_arm(forming_pass),
+        *(() if support_arm is None or op.mode == "heat" else (support_arm,)),
     )
-
-
-def _sag(op: Forming, one: Pass) -> float:
-    """How far [m] the user's chord and tangent let straight moves be off a loop as wide as the part."""
-    wide = 0.5 * float(np.ptp(one.vertices[:, :2], axis=0).max())
-    return min(op.chord_mm * MM, wide * (1.0 - float(np.cos(0.5 * op.tangent_deg * DEG))))
-
-
-def scallop(work: Work, one: Pass) -> FloatArray:
-    """Height (F,) [m] of the ridges that the path leaves at the triangles of a pass: the stated one, or that
-    of the stated step."""
-    op, radius = work.operation, work.heads[work.former(one)].radius
-    if op.stepdown_mm is None:
-        return np.full(len(one.faces), (op.scallop_mm or 0.0) * MM)
-    return level_lines.ridge_heights(
-        TriangleMesh(one.vertices, one.faces), radius, op.stepdown_mm * MM, op.share
-    )
-
-
-def _state(work: Work, one: Pass, state: State) -> facts.SheetState:
-    arms = tuple(filter(None, (work.former(one), work.supporter(one))))
-    heads = tuple(profile(work.heads[arm]) for arm in arms)
-    return facts.SheetState(
-        segment(one), arms, one.side, one.start, state.fixed, state.carried, heads, *work.pressed
-    )
-
-
-def _of(work: Work, one: Pass) -> list[Claim]:
-    op, arm, other = work.operation, work.former(one), work.supporter(one)
-    radius, gouge = work.heads[arm].radius, op.gouge_tol_mm * MM
-    ridge = scallop(work, one) + gouge
-    face = (one.vertices, one.faces)
-    out: list[Claim] = [
-        facts.FormsSheet(
-            segment(one), arm, one.side, radius, *face, one.start, one.end, gouge, ridge, op.share
+    upper = LEVEL_TILT_RAD + (op.lean_deg + op.cone_deg) * DEG
+    return [
+        facts.LimitsToolTilt(
+            forming_segment(forming_pass), arms, tuple(work.above(arm) for arm in arms), upper
         )
     ]
-    if other is None:
+
+
+def _table_claim(work: FormingWork, forming_pass: FormingPass, support_arm: str) -> facts.FormsByTable:
+    op, adsif = work.operation, work.operation.adsif
+    arms = (work.forming_arm(forming_pass), support_arm)
+    compliance = 0.0 if adsif.stiffness_n_mm is None else adsif.force_n / adsif.stiffness_n_mm * MM
+    return facts.FormsByTable(
+        forming_segment(forming_pass),
+        arms,
+        forming_pass.side,
+        (work.heads[arms[0]].radius, work.heads[arms[1]].radius),
+        forming_pass.vertices,
+        forming_pass.faces,
+        forming_pass.start,
+        forming_pass.end,
+        thickness=work.thickness,
+        metal=work.sheet.metal.name,
+        table=adsif_response.table_text(adsif.file or adsif_response.BUILT_IN_FILE),
+        prefer=adsif.prefer,
+        pitch=adsif.pitch_mm * MM,
+        sag=_chord_deviation(op, forming_pass),
+        projection=adsif.projection_mm * MM,
+        give=compliance,
+        turning=1 if op.direction == "ccw" else -1,
+        tolerance=op.gap_tol_mm * MM,
+        lean=LEVEL_TILT_RAD + op.cone_deg * DEG,
+    )
+
+
+def _chord_deviation(op: Forming, forming_pass: FormingPass) -> float:
+    """Deviation [m] of straight moves from a loop as wide as the part, from the user's chord and tangent."""
+    half_width = 0.5 * float(np.ptp(forming_pass.vertices[:, :2], axis=0).max())
+    return min(op.chord_mm * MM, half_width * (1.0 - float(np.cos(0.5 * op.tangent_deg * DEG))))
+
+
+def scallop_heights(work: FormingWork, forming_pass: FormingPass) -> FloatArray:
+    """Return the height (F,) [m] of the ridges that the path leaves at the triangles of a pass.
+
+    It is the stated one, or that of the stated step-down.
+    """
+    op, radius = work.operation, work.heads[work.forming_arm(forming_pass)].radius
+    if op.stepdown_mm is None:
+        return np.full(len(forming_pass.faces), (op.scallop_mm or 0.0) * MM)
+    return level_lines.ridge_heights(
+        TriangleMesh(forming_pass.vertices, forming_pass.faces), radius, op.stepdown_mm * MM, op.share
+    )
+
+
+def _sheet_state_claim(
+    work: FormingWork, forming_pass: FormingPass, state: PassSheetState
+) -> facts.SheetState:
+    arms = tuple(filter(None, (work.forming_arm(forming_pass), work.support_arm(forming_pass))))
+    heads = tuple(head_outline(work.heads[arm]) for arm in arms)
+    return facts.SheetState(
+        forming_segment(forming_pass),
+        arms,
+        forming_pass.side,
+        forming_pass.start,
+        state.fixed,
+        state.carried,
+        heads,
+        *work.allowed_penetration,
+    )
+
+
+def _surface_claims(work: FormingWork, forming_pass: FormingPass) -> list[Claim]:
+    op, arm, support_arm = work.operation, work.forming_arm(forming_pass), work.support_arm(forming_pass)
+    radius, gouge = work.heads[arm].radius, op.gouge_tol_mm * MM
+    ridge = scallop_heights(work, forming_pass) + gouge
+    face = (forming_pass.vertices, forming_pass.faces)
+    out: list[Claim] = [
+        facts.FormsSheet(
+            forming_segment(forming_pass),
+            arm,
+            forming_pass.side,
+            radius,
+            *face,
+            forming_pass.start,
+            forming_pass.end,
+            gouge,
+            ridge,
+            op.share,
+        )
+    ]
+    if support_arm is None:
         return out
     if op.mode in GAP_MODES:
-        vertices, faces, thick = by_corner(one, work.thickness)
-        gap, tolerance = op.squeeze * thick, op.gap_tol_mm * MM
-        radii, step = (radius, work.heads[other].radius), op.handshake_gap_mm * MM
+        vertices, faces, thickness = face_by_corner(forming_pass, work.thickness)
+        gap, tolerance = op.squeeze * thickness, op.gap_tol_mm * MM
+        radii, step = (radius, work.heads[support_arm].radius), op.handshake_gap_mm * MM
         out.append(
             facts.ToolGap(
-                segment(one),
-                (arm, other),
-                one.side,
+                forming_segment(forming_pass),
+                (arm, support_arm),
+                forming_pass.side,
                 radii,
                 vertices,
                 faces,
                 gap,
                 tolerance,
-                turn=FACING_TURN,
+                turn=MAX_FACING_ANGLE_RAD,
                 handshake=step,
             )
         )
     elif op.mode == "dpif_p":
-        border = border_curve(one, work.heads[other], work.thickness)
-        out.append(facts.SupportsBorder(segment(one), other, border, BORDER_TOLERANCE))
+        border = border_curve(forming_pass, work.heads[support_arm], work.thickness)
+        out.append(
+            facts.SupportsBorder(forming_segment(forming_pass), support_arm, border, BORDER_TOLERANCE_M)
+        )
     else:
-        away = radius + float(np.median(one.thickness))
-        aim = NOZZLE_LEAN + op.cone_deg * DEG
+        distance = radius + float(np.median(forming_pass.thickness))
+        tilt = NOZZLE_TILT_RAD + op.cone_deg * DEG
         out.append(
             facts.FollowsOpposite(
-                segment(one), (arm, other), one.side, *face, away, HEAT_TOLERANCE, NOZZLE_LEAN, aim
+                forming_segment(forming_pass),
+                (arm, support_arm),
+                forming_pass.side,
+                *face,
+                distance,
+                HEAT_TOLERANCE_M,
+                NOZZLE_TILT_RAD,
+                tilt,
             )
         )
     return out
 
 
-def wanted_part(operation: Forming, setup: Setup, part: Part | None) -> facts.FormsPart:
-    """The part and the user's numbers. Raises ``TandemError`` (forming.no_sheet) where there is no sheet."""
+def part_claim(operation: Forming, setup: Setup, part: Part | None) -> facts.FormsPart:
+    """Return the claim on the part, with the user's numbers.
+
+    Raises:
+        TandemError: forming.no_sheet if there is no sheet.
+    """
     op, sheet = operation, setup.stock.sheet
     if sheet is None or part is None or part.formed is None:
         what = f"{op.name}: there is no sheet to form; give sheet: and a part of kind sheet_mesh"
-        raise refusal("forming.no_sheet", what, field="sheet")
+        raise issue_error("forming.no_sheet", what, field="sheet")
     tools = [setup.cell.arm(arm).tool for arm in op.arms]
     heads = [tool.head if isinstance(tool, FormingTool) else None for tool in tools]
     thickness = float(setup.stock.size[2])
@@ -226,38 +284,50 @@ def wanted_part(operation: Forming, setup: Setup, part: Part | None) -> facts.Fo
     )
 
 
-def spoken(op: Forming, sheet: Sheet | None) -> tuple[words.Sentence, words.Sentence]:
-    """What the operator is asked before and behind an operation: a sheet that others have formed or cut is
-    clamped already, and one that others go on with stays so."""
+def operator_prompts(op: Forming, sheet: Sheet | None) -> tuple[words.Sentence, words.Sentence]:
+    """Return what the operator is asked before and after an operation.
+
+    A sheet that other operations have formed or cut is clamped already, and one that others continue with
+    stays clamped.
+    """
     stages = None if sheet is None else sheet.stages
-    found = sheet is not None and (bool(sheet.holes) or (stages is not None and bool(stages.before)))
-    stays = op.level is not None or (stages is not None and stages.stays)
+    is_preformed = sheet is not None and (bool(sheet.holes) or (stages is not None and bool(stages.previous)))
+    stays_clamped = op.level is not None or (stages is not None and stages.stays_clamped)
     return (
-        sentences.STAGE_READY if found else sentences.SHEET_READY,
-        sentences.STAYS if stays else sentences.FORMED,
+        sentences.STAGE_READY if is_preformed else sentences.SHEET_READY,
+        sentences.STAYS if stays_clamped else sentences.FORMED,
     )
 
 
 def dialogue(
-    operation: Forming, setup: Setup, wanted: facts.FormsPart, sinks: facts.SinksHolder | None
+    operation: Forming, setup: Setup, part: facts.FormsPart, sinks: facts.SinksHolder | None
 ) -> OperatorDialogue:
-    """The sheet is told and clamped, for a clamp that sinks as high above its end as the part is deep; then
-    come its pulses, any number: they are counted by the claim ``sinks``."""
+    """Return the operator dialogue of a forming operation.
+
+    The dialogue states the sheet, and the operator clamps it. A clamp that sinks starts as high above its end
+    position as the part is deep. Then come its pulses, in any number: the claim ``sinks`` counts them.
+
+    Args:
+        operation: Operation.
+        setup: Setup with the stock.
+        part: Claim on the part.
+        sinks: Claim on the pulses of the holder, or None.
+    """
     sheet = setup.stock.sheet
     x, y, z = (float(size) for size in setup.stock.size / MM)
-    first = [
+    steps = [
         message_step(sentences.SHEET, x_mm=x, y_mm=y, z_mm=z, metal="" if sheet is None else sheet.metal.name)
     ]
-    if wanted.sinking is not None:
-        first.append(question_step(sentences.RIM, high_mm=float(np.ptp(wanted.vertices[:, 2])) / MM))
+    if part.sinking is not None:
+        steps.append(question_step(sentences.RIM, high_mm=float(np.ptp(part.vertices[:, 2])) / MM))
     level = operation.level
     if level is not None:
         name = level.pass_name or sentences.FIRST_PASS
-        first.append(question_step(sentences.LEVEL, number=level.number, name=name))
-    ready, done = spoken(operation, sheet)
-    first.append(question_step(ready))
+        steps.append(question_step(sentences.LEVEL, number=level.number, name=name))
+    ready_prompt, done_prompt = operator_prompts(operation, sheet)
+    steps.append(question_step(ready_prompt))
     stops: tuple[DialogueStop, ...] = ()
     if sinks is not None:
         pulse = (*power_on_steps(sinks.signal, sinks.pulse), *power_off_steps(sinks.signal, sinks.pulse))
         stops = (DialogueStop(sinks.segment, "in", pulse, repeats=True),)
-    return OperatorDialogue(operation.arms, tuple(first), (question_step(done),), stops)
+    return OperatorDialogue(operation.arms, tuple(steps), (question_step(done_prompt),), stops)

@@ -1,10 +1,10 @@
-"""A ball on a face, and the values that forming's modules hand on: passes, contact paths, tool paths.
+"""A ball on a face, and the values that the forming modules exchange: passes, contact paths, tool paths.
 
-Where a ball's centre is when it touches at a wanted place and cuts in nowhere: asked of a `Face`,
+`ContactFace` finds the centre of a ball that touches the face at a required point without cutting into it,
 for a ball above a face whose normals point up. For a ball below, mirror the face in z first.
 
-`Pass` is the surface of a pass, `ContactPath` the path of the contact on it, `ToolPath` where both
-tools are.
+`FormingPass` is the surface of a pass, `ContactPath` the path of the contact on it, `PassContact` both of
+them, `FormingToolPath` the path of both tools.
 """
 
 import dataclasses
@@ -18,47 +18,55 @@ from scipy.spatial import cKDTree
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.geometry.mesh import (
     TriangleMesh,
-    closest_on_triangles,
+    bisect_triangles,
+    closest_weights,
     corner_normals,
     face_normals,
-    small_pieces,
 )
 from planner.runtime.memoize import memoized
 
 MIRROR: Final = np.array([1.0, 1.0, -1.0])
-"""What turns points and directions of a face below the sheet over: times this, they are above."""
-CREASE_ANGLE: Final = math.radians(20.0)
-"""Faces that turn by more than this [rad] over an edge meet in a crease; by less, they stand for a smooth
-face."""
-CONTACT_TOLERANCE: Final = 1e-6
-"""The ball may cut in by so much [m]; places so near to the nearest one are touched as well."""
-ON_FACE: Final = 3e-6
-"""A place of contact so near [m] to the mesh counts as on it: facets are chords of a smooth face."""
-_CLEARING_ROUNDS: Final = 30
-"""Rounds in which a ball is pushed out of the face at most."""
+"""Factors that mirror points and directions in z, so that a face that is formed from below can be treated as
+from above.
+"""
+CREASE_ANGLE_RAD: Final = math.radians(20.0)
+"""Faces that meet at more than this angle [rad] form a crease; at less, they approximate a smooth face."""
+CONTACT_TOLERANCE_M: Final = 1e-6
+"""Allowed penetration [m] of the ball. Points this near to the nearest one are touched as well."""
+ON_FACE_TOLERANCE_M: Final = 3e-6
+"""Contact points this near [m] to the mesh count as on it, because facets are chords of a smooth face."""
+_MAX_CLEARING_ROUNDS: Final = 30
+"""Maximum number of rounds in which a ball is pushed out of the face."""
 _PAIRS_AT_ONCE: Final = 200_000
-"""Pairs of a ball and a piece of the face that are worked on at once."""
-_MOST_PAIRS: Final = 3_000_000
-"""Balls are looked at in two halves where there would be more pairs than this, to bound memory."""
-_COUNTED_STRIDE: Final = 16
-"""Every so many of the points are looked at first to see how many pairs there may be."""
-_FEW_SHARE: Final = 0.5
-"""Pairs are not counted where that says that they are fewer than this share of what is allowed."""
-_MOST_PIECES: Final = 150_000
-"""Pieces at most into which triangles of about one size are divided."""
+"""Pairs of a ball and a piece of the face that are processed at once, to bound memory."""
+_MAX_PAIRS: Final = 3_000_000
+"""Maximum number of pairs of a search. Larger sets of balls are halved, to bound memory."""
+_PAIR_SAMPLE_STRIDE: Final = 16
+"""Stride of the points from which the number of pairs is estimated."""
+_PAIR_ESTIMATE_FRACTION: Final = 0.5
+"""Pairs are not counted if the estimate is below this fraction of the maximum."""
+_MAX_PIECES: Final = 150_000
+"""Maximum number of pieces into which triangles of about one size are divided."""
 
 
 @memoized
 def smooth_normals(mesh: TriangleMesh) -> FloatArray:
-    """Unit normals (F, 3, 3) at the corners of each face, smooth but over creases."""
-    return corner_normals(mesh, CREASE_ANGLE)
+    """Return unit normals (F, 3, 3) at the corners of each face, smooth except over creases."""
+    return corner_normals(mesh, CREASE_ANGLE_RAD)
 
 
 @dataclasses.dataclass(frozen=True)
 class Contact:
-    """Of N wanted places: ``centre`` (N, 3) [m] of the ball, ``point`` (N, 3) where it touches, ``normal``
-    (N, 3) from there to the centre, ``pushed`` (N,) [m] how far the centre had to go aside, ``gap`` (N,) [m]
-    from the ball to the wanted place, ``clear`` (N,) whether the ball then cuts in nowhere."""
+    """Ball positions for N required points.
+
+    Attributes:
+        centre: Centres (N, 3) [m] of the ball.
+        point: Points (N, 3) [m] where it touches.
+        normal: Unit vectors (N, 3) from there to the centre.
+        pushed: Distances (N,) [m] by which the centre had to move aside.
+        gap: Distances (N,) [m] from the ball to the required point.
+        clear: Whether (N,) the ball then does not cut into the face.
+    """
 
     centre: FloatArray
     point: FloatArray
@@ -68,28 +76,36 @@ class Contact:
     clear: BoolArray
 
 
-class Face:
-    """A face that balls of one ``radius`` [m] touch from above; only what lies within ``box`` ((2, 2), lower
-    and upper x, y [m]) and a ball's width around it is looked at."""
+class ContactFace:
+    """A face that balls of one radius touch from above.
+
+    Args:
+        mesh: Face with normals up.
+        radius: Radius [m] of the balls.
+        box: Lower and upper x, y (2, 2) [m]; only the face inside it, and within a ball's diameter around, is
+            used.
+    """
 
     def __init__(self, mesh: TriangleMesh, radius: float, box: FloatArray | None = None) -> None:
         if box is not None:
             flat = mesh.vertices[mesh.faces][:, :, :2]
             low, high = box[0] - 2.5 * radius, box[1] + 2.5 * radius
-            near = ((flat.max(axis=1) >= low) & (flat.min(axis=1) <= high)).all(axis=1)
-            mesh = TriangleMesh(mesh.vertices, mesh.faces[near])
+            in_box = ((flat.max(axis=1) >= low) & (flat.min(axis=1) <= high)).all(axis=1)
+            mesh = TriangleMesh(mesh.vertices, mesh.faces[in_box])
         self.mesh, self.radius = mesh, radius
         self.normals = face_normals(mesh)
         self.smooth = smooth_normals(mesh)
         self._corners = mesh.vertices[mesh.faces]
         self._offset = dots(self._corners[:, 0], self.normals)
         edge = np.linalg.norm(np.roll(self._corners, -1, axis=1) - self._corners, axis=2).max(axis=1)
-        # small and large faces apart, so that the large ones do not widen the search among the small ones
+        # separate trees for small and large faces, so that large ones do not widen the search for small ones
         self._trees: list[tuple[cKDTree, IntArray, FloatArray]] = []
         rank = np.clip(np.ceil(np.log2(np.maximum(edge / (0.05 * radius), 1e-9))), 0, 4).astype(np.int64)
-        for one in np.unique(rank):
-            members = np.flatnonzero(rank == one)
-            pieces, owner = small_pieces(self._corners[members], 0.05 * radius * 2.0**one, _MOST_PIECES)
+        for size_class in np.unique(rank):
+            members = np.flatnonzero(rank == size_class)
+            pieces, owner = bisect_triangles(
+                self._corners[members], 0.05 * radius * 2.0**size_class, _MAX_PIECES
+            )
             if box is not None:
                 low, high = pieces[:, :, :2].min(axis=1), pieces[:, :, :2].max(axis=1)
                 kept = ((high >= box[0] - 2.5 * radius) & (low <= box[1] + 2.5 * radius)).all(axis=1)
@@ -101,203 +117,264 @@ class Face:
             self._trees.append((cKDTree(middle), members[owner], size))
 
     def normal_at(self, face: IntArray, weights: FloatArray) -> FloatArray:
-        """Unit normals (N, 3), smooth over the facets, at places of ``face`` (N,) by their barycentric
-        ``weights`` (N, 3)."""
+        """Return unit normals (N, 3), smooth over the facets.
+
+        Args:
+            face: Face of each point (N,).
+            weights: Barycentric weights (N, 3) of the points.
+        """
         mixed = np.einsum("nk,nkd->nd", weights, self.smooth[face])
         return np.asarray(mixed / np.maximum(np.linalg.norm(mixed, axis=1, keepdims=True), 1e-300))
 
     def nearest(self, points: FloatArray) -> tuple[FloatArray, IntArray, FloatArray]:
-        """The places (N, 3) of the face that are nearest to ``points`` (N, 3), the faces (N,) they are on and
-        their barycentric weights (N, 3)."""
-        row, face, weights, place, _ = self.touched(points, 0.0)
+        """Return the nearest points of the face.
+
+        Args:
+            points: Points (N, 3) [m].
+
+        Returns:
+            Nearest points (N, 3) [m], their faces (N,) and their barycentric weights (N, 3).
+        """
+        row, face, weights, foot, _ = self.touched(points, 0.0)
         first = np.searchsorted(row, np.arange(len(points)))
-        return place[first], face[first], weights[first]
+        return foot[first], face[first], weights[first]
 
     def touched(
         self, points: FloatArray, within: float
     ) -> tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray]:
-        """The faces that come as near to ``points`` (N, 3) as the nearest one does, or ``within`` [m] of
-        that: M pairs by point, the nearest first, each the point (M,), the face (M,), its nearest place by
-        barycentric weights (M, 3) and as a point (M, 3), and how far it is (M,) [m]."""
+        """Return the faces that are as near to some points as the nearest one, or almost.
+
+        Args:
+            points: Points (N, 3) [m].
+            within: Additional distance [m].
+
+        Returns:
+            M pairs, ordered by point and then by distance: point (M,), face (M,), barycentric weights (M, 3)
+            and position (M, 3) [m] of the nearest point of that face, and distance (M,) [m].
+        """
         bound = np.full(len(points), np.inf)
         for tree, owner, _ in self._trees:
             f = owner[tree.query(points)[1]]
-            foot = np.einsum("nk,nkd->nd", closest_on_triangles(points, *self._ends(f)), self._corners[f])
+            foot = np.einsum("nk,nkd->nd", closest_weights(points, *self._face_corners(f)), self._corners[f])
             bound = np.minimum(bound, np.linalg.norm(points - foot, axis=1))
         bound += within + 1e-9
-        order = np.argsort(bound, kind="stable")  # so that each chunk asks no wider than it needs
+        order = np.argsort(bound, kind="stable")  # so that each chunk limits its search radius
         nearest = bound.copy()
         kept = [(np.zeros(0, np.int64), np.zeros(0, np.int64), *np.zeros((2, 0, 3)), np.zeros(0))]
         for start in range(0, len(points), 4000):
             rows = order[start : start + 4000]
-            some = points[rows]
-            for i, f in self._pairs(some, bound[rows]):
-                # no face is nearer than its plane, which a touch more than rounding is allowed for
-                beyond = np.abs(dots(some[i], self.normals[f]) - self._offset[f]) > bound[rows[i]] + 1e-9
+            chunk = points[rows]
+            for i, f in self._pairs(chunk, bound[rows]):
+                # a face is never nearer than its plane: |n . p - d| <= distance (1e-9 covers rounding)
+                beyond = np.abs(dots(chunk[i], self.normals[f]) - self._offset[f]) > bound[rows[i]] + 1e-9
                 i, f = i[~beyond], f[~beyond]
-                weights = closest_on_triangles(some[i], *self._ends(f))
+                weights = closest_weights(chunk[i], *self._face_corners(f))
                 foot = np.einsum("nk,nkd->nd", weights, self._corners[f])
-                apart = np.linalg.norm(some[i] - foot, axis=1)
+                distance = np.linalg.norm(chunk[i] - foot, axis=1)
                 i = rows[i]
-                np.minimum.at(nearest, i, apart)
-                use = apart <= np.minimum(nearest[i] + within, bound[i])
-                kept.append((i[use], f[use], weights[use], foot[use], apart[use]))
-        i, f, weights, foot, apart = (np.concatenate(part) for part in zip(*kept, strict=True))
-        use = np.flatnonzero(apart <= nearest[i] + within)
-        # pieces of one face are found one by one
+                np.minimum.at(nearest, i, distance)
+                use = distance <= np.minimum(nearest[i] + within, bound[i])
+                kept.append((i[use], f[use], weights[use], foot[use], distance[use]))
+        i, f, weights, foot, distance = (np.concatenate(part) for part in zip(*kept, strict=True))
+        use = np.flatnonzero(distance <= nearest[i] + within)
+        # several pieces of one face may be found: keep one pair for each point and face
         use = use[np.unique(i[use] * np.int64(len(self.mesh.faces)) + f[use], return_index=True)[1]]
-        use = use[np.lexsort((apart[use], i[use]))]
-        return i[use], f[use], weights[use], foot[use], apart[use]
+        use = use[np.lexsort((distance[use], i[use]))]
+        return i[use], f[use], weights[use], foot[use], distance[use]
 
     def clearance(self, centres: FloatArray) -> FloatArray:
-        """Distances (N,) [m] of ``centres`` (N, 3) from the face, negative below it; those beyond the radius
-        and a little may be given as infinite."""
+        """Return distances (N,) [m] of ``centres`` (N, 3) from the face, negative below it.
+
+        Distances beyond the radius plus a small margin may be infinite.
+        """
         return self._deepest(centres, None)[0]
 
-    def pushed(self, wanted: FloatArray, normal: FloatArray, beyond: float = 0.0) -> FloatArray:
-        """How far (N,) [m] a ball put to the ``wanted`` places (N, 3) is pushed aside at once; less than
-        1 um is nothing. Only what pushes at more than ``beyond`` [rad] to the ``normal`` (N, 3) counts."""
-        distance, _, away = self._deepest(wanted + self.radius * normal, None)
+    def pushed(self, required: FloatArray, normal: FloatArray, beyond: float = 0.0) -> FloatArray:
+        """Return how far a ball at a required point is pushed aside at once.
+
+        Args:
+            required: Required contact points (N, 3) [m].
+            normal: Unit normals (N, 3).
+            beyond: Only pushes at more than this angle [rad] to the normal count; 0 for all.
+
+        Returns:
+            Distances (N,) [m]; less than 1 um is nothing.
+        """
+        distance, _, away = self._deepest(required + self.radius * normal, None)
         counts = dots(away, normal) <= np.cos(beyond)
         return np.where(counts | (beyond == 0.0), np.maximum(self.radius - distance, 0.0), 0.0)
 
     def deepest(self, centres: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Signed distances (N,) [m] of the face from ``centres`` (N, 3), infinite beyond the radius, the
-        nearest places (N, 3), and the unit ways (N, 3) from there to the centre."""
+        """Return the nearest points of the face for ball centres.
+
+        Args:
+            centres: Centres (N, 3) [m].
+
+        Returns:
+            Signed distances (N,) [m], infinite beyond the radius; nearest points (N, 3); unit vectors (N, 3)
+            from there to the centre.
+        """
         return self._deepest(centres, None)
 
-    def clear(self, wanted: FloatArray, normal: FloatArray, rounds: int = _CLEARING_ROUNDS) -> Contact:
-        """Put the ball to the ``wanted`` places (N, 3) along ``normal`` (N, 3) and push it aside until it
-        cuts in nowhere, up to so many ``rounds``."""
+    def clear(self, required: FloatArray, normal: FloatArray, rounds: int = _MAX_CLEARING_ROUNDS) -> Contact:
+        """Place the ball at required points and push it aside until it does not cut into the face.
+
+        Args:
+            required: Required contact points (N, 3) [m].
+            normal: Unit normals (N, 3) along which the ball is placed.
+            rounds: Maximum number of rounds.
+        """
         radius = self.radius
-        first = wanted + radius * normal
-        centre = first.copy()
+        initial = required + radius * normal
+        centre = initial.copy()
         active, clear = np.arange(len(centre)), np.ones(len(centre), dtype=np.bool_)
         for _ in range(rounds):
             distance, _, away = self._deepest(centre[active], None)
-            deep = distance < radius - CONTACT_TOLERANCE
+            deep = distance < radius - CONTACT_TOLERANCE_M
             active = active[deep]
             if not len(active):
                 break
-            centre[active] += (radius - distance[deep] + 0.2 * CONTACT_TOLERANCE)[:, None] * away[deep]
-            lost = np.linalg.norm(centre[active] - first[active], axis=1) > 2.0 * radius
-            clear[active[lost]] = False
-            active = active[~lost]
+            centre[active] += (radius - distance[deep] + 0.2 * CONTACT_TOLERANCE_M)[:, None] * away[deep]
+            runaway = np.linalg.norm(centre[active] - initial[active], axis=1) > 2.0 * radius
+            clear[active[runaway]] = False
+            active = active[~runaway]
         clear[active] = False
-        offset = centre - wanted
-        apart = np.linalg.norm(offset, axis=1)
+        offset = centre - required
+        offset_length = np.linalg.norm(offset, axis=1)
         clear &= dots(offset, normal) > 0.0
-        along = np.where(apart[:, None] > 0.0, offset / np.maximum(apart, 1e-300)[:, None], normal)
-        point = wanted.copy()
-        moved = np.flatnonzero((centre != first).any(axis=1))
+        along = np.where(
+            offset_length[:, None] > 0.0, offset / np.maximum(offset_length, 1e-300)[:, None], normal
+        )
+        point = required.copy()
+        moved = np.flatnonzero((centre != initial).any(axis=1))
         if len(moved):
-            _, place, _ = self._deepest(centre[moved], along[moved])
-            # facets are chords: the ball touches the smooth face at the foot of the smooth normal, if that
-            # is on the mesh within what contact means; a foot on the facets themselves would flicker from
-            # one to the next
+            _, nearest, _ = self._deepest(centre[moved], along[moved])
+            # Facets are chords: the ball touches the smooth face at the foot of the smooth normal,
+            # c - R n, if that is on the mesh within ON_FACE_TOLERANCE_M. A foot on the facets themselves
+            # would jump from one to the next.
             foot = centre[moved] - radius * along[moved]
-            good = np.linalg.norm(self.nearest(foot)[0] - foot, axis=1) <= ON_FACE
-            point[moved] = np.where(good[:, None], foot, place)
+            good = np.linalg.norm(self.nearest(foot)[0] - foot, axis=1) <= ON_FACE_TOLERANCE_M
+            point[moved] = np.where(good[:, None], foot, nearest)
         back = centre - point
         length = np.linalg.norm(back, axis=1, keepdims=True)
         return Contact(
             centre,
             point,
             np.asarray(back / np.maximum(length, 1e-300)),
-            np.linalg.norm(centre - first, axis=1),
-            np.maximum(apart - radius, 0.0),
+            np.linalg.norm(centre - initial, axis=1),
+            np.maximum(offset_length - radius, 0.0),
             clear,
         )
 
     def _deepest(
-        self, centres: FloatArray, like: FloatArray | None
+        self, centres: FloatArray, reference: FloatArray | None
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Signed distances (N,) of the face, infinite beyond the radius, the nearest places (N, 3) and the
-        unit ways (N, 3) from there to the centre; of places that are equally near the one whose way is most
-        ``like`` (N, 3) the given one."""
-        reach = self.radius + 20.0 * CONTACT_TOLERANCE
+        """Signed distances, nearest points and directions as in `deepest`.
+
+        Of points that are equally near, the one whose direction is closest to ``reference`` (N, 3) is taken.
+        """
+        reach = self.radius + 20.0 * CONTACT_TOLERANCE_M
         best = np.full(len(centres), np.inf)
-        place, away = centres.copy(), np.tile([0.0, 0.0, 1.0], (len(centres), 1))
+        nearest, away = centres.copy(), np.tile([0.0, 0.0, 1.0], (len(centres), 1))
         for start in range(0, len(centres), 4000):
-            some = centres[start : start + 4000]
+            chunk = centres[start : start + 4000]
             kept = []
-            for i, f in self._pairs(some, np.full(len(some), reach)):
-                height = dots(some[i], self.normals[f]) - self._offset[f]
-                near = np.abs(height) < reach  # the plane is as far off as that at least
-                i, f, height = i[near], f[near], height[near]
-                weights = closest_on_triangles(some[i], *self._ends(f))
+            for i, f in self._pairs(chunk, np.full(len(chunk), reach)):
+                height = dots(chunk[i], self.normals[f]) - self._offset[f]
+                in_reach = np.abs(height) < reach  # the plane is a lower bound of the distance
+                i, f, height = i[in_reach], f[in_reach], height[in_reach]
+                weights = closest_weights(chunk[i], *self._face_corners(f))
                 foot = np.einsum("nk,nkd->nd", weights, self._corners[f])
-                back = some[i] - foot
-                apart = np.linalg.norm(back, axis=1)
-                behind = (height < 0.0) & (weights.min(axis=1) > 0.0)
-                apart = np.where(behind, -apart, apart)
-                use = apart < reach
-                kept.append((i[use], apart[use], foot[use], back[use], f[use]))
+                back = chunk[i] - foot
+                distance = np.linalg.norm(back, axis=1)
+                is_below = (height < 0.0) & (weights.min(axis=1) > 0.0)
+                distance = np.where(is_below, -distance, distance)
+                use = distance < reach
+                kept.append((i[use], distance[use], foot[use], back[use], f[use]))
             if not kept:
                 continue
-            i, apart, foot, back, f = (np.concatenate(part) for part in zip(*kept, strict=True))
-            near_zero = np.abs(apart) < 1e-9
-            way = np.where(
-                near_zero[:, None], self.normals[f], back / np.where(near_zero, 1.0, apart)[:, None]
+            i, distance, foot, back, f = (np.concatenate(part) for part in zip(*kept, strict=True))
+            near_zero = np.abs(distance) < 1e-9
+            direction = np.where(
+                near_zero[:, None], self.normals[f], back / np.where(near_zero, 1.0, distance)[:, None]
             )
-            first = _first_least(i, apart)
-            best[start + i[first]] = apart[first]
-            if like is not None:
-                tie = apart <= best[start + i] + CONTACT_TOLERANCE
-                i, apart, foot, way = i[tie], apart[tie], foot[tie], way[tie]
-                first = _first_least(i, -dots(way, like[start + i]))
-            place[start + i[first]], away[start + i[first]] = foot[first], way[first]
-        return best, place, away
+            first = _first_minimum(i, distance)
+            best[start + i[first]] = distance[first]
+            if reference is not None:
+                tie = distance <= best[start + i] + CONTACT_TOLERANCE_M
+                i, distance, foot, direction = i[tie], distance[tie], foot[tie], direction[tie]
+                first = _first_minimum(i, -dots(direction, reference[start + i]))
+            nearest[start + i[first]], away[start + i[first]] = foot[first], direction[first]
+        return best, nearest, away
 
-    def _ends(self, face: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _face_corners(self, face: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         corners = self._corners[face]
         return corners[:, 0], corners[:, 1], corners[:, 2]
 
     def _pairs(self, points: FloatArray, reach: FloatArray) -> Iterator[tuple[IntArray, IntArray]]:
-        """Indices of points and of faces that may be as near as ``reach`` (N,) to each other, in chunks."""
-        most = [float(reach.max()) + float(size.max()) for _, _, size in self._trees]
-        mine = cKDTree(points)
-        if self._many(points, mine, most) and len(points) > 1:  # a large ball on a fine mesh
+        """Indices of points and of faces that may be within ``reach`` (N,) of each other, in chunks."""
+        max_distances = [float(reach.max()) + float(size.max()) for _, _, size in self._trees]
+        own_tree = cKDTree(points)
+        if self._has_too_many_pairs(points, own_tree, max_distances) and len(points) > 1:  # bounds memory
             half = len(points) // 2
             for first, part in ((0, slice(None, half)), (half, slice(half, None))):
                 for i, f in self._pairs(points[part], reach[part]):
                     yield i + first, f
             return
-        for (tree, owner, size), far in zip(self._trees, most, strict=True):
-            found = mine.sparse_distance_matrix(tree, far, output_type="ndarray")
-            found = found[found["v"] <= reach[found["i"]] + size[found["j"]]]
-            for start in range(0, len(found), _PAIRS_AT_ONCE):
-                part = found[start : start + _PAIRS_AT_ONCE]
+        for (tree, owner, size), max_distance in zip(self._trees, max_distances, strict=True):
+            pairs = own_tree.sparse_distance_matrix(tree, max_distance, output_type="ndarray")
+            pairs = pairs[pairs["v"] <= reach[pairs["i"]] + size[pairs["j"]]]
+            for start in range(0, len(pairs), _PAIRS_AT_ONCE):
+                part = pairs[start : start + _PAIRS_AT_ONCE]
                 yield part["i"], owner[part["j"]]
 
-    def _many(self, points: FloatArray, mine: cKDTree, most: list[float]) -> bool:
-        """Whether points (N, 3), the tree ``mine``, and pieces nearer than ``most`` [m], one a tree, are more
-        than ``_MOST_PAIRS`` pairs: they are counted where a few of the points say that they may be."""
-        some = cKDTree(points[::_COUNTED_STRIDE])
-        each = tuple((tree, far) for (tree, _, _), far in zip(self._trees, most, strict=True))
-        if _COUNTED_STRIDE * sum(int(some.count_neighbors(*one)) for one in each) < _FEW_SHARE * _MOST_PAIRS:
+    def _has_too_many_pairs(self, points: FloatArray, own_tree: cKDTree, max_distances: list[float]) -> bool:
+        """Whether points (N, 3) and nearby pieces form too many pairs.
+
+        Pieces are near within ``max_distances`` [m], one for each tree. The limit is ``_MAX_PAIRS``.
+        ``own_tree`` is the tree of the points. Pairs are counted only if a sample of the points indicates
+        that there may be too many.
+        """
+        sample = cKDTree(points[::_PAIR_SAMPLE_STRIDE])
+        queries = tuple(
+            (tree, max_distance)
+            for (tree, _, _), max_distance in zip(self._trees, max_distances, strict=True)
+        )
+        if (
+            _PAIR_SAMPLE_STRIDE * sum(int(sample.count_neighbors(*query)) for query in queries)
+            < _PAIR_ESTIMATE_FRACTION * _MAX_PAIRS
+        ):
             return False
-        return sum(int(mine.count_neighbors(*one)) for one in each) > _MOST_PAIRS
+        return sum(int(own_tree.count_neighbors(*query)) for query in queries) > _MAX_PAIRS
 
 
-def _first_least(group: IntArray, value: FloatArray) -> IntArray:
-    """Index of the least ``value`` of each group."""
+def _first_minimum(group: IntArray, value: FloatArray) -> IntArray:
+    """Index of the minimum ``value`` of each group."""
     order = np.lexsort((value, group))
     ordered = group[order]
-    first = np.ones(len(order), dtype=np.bool_)
-    first[1:] = ordered[1:] != ordered[:-1]
-    return np.asarray(order[first])
+    is_first = np.ones(len(order), dtype=np.bool_)
+    is_first[1:] = ordered[1:] != ordered[:-1]
+    return np.asarray(order[is_first])
 
 
 @dataclasses.dataclass(frozen=True)
-class Pass:
-    """One pass over one feature: the surface that the forming tool touches, as it is to be at the end of the
-    pass, in the sheet's frame where the pass forms it (translated, if its strategy says so).
+class FormingPass:
+    """One pass over one feature: the surface that the forming tool touches, as it is at the end of the pass.
 
-    ``vertices`` (V, 3) [m], ``faces`` (F, 3) with normals up (+z), whichever side forms. ``side``: +1 where
-    the tool above the sheet forms (downwards), -1 where the one below forms (upwards). ``thickness`` (V,) [m]
-    of the sheet along the normal after the pass. ``start``, ``end`` [m]: levels z of the flat around the
-    feature and of its farthest place, on that face. ``region`` (K, 2) [m]: closed outline at the start.
+    Coordinates are in the sheet's frame, where the pass forms the surface (translated, if the strategy
+    requires it).
+
+    Attributes:
+        name: Name of the pass.
+        feature: Id of its feature.
+        number: Number of the pass over the feature.
+        side: +1 if the tool above the sheet forms (downwards), -1 if the one below forms (upwards).
+        vertices: Vertices (V, 3) [m].
+        faces: Triangles (F, 3) with normals up (+z), whichever side forms.
+        thickness: Thickness (V,) [m] of the sheet along the normal after the pass.
+        start: Level z [m] of the flat around the feature, on that face.
+        end: Level z [m] of the feature's farthest point, on that face.
+        region: Closed outline (K, 2) [m] at the start.
     """
 
     name: str
@@ -312,20 +389,30 @@ class Pass:
     region: FloatArray
 
 
-def heights(one: Pass, step: float, number: int) -> tuple[float, float]:
-    """How far [m] below the flat around it a level begins and ends, at steps of ``step`` [m]."""
-    deep = abs(one.end - one.start)
-    return min(number * step, deep), min((number + 1) * step, deep)
+def level_depths(forming_pass: FormingPass, step: float, number: int) -> tuple[float, float]:
+    """Return the depths [m] below the surrounding flat at which a level starts and ends.
+
+    Args:
+        forming_pass: Pass.
+        step: Step-down [m].
+        number: Number of the level, from 0.
+    """
+    depth = abs(forming_pass.end - forming_pass.start)
+    return min(number * step, depth), min((number + 1) * step, depth)
 
 
 @dataclasses.dataclass(frozen=True)
 class ContactPath:
-    """The path of the contact on the face of a pass, N points in the order of forming.
+    """Path of the contact on the face of a pass, N points in the order of forming.
 
-    ``point`` (N, 3) [m] on the face; ``normal`` (N, 3), unit, up (+z) whichever side forms; ``centre`` (N, 3)
-    [m] of the forming ball, clear of the whole face and in contact with it at ``point``; ``angle`` (N,) [rad]
-    of the wall; ``loop`` (N,) number of the loop, from 0; ``working`` (N,): the move TO the point forms,
-    which a step over to the next loop in the air does not.
+    Attributes:
+        point: Contact points (N, 3) [m] on the face.
+        normal: Unit normals (N, 3), up (+z) whichever side forms.
+        centre: Centres (N, 3) [m] of the forming ball, which touches the face at ``point`` and does not cut
+            into it.
+        angle: Wall angles (N,) [rad].
+        loop: Number (N,) of the loop, from 0.
+        working: Whether (N,) the move TO the point forms; a step through the air to the next loop does not.
     """
 
     point: FloatArray
@@ -337,20 +424,37 @@ class ContactPath:
 
 
 @dataclasses.dataclass(frozen=True)
-class ToolPath:
-    """Where both tools are at N targets of one pass.
+class PassContact:
+    """Pass with the path of the contact on its face.
 
-    ``former`` (N, 3) [m] centre of the forming ball. ``support`` (N, 3) [m]: centre of the other tool's ball
-    or disk, or None where one tool works alone. ``gap`` (N,) [m] wanted between both tools' surfaces, NaN
-    where none is stated. ``axis`` and ``support_axis`` (N, 3): unit vectors from the tools to the sheet.
-    ``contact`` is the contact's path at the same targets. ``loose`` (N,): more targets were wanted on the way
-    to this one, but did not help; None where nothing is.
+    Attributes:
+        forming_pass: Pass.
+        contact: Path of the contact.
     """
 
-    former: FloatArray
+    forming_pass: FormingPass
+    contact: ContactPath
+
+
+@dataclasses.dataclass(frozen=True)
+class FormingToolPath:
+    """Positions of both tools at N targets of one pass.
+
+    Attributes:
+        forming_centre: Centres (N, 3) [m] of the forming ball.
+        axis: Unit vectors (N, 3) from the forming tool to the sheet.
+        support_centre: Centres (N, 3) [m] of the other tool's ball or disk, or None if one tool works alone.
+        support_axis: Unit vectors (N, 3) from the other tool to the sheet.
+        gap: Required gap (N,) [m] between the tools' surfaces, NaN where none is stated.
+        contact: Path of the contact at the same targets.
+        unresolved: Whether (N,) further targets before this one were needed but did not help; None if
+            nowhere.
+    """
+
+    forming_centre: FloatArray
     axis: FloatArray
-    support: FloatArray | None
+    support_centre: FloatArray | None
     support_axis: FloatArray | None
     gap: FloatArray
     contact: ContactPath
-    loose: BoolArray | None = None
+    unresolved: BoolArray | None = None

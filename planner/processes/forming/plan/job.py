@@ -1,10 +1,10 @@
 """The process `forming`: from the mesh of a part to poses of one or two tools that form a sheet.
 
-The sheet is clamped. See `process_plan` (features, order, passes, ways between), `paths` (the
-contact on each face), `support` (both tools by mode), `claims` (what must hold).
+The sheet is clamped. See `process_plan` (features, order, passes, links), `paths` (the contact on each face),
+`support` (both tools by mode) and `claims` (requirements).
 
-**Poses** and freedoms: from centres and axes of forming tools to poses and to what motion may
-choose: spin, and tilt in a cone.
+**Poses** and freedoms: centres and axes of forming tools become poses, and motion planning may choose spin
+and tilt within a cone.
 
 **Exhibits** for the report: features, wall angle and thickness, paths, gap, the setup sheet.
 """
@@ -29,153 +29,176 @@ from planner.processes.forming.plan import level as one_level
 from planner.processes.forming.plan import two_point
 from planner.processes.forming.plan.check import (
     check,
-    clamped_issues,
-    force,
-    of_die,
+    clamp_reach_issues,
+    die_check,
+    forming_force,
     shift_issues,
     step_issues,
     unreached_issues,
 )
-from planner.processes.forming.plan.claims import scallop
-from planner.processes.forming.plan.contact import Pass, ToolPath
-from planner.processes.forming.plan.operation import GAP_MODES, MODES_OF_WHOLE_SHEETS, Forming, Level
+from planner.processes.forming.plan.claims import scallop_heights
+from planner.processes.forming.plan.contact import FormingPass, FormingToolPath
+from planner.processes.forming.plan.operation import GAP_MODES, WHOLE_SHEET_MODES, Forming, Level
 from planner.processes.forming.plan.process_plan import (
-    LEAST_MOVE_TIME,
-    TOO_NARROW,
-    Route,
-    Work,
-    fewer,
-    lay_all,
-    lay_out,
-    segment,
-    work,
+    MIN_MOVE_TIME_S,
+    TOO_NARROW_CODE,
+    FormingWork,
+    ToolRoute,
+    coarse_work,
+    forming_segment,
+    join_paths,
+    make_tool_paths,
+    prepare_work,
 )
-from planner.processes.forming.plan.sheet_mechanics import thickness_map, thinnest, wall_angle_map
+from planner.processes.forming.plan.sheet_mechanics import thickness_map, thinnest_point, wall_angle_map
 from planner.processes.forming.plan.springback import (
     compensation,
     compensation_file,
     forecast,
     level_file,
-    released,
+    released_part,
 )
-from planner.processes.forming.plan.stages import hole_issues, shown
-from planner.processes.forming.plan.support.opposite import DRIFT_SHARE
-from planner.targets import Action, Job, Rounding, ScrewFreedom, Targets
+from planner.processes.forming.plan.stages import hole_issues, sheet_exhibit
+from planner.processes.forming.plan.support.opposite import DRIFT_GAP_FRACTION
+from planner.targets import CornerRounding, Job, ScrewFreedom, TargetAction, Targets
 
-ALIGNED_COSINE: Final = 0.95
-"""Cosine beyond which the sheet's x axis is too near to a tool's axis to fix its spin by."""
+MAX_AXIS_COSINE: Final = 0.95
+"""Cosine beyond which the sheet's x axis is too close to a tool's axis to define its spin."""
 
 
-def poses(centre: FloatArray, axis: FloatArray) -> FloatArray:
-    """Poses (N, 4, 4) in the sheet's frame of tools whose z axis is ``axis`` (N, 3) and whose TCP is
-    ``centre`` (N, 3) [m]; x as near to the sheet's x as may be, so that it turns no more than it must."""
+def tool_poses(centre: FloatArray, axis: FloatArray) -> FloatArray:
+    """Return the poses of tools in the sheet's frame.
+
+    The x axis is as close to the sheet's x axis as possible, so that the tool rotates no more than necessary.
+
+    Args:
+        centre: TCPs (N, 3) [m].
+        axis: Unit vectors (N, 3) of the tools' z axis.
+
+    Returns:
+        Poses (N, 4, 4).
+    """
     reference = np.array([1.0, 0.0, 0.0])
-    if np.abs(axis @ reference).max() > ALIGNED_COSINE:
+    if np.abs(axis @ reference).max() > MAX_AXIS_COSINE:
         reference = np.array([0.0, 1.0, 0.0])
     x = reference - (axis @ reference)[:, None] * axis
     x /= np.linalg.norm(x, axis=1, keepdims=True)
     return from_parts(np.stack([x, np.cross(axis, x), axis], axis=-1), centre)
 
 
-def freedoms(arms: tuple[str, ...], cone: float, count: int) -> tuple[ScrewFreedom, ...]:
-    """Spin of every tool about its axis, and tilts about its x and y that stay within a cone of half angle
-    ``cone`` [rad]: the square of tilts within the circle. All turn about the ball's centre, which never
-    moves."""
+def tool_freedoms(arms: tuple[str, ...], cone: float, count: int) -> tuple[ScrewFreedom, ...]:
+    """Return the freedoms of the tools: spin about the axis, and tilts about x and y within a cone.
+
+    Each tilt is limited to cone / sqrt(2), the square inscribed in the circle. All rotations are about the
+    ball's centre, which never moves.
+
+    Args:
+        arms: Arms.
+        cone: Half angle [rad] of the cone.
+        count: Number of targets.
+    """
     out = []
-    tilt = np.full(count, cone / np.sqrt(2.0))
-    turn = np.full(count, np.pi)
+    tilt_range = np.full(count, cone / np.sqrt(2.0))
+    spin_range = np.full(count, np.pi)
     for arm in arms:
         if cone > 0.0:
             for name, k in (("tilt_x", 0), ("tilt_y", 1)):
                 twist = np.zeros(6)
                 twist[k] = 1.0
-                out.append(ScrewFreedom(f"{name}_{arm}", {arm: twist}, -tilt, tilt))
+                out.append(ScrewFreedom(f"{name}_{arm}", {arm: twist}, -tilt_range, tilt_range))
         twist = np.zeros(6)
         twist[2] = 1.0
-        out.append(ScrewFreedom(f"spin_{arm}", {arm: twist}, -turn, turn, None, True))
+        out.append(ScrewFreedom(f"spin_{arm}", {arm: twist}, -spin_range, spin_range, None, True))
     return tuple(out)
 
 
-Laid = Sequence[tuple[Pass, ToolPath]]
+PlannedPaths = Sequence[tuple[FormingPass, FormingToolPath]]
 
-LOOPS_SHOWN: Final = 60
-"""Loops that the picture of a path shows at most."""
+MAX_SHOWN_LOOPS: Final = 60
+"""Maximum number of loops in the picture of a path."""
 
 
-def exhibits(work: Work, paths: Laid) -> dict[str, Any]:
-    """Exhibits by name, in the forms that the report knows."""
+def make_exhibits(work: FormingWork, paths: PlannedPaths) -> dict[str, Any]:
+    """Return the exhibits by name, in the forms that the report knows."""
     out: dict[str, Any] = {
-        "setup": _setup(work, paths),
-        "features": _features(work),
-        "passes": _passes(work, paths),
-        "wall_angle": _map(
-            work, "Wall angle", wall_angle_map(work.left.vertices, work.left.faces) / DEG, "deg"
+        "setup": _setup_exhibit(work, paths),
+        "features": _feature_exhibit(work),
+        "passes": _pass_exhibit(work, paths),
+        "wall_angle": _heatmap(
+            work, "Wall angle", wall_angle_map(work.formed_mesh.vertices, work.formed_mesh.faces) / DEG, "deg"
         ),
-        "thickness": _map(
+        "thickness": _heatmap(
             work,
             "Thickness by the sine law",
-            thickness_map(work.left.vertices, work.left.faces, work.thickness) / MM,
+            thickness_map(work.formed_mesh.vertices, work.formed_mesh.faces, work.thickness) / MM,
             "mm",
         ),
-        "paths": _paths(paths),
+        "paths": _path_exhibit(paths),
     }
     if work.staged:
-        out |= shown(work.left, work.sheet.holes, work.operation.name)
+        out |= sheet_exhibit(work.formed_mesh, work.sheet.holes, work.operation.name)
     if any(np.isfinite(path.gap).any() for _, path in paths):
-        out["gap"] = _gap(work, paths)
+        out["gap"] = _gap_exhibit(work, paths)
     return out
 
 
-def _setup(work: Work, paths: Laid) -> dict[str, Any]:
-    op, thin = work.operation, thinnest(work.left.vertices, work.left.faces, work.thickness)
-    largest = max((force(work, one, path) for one, path in paths), key=lambda found: found.force)
+def _setup_exhibit(work: FormingWork, paths: PlannedPaths) -> dict[str, Any]:
+    op, thinnest = (
+        work.operation,
+        thinnest_point(work.formed_mesh.vertices, work.formed_mesh.faces, work.thickness),
+    )
+    largest = max(
+        (forming_force(work, forming_pass, path) for forming_pass, path in paths),
+        key=lambda force_estimate: force_estimate.force,
+    )
     items: list[tuple[Any, ...]] = [
         ("sheet", f"{work.thickness / MM:g} mm {work.sheet.metal.title}"),
         ("mode", op.mode),
-        *((f"tool of arm {arm}", _tool(work, arm)) for arm in op.arms),
+        *((f"tool of arm {arm}", _tool_text(work, arm)) for arm in op.arms),
         ("TCP of a ball tool", "the centre of its ball, z out of the shaft"),
         ("feed on the sheet", f"{op.feed_mm_s:g}", "mm/s"),
-        ("thinnest place", f"{thin.thickness / MM:.2f} mm, wall of {thin.angle / DEG:.1f} deg"),
+        ("thinnest point", f"{thinnest.thickness / MM:.2f} mm, wall of {thinnest.angle / DEG:.1f} deg"),
         ("largest axial force", f"{largest.force:.0f} N ({largest.low:.0f} to {largest.high:.0f})"),
         ("source of the force", largest.source),
     ]
     return {"kind": "setup", "title": "Sheet forming", "items": items}
 
 
-def _tool(work: Work, arm: str) -> str:
+def _tool_text(work: FormingWork, arm: str) -> str:
     head = work.heads[arm]
     return f"{head.kind}, radius {head.radius / MM:g} mm, {head.length / MM:g} mm from holder to TCP"
 
 
-def _features(work: Work) -> dict[str, Any]:
+def _feature_exhibit(work: FormingWork) -> dict[str, Any]:
     names, parents = ["sheet"], [-1]
     for feature in work.tree.features:
-        way = "down" if feature.kind == "concave" else "up"
+        direction = "down" if feature.kind == "concave" else "up"
         names.append(
-            f"{feature.id}: {way} from {feature.start / MM:.1f} to {feature.end / MM:.1f} mm ({feature.kind})"
+            f"{feature.id}: {direction} from {feature.start / MM:.1f} to {feature.end / MM:.1f} mm "
+            f"({feature.kind})"
         )
         parents.append(0 if feature.parent is None else feature.parent)
     return {"kind": "tree", "title": "Features of the part", "nodes": names, "parent": parents}
 
 
-def _passes(work: Work, paths: Laid) -> dict[str, Any]:
+def _pass_exhibit(work: FormingWork, paths: PlannedPaths) -> dict[str, Any]:
     rows = []
-    for number, (one, path) in enumerate(paths, 1):
-        contact, ridge = path.contact, scallop(work, one) / MM
-        length = float(np.linalg.norm(np.diff(path.former, axis=0), axis=1).sum())
+    for number, (forming_pass, path) in enumerate(paths, 1):
+        contact, ridge = path.contact, scallop_heights(work, forming_pass) / MM
+        length = float(np.linalg.norm(np.diff(path.forming_centre, axis=0), axis=1).sum())
         rows.append(
             (
                 number,
-                one.name,
-                one.feature,
-                work.former(one),
-                f"{one.start / MM:.1f} to {one.end / MM:.1f}",
+                forming_pass.name,
+                forming_pass.feature,
+                work.forming_arm(forming_pass),
+                f"{forming_pass.start / MM:.1f} to {forming_pass.end / MM:.1f}",
                 f"{float(contact.angle.max()) / DEG:.1f}",
                 int(contact.loop.max()) + 1,
                 len(contact.point),
                 f"{length:.1f}",
                 f"{ridge.min():.3f} to {ridge.max():.3f}",
-                f"{float(one.thickness.min()) / MM:.2f}",
+                f"{float(forming_pass.thickness.min()) / MM:.2f}",
             )
         )
     columns = (
@@ -187,295 +210,347 @@ def _passes(work: Work, paths: Laid) -> dict[str, Any]:
         "steepest [deg]",
         "loops",
         "targets",
-        "way [m]",
+        "path [m]",
         "scallop [mm]",
         "thinnest [mm]",
     )
     return {"kind": "table", "title": "Passes in the order of forming", "columns": columns, "rows": rows}
 
 
-def _map(work: Work, title: str, value: FloatArray, unit: str) -> dict[str, Any]:
-    return {"kind": "heatmap", "title": title, "points": work.left.vertices, "value": value, "unit": unit}
+def _heatmap(work: FormingWork, title: str, value: FloatArray, unit: str) -> dict[str, Any]:
+    return {
+        "kind": "heatmap",
+        "title": title,
+        "points": work.formed_mesh.vertices,
+        "value": value,
+        "unit": unit,
+    }
 
 
-def _paths(paths: Laid) -> dict[str, Any]:
-    """The contact's path, some loops of each pass."""
+def _path_exhibit(paths: PlannedPaths) -> dict[str, Any]:
+    """Path of the contact, some loops of each pass."""
     curves = []
     for _, path in paths:
         ends = np.flatnonzero(np.diff(path.contact.loop) != 0) + 1
         loops = np.split(path.contact.point, ends)
-        step = max(1, int(np.ceil(len(loops) * len(paths) / LOOPS_SHOWN)))
+        step = max(1, int(np.ceil(len(loops) * len(paths) / MAX_SHOWN_LOOPS)))
         curves += [loop for loop in loops[::step] if len(loop) > 1]
     return {"kind": "paths", "title": "Path of the contact (some of its loops)", "curves": curves}
 
 
-def _gap(work: Work, paths: Laid) -> dict[str, Any]:
+def _gap_exhibit(work: FormingWork, paths: PlannedPaths) -> dict[str, Any]:
     gap = np.concatenate([path.gap for _, path in paths])
-    got = []
-    for one, path in paths:
-        other = work.supporter(one)
-        if other is None or path.support is None:
+    planned = []
+    for forming_pass, path in paths:
+        support_arm = work.support_arm(forming_pass)
+        if support_arm is None or path.support_centre is None:
             continue
-        radii = work.heads[work.former(one)].radius + work.heads[other].radius
-        got.append(np.linalg.norm(path.former - path.support, axis=1) - radii)
+        radii = work.heads[work.forming_arm(forming_pass)].radius + work.heads[support_arm].radius
+        planned.append(np.linalg.norm(path.forming_centre - path.support_centre, axis=1) - radii)
     return {
         "kind": "curve",
         "title": "Gap between the tools as planned",
         "x": np.arange(len(gap), dtype=float),
         "x_label": "target of a pass",
         "y_label": "gap [mm]",
-        "series": ({"name": "wanted", "y": gap / MM}, {"name": "at targets", "y": np.concatenate(got) / MM}),
+        "series": (
+            {"name": "required", "y": gap / MM},
+            {"name": "at targets", "y": np.concatenate(planned) / MM},
+        ),
     }
 
 
-TARGET_SHARE: Final = 0.3
-"""Part of the gap's tolerance that fewer targets may take; straight moves between them take as much."""
-AIR_FEED: Final = 0.1
-"""Upper limit of the tools' speed between passes [m/s]."""
-MEAN_FEED_FROM_REST: Final = 0.5
-"""Part of the feed that moves from or to a stop have on average: at their other end they are up to twice as
-fast."""
-CLEARANCE: Final = 0.010
-"""How far tools are off the sheet between passes, besides what the route adds [m]."""
-MODULE_SHARE: Final = 0.8
-"""Share of a module's most moves after which tools stop, so that a program can be split there."""
-MOST_MOVES_TO_STOP: Final = 4000
-"""Moves at most from one stop to the next where a program can be split; a clamp that sinks by pulses needs
-four stops in as many."""
+TARGET_GAP_FRACTION: Final = 0.3
+"""Fraction of the gap tolerance that the omission of targets may take; straight moves between them take as
+much.
+"""
+MAX_AIR_SPEED_M_S: Final = 0.1
+"""Maximum speed [m/s] of the tools between passes."""
+MEAN_FEED_FRACTION_FROM_REST: Final = 0.5
+"""Mean speed of a move from or to a stop, as a fraction of the feed.
+
+At its other end it is up to twice as fast.
+"""
+AIR_PATH_CLEARANCE_M: Final = 0.010
+"""Distance [m] of tools from the sheet between passes, to which the route adds AIR_CLEARANCE."""
+MODULE_MOVES_FRACTION: Final = 0.8
+"""Fraction of a module's maximum number of moves after which tools stop, so that a program can be split
+there.
+"""
+MAX_MOVES_TO_STOP: Final = 4000
+"""Maximum number of moves between two stops at which a program can be split.
+
+A clamp that sinks by pulses needs four stops in as many.
+"""
 
 
 class FormingJob(Job[Forming]):
-    """An operation that forms a sheet, with the tools that it finds."""
+    """A forming operation, with the tools that it uses."""
 
     @functools.cached_property
-    def planned(self) -> Work:
-        """Features, order and passes: worked out once, and nobody can write into their arrays."""
-        return read_only(work(self.operation, self.setup, self.part))
+    def planned(self) -> FormingWork:
+        """Features, order and passes, computed once; their arrays are read-only."""
+        return read_only(prepare_work(self.operation, self.setup, self.part))
 
     def targets(self) -> Targets:
-        """Targets of the operation; raises ``TandemError`` with the codes ``forming.*``."""
-        made, setup = self.planned, self.setup
-        given = self.compensated()
-        steps = list(step_issues(made))
+        """Return the targets of the operation.
+
+        Raises:
+            TandemError: codes ``forming.*``.
+        """
+        work, setup = self.planned, self.setup
+        applied = self.read_compensation()
+        steps = list(step_issues(work))
         if steps:
             raise TandemError(steps)
-        if self.brief and (few := self._few(made)) is not None:
-            return few
-        corners, dies = list(unreached_issues(made)), list(of_die(made))
-        early = (one for one in (*dies, *corners) if has_errors([one]))
-        refused = [*two_point.holder_issues(made), *shift_issues(made), *early]
-        if refused:
-            raise TandemError(refused)
+        if self.is_brief and (coarse := self._coarse_targets(work)) is not None:
+            return coarse
+        unreached, die_problems = list(unreached_issues(work)), list(die_check(work))
+        early_errors = (issue for issue in (*die_problems, *unreached) if has_errors([issue]))
+        errors = [*two_point.holder_issues(work), *shift_issues(work), *early_errors]
+        if errors:
+            raise TandemError(errors)
         level = self.operation.level
         try:
-            paths = lay_all(made) if level is None else [self._level(level)]
+            paths = make_tool_paths(work) if level is None else [self._level_path(level)]
         except TandemError as error:
-            raise TandemError(_or_allowed(made, error.issues, corners)) from None
+            raise TandemError(_with_unreached_hint(work, error.issues, unreached)) from None
         if level is not None and level.file is not None:
-            given = self._of_level(level, level.file, paths)
-        issues = [*_of_holes(made, paths), *corners, *dies, *check(made, setup, paths)]
+            applied = self._level_compensation(level, level.file, paths)
+        issues = [*_hole_issues(work, paths), *unreached, *die_problems, *check(work, setup, paths)]
         if has_errors(issues):
             raise TandemError(aggregate(issues))
-        if given is None:
-            estimate = forecast.estimate(made, paths) if level is None and made.flat else None
-            issues += [] if made.flat else [forecast.not_foretold(made)]
-            more = {}
+        if applied is None:
+            estimate = forecast.estimate_springback(work, paths) if level is None and work.flat else None
+            issues += [] if work.flat else [forecast.no_forecast_note(work)]
+            released_exhibit = {}
             if estimate is not None:
-                issues += forecast.estimate_issues(made, paths, estimate)
-                more = {"released": released.estimated(made, paths, estimate)} if estimate.rows else {}
-            found = _targets(made, setup, paths, issues, self.claims())
-            return dataclasses.replace(found, exhibits={**exhibits(made, paths), **more})
-        deeper = compensation.shifted(paths, given.ways)
+                issues += forecast.estimate_issues(work, paths, estimate)
+                released_exhibit = (
+                    {"released": released_part.estimated_exhibit(work, paths, estimate)}
+                    if estimate.rows
+                    else {}
+                )
+            targets = _targets(work, setup, paths, issues, self.claims())
+            return dataclasses.replace(targets, exhibits={**make_exhibits(work, paths), **released_exhibit})
+        shifted_paths = compensation.apply_shifts(paths, applied.paths)
         issues += [
-            *compensation.steeper(made, paths, given.ways, given.slope, level),
-            compensation.told(given.ways, given.file, None if level is None else level.number, given.scan),
+            *compensation.steepening_issues(work, paths, applied.paths, applied.slope, level),
+            compensation.compensated_note(
+                applied.paths, applied.file, None if level is None else level.number, applied.scan
+            ),
         ]
-        issues += clamped_issues(made, deeper)
+        issues += clamp_reach_issues(work, shifted_paths)
         if has_errors(issues):
             raise TandemError(aggregate(issues))
-        found = _targets(made, setup, deeper, issues, self.claims())
-        more = {"compensation": compensation.exhibit(given.ways)}
-        if level is None and given.scan is None:
-            more["released"] = released.compensated(made, paths, given)
-        return dataclasses.replace(found, exhibits={**exhibits(made, paths), **more})
+        targets = _targets(work, setup, shifted_paths, issues, self.claims())
+        released_exhibit = {"compensation": compensation.compensation_exhibit(applied.paths)}
+        if level is None and applied.scan is None:
+            released_exhibit["released"] = released_part.compensated_exhibit(work, paths, applied)
+        return dataclasses.replace(targets, exhibits={**make_exhibits(work, paths), **released_exhibit})
 
-    def _few(self, made: Work) -> Targets | None:
-        """Targets of a first look: of many loops and places some alone; None for ways that are made whole."""
+    def _coarse_targets(self, work: FormingWork) -> Targets | None:
+        """Targets of a quick check: some loops and points.
+
+        None for paths that are always computed in full.
+        """
         if self.operation.level is not None or self.operation.springback is not None:
             return None
-        few = fewer(made)
+        coarse = coarse_work(work)
         try:
-            paths = lay_all(few)
-        except TandemError:  # a coarse way may be refused where the true one is not
+            paths = make_tool_paths(coarse)
+        except TandemError:  # a coarse path may be refused although the full path is accepted
             return None
-        found = _targets(few, self.setup, paths, [], ())
-        return dataclasses.replace(found, actions=(), thinned=few is not made)
+        targets = _targets(coarse, self.setup, paths, [], ())
+        return dataclasses.replace(targets, actions=(), is_subsampled=coarse is not work)
 
-    def compensated(self) -> compensation_file.Compensation | None:
-        """The springback file that the operation names, if it does. Raises ``TandemError``
-        (forming.compensation, forming.springback_mode) where it does not belong to this job."""
-        wanted = self.operation.springback
-        if wanted is None:
+    def read_compensation(self) -> compensation_file.SpringbackFile | None:
+        """Return the springback file that the operation names, or None.
+
+        Raises:
+            TandemError: forming.compensation, forming.springback_mode if the file does not belong to this
+                job.
+        """
+        springback = self.operation.springback
+        if springback is None:
             return None
-        compensation.require_mode(self.planned)
-        identity = compensation_file.belongs_to(self.planned, self.setup.stock, self.part)
-        return compensation_file.read(wanted.file, self.operation, identity)
+        compensation.require_compensation_mode(self.planned)
+        identity = compensation_file.job_identity(self.planned, self.setup.stock, self.part)
+        return compensation_file.read_springback_file(springback.file, self.operation, identity)
 
-    def _level(self, level: Level) -> tuple[Pass, ToolPath]:
-        one = one_level.pass_of(self.planned, level)
-        return one, one_level.alone(self.planned, one, level)
+    def _level_path(self, level: Level) -> tuple[FormingPass, FormingToolPath]:
+        forming_pass = one_level.level_pass(self.planned, level)
+        return forming_pass, one_level.make_level_path(self.planned, forming_pass, level)
 
-    def _of_level(self, level: Level, file: Path, paths: Laid) -> compensation_file.Compensation:
-        identity = compensation_file.belongs_to(self.planned, self.setup.stock, self.part)
-        return level_file.read(file, level, paths[0][0].name, identity)
+    def _level_compensation(
+        self, level: Level, file: Path, paths: PlannedPaths
+    ) -> compensation_file.SpringbackFile:
+        identity = compensation_file.job_identity(self.planned, self.setup.stock, self.part)
+        return level_file.read_level_file(file, level, paths[0][0].name, identity)
 
-    def stated(self) -> tuple[Claim, ...]:
-        """What must hold of the job, from the problem alone."""
-        whole = forming_claims.wanted_part(self.operation, self.setup, self.part)
+    def make_claims(self) -> tuple[Claim, ...]:
+        """Return the requirements on the job, from the problem alone."""
+        part = forming_claims.part_claim(self.operation, self.setup, self.part)
         holder = two_point.holder_claim(self.planned)
-        spoken = forming_claims.dialogue(self.operation, self.setup, whole, holder)
-        return (whole, spoken, *forming_claims.claims(self.planned))
+        dialogue = forming_claims.dialogue(self.operation, self.setup, part, holder)
+        return (part, dialogue, *forming_claims.claims(self.planned))
 
 
-def _of_holes(made: Work, paths: Laid) -> list[Issue]:
+def _hole_issues(work: FormingWork, paths: PlannedPaths) -> list[Issue]:
     """Holes that an operation comes too near to."""
-    mode = made.operation.mode
-    if mode in MODES_OF_WHOLE_SHEETS and made.sheet.holes:
-        what = f"the sheet was cut along {made.sheet.holes[0].name} before; in {mode} "
+    mode = work.operation.mode
+    if mode in WHOLE_SHEET_MODES and work.sheet.holes:
+        what = f"the sheet was cut along {work.sheet.holes[0].name} before; in {mode} "
         what += "tools press all of it" if mode == "adsif" else "all of it moves against the die"
-        hint = "form it before it is cut, or take another mode"
+        hint = "form it before it is cut, or use another mode"
         return [Issue("forming.holes", what, field="operations.mode", hint=hint)]
     radii = []
-    for one, _ in paths:
-        other = made.supporter(one)
+    for forming_pass, _ in paths:
+        support_arm = work.support_arm(forming_pass)
         radii.append(
-            (made.heads[made.former(one)].radius, 0.0 if other is None else made.heads[other].radius)
+            (
+                work.heads[work.forming_arm(forming_pass)].radius,
+                0.0 if support_arm is None else work.heads[support_arm].radius,
+            )
         )
-    op = made.operation
-    slack = OFF_SHARE * op.gouge_tol_mm * MM
-    return list(hole_issues(made.sheet.holes, op.hole_margin_mm * MM, paths, radii, slack))
+    op = work.operation
+    slack = PLAN_DEVIATION_FRACTION * op.gouge_tol_mm * MM
+    return list(hole_issues(work.sheet.holes, op.hole_margin_mm * MM, paths, radii, slack))
 
 
-def _route(made: Work, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> Route:
-    most = int(min(MODULE_SHARE * setup.cell.controller.max_moves, MOST_MOVES_TO_STOP))
-    return lay_out(made, paths, CLEARANCE, most)
+def _route(
+    work: FormingWork, setup: Setup, paths: Sequence[tuple[FormingPass, FormingToolPath]]
+) -> ToolRoute:
+    max_targets = int(min(MODULE_MOVES_FRACTION * setup.cell.controller.max_moves, MAX_MOVES_TO_STOP))
+    return join_paths(work, paths, AIR_PATH_CLEARANCE_M, max_targets)
 
 
-def _poses(made: Work, route: Route) -> dict[str, FloatArray]:
-    return {arm: poses(route.centre[arm], route.axis[arm]) for arm in made.operation.arms}
+def _poses(work: FormingWork, route: ToolRoute) -> dict[str, FloatArray]:
+    return {arm: tool_poses(route.centre[arm], route.axis[arm]) for arm in work.operation.arms}
 
 
 def _targets(
-    made: Work,
+    work: FormingWork,
     setup: Setup,
-    gone: Sequence[tuple[Pass, ToolPath]],
+    paths: Sequence[tuple[FormingPass, FormingToolPath]],
     issues: list[Issue],
     claims: tuple[Claim, ...],
 ) -> Targets:
-    """Targets of the paths as they are ``gone``: as they were laid, or deeper by what the sheet comes back
-    by; without exhibits."""
-    op, route = made.operation, _route(made, setup, gone)
+    """Targets of tool paths, as they were computed or compensated for springback; without exhibits."""
+    op, route = work.operation, _route(work, setup, paths)
     count = len(route.segment)
     forming = np.array([segment.works for segment in route.segment])
-    placed = _poses(made, route)
-    actions = _actions(made, setup, route, gone)
+    tool_poses = _poses(work, route)
+    actions = _actions(work, setup, route, paths)
     steps = [np.linalg.norm(np.diff(route.centre[arm], axis=0), axis=1) for arm in op.arms]
     travel = np.concatenate([[0.0], np.max(steps, axis=0)])
     stop = _stops(route, actions)
     rest = np.append(False, stop[:-1]) | stop
-    feed = np.where(forming, np.where(rest, MEAN_FEED_FROM_REST, 1.0) * op.feed_mm_s * MM, AIR_FEED)
+    feed = np.where(
+        forming, np.where(rest, MEAN_FEED_FRACTION_FROM_REST, 1.0) * op.feed_mm_s * MM, MAX_AIR_SPEED_M_S
+    )
     return Targets(
         arms=op.arms,
-        pose=placed,
+        pose=tool_poses,
         frame=dict.fromkeys(op.arms, "stock"),
-        freedoms=freedoms(op.arms, op.cone_deg * DEG, count),
-        feed=np.where(travel > 0.0, np.minimum(feed, travel / LEAST_MOVE_TIME), feed),
+        freedoms=tool_freedoms(op.arms, op.cone_deg * DEG, count),
+        feed=np.where(travel > 0.0, np.minimum(feed, travel / MIN_MOVE_TIME_S), feed),
         feed_min=np.zeros(count),
         travel=travel,
         stop=stop,
         segment=route.segment,
-        apart=TARGET_SHARE * op.gap_tol_mm * MM,
-        ahead=_ahead(made),
+        max_tcp_distance_error=TARGET_GAP_FRACTION * op.gap_tol_mm * MM,
+        max_lead_lag=_max_lead_change(work),
         actions=actions,
         claims=claims,
         issues=aggregate(issues),
-        rounding=rounding(claims),
+        rounding=corner_rounding(claims),
         may_stop=True,
         may_join=True,
         feed_throughout=False,
     )
 
 
-ROUNDED_SHARE: Final = 0.4
-"""Share of what a ball may cut into its face that rounded corners may take."""
+ROUNDING_TOLERANCE_FRACTION: Final = 0.4
+"""Fraction of the gouge tolerance that rounded corners may take."""
 
 
-OFF_SHARE: Final = 0.5
-"""Share of what a ball may cut into its face by which tools may be off their ways in plan: at rounded
-corners, and by what the proof does not know of motion between its samples."""
+PLAN_DEVIATION_FRACTION: Final = 0.5
+"""Fraction of the gouge tolerance by which tools may deviate from their paths in plan: at rounded corners,
+and by what the proof does not know of motion between its samples.
+"""
 
 
-def rounding(claims: Sequence[Claim]) -> Rounding:
-    """Corners take a share of what the balls may cut into their faces, where that is less than they take
-    anyway."""
-    allowed = [ROUNDED_SHARE * claim.tolerance for claim in claims if isinstance(claim, FormsSheet)]
-    least = min([Rounding.work, *allowed])
-    return Rounding(least, least, least)
+def corner_rounding(claims: Sequence[Claim]) -> CornerRounding:
+    """Return the rounding of corners: a fraction of the gouge tolerance if that is below the default."""
+    allowed = [
+        ROUNDING_TOLERANCE_FRACTION * claim.tolerance for claim in claims if isinstance(claim, FormsSheet)
+    ]
+    radius = min([CornerRounding.work, *allowed])
+    return CornerRounding(radius, radius, radius)
 
 
-def _or_allowed(made: Work, narrow: Sequence[Issue], corners: Sequence[Issue]) -> list[Issue]:
-    """Issues of a path, of which a ball that is too large for hollows may be allowed to stay off them, where
-    no other tool has to be opposite it."""
-    most = max((issue.value for issue in corners if issue.value is not None), default=None)
-    alone = made.operation.mode in ("spif", "tpif")
-    if most is None or not alone or made.operation.unreached_mm is not None:
+def _with_unreached_hint(work: FormingWork, narrow: Sequence[Issue], corners: Sequence[Issue]) -> list[Issue]:
+    """Issues of a path, with a hint to allow a ball to stay off hollows that are too narrow.
+
+    The hint is given only if no other tool has to be opposite the ball.
+    """
+    largest = max((issue.value for issue in corners if issue.value is not None), default=None)
+    is_single_tool = work.operation.mode in ("spif", "tpif")
+    if largest is None or not is_single_tool or work.operation.unreached_mm is not None:
         return list(narrow)
-    hint = f"or allow the ball to stay off there: unreached_mm: {most + 0.01:.2f}"
+    hint = f"or allow the ball to stay off there: unreached_mm: {largest + 0.01:.2f}"
     return [
-        dataclasses.replace(one, hint=hint) if one.code == TOO_NARROW and one.hint is None else one
-        for one in narrow
+        dataclasses.replace(narrow_issue, hint=hint)
+        if narrow_issue.code == TOO_NARROW_CODE and narrow_issue.hint is None
+        else narrow_issue
+        for narrow_issue in narrow
     ]
 
 
-def _ahead(made: Work) -> float:
-    """How much [m] of the gap's change with one controller ahead may come of one move."""
-    op = made.operation
+def _max_lead_change(work: FormingWork) -> float:
+    """Change of the gap [m] that a single move may cause while one controller is ahead."""
+    op = work.operation
     return (
-        DRIFT_SHARE * op.handshake_gap_mm * MM / made.every if made.every and op.mode in GAP_MODES else np.inf
+        DRIFT_GAP_FRACTION * op.handshake_gap_mm * MM / work.sync_interval
+        if work.sync_interval and op.mode in GAP_MODES
+        else np.inf
     )
 
 
-def _stops(route: Route, actions: Sequence[Action]) -> BoolArray:
-    """Where tools stop: as the route says and where something happens. While a holder sinks it is there that
-    programs are split, so that no stops of the route come near to those."""
+def _stops(route: ToolRoute, actions: Sequence[TargetAction]) -> BoolArray:
+    """Where tools stop: at stops of the route and at actions.
+
+    While a holder sinks, programs are split at its pulses, so stops of the route between pulses are removed.
+    """
     stop = route.stop.copy()
-    pulses = np.unique([action.at for action in actions if action.kind == "on"]).astype(np.int64)
-    if len(pulses) and np.diff(pulses, prepend=pulses[0]).max() <= MOST_MOVES_TO_STOP // 4:
+    pulses = np.unique([action.target for action in actions if action.kind == "on"]).astype(np.int64)
+    if len(pulses) and np.diff(pulses, prepend=pulses[0]).max() <= MAX_MOVES_TO_STOP // 4:
         stop[pulses[0] : pulses[-1]] = False
-    stop[[action.at for action in actions]] = True
+    stop[[action.target for action in actions]] = True
     return stop
 
 
 def _actions(
-    made: Work, setup: Setup, route: Route, paths: Sequence[tuple[Pass, ToolPath]]
-) -> tuple[Action, ...]:
-    """What the operator is told and asked, and the signal of a blank holder that sinks."""
+    work: FormingWork, setup: Setup, route: ToolRoute, paths: Sequence[tuple[FormingPass, FormingToolPath]]
+) -> tuple[TargetAction, ...]:
+    """Messages and questions to the operator, and the signal of a blank holder that sinks."""
     size = setup.stock.size / MM
-    metal = made.sheet.metal.name
-    sheet = forming_sentences.SHEET.filled(x_mm=size[0], y_mm=size[1], z_mm=size[2], metal=metal)
-    out = [Action(0, "message", sheet)]
-    one, path = paths[0]
-    if two_point.holder_sinks(made):
-        high = abs(one.start - one.end) / MM
-        out.append(Action(0, "confirm", forming_sentences.RIM.filled(high_mm=high)))
-    level = made.operation.level
+    metal = work.sheet.metal.name
+    sheet = forming_sentences.SHEET.format(x_mm=size[0], y_mm=size[1], z_mm=size[2], metal=metal)
+    out = [TargetAction(0, "message", sheet)]
+    forming_pass, path = paths[0]
+    if two_point.holder_sinks(work):
+        high = abs(forming_pass.start - forming_pass.end) / MM
+        out.append(TargetAction(0, "confirm", forming_sentences.RIM.format(high_mm=high)))
+    level = work.operation.level
     if level is not None:
-        named = forming_sentences.LEVEL.filled(
+        level_prompt = forming_sentences.LEVEL.format(
             number=level.number, name=level.pass_name or forming_sentences.FIRST_PASS
         )
-        out.append(Action(0, "confirm", named))
-    ready, done = forming_claims.spoken(made.operation, made.sheet)
-    out.append(Action(0, "confirm", ready.filled()))
-    first = route.segment.index(segment(one).at("in"))
-    out += two_point.holder_actions(made, one, path, first)
-    return (*out, Action(len(route.segment) - 1, "confirm", done.filled()))
+        out.append(TargetAction(0, "confirm", level_prompt))
+    ready_prompt, done_prompt = forming_claims.operator_prompts(work.operation, work.sheet)
+    out.append(TargetAction(0, "confirm", ready_prompt.format()))
+    first = route.segment.index(forming_segment(forming_pass).at("in"))
+    out += two_point.holder_actions(work, forming_pass, path, first)
+    return (*out, TargetAction(len(route.segment) - 1, "confirm", done_prompt.format()))

@@ -1,16 +1,15 @@
-"""The passes of a part: over each feature one, or several where its walls are too steep for one.
+"""The passes of a part: one over each feature, or several where its walls are too steep for one.
 
-**Thickness from pass to pass.** A shape in between is moved from the flat along z only, as the
-final one is, so the change of area of a place from pass to pass, A(k-1) / A(k), telescopes to that
-from the flat: t0 cos(a), the sine law of the shape that the place has now. Several passes give no
-thicker wall than one in this model; what they gain in practice, sheet drawn from the floor and a
-higher strain at fracture, it does not know, so it errs to the safe side. One thing it carries:
-sheet once thinned does not thicken where a later pass makes it less steep (the wall of a shape in
-between becomes floor). So each place keeps the least thickness of all passes over it.
+**Thickness from pass to pass.** Like the final shape, an intermediate shape results from a displacement of
+the flat along z only. So the change of area of a point from pass to pass, A(k-1) / A(k), telescopes to that
+from the flat: t0 cos(a), the sine law of the shape that the point has now. In this model several passes give
+no thicker wall than one. Their practical gains, sheet drawn from the floor and a higher strain at fracture,
+are not modelled, so the model errs on the safe side. One effect is included: sheet that was thinned once does
+not thicken where a later pass makes it less steep (the wall of an intermediate shape becomes floor). So each
+point keeps the minimum thickness of all passes over it.
 
-**Trials** of forming with two robots, from `data/forming_trials.yaml`, and the warnings that they
-give. They are single trials of one lab with metals of unstated alloy: hints of what may go wrong,
-no limits.
+**Trials** of forming with two robots, from `data/forming_trials.yaml`, and the warnings that they give. They
+are single trials of one lab with metals of unstated alloy: hints of what may go wrong, not limits.
 """
 
 import dataclasses
@@ -26,45 +25,70 @@ import yaml
 from planner.catalogue.materials import SheetMetal
 from planner.geometry.arrays import FloatArray, Mesh
 from planner.geometry.units import DEG, MM, measurement
+from planner.issue_codes import format_message
 from planner.issues import Issue, Severity, TandemError
-from planner.processes.forming.plan.contact import Pass
-from planner.processes.forming.plan.features.pass_shape import Limited, alone, depth_areas, face_of, limited
+from planner.processes.forming.plan.contact import FormingPass
+from planner.processes.forming.plan.features.pass_shape import (
+    AngleLimitedShape,
+    depth_areas,
+    feature_face,
+    limit_wall_angle,
+    shape_face,
+)
 from planner.processes.forming.plan.features.tree import FeatureTree, OrderStep
 from planner.processes.forming.plan.operation import Forming
-from planner.processes.forming.plan.sheet_mechanics import steepest, thickness_map
+from planner.processes.forming.plan.sheet_mechanics import thickness_map, wall_angle
 from planner.runtime.memoize import memoized
 
 _TRIALS_FILE: Final = Path(__file__).resolve().parents[3] / "data" / "forming_trials.yaml"
-"""Published trials of forming, each with its source."""
+"""Published forming trials, each with its source."""
 
 TRIAL_MODES: Final = {"spif": "isf", "dpif_p": "dpif_p", "dpif_l": "dpif_l", "dsif": "dpif_l"}
-"""The trials' mode that is likest to a mode of forming; the others have none."""
+"""Mode of the trials that is most similar to a forming mode; other modes have none."""
 TRIAL_CAUSES: Final = {
     "force": "the robot stopped with a collision error, from the forming force,",
     "border_tear": "the sheet tore along the border",
     "local_tear": "the sheet tore at the forming tool",
     "completed": "the part was completed",
 }
-"""What stopped a trial, in words."""
+"""Cause that stopped a trial, in words."""
 TRIAL_MODE_NAMES: Final = {
     "isf": "no support",
     "dpif_p": "support on the border",
     "dpif_l": "support opposite the tool",
 }
-"""The trials' modes in words."""
-ANGLE_SLACK: Final = 5.0 * DEG
-"""A part is like a trial where its wall angle is no smaller than the trial's less this [rad]."""
-DEPTH_SLACK: Final = 0.9
-"""A part is like a trial where its depth is at least this share of the trial's."""
-THICKNESS_SLACK: Final = 1.25
-"""A part is like a trial where its thickness is no worse than the trial's by this factor."""
+"""Modes of the trials, in words."""
+ANGLE_SLACK_RAD: Final = 5.0 * DEG
+"""A part is similar to a trial if its wall angle is at least the trial's minus this [rad]."""
+DEPTH_SLACK_FRACTION: Final = 0.9
+"""A part is similar to a trial if its depth is at least this fraction of the trial's."""
+THICKNESS_SLACK_FACTOR: Final = 1.25
+"""A part is similar to a trial if its thickness is at most this factor better than the trial's."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Trial:
-    """One trial. Lengths [m], ``angle`` [rad], ``feed`` [m/s], ``duration`` [s]. ``mode`` is isf, dpif_p or
-    dpif_l, ``cause`` what stopped it at ``depth``: force, border_tear, local_tear or completed.
-    ``second_depth`` [m] of a stage the other way inside the first."""
+class FormingTrial:
+    """One forming trial.
+
+    Attributes:
+        name: Name of the trial.
+        mode: isf, dpif_p or dpif_l.
+        family: Family of the sheet metal.
+        thickness: Sheet thickness [m].
+        angle: Wall angle [rad].
+        diameter: Tool diameter [m].
+        stepdown: Step-down [m].
+        feed: Feed [m/s].
+        depth: Depth [m] at which it stopped.
+        second_depth: Depth [m] of a stage in the other direction inside the first, or None.
+        duration: Duration [s].
+        cause: What stopped it at ``depth``: force, border_tear, local_tear or completed.
+        forming_robot: Robot of the forming tool.
+        supporter: Robot of the support, or None.
+        support_tool: Tool of the support, or None.
+        lubricant: Lubricant.
+        note: Remark of the source.
+    """
 
     name: str
     mode: str
@@ -78,7 +102,7 @@ class Trial:
     second_depth: float | None
     duration: float
     cause: str
-    former: str
+    forming_robot: str
     supporter: str | None
     support_tool: str | None
     lubricant: str
@@ -86,67 +110,85 @@ class Trial:
 
     @property
     def failed(self) -> bool:
-        """Whether something else than its end stopped it."""
+        """Whether the trial stopped for another reason than completion."""
         return self.cause != "completed"
 
 
 @functools.lru_cache(maxsize=1)
-def trials() -> tuple[Trial, ...]:
-    """All trials, in the order of their source."""
+def trials() -> tuple[FormingTrial, ...]:
+    """Return all trials, in the order of their source."""
     with _TRIALS_FILE.open(encoding="utf-8") as stream:
         return tuple(_trial(entry) for entry in yaml.safe_load(stream)["trials"])
 
 
-def nearest_failed(family: str, thickness: float, angle: float, depth: float, mode: str) -> Trial | None:
-    """The failed trial that says most of such a part; None if no trial is like it.
+def nearest_failed_trial(
+    family: str, thickness: float, angle: float, depth: float, mode: str
+) -> FormingTrial | None:
+    """Return the failed trial that is most similar to a part, or None.
 
-    ``family`` of the sheet metal, ``thickness`` [m], steepest wall ``angle`` [rad], ``depth`` [m],
-    ``mode`` of forming. A trial is like it if the metal is of the same family, the part as steep and deep at
-    least, and its sheet no thinner than one that met too much force, or no thicker than one that tore.
+    A trial is similar if the metal is of the same family, the part at least as steep and deep, and its sheet
+    no thinner than one that met too much force, or no thicker than one that tore.
+
+    Args:
+        family: Family of the sheet metal.
+        thickness: Sheet thickness [m].
+        angle: Steepest wall angle [rad].
+        depth: Depth [m].
+        mode: Forming mode.
     """
     if mode not in TRIAL_MODES:
         return None
-    like = [
+    similar = [
         trial
         for trial in trials()
         if trial.failed
         and trial.family == family
         and trial.mode == TRIAL_MODES[mode]
-        and angle >= trial.angle - ANGLE_SLACK
-        and depth >= DEPTH_SLACK * trial.depth
-        and _as_bad(trial, thickness)
+        and angle >= trial.angle - ANGLE_SLACK_RAD
+        and depth >= DEPTH_SLACK_FRACTION * trial.depth
+        and _is_thickness_similar(trial, thickness)
     ]
-    return min(like, key=lambda trial: _distance(trial, thickness, angle, depth), default=None)
+    return min(similar, key=lambda trial: _trial_distance(trial, thickness, angle, depth), default=None)
 
 
-def warning(family: str, thickness: float, angle: float, depth: float, mode: str) -> Issue | None:
-    """A warning (forming.trial) of what stopped the nearest failed trial; arguments as `nearest_failed`."""
-    trial = nearest_failed(family, thickness, angle, depth, mode)
+def trial_warning(family: str, thickness: float, angle: float, depth: float, mode: str) -> Issue | None:
+    """Return a warning (forming.trial) with the cause of the nearest failed trial, or None.
+
+    Arguments as in `nearest_failed_trial`.
+    """
+    trial = nearest_failed_trial(family, thickness, angle, depth, mode)
     if trial is None:
         return None
-    helper = f", {trial.support_tool}" if trial.support_tool else ""
-    part = (
-        f"{thickness / MM:g} mm {family.replace('_', ' ')}, {angle / DEG:.0f} deg, {depth / MM:.0f} mm deep"
-    )
     return Issue(
         "forming.trial",
-        f"{part}: in a trial ({trial.name}: {TRIAL_MODE_NAMES[trial.mode]}{helper}, "
-        f"{trial.thickness / MM:g} mm, "
-        f"{trial.angle / DEG:.0f} deg, {trial.lubricant}) {TRIAL_CAUSES[trial.cause]} at a depth of "
-        f"{trial.depth / MM:.0f} mm; one trial in one lab, with metal of unstated alloy: a hint, no limit",
+        format_message(
+            "forming.trial",
+            thickness_mm=thickness / MM,
+            metal_family=family.replace("_", " "),
+            angle_deg=angle / DEG,
+            depth_mm=depth / MM,
+            trial=trial.name,
+            trial_mode=TRIAL_MODE_NAMES[trial.mode],
+            support_clause=f", {trial.support_tool}" if trial.support_tool else "",
+            trial_thickness_mm=trial.thickness / MM,
+            trial_angle_deg=trial.angle / DEG,
+            lubricant=trial.lubricant,
+            cause=TRIAL_CAUSES[trial.cause],
+            trial_depth_mm=trial.depth / MM,
+        ),
         Severity.WARNING,
         **measurement(depth / MM, trial.depth / MM, "mm"),
-        hint=f"form a test piece first; of the trial: {trial.note}",
+        hint=f"form a test piece first; note of the trial: {trial.note}",
     )
 
 
-def _as_bad(trial: Trial, thickness: float) -> bool:
+def _is_thickness_similar(trial: FormingTrial, thickness: float) -> bool:
     if trial.cause == "force":  # thicker sheet takes more force
-        return thickness >= trial.thickness / THICKNESS_SLACK
-    return thickness <= trial.thickness * THICKNESS_SLACK  # thinner sheet tears sooner
+        return thickness >= trial.thickness / THICKNESS_SLACK_FACTOR
+    return thickness <= trial.thickness * THICKNESS_SLACK_FACTOR  # thinner sheet tears sooner
 
 
-def _distance(trial: Trial, thickness: float, angle: float, depth: float) -> float:
+def _trial_distance(trial: FormingTrial, thickness: float, angle: float, depth: float) -> float:
     return math.hypot(
         math.log(thickness / trial.thickness),
         (angle - trial.angle) / (15.0 * DEG),
@@ -154,9 +196,9 @@ def _distance(trial: Trial, thickness: float, angle: float, depth: float) -> flo
     )
 
 
-def _trial(entry: dict[str, Any]) -> Trial:
+def _trial(entry: dict[str, Any]) -> FormingTrial:
     second = entry.get("second_depth_mm")
-    return Trial(
+    return FormingTrial(
         name=entry["name"],
         mode=entry["mode"],
         family=entry["family"],
@@ -169,7 +211,7 @@ def _trial(entry: dict[str, Any]) -> Trial:
         second_depth=None if second is None else float(second) * MM,
         duration=float(entry["minutes"]) * 60.0,
         cause=entry["cause"],
-        former=entry["former"],
+        forming_robot=entry["former"],
         supporter=entry["supporter"],
         support_tool=entry["support_tool"],
         lubricant=entry["lubricant"],
@@ -179,38 +221,48 @@ def _trial(entry: dict[str, Any]) -> Trial:
 
 SUPPORTED_MODES: Final = frozenset({"dsif", "dpif_l", "adsif"})
 """Modes with a tool opposite the forming one."""
-UPRIGHT_WALL: Final = 89.0 * DEG
-"""Walls [rad] from which on the sine law leaves nothing of the sheet."""
-SAME_ANGLE: Final = 0.1 * DEG
-"""Wall angles [rad] that differ by less are one: no pass is made for so little."""
-LARGEST_ANGLE_STEP: Final = 15.0 * DEG
+UPRIGHT_WALL_ANGLE_RAD: Final = 89.0 * DEG
+"""Wall angle [rad] from which the sine law leaves no sheet."""
+ANGLE_TOLERANCE_RAD: Final = 0.1 * DEG
+"""Wall angles [rad] that differ by less are equal: no pass is made for so small a difference."""
+MAX_ANGLE_STEP_RAD: Final = 15.0 * DEG
 """Angle [rad] from shape to shape beyond which walls tore in trials (30 deg tore, 15 deg did not)."""
 
 
-def passes(
+def make_passes(
     tree: FeatureTree,
     order: Sequence[OrderStep],
     mesh: Mesh,
     thickness: float,
     operation: Forming,
     metal: SheetMetal,
-) -> tuple[Pass, ...]:
-    """All passes in the order of forming, in the sheet's frame.
+) -> tuple[FormingPass, ...]:
+    """Return all passes in the order of forming, in the sheet's frame.
 
-    ``mesh``: lower face of the part, of which ``tree`` was built. The sheet of ``thickness`` [m] is as thick
-    along z everywhere, so the face that the tool touches, for features that go down, is the mesh moved up by
-    it. Raises ``TandemError`` (forming.wall_angle) for upright walls.
+    The sheet is equally thick along z everywhere, so the face that the tool touches is, for features that go
+    down, the mesh moved up by the thickness.
+
+    Args:
+        tree: Features of the part.
+        order: Features in the order of forming.
+        mesh: Lower face of the part from which ``tree`` was built.
+        thickness: Thickness [m] of the sheet.
+        operation: Operation.
+        metal: Sheet metal.
+
+    Raises:
+        TandemError: forming.wall_angle for upright walls.
     """
-    out: list[Pass] = []
+    out: list[FormingPass] = []
     wrong: list[Issue] = []
     for step in order:
         male = operation.die is not None and operation.die.kind == "male"
-        final = _final(tree, step, mesh, thickness, male)
-        angle = steepest(final.vertices, final.faces)
-        if angle >= UPRIGHT_WALL:
-            wrong.append(_upright(step.feature, angle))
+        final = _final_pass(tree, step, mesh, thickness, male)
+        angle = wall_angle(final.vertices, final.faces)
+        if angle >= UPRIGHT_WALL_ANGLE_RAD:
+            wrong.append(_upright_issue(step.feature, angle))
             continue
-        shapes = _shapes(final, pass_angles(angle, operation, metal)[:-1], thickness)
+        shapes = _intermediate_passes(final, pass_angles(angle, operation, metal)[:-1], thickness)
         repeated = [shape for shape in shapes for _ in range(operation.repeats)]
         for number, shape in enumerate(repeated, start=1):
             name = f"f{step.feature}" + (f"_p{number}" if len(repeated) > 1 else "")
@@ -221,64 +273,76 @@ def passes(
 
 
 def pass_angles(angle: float, operation: Forming, metal: SheetMetal) -> tuple[float, ...]:
-    """Wall angles [rad] of the shapes on the way to a feature whose wall is ``angle`` [rad], itself the last.
+    """Return the wall angles [rad] of the passes over a feature; the last one is its own wall angle.
 
-    Where the user gives none, they go up by the operation's step from an angle that one pass may have. In
-    ADSIF the sheet is formed once, and over a male die there is nothing to hold a shape between, so there is
-    one.
+    If the user gives none, angles increase by the operation's step from an angle that one pass may have. In
+    ADSIF the sheet is formed once, and over a male die nothing holds an intermediate shape, so there is one
+    pass.
+
+    Args:
+        angle: Wall angle [rad] of the feature.
+        operation: Operation.
+        metal: Sheet metal.
     """
     if operation.mode == "adsif" or (operation.die is not None and operation.die.kind == "male"):
         return (angle,)
     if operation.passes != "auto":
-        return (*(a * DEG for a in operation.passes if a * DEG < angle - SAME_ANGLE), angle)
+        return (*(a * DEG for a in operation.passes if a * DEG < angle - ANGLE_TOLERANCE_RAD), angle)
     step = operation.angle_step_deg * DEG
     limit = metal.wall_angle_limit(operation.mode in SUPPORTED_MODES)
-    count = max(math.ceil((angle - limit - SAME_ANGLE) / step), 0)
-    return tuple(angle - step * k for k in range(count, -1, -1) if angle - step * k > SAME_ANGLE)
+    count = max(math.ceil((angle - limit - ANGLE_TOLERANCE_RAD) / step), 0)
+    return tuple(angle - step * k for k in range(count, -1, -1) if angle - step * k > ANGLE_TOLERANCE_RAD)
 
 
 def pass_issues(
-    found: Sequence[Pass], thickness: float, operation: Forming, metal: SheetMetal
+    passes: Sequence[FormingPass], thickness: float, operation: Forming, metal: SheetMetal
 ) -> tuple[Issue, ...]:
-    """Warnings of ``found`` passes: walls that one pass may tear, and failed trials that are like them."""
+    """Return warnings about passes: walls that may tear in one pass, and similar failed trials."""
     issues: list[Issue] = []
     limit = metal.wall_angle_limit(operation.mode in SUPPORTED_MODES)
-    for feature in dict.fromkeys(one.feature for one in found):
-        mine = [one for one in found if one.feature == feature]
-        angles = [steepest(one.vertices, one.faces) for one in mine]
-        before = 0.0
-        for one, angle in zip(mine, angles, strict=True):
-            if angle > stood(before, operation, metal):
+    for feature in dict.fromkeys(forming_pass.feature for forming_pass in passes):
+        feature_passes = [forming_pass for forming_pass in passes if forming_pass.feature == feature]
+        angles = [wall_angle(forming_pass.vertices, forming_pass.faces) for forming_pass in feature_passes]
+        previous = 0.0
+        for forming_pass, angle in zip(feature_passes, angles, strict=True):
+            if angle > max_wall_angle(previous, operation, metal):
                 auto = pass_angles(angles[-1], operation.model_copy(update={"passes": "auto"}), metal)
-                issues.append(_torn(one, angle, before, limit, auto))
-            before = max(before, angle)
-        deep = abs(mine[-1].end - mine[-1].start)
-        trial = warning(metal.family, thickness, angles[-1], deep, operation.mode)
+                issues.append(_tear_issue(forming_pass, angle, previous, limit, auto))
+            previous = max(previous, angle)
+        depth = abs(feature_passes[-1].end - feature_passes[-1].start)
+        trial = trial_warning(metal.family, thickness, angles[-1], depth, operation.mode)
         if trial is not None:
             issues.append(dataclasses.replace(trial, field=f"feature {feature}"))
     return tuple(issues)
 
 
-def stood(before: float, operation: Forming, metal: SheetMetal) -> float:
-    """The steepest wall [rad] that a pass may have over a shape whose walls are ``before`` [rad], 0 for the
-    flat sheet."""
+def max_wall_angle(previous: float, operation: Forming, metal: SheetMetal) -> float:
+    """Return the steepest wall [rad] that a pass may form over a shape.
+
+    Args:
+        previous: Wall angle [rad] of the shape; 0 for the flat sheet.
+        operation: Operation.
+        metal: Sheet metal.
+    """
     limit = metal.wall_angle_limit(operation.mode in SUPPORTED_MODES)
-    return max(limit + SAME_ANGLE, before + max(LARGEST_ANGLE_STEP, operation.angle_step_deg * DEG) + DEG)
+    return max(
+        limit + ANGLE_TOLERANCE_RAD, previous + max(MAX_ANGLE_STEP_RAD, operation.angle_step_deg * DEG) + DEG
+    )
 
 
 @memoized
-def _final(tree: FeatureTree, step: OrderStep, mesh: Mesh, thickness: float, male: bool) -> Pass:
-    """The last pass over a feature.
+def _final_pass(tree: FeatureTree, step: OrderStep, mesh: Mesh, thickness: float, male: bool) -> FormingPass:
+    """Last pass over a feature.
 
-    Over a ``male`` die the tool is on the side to which the feature stands out, and goes from its end, where
-    the sheet lies on the die first, outward to its start while the clamp sinks.
+    Over a ``male`` die the tool is on the side to which the feature protrudes. It moves from the feature's
+    end, where the sheet first lies on the die, outward to its start while the clamp sinks.
     """
     feature = tree.feature(step.feature)
     side = feature.sign if male else -feature.sign
     rise = step.shift + (thickness if side > 0 else 0.0)
-    face = alone(mesh, tree, step.feature, rise)
+    face = feature_face(mesh, tree, step.feature, rise)
     start, end = feature.start + rise, feature.end + rise
-    return Pass(
+    return FormingPass(
         name=f"f{step.feature}",
         feature=step.feature,
         number=1,
@@ -292,63 +356,66 @@ def _final(tree: FeatureTree, step: OrderStep, mesh: Mesh, thickness: float, mal
     )
 
 
-def _shapes(final: Pass, angles: Sequence[float], thickness: float) -> list[Pass]:
-    """Shapes of at most ``angles`` [rad] in turn, and the final one, with the thickness that each place has
-    then."""
+def _intermediate_passes(final: FormingPass, angles: Sequence[float], thickness: float) -> list[FormingPass]:
+    """Shapes of at most ``angles`` [rad] in turn, then the final one, each with its thickness."""
     if not angles:
         return [final]
     face = Mesh(final.vertices, final.faces)
     depth, areas = depth_areas(face, final.side, final.start, final.end)
-    earlier: list[Limited] = []
+    earlier: list[AngleLimitedShape] = []
     out = []
     for angle in angles:
-        shape = limited(depth, areas, angle)
-        between = face_of(shape, final.side, final.start)
-        level = between.vertices[:, 2]
+        shape = limit_wall_angle(depth, areas, angle)
+        face_mesh = shape_face(shape, final.side, final.start)
+        level = face_mesh.vertices[:, 2]
         out.append(
             dataclasses.replace(
                 final,
-                vertices=between.vertices,
-                faces=between.faces,
-                thickness=_kept_thin(between, final, earlier, thickness),
+                vertices=face_mesh.vertices,
+                faces=face_mesh.faces,
+                thickness=_min_thickness(face_mesh, final, earlier, thickness),
                 end=float(level.min() if final.side > 0 else level.max()),
             )
         )
         earlier.append(shape)
-    return [*out, dataclasses.replace(final, thickness=_kept_thin(face, final, earlier, thickness))]
+    return [*out, dataclasses.replace(final, thickness=_min_thickness(face, final, earlier, thickness))]
 
 
-def _kept_thin(face: Mesh, final: Pass, earlier: Sequence[Limited], thickness: float) -> FloatArray:
-    thick = thickness_map(face.vertices, face.faces, thickness)
+def _min_thickness(
+    face: Mesh, final: FormingPass, earlier: Sequence[AngleLimitedShape], thickness: float
+) -> FloatArray:
+    minimum = thickness_map(face.vertices, face.faces, thickness)
     depth = final.side * (final.start - face.vertices[:, 2])
     for shape in earlier:
-        held = shape.holds_back(face.vertices[:, :2], depth)
-        thick = np.where(held, np.minimum(thick, thickness * math.cos(shape.angle)), thick)
-    return np.asarray(thick)
+        held = shape.limits_depth(face.vertices[:, :2], depth)
+        minimum = np.where(held, np.minimum(minimum, thickness * math.cos(shape.angle)), minimum)
+    return np.asarray(minimum)
 
 
-def _upright(feature: int, angle: float) -> Issue:
+def _upright_issue(feature: int, angle: float) -> Issue:
     return Issue(
         "forming.wall_angle",
-        f"feature {feature}: a wall of {angle / DEG:.1f} deg, allowed below {UPRIGHT_WALL / DEG:.0f} deg; "
-        "by the "
-        "sine law nothing is left of the sheet at 90 deg, and an undercut tore in trials",
+        f"feature {feature}: a wall of {angle / DEG:.1f} deg, allowed below "
+        f"{UPRIGHT_WALL_ANGLE_RAD / DEG:.0f} deg; the sine law leaves no sheet at 90 deg, and an undercut "
+        "tore in trials",
         field="part",
-        **measurement(angle / DEG, UPRIGHT_WALL / DEG, "deg"),
-        hint="make the wall lean, or form it in another way",
+        **measurement(angle / DEG, UPRIGHT_WALL_ANGLE_RAD / DEG, "deg"),
+        hint="make the wall less steep, or use another process",
     )
 
 
-def _torn(one: Pass, angle: float, before: float, limit: float, auto: Sequence[float]) -> Issue:
+def _tear_issue(
+    forming_pass: FormingPass, angle: float, previous: float, limit: float, auto: Sequence[float]
+) -> Issue:
     shapes = " and ".join(f"{a / DEG:.1f}" for a in auto)
-    hint = f"take passes: auto, which forms walls of {shapes} deg one after the other, or give such angles"
+    hint = f"use passes: auto, which forms walls of {shapes} deg one after the other, or give such angles"
     if len(auto) == 1:
         hint = "make the wall less steep: in this mode it is formed in one pass"
-    how = "in one pass" if before == 0.0 else f"in one pass from a shape of {before / DEG:.1f} deg"
+    how = "in one pass" if previous == 0.0 else f"in one pass from a shape of {previous / DEG:.1f} deg"
     return Issue(
         "forming.wall_angle",
-        f"pass {one.name}: a wall of {angle / DEG:.1f} deg {how}; the metal is good for "
-        f"{limit / DEG:.1f} deg at once and about {LARGEST_ANGLE_STEP / DEG:.0f} deg more with each "
+        f"pass {forming_pass.name}: a wall of {angle / DEG:.1f} deg {how}; the metal allows "
+        f"{limit / DEG:.1f} deg in one pass and about {MAX_ANGLE_STEP_RAD / DEG:.0f} deg more with each "
         "further pass",
         Severity.WARNING,
         **measurement(angle / DEG, limit / DEG, "deg"),

@@ -1,8 +1,8 @@
-"""What a forming operation comes to: features, order, passes, who forms, and both tools' way.
+"""Process plan of a forming operation: features, order, passes, arms and tool paths.
 
-`work` says features, their order, passes and who forms, before any path is laid; `lay_all` lays the
-paths of both tools over each pass, whatever the mode; `lay_out` is the whole way of both tools:
-over the sheet to each pass, down onto it, along it, and off again.
+`prepare_work` decides features, order, passes and forming arms before any path is computed. `make_tool_paths`
+computes the paths of both tools over each pass, in every mode. `join_paths` joins them into one route: across
+the sheet to each pass, down onto it, along it, and off it.
 """
 
 import dataclasses
@@ -15,38 +15,55 @@ import numpy as np
 from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Mesh, dots
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, TandemError, refusal
+from planner.issue_codes import format_message
+from planner.issues import Issue, TandemError, issue_error
 from planner.problem import Part, Setup, Sheet
-from planner.processes.forming.plan.contact import ContactPath, Pass, ToolPath
+from planner.processes.forming.plan.contact import ContactPath, FormingPass, FormingToolPath, PassContact
 from planner.processes.forming.plan.features import tree as feature_tree
 from planner.processes.forming.plan.features.tree import FeatureTree, OrderStep
 from planner.processes.forming.plan.operation import GAP_MODES, Forming
-from planner.processes.forming.plan.passes import passes
-from planner.processes.forming.plan.paths.adsif_path import adsif_tool_path, pressed_by_support
-from planner.processes.forming.plan.paths.contact_path import make_path
-from planner.processes.forming.plan.paths.spiral import MISSED_DISTANCE, PathOptions
-from planner.processes.forming.plan.sheet_mechanics import steepest
-from planner.processes.forming.plan.stages import formed_sheet, order_of, own_features
-from planner.processes.forming.plan.stated_force import Stated, stated
-from planner.processes.forming.plan.support.clearance import Clamp, clamp_of
-from planner.processes.forming.plan.support.modes import tool_path
+from planner.processes.forming.plan.passes import make_passes
+from planner.processes.forming.plan.paths.adsif_path import adsif_tool_path, support_press_depth
+from planner.processes.forming.plan.paths.contact_path import make_contact_path
+from planner.processes.forming.plan.paths.spiral import MAX_MISSED_DISTANCE_M, PathOptions
+from planner.processes.forming.plan.sheet_mechanics import wall_angle
+from planner.processes.forming.plan.stages import formed_sheet, forming_order, own_features
+from planner.processes.forming.plan.stated_force import StatedForces, stated_forces
+from planner.processes.forming.plan.support.clearance import ClampBars, clamp_bars
+from planner.processes.forming.plan.support.modes import MountedSheet, make_mode_path
+from planner.processes.forming.plan.support.opposite import TargetRefinement
 from planner.tooling import FormingHead, FormingTool
 
-JOINED_SHARE: Final = 0.4
-"""Share of what tools may cut in that straight moves between two places of the path may take: moves that are
-joined take as much again (`planner.processes.forming.plan.job.ROUNDED_SHARE`), and the proof does not know
-the way between its samples."""
-FEATURES_NAMED: Final = 5
-"""Features that a message names at most."""
+JOINED_MOVES_TOLERANCE_FRACTION: Final = 0.4
+"""Fraction of the gouge tolerance that straight moves between two path points may take.
+
+Chosen: corners that are rounded take as much again
+(`planner.processes.forming.plan.job.ROUNDING_TOLERANCE_FRACTION`), and the rest covers the path between the
+proof's samples.
+"""
+MAX_LISTED_FEATURES: Final = 5
+"""Maximum number of features that a message lists."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Work:
-    """An operation on its sheet: ``mesh`` is the part's lower face in the sheet's frame, ``heads`` the tools'
-    working ends by arm, ``passes`` in the order of forming, ``clamp`` what holds the sheet, ``tolerance`` [m]
-    how far the part's mesh may be off the face that is meant. ``every``: how many moves the controllers of
-    two arms go between meetings; 0 where they go by one clock. ``before``: the features that other operations
-    have formed. ``between``: targets are added until what lies between them holds, too."""
+class FormingWork:
+    """A forming operation on its sheet, before paths are computed.
+
+    Attributes:
+        operation: Operation of the problem file.
+        sheet: Sheet of the stock.
+        thickness: Thickness [m] of the flat sheet.
+        mesh: Lower face of the part in the sheet's frame.
+        tree: Features of the part.
+        order: Features in the order of forming.
+        passes: Passes in the order of forming.
+        heads: Working ends of the tools, by arm.
+        clamp: What holds the sheet.
+        tolerance: Maximum deviation [m] of the part's mesh from the intended face.
+        sync_interval: Moves between meetings of the controllers of two arms; 0 if they share one clock.
+        previous_features: Features that other operations have formed.
+        refine_between: Whether targets are added until the requirements also hold between targets.
+    """
 
     operation: Forming
     sheet: Sheet
@@ -54,71 +71,80 @@ class Work:
     mesh: Mesh
     tree: FeatureTree
     order: tuple[OrderStep, ...]
-    passes: tuple[Pass, ...]
+    passes: tuple[FormingPass, ...]
     heads: dict[str, FormingHead]
-    clamp: Clamp
+    clamp: ClampBars
     tolerance: float = 0.0
-    every: int = 0
-    before: tuple[int, ...] = ()
-    between: bool = True
+    sync_interval: int = 0
+    previous_features: tuple[int, ...] = ()
+    refine_between: bool = True
 
     @functools.cached_property
-    def left(self) -> Mesh:
-        """The lower face of the sheet as the operation leaves it."""
-        own = {step.feature for step in self.order}
-        return formed_sheet(self.mesh, self.tree, sorted(own.union(self.before)))
+    def formed_mesh(self) -> Mesh:
+        """Lower face of the sheet as the operation leaves it."""
+        formed_features = {step.feature for step in self.order}
+        return formed_sheet(self.mesh, self.tree, sorted(formed_features.union(self.previous_features)))
 
     @property
     def flat(self) -> bool:
-        """Whether the sheet is flat and whole when the operation begins."""
-        return not self.before and not self.sheet.holes
+        """Whether the sheet is flat and has no holes when the operation starts."""
+        return not self.previous_features and not self.sheet.holes
 
     @property
     def staged(self) -> bool:
-        """Whether other operations form or cut the sheet before it, or form it further."""
+        """Whether other operations form or cut the sheet before this one, or form it further."""
         return not self.flat or len(self.order) < len(self.tree.features)
 
-    def former(self, one: Pass) -> str:
-        """The arm that forms a pass."""
+    def forming_arm(self, forming_pass: FormingPass) -> str:
+        """Return the arm that forms a pass."""
         arms = self.operation.arms
-        return arms[0] if len(arms) == 1 or one.side > 0 else arms[1]
+        return arms[0] if len(arms) == 1 or forming_pass.side > 0 else arms[1]
 
-    def supporter(self, one: Pass) -> str | None:
-        """The arm on the other side of the sheet, or None where one works alone."""
+    def support_arm(self, forming_pass: FormingPass) -> str | None:
+        """Return the arm on the other side of the sheet, or None if one arm works alone."""
         arms = self.operation.arms
-        return None if len(arms) == 1 else arms[1] if one.side > 0 else arms[0]
+        return None if len(arms) == 1 else arms[1] if forming_pass.side > 0 else arms[0]
 
     def above(self, arm: str) -> bool:
-        """Whether an arm's tool is on the top side of the sheet."""
+        """Return whether an arm's tool is on the top side of the sheet."""
         if len(self.operation.arms) == 1:
             return self.operation.side == "top"
         return arm == self.operation.arms[0]
 
     @functools.cached_property
-    def stated(self) -> Stated | None:
-        """Forces on the sheet that the user states; None: by the formula. Raises ``TandemError``:
-        forming.force_input, forming.loop_forces."""
-        radius = {one.name: self.heads[self.former(one)].radius for one in self.passes}
-        return stated(self.operation, self.passes, self.sheet.metal, self.thickness, radius)
+    def stated_forces(self) -> StatedForces | None:
+        """Forces on the sheet that the user states, or None if the formula is used.
+
+        Raises:
+            TandemError: forming.force_input, forming.loop_forces.
+        """
+        radius = {
+            forming_pass.name: self.heads[self.forming_arm(forming_pass)].radius
+            for forming_pass in self.passes
+        }
+        return stated_forces(self.operation, self.passes, self.sheet.metal, self.thickness, radius)
 
     @property
-    def pressed(self) -> tuple[float, float]:
-        """How far [m] the forming and the other tool may press into what is formed already or flat, the
-        stated tolerance included: in adsif the flat sheet around them by the projection distance, and as far
-        as the response table has the other one, else by what they squeeze."""
+    def allowed_penetration(self) -> tuple[float, float]:
+        """Penetration [m] that the forming and the other tool may have into sheet that is formed or flat.
+
+        Both include the stated tolerance. In adsif the projection distance is added, because tools press the
+        flat sheet around them, and for the other tool at least the depth of the response table. Otherwise the
+        squeeze is added.
+        """
         op = self.operation
         allowed = op.gouge_tol_mm * MM
         if op.mode == "adsif":
             depth = op.adsif.projection_mm * MM
             radii = 2.0 * next(iter(self.heads.values())).radius
-            return allowed + depth, allowed + max(depth, pressed_by_support(op, radii, self.thickness))
+            return allowed + depth, allowed + max(depth, support_press_depth(op, radii, self.thickness))
         if op.mode in ("dsif", "dpif_l"):
             allowed += max(1.0 - op.squeeze, 0.0) * self.thickness
         return allowed, allowed
 
     @property
     def options(self) -> PathOptions:
-        """How paths are laid."""
+        """Options for path generation."""
         op = self.operation
         return PathOptions(
             kind=op.path,
@@ -126,55 +152,88 @@ class Work:
             scallop=None if op.scallop_mm is None else op.scallop_mm * MM,
             tangent_angle=op.tangent_deg * DEG,
             chord=op.chord_mm * MM,
-            cut=JOINED_SHARE * op.gouge_tol_mm * MM if self.between else np.inf,
+            cut=JOINED_MOVES_TOLERANCE_FRACTION * op.gouge_tol_mm * MM if self.refine_between else np.inf,
             start_angle=op.seam_deg * DEG,
             direction=op.direction,
             longest=op.longest_mm * MM,
-            missed=max(MISSED_DISTANCE, self.tolerance) if op.unreached_mm is None else np.inf,
+            missed=max(MAX_MISSED_DISTANCE_M, self.tolerance) if op.unreached_mm is None else np.inf,
             seams=op.level is not None,
         )
 
 
-def segment(one: Pass) -> Segment:
-    """The segment in which a pass is formed."""
-    return Segment("form", one.name)
+def forming_segment(forming_pass: FormingPass) -> Segment:
+    """Return the segment in which a pass is formed."""
+    return Segment("form", forming_pass.name)
 
 
-def work(operation: Forming, setup: Setup, part: Part | None) -> Work:
-    """The job of an operation. Raises ``TandemError`` with the codes ``forming.*``."""
+def prepare_work(operation: Forming, setup: Setup, part: Part | None) -> FormingWork:
+    """Prepare the work of an operation: features, order, passes and tools.
+
+    Args:
+        operation: Operation of the problem file.
+        setup: Setup with cell and stock.
+        part: Part to form, of kind sheet_mesh.
+
+    Raises:
+        TandemError: codes ``forming.*``.
+    """
     sheet, mesh = setup.stock.sheet, None if part is None or part.formed is None else part.formed.mesh
     if sheet is None or mesh is None:
         what = f"{operation.name}: there is no sheet to form; give sheet: and a part of kind sheet_mesh"
-        raise refusal("forming.no_sheet", what, field="sheet")
+        raise issue_error("forming.no_sheet", what, field="sheet")
     heads = _heads(operation, setup)
     tolerance = part.formed.tolerance if part is not None and part.formed is not None else 0.0
-    tree = feature_tree.build(mesh, operation.feature_step_mm * MM, max(feature_tree.LEAST_BUMP, tolerance))
-    before, own = own_features(operation.name, operation.features, sheet.stages, tree)
-    some = None if operation.features is None else own
-    order = order_of(tree, operation.strategy == "virgin", operation.order, some, before)
+    tree = feature_tree.build_feature_tree(
+        mesh, operation.feature_step_mm * MM, max(feature_tree.MIN_BUMP_HEIGHT_M, tolerance)
+    )
+    previous_features, selected_features = own_features(
+        operation.name, operation.features, sheet.stages, tree
+    )
+    selected = None if operation.features is None else selected_features
+    order = forming_order(tree, operation.strategy == "virgin", operation.order, selected, previous_features)
     thickness = float(setup.stock.size[2])
-    made = passes(tree, order, mesh, thickness, operation, sheet.metal)
-    _require_sides(operation, made)
+    planned_passes = make_passes(tree, order, mesh, thickness, operation, sheet.metal)
+    _require_sides(operation, planned_passes)
     controller = setup.cell.controller
-    every = controller.handshake.every if controller.sync == "handshake" else 0
-    clamp = clamp_of(setup.stock)
-    found = Work(operation, sheet, thickness, mesh, tree, order, made, heads, clamp, tolerance, every, before)
-    _ = found.stated  # what is wrong with it is said before anything is laid
-    return found
+    sync_interval = controller.handshake.every if controller.sync == "handshake" else 0
+    clamp = clamp_bars(setup.stock)
+    prepared = FormingWork(
+        operation,
+        sheet,
+        thickness,
+        mesh,
+        tree,
+        order,
+        planned_passes,
+        heads,
+        clamp,
+        tolerance,
+        sync_interval,
+        previous_features,
+    )
+    _ = prepared.stated_forces  # report errors of stated forces before any path is computed
+    return prepared
 
 
 def _heads(op: Forming, setup: Setup) -> dict[str, FormingHead]:
     out: dict[str, FormingHead] = {}
     issues = []
-    for place, arm in enumerate(op.arms):
+    for position, arm in enumerate(op.arms):
         tool = setup.cell.arm(arm).tool
-        wanted = "heat_tool" if op.mode == "heat" and place == 1 else "ball_tool"
-        may = {"heat"} if wanted == "heat_tool" else {"ball"}
-        if op.mode == "dpif_p" and place == 1:
-            may.add("disk")
-        if not isinstance(tool, FormingTool) or tool.head.kind not in may:
-            other = " or a disk_tool" if op.mode == "dpif_p" and place == 1 else ""
-            what = f"{op.name}: arm {arm} carries the tool {tool.name}; mode {op.mode} wants {wanted}{other}"
+        required = "heat_tool" if op.mode == "heat" and position == 1 else "ball_tool"
+        allowed_kinds = {"heat"} if required == "heat_tool" else {"ball"}
+        if op.mode == "dpif_p" and position == 1:
+            allowed_kinds.add("disk")
+        if not isinstance(tool, FormingTool) or tool.head.kind not in allowed_kinds:
+            other = " or a disk_tool" if op.mode == "dpif_p" and position == 1 else ""
+            what = format_message(
+                "forming.tool",
+                operation=op.name,
+                arm=arm,
+                tool=tool.name,
+                mode=op.mode,
+                required_tools=required + other,
+            )
             issues.append(Issue("forming.tool", what, field="cell.arms.tool", arm=arm))
         else:
             out[arm] = tool.head
@@ -183,78 +242,92 @@ def _heads(op: Forming, setup: Setup) -> dict[str, FormingHead]:
     return out
 
 
-def _require_sides(op: Forming, made: tuple[Pass, ...]) -> None:
-    balls = {"top"} if len(op.arms) == 2 and op.mode == "heat" else {"top", "bottom"}
-    balls = {op.side} if len(op.arms) == 1 else balls
-    wrong = [one for one in made if ("top" if one.side > 0 else "bottom") not in balls]
-    if wrong:
-        one = len({one.feature for one in wrong}) == 1
-        way = f"down and need{'s' * one} a tool above"
-        if wrong[0].side < 0:
-            way = f"up and need{'s' * one} a tool below"
-        names = _named(sorted({one.feature for one in wrong}))
-        remedy = (
-            "turn the part or the sheet over, or take two arms in mode dsif, whose tools swap their roles"
-        )
-        what = f"{op.name}: {names} {way} the sheet, where no ball works; {remedy}"
-        raise refusal("forming.side", what, field="operations.mode")
+def _require_sides(op: Forming, planned_passes: tuple[FormingPass, ...]) -> None:
+    ball_sides = {"top"} if len(op.arms) == 2 and op.mode == "heat" else {"top", "bottom"}
+    ball_sides = {op.side} if len(op.arms) == 1 else ball_sides
+    unsupported = [
+        is_single
+        for is_single in planned_passes
+        if ("top" if is_single.side > 0 else "bottom") not in ball_sides
+    ]
+    if unsupported:
+        is_single = len({is_single.feature for is_single in unsupported}) == 1
+        direction = f"down and need{'s' * is_single} a ball tool above"
+        if unsupported[0].side < 0:
+            direction = f"up and need{'s' * is_single} a ball tool below"
+        names = _feature_list(sorted({is_single.feature for is_single in unsupported}))
+        what = format_message("forming.side", operation=op.name, features=names, direction=direction)
+        raise issue_error("forming.side", what, field="operations.mode")
 
 
-def _named(features: list[int]) -> str:
+def _feature_list(features: list[int]) -> str:
     """Features as a message names them, the first few of many."""
     if len(features) == 1:
         return f"feature {features[0]} goes"
-    shown = ", ".join(str(number) for number in features[:FEATURES_NAMED])
-    return f"{len(features)} features ({shown}{', ...' if len(features) > FEATURES_NAMED else ''}) go"
+    shown = ", ".join(str(number) for number in features[:MAX_LISTED_FEATURES])
+    return f"{len(features)} features ({shown}{', ...' if len(features) > MAX_LISTED_FEATURES else ''}) go"
 
 
-TOO_NARROW: Final = "forming.tool_radius"
-"""Code of a fillet or groove that is too narrow for the ball."""
-LEAST_MOVE_TIME: Final = 0.006
-"""Moves take so long [s] at least at the stated feed; controllers plan none that are much shorter."""
-WAY_TOLERANCE: Final = 0.01 * MM
-"""How far [m] tools may be off their way, where fillets are that the ball just fits, times how steeply the
-sheet's thickness changes with the wall's angle."""
-FLOOR_GAP: Final = 0.06 * MM
-"""How far [m] the ball may stay off the floor for that."""
-TOP_WIDTH: Final = 5.0 * MM
-"""Loops about the top of a male die that are no wider than this [m] may be left out."""
+TOO_NARROW_CODE: Final = "forming.tool_radius"
+"""Issue code of a fillet or groove that is too narrow for the ball."""
+MIN_MOVE_TIME_S: Final = 0.006
+"""Minimum duration [s] of a move at the stated feed. Controllers do not plan moves that are much shorter."""
+SPARE_RADIUS_TOLERANCE_M: Final = 0.01 * MM
+"""Basis of the spare fillet radius [m]: allowed deviation of the tools from their path at fillets that just
+admit the ball. It is multiplied by the rate at which the sheet's thickness changes with the wall angle.
+"""
+MAX_FLOOR_GAP_M: Final = 0.06 * MM
+"""Maximum distance [m] of the ball from the floor that the spare fillet radius may cause."""
+MAX_DIE_TOP_WIDTH_M: Final = 5.0 * MM
+"""Maximum width [m] of loops about the top of a male die that may be omitted."""
 
 
-FEW_LOOPS: Final = 12
-"""Loops that a first look is made of, over all passes;"""
-LOOPS_OF_PASS: Final = (2, 6)
-"""of each pass so many at least, and at most;"""
-FEWER_PLACES: Final = 4.0
-"""it has so many times fewer places on each."""
+COARSE_LOOPS: Final = 12
+"""Number of loops of a coarse path for a quick check, over all passes."""
+COARSE_LOOPS_PER_PASS: Final = (2, 6)
+"""Minimum and maximum number of loops of each pass in the coarse path."""
+COARSE_TARGET_FACTOR: Final = 4.0
+"""Factor by which each loop of the coarse path has fewer targets."""
 
 
-def fewer(work: Work) -> Work:
-    """The same work with fewer loops and places, all of which the true way has alike, whatever lies between
-    them; itself where that is of no use: few loops, or a way whose turns hang on one another."""
+def coarse_work(work: FormingWork) -> FormingWork:
+    """Return the same work with fewer loops and targets, for a quick check.
+
+    All loops and targets of the coarse path also occur in the full path; what lies between them is not
+    checked. The work is returned unchanged in mode adsif, whose turns depend on one another.
+    """
     op = work.operation
     if op.mode == "adsif":
         return work
-    # the sagitta of a chord goes with the square of its length
-    more: dict[str, Any] = {"chord_mm": op.chord_mm * FEWER_PLACES**2}
-    more |= {"tangent_deg": op.tangent_deg * FEWER_PLACES, "longest_mm": op.longest_mm * FEWER_PLACES}
+    # sagitta of a chord ~ length^2 / (8 r): moves k times as long deviate k^2 times as much
+    changes: dict[str, Any] = {"chord_mm": op.chord_mm * COARSE_TARGET_FACTOR**2}
+    changes |= {
+        "tangent_deg": op.tangent_deg * COARSE_TARGET_FACTOR,
+        "longest_mm": op.longest_mm * COARSE_TARGET_FACTOR,
+    }
     if op.stepdown_mm is not None:
-        deep = max(abs(one.end - one.start) for one in work.passes) / MM
-        loops = np.clip(FEW_LOOPS // len(work.passes), *LOOPS_OF_PASS)
-        more["stepdown_mm"] = max(op.stepdown_mm, deep / float(loops))
-    return dataclasses.replace(work, operation=op.model_copy(update=more), between=False, every=0)
+        depth_mm = max(abs(forming_pass.end - forming_pass.start) for forming_pass in work.passes) / MM
+        loops = np.clip(COARSE_LOOPS // len(work.passes), *COARSE_LOOPS_PER_PASS)
+        changes["stepdown_mm"] = max(op.stepdown_mm, depth_mm / float(loops))
+    return dataclasses.replace(
+        work, operation=op.model_copy(update=changes), refine_between=False, sync_interval=0
+    )
 
 
-def lay_all(work: Work) -> list[tuple[Pass, ToolPath]]:
-    """Where the tools are over all passes. Raises ``TandemError`` with the codes ``forming.*``: of balls that
-    are too large for several passes the one that has to be the smallest first."""
-    out: list[tuple[Pass, ToolPath]] = []
+def make_tool_paths(work: FormingWork) -> list[tuple[FormingPass, FormingToolPath]]:
+    """Compute the tool paths of all passes.
+
+    Raises:
+        TandemError: codes ``forming.*``. If balls are too large for several passes, the issue that demands
+            the smallest ball comes first.
+    """
+    out: list[tuple[FormingPass, FormingToolPath]] = []
     narrow: list[Issue] = []
-    for one in work.passes:
+    for forming_pass in work.passes:
         try:
-            out.append((one, lay(work, one)))
+            out.append((forming_pass, make_tool_path(work, forming_pass)))
         except TandemError as error:
-            if any(issue.code != TOO_NARROW for issue in error.issues):
+            if any(issue.code != TOO_NARROW_CODE for issue in error.issues):
                 raise
             narrow += error.issues
     if narrow:
@@ -262,38 +335,68 @@ def lay_all(work: Work) -> list[tuple[Pass, ToolPath]]:
     return out
 
 
-def lay(work: Work, one: Pass, part: Callable[[ContactPath], ContactPath] | None = None) -> ToolPath:
-    """Where the tools are over a pass, or over the ``part`` of its contact's path that is kept. Raises
-    ``TandemError`` with the codes ``forming.*``."""
-    op, other = work.operation, work.supporter(one)
-    former = work.heads[work.former(one)]
-    if op.mode == "adsif" and other is not None:
-        return adsif_tool_path(one, op, former, work.heads[other], work.thickness, work.sheet.metal)
+def make_tool_path(
+    work: FormingWork, forming_pass: FormingPass, part: Callable[[ContactPath], ContactPath] | None = None
+) -> FormingToolPath:
+    """Compute the tool path of a pass.
+
+    Args:
+        work: Work of the operation.
+        forming_pass: Pass to form.
+        part: Selects the part of the contact path that is kept; None keeps all of it.
+
+    Raises:
+        TandemError: codes ``forming.*``.
+    """
+    op, support_arm = work.operation, work.support_arm(forming_pass)
+    forming_head = work.heads[work.forming_arm(forming_pass)]
+    if op.mode == "adsif" and support_arm is not None:
+        return adsif_tool_path(
+            forming_pass, op, forming_head, work.heads[support_arm], work.thickness, work.sheet.metal
+        )
     options = work.options
-    if work.between and (op.mode in GAP_MODES or op.mode == "heat"):
-        options = dataclasses.replace(options, spare=_spare(work, one))
-    contact = make_path(one, former.radius, options)
-    if work.tree.feature(one.feature).sign == one.side:
-        contact = _off_the_top(contact, LEAST_MOVE_TIME * op.feed_mm_s * MM)
+    if work.refine_between and (op.mode in GAP_MODES or op.mode == "heat"):
+        options = dataclasses.replace(options, spare=_spare_radius(work, forming_pass))
+    contact = make_contact_path(forming_pass, forming_head.radius, options)
+    if work.tree.feature(forming_pass.feature).sign == forming_pass.side:
+        contact = _trim_die_top(contact, MIN_MOVE_TIME_S * op.feed_mm_s * MM)
     contact = contact if part is None else part(contact)
-    support = None if other is None else work.heads[other]
-    return tool_path(one, contact, op, former, support, work.thickness, work.clamp, work.every, work.between)
+    support_head = None if support_arm is None else work.heads[support_arm]
+    return make_mode_path(
+        PassContact(forming_pass, contact),
+        op,
+        forming_head,
+        support_head,
+        MountedSheet(work.thickness, work.clamp),
+        TargetRefinement(enabled=work.refine_between, sync_interval=work.sync_interval),
+    )
 
 
-def _spare(work: Work, one: Pass) -> float:
-    """How much larger [m] than the ball fillets have to be so that it goes through them: beside the wall, in
-    one that is hardly larger, it touches the floor for the wall: the gap of the tools is another, and the
-    place to be heated is elsewhere."""
-    wanted = WAY_TOLERANCE * work.operation.squeeze * work.thickness / (work.operation.gap_tol_mm * MM)
-    return min(wanted, FLOOR_GAP / max(1.0 - float(np.cos(steepest(one.vertices, one.faces))), 1e-3))
+def _spare_radius(work: FormingWork, forming_pass: FormingPass) -> float:
+    """Return how much larger [m] than the ball fillets have to be so that the ball passes through them.
+
+    In a fillet that is hardly larger than the ball, the ball touches the floor instead of the wall beside it.
+    The gap between the tools then differs, and so does the place to heat.
+    """
+    required = (
+        SPARE_RADIUS_TOLERANCE_M * work.operation.squeeze * work.thickness / (work.operation.gap_tol_mm * MM)
+    )
+    return min(
+        required,
+        MAX_FLOOR_GAP_M
+        / max(1.0 - float(np.cos(wall_angle(forming_pass.vertices, forming_pass.faces))), 1e-3),
+    )
 
 
-def _off_the_top(path: ContactPath, shortest: float) -> ContactPath:
-    """A path over a male die without its beginning, where loops about the die's top, on which the sheet lies
-    flat already, have moves of less than ``shortest`` [m]."""
-    away = np.linalg.norm(path.centre - path.centre[0], axis=1)
-    short = np.linalg.norm(np.diff(path.centre, axis=0), axis=1) < shortest
-    rows = np.flatnonzero(short & (np.maximum.accumulate(away)[1:] <= TOP_WIDTH))
+def _trim_die_top(path: ContactPath, min_length: float) -> ContactPath:
+    """Return a path over a male die without its beginning.
+
+    At the beginning, loops about the die's top, on which the sheet already lies flat, have moves shorter than
+    ``shortest`` [m].
+    """
+    distance = np.linalg.norm(path.centre - path.centre[0], axis=1)
+    short = np.linalg.norm(np.diff(path.centre, axis=0), axis=1) < min_length
+    rows = np.flatnonzero(short & (np.maximum.accumulate(distance)[1:] <= MAX_DIE_TOP_WIDTH_M))
     if not len(rows):
         return path
     first = int(rows[-1]) + 1
@@ -303,20 +406,28 @@ def _off_the_top(path: ContactPath, shortest: float) -> ContactPath:
     return ContactPath(**kept)
 
 
-AIR_CLEARANCE: Final = 0.005
-"""How much farther than the clearance tools stay off the sheet between passes [m]."""
-SHARP_TURN: Final = 15.0 * DEG
-"""Tools stop where their way turns by more than this [rad], and more than smooth ways do from target to
-target: a corner that is rounded at full feed costs two tools some of their gap."""
-LEAST_MOVE: Final = 1e-6
-"""Moves that are shorter than this [m] have no direction."""
-DRAWN_BACK_DISTANCE: Final = 0.06
-"""How far tools are drawn back before and after the job [m], so that arms come to them in free space."""
+AIR_CLEARANCE_M: Final = 0.005
+"""Distance [m] of tools from the sheet between passes, in addition to the clearance."""
+SHARP_TURN_RAD: Final = 15.0 * DEG
+"""Tools stop where their path turns by more than this [rad], and by more than smooth paths turn from target
+to target. A corner that is rounded at full feed costs two tools some of their gap.
+"""
+MIN_MOVE_M: Final = 1e-6
+"""Moves shorter than this [m] have no direction."""
+RETRACT_DISTANCE_M: Final = 0.06
+"""Distance [m] by which tools retract before and after the job, so that arms reach them in free space."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Route:
-    """N targets: ``centre``, ``axis`` {arm: (N, 3)}, ``segment`` and ``stop`` (N,)."""
+class ToolRoute:
+    """Route of the tools through all passes, N targets.
+
+    Attributes:
+        centre: Tool centres {arm: (N, 3)} [m].
+        axis: Tool axes {arm: (N, 3)}, unit.
+        segment: Segment of each target.
+        stop: Whether tools stop at each target (N,).
+    """
 
     centre: dict[str, FloatArray]
     axis: dict[str, FloatArray]
@@ -324,34 +435,48 @@ class Route:
     stop: BoolArray
 
 
-def lay_out(work: Work, paths: Sequence[tuple[Pass, ToolPath]], clearance: float, most: int) -> Route:
-    """The route through all passes. Between passes tools go over the highest place of the part, ``clearance``
-    [m] and a little more away. They stop at sharp corners, and at least every ``most`` targets of a pass, at
-    the end of a loop, so that programs can be split there."""
+def join_paths(
+    work: FormingWork,
+    paths: Sequence[tuple[FormingPass, FormingToolPath]],
+    clearance: float,
+    max_targets: int,
+) -> ToolRoute:
+    """Join the paths of all passes into one route.
+
+    Between passes tools cross above the highest point of the part, at ``clearance`` plus AIR_CLEARANCE_M.
+    They stop at sharp corners, and at least every ``max_targets`` targets of a pass at the end of a loop, so
+    that programs can be split there.
+
+    Args:
+        work: Work of the operation.
+        paths: Passes with their tool paths.
+        clearance: Distance [m] from the sheet between passes.
+        max_targets: Maximum number of targets between two stops.
+    """
     arms = work.operation.arms
-    away = {arm: _away(work, arm, clearance) for arm in arms}
+    safe_height = {arm: _safe_height(work, arm, clearance) for arm in arms}
     centre: dict[str, list[FloatArray]] = {arm: [] for arm in arms}
     axis: dict[str, list[FloatArray]] = {arm: [] for arm in arms}
     segments: list[Segment] = []
     stops: list[BoolArray] = []
-    sharp = max(SHARP_TURN, 1.1 * work.operation.tangent_deg * DEG)
-    for number, (one, path) in enumerate(paths):
-        own = _by_arm(work, one, path)
-        count, formed = len(path.former), segment(one)
+    sharp = max(SHARP_TURN_RAD, 1.1 * work.operation.tangent_deg * DEG)
+    for number, (forming_pass, path) in enumerate(paths):
+        arm_paths = _by_arm(work, forming_pass, path)
+        count, formed = len(path.forming_centre), forming_segment(forming_pass)
         first, last = number == 0, number == len(paths) - 1
         for arm in arms:
-            points, axes = own[arm]
+            points, axes = arm_paths[arm]
             rise = np.array([0.0, 0.0, 1.0 if work.above(arm) else -1.0])
-            start, end = (np.where([0, 0, 1], away[arm], points[k]) for k in (0, -1))
+            start, end = (np.where([0, 0, 1], safe_height[arm], points[k]) for k in (0, -1))
             row = (
                 [start, start, *points, end]
                 if not first
-                else [start + DRAWN_BACK_DISTANCE * rise, start, *points, end]
+                else [start + RETRACT_DISTANCE_M * rise, start, *points, end]
             )
             row = row[0 if first else 1 :]
             turns = [axes[:1]] * (2 if first else 1) + [axes, axes[-1:]]
             if last:
-                row.append(end + DRAWN_BACK_DISTANCE * rise)
+                row.append(end + RETRACT_DISTANCE_M * rise)
                 turns.append(axes[-1:])
             centre[arm].append(np.array(row))
             axis[arm].append(np.concatenate(turns))
@@ -359,12 +484,12 @@ def lay_out(work: Work, paths: Sequence[tuple[Pass, ToolPath]], clearance: float
         segments += [formed.at("in"), *[formed] * (count - 1), formed.at("out")]
         segments += [Segment("retreat")] if last else []
         head, tail = (2 if first else 1), (2 if last else 1)
-        within = _loop_ends(path.contact.loop, most)
-        for points, _ in own.values():
-            within |= _corners(points, sharp)
-        within[[0, -1]] = True
-        stops.append(np.concatenate([np.ones(head, bool), within, np.ones(tail, bool)]))
-    return Route(
+        stop_in_pass = _loop_ends(path.contact.loop, max_targets)
+        for points, _ in arm_paths.values():
+            stop_in_pass |= _corners(points, sharp)
+        stop_in_pass[[0, -1]] = True
+        stops.append(np.concatenate([np.ones(head, bool), stop_in_pass, np.ones(tail, bool)]))
+    return ToolRoute(
         {arm: np.concatenate(centre[arm]) for arm in arms},
         {arm: np.concatenate(axis[arm]) for arm in arms},
         tuple(segments),
@@ -372,47 +497,49 @@ def lay_out(work: Work, paths: Sequence[tuple[Pass, ToolPath]], clearance: float
     )
 
 
-def _by_arm(work: Work, one: Pass, path: ToolPath) -> dict[str, tuple[FloatArray, FloatArray]]:
-    out = {work.former(one): (path.former, path.axis)}
-    other = work.supporter(one)
-    if other is not None and path.support is not None and path.support_axis is not None:
-        out[other] = (path.support, path.support_axis)
+def _by_arm(
+    work: FormingWork, forming_pass: FormingPass, path: FormingToolPath
+) -> dict[str, tuple[FloatArray, FloatArray]]:
+    out = {work.forming_arm(forming_pass): (path.forming_centre, path.axis)}
+    support_arm = work.support_arm(forming_pass)
+    if support_arm is not None and path.support_centre is not None and path.support_axis is not None:
+        out[support_arm] = (path.support_centre, path.support_axis)
     return out
 
 
-def _away(work: Work, arm: str, clearance: float) -> float:
-    """Height z [m] at which a tool's TCP is off everything of the sheet, whatever is formed already."""
+def _safe_height(work: FormingWork, arm: str, clearance: float) -> float:
+    """Height z [m] at which a tool's TCP is clear of the whole sheet, whatever is formed already."""
     head = work.heads[arm]
-    found = formed_sheet(work.mesh, work.tree, work.before).vertices[:, 2]
-    heights = np.concatenate([work.mesh.vertices[:, 2], found])
-    shifts = [one.vertices[:, 2] for one in work.passes]
-    low = min(float(heights.min()), *(float(z.min()) for z in shifts))
-    high = max(float(heights.max()), *(float(z.max()) for z in shifts)) + work.thickness
+    previous_height = formed_sheet(work.mesh, work.tree, work.previous_features).vertices[:, 2]
+    heights = np.concatenate([work.mesh.vertices[:, 2], previous_height])
+    pass_heights = [forming_pass.vertices[:, 2] for forming_pass in work.passes]
+    low = min(float(heights.min()), *(float(z.min()) for z in pass_heights))
+    high = max(float(heights.max()), *(float(z.max()) for z in pass_heights)) + work.thickness
     reach = head.radius if head.kind == "ball" else 0.0
-    gap = clearance + AIR_CLEARANCE + reach
+    gap = clearance + AIR_CLEARANCE_M + reach
     return high + gap if work.above(arm) else low - gap
 
 
 def _corners(points: FloatArray, angle: float) -> BoolArray:
-    """(N,) where the way through ``points`` (N, 3) turns by more than ``angle`` [rad]."""
+    """(N,): where the path through ``points`` (N, 3) turns by more than ``angle`` [rad]."""
     step = np.diff(points, axis=0)
     length = np.linalg.norm(step, axis=1)
-    long = np.flatnonzero(length > LEAST_MOVE)
+    moving = np.flatnonzero(length > MIN_MOVE_M)
     out = np.zeros(len(points), dtype=bool)
-    if len(long) > 1:
-        way = step[long] / length[long, None]
-        sharp = dots(way[1:], way[:-1]) < np.cos(angle)
-        out[long[1:][sharp]] = True
+    if len(moving) > 1:
+        direction = step[moving] / length[moving, None]
+        sharp = dots(direction[1:], direction[:-1]) < np.cos(angle)
+        out[moving[1:][sharp]] = True
     return out
 
 
-def _loop_ends(loop: IntArray, most: int) -> BoolArray:
-    """(N,) where to stop: at the last possible end of a loop before ``most`` targets have gone by."""
+def _loop_ends(loop: IntArray, max_targets: int) -> BoolArray:
+    """(N,): where to stop, at the last possible end of a loop before ``max_targets`` targets have passed."""
     ends = np.flatnonzero(np.diff(loop) != 0)
     out = np.zeros(len(loop), dtype=bool)
     last = 0
-    while len(loop) - 1 - last > most:
-        near = ends[(ends > last) & (ends <= last + most)]
-        last = int(near[-1]) if len(near) else last + most
+    while len(loop) - 1 - last > max_targets:
+        candidates = ends[(ends > last) & (ends <= last + max_targets)]
+        last = int(candidates[-1]) if len(candidates) else last + max_targets
         out[last] = True
     return out

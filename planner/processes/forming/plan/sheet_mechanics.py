@@ -1,10 +1,10 @@
-"""Thickness of a formed sheet by the sine law, and the axial force of forming as an estimate.
+"""Thickness of a formed sheet by the sine law, and an estimate of the axial forming force.
 
-**Wall angle and thickness**, as maps over the sheet's mesh. A place that is moved along z only
-keeps its area in plan, so its sheet of constant volume becomes as thick along the normal as t = t0
-cos(a) at a wall of angle a: the sine law t = t0 sin(90 deg - a).
+**Wall angle and thickness** are maps over the sheet's mesh. A point that moves along z only keeps its area in
+plan. The sheet has constant volume, so its thickness along the normal is t = t0 cos(a) at a wall of angle a:
+the sine law t = t0 sin(90 deg - a).
 
-**Force** along the tool that single point incremental forming takes, for choosing robots: `axial_force`.
+**Force** along the tool of single point incremental forming, for the choice of robots: `axial_force`.
 """
 
 import dataclasses
@@ -18,16 +18,23 @@ from planner.catalogue.materials import SheetMetal
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.mesh import TriangleMesh, face_areas, face_normals
 from planner.geometry.units import DEG, GRAVITY, MM, measurement
-from planner.issues import Issue, Severity, TandemError, refusal
-from planner.processes.forming.plan.contact import Pass, smooth_normals
+from planner.issue_codes import format_message
+from planner.issues import Issue, Severity, TandemError, issue_error
+from planner.processes.forming.plan.contact import FormingPass, smooth_normals
 
-STEEP_SHARE: Final = 0.005
-"""Share of a wall's area that may be steeper than what counts as its angle: facets of noise and slivers."""
+STEEP_AREA_FRACTION: Final = 0.005
+"""Fraction of a wall's area that may be steeper than its reported angle: facets of noise and slivers."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Thinnest:
-    """The thinnest place: ``thickness`` [m] along the normal, ``point`` (3,) [m], wall ``angle`` [rad]."""
+class ThinnestPoint:
+    """Thinnest point of a sheet.
+
+    Attributes:
+        thickness: Thickness [m] along the normal.
+        point: Position (3,) [m].
+        angle: Wall angle [rad].
+    """
 
     thickness: float
     point: FloatArray
@@ -35,26 +42,33 @@ class Thinnest:
 
 
 def wall_angle_map(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """Wall angles (V,) [rad] at the vertices, that of the steepest wall where several meet in a crease; 0 for
-    vertices of no face."""
-    return np.asarray(np.arccos(_least_up(vertices, faces)))
+    """Return wall angles (V,) [rad] at the vertices.
+
+    At a crease the steepest wall counts. Vertices without a face have 0.
+    """
+    return np.asarray(np.arccos(_min_normal_z(vertices, faces)))
 
 
 def thickness_map(vertices: FloatArray, faces: IntArray, thickness: float) -> FloatArray:
-    """Thicknesses (V,) [m] along the normal of a sheet of ``thickness`` [m] formed in one pass, at a crease
-    that of the steepest wall."""
-    return np.asarray(thickness * _least_up(vertices, faces))
+    """Return thicknesses (V,) [m] along the normal of a sheet that is formed in one pass.
+
+    At a crease the steepest wall counts. ``thickness`` [m] is that of the flat sheet.
+    """
+    return np.asarray(thickness * _min_normal_z(vertices, faces))
 
 
-def thinnest(vertices: FloatArray, faces: IntArray, thickness: float) -> Thinnest:
-    """The thinnest place of a sheet of ``thickness`` [m] formed in one pass."""
-    up = _least_up(vertices, faces)
-    at = int(np.argmin(up))
-    return Thinnest(thickness * float(up[at]), vertices[at], float(np.arccos(up[at])))
+def thinnest_point(vertices: FloatArray, faces: IntArray, thickness: float) -> ThinnestPoint:
+    """Return the thinnest point of a sheet of ``thickness`` [m] that is formed in one pass."""
+    up = _min_normal_z(vertices, faces)
+    index = int(np.argmin(up))
+    return ThinnestPoint(thickness * float(up[index]), vertices[index], float(np.arccos(up[index])))
 
 
-def steepest(vertices: FloatArray, faces: IntArray) -> float:
-    """Wall angle [rad] that all but ``STEEP_SHARE`` of the walls' area (what is not level) stays below."""
+def wall_angle(vertices: FloatArray, faces: IntArray) -> float:
+    """Return the wall angle [rad] below which all but ``STEEP_AREA_FRACTION`` of the walls' area stays.
+
+    Walls are all faces that are not level (more than 0.5 deg).
+    """
     mesh = TriangleMesh(vertices, faces)
     angle = np.arccos(np.clip(face_normals(mesh)[:, 2], -1.0, 1.0))
     area = np.where(angle > np.radians(0.5), face_areas(mesh), 0.0)
@@ -62,54 +76,71 @@ def steepest(vertices: FloatArray, faces: IntArray) -> float:
         return 0.0
     order = np.argsort(angle)
     total = np.cumsum(area[order])
-    return float(angle[order[int(np.searchsorted(total, (1.0 - STEEP_SHARE) * total[-1]))]])
+    return float(angle[order[int(np.searchsorted(total, (1.0 - STEEP_AREA_FRACTION) * total[-1]))]])
 
 
-def by_corner(surface: Pass, thickness: float) -> tuple[FloatArray, IntArray, FloatArray]:
-    """The face of a pass with corners of its own for each facet, and its thickness there: vertices (3 F, 3)
-    [m], faces (F, 3), thickness (3 F,) [m].
+def face_by_corner(surface: FormingPass, thickness: float) -> tuple[FloatArray, IntArray, FloatArray]:
+    """Return the face of a pass with separate corners for each facet, and its thickness there.
 
-    Across a crease thickness jumps, which values at shared vertices cannot; over smooth faces it is as smooth
-    as their normals. ``thickness`` [m] of the flat sheet.
+    Thickness jumps across a crease, which values at shared vertices cannot represent. Over smooth faces it is
+    as smooth as their normals.
+
+    Args:
+        surface: Pass.
+        thickness: Thickness [m] of the flat sheet.
+
+    Returns:
+        Vertices (3 F, 3) [m], faces (F, 3) and thickness (3 F,) [m].
     """
     mesh = TriangleMesh(surface.vertices, surface.faces)
     up = np.clip(smooth_normals(mesh)[:, :, 2], 0.0, 1.0)
-    single = thickness * _least(surface.vertices, surface.faces, up)
-    earlier = np.where(single > 0.0, surface.thickness / np.maximum(single, 1e-12), 1.0)
+    single_pass = thickness * _vertex_minimum(surface.vertices, surface.faces, up)
+    earlier = np.where(single_pass > 0.0, surface.thickness / np.maximum(single_pass, 1e-12), 1.0)
     value = thickness * up * np.minimum(earlier, 1.0)[surface.faces]
     corners = surface.vertices[surface.faces].reshape(-1, 3)
     return corners, np.arange(len(corners), dtype=np.int64).reshape(-1, 3), value.reshape(-1)
 
 
-def _least_up(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """The least z (V,) of the unit normals about each vertex, smooth but over creases, within [0, 1]."""
+def _min_normal_z(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """Minimum z (V,) of the unit normals about each vertex, within [0, 1].
+
+    Normals are smooth except over creases.
+    """
     up = np.clip(smooth_normals(TriangleMesh(vertices, faces))[:, :, 2], 0.0, 1.0)
-    return _least(vertices, faces, up)
+    return _vertex_minimum(vertices, faces, up)
 
 
-def _least(vertices: FloatArray, faces: IntArray, up: FloatArray) -> FloatArray:
-    """The least (V,) of what corners of facets have, ``up`` (F, 3), about each vertex; 1 where none is."""
-    least = np.ones(len(vertices))
-    np.minimum.at(least, faces.reshape(-1), up.reshape(-1))
-    return least
+def _vertex_minimum(vertices: FloatArray, faces: IntArray, up: FloatArray) -> FloatArray:
+    """Minimum (V,) about each vertex of the corner values ``up`` (F, 3); 1 for vertices without a face."""
+    minimum = np.ones(len(vertices))
+    np.minimum.at(minimum, faces.reshape(-1), up.reshape(-1))
+    return minimum
 
 
 FORCE_COEFFICIENT: Final = 0.0716
 """Coefficient of the formula in `axial_force`, for N, N/mm^2, mm and degrees."""
-OF_THICKNESS, OF_DIAMETER, OF_SCALLOP = 1.57, 0.41, 0.09
+THICKNESS_EXPONENT, DIAMETER_EXPONENT, SCALLOP_EXPONENT = 1.57, 0.41, 0.09
 """Exponents of thickness, tool diameter and scallop height [mm] in `axial_force`."""
-MEGAPASCAL: Final = 1e6
+PASCALS_PER_MEGAPASCAL: Final = 1e6
 """One megapascal in pascals."""
-MOST_FORCE_FACTOR: Final = 2.0
-"""Forces beyond so many times what a payload leaves are refused unless the problem accepts them: arms that
-push slowly bear more than they may swing about, but not any force. The factor is assumed."""
+MAX_FORCE_FACTOR: Final = 2.0
+"""Forces above this multiple of the payload that is left must be accepted in the problem file.
+
+Arms that push slowly bear more than they can swing about, but not any force. Chosen: the factor is assumed.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
 class ForceEstimate:
-    """``force`` [N] along the tool with ``low`` and ``high`` [N] from the metal's range of strength (not the
-    formula's own error), at the wall angle ``angle`` [rad] where it is largest; ``source`` says where it
-    comes from."""
+    """Estimate of a forming force.
+
+    Attributes:
+        force: Force [N] along the tool.
+        low: Lower bound [N] from the metal's range of strength, without the error of the formula.
+        high: Upper bound [N] from the metal's range of strength, without the error of the formula.
+        angle: Wall angle [rad] at which the force is largest.
+        source: Origin of the estimate, for the user.
+    """
 
     force: float
     low: float
@@ -119,11 +150,18 @@ class ForceEstimate:
 
 
 def scallop_height(radius: float, stepdown: ArrayLike, angle: ArrayLike) -> FloatArray:
-    """Height [m] of the ridge between two contours, for a ball of ``radius`` [m]: the inverse of
-    stepdown = 2 sin(angle) sqrt(2 radius h - h^2), at most the radius."""
+    """Return the height [m] of the ridge between two contours.
+
+    The inverse of stepdown = 2 sin(angle) sqrt(2 R h - h^2), limited to the radius R.
+
+    Args:
+        radius: Radius R [m] of the ball.
+        stepdown: Step-down [m].
+        angle: Wall angle [rad].
+    """
     chord = np.asarray(stepdown, dtype=np.float64) / (2.0 * np.sin(angle))
     short = np.minimum(chord, radius)
-    # radius - sqrt(radius^2 - chord^2) without its cancellation
+    # h = R - sqrt(R^2 - c^2) = c^2 / (R + sqrt(R^2 - c^2)), without cancellation
     height: FloatArray = short * short / (radius + np.sqrt(radius * radius - short * short))
     return height
 
@@ -131,53 +169,78 @@ def scallop_height(radius: float, stepdown: ArrayLike, angle: ArrayLike) -> Floa
 def axial_force(
     tensile_stress: float, thickness: ArrayLike, diameter: float, scallop: ArrayLike, angle: ArrayLike
 ) -> FloatArray:
-    """Axial force [N]: tensile strength [Pa], sheet thickness, tool diameter, scallop height [m] and wall
-    angle [rad], which broadcast. Largest at 49.3 deg; 0 at 0 and 90 deg. Raises `TandemError`
-    (forming.force_input).
-
-    Formula of Aerens, Eyckens, Van Bael and Duflou, "Force prediction for single point incremental forming
-    deduced from experimental and FEM observations", Int. J. Adv. Manuf. Technol. 46 (2010) 969, its general
-    form for all of their metals:
+    """Return the axial force [N] of forming. The arguments broadcast.
 
         F = 0.0716 Rm t^1.57 d^0.41 h^0.09 a cos a
 
-    F [N], Rm tensile strength [N/mm^2], t sheet thickness, d tool diameter, h scallop height [mm], a wall
-    angle [deg]. The figures are quoted from general knowledge; the paper itself was not at hand. It is the
-    steady force of a cone in one pass without support, so with a second tool it is a guess."""
+    with F [N], Rm tensile strength [N/mm^2], t sheet thickness, d tool diameter, h scallop height [mm], a
+    wall angle [deg]. The force is largest at 49.3 deg, and 0 at 0 and 90 deg. It is the steady force of a
+    cone in one pass without support, so with a second tool it is a guess.
+
+    Args:
+        tensile_stress: Tensile strength [Pa].
+        thickness: Sheet thickness [m].
+        diameter: Tool diameter [m].
+        scallop: Scallop height [m].
+        angle: Wall angle [rad].
+
+    Raises:
+        TandemError: forming.force_input.
+
+    Source: Aerens, Eyckens, Van Bael and Duflou, "Force prediction for single point incremental forming
+    deduced from experimental and FEM observations", Int. J. Adv. Manuf. Technol. 46 (2010) 969, the general
+    form for all of their metals. The figures are quoted from general knowledge; the paper itself was not at
+    hand.
+    """
     t, h, a = (np.asarray(value, dtype=np.float64) for value in (thickness, scallop, angle))
-    _positive("tensile strength", tensile_stress, "Pa")
-    _positive("thickness", t / MM, "mm")
-    _positive("tool diameter", diameter / MM, "mm")
+    _require_positive("tensile strength", tensile_stress, "Pa")
+    _require_positive("thickness", t / MM, "mm")
+    _require_positive("tool diameter", diameter / MM, "mm")
     if not (np.all(np.isfinite(h)) and np.all(h >= 0.0)):
-        raise _wrong(f"scallop height: got {_worst(h) / MM:g} mm, allowed 0 mm or more")
+        raise _input_error(f"scallop height: got {_worst_value(h) / MM:g} mm, allowed 0 mm or more")
     if not np.all((a >= 0.0) & (a <= 90.0 * DEG)):
-        raise _wrong(f"wall angle: got {_worst(a) / DEG:g} deg, allowed 0 to 90 deg")
-    lengths = (t / MM) ** OF_THICKNESS * (diameter / MM) ** OF_DIAMETER * (h / MM) ** OF_SCALLOP
-    force: FloatArray = FORCE_COEFFICIENT * tensile_stress / MEGAPASCAL * lengths * (a / DEG) * np.cos(a)
+        raise _input_error(f"wall angle: got {_worst_value(a) / DEG:g} deg, allowed 0 to 90 deg")
+    lengths = (
+        (t / MM) ** THICKNESS_EXPONENT * (diameter / MM) ** DIAMETER_EXPONENT * (h / MM) ** SCALLOP_EXPONENT
+    )
+    force: FloatArray = (
+        FORCE_COEFFICIENT * tensile_stress / PASCALS_PER_MEGAPASCAL * lengths * (a / DEG) * np.cos(a)
+    )
     return force
 
 
-def estimate(
+def estimate_force(
     metal: SheetMetal,
     thickness: float,
     diameter: float,
     stepdown: float,
     angles: ArrayLike,
-    given: float | None = None,
+    stated_force: float | None = None,
 ) -> ForceEstimate:
-    """The largest axial force over a part's wall ``angles`` (N,) [rad], or the user's figure ``given`` [N].
+    """Return the largest axial force over a part's walls, or the figure that the user gives.
 
-    ``thickness``, ball ``diameter`` and ``stepdown`` [m]. Raises `TandemError` (forming.force_input).
+    Args:
+        metal: Sheet metal.
+        thickness: Sheet thickness [m].
+        diameter: Diameter [m] of the ball.
+        stepdown: Step-down [m].
+        angles: Wall angles (N,) [rad].
+        stated_force: Force [N] that the user states; None for the formula.
+
+    Raises:
+        TandemError: forming.force_input.
     """
     walls = np.atleast_1d(np.asarray(angles, dtype=np.float64))
     walls = walls[walls > 0.0]
     if walls.size == 0:
-        raise _wrong("wall angles: got none above 0 deg, allowed one at least; nothing is to be formed")
-    if given is not None:
-        if not (math.isfinite(given) and given > 0.0):
-            raise _wrong(f"force: got {given:g} N, allowed a number above 0 N")
-        return ForceEstimate(given, given, given, float(walls.max()), "the user's figure")
-    _positive("stepdown", stepdown / MM, "mm")
+        raise _input_error("wall angles: got none above 0 deg, so there is nothing to form")
+    if stated_force is not None:
+        if not (math.isfinite(stated_force) and stated_force > 0.0):
+            raise _input_error(f"force: got {stated_force:g} N, allowed a number above 0 N")
+        return ForceEstimate(
+            stated_force, stated_force, stated_force, float(walls.max()), "stated by the user"
+        )
+    _require_positive("stepdown", stepdown / MM, "mm")
     scallop = scallop_height(0.5 * diameter, stepdown, walls)
     force = axial_force(metal.tensile_stress, thickness, diameter, scallop, walls)
     worst = int(np.argmax(force))
@@ -186,34 +249,52 @@ def estimate(
     return ForceEstimate(float(force[worst]), low, high, float(walls[worst]), source)
 
 
-def payload_issue(found: ForceEstimate, arm: str, robot: str, payload: float, carried: float) -> Issue | None:
-    """A warning where the force is beyond the weight of the ``payload`` [kg] less what is ``carried`` [kg]
-    (forming.force); to be accepted where it is beyond `MOST_FORCE_FACTOR` times that.
+def payload_issue(
+    estimated: ForceEstimate, arm: str, robot: str, payload: float, carried: float
+) -> Issue | None:
+    """Return a warning if the force exceeds what the payload leaves (forming.force).
+
+    The limit is the weight of the payload minus that of the tool. Forces above `MAX_FORCE_FACTOR` times the
+    limit have to be accepted.
+
+    Args:
+        estimated: Force on the tool.
+        arm: Name of the arm.
+        robot: Title of the robot.
+        payload: Payload [kg] of the robot.
+        carried: Mass [kg] of what the arm carries.
     """
     free = max(payload - carried, 0.0) * GRAVITY
-    if found.force <= free:
+    if estimated.force <= free:
         return None
-    spread = "" if found.low == found.high else f" ({found.low:.0f} to {found.high:.0f} N)"
+    spread = "" if estimated.low == estimated.high else f" ({estimated.low:.0f} to {estimated.high:.0f} N)"
     return Issue(
         "forming.force",
-        f"{arm}: forming takes about {found.force:.0f} N{spread} ({found.source}), the payload of {robot} "
-        f"leaves {free:.0f} N beside its tool; it may stop with a collision error, or bend out of place",
+        format_message(
+            "forming.force",
+            arm=arm,
+            force_n=estimated.force,
+            range_clause=spread,
+            source=estimated.source,
+            robot=robot,
+            free_force_n=free,
+        ),
         Severity.WARNING,
         arm=arm,
-        **measurement(found.force, free, "N"),
-        hint="take thinner or softer sheet, a smaller tool or a larger robot, or state a measured force",
-        accepted=False if found.force > MOST_FORCE_FACTOR * free else None,
+        **measurement(estimated.force, free, "N"),
+        hint="use thinner or softer sheet, a smaller tool or a larger robot, or state a measured force",
+        accepted=False if estimated.force > MAX_FORCE_FACTOR * free else None,
     )
 
 
-def _positive(what: str, value: ArrayLike, unit: str) -> None:
+def _require_positive(what: str, value: ArrayLike, unit: str) -> None:
     values = np.asarray(value, dtype=np.float64)
     if not (np.all(np.isfinite(values)) and np.all(values > 0.0)):
-        raise _wrong(f"{what}: got {_worst(values):g} {unit}, allowed a number above 0 {unit}")
+        raise _input_error(f"{what}: got {_worst_value(values):g} {unit}, allowed a number above 0 {unit}")
 
 
-def _worst(values: FloatArray) -> float:
-    """The first value that is no number, else the least one if it is below 0, else the largest."""
+def _worst_value(values: FloatArray) -> float:
+    """First value that is not finite, else the minimum if it is not positive, else the maximum."""
     flat = values.reshape(-1)
     bad = flat[~np.isfinite(flat)]
     if bad.size:
@@ -221,5 +302,5 @@ def _worst(values: FloatArray) -> float:
     return float(flat.min() if flat.min() <= 0.0 else flat.max())
 
 
-def _wrong(text: str) -> TandemError:
-    return refusal("forming.force_input", text, hint="correct it, in the units stated")
+def _input_error(text: str) -> TandemError:
+    return issue_error("forming.force_input", text, hint="correct it, in the units stated")

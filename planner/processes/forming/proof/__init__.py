@@ -1,1 +1,1 @@
-"""Forming tools in the sheet, as the proof sees them."""
+"""Forming tools in the sheet, from the point of view of the proof."""

@@ -1,4 +1,4 @@
-"""What forming contributes to the proof."""
+"""The contribution of forming to the proof."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -7,46 +7,61 @@ import numpy as np
 
 from planner.claims.claim import Claim
 from planner.processes.forming.claims import SheetState
-from planner.processes.forming.proof.made_sheet import made_sheet
+from planner.processes.forming.proof.formed_sheet import make_formed_sheet
+from planner.processes.forming.proof.forming_facts import FORMING, REMAINING_FACES
 from planner.processes.forming.proof.rules import claims, level, part, springback, tool, two_tools
-from planner.processes.forming.proof.state import FORMING, LEFT_FACES
-from planner.processes.forming.proof.swept import ENVELOPES
+from planner.processes.forming.proof.swept_volume import ENVELOPES
 from planner.proof.context import Context
-from planner.proof.contribution import Edges, ProofOfProcess
+from planner.proof.contribution import ProofOfProcess, WorkingEdges
 from planner.proof.series import MAX_CURVE_POINTS
 
 
-def edges(group: Sequence[Claim], arm: str) -> Edges | None:
-    """The heads of forming tools touch the sheet, and one another, in the segments that state what they meet
-    there, with their ways in and out."""
-    own = [claim.segment for claim in group if isinstance(claim, SheetState) and arm in claim.arms]
-    segments = frozenset(part.key for segment in own for part in segment.ways)
-    return Edges(segments, meet=True) if segments else None
+def edges(group: Sequence[Claim], arm: str) -> WorkingEdges | None:
+    """Return the segments in which heads of forming tools touch the sheet and one another.
+
+    These are the segments with a claim on the sheet's state, with their approach and retreat.
+    """
+    state_segments = [claim.segment for claim in group if isinstance(claim, SheetState) and arm in claim.arms]
+    segments = frozenset(part.key for segment in state_segments for part in segment.all_phases)
+    return WorkingEdges(segments, meet=True) if segments else None
 
 
 def series(context: Context) -> Mapping[str, Any]:
-    """The gap between two tools, as it is and as it is wanted, over time."""
+    """Return the gap between two tools, actual and required, over time."""
     out: dict[str, Any] = {}
-    for n, gap in enumerate(context.get(FORMING).opened if context.has(FORMING) else (), 1):
+    for n, gap in enumerate(context.get(FORMING).gaps if context.has(FORMING) else (), 1):
         last = max(len(gap.knots) - 1, 0)
-        some = np.unique(np.linspace(0, last, MAX_CURVE_POINTS).astype(np.int64))[: len(gap.knots)]
+        selected = np.unique(np.linspace(0, last, MAX_CURVE_POINTS).astype(np.int64))[: len(gap.knots)]
         out |= {
-            f"gap/{n}/time": context.motion.time[gap.track.rows[gap.knots[some]]],
-            f"gap/{n}/got": gap.got[some],
-            f"gap/{n}/low": gap.low[some] - gap.claim.tolerance,
-            f"gap/{n}/high": gap.high[some] + gap.claim.tolerance,
+            f"gap/{n}/time": context.motion.time[gap.track.rows[gap.knots[selected]]],
+            f"gap/{n}/got": gap.actual_gap[selected],
+            f"gap/{n}/low": gap.low[selected] - gap.claim.tolerance,
+            f"gap/{n}/high": gap.high[selected] + gap.claim.tolerance,
         }
     return out
 
 
 PROOF: Final = ProofOfProcess(
     rules=(
-        *(part.forming_part, claims.forming_claims, springback.springback, level.level),
-        *(tool.feature_order, tool.feed, tool.lean, tool.gouge, tool.sheet, tool.holder, tool.formed),
-        *(two_tools.gap, two_tools.border, two_tools.opposite, two_tools.by_table),
+        *(
+            part.check_forming_part,
+            claims.check_forming_claims,
+            springback.check_springback,
+            level.check_level,
+        ),
+        *(
+            tool.check_feature_order,
+            tool.check_feed,
+            tool.check_tilt,
+            tool.check_gouge,
+            tool.check_sheet_state,
+            tool.check_holder,
+            tool.check_formed,
+        ),
+        *(two_tools.check_gap, two_tools.check_border, two_tools.check_opposite, two_tools.check_adsif),
     ),
     edges=edges,
-    made_sheet=made_sheet,
-    begin={"tasks": (LEFT_FACES,), "sheets": (FORMING, ENVELOPES)},
+    produced_sheet=make_formed_sheet,
+    facts_at_start={"tasks": (REMAINING_FACES,), "sheets": (FORMING, ENVELOPES)},
     series=series,
 )

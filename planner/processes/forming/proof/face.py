@@ -1,17 +1,16 @@
-"""A formed face: nearest places, sides, how near straight ways come, and what a ball can reach of it.
+"""A formed face: nearest points, sides, distances of straight lines, and what a ball can reach of it.
 
-All distances are exact for the triangles. The face goes on flat beyond its border, as the sheet
-does. Which triangles may be nearest to points or straight ways is told by groups of triangles as
-flat disks, in levels.
+All distances are exact for the triangles. The face continues flat beyond its border, as the sheet does.
+Groups of triangles, as flat disks in a hierarchy, tell which triangles may be nearest to points or straight
+lines.
 
-What a ball can reach: how near to a place any ball of its size comes that cuts in nowhere. A ball
-above a hollow stays beyond the plane of every place of it, by its radius. So the nearest place that
-is left for its centre is that of the planes which are in the way: they are found one by one, each
-where the best centre so far still cuts in, and the centre is put to the nearest place that is
-beyond the last of them. In a hollow no centre is ever too far off thus, and one that cuts in
-nowhere is the nearest there is. In a sharp corner between two planes at the angle a to each other a
-ball of radius R stays R (1 / cos(a / 2) - 1) off, in the tip of a cone whose wall has the angle a,
-R (1 / cos a - 1).
+The reach of a ball: the minimum distance from a point of any ball of its size that does not cut into the
+face. A ball above a hollow stays beyond the plane of every point of it, by its radius. So the nearest
+possible centre is that of the active planes. They are found one by one, each where the best centre so far
+still cuts in, and the centre is moved to the nearest point beyond the last of them. In a hollow no centre is
+ever too far away thus, and one that does not cut in is the nearest possible. In a sharp corner between two
+planes at the angle a to each other a ball of radius R stays R (1 / cos(a / 2) - 1) away, in the tip of a cone
+whose wall has the angle a, R (1 / cos a - 1).
 """
 
 import dataclasses
@@ -24,16 +23,24 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, lengths
-from planner.geometry.mesh import TriangleMesh, closest_on_triangles, corner_normals, small_pieces
+from planner.geometry.mesh import TriangleMesh, bisect_triangles, closest_weights, corner_normals
 
 TREE_BRANCHES: Final = 4
 """Branches of each node of the tree of triangles."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Level:
-    """Groups as disks that hold their triangles: ``centre``, ``normal`` (K, 3), ``radius`` and half the
-    thickness ``half`` (K,) [m]; a level's children of group k are 4 k to 4 k + 3 of the next."""
+class DiskLevel:
+    """Groups as disks that contain their triangles.
+
+    The children of group k are 4 k to 4 k + 3 of the next level.
+
+    Attributes:
+        centre: Centres (K, 3) [m].
+        normal: Unit normals (K, 3).
+        radius: Radii (K,) [m].
+        half: Half thicknesses (K,) [m].
+    """
 
     centre: FloatArray
     normal: FloatArray
@@ -41,7 +48,7 @@ class Level:
     half: FloatArray
 
 
-class Tree:
+class TriangleTree:
     """Triangles (F, 3, 3) in groups of four, these in groups of four, and so on."""
 
     def __init__(self, corners: FloatArray) -> None:
@@ -51,12 +58,12 @@ class Tree:
         middle = corners.mean(axis=1)
         order = np.arange(count)
         slots = np.full(full, -1, dtype=np.int64)
-        # equal shares along the widest way of each group, so that the order of the slots is the tree
-        place = np.zeros(count, dtype=np.int64)
+        # halve each group along its widest axis, so that the order of the slots is the tree
+        slot = np.zeros(count, dtype=np.int64)
         size = full
         while size > 1:
             half = size // 2
-            group = place // size
+            group = slot // size
             low = np.full((full // size, 3), np.inf)
             high = -low
             np.minimum.at(low, group, middle[order])
@@ -69,26 +76,33 @@ class Tree:
             rank = np.arange(count) - first
             number = np.bincount(group, minlength=full // size)[group]
             cut = np.minimum((number + 1) // 2, half)
-            place = group * size + np.where(rank < cut, rank, half + rank - cut)
+            slot = group * size + np.where(rank < cut, rank, half + rank - cut)
             size = half
-        slots[place] = order
+        slots[slot] = order
         self.triangle = slots
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         self.levels = tuple(
-            _level(corners, cross, slots.reshape(TREE_BRANCHES**k, -1)) for k in range(depth + 1)
+            _disk_level(corners, cross, slots.reshape(TREE_BRANCHES**k, -1)) for k in range(depth + 1)
         )
 
     def near_points(self, points: FloatArray, limit: FloatArray) -> tuple[IntArray, IntArray]:
-        """Pairs of points (N, 3) and triangles that may be nearer than ``limit`` (N,) [m]."""
-        return self._near(limit, lambda level, node, which: _off_points(level, node, points[which]))
+        """Return pairs of points (N, 3) and triangles that may be nearer than ``limit`` (N,) [m]."""
+        return self._near_pairs(limit, lambda level, node, which: _point_distance(level, node, points[which]))
 
-    def near_ways(self, start: FloatArray, end: FloatArray, limit: FloatArray) -> tuple[IntArray, IntArray]:
-        """Pairs of straight ways from ``start`` to ``end`` (N, 3) and triangles that may be nearer than
-        ``limit`` (N,) [m]."""
-        return self._near(limit, lambda level, node, which: _off_ways(level, node, start[which], end[which]))
+    def near_lines(self, start: FloatArray, end: FloatArray, limit: FloatArray) -> tuple[IntArray, IntArray]:
+        """Return pairs of straight lines and triangles that may be near each other.
 
-    def _near(
-        self, limit: FloatArray, off: Callable[[Level, IntArray, IntArray], FloatArray]
+        Args:
+            start: Starts (N, 3) [m].
+            end: Ends (N, 3) [m].
+            limit: Distances (N,) [m] below which pairs are returned.
+        """
+        return self._near_pairs(
+            limit, lambda level, node, which: _line_distance(level, node, start[which], end[which])
+        )
+
+    def _near_pairs(
+        self, limit: FloatArray, distance: Callable[[DiskLevel, IntArray, IntArray], FloatArray]
     ) -> tuple[IntArray, IntArray]:
         which = np.arange(len(limit))
         node = np.zeros(len(limit), dtype=np.int64)
@@ -96,12 +110,12 @@ class Tree:
             if k:
                 which = np.repeat(which, TREE_BRANCHES)
                 node = (TREE_BRANCHES * node[:, None] + np.arange(TREE_BRANCHES)).ravel()
-            near = off(level, node, which) < limit[which]
-            which, node = which[near], node[near]
+            is_near = distance(level, node, which) < limit[which]
+            which, node = which[is_near], node[is_near]
         return which, self.triangle[node]
 
 
-def _level(corners: FloatArray, cross: FloatArray, slots: IntArray) -> Level:
+def _disk_level(corners: FloatArray, cross: FloatArray, slots: IntArray) -> DiskLevel:
     used = slots >= 0
     group, column = np.nonzero(used)
     triangle = slots[group, column]
@@ -110,8 +124,8 @@ def _level(corners: FloatArray, cross: FloatArray, slots: IntArray) -> Level:
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
     np.minimum.at(low, group, points.min(axis=1))
     np.maximum.at(high, group, points.max(axis=1))
-    held = np.isfinite(low)
-    centre = 0.5 * (np.where(held, low, 0.0) + np.where(held, high, 0.0))
+    is_used = np.isfinite(low)
+    centre = 0.5 * (np.where(is_used, low, 0.0) + np.where(is_used, high, 0.0))
     normal = np.zeros((count, 3))
     np.add.at(normal, group, cross[triangle])
     length = np.linalg.norm(normal, axis=1, keepdims=True)
@@ -122,92 +136,113 @@ def _level(corners: FloatArray, cross: FloatArray, slots: IntArray) -> Level:
     radius, half = np.full(count, -np.inf), np.zeros(count)
     np.maximum.at(radius, group, flat.max(axis=1))
     np.maximum.at(half, group, np.abs(height).max(axis=1))
-    return Level(centre, normal, radius + 1e-12, half + 1e-12)
+    return DiskLevel(centre, normal, radius + 1e-12, half + 1e-12)
 
 
-def _off_points(level: Level, node: IntArray, points: FloatArray) -> FloatArray:
-    """A lower bound (M,) [m] of the distance of points from what groups hold; infinite for groups that hold
-    nothing."""
+def _point_distance(level: DiskLevel, node: IntArray, points: FloatArray) -> FloatArray:
+    """Lower bound (M,) [m] of the distance of points from the contents of groups.
+
+    It is infinite for empty groups.
+    """
     rest = points - level.centre[node]
     height = dots(rest, level.normal[node])
     flat = np.sqrt(np.maximum(dots(rest, rest) - height * height, 0.0))
-    return _off(level, node, flat, np.abs(height))
+    return _disk_distance(level, node, flat, np.abs(height))
 
 
-def _off_ways(level: Level, node: IntArray, start: FloatArray, end: FloatArray) -> FloatArray:
+def _line_distance(level: DiskLevel, node: IntArray, start: FloatArray, end: FloatArray) -> FloatArray:
     normal, centre = level.normal[node], level.centre[node]
-    one, two = start - centre, end - centre
-    low, high = dots(one, normal), dots(two, normal)
+    start_offset, end_offset = start - centre, end - centre
+    low, high = dots(start_offset, normal), dots(end_offset, normal)
     height = np.where(low * high > 0.0, np.minimum(np.abs(low), np.abs(high)), 0.0)
-    middle = 0.5 * (one + two)
+    middle = 0.5 * (start_offset + end_offset)
     up = 0.5 * (low + high)
+    # no point of the line is nearer to the disk's axis than its middle minus half its length
     flat = np.sqrt(np.maximum(dots(middle, middle) - up * up, 0.0)) - 0.5 * lengths(end - start)
-    return _off(level, node, flat, height)
+    return _disk_distance(level, node, flat, height)
 
 
-def _off(level: Level, node: IntArray, flat: FloatArray, height: FloatArray) -> FloatArray:
-    """Distance (M,) [m] from disks, of what is ``flat`` along them from their middle and ``height`` over."""
+def _disk_distance(level: DiskLevel, node: IntArray, flat: FloatArray, height: FloatArray) -> FloatArray:
+    """Distance (M,) [m] from disks, for points ``flat`` along them from their middle and ``height`` above."""
     radius = level.radius[node]
-    beside = np.maximum(flat - radius, 0.0)
+    # d >= hypot(height - half, flat - radius), each at least 0: the contents lie in this cylinder
+    lateral = np.maximum(flat - radius, 0.0)
     above = np.maximum(height - level.half[node], 0.0)
-    return np.where(radius < 0.0, np.inf, np.hypot(above, beside))
+    return np.where(radius < 0.0, np.inf, np.hypot(above, lateral))
 
 
-EQUALLY_NEAR = 1e-7
-"""Places whose distances differ by less [m] are equally near."""
-CREASE_ANGLE = np.deg2rad(20.0)
-"""Triangles that turn by more than this [rad] over an edge meet in a crease."""
-_SEED_SIZE = 0.003
-"""Triangles are divided into pieces no smaller than this [m] to find the nearest ones."""
-_MOST_SEEDS = 150_000
-"""Such pieces at most."""
+EQUAL_DISTANCE_TOLERANCE_M = 1e-7
+"""Points whose distances differ by less [m] are equally near."""
+CREASE_ANGLE_RAD = np.deg2rad(20.0)
+"""Triangles that meet at more than this angle [rad] form a crease."""
+_MIN_SEED_SIZE_M = 0.003
+"""Minimum size [m] of the pieces of triangles for the search of the nearest ones."""
+_MAX_SEEDS = 150_000
+"""Maximum number of such pieces."""
 _POINTS_AT_ONCE = 1_000
-"""Points, or segments, that are held against the face at once."""
+"""Points, or lines, that are compared with the face at once, to bound memory."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Nearest:
-    """Of N points: ``place`` (N, 3) nearest on the face, ``apart`` (N,) [m] its distance, ``signed`` (N,) the
-    same, negative below the face (its normals point up), beyond the border the height over the flat there.
+class NearestPoints:
+    """Nearest points of a face for N points.
 
-    All places that are as near, but for what was asked: ``row`` (M,) of the points, ``triangle`` (M,) they
-    are on, ``share`` (M, 3) barycentric and ``tied`` (M, 3) themselves.
+    The last four attributes have all M points that are equally near within the requested tolerance.
+
+    Attributes:
+        point: Nearest points (N, 3) on the face.
+        distance: Distances (N,) [m].
+        signed: Distances (N,) [m], negative below the face (its normals point up); beyond the border the
+            height above the flat.
+        row: Index (M,) of the point.
+        triangle: Triangle (M,).
+        weight: Barycentric weights (M, 3).
+        tied: Points (M, 3) themselves.
     """
 
-    place: FloatArray
-    apart: FloatArray
+    point: FloatArray
+    distance: FloatArray
     signed: FloatArray
     row: IntArray
     triangle: IntArray
-    share: FloatArray
+    weight: FloatArray
     tied: FloatArray
 
-    def at(self, chosen: IntArray) -> "Nearest":
-        """Of some of the points, ``chosen`` (K,), in their order."""
-        new = np.full(len(self.apart), -1)
+    def subset(self, chosen: IntArray) -> "NearestPoints":
+        """Return the values of the points ``chosen`` (K,), in their order."""
+        new = np.full(len(self.distance), -1)
         new[chosen] = np.arange(len(chosen))
         row = new[self.row]
         use = np.flatnonzero(row >= 0)
         use = use[np.argsort(row[use], kind="stable")]
-        points = self.place[chosen], self.apart[chosen], self.signed[chosen]
-        return Nearest(*points, row[use], self.triangle[use], self.share[use], self.tied[use])
+        points = self.point[chosen], self.distance[chosen], self.signed[chosen]
+        return NearestPoints(*points, row[use], self.triangle[use], self.weight[use], self.tied[use])
 
-    def followed_by(self, other: "Nearest") -> "Nearest":
-        """Of these points and then of the ``other`` ones."""
-        return Nearest(
-            np.concatenate([self.place, other.place]),
-            np.concatenate([self.apart, other.apart]),
+    def concatenate(self, other: "NearestPoints") -> "NearestPoints":
+        """Return the values of these points and then of the ``other`` ones."""
+        return NearestPoints(
+            np.concatenate([self.point, other.point]),
+            np.concatenate([self.distance, other.distance]),
             np.concatenate([self.signed, other.signed]),
-            np.concatenate([self.row, other.row + len(self.apart)]),
+            np.concatenate([self.row, other.row + len(self.distance)]),
             np.concatenate([self.triangle, other.triangle]),
-            np.concatenate([self.share, other.share]),
+            np.concatenate([self.weight, other.weight]),
             np.concatenate([self.tied, other.tied]),
         )
 
 
-class Face:
-    """The triangles of a face ``vertices`` (V, 3) [m], ``faces`` (F, 3) with normals up, however vertices are
-    numbered. ``given`` (F, 3, 3) are the corners of all, ``rows`` those of them that have an area."""
+class ProofFace:
+    """The triangles of a face with normals up, however vertices are numbered.
+
+    Attributes:
+        given: Corners (F, 3, 3) of all triangles.
+        rows: Those of them that have an area.
+
+    Args:
+        vertices: Vertices (V, 3) [m].
+        faces: Triangles (F, 3).
+        scale: Radius [m] of the ball, which determines the size of search pieces.
+    """
 
     def __init__(self, vertices: FloatArray, faces: IntArray, scale: float) -> None:
         corners = vertices[faces]
@@ -220,92 +255,122 @@ class Face:
         self.corners = corners[kept]
         self.area = 0.5 * size[kept]
         self.normal = cross[kept] / size[kept, None]
-        self.border = _border(vertices, self.faces)
-        pieces, self._owner = small_pieces(self.corners, max(_SEED_SIZE, 0.25 * scale), _MOST_SEEDS)
+        self.border = _border_edges(vertices, self.faces)
+        pieces, self._owner = bisect_triangles(self.corners, max(_MIN_SEED_SIZE_M, 0.25 * scale), _MAX_SEEDS)
         self._seeds = cKDTree(pieces.mean(axis=1))
-        self._tree = Tree(self.corners)
-        self.left: dict[tuple[float, int, float], Face | None] = {}
-        """What :func:`left_by` found so far, by its other arguments; None for the face itself."""
+        self._tree = TriangleTree(self.corners)
+        self.remaining_faces: dict[tuple[float, int, float], ProofFace | None] = {}
+        """What :func:`remaining_face` found so far, by its other arguments; None for the face itself."""
 
     @cached_property
-    def smooth(self) -> FloatArray:
-        """Normals (F, 3, 3) at the corners of the triangles, smooth but over creases. ``faces`` may part at
-        creases: places count, not numbers."""
-        _, one = np.unique(self.vertices.round(9), axis=0, return_inverse=True)
-        first = np.zeros(int(one.max()) + 1, dtype=np.int64)
-        first[one.ravel()] = np.arange(len(self.vertices))
-        return corner_normals(TriangleMesh(self.vertices, first[one.ravel()[self.faces]]), CREASE_ANGLE)
+    def smooth_normals(self) -> FloatArray:
+        """Normals (F, 3, 3) at the corners of the triangles, smooth except over creases.
 
-    def nearest(self, points: FloatArray, within: float = EQUALLY_NEAR) -> Nearest:
-        """The nearest places of the face to points (N, 3) [m], and those that are farther by ``within`` [m]
-        at most."""
-        apart = np.full(len(points), np.inf)
+        ``faces`` may be separated at creases: positions count, not numbers.
+        """
+        _, vertex_index = np.unique(self.vertices.round(9), axis=0, return_inverse=True)
+        first = np.zeros(int(vertex_index.max()) + 1, dtype=np.int64)
+        first[vertex_index.ravel()] = np.arange(len(self.vertices))
+        return corner_normals(
+            TriangleMesh(self.vertices, first[vertex_index.ravel()[self.faces]]), CREASE_ANGLE_RAD
+        )
+
+    def nearest(self, points: FloatArray, within: float = EQUAL_DISTANCE_TOLERANCE_M) -> NearestPoints:
+        """Return the nearest points of the face, and those that are farther by at most a tolerance.
+
+        Args:
+            points: Points (N, 3) [m].
+            within: Tolerance [m].
+        """
+        distance = np.full(len(points), np.inf)
         kept: list[tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray]] = []
         for rows in np.array_split(np.arange(len(points)), max(1, len(points) // _POINTS_AT_ONCE)):
             if not len(rows):
                 continue
+            # upper bound: the triangle of the nearest seed; then all triangles that may be nearer than that
             first = self._owner[np.asarray(self._seeds.query(points[rows])[1])]
-            apart[rows] = self._foot(points[rows], first)[2]
-            i, owner = self._tree.near_points(points[rows], apart[rows] + within + EQUALLY_NEAR)
+            distance[rows] = self._foot(points[rows], first)[2]
+            i, owner = self._tree.near_points(
+                points[rows], distance[rows] + within + EQUAL_DISTANCE_TOLERANCE_M
+            )
             i = rows[i]
-            weights, foot, far = self._foot(points[i], owner)
-            np.minimum.at(apart, i, far)
-            use = np.flatnonzero(far <= apart[i] + within)
-            use = use[np.lexsort((far[use], i[use]))]
-            kept.append((i[use], owner[use], weights[use], foot[use], far[use]))
+            weights, foot, foot_distance = self._foot(points[i], owner)
+            np.minimum.at(distance, i, foot_distance)
+            use = np.flatnonzero(foot_distance <= distance[i] + within)
+            use = use[np.lexsort((foot_distance[use], i[use]))]
+            kept.append((i[use], owner[use], weights[use], foot[use], foot_distance[use]))
         if not kept:
             none = np.zeros(0, dtype=np.int64)
-            return Nearest(points, apart, apart, none, none, np.zeros((0, 3)), np.zeros((0, 3)))
+            return NearestPoints(points, distance, distance, none, none, np.zeros((0, 3)), np.zeros((0, 3)))
         parts = list(zip(*kept, strict=True))[::-1]
-        kept.clear()  # and each part as it is joined: of a long pass they are tens of MB
-        i, owner, weights, foot, far = (np.concatenate(parts.pop()) for _ in range(len(parts)))
+        kept.clear()  # parts are freed as they are joined: for a long pass they are tens of MB
+        i, owner, weights, foot, foot_distance = (np.concatenate(parts.pop()) for _ in range(len(parts)))
+        # sign: the side of the sum of the normals of all triangles that are equally near
         first = np.flatnonzero(np.diff(i, prepend=-1) != 0)
-        same = far <= apart[i] + EQUALLY_NEAR
+        same = foot_distance <= distance[i] + EQUAL_DISTANCE_TOLERANCE_M
         outward = np.zeros((len(points), 3))
         np.add.at(outward, i[same], self.normal[owner[same]])
         back = points - foot[first]
-        signed = np.where(dots(back, outward) >= 0.0, apart, -apart)
-        signed = np.where(self._beyond(back, owner[first], weights[first]), back[:, 2], signed)
-        return Nearest(foot[first], apart, signed, i, owner, weights, foot)
+        signed = np.where(dots(back, outward) >= 0.0, distance, -distance)
+        signed = np.where(self._is_beyond_border(back, owner[first], weights[first]), back[:, 2], signed)
+        return NearestPoints(foot[first], distance, signed, i, owner, weights, foot)
 
-    def value(self, found: Nearest, at_corners: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Least and largest value (N,) of what is known at the corners (F, 3) of the given triangles, over
-        the nearest places."""
-        values = dots(found.share, at_corners[self.rows[found.triangle]])
-        low, high = np.full(len(found.apart), np.inf), np.full(len(found.apart), -np.inf)
-        np.minimum.at(low, found.row, values)
-        np.maximum.at(high, found.row, values)
+    def value_range(self, nearest: NearestPoints, at_corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the minimum and maximum (N,) of a corner value over the nearest points.
+
+        Args:
+            nearest: Nearest points.
+            at_corners: Values (F, 3) at the corners of the given triangles.
+        """
+        values = dots(nearest.weight, at_corners[self.rows[nearest.triangle]])
+        low, high = np.full(len(nearest.distance), np.inf), np.full(len(nearest.distance), -np.inf)
+        np.minimum.at(low, nearest.row, values)
+        np.maximum.at(high, nearest.row, values)
         return low, high
 
-    def least(self, start: FloatArray, end: FloatArray, need: FloatArray) -> FloatArray:
-        """How near (K,) [m] straight ways from ``start`` to ``end`` (K, 3) come to the face between their
-        ends; infinite where it is ``need`` (K,) or more."""
+    def line_distance(self, start: FloatArray, end: FloatArray, need: FloatArray) -> FloatArray:
+        """Return the distance (K,) [m] of straight lines from the face between their ends.
+
+        Infinite where it is ``need`` (K,) or more.
+
+        Args:
+            start: Starts (K, 3) [m].
+            end: Ends (K, 3) [m].
+            need: Distances (K,) [m] up to which the result is needed.
+        """
         out = np.full(len(start), np.inf)
         for rows in np.array_split(np.arange(len(start)), max(1, len(start) // _POINTS_AT_ONCE)):
             if len(rows):
-                which, triangle = self._tree.near_ways(start[rows], end[rows], need[rows])
+                which, triangle = self._tree.near_lines(start[rows], end[rows], need[rows])
                 which = rows[which]
-                near = apart(start[which], end[which], self.corners[triangle])
-                np.minimum.at(out, which, near)
+                distance = line_triangle_distance(start[which], end[which], self.corners[triangle])
+                np.minimum.at(out, which, distance)
         return np.where(out < need, out, np.inf)
 
-    def near_ways(self, start: FloatArray, end: FloatArray, need: FloatArray) -> tuple[IntArray, IntArray]:
-        """Pairs of straight ways from ``start`` to ``end`` (K, 3) and triangles that may be nearer than
-        ``need`` (K,) [m]."""
-        return self._tree.near_ways(start, end, need)
+    def near_lines(self, start: FloatArray, end: FloatArray, need: FloatArray) -> tuple[IntArray, IntArray]:
+        """Return pairs of straight lines and triangles that may be near each other.
+
+        Args:
+            start: Starts (K, 3) [m].
+            end: Ends (K, 3) [m].
+            need: Distances (K,) [m] below which pairs are returned.
+        """
+        return self._tree.near_lines(start, end, need)
 
     def _foot(self, points: FloatArray, triangle: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Barycentric weights (M, 3) and places (M, 3) of triangles (M,) nearest to points (M, 3), and how
-        far (M,) [m] they are."""
-        weights = closest_on_triangles(points, *np.moveaxis(self.corners[triangle], 1, 0))
+        """Nearest points (M, 3) of triangles (M,) to points (M, 3).
+
+        Returns their barycentric weights (M, 3), the nearest points, and the distances (M,) [m].
+        """
+        weights = closest_weights(points, *np.moveaxis(self.corners[triangle], 1, 0))
         foot = np.einsum("nk,nkd->nd", weights, self.corners[triangle])
         return weights, foot, np.linalg.norm(points - foot, axis=1)
 
-    def _beyond(self, back: FloatArray, triangle: IntArray, share: FloatArray) -> BoolArray:
-        """Which points (N,), ``back`` (N, 3) off their nearest places, are beyond the face's border."""
+    def _is_beyond_border(self, back: FloatArray, triangle: IntArray, weight: FloatArray) -> BoolArray:
+        """Which points (N,), at ``back`` (N, 3) from their nearest points, are beyond the face's border."""
         out = np.zeros(len(back), dtype=np.bool_)
-        for k in range(3):  # the edge from corner k is met where the corner across it has no weight
-            on = (share[:, (k + 2) % 3] < 1e-9) & self.border[triangle, k]
+        for k in range(3):  # the point is on the edge from corner k if the opposite corner has no weight
+            on = (weight[:, (k + 2) % 3] < 1e-9) & self.border[triangle, k]
             corner = self.corners[triangle]
             edge = corner[:, (k + 1) % 3] - corner[:, k]
             away = np.stack([edge[:, 1], -edge[:, 0]], axis=1)  # right of the edge, for normals up
@@ -313,35 +378,46 @@ class Face:
         return out
 
 
-def _border(vertices: FloatArray, faces: IntArray) -> BoolArray:
-    """Edges (F, 3), each from a corner to the next, of one triangle alone; vertices at one place are one."""
-    _, one = np.unique(vertices.round(9), axis=0, return_inverse=True)
-    same = one.ravel()[faces]
+def _border_edges(vertices: FloatArray, faces: IntArray) -> BoolArray:
+    """Edges (F, 3), each from a corner to the next, that have one triangle.
+
+    Vertices at one position are one.
+    """
+    _, vertex_index = np.unique(vertices.round(9), axis=0, return_inverse=True)
+    same = vertex_index.ravel()[faces]
     low, high = np.minimum(same, np.roll(same, -1, axis=1)), np.maximum(same, np.roll(same, -1, axis=1))
     _, which, count = np.unique(low * len(vertices) + high, return_inverse=True, return_counts=True)
     return np.asarray((count[which.ravel()] == 1).reshape(-1, 3))
 
 
-def apart(start: FloatArray, end: FloatArray, triangle: FloatArray) -> FloatArray:
-    """How near (M,) [m] the straight ways (M, 3) come to triangles (M, 3, 3): to their edges, or through
-    them. What their ends are off is not asked."""
+def line_triangle_distance(start: FloatArray, end: FloatArray, triangle: FloatArray) -> FloatArray:
+    """Return the distances (M,) [m] of straight lines (M, 3) from triangles (M, 3, 3).
+
+    They are the distances from the edges of the triangles, or 0 for lines through them. The ends of the lines
+    are not included.
+    """
     out = np.full(len(start), np.inf)
     for k in range(3):
         a, b = triangle[:, k], triangle[:, (k + 1) % 3]
-        out = np.minimum(out, between_segments(start, end, a, b))
+        out = np.minimum(out, segment_distance(start, end, a, b))
     normal = np.cross(triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0])
-    one, two = dots(start - triangle[:, 0], normal), dots(end - triangle[:, 0], normal)
-    cross = np.flatnonzero(one * two < 0.0)
+    start_height, end_height = dots(start - triangle[:, 0], normal), dots(end - triangle[:, 0], normal)
+    cross = np.flatnonzero(start_height * end_height < 0.0)
     if len(cross):
-        at = start[cross] + (one[cross] / (one - two)[cross])[:, None] * (end - start)[cross]
-        weights = closest_on_triangles(at, *np.moveaxis(triangle[cross], 1, 0))
+        at = (
+            start[cross]
+            + (start_height[cross] / (start_height - end_height)[cross])[:, None] * (end - start)[cross]
+        )
+        weights = closest_weights(at, *np.moveaxis(triangle[cross], 1, 0))
         foot = np.einsum("nk,nkd->nd", weights, triangle[cross])
         out[cross] = np.minimum(out[cross], np.linalg.norm(at - foot, axis=1))
     return out
 
 
-def between_segments(p: FloatArray, q: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-    """Distances (M,) [m] of straight ways p q and a b (M, 3)."""
+def segment_distance(p: FloatArray, q: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the distances (M,) [m] of the straight lines p q and a b (M, 3)."""
+    # least |w + s u - t v|^2: s = (uv vw - vv uw) / (uu vv - uv^2), then t = (uv s + vw) / vv and
+    # s = (uv t - uw) / uu, each clipped to [0, 1] (Ericson, Real-Time Collision Detection, 2005, 5.1.9)
     u, v, w = q - p, b - a, p - a
     uu, uv, vv, uw, vw = dots(u, u), dots(u, v), dots(v, v), dots(u, w), dots(v, w)
     down = uu * vv - uv * uv
@@ -352,170 +428,218 @@ def between_segments(p: FloatArray, q: FloatArray, a: FloatArray, b: FloatArray)
     return lengths(w + s[:, None] * u - t[:, None] * v)
 
 
-CUT_IN = 2e-6
-"""A ball may cut in by so much [m]."""
-REACHED_WITHIN = 3e-5
-"""What a ball comes nearer to than this [m] it reaches."""
-PIECE_SHARE = 0.15
-"""Triangles that a ball does not reach are parted into pieces of this share of its radius."""
-_CENTRE_ROUNDS = 24
-"""Rounds at most in which the nearest centre of a ball is found beyond the planes of the face."""
-_MOST_PLANES = 3
-"""Planes that may hold a centre back at once: three make a corner."""
-_MOST_PIECES = 100_000
-"""Pieces at most: where there would be more, what a ball does not reach is looked for less closely, and
-what is not looked at closely counts as reached."""
+MAX_PENETRATION_M = 2e-6
+"""Depth [m] to which a ball may cut in."""
+REACHED_TOLERANCE_M = 3e-5
+"""A ball reaches what it comes nearer to than this [m]."""
+PIECE_SIZE_FRACTION = 0.15
+"""Size of the pieces of triangles that a ball does not reach, as a fraction of its radius."""
+_MAX_CENTRE_ROUNDS = 24
+"""Maximum number of rounds in which the nearest centre of a ball beyond the planes of the face is found."""
+_MAX_PLANES = 3
+"""Maximum number of planes that hold a centre back at once: three make a corner."""
+_MAX_PIECES = 100_000
+"""Upper bound on subdivision.
+
+Beyond it the search for what a ball does not reach is coarser, and unresolved areas count as reached.
+"""
 
 
-def least_gap(face: Face, points: FloatArray, normals: FloatArray, radius: float, side: int) -> FloatArray:
-    """How far (N,) [m] balls of ``radius`` [m] on ``side`` of a face stay off ``points`` (N, 3) on it at
-    least, whose ``normals`` (N, 3) point up; 0 where they reach them."""
+def min_ball_distance(
+    face: ProofFace, points: FloatArray, normals: FloatArray, radius: float, side: int
+) -> FloatArray:
+    """Return the minimum distance (N,) [m] of balls from points of a face; 0 where they reach them.
+
+    Args:
+        face: Face.
+        points: Points (N, 3) on it.
+        normals: Upward normals (N, 3).
+        radius: Radius [m] of the balls.
+        side: Side of the balls.
+    """
     return np.asarray(
         np.maximum(
-            np.linalg.norm(centres(face, points, normals, radius, side) - points, axis=1) - radius, 0.0
+            np.linalg.norm(nearest_ball_centres(face, points, normals, radius, side) - points, axis=1)
+            - radius,
+            0.0,
         )
     )
 
 
-def centres(face: Face, points: FloatArray, normals: FloatArray, radius: float, side: int) -> FloatArray:
-    """The nearest centres (N, 3) [m] to ``points`` (N, 3) of balls that cut into a face nowhere."""
+def nearest_ball_centres(
+    face: ProofFace, points: FloatArray, normals: FloatArray, radius: float, side: int
+) -> FloatArray:
+    """Return the centres (N, 3) [m] nearest to ``points`` (N, 3) of balls that do not cut into a face."""
     out = np.empty((len(points), 3))
-    for begin in range(0, len(points), _POINTS_AT_ONCE):
-        some = slice(begin, begin + _POINTS_AT_ONCE)
-        out[some] = _centres(face, points[some], normals[some], radius, side)
+    for start in range(0, len(points), _POINTS_AT_ONCE):
+        chunk = slice(start, start + _POINTS_AT_ONCE)
+        out[chunk] = _nearest_ball_centres_chunk(face, points[chunk], normals[chunk], radius, side)
     return out
 
 
-def _centres(face: Face, points: FloatArray, normals: FloatArray, radius: float, side: int) -> FloatArray:
-    found = points + side * radius * normals
+def _nearest_ball_centres_chunk(
+    face: ProofFace, points: FloatArray, normals: FloatArray, radius: float, side: int
+) -> FloatArray:
+    centre = points + side * radius * normals
     rows = np.arange(len(points))
-    # each plane as its unit normal, and how far along it a centre is at least
+    # each plane as its unit normal, and the minimum coordinate of a centre along it
     normal = np.zeros((len(points), 0, 3))
     level = np.zeros((len(points), 0))
-    for _ in range(_CENTRE_ROUNDS):
-        near = face.nearest(found[rows])
-        room = side * near.signed
-        rows_in = room < radius - CUT_IN
-        rows, near_place, room = rows[rows_in], near.place[rows_in], room[rows_in]
+    for _ in range(_MAX_CENTRE_ROUNDS):
+        nearest = face.nearest(centre[rows])
+        ball_distance = side * nearest.signed
+        rows_in = ball_distance < radius - MAX_PENETRATION_M
+        rows, near_place, ball_distance = rows[rows_in], nearest.point[rows_in], ball_distance[rows_in]
         if not len(rows):
             break
         normal, level = normal[rows_in], level[rows_in]
-        way = found[rows] - near_place
-        way *= np.sign(room)[:, None]
-        length = np.linalg.norm(way, axis=1, keepdims=True)
+        direction = centre[rows] - near_place
+        direction *= np.sign(ball_distance)[:, None]
+        length = np.linalg.norm(direction, axis=1, keepdims=True)
         up = np.array([0.0, 0.0, float(side)])
-        way = np.where(length > 1e-9, way / np.maximum(length, 1e-12), up)
-        normal = np.concatenate([normal, way[:, None]], axis=1)
-        level = np.concatenate([level, (dots(way, near_place) + radius)[:, None]], axis=1)
-        found[rows], kept = _beyond(points[rows], normal, level)
-        if normal.shape[1] > _MOST_PLANES:  # one that does not hold the centre back goes
-            use = np.sort(np.argsort(kept, axis=1, kind="stable")[:, 1:], axis=1)
+        direction = np.where(length > 1e-9, direction / np.maximum(length, 1e-12), up)
+        # new plane at the deepest contact x: n.c >= n.x + radius
+        normal = np.concatenate([normal, direction[:, None]], axis=1)
+        level = np.concatenate([level, (dots(direction, near_place) + radius)[:, None]], axis=1)
+        centre[rows], hold = _project_beyond_planes(points[rows], normal, level)
+        if normal.shape[1] > _MAX_PLANES:  # drop a plane that does not hold the centre back
+            use = np.sort(np.argsort(hold, axis=1, kind="stable")[:, 1:], axis=1)
             normal = np.take_along_axis(normal, use[:, :, None], axis=1)
             level = np.take_along_axis(level, use, axis=1)
-    return found
+    return centre
 
 
-def _beyond(points: FloatArray, normal: FloatArray, level: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The places (N, 3) nearest to ``points`` (N, 3) that are beyond all of K planes (N, K, 3), (N, K), and
-    how much (N, K) each holds them back; where nothing is beyond all, beyond as many as can be."""
+def _project_beyond_planes(
+    points: FloatArray, normal: FloatArray, level: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Points (N, 3) nearest to ``points`` beyond K planes, and how much each plane holds them back.
+
+    ``points`` are (N, 3), the planes (N, K, 3) and (N, K), the second result (N, K).
+
+    Where no point is beyond all planes, beyond as many as possible. Active sets of up to three planes are
+    enumerated: for each, the projection solves (n n^T) push = d - n . p, and the feasible one with the
+    smallest distance is taken.
+    """
     count = normal.shape[1]
     best = points.copy()
     hold = np.zeros(level.shape)
-    least = np.full(len(points), np.inf)
+    lowest_cost = np.full(len(points), np.inf)
     for size in range(1, min(count, 3) + 1):
-        for some in itertools.combinations(range(count), size):
-            n, d = normal[:, some], level[:, some]
+        for active in itertools.combinations(range(count), size):
+            # c = p + n^T push with n c = d; push >= 0 and no violated plane make it the nearest point
+            n, d = normal[:, active], level[:, active]
             square = np.einsum("nik,njk->nij", n, n)
             square = square + 1e-12 * np.eye(size)
             push = np.linalg.solve(square, (d - np.einsum("nik,nk->ni", n, points))[..., None])[..., 0]
-            place = points + np.einsum("ni,nik->nk", push, n)
-            rest = np.maximum(level - np.einsum("nik,nk->ni", normal, place), 0.0).max(axis=1)
-            apart = np.linalg.norm(place - points, axis=1)
-            cost = np.where((push >= -1e-12).all(axis=1), apart, np.inf) + 1e3 * np.maximum(rest - 1e-9, 0.0)
-            better = cost < least
-            least = np.where(better, cost, least)
-            best[better] = place[better]
+            position = points + np.einsum("ni,nik->nk", push, n)
+            violation = np.maximum(level - np.einsum("nik,nk->ni", normal, position), 0.0).max(axis=1)
+            distance = np.linalg.norm(position - points, axis=1)
+            cost = np.where((push >= -1e-12).all(axis=1), distance, np.inf) + 1e3 * np.maximum(
+                violation - 1e-9, 0.0
+            )
+            better = cost < lowest_cost
+            lowest_cost = np.where(better, cost, lowest_cost)
+            best[better] = position[better]
             hold[better] = 0.0
-            for k, column in enumerate(some):
+            for k, column in enumerate(active):
                 hold[better, column] = np.maximum(push[better, k], 1e-15)
     return best, hold
 
 
-def left_by(face: Face, radius: float, side: int, start: float) -> Face:
-    """The face as a ball of ``radius`` [m] on ``side`` leaves it at best, with fillets where it does not
-    reach; the face itself where it reaches all of it. What is flat at the level ``start`` [m] it reaches."""
+def remaining_face(face: ProofFace, radius: float, side: int, start: float) -> ProofFace:
+    """Return the face as a ball leaves it at best, with fillets where it does not reach.
+
+    The result is the face itself if the ball reaches all of it.
+
+    Args:
+        face: Face.
+        radius: Radius [m] of the ball.
+        side: Side of the ball.
+        start: Level [m] of the flat, which the ball reaches.
+    """
     key = radius, side, start
-    if key not in face.left:
-        made = _left_by(face, *key)
-        face.left[key] = None if made is face else made  # a face that holds itself would outlive its proof
-    return face.left[key] or face
+    if key not in face.remaining_faces:
+        remaining = _calculate_remaining_face(face, *key)
+        face.remaining_faces[key] = (
+            None if remaining is face else remaining
+        )  # a self-reference would outlive the proof
+    return face.remaining_faces[key] or face
 
 
-def _left_by(face: Face, radius: float, side: int, start: float) -> Face:
+def _calculate_remaining_face(face: ProofFace, radius: float, side: int, start: float) -> ProofFace:
+    # Triangles that the ball does not reach, found at the middles of their pieces, then at their corners.
     corners = face.corners
-    moved = np.flatnonzero((side * corners[:, :, 2]).min(axis=1) < side * start - CUT_IN)
-    parts, owner = small_pieces(corners[moved], PIECE_SHARE * radius, _MOST_PIECES)
+    moved = np.flatnonzero((side * corners[:, :, 2]).min(axis=1) < side * start - MAX_PENETRATION_M)
+    parts, owner = bisect_triangles(corners[moved], PIECE_SIZE_FRACTION * radius, _MAX_PIECES)
     owner = moved[owner]
-    off = least_gap(face, parts.mean(axis=1), face.normal[owner], radius, side)
-    wrong = np.zeros(len(corners), dtype=np.bool_)
-    wrong[owner[off > REACHED_WITHIN]] = True
-    if not wrong.any():
+    distance = min_ball_distance(face, parts.mean(axis=1), face.normal[owner], radius, side)
+    is_unreached = np.zeros(len(corners), dtype=np.bool_)
+    is_unreached[owner[distance > REACHED_TOLERANCE_M]] = True
+    if not is_unreached.any():
         return face
-    _spread(face, wrong, moved, radius, side)
-    parts, owner = _fine(face, np.flatnonzero(wrong), radius, side)
-    places = parts.reshape(-1, 3)
+    _spread_unreached(face, is_unreached, moved, radius, side)
+    # Their pieces move to the surface of the nearest ball: by |c - p| - radius toward its centre c.
+    parts, owner = _fine_pieces(face, np.flatnonzero(is_unreached), radius, side)
+    points = parts.reshape(-1, 3)
     up = np.repeat(face.normal[owner], 3, axis=0)
-    back = centres(face, places, up, radius, side) - places
-    far = np.linalg.norm(back, axis=1, keepdims=True)
-    moved = places + np.maximum(far - radius, 0.0) * back / np.maximum(far, 1e-12)
-    # between corners far apart nothing is known: a piece that is too large stays as it is wanted
+    back = nearest_ball_centres(face, points, up, radius, side) - points
+    centre_distance = np.linalg.norm(back, axis=1, keepdims=True)
+    moved = points + np.maximum(centre_distance - radius, 0.0) * back / np.maximum(centre_distance, 1e-12)
+    # between distant corners nothing is known, so a piece that is too large stays as required
     longest = np.linalg.norm(parts - np.roll(parts, 1, axis=1), axis=2).max(axis=1)
-    small = (longest <= PIECE_SHARE * radius * (1.0 + 1e-9))[:, None, None]
+    small = (longest <= PIECE_SIZE_FRACTION * radius * (1.0 + 1e-9))[:, None, None]
     moved = np.where(small, moved.reshape(-1, 3, 3), parts)
-    made = np.concatenate([corners[~wrong], moved]).reshape(-1, 3)
-    found = Face(made, np.arange(len(made)).reshape(-1, 3), radius)
-    # pieces meet without sharing corners, and end nowhere
-    edge = np.concatenate([face.border[~wrong], np.zeros((len(parts), 3), dtype=np.bool_)])
-    found.border = edge[found.rows]
-    return found
+    remaining_corners = np.concatenate([corners[~is_unreached], moved]).reshape(-1, 3)
+    remaining = ProofFace(remaining_corners, np.arange(len(remaining_corners)).reshape(-1, 3), radius)
+    # pieces meet without shared corners and have no border of their own
+    edge = np.concatenate([face.border[~is_unreached], np.zeros((len(parts), 3), dtype=np.bool_)])
+    remaining.border = edge[remaining.rows]
+    return remaining
 
 
-def _fine(face: Face, rows: IntArray, radius: float, side: int) -> tuple[FloatArray, IntArray]:
-    """Triangles ``rows`` (K,) of a face in pieces (P, 3, 3), small where a ball does not reach them, and the
-    triangle (P,) that each belongs to; a long one is reached at its corners and in its middle."""
-    size, many = PIECE_SHARE * radius, 0
-    open_, owner = face.corners[rows], rows
+def _fine_pieces(face: ProofFace, rows: IntArray, radius: float, side: int) -> tuple[FloatArray, IntArray]:
+    """Triangles ``rows`` (K,) of a face in pieces (P, 3, 3), and the triangle (P,) of each.
+
+    Pieces are small where a ball does not reach them. A long piece counts as reached if its corners and its
+    middle are.
+    """
+    size, count = PIECE_SIZE_FRACTION * radius, 0
+    pending, owner = face.corners[rows], rows
     done: list[FloatArray] = []
     owners: list[IntArray] = []
-    while len(open_):
-        long = np.linalg.norm(open_ - np.roll(open_, 1, axis=1), axis=2).max(axis=1) > size
-        long &= many + 2 * len(open_) <= _MOST_PIECES
-        split = np.flatnonzero(long)
-        looks = np.concatenate([open_[split], open_[split].mean(axis=1, keepdims=True)], axis=1)
+    while len(pending):
+        is_long = np.linalg.norm(pending - np.roll(pending, 1, axis=1), axis=2).max(axis=1) > size
+        is_long &= count + 2 * len(pending) <= _MAX_PIECES
+        split = np.flatnonzero(is_long)
+        samples = np.concatenate([pending[split], pending[split].mean(axis=1, keepdims=True)], axis=1)
         up = np.repeat(face.normal[owner[split]], 4, axis=0)
-        off = least_gap(face, looks.reshape(-1, 3), up, radius, side).reshape(-1, 4)
-        split = split[(off > REACHED_WITHIN).any(axis=1)]
-        kept = np.setdiff1d(np.arange(len(open_)), split)
-        done.append(open_[kept])
+        distance = min_ball_distance(face, samples.reshape(-1, 3), up, radius, side).reshape(-1, 4)
+        split = split[(distance > REACHED_TOLERANCE_M).any(axis=1)]
+        kept = np.setdiff1d(np.arange(len(pending)), split)
+        done.append(pending[kept])
         owners.append(owner[kept])
-        many += len(kept)
+        count += len(kept)
         if not len(split):
             break
-        open_, half = small_pieces(open_[split], size, 2 * len(split))
+        pending, half = bisect_triangles(pending[split], size, 2 * len(split))
         owner = owner[split[half]]
     return np.concatenate(done), np.concatenate(owners)
 
 
-def _spread(face: Face, wrong: BoolArray, moved: IntArray, radius: float, side: int) -> None:
-    """Adds to the triangles that a ball does not reach, ``wrong`` (F,), those of ``moved`` (M,) that have a
-    corner in common with them, which it does not reach either: a long triangle's pieces are looked at in
-    their middles, and one at its far corner is none of them."""
+def _spread_unreached(
+    face: ProofFace, is_unreached: BoolArray, moved: IntArray, radius: float, side: int
+) -> None:
+    """Add triangles to those that a ball does not reach, ``is_unreached`` (F,).
+
+    Added are those of ``moved`` (M,) that share a corner with them which the ball does not reach either. The
+    pieces of a long triangle are checked at their middles, so its far corner would be missed.
+    """
     while True:
-        rows = moved[~wrong[moved]]
+        rows = moved[~is_unreached[moved]]
         corner, up = face.corners[rows].reshape(-1, 3), np.repeat(face.normal[rows], 3, axis=0)
-        known = cKDTree(face.corners[wrong].reshape(-1, 3))
-        met = np.flatnonzero(np.isfinite(known.query(corner, distance_upper_bound=CUT_IN)[0]))
-        fresh = met[least_gap(face, corner[met], up[met], radius, side) > REACHED_WITHIN]
+        known = cKDTree(face.corners[is_unreached].reshape(-1, 3))
+        met = np.flatnonzero(np.isfinite(known.query(corner, distance_upper_bound=MAX_PENETRATION_M)[0]))
+        fresh = met[min_ball_distance(face, corner[met], up[met], radius, side) > REACHED_TOLERANCE_M]
         if not len(fresh):
             return
-        wrong[rows[fresh // 3]] = True
+        is_unreached[rows[fresh // 3]] = True

@@ -1,9 +1,8 @@
-"""What a springback file's control points say at places of a pass, by the proof's own interpolation: on each
-level from one point to the next around the loop, each under the force at the place, and between levels by
-height.
+"""Springback at points of a pass by the control points of a file, interpolated by the proof.
 
-The planner has an interpolation of its own; both hold what is between control points for what an elastic
-sheet says there, and `verify.springback` works out some of it anew.
+On each level it goes from one point to the next around the loop, each under the force at the point, and
+between levels by height. The planner has its own interpolation. Both take what is between control points for
+what an elastic sheet gives there, and `verify.springback` recalculates some of it.
 """
 
 import dataclasses
@@ -14,25 +13,35 @@ from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.processes.forming.claims import FormsSheet
-from planner.processes.forming.proof.face import Face
-from planner.processes.forming.proof.springback_file import Control, Way
+from planner.processes.forming.proof.face import ProofFace
+from planner.processes.forming.proof.springback_file import FileControlPoint, FilePath
 
-STEP = 1e-3
-"""Places of a way at which its shifts are looked at are so far apart [m]."""
+POINT_SPACING_M = 1e-3
+"""Spacing [m] of the points of a path at which its shifts are checked."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FilePass:
-    """A pass of a file: its ``claim`` with its ``face``, ``way``, ``controls``. Of P places ``at`` (P,) [m]:
-    ``touch`` (P, 3) [m], where the former touches the claimed face, the wall's ``angle`` (P,) [rad] there,
-    the least and largest ``force`` (2, P) [N], the ``ring`` (P,) and by how much that goes up and down,
-    ``rise`` (P,) [m]."""
+    """A pass of a springback file, at P points.
+
+    Attributes:
+        claim: Claim on the pass.
+        face: Its face.
+        path: Path of the file.
+        controls: Control points.
+        arc: Arc lengths (P,) [m] of the points.
+        touch: Points (P, 3) [m] at which the forming tool touches the claimed face.
+        angle: Wall angles (P,) [rad] there.
+        force: Minimum and maximum force (2, P) [N].
+        ring: Ring (P,).
+        rise: Height (P,) [m] by which the ring goes up and down.
+    """
 
     claim: FormsSheet
-    face: Face
-    way: Way
-    controls: tuple[Control, ...]
-    at: FloatArray
+    face: ProofFace
+    path: FilePath
+    controls: tuple[FileControlPoint, ...]
+    arc: FloatArray
     touch: FloatArray
     angle: FloatArray
     force: FloatArray
@@ -42,113 +51,133 @@ class FilePass:
     @property
     def shift(self) -> FloatArray:
         """Shifts (P,) [m] that the file states."""
-        return np.asarray(np.interp(self.at, gone(self.way.point), self.way.shift))
+        return np.asarray(np.interp(self.arc, arc_lengths(self.path.point), self.path.shift))
 
     @cached_property
-    def between(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """What :func:`bounds` says, worked out once."""
-        return bounds(self)
+    def springback_bounds(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Result of :func:`springback_bounds_at`, calculated once."""
+        return springback_bounds_at(self)
 
-    def levels(self) -> tuple[dict[int, float], dict[int, list[Control]]]:
-        """Heights [m] of the levels, and their control points."""
-        groups: dict[int, list[Control]] = {}
+    def level_groups(self) -> tuple[dict[int, float], dict[int, list[FileControlPoint]]]:
+        """Return the heights [m] of the levels, and their control points."""
+        groups: dict[int, list[FileControlPoint]] = {}
         for control in self.controls:
             groups.setdefault(control.level, []).append(control)
-        return {k: float(np.mean([c.place[2] for c in some])) for k, some in groups.items()}, groups
+        return {k: float(np.mean([c.point[2] for c in group])) for k, group in groups.items()}, groups
 
 
-def gone(points: FloatArray) -> FloatArray:
-    """Way (N,) [m] along a polyline (N, 3)."""
+def arc_lengths(points: FloatArray) -> FloatArray:
+    """Return the arc length (N,) [m] along a polyline (N, 3)."""
     step = points[1:] - points[:-1]
     return np.append(0.0, np.cumsum(np.sqrt((step * step).sum(axis=1))))
 
 
-def bounds(own: FilePass) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The least and largest springback (P,) [m] that control points say at the places of a pass: on each
-    level from one to the next around the loop, each under the force there, between levels by height, and as
-    the loop itself goes up or down by its step; and how much (P,) [m] the levels around differ."""
-    count = len(own.at)
-    known, groups = own.levels()
+def springback_bounds_at(file_pass: FilePass) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the bounds of the springback that control points give at the points of a pass.
+
+    On each level it is interpolated from one point to the next around the loop, each under the force there,
+    between levels by height, and with the height of the loop varied by its step.
+
+    Returns:
+        Minimum and maximum springback (P,) [m], and the difference (P,) [m] of the adjacent levels.
+    """
+    count = len(file_pass.arc)
+    known, groups = file_pass.level_groups()
     order = sorted(groups, key=lambda level: known[level])
     height = np.array([known[level] for level in order])
     table = np.empty((len(order), 2, count))
-    for k in np.unique(own.ring):
-        rows = np.flatnonzero(own.ring == k)
-        along = own.at[rows] - own.at[rows[0]]
-        whole = float(along[-1]) + STEP
-        tree = cKDTree(own.touch[rows, :2])
+    for k in np.unique(file_pass.ring):
+        rows = np.flatnonzero(file_pass.ring == k)
+        along = file_pass.arc[rows] - file_pass.arc[rows[0]]
+        loop_length = float(along[-1]) + POINT_SPACING_M
+        tree = cKDTree(file_pass.touch[rows, :2])
         for row, level in enumerate(order):
-            some = groups[level]
-            wanted = np.array([control.place[:2] for control in some])
-            near = along[np.asarray(tree.query(wanted)[1])]
-            table[row, :, rows] = _between(along, near, some, own.force[:, rows], whole).T
+            group = groups[level]
+            control_plan = np.array([control.point[:2] for control in group])
+            knot_arc = along[np.asarray(tree.query(control_plan)[1])]
+            table[row, :, rows] = _interpolate_on_loop(
+                along, knot_arc, group, file_pass.force[:, rows], loop_length
+            ).T
     either, column = [], np.arange(count)
-    apart = np.zeros(count)
-    for off in (-1.0, 0.0, 1.0):
-        z = np.clip(own.touch[:, 2] + off * own.rise, height[0], height[-1])
+    level_difference = np.zeros(count)
+    for direction in (-1.0, 0.0, 1.0):
+        z = np.clip(file_pass.touch[:, 2] + direction * file_pass.rise, height[0], height[-1])
         above = np.clip(np.searchsorted(height, z), 1, max(len(height) - 1, 1))
         below = np.minimum(above - 1, len(height) - 1)
         above = np.minimum(above, len(height) - 1)
         wide = np.where(above > below, height[above] - height[below], 1.0)
-        share = np.clip((z - height[below]) / wide, 0.0, 1.0)
+        fraction = np.clip((z - height[below]) / wide, 0.0, 1.0)
         for low, high in zip(
             (table[below, end, column] for end in (0, 1)),
             (table[above, end, column] for end in (0, 1)),
             strict=True,
         ):
-            either.append(low * (1.0 - share) + high * share)
-            apart = np.maximum(apart, np.abs(high - low))
-    return np.min(either, axis=0), np.max(either, axis=0), apart
+            either.append(low * (1.0 - fraction) + high * fraction)
+            level_difference = np.maximum(level_difference, np.abs(high - low))
+    return np.min(either, axis=0), np.max(either, axis=0), level_difference
 
 
-def _between(
-    along: FloatArray, near: FloatArray, some: list[Control], force: FloatArray, whole: float
+def _interpolate_on_loop(
+    along: FloatArray,
+    knot_arc: FloatArray,
+    controls: list[FileControlPoint],
+    force: FloatArray,
+    loop_length: float,
 ) -> FloatArray:
-    """Springback (2, R) [m] at places of a loop, ``along`` (R,) [m] of ``whole`` [m], under ``force`` (2, R)
-    [N]: linear from one of ``some`` control points, ``near`` (C,) [m], to the next."""
-    order = np.argsort(near)
-    knots = near[order]
-    before = (np.searchsorted(knots, along, side="right") - 1) % len(knots)
-    after = (before + 1) % len(knots)
-    gap = (knots[after] - knots[before]) % whole
-    gap = np.where(gap > 0.0, gap, whole)
-    share = ((along - knots[before]) % whole) / gap
+    """Springback (2, R) [m] at points of a loop: linear from one control point to the next.
+
+    The points are at ``along`` (R,) [m] of ``loop_length`` [m], under ``force`` (2, R) [N]; the control
+    points at ``knot_arc`` (C,) [m].
+    """
+    order = np.argsort(knot_arc)
+    knots = knot_arc[order]
+    previous = (np.searchsorted(knots, along, side="right") - 1) % len(knots)
+    after = (previous + 1) % len(knots)
+    gap = (knots[after] - knots[previous]) % loop_length
+    gap = np.where(gap > 0.0, gap, loop_length)
+    fraction = ((along - knots[previous]) % loop_length) / gap
     out = np.zeros_like(force)
     for k, row in enumerate(order):
-        for end, weight in ((before, 1.0 - share), (after, share)):
-            mine = end == k
-            out[:, mine] += weight[mine] * some[row].under(force[:, mine])
+        for end, weight in ((previous, 1.0 - fraction), (after, fraction)):
+            selected = end == k
+            out[:, selected] += weight[selected] * controls[row].springback_under(force[:, selected])
     return out
 
 
-def slower(at: FloatArray, value: FloatArray, slope: float) -> FloatArray:
-    """What of a curve (P,) is left that begins at 0 and changes by ``slope`` at most over ``at`` (P,) [m]."""
+def limit_slope(arc: FloatArray, value: FloatArray, slope: float) -> FloatArray:
+    """Return the part of a curve (P,) that starts at 0 and has a limited slope.
+
+    Args:
+        arc: Arc lengths (P,) [m].
+        value: Curve (P,).
+        slope: Maximum slope.
+    """
     out = value.tolist()
-    way = at.tolist()
+    arc_list = arc.tolist()
     out[0] = 0.0
     for k in range(1, len(out)):
-        out[k] = min(out[k], out[k - 1] + slope * (way[k] - way[k - 1]))
+        out[k] = min(out[k], out[k - 1] + slope * (arc_list[k] - arc_list[k - 1]))
     for k in range(len(out) - 2, -1, -1):
-        out[k] = min(out[k], out[k + 1] + slope * (way[k + 1] - way[k]))
+        out[k] = min(out[k], out[k + 1] + slope * (arc_list[k + 1] - arc_list[k]))
     return np.array(out)
 
 
-def mean(at: FloatArray, value: FloatArray, half: float) -> FloatArray:
-    """The mean (P,) of a curve over ``half`` [m] of its way on either side, less at its ends."""
-    area = np.append(0.0, np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(at)))
-    reach = np.minimum(half, np.minimum(at - at[0], at[-1] - at))
-    both = np.interp(at + reach, at, area) - np.interp(at - reach, at, area)
+def moving_mean(arc: FloatArray, value: FloatArray, half: float) -> FloatArray:
+    """Return the mean (P,) of a curve over ``half`` [m] of its path on either side, less at its ends."""
+    area = np.append(0.0, np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(arc)))
+    reach = np.minimum(half, np.minimum(arc - arc[0], arc[-1] - arc))
+    both = np.interp(arc + reach, arc, area) - np.interp(arc - reach, arc, area)
     return np.asarray(np.where(reach > 1e-9, both / np.maximum(2.0 * reach, 1e-12), value))
 
 
-def around(own: FilePass, row: int) -> tuple[Control, ...]:
-    """The control points next to a place of a pass, of the level above it and of the one below."""
-    height, groups = own.levels()
+def adjacent_controls(file_pass: FilePass, row: int) -> tuple[FileControlPoint, ...]:
+    """Return the control points next to a point of a pass, of the level above it and of the one below."""
+    height, groups = file_pass.level_groups()
     order = sorted(groups, key=lambda level: height[level])
-    above = int(np.searchsorted([height[level] for level in order], own.touch[row, 2]))
+    above = int(np.searchsorted([height[level] for level in order], file_pass.touch[row, 2]))
     levels = {order[min(above, len(order) - 1)], order[max(above - 1, 0)]}
 
-    def away(control: Control) -> float:
-        return float(((control.place[:2] - own.touch[row, :2]) ** 2).sum())
+    def plan_distance(control: FileControlPoint) -> float:
+        return float(((control.point[:2] - file_pass.touch[row, :2]) ** 2).sum())
 
-    return tuple(min(groups[level], key=away) for level in sorted(levels))
+    return tuple(min(groups[level], key=plan_distance) for level in sorted(levels))

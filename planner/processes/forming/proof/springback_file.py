@@ -1,10 +1,10 @@
-"""The springback file of a problem, as the proof reads it, and the tools without what it shifts them by.
+"""The springback file of a problem, as the proof reads it, and the tools without its shifts.
 
-The file says of each pass where the former's path is and by how much S tools are deeper there, so the way
-that is commanded is the polyline of its points, each lower by its S. Of a replayed place the nearest one on
-that polyline tells S, and the tools less S along z are the *released* ones: where they would be in a sheet
-that does not give way. A way that is elsewhere than the file's stays as far off as it is, for S changes by a
-stated slope at most.
+For each pass the file has the path of the forming tool and the shift S by which tools are deeper there. So
+the commanded path is the polyline of its points, each lower by its S. The nearest point on that polyline
+gives S for a replayed position, and the tools minus S along z are the *released* ones: the positions they
+would have in a sheet that does not yield. A path that deviates from the file's keeps its deviation, because S
+changes by at most a stated slope.
 """
 
 import dataclasses
@@ -23,54 +23,66 @@ from planner.geometry.units import MM
 from planner.problem import Problem, Setup, Sheet
 from planner.tooling import FormingTool
 
-MARKS = 4e-4
-"""Marks on a way are so far apart [m] at most."""
+MARK_SPACING_M = 4e-4
+"""Maximum spacing [m] of marks on a path."""
 NEAREST_MARKS = 5
-"""Marks nearest to a place whose pieces of the way are looked at, first."""
-AT_ONCE = 100_000
-"""Places that are looked at once."""
-ROUNDING = 3e-8
-"""Shifts are rounded by no more [m], two of them."""
-OFF_CURVE = 0.01
-"""Springback of a control point is off its own curve by this share at most: figures are rounded."""
-LEAST_POWER, MOST_POWER = 0.25, 4.0
-"""From load to load springback grows with powers of the force from 0.25, a membrane's third and less, to 4,
-where a sheet is about to snap."""
-FARTHEST, LONGEST = 100.0, 5_000.0
-"""Coordinates and lengths of ways at most [m]."""
-LARGEST = 100_000_000
-"""Bytes of a file at most."""
-RIGID = 1e-6
-"""A pose is a turn and a way within this."""
+"""Number of marks nearest to a position whose pieces of the path are checked first."""
+POSITIONS_AT_ONCE = 100_000
+"""Number of positions that are evaluated at once."""
+SHIFT_ROUNDING_M = 3e-8
+"""Maximum difference [m] of two rounded shifts."""
+CURVE_TOLERANCE_FRACTION = 0.01
+"""Maximum relative deviation of the springback of a control point from its own curve: figures are rounded."""
+MIN_POWER, MAX_POWER = 0.25, 4.0
+"""From load to load springback grows with powers of the force from 0.25, less than a membrane's third, to 4,
+where a sheet is about to snap.
+"""
+MAX_COORDINATE_M, MAX_PATH_LENGTH_M = 100.0, 5_000.0
+"""Maximum coordinate, and maximum length of a path [m]."""
+MAX_FILE_BYTES = 100_000_000
+"""Maximum size [bytes] of a file."""
+RIGID_TOLERANCE = 1e-6
+"""Tolerance within which a pose is a rotation and a translation."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Control:
-    """A control point of the file: the ``segment``'s name, its ``level``, ``place`` (3,) [m] on the face, the
-    ``angle`` [rad] of the wall that it states, ``force`` [N] and ``springback`` [m]; its curve, of ``loads``
-    (K,) [N], from 0, and ``moved`` (K,) [m]."""
+class FileControlPoint:
+    """A control point of the file.
+
+    Attributes:
+        segment: Name of the segment.
+        level: Level.
+        point: Position (3,) [m] on the face.
+        angle: Stated wall angle [rad].
+        force: Force [N].
+        springback: Springback [m].
+        loads: Loads (K,) [N] of its curve, from 0.
+        displacement: Displacements (K,) [m] of its curve.
+    """
 
     segment: str
     level: int
-    place: FloatArray
+    point: FloatArray
     angle: float
     force: float
     springback: float
     loads: FloatArray
-    moved: FloatArray
+    displacement: FloatArray
 
-    def under(self, force: FloatArray) -> FloatArray:
-        """What the sheet comes back by [m] under ``force`` [N]: from load to load a power of it, S = a F^b,
-        and a line to the first one."""
+    def springback_under(self, force: FloatArray) -> FloatArray:
+        """Return the springback [m] under ``force`` [N].
+
+        It is a power law S = a F^b from load to load, and linear up to the first load.
+        """
         first = force < self.loads[1]
         power = np.interp(
-            np.log(np.maximum(force, self.loads[1])), np.log(self.loads[1:]), np.log(self.moved[1:])
+            np.log(np.maximum(force, self.loads[1])), np.log(self.loads[1:]), np.log(self.displacement[1:])
         )
-        return np.asarray(np.where(first, force / self.loads[1] * self.moved[1], np.exp(power)))
+        return np.asarray(np.where(first, force / self.loads[1] * self.displacement[1], np.exp(power)))
 
     def fault(self) -> str:
-        """What is wrong with its curve, if anything."""
-        loads, moved = self.loads, self.moved
+        """Return the fault of its curve, or an empty string."""
+        loads, moved = self.loads, self.displacement
         if (
             loads.ndim != 1
             or loads.shape != moved.shape
@@ -80,157 +92,211 @@ class Control:
         ):
             return "has no curve from 0 on"
         if not (np.diff(loads) > 0.0).all() or not (np.diff(moved) > 0.0).all():
-            return "has a curve that does not grow"
+            return "has a curve that does not increase"
         power = np.diff(np.log(moved[1:])) / np.diff(np.log(loads[1:]))
-        if not ((power >= LEAST_POWER) & (power <= MOST_POWER)).all():
+        if not ((power >= MIN_POWER) & (power <= MAX_POWER)).all():
             low, high = float(power.min()), float(power.max())
-            return f"has a curve that grows as no sheet does: by powers {low:.2g} to {high:.2g} of the force"
-        at = float(self.under(np.minimum(self.force, loads[-1])))
-        if not abs(at - self.springback) <= OFF_CURVE * self.springback + 10.0 * ROUNDING:
-            return f"has {self.springback / MM:.4f} mm beside its curve, which has {at / MM:.4f} mm"
+            return f"has an implausible curve, with powers {low:.2g} to {high:.2g} of the force"
+        at = float(self.springback_under(np.minimum(self.force, loads[-1])))
+        if (
+            not abs(at - self.springback)
+            <= CURVE_TOLERANCE_FRACTION * self.springback + 10.0 * SHIFT_ROUNDING_M
+        ):
+            return f"has {self.springback / MM:.4f} mm, but its curve has {at / MM:.4f} mm"
         return ""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Way:
-    """Of one pass: ``point`` (K, 3) [m] of the former's path without shifts, ``shift`` (K,) [m] of each, the
-    ``ring`` (K,) that it is of."""
+class FilePath:
+    """One pass of the file.
+
+    Attributes:
+        point: Path (K, 3) [m] of the forming tool without shifts.
+        shift: Shift (K,) [m] of each point.
+        ring: Ring (K,) of each point.
+    """
 
     point: FloatArray
     shift: FloatArray
     ring: IntArray
 
-    def faults(self, slope: float, most: float, first: float = 0.0) -> list[tuple[str, float, float, str]]:
-        """What of it is beyond the problem's limits, of which ``first`` [m] is the shift that it begins with:
-        what, got, allowed, unit."""
+    def faults(
+        self, slope: float, max_shift: float, first: float = 0.0
+    ) -> list[tuple[str, float, float, str]]:
+        """Return what exceeds the problem's limits: what, actual, allowed, unit.
+
+        Args:
+            slope: Maximum slope.
+            max_shift: Maximum shift [m].
+            first: Required shift [m] at the start.
+        """
         out = []
         low, high, begins = float(self.shift.min()), float(self.shift.max()), float(self.shift[0])
         if low < 0.0:
             out.append(("a shift out of the sheet", low / MM, 0.0, "mm"))
-        if high > most:
-            out.append(("a shift that is too large", high / MM, most / MM, "mm"))
-        if abs(begins - first) > ROUNDING:
-            out.append(("another shift where the tool comes to the sheet", begins / MM, first / MM, "mm"))
+        if high > max_shift:
+            out.append(("a shift that is too large", high / MM, max_shift / MM, "mm"))
+        if abs(begins - first) > SHIFT_ROUNDING_M:
+            out.append(("a wrong shift where the tool reaches the sheet", begins / MM, first / MM, "mm"))
         step = np.sqrt(((self.point[1:] - self.point[:-1]) ** 2).sum(axis=1))
-        rise = np.maximum(np.abs(self.shift[1:] - self.shift[:-1]) - ROUNDING, 0.0)
+        rise = np.maximum(np.abs(self.shift[1:] - self.shift[:-1]) - SHIFT_ROUNDING_M, 0.0)
         steep = rise > slope * step
         if steep.any():
             worst = float((rise[steep] / np.maximum(step[steep], 1e-9)).max())
-            out.append(("a shift that changes too fast along the way", worst, slope, "mm/mm"))
+            out.append(("a shift that changes too fast along the path", worst, slope, "mm/mm"))
         return out
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Measured:
-    """What a file of adjustments says of its scan: its ``digest``, ``unit`` [m], whether of the ``top`` face,
-    the ``pose`` (4, 4) into the sheet's frame, ``marks`` (2, K, 3) [m] in the sheet's and the scan's frame;
-    the ``gain``, and the passes that it ``adjusts``."""
+class ScanData:
+    """What a file of adjustments states about its scan.
+
+    Attributes:
+        digest: Digest of the scan.
+        unit: Unit [m].
+        is_top: Whether the scan is of the top face.
+        pose: Pose (4, 4) into the sheet's frame.
+        marks: Marks (2, K, 3) [m] in the sheet's and the scan's frame.
+        gain: Gain.
+        adjusts: Passes that the file adjusts.
+    """
 
     digest: str
     unit: float
-    top: bool
+    is_top: bool
     pose: FloatArray
     marks: FloatArray
     gain: float
     adjusts: frozenset[str]
 
 
-def _measured(data: dict[str, Any]) -> Measured:
-    """The same of a file's values. Raises ``ValueError``, ``KeyError``, ``TypeError``."""
+def _read_scan_data(data: dict[str, Any]) -> ScanData:
+    """Scan data of a file's values.
+
+    Raises ``ValueError``, ``KeyError``, ``TypeError``.
+    """
     scan = data["scan"]
     pose = np.array(scan["pose"], dtype=np.float64)
     rows = [[row[1], row[2]] for row in scan["marks"]]
     marks = np.array(rows, dtype=np.float64).reshape(-1, 2, 3).transpose(1, 0, 2) * MM
     if pose.shape != (4, 4) or not np.isfinite(pose).all() or not np.isfinite(marks).all():
-        raise ValueError("where its scan lies is no pose")
-    turn = pose[:3, :3]
-    if np.abs(turn @ turn.T - np.eye(3)).max() > RIGID or np.linalg.det(turn) < 0.0:
-        raise ValueError("where its scan lies is no turn and way")
+        raise ValueError("the position of its scan is no pose")
+    rotation = pose[:3, :3]
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > RIGID_TOLERANCE or np.linalg.det(rotation) < 0.0:
+        raise ValueError("the position of its scan is no rotation and translation")
     if np.abs(pose[3] - [0.0, 0.0, 0.0, 1.0]).max() > 0.0:
-        raise ValueError("where its scan lies is no pose")
+        raise ValueError("the position of its scan is no pose")
     gain = float(data["gain"])
     if not 0.0 < gain <= 1.5 or scan["face"] not in ("top", "bottom"):
-        raise ValueError("its gain or the face of its scan is none")
+        raise ValueError("its gain or the face of its scan is invalid")
     adjusts = frozenset(str(name) for name in data["adjusts"])
-    return Measured(
+    return ScanData(
         str(scan["sha256"]), float(scan["unit_m"]), scan["face"] == "top", pose, marks, gain, adjusts
     )
 
 
 @dataclasses.dataclass(frozen=True)
-class Given:
-    """A file: what it ``belongs`` to by name, its ``controls``, its ``ways`` by the segments' names. Of one
-    that was made from a scan: what it says of that, ``measured``, and the ways that the scanned part was
-    formed by, ``before``."""
+class SpringbackFileData:
+    """Data of a springback file.
+
+    Attributes:
+        belongs: What it belongs to, by name.
+        controls: Control points.
+        paths: Paths by the segments' names.
+        measured: Scan data if it was made from a scan, else None.
+        previous_paths: Paths with which the scanned part was formed.
+    """
 
     belongs: dict[str, Any]
-    controls: tuple[Control, ...]
-    ways: dict[str, Way]
-    measured: Measured | None = None
-    before: dict[str, Way] = dataclasses.field(default_factory=dict)
+    controls: tuple[FileControlPoint, ...]
+    paths: dict[str, FilePath]
+    measured: ScanData | None = None
+    previous_paths: dict[str, FilePath] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)
-class GivenLevel:
-    """A file of one level: what it ``belongs`` to by name, of which ``plan``, ``name`` of a pass and
-    ``number`` of its level, and the ``way`` of that."""
+class LevelFileData:
+    """Data of a file of a single level.
+
+    Attributes:
+        belongs: What it belongs to, by name.
+        plan: Plan.
+        name: Name of the pass.
+        number: Number of the level.
+        path: Path of the level.
+    """
 
     belongs: dict[str, Any]
     plan: Any
     name: str
     number: Any
-    way: Way
+    path: FilePath
 
 
-def _sealed(path: Path) -> Any:
-    """What a file whose checksum is right holds. Raises ``ValueError``: what is wrong with it."""
+def _read_checked_json(path: Path) -> Any:
+    """Content of a file whose checksum is correct.
+
+    Raises ``ValueError`` with the fault.
+    """
     try:
-        if path.stat().st_size > LARGEST:
+        if path.stat().st_size > MAX_FILE_BYTES:
             raise ValueError("it is too large")
         content = path.read_bytes()
     except OSError as error:
         raise ValueError(f"it cannot be read ({error.strerror})") from None
-    at = content.rfind(b'"sha256": "')
-    end = content[at + 11 :] if at >= 0 else b""
+    mark = content.rfind(b'"sha256": "')
+    end = content[mark + 11 :] if mark >= 0 else b""
     if len(end.rstrip()) < 66 or end.rstrip()[64:] not in (b'"\n}', b'"}'):
-        raise ValueError("it is cut short: its last line states no checksum")
-    if hashlib.sha256(content[:at]).hexdigest().encode() != end[:64]:
-        raise ValueError("its text is not the one of its checksum")
+        raise ValueError("it is truncated: its last line states no checksum")
+    if hashlib.sha256(content[:mark]).hexdigest().encode() != end[:64]:
+        raise ValueError("its text does not match its checksum")
     try:
         return json.loads(content.decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"it is not read: {type(error).__name__} {error}") from None
+        raise ValueError(f"it cannot be parsed: {type(error).__name__} {error}") from None
 
 
-def read_level(path: Path) -> GivenLevel:
-    """Read the file of one level. Raises ``ValueError``: what is wrong with it."""
-    data = _sealed(path)
+def read_level_data(path: Path) -> LevelFileData:
+    """Read the file of a single level.
+
+    Raises:
+        ValueError: the fault of the file.
+    """
+    data = _read_checked_json(path)
     try:
         if data["tandem_level"] != 1:
-            raise ValueError("it is of another version")
-        (one,) = data["passes"]
-        found = GivenLevel(
-            dict(data["belongs_to"]), data["plan"], str(one["name"]), data["level"], _way(one["rings"])
+            raise ValueError("it has another version")
+        (entry,) = data["passes"]
+        data_of_level = LevelFileData(
+            dict(data["belongs_to"]),
+            data["plan"],
+            str(entry["name"]),
+            data["level"],
+            _read_path(entry["rings"]),
         )
         count = int(data["points"])
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-        raise ValueError(f"it is not read: {type(error).__name__} {error}") from None
-    if count != len(found.way.point):
-        raise ValueError("it has another number of points than it says")
-    return found
+        raise ValueError(f"it cannot be parsed: {type(error).__name__} {error}") from None
+    if count != len(data_of_level.path.point):
+        raise ValueError("its number of points differs from the stated one")
+    return data_of_level
 
 
-def read(path: Path) -> Given:
-    """Read a file. Raises ``ValueError``: what is wrong with it."""
-    data = _sealed(path)
+def read_springback_data(path: Path) -> SpringbackFileData:
+    """Read a springback file.
+
+    Raises:
+        ValueError: the fault of the file.
+    """
+    data = _read_checked_json(path)
     if isinstance(data, dict) and data.get("tandem_adjustment") == 2:
-        return _adjustment(data)
+        return _read_adjustment(data)
     if not isinstance(data, dict) or data.get("tandem_springback") != 2:
-        raise ValueError("it is of another version")
+        raise ValueError("it has another version")
     try:
-        ways = {str(one["name"]): _way(one["rings"]) for one in data["passes"]}
+        paths = {str(item["name"]): _read_path(item["rings"]) for item in data["passes"]}
         controls = tuple(
-            Control(
+            FileControlPoint(
                 str(row["pass"]),
                 int(row["level"]),
                 np.array([float(row[f"{axis}_mm"]) for axis in "xyz"]) * MM,
@@ -243,58 +309,68 @@ def read(path: Path) -> Given:
             for row in data["control_points"]
         )
         belongs, count = dict(data["belongs_to"]), int(data["points"])
-        for one in controls:
+        for item in controls:
             figures = [
-                *one.place,
-                one.force,
-                one.springback,
-                one.angle,
-                *one.loads.ravel(),
-                *one.moved.ravel(),
+                *item.point,
+                item.force,
+                item.springback,
+                item.angle,
+                *item.loads.ravel(),
+                *item.displacement.ravel(),
             ]
             if not np.isfinite(figures).all():
-                raise ValueError("a control point has no figures")
-            if one.fault():
-                raise ValueError(f"a control point of {one.segment} {one.fault()}")
+                raise ValueError("a control point has no finite values")
+            if item.fault():
+                raise ValueError(f"a control point of {item.segment} {item.fault()}")
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-        raise ValueError(f"it is not read: {type(error).__name__} {error}") from None
-    if count != sum(len(way.point) for way in ways.values()) or len(ways) != len(data["passes"]):
-        raise ValueError("it has another number of points than it says")
+        raise ValueError(f"it cannot be parsed: {type(error).__name__} {error}") from None
+    if count != sum(len(path_of_pass.point) for path_of_pass in paths.values()) or len(paths) != len(
+        data["passes"]
+    ):
+        raise ValueError("its number of points differs from the stated one")
     if not controls:
-        raise ValueError("a control point has no figures")
-    return Given(belongs, controls, ways)
+        raise ValueError("a control point has no finite values")
+    return SpringbackFileData(belongs, controls, paths)
 
 
-def _adjustment(data: dict[str, Any]) -> Given:
+def _read_adjustment(data: dict[str, Any]) -> SpringbackFileData:
     try:
-        ways, before = (
-            {str(one["name"]): _way(one["rings"]) for one in data[k]} for k in ("passes", "before")
+        paths, previous_paths = (
+            {str(entry["name"]): _read_path(entry["rings"]) for entry in data[k]}
+            for k in ("passes", "before")
         )
-        found = Given(dict(data["belongs_to"]), (), ways, _measured(data), before)
+        result = SpringbackFileData(
+            dict(data["belongs_to"]), (), paths, _read_scan_data(data), previous_paths
+        )
         count = int(data["points"])
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError, IndexError) as error:
-        raise ValueError(f"it is not read: {type(error).__name__} {error}") from None
-    if count != sum(len(way.point) for way in ways.values()) or len(ways) != len(data["passes"]):
-        raise ValueError("it has another number of points than it says")
-    return found
+        raise ValueError(f"it cannot be parsed: {type(error).__name__} {error}") from None
+    if count != sum(len(path.point) for path in paths.values()) or len(paths) != len(data["passes"]):
+        raise ValueError("its number of points differs from the stated one")
+    return result
 
 
-def _way(rings: list[list[list[float]]]) -> Way:
+def _read_path(rings: list[list[list[float]]]) -> FilePath:
     tables = [np.array(ring, dtype=np.float64).reshape(-1, 4) * MM for ring in rings]
     ring = np.concatenate([np.full(len(table), k) for k, table in enumerate(tables)])
-    both = np.concatenate(tables)
-    if len(both) < 2 or not np.isfinite(both).all():
-        raise ValueError("a pass has no way")
+    table_of_all = np.concatenate(tables)
+    if len(table_of_all) < 2 or not np.isfinite(table_of_all).all():
+        raise ValueError("a pass has no path")
     if (
-        np.abs(both).max() > FARTHEST
-        or np.sqrt((np.diff(both[:, :3], axis=0) ** 2).sum(axis=1)).sum() > LONGEST
+        np.abs(table_of_all).max() > MAX_COORDINATE_M
+        or np.sqrt((np.diff(table_of_all[:, :3], axis=0) ** 2).sum(axis=1)).sum() > MAX_PATH_LENGTH_M
     ):
-        raise ValueError(f"a pass goes farther than {FARTHEST:g} m or is longer than {LONGEST:g} m")
-    return Way(both[:, :3], both[:, 3], ring)
+        raise ValueError(
+            f"a pass goes farther than {MAX_COORDINATE_M:g} m or is longer than {MAX_PATH_LENGTH_M:g} m"
+        )
+    return FilePath(table_of_all[:, :3], table_of_all[:, 3], ring)
 
 
-def of_job(problem: Problem, setup: Setup, operation: Any) -> dict[str, Any] | None:
-    """What a file of an operation has to belong to, by name; none where no sheet comes back."""
+def job_identity_of(problem: Problem, setup: Setup, operation: Any) -> dict[str, Any] | None:
+    """Return what a file of an operation has to belong to, by name.
+
+    None if there is no sheet that springs back.
+    """
     part, sheet = problem.part, setup.stock.sheet
     if part is None or part.formed is None or sheet is None:
         return None
@@ -303,36 +379,43 @@ def of_job(problem: Problem, setup: Setup, operation: Any) -> dict[str, Any] | N
         tool = setup.cell.arm(arm).tool
         if isinstance(tool, FormingTool):
             tools[arm] = (tool.head.kind, tool.head.radius)
-    return _wanted(operation, setup.stock.size, sheet, part.formed.source, tools)
+    return _expected_identity(operation, setup.stock.size, sheet, part.formed.source, tools)
 
 
-def differing(said: Mapping[str, Any], mine: Mapping[str, Any]) -> list[str]:
-    """The names under which a file has another value than the job."""
-    return [name for name in sorted({*mine, *said}) if said.get(name, "none") != mine.get(name, "none")]
+def differing_names(file_identity: Mapping[str, Any], own_identity: Mapping[str, Any]) -> list[str]:
+    """Return the names under which a file has another value than the job."""
+    return [
+        name
+        for name in sorted({*own_identity, *file_identity})
+        if file_identity.get(name, "none") != own_identity.get(name, "none")
+    ]
 
 
-def _wanted(
+def _expected_identity(
     operation: Any, size: FloatArray, sheet: Sheet, mesh: Mesh, tools: dict[str, Any]
 ) -> dict[str, Any]:
-    """What a file of this operation has to belong to, by name: ``size`` (3,) [m] and ``sheet`` of the stock,
-    the part's ``mesh`` as given, each arm's ``tools`` [kind, radius in m]."""
+    """What a file of this operation has to belong to, by name.
+
+    ``size`` (3,) [m] and ``sheet`` are those of the stock, ``mesh`` the part's as given, ``tools`` those of
+    each arm [kind, radius in m].
+    """
     metal = sheet.metal
     nanometres = [np.rint(table * 1e9).astype("<i8") for table in (mesh.vertices, sheet.opening)]
-    whole = hashlib.sha256(nanometres[0].tobytes() + mesh.faces.astype("<i8").tobytes()).hexdigest()
+    mesh_digest = hashlib.sha256(nanometres[0].tobytes() + mesh.faces.astype("<i8").tobytes()).hexdigest()
     border = sheet.border * MM * MM
     out: dict[str, Any] = {
-        "part": whole[:32],
-        "sheet.size_mm": [_nine(one / MM) for one in size.tolist()],
+        "part": mesh_digest[:32],
+        "sheet.size_mm": [_round_nine_digits(value_m / MM) for value_m in size.tolist()],
         "sheet.metal": metal.name,
-        "sheet.young_gpa": _nine(metal.young / 1e9),
-        "sheet.poisson": _nine(metal.poisson),
-        "sheet.tensile_mpa": _nine(metal.tensile_stress / 1e6),
+        "sheet.young_gpa": _round_nine_digits(metal.young / 1e9),
+        "sheet.poisson": _round_nine_digits(metal.poisson),
+        "sheet.tensile_mpa": _round_nine_digits(metal.tensile_stress / 1e6),
         "sheet.opening": hashlib.sha256(nanometres[1].tobytes()).hexdigest()[:32],
-        "clamp.border_n_mm2": _nine(border) if np.isfinite(border) else "immovable",
+        "clamp.border_n_mm2": _round_nine_digits(border) if np.isfinite(border) else "immovable",
     }
     for arm, (kind, radius) in tools.items():
-        out[f"tool.{arm}"] = [kind, _nine(radius / MM)]
-    for name in OF_OPERATION:
+        out[f"tool.{arm}"] = [kind, _round_nine_digits(radius / MM)]
+    for name in OPERATION_FIELDS:
         value = getattr(operation, name)
         out[f"operation.{name}"] = [*value] if isinstance(value, tuple) else value
     stated = operation.force_by
@@ -352,66 +435,75 @@ def _digest_of(path: Path) -> str:
         return f"not read ({error.strerror})"
 
 
-OF_OPERATION = (
+OPERATION_FIELDS = (
     *("mode", "side", "path", "stepdown_mm", "scallop_mm", "strategy", "order"),
     *("passes", "angle_step_deg", "repeats", "force_n"),
 )
-"""Fields of an operation that decide what its sheet comes back by, and where its loops are."""
+"""Fields of an operation that determine the springback of its sheet, and the position of its loops."""
 
 
-def _nine(value: float) -> float:
+def _round_nine_digits(value: float) -> float:
     return float(f"{value:.9g}")
 
 
-class Deeper:
-    """The commanded way of one pass, whose tools on ``side`` +1 are above: by its ``way`` they are lower."""
+class ShiftLookup:
+    """Shifts along the commanded path of one pass, whose tools on ``side`` +1 are above."""
 
-    def __init__(self, way: Way, side: int) -> None:
-        self.way, self.side = way, side
-        knots = way.point.copy()
-        knots[:, 2] -= side * way.shift
-        self._start, self._way = knots[:-1], np.diff(knots, axis=0)
-        self._square = np.maximum((self._way**2).sum(axis=1), 1e-24)
-        count = np.maximum(np.ceil(np.sqrt(self._square) / MARKS), 1).astype(np.int64)
+    def __init__(self, path: FilePath, side: int) -> None:
+        self.path, self.side = path, side
+        knots = path.point.copy()
+        knots[:, 2] -= side * path.shift
+        self._start, self._moves = knots[:-1], np.diff(knots, axis=0)
+        self._square = np.maximum((self._moves**2).sum(axis=1), 1e-24)
+        count = np.maximum(np.ceil(np.sqrt(self._square) / MARK_SPACING_M), 1).astype(np.int64)
         self._owner = np.repeat(np.arange(len(count)), count)
-        share = (np.arange(len(self._owner)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[
+        fraction = (np.arange(len(self._owner)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[
             self._owner
         ]
-        self._marks = self._start[self._owner] + share[:, None] * self._way[self._owner]
+        self._marks = self._start[self._owner] + fraction[:, None] * self._moves[self._owner]
 
     @cached_property
     def _tree(self) -> cKDTree:
         return cKDTree(self._marks)
 
-    def at(self, places: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """By how much (N,) [m] tools are deeper at replayed ``places`` (N, 3) [m] of the former, and how far
-        (N,) [m] these are off the commanded way."""
-        shift, off = np.empty(len(places)), np.empty(len(places))
-        for begin in range(0, len(places), AT_ONCE):
-            rows = slice(begin, begin + AT_ONCE)
-            shift[rows], off[rows] = self._some(places[rows])
-        return shift, off
+    def shift_and_distance(self, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the shifts at replayed positions, and the distances from the commanded path.
 
-    def _some(self, places: FloatArray) -> tuple[FloatArray, FloatArray]:
-        shift, off = np.empty(len(places)), np.empty(len(places))
-        left, count = np.arange(len(places)), min(NEAREST_MARKS, len(self._marks))
-        while len(left):
-            apart, found = (
-                np.asarray(one).reshape(len(left), -1) for one in self._tree.query(places[left], k=count)
+        Args:
+            positions: Positions (N, 3) [m] of the forming tool.
+
+        Returns:
+            Shifts (N,) [m] and distances (N,) [m].
+        """
+        shift, distance = np.empty(len(positions)), np.empty(len(positions))
+        for start in range(0, len(positions), POSITIONS_AT_ONCE):
+            rows = slice(start, start + POSITIONS_AT_ONCE)
+            shift[rows], distance[rows] = self._shift_and_distance_chunk(positions[rows])
+        return shift, distance
+
+    def _shift_and_distance_chunk(self, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
+        shift, distance = np.empty(len(positions)), np.empty(len(positions))
+        remaining, count = np.arange(len(positions)), min(NEAREST_MARKS, len(self._marks))
+        while len(remaining):
+            mark_distance, marks = (
+                np.asarray(result).reshape(len(remaining), -1)
+                for result in self._tree.query(positions[remaining], k=count)
             )
-            shift[left], off[left] = self._nearest(places[left], self._owner[found])
-            # where ways lie close to one another the nearest piece may have none of the nearest marks
-            more = apart[:, -1] < off[left] + 0.5 * MARKS
-            left = left[more] if count < len(self._marks) else left[:0]
+            shift[remaining], distance[remaining] = self._nearest(positions[remaining], self._owner[marks])
+            # where paths are close to one another, the nearest piece may have none of the nearest marks
+            more = mark_distance[:, -1] < distance[remaining] + 0.5 * MARK_SPACING_M
+            remaining = remaining[more] if count < len(self._marks) else remaining[:0]
             count = min(2 * count, len(self._marks))
-        return shift, off
+        return shift, distance
 
-    def _nearest(self, places: FloatArray, piece: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Shifts (N,) [m] at the nearest place on any of the pieces (N, M), and how far (N,) [m] that is."""
-        rest = places[:, None] - self._start[piece]
-        share = np.clip((rest * self._way[piece]).sum(axis=2) / self._square[piece], 0.0, 1.0)
-        away = np.sqrt(((rest - share[..., None] * self._way[piece]) ** 2).sum(axis=2))
+    def _nearest(self, positions: FloatArray, piece: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Shifts (N,) [m] at the nearest point on any of the pieces (N, M), and its distance (N,) [m]."""
+        rest = positions[:, None] - self._start[piece]
+        fraction = np.clip((rest * self._moves[piece]).sum(axis=2) / self._square[piece], 0.0, 1.0)
+        away = np.sqrt(((rest - fraction[..., None] * self._moves[piece]) ** 2).sum(axis=2))
         best = away.argmin(axis=1)[:, None]
-        piece, share, away = (np.take_along_axis(one, best, axis=1)[:, 0] for one in (piece, share, away))
-        value = self.way.shift
-        return value[piece] + share * (value[piece + 1] - value[piece]), away
+        piece, fraction, away = (
+            np.take_along_axis(array, best, axis=1)[:, 0] for array in (piece, fraction, away)
+        )
+        value = self.path.shift
+        return value[piece] + fraction * (value[piece + 1] - value[piece]), away

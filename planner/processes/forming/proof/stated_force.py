@@ -1,9 +1,9 @@
 """Forces on the sheet that the problem states, as the proof reads them: by depth, or by level as measured.
 
-A table is of the former, and what the support presses against it is taken off; a file of measured forces, by
-a reader of the proof's own, is of both tools together. Level K of a pass is K to K + 1 steps below the flat
-around it; of a spiral its force is that of the middle, else of the end. Around a level the force goes evenly
-along straight lines in plan from one point to the next.
+A table is for the forming tool, and the force of the support is subtracted. A file of measured forces, parsed
+by the proof's own reader, is for both tools together. Level K of a pass is K to K + 1 steps below the
+surrounding flat. The force of a spiral's level counts at its middle, any other at the end. Around a level the
+force is interpolated along straight lines in plan from one point to the next.
 """
 
 import csv
@@ -17,65 +17,77 @@ from planner.geometry.arrays import FloatArray
 from planner.geometry.units import MM
 from planner.processes.forming.claims import FormsSheet
 
-LARGEST = 20_000_000
-"""Bytes of a file at most."""
-WHOLE = 1e-6
-"""Share of a step by which a pass may be deeper than whole ones."""
-AT_ONCE = 20_000
-"""Places that are looked at once."""
+MAX_FILE_BYTES = 20_000_000
+"""Maximum size [bytes] of a file."""
+WHOLE_STEP_TOLERANCE = 1e-6
+"""Fraction of a step by which a pass may be deeper than a whole number of steps."""
+POINTS_AT_ONCE = 20_000
+"""Number of points that are evaluated at once."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class StatedForce:
-    """Forces of one pass: by ``height`` (L,) [m], rising, and of each the ``ring``, rows (P, 3) of x, y [m]
-    and the force [N]; one row is that of the whole height."""
+class StatedPassForce:
+    """Forces of one pass.
+
+    Attributes:
+        height: Heights (L,) [m], ascending.
+        ring: For each height rows (P, 3) of x, y [m] and the force [N]; a single row holds for the whole
+            height.
+    """
 
     height: FloatArray
     ring: tuple[FloatArray, ...]
 
-    def at(self, places: FloatArray) -> FloatArray:
-        """Forces (N,) [N] on the sheet at places (N, 3) [m]."""
-        each = np.stack([_around(ring, places[:, :2]) for ring in self.ring])
-        # how much of each height is in the force at a place: hats, open at both ends
-        z = np.clip(places[:, 2], self.height[0], self.height[-1])
+    def force_at(self, points: FloatArray) -> FloatArray:
+        """Return the forces (N,) [N] on the sheet at points (N, 3) [m]."""
+        level_forces = np.stack([_force_on_ring(ring, points[:, :2]) for ring in self.ring])
+        # hat functions: weight of each height at a point, constant beyond both ends
+        z = np.clip(points[:, 2], self.height[0], self.height[-1])
         weight = np.stack([np.interp(z, self.height, row) for row in np.eye(len(self.height))])
-        return np.asarray((weight * each).sum(axis=0))
+        return np.asarray((weight * level_forces).sum(axis=0))
 
 
-def _around(ring: FloatArray, plan: FloatArray) -> FloatArray:
-    """Forces (N,) [N] at the nearest places on a closed line to those in plan (N, 2)."""
+def _force_on_ring(ring: FloatArray, plan: FloatArray) -> FloatArray:
+    """Forces (N,) [N] at the nearest points on a closed line to those in plan (N, 2)."""
     if len(ring) == 1:
         return np.full(len(plan), ring[0, 2])
-    start, way = ring[:, :2], np.roll(ring[:, :2], -1, axis=0) - ring[:, :2]
+    start, edge = ring[:, :2], np.roll(ring[:, :2], -1, axis=0) - ring[:, :2]
     rise = np.roll(ring[:, 2], -1) - ring[:, 2]
-    square = np.maximum((way**2).sum(axis=1), 1e-30)
+    square = np.maximum((edge**2).sum(axis=1), 1e-30)
     out = np.empty(len(plan))
-    most = max(1, AT_ONCE // len(ring))
-    for begin in range(0, len(plan), most):
-        rest = plan[begin : begin + most, None] - start
-        share = np.clip((rest * way).sum(axis=2) / square, 0.0, 1.0)
-        away = ((rest - share[..., None] * way) ** 2).sum(axis=2)
+    chunk = max(1, POINTS_AT_ONCE // len(ring))
+    for start_row in range(0, len(plan), chunk):
+        rest = plan[start_row : start_row + chunk, None] - start
+        fraction = np.clip((rest * edge).sum(axis=2) / square, 0.0, 1.0)
+        away = ((rest - fraction[..., None] * edge) ** 2).sum(axis=2)
         side = away.argmin(axis=1)
-        some = share[np.arange(len(side)), side]
-        out[begin : begin + most] = ring[side, 2] + some * rise[side]
+        edge_fraction = fraction[np.arange(len(side)), side]
+        out[start_row : start_row + chunk] = ring[side, 2] + edge_fraction * rise[side]
     return out
 
 
-def stated(operation: Any, claim: FormsSheet) -> StatedForce | None:
-    """The forces that an operation states for a pass; None where a formula takes their place. Raises
-    ``ValueError``: what is wrong with the file of measured forces."""
+def stated_pass_force(operation: Any, claim: FormsSheet) -> StatedPassForce | None:
+    """Return the forces that an operation states for a pass, or None if a formula is used.
+
+    Args:
+        operation: Operation.
+        claim: Claim on the pass.
+
+    Raises:
+        ValueError: the error in the file of measured forces.
+    """
     support = float(operation.support_force_n or 0.0)
     if operation.force_n is not None:
-        return StatedForce(np.zeros(1), (np.array([[0.0, 0.0, float(operation.force_n) - support]]),))
+        return StatedPassForce(np.zeros(1), (np.array([[0.0, 0.0, float(operation.force_n) - support]]),))
     if operation.force_by is None:
         return None
     if operation.force_by.file is None:
         table = np.array(sorted(operation.force_by.table), dtype=np.float64)
-        return StatedForce(table[:, 0] * MM, tuple(np.array([[0.0, 0.0, n - support]]) for _, n in table))
-    return _measured(Path(operation.force_by.file), operation, claim)
+        return StatedPassForce(table[:, 0] * MM, tuple(np.array([[0.0, 0.0, n - support]]) for _, n in table))
+    return _measured_force(Path(operation.force_by.file), operation, claim)
 
 
-def _measured(path: Path, operation: Any, claim: FormsSheet) -> StatedForce:
+def _measured_force(path: Path, operation: Any, claim: FormsSheet) -> StatedPassForce:
     name, step = claim.segment.name, float(operation.stepdown_mm) * MM
     levels: dict[int, dict[int, tuple[float, float, float]]] = {}
     for row in _rows(path):
@@ -85,12 +97,12 @@ def _measured(path: Path, operation: Any, claim: FormsSheet) -> StatedForce:
         force = float(row["force_n"])
         x, y = (float(row.get(axis, 0.0)) * MM for axis in ("x_mm", "y_mm"))
         if level < 0 or point in levels.get(level, {}):
-            raise ValueError(f"level {level} has point {point} twice, or is none")
+            raise ValueError(f"level {level} has point {point} twice, or is not a level")
         if not np.isfinite([force, x, y]).all() or force < 0.0:
             raise ValueError(f"level {level} has the force {row['force_n']}")
         levels.setdefault(level, {})[point] = (x, y, force)
     deep = abs(claim.end - claim.start)
-    whole = max(int(np.ceil(deep / step - WHOLE)), 1)
+    whole = max(int(np.ceil(deep / step - WHOLE_STEP_TOLERANCE)), 1)
     allowed = {whole, whole + 1} if operation.path == "helical" else {whole}
     if len(levels) not in allowed or set(levels) != set(range(len(levels))):
         raise ValueError(f"it has the levels {sorted(levels)} of {name}, which has {whole}")
@@ -98,17 +110,17 @@ def _measured(path: Path, operation: Any, claim: FormsSheet) -> StatedForce:
     for number, points in levels.items():
         if set(points) != set(range(len(points))):
             raise ValueError(f"level {number} of {name} has the points {sorted(points)}")
-        begin, end = min(number * step, deep), min((number + 1) * step, deep)
-        at = 0.5 * (begin + end) if operation.path == "helical" else end
-        height.append(claim.start - claim.side * at)
+        level_start, level_end = min(number * step, deep), min((number + 1) * step, deep)
+        force_depth = 0.5 * (level_start + level_end) if operation.path == "helical" else level_end
+        height.append(claim.start - claim.side * force_depth)
         rings.append(np.array([points[k] for k in range(len(points))]))
     order = np.argsort(height)
-    return StatedForce(np.array(height)[order], tuple(rings[k] for k in order))
+    return StatedPassForce(np.array(height)[order], tuple(rings[k] for k in order))
 
 
 def _rows(path: Path) -> list[dict[str, str]]:
     try:
-        if path.stat().st_size > LARGEST:
+        if path.stat().st_size > MAX_FILE_BYTES:
             raise ValueError("it is too large")
         text = path.read_text(encoding="utf-8-sig")
         rows = [[cell.strip() for cell in row] for row in csv.reader(text.splitlines(), strict=True)]

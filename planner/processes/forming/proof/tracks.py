@@ -1,4 +1,4 @@
-"""Where forming tools are while they form, and few straight pieces in place of their motion."""
+"""Positions of forming tools while they form, and straight pieces that approximate their motion."""
 
 import dataclasses
 from collections.abc import Callable, Iterator
@@ -8,43 +8,50 @@ import numpy as np
 
 from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, inverse, lengths
-from planner.processes.forming.proof.released import Released
+from planner.processes.forming.proof.compensation import CompensatedSegment
 from planner.proof.context import Context
-from planner.proof.replay.motion import Poses, Rows, during
+from planner.proof.replay.motion import Poses, Rows, with_start_stations
 
-_BLOCK_SAMPLES = 32
-"""Samples of a way that are bounded as one."""
+_SAMPLES_PER_BLOCK = 32
+"""Samples of a path that are bounded as one."""
 
 
 SAMPLES_AT_ONCE = 65_536
-"""Samples that are worked on at once."""
+"""Samples that are processed at once, to bound memory."""
 
 
-class ByRow(Protocol):
-    """What has vectors (3,) for T rows, such as an array (T, 3), or works out those that are indexed."""
+class VectorRows(Protocol):
+    """Vectors (3,) for T rows, such as an array (T, 3), or an object that calculates indexed rows."""
 
     def __len__(self) -> int: ...
-    def __getitem__(self, some: Any, /) -> FloatArray: ...
+    def __getitem__(self, rows: Any, /) -> FloatArray: ...
 
 
 @dataclasses.dataclass(frozen=True)
-class WorkedOut:
-    """Vectors (3,) for ``count`` rows that ``at`` works out where they are indexed."""
+class LazyVectors:
+    """Vectors (3,) for ``count`` rows that ``calculate`` calculates when they are indexed."""
 
     count: int
-    at: Callable[[Rows], FloatArray]
+    calculate: Callable[[Rows], FloatArray]
 
     def __len__(self) -> int:
         return self.count
 
-    def __getitem__(self, some: Rows) -> FloatArray:
-        return self.at(some)
+    def __getitem__(self, rows: Rows) -> FloatArray:
+        return self.calculate(rows)
 
 
-class Centres:
-    """The TCPs of some arms as an array (T, A, 3) [m] in the sheet's frame, of which only what is indexed is
-    worked out: of all samples of an hour it would take as much memory as the motion has for them.
-    ``lifted`` (T,) [m]: what is added to z, so that they are the released tools'."""
+class LazyCentres:
+    """The TCPs of some arms as an array (T, A, 3) [m] in the sheet's frame, calculated when they are indexed.
+
+    All samples of an hour would take as much memory as the motion itself.
+
+    Args:
+        rows: Samples (T,) of the motion.
+        poses: Poses of the arms' TCPs.
+        back: Transforms (1 | T, 4, 4) from the world to the sheet.
+        lifted: What is added to z (T,) [m] to obtain the tools without springback shifts.
+    """
 
     def __init__(
         self, rows: IntArray, poses: tuple[Poses, ...], back: FloatArray, lifted: FloatArray | None = None
@@ -55,158 +62,206 @@ class Centres:
     def __len__(self) -> int:
         return len(self._rows)
 
-    def __getitem__(self, some: Rows | tuple[Rows, int]) -> FloatArray:
-        """Of rows ``some`` all arms, or the one named behind them."""
-        chosen, column = some if isinstance(some, tuple) else (some, None)
+    def __getitem__(self, index: Rows | tuple[Rows, int]) -> FloatArray:
+        """Return rows of all arms, or of the arm whose column follows the rows."""
+        chosen, column = index if isinstance(index, tuple) else (index, None)
         if column is None:
             return np.stack([self[chosen, k] for k in range(len(self._poses))], axis=-2)
-        place = self._poses[column].place[self._rows[chosen]]
+        position = self._poses[column].position[self._rows[chosen]]
         if len(self._back) == 1:
-            out = _turned(self._back, place) + self._back[0, :3, 3]
+            out = _to_sheet_frame(self._back, position) + self._back[0, :3, 3]
         else:
             back = self._back[chosen]
-            out = np.asarray((back[..., :3, :3] @ place[..., None])[..., 0] + back[..., :3, 3])
+            out = np.asarray((back[..., :3, :3] @ position[..., None])[..., 0] + back[..., :3, 3])
         if self._lifted is not None:
             out[..., 2] += self._lifted[chosen]
         return out
 
 
 @dataclasses.dataclass(frozen=True)
-class Track:
-    """T samples of the arms ``arms`` in one segment and its ways in and out.
+class ToolTrack:
+    """T samples of some arms in one segment with its approach and retreat.
 
-    ``rows`` (T,) samples of the motion; ``centre`` (T, A, 3) the TCPs [m] in the sheet's frame; ``own`` (T,):
-    the move under way forms, and is no way in or out; ``joined`` (T - 1,): the next row is the next sample.
-    ``poses``: the arms' TCPs at all samples in the world, ``back`` (1 | T, 4, 4) from there to the sheet.
-    Where tools are deeper by what the sheet comes back by, ``centre`` is without that: ``lifted`` (T,) [m] is
-    what that adds along z, ``aside`` (T,) [m] how far the forming arm is off the way of the problem's file.
+    Attributes:
+        arms: Arms.
+        rows: Samples (T,) of the motion.
+        centre: TCPs (T, A, 3) [m] in the sheet's frame. With springback compensation they are without the
+            shifts.
+        is_forming: Whether (T,) the current move forms and is no approach or retreat.
+        joined: Whether (T - 1,) the next row is the next sample.
+        poses: Poses of the arms' TCPs at all samples in the world.
+        back: Transforms (1 | T, 4, 4) from the world to the sheet.
+        z_correction: What removal of the shifts adds along z (T,) [m], or None.
+        path_distance: Distance (T,) [m] of the forming arm from the path of the problem's file, or None.
     """
 
     arms: tuple[str, ...]
     rows: IntArray
-    centre: FloatArray | Centres
-    own: BoolArray
+    centre: FloatArray | LazyCentres
+    is_forming: BoolArray
     joined: BoolArray
     poses: tuple[Poses, ...]
     back: FloatArray
-    lifted: FloatArray | None = None
-    aside: FloatArray | None = None
+    z_correction: FloatArray | None = None
+    path_distance: FloatArray | None = None
 
-    def commanded(self, column: int, some: Rows) -> FloatArray:
-        """The TCPs (K, 3) [m] of one arm as they are moved, at rows ``some`` (K,), in the sheet's frame."""
-        out = np.array(self.centre[some, column])
-        if self.lifted is not None:
-            out[..., 2] -= self.lifted[some]
+    def commanded_tcp(self, column: int, rows: Rows) -> FloatArray:
+        """Return the TCPs (K, 3) [m] of one arm as they are moved, at rows (K,), in the sheet's frame."""
+        out = np.array(self.centre[rows, column])
+        if self.z_correction is not None:
+            out[..., 2] -= self.z_correction[rows]
         return out
 
-    def centres(self, column: int) -> WorkedOut:
-        """The TCPs (T, 3) [m] of one arm in the sheet's frame."""
-        return WorkedOut(len(self.rows), lambda some: self.centre[some, column])
+    def centres(self, column: int) -> LazyVectors:
+        """Return the TCPs (T, 3) [m] of one arm in the sheet's frame."""
+        return LazyVectors(len(self.rows), lambda rows: self.centre[rows, column])
 
-    def axes(self, column: int) -> WorkedOut:
-        """The z axes (T, 3) of one arm's TCP in the sheet's frame."""
-        return WorkedOut(len(self.rows), lambda some: self.axis(column, some))
+    def axes(self, column: int) -> LazyVectors:
+        """Return the z axes (T, 3) of one arm's TCP in the sheet's frame."""
+        return LazyVectors(len(self.rows), lambda rows: self.axis(column, rows))
 
-    def axis(self, column: int, some: Rows = slice(None)) -> FloatArray:
-        """The z axes (K, 3) of one arm's TCP in the sheet's frame, at rows ``some`` (K,), else at all; not
-        kept, for long tracks have many rows."""
-        back = self.back if len(self.back) == 1 else self.back[some]
-        return _turned(back, self.poses[column].z[self.rows[some]])
+    def axis(self, column: int, rows: Rows = slice(None)) -> FloatArray:
+        """Return the z axes (K, 3) of one arm's TCP in the sheet's frame, at some rows (K,) or at all.
 
-    def turning(self, column: int) -> FloatArray:
-        """How far (T - 1,) the axis of one arm goes from each row to the next, as the way of a unit vector's
-        end."""
+        They are not cached, because long tracks have many rows.
+        """
+        back = self.back if len(self.back) == 1 else self.back[rows]
+        return _to_sheet_frame(back, self.poses[column].z[self.rows[rows]])
+
+    def axis_steps(self, column: int) -> FloatArray:
+        """Return how far (T - 1,) the axis of one arm moves from each row to the next.
+
+        The result is the distance of the unit vectors.
+        """
         out = np.zeros(max(len(self.rows) - 1, 0))
-        for begin in range(0, len(out), SAMPLES_AT_ONCE):
-            end = min(begin + SAMPLES_AT_ONCE, len(out))
-            step = np.diff(self.axis(column, slice(begin, end + 1)), axis=0)
-            out[begin:end] = np.linalg.norm(step, axis=1)
+        for start in range(0, len(out), SAMPLES_AT_ONCE):
+            end = min(start + SAMPLES_AT_ONCE, len(out))
+            step = np.diff(self.axis(column, slice(start, end + 1)), axis=0)
+            out[start:end] = np.linalg.norm(step, axis=1)
         return out
 
 
-def track(
-    context: Context, segment: Segment, index: int, arms: tuple[str, ...], deeper: Released | None = None
-) -> Track:
-    """The track of a segment in setup ``index``, of the released tools where they are ``deeper`` than that;
-    no rows where the programs have none, or an arm is missing."""
+def make_track(
+    context: Context,
+    segment: Segment,
+    index: int,
+    arms: tuple[str, ...],
+    compensation: CompensatedSegment | None = None,
+) -> ToolTrack:
+    """Return the track of a segment.
+
+    It has no rows if the programs have none, or if an arm is missing.
+
+    Args:
+        context: Context of the proof.
+        segment: Segment.
+        index: Index of the setup.
+        arms: Arms.
+        compensation: Springback compensation of the segment, which is removed.
+    """
     motion = context.motion
-    own = motion.node_label == segment.key
-    chosen = np.isin(motion.node_label, [way.key for way in segment.ways])
-    rows = np.flatnonzero(during((chosen[motion.node]) & (context.sample_setup == index)))
-    if any(arm not in motion.tcp for arm in (*arms, *([] if deeper is None else [deeper.former]))):
+    is_segment = motion.node_label == segment.key
+    chosen = np.isin(motion.node_label, [part.key for part in segment.all_phases])
+    rows = np.flatnonzero(with_start_stations((chosen[motion.node]) & (context.sample_setup == index)))
+    if any(
+        arm not in motion.tcp
+        for arm in (*arms, *([] if compensation is None else [compensation.forming_arm]))
+    ):
         rows = rows[:0]
     joined = np.diff(rows) == 1
     if not len(rows):
         none = np.zeros((0, len(arms), 3))
-        return Track(arms, rows, none, own[motion.node[rows]], joined, (), np.zeros((0, 4, 4)))
-    moved = context.holder(index) is not None
-    back = inverse(context.stock_poses(index, rows if moved else rows[:1]))
+        return ToolTrack(arms, rows, none, is_segment[motion.node[rows]], joined, (), np.zeros((0, 4, 4)))
+    stock_moves = context.stock_holder(index) is not None
+    back = inverse(context.stock_poses(index, rows if stock_moves else rows[:1]))
     poses = tuple(motion.tcp[arm] for arm in arms)
-    forms = own[motion.node[rows]]
-    if deeper is None:
-        return Track(arms, rows, Centres(rows, poses, back), forms, joined, poses, back)
-    lifted, aside = _lifted(deeper, Centres(rows, (motion.tcp[deeper.former],), back), forms)
-    centre = Centres(rows, poses, back, lifted)
-    return Track(arms, rows, centre, forms, joined, poses, back, lifted, aside)
+    is_forming = is_segment[motion.node[rows]]
+    if compensation is None:
+        return ToolTrack(arms, rows, LazyCentres(rows, poses, back), is_forming, joined, poses, back)
+    lifted, aside = _remove_shifts(
+        compensation, LazyCentres(rows, (motion.tcp[compensation.forming_arm],), back), is_forming
+    )
+    centre = LazyCentres(rows, poses, back, lifted)
+    return ToolTrack(arms, rows, centre, is_forming, joined, poses, back, lifted, aside)
 
 
-STRAIGHT_OUT: Final = 1e-4
-"""Tools are straight above a place where they are off it in plan by no more [m]."""
+MAX_PLAN_OFFSET_M: Final = 1e-4
+"""Maximum distance [m] in plan at which tools are straight above a point."""
 
 
-def _lifted(deeper: Released, former: Centres, forms: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """What is added along z (T,) [m] to tools that are deeper, and how far (T,) [m] the former is off the
-    file's way. On the way in that is what the way begins with, on the way out what it ends with, where the
-    former is straight above that place: elsewhere the sheet is as it was, and tools are where they are."""
-    shift, aside = np.zeros(len(former)), np.zeros(len(former))
-    own = np.flatnonzero(forms)
-    if len(own):
-        for some in np.array_split(own, len(own) // SAMPLES_AT_ONCE + 1):
-            shift[some], aside[some] = deeper.deeper.at(former[some, 0])
-        for end, air in ((0, np.arange(own[0])), (-1, np.arange(own[-1] + 1, len(former)))):
-            place = former[own[end], 0]
-            for some in np.array_split(air, len(air) // SAMPLES_AT_ONCE + 1):
-                above = lengths(former[some, 0][:, :2] - place[:2]) <= STRAIGHT_OUT
-                shift[some] = np.where(above, deeper.deeper.way.shift[end], 0.0)
-    return deeper.lifted(shift), aside
+def _remove_shifts(
+    compensation: CompensatedSegment, forming_centres: LazyCentres, is_forming: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """What is added along z (T,) [m] to compensated tools, and the forming arm's distance (T,) [m].
+
+    The distance is that from the file's path.
+
+    On the approach the first value is the shift at the start of the path, on the retreat that at the end,
+    where the forming tool is straight above that point. Elsewhere the sheet is unchanged, and so are the
+    tools.
+    """
+    shift, aside = np.zeros(len(forming_centres)), np.zeros(len(forming_centres))
+    forming_rows = np.flatnonzero(is_forming)
+    if len(forming_rows):
+        for chunk in np.array_split(forming_rows, len(forming_rows) // SAMPLES_AT_ONCE + 1):
+            shift[chunk], aside[chunk] = compensation.lookup.shift_and_distance(forming_centres[chunk, 0])
+        for end, outside in (
+            (0, np.arange(forming_rows[0])),
+            (-1, np.arange(forming_rows[-1] + 1, len(forming_centres))),
+        ):
+            end_position = forming_centres[forming_rows[end], 0]
+            for chunk in np.array_split(outside, len(outside) // SAMPLES_AT_ONCE + 1):
+                above = lengths(forming_centres[chunk, 0][:, :2] - end_position[:2]) <= MAX_PLAN_OFFSET_M
+                shift[chunk] = np.where(above, compensation.lookup.path.shift[end], 0.0)
+    return compensation.z_correction(shift), aside
 
 
-def _turned(back: FloatArray, directions: FloatArray) -> FloatArray:
-    """Directions (T, 3) of the world as seen from the sheet; ``back`` (1 | T, 4, 4)."""
+def _to_sheet_frame(back: FloatArray, directions: FloatArray) -> FloatArray:
+    """Directions (T, 3) of the world in the sheet's frame; ``back`` (1 | T, 4, 4)."""
     if len(back) == 1:
         return directions @ back[0, :3, :3].T
     return np.asarray(np.einsum("sij,sj->si", back[:, :3, :3], directions))
 
 
 @dataclasses.dataclass(frozen=True)
-class Pieces:
-    """K straight pieces of a track: from row ``first`` to row ``last`` (K,) of it, with ``off`` (K,) [m], how
-    far the way between them is off the straight one at most, both arms at one share of their pieces, and
-    ``apart`` (K,) [m], by how much the distance of the first two arms is another than on straight ways."""
+class TrackPieces:
+    """K straight pieces of a track.
+
+    Attributes:
+        first: First rows (K,).
+        last: Last rows (K,).
+        deviation: Maximum deviation (K,) [m] of the path from the straight piece, both arms at the same
+            fraction of their pieces.
+        distance_error: Maximum error (K,) [m] of the distance of the first two arms.
+    """
 
     first: IntArray
     last: IntArray
-    off: FloatArray
-    apart: FloatArray
+    deviation: FloatArray
+    distance_error: FloatArray
 
 
-def pieces(way: Track, within: float) -> Pieces:
-    """The track in straight pieces that are off it by ``within`` [m] at most at its samples. Between samples
-    the motion bends by what its second differences tell."""
-    count = len(way.rows)
+def straight_pieces(tool_track: ToolTrack, within: float) -> TrackPieces:
+    """Return a track as straight pieces that deviate from it by at most ``within`` [m] at its samples.
+
+    Between samples the motion bends according to its second differences.
+    """
+    count = len(tool_track.rows)
     if count < 2:
         none = np.zeros(0, dtype=np.int64)
-        return Pieces(none, none, np.zeros(0), np.zeros(0))
-    cut = np.flatnonzero(~way.joined)
-    turn = np.flatnonzero((way.own[1:] != way.own[:-1]) & way.joined) + 1  # ends one piece and begins another
+        return TrackPieces(none, none, np.zeros(0), np.zeros(0))
+    cut = np.flatnonzero(~tool_track.joined)
+    turn = (
+        np.flatnonzero((tool_track.is_forming[1:] != tool_track.is_forming[:-1]) & tool_track.joined) + 1
+    )  # ends one piece and starts another
     starts = np.sort(np.concatenate([[0], cut + 1, turn]))
     ends = np.sort(np.concatenate([cut, turn, [count - 1]]))
-    first = np.concatenate([np.arange(a, b, _BLOCK_SAMPLES) for a, b in zip(starts, ends, strict=True)])
-    to = np.repeat(ends, [len(range(a, b, _BLOCK_SAMPLES)) for a, b in zip(starts, ends, strict=True)])
-    last = np.minimum(first + _BLOCK_SAMPLES, to)
+    first = np.concatenate([np.arange(a, b, _SAMPLES_PER_BLOCK) for a, b in zip(starts, ends, strict=True)])
+    to = np.repeat(ends, [len(range(a, b, _SAMPLES_PER_BLOCK)) for a, b in zip(starts, ends, strict=True)])
+    last = np.minimum(first + _SAMPLES_PER_BLOCK, to)
     done_first, done_last = [], []
     while len(first):
-        good = (last - first == 1) | (_off(way.centre, first, last) <= within)
+        good = (last - first == 1) | (_chord_deviation(tool_track.centre, first, last) <= within)
         done_first.append(first[good])
         done_last.append(last[good])
         first, last = first[~good], last[~good]
@@ -215,94 +270,127 @@ def pieces(way: Track, within: float) -> Pieces:
     first, last = np.concatenate(done_first), np.concatenate(done_last)
     order = np.argsort(first)
     first, last = first[order], last[order]
-    bends = _bend(way.centre, way.joined), _stretch(way.centre, way.joined)
-    most, between = (
+    bends = (
+        _bend_deviation(tool_track.centre, tool_track.joined),
+        _distance_deviation(tool_track.centre, tool_track.joined),
+    )
+    max_bend, between = (
         np.maximum.reduceat(np.append(bend, 0.0), first) if len(first) else np.zeros(0) for bend in bends
     )
-    return Pieces(first, last, within + most, 2.0 * within + between)
+    return TrackPieces(first, last, within + max_bend, 2.0 * within + between)
 
 
-def _off(centre: FloatArray | Centres, first: IntArray, last: IntArray) -> FloatArray:
-    """How far (K,) [m] the rows between two are off the straight way between these."""
+def _chord_deviation(centre: FloatArray | LazyCentres, first: IntArray, last: IntArray) -> FloatArray:
+    """Deviation (K,) [m] of the rows between two rows from the straight line between these."""
     out = np.zeros(len(first))
-    for some in np.array_split(np.arange(len(first)), max(1, len(first) // 4000)):
-        if not len(some):
+    for chunk in np.array_split(np.arange(len(first)), max(1, len(first) // 4000)):
+        if not len(chunk):
             continue
-        span = int((last[some] - first[some]).max())
-        rows = np.minimum(first[some, None] + np.arange(span + 1), last[some, None])
-        start = centre[first[some]][:, None]
-        way = centre[last[some]][:, None] - start
+        span = int((last[chunk] - first[chunk]).max())
+        rows = np.minimum(first[chunk, None] + np.arange(span + 1), last[chunk, None])
+        start = centre[first[chunk]][:, None]
+        line = centre[last[chunk]][:, None] - start
         rest = centre[rows] - start
-        square = np.maximum(dots(way, way).sum(axis=2), 1e-30)
-        share = np.clip(dots(rest, way).sum(axis=2) / square, 0.0, 1.0)
-        out[some] = lengths(rest - share[..., None, None] * way).max(axis=(1, 2))
+        square = np.maximum(dots(line, line).sum(axis=2), 1e-30)
+        fraction = np.clip(dots(rest, line).sum(axis=2) / square, 0.0, 1.0)
+        out[chunk] = lengths(rest - fraction[..., None, None] * line).max(axis=(1, 2))
     return out
 
 
-def _bend(centre: FloatArray | Centres, joined: BoolArray) -> FloatArray:
-    """How far (T - 1,) [m] ``centre`` (T, A, 3) may be off the straight way between two samples (`_corner`):
-    what its second differences at both are across that way; changes of speed make no bend."""
+def _bend_deviation(centre: FloatArray | LazyCentres, joined: BoolArray) -> FloatArray:
+    """Maximum deviation (T - 1,) [m] of ``centre`` (T, A, 3) from the straight line between samples.
+
+    See `_corner_deviation`. It follows from the components of the second differences at both samples across
+    that line; changes of speed do not bend.
+    """
     out = np.zeros(len(centre) - 1)
-    for some, here in _steps(len(centre)):
-        step = np.diff(centre[some], axis=0)
+    for chunk, step_slices in _step_chunks(len(centre)):
+        step = np.diff(centre[chunk], axis=0)
         along = step / np.maximum(lengths(step), 1e-12)[..., None]
         second = np.diff(step, axis=0)
-        before, behind = np.zeros((2, *step.shape[:2]))
-        # what one corner between two samples makes at either is across one and the same way only so
-        for one, ways, way in ((behind[:-1], along[:-1], second), (before[1:], along[1:], second)):
-            one[:] = lengths(way - dots(way, ways)[..., None] * ways)
-        out[here.kept] = _corner(before[here.own], behind[here.own], joined, here.kept).max(axis=1)
+        previous, following = np.zeros((2, *step.shape[:2]))
+        # a corner between two samples has to be measured across the adjacent step at each of them
+        for target, direction, difference in (
+            (following[:-1], along[:-1], second),
+            (previous[1:], along[1:], second),
+        ):
+            target[:] = lengths(difference - dots(difference, direction)[..., None] * direction)
+        out[step_slices.kept] = _corner_deviation(
+            previous[step_slices.local], following[step_slices.local], joined, step_slices.kept
+        ).max(axis=1)
     return out
 
 
-def _stretch(centre: FloatArray | Centres, joined: BoolArray) -> FloatArray:
-    """By how much (T - 1,) [m] the distance d of the first two of ``centre`` (T, A, 3) may be off that on
-    straight ways between two samples: by a deviation along their line whole, by one of e across it by
-    e^2 / 2 d. Zero for one alone."""
+def _distance_deviation(centre: FloatArray | LazyCentres, joined: BoolArray) -> FloatArray:
+    """Maximum error (T - 1,) [m] of the distance d of the first two centres between two samples.
+
+    ``centre`` is (T, A, 3). A deviation along their line counts fully, a deviation e across it counts e^2 / 2
+    d. Zero for a single arm.
+    """
     out = np.zeros(len(centre) - 1)
     if centre.shape[1] < 2:
         return out
-    for some, here in _steps(len(centre)):
-        both = centre[some]
-        way = both[:, 0] - both[:, 1]
-        line, across = np.zeros((2, len(way), 1))
-        apart = np.full((len(way), 1), np.inf)
-        second, length = np.diff(way, n=2, axis=0), lengths(way[1:-1])
-        own = dots(second, way[1:-1]) / np.maximum(length, 1e-12)
-        line[1:-1, 0] = np.abs(own)
-        across[1:-1, 0] = np.sqrt(np.maximum(dots(second, second) - own**2, 0.0))
-        apart[1:-1, 0] = length
-        aside = _corner(across[:-1][here.own], across[1:][here.own], joined, here.kept)[:, 0]
-        least = np.minimum(apart[1:, 0], apart[:-1, 0])[here.own]
-        along = _corner(line[:-1][here.own], line[1:][here.own], joined, here.kept)[:, 0]
-        out[here.kept] = along + aside**2 / np.maximum(2.0 * (least - aside), 1e-6)
+    for chunk, step_slices in _step_chunks(len(centre)):
+        centres = centre[chunk]
+        line_vector = centres[:, 0] - centres[:, 1]
+        line, across = np.zeros((2, len(line_vector), 1))
+        distance = np.full((len(line_vector), 1), np.inf)
+        second, length = np.diff(line_vector, n=2, axis=0), lengths(line_vector[1:-1])
+        along_line = dots(second, line_vector[1:-1]) / np.maximum(length, 1e-12)
+        line[1:-1, 0] = np.abs(along_line)
+        across[1:-1, 0] = np.sqrt(np.maximum(dots(second, second) - along_line**2, 0.0))
+        distance[1:-1, 0] = length
+        aside = _corner_deviation(
+            across[:-1][step_slices.local], across[1:][step_slices.local], joined, step_slices.kept
+        )[:, 0]
+        min_distance = np.minimum(distance[1:, 0], distance[:-1, 0])[step_slices.local]
+        along = _corner_deviation(
+            line[:-1][step_slices.local], line[1:][step_slices.local], joined, step_slices.kept
+        )[:, 0]
+        out[step_slices.kept] = along + aside**2 / np.maximum(2.0 * (min_distance - aside), 1e-6)
     return out
 
 
 @dataclasses.dataclass(frozen=True)
-class _Here:
-    """Steps of a track that are worked out together: ``kept`` of all steps, ``own`` of those looked at."""
+class _StepSlices:
+    """Steps of a track that are processed together.
+
+    Attributes:
+        kept: The steps within all steps.
+        local: The steps within the processed samples.
+    """
 
     kept: slice
-    own: slice
+    local: slice
 
 
-def _steps(count: int) -> Iterator[tuple[slice, _Here]]:
-    """Steps between ``count`` samples, so many at once: the samples that are looked at, one more at either
-    end where there is one, and which steps these are."""
-    for begin in range(0, count - 1, SAMPLES_AT_ONCE):
-        end = min(begin + SAMPLES_AT_ONCE, count - 1)
-        first = max(begin - 1, 0)
-        yield (slice(first, min(end + 2, count)), _Here(slice(begin, end), slice(begin - first, end - first)))
+def _step_chunks(count: int) -> Iterator[tuple[slice, _StepSlices]]:
+    """Steps between ``count`` samples in chunks: the samples, and the steps.
+
+    The samples include one more at either end if there is one.
+    """
+    for start in range(0, count - 1, SAMPLES_AT_ONCE):
+        end = min(start + SAMPLES_AT_ONCE, count - 1)
+        first = max(start - 1, 0)
+        yield (
+            slice(first, min(end + 2, count)),
+            _StepSlices(slice(start, end), slice(start - first, end - first)),
+        )
 
 
-def _corner(before: FloatArray, behind: FloatArray, joined: BoolArray, steps: slice) -> FloatArray:
-    """What one sharp corner anywhere between two samples makes (K, A) [m], whose second differences are
-    ``before`` a and ``behind`` b (K, A) there: a b / (a + b). An even bend makes a quarter of that. ``steps``
-    are these of all, which are ``joined`` (T - 1,) where they have a next sample."""
-    own = joined[steps]
-    past = np.concatenate([[True], joined[:-1]])[steps]  # none is known across a gap
-    next_ = np.concatenate([joined[1:], [True]])[steps]
-    a = np.where((own & past)[:, None], before, 0.0)
-    b = np.where((own & next_)[:, None], behind, 0.0)
+def _corner_deviation(
+    previous: FloatArray, following: FloatArray, joined: BoolArray, steps: slice
+) -> FloatArray:
+    """Deviation (K, A) [m] due to one sharp corner anywhere between two samples.
+
+    With the second differences a (``previous``) and b (``following``) (K, A) at both samples it is a b / (a +
+    b); a uniform bend causes a quarter of that. ``joined`` (T - 1,) tells which steps have a next sample.
+    """
+    is_joined = joined[steps]
+    previous_joined = np.concatenate([[True], joined[:-1]])[
+        steps
+    ]  # across a gap no second difference is known
+    next_joined = np.concatenate([joined[1:], [True]])[steps]
+    a = np.where((is_joined & previous_joined)[:, None], previous, 0.0)
+    b = np.where((is_joined & next_joined)[:, None], following, 0.0)
     return np.asarray(a * b / np.maximum(a + b, 1e-30))

@@ -1,24 +1,24 @@
-"""What must hold of jobs with a hot wire, straight or bent, from the problem alone.
+"""Claims on jobs with a straight or bent hot wire. They follow from the problem alone.
 
-By code of its own, of which nothing makes targets, and which uses nothing that does: of the
-planner's modules of this folder it imports the operation's schema only (a test holds this). What a
-straight wire is to cut, and in which order, is worked out from the problem once more, by none of
-the code that plans (`straight.order`).
+The code is independent: nothing in it makes targets, and it uses nothing that does. Of the planner's modules
+in this folder it imports the operation's schema only (a test checks this). The surfaces that a straight wire
+cuts and their order are derived from the problem a second time, by none of the code that plans
+(`straight.order`).
 
-**Slot, stiffness and weight of a wire**, as claims count with them: what plans takes the same
-figures from ``hotwire/kerf/`` and ``processes/hotwire/plan/wire.py``, of which nothing is used here.
-Figures of materials come from ``data/materials.yaml``, which both sides read.
+**Kerf, stiffness and weight of a wire** are computed here for the claims. Planning takes the same figures
+from ``hotwire/plan/kerf/`` and ``hotwire/plan/wire.py``, which this module does not use. Material data come
+from ``data/materials.yaml``, which both sides read.
 
-A slot is either the stated width, or the energy balance of docs/kerf.md: a wire that gives off P /
-L [W/m] and moves across itself at v [m/s] leaves
+The kerf is either the stated width or follows from the energy balance of docs/kerf.md. A wire that emits P /
+L [W/m] and moves across itself at v [m/s] leaves a slot of width
 
     max(chi P / (L rho c (T - 20 C) v) - offset, diameter)
 
-with chi, offset and the density rho, heat c and melting temperature T of the block's foam. Between
-1 and 50 mm/s it follows the speed, beyond them it stays: a wire that hardly moves has no width of
+with chi, offset, density rho, specific heat c and melting temperature T of the stock's foam. The width
+depends on the speed between 1 and 50 mm/s and is constant outside: a wire that hardly moves has no width of
 its own.
 
-How stiff and how heavy a bent wire is follows from its section and its material's constants.
+Stiffness and weight of a bent wire follow from its section and its material's constants.
 """
 
 import dataclasses
@@ -28,9 +28,9 @@ from typing import Final
 import numpy as np
 
 from planner.catalogue.materials import (
-    REFERENCE_TEMPERATURE,
-    ROOM_TEMPERATURE,
-    Foam,
+    REFERENCE_TEMPERATURE_C,
+    ROOM_TEMPERATURE_C,
+    FoamMaterial,
     WireMaterial,
     wire_material,
 )
@@ -45,10 +45,10 @@ from planner.claims.dialogue import (
     question_step,
 )
 from planner.claims.segments import Segment
-from planner.geometry.arrays import BoolArray, FloatArray, Mesh, Ruled
+from planner.geometry.arrays import BoolArray, FloatArray, Mesh, RuledSurface
 from planner.geometry.rulings import tessellate
 from planner.geometry.units import GRAVITY, MM
-from planner.issues import TandemError, refusal
+from planner.issues import TandemError, issue_error
 from planner.problem import Part, Setup, Stock
 from planner.processes.hotwire import claims as facts
 from planner.processes.hotwire import sentences as hotwire_sentences
@@ -62,54 +62,73 @@ from planner.processes.hotwire.plan.operation import (
 from planner.reading.materials import WireFile
 from planner.tooling import Bow
 
-SLOWEST_WIRE: Final = 1e-3
-"""[m/s] a slower wire counts as this fast."""
-FASTEST_WIRE: Final = 50e-3
-"""[m/s] a faster wire counts as this fast."""
-SPEED_STEPS: Final = 2000
-"""Speeds of a table, evenly spaced in their logarithms: read linearly it is off by less than 2e-6 of its
-width."""
+MIN_WIRE_SPEED_M_S: Final = 1e-3
+"""Lower end of the kerf table [m/s]. A slower wire counts as this fast."""
+MAX_WIRE_SPEED_M_S: Final = 50e-3
+"""Upper end of the kerf table [m/s]. A faster wire counts as this fast."""
+SPEED_TABLE_SIZE: Final = 2000
+"""Speeds in a kerf table, evenly spaced in their logarithms.
+
+Linear interpolation is then wrong by less than 2e-6 of the width.
+"""
 
 
-def slot(
-    kerf_mm: float | None, power_w: float | None, foam: Foam | None, diameter: float, length: float
+def slot_width_curve(
+    kerf_mm: float | None, power_w: float | None, foam: FoamMaterial | None, diameter: float, length: float
 ) -> facts.KerfCurve:
-    """The slot's width over the wire's speed across itself, from what an operation states.
+    """Return the kerf as a function of the wire's speed across itself.
 
-    ``kerf_mm`` [mm] counts alone where it is given; else ``power_w`` [W] over the heated ``length`` [m] of a
-    wire of ``diameter`` [m] in ``foam``. The curve's interval is its width: the proof counts with that alone.
-    Raises ``TandemError``: stock.foam_missing, kerf.no_data, kerf.input.
+    The interval of the curve equals its width: the proof uses the expected width alone.
+
+    Args:
+        kerf_mm: Stated width [mm]. If given, it alone counts.
+        power_w: Power [W] over the heated length.
+        foam: Foam of the stock.
+        diameter: Diameter of the wire [m].
+        length: Heated length of the wire [m].
+
+    Raises:
+        TandemError: stock.foam_missing, kerf.no_data, kerf.input.
     """
     if kerf_mm is not None:
         return facts.KerfCurve.constant(kerf_mm * MM)
     if foam is None or power_w is None:
-        what = "the slot follows from power_w and the block's foam, and one of them is not stated; give "
+        what = "the width of the slot follows from power_w and the foam, but one of them is missing; state "
         what += "stock.foam, or kerf_mm instead of power_w"
-        raise refusal("stock.foam_missing", what, field="stock.foam")
-    fit, heat, melts = foam.kerf, foam.specific_heat, foam.melt_temperature
-    if fit is None or heat is None or melts is None:
-        what = f"the slot in {foam.name}: got no test cuts, heat or melting point, allowed a foam with them"
-        hint = "give kerf_mm, or fit test cuts of your own: tandem kerf fit"
-        raise refusal("kerf.no_data", what, field="foam", hint=hint)
+        raise issue_error("stock.foam_missing", what, field="stock.foam")
+    fit, specific_heat, melt_temperature = foam.kerf, foam.specific_heat, foam.melt_temperature
+    if fit is None or specific_heat is None or melt_temperature is None:
+        what = f"slot in {foam.name}: the foam has no test cuts, specific heat or melting point"
+        hint = "give kerf_mm, or fit your own test cuts: tandem kerf fit"
+        raise issue_error("kerf.no_data", what, field="foam", hint=hint)
     if not (diameter > 0.0 and length > 0.0):
         size = f"{diameter / MM:g} x {length / MM:g} mm"
-        what = f"a hot wire of {size}: allowed a diameter and a length above 0"
-        raise refusal("kerf.input", what, field="diameter", hint="give the wire's size")
-    speed = np.geomspace(SLOWEST_WIRE, FASTEST_WIRE, SPEED_STEPS)
-    melted = power_w / length / (foam.density * heat * (melts - ROOM_TEMPERATURE)) / speed
-    width = np.maximum(fit.chi * melted - fit.offset, diameter)
+        what = f"hot wire: got {size}, allowed a diameter and a length above 0"
+        raise issue_error("kerf.input", what, field="diameter", hint="give the wire's size")
+    speed = np.geomspace(MIN_WIRE_SPEED_M_S, MAX_WIRE_SPEED_M_S, SPEED_TABLE_SIZE)
+    melted_width = (
+        power_w / length / (foam.density * specific_heat * (melt_temperature - ROOM_TEMPERATURE_C)) / speed
+    )
+    width = np.maximum(fit.chi * melted_width - fit.offset, diameter)
     return facts.KerfCurve(speed, width, width, width)
 
 
-TORSION_TERMS: Final = 40
-"""Terms of the series of a strip's torsion constant, which fall with the fifth power."""
+TORSION_SERIES_TERMS: Final = 40
+"""Number of terms of the series of a strip's torsion constant. The terms fall with the fifth power."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Stiffness:
-    """``ei_soft`` and ``ei_stiff`` [N m^2] in and across the plane in which a wire bends, ``gj`` [N m^2],
-    ``weight`` [N/m], ``max_curvature`` [1/m] by the elastic limit of the cold wire, ``thickness`` [m] in the
-    bending plane."""
+class WireStiffness:
+    """Stiffness and weight of a hot wire.
+
+    Attributes:
+        ei_soft: Bending stiffness in the plane in which the wire bends [N m^2].
+        ei_stiff: Bending stiffness across that plane [N m^2].
+        gj: Torsional stiffness [N m^2].
+        weight: Weight per length [N/m].
+        max_curvature: Curvature at the elastic limit of the cold wire [1/m].
+        thickness: Thickness in the bending plane [m].
+    """
 
     ei_soft: float
     ei_stiff: float
@@ -119,55 +138,101 @@ class Stiffness:
     thickness: float
 
 
-def stiffness(
-    material: WireMaterial, diameter: float | None, width: float | None, thickness: float | None, hot: float
-) -> Stiffness:
-    """A round wire of ``diameter`` [m], or a strip of ``width`` and ``thickness`` [m] that bends over its
-    thin side, at the temperature ``hot`` [C].
+def wire_stiffness(
+    material: WireMaterial,
+    diameter: float | None,
+    width: float | None,
+    thickness: float | None,
+    temperature: float,
+) -> WireStiffness:
+    """Return the stiffness of a round wire, or of a strip that bends across its thin side.
 
-    Second moments of area of a disk, pi d^4 / 64, and of a rectangle; torsion constant of a disk, pi d^4 /
-    32, and of a rectangle by Saint-Venant's series (Timoshenko and Goodier, Theory of Elasticity, art. 109).
-    Raises ``TandemError`` (wire.size)."""
-    young = _at(material.young_table, hot)
+    Second moments of area: pi d^4 / 64 of a disk, w t^3 / 12 of a rectangle. Torsion constants: pi d^4 / 32
+    of a disk, Saint-Venant's series of a rectangle.
+
+    Args:
+        material: Material of the wire.
+        diameter: Diameter of a round wire [m], or None.
+        width: Width of a strip [m], or None.
+        thickness: Thickness of a strip [m], or None.
+        temperature: Temperature of the hot wire [C].
+
+    Raises:
+        TandemError: wire.size.
+
+    Source: Timoshenko and Goodier, Theory of Elasticity, art. 109.
+    """
+    young = _interpolate_table(material.young_table, temperature)
     shear = young / (2.0 * (1.0 + material.poisson))
     if diameter is not None:
-        soft = stiff = math.pi * diameter**4 / 64.0
-        twist, area, thick = math.pi * diameter**4 / 32.0, math.pi * diameter**2 / 4.0, diameter
+        soft_moment = stiff_moment = math.pi * diameter**4 / 64.0
+        torsion_constant, area, bending_thickness = (
+            math.pi * diameter**4 / 32.0,
+            math.pi * diameter**2 / 4.0,
+            diameter,
+        )
     elif width is not None and thickness is not None:
-        soft, stiff = width * thickness**3 / 12.0, thickness * width**3 / 12.0
-        twist, area, thick = rectangle_torsion(width, thickness), width * thickness, thickness
+        soft_moment, stiff_moment = width * thickness**3 / 12.0, thickness * width**3 / 12.0
+        torsion_constant, area, bending_thickness = (
+            rectangle_torsion(width, thickness),
+            width * thickness,
+            thickness,
+        )
     else:
         what = "wire size: got neither a diameter nor a width and a thickness, allowed one of the two"
         hint = "give diameter_mm, or width_mm and thickness_mm"
-        raise refusal("wire.size", what, hint=hint)
-    strain = material.yield_stress / _at(material.young_table, REFERENCE_TEMPERATURE)
+        raise issue_error("wire.size", what, hint=hint)
+    strain = material.yield_stress / _interpolate_table(material.young_table, REFERENCE_TEMPERATURE_C)
     weight = material.density * area * GRAVITY
-    return Stiffness(young * soft, young * stiff, shear * twist, weight, 2.0 * strain / thick, thick)
+    return WireStiffness(
+        young * soft_moment,
+        young * stiff_moment,
+        shear * torsion_constant,
+        weight,
+        2.0 * strain / bending_thickness,
+        bending_thickness,
+    )
 
 
-def cold_length(material: WireMaterial, length: float, hot: float) -> float:
-    """The length [m] at 20 C of a wire that is ``length`` [m] long at the temperature ``hot`` [C]: the table
-    gives the mean expansion from 20 C on."""
-    return length / (1.0 + _at(material.expansion_table, hot) * (hot - REFERENCE_TEMPERATURE))
+def cold_length(material: WireMaterial, length: float, temperature: float) -> float:
+    """Return the length at 20 C [m] of a hot wire.
+
+    Args:
+        material: Material. Its table gives the mean expansion from 20 C upwards.
+        length: Length of the hot wire [m].
+        temperature: Temperature of the hot wire [C].
+    """
+    return length / (
+        1.0
+        + _interpolate_table(material.expansion_table, temperature) * (temperature - REFERENCE_TEMPERATURE_C)
+    )
 
 
 def rectangle_torsion(width: float, thickness: float) -> float:
-    """Torsion constant [m^4] of a rectangle, ``width`` >= ``thickness`` [m]."""
-    odd = 2.0 * np.arange(TORSION_TERMS) + 1.0
+    """Return the torsion constant [m^4] of a rectangle, ``width`` >= ``thickness`` [m].
+
+    J = w t^3 / 3 (1 - 192 / pi^5 (t / w) sum_(n odd) tanh(n pi w / 2 t) / n^5).
+
+    Source: Timoshenko and Goodier, Theory of Elasticity, art. 109.
+    """
+    odd = 2.0 * np.arange(TORSION_SERIES_TERMS) + 1.0
     series = float(np.sum(np.tanh(0.5 * odd * math.pi * width / thickness) / odd**5))
     return width * thickness**3 / 3.0 * (1.0 - 192.0 / math.pi**5 * thickness / width * series)
 
 
-def _at(table: tuple[tuple[float, float], ...], temperature: float) -> float:
-    """A table's value at a temperature [C], straight between its rows and constant beyond them."""
+def _interpolate_table(table: tuple[tuple[float, float], ...], temperature: float) -> float:
+    """Interpolate a table at a temperature [C]: linear between rows, constant beyond them."""
     rows = np.array(table)
     return float(np.interp(temperature, rows[:, 0], rows[:, 1]))
 
 
-SAME_WAY: Final = 1e-6
-"""Surfaces whose mean rulings, as unit vectors, differ by less lie in one another or beside one another."""
-LEVEL_SHARE: Final = 0.5
-"""An axis of the block is level where the vertical's share along it is below this."""
+PARALLEL_TOLERANCE: Final = 1e-6
+"""Tolerance for parallel mean rulings (largest component of the difference of unit vectors).
+
+Surfaces with parallel rulings lie inside one another or next to one another.
+"""
+MAX_LEVEL_COSINE: Final = 0.5
+"""An axis of the stock is level if the component of the vertical along it is below this."""
 SIDE_PLANES: Final = {
     "left": (0, -1.0),
     "right": (0, 1.0),
@@ -176,210 +241,248 @@ SIDE_PLANES: Final = {
     "bottom": (2, -1.0),
     "top": (2, 1.0),
 }
-"""Axis of the stock frame that is normal to a side of the datum block, and which way it points outwards."""
+"""Normal axis in the stock frame and sign of the outward direction, for each side of the datum block."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Claimed:
-    """One surface that is to be cut in ``segment``, and what the operation says of that cut."""
+class ClaimedCut:
+    """A surface that is cut.
+
+    Attributes:
+        segment: Segment that cuts it.
+        ruled: The surface.
+        cut: What the operation states about the cut.
+    """
 
     segment: Segment
-    ruled: Ruled
+    ruled: RuledSurface
     cut: SurfaceCut | TrimCut
 
 
-def claimed(op: Straight, stock: Stock, part: Part | None, span: float) -> list[Claimed]:
-    """All that is to be cut, in order; ``span`` [m] of the wire between its clamps. Raises ``TandemError``:
-    part.missing_surface."""
-    known = {} if part is None else {ruled.name: ruled for ruled in part.ruled}
+def claimed_cuts(op: Straight, stock: Stock, part: Part | None, span: float) -> list[ClaimedCut]:
+    """Return all surfaces that the operation cuts, in order.
+
+    Args:
+        op: Operation with a straight wire.
+        stock: Stock as the operation finds it.
+        part: Part, if the problem has one.
+        span: Length of the wire between its clamps [m].
+
+    Raises:
+        TandemError: part.missing_surface.
+    """
+    ruled_by_name = {} if part is None else {ruled.name: ruled for ruled in part.ruled}
     if op.cuts == "all":
-        if not known:
-            raise _missing(op, "all")
-        rows = list(known.values())
-        order = _by_support(rows, -stock.gravity)
+        if not ruled_by_name:
+            raise _missing_surface_error(op, "all")
+        surfaces = list(ruled_by_name.values())
+        order = _cutting_order(surfaces, -stock.gravity)
         return [
-            Claimed(Segment("cut", rows[k].name), rows[k], SurfaceCut(surface=rows[k].name)) for k in order
+            ClaimedCut(Segment("cut", surfaces[k].name), surfaces[k], SurfaceCut(surface=surfaces[k].name))
+            for k in order
         ]
-    out: list[Claimed] = []
+    result: list[ClaimedCut] = []
     for cut in op.cuts:
         if isinstance(cut, SurfaceCut):
-            if cut.surface not in known:
-                raise _missing(op, cut.surface)
-            out.append(Claimed(Segment("cut", cut.surface), known[cut.surface], cut))
+            if cut.surface not in ruled_by_name:
+                raise _missing_surface_error(op, cut.surface)
+            result.append(ClaimedCut(Segment("cut", cut.surface), ruled_by_name[cut.surface], cut))
             continue
-        out += [
-            Claimed(Segment("cut", f"trim_{s}"), datum_side(op, stock, s, cut, span), cut) for s in cut.trim
+        result += [
+            ClaimedCut(Segment("cut", f"trim_{s}"), datum_side_surface(op, stock, s, cut, span), cut)
+            for s in cut.trim
         ]
-    return out
+    return result
 
 
-def _missing(op: Straight, name: str) -> TandemError:
+def _missing_surface_error(op: Straight, name: str) -> TandemError:
     what = f"{op.name}: {name} is to be cut, but the part has no such ruled surface; correct the name"
-    return refusal("part.missing_surface", what, field="part")
+    return issue_error("part.missing_surface", what, field="part")
 
 
-# ---- the order of everything ----
+# ---- cutting order ----
 
 
-def _by_support(rows: list[Ruled], up: FloatArray) -> list[int]:
-    """What lies in others before what is around it, and holes; then strips; then outlines from the top
-    down."""
-    depth = nesting(rows)
+def _cutting_order(surfaces: list[RuledSurface], up: FloatArray) -> list[int]:
+    """Return the cutting order: nested surfaces and holes, then strips, then outlines from the top down."""
+    depth = nesting_depths(surfaces)
 
-    def key(k: int) -> tuple[int, int, float]:
-        one = rows[k]
-        if not one.closed:
+    def sort_key(k: int) -> tuple[int, int, float]:
+        surface = surfaces[k]
+        if not surface.closed:
             return (1, -depth[k], 0.0)
-        height = 0.0 if one.hole else -round(float(0.5 * (one.start + one.end).mean(axis=0) @ up), 6)
-        return (0 if one.hole or depth[k] else 2, -depth[k], height)
+        height = (
+            0.0 if surface.hole else -round(float(0.5 * (surface.start + surface.end).mean(axis=0) @ up), 6)
+        )
+        return (0 if surface.hole or depth[k] else 2, -depth[k], height)
 
-    return sorted(range(len(rows)), key=key)
+    return sorted(range(len(surfaces)), key=sort_key)
 
 
-def nesting(rows: list[Ruled]) -> list[int]:
-    """In how many other closed surfaces with rulings of the same direction each one lies."""
-    out = [0] * len(rows)
-    axes = [_axis(one) for one in rows]
-    for i, inner in enumerate(rows):
-        for o, outer in enumerate(rows):
-            alike = bool(np.abs(axes[i] - axes[o]).max() < SAME_WAY)
-            if i == o or not (inner.closed and outer.closed and alike):
+def nesting_depths(surfaces: list[RuledSurface]) -> list[int]:
+    """Return for each surface in how many other closed surfaces with parallel rulings it lies."""
+    depths = [0] * len(surfaces)
+    axes = [_mean_ruling_direction(one) for one in surfaces]
+    for i, inner in enumerate(surfaces):
+        for o, outer in enumerate(surfaces):
+            is_parallel = bool(np.abs(axes[i] - axes[o]).max() < PARALLEL_TOLERANCE)
+            if i == o or not (inner.closed and outer.closed and is_parallel):
                 continue
             plane = normal_plane(axes[o])
             small, large = (0.5 * (one.start + one.end) @ plane for one in (inner, outer))
-            within = inside(small, large).mean() > 0.5
-            out[i] += int(within and abs(area(small)) < abs(area(large)))
-    return out
+            is_nested = points_in_polygon(small, large).mean() > 0.5
+            depths[i] += int(is_nested and abs(signed_area(small)) < abs(signed_area(large)))
+    return depths
 
 
-def _axis(ruled: Ruled) -> FloatArray:
-    way = (ruled.end - ruled.start).mean(axis=0)
-    return np.asarray(way / max(float(np.linalg.norm(way)), 1e-12))
+def _mean_ruling_direction(ruled: RuledSurface) -> FloatArray:
+    direction = (ruled.end - ruled.start).mean(axis=0)
+    return np.asarray(direction / max(float(np.linalg.norm(direction)), 1e-12))
 
 
 def normal_plane(axis: FloatArray) -> FloatArray:
-    """Two unit vectors (3, 2) that are normal to a unit vector (3,) and to one another."""
+    """Return two unit vectors (3, 2) that are normal to a unit vector (3,) and to each other."""
     return np.asarray(np.linalg.svd(axis[None])[2][1:].T)
 
 
-def area(polygon: FloatArray) -> float:
-    """Area [m^2] of a polygon (M, 2), negative if it runs clockwise."""
+def signed_area(polygon: FloatArray) -> float:
+    """Return the area [m^2] of a polygon (M, 2), negative if it is clockwise."""
     x, y = polygon.T
     return float(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
-def inside(points: FloatArray, polygon: FloatArray) -> BoolArray:
-    """Which points (N, 2) lie in a polygon (M, 2): a ray from them passes its border an odd number of
-    times."""
+def points_in_polygon(points: FloatArray, polygon: FloatArray) -> BoolArray:
+    """Return which points (N, 2) lie in a polygon (M, 2).
+
+    A ray from a point inside crosses the border an odd number of times.
+    """
     a, b = polygon, np.roll(polygon, -1, axis=0)
     y = points[:, 1, None]
-    passes = (a[:, 1] > y) != (b[:, 1] > y)
+    crosses = (a[:, 1] > y) != (b[:, 1] > y)
     with np.errstate(divide="ignore", invalid="ignore"):
-        at = a[:, 0] + (y - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
-    return np.asarray(np.sum(passes & (points[:, 0, None] < at), axis=1) % 2 == 1)
+        crossing_x = a[:, 0] + (y - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
+    return np.asarray(np.sum(crosses & (points[:, 0, None] < crossing_x), axis=1) % 2 == 1)
 
 
 # ---- sides of the datum block ----
 
 
-def datum_side(op: Straight, stock: Stock, side: str, cut: TrimCut, span: float) -> Ruled:
-    """A side of the block without its oversize, as two rulings whose surface faces away from the block."""
-    axis, outwards = SIDE_PLANES[side]
-    along = "xyz".index(cut.along) if cut.along != "auto" else _auto(op, stock, axis, span)
-    sweep = ({0, 1, 2} - {axis, along}).pop()
+def datum_side_surface(op: Straight, stock: Stock, side: str, cut: TrimCut, span: float) -> RuledSurface:
+    """Return a side of the block without its oversize as two rulings. The surface faces away from the block.
+
+    Args:
+        op: Operation with a straight wire.
+        stock: Stock as the operation finds it.
+        side: Name of the side, a key of `SIDE_PLANES`.
+        cut: The cut that trims this side.
+        span: Length of the wire between its clamps [m].
+    """
+    axis, outward_sign = SIDE_PLANES[side]
+    wire_axis = "xyz".index(cut.along) if cut.along != "auto" else _auto_wire_axis(op, stock, axis, span)
+    sweep_axis = ({0, 1, 2} - {axis, wire_axis}).pop()
     low, high = np.array([-0.5, -0.5, 0.0]) * stock.size, np.array([0.5, 0.5, 1.0]) * stock.size
-    corner = np.where(outwards > 0.0, high, low)
+    corner = np.where(outward_sign > 0.0, high, low)
     start, end = np.tile(corner, (2, 1)), np.tile(corner, (2, 1))
-    start[:, along], end[:, along] = low[along], high[along]
-    # way times wire points outwards where the axes of way, wire and side follow one another
-    ascends = ((along - sweep) % 3 == 1) == (outwards > 0.0)
-    edges = (low[sweep], high[sweep]) if ascends else (high[sweep], low[sweep])
-    start[:, sweep] = end[:, sweep] = edges
-    return Ruled(f"trim_{side}", start, end, np.zeros(2, dtype=np.bool_))
+    start[:, wire_axis], end[:, wire_axis] = low[wire_axis], high[wire_axis]
+    # sweep x wire points outwards if the axes sweep, wire, side are in cyclic order
+    is_ascending = ((wire_axis - sweep_axis) % 3 == 1) == (outward_sign > 0.0)
+    edges = (low[sweep_axis], high[sweep_axis]) if is_ascending else (high[sweep_axis], low[sweep_axis])
+    start[:, sweep_axis] = end[:, sweep_axis] = edges
+    return RuledSurface(f"trim_{side}", start, end, np.zeros(2, dtype=np.bool_))
 
 
-def _auto(op: Straight, stock: Stock, axis: int, span: float) -> int:
-    """The axis that the wire is parallel to: one along which the block as found, with its margins, is no
-    longer than the wire; of these a level one; of these the shorter."""
-    length, upright = stock.upper - stock.lower, np.abs(stock.gravity) >= LEVEL_SHARE
+def _auto_wire_axis(op: Straight, stock: Stock, axis: int, span: float) -> int:
+    """Choose the axis that the wire is parallel to.
+
+    Prefers axes along which the stock with its margins is no longer than the wire, then level axes, then the
+    shorter.
+    """
+    length, is_vertical = stock.upper - stock.lower, np.abs(stock.gravity) >= MAX_LEVEL_COSINE
     choice = [k for k in range(3) if k != axis]
-    fit = [k for k in choice if length[k] <= span - 2.0 * op.margin_mm * MM] or choice
-    level = [k for k in fit if not upright[k]] or fit
-    return min(level, key=lambda k: float(length[k]))
+    fitting = [k for k in choice if length[k] <= span - 2.0 * op.margin_mm * MM] or choice
+    level_axes = [k for k in fitting if not is_vertical[k]] or fitting
+    return min(level_axes, key=lambda k: float(length[k]))
 
 
-RESTING_MARGIN: Final = 0.01
-"""Cosines of leans that differ from `RESTING_COSINE` by less are not told apart: spacers may be asked for or
-not."""
-SURFACE_CHORD: Final = 2e-5
-"""[m] the triangles of a wanted surface are as near to it as this."""
+RESTING_COSINE_TOLERANCE: Final = 0.01
+"""Tolerance of the comparison with `RESTING_COSINE`. Within it a question for spacers is optional."""
+SURFACE_CHORD_TOLERANCE_M: Final = 2e-5
+"""Chord error of the triangles of a nominal surface [m]."""
 
 
 def straight_claims(op: Straight, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
-    """Claims on the bow, on each cut, on the contact, on the block's holder and on ways in.
+    """Return the claims on the bow, each cut, the contact, the holder of the stock and the lead-ins.
 
-    Raises ``TandemError``: bow.missing, part.missing_surface, stock.foam_missing, kerf.no_data.
+    Args:
+        op: Operation with a straight wire.
+        setup: Setup that the operation finds.
+        part: Part, if the problem has one.
+
+    Raises:
+        TandemError: bow.missing, part.missing_surface, stock.foam_missing, kerf.no_data.
     """
-    stock, bow = setup.stock, _bow(op, setup)
+    stock, bow = setup.stock, _bow_of_arm(op, setup)
     span, radius = bow.span, bow.radius
-    half = np.array([0.5 * span, 0.0, 0.0])
-    kerf = slot(op.kerf_mm, op.power_w, stock.foam, 2.0 * radius, span)
-    out: list[Claim] = [
-        facts.StraightWire(op.arms[0], -half, half, radius, op.margin_mm * MM),
+    half_wire = np.array([0.5 * span, 0.0, 0.0])
+    kerf = slot_width_curve(op.kerf_mm, op.power_w, stock.foam, 2.0 * radius, span)
+    result: list[Claim] = [
+        facts.StraightWire(op.arms[0], -half_wire, half_wire, radius, op.margin_mm * MM),
         ContactOnlyIn(("cut",), op.signal, op.heat_up_s),
     ]
-    cuts, tolerance = claimed(op, stock, part, span), op.shape_tol_mm * MM
-    out.append(_straight_dialogue(op, bow, setup, cuts))
+    cuts, tolerance = claimed_cuts(op, stock, part, span), op.shape_tol_mm * MM
+    result.append(_straight_dialogue(op, bow, setup, cuts))
     for cut in cuts:
-        mesh = tessellate(cut.ruled, SURFACE_CHORD)
-        out.append(facts.CutsSurface(cut.segment, mesh.vertices, mesh.faces, kerf, tolerance, op.share))
-        start, end = _closed(cut.ruled)
-        out.append(facts.FollowsRulings(cut.segment, start, end, kerf, tolerance, op.left_mm * MM))
+        mesh = tessellate(cut.ruled, SURFACE_CHORD_TOLERANCE_M)
+        result.append(facts.CutsSurface(cut.segment, mesh.vertices, mesh.faces, kerf, tolerance, op.share))
+        start, end = _guide_lines(cut.ruled)
+        result.append(facts.FollowsRulings(cut.segment, start, end, kerf, tolerance, op.left_mm * MM))
         if op.power_w is not None:
             low, high = op.kerf_range_mm
-            out.append(facts.KerfWithin(cut.segment, kerf, low * MM, high * MM))
-        fastest = op.feed_mm_s if cut.cut.feed_mm_s is None else cut.cut.feed_mm_s
-        feed = op.feed_min_mm_s * MM, fastest * MM
-        out += [FeedWindow(cut.segment.at(phase), *feed) for phase in ("", "in", "out")]
+            result.append(facts.KerfWithin(cut.segment, kerf, low * MM, high * MM))
+        max_feed = op.feed_mm_s if cut.cut.feed_mm_s is None else cut.cut.feed_mm_s
+        feed = op.feed_min_mm_s * MM, max_feed * MM
+        result += [FeedWindow(cut.segment.at(phase), *feed) for phase in ("", "in", "out")]
     stock = setup.stock
     if stock.held_by is not None and stock.mass is not None:
-        middle = np.append(0.5 * (stock.lower + stock.upper), 1.0)
-        out.append(HoldsStock(stock.held_by, stock.grip, stock.mass, (stock.grip @ middle)[:3]))
-    return (*out, *_leads(cuts, tolerance), *_slits(cuts, part, stock.box))
+        centre = np.append(0.5 * (stock.lower + stock.upper), 1.0)
+        result.append(HoldsStock(stock.held_by, stock.grip, stock.mass, (stock.grip @ centre)[:3]))
+    return (*result, *_lead_claims(cuts, tolerance), *_slit_claims(cuts, part, stock.box))
 
 
-def _straight_dialogue(op: Straight, bow: Bow, setup: Setup, cuts: list[Claimed]) -> OperatorDialogue:
-    """The wire's size and heat are told; where spacers are wanted hands come near it, so that it is off and
-    cold meanwhile."""
+def _straight_dialogue(op: Straight, bow: Bow, setup: Setup, cuts: list[ClaimedCut]) -> OperatorDialogue:
+    """Return the operator dialogue: size and heat of the wire, and spacers.
+
+    Where spacers are inserted, hands come near the wire. It is therefore off and cold meanwhile.
+    """
     material = f" {op.wire_material}" if op.wire_material.strip() else ""
     wire: dict[str, Figure] = {"diameter_mm": 2.0 * bow.radius / MM, "material": material}
     if op.power_w is not None:
-        mounted = message_step(hotwire_sentences.BOW_POWER, **wire, power_w=op.power_w)
+        mount_message = message_step(hotwire_sentences.BOW_POWER, **wire, power_w=op.power_w)
     else:
-        mounted = message_step(hotwire_sentences.BOW_SLOT, **wire, kerf_mm=op.kerf_mm)
-    on, off = power_on_steps(op.signal, op.heat_up_s), power_off_steps(op.signal, op.cool_down_s)
-    spaced = (
-        *off,
+        mount_message = message_step(hotwire_sentences.BOW_SLOT, **wire, kerf_mm=op.kerf_mm)
+    power_on, power_off = power_on_steps(op.signal, op.heat_up_s), power_off_steps(op.signal, op.cool_down_s)
+    spacer_steps = (
+        *power_off,
         message_step(hotwire_sentences.SPACERS, kerf_mm=op.kerf_mm),
         question_step(hotwire_sentences.SPACED),
-        *on,
+        *power_on,
     )
     stops = []
     for cut in cuts if op.spacers and setup.stock.held_by is None else ():
-        lean = 0.0 if cut.ruled.closed else abs(float(_normal(cut.ruled) @ setup.stock.gravity))
-        if lean > RESTING_COSINE - RESTING_MARGIN:
-            optional = lean < RESTING_COSINE + RESTING_MARGIN
-            stops.append(DialogueStop(cut.segment.at("out"), "behind", spaced, optional=optional))
+        tilt_cosine = 0.0 if cut.ruled.closed else abs(float(_mean_normal(cut.ruled) @ setup.stock.gravity))
+        if tilt_cosine > RESTING_COSINE - RESTING_COSINE_TOLERANCE:
+            optional = tilt_cosine < RESTING_COSINE + RESTING_COSINE_TOLERANCE
+            stops.append(DialogueStop(cut.segment.at("out"), "behind", spacer_steps, optional=optional))
     return OperatorDialogue(
         op.arms,
-        (mounted, question_step(hotwire_sentences.TAUT), *on),
-        (*off, question_step(hotwire_sentences.COLD)),
+        (mount_message, question_step(hotwire_sentences.TAUT), *power_on),
+        (*power_off, question_step(hotwire_sentences.COLD)),
         tuple(stops),
     )
 
 
-def _normal(ruled: Ruled) -> FloatArray:
-    """The mean unit normal (3,) of a ruled surface, not itself of length 1 where that is bent."""
+def _mean_normal(ruled: RuledSurface) -> FloatArray:
+    """Return the mean unit normal (3,) of a ruled surface. It is shorter than 1 if the surface is curved."""
     move = 0.5 * (np.diff(ruled.start, axis=0) + np.diff(ruled.end, axis=0))
     along = ruled.end - ruled.start
     normal = np.cross(move, along[1:] + along[:-1])
@@ -387,16 +490,16 @@ def _normal(ruled: Ruled) -> FloatArray:
     return np.asarray((normal / np.maximum(size, 1e-12))[size[:, 0] > 1e-12].mean(axis=0))
 
 
-def _bow(op: Straight, setup: Setup) -> Bow:
+def _bow_of_arm(op: Straight, setup: Setup) -> Bow:
     tool = setup.cell.arm(op.arms[0]).tool
     if isinstance(tool, Bow):
         return tool
     what = f"{op.name}: the tool {tool.name} of arm {op.arms[0]} has no straight wire; mount a bow"
-    raise refusal("bow.missing", what, field="cell.arms", arm=op.arms[0])
+    raise issue_error("bow.missing", what, field="cell.arms", arm=op.arms[0])
 
 
-def _leads(cuts: list[Claimed], tolerance: float) -> list[facts.LeadsFrom]:
-    """Directions that the user states."""
+def _lead_claims(cuts: list[ClaimedCut], tolerance: float) -> list[facts.LeadsFrom]:
+    """Return claims on the lead-in directions that the user states."""
     return [
         facts.LeadsFrom(one.segment, np.array(one.cut.lead, dtype=np.float64), tolerance)
         for one in cuts
@@ -404,42 +507,55 @@ def _leads(cuts: list[Claimed], tolerance: float) -> list[facts.LeadsFrom]:
     ]
 
 
-def _slits(cuts: list[Claimed], part: Part | None, box: FloatArray) -> list[facts.SlitsAllowed]:
-    """Slits through the part, where it has holes and something closed is cut."""
-    here = {one.ruled.name: one.segment for one in cuts if one.ruled.closed}
+def _slit_claims(cuts: list[ClaimedCut], part: Part | None, box: FloatArray) -> list[facts.SlitsAllowed]:
+    """Return the claim on slits through the part, if it has holes and a closed surface is cut."""
+    segment_by_name = {one.ruled.name: one.segment for one in cuts if one.ruled.closed}
     closed = [ruled for ruled in (() if part is None else part.ruled) if ruled.closed]
-    if not here or not any(ruled.hole for ruled in closed):
+    if not segment_by_name or not any(ruled.hole for ruled in closed):
         return []
-    contours = [facts.Contour(here.get(r.name), r.start, r.end, r.corner, r.hole) for r in closed]
+    contours = [facts.Contour(segment_by_name.get(r.name), r.start, r.end, r.corner, r.hole) for r in closed]
     return [facts.SlitsAllowed(tuple(contours), box)]
 
 
-def _closed(ruled: Ruled) -> tuple[FloatArray, FloatArray]:
-    """Guide lines of a surface, those of a closed one ending where they begin."""
+def _guide_lines(ruled: RuledSurface) -> tuple[FloatArray, FloatArray]:
+    """Return the guide lines of a surface. Those of a closed surface end at their first point."""
     if not ruled.closed:
         return ruled.start, ruled.end
     return np.concatenate([ruled.start, ruled.start[:1]]), np.concatenate([ruled.end, ruled.end[:1]])
 
 
 def elastic_claims(op: ElasticWire, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
-    """Claims on the wire, on each face in order, and on the contact; where the operation leaves the wire
-    open, those of each wire at hand, of which the operator is told one.
+    """Return the claims on the wire, on each face in order, and on the contact.
 
-    Raises ``TandemError``: wire.unknown_material, part.missing_face, stock.foam_missing, kerf.no_data.
+    If the operation leaves the wire open, the result is one alternative for each available wire. The programs
+    tell the operator one of them.
+
+    Args:
+        op: Operation with a bent wire.
+        setup: Setup that the operation finds.
+        part: Part, if the problem has one.
+
+    Raises:
+        TandemError: wire.unknown_material, part.missing_face, stock.foam_missing, kerf.no_data.
     """
     if op.wire is not None:
-        return _elastic_claims(op, op.wire, setup, part)
-    return (OneOf(tuple(_elastic_claims(op, w, setup, part) for w in op.wires(setup.cell.wires))),)
+        return _claims_for_wire(op, op.wire, setup, part)
+    return (OneOf(tuple(_claims_for_wire(op, w, setup, part) for w in op.candidate_wires(setup.cell.wires))),)
 
 
-def _elastic_claims(op: ElasticWire, own: WireFile, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
-    length = own.length_mm * MM
+def _claims_for_wire(
+    op: ElasticWire, wire_file: WireFile, setup: Setup, part: Part | None
+) -> tuple[Claim, ...]:
+    length = wire_file.length_mm * MM
     diameter, width, thickness = (
-        None if size is None else size * MM for size in (own.diameter_mm, own.width_mm, own.thickness_mm)
+        None if size is None else size * MM
+        for size in (wire_file.diameter_mm, wire_file.width_mm, wire_file.thickness_mm)
     )
-    wire = stiffness(wire_material(own.material), diameter, width, thickness, own.temperature_c)
-    kerf = slot(op.kerf_mm, op.power_w, setup.stock.foam, diameter or 0.0, length)
-    out: list[Claim] = [
+    wire = wire_stiffness(
+        wire_material(wire_file.material), diameter, width, thickness, wire_file.temperature_c
+    )
+    kerf = slot_width_curve(op.kerf_mm, op.power_w, setup.stock.foam, diameter or 0.0, length)
+    result: list[Claim] = [
         facts.WireJoins(
             arms=op.arms,
             length=length,
@@ -453,43 +569,45 @@ def _elastic_claims(op: ElasticWire, own: WireFile, setup: Setup, part: Part | N
             end_error=op.end_error_mm * MM,
         ),
         ContactOnlyIn(("cut",), op.signal, op.heat_up_s),
-        _elastic_dialogue(op, own),
+        _elastic_dialogue(op, wire_file),
     ]
     for name in op.faces:
-        segment, face = Segment("cut", name), _face(op, name, part)
-        out.append(
+        segment, face = Segment("cut", name), _required_face(op, name, part)
+        result.append(
             facts.CutsSurface(segment, face.vertices, face.faces, kerf, op.shape_tol_mm * MM, op.share)
         )
-        out.append(FeedWindow(segment, op.feed_min_mm_s * MM, op.feed_mm_s * MM))
+        result.append(FeedWindow(segment, op.feed_min_mm_s * MM, op.feed_mm_s * MM))
         if op.power_w is not None:
             low, high = op.kerf_range_mm
-            out.append(facts.KerfWithin(segment, kerf, low * MM, high * MM))
-    return tuple(out)
+            result.append(facts.KerfWithin(segment, kerf, low * MM, high * MM))
+    return tuple(result)
 
 
-def _elastic_dialogue(op: ElasticWire, own: WireFile) -> OperatorDialogue:
-    """The wire is mounted cold and locked hot; how far its clamps are apart then, and how it leaves them, is
-    where the arms stand."""
-    cold = cold_length(wire_material(own.material), own.length_mm * MM, own.temperature_c)
+def _elastic_dialogue(op: ElasticWire, wire_file: WireFile) -> OperatorDialogue:
+    """Return the operator dialogue: the wire is mounted cold and locked hot.
+
+    Distance and angles of the clamps follow from the poses of the arms.
+    """
+    cold = cold_length(wire_material(wire_file.material), wire_file.length_mm * MM, wire_file.temperature_c)
     return OperatorDialogue(
         op.arms,
         (
-            message_step(hotwire_sentences.WIRE, material=own.material, size=own.size),
+            message_step(hotwire_sentences.WIRE, material=wire_file.material, size=wire_file.size),
             message_step(hotwire_sentences.MOUNT, cold_mm=cold / MM),
             message_step(hotwire_sentences.CLAMPS, apart_mm=None, start_deg=None, end_deg=None),
             question_step(hotwire_sentences.CLAMPED),
             *power_on_steps(op.signal, op.heat_up_s),
-            question_step(hotwire_sentences.LOCKED, hot_mm=own.length_mm),
+            question_step(hotwire_sentences.LOCKED, hot_mm=wire_file.length_mm),
         ),
         (*power_off_steps(op.signal, op.cool_down_s), question_step(hotwire_sentences.TAKEN_OFF)),
         joined=True,
     )
 
 
-def _face(op: ElasticWire, name: str, part: Part | None) -> Mesh:
+def _required_face(op: ElasticWire, name: str, part: Part | None) -> Mesh:
     faces = {} if part is None else {"front": part.front, "back": part.back}
     face = faces.get(name)
     if face is None:
         what = f"{op.name}: the {name} face is to be cut, but the problem's part has none; add it"
-        raise refusal("part.missing_face", what, field="part")
+        raise issue_error("part.missing_face", what, field="part")
     return face

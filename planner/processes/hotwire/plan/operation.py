@@ -1,8 +1,7 @@
-"""Operations `elastic_wire` and `straight_wire` of a problem file, and what both say of the heat.
+"""Schemas of the operations `elastic_wire` and `straight_wire` of a problem file.
 
-Lengths are in mm, angles in degrees, speeds in mm/s. `HotWireOperation` has what both have in
-common: heat, speeds, power. `Heat` says how hot the wire is: by the slot's width, or by the power
-in a foam one knows.
+Lengths are in mm, angles in degrees, speeds in mm/s. `HotWireOperation` holds the common fields: heat, speeds
+and power. `Heat` states how hot the wire is: by the width of the slot, or by the power in a known foam.
 """
 
 import dataclasses
@@ -11,60 +10,73 @@ from typing import Annotated, Final, Literal, Self
 import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from planner.catalogue.materials import Foam
+from planner.catalogue.materials import FoamMaterial
 from planner.claims.segments import fold
 from planner.geometry.units import MM
-from planner.issues import refusal
+from planner.issues import issue_error
 from planner.problem import BentWire, Controller, Stock
 from planner.processes.hotwire.claims import KerfCurve
 from planner.processes.hotwire.plan.kerf import width
 from planner.reading.materials import WireFile
-from planner.reading.strict_yaml import Angle, Far, Name, Strict
+from planner.reading.strict_yaml import Angle, Coordinate, Name, Strict
 
-AIR_FEED: Final = 0.1
-"""Upper limit of the wire's speed in the air [m/s], if nothing else is stated: faster, a hot wire cools and
-swings."""
-AIR_STEP: Final = 0.012
-"""Largest move [m] of any point of the wire between targets in the air."""
-KERF_SPEEDS: Final = (1e-3, 50e-3)
-"""Speeds [m/s] of a kerf curve. A wire that hardly moves has no kerf of its own: it counts as 1 mm/s."""
+MAX_AIR_FEED_M_S: Final = 0.1
+"""Maximum speed of the wire in air [m/s] by default. A faster hot wire cools and swings."""
+MAX_AIR_STEP_M: Final = 0.012
+"""Largest move of any point of the wire between targets in air [m]."""
+KERF_SPEED_RANGE_M_S: Final = (1e-3, 50e-3)
+"""Range of speeds [m/s] of a kerf curve.
+
+A wire that hardly moves has no kerf of its own and counts as 1 mm/s.
+"""
 RESTING_COSINE: Final = 0.7
-"""What is above a slot rests on it where the cosine of the slot's lean is more than this."""
+"""Material above a slot rests on it if the cosine of the slot's tilt exceeds this."""
 
 
 class Heat(Strict):
-    """How wide the wire melts: ``kerf_mm``, the same at every speed, or ``power_w`` over the wire's whole
-    length, from which the slot follows by the local speed and the block's foam."""
+    """Width of the slot: ``kerf_mm``, constant at every speed, or ``power_w``.
+
+    ``power_w`` is the power over the whole length of the wire. With it the width follows from the local speed
+    and the foam of the stock.
+    """
 
     kerf_mm: Annotated[float, Field(ge=0, le=20, description="width of the slot")] | None = None
     power_w: Annotated[float, Field(gt=0, le=5000, description="over the wire's whole length")] | None = None
     kerf_range_mm: tuple[Annotated[float, Field(gt=0, le=20)], Annotated[float, Field(gt=0, le=20)]] = Field(
-        default=(width.USABLE_KERFS[0] / MM, width.USABLE_KERFS[1] / MM),
+        default=(width.USABLE_KERF_RANGE_M[0] / MM, width.USABLE_KERF_RANGE_M[1] / MM),
         description="slots that leave usable faces, where power_w is given",
     )
 
     @model_validator(mode="after")
     def _one_heat(self) -> "Heat":
         if (self.kerf_mm is None) == (self.power_w is None):
-            raise ValueError("give kerf_mm, the slot's width, or power_w, one of them")
+            raise ValueError("give either kerf_mm, the width of the slot, or power_w")
         if self.kerf_range_mm[0] >= self.kerf_range_mm[1]:
             raise ValueError("kerf_range_mm is [lower, upper] with lower < upper")
         return self
 
-    def kerf_curve(self, foam: Foam | None, diameter: float, length: float, thickness: float) -> KerfCurve:
-        """Kerf over the local speed of a wire of ``diameter`` and heated ``length`` [m] in foam that is
-        ``thickness`` [m] thick along it.
+    def kerf_curve(
+        self, foam: FoamMaterial | None, diameter: float, length: float, thickness: float
+    ) -> KerfCurve:
+        """Return the kerf as a function of the local speed.
 
-        Raises ``TandemError``: stock.foam_missing, kerf.no_data, kerf.input.
+        Args:
+            foam: Foam of the stock.
+            diameter: Diameter of the wire [m].
+            length: Heated length of the wire [m].
+            thickness: Thickness of the foam along the wire [m].
+
+        Raises:
+            TandemError: stock.foam_missing, kerf.no_data, kerf.input.
         """
         if self.kerf_mm is not None:
             return KerfCurve.constant(self.kerf_mm * MM)
         if self.power_w is None or foam is None:
-            what = "power_w is given, but the kerf depends on the block's foam, which is not named; name "
+            what = "power_w is given, but the kerf depends on the foam, which is not stated; state "
             what += "stock.foam, or give kerf_mm instead"
-            raise refusal("stock.foam_missing", what, field="stock.foam")
+            raise issue_error("stock.foam_missing", what, field="stock.foam")
         wire = width.HotWire(diameter, length)
-        return width.curve(foam, wire, self.power_w, thickness, np.array(KERF_SPEEDS))
+        return width.curve(foam, wire, self.power_w, thickness, np.array(KERF_SPEED_RANGE_M_S))
 
 
 class HotWireOperation(Heat):
@@ -76,7 +88,7 @@ class HotWireOperation(Heat):
     )
     feed_min_mm_s: float = Field(default=3.0, ge=0, le=200, description="a slower wire burns the foam")
     share: float = Field(
-        default=0.95, gt=0.5, le=1, description="part of each surface that must be within tolerance"
+        default=0.95, gt=0.5, le=1, description="fraction of each surface that must be within tolerance"
     )
     signal: str = Field(
         default=Controller.wire_signal,
@@ -100,7 +112,7 @@ class ElasticWire(HotWireOperation):
     process: Literal["elastic_wire"]
     arms: tuple[Name, Name] = Field(description="the arm at the wire's start, the arm at its end")
     wire: WireFile | None = Field(
-        default=None, description="none: one of the cell's wires, chosen by trying them"
+        default=None, description="none: the planner tries the wires of the cell and chooses one"
     )
     faces: tuple[Face, ...] = Field(default=("front", "back"), min_length=1, max_length=2)
     runs: Literal["one", "two"] = Field(
@@ -116,22 +128,22 @@ class ElasticWire(HotWireOperation):
     )
     shape_tol_mm: float = Field(default=0.5, ge=0.01, le=50)
     end_error_mm: float = Field(
-        default=0.05, ge=0, le=5, description="how far each wire end may be off in reality"
+        default=0.05, ge=0, le=5, description="position error of each wire end in reality"
     )
     step_mm: float = Field(
         default=3.0, ge=0.2, le=50, description="travel of the fastest point between targets"
     )
     margin_mm: float = Field(
-        default=20.0, ge=1, le=300, description="of wire ends, and of the wire in air, to the block"
+        default=20.0, ge=1, le=300, description="distance of wire ends, and of wire in air, from the block"
     )
     slack_mm: float = Field(
-        default=20.0, ge=0, le=500, description="how far the wire may slide along itself, either way"
+        default=20.0, ge=0, le=500, description="how far the wire may slide along itself, in each direction"
     )
     heat_up_s: float = Field(default=10.0, ge=0, le=600)
     cool_down_s: float = Field(default=30.0, ge=0, le=600)
 
     def leaves(self, stock: Stock) -> Stock:
-        """The block as it was: what is cut stays in its place."""
+        """Return the stock unchanged. Pieces that are cut off stay in their place."""
         return stock
 
     @model_validator(mode="after")
@@ -145,38 +157,49 @@ class ElasticWire(HotWireOperation):
         return self
 
     @property
-    def chosen(self) -> WireFile:
-        """The wire; an operation that leaves it open has none before it is chosen."""
+    def chosen_wire(self) -> WireFile:
+        """The stated wire.
+
+        Raises:
+            ValueError: If the operation leaves the wire open and none is chosen yet.
+        """
         if self.wire is None:
             raise ValueError(f"{self.name}: no wire is chosen yet")
         return self.wire
 
     @property
-    def degrees(self) -> float | None:
-        """Direction of the sweep [deg from x]; None: it is chosen."""
+    def sweep_degrees(self) -> float | None:
+        """Direction of the sweep [deg from x], or None if it is to be chosen."""
         return {"x": 0.0, "y": 90.0, "auto": None}[self.sweep] if isinstance(self.sweep, str) else self.sweep
 
     @property
-    def way(self) -> str:
-        """The sweep as people say it."""
-        known = {None: "any direction", 0.0: "x", 90.0: "y"}
-        return known.get(self.degrees, f"{self.sweep} deg from x")
+    def sweep_label(self) -> str:
+        """Direction of the sweep in words."""
+        labels = {None: "any direction", 0.0: "x", 90.0: "y"}
+        return labels.get(self.sweep_degrees, f"{self.sweep} deg from x")
 
-    def wires(self, at_hand: tuple[BentWire, ...]) -> tuple[WireFile, ...]:
-        """The wires that may cut: the stated one, else those ``at_hand`` in the cell whose kerf is known."""
+    def candidate_wires(self, available: tuple[BentWire, ...]) -> tuple[WireFile, ...]:
+        """Return the wires that may cut: the stated one, or those in the cell whose kerf is known.
+
+        Args:
+            available: Wires that the cell file lists.
+        """
         if self.wire is not None:
             return (self.wire,)
-        wires = map(WireFile.of, at_hand)
+        wires = map(WireFile.from_wire, available)
         return tuple(wire for wire in wires if wire.is_round or self.power_w is None)
 
-    def using(self, wire: WireFile, sweep: float | None = None) -> "ElasticWire":
-        """This operation with a wire, and a sweep [deg from x], in place of what it leaves open."""
+    def with_wire(self, wire: WireFile, sweep: float | None = None) -> "ElasticWire":
+        """Return this operation with a given wire and, if given, a sweep direction [deg from x]."""
         return self.model_copy(update={"wire": wire} | ({} if sweep is None else {"sweep": sweep}))
 
     @property
-    def is_normal(self) -> bool:
-        """Whether sections are normal to the spine of the face: a strip's width must follow the sweep."""
-        return self.sections == "normal" or (self.sections == "auto" and not self.chosen.is_round)
+    def has_normal_sections(self) -> bool:
+        """Whether sections are normal to the spine of the face.
+
+        The width of a strip has to follow the sweep.
+        """
+        return self.sections == "normal" or (self.sections == "auto" and not self.chosen_wire.is_round)
 
 
 Side = Literal["left", "right", "front", "back", "bottom", "top"]
@@ -188,60 +211,67 @@ BLOCK_SIDES: Final[dict[str, tuple[int, int]]] = {
     "bottom": (2, 0),
     "top": (2, 1),
 }
-"""Axis of the stock frame and end (0 low, 1 high) of each side of the block: left and right lie across x,
-front and back across y."""
+"""Axis of the stock frame and end (0 low, 1 high) of each side of the stock.
+
+``left`` and ``right`` bound x, ``front`` and ``back`` bound y.
+"""
 
 Axis = Literal["x", "y", "z"]
 
 
-class _Cut(Strict):
-    """What all cuts have."""
+class _WireCut(Strict):
+    """Fields that all cuts have."""
 
     leave: Literal["onwards", "back"] = Field(
         default="onwards",
         description="how the wire leaves the foam: on the far side, or back through its own slot",
     )
     feed_mm_s: float | None = Field(
-        default=None, ge=0.1, le=200, description="of this cut; none: that of the operation"
+        default=None, ge=0.1, le=200, description="feed of this cut; none: feed of the operation"
     )
 
 
-class SurfaceCut(_Cut):
-    """One ruled surface of the part. ``lead``: where the wire comes from, seen from where the cut begins;
-    ``last``: which side of the piece is cut last, the one that holds it until then."""
+class SurfaceCut(_WireCut):
+    """One ruled surface of the part.
+
+    ``lead``: direction from which the wire comes, seen from the start of the cut. ``last``: side of the piece
+    that is cut last and holds it until then.
+    """
 
     surface: Name
-    lead: Literal["auto"] | tuple[Far, Far, Far] = "auto"
-    last: Literal["top", "bottom", "any"] | tuple[Far, Far, Far] = "top"
-    reverse: bool = Field(default=False, description="an open strip from its last ruling to its first")
+    lead: Literal["auto"] | tuple[Coordinate, Coordinate, Coordinate] = "auto"
+    last: Literal["top", "bottom", "any"] | tuple[Coordinate, Coordinate, Coordinate] = "top"
+    reverse: bool = Field(default=False, description="cut an open strip from its last ruling to its first")
 
     @model_validator(mode="after")
     def _directions(self) -> Self:
-        for name, way in (("lead", self.lead), ("last", self.last)):
-            if not isinstance(way, str) and not any(way):
-                raise ValueError(f"{name}: a direction has a length above 0")
+        for name, direction in (("lead", self.lead), ("last", self.last)):
+            if not isinstance(direction, str) and not any(direction):
+                raise ValueError(f"{name}: the length of a direction must be above 0")
         return self
 
 
-class TrimCut(_Cut):
-    """The block's oversize is cut off at the sides named, so that the datum block remains. ``along``: the
-    axis that the wire is parallel to."""
+class TrimCut(_WireCut):
+    """Cut off the oversize of the block at the named sides, so that the datum block remains.
+
+    ``along``: axis that the wire is parallel to.
+    """
 
     trim: tuple[Side, ...] = Field(min_length=1, max_length=6)
     along: Literal["auto"] | Axis = "auto"
-    reverse: bool = Field(default=False, description="the other way through the block")
+    reverse: bool = Field(default=False, description="cut in the opposite direction through the block")
 
     @model_validator(mode="after")
     def _each_once(self) -> Self:
         if len(set(self.trim)) != len(self.trim):
             raise ValueError("trim: each side is cut once")
         if any("xyz"[BLOCK_SIDES[side][0]] == self.along for side in self.trim):
-            raise ValueError("along: the wire cannot stand across the side that it trims")
+            raise ValueError("along: the wire cannot be normal to the side that it trims")
         return self
 
 
 def _cut_kind(value: object) -> str:
-    """Which kind of cut is meant, so that its faults are told of that one alone."""
+    """Return which kind of cut is meant, so that validation errors are reported for that kind alone."""
     trims = "trim" in value if isinstance(value, dict) else isinstance(value, TrimCut)
     return "trim" if trims else "surface"
 
@@ -261,8 +291,10 @@ Cuts = Annotated[
 
 
 class Straight(HotWireOperation):
-    """One arm takes a bow with a straight hot wire along the ruled surfaces of the part. A second arm, where
-    it holds the block, moves it."""
+    """One arm moves a bow with a straight hot wire along the ruled surfaces of the part.
+
+    A second arm, if it holds the block, moves it.
+    """
 
     process: Literal["straight_wire"]
     arms: tuple[Name, ...] = Field(
@@ -274,27 +306,27 @@ class Straight(HotWireOperation):
     wire_material: str = Field(default="", max_length=60, description="for the setup sheet")
     shape_tol_mm: float = Field(default=0.3, ge=0.01, le=50)
     left_mm: float = Field(
-        default=5.0, ge=0, le=100, description="how deep foam may stay where a round wire cannot reach"
+        default=5.0, ge=0, le=100, description="depth of foam that may remain where a round wire cannot reach"
     )
     step_mm: float = Field(
         default=4.0, ge=0.2, le=50, description="travel of the fastest point between targets"
     )
     margin_mm: float = Field(
-        default=20.0, ge=1, le=300, description="of the wire's ends, and of the wire in the air, to the block"
+        default=20.0, ge=1, le=300, description="distance of wire ends, and of wire in air, from the block"
     )
     air_feed_mm_s: float = Field(
-        default=AIR_FEED / MM,
+        default=MAX_AIR_FEED_M_S / MM,
         ge=1,
         le=1000,
-        description="of the wire in the air between cuts: faster, it cools and swings",
+        description="speed of the wire in air between cuts; a faster wire cools and swings",
     )
     holder: Literal["full", "turn"] = Field(
-        default="full", description="what a holder may do: all of it, or only turn about its tool's axis"
+        default="full", description="motion of a holder: any, or only rotation about its tool's axis"
     )
     move_mm: float = Field(default=300.0, ge=0, le=2000, description="how far a holder moves the block")
     tilt_deg: Annotated[Angle, Field(ge=0, le=90, description="how far a holder tilts the block")] = 40.0
     spacers: bool = Field(
-        default=False, description="ask for spacers where what is above a cut would drop by a kerf"
+        default=False, description="ask for spacers where the material above a cut would drop by a kerf"
     )
     heat_up_s: float = Field(default=5.0, ge=0, le=600)
     cool_down_s: float = Field(default=10.0, ge=0, le=600)
@@ -309,15 +341,14 @@ class Straight(HotWireOperation):
             names = self.segments
             if len({fold(name) for name in names}) != len(names):
                 raise ValueError(
-                    "cuts: each surface and each side is cut once, and no surface has the name of a side "
-                    "that is trimmed (trim_left; case and runs of underscores do not count); drop or rename "
-                    "one"
+                    "cuts: each surface and each side is cut once, and no surface may have the name of a "
+                    "trimmed side (trim_left; case and repeated underscores are ignored); drop or rename one"
                 )
         return self
 
     @property
     def segments(self) -> tuple[str, ...]:
-        """Names of the cuts that are listed, in order: surfaces, and ``trim_<side>`` for sides."""
+        """Names of the listed cuts, in order: surfaces, and ``trim_<side>`` for sides."""
         if self.cuts == "all":
             return ()
         return tuple(
@@ -327,11 +358,11 @@ class Straight(HotWireOperation):
         )
 
     def feed(self, cut: SurfaceCut | TrimCut) -> float:
-        """Upper limit [m/s] of the wire's fastest point in the foam during a cut."""
+        """Return the maximum speed [m/s] of the fastest point of the wire in foam during a cut."""
         return (self.feed_mm_s if cut.feed_mm_s is None else cut.feed_mm_s) * MM
 
     def leaves(self, stock: Stock) -> Stock:
-        """The block without the oversize of the sides that were trimmed."""
+        """Return the stock without the oversize of the trimmed sides."""
         oversize = stock.oversize.copy()
         for cut in () if self.cuts == "all" else self.cuts:
             if isinstance(cut, TrimCut):

@@ -1,5 +1,4 @@
-"""One wire or strip at its working temperature: what it weighs, how stiff it is, how far it bends, how
-long it was cold."""
+"""A wire or strip at its working temperature: weight, stiffness, smallest bend radius and cold length."""
 
 import dataclasses
 import math
@@ -8,16 +7,22 @@ from typing import Literal
 from planner.catalogue.materials import WireMaterial, wire_material
 from planner.geometry.units import GRAVITY, MM, measurement
 from planner.issues import Issue, TandemError
-from planner.processes.hotwire.plan.elastica.clamped import Section, round_section, strip
+from planner.processes.hotwire.plan.elastica.clamped import StiffnessRatios, round_section, strip_section
 
 
 @dataclasses.dataclass(frozen=True)
-class Wire:
-    """A wire: ``kind`` round with ``thickness`` = diameter, or strip of ``width`` and ``thickness`` that
-    bends the soft way [m].
+class HeatedWire:
+    """A wire at its working temperature.
 
-    ``temperature`` [C] is that of the hot wire. The section is the cold one (heat widens it by less than
-    1 %)."""
+    The section is the cold one. Heat widens it by less than 1 %.
+
+    Attributes:
+        material: Material of the wire.
+        kind: ``round``, or ``strip``, which bends across its thin side.
+        width: Width of a strip, or diameter [m].
+        thickness: Thickness of a strip, or diameter [m].
+        temperature: Temperature of the hot wire [C].
+    """
 
     material: WireMaterial
     kind: Literal["round", "strip"]
@@ -26,91 +31,103 @@ class Wire:
     temperature: float
 
     @property
-    def young(self) -> float:
+    def youngs_modulus(self) -> float:
         """Young's modulus [Pa] of the hot wire."""
         return self.material.young(self.temperature)
 
     @property
     def area(self) -> float:
-        """Cross-section [m^2]."""
-        full = self.width * self.thickness
-        return math.pi / 4.0 * full if self.kind == "round" else full
+        """Cross-section area [m^2]."""
+        bounding_area = self.width * self.thickness
+        return math.pi / 4.0 * bounding_area if self.kind == "round" else bounding_area
 
     @property
-    def bending(self) -> float:
-        """EI [N m^2] of the soft way, in the plane of the shape."""
+    def bending_stiffness(self) -> float:
+        """Bending stiffness EI [N m^2] about the soft axis, in the plane of the wire's shape.
+
+        EI = E pi d^4 / 64 for a round wire and E w t^3 / 12 for a strip.
+        """
         if self.kind == "round":
-            return self.young * math.pi * self.thickness**4 / 64.0
-        return self.young * self.width * self.thickness**3 / 12.0
+            return self.youngs_modulus * math.pi * self.thickness**4 / 64.0
+        return self.youngs_modulus * self.width * self.thickness**3 / 12.0
 
     @property
-    def torsion(self) -> float:
-        """GJ [N m^2]."""
-        return self.bending * self.section.torsion
+    def torsional_stiffness(self) -> float:
+        """Torsional stiffness GJ [N m^2]."""
+        return self.bending_stiffness * self.stiffness_ratios.torsion
 
     @property
-    def section(self) -> Section:
-        """Stiffness ratios for stability out of the plane."""
+    def stiffness_ratios(self) -> StiffnessRatios:
+        """Stiffness ratios that decide stability out of the plane."""
         if self.kind == "round":
             return round_section(self.material.poisson)
-        return strip(self.width / self.thickness, self.material.poisson)
+        return strip_section(self.width / self.thickness, self.material.poisson)
 
     @property
-    def weight(self) -> float:
+    def weight_per_length(self) -> float:
         """Weight per length [N/m]."""
         return self.material.density * self.area * GRAVITY
 
     @property
-    def load(self) -> float:
-        """Weight per length over EI [1/m^3]: the size of q in `heavy`; times the unit vector of gravity
-        it is q."""
-        return self.weight / self.bending
+    def load_over_stiffness(self) -> float:
+        """Weight per length over EI [1/m^3]. Times the unit vector of gravity it is the load q of `heavy`."""
+        return self.weight_per_length / self.bending_stiffness
 
     @property
     def min_bend_radius(self) -> float:
-        """Smallest radius [m] of the wire's axis without lasting bend: half the thickness over the
-        elastic strain."""
+        """Smallest radius [m] of the wire's axis without permanent bend.
+
+        It is half the thickness over the elastic strain.
+        """
         return 0.5 * self.thickness / self.material.elastic_strain
 
     @property
     def max_curvature(self) -> float:
-        """1 / min_bend_radius [1/m]."""
+        """Largest curvature [1/m] without permanent bend: 1 / min_bend_radius."""
         return 1.0 / self.min_bend_radius
 
     @property
-    def elongation(self) -> float:
-        """Thermal elongation per cold length."""
+    def thermal_strain(self) -> float:
+        """Thermal strain: elongation per cold length."""
         return self.material.thermal_strain(self.temperature)
 
     def cold_length(self, hot_length: float) -> float:
-        """Length [m] to cut at 20 C for a hot length [m]."""
-        return hot_length / (1.0 + self.elongation)
+        """Return the length [m] to cut at 20 C for a hot length [m]."""
+        return hot_length / (1.0 + self.thermal_strain)
 
     @property
-    def resistance(self) -> float:
+    def resistance_per_length(self) -> float:
         """Resistance per length [ohm/m] of the hot wire."""
         return self.material.resistivity_at(self.temperature) / self.area
 
 
-def make(
+def make_wire(
     material: str,
     diameter_mm: float | None = None,
     width_mm: float | None = None,
     thickness_mm: float | None = None,
     temperature_c: float = 20.0,
-) -> Wire:
-    """A round wire of diameter_mm, or a strip of width_mm and thickness_mm, at temperature_c.
+) -> HeatedWire:
+    """Create a round wire, or a strip if no diameter is given.
 
-    Raises `TandemError`: wire.unknown_material, wire.size, wire.temperature.
+    Args:
+        material: Name of the wire material.
+        diameter_mm: Diameter of a round wire [mm].
+        width_mm: Width of a strip [mm].
+        thickness_mm: Thickness of a strip, at most its width [mm].
+        temperature_c: Temperature of the hot wire [C].
+
+    Raises:
+        TandemError: wire.unknown_material, wire.size, wire.temperature.
     """
     data = wire_material(material)
     issues = []
     kind: Literal["round", "strip"] = "round" if diameter_mm is not None else "strip"
     sizes = (diameter_mm, diameter_mm) if kind == "round" else (width_mm, thickness_mm)
-    both = diameter_mm is not None and (width_mm is not None or thickness_mm is not None)
+    is_ambiguous = diameter_mm is not None and (width_mm is not None or thickness_mm is not None)
     width, thickness = (float(s) if s is not None else math.nan for s in sizes)
-    good = math.isfinite(width) and math.isfinite(thickness) and 0.0 < thickness <= width
-    if both or not good:
+    is_valid = math.isfinite(width) and math.isfinite(thickness) and 0.0 < thickness <= width
+    if is_ambiguous or not is_valid:
         text = (
             f"wire size: got diameter {diameter_mm}, width {width_mm}, thickness {thickness_mm} mm, "
             "allowed either a diameter, or a width and a thickness not above it, all above 0"
@@ -129,4 +146,4 @@ def make(
         )
     if issues:
         raise TandemError(issues)
-    return Wire(data, kind, width * MM, thickness * MM, float(temperature_c))
+    return HeatedWire(data, kind, width * MM, thickness * MM, float(temperature_c))

@@ -1,4 +1,4 @@
-"""What hot-wire cutting contributes to the proof."""
+"""Contribution of hot-wire cutting to the proof."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -7,7 +7,6 @@ import numpy as np
 
 from planner.claims.claim import Claim
 from planner.processes.hotwire.claims import StraightWire
-from planner.processes.hotwire.proof.made_surfaces import SURFACES
 from planner.processes.hotwire.proof.rules import (
     clearance,
     cut_part,
@@ -16,20 +15,31 @@ from planner.processes.hotwire.proof.rules import (
     wire,
     wire_alone,
 )
+from planner.processes.hotwire.proof.surfaces import SURFACES
 from planner.processes.hotwire.proof.wire_motion import WIRES, cut_segments
 from planner.proof.context import Context
-from planner.proof.contribution import Ahead, Edges, ProofOfProcess
+from planner.proof.contribution import ParallelGroup, ProofOfProcess, WorkingEdges
 
 
-def edges(group: Sequence[Claim], arm: str) -> Edges | None:
-    """The straight wire of a bow touches the stock where it cuts."""
+def cutting_edges(group: Sequence[Claim], arm: str) -> WorkingEdges | None:
+    """Return the cutting edge of a bow, whose straight wire touches the stock where it cuts.
+
+    None for other arms.
+
+    Args:
+        group: Claims of one operation.
+        arm: Name of the arm.
+    """
     if not any(isinstance(claim, StraightWire) and claim.arm == arm for claim in group):
         return None
-    return Edges(cut_segments(group, (arm,)))
+    return WorkingEdges(cut_segments(group, (arm,)))
 
 
-def series(context: Context) -> Mapping[str, Any]:
-    """Shape, depth and feed of each wire over its stations; stability and curvature of bent ones."""
+def wire_series(context: Context) -> Mapping[str, Any]:
+    """Return shape, depth and feed of each wire over its stations.
+
+    Bent wires also have stability and curvature.
+    """
     out: dict[str, Any] = {}
     for n, one in enumerate(context.get(WIRES) if context.has(WIRES) else (), 1):
         if one.fault:
@@ -43,7 +53,7 @@ def series(context: Context) -> Mapping[str, Any]:
         }
         if one.path is not None:
             out |= {
-                f"wire/{n}/stability": one.path.min_eig,
+                f"wire/{n}/stability": one.path.min_eigenvalue,
                 f"wire/{n}/curvature": np.linalg.norm(one.path.curvature, axis=2).max(axis=1),
             }
     return out
@@ -56,9 +66,11 @@ PROOF: Final = ProofOfProcess(
         *(straight_wire.bow, straight_wire.rulings, straight_wire.slit, straight_wire.kerf),
         *(cut_part.surface, cut_part.ridges, cut_part.part, clearance.wire_bodies),
     ),
-    edges=edges,
-    made_surfaces=SURFACES,
-    begin={"wires": (WIRES,)},
-    ahead=(Ahead("wires", "wires", lambda context: bool(context.get(WIRES)) and not context.long),),
-    series=series,
+    edges=cutting_edges,
+    surface_producer=SURFACES,
+    facts_at_start={"wires": (WIRES,)},
+    parallel_groups=(
+        ParallelGroup("wires", "wires", lambda context: bool(context.get(WIRES)) and not context.is_long),
+    ),
+    series=wire_series,
 )

@@ -1,17 +1,16 @@
-"""The surface that the wire leaves in the foam: swept wire shapes less half the kerf.
+"""The surface that the wire leaves in the foam: swept wire shapes minus half the kerf.
 
-It is held against the wanted face. The swept shapes form a grid of points, row by station and
-column by arc length. From each sample of the wanted face the nearest point of that grid's triangles
-is found (nearest grid point first, then the triangles around it); a wire that cuts exactly right
-passes at half the kerf on the outer side.
+It is compared with the nominal face. The swept shapes form a grid of points, rows by station and columns by
+arc length. For each sample of the nominal face the nearest point on that grid's triangles is found (nearest
+grid point first, then the triangles around it). A wire that cuts exactly right passes at half the kerf on the
+outer side.
 
-What a slot of a round wire cannot reach of a ruled surface follows from the part alone: in an acute
-inner corner, or in a groove that is narrower than the slot, foam stays on the part however the wire
-goes. In the plane across the wire the surface is a polyline. The middle of a slot may stand
-wherever no part of the line is nearer than half of it; how far the nearest such place is from a
-point of the surface is looked up among places that lie densely along the line's parallel. A place
-on the other side of a wall of the part does not count: what is cut there takes nothing off this
-side.
+What the slot of a round wire cannot reach of a ruled surface follows from the part alone: in an acute inner
+corner, or in a groove narrower than the slot, foam stays on the part for every path of the wire. In the plane
+across the wire the surface is a polyline. The centre of a slot may be wherever no part of the line is closer
+than half the slot. The distance of the nearest such position from a point of the surface is found among
+positions that lie densely along the line's parallel. A position on the other side of a wall of the part does
+not count, because a cut there removes nothing on this side.
 """
 
 import dataclasses
@@ -22,59 +21,64 @@ from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.processes.hotwire.claims import CutsSurface, FollowsRulings
-from planner.proof.faces import areas, quarter_triangles, vertex_normals
+from planner.proof.faces import quarter_triangles, triangle_areas, vertex_normals
 from planner.proof.verdict import CutFace
 
-SAMPLE_EDGE = 0.005
-"""Largest edge of the triangles that the wanted face is sampled with [m]."""
-SAMPLE_SHARE = 1.0 / 3000.0
-"""No sample stands for a larger share of its face."""
-MOST_SAMPLES = 60_000
-"""Samples of the wanted face at most."""
-RULING_SPACING = 0.010
-"""Way along a ruling between points of the simulated part [m],"""
-MOST_TRIANGLES = 60_000
-"""unless that makes more triangles than this."""
-SIDE_SPACING = 0.020
-"""Largest way from ruling to ruling of the simulated part [m]."""
-_FINER_STEPS = 2
-"""Steps between two stations of a wire, the place between them by a cubic."""
-_NORMAL_WEIGHT = 0.003
-"""Weight [m] of a turn of the normal against distance, where the nearest place of a sheet is looked for."""
-_LEAN_SINE = 0.2
-"""A sheet may lean by so much (sine) over the wanted face's normal and still face its way."""
-_EDGE_SHARE = 1e-9
-"""A barycentric coordinate below this is that of a place on the edge."""
+MAX_SAMPLE_EDGE_M = 0.005
+"""Largest edge of the triangles that sample the nominal face [m]."""
+MAX_SAMPLE_FRACTION = 1.0 / 3000.0
+"""Largest fraction of a face that one sample represents."""
+MAX_SAMPLES = 60_000
+"""Maximum number of samples of the nominal face."""
+RULING_POINT_SPACING_M = 0.010
+"""Spacing of points of the simulated part along a ruling [m], within ``MAX_FACE_TRIANGLES``."""
+MAX_FACE_TRIANGLES = 60_000
+"""Maximum number of triangles of a ruled face of the simulated part."""
+MAX_RULING_DISTANCE_M = 0.020
+"""Largest distance between rulings of the simulated part [m]."""
+_REFINEMENT = 2
+"""Number of steps between two points along a wire. Points in between follow a cubic."""
+_NORMAL_WEIGHT_M = 0.003
+"""Weight [m] of a rotation of the normal against distance in the search for the nearest point of a sheet."""
+_MAX_TILT_SINE = 0.2
+"""Maximum sine of the tilt of a sheet beyond 90 degrees that still faces the nominal face's direction."""
+_EDGE_TOLERANCE = 1e-9
+"""A barycentric coordinate below this is that of a point on the edge."""
 CREASE_COSINE = float(np.cos(np.deg2rad(20.0)))
-"""Facets that lean away from the mean normal of a vertex by more than 20 degrees meet at an edge there."""
+"""Facets tilted by more than 20 degrees from the mean normal of a vertex meet at an edge there."""
 _SIDE_SAMPLES = 1000
-"""So many samples of a face tell on which side of a sheet it lies."""
+"""Number of samples of a face that decide on which side of a sheet it lies."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Sweep:
-    """The wire's points (T, P, 3) at its stations in the block's frame, in order of time, their speeds
-    across the wire (T, P) [m/s], and whether (T - 1,) each station and the next belong together: between
-    visits of a segment the wire was elsewhere."""
+class WireSweep:
+    """Surface that a wire sweeps.
+
+    Attributes:
+        points: Points of the wire at its stations in the block's frame, in order of time (T, P, 3) [m].
+        speed: Speeds across the wire (T, P) [m/s].
+        joined: Whether each station and the next belong together (T - 1,). Between visits of a segment the
+            wire was elsewhere.
+    """
 
     points: FloatArray
     speed: FloatArray
     joined: BoolArray
 
     @staticmethod
-    def steady(points: FloatArray) -> "Sweep":
-        """A sweep in one go, of no known speed."""
-        return Sweep(points, np.zeros(points.shape[:2]), np.ones(max(len(points) - 1, 0), dtype=bool))
+    def continuous(points: FloatArray) -> "WireSweep":
+        """Return a continuous sweep of unknown speed."""
+        return WireSweep(points, np.zeros(points.shape[:2]), np.ones(max(len(points) - 1, 0), dtype=bool))
 
 
-def cut_face(claim: CutsSurface, sweep: Sweep) -> CutFace:
-    """The cut of one segment."""
+def make_cut_face(claim: CutsSurface, sweep: WireSweep) -> CutFace:
+    """Return the cut of one segment."""
     points, normals, area = sample_face(claim.vertices, claim.faces)
     distance, speed = distance_to_sweep(points, normals, sweep)
     deviation = distance - 0.5 * claim.kerf.at(speed)
     good = np.abs(deviation) <= claim.tolerance  # NaN compares as not good
-    known = np.isfinite(deviation)
-    weight = area[known] / max(float(area[known].sum()), 1e-30)
+    is_known = np.isfinite(deviation)
+    weight = area[is_known] / max(float(area[is_known].sum()), 1e-30)
     return CutFace(
         segment=claim.segment,
         points=points,
@@ -82,147 +86,193 @@ def cut_face(claim: CutsSurface, sweep: Sweep) -> CutFace:
         area=area,
         tolerance=claim.tolerance,
         share=float(area[good].sum() / max(area.sum(), 1e-30)),
-        wanted_share=claim.share,
-        rms=float(np.sqrt((weight * deviation[known] ** 2).sum())) if known.any() else float("nan"),
-        largest=float(np.abs(deviation[known]).max()) if known.any() else float("nan"),
+        wanted_share=claim.fraction,
+        rms=float(np.sqrt((weight * deviation[is_known] ** 2).sum())) if is_known.any() else float("nan"),
+        largest=float(np.abs(deviation[is_known]).max()) if is_known.any() else float("nan"),
         speed=speed,
     )
 
 
 def sample_face(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Points (M, 3) on a face, its unit normals there and the area [m^2] each stands for: centroids of a
-    fine division."""
+    """Return samples of a face: centroids of a fine subdivision.
+
+    Args:
+        vertices: Vertices (V, 3) [m].
+        faces: Triangles (F, 3).
+
+    Returns:
+        Points (M, 3) [m], unit normals (M, 3), and the area that each represents (M,) [m^2].
+    """
     corners = vertices[faces]
     corners = corners[
         np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) > 0.0
     ]
-    smooth = vertex_normals(vertices, faces)[faces]
-    smooth = (
-        smooth[: len(corners)]
-        if len(smooth) == len(corners)
-        else np.repeat(_flat(corners)[:, None], 3, axis=1)
+    smooth_normals = vertex_normals(vertices, faces)[faces]
+    smooth_normals = (
+        smooth_normals[: len(corners)]
+        if len(smooth_normals) == len(corners)
+        else np.repeat(_triangle_normals(corners)[:, None], 3, axis=1)
     )
-    # at an edge of the part the mean of both sides is the normal of neither
-    flat = np.broadcast_to(_flat(corners)[:, None], smooth.shape)
-    smooth = np.where((dots(smooth, flat) < CREASE_COSINE)[..., None], flat, smooth)
+    # at an edge of the part the mean normal is that of neither side
+    flat_normals = np.broadcast_to(_triangle_normals(corners)[:, None], smooth_normals.shape)
+    smooth_normals = np.where(
+        (dots(smooth_normals, flat_normals) < CREASE_COSINE)[..., None], flat_normals, smooth_normals
+    )
     for _ in range(12):
         edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-        large = edge > SAMPLE_EDGE
-        if not large.any() or len(corners) + 3 * int(large.sum()) > MOST_SAMPLES:
+        is_large = edge > MAX_SAMPLE_EDGE_M
+        if not is_large.any() or len(corners) + 3 * int(is_large.sum()) > MAX_SAMPLES:
             break
-        corners = np.concatenate([corners[~large], quarter_triangles(corners[large])])
-        smooth = np.concatenate([smooth[~large], quarter_triangles(smooth[large])])
-    most = SAMPLE_SHARE * float(areas(corners).sum())
-    # where a mesh is dense in one place, what is large in another is divided all the same
-    while (large := areas(corners) > most).any():
-        corners = np.concatenate([corners[~large], quarter_triangles(corners[large])])
-        smooth = np.concatenate([smooth[~large], quarter_triangles(smooth[large])])
-    normals = smooth.mean(axis=1)
+        corners = np.concatenate([corners[~is_large], quarter_triangles(corners[is_large])])
+        smooth_normals = np.concatenate(
+            [smooth_normals[~is_large], quarter_triangles(smooth_normals[is_large])]
+        )
+    max_area = MAX_SAMPLE_FRACTION * float(triangle_areas(corners).sum())
+    # large triangles are divided even if the mesh is dense elsewhere
+    while (is_large := triangle_areas(corners) > max_area).any():
+        corners = np.concatenate([corners[~is_large], quarter_triangles(corners[is_large])])
+        smooth_normals = np.concatenate(
+            [smooth_normals[~is_large], quarter_triangles(smooth_normals[is_large])]
+        )
+    normals = smooth_normals.mean(axis=1)
     normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-    return corners.mean(axis=1), normals, areas(corners)
+    return corners.mean(axis=1), normals, triangle_areas(corners)
 
 
-def distance_to_sweep(points: FloatArray, normals: FloatArray, sweep: Sweep) -> tuple[FloatArray, FloatArray]:
-    """Signed distance (M,) [m] from points of the face to the swept sheet, positive where it lies outwards,
-    and the speed (M,) [m/s] of the wire where it is nearest.
+def distance_to_sweep(
+    points: FloatArray, normals: FloatArray, sweep: WireSweep
+) -> tuple[FloatArray, FloatArray]:
+    """Return signed distances (M,) [m] from points of a face to the swept sheet, and the wire's speeds.
 
-    Sheets that face the other way are those of another side of the part and do not count. NaN where the
-    nearest place is on the border of the sweep: the wire did not pass there.
+    Distances are positive where the sheet lies outwards. Sheets that face in the other direction belong to
+    another side of the part and do not count. NaN where the nearest point is on the border of the sweep: the
+    wire did not pass there.
+
+    Args:
+        points: Points of the face (M, 3) [m].
+        normals: Unit normals (M, 3).
+        sweep: Sweep of the wire.
+
+    Returns:
+        Distances (M,) [m], and speeds of the wire at the nearest points (M,) [m/s].
     """
     if len(sweep.points) < 2 or not sweep.joined.any():
         return np.full(len(points), np.nan), np.full(len(points), np.nan)
-    sheet = _refined(sweep)
+    sheet = _refine_sweep(sweep)
     grid, count, width = sheet.points, *sheet.points.shape[:2]
-    facing = _facings(sheet)
-    side = 1.0
-    flat, turned = grid.reshape(-1, 3), facing.reshape(-1, 3)
-    some = slice(None, None, max(1, len(points) // _SIDE_SAMPLES))
-    _, near = cKDTree(flat).query(points[some], k=1)
-    if float(dots(turned[near], normals[some]).sum()) < 0.0:
-        side = -1.0
-    tree = cKDTree(np.concatenate([flat, _NORMAL_WEIGHT * side * turned], axis=1))
-    _, nearest = tree.query(np.concatenate([points, _NORMAL_WEIGHT * normals], axis=1), k=1)
+    normals_grid = _sheet_normals(sheet)
+    side_sign = 1.0
+    flat, flat_normals = grid.reshape(-1, 3), normals_grid.reshape(-1, 3)
+    sampled = slice(None, None, max(1, len(points) // _SIDE_SAMPLES))
+    _, nearest_point = cKDTree(flat).query(points[sampled], k=1)
+    if float(dots(flat_normals[nearest_point], normals[sampled]).sum()) < 0.0:
+        side_sign = -1.0
+    tree = cKDTree(np.concatenate([flat, _NORMAL_WEIGHT_M * side_sign * flat_normals], axis=1))
+    _, nearest = tree.query(np.concatenate([points, _NORMAL_WEIGHT_M * normals], axis=1), k=1)
     best = np.full(len(points), np.inf)
     foot, speed = np.zeros((len(points), 3)), np.zeros(len(points))
     border = np.zeros(len(points), dtype=bool)
     row, column = np.divmod(nearest, width)
-    open_before = np.concatenate([[True], ~sheet.joined, [True]])
-    for down in (0, -1, 1, -2):  # the nearest ones first
+    is_open = np.concatenate([[True], ~sheet.joined, [True]])
+    for down in (0, -1, 1, -2):  # nearest cells first
         for right in (-1, 0):
             a = np.clip(row + down, 0, count - 2)
             b = np.clip(column + right, 0, width - 2)
             corner = ((a, b), (a, b + 1), (a + 1, b + 1), (a + 1, b))
             for triangle, edges in (
-                ((0, 1, 2), (open_before[a], b == width - 2)),
-                ((0, 2, 3), (open_before[a + 2], b == 0)),
+                ((0, 1, 2), (is_open[a], b == width - 2)),
+                ((0, 2, 3), (is_open[a + 2], b == 0)),
             ):
-                # a triangle all of which is farther off than what is found needs no closer look
+                # skip triangles whose bounding box is farther than the best point so far
                 corners = [(corner[i][0], corner[i][1]) for i in triangle]
-                one, two, three = (grid[at] for at in corners)
-                low = np.minimum(np.minimum(one, two), three)
-                high = np.maximum(np.maximum(one, two), three)
+                corner_1, corner_2, corner_3 = (grid[at] for at in corners)
+                low = np.minimum(np.minimum(corner_1, corner_2), corner_3)
+                high = np.maximum(np.maximum(corner_1, corner_2), corner_3)
                 gap = np.maximum(low - points, points - high)
-                least = np.maximum(np.maximum(gap[:, 0], gap[:, 1]), gap[:, 2])
-                maybe = np.flatnonzero(sheet.joined[a] & (least < best))
-                if not len(maybe):
+                box_distance = np.maximum(np.maximum(gap[:, 0], gap[:, 1]), gap[:, 2])
+                candidates = np.flatnonzero(sheet.joined[a] & (box_distance < best))
+                if not len(candidates):
                     continue
-                ends = [end[maybe] for end in (one, two, three)]
-                place, weights = closest(points[maybe], *ends)
-                distance = np.linalg.norm(points[maybe] - place, axis=1)
-                outward = np.cross(ends[2] - ends[0], ends[1] - ends[0])  # way x wire, as the facings
-                right_way = side * dots(outward, normals[maybe]) >= -_LEAN_SINE * np.linalg.norm(
-                    outward, axis=1
-                )
-                good = (distance < best[maybe] - 1e-12) & right_way
-                better = maybe[good]
-                best[better] = distance[good]
-                foot[better] = place[good]
-                share = weights[good]
+                ends = [end[candidates] for end in (corner_1, corner_2, corner_3)]
+                closest_points, weights = closest_on_triangle(points[candidates], *ends)
+                distance = np.linalg.norm(points[candidates] - closest_points, axis=1)
+                outward = np.cross(ends[2] - ends[0], ends[1] - ends[0])  # path x wire, as in _facings
+                faces_same_side = side_sign * dots(
+                    outward, normals[candidates]
+                ) >= -_MAX_TILT_SINE * np.linalg.norm(outward, axis=1)
+                is_better = (distance < best[candidates] - 1e-12) & faces_same_side
+                better = candidates[is_better]
+                best[better] = distance[is_better]
+                foot[better] = closest_points[is_better]
+                barycentric = weights[is_better]
                 speed[better] = sum(
-                    share[:, k] * sheet.speed[at[0][better], at[1][better]] for k, at in enumerate(corners)
+                    barycentric[:, k] * sheet.speed[at[0][better], at[1][better]]
+                    for k, at in enumerate(corners)
                 )
                 first, second = (np.broadcast_to(edge, len(points))[better] for edge in edges)
-                # edges on the sweep's border: 0-1 and 1-2 of the one triangle, 2-3 and 3-0 of the other
-                on_first = share[:, 2] < _EDGE_SHARE if triangle == (0, 1, 2) else share[:, 0] < _EDGE_SHARE
-                on_second = share[:, 0] < _EDGE_SHARE if triangle == (0, 1, 2) else share[:, 1] < _EDGE_SHARE
+                # edges on the sweep's border: 0-1 and 1-2 of the first triangle, 2-3 and 3-0 of the second
+                on_first = (
+                    barycentric[:, 2] < _EDGE_TOLERANCE
+                    if triangle == (0, 1, 2)
+                    else barycentric[:, 0] < _EDGE_TOLERANCE
+                )
+                on_second = (
+                    barycentric[:, 0] < _EDGE_TOLERANCE
+                    if triangle == (0, 1, 2)
+                    else barycentric[:, 1] < _EDGE_TOLERANCE
+                )
                 border[better] = (first & on_first) | (second & on_second)
-    along = dots(foot - points, normals)
-    signed = np.where(along < 0.0, -best, best)
-    # a foot on the border may still be straight under the point; a slanted one means that the wire passed by
-    slanted = np.abs(along) < 0.9 * best - 1e-6
+    normal_distance = dots(foot - points, normals)
+    signed = np.where(normal_distance < 0.0, -best, best)
+    # a nearest point on the border may still be straight below the point; otherwise the wire passed by
+    slanted = np.abs(normal_distance) < 0.9 * best - 1e-6
     lost = (border & slanted) | ~np.isfinite(best)
     return np.asarray(np.where(lost, np.nan, signed)), np.asarray(np.where(lost, np.nan, speed))
 
 
-def deepest(claim: CutsSurface, sweep: Sweep, inside: BoolArray) -> tuple[float, int]:
-    """How far [m] the wire runs deeper into the part than half its kerf off the wanted face, at most, and the
-    station; points ``inside`` (T, P) of the block count that are over the face, not beside it.
+def max_excess_depth(claim: CutsSurface, sweep: WireSweep, inside: BoolArray) -> tuple[float, int]:
+    """Return how much too deep [m] the wire enters the part, and the station.
 
-    For faces that bend little: they are taken as flat around each of their samples.
+    The depth counts from half the kerf off the nominal face. Only points of the block that are above the face
+    count, not those next to it. The function is for faces with small curvature: they are taken as flat around
+    each sample.
+
+    Args:
+        claim: Claim on the cut.
+        sweep: Sweep of the wire.
+        inside: Points that are in the block (T, P).
     """
     points, normals, _ = sample_face(claim.vertices, claim.faces)
-    facing = _facings(sweep).reshape(-1, 3)
+    facing = _sheet_normals(sweep).reshape(-1, 3)
     flat = sweep.points.reshape(-1, 3)
-    _, near = cKDTree(flat).query(points, k=1)
-    side = -1.0 if float(dots(facing[near], normals).sum()) < 0.0 else 1.0
-    tree = cKDTree(np.concatenate([points, _NORMAL_WEIGHT * normals], axis=1))
+    _, nearest = cKDTree(flat).query(points, k=1)
+    side = -1.0 if float(dots(facing[nearest], normals).sum()) < 0.0 else 1.0
+    tree = cKDTree(np.concatenate([points, _NORMAL_WEIGHT_M * normals], axis=1))
     rows = np.flatnonzero(inside)
     if not len(rows):
         return 0.0, 0
-    _, found = tree.query(np.concatenate([flat[rows], _NORMAL_WEIGHT * side * facing[rows]], axis=1), k=1)
-    off = flat[rows] - points[found]
-    height = dots(off, normals[found])
-    beside = np.linalg.norm(off - height[:, None] * normals[found], axis=1) > SAMPLE_EDGE
+    _, sample = tree.query(np.concatenate([flat[rows], _NORMAL_WEIGHT_M * side * facing[rows]], axis=1), k=1)
+    offset = flat[rows] - points[sample]
+    height = dots(offset, normals[sample])
+    is_aside = np.linalg.norm(offset - height[:, None] * normals[sample], axis=1) > MAX_SAMPLE_EDGE_M
     depth = 0.5 * claim.kerf.at(sweep.speed.reshape(-1)[rows]) - height
-    depth[beside] = -np.inf
+    depth[is_aside] = -np.inf
     k = int(np.argmax(depth))
     return float(max(depth[k], 0.0)), int(rows[k] // sweep.points.shape[1])
 
 
-def closest(points: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Closest places (M, 3) of triangles to points, with their barycentric weights (M, 3).
+def closest_on_triangle(
+    points: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the closest points (M, 3) of triangles to points, with their barycentric weights (M, 3).
 
-    Regions of the triangle as in Ericson, Real-Time Collision Detection (2005), section 5.1.5.
+    Args:
+        points: Points (M, 3).
+        a: First corners (M, 3).
+        b: Second corners (M, 3).
+        c: Third corners (M, 3).
+
+    Source: regions of the triangle as in Ericson, Real-Time Collision Detection (2005), section 5.1.5.
     """
     ab, ac, ap = b - a, c - a, points - a
     d1, d2 = dots(ab, ap), dots(ac, ap)
@@ -247,23 +297,30 @@ def closest(points: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) -> 
     at_a = (d1 <= 0) & (d2 <= 0)
     v, w = np.where(at_a, 0.0, v), np.where(at_a, 0.0, w)
     v, w = np.nan_to_num(v), np.nan_to_num(w)
-    place = a + v[:, None] * ab + w[:, None] * ac
-    return place, np.stack([1.0 - v - w, v, w], axis=1)
+    point = a + v[:, None] * ab + w[:, None] * ac
+    return point, np.stack([1.0 - v - w, v, w], axis=1)
 
 
 def part_obj(
-    claims: tuple[CutsSurface, ...], sweeps: tuple[Sweep, ...], rulings: tuple[FollowsRulings, ...] = ()
+    claims: tuple[CutsSurface, ...], sweeps: tuple[WireSweep, ...], rulings: tuple[FollowsRulings, ...] = ()
 ) -> str:
-    """The simulated part as OBJ text in mm: each wanted face with its vertices moved to where the cut
-    surface is. Faces with ``rulings`` have vertices along and between these too: at their ends alone they
-    would not show what the wire left between them."""
+    """Return the simulated part as OBJ text in mm.
+
+    The vertices of each nominal face are moved to the cut surface. Faces with rulings also have vertices
+    along and between them, because vertices at their ends alone would not show what the wire left in between.
+
+    Args:
+        claims: Claims on the cuts.
+        sweeps: Sweep of each cut.
+        rulings: Claims on rulings.
+    """
     ruled = {claim.segment.key: claim for claim in rulings}
     lines = ["# the cut faces as simulated from the programs; stock frame, mm"]
     offset = 1
     for claim, sweep in zip(claims, sweeps, strict=True):
         vertices, faces = claim.vertices, claim.faces
         if claim.segment.key in ruled:
-            vertices, faces = _grid(ruled[claim.segment.key])
+            vertices, faces = _ruled_grid(ruled[claim.segment.key])
         normals = vertex_normals(vertices, faces)
         distance, speed = distance_to_sweep(vertices, normals, sweep)
         deviation = np.nan_to_num(distance - 0.5 * claim.kerf.at(speed))
@@ -275,152 +332,195 @@ def part_obj(
     return "\n".join(lines) + "\n"
 
 
-def _grid(claim: FollowsRulings) -> tuple[FloatArray, IntArray]:
-    """Vertices and triangles of a ruled face with points every ``RULING_SPACING`` along its rulings, wound
-    as the claimed face is; fewer where there are very many rulings. Rulings that are farther apart than
-    ``SIDE_SPACING`` have others between them."""
-    way = np.maximum(*(np.linalg.norm(np.diff(line, axis=0), axis=1) for line in (claim.start, claim.end)))
-    parts = np.maximum(np.ceil(way / SIDE_SPACING - 1e-9), 1.0).astype(np.int64)
-    own = np.concatenate([[0], np.cumsum(parts)])
-    fine = np.arange(own[-1] + 1)
+def _ruled_grid(claim: FollowsRulings) -> tuple[FloatArray, IntArray]:
+    """Return vertices and triangles of a ruled face with points along its rulings, wound as the claimed face.
+
+    The spacing is ``RULING_POINT_SPACING_M`` along rulings, larger if there are very many rulings. Rulings
+    farther apart than ``MAX_RULING_DISTANCE_M`` get others in between.
+    """
+    step = np.maximum(*(np.linalg.norm(np.diff(line, axis=0), axis=1) for line in (claim.start, claim.end)))
+    parts = np.maximum(np.ceil(step / MAX_RULING_DISTANCE_M - 1e-9), 1.0).astype(np.int64)
+    ruling_index = np.concatenate([[0], np.cumsum(parts)])
+    fine_index = np.arange(ruling_index[-1] + 1)
     start, end = (
-        np.stack([np.interp(fine, own, line[:, c]) for c in range(3)], axis=-1)
+        np.stack([np.interp(fine_index, ruling_index, line[:, c]) for c in range(3)], axis=-1)
         for line in (claim.start, claim.end)
     )
     length = float(np.linalg.norm(end - start, axis=1).max())
     count = len(start)
-    columns = 1 + int(np.clip(np.ceil(length / RULING_SPACING), 1, max(MOST_TRIANGLES // (2 * count), 4)))
-    share = np.linspace(0.0, 1.0, columns)[None, :, None]
-    vertices = (1.0 - share) * start[:, None] + share * end[:, None]
-    at = np.arange(count * columns).reshape(count, columns)
-    one, two, three, four = (part.ravel() for part in (at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]))
-    faces = np.concatenate([np.stack([one, two, four], axis=1), np.stack([two, three, four], axis=1)])
+    columns = 1 + int(
+        np.clip(np.ceil(length / RULING_POINT_SPACING_M), 1, max(MAX_FACE_TRIANGLES // (2 * count), 4))
+    )
+    fraction = np.linspace(0.0, 1.0, columns)[None, :, None]
+    vertices = (1.0 - fraction) * start[:, None] + fraction * end[:, None]
+    vertex_index = np.arange(count * columns).reshape(count, columns)
+    corner_1, corner_2, corner_3, corner_4 = (
+        part.ravel()
+        for part in (
+            vertex_index[:-1, :-1],
+            vertex_index[1:, :-1],
+            vertex_index[1:, 1:],
+            vertex_index[:-1, 1:],
+        )
+    )
+    faces = np.concatenate(
+        [np.stack([corner_1, corner_2, corner_4], axis=1), np.stack([corner_2, corner_3, corner_4], axis=1)]
+    )
     return vertices.reshape(-1, 3), faces
 
 
-def _refined(sweep: Sweep) -> Sweep:
-    """The sweep without stations at which the wire stood, with points between the points along the wire
-    (cubic), so that triangles follow its curve."""
+def _refine_sweep(sweep: WireSweep) -> WireSweep:
+    """Return the sweep without stations at which the wire did not move, with cubic points between its points.
+
+    Triangles then follow the curve of the wire.
+    """
     step = np.linalg.norm(np.diff(sweep.points, axis=0), axis=2).max(axis=1)
-    moving = np.concatenate([[True], (step > 1e-7) | ~sweep.joined])
-    visit = np.concatenate([[0], np.cumsum(~sweep.joined)])[moving]
-    rows, speed = sweep.points[moving], sweep.speed[moving]
-    wide = np.concatenate([2 * rows[:, :1] - rows[:, 1:2], rows, 2 * rows[:, -1:] - rows[:, -2:-1]], axis=1)
-    middle = (-wide[:, :-3] + 9.0 * wide[:, 1:-2] + 9.0 * wide[:, 2:-1] - wide[:, 3:]) / 16.0
-    out = np.empty((rows.shape[0], _FINER_STEPS * rows.shape[1] - 1, 3))
+    is_moving = np.concatenate([[True], (step > 1e-7) | ~sweep.joined])
+    visit = np.concatenate([[0], np.cumsum(~sweep.joined)])[is_moving]
+    rows, speed = sweep.points[is_moving], sweep.speed[is_moving]
+    padded = np.concatenate([2 * rows[:, :1] - rows[:, 1:2], rows, 2 * rows[:, -1:] - rows[:, -2:-1]], axis=1)
+    middle = (-padded[:, :-3] + 9.0 * padded[:, 1:-2] + 9.0 * padded[:, 2:-1] - padded[:, 3:]) / 16.0
+    out = np.empty((rows.shape[0], _REFINEMENT * rows.shape[1] - 1, 3))
     out[:, ::2], out[:, 1::2] = rows, middle
-    fast = np.empty(out.shape[:2])
-    fast[:, ::2], fast[:, 1::2] = speed, 0.5 * (speed[:, :-1] + speed[:, 1:])
-    return Sweep(out, fast, visit[1:] == visit[:-1])
+    fine_speed = np.empty(out.shape[:2])
+    fine_speed[:, ::2], fine_speed[:, 1::2] = speed, 0.5 * (speed[:, :-1] + speed[:, 1:])
+    return WireSweep(out, fine_speed, visit[1:] == visit[:-1])
 
 
-def _facings(sheet: Sweep) -> FloatArray:
-    """Unit normals (T, P, 3) of the sheet: across the wire and its way; 0 where it turns about a point."""
+def _sheet_normals(sheet: WireSweep) -> FloatArray:
+    """Return unit normals (T, P, 3) of the sheet, across the wire and its path.
+
+    They are 0 where the wire rotates about a point.
+    """
     step = np.diff(sheet.points, axis=0) * sheet.joined[:, None, None]
-    way = np.zeros_like(sheet.points)
-    way[1:] += step
-    way[:-1] += step
-    normal = np.cross(way, np.gradient(sheet.points, axis=1))
+    path = np.zeros_like(sheet.points)
+    path[1:] += step
+    path[:-1] += step
+    normal = np.cross(path, np.gradient(sheet.points, axis=1))
     return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=2, keepdims=True), 1e-15))
 
 
-def _flat(corners: FloatArray) -> FloatArray:
+def _triangle_normals(corners: FloatArray) -> FloatArray:
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.asarray(cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-30))
 
 
-PLACE_STEP: Final = 5e-5
-"""[m] distance of the places that are tried."""
-HALF_SLOT_SLACK: Final = 2e-6
-"""[m] a place that is nearer to the line than half a slot by less is not too near."""
-CORNER_FAN_STEP: Final = np.deg2rad(3.0)
-"""[rad] turn between the places that are tried around an outer corner."""
+POSITION_SPACING_M: Final = 5e-5
+"""Spacing of the positions that are tried [m]."""
+HALF_SLOT_TOLERANCE_M: Final = 2e-6
+"""Tolerance [m] by which a position may be closer to the line than half a slot."""
+CORNER_FAN_STEP_RAD: Final = np.deg2rad(3.0)
+"""Angle [rad] between the positions that are tried around an outer corner."""
 
 
-def unreached(claim: FollowsRulings, places: FloatArray, half: float) -> FloatArray:
-    """How much (N,) [m] farther than ``half`` [m] a slot's middle must stay from places (N, 3) of the surface
-    that a claim follows; infinite where that is more than the claim allows to be left by far."""
-    out = np.empty(len(places))
-    along = claim.end - claim.start
-    middle = claim.start + 0.5 * along
-    for k, place in enumerate(places):
-        nearest = int(np.argmin(dots(place - middle, place - middle)))
-        axis = along[nearest] / np.linalg.norm(along[nearest])
-        out[k] = _farther(_section(claim, along, place, axis), half, claim.left, claim.tolerance)
+def unreachable_distance(claim: FollowsRulings, points: FloatArray, half: float) -> FloatArray:
+    """Return how much farther (N,) [m] than half a slot the slot's centre must stay from points of a surface.
+
+    The result is infinite if it is far beyond what the claim allows to be left.
+
+    Args:
+        claim: Claim on the rulings of the surface.
+        points: Points of the surface (N, 3) [m].
+        half: Half the slot [m].
+    """
+    out = np.empty(len(points))
+    rulings = claim.end - claim.start
+    middle = claim.start + 0.5 * rulings
+    for k, point in enumerate(points):
+        nearest = int(np.argmin(dots(point - middle, point - middle)))
+        axis = rulings[nearest] / np.linalg.norm(rulings[nearest])
+        out[k] = _nearest_admissible_excess(
+            _section_polyline(claim, rulings, point, axis), half, claim.max_left, claim.tolerance
+        )
     return out
 
 
-def _section(claim: FollowsRulings, along: FloatArray, place: FloatArray, axis: FloatArray) -> FloatArray:
-    """The surface (M, 2) across ``axis`` as seen from a place; the part is to the left of its way."""
-    share = (place - claim.start) @ axis / (along @ axis)
-    row = claim.start + share[:, None] * along - place
-    one = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
-    one /= np.linalg.norm(one)
-    return np.stack([row @ one, row @ np.cross(axis, one)], axis=1)
+def _section_polyline(
+    claim: FollowsRulings, rulings: FloatArray, point: FloatArray, axis: FloatArray
+) -> FloatArray:
+    """Return the surface (M, 2) across ``axis`` relative to a point.
+
+    The part is to the left of its direction.
+    """
+    fraction = (point - claim.start) @ axis / (rulings @ axis)
+    row = claim.start + fraction[:, None] * rulings - point
+    plane_axis = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    plane_axis /= np.linalg.norm(plane_axis)
+    return np.stack([row @ plane_axis, row @ np.cross(axis, plane_axis)], axis=1)
 
 
-def _farther(line: FloatArray, half: float, left: float, thin: float) -> float:
-    """How much farther than ``half`` the nearest admissible place is from the origin, a point of the line,
-    that does not lie behind more than ``thin`` of the part."""
+def _nearest_admissible_excess(line: FloatArray, half: float, left: float, max_wall: float) -> float:
+    """Return how much farther than ``half`` the nearest admissible position is from the origin.
+
+    The origin is a point of the line. Positions behind more than ``max_wall`` of the part do not count.
+    """
     reach = 2.0 * half + left + 1e-3
     a, b = line[:-1], line[1:]
     size = np.linalg.norm(b - a, axis=1)
-    own = (size > 1e-9) & (_apart(np.zeros((1, 2)), a, b)[0] < reach + 2.0 * half)
-    a, b, size = a[own], b[own], size[own]
+    is_local = (size > 1e-9) & (_segment_distances(np.zeros((1, 2)), a, b)[0] < reach + 2.0 * half)
+    a, b, size = a[is_local], b[is_local], size[is_local]
     if not len(a):
         return 0.0
-    way = (b - a) / size[:, None]
-    normal = np.stack([way[:, 1], -way[:, 0]], axis=1)
-    tried = [_fans(a, b, normal, half)]
+    direction = (b - a) / size[:, None]
+    normal = np.stack([direction[:, 1], -direction[:, 0]], axis=1)
+    candidates = [_corner_fans(a, b, normal, half)]
     for start, end, out, length in zip(a, b, normal, size, strict=True):
-        share = np.linspace(0.0, 1.0, max(int(np.ceil(length / PLACE_STEP)), 1) + 1)[:, None]
-        tried.append(start + share * (end - start) + half * out)
-    places = np.concatenate(tried)
-    distance = np.linalg.norm(places, axis=1)
-    near = np.argsort(distance, kind="stable")
-    near = near[distance[near] <= reach]
-    for low in range(0, len(near), 256):  # the nearest ones first: one is enough
-        some = near[low : low + 256]
-        free = _apart(places[some], a, b).min(axis=1) >= half - HALF_SLOT_SLACK
-        for k in some[free]:
-            if _within(places[k], a, b) <= thin:
+        fraction = np.linspace(0.0, 1.0, max(int(np.ceil(length / POSITION_SPACING_M)), 1) + 1)[:, None]
+        candidates.append(start + fraction * (end - start) + half * out)
+    positions = np.concatenate(candidates)
+    distance = np.linalg.norm(positions, axis=1)
+    order = np.argsort(distance, kind="stable")
+    order = order[distance[order] <= reach]
+    for low in range(0, len(order), 256):  # nearest positions first: the first admissible one counts
+        batch = order[low : low + 256]
+        is_admissible = _segment_distances(positions[batch], a, b).min(axis=1) >= half - HALF_SLOT_TOLERANCE_M
+        for k in batch[is_admissible]:
+            if _length_in_part(positions[k], a, b) <= max_wall:
                 return max(float(distance[k]) - half, 0.0)
     return float("inf")
 
 
-def _within(place: FloatArray, a: FloatArray, b: FloatArray) -> float:
-    """How much of the way from the origin to a place outside is within the part, whose border are the pieces
-    of a line, ``a`` to ``b`` (M, 2): between the crossings, counted from the place."""
+def _length_in_part(point: FloatArray, a: FloatArray, b: FloatArray) -> float:
+    """Return the length of the path from the origin to an outside point that is within the part.
+
+    The border of the part consists of pieces ``a`` to ``b`` (M, 2). The length lies between crossings,
+    counted from the outside point.
+    """
     edge = b - a
-    across = place[0] * edge[:, 1] - place[1] * edge[:, 0]
+    cross = point[0] * edge[:, 1] - point[1] * edge[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = (a[:, 0] * edge[:, 1] - a[:, 1] * edge[:, 0]) / across
-        on = (a[:, 0] * place[1] - a[:, 1] * place[0]) / across
-    length = float(np.linalg.norm(place))
-    crossed = (across != 0.0) & (on >= 0.0) & (on < 1.0) & (share * length > HALF_SLOT_SLACK) & (share < 1.0)
-    at = np.sort(share[crossed])[::-1]
-    if len(at) % 2:  # the last of them is where the way begins
-        at = np.append(at, 0.0)
-    return float((at[::2] - at[1::2]).sum()) * length
+        fraction = (a[:, 0] * edge[:, 1] - a[:, 1] * edge[:, 0]) / cross
+        edge_fraction = (a[:, 0] * point[1] - a[:, 1] * point[0]) / cross
+    length = float(np.linalg.norm(point))
+    crossed = (
+        (cross != 0.0)
+        & (edge_fraction >= 0.0)
+        & (edge_fraction < 1.0)
+        & (fraction * length > HALF_SLOT_TOLERANCE_M)
+        & (fraction < 1.0)
+    )
+    crossings = np.sort(fraction[crossed])[::-1]
+    if len(crossings) % 2:  # the last crossing is the start of the path
+        crossings = np.append(crossings, 0.0)
+    return float((crossings[::2] - crossings[1::2]).sum()) * length
 
 
-def _fans(a: FloatArray, b: FloatArray, normal: FloatArray, half: float) -> FloatArray:
-    """Places (F, 2) around the corners between pieces that follow one another, from one's normal to the
-    other's."""
+def _corner_fans(a: FloatArray, b: FloatArray, normal: FloatArray, half: float) -> FloatArray:
+    """Return positions (F, 2) around corners between consecutive pieces, from one normal to the other."""
     joined = np.flatnonzero(np.linalg.norm(b[:-1] - a[1:], axis=1) < 1e-9)
     out = [np.zeros((0, 2))]
     for k in joined:
         n, m = normal[k], normal[k + 1]
-        turn = np.arctan2(n[0] * m[1] - n[1] * m[0], n @ m)
-        angle = np.linspace(0.0, turn, max(int(np.ceil(abs(turn) / CORNER_FAN_STEP)), 1) + 1)
+        rotation = np.arctan2(n[0] * m[1] - n[1] * m[0], n @ m)
+        angle = np.linspace(0.0, rotation, max(int(np.ceil(abs(rotation) / CORNER_FAN_STEP_RAD)), 1) + 1)
         c, s = np.cos(angle), np.sin(angle)
         out.append(b[k] + half * np.stack([c * n[0] - s * n[1], s * n[0] + c * n[1]], axis=1))
     return np.concatenate(out)
 
 
-def _apart(places: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-    """Distance (N, M) of places (N, 2) from pieces of a line, ``a`` to ``b`` (M, 2)."""
-    edge, to = b - a, places[:, None] - a
-    share = dots(to, np.broadcast_to(edge, to.shape)) / np.maximum(dots(edge, edge), 1e-30)
-    off = to - np.clip(share, 0.0, 1.0)[..., None] * edge
-    return np.asarray(np.sqrt(dots(off, off)))
+def _segment_distances(points: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the distance (N, M) of points (N, 2) from pieces of a line, ``a`` to ``b`` (M, 2)."""
+    edge, offset = b - a, points[:, None] - a
+    fraction = dots(offset, np.broadcast_to(edge, offset.shape)) / np.maximum(dots(edge, edge), 1e-30)
+    gap = offset - np.clip(fraction, 0.0, 1.0)[..., None] * edge
+    return np.asarray(np.sqrt(dots(gap, gap)))

@@ -1,15 +1,15 @@
 """The wire as the real one moves: a discrete elastic rod with weight, followed from the mounted state.
 
-Clamped at both ends to full frames (x along the wire, z the section plane's normal), of fixed
-length. `mount` finds the shape the wire has when it is put in; `follow` carries it through the
-motion of its ends. Where the shape in hand stops being stable, the real wire snaps to another one:
-that instant is marked, and the rod goes on from the shape that it falls into. No closed form is
-used: see `rod_energy` for the model.
+It is clamped at both ends to full frames (x along the wire, z the section plane's normal) and has a fixed
+length. `mount_rod` finds the shape of the wire when it is mounted. `follow_rod` carries it through the motion
+of its ends. Where the shape stops being stable, the real wire snaps to another one: that instant is marked,
+and the rod continues from the shape that it falls into. No closed form is used: see `rod_energy` for the
+model.
 
-What the shapes say in the world: points, frames, curvature, twist, tension, margins of stability.
-The discrete rod is of second order in h = L / N. The same shapes are found once more with half the
-segments, and both results are combined (Richardson: (4 fine - coarse) / 3), which leaves errors of
-the order h^4 and tells the size of the error that was taken out.
+The shapes give points, frames, curvature, twist, tension and stability margins in the world. The discrete rod
+is of second order in h = L / N. The same shapes are found again with half the segments, and both results are
+combined (Richardson: (4 fine - coarse) / 3). This leaves errors of the order h^4 and estimates the error that
+was removed.
 """
 
 import math
@@ -23,49 +23,55 @@ from scipy.optimize import brentq
 
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.processes.hotwire.proof.rod_energy import (
-    Ends,
-    conjugate,
-    energy,
-    exponential,
-    joints,
-    logarithm,
-    matrix,
-    multiply,
-    quaternion,
-    spacing,
+    RodEnds,
+    joint_quaternions,
+    joint_spacing,
+    quaternion_conjugate,
+    quaternion_exp,
+    quaternion_from_matrix,
+    quaternion_log,
+    quaternion_product,
+    rod_energy,
+    rotation_matrix,
 )
 from planner.processes.hotwire.proof.rod_equilibrium import (
-    Outcome,
-    State,
-    moved,
-    newton,
-    newton_many,
-    settle,
-    weakest,
-    weakest_many,
+    NewtonResult,
+    RodState,
+    apply_step,
+    descend,
+    solve_newton,
+    solve_newton_many,
+    weakest_eigenvalues,
+    weakest_mode,
 )
 
 
 class RodError(ValueError):
-    """No stable shape could be found for the mounted rod, or the input has no meaning."""
+    """No stable shape could be found for the mounted rod, or the input is invalid."""
 
 
 @dataclass(frozen=True)
 class Rod:
-    """A straight, weightless-when-`weight`-is-0 rod. Bending stiffnesses `soft` (about the frame's z) and
-    `stiff` (about y) and `torsion` GJ in N m^2, `length` in m, `weight` per length in N/m, `segments` of
-    the discrete rod.
+    """A rod that is straight without load.
+
+    Attributes:
+        length: Length [m].
+        soft_bending: Bending stiffness about the frame's z [N m^2].
+        stiff_bending: Bending stiffness about the frame's y [N m^2].
+        torsion: Torsional stiffness GJ [N m^2].
+        weight: Weight per length [N/m], 0 for a weightless rod.
+        segments: Number of segments of the discrete rod, even and at least 8.
     """
 
     length: float
-    soft: float
-    stiff: float
+    soft_bending: float
+    stiff_bending: float
     torsion: float
     weight: float = 0.0
     segments: int = 64
 
     def __post_init__(self) -> None:
-        numbers = (self.length, self.soft, self.stiff, self.torsion)
+        numbers = (self.length, self.soft_bending, self.stiff_bending, self.torsion)
         if not all(math.isfinite(value) and value > 0 for value in numbers):
             raise RodError(f"length and stiffnesses must be above 0; got {numbers}")
         if not (
@@ -75,14 +81,17 @@ class Rod:
 
     @property
     def stiffness(self) -> FloatArray:
-        """(torsion, bending about y, bending about z) over `soft`."""
-        return np.array([self.torsion, self.stiff, self.soft]) / self.soft
+        """Torsion, bending about y and bending about z, over ``soft_bending`` (3,)."""
+        return np.array([self.torsion, self.stiff_bending, self.soft_bending]) / self.soft_bending
 
 
 @dataclass(frozen=True)
 class RodShape:
-    """One shape: segment attitudes (4, N) wxyz in the start clamp's frame and the end's force (3,) in units
-    of EI/L^2.
+    """One shape of a rod.
+
+    Attributes:
+        attitudes: Segment attitudes wxyz in the start clamp's frame (4, N).
+        force: Force at the end in units of EI/L^2 (3,).
     """
 
     attitudes: FloatArray
@@ -93,15 +102,22 @@ class RodShape:
 class RodPath:
     """The rod at T instants, at N + 1 points of equal arc length.
 
-    `points` (T, N+1, 3) [m] and `frames` (T, N+1, 3, 3) in the world. `curvature` (T, N+1, 2) about y and z
-    and `twist` (T, N+1) [1/m], `tension` (T, N+1) [N]. `residual` (T,): error of the end's place [m].
-    `error` (T,) [m]: how far refining moved the points (the discretisation error before it; that behind it
-    is far smaller); inf where the coarser rod did not hold the shape and nothing was refined. `stable`
-    (T,): the shape at the instant is a strict minimum of energy. `min_eig` (T,): smallest eigenvalue of the
-    second variation over that of the first bending mode of a straight clamped rod (4 pi^2 EI / L^2 with
-    `soft`); 0 where stability is lost. `jump` (T,): since the instant before, the rod lost its shape and
-    fell into another one; `moved` (T,) [m]: how far its points then went (0 without a jump). `shapes`: to
-    go on from any instant.
+    Attributes:
+        points: Points in the world (T, N+1, 3) [m].
+        frames: Frames in the world (T, N+1, 3, 3).
+        curvature: Curvature about y and z (T, N+1, 2) [1/m].
+        twist: Twist (T, N+1) [1/m].
+        tension: Tension (T, N+1) [N].
+        residual: Position error of the end (T,) [m].
+        error: Displacement of the points by refinement (T,) [m]. This is the discretisation error before
+            refinement; the remaining error is far smaller. inf if the coarser rod did not hold the shape and
+            nothing was refined.
+        is_stable: Whether the shape is a strict minimum of energy (T,).
+        min_eigenvalue: Smallest eigenvalue of the second variation over that of the first bending mode of a
+            straight clamped rod (4 pi^2 EI / L^2 with ``soft_bending``) (T,). 0 where stability is lost.
+        has_jumped: Whether the rod lost its shape and fell into another one since the previous instant (T,).
+        jump_distance: Displacement of the points by the jump (T,) [m], 0 without a jump.
+        shapes: Shapes, to continue from any instant (T,).
     """
 
     points: FloatArray
@@ -111,15 +127,25 @@ class RodPath:
     tension: FloatArray
     residual: FloatArray
     error: FloatArray
-    stable: BoolArray
-    min_eig: FloatArray
-    jump: BoolArray
-    moved: FloatArray
+    is_stable: BoolArray
+    min_eigenvalue: FloatArray
+    has_jumped: BoolArray
+    jump_distance: FloatArray
     shapes: tuple[RodShape, ...]
 
 
-class Drive:
-    """The ends' motion in units of the rod: at whole instants, and between them as a controller moves."""
+class EndMotion:
+    """Motion of the ends in units of the rod, at instants and between them as a controller moves.
+
+    Args:
+        rod: The rod.
+        start: Frames of the start clamp in the world (T, 4, 4).
+        end: Frames of the end clamp in the world (T, 4, 4).
+        gravity: Direction of gravity (3,).
+
+    Raises:
+        RodError: If the frames are invalid.
+    """
 
     def __init__(self, rod: Rod, start: FloatArray, end: FloatArray, gravity: FloatArray) -> None:
         self.start, self.end = (np.asarray(frames, dtype=float) for frames in (start, end))
@@ -129,48 +155,62 @@ class Drive:
             raise RodError("end frames must be finite numbers, at least one instant")
         direction = np.asarray(gravity, dtype=float)
         norm = float(np.linalg.norm(direction))
-        self.weight = direction * (rod.weight * rod.length**3 / rod.soft / norm) if norm > 0 else np.zeros(3)
+        self.weight = (
+            direction * (rod.weight * rod.length**3 / rod.soft_bending / norm) if norm > 0 else np.zeros(3)
+        )
         self.length = rod.length
-        self.q = [quaternion(np.moveaxis(frames[:, :3, :3], 0, -1)) for frames in (self.start, self.end)]
-        self.p = [frames[:, :3, 3].T for frames in (self.start, self.end)]
-        self.ends = self._relative(*self.p, *self.q)
+        self.attitudes = [
+            quaternion_from_matrix(np.moveaxis(frames[:, :3, :3], 0, -1)) for frames in (self.start, self.end)
+        ]
+        self.positions = [frames[:, :3, 3].T for frames in (self.start, self.end)]
+        self.ends = self._relative(*self.positions, *self.attitudes)
 
-    def _relative(self, pa: FloatArray, pb: FloatArray, qa: FloatArray, qb: FloatArray) -> Ends:
-        turn = matrix(qa)
-        place = np.einsum("jit,jt->it", turn, pb - pa) / self.length
-        weight = np.einsum("jit,j->it", turn, self.weight)
-        return Ends(place, multiply(conjugate(qa), qb), weight)
+    def _relative(self, pa: FloatArray, pb: FloatArray, qa: FloatArray, qb: FloatArray) -> RodEnds:
+        rotation = rotation_matrix(qa)
+        position = np.einsum("jit,jt->it", rotation, pb - pa) / self.length
+        weight = np.einsum("jit,j->it", rotation, self.weight)
+        return RodEnds(position, quaternion_product(quaternion_conjugate(qa), qb), weight)
 
-    def at(self, time: float) -> Ends:
-        """The ends at a time between instants: positions linear, attitudes by the shortest turn."""
+    def at(self, time: float) -> RodEnds:
+        """Return the ends at a time between instants.
+
+        Positions are linear, attitudes follow the shortest rotation.
+        """
         k = min(int(time), self.start.shape[0] - 1)
-        rest = time - k
-        if rest <= 0.0:
+        fraction = time - k
+        if fraction <= 0.0:
             return self.ends.at(slice(k, k + 1))
-        place = [p[:, k : k + 1] * (1.0 - rest) + p[:, k + 1 : k + 2] * rest for p in self.p]
-        turns = []
-        for q in self.q:
+        positions = [
+            p[:, k : k + 1] * (1.0 - fraction) + p[:, k + 1 : k + 2] * fraction for p in self.positions
+        ]
+        attitudes = []
+        for q in self.attitudes:
             a, b = q[:, k : k + 1], q[:, k + 1 : k + 2]
-            turns.append(multiply(a, exponential(rest * logarithm(multiply(conjugate(a), b)))))
-        return self._relative(*place, *turns)
+            attitudes.append(
+                quaternion_product(
+                    a,
+                    quaternion_exp(fraction * quaternion_log(quaternion_product(quaternion_conjugate(a), b))),
+                )
+            )
+        return self._relative(*positions, *attitudes)
 
 
-def apart(a: State, b: State) -> float:
-    """Largest angle between the segments of two states of one instant [rad]."""
-    return float(apart_many(a.q, b.q)[0])
+def max_angle(a: RodState, b: RodState) -> float:
+    """Return the largest angle [rad] between the segments of two states of one instant."""
+    return float(max_angles(a.attitudes, b.attitudes)[0])
 
 
-def apart_many(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Largest angles (T,) [rad] between the segments of rods of quaternions (4, N, T)."""
+def max_angles(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the largest angles (T,) [rad] between the segments of rods of quaternions (4, N, T)."""
     dot = np.clip(np.abs((a * b).sum(axis=0)), 0.0, 1.0)
-    found: FloatArray = 2.0 * np.arccos(dot.min(axis=0))
-    return found
+    angles: FloatArray = 2.0 * np.arccos(dot.min(axis=0))
+    return angles
 
 
-_STEP_TURN = 0.4  # most a segment may turn in one accepted step [rad]
+_MAX_STEP_ROTATION_RAD = 0.4  # maximum rotation of a segment in one accepted step [rad]
 
 
-def mount(
+def mount_rod(
     rod: Rod,
     start: FloatArray,
     end: FloatArray,
@@ -178,96 +218,116 @@ def mount(
     turning: float | None = None,
     bow: float | None = None,
 ) -> RodShape:
-    """The stable shape of a rod mounted between two frames (4, 4).
+    """Return the stable shape of a rod mounted between two frames.
 
-    The rod starts as a planar curve that turns by `turning` [rad] about the plane's normal (default: the
-    least turn between the frames) and bows to the side `bow` (+1 or -1: towards y or away; default: the one
-    of less bending), and its end and weight are then brought to where they are. Raises `RodError` when no
-    stable shape is found.
+    The rod starts as a planar curve that rotates by ``turning`` about the plane's normal and bows to the side
+    ``bow``. Its end and weight are then moved to their actual values.
+
+    Args:
+        rod: The rod.
+        start: Frame of the start clamp (4, 4).
+        end: Frame of the end clamp (4, 4).
+        gravity: Direction of gravity (3,).
+        turning: Rotation about the plane's normal [rad]. Default: the smallest rotation between the frames.
+        bow: Side of the bow, +1 towards y or -1 away. Default: the side with less bending.
+
+    Raises:
+        RodError: If no stable shape is found.
     """
-    drive = Drive(rod, np.asarray(start)[None], np.asarray(end)[None], gravity)
+    drive = EndMotion(rod, np.asarray(start)[None], np.asarray(end)[None], gravity)
     goal = drive.ends
-    distance = float(np.linalg.norm(goal.place))
+    distance = float(np.linalg.norm(goal.position))
     if distance >= 1.0:
         got = f"{distance * rod.length * 1e3:.4f} mm apart"
         raise RodError(f"the ends are {got}; a rod of {rod.length * 1e3:.4f} mm must be longer than that")
-    rotation = _rotation(logarithm(goal.turn)[:, 0], turning)
+    # A planar curve to either side is moved to the clamps; the stable shape of least energy counts.
+    rotation = _closest_rotation(quaternion_log(goal.attitude)[:, 0], turning)
     sides = (1.0, -1.0) if bow is None else (math.copysign(1.0, bow),)
-    found: list[tuple[float, RodShape]] = []
+    candidates: list[tuple[float, RodShape]] = []
     for side in sides:
-        outcome = _brought(rod, _first(rod, rotation, distance, side), goal)
-        if outcome.good[0]:
+        outcome = _move_to_goal(rod, _initial_state(rod, rotation, distance, side), goal)
+        if outcome.is_stable[0]:
             state = outcome.state
-            value = float(energy(rod.stiffness, state.q, goal)[0])
-            found.append((value, RodShape(state.q[..., 0], state.force[:, 0])))
-    if not found:
+            value = float(rod_energy(rod.stiffness, state.attitudes, goal)[0])
+            candidates.append((value, RodShape(state.attitudes[..., 0], state.force[:, 0])))
+    if not candidates:
         raise RodError(
             "no stable shape found for the mounted rod; give another turning or bow, or other end frames"
         )
-    least = min(value for value, _ in found)
-    return next(shape for value, shape in found if value <= least + 1e-9 * (1.0 + abs(least)))
+    min_energy = min(value for value, _ in candidates)
+    return next(shape for value, shape in candidates if value <= min_energy + 1e-9 * (1.0 + abs(min_energy)))
 
 
-def _first(rod: Rod, rotation: FloatArray, distance: float, side: float) -> State:
+def _initial_state(rod: Rod, rotation: FloatArray, distance: float, side: float) -> RodState:
     middle = (np.arange(rod.segments) + 0.5) / rod.segments
-    size = _bow(rotation[2], distance, middle, side)
+    size = _bow_amplitude(rotation[2], distance, middle, side)
     wave = np.outer([0.0, 0.0, 1.0], size * np.sin(2.0 * np.pi * middle))
-    q = multiply(exponential(np.outer(rotation, middle)), exponential(wave))[..., None]
-    return State(q, np.zeros((3, 1)))
+    q = quaternion_product(quaternion_exp(np.outer(rotation, middle)), quaternion_exp(wave))[..., None]
+    return RodState(q, np.zeros((3, 1)))
 
 
-def _brought(rod: Rod, state: State, goal: Ends) -> Outcome:
-    """The shape after the end went from its place in `state` to the wanted one, and the weight from 0."""
-    first = matrix(state.q)[:, 0].mean(axis=1)
-    outcome = settle(rod.stiffness, state, Ends(first, goal.turn, 0.0 * goal.weight))
-    done, step = 0.0, 0.1
-    while outcome.good[0] and done < 1.0:
-        part = min(1.0, done + step)
-        ends = Ends(first + part * (goal.place - first), goal.turn, part * goal.weight)
-        trial = newton(rod.stiffness, outcome.state, ends)
-        if trial.good[0] and apart(outcome.state, trial.state) < _STEP_TURN:
-            outcome, done, step = trial, part, min(2.0 * step, 0.25)
+def _move_to_goal(rod: Rod, state: RodState, goal: RodEnds) -> NewtonResult:
+    """Return the shape after the end moved to the required position.
+
+    The weight grows from 0 meanwhile.
+    """
+    first = rotation_matrix(state.attitudes)[:, 0].mean(axis=1)
+    outcome = descend(rod.stiffness, state, RodEnds(first, goal.attitude, 0.0 * goal.weight))
+    reached, step = 0.0, 0.1
+    while outcome.is_stable[0] and reached < 1.0:
+        fraction = min(1.0, reached + step)
+        ends = RodEnds(first + fraction * (goal.position - first), goal.attitude, fraction * goal.weight)
+        trial = solve_newton(rod.stiffness, outcome.state, ends)
+        if trial.is_stable[0] and max_angle(outcome.state, trial.state) < _MAX_STEP_ROTATION_RAD:
+            outcome, reached, step = trial, fraction, min(2.0 * step, 0.25)
         elif step > 0.02:
             step *= 0.5
         else:
-            outcome, done = settle(rod.stiffness, outcome.state, ends), part
+            outcome, reached = descend(rod.stiffness, outcome.state, ends), fraction
     return outcome
 
 
-def _rotation(vector: FloatArray, turning: float | None) -> FloatArray:
-    """The rotation vector that means the same attitude as `vector` and turns about z most nearly by
-    `turning`.
-    """
+def _closest_rotation(vector: FloatArray, turning: float | None) -> FloatArray:
+    """Return the rotation vector of the same attitude whose rotation about z is closest to ``turning``."""
     if turning is None:
         return vector
     angle = float(np.linalg.norm(vector))
     axis = vector / angle if angle > 1e-6 else np.array([0.0, 0.0, 1.0])
     rounds = [vector + axis * 2.0 * math.pi * k for k in range(-3, 4)]
-    return min(rounds, key=lambda found: abs(float(found[2]) - turning))
+    return min(rounds, key=lambda candidate: abs(float(candidate[2]) - turning))
 
 
-def _bow(turning: float, distance: float, middle: FloatArray, side: float) -> float:
-    """Size a [rad] of theta = turning s + a sin(2 pi s) with its ends `distance` apart, to one side."""
+def _bow_amplitude(turning: float, distance: float, middle: FloatArray, side: float) -> float:
+    """Return the amplitude a [rad] of theta = turning s + a sin(2 pi s) for a distance of the ends.
 
-    def excess(size: float) -> float:
+    The curve bows to one side.
+    """
+
+    def distance_excess(size: float) -> float:
         theta = turning * middle + size * np.sin(2.0 * np.pi * middle)
         return math.hypot(float(np.cos(theta).mean()), float(np.sin(theta).mean())) - distance
 
     sizes = [math.copysign(0.05, side) * k for k in range(71)]
-    misses = [excess(size) for size in sizes]
+    misses = [distance_excess(size) for size in sizes]
     for k in range(70):
         if misses[k] * misses[k + 1] <= 0.0:
-            return float(brentq(excess, sizes[k], sizes[k + 1], xtol=1e-14))
+            return float(brentq(distance_excess, sizes[k], sizes[k + 1], xtol=1e-14))
     return sizes[int(np.argmin(np.abs(misses)))]
 
 
-_INSTANTS_AT_ONCE = 512  # instants at once, for bounded memory
-_COARSE_DIFFERENCE = 0.2  # most by which the coarser rod's shape may differ from the finer one's [rad]
+_INSTANT_BATCH_SIZE = 512  # instants in one batch, for bounded memory
+_MAX_COARSE_DIFFERENCE_RAD = (
+    0.2  # maximum difference between the shapes of the coarser and the finer rod [rad]
+)
 
 
-class _Measures(NamedTuple):
-    """In the start frame and in units of the rod: `nodes` (3, N+1, T), `rate` (3, N+1, T), `tension` (N+1,
-    T).
+class _RodMeasures(NamedTuple):
+    """Results in the start frame and in units of the rod.
+
+    Attributes:
+        nodes: Points (3, N+1, T).
+        rate: Twist and curvatures (3, N+1, T).
+        tension: Tension (N+1, T).
     """
 
     nodes: FloatArray
@@ -275,233 +335,299 @@ class _Measures(NamedTuple):
     tension: FloatArray
 
 
-def measured(
-    rod: Rod, drive: Drive, state: State, good: BoolArray, jump: BoolArray, moved: FloatArray
+def make_path(
+    rod: Rod,
+    end_motion: EndMotion,
+    state: RodState,
+    is_stable: BoolArray,
+    has_jumped: BoolArray,
+    jump_distance: FloatArray,
 ) -> RodPath:
-    """The path of the shapes `state` at all instants of `drive`."""
-    ends, length, count = drive.ends, rod.length, state.q.shape[2]
-    parts, least, errors = [], [], []
-    for at in range(0, count, _INSTANTS_AT_ONCE):
-        some = slice(at, at + _INSTANTS_AT_ONCE)
-        here, place = State(state.q[..., some], state.force[:, some]), ends.at(some)
-        least.append(weakest_many(rod.stiffness, here, place))
-        part, error = _refined(rod.stiffness, here, place)
-        parts.append(part)
+    """Return the path of the shapes at all instants.
+
+    Args:
+        rod: The rod.
+        end_motion: Motion of the ends.
+        state: Shapes at T instants.
+        is_stable: Whether each shape is stable (T,).
+        has_jumped: Whether the rod jumped (T,).
+        jump_distance: Displacement by the jump (T,) [m].
+    """
+    ends, length, count = end_motion.ends, rod.length, state.attitudes.shape[2]
+    parts, eigenvalues, errors = [], [], []
+    for at in range(0, count, _INSTANT_BATCH_SIZE):
+        batch = slice(at, at + _INSTANT_BATCH_SIZE)
+        batch_state, batch_ends = RodState(state.attitudes[..., batch], state.force[:, batch]), ends.at(batch)
+        eigenvalues.append(weakest_eigenvalues(rod.stiffness, batch_state, batch_ends))
+        measures, error = _extrapolate(rod.stiffness, batch_state, batch_ends)
+        parts.append(measures)
         errors.append(error)
     nodes, rate, tension = (np.concatenate(items, axis=-1) for items in zip(*parts, strict=True))
-    eigenvalue = np.concatenate(least)
-    for k in np.flatnonzero(~good):
-        one = slice(k, k + 1)
-        eigenvalue[k] = weakest(rod.stiffness, State(state.q[..., one], state.force[:, one]), ends.at(one))[0]
-    frame = matrix(drive.q[0])
-    last = matrix(state.q)[:, 0].mean(axis=1) - ends.place
+    eigenvalue = np.concatenate(eigenvalues)
+    for k in np.flatnonzero(~is_stable):
+        instant = slice(k, k + 1)
+        eigenvalue[k] = weakest_mode(
+            rod.stiffness, RodState(state.attitudes[..., instant], state.force[:, instant]), ends.at(instant)
+        )[0]
+    frame = rotation_matrix(end_motion.attitudes[0])
+    end_gap = rotation_matrix(state.attitudes)[:, 0].mean(axis=1) - ends.position
     return RodPath(
-        points=length * np.einsum("ijt,jkt->tki", frame, nodes) + drive.start[:, None, :3, 3],
-        frames=np.einsum("ijt,jlkt->tkil", frame, matrix(_at_nodes(state.q, ends))),
+        points=length * np.einsum("ijt,jkt->tki", frame, nodes) + end_motion.start[:, None, :3, 3],
+        frames=np.einsum("ijt,jlkt->tkil", frame, rotation_matrix(_node_attitudes(state.attitudes, ends))),
         curvature=np.moveaxis(rate[1:], (0, 1, 2), (2, 1, 0)) / length,
         twist=rate[0].T / length,
-        tension=tension.T * rod.soft / length**2,
-        residual=length * np.sqrt((last * last).sum(axis=0)),
+        tension=tension.T * rod.soft_bending / length**2,
+        residual=length * np.sqrt((end_gap * end_gap).sum(axis=0)),
         error=length * np.concatenate(errors),
-        stable=good,
-        min_eig=eigenvalue / (4.0 * math.pi**2),
-        jump=jump,
-        moved=moved,
-        shapes=tuple(RodShape(state.q[..., k], state.force[:, k]) for k in range(count)),
+        is_stable=is_stable,
+        min_eigenvalue=eigenvalue / (4.0 * math.pi**2),
+        has_jumped=has_jumped,
+        jump_distance=jump_distance,
+        shapes=tuple(RodShape(state.attitudes[..., k], state.force[:, k]) for k in range(count)),
     )
 
 
-def _refined(stiffness: FloatArray, state: State, ends: Ends) -> tuple[_Measures, FloatArray]:
-    fine = _measures(state, ends)
-    left, right = state.q[:, ::2], state.q[:, 1::2]
+def _extrapolate(stiffness: FloatArray, state: RodState, ends: RodEnds) -> tuple[_RodMeasures, FloatArray]:
+    fine = _measure_state(state, ends)
+    # coarse rod: each attitude is the mean of two; only the same shape may be combined
+    left, right = state.attitudes[:, ::2], state.attitudes[:, 1::2]
     half = left + np.where((left * right).sum(axis=0) < 0.0, -right, right)
     half /= np.sqrt((half * half).sum(axis=0))
-    outcome = newton_many(stiffness, State(half, state.force), ends)
-    same = outcome.good & outcome.steady & (apart_many(half, outcome.state.q) < _COARSE_DIFFERENCE)
-    coarse = _measures(outcome.state, ends)
-    n = state.q.shape[1]
+    outcome = solve_newton_many(stiffness, RodState(half, state.force), ends)
+    is_same_shape = (
+        outcome.is_stable
+        & outcome.is_continuation
+        & (max_angles(half, outcome.state.attitudes) < _MAX_COARSE_DIFFERENCE_RAD)
+    )
+    coarse = _measure_state(outcome.state, ends)
+    n = state.attitudes.shape[1]
+    # Richardson: fine + (fine - coarse) / 3 at common points, the difference interpolated between them
     even, every = np.linspace(0.0, 1.0, n // 2 + 1), np.linspace(0.0, 1.0, n + 1)
-    better = []
+    improved = []
     for a, b in zip(fine, coarse, strict=True):
-        change = np.where(same, (a[..., ::2, :] - b) / 3.0, 0.0)
-        better.append(a + CubicSpline(even, change, axis=-2)(every))
-    shift = better[0] - fine.nodes
-    return _Measures(*better), np.where(same, np.sqrt((shift * shift).sum(axis=0)).max(axis=0), np.inf)
+        change = np.where(is_same_shape, (a[..., ::2, :] - b) / 3.0, 0.0)
+        improved.append(a + CubicSpline(even, change, axis=-2)(every))
+    shift = improved[0] - fine.nodes
+    return _RodMeasures(*improved), np.where(
+        is_same_shape, np.sqrt((shift * shift).sum(axis=0)).max(axis=0), np.inf
+    )
 
 
-def _at_nodes(q: FloatArray, ends: Ends) -> FloatArray:
-    """Attitudes (4, N + 1, T) at the points: the clamps' own, and half-way between neighbouring segments."""
+def _node_attitudes(q: FloatArray, ends: RodEnds) -> FloatArray:
+    """Return attitudes (4, N + 1, T) at the points.
+
+    The outer ones are those of the clamps, the inner ones are halfway between neighbouring segments.
+    """
     left, right = q[:, :-1], q[:, 1:]
     inner = left + np.where((left * right).sum(axis=0) < 0.0, -right, right)
     inner = inner / np.sqrt((inner * inner).sum(axis=0))
     start = np.zeros_like(q[:, :1])
     start[0] = 1.0
-    return np.concatenate([start, inner, ends.turn[:, None]], axis=1)
+    return np.concatenate([start, inner, ends.attitude[:, None]], axis=1)
 
 
-def _measures(state: State, ends: Ends) -> _Measures:
-    n = state.q.shape[1]
-    steps = matrix(state.q)[:, 0] / n
+def _measure_state(state: RodState, ends: RodEnds) -> _RodMeasures:
+    n = state.attitudes.shape[1]
+    steps = rotation_matrix(state.attitudes)[:, 0] / n
     nodes = np.concatenate([np.zeros_like(steps[:, :1]), np.cumsum(steps, axis=1)], axis=1)
-    p = joints(state.q, ends.turn)
-    rate = p[1:] * ((8.0 - 2.0 * p[0]) / 3.0) / spacing(n)[:, None]
-    # the outer joints belong to the clamps' half segments; a cubic through the inner ones is as smooth as
-    # they are
+    p = joint_quaternions(state.attitudes, ends.attitude)
+    # twist and curvatures phi / D at the joints; tension t.(F + w (1 - s)) at the points
+    rate = p[1:] * ((8.0 - 2.0 * p[0]) / 3.0) / joint_spacing(n)[:, None]
+    # the outer joints belong to the clamps' half segments; extrapolate them by a cubic through the inner ones
     rate[:, 0] = 4.0 * rate[:, 1] - 6.0 * rate[:, 2] + 4.0 * rate[:, 3] - rate[:, 4]
     rate[:, -1] = 4.0 * rate[:, -2] - 6.0 * rate[:, -3] + 4.0 * rate[:, -4] - rate[:, -5]
-    tangent = matrix(_at_nodes(state.q, ends))[:, 0]
+    tangent = rotation_matrix(_node_attitudes(state.attitudes, ends))[:, 0]
     force = state.force[:, None] + ends.weight[:, None] * np.linspace(1.0, 0.0, n + 1)[:, None]
-    return _Measures(nodes, rate, (tangent * force).sum(axis=0))
+    return _RodMeasures(nodes, rate, (tangent * force).sum(axis=0))
 
 
-_STRIDE = 8  # instants between those that are followed one after the other
-_GUESS_DIFFERENCE = 0.15  # most a shape may differ from the one between its neighbours [rad]
-_LEAST_STEP = 1.0 / 64.0  # of the way from one instant to the next
+_FOLLOW_STRIDE = 8  # instants between those that are followed one after another
+_MAX_GUESS_DIFFERENCE_RAD = 0.15  # maximum difference of a shape from the one between its neighbours [rad]
+_MIN_STEP_FRACTION = 1.0 / 64.0  # minimum step, as a fraction of the move from one instant to the next
 
 
 @dataclass
-class _Found:
-    """States by instant, as they are found."""
+class _FollowedStates:
+    """States by instant, filled while the rod is followed."""
 
     q: FloatArray
     force: FloatArray
-    jump: BoolArray
-    moved: FloatArray
-    good: BoolArray
+    has_jumped: BoolArray
+    jump_distance: FloatArray
+    is_stable: BoolArray
 
-    def put(self, k: int, state: State, good: bool) -> None:
-        self.q[..., k], self.force[:, k], self.good[k] = state.q[..., 0], state.force[:, 0], good
+    def put(self, k: int, state: RodState, good: bool) -> None:
+        self.q[..., k], self.force[:, k], self.is_stable[k] = state.attitudes[..., 0], state.force[:, 0], good
 
-    def get(self, k: int) -> State:
-        return State(self.q[..., k : k + 1], self.force[:, k : k + 1])
+    def get(self, k: int) -> RodState:
+        return RodState(self.q[..., k : k + 1], self.force[:, k : k + 1])
 
 
-def follow(
+def follow_rod(
     rod: Rod,
     start_frames: FloatArray,
     end_frames: FloatArray,
     gravity: FloatArray,
     initial: RodShape,
-    stride: int = _STRIDE,
+    stride: int = _FOLLOW_STRIDE,
 ) -> RodPath:
-    """Carry the rod from `initial` through the frames (T, 4, 4) of its ends; `gravity` (3,) gives the
-    direction only.
+    """Carry the rod from a shape through the frames of its ends.
 
-    Every `stride`-th instant is found from the one before it, in smaller steps where the shape changes
-    fast; those between are found all at once and belong to the same branch (near the shape between their
-    neighbours, and stable).
+    Every ``stride``-th instant is found from the previous one, in smaller steps where the shape changes fast.
+    The instants between are found all at once. They belong to the same branch: they are near the shape
+    between their neighbours, and stable.
+
+    Args:
+        rod: The rod.
+        start_frames: Frames of the start clamp (T, 4, 4).
+        end_frames: Frames of the end clamp (T, 4, 4).
+        gravity: Direction of gravity (3,). Its length does not count.
+        initial: Shape at the first instant.
+        stride: Number of instants between those found one after another.
+
+    Raises:
+        RodError: If the inputs are invalid.
     """
-    drive = Drive(rod, start_frames, end_frames, gravity)
-    count, n = len(drive.start), initial.attitudes.shape[1]
+    end_motion = EndMotion(rod, start_frames, end_frames, gravity)
+    count, n = len(end_motion.start), initial.attitudes.shape[1]
     if n != rod.segments:
         raise RodError(f"the initial shape has {n} segments, the rod {rod.segments}")
     flags = np.zeros(count, dtype=bool)
-    found = _Found(np.zeros((4, n, count)), np.zeros((3, count)), flags, np.zeros(count), flags.copy())
-    state = State(initial.attitudes[..., None], initial.force[:, None])
-    _stand(rod, drive, found, 0, state)
+    states = _FollowedStates(
+        np.zeros((4, n, count)), np.zeros((3, count)), flags, np.zeros(count), flags.copy()
+    )
+    state = RodState(initial.attitudes[..., None], initial.force[:, None])
+    _settle_instant(rod, end_motion, states, 0, state)
+    # Every stride-th instant follows from the previous one, stepwise if the shape changes too much.
     marks = [*range(0, count, max(1, stride))]
     marks += [count - 1] if marks[-1] != count - 1 else []
-    todo: list[tuple[int, int]] = []
+    pending: list[tuple[int, int]] = []
     for a, b in pairwise(marks):
-        direct = newton(rod.stiffness, found.get(a), drive.at(float(b)))
-        if b - a > 1 and _continues(found.get(a), direct):
-            found.put(b, direct.state, True)
-            todo.append((a, b))
+        direct = solve_newton(rod.stiffness, states.get(a), end_motion.at(float(b)))
+        if b - a > 1 and _is_continuation(states.get(a), direct):
+            states.put(b, direct.state, True)
+            pending.append((a, b))
         else:
-            _walk(rod, drive, found, a, b)
-    for a, b in _between(rod, drive, found, todo):
-        _walk(rod, drive, found, a, b)
-    return measured(rod, drive, State(found.q, found.force), found.good, found.jump, found.moved)
+            _follow_stepwise(rod, end_motion, states, a, b)
+    # The instants between all at once; spans where that fails are followed stepwise.
+    for a, b in _fill_spans(rod, end_motion, states, pending):
+        _follow_stepwise(rod, end_motion, states, a, b)
+    return make_path(
+        rod,
+        end_motion,
+        RodState(states.q, states.force),
+        states.is_stable,
+        states.has_jumped,
+        states.jump_distance,
+    )
 
 
-def _stand(rod: Rod, drive: Drive, found: _Found, k: int, state: State) -> None:
-    """Take `state` to the ends of instant k on the spot; a jump where that takes another shape."""
-    ends = drive.at(float(k))
-    outcome = newton(rod.stiffness, state, ends)
-    if _too_far(ends):
-        found.put(k, state, False)
+def _settle_instant(
+    rod: Rod, end_motion: EndMotion, states: _FollowedStates, k: int, state: RodState
+) -> None:
+    """Move a state to the ends of instant k. It is a jump if this gives another shape."""
+    ends = end_motion.at(float(k))
+    outcome = solve_newton(rod.stiffness, state, ends)
+    if _ends_too_far(ends):
+        states.put(k, state, False)
         return
-    if not _continues(state, outcome):
-        outcome = settle(rod.stiffness, state, ends)
-        found.jump[k] = True
-        found.moved[k] = rod.length * _distance(state, outcome.state)
-    found.put(k, outcome.state, bool(outcome.good[0]))
+    if not _is_continuation(state, outcome):
+        outcome = descend(rod.stiffness, state, ends)
+        states.has_jumped[k] = True
+        states.jump_distance[k] = rod.length * _max_point_distance(state, outcome.state)
+    states.put(k, outcome.state, bool(outcome.is_stable[0]))
 
 
-def _walk(rod: Rod, drive: Drive, found: _Found, a: int, b: int) -> None:
-    """From instant a to b, one after the other, with smaller steps where needed; jumps are marked."""
-    state, good = found.get(a), bool(found.good[a])
+def _follow_stepwise(rod: Rod, end_motion: EndMotion, states: _FollowedStates, a: int, b: int) -> None:
+    """Follow the rod from instant a to b, with smaller steps where needed. Jumps are marked."""
+    state, is_stable = states.get(a), bool(states.is_stable[a])
     for k in range(a, b):
         time, step = float(k), 1.0
         while time < k + 1:
             goal = min(time + step, k + 1.0)
-            outcome = newton(rod.stiffness, state, drive.at(goal))
-            if _continues(state, outcome):
-                state, time, step, good = outcome.state, goal, 2.0 * step, True
-            elif step > _LEAST_STEP:
+            outcome = solve_newton(rod.stiffness, state, end_motion.at(goal))
+            # go on with twice the step, halve it, or at the smallest step let the rod fall into another shape
+            if _is_continuation(state, outcome):
+                state, time, step, is_stable = outcome.state, goal, 2.0 * step, True
+            elif step > _MIN_STEP_FRACTION:
                 step *= 0.5
-            elif _too_far(drive.at(goal)):  # the ends pull the wire out of its clamps: no shape exists
-                time, good = goal, False
+            elif _ends_too_far(
+                end_motion.at(goal)
+            ):  # the ends are farther apart than the length: no shape exists
+                time, is_stable = goal, False
             else:
-                fallen = settle(rod.stiffness, _last(state, outcome), drive.at(goal))
-                found.jump[k + 1] = True
-                found.moved[k + 1] += rod.length * _distance(state, fallen.state)
-                state, time, good = fallen.state, goal, bool(fallen.good[0])
-        found.put(k + 1, state, good)
+                settled = descend(rod.stiffness, _falling_state(state, outcome), end_motion.at(goal))
+                states.has_jumped[k + 1] = True
+                states.jump_distance[k + 1] += rod.length * _max_point_distance(state, settled.state)
+                state, time, is_stable = settled.state, goal, bool(settled.is_stable[0])
+        states.put(k + 1, state, is_stable)
 
 
-def _continues(state: State, outcome: Outcome) -> bool:
-    """Whether the outcome is stable and the same shape carried on."""
-    return bool(outcome.good[0] and outcome.steady[0]) and apart(state, outcome.state) < _STEP_TURN
+def _is_continuation(state: RodState, outcome: NewtonResult) -> bool:
+    """Return whether the outcome is stable and the continuation of the same shape."""
+    return (
+        bool(outcome.is_stable[0] and outcome.is_continuation[0])
+        and max_angle(state, outcome.state) < _MAX_STEP_ROTATION_RAD
+    )
 
 
-def _too_far(ends: Ends) -> bool:
-    return float(np.linalg.norm(ends.place)) >= 1.0 - 1e-12
+def _ends_too_far(ends: RodEnds) -> bool:
+    return float(np.linalg.norm(ends.position)) >= 1.0 - 1e-12
 
 
-def _last(state: State, outcome: Outcome) -> State:
-    """Where to fall from: an equilibrium near by that has become unstable, else the last stable shape."""
-    near = outcome.converged[0] and apart(state, outcome.state) < _STEP_TURN
-    return outcome.state if near else state
+def _falling_state(state: RodState, outcome: NewtonResult) -> RodState:
+    """Return the state from which the rod falls.
+
+    This is a nearby unstable equilibrium, else the last stable shape.
+    """
+    is_near = outcome.converged[0] and max_angle(state, outcome.state) < _MAX_STEP_ROTATION_RAD
+    return outcome.state if is_near else state
 
 
-def _distance(a: State, b: State) -> float:
-    """Largest distance between the points of two states of one instant, in units of the length."""
-    n = a.q.shape[1]
-    gap = np.cumsum(matrix(a.q)[:, 0] - matrix(b.q)[:, 0], axis=1) / n
+def _max_point_distance(a: RodState, b: RodState) -> float:
+    """Return the largest distance between the points of two states of one instant, in units of the length."""
+    n = a.attitudes.shape[1]
+    gap = np.cumsum(rotation_matrix(a.attitudes)[:, 0] - rotation_matrix(b.attitudes)[:, 0], axis=1) / n
     return float(np.sqrt((gap * gap).sum(axis=0)).max())
 
 
-def _between(rod: Rod, drive: Drive, found: _Found, spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """All instants inside the spans at once; gives the spans where that failed."""
+def _fill_spans(
+    rod: Rod, end_motion: EndMotion, states: _FollowedStates, spans: list[tuple[int, int]]
+) -> list[tuple[int, int]]:
+    """Find all instants inside the spans at once. Returns the spans where this failed."""
     inside = [np.arange(a + 1, b) for a, b in spans]
     if not inside:
         return []
-    which = np.concatenate(inside)
+    instants = np.concatenate(inside)
     left = np.concatenate([np.full(b - a - 1, a) for a, b in spans])
     right = np.concatenate([np.full(b - a - 1, b) for a, b in spans])
-    part = (which - left) / (right - left)
-    qa, qb = found.q[..., left], found.q[..., right]
-    guess = moved(
-        State(qa, found.force[:, left]),
-        part * logarithm(multiply(conjugate(qa), qb)),
-        part * (found.force[:, right] - found.force[:, left]),
+    fraction = (instants - left) / (right - left)
+    qa, qb = states.q[..., left], states.q[..., right]
+    guess = apply_step(
+        RodState(qa, states.force[:, left]),
+        fraction * quaternion_log(quaternion_product(quaternion_conjugate(qa), qb)),
+        fraction * (states.force[:, right] - states.force[:, left]),
     )
     failed: list[tuple[int, int]] = []
-    good = np.zeros(len(which), dtype=bool)
-    for at in range(0, len(which), 512):  # bounded memory
-        some = slice(at, at + 512)
-        outcome = newton_many(
-            rod.stiffness, State(guess.q[..., some], guess.force[:, some]), drive.ends.at(which[some])
+    good = np.zeros(len(instants), dtype=bool)
+    for at in range(0, len(instants), 512):  # bounded memory
+        batch = slice(at, at + 512)
+        outcome = solve_newton_many(
+            rod.stiffness,
+            RodState(guess.attitudes[..., batch], guess.force[:, batch]),
+            end_motion.ends.at(instants[batch]),
         )
-        good[some] = (
-            outcome.good
-            & outcome.steady
-            & (apart_many(guess.q[..., some], outcome.state.q) < _GUESS_DIFFERENCE)
+        good[batch] = (
+            outcome.is_stable
+            & outcome.is_continuation
+            & (max_angles(guess.attitudes[..., batch], outcome.state.attitudes) < _MAX_GUESS_DIFFERENCE_RAD)
         )
-        found.q[..., which[some]], found.force[:, which[some]] = outcome.state.q, outcome.state.force
-    found.good[which] = good
+        states.q[..., instants[batch]], states.force[:, instants[batch]] = (
+            outcome.state.attitudes,
+            outcome.state.force,
+        )
+    states.is_stable[instants] = good
     for a, b in spans:
-        if not found.good[a + 1 : b].all():
+        if not states.is_stable[a + 1 : b].all():
             failed.append((a, b))
     return failed

@@ -1,8 +1,10 @@
-"""Equilibria of the discrete rod: Newton for one instant (dense, pivoted) and for many at once (block
-elimination).
+"""Equilibria of the discrete rod by Newton's method.
 
-Stability is read from the inertia of the saddle-point matrix: the energy has a strict minimum under the
-three conditions on the end's place if and only if the matrix has exactly three negative eigenvalues (Gould,
+For one instant the matrix is dense and factored with pivots, for many instants it is factored by block
+elimination.
+
+Stability follows from the inertia of the saddle-point matrix: the energy has a strict minimum under the three
+conditions on the end's position if and only if the matrix has exactly three negative eigenvalues (Gould,
 Mathematical Programming 32, 1985).
 """
 
@@ -14,73 +16,87 @@ from scipy.linalg import eigh, lapack
 
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 from planner.processes.hotwire.proof.rod_energy import (
-    Derivatives,
-    Ends,
-    derivatives,
-    energy,
-    exponential,
-    matrix,
-    multiply,
+    RodDerivatives,
+    RodEnds,
+    quaternion_exp,
+    quaternion_product,
+    rod_derivatives,
+    rod_energy,
+    rotation_matrix,
 )
 
-CONVERGED = 1e-9  # rotation [rad] of the last Newton step; the error left is of its square
-# raises all eigenvalues a little: neutral shapes count as stable, and Newton does not drift along them
+ROTATION_TOLERANCE_RAD = (
+    1e-9  # rotation [rad] of the last Newton step; the remaining error is of the order of its square
+)
+# raises all eigenvalues slightly: neutral shapes count as stable, and Newton does not drift along them
 EIGENVALUE_LIFT = 1e-6 * 4.0 * np.pi**2
-_LONGEST_ROTATION = 0.5  # longest rotation [rad] of a segment in one Newton step
-_SECOND_STEP_SHARE = 0.3  # most that the second Newton step may be of the first, ...
-_SMALL_ROTATION = 2e-3  # ... or this rotation [rad]
+_MAX_ROTATION_RAD = 0.5  # maximum rotation [rad] of a segment in one Newton step
+_MAX_SECOND_STEP_RATIO = 0.3  # maximum ratio of the second to the first Newton step of a steady solution
+_MAX_STEADY_ROTATION_RAD = 2e-3  # rotation [rad] of the second Newton step that is always accepted as steady
 
 
 @dataclass(frozen=True)
-class State:
-    """Attitudes `q` (4, N, T) and end forces `force` (3, T), in the start clamp's frame, in units of L and
-    EI.
+class RodState:
+    """State of a rod at T instants, in the start clamp's frame, in units of L and EI.
+
+    Attributes:
+        attitudes: Attitudes (4, N, T).
+        force: Forces at the end (3, T).
     """
 
-    q: FloatArray
+    attitudes: FloatArray
     force: FloatArray
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """`state`; by instant: `converged`, `negatives` (eigenvalues below 0 beyond the three of the
-    conditions), `steady` (the second Newton step was much shorter than the first, so the shape found is the
-    continuation of the guess).
+class NewtonResult:
+    """Result of a solver at T instants.
+
+    Attributes:
+        state: The states.
+        converged: Whether Newton converged (T,).
+        excess_negatives: Number of negative eigenvalues beyond the three of the conditions (T,).
+        is_continuation: Whether the second Newton step was much shorter than the first, so that the shape is
+            the continuation of the guess (T,).
     """
 
-    state: State
+    state: RodState
     converged: BoolArray
-    negatives: IndexArray
-    steady: BoolArray
+    excess_negatives: IndexArray
+    is_continuation: BoolArray
 
     @property
-    def good(self) -> BoolArray:
-        """Converged to a stable shape, by instant."""
-        found: BoolArray = self.converged & (self.negatives == 0)
-        return found
+    def is_stable(self) -> BoolArray:
+        """Whether the solver converged to a stable shape (T,)."""
+        result: BoolArray = self.converged & (self.excess_negatives == 0)
+        return result
 
 
-def moved(state: State, rotation: FloatArray, force: FloatArray) -> State:
-    """The state after the segments turned by `rotation` (3, N, T) and the force changed by `force` (3, T)."""
-    return State(multiply(state.q, exponential(rotation)), state.force + force)
+def apply_step(state: RodState, rotation: FloatArray, force: FloatArray) -> RodState:
+    """Return the state after rotations of the segments (3, N, T) and a change of the force (3, T)."""
+    return RodState(quaternion_product(state.attitudes, quaternion_exp(rotation)), state.force + force)
 
 
 # ---- one instant -------------------------------------------------------------------------------------------
 
 
-def saddle(parts: Derivatives, lift: float = 0.0) -> FloatArray:
-    """The symmetric matrix (3N + 3, 3N + 3) of one instant's Newton step, its second variation raised by
-    `lift`.
+def saddle_matrix(parts: RodDerivatives, lift: float = 0.0) -> FloatArray:
+    """Return the symmetric matrix (3N + 3, 3N + 3) of one instant's Newton step.
+
+    Args:
+        parts: Derivatives of one instant.
+        lift: Amount by which the second variation is raised.
     """
+    # (H + lift h 1, -C^T; -C, 0) (rotations; force) = (-gradient; end error), C = d(end position)
     n = parts.gradient.shape[1]
     full = np.zeros((3 * n + 3, 3 * n + 3))
     blocks = full[: 3 * n, : 3 * n].reshape(n, 3, n, 3)
     index = np.arange(n)
     blocks[index, :, index, :] = np.moveaxis(parts.diagonal[..., 0], -1, 0)
-    beside = np.moveaxis(parts.beside[..., 0], -1, 0)
-    blocks[index[:-1], :, index[1:], :] = beside
-    blocks[index[1:], :, index[:-1], :] = beside.transpose(0, 2, 1)
-    slope = parts.slope[..., 0].transpose(0, 2, 1).reshape(3, 3 * n)
+    off_diagonal = np.moveaxis(parts.off_diagonal[..., 0], -1, 0)
+    blocks[index[:-1], :, index[1:], :] = off_diagonal
+    blocks[index[1:], :, index[:-1], :] = off_diagonal.transpose(0, 2, 1)
+    slope = parts.end_jacobian[..., 0].transpose(0, 2, 1).reshape(3, 3 * n)
     inside = np.arange(3 * n)
     full[inside, inside] += lift / n
     full[3 * n :, : 3 * n] = -slope
@@ -88,218 +104,277 @@ def saddle(parts: Derivatives, lift: float = 0.0) -> FloatArray:
     return full
 
 
-def factor(full: FloatArray) -> tuple[FloatArray, NDArray[np.intc], int]:
-    """Bunch-Kaufman factors and the number of negative eigenvalues."""
+def factorise(full: FloatArray) -> tuple[FloatArray, NDArray[np.intc], int]:
+    """Return the Bunch-Kaufman factors, their pivots, and the number of negative eigenvalues."""
     ldu, pivots, _ = lapack.dsytrf(full, lower=1, lwork=64 * len(full))
     single = pivots > 0  # each 2 x 2 pivot has one eigenvalue of either sign
     negatives = int((np.diagonal(ldu)[single] < 0.0).sum()) + int((~single).sum()) // 2
     return ldu, pivots, negatives
 
 
-def newton(stiffness: FloatArray, state: State, ends: Ends, rounds: int = 12) -> Outcome:
-    """Newton from `state` for one instant (T = 1)."""
-    n = state.q.shape[1]
-    first, steady = 0.0, True
+def solve_newton(stiffness: FloatArray, state: RodState, ends: RodEnds, rounds: int = 12) -> NewtonResult:
+    """Run Newton from a state for one instant (T = 1).
+
+    Args:
+        stiffness: Torsion and bending stiffnesses (3,).
+        state: Initial state.
+        ends: The clamps.
+        rounds: Maximum number of iterations.
+    """
+    n = state.attitudes.shape[1]
+    first_step, is_continuation = 0.0, True
     for count in range(rounds):
-        parts = derivatives(stiffness, state.q, state.force, ends)
-        ldu, pivots, negatives = factor(saddle(parts, EIGENVALUE_LIFT))
-        right = np.concatenate([-parts.gradient[..., 0].T.ravel(), parts.gap[:, 0]])
+        parts = rod_derivatives(stiffness, state.attitudes, state.force, ends)
+        ldu, pivots, negatives = factorise(saddle_matrix(parts, EIGENVALUE_LIFT))
+        right = np.concatenate([-parts.gradient[..., 0].T.ravel(), parts.end_error[:, 0]])
         step, fault = lapack.dsytrs(ldu, pivots, right, lower=1)
         if fault or not np.isfinite(step).all():
             break
         rotation = step[: 3 * n].reshape(n, 3).T[..., None]
         largest = float(np.abs(rotation).max())
-        first = largest if count == 0 else first
-        steady = steady and (count != 1 or largest <= max(_SECOND_STEP_SHARE * first, _SMALL_ROTATION))
-        short = min(1.0, _LONGEST_ROTATION / max(largest, 1e-300))
-        state = moved(state, short * rotation, short * step[3 * n :, None])
-        if largest < CONVERGED:
-            return Outcome(state, np.array([True]), np.array([negatives - 3]), np.array([steady]))
-    return Outcome(state, np.array([False]), np.array([0]), np.array([False]))
+        first_step = largest if count == 0 else first_step
+        is_continuation = is_continuation and (
+            count != 1 or largest <= max(_MAX_SECOND_STEP_RATIO * first_step, _MAX_STEADY_ROTATION_RAD)
+        )
+        step_factor = min(1.0, _MAX_ROTATION_RAD / max(largest, 1e-300))
+        state = apply_step(state, step_factor * rotation, step_factor * step[3 * n :, None])
+        if largest < ROTATION_TOLERANCE_RAD:
+            return NewtonResult(
+                state, np.array([True]), np.array([negatives - 3]), np.array([is_continuation])
+            )
+    return NewtonResult(state, np.array([False]), np.array([0]), np.array([False]))
 
 
-def weakest(stiffness: FloatArray, state: State, ends: Ends) -> tuple[float, FloatArray]:
-    """Smallest eigenvalue of the second variation on the shapes that keep the end's place, and its
-    rotations (3, N).
+def weakest_mode(stiffness: FloatArray, state: RodState, ends: RodEnds) -> tuple[float, FloatArray]:
+    """Return the smallest eigenvalue of the second variation, and its mode (3, N).
 
-    Normalised by int |rotation|^2 ds; in units of EI / L^2.
+    Only shapes that keep the end's position count. The eigenvalue is normalised by int |rotation|^2 ds, in
+    units of EI / L^2. The mode consists of rotations.
+
+    Args:
+        stiffness: Torsion and bending stiffnesses (3,).
+        state: State of one instant.
+        ends: The clamps.
     """
-    n = state.q.shape[1]
-    full = saddle(derivatives(stiffness, state.q, state.force, ends))
+    n = state.attitudes.shape[1]
+    full = saddle_matrix(rod_derivatives(stiffness, state.attitudes, state.force, ends))
     hessian, slope = full[: 3 * n, : 3 * n], -full[3 * n :, : 3 * n]
+    # min of x' H x over C x = 0, with int |x|^2 ds = |x|^2 / n = 1
     basis = np.linalg.qr(slope.T, mode="complete")[0][:, 3:]
     value, vector = eigh(basis.T @ hessian @ basis, subset_by_index=[0, 0])
     return float(value[0]) * n, (basis @ vector[:, 0]).reshape(n, 3).T
 
 
-def settle(stiffness: FloatArray, state: State, ends: Ends, rounds: int = 200) -> Outcome:
-    """Go down to a stable shape for one instant, from a state that need not be near one.
+def descend(stiffness: FloatArray, state: RodState, ends: RodEnds, rounds: int = 200) -> NewtonResult:
+    """Descend to a stable shape for one instant, from a state that need not be near one.
 
-    Newton steps on the Hessian raised until it is positive on the conditions and the energy falls; after each
-    step the end is brought back to its place. From an unstable equilibrium the first step goes along its
-    weakest mode.
+    Newton steps use the Hessian raised until it is positive on the conditions and the energy decreases. After
+    each step the end is moved back to its position. From an unstable equilibrium the first step goes along
+    its weakest mode.
+
+    Args:
+        stiffness: Torsion and bending stiffnesses (3,).
+        state: Initial state.
+        ends: The clamps.
+        rounds: Maximum number of iterations.
     """
-    n = state.q.shape[1]
-    found = newton(stiffness, state, ends)
-    if found.good[0]:
-        return found
-    if found.converged[0]:
-        mode = weakest(stiffness, found.state, ends)[1]
-        state = moved(found.state, (0.05 / np.abs(mode).max() * mode)[..., None], np.zeros((3, 1)))
-    state = _restored(state, ends)
-    lift, before = 0.0, float(energy(stiffness, state.q, ends)[0])
-    parts = derivatives(stiffness, state.q, state.force, ends)
+    n = state.attitudes.shape[1]
+    result = solve_newton(stiffness, state, ends)
+    if result.is_stable[0]:
+        return result
+    if result.converged[0]:
+        mode = weakest_mode(stiffness, result.state, ends)[1]
+        state = apply_step(result.state, (0.05 / np.abs(mode).max() * mode)[..., None], np.zeros((3, 1)))
+    state = _restore_end(state, ends)
+    # raise the Hessian until it is positive on the conditions and the step lowers the energy
+    lift, last_energy = 0.0, float(rod_energy(stiffness, state.attitudes, ends)[0])
+    parts = rod_derivatives(stiffness, state.attitudes, state.force, ends)
     for _ in range(rounds):
-        ldu, pivots, negatives = factor(saddle(parts, EIGENVALUE_LIFT + lift * n))
+        ldu, pivots, negatives = factorise(saddle_matrix(parts, EIGENVALUE_LIFT + lift * n))
         while negatives != 3 and lift < 1e6:
             lift = max(4.0 * lift, 0.1 / n)
-            ldu, pivots, negatives = factor(saddle(parts, EIGENVALUE_LIFT + lift * n))
-        right = np.concatenate([-parts.gradient[..., 0].T.ravel(), parts.gap[:, 0]])
+            ldu, pivots, negatives = factorise(saddle_matrix(parts, EIGENVALUE_LIFT + lift * n))
+        right = np.concatenate([-parts.gradient[..., 0].T.ravel(), parts.end_error[:, 0]])
         step, _ = lapack.dsytrs(ldu, pivots, right, lower=1)
         rotation, force = step[: 3 * n].reshape(n, 3).T[..., None], step[3 * n :, None]
         largest = float(np.abs(rotation).max())
         if (largest < 1e-3 and lift == 0.0) or lift >= 1e6:
             break
-        trial = _restored(moved(state, min(1.0, 0.4 / max(largest, 1e-300)) * rotation, force), ends)
-        after = float(energy(stiffness, trial.q, ends)[0])
-        if after < before:
-            state, before = trial, after
-            parts = derivatives(stiffness, state.q, state.force, ends)
+        trial = _restore_end(apply_step(state, min(1.0, 0.4 / max(largest, 1e-300)) * rotation, force), ends)
+        trial_energy = float(rod_energy(stiffness, trial.attitudes, ends)[0])
+        if trial_energy < last_energy:
+            state, last_energy = trial, trial_energy
+            parts = rod_derivatives(stiffness, state.attitudes, state.force, ends)
             lift = 0.0 if lift < 0.1 / n else 0.25 * lift
         else:
             lift = max(4.0 * lift, 0.1 / n)
-    return newton(stiffness, state, ends)
+    return solve_newton(stiffness, state, ends)
 
 
-def _restored(state: State, ends: Ends) -> State:
-    """The state with its end brought to its place by the least rotations."""
-    n = state.q.shape[1]
+def _restore_end(state: RodState, ends: RodEnds) -> RodState:
+    """Return the state with its end moved to its position by the smallest rotations."""
+    n = state.attitudes.shape[1]
     for _ in range(40):
-        turn = matrix(state.q)
-        miss = turn[:, 0].sum(axis=1) / n - ends.place
-        if float(np.abs(miss).max()) < 1e-11:
+        turn = rotation_matrix(state.attitudes)
+        end_error = turn[:, 0].sum(axis=1) / n - ends.position
+        if float(np.abs(end_error).max()) < 1e-11:
             break
+        # smallest rotations: r = -C^T (C C^T)^-1 error
         slope = np.stack([0.0 * turn[:, 0], -turn[:, 2], turn[:, 1]], axis=1) / n
         square = np.einsum("ijkt,ljkt->il", slope, slope)
-        rotation = -np.einsum("ijkt,i->jkt", slope, np.linalg.lstsq(square, miss[:, 0], rcond=1e-12)[0])
+        rotation = -np.einsum("ijkt,i->jkt", slope, np.linalg.lstsq(square, end_error[:, 0], rcond=1e-12)[0])
         rotation *= min(1.0, 0.3 / max(float(np.abs(rotation).max()), 1e-300))
-        state = moved(state, rotation, np.zeros((3, 1)))
+        state = apply_step(state, rotation, np.zeros((3, 1)))
     return state
 
 
 # ---- many instants at once ---------------------------------------------------------------------------------
 
 
-class Elimination:
-    """Block elimination of the saddle-point matrices of T instants, for any number of right-hand sides."""
+class BlockElimination:
+    """Block elimination of the saddle-point matrices of T instants, for any number of right-hand sides.
 
-    def __init__(self, parts: Derivatives, lift: float = EIGENVALUE_LIFT) -> None:
+    Args:
+        parts: Derivatives of T instants.
+        lift: Amount by which the second variation is raised.
+    """
+
+    def __init__(self, parts: RodDerivatives, lift: float = EIGENVALUE_LIFT) -> None:
         self.n = n = parts.gradient.shape[1]
         raised = parts.diagonal + (lift / n) * np.eye(3)[:, :, None, None]
-        self.slope = parts.slope
-        below = np.zeros(parts.gradient.shape[2], dtype=np.intp)
+        self.slope = parts.end_jacobian
+        negative_count = np.zeros(parts.gradient.shape[2], dtype=np.intp)
         self.inverse: list[FloatArray] = []
-        self.factors: list[FloatArray] = []  # inverse pivot times the block beside it
+        self.factors: list[FloatArray] = []  # inverse pivot times the block next to it
         pivot = raised[:, :, 0]
+        # block LDL^T of the tridiagonal H: D_0 = H_00, D_(k+1) = H_(k+1,k+1) - B_k^T D_k^-1 B_k
         for k in range(n):
-            inverse, negative = _inverse(pivot)
-            below += negative
+            inverse, negative = _invert_symmetric(pivot)
+            negative_count += negative
             self.inverse.append(inverse)
             if k + 1 < n:
-                beside = parts.beside[:, :, k]
-                self.factors.append(_mul(inverse, beside))
-                pivot = raised[:, :, k + 1] - _mul_t(beside, self.factors[k])
-        slope_t = np.moveaxis(parts.slope, 0, 1)  # (3 rows of a block, 3 conditions, N, T)
-        self.spread = self.blocks(slope_t)
-        schur = np.einsum("ijkt,jlkt->ilt", parts.slope, self.spread)
-        self.schur_inverse, negative = _inverse(0.5 * (schur + schur.transpose(1, 0, 2)))
-        self.negatives = below + (3 - negative) - 3
+                off_diagonal = parts.off_diagonal[:, :, k]
+                self.factors.append(_multiply_blocks(inverse, off_diagonal))
+                pivot = raised[:, :, k + 1] - _multiply_transposed(off_diagonal, self.factors[k])
+        slope_t = np.moveaxis(parts.end_jacobian, 0, 1)  # (3 rows of a block, 3 conditions, N, T)
+        self.end_response = self.solve_blocks(slope_t)
+        schur = np.einsum("ijkt,jlkt->ilt", parts.end_jacobian, self.end_response)
+        self.schur_inverse, negative = _invert_symmetric(0.5 * (schur + schur.transpose(1, 0, 2)))
+        # inertia: negatives of H plus those of -S, S = C H^-1 C^T, minus the three of the conditions
+        self.negatives = negative_count + (3 - negative) - 3
 
-    def blocks(self, right: FloatArray) -> FloatArray:
-        """Hessian^-1 times `right` (3, m, N, T)."""
-        found = np.empty_like(right)
-        run = right[:, :, 0]
-        found[:, :, 0] = run
+    def solve_blocks(self, right: FloatArray) -> FloatArray:
+        """Return Hessian^-1 times ``right`` (3, m, N, T)."""
+        result = np.empty_like(right)
+        carry = right[:, :, 0]
+        result[:, :, 0] = carry
         for k in range(1, self.n):
-            run = right[:, :, k] - _mul_t(self.factors[k - 1], run)
-            found[:, :, k] = run
-        run = _mul(self.inverse[-1], found[:, :, -1])
-        found[:, :, -1] = run
+            carry = right[:, :, k] - _multiply_transposed(self.factors[k - 1], carry)
+            result[:, :, k] = carry
+        carry = _multiply_blocks(self.inverse[-1], result[:, :, -1])
+        result[:, :, -1] = carry
         for k in range(self.n - 2, -1, -1):
-            run = _mul(self.inverse[k], found[:, :, k]) - _mul(self.factors[k], run)
-            found[:, :, k] = run
-        return found
+            carry = _multiply_blocks(self.inverse[k], result[:, :, k]) - _multiply_blocks(
+                self.factors[k], carry
+            )
+            result[:, :, k] = carry
+        return result
 
     def solve(self, right: FloatArray, gap: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Rotations (3, N, T) and forces (3, T) of H r - C^T f = right, -C r = gap."""
-        free = self.blocks(right[:, None])[:, 0]
+        """Return rotations (3, N, T) and forces (3, T) of H r - C^T f = right, -C r = gap."""
+        # f = -S^-1 (gap + C H^-1 right), r = H^-1 (right + C^T f)
+        free = self.solve_blocks(right[:, None])[:, 0]
         miss = gap + np.einsum("ijkt,jkt->it", self.slope, free)
         force = -np.einsum("ijt,jt->it", self.schur_inverse, miss)
-        return free + np.einsum("ijkt,jt->ikt", self.spread, force), force
+        return free + np.einsum("ijkt,jt->ikt", self.end_response, force), force
 
 
-def newton_many(stiffness: FloatArray, state: State, ends: Ends, rounds: int = 8) -> Outcome:
-    """Newton for T instants at once, each from its own state."""
-    converged = np.zeros(ends.place.shape[1], dtype=bool)
-    negatives = np.zeros(ends.place.shape[1], dtype=np.intp)
-    q, total = state.q.copy(), state.force.copy()
-    left = np.arange(len(converged))
-    first, steady = np.zeros(len(left)), np.ones(len(left), dtype=bool)
+def solve_newton_many(stiffness: FloatArray, state: RodState, ends: RodEnds, rounds: int = 8) -> NewtonResult:
+    """Run Newton for T instants at once, each from its own state.
+
+    Args:
+        stiffness: Torsion and bending stiffnesses (3,).
+        state: Initial states.
+        ends: The clamps.
+        rounds: Maximum number of iterations.
+    """
+    converged = np.zeros(ends.position.shape[1], dtype=bool)
+    negatives = np.zeros(ends.position.shape[1], dtype=np.intp)
+    q, total = state.attitudes.copy(), state.force.copy()
+    active = np.arange(len(converged))
+    first, is_continuation = np.zeros(len(active)), np.ones(len(active), dtype=bool)
     for count in range(rounds):
-        if len(left) == 0:
+        if len(active) == 0:
             break
-        part, here = State(q[:, :, left], total[:, left]), ends.at(left)
-        parts = derivatives(stiffness, part.q, part.force, here)
+        active_state, active_ends = RodState(q[:, :, active], total[:, active]), ends.at(active)
+        parts = rod_derivatives(stiffness, active_state.attitudes, active_state.force, active_ends)
         with np.errstate(all="ignore"):
-            work = Elimination(parts)
-            rotation, force = work.solve(-parts.gradient, parts.gap)
-        sound = np.isfinite(rotation).all(axis=(0, 1)) & np.isfinite(force).all(axis=0)
-        rotation, force = np.where(sound, rotation, 0.0), np.where(sound, force, 0.0)
+            work = BlockElimination(parts)
+            rotation, force = work.solve(-parts.gradient, parts.end_error)
+        is_finite = np.isfinite(rotation).all(axis=(0, 1)) & np.isfinite(force).all(axis=0)
+        rotation, force = np.where(is_finite, rotation, 0.0), np.where(is_finite, force, 0.0)
         largest = np.abs(rotation).max(axis=(0, 1))
         if count == 0:
-            first[left] = largest
+            first[active] = largest
         if count == 1:
-            steady[left] = largest <= np.maximum(_SECOND_STEP_SHARE * first[left], _SMALL_ROTATION)
-        short = np.minimum(1.0, _LONGEST_ROTATION / np.maximum(largest, 1e-300))
-        part = moved(part, short * rotation, short * force)
-        q[:, :, left], total[:, left] = part.q, part.force
-        done = sound & (largest < CONVERGED)
-        converged[left[done]] = True
-        negatives[left[done]] = work.negatives[done]
-        left = left[sound & ~done]
-    return Outcome(State(q, total), converged, negatives, steady)
+            is_continuation[active] = largest <= np.maximum(
+                _MAX_SECOND_STEP_RATIO * first[active], _MAX_STEADY_ROTATION_RAD
+            )
+        step_factor = np.minimum(1.0, _MAX_ROTATION_RAD / np.maximum(largest, 1e-300))
+        active_state = apply_step(active_state, step_factor * rotation, step_factor * force)
+        q[:, :, active], total[:, active] = active_state.attitudes, active_state.force
+        done = is_finite & (largest < ROTATION_TOLERANCE_RAD)
+        converged[active[done]] = True
+        negatives[active[done]] = work.negatives[done]
+        active = active[is_finite & ~done]
+    return NewtonResult(RodState(q, total), converged, negatives, is_continuation)
 
 
-def weakest_many(stiffness: FloatArray, state: State, ends: Ends, rounds: int = 12) -> FloatArray:
-    """Eigenvalue nearest to 0 (T,) of the second variation (see `weakest`), by inverse iteration."""
-    parts = derivatives(stiffness, state.q, state.force, ends)
-    work = Elimination(parts)
-    n, instants = state.q.shape[1], state.q.shape[2]
+def weakest_eigenvalues(
+    stiffness: FloatArray, state: RodState, ends: RodEnds, rounds: int = 12
+) -> FloatArray:
+    """Return the eigenvalue nearest to 0 (T,) of the second variation, by inverse iteration.
+
+    See `weakest_mode` for its normalisation.
+
+    Args:
+        stiffness: Torsion and bending stiffnesses (3,).
+        state: States of T instants.
+        ends: The clamps.
+        rounds: Number of iterations.
+    """
+    parts = rod_derivatives(stiffness, state.attitudes, state.force, ends)
+    work = BlockElimination(parts)
+    n, instants = state.attitudes.shape[1], state.attitudes.shape[2]
     s = (np.arange(n) + 0.5) / n
     mode = np.stack([np.sin(3.0 * s + i) + s * (1.0 + i) for i in range(3)])[..., None] * np.ones(instants)
     value = np.zeros(instants)
     for _ in range(rounds):
         mode /= np.sqrt((mode * mode).sum(axis=(0, 1)) / n)
         after, _ = work.solve(mode / n, np.zeros((3, instants)))
+        # H after = mode / n, so 1 / (mode.after / n) tends to the eigenvalue nearest to 0
         value = 1.0 / ((mode * after).sum(axis=(0, 1)) / n)
         mode = after
     return value - EIGENVALUE_LIFT
 
 
-def _mul(a: FloatArray, b: FloatArray) -> FloatArray:
-    """a b for (3, 3, T) and (3, m, T)."""
-    found: FloatArray = a[:, 0, None] * b[None, 0] + a[:, 1, None] * b[None, 1] + a[:, 2, None] * b[None, 2]
-    return found
+def _multiply_blocks(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return a b for (3, 3, T) and (3, m, T)."""
+    result: FloatArray = a[:, 0, None] * b[None, 0] + a[:, 1, None] * b[None, 1] + a[:, 2, None] * b[None, 2]
+    return result
 
 
-def _mul_t(a: FloatArray, b: FloatArray) -> FloatArray:
+def _multiply_transposed(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return a^T b for (3, 3, T) and (3, m, T)."""
-    found: FloatArray = a[0, :, None] * b[None, 0] + a[1, :, None] * b[None, 1] + a[2, :, None] * b[None, 2]
-    return found
+    result: FloatArray = a[0, :, None] * b[None, 0] + a[1, :, None] * b[None, 1] + a[2, :, None] * b[None, 2]
+    return result
 
 
-def _inverse(a: FloatArray) -> tuple[FloatArray, IndexArray]:
-    """Inverse of symmetric (3, 3, T) and the number of negative eigenvalues (T,), from the leading minors."""
+def _invert_symmetric(a: FloatArray) -> tuple[FloatArray, IndexArray]:
+    """Return the inverse of symmetric (3, 3, T) and the number of negative eigenvalues (T,).
+
+    Both follow from the leading minors.
+    """
     c00 = a[1, 1] * a[2, 2] - a[1, 2] * a[1, 2]
     c01 = a[0, 2] * a[1, 2] - a[0, 1] * a[2, 2]
     c02 = a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1]
@@ -307,11 +382,11 @@ def _inverse(a: FloatArray) -> tuple[FloatArray, IndexArray]:
     second = a[0, 0] * a[1, 1] - a[0, 1] * a[0, 1]
     c11 = a[0, 0] * a[2, 2] - a[0, 2] * a[0, 2]
     c12 = a[0, 1] * a[0, 2] - a[0, 0] * a[1, 2]
-    found = np.empty_like(a)
-    found[0, 0], found[1, 1], found[2, 2] = c00, c11, second
-    found[0, 1] = found[1, 0] = c01
-    found[0, 2] = found[2, 0] = c02
-    found[1, 2] = found[2, 1] = c12
-    found /= determinant
+    result = np.empty_like(a)
+    result[0, 0], result[1, 1], result[2, 2] = c00, c11, second
+    result[0, 1] = result[1, 0] = c01
+    result[0, 2] = result[2, 0] = c02
+    result[1, 2] = result[2, 1] = c12
+    result /= determinant
     signs = [a[0, 0] < 0, (second < 0) != (a[0, 0] < 0), (determinant < 0) != (second < 0)]
-    return found, np.sum(signs, axis=0)
+    return result, np.sum(signs, axis=0)

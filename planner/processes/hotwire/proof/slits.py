@@ -1,11 +1,10 @@
-"""Ways in and out of a straight wire's cuts, as the text has them: the slits in the part.
+"""Lead-ins and lead-outs of a straight wire's cuts, as the programs state them: the slits in the part.
 
-Where a slit lies that the wire makes on its way to a contour, and how it compares with what the
-part makes necessary. For that the part is seen along the rulings of one of its contours, in the
-plane normal to the contour's mean ruling; every contour stands there as the polygon of its rulings'
-middles. What is solid at a place, the smallest contour around it says: the part is inside of
-outlines and outside of holes; where none is around it, the block is solid if the part has holes
-alone.
+The module finds where the wire makes a slit on its way to a contour, and compares it with the slit that the
+part makes necessary. The part is projected along the rulings of one of its contours, on the plane normal to
+the contour's mean ruling. Every contour is the polygon of its rulings' middles there. The smallest contour
+around a point decides whether it is solid: the part is inside outlines and outside holes. If no contour is
+around it, the block is solid if the part has only holes.
 """
 
 import dataclasses
@@ -17,37 +16,50 @@ from scipy.spatial import ConvexHull
 from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.processes.hotwire.claims import Contour, CutsSurface, LeadsFrom, SlitsAllowed
-from planner.processes.hotwire.proof.wire_motion import Wire
+from planner.processes.hotwire.proof.wire_motion import WireMotion
 from planner.proof.context import Context
-from planner.proof.replay.motion import local
+from planner.proof.replay.motion import wire_speed
 
-PLACES_TRIED: Final = 36
-"""Places of a contour at which slits are tried."""
-DIRECTIONS_TRIED: Final = 36
-"""Directions that are tried at each of them."""
-CROSSING_WAY: Final = 8.0
-"""Half slots of way beside another contour that a slit may take where it crosses it: at 15 degrees or
-more."""
-OWN_CONTOUR_DISTANCE: Final = 1e-6
-"""[m] what a slit passes nearer to where it ends is the contour itself."""
-_PAIRS_AT_ONCE: Final = 2_000_000
-"""Pairs of a place and an edge that are worked on at once."""
+SLIT_START_SAMPLES: Final = 36
+"""Number of points of a contour at which slits are tried."""
+SLIT_DIRECTION_SAMPLES: Final = 36
+"""Number of directions that are tried at each point."""
+MAX_LENGTH_PER_CROSSING: Final = 8.0
+"""Length of a slit next to another contour that is allowed at each crossing, in half slots.
+
+It corresponds to crossings at 15 degrees or more.
+"""
+OWN_CONTOUR_TOLERANCE_M: Final = 1e-6
+"""Anything that a slit passes within this distance [m] of its end is the contour itself."""
+_PAIR_BATCH_SIZE: Final = 2_000_000
+"""Number of pairs of a point and an edge that are processed in one batch."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Section:
-    """Contour ``own`` and all others as polygons: edges ``a`` to ``b`` (E, 2) [m] in the coordinates of
-    ``axes`` (3, 2), ``owner`` (E,) of each, ``holes`` (C,) and ``areas`` (C,). ``axis`` (3,) is the mean
-    ruling, ``level`` [m] the height of the polygons along it. ``corner`` (M,) are those of the contour
-    itself. ``block`` (K, 3) are the sides of the block's outline: unit normal and offset, below zero inside;
-    ``diagonal`` [m] of the block."""
+class ContourSection:
+    """Contour ``index`` and all others as polygons with E edges.
 
-    own: int
+    Attributes:
+        index: Number of the contour.
+        axis: Mean ruling (3,).
+        axes: Axes of the plane (3, 2).
+        level: Position of the polygons along ``axis`` [m].
+        edge_start: Start of each edge (E, 2) [m].
+        edge_end: End of each edge (E, 2) [m].
+        owner: Contour of each edge (E,).
+        holes: Whether each contour is a hole (C,).
+        areas: Area of each contour (C,) [m^2].
+        corner: Corners of the contour itself (M,).
+        block: Sides of the block's outline (K, 3): unit normal and offset, negative inside.
+        diagonal: Diagonal of the block [m].
+    """
+
+    index: int
     axis: FloatArray
     axes: FloatArray
     level: float
-    a: FloatArray
-    b: FloatArray
+    edge_start: FloatArray
+    edge_end: FloatArray
     owner: IntArray
     holes: BoolArray
     areas: FloatArray
@@ -56,25 +68,31 @@ class Section:
     diagonal: float
 
     @staticmethod
-    def of(contours: tuple[Contour, ...], own: int, box: FloatArray) -> "Section":
-        """The section across contour number ``own`` of a part in the block ``box`` (2, 3) [m]."""
-        middles = [0.5 * (one.start + one.end) for one in contours]
-        axis = (contours[own].end - contours[own].start).mean(axis=0)
+    def across(contours: tuple[Contour, ...], index: int, box: FloatArray) -> "ContourSection":
+        """Return the section across one contour of a part.
+
+        Args:
+            contours: All contours of the part.
+            index: Number of the contour.
+            box: Lower and upper corner of the block (2, 3) [m].
+        """
+        middles = [0.5 * (contour.start + contour.end) for contour in contours]
+        axis = (contours[index].end - contours[index].start).mean(axis=0)
         axis = axis / max(float(np.linalg.norm(axis)), 1e-12)
         axes = np.linalg.svd(axis[None])[2][1:].T
         flat = [middle @ axes for middle in middles]
         corners = np.array([[x, y, z] for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]])
-        return Section(
-            own=own,
+        return ContourSection(
+            index=index,
             axis=axis,
             axes=axes,
-            level=float(middles[own].mean(axis=0) @ axis),
-            a=np.concatenate(flat),
-            b=np.concatenate([np.roll(polygon, -1, axis=0) for polygon in flat]),
+            level=float(middles[index].mean(axis=0) @ axis),
+            edge_start=np.concatenate(flat),
+            edge_end=np.concatenate([np.roll(polygon, -1, axis=0) for polygon in flat]),
             owner=np.repeat(np.arange(len(flat)), [len(polygon) for polygon in flat]),
-            holes=np.array([one.hole for one in contours]),
-            areas=np.array([abs(_area(polygon)) for polygon in flat]),
-            corner=contours[own].corner,
+            holes=np.array([contour.hole for contour in contours]),
+            areas=np.array([abs(_signed_area(polygon)) for polygon in flat]),
+            corner=contours[index].corner,
             block=ConvexHull(corners @ axes).equations,
             diagonal=float(np.linalg.norm(box[1] - box[0])),
         )
@@ -82,287 +100,385 @@ class Section:
     @property
     def polygon(self) -> FloatArray:
         """The contour itself (M, 2)."""
-        return np.asarray(self.a[self.owner == self.own])
+        return np.asarray(self.edge_start[self.owner == self.index])
 
     @property
-    def surrounded(self) -> bool:
+    def is_surrounded(self) -> bool:
         """Whether the part lies around the contour: it is a hole, or lies in one."""
-        if self.holes[self.own]:
+        if self.holes[self.index]:
             return True
         ring = self.polygon
         return any(
-            _inside(ring, self.a[self.owner == k]).mean() > 0.5 and self.areas[k] > self.areas[self.own]
+            _encloses(ring, self.edge_start[self.owner == k]).mean() > 0.5
+            and self.areas[k] > self.areas[self.index]
             for k in np.flatnonzero(self.holes)
         )
 
     @property
     def length(self) -> float:
-        """Way around the contour [m]."""
-        mine = self.owner == self.own
-        return float(np.linalg.norm(self.b[mine] - self.a[mine], axis=1).sum())
+        """Length of the contour [m]."""
+        mine = self.owner == self.index
+        return float(np.linalg.norm(self.edge_end[mine] - self.edge_start[mine], axis=1).sum())
 
-    def at(self, start: FloatArray, end: FloatArray) -> FloatArray:
-        """Where the line from ``start`` to ``end`` (..., 3) passes the plane, (..., 2)."""
-        way = end - start
-        share = (self.level - start @ self.axis) / (way @ self.axis)
-        return np.asarray((start + share[..., None] * way) @ self.axes)
+    def intersect(self, start: FloatArray, end: FloatArray) -> FloatArray:
+        """Return the intersection (..., 2) of lines from ``start`` to ``end`` (..., 3) with the plane."""
+        vector = end - start
+        fraction = (self.level - start @ self.axis) / (vector @ self.axis)
+        return np.asarray((start + fraction[..., None] * vector) @ self.axes)
 
-    def through(self, base: FloatArray, way: FloatArray, length: FloatArray) -> FloatArray:
-        """How much (R,) [m] of slits from ``base`` along the unit vectors ``way`` (R, 2), ``length`` (R,)
-        long at most, is in the part."""
-        length = np.minimum(length, self._out(base, way))
+    def length_in_part(self, base: FloatArray, direction: FloatArray, length: FloatArray) -> FloatArray:
+        """Return the length (R,) [m] of slits that is in the part.
+
+        Args:
+            base: Starts of the slits (R, 2) [m].
+            direction: Unit vectors of the slits (R, 2).
+            length: Maximum length of the slits (R,) [m].
+        """
+        length = np.minimum(length, self._distance_to_border(base, direction))
         out = np.zeros(len(base))
-        step = max(1, _PAIRS_AT_ONCE // max(len(self.a), 1))
+        step = max(1, _PAIR_BATCH_SIZE // max(len(self.edge_start), 1))
         for low in range(0, len(base), step):
             part = slice(low, low + step)
-            out[part] = self._through(base[part], way[part], length[part])
+            out[part] = self._batch_length_in_part(base[part], direction[part], length[part])
         return out
 
-    def _through(self, base: FloatArray, way: FloatArray, length: FloatArray) -> FloatArray:
-        edge = self.b - self.a
-        to = self.a[None] - base[:, None]
-        cross = way[:, None, 0] * edge[None, :, 1] - way[:, None, 1] * edge[None, :, 0]
+    def _batch_length_in_part(
+        self, base: FloatArray, direction: FloatArray, length: FloatArray
+    ) -> FloatArray:
+        edge = self.edge_end - self.edge_start
+        to_edge = self.edge_start[None] - base[:, None]
+        cross = direction[:, None, 0] * edge[None, :, 1] - direction[:, None, 1] * edge[None, :, 0]
         cross = np.where(np.abs(cross) > 1e-15, cross, np.inf)
-        at = (to[..., 0] * edge[:, 1] - to[..., 1] * edge[:, 0]) / cross
-        on = (to[..., 0] * way[:, None, 1] - to[..., 1] * way[:, None, 0]) / cross
-        row, column = np.nonzero((on >= 0.0) & (on < 1.0) & (at > OWN_CONTOUR_DISTANCE))
-        order = np.lexsort((at[row, column], row))
+        distances = (to_edge[..., 0] * edge[:, 1] - to_edge[..., 1] * edge[:, 0]) / cross
+        edge_fraction = (
+            to_edge[..., 0] * direction[:, None, 1] - to_edge[..., 1] * direction[:, None, 0]
+        ) / cross
+        row, column = np.nonzero(
+            (edge_fraction >= 0.0) & (edge_fraction < 1.0) & (distances > OWN_CONTOUR_TOLERANCE_M)
+        )
+        order = np.lexsort((distances[row, column], row))
         row, column = row[order], column[order]
         count = np.bincount(row, minlength=len(base))
-        place = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
-        most = int(count.max(initial=0))
-        met, whose = np.full((len(base), most), np.inf), np.full((len(base), most), -1)
-        met[row, place], whose[row, place] = at[row, column], self.owner[column]
-        # far out nothing is around; on the way back every border that is passed leads in or out
-        toggles = whose[:, ::-1, None] == np.argsort(self.areas)[None, None]
-        around = np.concatenate(
+        crossing_index = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
+        max_crossings = int(count.max(initial=0))
+        crossing_distance, crossing_owner = (
+            np.full((len(base), max_crossings), np.inf),
+            np.full((len(base), max_crossings), -1),
+        )
+        crossing_distance[row, crossing_index], crossing_owner[row, crossing_index] = (
+            distances[row, column],
+            self.owner[column],
+        )
+        # far outside no contour is around the point; each border passed on the way back enters or leaves one
+        toggles = crossing_owner[:, ::-1, None] == np.argsort(self.areas)[None, None]
+        is_around = np.concatenate(
             [np.zeros((len(base), 1, len(self.areas)), dtype=np.int64), np.cumsum(toggles, axis=1)], axis=1
         )[:, ::-1]
-        around = around % 2 == 1
-        smallest = np.argmax(around, axis=2)
-        solid = np.where(around.any(axis=2), ~self.holes[np.argsort(self.areas)][smallest], self.holes.all())
-        ends = np.concatenate([np.zeros((len(base), 1)), met, np.full((len(base), 1), np.inf)], axis=1)
+        is_around = is_around % 2 == 1
+        smallest = np.argmax(is_around, axis=2)
+        solid = np.where(
+            is_around.any(axis=2), ~self.holes[np.argsort(self.areas)][smallest], self.holes.all()
+        )
+        ends = np.concatenate(
+            [np.zeros((len(base), 1)), crossing_distance, np.full((len(base), 1), np.inf)], axis=1
+        )
         pieces = np.diff(np.minimum(ends, length[:, None]), axis=1)
         return np.asarray(np.where(solid, pieces, 0.0).sum(axis=1))
 
-    def beside(self, start: FloatArray, end: FloatArray, half: float, near: float) -> float:
-        """How far [m] a slit from ``start`` to ``end`` (2,), ``half`` [m] wide to either side, runs within
-        ``near`` [m] of another contour beyond what it takes to cross it, at most."""
+    def excess_length_alongside(
+        self, start: FloatArray, end: FloatArray, half: float, max_distance: float
+    ) -> float:
+        """Return the largest excess length [m] that a slit runs near another contour.
+
+        The length that it needs to cross the contour is subtracted.
+
+        Args:
+            start: Start of the slit (2,) [m].
+            end: End of the slit (2,) [m].
+            half: Half the width of the slit [m].
+            max_distance: Distance from the contour that counts as near [m].
+        """
         length = float(np.linalg.norm(end - start))
-        count = max(int(np.ceil(length / (0.25 * near))), 2)
-        places = start + ((np.arange(count) + 0.5) / count)[:, None] * (end - start)
+        count = max(int(np.ceil(length / (0.25 * max_distance))), 2)
+        points = start + ((np.arange(count) + 0.5) / count)[:, None] * (end - start)
         worst = 0.0
-        for other in np.flatnonzero(np.arange(len(self.areas)) != self.own):
-            a, b = self.a[self.owner == other], self.b[self.owner == other]
-            edge, to = b - a, places[:, None] - a
-            share = (to * edge).sum(axis=2) / np.maximum((edge * edge).sum(axis=1), 1e-30)
-            off = np.linalg.norm(to - np.clip(share, 0.0, 1.0)[..., None] * edge, axis=2).min(axis=1)
-            left = [_cross(end - start, corner - start) > 0.0 for corner in (a, b)]
-            over = [_cross(edge, place - a) > 0.0 for place in (start, end)]
-            crossed = int(((left[0] != left[1]) & (over[0] != over[1])).sum())
-            worst = max(worst, float((off < near).mean()) * length - CROSSING_WAY * half * crossed)
+        for other in np.flatnonzero(np.arange(len(self.areas)) != self.index):
+            a, b = self.edge_start[self.owner == other], self.edge_end[self.owner == other]
+            edge, to = b - a, points[:, None] - a
+            fraction = (to * edge).sum(axis=2) / np.maximum((edge * edge).sum(axis=1), 1e-30)
+            distance = np.linalg.norm(to - np.clip(fraction, 0.0, 1.0)[..., None] * edge, axis=2).min(axis=1)
+            is_left = [_cross_2d(end - start, corner - start) > 0.0 for corner in (a, b)]
+            is_over = [_cross_2d(edge, point - a) > 0.0 for point in (start, end)]
+            crossings = int(((is_left[0] != is_left[1]) & (is_over[0] != is_over[1])).sum())
+            worst = max(
+                worst,
+                float((distance < max_distance).mean()) * length - MAX_LENGTH_PER_CROSSING * half * crossings,
+            )
         return worst
 
-    def least(self, lead: FloatArray | None) -> float:
-        """The least part [m] that a slit to the contour passes, over places and directions; ``lead`` (3,): in
-        that direction alone. An outline is begun at its outer corners, where it has any."""
-        places = self._places()
-        if lead is None:
-            angle = 2.0 * np.pi * np.arange(DIRECTIONS_TRIED) / DIRECTIONS_TRIED
-            fan = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        else:
-            fan = (lead @ self.axes)[None]
-            fan = fan / max(float(np.linalg.norm(fan)), 1e-12)
-        base, way = np.repeat(places, len(fan), axis=0), np.tile(fan, (len(places), 1))
-        return float(self.through(base, way, np.full(len(base), np.inf)).min())
+    def min_length_in_part(self, lead: FloatArray | None) -> float:
+        """Return the smallest length [m] in the part that a slit to the contour needs.
 
-    def _places(self) -> FloatArray:
+        Slits are tried over points and directions. An outline is started at its outer corners, if it has any.
+
+        Args:
+            lead: The only direction to try (3,), or None for all.
+        """
+        starts = self._slit_starts()
+        if lead is None:
+            angle = 2.0 * np.pi * np.arange(SLIT_DIRECTION_SAMPLES) / SLIT_DIRECTION_SAMPLES
+            directions = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        else:
+            directions = (lead @ self.axes)[None]
+            directions = directions / max(float(np.linalg.norm(directions)), 1e-12)
+        base, direction = np.repeat(starts, len(directions), axis=0), np.tile(directions, (len(starts), 1))
+        return float(self.length_in_part(base, direction, np.full(len(base), np.inf)).min())
+
+    def _slit_starts(self) -> FloatArray:
         ring = self.polygon
-        if not self.holes[self.own]:
-            before, after = ring - np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0) - ring
-            turn = np.arctan2(_cross(before, after), np.sum(before * after, axis=1))
-            sharp = self.corner & (turn * np.sign(_area(ring)) > 0.0)
-            if sharp.any():
-                return np.asarray(ring[sharp])
+        if not self.holes[self.index]:
+            incoming, outgoing = ring - np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0) - ring
+            rotation = np.arctan2(_cross_2d(incoming, outgoing), np.sum(incoming * outgoing, axis=1))
+            is_outer_corner = self.corner & (rotation * np.sign(_signed_area(ring)) > 0.0)
+            if is_outer_corner.any():
+                return np.asarray(ring[is_outer_corner])
         closed = np.concatenate([ring, ring[:1]])
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
-        marks = np.linspace(0.0, along[-1], PLACES_TRIED, endpoint=False)
+        marks = np.linspace(0.0, along[-1], SLIT_START_SAMPLES, endpoint=False)
         return np.stack([np.interp(marks, along, closed[:, i]) for i in range(2)], axis=1)
 
-    def _out(self, base: FloatArray, way: FloatArray) -> FloatArray:
-        """How far (R,) [m] it is from ``base`` along ``way`` (R, 2) to the border of the block."""
+    def _distance_to_border(self, base: FloatArray, direction: FloatArray) -> FloatArray:
+        """Return the distance (R,) [m] from ``base`` along a direction (R, 2) to the border of the block."""
         normal, offset = self.block[:, :2], self.block[:, 2]
-        closer = way @ normal.T
-        room = -(base @ normal.T + offset) / np.where(closer > 1e-12, closer, 1.0)
-        return np.asarray(np.maximum(np.where(closer > 1e-12, room, np.inf).min(axis=1), 0.0))
+        approach = direction @ normal.T
+        distance = -(base @ normal.T + offset) / np.where(approach > 1e-12, approach, 1.0)
+        return np.asarray(np.maximum(np.where(approach > 1e-12, distance, np.inf).min(axis=1), 0.0))
 
 
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+def _cross_2d(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
-def _area(polygon: FloatArray) -> float:
-    return float(0.5 * _cross(polygon, np.roll(polygon, -1, axis=0)).sum())
+def _signed_area(polygon: FloatArray) -> float:
+    return float(0.5 * _cross_2d(polygon, np.roll(polygon, -1, axis=0)).sum())
 
 
-def _inside(points: FloatArray, polygon: FloatArray) -> BoolArray:
-    """Which points (N, 2) a polygon (M, 2) goes around, by the angle that it turns as seen from them."""
+def _encloses(points: FloatArray, polygon: FloatArray) -> BoolArray:
+    """Return which points (N, 2) a polygon (M, 2) encloses, by the angle that it covers as seen from them."""
     spoke = polygon[None] - points[:, None]
     following = np.roll(spoke, -1, axis=1)
-    turn = np.arctan2(_cross(spoke, following), np.sum(spoke * following, axis=2)).sum(axis=1)
-    return np.asarray(np.abs(turn) > np.pi)
+    rotation = np.arctan2(_cross_2d(spoke, following), np.sum(spoke * following, axis=2)).sum(axis=1)
+    return np.asarray(np.abs(rotation) > np.pi)
 
 
 SLIT_LENGTH_FACTOR: Final = 1.25
-"""A slit may be longer in the part than the least that is found, by this factor."""
-CONTOUR_SHARE: Final = 0.02
-"""And by this share of the way around its contour: it begins at one of a few places."""
-BLOCK_DIAGONAL_SHARE: Final = 0.0025
-"""And by this share of the block's diagonal, for a cut whose last side, or turns, come out better."""
-SLIT_ROUNDING: Final = 1e-4
-"""[m] what rounded targets may add to a slit's width and length."""
+"""Factor by which a slit may be longer in the part than the shortest that is found."""
+SLIT_CONTOUR_FRACTION: Final = 0.02
+"""Additional length of a slit, as a fraction of its contour. The planner starts at one of a few points."""
+SLIT_DIAGONAL_FRACTION: Final = 0.0025
+"""Additional length of a slit, as a fraction of the block's diagonal.
+
+It allows cuts with a better last side or better turns.
+"""
+SLIT_ROUNDING_M: Final = 1e-4
+"""Amount [m] that rounded targets may add to the width and length of a slit."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Way:
-    """A way in or out: stations ``rows`` (N,), the wire beside the contour first of all, then away from it.
+class LeadPath:
+    """A lead-in or lead-out.
 
-    ``foot`` and ``along`` (3,) are a place and the direction of that wire, ``away`` (3,) a unit vector
-    across it to where the wire comes from, ``normal`` (3,) that of the plane of both. ``half`` [m] is half
-    the widest slot in the foam."""
+    Attributes:
+        rows: Stations (N,): the wire next to the contour first, then away from it.
+        wire_point: A point of that wire (3,) [m].
+        wire_direction: Direction of that wire (3,).
+        lead_direction: Unit vector across that wire to where the wire comes from (3,).
+        normal: Normal of the plane of both (3,).
+        half: Half the widest slot in the foam [m].
+    """
 
     rows: IntArray
-    foot: FloatArray
-    along: FloatArray
-    away: FloatArray
+    wire_point: FloatArray
+    wire_direction: FloatArray
+    lead_direction: FloatArray
     normal: FloatArray
     half: float
 
-    def aside(self, points: FloatArray) -> FloatArray:
-        """Distance (...,) [m] of points (..., 3) from the plane."""
-        return np.asarray(np.abs((points - self.foot) @ self.normal))
+    def plane_distance(self, points: FloatArray) -> FloatArray:
+        """Return the distance (...,) [m] of points (..., 3) from the plane."""
+        return np.asarray(np.abs((points - self.wire_point) @ self.normal))
 
 
 @dataclasses.dataclass(frozen=True)
 class Slit:
-    """The slit to a contour that is cut in ``segment``: the way in and the way out, which is off the plane
-    of the way in by ``apart`` [m] at most; ``used`` [m] of it is in the part.
+    """The slit to a contour that is cut.
 
-    ``ends`` of both ways as they are seen in ``section``; ``tolerance`` [m] of the cut; ``lead`` (3,): where
-    it has to come from.
+    Attributes:
+        segment: Segment that cuts the contour.
+        into: Lead-in.
+        out: Lead-out.
+        lead_out_deviation: Largest distance of the lead-out from the plane of the lead-in [m].
+        length_in_part: Length of the slit in the part [m].
+        section: Section across the contour.
+        ends: Ends of both leads in the section.
+        tolerance: Tolerance of the cut [m].
+        lead: Required direction (3,), or None.
     """
 
     segment: Segment
-    into: Way
-    out: Way
-    apart: float
-    used: float
-    section: Section
+    into: LeadPath
+    out: LeadPath
+    lead_out_deviation: float
+    length_in_part: float
+    section: ContourSection
     ends: tuple[tuple[FloatArray, FloatArray], ...]
     tolerance: float
     lead: FloatArray | None
 
     @property
-    def along(self) -> float:
-        """How far [m] it runs beside another contour, taking more than the tolerance from it, beyond what it
-        takes to cross it, at most."""
-        found = [
-            self.section.beside(*ends, way.half, way.half - self.tolerance)
-            for ends, way in zip(self.ends, self.ways, strict=True)
-            if way.half > self.tolerance
+    def excess_length_alongside(self) -> float:
+        """Largest excess length [m] that the slit runs along another contour.
+
+        It counts where the contour loses more than the tolerance. The length that a crossing needs is
+        subtracted.
+        """
+        lengths = [
+            self.section.excess_length_alongside(*ends, lead.half, lead.half - self.tolerance)
+            for ends, lead in zip(self.ends, self.leads, strict=True)
+            if lead.half > self.tolerance
         ]
-        return max(found, default=0.0)
+        return max(lengths, default=0.0)
 
     @property
-    def ways(self) -> tuple[Way, Way]:
-        """In and out."""
+    def leads(self) -> tuple[LeadPath, LeadPath]:
+        """Lead-in and lead-out."""
         return self.into, self.out
 
     @property
-    def allowed(self) -> float:
-        """How long [m] it may be in the part."""
-        spare = CONTOUR_SHARE * self.section.length + BLOCK_DIAGONAL_SHARE * self.section.diagonal
-        return SLIT_LENGTH_FACTOR * self.section.least(self.lead) + spare
+    def max_length(self) -> float:
+        """Allowed length [m] in the part."""
+        allowance = (
+            SLIT_CONTOUR_FRACTION * self.section.length + SLIT_DIAGONAL_FRACTION * self.section.diagonal
+        )
+        return SLIT_LENGTH_FACTOR * self.section.min_length_in_part(self.lead) + allowance
 
 
-def way_at(context: Context, wire: Wire, claim: CutsSurface, phase: Literal["in", "out"]) -> Way | None:
-    """The way in to the segment of a cut, or out of it; None where the text has none."""
+def lead_path(
+    context: Context, wire: WireMotion, claim: CutsSurface, phase: Literal["in", "out"]
+) -> LeadPath | None:
+    """Return the lead-in to the segment of a cut, or the lead-out, or None if the programs have none.
+
+    Args:
+        context: Context of the proof.
+        wire: The wire.
+        claim: Claim on the cut.
+        phase: Which of both.
+    """
     rows = np.flatnonzero(wire.labels == claim.segment.at(phase).key)
     if not len(rows):
         return None
-    before = max(rows[0] - 1, 0)
-    rows = np.append(rows[::-1], before) if phase == "in" else np.append(before, rows)
-    return _way(context, wire, rows, claim)
+    previous = max(rows[0] - 1, 0)
+    rows = np.append(rows[::-1], previous) if phase == "in" else np.append(previous, rows)
+    return _make_lead_path(context, wire, rows, claim)
 
 
-def _way(context: Context, wire: Wire, rows: IntArray, claim: CutsSurface) -> Way | None:
+def _make_lead_path(
+    context: Context, wire: WireMotion, rows: IntArray, claim: CutsSurface
+) -> LeadPath | None:
     points = wire.points[rows]
     foot, along = points[0, 0], points[0, -1] - points[0, 0]
     along = along / np.linalg.norm(along)
-    far = points[-1].mean(axis=0) - points[0].mean(axis=0)
-    across = far - (far @ along) * along
-    if float(np.linalg.norm(across)) < SLIT_ROUNDING:
+    vector = points[-1].mean(axis=0) - points[0].mean(axis=0)
+    across = vector - (vector @ along) * along
+    if float(np.linalg.norm(across)) < SLIT_ROUNDING_M:
         return None
     away = across / np.linalg.norm(across)
     low, high = int(rows.min()), int(rows.max()) + 1
     time = context.motion.time[wire.sample[low:high]]
-    speed = local(wire.points[low:high], time, wire.inside[low:high])[rows - low]
+    speed = wire_speed(wire.points[low:high], time, wire.inside[low:high])[rows - low]
     half = float(0.5 * claim.kerf.at(speed[wire.inside[rows]]).max(initial=0.0))
-    return Way(rows, foot, along, away, np.cross(along, away), half)
+    return LeadPath(rows, foot, along, away, np.cross(along, away), half)
 
 
-def slits(context: Context, wire: Wire) -> dict[str, Slit]:
-    """The slits that a wire may make in its setup, by the key of the segment that they lead to."""
+def find_slits(context: Context, wire: WireMotion) -> dict[str, Slit]:
+    """Return the slits that a wire makes in its setup, by the key of the segment that they lead to."""
     out: dict[str, Slit] = {}
     if wire.fault:
         return out
-    surfaces = {claim.segment: claim for claim in context.of(CutsSurface)}
+    surfaces = {claim.segment: claim for claim in context.claims_of(CutsSurface)}
     for claim in context.setup_claims[wire.setup].groups:
-        lead = {one.segment: one.way for one in claim if isinstance(one, LeadsFrom)}
-        for allowed in (one for one in claim if isinstance(one, SlitsAllowed)):
+        lead = {claimed.segment: claimed.direction for claimed in claim if isinstance(claimed, LeadsFrom)}
+        for allowed in (claimed for claimed in claim if isinstance(claimed, SlitsAllowed)):
             for number, contour in enumerate(allowed.contours):
                 surface = None if contour.segment is None else surfaces.get(contour.segment)
                 if surface is None:
                     continue
-                section = Section.of(allowed.contours, number, allowed.box)
-                into = way_at(context, wire, surface, "in")
-                back = way_at(context, wire, surface, "out")
-                if into is None or back is None or not section.surrounded:
+                section = ContourSection.across(allowed.contours, number, allowed.box)
+                into = lead_path(context, wire, surface, "in")
+                back = lead_path(context, wire, surface, "out")
+                if into is None or back is None or not section.is_surrounded:
                     continue
-                found = _slit(section, wire, surface, (into, back), lead.get(surface.segment))
-                out[surface.segment.key] = found
+                slit = _make_slit(section, wire, surface, (into, back), lead.get(surface.segment))
+                out[surface.segment.key] = slit
     return out
 
 
-def _slit(
-    section: Section, wire: Wire, claim: CutsSurface, ways: tuple[Way, Way], lead: FloatArray | None
+def _make_slit(
+    section: ContourSection,
+    wire: WireMotion,
+    claim: CutsSurface,
+    leads: tuple[LeadPath, LeadPath],
+    lead: FloatArray | None,
 ) -> Slit:
-    used, ends = 0.0, []
-    for way in ways:
-        first, last = (section.at(wire.points[way.rows[k], 0], wire.points[way.rows[k], -1]) for k in (0, -1))
+    length_in_part, ends = 0.0, []
+    for path in leads:
+        first, last = (
+            section.intersect(wire.points[path.rows[k], 0], wire.points[path.rows[k], -1]) for k in (0, -1)
+        )
         length = float(np.linalg.norm(last - first))
         step = (last - first) / max(length, 1e-12)
-        used = max(used, float(section.through(first[None], step[None], np.array([length]))[0]))
+        length_in_part = max(
+            length_in_part, float(section.length_in_part(first[None], step[None], np.array([length]))[0])
+        )
         ends.append((first, last))
-    apart = float(ways[0].aside(wire.points[ways[1].rows][:, [0, -1]]).max())
-    return Slit(claim.segment, *ways, apart, used, section, tuple(ends), claim.tolerance, lead)
+    lead_out_deviation = float(leads[0].plane_distance(wire.points[leads[1].rows][:, [0, -1]]).max())
+    return Slit(
+        claim.segment, *leads, lead_out_deviation, length_in_part, section, tuple(ends), claim.tolerance, lead
+    )
 
 
-def in_slit(slit: Slit, label: str, points: FloatArray, within: FloatArray) -> BoolArray:
-    """Which points (N, 3) of a way in or out lie in its slit, within (N,) [m] of its plane, on the outer
-    side of its contour."""
-    way = slit.into if Segment.read(label).phase == "in" else slit.out
-    return np.asarray((way.aside(points) <= within) & ((points - way.foot) @ way.away >= -within))
+def points_in_slit(slit: Slit, label: str, points: FloatArray, within: FloatArray) -> BoolArray:
+    """Return which points (N, 3) of a lead lie in its slit, on the outer side of its contour.
+
+    Args:
+        slit: The slit.
+        label: Segment of the lead.
+        points: Points (N, 3) [m].
+        within: Allowed distance from the slit's plane (N,) [m].
+    """
+    lead = slit.into if Segment.read(label).phase == "in" else slit.out
+    return np.asarray(
+        (lead.plane_distance(points) <= within)
+        & ((points - lead.wire_point) @ lead.lead_direction >= -within)
+    )
 
 
-def off_lead(claim: LeadsFrom, wire: Wire, way: Way) -> tuple[float, int]:
-    """How far [m] a way in is off the plane through the first wire beside the surface and the stated
-    direction, or behind that wire, at most, beyond half the slot; and the station."""
-    wanted = claim.way - (claim.way @ way.along) * way.along
-    wanted = wanted / max(float(np.linalg.norm(wanted)), 1e-12)
-    ends = wire.points[way.rows][:, [0, -1]] - way.foot
-    aside = np.abs(ends @ np.cross(way.along, wanted))
-    behind = -dots(ends, np.broadcast_to(wanted, ends.shape))
-    off = np.maximum(aside, behind).max(axis=1) - way.half
-    k = int(np.argmax(off))
-    return float(off[k]), int(way.rows[k])
+def lead_deviation(claim: LeadsFrom, wire: WireMotion, lead_in: LeadPath) -> tuple[float, int]:
+    """Return the largest deviation [m] of a lead-in from the stated direction, and the station.
+
+    The deviation is the distance from the plane through the first wire next to the surface and the stated
+    direction, or the distance behind that wire. Half the slot is subtracted.
+
+    Args:
+        claim: Claim on the direction.
+        wire: The wire.
+        lead_in: The lead-in.
+    """
+    required = claim.direction - (claim.direction @ lead_in.wire_direction) * lead_in.wire_direction
+    required = required / max(float(np.linalg.norm(required)), 1e-12)
+    ends = wire.points[lead_in.rows][:, [0, -1]] - lead_in.wire_point
+    distance_aside = np.abs(ends @ np.cross(lead_in.wire_direction, required))
+    distance_behind = -dots(ends, np.broadcast_to(required, ends.shape))
+    deviation = np.maximum(distance_aside, distance_behind).max(axis=1) - lead_in.half
+    k = int(np.argmax(deviation))
+    return float(deviation[k]), int(lead_in.rows[k])

@@ -1,5 +1,6 @@
-"""The wire along the replayed motion, at stations along the way: a discrete rod followed from the mounted
-state, or the straight wire of a bow.
+"""The wire along the replayed motion, at stations along its path.
+
+It is a discrete rod followed from the mounted state, or the straight wire of a bow.
 """
 
 import dataclasses
@@ -14,32 +15,43 @@ from planner.claims.claim import Claim, ContactOnlyIn, FeedWindow
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, log_rotation
 from planner.problem import Stock
 from planner.processes.hotwire.claims import StraightWire, WireJoins
-from planner.processes.hotwire.proof.rod import Rod, RodError, RodPath, follow, mount
+from planner.processes.hotwire.proof.rod import Rod, RodError, RodPath, follow_rod, mount_rod
 from planner.proof.context import Context
 from planner.proof.facts import Fact
-from planner.proof.setups import Phase, SetupClaims
+from planner.proof.setups import JoinedPhase, SetupClaims
 
 ROD_SEGMENTS = 64
-"""Segments of the rod that stands for a wire."""
-STATION_SPACING = 0.004
-"""Way of a wire end between stations [m]."""
-_TURN_LEVER = 0.25
-"""What a turn of a clamp counts as way of the wire [m/rad]."""
+"""Number of segments of the rod that models a wire."""
+STATION_SPACING_M = 0.004
+"""Path of a wire end between stations [m]."""
+_ROTATION_LEVER_M = 0.25
+"""Path that one radian of rotation of a clamp counts as [m/rad]."""
 _DOWN = np.array([0.0, 0.0, -1.0])
 """Direction of gravity in the world."""
-_FINER_STEPS = 4
-"""Steps between two points of a wire, for its distances."""
+_REFINEMENT = 4
+"""Number of steps between two points of a wire for its distances."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Wire:
-    """One wire at T stations: bent between two arms, with its ``phase`` and ``path``, or straight in a bow.
+class WireMotion:
+    """One wire at T stations, bent between two arms or straight in a bow.
 
-    ``arms`` hold it, in setup ``setup`` (an index). ``sample`` (T,) are samples of the motion; ``world`` and
-    ``points`` (T, P, 3) are in the world and in the block's frame, at equal arc lengths; ``depth`` (T,) is
-    how far the wire, with its half thickness ``radius``, is inside the block [m] (negative: the distance);
-    ``inside`` (T, P) which points are; ``labels`` (T,) of the moves. ``cuts`` are the segments in which it
-    may be in the foam. ``fault`` says why it cannot be followed.
+    Attributes:
+        claim: Claim on the wire.
+        arms: Arms that hold it.
+        setup: Index of the setup.
+        radius: Half its thickness [m].
+        sample: Samples of the motion (T,).
+        world_points: Points in the world at equal arc lengths (T, P, 3) [m].
+        points: The same points in the block's frame (T, P, 3) [m].
+        depth: Depth of the wire, with its half thickness, in the block (T,) [m]. If negative, minus the
+            distance.
+        inside: Points that are in the block (T, P).
+        labels: Segment of the moves (T,).
+        cut_segments: Segments in which it may be in the foam.
+        fault: Reason why it cannot be followed, or empty.
+        phase: Phase in which a bent wire is mounted, None for a straight one.
+        path: Shapes of a bent wire, None for a straight one.
     """
 
     claim: WireJoins | StraightWire
@@ -47,39 +59,39 @@ class Wire:
     setup: int
     radius: float
     sample: IntArray
-    world: FloatArray
+    world_points: FloatArray
     points: FloatArray
     depth: FloatArray
     inside: BoolArray
     labels: NDArray[np.str_]
-    cuts: frozenset[str]
+    cut_segments: frozenset[str]
     fault: str = ""
-    phase: Phase | None = None
+    phase: JoinedPhase | None = None
     path: RodPath | None = None
 
     @property
-    def cutting(self) -> BoolArray:
+    def is_cutting(self) -> BoolArray:
         """Stations (T,) at which it may be in the foam."""
-        return np.isin(self.labels, list(self.cuts))
+        return np.isin(self.labels, list(self.cut_segments))
 
 
-def wires(context: Context) -> tuple[Wire, ...]:
-    """All wires of a job: the bent ones, then the straight ones, setup by setup."""
-    bent = [follow_wire(context, *one) for one in mounted(context)]
+def all_wires(context: Context) -> tuple[WireMotion, ...]:
+    """Return all wires of a job: the bent ones, then the straight ones by setup."""
+    bent = [follow_wire(context, *item) for item in mounted_phases(context)]
     straight = [
-        straight_wire(context, index, arm, claims)
+        straight_wire_motion(context, index, arm, claims)
         for index, setup in enumerate(context.setup_claims)
         for arm, claims in straight_claims(setup).items()
     ]
     return (*bent, *straight)
 
 
-def mounted(context: Context) -> tuple[tuple[Phase, WireJoins], ...]:
+def mounted_phases(context: Context) -> tuple[tuple[JoinedPhase, WireJoins], ...]:
     """Find when bent wires are mounted, with the claims about them."""
-    return tuple((one, one.claim) for one in context.phases if isinstance(one.claim, WireJoins))
+    return tuple((phase, phase.claim) for phase in context.phases if isinstance(phase.claim, WireJoins))
 
 
-WIRES: Final[Fact[Context, tuple[Wire, ...]]] = Fact("wires", wires, sent=True)
+WIRES: Final[Fact[Context, tuple[WireMotion, ...]]] = Fact("wires", all_wires, sent=True)
 """All wires of a job."""
 
 
@@ -112,165 +124,206 @@ def _cuts(context: Context, index: int, arms: tuple[str, ...]) -> frozenset[str]
     return frozenset[str]().union(*(cut_segments(group, arms) for group in groups))
 
 
-def samples(context: Context, phase: Phase) -> IntArray:
-    """Samples of the motion while the wire of a phase is moved."""
+def phase_samples(context: Context, phase: JoinedPhase) -> IntArray:
+    """Return the samples of the motion while the wire of a phase is moved."""
     stages = context.motion.stage
-    synchronised = np.array([stage.synchronised and not stage.is_way for stage in context.job.stages])
+    synchronised = np.array(
+        [stage.synchronised and not stage.is_synchronised_approach for stage in context.job.stages]
+    )
     return np.flatnonzero((stages >= phase.first) & (stages <= phase.last) & synchronised[stages])
 
 
-def stations(context: Context, rows: IntArray, arms: tuple[str, str]) -> IntArray:
-    """Samples among ``rows`` at which the wire is looked at: all targets, and between them every
-    `STATION_SPACING` of its ends' way."""
-    way = np.zeros(len(rows))
+def station_samples(context: Context, rows: IntArray, arms: tuple[str, str]) -> IntArray:
+    """Return the samples at which the wire is checked.
+
+    These are all targets, and between them every `STATION_SPACING_M` of the path of its ends.
+
+    Args:
+        context: Context of the proof.
+        rows: Samples to choose from (S,).
+        arms: Arms that hold the wire.
+    """
+    step_length = np.zeros(len(rows))
     for arm in arms:
         pose = context.motion.tcp[arm][rows]
         step = np.linalg.norm(np.diff(pose[:, :3, 3], axis=0), axis=1)
-        turn = np.linalg.norm(log_rotation(np.swapaxes(pose[:-1, :3, :3], 1, 2) @ pose[1:, :3, :3]), axis=1)
-        way[1:] = np.maximum(way[1:], step + _TURN_LEVER * turn)
-    return _chosen(context, rows, way)
+        rotation = np.linalg.norm(
+            log_rotation(np.swapaxes(pose[:-1, :3, :3], 1, 2) @ pose[1:, :3, :3]), axis=1
+        )
+        step_length[1:] = np.maximum(step_length[1:], step + _ROTATION_LEVER_M * rotation)
+    return _spaced_samples(context, rows, step_length)
 
 
-def _chosen(context: Context, rows: IntArray, way: FloatArray) -> IntArray:
-    """Samples among ``rows`` every `STATION_SPACING` of ``way`` (S,), the way to each sample from the one
-    before, and all targets."""
+def _spaced_samples(context: Context, rows: IntArray, step_length: FloatArray) -> IntArray:
+    """Return samples among ``rows`` every `STATION_SPACING_M` of the path, and all targets.
+
+    ``step_length`` (S,) is the path to each sample from the previous one.
+    """
     motion = context.motion
-    along = np.cumsum(way)
-    count = max(int(np.ceil(along[-1] / STATION_SPACING)), 1) if len(rows) else 1
-    marks = np.searchsorted(along, np.linspace(0.0, along[-1], count + 1))
+    path_length = np.cumsum(step_length)
+    count = max(int(np.ceil(path_length[-1] / STATION_SPACING_M)), 1) if len(rows) else 1
+    marks = np.searchsorted(path_length, np.linspace(0.0, path_length[-1], count + 1))
     nodes = np.searchsorted(rows, motion.node_sample[np.isin(motion.node_sample, rows)])
     ends = [0, len(rows) - 1]
-    chosen = np.unique(np.clip(np.concatenate([marks, nodes, ends]), 0, len(rows) - 1))
-    return np.asarray(rows[chosen], dtype=np.int64)
+    selected = np.unique(np.clip(np.concatenate([marks, nodes, ends]), 0, len(rows) - 1))
+    return np.asarray(rows[selected], dtype=np.int64)
 
 
-def follow_wire(context: Context, phase: Phase, claim: WireJoins) -> Wire:
-    """Follow the wire of one phase. Where it cannot be mounted or its ends are lost, ``path`` is None and
-    ``fault`` says why."""
+def follow_wire(context: Context, phase: JoinedPhase, claim: WireJoins) -> WireMotion:
+    """Follow the wire of one phase.
+
+    If it cannot be mounted or its ends are lost, ``path`` is None and ``fault`` states why.
+    """
     motion = context.motion
-    rows = samples(context, phase)
+    rows = phase_samples(context, phase)
     missing = [arm for arm in claim.arms if arm not in motion.tcp]
     if not len(rows) or missing:
         fault = f"no program for arm {missing[0]}" if missing else "the wire is never moved"
-        return _lost(context, claim, phase.setup, rows[:0], fault, phase)
-    farthest = float(end_distances(context, phase).max())
-    if farthest >= claim.length:
-        fault = f"its ends are {farthest * 1e3:.3f} mm apart; it is {claim.length * 1e3:.3f} mm long"
-        return _lost(context, claim, phase.setup, rows[:0], fault, phase)
-    at = stations(context, rows, claim.arms)
-    start, end = (motion.tcp[arm][at] for arm in claim.arms)
+        return _unfollowed_wire(context, claim, phase.setup, rows[:0], fault, phase)
+    max_distance = float(end_distances(context, phase).max())
+    if max_distance >= claim.length:
+        fault = f"its ends are {max_distance * 1e3:.3f} mm apart; it is {claim.length * 1e3:.3f} mm long"
+        return _unfollowed_wire(context, claim, phase.setup, rows[:0], fault, phase)
+    sample = station_samples(context, rows, claim.arms)
+    start, end = (motion.tcp[arm][sample] for arm in claim.arms)
     rod = make_rod(claim)
     try:
-        first = mount(rod, start[0], end[0], _DOWN)
-        path = follow(rod, start, end, _DOWN, first)
+        mounted_shape = mount_rod(rod, start[0], end[0], _DOWN)
+        path = follow_rod(rod, start, end, _DOWN, mounted_shape)
     except (RodError, np.linalg.LinAlgError, ValueError) as wrong:
-        return _lost(context, claim, phase.setup, at, str(wrong), phase)
+        return _unfollowed_wire(context, claim, phase.setup, sample, str(wrong), phase)
     radius = 0.5 * claim.thickness
-    points = context.in_stock(phase.setup, at, path.points)
-    depth, inside = depth_in(points, context.stock(phase.setup), radius)
+    points = context.to_stock_frame(phase.setup, sample, path.points)
+    depth, inside = depth_in_block(points, context.stock_at(phase.setup), radius)
     cuts = _cuts(context, phase.setup, claim.arms)
-    place = (at, path.points, points, depth, inside, motion.labels(at), cuts)
-    return Wire(claim, claim.arms, phase.setup, radius, *place, phase=phase, path=path)
+    geometry = (sample, path.points, points, depth, inside, motion.labels(sample), cuts)
+    return WireMotion(claim, claim.arms, phase.setup, radius, *geometry, phase=phase, path=path)
 
 
-def straight_wire(context: Context, index: int, arm: str, claims: tuple[StraightWire, ...]) -> Wire:
-    """The wire of the bow that ``arm`` carries in setup ``index``, over all of that setup."""
+def straight_wire_motion(
+    context: Context, index: int, arm: str, claims: tuple[StraightWire, ...]
+) -> WireMotion:
+    """Return the wire of the bow that ``arm`` carries in setup ``index``, over the whole setup."""
     motion, claim = context.motion, claims[0]
     rows = np.flatnonzero(context.sample_setup == index)
     if arm not in motion.tcp or not len(rows):
         fault = f"no program for arm {arm} in setup {index + 1}"
-        return _lost(context, claim, index, np.zeros(0, dtype=np.int64), fault)
+        return _unfollowed_wire(context, claim, index, np.zeros(0, dtype=np.int64), fault)
     ends = np.stack([claim.start, claim.end])
-    seen = context.in_stock(index, rows, _placed(motion.tcp[arm][rows], ends))
-    way = np.linalg.norm(np.diff(seen, axis=0), axis=2).max(axis=1, initial=0.0)
-    at = _chosen(context, rows, np.concatenate([[0.0], way]))
-    part = np.linspace(0.0, 1.0, ROD_SEGMENTS + 1)[:, None]
-    world = _placed(motion.tcp[arm][at], claim.start * (1.0 - part) + claim.end * part)
-    points = context.in_stock(index, at, world)
-    depth, inside = depth_in(points, context.stock(index), claim.radius)
-    place = at, world, points, depth, inside, motion.labels(at), _cuts(context, index, (arm,))
-    return Wire(claim, (arm,), index, claim.radius, *place)
+    ends_in_stock = context.to_stock_frame(index, rows, _transform_points(motion.tcp[arm][rows], ends))
+    step_length = np.linalg.norm(np.diff(ends_in_stock, axis=0), axis=2).max(axis=1, initial=0.0)
+    sample = _spaced_samples(context, rows, np.concatenate([[0.0], step_length]))
+    fraction = np.linspace(0.0, 1.0, ROD_SEGMENTS + 1)[:, None]
+    world = _transform_points(motion.tcp[arm][sample], claim.start * (1.0 - fraction) + claim.end * fraction)
+    points = context.to_stock_frame(index, sample, world)
+    depth, inside = depth_in_block(points, context.stock_at(index), claim.radius)
+    geometry = sample, world, points, depth, inside, motion.labels(sample), _cuts(context, index, (arm,))
+    return WireMotion(claim, (arm,), index, claim.radius, *geometry)
 
 
-def _placed(poses: FloatArray, points: FloatArray) -> FloatArray:
-    """Points (P, 3) of a frame at its poses (S, 4, 4), as (S, P, 3)."""
+def _transform_points(poses: FloatArray, points: FloatArray) -> FloatArray:
+    """Transform points (P, 3) of a frame at its poses (S, 4, 4) to (S, P, 3)."""
     return np.asarray(np.einsum("sij,pj->spi", poses[:, :3, :3], points) + poses[:, None, :3, 3])
 
 
 def make_rod(claim: WireJoins) -> Rod:
-    """The rod of a claim."""
+    """Return the rod that models a claimed wire."""
     return Rod(claim.length, claim.ei_soft, claim.ei_stiff, claim.gj, claim.weight, ROD_SEGMENTS)
 
 
-def _lost(
+def _unfollowed_wire(
     context: Context,
     claim: WireJoins | StraightWire,
     index: int,
-    at: IntArray,
+    sample: IntArray,
     fault: str,
-    phase: Phase | None = None,
-) -> Wire:
-    """A wire of setup ``index`` that cannot be followed at samples ``at`` (T,)."""
+    phase: JoinedPhase | None = None,
+) -> WireMotion:
+    """Return a wire of setup ``index`` that cannot be followed at samples (T,)."""
     arms: tuple[str, ...]
     if isinstance(claim, WireJoins):
         arms, radius = claim.arms, 0.5 * claim.thickness
     else:
         arms, radius = (claim.arm,), claim.radius
-    none = np.zeros((len(at), ROD_SEGMENTS + 1, 3))
-    place = none, none, np.full(len(at), -np.inf), none[..., 0] > 0.0, np.full(len(at), "")
-    return Wire(claim, arms, index, radius, at, *place, _cuts(context, index, arms), fault, phase)
+    no_points = np.zeros((len(sample), ROD_SEGMENTS + 1, 3))
+    geometry = (
+        no_points,
+        no_points,
+        np.full(len(sample), -np.inf),
+        no_points[..., 0] > 0.0,
+        np.full(len(sample), ""),
+    )
+    return WireMotion(
+        claim, arms, index, radius, sample, *geometry, _cuts(context, index, arms), fault, phase
+    )
 
 
-def depth_in(points: FloatArray, stock: Stock, radius: float) -> tuple[FloatArray, BoolArray]:
-    """Depth (T,) of curves (T, P, 3) in the block (negative: distance to it) and which points (T, P) are
-    inside."""
+def depth_in_block(points: FloatArray, stock: Stock, radius: float) -> tuple[FloatArray, BoolArray]:
+    """Return the depth (T,) [m] of curves in the block and which points (T, P) are inside.
+
+    A negative depth is minus the distance to the block.
+
+    Args:
+        points: Curves (T, P, 3) [m].
+        stock: The block.
+        radius: Half the thickness of the wire [m].
+    """
     count = points.shape[1]
-    fine = np.linspace(0.0, count - 1.0, _FINER_STEPS * (count - 1) + 1)
-    low = np.minimum(fine.astype(np.int64), count - 2)
-    part = (fine - low)[None, :, None]
-    dense = points[:, low] * (1.0 - part) + points[:, low + 1] * part
-    signed = to_block(dense, stock).min(axis=1, initial=np.inf) - radius
-    return -signed, to_block(points, stock) < radius
+    fine_index = np.linspace(0.0, count - 1.0, _REFINEMENT * (count - 1) + 1)
+    low = np.minimum(fine_index.astype(np.int64), count - 2)
+    fraction = (fine_index - low)[None, :, None]
+    dense = points[:, low] * (1.0 - fraction) + points[:, low + 1] * fraction
+    signed = block_distance(dense, stock).min(axis=1, initial=np.inf) - radius
+    return -signed, block_distance(points, stock) < radius
 
 
-def to_block(points: FloatArray, stock: Stock) -> FloatArray:
-    """Distance (...,) of points (..., 3) to the block as found, negative inside."""
-    over = np.maximum(stock.lower - points, points - stock.upper)
-    outside = np.linalg.norm(np.maximum(over, 0.0), axis=-1)
-    return np.asarray(np.where(outside > 0.0, outside, over.max(axis=-1)))
+def block_distance(points: FloatArray, stock: Stock) -> FloatArray:
+    """Return the distance (...,) [m] of points (..., 3) to the block as found, negative inside."""
+    excess = np.maximum(stock.lower - points, points - stock.upper)
+    outside = np.linalg.norm(np.maximum(excess, 0.0), axis=-1)
+    return np.asarray(np.where(outside > 0.0, outside, excess.max(axis=-1)))
 
 
-def end_distances(context: Context, phase: Phase) -> FloatArray:
-    """Distance (S,) [m] of the two ends at every sample of a phase."""
-    a, b = (context.motion.tcp[arm].place[samples(context, phase)] for arm in phase.claim.joined_arms)
+def end_distances(context: Context, phase: JoinedPhase) -> FloatArray:
+    """Return the distance (S,) [m] of the two ends at every sample of a phase."""
+    a, b = (
+        context.motion.tcp[arm].position[phase_samples(context, phase)] for arm in phase.claim.joined_arms
+    )
     return np.asarray(np.linalg.norm(a - b, axis=1))
 
 
-def end_error(context: Context, wire: Wire, chosen: IntArray) -> FloatArray:
-    """How far (T,) [m] the wire inside the block may be off at stations ``chosen`` by the stated error of
-    its ends.
+def end_error_deviation(context: Context, wire: WireMotion, selected: IntArray) -> FloatArray:
+    """Return the possible deviation (T,) [m] of the wire inside the block by the stated error of its ends.
 
-    Each end is put off by the claim's end error along and across its tangent in the section plane, one at a
-    time; the moves of the wire across itself add as squares, since the errors are independent. 0 where
+    Each end is displaced by the claim's end error along and across its tangent in the section plane, one at a
+    time. The displacements of the wire across itself add as squares, because the errors are independent. 0 if
     nothing is inside.
+
+    Args:
+        context: Context of the proof.
+        wire: The wire.
+        selected: Stations (T,).
     """
-    out = np.zeros(len(chosen))
+    out = np.zeros(len(selected))
     claim = wire.claim
     if wire.path is None or not isinstance(claim, WireJoins) or claim.end_error <= 0.0:
         return out
     rod = make_rod(claim)
-    for n, k in enumerate(chosen):
+    for n, k in enumerate(selected):
         inside = wire.inside[k]
         if not inside.any():
             continue
         ends = [context.motion.tcp[arm][wire.sample[k]][None] for arm in claim.arms]
         tangent = np.gradient(wire.path.points[k], axis=0)
         tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-        off = [np.repeat(pose, 4, axis=0) for pose in ends]
+        displaced_ends = [np.repeat(pose, 4, axis=0) for pose in ends]
         for row, (end, axis) in enumerate(itertools.product((0, 1), (0, 1))):
-            off[end][row, :3, 3] += claim.end_error * ends[end][0, :3, axis]
-        moved = follow(rod, off[0], off[1], _DOWN, wire.path.shapes[int(k)]).points - wire.path.points[k]
-        across = moved - np.einsum("tpi,pi->tp", moved, tangent)[..., None] * tangent
-        squares = (across[:, inside] ** 2).sum(axis=(0, 2))
+            displaced_ends[end][row, :3, 3] += claim.end_error * ends[end][0, :3, axis]
+        displacement = (
+            follow_rod(rod, displaced_ends[0], displaced_ends[1], _DOWN, wire.path.shapes[int(k)]).points
+            - wire.path.points[k]
+        )
+        transverse = displacement - np.einsum("tpi,pi->tp", displacement, tangent)[..., None] * tangent
+        squares = (transverse[:, inside] ** 2).sum(axis=(0, 2))
         out[n] = np.sqrt(squares.max())
     return out

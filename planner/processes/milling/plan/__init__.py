@@ -1,1 +1,4 @@
-"""The process ``milling``: a cutter on one arm cuts along its flank or with its end; it knows no robot."""
+"""Planning of the process ``milling``: a cutter on one arm cuts with its flank or its end.
+
+No robot model is needed here.
+"""

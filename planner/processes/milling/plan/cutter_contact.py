@@ -1,23 +1,24 @@
-"""Where a cutter can touch a surface: a ball on a face, a cylindrical flank along rulings.
+"""Contact of a cutter with a surface: a ball on a face, a cylindrical flank along rulings.
 
-**A face seen from above.** `Over`: the place over any x and y, and the smooth normal there.
-`inner`: the face without the strip along its edge that a cut leaves out.
+**Face seen from above.** `inner_area` returns the face without the strip along its edge that a cut leaves
+out.
 
-**What a ball cannot reach**, from the part alone: before a line is laid, the ball is held against
-every place of the face. A ball of radius R that touches a place p with the normal n has its centre
-at p + R n. Where the face is bent inward more tightly than the ball, another place of it is nearer
-to that centre than R: there the ball would cut in, and leaves a fillet of its own radius instead.
+**What a ball cannot reach** follows from the part alone. Before a line is planned, the ball is placed at
+every point of the face. A ball of radius R that touches a point p with the normal n has its centre at p + R
+n. Where the face is concave with a smaller radius than the ball's, another point of it is closer to that
+centre than R. There the ball would cut in, so it leaves a fillet of its own radius instead.
 
-**A flank on a ruled surface.** Along a ruling of a developable surface the normal is one and the
-same, and a cylinder touches the whole of it. A twisted ruling it can only touch in part. Here the
-cylinder touches both guides, each from outside at the distance of its radius (as in the two-guide
-positioning that Redonnet, Rubio and Dessein describe in "Side milling of ruled surfaces", Int. J.
-Adv. Manuf. Technol. 14, 1998; worked out anew). One freedom is left: how far the place on the upper
-guide is ahead of that on the lower one. It is chosen so that the largest distance of the cylinder
-from the surface between the guides is least.
+**A flank on a ruled surface.** Along a ruling of a developable surface the normal is constant, and a cylinder
+touches all of the ruling. It can touch a twisted ruling only in part. Here the cylinder touches both guides,
+each from outside at the distance of its radius. One freedom is left: how far the contact on the upper guide
+is ahead of that on the lower one. It is chosen so that the largest distance of the cylinder from the surface
+between the guides is minimal.
 
-Rulings come as a flank cutter passes them (`strips`): tip guide and top guide in the order of the
-cut, with tangents and outward normals, one smooth piece at a time.
+Rulings are ordered as a flank cutter passes them (`smooth_strips`): tip guide and top guide in the order of
+the cut, with tangents and outward normals, one smooth piece at a time.
+
+Source: two-guide positioning as in Redonnet, Rubio and Dessein, "Side milling of ruled surfaces", Int. J.
+Adv. Manuf. Technol. 14 (1998); derived independently.
 """
 
 import dataclasses
@@ -28,350 +29,441 @@ import shapely
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Mesh, Ruled, unit
-from planner.geometry.face_places import CREASE_ANGLE
-from planner.geometry.mesh import TriangleMesh, closest_on_triangles, corner_normals, small_pieces
-from planner.geometry.rulings import boundaries, resample, runs
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Mesh, RuledSurface, unit
+from planner.geometry.face_from_above import CREASE_ANGLE_RAD
+from planner.geometry.mesh import TriangleMesh, bisect_triangles, closest_weights, corner_normals
+from planner.geometry.rulings import boundary_rings, resample, smooth_pieces
 from planner.geometry.units import MM, measurement
 from planner.issues import Issue
 
-INNER_EDGE_SIZE: Final = 0.5 * MM
-"""Triangles across the strip's inner edge are parted until they are no larger [m]; those not all inside are
-left out."""
-MOST_PIECES: Final = 400_000
-"""Pieces into which these triangles are parted at most."""
+INNER_EDGE_SIZE_M: Final = 0.5 * MM
+"""Triangles across the strip's inner edge are subdivided to this size [m].
+
+Those that are not completely inside are left out.
+"""
+MAX_PIECES: Final = 400_000
+"""Maximum number of pieces of these triangles."""
 
 
-def inner(front: Mesh, margin: float) -> shapely.Geometry:
-    """What is farther than ``margin`` [m] inside the edge of the face ``front``, whose normals look up, in
-    plan [m]; empty where nothing is."""
-    rings = boundaries(TriangleMesh(front.vertices, front.faces))
+def inner_area(front: Mesh, margin: float) -> shapely.Geometry:
+    """Return the area in plan [m] that is farther than ``margin`` inside the edge; empty if there is none.
+
+    Args:
+        front: Face whose normals point upwards.
+        margin: Width of the strip along its edge [m].
+    """
+    rings = boundary_rings(TriangleMesh(front.vertices, front.faces))
     flat = [front.vertices[ring][:, :2] for ring in rings if len(ring) > 2]
     if not flat:
         return shapely.Polygon()
-    whole = shapely.make_valid(shapely.Polygon(flat[0], flat[1:]))
-    return shapely.buffer(whole, -margin, join_style="mitre")
+    outline = shapely.make_valid(shapely.Polygon(flat[0], flat[1:]))
+    return shapely.buffer(outline, -margin, join_style="mitre")
 
 
-def within(area: shapely.Geometry, xy: FloatArray) -> BoolArray:
-    """Whether places (N, 2) [m] are in the area, seen from above."""
+def contains_points(area: shapely.Geometry, xy: FloatArray) -> BoolArray:
+    """Return whether points (N, 2) [m] are in the area, seen from above."""
     shapely.prepare(area)
     return np.asarray(shapely.contains_xy(area, xy[:, 0], xy[:, 1]))
 
 
-def clipped(front: Mesh, area: shapely.Geometry) -> Mesh:
-    """The triangles of a face over the area, each with vertices of its own."""
+def clip_face(front: Mesh, area: shapely.Geometry) -> Mesh:
+    """Return the triangles of a face over the area, each with vertices of its own."""
     corners = front.vertices[front.faces]
     shapely.prepare(area)
-    whole = _inside(area, corners)
+    whole = _contains_triangles(area, corners)
     rest = corners[~whole]
-    across = rest[shapely.intersects(area, shapely.polygons(rest[..., :2]))]
+    crossing = rest[shapely.intersects(area, shapely.polygons(rest[..., :2]))]
     parts = [corners[whole]]
-    if len(across):
-        pieces, _ = small_pieces(across, INNER_EDGE_SIZE, MOST_PIECES)
-        parts.append(pieces[_inside(area, pieces)])
+    if len(crossing):
+        pieces, _ = bisect_triangles(crossing, INNER_EDGE_SIZE_M, MAX_PIECES)
+        parts.append(pieces[_contains_triangles(area, pieces)])
     kept = np.concatenate(parts)
     return Mesh(kept.reshape(-1, 3), np.arange(3 * len(kept), dtype=np.int64).reshape(-1, 3))
 
 
-def _inside(area: shapely.Geometry, corners: FloatArray) -> BoolArray:
-    """Whether triangles (T, 3, 3) are in the area as a whole."""
+def _contains_triangles(area: shapely.Geometry, corners: FloatArray) -> BoolArray:
+    """Return whether triangles (T, 3, 3) are completely in the area."""
     return np.asarray(shapely.contains(area, shapely.polygons(corners[..., :2])))
 
 
-MOST_BOUNDING_POINTS: Final = 40_000
-"""Most places of a face that bound a ball."""
-TRIED_POINTS: Final = 5000
-"""Of these, places at which it is tried; lines are held against all of them once they are laid."""
-SPACING_SHARE: Final = 0.4
-"""Share of the tolerance that places between the places may hide."""
-DISTANCE_SHARE: Final = 0.1
-"""Share of it that is not told apart in distances."""
-CUT_IN_SHARE: Final = 0.8
-"""The largest ball that fits cuts in by this share of the tolerance at most."""
-RADIUS_HALVINGS: Final = 9
-"""Halvings by which the largest ball that fits is found."""
-SMALLER_BALL_POINTS: Final = 800
-"""Places at which smaller balls are tried."""
+MAX_BOUNDING_POINTS: Final = 40_000
+"""Maximum number of face points that bound a ball."""
+MAX_TRIAL_POINTS: Final = 5000
+"""Number of these points at which the ball is tried.
+
+Lines are checked against all points once they are planned.
+"""
+SPACING_FRACTION: Final = 0.4
+"""Fraction of the tolerance that may be hidden between points."""
+DISTANCE_FRACTION: Final = 0.1
+"""Accuracy of distances, as a fraction of the tolerance."""
+CUT_IN_FRACTION: Final = 0.8
+"""Maximum cut-in of the largest fitting ball, as a fraction of the tolerance."""
+RADIUS_BISECTIONS: Final = 9
+"""Bisection steps in the search for the largest fitting ball."""
+MAX_SMALLER_BALL_POINTS: Final = 800
+"""Number of points at which smaller balls are tried."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Unreached:
-    """What a ball leaves of a face: touching the place ``at`` (3,) [m] it would cut in elsewhere by ``deep``
-    [m], the most; the ``area`` [m^2], the ``share`` of the face, where it would by more than the tolerance;
-    and ``fits`` [m], the radius of the largest ball that reaches all, None where that is next to nothing."""
+class UnreachedArea:
+    """Region of a face that a ball cannot reach.
 
-    deep: float
-    at: FloatArray
+    Attributes:
+        depth: Largest cut-in elsewhere when the ball touches the face [m].
+        point: Point (3,) [m] at which the ball then touches.
+        area: Area where the cut-in exceeds the tolerance [m^2].
+        area_fraction: That area as a fraction of the face.
+        fitting_radius: Radius [m] of the largest ball that reaches all of the face, None if it is negligible.
+    """
+
+    depth: float
+    point: FloatArray
     area: float
-    share: float
-    fits: float | None
+    area_fraction: float
+    fitting_radius: float | None
 
 
-def unreached(
+def find_unreached(
     face: Mesh, radius: float, tolerance: float, area: shapely.Geometry | None = None
-) -> Unreached | None:
-    """What a ball of ``radius`` [m] leaves of a face, of which what lies in ``area`` [m] in plan is wanted;
-    None where it reaches all of that within ``tolerance`` [m]."""
+) -> UnreachedArea | None:
+    """Find what a ball cannot reach of a face.
+
+    Args:
+        face: Face of the part.
+        radius: Radius of the ball [m].
+        tolerance: Allowed cut-in [m].
+        area: Part of the face in plan [m] that has to be reached, None for all of it.
+
+    Returns:
+        The unreached region, or None if the ball reaches everything within the tolerance.
+    """
     corners = face.vertices[face.faces]
-    pieces, owner = small_pieces(
-        corners, float(np.sqrt(8.0 * radius * SPACING_SHARE * tolerance)), MOST_BOUNDING_POINTS
+    pieces, owner = bisect_triangles(
+        corners, float(np.sqrt(8.0 * radius * SPACING_FRACTION * tolerance)), MAX_BOUNDING_POINTS
     )
     size = 0.5 * np.linalg.norm(np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1)
     points = pieces.mean(axis=1)
-    own = corners[owner]
-    weights = closest_on_triangles(points, own[:, 0], own[:, 1], own[:, 2])
-    smooth = corner_normals(TriangleMesh(face.vertices, face.faces), CREASE_ANGLE)[owner]
+    triangles = corners[owner]
+    weights = closest_weights(points, triangles[:, 0], triangles[:, 1], triangles[:, 2])
+    smooth = corner_normals(TriangleMesh(face.vertices, face.faces), CREASE_ANGLE_RAD)[owner]
     normal = np.einsum("nk,nkd->nd", weights, smooth)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-15)
-    chosen = within(area, points[:, :2]) if area is not None else np.ones(len(points), dtype=np.bool_)
-    whole = float(size[chosen].sum())
+    in_area = (
+        contains_points(area, points[:, :2]) if area is not None else np.ones(len(points), dtype=np.bool_)
+    )
+    total_area = float(size[in_area].sum())
     tree = cKDTree(points)
-    some = slice(None, None, -(-len(points) // TRIED_POINTS))
-    points, normal, size = points[some], normal[some], size[some]
-    wanted = chosen[some]
-    hidden = DISTANCE_SHARE * tolerance
-    deep = _cuts(tree, points, normal, radius, hidden)
-    tight = np.flatnonzero(wanted & (deep > tolerance))
-    if not len(tight):
+    subset = slice(None, None, -(-len(points) // MAX_TRIAL_POINTS))
+    points, normal, size = points[subset], normal[subset], size[subset]
+    required = in_area[subset]
+    hidden = DISTANCE_FRACTION * tolerance
+    depths = _cut_in_depths(tree, points, normal, radius, hidden)
+    blocked = np.flatnonzero(required & (depths > tolerance))
+    if not len(blocked):
         return None
-    few = tight[:: -(-len(tight) // SMALLER_BALL_POINTS)]
-    fits = _largest(tree, points[few], normal[few], radius, CUT_IN_SHARE * tolerance)
-    worst = int(np.argmax(np.where(wanted, deep, 0.0)))
-    share = float(size[tight].sum()) / max(float(size[wanted].sum()), 1e-30)
-    return Unreached(float(deep[worst]), points[worst], share * whole, share, fits)
+    trial = blocked[:: -(-len(blocked) // MAX_SMALLER_BALL_POINTS)]
+    fitting_radius = _largest_fitting_radius(
+        tree, points[trial], normal[trial], radius, CUT_IN_FRACTION * tolerance
+    )
+    worst = int(np.argmax(np.where(required, depths, 0.0)))
+    fraction = float(size[blocked].sum()) / max(float(size[required].sum()), 1e-30)
+    return UnreachedArea(float(depths[worst]), points[worst], fraction * total_area, fraction, fitting_radius)
 
 
-def _cuts(tree: cKDTree, points: FloatArray, normal: FloatArray, radius: float, hidden: float) -> FloatArray:
-    """How far (N,) [m] balls that touch places (N, 3) cut into the face elsewhere; by ``hidden`` [m] too
-    little at most."""
-    # nearly all of the face is as far from a centre as the next: what is not told apart need not be
-    near = tree.query(points + radius * normal, eps=hidden / radius, distance_upper_bound=radius - hidden)[0]
-    return np.asarray(np.where(np.isfinite(near), radius - near, 0.0))
+def _cut_in_depths(
+    tree: cKDTree, points: FloatArray, normal: FloatArray, radius: float, hidden: float
+) -> FloatArray:
+    """Return how deep (N,) [m] balls that touch points (N, 3) cut into the face elsewhere.
+
+    The values are at most ``hidden`` [m] too small.
+    """
+    # most of the face is nearly equidistant from a centre: an approximate query avoids comparing all of it
+    nearest = tree.query(points + radius * normal, eps=hidden / radius, distance_upper_bound=radius - hidden)[
+        0
+    ]
+    return np.asarray(np.where(np.isfinite(nearest), radius - nearest, 0.0))
 
 
-def _largest(
-    tree: cKDTree, points: FloatArray, normal: FloatArray, radius: float, most: float
+def _largest_fitting_radius(
+    tree: cKDTree, points: FloatArray, normal: FloatArray, radius: float, max_depth: float
 ) -> float | None:
-    """Radius [m] of the largest ball that cuts in by ``most`` [m] at most, below ``radius``: a ball that
-    touches at the same place and is smaller lies within the larger one."""
+    """Return the radius [m], below ``radius``, of the largest ball that cuts in by at most ``max_depth`` [m].
+
+    Bisection is valid because a smaller ball that touches at the same point lies inside the larger one.
+    """
     low, high = 0.0, radius
-    for _ in range(RADIUS_HALVINGS):
+    for _ in range(RADIUS_BISECTIONS):
         middle = 0.5 * (low + high)
-        if float(_cuts(tree, points, normal, middle, DISTANCE_SHARE * most).max()) > most:
+        if (
+            float(_cut_in_depths(tree, points, normal, middle, DISTANCE_FRACTION * max_depth).max())
+            > max_depth
+        ):
             high = middle
         else:
             low = middle
-    return low if low > most else None
+    return low if low > max_depth else None
 
 
-def unreached_issue(name: str, found: Unreached, radius: float, tolerance: float) -> Issue:
-    """``milling.tool_radius`` of the cut ``name``."""
-    at = ", ".join(f"{v / MM:.1f}" for v in found.at)
+def unreached_issue(name: str, region: UnreachedArea, radius: float, tolerance: float) -> Issue:
+    """Return the issue ``milling.tool_radius`` of the cut ``name``."""
+    point_text = ", ".join(f"{v / MM:.1f}" for v in region.point)
     what = (
-        f"{name}: a ball of {radius / MM:g} mm radius does not fit into front at {at} mm, where it would cut "
-        f"{found.deep / MM:.2f} mm too deep; it cannot touch {found.area / MM**2:.0f} mm2, "
-        f"{100.0 * found.share:.1f} % of the face; allowed: {tolerance / MM:g} mm (shape_tol_mm)"
+        f"{name}: a ball of {radius / MM:g} mm radius does not fit into front at {point_text} mm, where it "
+        f"would cut {region.depth / MM:.2f} mm too deep. It cannot touch {region.area / MM**2:.0f} mm2, "
+        f"{100.0 * region.area_fraction:.1f} % of the face, allowed {tolerance / MM:g} mm (shape_tol_mm)"
     )
-    if found.fits is None:
-        hint = "a crease is too sharp for any ball: round the part there"
+    if region.fitting_radius is None:
+        hint = "round the part there, because the crease is too sharp for any ball"
     else:
-        least = np.floor(found.fits / MM * 100.0) / 100.0
-        hint = f"take a ball of {least:.2f} mm radius or less, or round the part there by {radius / MM:g} mm"
+        fitting_mm = np.floor(region.fitting_radius / MM * 100.0) / 100.0
+        hint = (
+            f"use a ball of {fitting_mm:.2f} mm radius or less, or round the part there by {radius / MM:g} mm"
+        )
     return Issue(
         "milling.tool_radius",
         what,
         field="cell.arms.tool.diameter_mm",
-        **measurement(found.deep / MM, tolerance / MM, "mm"),
+        **measurement(region.depth / MM, tolerance / MM, "mm"),
         hint=hint,
     )
 
 
 @dataclasses.dataclass(frozen=True)
-class Strip:
-    """A smooth piece: ruling i from ``low[i]``, at the tip, to ``high[i]`` (M, 3) [m].
+class RulingStrip:
+    """Smooth piece of a ruled surface, with M rulings.
 
-    ``out`` is +1 where the outward normal is tangent x (high - low), else -1. A ``ring`` is a whole closed
-    surface without corners: its last ruling is its first one again.
+    Attributes:
+        low: Ends of the rulings at the tip (M, 3) [m].
+        high: Other ends (M, 3) [m].
+        outward_sign: +1 if the outward normal is tangent x (high - low), else -1.
+        is_closed: Whether it is a whole closed surface without corners; its last ruling equals its first one.
     """
 
     low: FloatArray
     high: FloatArray
-    out: float
-    ring: bool = False
+    outward_sign: float
+    is_closed: bool = False
 
     def tangents(self) -> tuple[FloatArray, FloatArray]:
-        """Unit tangents (M, 3) of both guides; where one stands still, that of the other."""
+        """Return unit tangents (M, 3) of both guides.
+
+        Where one guide does not move, that of the other is used.
+        """
         low, high = (np.gradient(side, axis=0) for side in (self.low, self.high))
         sizes = [np.linalg.norm(t, axis=1, keepdims=True) for t in (low, high)]
-        still = 1e-3 * np.maximum(*sizes)
-        low, high = np.where(sizes[0] > still, low, high), np.where(sizes[1] > still, high, low)
+        min_size = 1e-3 * np.maximum(*sizes)
+        low, high = np.where(sizes[0] > min_size, low, high), np.where(sizes[1] > min_size, high, low)
         return unit(low), unit(high)
 
     def normals(self) -> tuple[FloatArray, FloatArray]:
-        """Outward unit normals (M, 3) of the surface at both guides."""
+        """Return outward unit normals (M, 3) of the surface at both guides."""
         along = self.high - self.low
         first, second = self.tangents()
-        return unit(self.out * np.cross(first, along)), unit(self.out * np.cross(second, along))
+        return unit(self.outward_sign * np.cross(first, along)), unit(
+            self.outward_sign * np.cross(second, along)
+        )
 
-    def reversed(self) -> "Strip":
-        """The same piece the other way."""
-        return Strip(self.low[::-1], self.high[::-1], -self.out, self.ring)
+    def reverse(self) -> "RulingStrip":
+        """Return the same piece in the opposite direction."""
+        return RulingStrip(self.low[::-1], self.high[::-1], -self.outward_sign, self.is_closed)
 
 
-def strips(ruled: Ruled, tip_at_start: bool, chord: float, step: float) -> list[Strip]:
-    """The smooth pieces of a ruled surface along its guides, rulings at most ``step`` [m] apart."""
+def smooth_strips(ruled: RuledSurface, tip_at_start: bool, chord: float, step: float) -> list[RulingStrip]:
+    """Divide a ruled surface into smooth pieces along its guides.
+
+    Args:
+        ruled: Ruled surface.
+        tip_at_start: Whether the tip is at the start guide.
+        chord: Chord error of the resampled guides [m].
+        step: Maximum distance of rulings [m].
+    """
     fine = resample(ruled, chord, step)
-    ring = fine.closed and not fine.corner.any()
+    is_closed = fine.closed and not fine.corner.any()
     out = []
-    for rows in runs(fine):
+    for rows in smooth_pieces(fine):
         start, end = fine.start[rows], fine.end[rows]
-        out.append(Strip(start, end, 1.0, ring) if tip_at_start else Strip(end, start, -1.0, ring))
+        out.append(
+            RulingStrip(start, end, 1.0, is_closed)
+            if tip_at_start
+            else RulingStrip(end, start, -1.0, is_closed)
+        )
     return out
 
 
-RULING_SHARES: Final = np.array([0.1, 0.25, 0.4, 0.6, 0.75, 0.9])
-"""Places along a ruling, from the tip guide to the other, at which the cylinder is held against the
-surface."""
-MOST_AHEAD: Final = 0.8
-"""How far a place on the upper guide may be ahead, over the cutter's radius."""
-CHOSEN_RULINGS: Final = 72
-"""Rulings at which the choice is made; it is smooth between them."""
-AHEAD_TRIALS: Final = 9
-"""Values of being ahead that are tried at once at each of these rulings."""
-AHEAD_ZOOMS: Final = 4
-"""So often they are tried, each time between the neighbours of the best one."""
-AXIS_ROUNDS: Final = 40
-"""Rounds at most in which the axis of a cylinder that touches both guides settles."""
-AXIS_SETTLED: Final = 1e-12
-"""The axis, a unit vector, has settled where a round changes it by less than this."""
+RULING_FRACTIONS: Final = np.array([0.1, 0.25, 0.4, 0.6, 0.75, 0.9])
+"""Positions along a ruling at which the cylinder is compared with the surface, from the tip guide on."""
+MAX_SHIFT_FACTOR: Final = 0.8
+"""Maximum shift of the contact on the upper guide, as a factor of the cutter's radius."""
+SHIFT_RULINGS: Final = 72
+"""Number of rulings at which the shift is optimised. It is interpolated between them."""
+SHIFT_TRIALS: Final = 9
+"""Number of shifts that are tried at once at each of these rulings."""
+SHIFT_ZOOMS: Final = 4
+"""Number of refinements, each between the neighbours of the best shift."""
+MAX_AXIS_ITERATIONS: Final = 40
+"""Maximum number of fixed-point iterations for the axis of a cylinder that touches both guides."""
+AXIS_TOLERANCE: Final = 1e-12
+"""Convergence limit of that iteration: largest change of a component of the axis, a unit vector."""
 RULING_WINDOW: Final = 20
-"""Rulings on either side that are looked at for the place that a cylinder comes nearest to."""
-AHEAD_COST: Final = 1e-4
-"""What being ahead by a whole radius costs, over the radius: it settles surfaces that leave it open."""
+"""Number of rulings on either side that are searched for the nearest point of the surface."""
+SHIFT_COST_FACTOR: Final = 1e-4
+"""Cost of a shift by one radius, as a fraction of the radius.
+
+It decides where the surface leaves the shift open.
+"""
 SMOOTHING_RULINGS: Final = 3.0
-"""Rulings over which the choice is made smooth."""
+"""Standard deviation of the Gaussian filter over the shift, in rulings."""
 
 
-def axes(strip: Strip, radius: float) -> tuple[FloatArray, FloatArray]:
-    """Places ``low`` and ``high`` (M, 3) [m] on the cutter's axis, opposite of both guides, for a cylinder of
-    ``radius`` [m] on the outer side of a strip with evenly spaced rulings."""
+def cutter_axes(strip: RulingStrip, radius: float) -> tuple[FloatArray, FloatArray]:
+    """Place a cylinder on the outer side of a strip.
+
+    Args:
+        strip: Strip with evenly spaced rulings.
+        radius: Radius of the cylinder [m].
+
+    Returns:
+        Points ``low`` and ``high`` (M, 3) [m] on the cutter's axis, opposite the two guides.
+    """
     if radius == 0.0:
         return strip.low, strip.high
-    longer = _longer(strip)
-    ahead = _ahead(longer, radius, strip.ring)
-    low, high = _touching(longer, radius, np.arange(len(longer.low)), ahead)
+    extended = _extend_strip(strip)
+    shift = _guide_shift(extended, radius, strip.is_closed)
+    low, high = _contact_axes(extended, radius, np.arange(len(extended.low)), shift)
     return low[RULING_WINDOW:-RULING_WINDOW], high[RULING_WINDOW:-RULING_WINDOW]
 
 
-def deviation(strip: Strip, radius: float, low: FloatArray, high: FloatArray) -> FloatArray:
-    """How far (M, K) [m] cylinders about the axes from ``low`` to ``high`` (M, 3) are off the surface at the
-    levels: left where positive, cut too deep where negative."""
-    at = np.arange(len(strip.low), dtype=np.float64)
-    if strip.ring:
-        return _off(_longer(strip), radius, low, high, at + RULING_WINDOW)
-    return _off(strip, radius, low, high, at)
+def flank_deviation(strip: RulingStrip, radius: float, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Return signed distances (M, K) [m] between cylinders and the surface at ``RULING_FRACTIONS``.
+
+    Positive values are material that is left, negative values are cut too deep.
+
+    Args:
+        strip: Strip with M rulings.
+        radius: Radius of the cylinders [m].
+        low: Lower points of the axes (M, 3) [m].
+        high: Upper points of the axes (M, 3) [m].
+    """
+    rows = np.arange(len(strip.low), dtype=np.float64)
+    if strip.is_closed:
+        return _cylinder_distances(_extend_strip(strip), radius, low, high, rows + RULING_WINDOW)
+    return _cylinder_distances(strip, radius, low, high, rows)
 
 
-def _longer(strip: Strip) -> Strip:
-    """The strip with ``RULING_WINDOW`` more rulings at both ends, so that what is ahead of the last one is
-    there: a ring goes on as it began, others straight."""
-    if strip.ring:
-        around = len(strip.low) - 1
-        rows = np.arange(-RULING_WINDOW, around + 1 + RULING_WINDOW) % around
-        return Strip(strip.low[rows], strip.high[rows], strip.out)
-    return Strip(_on(strip.low), _on(strip.high), strip.out)
+def _extend_strip(strip: RulingStrip) -> RulingStrip:
+    """Return the strip with ``RULING_WINDOW`` more rulings at both ends, so that shifts are defined.
+
+    A closed strip continues periodically, others straight.
+    """
+    if strip.is_closed:
+        ruling_count = len(strip.low) - 1
+        rows = np.arange(-RULING_WINDOW, ruling_count + 1 + RULING_WINDOW) % ruling_count
+        return RulingStrip(strip.low[rows], strip.high[rows], strip.outward_sign)
+    return RulingStrip(_extend_guide(strip.low), _extend_guide(strip.high), strip.outward_sign)
 
 
-def _on(side: FloatArray) -> FloatArray:
-    """A guide (M + 2 RULING_WINDOW, 3) that goes on by ``RULING_WINDOW`` even steps at both ends."""
-    more = np.arange(1, RULING_WINDOW + 1)[:, None]
-    before, behind = side[0] - side[1], side[-1] - side[-2]
-    return np.concatenate([side[0] + more[::-1] * before, side, side[-1] + more * behind])
+def _extend_guide(side: FloatArray) -> FloatArray:
+    """Extend a guide straight by ``RULING_WINDOW`` even steps at both ends, to (M + 2 RULING_WINDOW, 3)."""
+    counts = np.arange(1, RULING_WINDOW + 1)[:, None]
+    first_step, last_step = side[0] - side[1], side[-1] - side[-2]
+    return np.concatenate([side[0] + counts[::-1] * first_step, side, side[-1] + counts * last_step])
 
 
-def _ahead(strip: Strip, radius: float, ring: bool) -> FloatArray:
-    """How many rulings (M,) the place on the upper guide is ahead; ``ring``: of the longer strip of one."""
+def _guide_shift(strip: RulingStrip, radius: float, is_closed: bool) -> FloatArray:
+    """Choose the shift (M,) of the contact on the upper guide, in rulings.
+
+    ``is_closed``: the strip is an extended closed one.
+    """
     count = len(strip.low)
     if count < 5:
         return np.zeros(count)
     step = float(np.median(np.linalg.norm(np.diff(strip.high, axis=0), axis=1)))
-    most = min(MOST_AHEAD * radius / max(step, 1e-9), RULING_WINDOW - 2.0)
-    edge = RULING_WINDOW if ring else 0
-    rows = np.unique(np.linspace(edge, count - 1 - edge, min(count, CHOSEN_RULINGS)).astype(np.int64))
-    best, width = np.zeros(len(rows)), most
-    for _ in range(AHEAD_ZOOMS):
-        tried = best[:, None] + np.linspace(-width, width, AHEAD_TRIALS)
-        tried = np.clip(tried, -most, most)
-        which, ahead = np.repeat(rows, AHEAD_TRIALS), tried.ravel()
-        low, high = _touching(strip, radius, which, ahead)
-        worst = np.abs(_off(strip, radius, low, high, which + 0.5 * ahead)).max(axis=1)
-        cost = worst.reshape(tried.shape) + AHEAD_COST * radius * np.square(tried * step / radius)
-        best = tried[np.arange(len(rows)), cost.argmin(axis=1)]
-        width *= 2.0 / (AHEAD_TRIALS - 1)
-    spread = np.interp(np.arange(count), rows, best)
-    # the guides end: what is ahead of the last ruling is not there
-    room = np.minimum(np.arange(count), np.arange(count)[::-1]).astype(np.float64)
-    if ring:
-        spread = gaussian_filter1d(spread[RULING_WINDOW : -RULING_WINDOW - 1], SMOOTHING_RULINGS, mode="wrap")
-        spread = spread[np.arange(-RULING_WINDOW, count - RULING_WINDOW) % len(spread)]
+    max_shift = min(MAX_SHIFT_FACTOR * radius / max(step, 1e-9), RULING_WINDOW - 2.0)
+    edge = RULING_WINDOW if is_closed else 0
+    rows = np.unique(np.linspace(edge, count - 1 - edge, min(count, SHIFT_RULINGS)).astype(np.int64))
+    best, width = np.zeros(len(rows)), max_shift
+    for _ in range(SHIFT_ZOOMS):
+        trials = best[:, None] + np.linspace(-width, width, SHIFT_TRIALS)
+        trials = np.clip(trials, -max_shift, max_shift)
+        trial_rows, trial_shifts = np.repeat(rows, SHIFT_TRIALS), trials.ravel()
+        low, high = _contact_axes(strip, radius, trial_rows, trial_shifts)
+        worst = np.abs(_cylinder_distances(strip, radius, low, high, trial_rows + 0.5 * trial_shifts)).max(
+            axis=1
+        )
+        cost = worst.reshape(trials.shape) + SHIFT_COST_FACTOR * radius * np.square(trials * step / radius)
+        best = trials[np.arange(len(rows)), cost.argmin(axis=1)]
+        width *= 2.0 / (SHIFT_TRIALS - 1)
+    shift = np.interp(np.arange(count), rows, best)
+    # no shift beyond the last ruling: the guides end there
+    limit = np.minimum(np.arange(count), np.arange(count)[::-1]).astype(np.float64)
+    if is_closed:
+        shift = gaussian_filter1d(shift[RULING_WINDOW : -RULING_WINDOW - 1], SMOOTHING_RULINGS, mode="wrap")
+        shift = shift[np.arange(-RULING_WINDOW, count - RULING_WINDOW) % len(shift)]
     else:
-        spread = gaussian_filter1d(spread, SMOOTHING_RULINGS, mode="nearest")
-    return np.asarray(np.clip(spread, -room, room))
+        shift = gaussian_filter1d(shift, SMOOTHING_RULINGS, mode="nearest")
+    return np.asarray(np.clip(shift, -limit, limit))
 
 
-def _touching(
-    strip: Strip, radius: float, rows: IntArray, ahead: FloatArray
+def _contact_axes(
+    strip: RulingStrip, radius: float, rows: IntArray, shift: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The axes (N, 3) of cylinders that touch the lower guide at rulings ``rows`` and the upper one ``ahead``
-    (N,) rulings farther on."""
+    """Return axes (N, 3) of cylinders that touch both guides.
+
+    They touch the lower guide at ``rows`` and the upper one ``shift`` (N,) rulings farther.
+    """
     first, second = strip.tangents()
-    below, tangent = strip.low[rows], first[rows]
-    at = np.clip(rows + ahead, 0, len(strip.low) - 1)
-    above, along = _at(strip.high, at), unit(_at(second, at))
-    way = unit(above - below)
-    for _ in range(AXIS_ROUNDS):
-        low = below + radius * unit(strip.out * np.cross(tangent, way))
-        high = above + radius * unit(strip.out * np.cross(along, way))
-        fresh = unit(high - low)
-        moved = float(np.abs(fresh - way).max(initial=0.0))
-        way = fresh
-        if moved < AXIS_SETTLED:
+    low_contact, tangent = strip.low[rows], first[rows]
+    upper_rows = np.clip(rows + shift, 0, len(strip.low) - 1)
+    high_contact, upper_tangent = (
+        _interpolate_rows(strip.high, upper_rows),
+        unit(_interpolate_rows(second, upper_rows)),
+    )
+    axis = unit(high_contact - low_contact)
+    for _ in range(MAX_AXIS_ITERATIONS):
+        low = low_contact + radius * unit(strip.outward_sign * np.cross(tangent, axis))
+        high = high_contact + radius * unit(strip.outward_sign * np.cross(upper_tangent, axis))
+        new_axis = unit(high - low)
+        change = float(np.abs(new_axis - axis).max(initial=0.0))
+        axis = new_axis
+        if change < AXIS_TOLERANCE:
             break
     return low, high
 
 
-def _off(strip: Strip, radius: float, low: FloatArray, high: FloatArray, about: FloatArray) -> FloatArray:
-    """How far (N, K) [m] the surface's lines at the levels stay off cylinders near rulings ``about`` (N,)."""
-    centre = np.clip(np.round(about).astype(np.int64), 0, len(strip.low) - 1)
+def _cylinder_distances(
+    strip: RulingStrip, radius: float, low: FloatArray, high: FloatArray, near_rows: FloatArray
+) -> FloatArray:
+    """Return distances (N, K) [m] of lines of the surface from cylinders near rulings ``near_rows``."""
+    centre = np.clip(np.round(near_rows).astype(np.int64), 0, len(strip.low) - 1)
     rows = np.clip(centre[:, None] + np.arange(-RULING_WINDOW, RULING_WINDOW + 1), 0, len(strip.low) - 1)
-    way = unit(high - low)
-    out = np.empty((len(low), len(RULING_SHARES)))
-    for k, share in enumerate(RULING_SHARES):
-        line = (1.0 - share) * strip.low + share * strip.high
-        # by coordinate, (3, N, W), which is how so many short vectors are worked out fastest
+    axis = unit(high - low)
+    out = np.empty((len(low), len(RULING_FRACTIONS)))
+    for k, fraction in enumerate(RULING_FRACTIONS):
+        line = (1.0 - fraction) * strip.low + fraction * strip.high
+        # coordinate first, (3, N, W): fastest layout for many short vectors
         rest = np.ascontiguousarray(line.T).take(rows, axis=1) - low.T[..., None]
-        rest -= np.einsum("dnw,dn->nw", rest, way.T) * way.T[..., None]
+        rest -= np.einsum("dnw,dn->nw", rest, axis.T) * axis.T[..., None]
         square = np.einsum("dnw,dnw->nw", rest, rest)
-        near = rows[np.arange(len(rows)), square.argmin(axis=1)]
-        # beyond the ends of the guides there is no surface that a cylinder could be off
-        inside = (near > 0) & (near < len(strip.low) - 1)
-        out[:, k] = np.where(inside, _least(square) - radius, 0.0)
+        nearest = rows[np.arange(len(rows)), square.argmin(axis=1)]
+        # there is no surface beyond the ends of the guides, so the distance is not defined there
+        inside = (nearest > 0) & (nearest < len(strip.low) - 1)
+        out[:, k] = np.where(inside, _min_root(square) - radius, 0.0)
     return out
 
 
-def _least(square: FloatArray) -> FloatArray:
-    """Root (N,) of the least of squares (N, W), by the parabola through it and its neighbours."""
+def _min_root(square: FloatArray) -> FloatArray:
+    """Return the root (N,) of the smallest of squares (N, W), refined by a parabola."""
     k = np.clip(square.argmin(axis=1), 1, square.shape[1] - 2)
     row = np.arange(len(square))
     a, b, c = square[row, k - 1], square[row, k], square[row, k + 1]
-    bend = a - 2.0 * b + c
-    low = np.where(bend > 1e-18, b - np.square(a - c) / (8.0 * np.maximum(bend, 1e-18)), b)
+    curvature = a - 2.0 * b + c
+    low = np.where(curvature > 1e-18, b - np.square(a - c) / (8.0 * np.maximum(curvature, 1e-18)), b)
     return np.asarray(np.sqrt(np.maximum(np.minimum(low, square.min(axis=1)), 0.0)))
 
 
-def _at(rows: FloatArray, place: FloatArray) -> FloatArray:
-    """Rows (N, 3) at fractional indices ``place`` (N,)."""
-    first = np.clip(place.astype(np.int64), 0, len(rows) - 2)
-    share = (place - first)[:, None]
-    return np.asarray((1.0 - share) * rows[first] + share * rows[first + 1])
+def _interpolate_rows(rows: FloatArray, indices: FloatArray) -> FloatArray:
+    """Interpolate rows (N, 3) at fractional indices ``indices`` (N,)."""
+    first = np.clip(indices.astype(np.int64), 0, len(rows) - 2)
+    fraction = (indices - first)[:, None]
+    return np.asarray((1.0 - fraction) * rows[first] + fraction * rows[first + 1])

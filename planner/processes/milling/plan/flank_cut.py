@@ -1,6 +1,7 @@
-"""One flank cut: from a ruled surface of the part to roughing passes and the finishing pass.
+"""Flank cuts: from a ruled surface of the part to roughing passes and the finishing pass.
 
-Ways in and out of the cut: straight on until the cutter is off the block, and round convex corners.
+Lead-in and lead-out go straight on until the cutter has left the block. The cutter is rotated round convex
+corners.
 """
 
 import dataclasses
@@ -10,73 +11,107 @@ from typing import Final
 
 import numpy as np
 
-from planner.geometry.arrays import FloatArray, Ruled, unit
-from planner.geometry.polylines import thinned
+from planner.geometry.arrays import FloatArray, RuledSurface, unit
+from planner.geometry.polylines import thin_rows
 from planner.geometry.units import DEG, MM, measurement
-from planner.issues import Issue, Severity, TandemError, has_errors, refusal
+from planner.issues import Issue, Severity, TandemError, has_errors, issue_error
 from planner.problem import Part
 from planner.processes.milling.plan import cutter_contact
-from planner.processes.milling.plan.cutter_contact import Strip, strips
+from planner.processes.milling.plan.cutter_contact import RulingStrip, smooth_strips
 from planner.processes.milling.plan.operation import FlankCut, Milling
-from planner.processes.milling.plan.tool_path import Run, plain_path
+from planner.processes.milling.plan.tool_path import CutterPass, plain_path
 from planner.tooling import Cutter
 
-CORNER_STEP: Final = np.deg2rad(5.0)
-"""Turn [rad] of the cutter about a corner from target to target."""
+CORNER_STEP_RAD: Final = np.deg2rad(5.0)
+"""Rotation of the cutter about a corner from target to target [rad]."""
 LEAD_TARGETS: Final = 6
-"""Targets of a way in or out on which the tool still turns."""
-LEAD_TURN: Final = np.deg2rad(10.0)
-"""How far [rad] a tool turns on along a way in or out at most."""
-LEAD_ROUNDS: Final = 8
-"""How often a way in or out is made longer at most, until the cutter is off the block at its end."""
-LEAD_PLACES: Final = 257
-"""Places along a cutter that are held against the block there."""
-LEAD_SPARE: Final = 1e-4
-"""What a cutter has to be off the block there [m] besides its radius: programs are rounded."""
-LONGEST_LEAD: Final = 5.0
-"""A way that is not off the block after so much [m] never is."""
+"""Number of targets of a lead on which the tool still rotates."""
+MAX_LEAD_ROTATION_RAD: Final = np.deg2rad(10.0)
+"""Maximum rotation of a tool along a lead [rad]."""
+MAX_LEAD_EXTENSIONS: Final = 8
+"""Maximum number of extensions of a lead until the cutter is outside the block at its end."""
+LEAD_SAMPLES: Final = 257
+"""Number of samples along a cutter that are compared with the block."""
+LEAD_MARGIN_M: Final = 1e-4
+"""Clearance [m] between cutter and block at the end of a lead, because programs are rounded."""
+MAX_LEAD_M: Final = 5.0
+"""Maximum length of a lead [m]. A lead that is still inside the block after this length never leaves it."""
 
 
-def off_block(ends: FloatArray, way: FloatArray, box: FloatArray, clear: float) -> float:
-    """How far [m] a cutter has to go along the unit vector ``way`` (3,) until all its ``ends`` (K, 3) are
-    ``clear`` [m] beyond one side of the block ``box`` (2, 3)."""
-    best = LONGEST_LEAD
+def exit_distance(ends: FloatArray, direction: FloatArray, box: FloatArray, clearance: float) -> float:
+    """Return how far [m] a cutter has to move until all its ends are clear of one side of the block.
+
+    Args:
+        ends: Points (K, 3) [m].
+        direction: Direction, a unit vector (3,).
+        box: Block (2, 3) [m].
+        clearance: Required distance beyond the side [m].
+    """
+    best = MAX_LEAD_M
     for axis in range(3):
-        if way[axis] > 1e-6:
-            best = min(best, (box[1, axis] + clear - float(ends[:, axis].min())) / way[axis])
-        elif way[axis] < -1e-6:
-            best = min(best, (float(ends[:, axis].max()) - box[0, axis] + clear) / -way[axis])
+        if direction[axis] > 1e-6:
+            best = min(best, (box[1, axis] + clearance - float(ends[:, axis].min())) / direction[axis])
+        elif direction[axis] < -1e-6:
+            best = min(best, (float(ends[:, axis].max()) - box[0, axis] + clearance) / -direction[axis])
     return max(best, 0.0)
 
 
-def beyond(
-    low: FloatArray, high: FloatArray, low_way: FloatArray, high_way: FloatArray, length: float
+def extend_axis(
+    low: FloatArray, high: FloatArray, low_step: FloatArray, high_step: FloatArray, length: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Axes (K, 3) each, on from an axis ``low`` to ``high`` (3,) whose ends move by ``low_way`` and
-    ``high_way`` (3,) at once, by ``length`` [m]: first as the surface would go on, so that the tool
-    does not stop turning at once, then more and more straight."""
-    scale = max(float(np.linalg.norm(low_way)), float(np.linalg.norm(high_way)), 1e-12)
-    straight = 0.5 * (low_way + high_way) / scale
-    turn = 0.5 * (high_way - low_way) / scale
-    whole = length / max(float(np.linalg.norm(straight)), 0.1)
+    """Extend the motion of an axis, first as the surface would continue, then with decreasing rotation.
+
+    The tool therefore does not stop rotating abruptly.
+
+    Args:
+        low: Lower point of the axis (3,) [m].
+        high: Upper point of the axis (3,) [m].
+        low_step: Simultaneous displacement of the lower point (3,) [m].
+        high_step: Simultaneous displacement of the upper point (3,) [m].
+        length: Length of the extension [m].
+
+    Returns:
+        Lower and upper points (K, 3) [m].
+    """
+    scale = max(float(np.linalg.norm(low_step)), float(np.linalg.norm(high_step)), 1e-12)
+    straight = 0.5 * (low_step + high_step) / scale
+    turn = 0.5 * (high_step - low_step) / scale
+    path_length = length / max(float(np.linalg.norm(straight)), 0.1)
     rate = float(np.linalg.norm(turn)) * 2.0 / max(float(np.linalg.norm(high - low)), 1e-9)
-    during = min(whole, 2.0 * LEAD_TURN / max(rate, 1e-9))
-    at = np.unique(np.append(np.linspace(0.0, during, LEAD_TARGETS + 1), whole))[:, None]
-    slowing = np.where(at < during, at - at * at / (2.0 * during), 0.5 * during)
-    return low + at * straight - slowing * turn, high + at * straight + slowing * turn
+    rotating_length = min(path_length, 2.0 * MAX_LEAD_ROTATION_RAD / max(rate, 1e-9))
+    positions = np.unique(np.append(np.linspace(0.0, rotating_length, LEAD_TARGETS + 1), path_length))[
+        :, None
+    ]
+    rotation_length = np.where(
+        positions < rotating_length,
+        positions - positions * positions / (2.0 * rotating_length),
+        0.5 * rotating_length,
+    )
+    return (
+        low + positions * straight - rotation_length * turn,
+        high + positions * straight + rotation_length * turn,
+    )
 
 
 def round_corner(
-    foot: tuple[FloatArray, FloatArray],
-    before: tuple[FloatArray, FloatArray],
-    after: tuple[FloatArray, FloatArray],
+    corner_ruling: tuple[FloatArray, FloatArray],
+    previous_axis: tuple[FloatArray, FloatArray],
+    next_axis: tuple[FloatArray, FloatArray],
 ) -> tuple[FloatArray, FloatArray]:
-    """Axes (K, 3) each between ``before`` and ``after`` [(3,), (3,)], at the same distances from the corner's
-    ruling ``foot`` [(3,), (3,)], both ends left out."""
+    """Rotate the axis about a corner's ruling, at constant distances from it.
+
+    Args:
+        corner_ruling: Ends of the corner's ruling, (3,) each [m].
+        previous_axis: Ends of the axis before the corner, (3,) each [m].
+        next_axis: Ends of the axis after the corner, (3,) each [m].
+
+    Returns:
+        Lower and upper points (K, 3) [m] between both, ends excluded.
+    """
     sides = []
     turns = []
-    for at, one, two in zip(foot, before, after, strict=True):
-        a, b = one - at, two - at
+    for corner, start, end in zip(corner_ruling, previous_axis, next_axis, strict=True):
+        a, b = start - corner, end - corner
         turns.append(
             float(
                 np.arccos(
@@ -84,126 +119,169 @@ def round_corner(
                 )
             )
         )
-    count = max(int(np.ceil(max(turns) / CORNER_STEP)), 1)
-    share = np.arange(1, count)[:, None] / count
-    for at, one, two, turn in zip(foot, before, after, turns, strict=True):
-        a, b = one - at, two - at
+    count = max(int(np.ceil(max(turns) / CORNER_STEP_RAD)), 1)
+    fraction = np.arange(1, count)[:, None] / count
+    for corner, start, end, turn in zip(corner_ruling, previous_axis, next_axis, turns, strict=True):
+        a, b = start - corner, end - corner
         if turn < 1e-9:
-            sides.append(at + (1.0 - share) * a + share * b)
+            sides.append(corner + (1.0 - fraction) * a + fraction * b)
         else:
-            sides.append(at + (np.sin((1.0 - share) * turn) * a + np.sin(share * turn) * b) / np.sin(turn))
+            sides.append(
+                corner + (np.sin((1.0 - fraction) * turn) * a + np.sin(fraction * turn) * b) / np.sin(turn)
+            )
     return sides[0], sides[1]
 
 
-RULING_SPACING: Final = 1.0 / 10.0
-"""Distance of the rulings at which the cutter is placed, over its radius."""
-MOST_RULINGS: Final = 6000
-"""Rulings of a surface at which the cutter is placed, about, at most."""
-CHORD_SHARE: Final = 0.1
-"""Share of the tolerance that straight moves between targets may cost."""
-BLOCK_CLEARANCE: Final = 2.0 * MM
-"""How far [m] the cutter is off the block at the ends of its ways in and out."""
-INNER_CORNER_TURN: Final = 3.0 * DEG
-"""An inner corner that turns by more than this [rad] cannot be milled by a round cutter."""
+RULING_SPACING_FACTOR: Final = 1.0 / 10.0
+"""Distance of the rulings at which the cutter is placed, as a factor of its radius."""
+MAX_RULINGS: Final = 6000
+"""Approximate maximum number of rulings at which the cutter is placed."""
+CHORD_FRACTION: Final = 0.1
+"""Fraction of the tolerance that straight moves between targets may use."""
+BLOCK_CLEARANCE_M: Final = 2.0 * MM
+"""Distance [m] of the cutter from the block at the ends of its leads."""
+MAX_INNER_CORNER_RAD: Final = 3.0 * DEG
+"""Maximum angle [rad] of an inner corner that a round cutter can mill."""
 ROUNDING_FACTOR: Final = 1.05
-"""Radius of a rounded corner, over the cutter's, that is advised: as tight as the cutter it would rub."""
+"""Advised corner radius as a factor of the cutter's radius. A corner with the cutter's radius would rub."""
 SLIMMER_TRIALS: Final = 4
-"""Slimmer cutters that are tried along twisted rulings."""
-TOLERANCE_SHARE: Final = 0.97
-"""Share of the tolerance that a slimmer cutter is to keep, so that it surely does."""
-LEAST_ADVISED_RADIUS: Final = 0.5 * MM
-"""Cutters of smaller radius [m] are not advised."""
-LENGTH_RATIO: Final = 2.0
-"""Guides one of which is longer than the other by this factor are told: its end moves so much faster."""
+"""Number of slimmer cutters that are tried along twisted rulings."""
+TOLERANCE_FRACTION: Final = 0.97
+"""Fraction of the tolerance that a slimmer cutter has to keep, so that the advice is safe."""
+MIN_ADVISED_RADIUS_M: Final = 0.5 * MM
+"""Minimum radius of a cutter that is advised [m]."""
+MAX_LENGTH_RATIO: Final = 2.0
+"""Ratio of guide lengths above which a warning is issued: one end of the flank moves that much faster."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Placed:
-    """The cutter along a surface: its axis from ``low`` to ``high`` (N, 3) [m], opposite of both guides, and
-    ``off`` [m], how far it is off the surface at most."""
+class FlankPlacement:
+    """Cutter along a ruled surface.
+
+    Attributes:
+        low: Lower points of the axis (N, 3) [m], opposite the tip guide.
+        high: Upper points of the axis (N, 3) [m], opposite the other guide.
+        deviation: Largest deviation of the cutter from the surface [m].
+    """
 
     low: FloatArray
     high: FloatArray
-    off: float
+    deviation: float
 
 
-def surface(part: Part | None, name: str) -> Ruled:
-    """The ruled surface of that name. Raises ``TandemError`` with ``milling.no_surface``."""
-    known = {} if part is None else {own.name: own for own in part.ruled}
+def find_ruled_surface(part: Part | None, name: str) -> RuledSurface:
+    """Return the ruled surface of that name.
+
+    Raises:
+        TandemError: ``milling.no_surface`` if the part has none of that name.
+    """
+    known = {} if part is None else {ruled.name: ruled for ruled in part.ruled}
     if name not in known:
-        has = ", ".join(known) or "none"
-        what = f"cuts: the part has no ruled surface {name}; it has {has}: name one of them, or give it "
+        known_names = ", ".join(known) or "none"
+        what = (
+            f"cuts: the part has no ruled surface {name}; it has {known_names}. Name one of them, or add it "
+        )
         what += "under part.ruled"
-        raise refusal("milling.no_surface", what, field="operations.cuts")
+        raise issue_error("milling.no_surface", what, field="operations.cuts")
     return known[name]
 
 
 @dataclasses.dataclass(frozen=True)
-class Passes:
-    """The passes of a cut; ``off`` [m], how far the cutter is off the surface at most in the last one, what
-    the user is told, and where that is off by too much, the radius [m] of one that ``fits``, if any."""
+class FlankPasses:
+    """Passes of a flank cut.
 
-    runs: tuple[Run, ...]
-    off: float
+    Attributes:
+        passes: Roughing passes, then the finishing pass.
+        deviation: Largest deviation of the cutter from the surface in the finishing pass [m].
+        notes: Warnings for the user.
+        fitting_radius: If the deviation is too large, radius [m] of a cutter that fits, if there is one.
+    """
+
+    passes: tuple[CutterPass, ...]
+    deviation: float
     notes: tuple[Issue, ...]
-    fits: float | None = None
+    fitting_radius: float | None = None
 
 
-def passes(op: Milling, cut: FlankCut, ruled: Ruled, cutter: Cutter, box: FloatArray) -> Passes:
-    """Roughing passes and the finishing pass. Raises ``TandemError`` with codes ``milling.*``."""
-    told = tuple(check(op, cut, ruled, cutter))
-    if has_errors(told):
-        raise TandemError(told)
-    below = under(cut, cutter)
-    finish = placed(op, cut, ruled, cutter.radius)
-    deep = float(np.linalg.norm(finish.high - finish.low, axis=1).max()) + below
+def plan_passes(
+    op: Milling, cut: FlankCut, ruled: RuledSurface, cutter: Cutter, box: FloatArray
+) -> FlankPasses:
+    """Plan roughing passes and the finishing pass.
+
+    Args:
+        op: Operation.
+        cut: Flank cut.
+        ruled: Its ruled surface.
+        cutter: Cutter of the arm.
+        box: Block (2, 3) [m].
+
+    Raises:
+        TandemError: Codes ``milling.*``.
+    """
+    issues = tuple(check_flank(op, cut, ruled, cutter))
+    if has_errors(issues):
+        raise TandemError(issues)
+    overrun, in_block = tip_overrun(cut, cutter), CutterInBlock(cutter, box)
+    finishing = place_cutter(op, cut, ruled, cutter.radius)
+    depth = float(np.linalg.norm(finishing.high - finishing.low, axis=1).max()) + overrun
     out = []
     if cut.stepdown_mm is not None and cut.guides == "surface":
-        rough = placed(op, cut, ruled, cutter.radius + cut.leave_mm * MM)
-        count = max(int(np.ceil(deep / (cut.stepdown_mm * MM) - 1e-9)), 1)
+        roughing = place_cutter(op, cut, ruled, cutter.radius + cut.leave_mm * MM)
+        count = max(int(np.ceil(depth / (cut.stepdown_mm * MM) - 1e-9)), 1)
         for k in range(1, count + 1):
-            lift = deep * (1.0 - k / count) - below
-            out.append(_run(op, cut, f"{cut.flank}_r{k}", rough, lift, cutter, box))
-    out.append(_run(op, cut, cut.flank, finish, -below, cutter, box))
-    return Passes(tuple(out), finish.off, tuple(told), _fits(op, cut, ruled, cutter.radius, finish.off))
+            lift = depth * (1.0 - k / count) - overrun
+            out.append(_build_pass(op, cut, f"{cut.flank}_r{k}", roughing, lift, in_block))
+    out.append(_build_pass(op, cut, cut.flank, finishing, -overrun, in_block))
+    return FlankPasses(
+        tuple(out),
+        finishing.deviation,
+        tuple(issues),
+        _fitting_radius(op, cut, ruled, cutter.radius, finishing.deviation),
+    )
 
 
-def _fits(op: Milling, cut: FlankCut, ruled: Ruled, radius: float, off: float) -> float | None:
-    """Radius [m] of a cutter that is near enough to twisted rulings: tried, for the deviation goes with the
-    radius only about."""
+def _fitting_radius(
+    op: Milling, cut: FlankCut, ruled: RuledSurface, radius: float, deviation: float
+) -> float | None:
+    """Return the radius [m] of a cutter that fits twisted rulings.
+
+    Radii are tried, because the deviation is only roughly proportional to the radius.
+    """
     tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
     for _ in range(SLIMMER_TRIALS):
-        if off <= tolerance:
+        if deviation <= tolerance:
             return None
-        radius *= TOLERANCE_SHARE * tolerance / off
-        if radius < LEAST_ADVISED_RADIUS:
+        radius *= TOLERANCE_FRACTION * tolerance / deviation
+        if radius < MIN_ADVISED_RADIUS_M:
             return None
-        off = placed(op, cut, ruled, radius).off
-        if off <= TOLERANCE_SHARE * tolerance:
+        deviation = place_cutter(op, cut, ruled, radius).deviation
+        if deviation <= TOLERANCE_FRACTION * tolerance:
             return radius
     return None
 
 
-def under(cut: FlankCut, cutter: Cutter) -> float:
-    """How far [m] the tip is beyond the tip guide: the rounding of the cutter's end
-    does not reach the side."""
+def tip_overrun(cut: FlankCut, cutter: Cutter) -> float:
+    """Return how far [m] the tip is beyond the tip guide.
+
+    The rounded end of a cutter does not reach the wall.
+    """
     return cut.overrun_mm * MM + (cutter.corner if cut.guides == "surface" else 0.0)
 
 
-def placed(op: Milling, cut: FlankCut, ruled: Ruled, radius: float) -> Placed:
-    """The cutter of ``radius`` [m] along the surface, in the direction asked for."""
-    pieces = _pieces(op, cut, ruled, radius)
-    around = radius if cut.guides == "surface" else 0.0
+def place_cutter(op: Milling, cut: FlankCut, ruled: RuledSurface, radius: float) -> FlankPlacement:
+    """Place a cutter of ``radius`` [m] along the surface, in the required direction."""
+    pieces = _oriented_strips(op, cut, ruled, radius)
+    contact_radius = radius if cut.guides == "surface" else 0.0
     lows: list[FloatArray] = []
     highs: list[FloatArray] = []
-    off = 0.0
-    last: Strip | None = None
+    max_deviation = 0.0
+    last: RulingStrip | None = None
     for strip in pieces:
-        low, high = cutter_contact.axes(strip, around)
-        if around:
-            left = np.abs(cutter_contact.deviation(strip, around, low, high))
-            off = max(off, float(left.max()))
-        if last is not None and around:
+        low, high = cutter_contact.cutter_axes(strip, contact_radius)
+        if contact_radius:
+            deviations = np.abs(cutter_contact.flank_deviation(strip, contact_radius, low, high))
+            max_deviation = max(max_deviation, float(deviations.max()))
+        if last is not None and contact_radius:
             foot = strip.low[0], strip.high[0]
             rows = round_corner(foot, (lows[-1][-1], highs[-1][-1]), (low[0], high[0]))
             lows.append(rows[0])
@@ -211,152 +289,198 @@ def placed(op: Milling, cut: FlankCut, ruled: Ruled, radius: float) -> Placed:
         lows.append(low)
         highs.append(high)
         last = strip
-    return Placed(np.concatenate(lows), np.concatenate(highs), off)
+    return FlankPlacement(np.concatenate(lows), np.concatenate(highs), max_deviation)
 
 
-def check(op: Milling, cut: FlankCut, ruled: Ruled, cutter: Cutter) -> Iterator[Issue]:
-    """What is wrong with guides, flute and corners for this cutter."""
+def check_flank(op: Milling, cut: FlankCut, ruled: RuledSurface, cutter: Cutter) -> Iterator[Issue]:
+    """Yield issues of guides, flute and corners for this cutter."""
     field = f"operations.cuts.{cut.flank}"
-    pieces = _pieces(op, cut, ruled, cutter.radius)
+    pieces = _oriented_strips(op, cut, ruled, cutter.radius)
     lengths = [
-        sum(_length(side) for side in sides) for sides in zip(*((s.low, s.high) for s in pieces), strict=True)
+        sum(_polyline_length(side) for side in sides)
+        for sides in zip(*((s.low, s.high) for s in pieces), strict=True)
     ]
     ratio = max(lengths) / max(min(lengths), 1e-9)
-    if ratio > LENGTH_RATIO:
-        long = int(lengths[1] > lengths[0])
+    if ratio > MAX_LENGTH_RATIO:
+        longer_guide = int(lengths[1] > lengths[0])
         names = ("start", "end") if cut.tip == "start" else ("end", "start")
         what = f"flank {cut.flank}: its guides are {lengths[0] / MM:.0f} and {lengths[1] / MM:.0f} mm long, "
-        what += f"so that one end of the flank moves {ratio:.1f} times as fast as the other; the feed holds "
-        what += f"for the faster. Where the slower burns or rubs, shorten the guide {names[long]} to "
-        what += f"{np.floor(LENGTH_RATIO * min(lengths) / MM * 10.0) / 10.0:.1f} mm or less, or part the "
+        what += f"so one end of the flank moves {ratio:.1f} times as fast as the other. The feed applies "
+        what += (
+            f"to the faster end. If the slower end burns or rubs, shorten the guide {names[longer_guide]} to "
+        )
+        what += (
+            f"{np.floor(MAX_LENGTH_RATIO * min(lengths) / MM * 10.0) / 10.0:.1f} mm or less, or divide the "
+        )
         what += "surface"
         yield Issue(
-            "milling.guide_lengths", what, Severity.WARNING, field=field, value=ratio, limit=LENGTH_RATIO
+            "milling.guide_lengths", what, Severity.WARNING, field=field, value=ratio, limit=MAX_LENGTH_RATIO
         )
-    high = max(float(np.linalg.norm(strip.high - strip.low, axis=1).max()) for strip in pieces)
-    need = high + under(cut, cutter)
-    if cut.guides == "surface" and need > cutter.flute + 1e-9:
-        what = f"flank {cut.flank} needs {_up(need):.2f} mm of flute (wall {high / MM:.1f}, beyond its guide "
-        what += f"{under(cut, cutter) / MM:.1f}), the cutter has {cutter.flute / MM:.1f}; take a longer flute"
-        if need > cutter.overhang:
+    wall_height = max(float(np.linalg.norm(strip.high - strip.low, axis=1).max()) for strip in pieces)
+    required = wall_height + tip_overrun(cut, cutter)
+    if cut.guides == "surface" and required > cutter.flute + 1e-9:
+        what = (
+            f"flank {cut.flank} needs {_ceil_mm(required):.2f} mm of flute (wall {wall_height / MM:.1f}, "
+            "beyond its guide "
+        )
+        what += (
+            f"{tip_overrun(cut, cutter) / MM:.1f}), the cutter has {cutter.flute / MM:.1f}; use a longer "
+            "flute"
+        )
+        if required > cutter.overhang:
             what += " and overhang"
-        what += ", or part the wall into surfaces one above the other"
-        yield Issue("milling.flute", what, field=field, value=need / MM, limit=cutter.flute / MM, unit="mm")
-    if need > cutter.overhang:
-        what = f"flank {cut.flank}: the tip is {need / MM:.1f} mm below the wall's top, and the holder "
-        what += f"begins {cutter.overhang / MM:.1f} mm behind it; take an overhang of {_up(need):.2f} mm or "
+        what += ", or divide the wall into surfaces one above the other"
+        yield Issue(
+            "milling.flute", what, field=field, value=required / MM, limit=cutter.flute / MM, unit="mm"
+        )
+    if required > cutter.overhang:
+        what = f"flank {cut.flank}: the tip is {required / MM:.1f} mm below the wall's top, and the holder "
+        what += (
+            f"starts {cutter.overhang / MM:.1f} mm behind it; use an overhang of {_ceil_mm(required):.2f} mm "
+            "or "
+        )
         what += "more"
         yield Issue(
-            "milling.holder", what, field=field, value=need / MM, limit=cutter.overhang / MM, unit="mm"
+            "milling.holder", what, field=field, value=required / MM, limit=cutter.overhang / MM, unit="mm"
         )
     if cut.guides == "surface":
-        yield from _corners(cut, pieces, ruled.closed, cutter.radius, field)
+        yield from _corner_issues(cut, pieces, ruled.closed, cutter.radius, field)
 
 
-def _corners(cut: FlankCut, pieces: list[Strip], closed: bool, radius: float, field: str) -> Iterator[Issue]:
-    around = [*pieces, pieces[0]] if closed and not pieces[0].ring else pieces
-    for before, after in itertools.pairwise(around):
-        turn = float(np.arcsin(np.clip(after.tangents()[0][0] @ before.normals()[0][-1], -1.0, 1.0)))
-        if turn > INNER_CORNER_TURN:
-            at = ", ".join(f"{v / MM:.1f}" for v in after.low[0])
-            what = f"flank {cut.flank} has an inner corner of {turn / DEG:.0f} degrees at {at} mm, "
-            # between two walls at the angle pi - turn a circle is so far off the corner
-            stays = radius * (1.0 / np.cos(0.5 * turn) - 1.0)
-            what += f"where a cutter of {radius / MM:g} mm radius leaves a fillet of its own, "
-            what += f"{stays / MM:.2f} mm off the corner; round both guides there by "
-            what += f"{_up(ROUNDING_FACTOR * radius):.2f} mm or more"
+def _corner_issues(
+    cut: FlankCut, pieces: list[RulingStrip], closed: bool, radius: float, field: str
+) -> Iterator[Issue]:
+    loop = [*pieces, pieces[0]] if closed and not pieces[0].is_closed else pieces
+    for previous, following in itertools.pairwise(loop):
+        turn = float(np.arcsin(np.clip(following.tangents()[0][0] @ previous.normals()[0][-1], -1.0, 1.0)))
+        if turn > MAX_INNER_CORNER_RAD:
+            point_text = ", ".join(f"{v / MM:.1f}" for v in following.low[0])
+            what = f"flank {cut.flank} has an inner corner of {turn / DEG:.0f} degrees at {point_text} mm, "
+            # distance of an inscribed circle from the corner of two walls: r (1 / cos(turn / 2) - 1)
+            residual = radius * (1.0 / np.cos(0.5 * turn) - 1.0)
+            what += f"where a cutter of {radius / MM:g} mm radius leaves a fillet, "
+            what += f"{residual / MM:.2f} mm from the corner; round both guides there by "
+            what += f"{_ceil_mm(ROUNDING_FACTOR * radius):.2f} mm or more"
             yield Issue(
-                "milling.corner", what, field=field, **measurement(turn / DEG, INNER_CORNER_TURN / DEG, "deg")
+                "milling.corner",
+                what,
+                field=field,
+                **measurement(turn / DEG, MAX_INNER_CORNER_RAD / DEG, "deg"),
             )
 
 
-def _pieces(op: Milling, cut: FlankCut, ruled: Ruled, radius: float) -> list[Strip]:
-    whole = sum(
+def _oriented_strips(op: Milling, cut: FlankCut, ruled: RuledSurface, radius: float) -> list[RulingStrip]:
+    total_length = sum(
         float(np.linalg.norm(np.diff(side, axis=0), axis=1).sum()) for side in (ruled.start, ruled.end)
     )
-    step = max(radius * RULING_SPACING, 0.5 * whole / MOST_RULINGS)
-    pieces = strips(ruled, cut.tip == "start", 0.02 * op.shape_tol_mm * MM, step)
+    step = max(radius * RULING_SPACING_FACTOR, 0.5 * total_length / MAX_RULINGS)
+    pieces = smooth_strips(ruled, cut.tip == "start", 0.02 * op.shape_tol_mm * MM, step)
     if cut.direction == "against" or (
-        cut.direction in ("climb", "conventional") and cut.direction != _way(pieces[0])
+        cut.direction in ("climb", "conventional") and cut.direction != _milling_direction(pieces[0])
     ):
-        return [strip.reversed() for strip in pieces[::-1]]
+        return [strip.reverse() for strip in pieces[::-1]]
     return pieces
 
 
-def _way(strip: Strip) -> str:
-    """``climb`` or ``conventional``: a cutter that turns clockwise, seen from the spindle, climbs where it is
-    on the left of the surface, seen along the feed with the spindle up."""
+def _milling_direction(strip: RulingStrip) -> str:
+    """Return ``climb`` or ``conventional``.
+
+    A cutter that turns clockwise, seen from the spindle, climbs if it is on the left of the surface, seen
+    along the feed with the spindle up.
+    """
     left = np.cross(strip.high[0] - strip.low[0], strip.tangents()[0][0])
     return "climb" if float(left @ strip.normals()[0][0]) > 0.0 else "conventional"
 
 
-def _run(
-    op: Milling, cut: FlankCut, name: str, on: Placed, lift: float, cutter: Cutter, box: FloatArray
-) -> Run:
-    """One pass with the tip ``lift`` [m] above the tip guide."""
+@dataclasses.dataclass(frozen=True)
+class CutterInBlock:
+    """Cutter and the block that it mills.
+
+    Attributes:
+        cutter: Cutter of the arm.
+        box: Block (2, 3) [m], lower and upper corner.
+    """
+
+    cutter: Cutter
+    box: FloatArray
+
+
+def _build_pass(
+    op: Milling, cut: FlankCut, name: str, placement: FlankPlacement, lift: float, in_block: CutterInBlock
+) -> CutterPass:
+    """Build one pass with the tip ``lift`` [m] above the tip guide."""
     tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
-    rows = thinned(np.stack([on.low, on.high], axis=1), CHORD_SHARE * tolerance, op.step_mm * MM)
-    low, high = on.low[rows], on.high[rows]
-    into = _lead(cut, low, high, (0, 1), lift, cutter, box)
-    out = _lead(cut, low, high, (-1, -2), lift, cutter, box)
-    base = np.concatenate([into[0][::-1], low, out[0]])
-    top = np.concatenate([into[1][::-1], high, out[1]])
+    rows = thin_rows(
+        np.stack([placement.low, placement.high], axis=1), CHORD_FRACTION * tolerance, op.step_mm * MM
+    )
+    low, high = placement.low[rows], placement.high[rows]
+    lead_in = _extend_lead(cut, low, high, (0, 1), lift, in_block)
+    lead_out = _extend_lead(cut, low, high, (-1, -2), lift, in_block)
+    base = np.concatenate([lead_in[0][::-1], low, lead_out[0]])
+    top = np.concatenate([lead_in[1][::-1], high, lead_out[1]])
     axis = unit(top - base)
-    first = len(into[0])
+    first = len(lead_in[0])
     path = plain_path(base + lift * axis, axis, (cut.feed_mm_s or op.feed_mm_s) * MM)
-    reach = float(np.linalg.norm(on.high - on.low, axis=1).max()) - lift
-    return Run(name, path, first, first + len(rows) - 1, max(reach, 0.0))
+    reach = float(np.linalg.norm(placement.high - placement.low, axis=1).max()) - lift
+    return CutterPass(name, path, first, first + len(rows) - 1, max(reach, 0.0))
 
 
-def _lead(
+def _extend_lead(
     cut: FlankCut,
     low: FloatArray,
     high: FloatArray,
     rows: tuple[int, int],
     lift: float,
-    cutter: Cutter,
-    box: FloatArray,
+    in_block: CutterInBlock,
 ) -> tuple[FloatArray, FloatArray]:
-    """Axes (K, 3) each that go on beyond the first of two rows, away from the second."""
+    """Return axes (K, 3) each that continue beyond the first of two rows, away from the second."""
     k, after = rows
-    low_way, high_way = low[k] - low[after], high[k] - high[after]
-    way = low_way + high_way
-    way /= max(float(np.linalg.norm(way)), 1e-12)
+    low_step, high_step = low[k] - low[after], high[k] - high[after]
+    direction = low_step + high_step
+    direction /= max(float(np.linalg.norm(direction)), 1e-12)
     if cut.lead_mm is None:
-        far = np.stack([low[k] + min(lift, 0.0) * unit(high[k] - low[k]), high[k]])
-        length = off_block(far, way, box, cutter.radius + BLOCK_CLEARANCE)
+        end_points = np.stack([low[k] + min(lift, 0.0) * unit(high[k] - low[k]), high[k]])
+        clearance = in_block.cutter.radius + BLOCK_CLEARANCE_M
+        length = exit_distance(end_points, direction, in_block.box, clearance)
     else:
         length = cut.lead_mm * MM
     if length < 1e-6:
         return low[:0], high[:0]
-    one, other = beyond(low[k], high[k], low_way, high_way, length)
-    for _ in range(LEAD_ROUNDS if cut.lead_mm is None else 0):
-        more = _still_in(one[-1], other[-1], way, lift, cutter, box)
-        if more <= 0.0 or length >= LONGEST_LEAD:
+    low_points, high_points = extend_axis(low[k], high[k], low_step, high_step, length)
+    for _ in range(MAX_LEAD_EXTENSIONS if cut.lead_mm is None else 0):
+        extra = _remaining_exit(low_points[-1], high_points[-1], direction, lift, in_block)
+        if extra <= 0.0 or length >= MAX_LEAD_M:
             break
-        # a tool that turns on its way is behind at one end, and leans over the block above the surface
-        length += more
-        one, other = beyond(low[k], high[k], low_way, high_way, length)
-    return one[1:], other[1:]
+        # a tool that rotates on its way lags at one end and tilts over the block above the surface
+        length += extra
+        low_points, high_points = extend_axis(low[k], high[k], low_step, high_step, length)
+    return low_points[1:], high_points[1:]
 
 
-def _still_in(
-    low: FloatArray, high: FloatArray, way: FloatArray, lift: float, cutter: Cutter, box: FloatArray
+def _remaining_exit(
+    low: FloatArray, high: FloatArray, direction: FloatArray, lift: float, in_block: CutterInBlock
 ) -> float:
-    """How far [m] on along ``way`` (3,) a cutter on the axis from ``low`` to ``high`` (3,) is off the block
-    with its whole length, 0 where it is there already: it is drawn back along that axis."""
+    """Return how far [m] a cutter still has to move along ``direction`` (3,) to leave the block, or 0.
+
+    The cutter is retracted along the axis from ``low`` to ``high`` (3,), so all of its overhang counts.
+    """
+    cutter, box = in_block.cutter, in_block.box
     axis = unit(high - low)
-    back = np.linspace(lift, lift + cutter.overhang, LEAD_PLACES)
-    on = low + back[:, None] * axis
-    gap = np.linalg.norm(np.maximum(np.maximum(box[0] - on, on - box[1]), 0.0), axis=1)
-    inside = gap < cutter.radius + LEAD_SPARE
-    return off_block(on[inside], way, box, cutter.radius + BLOCK_CLEARANCE) if inside.any() else 0.0
+    positions = np.linspace(lift, lift + cutter.overhang, LEAD_SAMPLES)
+    axis_points = low + positions[:, None] * axis
+    gap = np.linalg.norm(np.maximum(np.maximum(box[0] - axis_points, axis_points - box[1]), 0.0), axis=1)
+    inside = gap < cutter.radius + LEAD_MARGIN_M
+    return (
+        exit_distance(axis_points[inside], direction, box, cutter.radius + BLOCK_CLEARANCE_M)
+        if inside.any()
+        else 0.0
+    )
 
 
-def _up(length: float) -> float:
-    """A length [m] in mm, rounded up: a figure that is followed must do."""
+def _ceil_mm(length: float) -> float:
+    """Convert a length [m] to mm, rounded up so that following the advice is sufficient."""
     return float(np.ceil(length / MM * 100.0 - 1e-6) / 100.0)
 
 
-def _length(side: FloatArray) -> float:
+def _polyline_length(side: FloatArray) -> float:
     return float(np.linalg.norm(np.diff(side, axis=0), axis=1).sum())

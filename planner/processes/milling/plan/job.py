@@ -1,14 +1,13 @@
-"""The process `milling`: from surfaces, curves and a cutter to targets of one arm, and its claims.
+"""The process ``milling``: from surfaces, curves and a cutter to targets of one arm, and its claims.
 
-See `process_plan` (cuts as passes), `flank_cut`, `point_cut` and `gcode` (each kind), `tool_path`
-(the ways between), `check` (what would go wrong).
+See `process_plan` (cuts as passes), `flank_cut`, `point_cut` and `gcode` (kinds of cuts), `tool_path` (moves
+between passes) and `check` (checks before motion planning).
 
-**Poses**: from tips and axes to poses of the TCP and to what motion may choose, the spin about the
-tool.
+**Poses**: from tips and axes to poses of the TCP. Motion planning may choose the spin about the tool.
 
-**Exhibits** for the report: tool and spindle for the setup sheet, the cuts, the ways.
+**Exhibits** for the report: tool and spindle for the setup sheet, the cuts, the paths.
 
-**Claims** (`claims`): what must hold of the job, from the problem alone.
+**Claims** (`milling_claims`): what must hold of the job. They follow from the problem alone.
 """
 
 import dataclasses
@@ -27,15 +26,15 @@ from planner.claims.dialogue import (
     question_step,
 )
 from planner.claims.segments import Segment
-from planner.geometry.arrays import FloatArray, Mesh, Ruled, from_parts, read_only
-from planner.geometry.corner_rounding import TURNING_LEVER_MM
+from planner.geometry.arrays import FloatArray, Mesh, RuledSurface, from_parts, read_only
+from planner.geometry.corner_rounding import ROTATION_LEVER_MM
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Part
 from planner.processes.milling import claims as facts
 from planner.processes.milling import sentences as milling_sentences
-from planner.processes.milling.plan.check import check
-from planner.processes.milling.plan.flank_cut import surface
+from planner.processes.milling.plan.check import check_work
+from planner.processes.milling.plan.flank_cut import find_ruled_surface
 from planner.processes.milling.plan.operation import (
     EngraveCut,
     FlankCut,
@@ -45,205 +44,228 @@ from planner.processes.milling.plan.operation import (
     Milling,
     Orient,
 )
-from planner.processes.milling.plan.process_plan import Done, Work, work
-from planner.processes.milling.plan.tool_path import BLOCK_SIDES, Route, lay_out
-from planner.targets import Action, Aim, Job, Rounding, ScrewFreedom, Targets
+from planner.processes.milling.plan.process_plan import MillingPlan, PlannedCut, plan_milling
+from planner.processes.milling.plan.tool_path import BLOCK_SIDES, MillingRoute, plan_route
+from planner.targets import Aim, CornerRounding, Job, ScrewFreedom, TargetAction, Targets
 
 MILL: Final = "mill"
-"""The kind of segments in which a cutter mills."""
+"""Kind of the segments in which a cutter mills."""
 
-AXIS_TURN: Final = 0.5 * DEG
-"""How far [rad] a tool may be turned off the axis that it is to follow."""
+AXIS_TOLERANCE_RAD: Final = 0.5 * DEG
+"""Allowed deviation of the tool's axis from the required one [rad]."""
 
-TIP_OFFSET: Final = 0.5 * MM
-"""How far [m] the tip may be off its way where a surface says what is to be made: corners are rounded."""
+TIP_TOLERANCE_M: Final = 0.5 * MM
+"""Allowed deviation of the tip from its path if a claim on a surface is the measure [m].
+
+Corners of the path are rounded.
+"""
 
 
-def claims(work: Work, part: Part | None) -> tuple[Claim, ...]:
-    """Claims on the spindle, on the feed and the shape of each cut, and on the part
-    that all of them spare."""
+def milling_claims(work: MillingPlan, part: Part | None) -> tuple[Claim, ...]:
+    """Return claims on the spindle, on feed and shape of each cut, and on the part that all cuts spare."""
     op = work.operation
     out: list[Claim] = [ContactOnlyIn(("mill",), op.signal, op.spin_up_s)]
-    out.append(_dialogue(work))
-    for number, one in enumerate(work.cuts):
-        if isinstance(one.cut, GCodeCut):
-            out.append(_program(work, one, one.cut, number == 0))
-            segments: tuple[Segment, ...] = (Segment(MILL, one.cut.name),)
-        elif isinstance(one.cut, EngraveCut):
-            out.append(_engraving(work, one, one.cut))
-            segments = tuple(run.segment for run in one.runs)
+    out.append(_operator_dialogue(work))
+    for number, planned in enumerate(work.cuts):
+        if isinstance(planned.cut, GCodeCut):
+            out.append(_program_claim(work, planned, planned.cut, number == 0))
+            segments: tuple[Segment, ...] = (Segment(MILL, planned.cut.name),)
+        elif isinstance(planned.cut, EngraveCut):
+            out.append(_engraving_claim(work, planned, planned.cut))
+            segments = tuple(run.segment for run in planned.passes)
         else:
-            out += _feed_claims(work, one)
-            out += _shape(work, one, part)
-            segments = tuple(run.segment for run in one.runs)
+            out += _feed_claims(work, planned)
+            out += _shape_claims(work, planned, part)
+            segments = tuple(run.segment for run in planned.passes)
         for face in work.faces:
-            deep = one.depth if face.name == "front" else 0.0
+            depth = planned.engraving_depth if face.name == "front" else 0.0
             mesh = (face.mesh.vertices, face.mesh.faces)
-            out.append(facts.SparesPart(segments, op.arms[0], work.cutter, *mesh, deep, one.tolerance))
+            out.append(facts.SparesPart(segments, op.arms[0], work.cutter, *mesh, depth, planned.tolerance))
     return tuple(out)
 
 
-def _dialogue(work: Work) -> OperatorDialogue:
-    """The block, the cutter and its spindle's speed are told, the last one not where files say it; what files
-    ask for besides, the proof reads there."""
+def _operator_dialogue(work: MillingPlan) -> OperatorDialogue:
+    """Return the operator dialogue with block, cutter and spindle speed.
+
+    The speed is left out if files state it. The proof reads from the files what they ask for in addition.
+    """
     op, size = work.operation, np.ptp(work.box, axis=0) / MM
     block = {"x_mm": float(size[0]), "y_mm": float(size[1]), "z_mm": float(size[2])}
     cutter = {"kind": work.cutter.kind, "diameter_mm": 2.0 * work.cutter.radius / MM}
     if op.by_files:
-        tell = message_step(milling_sentences.BLOCK_OF_FILE, **block, **cutter)
+        block_message = message_step(milling_sentences.BLOCK_OF_FILE, **block, **cutter)
     else:
-        tell = message_step(milling_sentences.BLOCK, **block, **cutter, rpm=float(op.spindle_rpm))
+        block_message = message_step(milling_sentences.BLOCK, **block, **cutter, rpm=float(op.spindle_rpm))
     return OperatorDialogue(
         op.arms,
-        (tell, question_step(milling_sentences.BLOCK_READY), *power_on_steps(op.signal, op.spin_up_s)),
-        (*power_off_steps(op.signal, op.spin_down_s), question_step(milling_sentences.STANDS)),
+        (
+            block_message,
+            question_step(milling_sentences.BLOCK_READY),
+            *power_on_steps(op.signal, op.spin_up_s),
+        ),
+        (*power_off_steps(op.signal, op.spin_down_s), question_step(milling_sentences.SPINDLE_STOPPED)),
     )
 
 
-def program_file(own: GCodeFile) -> facts.ProgramFile:
-    """What the problem states of a file, word for word."""
+def program_file(gcode: GCodeFile) -> facts.ProgramFile:
+    """Return what the problem states about a G-code file, word for word."""
     return facts.ProgramFile(
-        path=own.file,
-        xyz_mm=own.origin.xyz_mm,
-        rpy_deg=own.origin.rpy_deg,
-        unit=own.unit,
-        distance=own.distance,
-        motion=own.motion,
-        plane=own.plane,
-        arc_centre=own.arc_centre,
-        feed_mode=own.feed_mode,
-        feed_mm_min=own.feed_mm_min,
-        spindle_rpm=own.spindle_rpm,
-        tool_axis=own.tool_axis,
-        ijk_to=own.ijk_to,
-        convention=own.convention,
-        reverse=own.reverse,
-        start_mm=own.start_mm,
-        offsets=tuple((name, shift) for name, shift in own.offsets.items()),
-        block_delete=own.block_delete,
-        skip=own.skip,
-        tool=own.tool,
-        chord_tol_mm=own.chord_tol_mm,
-        dwell=own.dwell,
+        path=gcode.file,
+        xyz_mm=gcode.origin.xyz_mm,
+        rpy_deg=gcode.origin.rpy_deg,
+        unit=gcode.unit,
+        distance=gcode.distance,
+        motion=gcode.motion,
+        plane=gcode.plane,
+        arc_centre=gcode.arc_centre,
+        feed_mode=gcode.feed_mode,
+        feed_mm_min=gcode.feed_mm_min,
+        spindle_rpm=gcode.spindle_rpm,
+        tool_axis=gcode.tool_axis,
+        ijk_to=gcode.ijk_to,
+        convention=gcode.convention,
+        reverse=gcode.reverse,
+        start_mm=gcode.start_mm,
+        offsets=tuple((name, shift) for name, shift in gcode.offsets.items()),
+        block_delete=gcode.block_delete,
+        skip=gcode.skip,
+        tool=gcode.tool,
+        chord_tol_mm=gcode.chord_tol_mm,
+        dwell=gcode.dwell,
     )
 
 
-def _program(work: Work, one: Done, cut: GCodeCut, first: bool) -> facts.MillsProgram:
-    """The way of a file, which the proof reads itself."""
-    safe = _safe(work.operation, work.box)
+def _program_claim(work: MillingPlan, planned: PlannedCut, cut: GCodeCut, first: bool) -> facts.MillsProgram:
+    """Return the claim on the path of a file, which the proof reads itself."""
+    safe = _safe_moves(work.operation, work.box)
     file = program_file(cut.gcode)
-    return facts.MillsProgram(cut.name, work.operation.arms[0], file, safe, one.tolerance, AXIS_TURN, first)
+    return facts.MillsProgram(
+        cut.name, work.operation.arms[0], file, safe, planned.tolerance, AXIS_TOLERANCE_RAD, first
+    )
 
 
-def _engraving(work: Work, one: Done, cut: EngraveCut) -> facts.Engraves:
-    """Curves on the part's front."""
+def _engraving_claim(work: MillingPlan, planned: PlannedCut, cut: EngraveCut) -> facts.Engraves:
+    """Return the claim on curves engraved in the part's front."""
     op, front = work.operation, next(face.mesh for face in work.faces if face.name == "front")
     return facts.Engraves(
         name=cut.name,
         arm=op.arms[0],
         cutter=work.cutter,
-        curves=tuple(curve.drawn() for curve in cut.engrave),
+        curves=tuple(curve.to_drawn_curve() for curve in cut.engrave),
         vertices=front.vertices,
         faces=front.faces,
         depth=cut.depth_mm * MM,
         axis=cut.axis,
-        axis_curves=tuple(curve.drawn() for curve in cut.axis_curves),
+        axis_curves=tuple(curve.to_drawn_curve() for curve in cut.axis_curves),
         lead=cut.lead_deg * DEG,
         tilt=cut.tilt_deg * DEG,
         feed=(cut.feed_mm_s or op.feed_mm_s) * MM,
-        safe=_safe(op, work.box),
-        tolerance=one.tolerance,
-        turn=AXIS_TURN,
+        safe=_safe_moves(op, work.box),
+        tolerance=planned.tolerance,
+        turn=AXIS_TOLERANCE_RAD,
     )
 
 
-def _safe(op: Milling, box: FloatArray) -> facts.SafeWays:
-    """The ways to passes and from them, by the numbers of the problem."""
-    across, end = BLOCK_SIDES[op.safe_side]
-    up = 1.0 if end else -1.0
-    level = float(box[end, across]) + up * op.safe_mm * MM
-    return facts.SafeWays(across, up, level, op.plunge_mm_s * MM, op.rapid_mm_s * MM)
+def _safe_moves(op: Milling, box: FloatArray) -> facts.SafeMoves:
+    """Return the moves to and from passes, with the values of the problem."""
+    normal_axis, end = BLOCK_SIDES[op.safe_side]
+    free_side = 1.0 if end else -1.0
+    level = float(box[end, normal_axis]) + free_side * op.safe_mm * MM
+    return facts.SafeMoves(normal_axis, free_side, level, op.plunge_mm_s * MM, op.rapid_mm_s * MM)
 
 
-def _feed_claims(work: Work, one: Done) -> list[Claim]:
-    """The feeds of all passes of a cut, ways in and out too."""
+def _feed_claims(work: MillingPlan, planned: PlannedCut) -> list[Claim]:
+    """Return claims on the feeds of all passes of a cut, leads included."""
     op, out = work.operation, list[Claim]()
-    own = None if isinstance(one.cut, GCodeCut) else one.cut.feed_mm_s
-    feed = (own or op.feed_mm_s) * MM
-    for run in one.runs:
+    cut_feed = None if isinstance(planned.cut, GCodeCut) else planned.cut.feed_mm_s
+    feed = (cut_feed or op.feed_mm_s) * MM
+    for run in planned.passes:
         out.append(FeedWindow(run.segment.at("in"), 0.0, max(feed, op.plunge_mm_s * MM)))
         out.append(FeedWindow(run.segment, 0.0, feed))
         out.append(FeedWindow(run.segment.at("out"), 0.0, max(feed, op.rapid_mm_s * MM)))
     return out
 
 
-def _shape(work: Work, one: Done, part: Part | None) -> list[Claim]:
-    """The surface that a cut makes; where it follows curves, those."""
+def _shape_claims(work: MillingPlan, planned: PlannedCut, part: Part | None) -> list[Claim]:
+    """Return claims on the surface that a cut makes, and on the path where it follows curves."""
     op = work.operation
     out: list[Claim] = []
-    if one.face is not None:
-        # roughing passes leave the surface to the last one
-        finish = one.runs[-1:] if isinstance(one.cut, FlankCut) else one.runs
+    if planned.face is not None:
+        # only the last pass makes the surface
+        finish = planned.passes[-1:] if isinstance(planned.cut, FlankCut) else planned.passes
         segments = tuple(run.segment for run in finish)
-        mesh, margin = one.face.mesh, 0.0
-        if isinstance(one.cut, LinesCut) and part is not None and part.front is not None:
-            mesh, margin = part.front, one.cut.margin_mm * MM
-        bounds = one.tolerance, op.share, margin
+        mesh, margin = planned.face.mesh, 0.0
+        if isinstance(planned.cut, LinesCut) and part is not None and part.front is not None:
+            mesh, margin = part.front, planned.cut.margin_mm * MM
+        bounds = planned.tolerance, op.share, margin
         out.append(facts.MillsSurface(segments, op.arms[0], work.cutter, mesh.vertices, mesh.faces, *bounds))
-    # where a surface is claimed it is the measure; the way then only says that nothing else is milled
-    near = one.tolerance if one.face is None else max(one.tolerance, TIP_OFFSET)
-    if isinstance(one.cut, LinesCut) and part is not None and part.front is not None:
-        return [*out, _over(work, one, one.cut, part.front, near)]
-    if isinstance(one.cut, FlankCut):
-        return [*out, _flank(work, one, one.cut, surface(part, one.cut.flank), near)]
+    # if a surface is claimed, it is the measure, and the path only ensures that nothing else is milled
+    tolerance = planned.tolerance if planned.face is None else max(planned.tolerance, TIP_TOLERANCE_M)
+    if isinstance(planned.cut, LinesCut) and part is not None and part.front is not None:
+        return [*out, _face_claim(work, planned, planned.cut, part.front, tolerance)]
+    if isinstance(planned.cut, FlankCut):
+        return [
+            *out,
+            _flank_claim(work, planned, planned.cut, find_ruled_surface(part, planned.cut.flank), tolerance),
+        ]
     return out
 
 
-def _over(work: Work, one: Done, cut: LinesCut, front: Mesh, near: float) -> facts.MillsOver:
-    """The front, which the cutter's end passes over."""
+def _face_claim(
+    work: MillingPlan, planned: PlannedCut, cut: LinesCut, front: Mesh, tolerance: float
+) -> facts.MillsOver:
+    """Return the claim that the cutter's end passes over the front."""
     return facts.MillsOver(
-        segments=tuple(run.segment for run in one.runs),
+        segments=tuple(run.segment for run in planned.passes),
         arm=work.operation.arms[0],
         cutter=work.cutter,
         vertices=front.vertices,
         faces=front.faces,
         margin=cut.margin_mm * MM,
         upright=cut.axis == "upright",
-        lean=float(np.arctan(np.hypot(np.tan(cut.lead_deg * DEG), np.tan(cut.tilt_deg * DEG)))),
-        safe=_safe(work.operation, work.box),
-        tolerance=near,
-        turn=AXIS_TURN,
+        max_tilt=float(np.arctan(np.hypot(np.tan(cut.lead_deg * DEG), np.tan(cut.tilt_deg * DEG)))),
+        safe=_safe_moves(work.operation, work.box),
+        tolerance=tolerance,
+        turn=AXIS_TOLERANCE_RAD,
     )
 
 
-def _flank(work: Work, one: Done, cut: FlankCut, ruled: Ruled, near: float) -> facts.MillsFlank:
-    """A ruled surface that the cutter's side passes, or two guides that its axis does."""
+def _flank_claim(
+    work: MillingPlan, planned: PlannedCut, cut: FlankCut, ruled: RuledSurface, tolerance: float
+) -> facts.MillsFlank:
+    """Return the claim that the cutter's side passes a ruled surface, or its axis two guides."""
     op, cutter = work.operation, work.cutter
     from_start, by_surface = cut.tip == "start", cut.guides == "surface"
     return facts.MillsFlank(
-        segments=tuple(run.segment for run in one.runs),
+        segments=tuple(run.segment for run in planned.passes),
         arm=op.arms[0],
         cutter=cutter,
         low=ruled.start if from_start else ruled.end,
         high=ruled.end if from_start else ruled.start,
-        out=1.0 if from_start else -1.0,
+        outward_sign=1.0 if from_start else -1.0,
         closed=ruled.closed,
         direction=cut.direction,
-        stand=cutter.radius if by_surface else 0.0,
-        beyond=cut.overrun_mm * MM + (cutter.corner if by_surface else 0.0),
-        leave=cut.leave_mm * MM,
+        axis_offset=cutter.radius if by_surface else 0.0,
+        tip_overrun=cut.overrun_mm * MM + (cutter.corner if by_surface else 0.0),
+        roughing_allowance=cut.leave_mm * MM,
         stepdown=cut.stepdown_mm * MM if cut.stepdown_mm is not None and by_surface else None,
-        lead=None if cut.lead_mm is None else cut.lead_mm * MM,
+        lead_length=None if cut.lead_mm is None else cut.lead_mm * MM,
         feed=(cut.feed_mm_s or op.feed_mm_s) * MM,
-        safe=_safe(op, work.box),
-        tolerance=near,
-        turn=AXIS_TURN,
+        safe=_safe_moves(op, work.box),
+        tolerance=tolerance,
+        turn=AXIS_TOLERANCE_RAD,
     )
 
 
-def poses(tip: FloatArray, axis: FloatArray) -> FloatArray:
-    """Poses (N, 4, 4) of tools whose TCP is ``tip`` (N, 3) [m] and whose z axis points out of the spindle,
-    against ``axis`` (N, 3); x is as near as may be to that axis of the block that no tool comes near to."""
+def tool_poses(tip: FloatArray, axis: FloatArray) -> FloatArray:
+    """Return poses (N, 4, 4) of tools whose TCP is the tip and whose z axis points out of the spindle.
+
+    The x axis is as close as possible to the axis of the block that is farthest from all tool axes.
+
+    Args:
+        tip: Tips (N, 3) [m].
+        axis: Unit vectors from tip to spindle (N, 3).
+    """
     reference = np.eye(3)[int(np.abs(axis).max(axis=0).argmin())]
     z = -axis
     x = reference - (z @ reference)[:, None] * z
@@ -251,119 +273,137 @@ def poses(tip: FloatArray, axis: FloatArray) -> FloatArray:
     return from_parts(np.stack([x, np.cross(z, x), z], axis=-1), tip)
 
 
-def spin(arm: str, orient: Orient, count: int) -> ScrewFreedom:
-    """A whole turn about the tool's axis at each target; its x axis may aim at the robot's base, or what that
-    would be worth is told."""
+def spin_freedom(arm: str, orient: Orient, count: int) -> ScrewFreedom:
+    """Return the freedom of a full rotation about the tool's axis at each target.
+
+    Args:
+        arm: Name of the arm.
+        orient: ``base`` if the tool's x axis aims at the robot's base; otherwise its possible gain is
+            reported.
+        count: Number of targets.
+    """
     twist = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    turn = np.full(count, np.pi)
-    aim = Aim(arm, np.array([1.0, 0.0, 0.0]), wanted=orient == "base")
-    return ScrewFreedom(f"spin_{arm}", {arm: twist}, -turn, turn, None, True, aim)
+    half_turn = np.full(count, np.pi)
+    aim = Aim(arm, np.array([1.0, 0.0, 0.0]), is_preferred=orient == "base")
+    return ScrewFreedom(f"spin_{arm}", {arm: twist}, -half_turn, half_turn, None, True, aim)
 
 
 CUT_NAMES: Final = ((FlankCut, "flank"), (LinesCut, "lines"), (GCodeCut, "G\u2011code"))
 """Kinds of cuts in words."""
-CURVES_SHOWN: Final = 80
-"""Curves that the picture of the ways shows at most."""
+MAX_CURVES_SHOWN: Final = 80
+"""Maximum number of curves in the picture of the paths."""
 
 
-def exhibits(work: Work, route: Route) -> dict[str, Any]:
-    """Exhibits by name, in the forms that the report knows."""
-    return {"setup": _setup(work), "cuts": _cuts(work), "paths": _paths(work)}
+def exhibits(work: MillingPlan, route: MillingRoute) -> dict[str, Any]:
+    """Return exhibits by name, in the forms that the report knows."""
+    return {"setup": _setup_exhibit(work), "cuts": _cuts_exhibit(work), "paths": _paths_exhibit(work)}
 
 
-def _setup(work: Work) -> dict[str, Any]:
+def _setup_exhibit(work: MillingPlan) -> dict[str, Any]:
     op, cutter = work.operation, work.cutter
     size = f"{2e3 * cutter.radius:g} mm, flute {cutter.flute / MM:g} mm"
     corner = f", corner {cutter.corner / MM:g} mm" if cutter.kind == "bull" else ""
     spindle: list[tuple[Any, ...]] = [("spindle", f"{op.spindle_rpm:g}", "1/min, clockwise (M3)")]
-    if any(isinstance(one.cut, GCodeCut) for one in work.cuts):
-        asked = ("spindle in passes of files", "speed and sense as the program asks before them")
-        spindle = [asked] if op.by_files else [*spindle, asked]
+    if any(isinstance(planned.cut, GCodeCut) for planned in work.cuts):
+        file_spindle = ("spindle in passes of files", "speed and direction as the program asks before them")
+        spindle = [file_spindle] if op.by_files else [*spindle, file_spindle]
     items: list[tuple[Any, ...]] = [
         ("cutter", f"{cutter.kind}, {size}{corner}"),
         ("overhang of the cutter", f"{cutter.overhang / MM:g}", "mm from the holder's nose to the tip"),
         ("TCP", "the tip of the cutter, on its axis; z out of the spindle"),
         *spindle,
         ("spindle signal", op.signal),
-        ("feed", _feeds(work), "mm/s"),
-        ("safe plane", f"{op.safe_mm:g} mm off the block, side {op.safe_side}"),
+        ("feed", _feed_range(work), "mm/s"),
+        ("safe plane", f"{op.safe_mm:g} mm from the block, side {op.safe_side}"),
     ]
     return {"kind": "setup", "title": "Milling", "items": items}
 
 
-def _feeds(work: Work) -> str:
-    """Least and greatest feed [mm/s] of the passes."""
-    feeds = np.concatenate([run.path.feed[run.first + 1 : run.last + 1] for run in work.runs]) / MM
+def _feed_range(work: MillingPlan) -> str:
+    """Return the smallest and largest feed [mm/s] of the passes as text."""
+    feeds = np.concatenate([run.path.feed[run.first + 1 : run.last + 1] for run in work.passes]) / MM
     low, high = float(feeds.min()), float(feeds.max())
     return f"{low:g}" if np.isclose(low, high) else f"{low:.3g} to {high:.3g}"
 
 
-def _cuts(work: Work) -> dict[str, Any]:
+def _cuts_exhibit(work: MillingPlan) -> dict[str, Any]:
     rows = []
-    for one in work.cuts:
-        kind = next((name for model, name in CUT_NAMES if isinstance(one.cut, model)), "engraving")
-        for run in one.runs:
-            way = np.linalg.norm(np.diff(run.path.tip, axis=0), axis=1).sum()
-            off = f"{one.off / MM:.4f}" if one.off > 0.0 and run is one.runs[-1] else ""
-            rows.append((run.name, kind, len(run.path), f"{way:.2f}", off, f"{one.tolerance / MM:g}"))
-    columns = ("pass", "kind", "targets", "way [m]", "cutter off the surface [mm]", "allowed [mm]")
-    # only flanks can be off by their own geometry
+    for planned in work.cuts:
+        kind = next((name for model, name in CUT_NAMES if isinstance(planned.cut, model)), "engraving")
+        for run in planned.passes:
+            length = np.linalg.norm(np.diff(run.path.tip, axis=0), axis=1).sum()
+            deviation = (
+                f"{planned.deviation / MM:.4f}"
+                if planned.deviation > 0.0 and run is planned.passes[-1]
+                else ""
+            )
+            rows.append(
+                (run.name, kind, len(run.path), f"{length:.2f}", deviation, f"{planned.tolerance / MM:g}")
+            )
+    columns = ("pass", "kind", "targets", "length [m]", "cutter to surface [mm]", "allowed [mm]")
+    # only flank cuts can deviate because of their geometry
     kept = [k for k in range(len(columns)) if k != 4 or any(row[4] for row in rows)]
     shown = [tuple(row[k] for k in kept) for row in rows]
     names = tuple(columns[k] for k in kept)
     return {"kind": "table", "title": "Passes in order", "columns": names, "rows": shown}
 
 
-def _paths(work: Work) -> dict[str, Any]:
-    runs = work.runs
-    curves = [run.path.tip for run in runs[:: max(1, len(runs) // CURVES_SHOWN)]]
-    return {"kind": "paths", "title": "Way of the cutter's tip", "curves": curves}
+def _paths_exhibit(work: MillingPlan) -> dict[str, Any]:
+    runs = work.passes
+    curves = [run.path.tip for run in runs[:: max(1, len(runs) // MAX_CURVES_SHOWN)]]
+    return {"kind": "paths", "title": "Path of the cutter's tip", "curves": curves}
 
 
-MEAN_FEED_FROM_REST: Final = 0.66
-"""Part of the feed that moves from or to a stop have on average, as they are faster in between."""
-AIR_LEVER: Final = 0.05
-"""A point so far [m] behind the tip counts for the speed in the air, where the tool turns."""
+MEAN_FEED_FRACTION: Final = 0.66
+"""Mean speed of moves from or to a stop, as a fraction of the feed."""
+AIR_LEVER_M: Final = 0.05
+"""Distance behind the tip [m] of the point whose speed counts in the air, where the tool rotates."""
 
 
 class MillingJob(Job[Milling]):
-    """An operation that mills, with the cutter and the block that it finds."""
+    """Job of an operation that mills, with its cutter and the block as the operation finds it."""
 
     @functools.cached_property
-    def planned(self) -> Work:
-        """Cuts as passes: worked out once, and nobody can write into their arrays."""
-        return read_only(work(self.operation, self.setup, self.part))
+    def planned(self) -> MillingPlan:
+        """Cuts as passes. The result is computed once, and its arrays are read-only."""
+        return read_only(plan_milling(self.operation, self.setup, self.part))
 
     def targets(self) -> Targets:
-        """Targets of the operation; raises ``TandemError`` with the codes ``milling.*``."""
-        made = self.planned
-        route = lay_out(self.operation, made.runs, made.box)
-        issues = [] if self.brief else check(made)
+        """Return the targets of the operation.
+
+        Raises:
+            TandemError: Codes ``milling.*``.
+        """
+        plan = self.planned
+        route = plan_route(self.operation, plan.passes, plan.box)
+        issues = [] if self.is_brief else check_work(plan)
         if has_errors(issues):
             raise TandemError(aggregate(issues))
-        claims = () if self.brief else self.claims()
-        found = _targets(made, route, aggregate(issues), claims)
-        return found if self.brief else dataclasses.replace(found, exhibits=exhibits(made, route))
+        claims = () if self.is_brief else self.claims()
+        targets = _build_targets(plan, route, aggregate(issues), claims)
+        return targets if self.is_brief else dataclasses.replace(targets, exhibits=exhibits(plan, route))
 
-    def stated(self) -> tuple[Claim, ...]:
-        """What must hold of the job, from the problem alone."""
-        return claims(self.planned, self.part)
+    def make_claims(self) -> tuple[Claim, ...]:
+        """Return what must hold of the job, from the problem alone."""
+        return milling_claims(self.planned, self.part)
 
 
-def _targets(made: Work, route: Route, issues: tuple[Issue, ...], claims: tuple[Claim, ...]) -> Targets:
-    op = made.operation
+def _build_targets(
+    plan: MillingPlan, route: MillingRoute, issues: tuple[Issue, ...], claims: tuple[Claim, ...]
+) -> Targets:
+    op = plan.operation
     arm, count = op.arms[0], len(route.segment)
-    actions = tuple(sorted(_actions(made, route), key=lambda action: action.at))
+    actions = tuple(sorted(_build_actions(plan, route), key=lambda action: action.target))
     stop = route.stop.copy()
-    stop[[action.at for action in actions]] = True
+    stop[[action.target for action in actions]] = True
     return Targets(
         arms=op.arms,
-        pose={arm: poses(route.tip, route.axis)},
+        pose={arm: tool_poses(route.tip, route.axis)},
         frame={arm: "stock"},
-        freedoms=(spin(arm, op.orient, count),),
-        feed=np.where(np.append(False, stop[:-1]) | stop, MEAN_FEED_FROM_REST, 1.0) * route.feed,
+        freedoms=(spin_freedom(arm, op.orient, count),),
+        feed=np.where(np.append(False, stop[:-1]) | stop, MEAN_FEED_FRACTION, 1.0) * route.feed,
         feed_min=np.zeros(count),
-        travel=_travel(route),
+        travel=_travel_lengths(route),
         stop=stop,
         segment=route.segment,
         actions=actions,
@@ -373,109 +413,123 @@ def _targets(made: Work, route: Route, issues: tuple[Issue, ...], claims: tuple[
         may_stop=True,
         may_join=True,
         feed_throughout=any(isinstance(claim, FeedWindow) for claim in claims),
-        feed_source="the G-code file" if any(isinstance(one.cut, GCodeCut) for one in made.cuts) else "",
+        feed_source="the G-code file"
+        if any(isinstance(planned.cut, GCodeCut) for planned in plan.cuts)
+        else "",
     )
 
 
-WAYS: Final = (facts.MillsProgram, facts.Engraves, facts.MillsFlank, facts.MillsOver)
-"""Claims on the way of the cutter."""
-TURNING_LEVER: Final = TURNING_LEVER_MM * MM
-"""What turning counts as [m/rad] where nothing else is known."""
-TIGHT_SHARE: Final = 0.5
-"""Part of a tolerance that rounded corners take at most where it is tighter than what they take anyway."""
-ROUNDED_SHARE: Final = 0.15
-"""Part of the tolerance of what is milled that rounded corners may take, where it is more."""
-CURVE_SHARE: Final = 0.75
-CURVE_WAY_SHARE: Final = 0.5
-"""Parts of tolerances that curves of spline blocks may take: of those on surfaces, which corners then leave
-alone, and of those on ways that are divided by a part of it themselves."""
-SPIN_WAY: Final = 5e-4
-"""How far [m] what spins with the tool may be off, at the lever of its turning: as a solid in the air."""
+PATH_CLAIMS: Final = (facts.MillsProgram, facts.Engraves, facts.MillsFlank, facts.MillsOver)
+"""Claims on the path of the cutter."""
+TURNING_LEVER: Final = ROTATION_LEVER_MM * MM
+"""Length [m/rad] that converts rotation to distance where nothing else is known."""
+TIGHT_FRACTION: Final = 0.5
+"""Maximum fraction of a tolerance that rounded corners use, if it is tighter than their usual deviation."""
+ROUNDED_FRACTION: Final = 0.15
+"""Fraction of the tolerance of what is milled that rounded corners may use, if that is more."""
+CURVE_FRACTION: Final = 0.75
+"""Fraction of tolerances on surfaces that curves of spline blocks may use.
+
+Corners then use nothing of these.
+"""
+CURVE_PATH_FRACTION: Final = 0.5
+"""Fraction of tolerances on paths that curves of spline blocks may use.
+
+These paths are divided by a part of the tolerance themselves.
+"""
+SPIN_TOLERANCE_M: Final = 5e-4
+"""Allowed displacement of what spins with the tool, at the lever of its rotation [m].
+
+It is that of a solid in the air.
+"""
 
 
-def rounding(claims: Sequence[Claim]) -> Rounding:
-    """Corners and curves take a share of what is allowed of surfaces and ways.
+def rounding(claims: Sequence[Claim]) -> CornerRounding:
+    """Return which fractions of the tolerances on surfaces and paths rounded corners and curves may use.
 
-    A cutter is a body of revolution that follows a way within an angle: its spin is worth what a solid may
-    move in the air, its lean, where no surface asks for more, what that angle allows.
+    A cutter is a body of revolution that follows a path within an angle. Its spin may therefore deviate as
+    much as a solid in the air. Its tilt may deviate by that angle, unless a surface requires less.
+
+    Args:
+        claims: Claims of the job.
     """
-    ways = [claim for claim in claims if isinstance(claim, WAYS)]
-    spared = [claim for claim in claims if isinstance(claim, facts.SparesPart)]
-    tolerance = min((claim.tolerance for claim in (*ways, *spared)), default=np.inf)
-    air = min(Rounding.air, TIGHT_SHARE * tolerance)
-    work = max(air, ROUNDED_SHARE * tolerance) if np.isfinite(tolerance) else air
-    lean, spin = TURNING_LEVER, TURNING_LEVER * work / SPIN_WAY
-    if not spared and not any(isinstance(claim, facts.MillsSurface) for claim in claims):
-        lean = min([lean, *(work / (ROUNDED_SHARE * claim.turn) for claim in ways)])
-    levers = {claim.arm: np.array([lean, lean, spin]) for claim in ways}
-    return Rounding(work, air, air, levers, _curves(claims))
+    path_claims = [claim for claim in claims if isinstance(claim, PATH_CLAIMS)]
+    spare_claims = [claim for claim in claims if isinstance(claim, facts.SparesPart)]
+    tolerance = min((claim.tolerance for claim in (*path_claims, *spare_claims)), default=np.inf)
+    air = min(CornerRounding.air, TIGHT_FRACTION * tolerance)
+    work = max(air, ROUNDED_FRACTION * tolerance) if np.isfinite(tolerance) else air
+    tilt_lever, spin_lever = TURNING_LEVER, TURNING_LEVER * work / SPIN_TOLERANCE_M
+    if not spare_claims and not any(isinstance(claim, facts.MillsSurface) for claim in claims):
+        tilt_lever = min([tilt_lever, *(work / (ROUNDED_FRACTION * claim.turn) for claim in path_claims)])
+    levers = {claim.arm: np.array([tilt_lever, tilt_lever, spin_lever]) for claim in path_claims}
+    return CornerRounding(work, air, air, levers, _curve_tolerances(claims))
 
 
-def _curves(claims: Sequence[Claim]) -> dict[str, tuple[tuple[float, float], ...]]:
-    """How far [m] curves may be off straight moves, for each arm, with how far from the TCP [m]."""
+def _curve_tolerances(claims: Sequence[Claim]) -> dict[str, tuple[tuple[float, float], ...]]:
+    """Return allowed deviations of curves from straight moves [m] by arm, with distances from the TCP [m]."""
     out: dict[str, tuple[tuple[float, float], ...]] = {}
     for claim in claims:
         match claim:
             case facts.MillsProgram():
-                own = 0.0, CURVE_WAY_SHARE * claim.tolerance
+                entry = 0.0, CURVE_PATH_FRACTION * claim.tolerance
             case facts.Engraves():
-                own = claim.cutter.flute, CURVE_WAY_SHARE * claim.tolerance
+                entry = claim.cutter.flute, CURVE_PATH_FRACTION * claim.tolerance
             case facts.SparesPart():
                 reach = 0.0 if claim.cutter is None else claim.cutter.overhang
-                own = reach, CURVE_SHARE * claim.tolerance
+                entry = reach, CURVE_FRACTION * claim.tolerance
             case facts.MillsFlank() | facts.MillsOver() | facts.MillsSurface():
-                own = claim.cutter.flute, CURVE_SHARE * claim.tolerance
+                entry = claim.cutter.flute, CURVE_FRACTION * claim.tolerance
             case _:
                 continue
-        out[claim.arm] = (*out.get(claim.arm, ()), own)
+        out[claim.arm] = (*out.get(claim.arm, ()), entry)
     return out
 
 
-def _travel(route: Route) -> FloatArray:
-    """Way (N,) [m] of the fastest point of the cutter that works, on the move to each target."""
+def _travel_lengths(route: MillingRoute) -> FloatArray:
+    """Return the distance (N,) [m] that the fastest working point of the cutter moves to each target."""
     out = np.zeros(len(route.tip))
-    for reach in (0.0, np.maximum(route.reach[1:], AIR_LEVER)[:, None]):
+    for reach in (0.0, np.maximum(route.reach[1:], AIR_LEVER_M)[:, None]):
         ends = route.tip[1:] + reach * route.axis[1:], route.tip[:-1] + reach * route.axis[:-1]
         out[1:] = np.maximum(out[1:], np.linalg.norm(ends[0] - ends[1], axis=1))
     return out
 
 
-def _actions(made: Work, route: Route) -> tuple[Action, ...]:
-    """What the operator is told and asked, and the spindle."""
-    op = made.operation
+def _build_actions(plan: MillingPlan, route: MillingRoute) -> tuple[TargetAction, ...]:
+    """Return messages, questions and switching of the spindle."""
+    op = plan.operation
     last = len(route.segment) - 1
     return (
-        Action(0, "message", _cuts_message(made)),
-        *(Action(0, "confirm", run.before) for run in made.runs[:1] if run.before),
-        Action(0, "confirm", milling_sentences.BLOCK_READY.filled()),
-        Action(0, "on", signal=op.signal),
-        Action(0, "wait", seconds=op.spin_up_s),
-        *_between(made, route),
-        Action(last, "off", signal=op.signal),
-        Action(last, "wait", seconds=op.spin_down_s),
-        Action(last, "confirm", milling_sentences.STANDS.filled()),
+        TargetAction(0, "message", _cuts_message(plan)),
+        *(TargetAction(0, "confirm", run.question) for run in plan.passes[:1] if run.question),
+        TargetAction(0, "confirm", milling_sentences.BLOCK_READY.format()),
+        TargetAction(0, "on", signal=op.signal),
+        TargetAction(0, "wait", seconds=op.spin_up_s),
+        *_actions_between(plan, route),
+        TargetAction(last, "off", signal=op.signal),
+        TargetAction(last, "wait", seconds=op.spin_down_s),
+        TargetAction(last, "confirm", milling_sentences.SPINDLE_STOPPED.format()),
     )
 
 
-def _cuts_message(made: Work) -> str:
-    """The block, the cutter, and the speed that its spindle is set to by hand, unless files ask it."""
-    size, op = (made.box[1] - made.box[0]) / MM, made.operation
-    figures = {"x_mm": size[0], "y_mm": size[1], "z_mm": size[2], "diameter_mm": 2e3 * made.cutter.radius}
+def _cuts_message(plan: MillingPlan) -> str:
+    """Return the message on block, cutter and spindle speed. The speed is left out if files state it."""
+    size, op = (plan.box[1] - plan.box[0]) / MM, plan.operation
+    figures = {"x_mm": size[0], "y_mm": size[1], "z_mm": size[2], "diameter_mm": 2e3 * plan.cutter.radius}
     if op.by_files:
-        return milling_sentences.BLOCK_OF_FILE.filled(kind=made.cutter.kind, **figures)
-    return milling_sentences.BLOCK.filled(kind=made.cutter.kind, rpm=op.spindle_rpm, **figures)
+        return milling_sentences.BLOCK_OF_FILE.format(kind=plan.cutter.kind, **figures)
+    return milling_sentences.BLOCK.format(kind=plan.cutter.kind, rpm=op.spindle_rpm, **figures)
 
 
-def _between(made: Work, route: Route) -> Iterator[Action]:
-    """What is asked on the safe plane between passes, with the spindle standing, and waits within them."""
-    op = made.operation
+def _actions_between(plan: MillingPlan, route: MillingRoute) -> Iterator[TargetAction]:
+    """Yield questions on the safe plane between passes, with the spindle stopped, and waits inside passes."""
+    op = plan.operation
     starts = [i for i, segment in enumerate(route.segment) if segment.kind in ("approach", "link")]
-    for number, (run, start) in enumerate(zip(made.runs, starts, strict=True)):
-        if run.before and number > 0:
-            yield Action(start, "off", signal=op.signal)
-            yield Action(start, "wait", seconds=op.spin_down_s)
-            yield Action(start, "confirm", run.before)
-            yield Action(start, "on", signal=op.signal)
-            yield Action(start, "wait", seconds=op.spin_up_s)
+    for number, (run, start) in enumerate(zip(plan.passes, starts, strict=True)):
+        if run.question and number > 0:
+            yield TargetAction(start, "off", signal=op.signal)
+            yield TargetAction(start, "wait", seconds=op.spin_down_s)
+            yield TargetAction(start, "confirm", run.question)
+            yield TargetAction(start, "on", signal=op.signal)
+            yield TargetAction(start, "wait", seconds=op.spin_up_s)
         for row, seconds in run.waits:
-            yield Action(start + 1 + row, "wait", seconds=seconds)
+            yield TargetAction(start + 1 + row, "wait", seconds=seconds)

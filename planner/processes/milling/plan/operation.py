@@ -1,7 +1,7 @@
-"""The `milling` operation of a problem file, with the G-code files that it may cut.
+"""The ``milling`` operation of a problem file, with the G-code files that it may cut.
 
-Lengths are in mm, angles in degrees, speeds in mm/s. The ``gcode`` of an operation says which file,
-where it lies, and what the file itself leaves out.
+Lengths are in mm, angles in degrees, speeds in mm/s. The ``gcode`` of an operation states the file, its
+frame, and what the file itself leaves out.
 """
 
 from collections.abc import Mapping
@@ -23,14 +23,14 @@ from planner.claims.segments import fold
 from planner.geometry.units import DEG, MM
 from planner.problem import Stock
 from planner.processes.milling.plan.gcode.state import (
-    INCH,
+    INCH_M,
     KINEMATICS,
     UNKNOWN_POSITION,
     ConventionName,
     Dialect,
     FeedMode,
     Triple,
-    convention,
+    find_convention,
 )
 from planner.reading.drawing_file import DrawingFile
 from planner.reading.part import PlaceFile
@@ -40,25 +40,25 @@ from planner.reading.strict_yaml import Angle, Name, Strict, Vector
 Offset = Literal["G54", "G55", "G56", "G57", "G58", "G59"]
 Code = Annotated[str, Field(pattern=r"^[GM](0|[1-9][0-9]{0,2})(\.[1-9])?$")]
 PLANE_NORMALS: Final = {"xy": 2, "zx": 1, "yz": 0}
-"""Axis normal to a plane."""
+"""Index of the axis normal to a plane."""
 MOTION_MODES: Final = {"rapid": 0, "linear": 1}
-"""Mode of motion by its word in problem files."""
+"""Motion mode by its word in problem files."""
 
 
-def _from_the_problem_file(value: Path, info: ValidationInfo) -> Path:
-    """A file name, looked up from the folder of the problem file."""
+def _resolve_path(value: Path, info: ValidationInfo) -> Path:
+    """Resolve a file name from the folder of the problem file."""
     folder: Path = (info.context or {}).get("folder", Path())
     return folder / value
 
 
 class GCodeFile(Strict):
-    """A G-code file whose X Y Z are places of the cutter's tip in the part.
+    """A G-code file whose X Y Z are positions of the cutter's tip in the part.
 
     ``unit``, ``distance``, ``motion``, ``plane``, ``feed_mode``, ``feed_mm_min`` and ``spindle_rpm`` hold
-    until the file states its own; what neither states and a line needs is an issue.
+    until the file states its own. It is an issue if a line needs one that neither states.
     """
 
-    file: Annotated[Path, AfterValidator(_from_the_problem_file)]
+    file: Annotated[Path, AfterValidator(_resolve_path)]
     origin: PlaceFile = Field(description="the file's frame in the frame of the stock")
     unit: Literal["mm", "in"] | None = Field(default=None, description="until G20 or G21")
     distance: Literal["absolute", "incremental"] | None = Field(default=None, description="until G90 or G91")
@@ -81,53 +81,59 @@ class GCodeFile(Strict):
         default="spindle", description="where I J K points, from the tip or to it"
     )
     convention: ConventionName | None = Field(
-        default=None, description="of a machine with rotary axes: what carries what"
+        default=None, description="of a machine with rotary axes: which axis carries which"
     )
     reverse: tuple[Literal["A", "B", "C"], ...] = Field(
-        default=(), max_length=3, description="axes counted the other way"
+        default=(), max_length=3, description="axes counted in the opposite direction"
     )
     start_mm: Vector | None = Field(
         default=None, description="where the tip is before the first line; none: unknown"
     )
     offsets: Mapping[Offset, Vector] = Field(
-        default={}, description="what G54 to G59 add, in mm, to places of the file"
+        default={}, description="what G54 to G59 add, in mm, to positions of the file"
     )
     block_delete: bool | None = Field(default=None, description="leave lines with / out")
     skip: tuple[Code, ...] = Field(
-        default=(), max_length=50, description="codes to pass over, such as M8, each told"
+        default=(), max_length=50, description="codes to skip, such as M8; each is reported"
     )
     tool: int | None = Field(
-        default=None, ge=0, le=99_999, description="take the moves of this tool of the file alone"
+        default=None, ge=0, le=99_999, description="use only the moves of this tool of the file"
     )
     chord_tol_mm: float = Field(default=0.005, ge=1e-4, le=1, description="of pieces of arcs")
     angle_tol_deg: float = Field(default=0.02, ge=1e-3, le=1, description="of the tool axis between targets")
 
     @model_validator(mode="after")
-    def _machine(self) -> Self:
+    def _check_machine(self) -> Self:
         if (self.tool_axis == "rotary") != (self.convention is not None):
-            raise ValueError("convention goes with tool_axis: rotary, which needs one; give both or neither")
+            raise ValueError("convention belongs to tool_axis: rotary, which needs one; give both or neither")
         if len(set(self.reverse)) != len(self.reverse):
             raise ValueError("reverse: each axis is named once")
         letters = KINEMATICS[self.convention].letters if self.convention is not None else ""
-        strange = [axis for axis in self.reverse if axis not in letters]
-        if strange:
+        unknown = [axis for axis in self.reverse if axis not in letters]
+        if unknown:
             raise ValueError(
-                f"reverse: {strange[0]} is no axis of the convention, which has {letters or 'none'}"
+                f"reverse: {unknown[0]} is not an axis of the convention, which has {letters or 'none'}"
             )
         if self.feed_mm_min is not None and self.feed_mode not in (None, "per_minute"):
-            raise ValueError("feed_mm_min is a feed a minute, which goes with feed_mode: per_minute")
+            raise ValueError("feed_mm_min is a feed per minute and needs feed_mode: per_minute")
         if self.ijk_to == "tip" and self.tool_axis != "ijk":
-            raise ValueError("ijk_to goes with tool_axis: ijk")
+            raise ValueError("ijk_to needs tool_axis: ijk")
         return self
 
     def dialect(self, field: str) -> Dialect:
-        """All this in SI units; ``field`` says where the problem file has it."""
-        rotary = convention(self.convention, "".join(self.reverse)) if self.convention is not None else None
-        turns = "IJK" if self.tool_axis == "ijk" else rotary.letters if rotary is not None else ""
+        """Return all this in SI units.
+
+        Args:
+            field: Where the problem file has it, for messages.
+        """
+        machine = (
+            find_convention(self.convention, "".join(self.reverse)) if self.convention is not None else None
+        )
+        rotation_words = "IJK" if self.tool_axis == "ijk" else machine.letters if machine is not None else ""
         return Dialect(
             file=self.file,
             field=field,
-            unit={"mm": MM, "in": INCH, None: None}[self.unit],
+            unit={"mm": MM, "in": INCH_M, None: None}[self.unit],
             absolute={"absolute": True, "incremental": False, None: None}[self.distance],
             motion=None if self.motion is None else MOTION_MODES[self.motion],
             plane=None if self.plane is None else PLANE_NORMALS[self.plane],
@@ -136,31 +142,31 @@ class GCodeFile(Strict):
             spindle=None if self.spindle_rpm is None else self.spindle_rpm * 360.0 * DEG / 60.0,
             absolute_centre=self.arc_centre == "absolute",
             dwell={"s": 1.0, "ms": 1e-3, None: None}[self.dwell],
-            turns=turns,
-            convention=rotary,
+            rotation_words=rotation_words,
+            convention=machine,
             to_spindle=1 if self.ijk_to == "spindle" else -1,
             block_delete=self.block_delete,
-            start=UNKNOWN_POSITION if self.start_mm is None else _metres(self.start_mm),
-            offsets={int(name[1:]): _metres(shift) for name, shift in self.offsets.items()},
+            start=UNKNOWN_POSITION if self.start_mm is None else _to_metres(self.start_mm),
+            offsets={int(name[1:]): _to_metres(shift) for name, shift in self.offsets.items()},
             skip=frozenset(self.skip),
             tool=self.tool,
             chord=self.chord_tol_mm * MM,
             angle=self.angle_tol_deg * DEG,
-            place=self.origin.matrix(),
+            frame=self.origin.to_matrix(),
         )
 
 
 class GCodeCut(Strict):
-    """What a G-code file cuts, at its own feeds; its rapid moves are replaced by safe ones."""
+    """The cuts of a G-code file, at its own feeds. Its rapid moves are replaced by safe ones."""
 
     gcode: GCodeFile
     name: Name = "program"
     shape_tol_mm: float | None = Field(
-        default=None, ge=0.005, le=20, description="of the tip to the file's way; none: that of the operation"
+        default=None, ge=0.005, le=20, description="of the tip to the file's path; none: as the operation"
     )
 
 
-def _metres(vector: Vector) -> Triple:
+def _to_metres(vector: Vector) -> Triple:
     return vector[0] * MM, vector[1] * MM, vector[2] * MM
 
 
@@ -168,8 +174,8 @@ Orient = Literal["best", "base"]
 SafeSide = Literal["top", "left", "right", "front", "back"]
 
 
-class _Cut(Strict):
-    """What all cuts have."""
+class _MillingCut(Strict):
+    """Fields that all cuts have."""
 
     feed_mm_s: float | None = Field(
         default=None, ge=0.1, le=500, description="of this cut; none: that of the operation"
@@ -179,11 +185,11 @@ class _Cut(Strict):
     )
 
 
-class FlankCut(_Cut):
+class FlankCut(_MillingCut):
     """The cutter's side along a ruled surface of the part, or its axis along the two guides themselves.
 
-    ``guides: surface`` - the guides are the wanted surface, and the cutter stands off it by its radius, on
-    its outer side; ``guides: tool`` - they are the way of the tip and of the axis. ``tip``: the guide at
+    ``guides: surface`` - the guides are the required surface, and the cutter is offset from it by its radius,
+    on its outer side. ``guides: tool`` - they are the paths of the tip and of the axis. ``tip``: the guide at
     which the tip is. ``direction`` ``along`` and ``against`` are seen along the guides, ``climb`` and
     ``conventional`` for a spindle that turns clockwise, seen from the spindle (M3).
     """
@@ -193,7 +199,7 @@ class FlankCut(_Cut):
     tip: Literal["start", "end"] = "start"
     direction: Literal["climb", "conventional", "along", "against"] = "along"
     overrun_mm: float = Field(
-        default=1.0, ge=0, le=200, description="how far the tip goes beyond its guide; a ball or corner more"
+        default=1.0, ge=0, le=200, description="how far the tip is beyond its guide, plus its ball or corner"
     )
     stepdown_mm: float | None = Field(
         default=None, ge=0.5, le=500, description="depth of a roughing pass; none: no roughing"
@@ -202,15 +208,15 @@ class FlankCut(_Cut):
         default=1.0, ge=0, le=50, description="what roughing leaves for the finishing pass"
     )
     lead_mm: float | None = Field(
-        default=None, ge=0, le=1000, description="length of the ways in and out; none: out of the block"
+        default=None, ge=0, le=1000, description="length of lead-in and lead-out; none: out of the block"
     )
 
 
-class LinesCut(_Cut):
-    """Parallel lines over the part's front, as near to one another as a stepover or a ridge height asks.
+class LinesCut(_MillingCut):
+    """Parallel lines over the part's front, spaced by a stepover or by the height of the ridges between them.
 
-    ``angle_deg`` turns the lines about the block's z from its x. The tool's axis is the surface's normal,
-    leant forward along the feed by ``lead_deg`` and to the left by ``tilt_deg``; or upright.
+    ``angle_deg`` rotates the lines about the block's z from its x. The tool's axis is the surface's normal,
+    tilted forward along the feed by ``lead_deg`` and to the left by ``tilt_deg``; or upright.
     """
 
     lines: Literal["front"] = Field(description="the face that is milled")
@@ -219,58 +225,57 @@ class LinesCut(_Cut):
         default=None, ge=0.001, le=5, description="height of the ridges between lines"
     )
     angle_deg: Angle = Field(default=0.0, description="of the lines, about z from x")
-    zigzag: bool = Field(default=True, description="every other line the other way")
+    zigzag: bool = Field(default=True, description="every other line in the opposite direction")
     margin_mm: float = Field(
-        default=0.0,
-        ge=0,
-        le=500,
-        description="width of the strip along the face's edge that is left as it is",
+        default=0.0, ge=0, le=500, description="width of the strip along the face's edge that is not milled"
     )
     axis: Literal["normal", "upright"] = "normal"
     lead_deg: float = Field(default=0.0, ge=-60, le=60)
     tilt_deg: float = Field(default=0.0, ge=-60, le=60)
 
     @model_validator(mode="after")
-    def _one_step(self) -> Self:
+    def _check_spacing(self) -> Self:
         if (self.stepover_mm is None) == (self.scallop_mm is None):
             raise ValueError("give either stepover_mm or scallop_mm, one of them")
         return self
 
 
 class EngravedFile(GuideFile):
-    """A curve to engrave: points, control points, a DXF or Rhino file with one curve; or a ``drawing``, which
-    stands for all curves of a file, one after the other. A curve of a file that is closed is engraved all
-    round."""
+    """A curve to engrave: points, control points, or a DXF or Rhino file with one curve.
+
+    A ``drawing`` stands for all curves of a file, one after the other. A closed curve of a file is engraved
+    all round.
+    """
 
     drawing: DrawingFile | None = None
 
     @model_validator(mode="after")
-    def _one(self) -> Self:
+    def _check_one_source(self) -> Self:
         points = (self.polyline_mm, self.bspline_mm, self.bezier_mm)
         if sum(kind is not None for kind in (*points, self.dxf, self.rhino, self.drawing)) != 1:
             raise ValueError("give exactly one of polyline_mm, bspline_mm, bezier_mm, dxf, rhino and drawing")
         return self
 
-    def looked_up(self, folder: Path) -> "EngravedFile":
-        """The same with its file, where it has one, named from anywhere."""
-        own = self.model_copy(update=self._files(folder))
-        if own.drawing is None:
-            return own
-        return own.model_copy(update={"drawing": own.drawing.looked_up(folder)})
+    def resolve(self, folder: Path) -> "EngravedFile":
+        """Return the same with the absolute name of its file, if it has one."""
+        resolved = self.model_copy(update=self._files(folder))
+        if resolved.drawing is None:
+            return resolved
+        return resolved.model_copy(update={"drawing": resolved.drawing.resolve(folder)})
 
-    def drawn(self) -> DrawnCurve:
-        """The curve, or the curves, for claims."""
-        return super().drawn() if self.drawing is None else self.drawing.drawn()
+    def to_drawn_curve(self) -> DrawnCurve:
+        """Return the curve, or the curves, for claims."""
+        return super().to_drawn_curve() if self.drawing is None else self.drawing.to_drawn_curve()
 
 
-class EngraveCut(_Cut):
+class EngraveCut(_MillingCut):
     """Curves that are projected along z onto the part's front and engraved there by ``depth_mm``.
 
-    ``axis_curves``: for each curve a second one through which the tool's axis goes, in the same order.
+    ``axis_curves``: for each curve a second one through which the tool's axis passes, in the same order.
     """
 
     engrave: tuple[EngravedFile, ...] = Field(
-        min_length=1, max_length=500, description="curves; their z is not looked at"
+        min_length=1, max_length=500, description="curves; their z is ignored"
     )
     name: Name = "pattern"
     depth_mm: float = Field(ge=0, le=100, description="below the surface, along its normal")
@@ -281,15 +286,15 @@ class EngraveCut(_Cut):
 
     @field_validator("engrave", "axis_curves")
     @classmethod
-    def _from_the_problem_file(
+    def _resolve_drawings(
         cls, value: tuple[EngravedFile, ...], info: ValidationInfo
     ) -> tuple[EngravedFile, ...]:
-        """Drawings are looked up from the folder of the problem file."""
+        """Resolve drawings from the folder of the problem file."""
         folder: Path = (info.context or {}).get("folder", Path())
-        return tuple(curve.looked_up(folder) for curve in value)
+        return tuple(curve.resolve(folder) for curve in value)
 
     @model_validator(mode="after")
-    def _axes(self) -> Self:
+    def _check_axes(self) -> Self:
         if (self.axis == "curves") != bool(self.axis_curves):
             raise ValueError("axis_curves belong to axis: curves, which needs them")
         drawings = any(curve.drawing is not None for curve in (*self.engrave, *self.axis_curves))
@@ -301,7 +306,7 @@ class EngraveCut(_Cut):
 
 
 def _cut_kind(value: object) -> str:
-    """Which kind of cut is meant, so that its faults are told of that one alone."""
+    """Return which kind of cut is meant, so that errors are reported for that kind only."""
     for kind, model in (("lines", LinesCut), ("engrave", EngraveCut), ("gcode", GCodeCut)):
         if kind in value if isinstance(value, dict) else isinstance(value, model):
             return kind
@@ -318,7 +323,7 @@ AnyCut = Annotated[
 
 
 class Milling(Strict):
-    """One arm mills the block with the side or the end of a cutter, cut after cut in the order given."""
+    """One arm mills the block with the side or the end of a cutter, cut after cut in the given order."""
 
     name: Name
     process: Literal["milling"]
@@ -327,47 +332,46 @@ class Milling(Strict):
     feed_mm_s: float = Field(default=20.0, ge=0.1, le=500, description="of the fastest point that cuts")
     plunge_mm_s: float = Field(default=10.0, ge=0.1, le=500, description="down onto the block")
     rapid_mm_s: float = Field(default=150.0, ge=1, le=5000, description="above the safe plane")
-    spindle_rpm: float = Field(default=12_000.0, ge=1, le=100_000, description="told to the operator")
+    spindle_rpm: float = Field(default=12_000.0, ge=1, le=100_000, description="shown to the operator")
     signal: str = Field(
         default="doSpindle", pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$", description="that switches the spindle"
     )
     spin_up_s: float = Field(default=5.0, ge=0, le=600)
     spin_down_s: float = Field(default=10.0, ge=0, le=600)
     safe_side: SafeSide = Field(default="top", description="side of the block on which the tool moves freely")
-    safe_mm: float = Field(default=30.0, ge=1, le=2000, description="of the safe plane off that side")
+    safe_mm: float = Field(default=30.0, ge=1, le=2000, description="of the safe plane from that side")
     shape_tol_mm: float = Field(default=0.2, ge=0.005, le=20)
     share: float = Field(
         default=0.98, gt=0.5, le=1, description="part of a surface that must be within the tolerance"
     )
-    step_mm: float = Field(default=5.0, ge=0.2, le=100, description="longest way between targets of a cut")
+    step_mm: float = Field(default=5.0, ge=0.2, le=100, description="maximum distance of targets of a cut")
     orient: Orient = Field(
-        default="best",
-        description="spin about the tool: as the motion likes best, or with its x toward the base",
+        default="best", description="spin about the tool: best for the motion, or with its x toward the base"
     )
 
     @model_validator(mode="after")
-    def _names(self) -> Self:
+    def _check_names(self) -> Self:
         names = self.segments
         if len({fold(name) for name in names}) != len(names):
             raise ValueError(
-                "cuts: each surface is cut once, and each pattern has a name of its own, where case and runs "
-                "of underscores do not count; rename or drop one"
+                "cuts: each surface is cut once, and each pattern has a unique name, where case and runs "
+                "of underscores do not count; rename or remove one"
             )
         return self
 
     @model_validator(mode="after")
-    def _files_last(self) -> Self:
+    def _check_files_last(self) -> Self:
         files = [isinstance(cut, GCodeCut) for cut in self.cuts]
         if files != sorted(files):
             raise ValueError(
-                "cuts: a surface or pattern behind a file would be milled at the speed, and the sense, that "
-                "the file left the spindle with; put files last, or in an operation of their own"
+                "cuts: a surface or pattern after a file would be milled at the speed and in the direction "
+                "that the file left the spindle with; put files last, or in a separate operation"
             )
         return self
 
     @property
     def by_files(self) -> bool:
-        """Whether files alone are cut: each states its spindle's speeds."""
+        """Whether all cuts are files, each of which states its spindle speeds."""
         return all(isinstance(cut, GCodeCut) for cut in self.cuts)
 
     @property
@@ -376,17 +380,17 @@ class Milling(Strict):
         return tuple(cut_name(cut) for cut in self.cuts)
 
     any_lean: ClassVar[bool] = True
-    """Its targets and claims are the same however the block leans,"""
+    """Targets and claims do not depend on the tilt of the block."""
     any_base: ClassVar[bool] = True
-    """and wherever the arm stands meanwhile."""
+    """Targets and claims do not depend on the pose of the arm's base."""
 
     def leaves(self, stock: Stock) -> Stock:
-        """The block as it was: what milling takes away only makes room."""
+        """Return the block unchanged, because milling only removes material."""
         return stock
 
 
 def cut_name(cut: FlankCut | LinesCut | EngraveCut | GCodeCut) -> str:
-    """The name of a cut, by which its segments are called."""
+    """Return the name of a cut, by which its segments are called."""
     if isinstance(cut, FlankCut):
         return cut.flank
     return f"{cut.lines}_lines" if isinstance(cut, LinesCut) else cut.name

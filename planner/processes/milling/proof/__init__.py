@@ -1,1 +1,1 @@
-"""Cutters in the block, as the proof sees them."""
+"""Proof of milling."""

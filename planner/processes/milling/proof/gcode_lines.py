@@ -1,8 +1,8 @@
-"""The proof's own reading of G-code: from bytes to words, and what holds on each line of a file.
+"""The proof's own reader of G-code: from bytes to words, and the state that holds on each line of a file.
 
-It shares nothing with the reader that plans: that one goes line by line, this one works on the
-whole file at once, as arrays. A word that stays until another comes is spread over the lines behind
-it; so is what follows from several. See docs/gcode.md for what the words mean.
+It shares nothing with the planner's reader. That one works line by line, this one on the whole file at once,
+as arrays. A modal word is spread over the lines after it until another one comes, and so is what follows from
+several words. See docs/gcode.md for the meaning of the words.
 """
 
 import dataclasses
@@ -16,18 +16,18 @@ from numpy.typing import NDArray
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.processes.milling.claims import ProgramFile
 
-COMMENTS = re.compile(rb"\([^()\n]*\)|;[^\n]*")
+COMMENT_PATTERN = re.compile(rb"\([^()\n]*\)|;[^\n]*")
 """Comments: in parentheses, or from a semicolon to the end of the line."""
-SLASHES = re.compile(rb"^[ \t]*/", re.MULTILINE)
+SLASH_PATTERN = re.compile(rb"^[ \t]*/", re.MULTILINE)
 """Marks of lines that may be left out."""
-SLASHED_LINES = re.compile(rb"^[ \t]*/[^\n]*", re.MULTILINE)
-"""Such lines as wholes."""
-PROGRAM_NUMBERS = re.compile(rb"^O\d+$", re.MULTILINE)
-"""Lines with a program's number."""
+SLASHED_LINE_PATTERN = re.compile(rb"^[ \t]*/[^\n]*", re.MULTILINE)
+"""Lines that may be left out."""
+PROGRAM_NUMBER_PATTERN = re.compile(rb"^O\d+$", re.MULTILINE)
+"""Lines with a program number."""
 BLANKS = b" \t\v\f\x1c\x1d\x1e\x1f\x85\xa0"
-"""Characters that mean nothing between words."""
+"""Characters that have no meaning between words."""
 PERCENT = ord("%")
-"""The sign before and behind a program."""
+"""The sign before and after a program."""
 LINE_FEED = ord("\n")
 """Ends a line."""
 _CAPITALS = bytes(range(256)).upper()
@@ -43,9 +43,15 @@ class UnreadableError(ValueError):
 
 
 @dataclasses.dataclass(frozen=True)
-class Words:
-    """T words in order: ``letter`` (T,) as bytes' codes, ``value`` (T,), ``line`` (T,) from 1; ``marks``:
-    lines that are a single %."""
+class GCodeWords:
+    """T words in order.
+
+    Attributes:
+        letter: Letters as byte codes (T,).
+        value: Values (T,).
+        line: Lines (T,), from 1.
+        marks: Lines that are a single %.
+    """
 
     letter: NDArray[np.uint8]
     value: FloatArray
@@ -53,58 +59,77 @@ class Words:
     marks: IntArray
 
 
-def read(path: Path, block_delete: bool | None) -> Words:
-    """The words of a file; ``block_delete``: leave out lines that begin with a slash. Raises
-    ``UnreadableError``."""
+def read_words(path: Path, block_delete: bool | None) -> GCodeWords:
+    """Return the words of a file.
+
+    Args:
+        path: The file.
+        block_delete: Whether lines that start with a slash are left out.
+
+    Raises:
+        UnreadableError: The file is not readable as G-code.
+    """
     try:
         text = path.read_bytes()
     except OSError as error:
         raise UnreadableError(0, f"cannot be opened: {error.strerror or error}") from error
-    return words(text, block_delete)
+    return split_words(text, block_delete)
 
 
-def words(text: bytes, block_delete: bool | None) -> Words:
-    """The words of a text. Raises ``UnreadableError``."""
+def split_words(text: bytes, block_delete: bool | None) -> GCodeWords:
+    """Return the words of a text. For the arguments see :func:`read_words`.
+
+    Raises:
+        UnreadableError: The text is not readable as G-code.
+    """
     text = text.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    slash = SLASHES.search(text)
+    slash = SLASH_PATTERN.search(text)
     if slash is not None:
         if block_delete is None:
             raise UnreadableError(
-                _line(text, slash.end() - 1), "a line with / and no block_delete that says more"
+                _line_number(text, slash.end() - 1), "a line with / but no block_delete in the problem"
             )
-        text = SLASHED_LINES.sub(b"", text) if block_delete else SLASHES.sub(b"", text)
-    text = COMMENTS.sub(b"", text).translate(_CAPITALS, BLANKS)
-    text = PROGRAM_NUMBERS.sub(b"", text) + b"\n"
-    signs = np.frombuffer(text, dtype=np.uint8)
-    number = np.cumsum(
-        signs == LINE_FEED
-    )  # of the lines that are over before a sign, but at the line's own end
-    alone = np.flatnonzero(signs == PERCENT)
-    edge = np.concatenate([[LINE_FEED], signs, [LINE_FEED]])
-    for at in alone.tolist():
-        if edge[at] != LINE_FEED or edge[at + 2] != LINE_FEED:
-            raise UnreadableError(int(number[at]) + 1, "% amid a line")
-    marks = number[alone] + 1
-    if len(alone):
+        text = SLASHED_LINE_PATTERN.sub(b"", text) if block_delete else SLASH_PATTERN.sub(b"", text)
+    text = COMMENT_PATTERN.sub(b"", text).translate(_CAPITALS, BLANKS)
+    text = PROGRAM_NUMBER_PATTERN.sub(b"", text) + b"\n"
+    characters = np.frombuffer(text, dtype=np.uint8)
+    line_counts = np.cumsum(characters == LINE_FEED)  # number of lines that end at or before each byte
+    percent_rows = np.flatnonzero(characters == PERCENT)
+    padded = np.concatenate([[LINE_FEED], characters, [LINE_FEED]])
+    for at in percent_rows.tolist():
+        if padded[at] != LINE_FEED or padded[at + 2] != LINE_FEED:
+            raise UnreadableError(int(line_counts[at]) + 1, "% inside a line")
+    marks = line_counts[percent_rows] + 1
+    if len(percent_rows):
         text = text.replace(b"%", b"")
-        signs = np.frombuffer(text, dtype=np.uint8)
-        number = np.cumsum(signs == LINE_FEED)
-    capital = (signs >= ord("A")) & (signs <= ord("Z"))
-    digit = ((signs >= ord("0")) & (signs <= ord("9"))) | np.isin(signs, list(b"+-."))
-    _all(~(capital | digit | (signs == LINE_FEED)), number, "a sign that is no part of a word of G-code")
-    before = np.concatenate([[LINE_FEED], signs[:-1]])
-    _all(digit & (before == LINE_FEED), number, "a number without a letter before it")
+        characters = np.frombuffer(text, dtype=np.uint8)
+        line_counts = np.cumsum(characters == LINE_FEED)
+    capital = (characters >= ord("A")) & (characters <= ord("Z"))
+    digit = ((characters >= ord("0")) & (characters <= ord("9"))) | np.isin(characters, list(b"+-."))
+    _refuse_characters(
+        ~(capital | digit | (characters == LINE_FEED)),
+        line_counts,
+        "a character that is not part of a G-code word",
+    )
+    previous = np.concatenate([[LINE_FEED], characters[:-1]])
+    _refuse_characters(digit & (previous == LINE_FEED), line_counts, "a number without a letter before it")
     letters = np.flatnonzero(capital)
-    _all(capital & ~np.append(digit[1:], False), number, "a letter without a number behind it")
-    line = number[letters] + 1
+    _refuse_characters(
+        capital & ~np.append(digit[1:], False), line_counts, "a letter without a number after it"
+    )
+    line = line_counts[letters] + 1
     values = text.translate(
         bytes(32 if chr(k).isascii() and chr(k).isupper() else k for k in range(256))
     ).split()
-    return Words(signs[letters], _numbers(values, line), line, marks)
+    return GCodeWords(characters[letters], _numbers(values, line), line, marks)
 
 
 def _numbers(values: list[bytes], line: IntArray) -> FloatArray:
-    """Numbers (T,) as they are written. Raises ``UnreadableError``."""
+    """Return numbers (T,) as they are written.
+
+    Raises:
+        UnreadableError: A value is not a number.
+    """
     try:
         return np.array(values).astype(np.float64) if values else np.zeros(0)
     except ValueError:
@@ -112,30 +137,30 @@ def _numbers(values: list[bytes], line: IntArray) -> FloatArray:
             try:
                 float(value)
             except ValueError as error:
-                raise UnreadableError(at, f"{value.decode()} is no number") from error
+                raise UnreadableError(at, f"{value.decode()} is not a number") from error
         raise
 
 
-def _all(wrong: BoolArray, number: IntArray, reason: str) -> None:
+def _refuse_characters(wrong: BoolArray, number: IntArray, reason: str) -> None:
     if wrong.any():
         raise UnreadableError(int(number[int(np.argmax(wrong))]) + 1, reason)
 
 
-def _line(text: bytes, at: int) -> int:
+def _line_number(text: bytes, at: int) -> int:
     return text.count(b"\n", 0, at) + 1
 
 
-INCH = 0.0254
+INCH_M = 0.0254
 """One inch in metres."""
-MILLIMETRE = 1e-3
+MILLIMETRE_M = 1e-3
 """One millimetre in metres."""
-TENTHS = 10
+CODE_SCALE = 10
 """Codes are counted in tenths: G90.1 is 901."""
 
 MODAL_GROUPS: Mapping[str, Mapping[int, float]] = {
     "motion": {0: 0.0, 10: 1.0, 20: 2.0, 30: 3.0},
     "normal": {170: 2.0, 180: 1.0, 190: 0.0},
-    "unit": {200: INCH, 210: MILLIMETRE},
+    "unit": {200: INCH_M, 210: MILLIMETRE_M},
     "absolute": {900: 1.0, 910: 0.0},
     "absolute_centre": {901: 1.0, 911: 0.0},
     "feed_mode": {930: 0.0, 940: 1.0, 950: 2.0},
@@ -145,29 +170,41 @@ MODAL_GROUPS: Mapping[str, Mapping[int, float]] = {
     "cycle": {800: 0.0},
     "dwell": {40: 0.0},
 }
-"""Modal groups of G codes, each code with what it sets."""
+"""Modal groups of G codes, each code with the value that it sets."""
 SPINDLE_CODES = {30: 1.0, 40: -1.0, 50: 0.0}
-"""Codes of the spindle, with its way of turning."""
+"""Codes of the spindle, with its direction of rotation."""
 STOP_CODES = (0, 10, 20, 300)
 """Codes at which the program stops or ends."""
 CHANGE_CODE = 60
-"""Code of a change of tools."""
+"""Code of a tool change."""
 M_CODES = {"spindle": tuple(SPINDLE_CODES), "stop": STOP_CODES, "change": (CHANGE_CODE,)}
 """M codes, in tenths."""
 CODES_WITH_AXES = {"G10", "G28", "G30", "G52", "G53", "G92"}
-"""Codes whose line's axis words are theirs: passed over with them."""
-INVERSE, MINUTE, TURN = 0.0, 1.0, 2.0
+"""Codes that use the axis words of their line. Skipping such a code also skips these words."""
+INVERSE, MINUTE, REVOLUTION = 0.0, 1.0, 2.0
 
 
 @dataclasses.dataclass(frozen=True)
-class Lines:
-    """L lines with words. ``line`` (L,) from 1; ``word`` {letter: (L,)}, NaN where it does not stand.
+class GCodeLines:
+    """L lines with words, and the state that holds on each.
 
-    What holds on each: ``motion`` 0 to 3, ``normal`` of the plane by its axis, ``unit`` [m], ``absolute``,
-    ``absolute_centre``, ``shift`` (L, 3) [m], ``feed_mode``, ``feed`` [m/min] or [m/turn] or, where the line
-    has its own, [1/min]; ``spindle`` [1/min], below zero counterclockwise; ``wanted``: of the tool whose
-    moves are asked for; ``pause``: the program waits for somebody behind it; ``dwell`` [s]: so long, by
-    itself. NaN is what nobody says.
+    NaN means that neither file nor problem states a value.
+
+    Attributes:
+        line: Lines (L,), from 1.
+        word: Values by letter (L,), NaN if the line does not have the word.
+        motion: Motion mode, 0 to 3.
+        normal: Index of the plane's normal.
+        unit: Length unit [m].
+        absolute: Whether coordinates are absolute.
+        absolute_centre: Whether arc centres are absolute.
+        shift: Offset (L, 3) [m].
+        feed_mode: Meaning of F.
+        feed: Feed [m/min] or [m/rev], or [1/min] if the line has its own.
+        spindle: Spindle speed [1/min], negative if counterclockwise.
+        uses_tool: Whether the line belongs to the tool whose moves are used.
+        pause: Whether the program waits for the operator after the line.
+        dwell: Duration of a wait without the operator [s].
     """
 
     line: IntArray
@@ -181,131 +218,155 @@ class Lines:
     feed_mode: FloatArray
     feed: FloatArray
     spindle: FloatArray
-    wanted: BoolArray
+    uses_tool: BoolArray
     pause: BoolArray
     dwell: FloatArray
 
     def has(self, letters: str) -> BoolArray:
-        """Whether a line (L,) has any of these words."""
+        """Return whether a line (L,) has any of these words."""
         return np.asarray(np.any([~np.isnan(self.word[letter]) for letter in letters], axis=0))
 
 
-def lines(words: Words, stated: ProgramFile) -> Lines:
-    """What holds on each line. Raises ``UnreadableError``."""
-    words = _until_the_end(words)
+def interpret_lines(words: GCodeWords, stated: ProgramFile) -> GCodeLines:
+    """Return the state that holds on each line.
+
+    Args:
+        words: Words of the file.
+        stated: What the problem states about the file.
+
+    Raises:
+        UnreadableError: A line contradicts itself or has no meaning.
+    """
+    words = _cut_at_end(words)
     numbers, row = np.unique(words.line, return_inverse=True)
     count = len(numbers)
     coded = np.isin(words.letter, [ord("G"), ord("M")])
-    codes = np.round(words.value[coded] * TENTHS).astype(np.int64)
+    codes = np.round(words.value[coded] * CODE_SCALE).astype(np.int64)
     codes += np.where(words.letter[coded] == ord("M"), 100_000, 0)
     rows = row[coded]
-    skipped = [_tenths(name) for name in stated.skip]
-    passed = np.isin(codes, skipped)
-    with_axes = np.isin(codes, [_tenths(name) for name in CODES_WITH_AXES]) & passed
-    word = _table(words, ~coded, row, count)
-    _drop(word, rows[with_axes], "XYZABC")
-    _drop(word, rows[passed], "DEHLPQ")
-    codes, rows = codes[~passed], rows[~passed]
-    set_by = {name: _group(codes, rows, values, count, numbers) for name, values in MODAL_GROUPS.items()}
-    others = {
-        name: _group(codes, rows, {100_000 + k: float(k) for k in own}, count, numbers)
-        for name, own in M_CODES.items()
+    skipped = [_code_number(name) for name in stated.skip]
+    is_skipped = np.isin(codes, skipped)
+    with_axes = np.isin(codes, [_code_number(name) for name in CODES_WITH_AXES]) & is_skipped
+    word_values = _word_table(words, ~coded, row, count)
+    _drop_words(word_values, rows[with_axes], "XYZABC")
+    _drop_words(word_values, rows[is_skipped], "DEHLPQ")
+    codes, rows = codes[~is_skipped], rows[~is_skipped]
+    set_by = {
+        name: _group_values(codes, rows, values, count, numbers) for name, values in MODAL_GROUPS.items()
     }
-    _known(codes, rows, numbers)
-    first = _stated(stated)
-    mode = {name: modal_values(own, first.get(name, np.nan)) for name, own in set_by.items()}
-    speed = modal_values(word["S"], np.nan if stated.spindle_rpm is None else stated.spindle_rpm)
-    tool, spindle = _tools(word["T"], others, speed, stated, numbers)
-    shifts = np.array([[0.0, 0.0, 0.0], *(shift for _, shift in stated.offsets)]) * MILLIMETRE
-    places = {float(name[1:]): k for k, (name, _) in enumerate(stated.offsets, 1)}
-    unknown = np.isfinite(set_by["offset"]) & ~np.isin(set_by["offset"], list(places))
-    refuse(unknown, numbers, "an origin that the problem does not place")
-    which = np.array([places.get(value, 0) for value in mode["offset"].tolist()], dtype=np.int64)
-    return Lines(
+    m_values = {
+        name: _group_values(codes, rows, {100_000 + k: float(k) for k in column}, count, numbers)
+        for name, column in M_CODES.items()
+    }
+    _refuse_unknown(codes, rows, numbers)
+    initial = _initial_modes(stated)
+    mode = {name: modal_values(column, initial.get(name, np.nan)) for name, column in set_by.items()}
+    speed = modal_values(word_values["S"], np.nan if stated.spindle_rpm is None else stated.spindle_rpm)
+    tool, spindle = _tools_and_speeds(word_values["T"], m_values, speed, stated, numbers)
+    shifts = np.array([[0.0, 0.0, 0.0], *(shift for _, shift in stated.offsets)]) * MILLIMETRE_M
+    offset_rows = {float(name[1:]): k for k, (name, _) in enumerate(stated.offsets, 1)}
+    unknown = np.isfinite(set_by["offset"]) & ~np.isin(set_by["offset"], list(offset_rows))
+    refuse(unknown, numbers, "an origin whose offset the problem does not state")
+    offset_index = np.array([offset_rows.get(value, 0) for value in mode["offset"].tolist()], dtype=np.int64)
+    return GCodeLines(
         line=numbers,
-        word=word,
+        word=word_values,
         motion=mode["motion"],
         normal=mode["normal"],
         unit=mode["unit"],
         absolute=mode["absolute"],
         absolute_centre=mode["absolute_centre"],
-        shift=shifts[which],
+        shift=shifts[offset_index],
         feed_mode=mode["feed_mode"],
-        feed=_feed(word["F"], set_by["feed_mode"], mode, first, stated),
+        feed=_modal_feeds(word_values["F"], set_by["feed_mode"], mode, initial, stated),
         spindle=spindle,
-        wanted=np.ones(count, dtype=bool) if stated.tool is None else tool == stated.tool,
-        pause=np.isin(others["stop"], [0.0, 10.0]),
-        dwell=_dwell(word["P"], np.isfinite(set_by["dwell"]), stated, numbers),
+        uses_tool=np.ones(count, dtype=bool) if stated.tool is None else tool == stated.tool,
+        pause=np.isin(m_values["stop"], [0.0, 10.0]),
+        dwell=_dwell_times(word_values["P"], np.isfinite(set_by["dwell"]), stated, numbers),
     )
 
 
-def _dwell(asked: FloatArray, waits: BoolArray, stated: ProgramFile, numbers: IntArray) -> FloatArray:
-    """How long (L,) [s] the program waits on each line, NaN for nothing."""
+def _dwell_times(values: FloatArray, waits: BoolArray, stated: ProgramFile, numbers: IntArray) -> FloatArray:
+    """Return how long (L,) [s] the program waits on each line, NaN for no wait."""
     unit = {"s": 1.0, "ms": 1e-3}.get(stated.dwell or "", np.nan)
-    out = np.where(waits, asked * unit, np.nan)
-    refuse(waits & ~(out >= 0.0), numbers, "a wait whose length is not known")
+    out = np.where(waits, values * unit, np.nan)
+    refuse(waits & ~(out >= 0.0), numbers, "a wait of unknown duration")
     return np.asarray(out)
 
 
-def modal_values(given: FloatArray, before: float) -> FloatArray:
-    """Values (L,) that stay until another is given; NaN is none, ``before`` the first one."""
+def modal_values(given: FloatArray, initial: float) -> FloatArray:
+    """Return values (L,) that hold until another is given.
+
+    Args:
+        given: Given values (L,), NaN for none.
+        initial: Value before the first one.
+    """
     last = np.maximum.accumulate(np.where(np.isnan(given), -1, np.arange(len(given))))
-    return np.where(last >= 0, given[np.maximum(last, 0)], before) if len(given) else given
+    return np.where(last >= 0, given[np.maximum(last, 0)], initial) if len(given) else given
 
 
 def refuse(wrong: BoolArray, numbers: IntArray, reason: str) -> None:
-    """Raises ``UnreadableError`` at the first line that is wrong."""
+    """Raise an error at the first line that is wrong.
+
+    Args:
+        wrong: Whether each line is wrong (L,).
+        numbers: Numbers of the lines (L,).
+        reason: The fault.
+
+    Raises:
+        UnreadableError: A line is wrong.
+    """
     if wrong.any():
         raise UnreadableError(int(numbers[int(np.argmax(wrong))]), reason)
 
 
-def _until_the_end(words: Words) -> Words:
-    """The words up to M2, M30, or the % behind the first ones."""
+def _cut_at_end(words: GCodeWords) -> GCodeWords:
+    """Return the words up to M2, M30, or the % after the first words."""
     last = np.iinfo(np.int64).max
-    begun = int(words.line[0]) if len(words.line) else last
+    first_line = int(words.line[0]) if len(words.line) else last
     for number, mark in enumerate(words.marks.tolist()):
-        if number or mark > begun:
+        if number or mark > first_line:
             last = min(last, mark)
-    over = (words.letter == ord("M")) & np.isin(np.round(words.value * TENTHS), [20, 300])
-    if over.any():
-        last = min(last, int(words.line[int(np.argmax(over))]))
+    is_end = (words.letter == ord("M")) & np.isin(np.round(words.value * CODE_SCALE), [20, 300])
+    if is_end.any():
+        last = min(last, int(words.line[int(np.argmax(is_end))]))
     kept = words.line <= last
     return dataclasses.replace(
         words, letter=words.letter[kept], value=words.value[kept], line=words.line[kept]
     )
 
 
-def _table(words: Words, chosen: BoolArray, row: IntArray, count: int) -> dict[str, FloatArray]:
-    """Values of all words but codes by letter, (L,) each."""
-    letter, value, at = words.letter[chosen], words.value[chosen], row[chosen]
+def _word_table(words: GCodeWords, chosen: BoolArray, row: IntArray, count: int) -> dict[str, FloatArray]:
+    """Return the values of all words other than codes by letter, (L,) each."""
+    letter, value, line_rows = words.letter[chosen], words.value[chosen], row[chosen]
     out = {}
     for name in "ABCDEFHIJKLNOPQRSTUVWXYZ":
-        own = np.flatnonzero(letter == ord(name))
+        rows = np.flatnonzero(letter == ord(name))
         column = np.full(count, np.nan)
-        column[at[own]] = value[own]
-        if len(own) != int(np.isfinite(column).sum()):
-            seen, times = np.unique(at[own], return_counts=True)
-            refuse_at = words.line[chosen][own][int(np.argmax(at[own] == seen[times > 1][0]))]
-            raise UnreadableError(int(refuse_at), f"{name} stands twice, or is too large")
+        column[line_rows[rows]] = value[rows]
+        if len(rows) != int(np.isfinite(column).sum()):
+            lines_seen, counts = np.unique(line_rows[rows], return_counts=True)
+            refuse_at = words.line[chosen][rows][int(np.argmax(line_rows[rows] == lines_seen[counts > 1][0]))]
+            raise UnreadableError(int(refuse_at), f"{name} occurs twice, or is too large")
         out[name] = column
     for name in "OUVW":
-        refuse(np.isfinite(out[name]), np.unique(words.line), f"{name} means nothing")
+        refuse(np.isfinite(out[name]), np.unique(words.line), f"{name} has no meaning")
     return out
 
 
-def _drop(word: dict[str, FloatArray], rows: IntArray, letters: str) -> None:
+def _drop_words(word: dict[str, FloatArray], rows: IntArray, letters: str) -> None:
     for letter in letters:
         word[letter][rows] = np.nan
 
 
-def _tenths(name: str) -> int:
-    return round(float(name[1:]) * TENTHS) + (100_000 if name[0] == "M" else 0)
+def _code_number(name: str) -> int:
+    return round(float(name[1:]) * CODE_SCALE) + (100_000 if name[0] == "M" else 0)
 
 
-def _group(
+def _group_values(
     codes: IntArray, rows: IntArray, values: Mapping[int, float], count: int, numbers: IntArray
 ) -> FloatArray:
-    """What the codes of a group set on each line (L,), NaN for nothing."""
+    """Return what the codes of a group set on each line (L,), NaN for nothing."""
     out = np.full(count, np.nan)
     for code, value in values.items():
         at = rows[codes == code]
@@ -314,65 +375,76 @@ def _group(
     return out
 
 
-def _known(codes: IntArray, rows: IntArray, numbers: IntArray) -> None:
+def _refuse_unknown(codes: IntArray, rows: IntArray, numbers: IntArray) -> None:
     known = [code for values in MODAL_GROUPS.values() for code in values]
-    known += [100_000 + code for own in M_CODES.values() for code in own]
+    known += [100_000 + code for codes_of_kind in M_CODES.values() for code in codes_of_kind]
     refuse(~np.isin(codes, known), numbers[rows], "a code that is not known")
 
 
-def _stated(stated: ProgramFile) -> dict[str, float]:
-    """What holds before the first line, as the problem says it."""
+def _initial_modes(stated: ProgramFile) -> dict[str, float]:
+    """Return what holds before the first line, as the problem states it."""
     words: dict[str, tuple[str | None, dict[str, float]]] = {
         "motion": (stated.motion, {"rapid": 0.0, "linear": 1.0}),
         "normal": (stated.plane, {"xy": 2.0, "zx": 1.0, "yz": 0.0}),
-        "unit": (stated.unit, {"mm": MILLIMETRE, "in": INCH}),
+        "unit": (stated.unit, {"mm": MILLIMETRE_M, "in": INCH_M}),
         "absolute": (stated.distance, {"absolute": 1.0, "incremental": 0.0}),
         "absolute_centre": (stated.arc_centre, {"absolute": 1.0, "incremental": 0.0}),
-        "feed_mode": (stated.feed_mode, {"inverse_time": INVERSE, "per_minute": MINUTE, "per_rev": TURN}),
+        "feed_mode": (
+            stated.feed_mode,
+            {"inverse_time": INVERSE, "per_minute": MINUTE, "per_rev": REVOLUTION},
+        ),
     }
     return {name: values[word] for name, (word, values) in words.items() if word is not None}
 
 
-def _tools(
-    asked: FloatArray,
+def _tools_and_speeds(
+    requested: FloatArray,
     others: Mapping[str, FloatArray],
     speed: FloatArray,
     stated: ProgramFile,
     numbers: IntArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """The tool in the spindle and the spindle's speed [1/min], (L,) each. A change of tools leaves the
-    spindle as the problem states it."""
+    """Return the tool in the spindle and the spindle's speed [1/min], (L,) each.
+
+    After a tool change the spindle runs as the problem states it.
+    """
     running = 1.0 if stated.spindle_rpm is not None else 0.0
     change = np.isfinite(others["change"])
-    tool = modal_values(np.where(change, modal_values(asked, np.nan), np.nan), 0.0)
-    before = np.concatenate([[0.0], tool[:-1]])
-    other = change & (tool != before)
+    tool = modal_values(np.where(change, modal_values(requested, np.nan), np.nan), 0.0)
+    previous = np.concatenate([[0.0], tool[:-1]])
+    is_other = change & (tool != previous)
     if stated.tool is None:
-        refuse(other & (before != 0.0), numbers, "another tool, and the problem does not say which is wanted")
-    way = np.where(other, running, np.nan)
+        refuse(
+            is_other & (previous != 0.0),
+            numbers,
+            "a second tool, and the problem does not state which to use",
+        )
+    direction = np.where(is_other, running, np.nan)
     for code, value in SPINDLE_CODES.items():
-        way = np.where(others["spindle"] == code, value, way)
-    way = modal_values(way, running)
-    return tool, np.where(way == 0.0, 0.0, way * speed)
+        direction = np.where(others["spindle"] == code, value, direction)
+    direction = modal_values(direction, running)
+    return tool, np.where(direction == 0.0, 0.0, direction * speed)
 
 
-def _feed(
+def _modal_feeds(
     feed: FloatArray,
     set_by: FloatArray,
     mode: Mapping[str, FloatArray],
     first: Mapping[str, float],
     stated: ProgramFile,
 ) -> FloatArray:
-    """Feeds (L,) in the units of their modes; another mode forgets the feed of the one before."""
+    """Return feeds (L,) in the units of their modes. A change of mode cancels the previous feed."""
     count = len(feed)
-    now = mode["feed_mode"]
-    before = np.concatenate([[first.get("feed_mode", MINUTE)], now[:-1]])
-    before = np.where(np.isnan(before), MINUTE, before)
+    current = mode["feed_mode"]
+    previous = np.concatenate([[first.get("feed_mode", MINUTE)], current[:-1]])
+    previous = np.where(np.isnan(previous), MINUTE, previous)
     rows = np.arange(count)
-    changed = np.maximum.accumulate(np.where(np.isfinite(set_by) & (set_by != before), rows, -1))
-    kept = np.isfinite(feed) & (now != INVERSE)
+    changed = np.maximum.accumulate(np.where(np.isfinite(set_by) & (set_by != previous), rows, -1))
+    kept = np.isfinite(feed) & (current != INVERSE)
     last = np.maximum.accumulate(np.where(kept, rows, -1))
     value = (feed * mode["unit"])[np.maximum(last, 0)] if count else feed
-    own = np.nan if stated.feed_mm_min is None else stated.feed_mm_min * MILLIMETRE
-    out = np.where(last < 0, np.where(changed < 0, own, np.nan), np.where(last >= changed, value, np.nan))
-    return np.where(now == INVERSE, feed, out)
+    stated_feed = np.nan if stated.feed_mm_min is None else stated.feed_mm_min * MILLIMETRE_M
+    out = np.where(
+        last < 0, np.where(changed < 0, stated_feed, np.nan), np.where(last >= changed, value, np.nan)
+    )
+    return np.where(current == INVERSE, feed, out)

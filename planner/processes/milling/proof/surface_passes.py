@@ -1,12 +1,11 @@
 """How a cutter passes a ruled surface with its flank, and a face with its end.
 
-With its flank, it is held against the guides alone: how far its axis is off both, how deep its tip
-is, that it passes all of them in the wanted direction, and where it comes from. With its end: how
-far it is off the face, whether it goes beyond its edge, and how it leans.
+The flank is compared with the guides alone: distance of the axis from both, depth of the tip, whether it
+passes all of them in the required direction, and where it comes from. For the end it is the distance from the
+face, whether it goes beyond the edge, and the tilt.
 
-A face is seen from above: the place over any x and y, and the smooth normal there. The planner has
-code of its own for this; here triangles are found by a tree of their outlines, and planes are
-solved for heights.
+A face is seen from above: the point over any x and y, and the smooth normal there. The planner has its own
+code for this. Here triangles are found by a tree of their outlines, and planes are solved for heights.
 """
 
 import dataclasses
@@ -16,331 +15,437 @@ import shapely
 
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.processes.milling.claims import MillsFlank, MillsOver
-from planner.proof.part_files.plan_face import Laid
+from planner.proof.part_files.plan_face import PlanFace
 from planner.tooling import Cutter
 
-SAMPLES_TOGETHER = 400
-"""Samples that are held against all rulings at once."""
-END_LENGTH = 0.5e-3
-"""Way [m] at the end of a pass that says in which direction it goes on."""
-WAY_ASIDE_SHARE = 0.05
-"""How far a way in or out may leave the direction in which the surface ends, over its length."""
-WAY_TURN = np.deg2rad(10.0)
-"""How far a tool turns on along a way in or out at most [rad]."""
-WAY_LENGTH_FACTOR = 1.25
-"""How much longer than stated a way in or out may be: the ends of a tool that turns go different ways."""
-_LEAST_LENGTH = 1e-12
-"""Lengths [m] are divided by no less than this."""
+MAX_SAMPLES = 400
+"""Number of samples that are compared with all rulings at once."""
+END_LENGTH_M = 0.5e-3
+"""Length [m] at the end of a pass that defines the direction in which it continues."""
+LEAD_DEVIATION_FRACTION = 0.05
+"""Allowed deviation of a lead from the direction in which the surface ends, as a fraction of its length."""
+MAX_LEAD_ROTATION_RAD = np.deg2rad(10.0)
+"""Maximum rotation of a tool along a lead [rad]."""
+MAX_LEAD_LENGTH_FACTOR = 1.25
+"""Allowed length of a lead as a factor of the stated length.
+
+The ends of a rotating tool move by different distances.
+"""
+_MIN_LENGTH_M = 1e-12
+"""Lower bound of divisors that are lengths [m]."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Passed:
-    """Of T samples of a pass: what they are ``off`` (T,), by what is asked: 1 is as far as allowed; ``worst``
-    says of what. ``faults`` hold for the pass as a whole."""
+class FlankPassResult:
+    """Result for T samples of a pass.
 
-    off: FloatArray
-    worst: tuple[str, ...]
+    Attributes:
+        deviation: Deviation (T,) as a fraction of the limit, the largest of all criteria.
+        criterion: Criterion that has it.
+        faults: Faults of the whole pass.
+    """
+
+    deviation: FloatArray
+    criterion: tuple[str, ...]
     faults: tuple[str, ...]
 
 
 @dataclasses.dataclass(frozen=True)
-class Way:
-    """Of T samples of a way in or out: what they are ``off`` (T,), as in :class:`Passed`; ``up``: on the
-    straight way along the tool's axis; ``aside``: on the going on of the surface. ``faults`` hold for all."""
+class LeadResult:
+    """Result for T samples of a lead.
 
-    off: FloatArray
-    up: BoolArray
-    aside: BoolArray
+    Attributes:
+        deviation: Deviation (T,) as in :class:`FlankPassResult`.
+        is_axial: Whether the sample is on the straight move along the tool's axis (T,).
+        is_lateral: Whether it is on the continuation of the surface (T,).
+        faults: Faults of the whole lead.
+    """
+
+    deviation: FloatArray
+    is_axial: BoolArray
+    is_lateral: BoolArray
     faults: tuple[str, ...]
 
 
 @dataclasses.dataclass(frozen=True)
-class _Near:
-    """Where T axes are nearest to a guide: the ``place`` (T, 3) there and its ``number`` along the guide (T,)
-    with fractions; ``away`` (T, 3) [m] from there to the axis, square to it; ``height`` (T,) [m] of the place
-    along the axis, from the tip."""
+class _NearestPoints:
+    """Points of a guide that are nearest to T axes.
 
-    place: FloatArray
-    number: FloatArray
-    away: FloatArray
-    height: FloatArray
+    Attributes:
+        points: Points (T, 3) [m].
+        indices: Fractional indices along the guide (T,).
+        offsets: Vectors from there to the axis, normal to it (T, 3) [m].
+        heights: Positions of the points along the axis, from the tip (T,) [m].
+    """
+
+    points: FloatArray
+    indices: FloatArray
+    offsets: FloatArray
+    heights: FloatArray
 
 
-def lift(claim: MillsFlank, number: int) -> float:
-    """How far [m] the tip of a pass is above where that of the last one is."""
+def pass_lift(claim: MillsFlank, number: int) -> float:
+    """Return how far [m] the tip of a pass is above that of the last pass.
+
+    Args:
+        claim: Claim on the surface.
+        number: Number of the pass, from 0.
+    """
     rough = len(claim.segments) - 1
-    return _deep(claim) * (1.0 - (number + 1) / rough) if number < rough else 0.0
+    return _total_depth(claim) * (1.0 - (number + 1) / rough) if number < rough else 0.0
 
 
-def _deep(claim: MillsFlank) -> float:
-    return float(np.linalg.norm(claim.high - claim.low, axis=1).max()) + claim.beyond
+def _total_depth(claim: MillsFlank) -> float:
+    return float(np.linalg.norm(claim.high - claim.low, axis=1).max()) + claim.tip_overrun
 
 
-def passed(claim: MillsFlank, number: int, tip: FloatArray, axis: FloatArray) -> Passed:
-    """How the samples ``tip``, ``axis`` (T, 3) of a pass keep to the surface."""
-    low, high = _ring(claim, claim.low), _ring(claim, claim.high)
-    rough = number < len(claim.segments) - 1
-    stand = claim.stand + (claim.leave if rough else 0.0)
-    depth = claim.beyond - lift(claim, number)
-    tall = np.linalg.norm(high - low, axis=1)
-    # an axis that leads on one guide is longer than the ruling by so much, which roughing shares out
-    longer = float(np.hypot(tall.max(), stand) - tall.max()) if rough else 0.0
-    below = _nearest(low, np.full(len(low), depth), tip, axis)
-    above = _nearest(high, depth + tall, tip, axis)
-    off = {
-        "off the guide at its tip": np.abs(np.linalg.norm(below.away, axis=1) - stand) / claim.tolerance,
-        "off the other guide": np.abs(np.linalg.norm(above.away, axis=1) - stand) / claim.tolerance,
-        "too deep or too high": np.abs(below.height - depth) / (claim.tolerance + longer),
-        "ahead on one guide": _ahead(low, high, below, above) / (stand + claim.tolerance),
+def check_pass(claim: MillsFlank, number: int, tip: FloatArray, axis: FloatArray) -> FlankPassResult:
+    """Compare the samples of a pass with the surface.
+
+    Args:
+        claim: Claim on the surface.
+        number: Number of the pass, from 0.
+        tip: Tips (T, 3) [m].
+        axis: Axes (T, 3).
+    """
+    low, high = _closed_guide(claim, claim.low), _closed_guide(claim, claim.high)
+    is_roughing = number < len(claim.segments) - 1
+    axis_offset = claim.axis_offset + (claim.roughing_allowance if is_roughing else 0.0)
+    depth = claim.tip_overrun - pass_lift(claim, number)
+    ruling_lengths = np.linalg.norm(high - low, axis=1)
+    # an axis that leads on one guide is longer than the ruling; roughing distributes the difference
+    extra_length = (
+        float(np.hypot(ruling_lengths.max(), axis_offset) - ruling_lengths.max()) if is_roughing else 0.0
+    )
+    low_points = _nearest_on_guide(low, np.full(len(low), depth), tip, axis)
+    high_points = _nearest_on_guide(high, depth + ruling_lengths, tip, axis)
+    deviations = {
+        "off the guide at its tip": np.abs(np.linalg.norm(low_points.offsets, axis=1) - axis_offset)
+        / claim.tolerance,
+        "off the other guide": np.abs(np.linalg.norm(high_points.offsets, axis=1) - axis_offset)
+        / claim.tolerance,
+        "too deep or too high": np.abs(low_points.heights - depth) / (claim.tolerance + extra_length),
+        "ahead on one guide": _ruling_shift(low, high, low_points, high_points)
+        / (axis_offset + claim.tolerance),
     }
-    if stand > claim.tolerance:
-        off["on the other side of the surface"] = np.maximum(
-            _inside(claim, low, high, below), _inside(claim, low, high, above)
+    if axis_offset > claim.tolerance:
+        deviations["on the other side of the surface"] = np.maximum(
+            _wrong_side(claim, low, high, low_points), _wrong_side(claim, low, high, high_points)
         )
-    table = np.stack(list(off.values()))
-    names = tuple(off)
-    faults = [*_order(claim, low, high, below, above, axis), *_steps(claim)]
-    return Passed(table.max(axis=0), tuple(names[k] for k in table.argmax(axis=0).tolist()), tuple(faults))
+    table = np.stack(list(deviations.values()))
+    names = tuple(deviations)
+    faults = [*_order_faults(claim, low, high, low_points, high_points, axis), *_step_faults(claim)]
+    return FlankPassResult(
+        table.max(axis=0), tuple(names[k] for k in table.argmax(axis=0).tolist()), tuple(faults)
+    )
 
 
-def _ring(claim: MillsFlank, guide: FloatArray) -> FloatArray:
+def _closed_guide(claim: MillsFlank, guide: FloatArray) -> FloatArray:
     return np.concatenate([guide, guide[:1]]) if claim.closed else guide
 
 
-def _nearest(guide: FloatArray, wanted: FloatArray, tip: FloatArray, axis: FloatArray) -> _Near:
-    """Where axes (T, 3) through tips (T, 3) are nearest to a guide (M, 3), by the distance square to the axis
-    and by how much higher the place is along it than ``wanted`` (M,)."""
-    number, share = np.empty(len(tip), dtype=np.int64), np.empty(len(tip))
-    for first in range(0, len(tip), SAMPLES_TOGETHER):
-        rows = slice(first, first + SAMPLES_TOGETHER)
-        rest = guide[None] - tip[rows, None]
-        height = np.einsum("tmk,tk->tm", rest, axis[rows])
-        flat = rest - height[..., None] * axis[rows, None]
-        step = np.diff(flat, axis=1)
-        square = np.maximum(np.einsum("tmk,tmk->tm", step, step), _LEAST_LENGTH**2)
-        part = np.clip(-np.einsum("tmk,tmk->tm", flat[:, :-1], step) / square, 0.0, 1.0)
-        there = flat[:, :-1] + part[..., None] * step
-        over = (height - wanted)[:, :-1] + part * np.diff(height - wanted, axis=1)
-        cost = np.einsum("tmk,tmk->tm", there, there) + over**2
+def _nearest_on_guide(
+    guide: FloatArray, required: FloatArray, tip: FloatArray, axis: FloatArray
+) -> _NearestPoints:
+    """Return where axes (T, 3) through tips (T, 3) are nearest to a guide (M, 3).
+
+    The cost is the squared distance normal to the axis plus the squared difference between the height along
+    the axis and ``required`` (M,).
+    """
+    number, fraction = np.empty(len(tip), dtype=np.int64), np.empty(len(tip))
+    for first in range(0, len(tip), MAX_SAMPLES):
+        rows = slice(first, first + MAX_SAMPLES)
+        offsets = guide[None] - tip[rows, None]
+        height = np.einsum("tmk,tk->tm", offsets, axis[rows])
+        normal_parts = offsets - height[..., None] * axis[rows, None]
+        step = np.diff(normal_parts, axis=1)
+        square = np.maximum(np.einsum("tmk,tmk->tm", step, step), _MIN_LENGTH_M**2)
+        fractions = np.clip(-np.einsum("tmk,tmk->tm", normal_parts[:, :-1], step) / square, 0.0, 1.0)
+        foot_points = normal_parts[:, :-1] + fractions[..., None] * step
+        height_errors = (height - required)[:, :-1] + fractions * np.diff(height - required, axis=1)
+        cost = np.einsum("tmk,tmk->tm", foot_points, foot_points) + height_errors**2
         best = cost.argmin(axis=1)
         number[rows] = best
-        share[rows] = part[np.arange(len(best)), best]
-    place = guide[number] + share[:, None] * (guide[number + 1] - guide[number])
-    rest = tip - place
-    along = (rest * axis).sum(axis=1)
-    return _Near(place, number + share, rest - along[:, None] * axis, -along)
+        fraction[rows] = fractions[np.arange(len(best)), best]
+    points = guide[number] + fraction[:, None] * (guide[number + 1] - guide[number])
+    offsets = tip - points
+    along = (offsets * axis).sum(axis=1)
+    return _NearestPoints(points, number + fraction, offsets - along[:, None] * axis, -along)
 
 
-def _ahead(low: FloatArray, high: FloatArray, below: _Near, above: _Near) -> FloatArray:
-    """How far (T,) [m] the two nearest places are from being on one ruling, by the guide that tells less."""
-    one = np.linalg.norm(_at(high, below.number) - above.place, axis=1)
-    other = np.linalg.norm(_at(low, above.number) - below.place, axis=1)
-    return np.asarray(np.minimum(one, other))
+def _ruling_shift(
+    low: FloatArray, high: FloatArray, low_points: _NearestPoints, high_points: _NearestPoints
+) -> FloatArray:
+    """Return how far (T,) [m] the nearest points of both guides are from being on one ruling.
+
+    The guide with the smaller value counts.
+    """
+    on_high = np.linalg.norm(_interpolate_guide(high, low_points.indices) - high_points.points, axis=1)
+    on_low = np.linalg.norm(_interpolate_guide(low, high_points.indices) - low_points.points, axis=1)
+    return np.asarray(np.minimum(on_high, on_low))
 
 
-def _at(guide: FloatArray, number: FloatArray) -> FloatArray:
-    first = np.clip(number.astype(np.int64), 0, len(guide) - 2)
-    share = (number - first)[:, None]
-    return np.asarray((1.0 - share) * guide[first] + share * guide[first + 1])
+def _interpolate_guide(guide: FloatArray, indices: FloatArray) -> FloatArray:
+    first = np.clip(indices.astype(np.int64), 0, len(guide) - 2)
+    fraction = (indices - first)[:, None]
+    return np.asarray((1.0 - fraction) * guide[first] + fraction * guide[first + 1])
 
 
-def _inside(claim: MillsFlank, low: FloatArray, high: FloatArray, near: _Near) -> FloatArray:
-    """Above 1 (T,) where the axis is on the inner side of the surface; at a corner the side of either of its
-    surfaces will do."""
+def _wrong_side(claim: MillsFlank, low: FloatArray, high: FloatArray, nearest: _NearestPoints) -> FloatArray:
+    """Return a value above 1 (T,) where the axis is on the inner side of the surface.
+
+    At a corner it is sufficient to be outside of one of the two surfaces.
+    """
     normal = _normals(claim, low, high)
-    at = np.stack([np.floor(near.number - 1e-6), np.floor(near.number + 1e-6)], axis=1).astype(np.int64)
-    at = at % len(normal) if claim.closed else np.clip(at, 0, len(normal) - 1)
-    side = np.einsum("tkd,td->tk", normal[at], near.away).max(axis=1)
+    sides_rows = np.stack(
+        [np.floor(nearest.indices - 1e-6), np.floor(nearest.indices + 1e-6)], axis=1
+    ).astype(np.int64)
+    sides_rows = sides_rows % len(normal) if claim.closed else np.clip(sides_rows, 0, len(normal) - 1)
+    side = np.einsum("tkd,td->tk", normal[sides_rows], nearest.offsets).max(axis=1)
     return np.where(side > 0.0, 0.0, 2.0)
 
 
 def _normals(claim: MillsFlank, low: FloatArray, high: FloatArray) -> FloatArray:
-    """Normals (M - 1, 3), not of length 1, from the surface to the side of the cutter, between rulings."""
+    """Return normals (M - 1, 3) between rulings, to the side of the cutter and not of unit length."""
     along = np.diff(low, axis=0) + np.diff(high, axis=0)
     ruling = (high - low)[:-1] + (high - low)[1:]
-    return np.asarray(claim.out * np.cross(along, ruling))
+    return np.asarray(claim.outward_sign * np.cross(along, ruling))
 
 
-def _order(
-    claim: MillsFlank, low: FloatArray, high: FloatArray, below: _Near, above: _Near, axis: FloatArray
+def _order_faults(
+    claim: MillsFlank,
+    low: FloatArray,
+    high: FloatArray,
+    low_points: _NearestPoints,
+    high_points: _NearestPoints,
+    axis: FloatArray,
 ) -> list[str]:
-    """What is wrong with the way along the guides: all of them, once, in the wanted direction."""
-    lengths = [np.append(0.0, np.cumsum(np.linalg.norm(np.diff(own, axis=0), axis=1))) for own in (low, high)]
-    longer = int(lengths[1][-1] > lengths[0][-1])
-    own, near = lengths[longer], (below, above)[longer]
-    along = np.interp(near.number, np.arange(len(own)), own)
+    """Return faults of the order along the guides: all of them, once, in the required direction."""
+    lengths = [
+        np.append(0.0, np.cumsum(np.linalg.norm(np.diff(guide_length, axis=0), axis=1)))
+        for guide_length in (low, high)
+    ]
+    longer_guide = int(lengths[1][-1] > lengths[0][-1])
+    guide_length, nearest = lengths[longer_guide], (low_points, high_points)[longer_guide]
+    along = np.interp(nearest.indices, np.arange(len(guide_length)), guide_length)
     step = np.diff(along)
     if claim.closed:
-        step = (step + 0.5 * own[-1]) % own[-1] - 0.5 * own[-1]
+        step = (step + 0.5 * guide_length[-1]) % guide_length[-1] - 0.5 * guide_length[-1]
     total = float(step.sum())
     slack = 4.0 * claim.tolerance
     out = []
-    if abs(total) < float(own[-1]) - slack:
-        out.append(f"it passes {1e3 * abs(total):.1f} of {1e3 * float(own[-1]):.1f} mm of the surface")
+    if abs(total) < float(guide_length[-1]) - slack:
+        out.append(
+            f"it passes {1e3 * abs(total):.1f} of {1e3 * float(guide_length[-1]):.1f} mm of the surface"
+        )
     if len(step) and float((np.sign(total) * step).min()) < -slack:
-        out.append("it goes back on its way")
-    way = float(np.sign(total))
+        out.append("it reverses")
+    sign = float(np.sign(total))
     tangent = low[1] - low[0] + high[1] - high[0]
     left = float(np.cross(axis[0], tangent) @ _normals(claim, low, high)[0])
-    wanted = {"along": 1.0, "against": -1.0, "climb": np.sign(left), "conventional": -np.sign(left)}
-    if way * wanted[claim.direction] < 0.0:
-        out.append(f"it goes the other way than {claim.direction}")
+    required_sign = {"along": 1.0, "against": -1.0, "climb": np.sign(left), "conventional": -np.sign(left)}
+    if sign * required_sign[claim.direction] < 0.0:
+        out.append(f"it runs opposite to {claim.direction}")
     return out
 
 
-def _steps(claim: MillsFlank) -> list[str]:
-    """What is wrong with the depth of roughing passes."""
+def _step_faults(claim: MillsFlank) -> list[str]:
+    """Return faults of the depth of roughing passes."""
     rough = len(claim.segments) - 1
     if claim.stepdown is None:
-        return ["it is roughed, which nobody asks for"] if rough else []
-    step = _deep(claim) / max(rough, 1)
+        return ["it has roughing passes that are not claimed"] if rough else []
+    step = _total_depth(claim) / max(rough, 1)
     if rough and step <= claim.stepdown + claim.tolerance:
         return []
-    return [f"{rough} roughing passes are {1e3 * step:.1f} mm deep each; allowed: {1e3 * claim.stepdown:g}"]
+    return [f"{rough} roughing passes are {1e3 * step:.1f} mm deep each, allowed {1e3 * claim.stepdown:g}"]
 
 
-def ways(
+def check_lead(
     claim: MillsFlank, number: int, end: tuple[FloatArray, FloatArray], tip: FloatArray, axis: FloatArray
-) -> Way:
-    """How the samples ``tip``, ``axis`` (T, 3) of a way in or out, in the order away from the pass, keep to
-    what is asked. ``end``: tips and axes (2, 3) at the end of the pass and a little before it."""
-    depth = claim.beyond - lift(claim, number)
-    tall = float(np.linalg.norm(claim.high - claim.low, axis=1).mean())
-    base, top = (end[0] + h * end[1] for h in (depth, depth + tall))
+) -> LeadResult:
+    """Compare the samples of a lead with the claim.
+
+    Args:
+        claim: Claim on the surface.
+        number: Number of the pass, from 0.
+        end: Tips and axes (2, 3) at the end of the pass and a little before it.
+        tip: Tips of the lead (T, 3) [m], in the order away from the pass.
+        axis: Axes of the lead (T, 3).
+    """
+    depth = claim.tip_overrun - pass_lift(claim, number)
+    ruling_length = float(np.linalg.norm(claim.high - claim.low, axis=1).mean())
+    base, top = (end[0] + h * end[1] for h in (depth, depth + ruling_length))
     low, high = base[0] - base[1], top[0] - top[1]
-    size = max(float(np.linalg.norm(low)), float(np.linalg.norm(high)), _LEAST_LENGTH)
+    size = max(float(np.linalg.norm(low)), float(np.linalg.norm(high)), _MIN_LENGTH_M)
     straight, first = 0.5 * (low + high) / size, low / size
-    gone = tip + depth * axis - base[0]
-    far = np.linalg.norm(gone, axis=1)
-    apart = np.minimum.reduce(
-        [_from_ray(gone, straight), _from_ray(gone, first), _wedge(gone, straight, first)]
+    displacement = tip + depth * axis - base[0]
+    distance = np.linalg.norm(displacement, axis=1)
+    lateral_deviation = np.minimum.reduce(
+        [
+            _ray_distance(displacement, straight),
+            _ray_distance(displacement, first),
+            _sector_distance(displacement, straight, first),
+        ]
     )
-    allowed = claim.tolerance + WAY_ASIDE_SHARE * far
-    leans = _angle(axis, end[1][:1])
-    aside = (apart <= allowed) & (leans <= WAY_TURN + claim.turn)
-    # the last sample of a first stretch that goes on as the surface does is where the tool is drawn back
-    leaves = int(np.argmin(aside)) if not aside.all() else len(aside)
-    rows = np.arange(max(leaves, 1))
-    outer = min(int(rows[np.argmax(far[rows])]), _drawn_back(tip, axis, claim))
-    rise = ((tip - tip[outer]) * axis[outer]).sum(axis=1)
-    beside = np.linalg.norm(tip - tip[outer] - rise[:, None] * axis[outer], axis=1)
-    turned = _angle(axis, axis[outer : outer + 1])
-    line = np.maximum(beside / (2.0 * claim.tolerance), turned / claim.turn)
-    line = np.where(rise < -2.0 * claim.tolerance, np.maximum(line, 2.0), line)
-    lead = np.maximum(apart / allowed, leans / (WAY_TURN + claim.turn))
-    lead = np.where(far > far[outer] + claim.tolerance, np.maximum(lead, 2.0), lead)
+    allowed = claim.tolerance + LEAD_DEVIATION_FRACTION * distance
+    tilt = _angle(axis, end[1][:1])
+    is_lateral = (lateral_deviation <= allowed) & (tilt <= MAX_LEAD_ROTATION_RAD + claim.turn)
+    # the tool is retracted at the last sample of the initial stretch that continues the surface
+    lateral_end = int(np.argmin(is_lateral)) if not is_lateral.all() else len(is_lateral)
+    rows = np.arange(max(lateral_end, 1))
+    retract_row = min(int(rows[np.argmax(distance[rows])]), _retract_start(tip, axis, claim))
+    rise = ((tip - tip[retract_row]) * axis[retract_row]).sum(axis=1)
+    axial_deviation = np.linalg.norm(tip - tip[retract_row] - rise[:, None] * axis[retract_row], axis=1)
+    rotation = _angle(axis, axis[retract_row : retract_row + 1])
+    axial_ratio = np.maximum(axial_deviation / (2.0 * claim.tolerance), rotation / claim.turn)
+    axial_ratio = np.where(rise < -2.0 * claim.tolerance, np.maximum(axial_ratio, 2.0), axial_ratio)
+    lateral_ratio = np.maximum(lateral_deviation / allowed, tilt / (MAX_LEAD_ROTATION_RAD + claim.turn))
+    lateral_ratio = np.where(
+        distance > distance[retract_row] + claim.tolerance, np.maximum(lateral_ratio, 2.0), lateral_ratio
+    )
     faults = []
-    if claim.lead is not None and far[outer] > WAY_LENGTH_FACTOR * claim.lead + 2.0 * claim.tolerance:
-        faults.append(f"its way goes on for {1e3 * far[outer]:.1f} mm; wanted: {1e3 * claim.lead:g}")
-    if claim.safe.up * (float(tip[-1, claim.safe.across]) - claim.safe.level) < -claim.tolerance:
-        faults.append("its way does not come from the safe plane, or go to it")
-    return Way(np.minimum(line, lead), line <= 1.0, lead <= 1.0, tuple(faults))
+    if (
+        claim.lead_length is not None
+        and distance[retract_row] > MAX_LEAD_LENGTH_FACTOR * claim.lead_length + 2.0 * claim.tolerance
+    ):
+        faults.append(
+            f"its lead is {1e3 * distance[retract_row]:.1f} mm long, required {1e3 * claim.lead_length:g}"
+        )
+    if claim.safe.free_side * (float(tip[-1, claim.safe.normal_axis]) - claim.safe.level) < -claim.tolerance:
+        faults.append("its lead does not start or end on the safe plane")
+    return LeadResult(
+        np.minimum(axial_ratio, lateral_ratio), axial_ratio <= 1.0, lateral_ratio <= 1.0, tuple(faults)
+    )
 
 
-def _drawn_back(tip: FloatArray, axis: FloatArray, claim: MillsFlank) -> int:
-    """From which sample on, in the order away from the pass, the tool is on the straight along its last axis:
-    where its way aside is long, the first millimetres of that are still beside it within what is allowed."""
+def _retract_start(tip: FloatArray, axis: FloatArray, claim: MillsFlank) -> int:
+    """Return the sample from which on, away from the pass, the tool moves straight along its last axis.
+
+    On a long lateral lead the first millimetres of that move are still within what is allowed beside it.
+    """
     rise = ((tip - tip[-1]) * axis[-1]).sum(axis=1)
-    beside = np.linalg.norm(tip - tip[-1] - rise[:, None] * axis[-1], axis=1)
-    off = (beside > 0.5 * claim.tolerance) | (_angle(axis, axis[-1:]) > 0.5 * claim.turn)
-    return int(np.flatnonzero(off)[-1]) + 1 if off.any() else 0
+    lateral = np.linalg.norm(tip - tip[-1] - rise[:, None] * axis[-1], axis=1)
+    is_off_line = (lateral > 0.5 * claim.tolerance) | (_angle(axis, axis[-1:]) > 0.5 * claim.turn)
+    return int(np.flatnonzero(is_off_line)[-1]) + 1 if is_off_line.any() else 0
 
 
-def _from_ray(gone: FloatArray, way: FloatArray) -> FloatArray:
-    """Distance (T,) of places (T, 3) from the ray along a way (3,)."""
-    share = np.maximum(gone @ way / max(float(way @ way), _LEAST_LENGTH), 0.0)
-    return np.asarray(np.linalg.norm(gone - share[:, None] * way, axis=1))
+def _ray_distance(points: FloatArray, direction: FloatArray) -> FloatArray:
+    """Return the distance (T,) of points (T, 3) from the ray along a direction (3,)."""
+    parameter = np.maximum(points @ direction / max(float(direction @ direction), _MIN_LENGTH_M), 0.0)
+    return np.asarray(np.linalg.norm(points - parameter[:, None] * direction, axis=1))
 
 
-def _wedge(gone: FloatArray, one: FloatArray, two: FloatArray) -> FloatArray:
-    """Distance (T,) of places (T, 3) from the plane of two ways (3,), where they are between them."""
-    normal = np.cross(one, two)
+def _sector_distance(points: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return the distance (T,) of points (T, 3) from the plane of two directions (3,).
+
+    It is infinite outside the sector between them.
+    """
+    normal = np.cross(first, second)
     size = float(np.linalg.norm(normal))
     if size < 1e-9:
-        return np.full(len(gone), np.inf)
-    share = np.linalg.lstsq(np.stack([one, two], axis=1), gone.T, rcond=None)[0]
-    return np.where((share >= 0.0).all(axis=0), np.abs(gone @ normal) / size, np.inf)
+        return np.full(len(points), np.inf)
+    weights = np.linalg.lstsq(np.stack([first, second], axis=1), points.T, rcond=None)[0]
+    return np.where((weights >= 0.0).all(axis=0), np.abs(points @ normal) / size, np.inf)
 
 
 def _angle(axis: FloatArray, other: FloatArray) -> FloatArray:
-    """Angles (T,) [rad] between axes; by the chord, which is exact for small ones."""
+    """Return angles (T,) [rad] between axes, by the chord, which is accurate for small angles."""
     chord = np.linalg.norm(axis - other, axis=1)
     return np.asarray(2.0 * np.arcsin(np.clip(0.5 * chord, 0.0, 1.0)))
 
 
-CONTACT_ROUNDS = 4
-"""Times that the contact is looked for anew, with the normal of the place that was found."""
-NORMAL_RADIUS = 1.5e-3
-"""Normals of places so far [m] around count, too: over a crease the tool turns from the one to the other."""
+CONTACT_ITERATIONS = 4
+"""Number of fixed-point iterations for the contact, each with the normal at the previous point."""
+NORMAL_RADIUS_M = 1.5e-3
+"""Radius [m] around a point within which normals also count.
+
+Over a crease the tool rotates between two normals.
+"""
 UPRIGHT_SINE = 1e-3
-"""A flat end whose axis leans off the normal by less than this (sine) touches with its middle."""
+"""Sine of the angle to the normal below which a flat end touches with its centre."""
 
 
-def within(corners: FloatArray, margin: float) -> shapely.Geometry:
-    """What triangles (F, 3, 3) cover in plan [m], without the strip ``margin`` [m] wide along its edge."""
-    flat = corners[..., :2]
-    one, two = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
-    upright = one[:, 0] * two[:, 1] == one[:, 1] * two[:, 0]
-    whole = shapely.union_all(shapely.polygons(flat[~upright]))
-    return shapely.buffer(whole, -margin, join_style="mitre") if margin else whole
+def plan_area(corners: FloatArray, margin: float) -> shapely.Geometry:
+    """Return what triangles (F, 3, 3) cover in plan [m], without a strip along the edge.
+
+    Args:
+        corners: Corners of the triangles (F, 3, 3) [m].
+        margin: Width of the strip [m].
+    """
+    plan_corners = corners[..., :2]
+    first_edge, second_edge = plan_corners[:, 1] - plan_corners[:, 0], plan_corners[:, 2] - plan_corners[:, 0]
+    is_vertical = first_edge[:, 0] * second_edge[:, 1] == first_edge[:, 1] * second_edge[:, 0]
+    covered = shapely.union_all(shapely.polygons(plan_corners[~is_vertical]))
+    return shapely.buffer(covered, -margin, join_style="mitre") if margin else covered
 
 
-class OverFace:
+class MilledFace:
     """A face that is milled with the end of a cutter."""
 
     def __init__(self, claim: MillsOver) -> None:
         self._claim = claim
-        self._face = Laid(claim.vertices, claim.faces)
-        self._area = within(self._face.corners, claim.margin)
+        self._face = PlanFace(claim.vertices, claim.faces)
+        self._area = plan_area(self._face.corners, claim.margin)
         shapely.prepare(self._area)
 
-    def off(self, tip: FloatArray, axis: FloatArray) -> dict[str, FloatArray]:
-        """How far (T,) the samples ``tip``, ``axis`` (T, 3) are off, by what is asked: 1 is allowed."""
+    def deviations(self, tip: FloatArray, axis: FloatArray) -> dict[str, FloatArray]:
+        """Return deviations (T,) of samples as a fraction of the limit, by criterion.
+
+        Args:
+            tip: Tips (T, 3) [m].
+            axis: Axes (T, 3).
+        """
         claim = self._claim
-        beyond, gap, normal = self._touching(tip, axis)
+        beyond, gap, normal = self._find_contact(tip, axis)
         if claim.upright:
-            lean = _angle(axis, np.array([0.0, 0.0, 1.0]))
+            tilt = _angle(axis, np.array([0.0, 0.0, 1.0]))
         else:
-            steps = NORMAL_RADIUS * np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-            around = [self._face.at(self._inside(tip[:, :2] + step)).normal for step in steps]
-            lean = np.nanmin([_angle(axis, own) for own in (normal, *around)], axis=0)
-        # from line to line a tool that leans along its feed turns over, and its edge swings up
+            steps = NORMAL_RADIUS_M * np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+            near_normals = [
+                self._face.points_over(self._clamp_inside(tip[:, :2] + step)).normal for step in steps
+            ]
+            tilt = np.nanmin([_angle(axis, face_normal) for face_normal in (normal, *near_normals)], axis=0)
+        # from line to line a tool that is tilted along its feed tilts over, and its edge rises
         flat, tube = claim.cutter.radius - claim.cutter.corner, claim.cutter.corner
-        swing = flat * np.sin(claim.lean) + tube * (1.0 - np.cos(claim.lean))
-        allowed = claim.tolerance + beyond + np.where(gap > 0.0, swing, 0.0)
+        edge_rise = flat * np.sin(claim.max_tilt) + tube * (1.0 - np.cos(claim.max_tilt))
+        allowed = claim.tolerance + beyond + np.where(gap > 0.0, edge_rise, 0.0)
         return {
             "off the face": np.abs(gap) / allowed,
             "beyond the edge of what is to be milled": beyond / (claim.cutter.radius + claim.tolerance),
-            "leant too far": lean / (claim.turn + (0.0 if claim.upright else claim.lean)),
+            "tilted too far": tilt / (claim.turn + (0.0 if claim.upright else claim.max_tilt)),
         }
 
-    def _touching(self, tip: FloatArray, axis: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Where the end of the cutter is nearest to the face: how far beyond the edge (T,) [m], how far above
-        or below the face (T,) [m], and the normal (T, 3) there."""
-        normal = self._face.at(self._inside(tip[:, :2])).normal
-        far = np.full(len(tip), np.inf)
-        found = [far, far, normal]
+    def _find_contact(self, tip: FloatArray, axis: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the contact of the cutter's end with the face.
+
+        Returns:
+            Distance beyond the edge (T,) [m], distance above or below the face (T,) [m], and the normal (T,
+            3).
+        """
+        normal = self._face.points_over(self._clamp_inside(tip[:, :2])).normal
+        infinite = np.full(len(tip), np.inf)
+        best = [infinite, infinite, normal]
         for rim in (0.0, 1.0):
-            own = normal
-            for _ in range(CONTACT_ROUNDS):
-                contact = _contact(tip, axis, own, self._claim.cutter, rim)
-                inside = self._inside(contact[:, :2])
-                place = self._face.at(inside)
-                own = np.where(np.isfinite(place.normal), place.normal, own)
+            contact_normal = normal
+            for _ in range(CONTACT_ITERATIONS):
+                contact = _contact_points(tip, axis, contact_normal, self._claim.cutter, rim)
+                inside = self._clamp_inside(contact[:, :2])
+                projected = self._face.points_over(inside)
+                contact_normal = np.where(np.isfinite(projected.normal), projected.normal, contact_normal)
             beyond = np.linalg.norm(inside - contact[:, :2], axis=1)
-            gap = ((contact - place.point) * own).sum(axis=1)
-            better = np.abs(gap) < np.abs(found[1])
-            found = [
-                np.where(better, beyond, found[0]),
-                np.where(better, gap, found[1]),
-                np.where(better[:, None], own, found[2]),
+            gap = ((contact - projected.point) * contact_normal).sum(axis=1)
+            better = np.abs(gap) < np.abs(best[1])
+            best = [
+                np.where(better, beyond, best[0]),
+                np.where(better, gap, best[1]),
+                np.where(better[:, None], contact_normal, best[2]),
             ]
             if self._claim.cutter.radius == self._claim.cutter.corner:
                 break
-        return found[0], found[1], found[2]
+        return best[0], best[1], best[2]
 
-    def _inside(self, xy: FloatArray) -> FloatArray:
-        """Places (T, 2), those beyond the edge moved to the nearest place within."""
+    def _clamp_inside(self, xy: FloatArray) -> FloatArray:
+        """Return points (T, 2), with those beyond the edge moved to the nearest point inside."""
         out = xy.copy()
         rows = np.flatnonzero(~shapely.contains_xy(self._area, xy[:, 0], xy[:, 1]))
         if len(rows):
@@ -349,9 +454,14 @@ class OverFace:
         return out
 
 
-def _contact(tip: FloatArray, axis: FloatArray, normal: FloatArray, cutter: Cutter, rim: float) -> FloatArray:
-    """The places (T, 3) of a cutter's end that touch a plane with ``normal`` (T, 3): up the axis to the
-    height of the round edge's tube, out to it by ``rim`` of the way, and down along the normal."""
+def _contact_points(
+    tip: FloatArray, axis: FloatArray, normal: FloatArray, cutter: Cutter, rim: float
+) -> FloatArray:
+    """Return the points (T, 3) of a cutter's end that touch a plane with ``normal`` (T, 3).
+
+    The path leads up the axis to the height of the edge's tube, out to it by the fraction ``rim``, and down
+    along the normal.
+    """
     out = (normal * axis).sum(axis=1, keepdims=True) * axis - normal
     size = np.linalg.norm(out, axis=1, keepdims=True)
     outward = np.where(size > UPRIGHT_SINE, out / np.maximum(size, 1e-12), 0.0)

@@ -1,9 +1,9 @@
-"""Where milling tools are while they mill, their bodies, and the places at which they are looked for.
+"""Motion and bodies of milling tools in the proof, and the face points that are compared with them.
 
-Tips and axes in the block's frame, at as few places of the replay as the motion between them
-allows. The tool is a row of solids of revolution: how far points are off it along a track. Places
-of faces that count are those near to a tool's way, as near to one another as what is looked for is
-wide. Sharp edges are narrow where they go in, and are looked for more closely.
+Tips and axes are in the block's frame, at as few samples of the replay as the motion between them allows. The
+tool is a sequence of solids of revolution whose distance from points is computed along a track. Face points
+near the tool's path are spaced by the size of the defects that are searched. Sharp edges leave narrow
+grooves, so they get closer points.
 """
 
 import dataclasses
@@ -16,38 +16,47 @@ import numpy as np
 
 from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
-from planner.geometry.swept_body import RoundBody, least_distances, places_near
+from planner.geometry.swept_body import RoundBody, SweptBody, least_distances, points_near
 from planner.problem import Stock
 from planner.processes.milling.claims import MillsAlong, MillsFlank, MillsOver, MillsSurface, SparesPart
-from planner.processes.milling.proof.following import Followed, follow, rows_to_check
-from planner.processes.milling.proof.wanted_ways import down, up
+from planner.processes.milling.proof.path_following import PathDeviation, match_path, rows_to_check
+from planner.processes.milling.proof.resolve_claims import plunge_claim, retreat_claim
 from planner.proof.context import Context
 from planner.proof.facts import Fact
-from planner.proof.replay.motion import during
-from planner.proof.replay.tool_track import Spaced, Track, tcp_in_stock, track_of
+from planner.proof.replay.motion import with_start_stations
+from planner.proof.replay.tool_track import PathPositions, ReplayedToolPath, tcp_in_stock, tool_path
 from planner.runtime.executor import SERIAL, Executor
 from planner.tooling import Cutter, Mill
 
-BEND_SHARE = 0.1
-"""Part of a tolerance that straight lines between places may leave the way by, where it bends."""
+BEND_FRACTION = 0.1
+"""Fraction of a tolerance by which straight lines between samples may deviate from a curved path."""
 
 
 def in_block(tip: FloatArray, axis: FloatArray, length: float, radius: float, stock: Stock) -> BoolArray:
-    """(T,) whether a cutter with ``tip`` and ``axis`` (T, 3) in the block's frame, as a row of balls along
-    its axis, is in the block."""
+    """Return whether (T,) a cutter is in the block, as a row of balls along its axis.
+
+    Args:
+        tip: Tips in the block's frame (T, 3) [m].
+        axis: Axes (T, 3).
+        length: Length of the cutter [m].
+        radius: Radius of the cutter [m].
+        stock: The block.
+    """
     out = np.zeros(len(tip), dtype=bool)
     for back in np.append(np.arange(0.0, length, max(radius, 1e-3)), length):
-        at = tip + back * axis
-        beyond = np.maximum(np.maximum(stock.lower - at, at - stock.upper), 0.0)
-        # the first ball is the tip's end, a disk: less than its radius counts there
-        near = 1e-6 if back == 0.0 else radius
-        out |= np.linalg.norm(beyond, axis=1) < min(near, radius) - 1e-9
+        centre = tip + back * axis
+        beyond = np.maximum(np.maximum(stock.lower - centre, centre - stock.upper), 0.0)
+        # the first ball represents the flat end of the tip, so it counts with almost no radius
+        ball_radius = 1e-6 if back == 0.0 else radius
+        out |= np.linalg.norm(beyond, axis=1) < min(ball_radius, radius) - 1e-9
     return out
 
 
-class Milling:
-    """The milling of one proof: its claims by setup, and tracks worked out when asked; ``executor`` runs what
-    another process may work out meanwhile."""
+class MillingMotion:
+    """Milling of one proof: its claims by setup, and tracks that are computed on demand.
+
+    ``executor`` runs what another process may compute meanwhile.
+    """
 
     def __init__(self, context: Context, executor: Executor = SERIAL) -> None:
         self.context, self.executor = context, executor
@@ -60,55 +69,64 @@ class Milling:
             for claim in group
             if isinstance(claim, MillsSurface | MillsAlong | MillsFlank | MillsOver | SparesPart)
         )
-        self._tracks: dict[tuple[int, str, tuple[str, ...]], Track] = {}
-        self._spaced: dict[tuple[int, str, tuple[str, ...], float, float], Spaced] = {}
-        self._followed: dict[tuple[int, int], tuple[IntArray, Followed]] = {}
+        self._tracks: dict[tuple[int, str, tuple[str, ...]], ReplayedToolPath] = {}
+        self._spaced: dict[tuple[int, str, tuple[str, ...], float, float], PathPositions] = {}
+        self._followed: dict[tuple[int, int], tuple[IntArray, PathDeviation]] = {}
 
     @property
     def surfaces(self) -> tuple[tuple[int, MillsSurface], ...]:
-        """Surfaces that are milled."""
+        """Surfaces that are milled, each with its setup."""
         return tuple((i, claim) for i, claim in self.by_setup if isinstance(claim, MillsSurface))
 
     @property
     def curves(self) -> tuple[tuple[int, MillsAlong], ...]:
-        """Curves that tips follow; among them the ways to passes over faces and from them, straight along the
-        axis from the safe plane to wherever these begin and end."""
-        own = [(i, self._said(i, claim)) for i, claim in self.by_setup if isinstance(claim, MillsAlong)]
-        return (*own, *self._over_ways)
+        """Paths that tips follow, each with its setup.
 
-    def _said(self, index: int, claim: MillsAlong) -> MillsAlong:
-        """The claim, or where either way will do, that for the way that its tool goes."""
+        They include the moves to and from passes over faces, straight along the axis from the safe plane to
+        the ends of a pass.
+        """
+        claimed = [
+            (i, self._claim_in_direction(i, claim))
+            for i, claim in self.by_setup
+            if isinstance(claim, MillsAlong)
+        ]
+        return (*claimed, *self._face_leads)
+
+    def _claim_in_direction(self, index: int, claim: MillsAlong) -> MillsAlong:
+        """Return the claim for the direction in which the tool moves, if either direction is allowed."""
         track = self.track(index, claim.arm, (claim.segment.key,)) if claim.back else None
         if claim.back is None or track is None or not len(track.rows):
             return claim
-        seen = track.tip[[0, -1]]
-        apart = [np.linalg.norm(own.tip[[0, -1]] - seen, axis=1).sum() for own in (claim, claim.back)]
-        return claim if apart[0] <= apart[1] else claim.back
+        track_ends = track.tip[[0, -1]]
+        distances = [
+            np.linalg.norm(candidate.tip[[0, -1]] - track_ends, axis=1).sum()
+            for candidate in (claim, claim.back)
+        ]
+        return claim if distances[0] <= distances[1] else claim.back
 
     @cached_property
-    def _over_ways(self) -> tuple[tuple[int, MillsAlong], ...]:
+    def _face_leads(self) -> tuple[tuple[int, MillsAlong], ...]:
         out: list[tuple[int, MillsAlong]] = []
-        for index, claim in self.over:
+        for index, claim in self.faces:
             for segment in claim.segments:
                 track = self.track(index, claim.arm, (segment.key,))
-                for way, row in ((down, 0), (up, -1)) if len(track.rows) else ():
-                    ends, bounds = (track.tip[row], track.axis[row]), (claim.tolerance, claim.turn)
-                    out.append((index, way(claim.safe, segment, claim.arm, *ends, *bounds)))
+                for lead, row in ((plunge_claim, 0), (retreat_claim, -1)) if len(track.rows) else ():
+                    out.append((index, lead(claim, segment, track.tip[row], track.axis[row])))
         return tuple(out)
 
     @property
-    def over(self) -> tuple[tuple[int, MillsOver], ...]:
-        """Faces that the ends of cutters pass over."""
+    def faces(self) -> tuple[tuple[int, MillsOver], ...]:
+        """Faces that the ends of cutters pass over, each with its setup."""
         return tuple((i, claim) for i, claim in self.by_setup if isinstance(claim, MillsOver))
 
     @property
     def flanks(self) -> tuple[tuple[int, MillsFlank], ...]:
-        """Ruled surfaces that cutters pass with their sides."""
+        """Ruled surfaces that cutters pass with their sides, each with its setup."""
         return tuple((i, claim) for i, claim in self.by_setup if isinstance(claim, MillsFlank))
 
     @property
     def spared(self) -> tuple[tuple[int, SparesPart], ...]:
-        """Faces that tools must not go into."""
+        """Faces that tools must not enter, each with its setup."""
         return tuple((i, claim) for i, claim in self.by_setup if isinstance(claim, SparesPart))
 
     @cached_property
@@ -117,67 +135,107 @@ class Milling:
         names: list[Segment] = []
         for _, claim in self.by_setup:
             names += (claim.segment,) if isinstance(claim, MillsAlong) else claim.segments
-        return frozenset(way.key for name in names for way in name.ways)
+        return frozenset(part.key for name in names for part in name.all_phases)
 
-    def mounted(self, index: int, arm: str) -> Cutter | None:
-        """The cutter of the tool on ``arm`` in setup ``index``."""
+    def mounted_cutter(self, index: int, arm: str) -> Cutter | None:
+        """Return the cutter of the tool on ``arm`` in setup ``index``, None if it has none."""
         tool = self.context.setups[index].cell.arm(arm).tool
         return tool.cutter if isinstance(tool, Mill) else None
 
-    def track(self, index: int, arm: str, labels: tuple[str, ...]) -> Track:
-        """The track of ``arm`` in setup ``index`` on moves of segments with these keys."""
+    def track(self, index: int, arm: str, labels: tuple[str, ...]) -> ReplayedToolPath:
+        """Return the track of an arm.
+
+        Args:
+            index: Index of the setup.
+            arm: Name of the arm.
+            labels: Keys of the segments whose moves count.
+        """
         key = (index, arm, labels)
         if key not in self._tracks:
-            self._tracks[key] = track_of(self.context, *key)
+            self._tracks[key] = tool_path(self.context, *key)
         return self._tracks[key]
 
-    def followed(self, index: int, claim: MillsAlong) -> tuple[IntArray, Followed] | None:
-        """How the claimed way is followed at those samples of its track whose rows come first; None where the
-        track has none."""
-        key = (index, id(claim))  # claims live as long as this does
+    def path_deviation(self, index: int, claim: MillsAlong) -> tuple[IntArray, PathDeviation] | None:
+        """Compare a claimed path with its track.
+
+        Args:
+            index: Index of the setup.
+            claim: Claimed path.
+
+        Returns:
+            Rows of the compared samples and the deviation, None if the track has no samples.
+        """
+        key = (index, id(claim))  # ids stay unique because the claims outlive this cache
         track = self.track(index, claim.arm, (claim.segment.key,))
         if key not in self._followed and len(track.rows):
-            some = rows_to_check(track.tip, track.axis, claim.tolerance)
-            self._followed[key] = some, follow(claim, track.tip, track.axis, some)
+            rows = rows_to_check(track.tip, track.axis, claim.tolerance)
+            self._followed[key] = rows, match_path(claim, track.tip, track.axis, rows)
         return self._followed.get(key)
 
-    def spaced(self, index: int, arm: str, labels: tuple[str, ...], step: float, tolerance: float) -> Spaced:
-        """Places along :meth:`track`, as :meth:`Track.spaced` has them, with the bends that count at a
-        ``tolerance`` [m]: each face is held against them."""
+    def spaced_samples(
+        self, index: int, arm: str, labels: tuple[str, ...], step: float, tolerance: float
+    ) -> PathPositions:
+        """Return samples along :meth:`track`.
+
+        They are as :meth:`planner.proof.replay.tool_track.ReplayedToolPath.spaced` has them.
+        Each face is compared with them.
+
+        Args:
+            index: Index of the setup.
+            arm: Name of the arm.
+            labels: Keys of the segments.
+            step: Distance of the samples [m].
+            tolerance: Tolerance that decides which bends count [m].
+        """
         key = (index, arm, labels, step, tolerance)
         if key not in self._spaced:
-            self._spaced[key] = self.track(index, arm, labels).spaced(step, BEND_SHARE * tolerance)
+            self._spaced[key] = self.track(index, arm, labels).spaced(step, BEND_FRACTION * tolerance)
         return self._spaced[key]
 
-    def inside(self, index: int, arm: str, cutter: Cutter) -> tuple[IntArray, IntArray, FloatArray]:
-        """The samples (M,) of setup ``index`` at which the cutter on ``arm`` is in the block, or the last
-        ones before, with the moves (M,) under way and the times (M,) [s]."""
-        looks, stock = self.context.motion.looks, self.context.stock(index)
-        rows = np.flatnonzero(during(self.context.sample_setup[looks.sample] == index))
-        found = np.zeros(len(rows), dtype=bool)
-        for part, seen in tcp_in_stock(self.context, index, arm, rows):
-            tip, axis = seen[:, :3, 3], -seen[:, :3, 2]
-            found[part] = in_block(tip, axis, cutter.overhang, cutter.radius, stock)
-        rows = rows[found]
-        return looks.sample[rows], looks.node[rows], looks.time[rows]
+    def samples_in_block(self, index: int, arm: str, cutter: Cutter) -> tuple[IntArray, IntArray, FloatArray]:
+        """Return where the cutter is in the block.
+
+        Args:
+            index: Index of the setup.
+            arm: Name of the arm.
+            cutter: Its cutter.
+
+        Returns:
+            Samples (M,), or the last ones before, with current moves (M,) and times (M,) [s].
+        """
+        queries, stock = self.context.motion.merged_samples, self.context.stock_at(index)
+        rows = np.flatnonzero(with_start_stations(self.context.sample_setup[queries.sample] == index))
+        is_inside = np.zeros(len(rows), dtype=bool)
+        for part, poses in tcp_in_stock(self.context, index, arm, rows):
+            tip, axis = poses[:, :3, 3], -poses[:, :3, 2]
+            is_inside[part] = in_block(tip, axis, cutter.overhang, cutter.radius, stock)
+        rows = rows[is_inside]
+        return queries.sample[rows], queries.node[rows], queries.time[rows]
 
 
-def _milling(context: Context) -> Milling:
-    return Milling(context, context.motion_executor)
+def _milling(context: Context) -> MillingMotion:
+    return MillingMotion(context, context.motion_executor)
 
 
-MILLING: Final[Fact[Context, Milling]] = Fact("milling", _milling)
-"""The milling of a proof."""
+MILLING: Final[Fact[Context, MillingMotion]] = Fact("milling", _milling)
+"""Milling of a proof."""
 
 
-SIGHT_DISTANCE = 3e-3
-"""Points farther off than this [m] are not told apart."""
+MAX_QUERY_DISTANCE_M = 3e-3
+"""Points farther from the tool than this [m] are not distinguished from one another."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Solid:
-    """One piece of a tool: a cylinder of ``radius`` [m] from ``start`` to ``end`` [m] behind the tip, the
-    edge of its front rounded by ``corner`` [m]; ``name`` as a person calls it."""
+class ToolSolid:
+    """One piece of a tool: a cylinder with a rounded front edge.
+
+    Attributes:
+        name: Name in messages.
+        start: Distance of the front from the tip [m].
+        end: Distance of the rear from the tip [m].
+        radius: Radius [m].
+        corner: Radius of the front edge [m].
+    """
 
     name: str
     start: float
@@ -186,167 +244,240 @@ class Solid:
     corner: float = 0.0
 
 
-def solids(cutter: Cutter) -> tuple[Solid, ...]:
-    """Cutting part, shank, and the pieces of holder and spindle."""
-    out = [Solid("cutter", 0.0, cutter.flute, cutter.radius, cutter.corner)]
+def solids(cutter: Cutter) -> tuple[ToolSolid, ...]:
+    """Return cutting part, shank, and the pieces of holder and spindle."""
+    out = [ToolSolid("cutter", 0.0, cutter.flute, cutter.radius, cutter.corner)]
     if cutter.overhang > cutter.flute:
-        out.append(Solid("shank", cutter.flute, cutter.overhang, cutter.shank))
-    count = len(cutter.behind) // 2
+        out.append(ToolSolid("shank", cutter.flute, cutter.overhang, cutter.shank))
+    count = len(cutter.holder_outline) // 2
     for k in range(count):
-        a, b = cutter.behind[2 * k], cutter.behind[2 * k + 1]
+        a, b = cutter.holder_outline[2 * k], cutter.holder_outline[2 * k + 1]
         name = "spindle" if k == count - 1 else "holder"
-        out.append(Solid(name, float(a[0]), float(b[0]), float(a[1])))
+        out.append(ToolSolid(name, float(a[0]), float(b[0]), float(a[1])))
     return tuple(out)
 
 
-def signed(solid: Solid, back: FloatArray, beside: FloatArray) -> FloatArray:
-    """Distance [m] of points ``back`` behind the tip and ``beside`` the axis from a solid, below zero inside,
-    in the shape of both: that from its half section, a rectangle, and where one of its corners is round, from
-    the arc there."""
-    aside = beside - solid.radius
-    ends = np.maximum(solid.start - back, back - solid.end)
-    out = np.maximum(aside, ends)
-    edge = np.nonzero((aside > 0.0) & (ends > 0.0))
-    out[edge] = np.hypot(aside[edge], ends[edge])
+def signed_distance(solid: ToolSolid, axial: FloatArray, radial_distance: FloatArray) -> FloatArray:
+    """Return the signed distance [m] of points from a solid, negative inside.
+
+    It is the distance from the half section, a rectangle, or from the arc at a rounded corner.
+
+    Args:
+        solid: Piece of a tool.
+        axial: Distance of the points behind the tip along the axis [m].
+        radial_distance: Distance of the points from the axis [m], of the same shape.
+    """
+    radial_excess = radial_distance - solid.radius
+    axial_excess = np.maximum(solid.start - axial, axial - solid.end)
+    out = np.maximum(radial_excess, axial_excess)
+    edge = np.nonzero((radial_excess > 0.0) & (axial_excess > 0.0))
+    out[edge] = np.hypot(radial_excess[edge], axial_excess[edge])
     if solid.corner > 0.0:
-        before, over = solid.start + solid.corner - back, aside + solid.corner
-        arc = np.nonzero((before > 0.0) & (over > 0.0))
-        out[arc] = np.hypot(before[arc], over[arc]) - solid.corner
+        axial_gap, radial_gap = solid.start + solid.corner - axial, radial_excess + solid.corner
+        arc = np.nonzero((axial_gap > 0.0) & (radial_gap > 0.0))
+        out[arc] = np.hypot(axial_gap[arc], radial_gap[arc]) - solid.corner
     return np.asarray(out)
 
 
-def comes_near(vertices: FloatArray, tip: FloatArray, axis: FloatArray, solid: Solid) -> bool:
-    """Whether a solid at places (M, 3) of a track may come within ``SIGHT_DISTANCE`` of a face with
-    ``vertices`` (V, 3), by the boxes around both."""
+def may_touch(vertices: FloatArray, tip: FloatArray, axis: FloatArray, solid: ToolSolid) -> bool:
+    """Return whether a solid may come within ``MAX_QUERY_DISTANCE_M`` of a face, by bounding boxes.
+
+    Args:
+        vertices: Vertices of the face (V, 3) [m].
+        tip: Tips of the track (M, 3) [m].
+        axis: Axes of the track (M, 3).
+        solid: Piece of a tool.
+    """
     ends = np.concatenate([tip + solid.start * axis, tip + solid.end * axis])
-    room = solid.radius + SIGHT_DISTANCE
-    apart = (ends.min(axis=0) - room > vertices.max(axis=0)) | (
-        ends.max(axis=0) + room < vertices.min(axis=0)
+    margin = solid.radius + MAX_QUERY_DISTANCE_M
+    is_separate = (ends.min(axis=0) - margin > vertices.max(axis=0)) | (
+        ends.max(axis=0) + margin < vertices.min(axis=0)
     )
-    return not bool(apart.any())
+    return not bool(is_separate.any())
 
 
-def sweep(
-    points: FloatArray, tip: FloatArray, axis: FloatArray, solid: Solid, below: float = np.inf
+def track_distance(
+    points: FloatArray, tip: FloatArray, axis: FloatArray, solid: ToolSolid, exact_below: float = np.inf
 ) -> tuple[FloatArray, IntArray]:
-    """Least distance (P,) [m] of points (P, 3) from a solid at any of the places (M, 3) of a track, below
-    zero inside, and the index (P,) of that place; at most ``SIGHT_DISTANCE`` is told. All places count. With
-    ``below`` [m] what is not less may be told too large, but for the least of all."""
+    """Compute the distance of points from a solid along a track.
 
-    def distance(back: FloatArray, beside: FloatArray) -> FloatArray:
-        return signed(solid, back, beside)
+    Args:
+        points: Points (P, 3) [m].
+        tip: Tips of the track (M, 3) [m].
+        axis: Axes of the track (M, 3).
+        solid: Piece of a tool.
+        exact_below: Only distances below this [m] and the smallest one are exact; others may be reported too
+            large.
+
+    Returns:
+        Smallest distances (P,) [m], negative inside and at most ``MAX_QUERY_DISTANCE_M``, and the index (P,)
+        of the sample that has it.
+    """
+
+    def distance(axial: FloatArray, radial_distance: FloatArray) -> FloatArray:
+        return signed_distance(solid, axial, radial_distance)
 
     body = RoundBody(solid.start, solid.end, solid.radius, distance, solid.corner == 0.0)
-    return least_distances(points, tip, axis, body, SIGHT_DISTANCE, below)
+    return least_distances(points, SweptBody(tip, axis, body), MAX_QUERY_DISTANCE_M, exact_below)
 
 
-SLICE_LENGTH = 5e-3
-"""How long slices of a tool at its edges are [m]: what goes in by more than half of that is seen without."""
-EDGE_SPACING = 2.0
-"""Way between places over the tolerance: an edge at 45 degrees that goes in by the tolerance is so wide, and
-leaves stairs half as deep as the step between two places."""
-LEAST_STEP = 0.1e-3
-"""The same at least [m]."""
-FINEST_SPACING = 0.4e-3
-"""Places of a face are no nearer to one another than this [m],"""
-MOST_FACE_POINTS = 4_000_000
-"""and there are at most so many by one piece of a tool."""
+SLICE_LENGTH_M = 5e-3
+"""Length of slices of a tool at its edges [m]. Deeper gouges than half of it are found without slices."""
+EDGE_SPACING_FACTOR = 2.0
+"""Distance of samples as a factor of the tolerance.
+
+An edge at 45 degrees that penetrates by the tolerance is that wide, and leaves steps half as deep as the
+distance between two samples.
+"""
+MIN_STEP_M = 0.1e-3
+"""Minimum distance of samples along the track [m]."""
+MIN_SPACING_M = 0.4e-3
+"""Minimum distance of face points [m]."""
+MAX_FACE_POINTS = 4_000_000
+"""Maximum number of face points near one piece of a tool."""
 
 
-def rim_step(tolerance: float) -> float:
-    """Way between places [m] at which edges are looked at."""
-    return max(EDGE_SPACING * tolerance, LEAST_STEP)
+def edge_step(tolerance: float) -> float:
+    """Return the distance between samples [m] at which edges are checked.
+
+    Args:
+        tolerance: Tolerance [m].
+    """
+    return max(EDGE_SPACING_FACTOR * tolerance, MIN_STEP_M)
 
 
-def edges(pieces: tuple[Solid, ...]) -> tuple[Solid, ...]:
-    """Slices of a tool's pieces at their sharp edges: at the front where a piece is wider than what is before
-    it, and behind where it is wider than what follows."""
-    out: list[Solid] = []
-    for k, own in enumerate(pieces):
-        before = pieces[k - 1].radius if k else 0.0
-        behind = pieces[k + 1].radius if k + 1 < len(pieces) else 0.0
-        if own.corner == 0.0 and own.radius > before:
-            out.append(dataclasses.replace(own, end=min(own.end, own.start + SLICE_LENGTH)))
-        if own.radius > behind:
-            out.append(dataclasses.replace(own, start=max(own.start, own.end - SLICE_LENGTH), corner=0.0))
+def edge_slices(pieces: tuple[ToolSolid, ...]) -> tuple[ToolSolid, ...]:
+    """Return slices of a tool's pieces at their sharp edges.
+
+    They are at the front of a piece that is wider than the previous one, and at the rear of one that is wider
+    than the next.
+    """
+    out: list[ToolSolid] = []
+    for k, piece in enumerate(pieces):
+        front_radius = pieces[k - 1].radius if k else 0.0
+        rear_radius = pieces[k + 1].radius if k + 1 < len(pieces) else 0.0
+        if piece.corner == 0.0 and piece.radius > front_radius:
+            out.append(dataclasses.replace(piece, end=min(piece.end, piece.start + SLICE_LENGTH_M)))
+        if piece.radius > rear_radius:
+            out.append(
+                dataclasses.replace(piece, start=max(piece.start, piece.end - SLICE_LENGTH_M), corner=0.0)
+            )
     return tuple(out)
 
 
-def rim_size(tolerance: float) -> float:
-    """How near [m] to one another places of a face are by an edge: as it is wide where it goes in by the
-    tolerance."""
-    return max(EDGE_SPACING * tolerance, FINEST_SPACING)
+def edge_spacing(tolerance: float) -> float:
+    """Return the distance [m] of face points near an edge: its width where it penetrates by the tolerance.
+
+    Args:
+        tolerance: Tolerance [m].
+    """
+    return max(EDGE_SPACING_FACTOR * tolerance, MIN_SPACING_M)
 
 
-def round_size(radius: float, tolerance: float) -> float:
-    """The same for what is round, of ``radius`` [m]: between them it is in the face by half of the tolerance
-    at most, s^2 / 6 r."""
-    return max(float(np.sqrt(3.0 * radius * tolerance)), FINEST_SPACING)
+def round_spacing(radius: float, tolerance: float) -> float:
+    """Return the distance [m] of face points near a round body.
+
+    Between the points it penetrates the face by at most half of the tolerance, s^2 / 6 r.
+
+    Args:
+        radius: Radius of the body [m].
+        tolerance: Tolerance [m].
+    """
+    return max(float(np.sqrt(3.0 * radius * tolerance)), MIN_SPACING_M)
 
 
-def near_places(
-    corners: FloatArray, solid: Solid, tip: FloatArray, axis: FloatArray, size: float
+def near_face_points(
+    corners: FloatArray, solid: ToolSolid, tip: FloatArray, axis: FloatArray, size: float
 ) -> tuple[FloatArray, int]:
-    """Places (P, 3) of triangles (T, 3, 3) within sight of a solid somewhere on its way ``tip``, ``axis``
-    (M, 3), as near to one another as pieces of edges of ``size`` [m] are, and how many these are: above
-    ``MOST_FACE_POINTS`` that is too many, and there are none."""
-    body = RoundBody(solid.start, solid.end, solid.radius, functools.partial(signed, solid))
-    places, _, count = places_near(corners, tip, axis, body, SIGHT_DISTANCE, size, MOST_FACE_POINTS)
-    return places, count
+    """Return points of triangles near a solid along its path.
+
+    Args:
+        corners: Triangles (T, 3, 3) [m].
+        solid: Piece of a tool.
+        tip: Tips (M, 3) [m].
+        axis: Axes (M, 3).
+        size: Distance of the points [m].
+
+    Returns:
+        Points (P, 3) and their number. Above ``MAX_FACE_POINTS`` there are too many, and none are returned.
+    """
+    body = RoundBody(solid.start, solid.end, solid.radius, functools.partial(signed_distance, solid))
+    swept = SweptBody(tip, axis, body)
+    points, _, count = points_near(corners, swept, MAX_QUERY_DISTANCE_M, size, MAX_FACE_POINTS)
+    return points, count
 
 
 @dataclasses.dataclass(frozen=True)
-class Held:
-    """A face of ``vertices`` (V, 3), ``faces`` (T, 3) that is held against one solid of a tool, or the
-    ``sharp`` edge of one, on its way ``tip``, ``axis`` (M, 3): what is inside by more than ``allowed`` [m] is
-    looked for as closely as ``tolerance`` [m] asks, where the solid comes ``near`` at all."""
+class GougeQuery:
+    """A face that is compared with one solid of a tool along its path.
+
+    Attributes:
+        vertices: Vertices of the face (V, 3) [m].
+        faces: Triangles (T, 3).
+        solid: Piece of a tool.
+        sharp: Whether it is a sharp edge.
+        is_near: Whether the solid comes near the face at all.
+        tip: Tips (M, 3) [m].
+        axis: Axes (M, 3).
+        tolerance: Tolerance that decides how closely the face is sampled [m].
+        allowed: Allowed penetration [m].
+    """
 
     vertices: FloatArray
     faces: IntArray
-    solid: Solid
+    solid: ToolSolid
     sharp: bool
-    near: bool
+    is_near: bool
     tip: FloatArray
     axis: FloatArray
     tolerance: float
     allowed: float
 
     @property
-    def size(self) -> float:
-        """How near to one another places of the face have to be [m]."""
-        return rim_size(self.tolerance) if self.sharp else round_size(self.solid.radius, self.tolerance)
+    def spacing(self) -> float:
+        """Distance of face points [m]."""
+        return (
+            edge_spacing(self.tolerance) if self.sharp else round_spacing(self.solid.radius, self.tolerance)
+        )
 
-    def inside(self) -> "Inside | int":
-        """What is inside; where the face would have to be looked at in too many places, how many these
-        are."""
+    def evaluate(self) -> "GougeResult | int":
+        """Return what is inside the solid, or the number of points if the face would need too many."""
         points = self.vertices[:1]
-        if self.near:
+        if self.is_near:
             corners = self.vertices[self.faces]
-            found, count = near_places(corners, self.solid, self.tip, self.axis, self.size)
-            if count > MOST_FACE_POINTS:
+            near_points, count = near_face_points(corners, self.solid, self.tip, self.axis, self.spacing)
+            if count > MAX_FACE_POINTS:
                 return count
-            points = np.concatenate([found, points if self.sharp else self.vertices])
-        off, place = sweep(points, self.tip, self.axis, self.solid, -self.allowed)
-        k = int(off.argmin())
-        deep = np.flatnonzero(off < -self.allowed)
-        deep = deep[np.unique(place[deep], return_index=True)[1]]
-        return Inside(float(off[k]), int(place[k]), points[deep], off[deep], place[deep])
+            points = np.concatenate([near_points, points if self.sharp else self.vertices])
+        distances, samples = track_distance(points, self.tip, self.axis, self.solid, -self.allowed)
+        k = int(distances.argmin())
+        too_deep = np.flatnonzero(distances < -self.allowed)
+        too_deep = too_deep[np.unique(samples[too_deep], return_index=True)[1]]
+        return GougeResult(
+            float(distances[k]), int(samples[k]), points[too_deep], distances[too_deep], samples[too_deep]
+        )
 
 
 @dataclasses.dataclass(frozen=True)
-class Inside:
-    """The ``least`` distance [m] of places of a face from a solid, below zero inside, and at which place of
-    its way, ``at``; ``points`` (K, 3) that are inside by more than is allowed, with their distances ``off``
-    (K,) and places ``place`` (K,), one for each of these."""
+class GougeResult:
+    """What is inside a solid.
 
-    least: float
-    at: int
+    Attributes:
+        min_distance: Smallest distance of face points from the solid [m], negative inside.
+        min_sample: Sample at which it occurs.
+        points: Points that are inside by more than is allowed (K, 3) [m], one for each sample.
+        distances: Their distances (K,) [m].
+        samples: Their samples (K,).
+    """
+
+    min_distance: float
+    min_sample: int
     points: FloatArray
-    off: FloatArray
-    place: IntArray
+    distances: FloatArray
+    samples: IntArray
 
 
-def insides(held: Sequence[Held]) -> Iterator[Inside | int]:
-    """What is inside of each."""
-    for one in held:
-        yield one.inside()
+def evaluate_queries(queries: Sequence[GougeQuery]) -> Iterator[GougeResult | int]:
+    """Yield what is inside of each."""
+    for query in queries:
+        yield query.evaluate()

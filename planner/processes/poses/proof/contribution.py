@@ -1,4 +1,4 @@
-"""What given poses contribute to the proof."""
+"""Contribution of supplied poses to the proof."""
 
 from typing import Final
 

@@ -1,16 +1,18 @@
-"""Poses that are given: their tables, the targets that meet them in order, and their least feeds.
+"""Supplied poses in the proof: their tables, the targets that match them in order, and their minimum feeds.
 
-The proof's own reading of tables of poses, as ``process: targets`` takes them: CSV, or JSON with
-the same keys. Shares no code with the planner's reader. Which target of a path meets each pose that
-it must pass, in order, is found in a time that grows with their number.
+The proof reads tables of poses itself, as ``process: targets`` takes them: CSV, or JSON with the same keys.
+It shares no code with the planner's reader. The search for the targets of a path that match the poses in
+order takes a time that is linear in their number.
 
-Least feeds: tools that are too slow between poses, or stop where they may not. A stretch is a run
-of poses with a least feed between two stops of the table; it also begins and ends where the least
-feed does, and where two feeds have no speed in common. Within the run-up from either end a point
-that accelerates evenly comes up to the least feed. From pose to pose the tools take no longer than
-that point; the moves of the program between the ends of a stretch go, one by one and in the corners
-between them, at ``LEAST_FEED_SHARE`` of its speed at least; and no move within a stretch ends in a
-stop.
+**Minimum feeds**: the check finds tools that are too slow between poses, or stop where they must not. A
+stretch is a run of poses with a minimum feed between two stops of the table. It also starts and ends where
+the minimum feed does, and where two feeds have no speed in common. Within the run-up from either end, a
+reference point accelerates uniformly to the minimum feed.
+
+- From pose to pose the tools take no longer than that point.
+- The moves of the program between the ends of a stretch, and the corners between them, have at least the
+  fraction ``MIN_FEED_FRACTION`` of its speed.
+- No move inside a stretch ends in a stop.
 """
 
 import csv
@@ -33,234 +35,282 @@ from planner.geometry.arrays import (
     log_rotation,
 )
 
-MOST_MISSED = 100
-"""Poses that are missed before the search ends: each one is held against all of the path that is left."""
+MAX_MISSED = 100
+"""Number of missed poses at which the search ends.
+
+Each of them is compared with all of the remaining path.
+"""
 _FIRST_WINDOW = 16
-"""Targets that a pose is held against first; then ever more."""
-_MOST_POSES_AT_ONCE = 4096
-"""Poses that are held against targets in a row at once, at most."""
-_FREEDOM_ROUNDS = 8
-"""Rounds in which values of freedoms are found."""
-_START = 2.1  # rad: a third of a turn
-_START_AGAIN = 1e-3
-"""Poses that are off by more than this [m or rad] are begun from other turns."""
-_FINAL_PASSES = 2
-"""So often what is off by more than the next is worked out again."""
-_SETTLED = 1e-6
-"""Poses that are off by less than this [m or rad] are met."""
+"""Number of targets in the first batch that a pose is compared with. Each further batch is larger."""
+_MAX_BATCH = 4096
+"""Maximum number of poses that are compared with consecutive targets at once."""
+_NEWTON_ITERATIONS = 8
+"""Number of Newton iterations for values of freedoms."""
+_INITIAL_ROTATION_RAD = 2.1  # rad: a third of a turn
+_RESTART_RESIDUAL = 1e-3
+"""Poses with a larger residual [m or rad] are solved again from other initial rotations."""
+_MAX_REPETITIONS = 2
+"""Maximum number of repetitions for poses that have not converged."""
+_CONVERGENCE_LIMIT = 1e-6
+"""Convergence limit of the residual [m or rad]."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Passing:
-    """How poses are passed: the first targets (P,) in order that meet them, or where one is missed the
-    nearest target left; the way and the angle (P, 2) [m, rad] that the target is off, and whether it is
-    ``met`` (P,). ``looked``: poses looked at, fewer than P where too many were missed."""
+class PoseMatch:
+    """Match of poses with targets.
+
+    Attributes:
+        target: First targets (P,) in order that match the poses, or the nearest remaining target for a missed
+            pose.
+        deviation: Distance and angle between pose and target (P, 2) [m, rad].
+        is_matched: Whether the pose is matched (P,).
+        checked_count: Number of poses that were checked, less than P if too many were missed.
+    """
 
     target: IntArray
-    off: FloatArray
-    met: BoolArray
-    looked: int
+    deviation: FloatArray
+    is_matched: BoolArray
+    checked_count: int
 
 
-def passing(
+def match_poses(
     paths: Sequence[FloatArray],
     poses: Sequence[FloatArray],
     free: Sequence[Sequence[FloatArray]],
     tolerance: tuple[float, float],
     bounds: Sequence[FloatArray] | None = None,
-) -> Passing:
-    """How tools that move together pass poses together: for each tool its path (S, 4, 4), S > 0, its poses
-    (P, 4, 4) and what it is free in.
+) -> PoseMatch:
+    """Match poses of tools that move together with their paths.
 
-    ``free``: twists (6,), angular part first, along which a tool may be off in the pose's own frame, the
-    later ones after the earlier ones; ``tolerance`` [m, rad]. A target may meet several poses one after the
-    other, but no pose may be met before the one before it.
+    A target may match several consecutive poses, but no pose is matched before the previous one.
 
-    ``bounds``: for each tool the range (F, 2) of each twist; what a tool moves beyond it is then off too, and
-    a target of its own is taken for each pose wherever the next one meets it: along a free slide, or within
-    a wide tolerance, one target meets many poses.
+    Args:
+        paths: Path of each tool (S, 4, 4) [m], S > 0.
+        poses: Poses of each tool (P, 4, 4) [m].
+        free: Twists (6,) of each tool, angular part first, along which it may differ in the pose's own frame.
+            Later ones act after earlier ones.
+        tolerance: Allowed distance [m] and angle [rad].
+        bounds: Range (F, 2) of each twist of each tool. Values beyond it count as deviations. Then each pose
+            gets a target of its own if the next target matches it too: along a free translation, or within a
+            wide tolerance, one target matches many poses.
     """
     limits: Sequence[FloatArray | None] = [None] * len(paths) if bounds is None else bounds
     tools = zip(paths, poses, free, limits, strict=True)
-    search = _Search(tuple(_Tool(a, inverse(b), tuple(c), d) for a, b, c, d in tools), np.array(tolerance))
+    search = _PoseSearch(
+        tuple(_PosedTool(a, inverse(b), tuple(c), d) for a, b, c, d in tools), np.array(tolerance)
+    )
     count, length = len(poses[0]), len(paths[0])
-    target, off = np.zeros(count, dtype=np.int64), np.full((count, 2), np.nan)
-    met = np.zeros(count, dtype=bool)
+    target, deviation = np.zeros(count, dtype=np.int64), np.full((count, 2), np.nan)
+    is_matched = np.zeros(count, dtype=bool)
     i = start = missed = 0
     block = 1
-    while i < count and missed < MOST_MISSED:
-        # as a rule each pose is met by the target behind that of the pose before, and not yet by that one
+    while i < count and missed < MAX_MISSED:
+        # usual case: each pose is matched by the target after that of the previous pose, and not before
         size = min(block, count - i, length - 1 - start)
         run = 0
         if size > 0:
             pose = np.arange(i, i + size)
-            here, ahead = search.off(start + pose - i, pose), search.off(start + 1 + pose - i, pose)
-            usual = search.meets(ahead) & (~search.meets(here) if bounds is None else pose > 0)
-            run = size if usual.all() else int(np.argmin(usual))
-            target[i : i + run], off[i : i + run] = start + 1 + pose[:run] - i, ahead[:run]
-            met[i : i + run] = True
-        i, start, block = i + run, start + run, min(max(1, 2 * run), _MOST_POSES_AT_ONCE)
+            at_same, at_next = (
+                search.deviation(start + pose - i, pose),
+                search.deviation(start + 1 + pose - i, pose),
+            )
+            is_usual = search.is_within(at_next) & (
+                ~search.is_within(at_same) if bounds is None else pose > 0
+            )
+            run = size if is_usual.all() else int(np.argmin(is_usual))
+            target[i : i + run], deviation[i : i + run] = start + 1 + pose[:run] - i, at_next[:run]
+            is_matched[i : i + run] = True
+        i, start, block = i + run, start + run, min(max(1, 2 * run), _MAX_BATCH)
         if run == size > 0 or i == count:
             continue
-        target[i], off[i], met[i] = search.next(start, i)
-        start = int(target[i]) if met[i] else start
-        missed += not met[i]
+        target[i], deviation[i], is_matched[i] = search.find_target(start, i)
+        start = int(target[i]) if is_matched[i] else start
+        missed += not is_matched[i]
         i += 1
-    return Passing(target, off, met, i)
+    return PoseMatch(target, deviation, is_matched, i)
 
 
 @dataclasses.dataclass(frozen=True)
-class _Tool:
-    """A path, inverse poses, and what is free."""
+class _PosedTool:
+    """A path, inverse poses, and free twists with their ranges."""
 
     path: FloatArray
-    back: FloatArray
+    inverse_poses: FloatArray
     free: tuple[FloatArray, ...]
     bounds: FloatArray | None = None
 
-    def off(self, target: IntArray, pose: IntArray) -> FloatArray:
-        """Way and angle (K, 2) between targets (K,) and poses (K,), without what is free."""
-        value, twist = values(self.back[pose] @ self.path[target], self.free)
-        off = np.stack([np.linalg.norm(twist[:, 3:], axis=1), np.linalg.norm(twist[:, :3], axis=1)], axis=1)
+    def deviation(self, target: IntArray, pose: IntArray) -> FloatArray:
+        """Return distance and angle (K, 2) between targets (K,) and poses (K,), without what is free."""
+        value, twist = free_values(self.inverse_poses[pose] @ self.path[target], self.free)
+        residual = np.stack(
+            [np.linalg.norm(twist[:, 3:], axis=1), np.linalg.norm(twist[:, :3], axis=1)], axis=1
+        )
         if self.bounds is None or not self.free:
-            return off
+            return residual
         turns = np.linalg.norm(np.stack(self.free)[:, :3], axis=1) > 0.0
-        apart = value - self.bounds.mean(axis=1)
-        apart = np.abs(apart - np.where(turns, 2.0 * np.pi * np.round(apart / (2.0 * np.pi)), 0.0))
-        beyond = np.maximum(apart - 0.5 * np.diff(self.bounds, axis=1)[:, 0], 0.0)
+        excess = value - self.bounds.mean(axis=1)
+        excess = np.abs(excess - np.where(turns, 2.0 * np.pi * np.round(excess / (2.0 * np.pi)), 0.0))
+        beyond = np.maximum(excess - 0.5 * np.diff(self.bounds, axis=1)[:, 0], 0.0)
         return np.asarray(
-            off + np.stack([beyond[:, ~turns].sum(axis=1), beyond[:, turns].sum(axis=1)], axis=1)
+            residual + np.stack([beyond[:, ~turns].sum(axis=1), beyond[:, turns].sum(axis=1)], axis=1)
         )
 
 
 @dataclasses.dataclass(frozen=True)
-class _Search:
+class _PoseSearch:
     """Tools that move together, and the tolerances (2,)."""
 
-    tools: tuple[_Tool, ...]
+    tools: tuple[_PosedTool, ...]
     tolerance: FloatArray
 
-    def off(self, target: IntArray, pose: IntArray) -> FloatArray:
-        """Way and angle (K, 2) of the tool that is farther off."""
-        return np.asarray(np.max([tool.off(target, pose) for tool in self.tools], axis=0))
+    def deviation(self, target: IntArray, pose: IntArray) -> FloatArray:
+        """Return distance and angle (K, 2) of the tool that deviates more."""
+        return np.asarray(np.max([tool.deviation(target, pose) for tool in self.tools], axis=0))
 
-    def meets(self, off: FloatArray) -> BoolArray:
-        """Whether ways and angles (K, 2) are within the tolerances."""
-        return np.asarray((off <= self.tolerance).all(axis=1))
+    def is_within(self, deviation: FloatArray) -> BoolArray:
+        """Return whether distances and angles (K, 2) are within the tolerances."""
+        return np.asarray((deviation <= self.tolerance).all(axis=1))
 
-    def next(self, start: int, pose: int) -> tuple[int, FloatArray, bool]:
-        """The first target from ``start`` on that meets a pose, else the nearest one; how far it is off."""
+    def find_target(self, start: int, pose: int) -> tuple[int, FloatArray, bool]:
+        """Return the first target from ``start`` on that matches a pose, or the nearest one.
+
+        The deviation is returned with it, and whether it matches.
+        """
         size, first, length = _FIRST_WINDOW, start, len(self.tools[0].path)
-        found: list[FloatArray] = []
+        deviations: list[FloatArray] = []
         while first < length:
             rows = np.arange(first, min(first + size, length))
-            off = self.off(rows, np.full(len(rows), pose))
-            good = np.flatnonzero(self.meets(off))
-            if len(good):
-                return int(rows[good[0]]), off[good[0]], True
-            found.append(off)
+            deviation = self.deviation(rows, np.full(len(rows), pose))
+            matching = np.flatnonzero(self.is_within(deviation))
+            if len(matching):
+                return int(rows[matching[0]]), deviation[matching[0]], True
+            deviations.append(deviation)
             first, size = first + len(rows), 4 * size
-        off = np.concatenate(found)
-        best = int(np.argmin((off / self.tolerance).max(axis=1)))
-        return start + best, off[best], False
+        deviation = np.concatenate(deviations)
+        best = int(np.argmin((deviation / self.tolerance).max(axis=1)))
+        return start + best, deviation[best], False
 
 
-def values(relative: FloatArray, free: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """The values (K, F) by which poses ``relative`` (K, 4, 4) have moved along the F free twists, one after
-    the other, and what is left: twists (K, 6), angular part first.
+def free_values(relative: FloatArray, free: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Return values of free twists, and residuals.
 
-    One twist is what the logarithm has of it. More than one are found by Newton's method, for turns do not
-    commute; where that ends far off it starts again from other turns.
+    A single twist follows from the logarithm. Several twists need Newton's method, because rotations do not
+    commute. If it ends far away, it starts again from other rotations.
+
+    Args:
+        relative: Relative poses (K, 4, 4) [m].
+        free: F free twists (6,), angular part first, that act one after the other.
+
+    Returns:
+        Values (K, F), and residual twists (K, 6), angular part first.
     """
     count = len(relative)
     if not free:
-        return np.zeros((count, 0)), _twist(relative)
+        return np.zeros((count, 0)), _pose_twist(relative)
     axes = np.stack(free)
     if len(free) == 1:
-        twist = _twist(relative)
-        found = twist @ axes.T / (axes[0] @ axes[0])
-        return found, twist - found @ axes
-    best, left = _newton(relative, axes, _twist(relative) @ np.linalg.pinv(axes))
-    turning = np.linalg.norm(axes[:, :3], axis=1) > 0.0
-    for start in itertools.product(*((0.0, -_START, _START) if turns else (0.0,) for turns in turning)):
-        far = np.flatnonzero(np.linalg.norm(left, axis=1) > _START_AGAIN)
-        if not len(far):
+        twist = _pose_twist(relative)
+        value = twist @ axes.T / (axes[0] @ axes[0])
+        return value, twist - value @ axes
+    best, residuals = _solve_newton(relative, axes, _pose_twist(relative) @ np.linalg.pinv(axes))
+    is_rotation = np.linalg.norm(axes[:, :3], axis=1) > 0.0
+    for start in itertools.product(
+        *((0.0, -_INITIAL_ROTATION_RAD, _INITIAL_ROTATION_RAD) if turns else (0.0,) for turns in is_rotation)
+    ):
+        unconverged = np.flatnonzero(np.linalg.norm(residuals, axis=1) > _RESTART_RESIDUAL)
+        if not len(unconverged):
             break
-        again, off = _newton(relative[far], axes, np.tile(start, (len(far), 1)))
-        nearer = np.linalg.norm(off, axis=1) < np.linalg.norm(left[far], axis=1)
-        best[far[nearer]], left[far[nearer]] = again[nearer], off[nearer]
-    for _ in range(_FINAL_PASSES):  # slow where two axes are nearly one
-        far = np.flatnonzero(np.linalg.norm(left, axis=1) > _SETTLED)
-        if not len(far):
+        new_values, residual = _solve_newton(
+            relative[unconverged], axes, np.tile(start, (len(unconverged), 1))
+        )
+        nearer = np.linalg.norm(residual, axis=1) < np.linalg.norm(residuals[unconverged], axis=1)
+        best[unconverged[nearer]], residuals[unconverged[nearer]] = new_values[nearer], residual[nearer]
+    for _ in range(_MAX_REPETITIONS):  # convergence is slow if two axes nearly coincide
+        unconverged = np.flatnonzero(np.linalg.norm(residuals, axis=1) > _CONVERGENCE_LIMIT)
+        if not len(unconverged):
             break
-        again, off = _newton(relative[far], axes, best[far])
-        nearer = np.linalg.norm(off, axis=1) < np.linalg.norm(left[far], axis=1)
-        best[far[nearer]], left[far[nearer]] = again[nearer], off[nearer]
-    return best, left
+        new_values, residual = _solve_newton(relative[unconverged], axes, best[unconverged])
+        nearer = np.linalg.norm(residual, axis=1) < np.linalg.norm(residuals[unconverged], axis=1)
+        best[unconverged[nearer]], residuals[unconverged[nearer]] = new_values[nearer], residual[nearer]
+    return best, residuals
 
 
-def _newton(relative: FloatArray, axes: FloatArray, start: FloatArray) -> tuple[FloatArray, FloatArray]:
-    found = np.array(start, dtype=np.float64)
-    for _ in range(_FREEDOM_ROUNDS):
-        behind = np.broadcast_to(np.eye(4), relative.shape)
+def _solve_newton(relative: FloatArray, axes: FloatArray, start: FloatArray) -> tuple[FloatArray, FloatArray]:
+    value = np.array(start, dtype=np.float64)
+    for _ in range(_NEWTON_ITERATIONS):
+        later_motion = np.broadcast_to(np.eye(4), relative.shape)
         columns: list[FloatArray] = []
-        for j in range(len(axes) - 1, -1, -1):  # the twist of each axis, seen from behind the later ones
-            columns.insert(0, _seen(inverse(behind), axes[j]))
-            behind = exp_twist(found[:, j, None] * axes[j]) @ behind
-        left = log_pose(inverse(behind) @ relative)
-        step = np.linalg.pinv(np.stack(columns, axis=2)) @ left[..., None]
-        found = found + step[..., 0]
+        for j in range(len(axes) - 1, -1, -1):  # twist of each axis in the frame after the later ones
+            columns.insert(0, _transform_twist(inverse(later_motion), axes[j]))
+            later_motion = exp_twist(value[:, j, None] * axes[j]) @ later_motion
+        residual = log_pose(inverse(later_motion) @ relative)
+        step = np.linalg.pinv(np.stack(columns, axis=2)) @ residual[..., None]
+        value = value + step[..., 0]
     for axis in range(len(axes)):
-        relative = exp_twist(-found[:, axis, None] * axes[axis]) @ relative
-    return found, _twist(relative)
+        relative = exp_twist(-value[:, axis, None] * axes[axis]) @ relative
+    return value, _pose_twist(relative)
 
 
-def _seen(pose: FloatArray, twist: FloatArray) -> FloatArray:
-    """A twist (6,) as poses (K, 4, 4) see it: by the adjoint of each (Lynch and Park, "Modern Robotics",
-    2017, definition 3.20)."""
+def _transform_twist(pose: FloatArray, twist: FloatArray) -> FloatArray:
+    """Return a twist (6,) in other frames (K, 6), by the adjoint of poses (K, 4, 4).
+
+    Source: Lynch and Park, "Modern Robotics", 2017, definition 3.20.
+    """
     angular = pose[:, :3, :3] @ twist[:3]
     linear = pose[:, :3, :3] @ twist[3:] + np.cross(pose[:, :3, 3], angular)
     return np.concatenate([angular, linear], axis=1)
 
 
-def _twist(relative: FloatArray) -> FloatArray:
-    """Turn and way (K, 6) of poses (K, 4, 4)."""
+def _pose_twist(relative: FloatArray) -> FloatArray:
+    """Return rotation vectors and translations (K, 6) of poses (K, 4, 4)."""
     return np.concatenate([log_rotation(relative[:, :3, :3]), relative[:, :3, 3]], axis=1)
 
 
-LEAST_FEED_SHARE: Final = 0.8
-"""Share of the least feed that tools keep at every instant between ramps."""
+MIN_FEED_FRACTION: Final = 0.8
+"""Fraction of the minimum feed that tools keep at every instant between ramps."""
 TIME_ROUNDING: Final = 1.001, 2e-5
-"""Times are rounded: they may be longer by this factor, and by so many seconds besides."""
+"""Allowed factor and additional seconds of durations, because times are rounded."""
 MOVE_INSTANTS: Final = np.linspace(0.0, 1.0, 21)
-"""Instants of a move at which a speed is looked at."""
-ISSUES_SHOWN: Final = 20
-"""Issues of one kind at most."""
+"""Instants of a move at which a speed is checked."""
+MAX_ISSUES: Final = 20
+"""Maximum number of issues of one kind."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Way:
+class PoseTiming:
     """P poses and R targets of the programs.
 
-    ``step`` (P - 1,) [m] from each pose to the next, of the tool that goes farthest; ``least`` and ``feed``
-    (P - 1,) [m/s] there; ``may_stop`` (P,); ``node`` (P,) the target that meets each pose. ``end`` (R,) [s]
-    when the move to each target ends, pauses left out; ``stops`` (R,): the arms stop there; ``place``: for
-    each arm the tool's places (R, 3) [m].
+    Attributes:
+        step: Distance from each pose to the next (P - 1,) [m], of the tool that moves farthest.
+        min_feed: Minimum feed there (P - 1,) [m/s].
+        feed: Feed there (P - 1,) [m/s].
+        may_stop: Whether the motion may stop at each pose (P,).
+        node: Target that matches each pose (P,).
+        end: When the move to each target ends, pauses excluded (R,) [s].
+        stops: Whether the arms stop there (R,).
+        positions: Positions of each tool (R, 3) [m].
     """
 
     step: FloatArray
-    least: FloatArray
+    min_feed: FloatArray
     feed: FloatArray
     may_stop: BoolArray
     node: IntArray
     end: FloatArray
     stops: BoolArray
-    place: tuple[FloatArray, ...]
+    positions: tuple[FloatArray, ...]
 
 
 @dataclasses.dataclass(frozen=True)
-class Slow:
-    """A fault at ``pose``, counted from 0: ``got`` [m/s] where ``limit`` [m/s] is the least."""
+class SlowFault:
+    """A fault of speed.
+
+    Attributes:
+        message: What is wrong.
+        pose: Pose, from 0.
+        got: Speed [m/s].
+        limit: Minimum speed [m/s].
+    """
 
     message: str
     pose: int
@@ -268,96 +318,111 @@ class Slow:
     limit: float
 
 
-def slow_places(way: Way, run_up: float) -> list[Slow]:
-    """Where least feeds are not kept, some of each kind; ``run_up`` [m]."""
-    mean: list[Slow] = []
-    moment: list[Slow] = []
-    halts: list[Slow] = []
-    for first, last in _stretches(way):
-        along = np.concatenate([[0.0], np.cumsum(way.step[first:last])])
-        mean += _mean(way, first, last, _clock(along, run_up))
-        halts += _halts(way, first, last)
-        moment += _moment(way, first, last, run_up)
-    return [*halts[:ISSUES_SHOWN], *mean[:ISSUES_SHOWN], *moment[:ISSUES_SHOWN]]
+def find_slow_motion(timing: PoseTiming, run_up: float) -> list[SlowFault]:
+    """Return where minimum feeds are not kept, some of each kind.
+
+    Args:
+        timing: Poses and targets.
+        run_up: Length over which tools accelerate to the minimum feed [m].
+    """
+    slow_means: list[SlowFault] = []
+    slow_instants: list[SlowFault] = []
+    stop_faults: list[SlowFault] = []
+    for first, last in _find_stretches(timing):
+        along = np.concatenate([[0.0], np.cumsum(timing.step[first:last])])
+        slow_means += _slow_means(timing, first, last, _reference_times(along, run_up))
+        stop_faults += _stop_faults(timing, first, last)
+        slow_instants += _slow_instants(timing, first, last, run_up)
+    return [*stop_faults[:MAX_ISSUES], *slow_means[:MAX_ISSUES], *slow_instants[:MAX_ISSUES]]
 
 
-def _stretches(way: Way) -> list[tuple[int, int]]:
-    """Poses (first, last) at the ends of stretches."""
-    slow, fast = way.least, way.feed
-    cut = way.may_stop[1:-1] | (slow[1:] > fast[:-1]) | (slow[:-1] > fast[1:])
-    cut |= (slow[1:] > 0.0) != (slow[:-1] > 0.0)
-    edges = [0, *(np.flatnonzero(cut) + 1).tolist(), len(slow)]
-    return [(a, b) for a, b in itertools.pairwise(edges) if slow[a] > 0.0]
+def _find_stretches(timing: PoseTiming) -> list[tuple[int, int]]:
+    """Return the poses (first, last) at the ends of stretches."""
+    min_feed, max_feed = timing.min_feed, timing.feed
+    cut = timing.may_stop[1:-1] | (min_feed[1:] > max_feed[:-1]) | (min_feed[:-1] > max_feed[1:])
+    cut |= (min_feed[1:] > 0.0) != (min_feed[:-1] > 0.0)
+    edges = [0, *(np.flatnonzero(cut) + 1).tolist(), len(min_feed)]
+    return [(a, b) for a, b in itertools.pairwise(edges) if min_feed[a] > 0.0]
 
 
-def _clock(along: FloatArray, run_up: float) -> FloatArray:
-    """When (K,) the point passes places (K,) of a stretch, from its first to its last one, for a least feed
-    of 1: v^2 = s / run_up from rest, the same to rest."""
+def _reference_times(along: FloatArray, run_up: float) -> FloatArray:
+    """Return when (K,) the reference point passes positions (K,) of a stretch, for a minimum feed of 1.
 
-    def since(s: FloatArray) -> FloatArray:
+    It accelerates from rest with v^2 = s / run_up, and decelerates to rest in the same way.
+    """
+
+    def time_from_rest(s: FloatArray) -> FloatArray:
         return np.where(s < run_up, 2.0 * np.sqrt(run_up * s), s + run_up)
 
     half = along[-1] / 2.0
     up = along <= half
-    whole = 2.0 * float(since(np.array(half)))
-    return np.where(up, since(along), whole - since(along[-1] - along))
+    whole = 2.0 * float(time_from_rest(np.array(half)))
+    return np.where(up, time_from_rest(along), whole - time_from_rest(along[-1] - along))
 
 
-def _mean(way: Way, first: int, last: int, clock: FloatArray) -> list[Slow]:
-    """Ways between poses of a stretch that take too long. Poses that one target meets count as one."""
-    node = way.node[first : last + 1]
-    begins = np.flatnonzero(np.diff(node, prepend=-1))
+def _slow_means(timing: PoseTiming, first: int, last: int, clock: FloatArray) -> list[SlowFault]:
+    """Return moves between poses of a stretch that take too long.
+
+    Poses that one target matches count as one.
+    """
+    node = timing.node[first : last + 1]
+    first_poses = np.flatnonzero(np.diff(node, prepend=-1))
     out = []
-    most = np.concatenate([[0.0], np.cumsum(np.diff(clock) / way.least[first:last])])
-    took = np.diff(way.end[node[begins]])
-    allowed = np.diff(most[begins])
-    if begins[-1] < last - first:  # the last poses are met by the target that stands for the first of them
-        allowed[-1:] += most[-1] - most[begins[-1]]
-    for k in np.flatnonzero(took > allowed * TIME_ROUNDING[0] + TIME_ROUNDING[1]).tolist():
-        pose, past = first + int(begins[k + 1]), first + int(begins[k])
-        step = float(way.step[past:pose].sum())
-        got, limit = step / float(took[k]), step / max(float(allowed[k]), 1e-9)
-        message = f"on the way to pose {pose + 1} the tool moves at {got * 1e3:.2f} mm/s, at least "
-        message += f"{limit * 1e3:.2f} mm/s is asked for"
-        out.append(Slow(message, pose, got, limit))
+    max_times = np.concatenate([[0.0], np.cumsum(np.diff(clock) / timing.min_feed[first:last])])
+    durations = np.diff(timing.end[node[first_poses]])
+    allowed = np.diff(max_times[first_poses])
+    if first_poses[-1] < last - first:  # one target matches all of the last poses
+        allowed[-1:] += max_times[-1] - max_times[first_poses[-1]]
+    for k in np.flatnonzero(durations > allowed * TIME_ROUNDING[0] + TIME_ROUNDING[1]).tolist():
+        pose, previous = first + int(first_poses[k + 1]), first + int(first_poses[k])
+        step = float(timing.step[previous:pose].sum())
+        got, limit = step / float(durations[k]), step / max(float(allowed[k]), 1e-9)
+        message = f"on the way to pose {pose + 1} the tool moves at {got * 1e3:.2f} mm/s, required at least "
+        message += f"{limit * 1e3:.2f} mm/s"
+        out.append(SlowFault(message, pose, got, limit))
     return out
 
 
-def _halts(way: Way, first: int, last: int) -> list[Slow]:
-    """Stops within a stretch, and at its ends where the table has none."""
+def _stop_faults(timing: PoseTiming, first: int, last: int) -> list[SlowFault]:
+    """Return stops inside a stretch, and at its ends where the table has none."""
     out = []
-    low, high = int(way.node[first]), int(way.node[last])
-    for j in (np.flatnonzero(way.stops[low : high + 1]) + low).tolist():
-        pose = int(np.searchsorted(way.node, j))
-        if way.node[pose] == j and way.may_stop[way.node == j].any():
+    low, high = int(timing.node[first]), int(timing.node[last])
+    for j in (np.flatnonzero(timing.stops[low : high + 1]) + low).tolist():
+        pose = int(np.searchsorted(timing.node, j))
+        if timing.node[pose] == j and timing.may_stop[timing.node == j].any():
             continue
-        limit = float(way.least[min(max(pose - 1, first), last - 1)])
-        message = f"the tool stops on the way to pose {pose + 1}, or there; the table has no stop there"
-        out.append(Slow(message, pose, 0.0, limit))
+        limit = float(timing.min_feed[min(max(pose - 1, first), last - 1)])
+        message = f"the tool stops at pose {pose + 1} or on the way to it, but the table has no stop there"
+        out.append(SlowFault(message, pose, 0.0, limit))
     return out
 
 
-def _moment(way: Way, first: int, last: int, run_up: float) -> list[Slow]:
-    """Moves of the programs within a stretch, and corners between them, that are too slow. A move has one
-    speed, and a corner goes evenly from that of one move to that of the next; moves from and to stops are
-    ramps."""
-    low, high = int(way.node[first]), int(way.node[last])
+def _slow_instants(timing: PoseTiming, first: int, last: int, run_up: float) -> list[SlowFault]:
+    """Return moves of the programs inside a stretch, and corners between them, that are too slow.
+
+    A move has one speed. In a corner the velocity changes linearly from that of one move to that of the next.
+    Moves from and to stops are ramps.
+    """
+    low, high = int(timing.node[first]), int(timing.node[last])
     if high - low < 2:
         return []
-    span = np.maximum(np.diff(way.end[low : high + 1]), 1e-9)
-    steps = [np.diff(place[low : high + 1], axis=0) for place in way.place]
+    span = np.maximum(np.diff(timing.end[low : high + 1]), 1e-9)
+    steps = [np.diff(path[low : high + 1], axis=0) for path in timing.positions]
     size = np.max([np.linalg.norm(step, axis=1) for step in steps], axis=0)
     along = np.concatenate([[0.0], np.cumsum(size)])
-    near = np.minimum(along, along[-1] - along)
-    ramp = np.sqrt(np.minimum(near / run_up, 1.0))
+    end_distance = np.minimum(along, along[-1] - along)
+    ramp = np.sqrt(np.minimum(end_distance / run_up, 1.0))
     moves = np.arange(low + 1, high + 1)
-    pose = np.clip(np.searchsorted(way.node, moves), first + 1, last)
-    least = LEAST_FEED_SHARE * way.least[pose - 1]
+    pose = np.clip(np.searchsorted(timing.node, moves), first + 1, last)
+    min_speed = MIN_FEED_FRACTION * timing.min_feed[pose - 1]
     speed = size / span
     inner = np.ones(len(size), dtype=bool)
     inner[[0, -1]] = False
-    slow = inner & (speed < least * np.minimum(ramp[:-1], ramp[1:]) / TIME_ROUNDING[0])
-    out = [_slow_at(pose[j], speed[j], least[j], "on the way to pose") for j in np.flatnonzero(slow).tolist()]
+    is_slow = inner & (speed < min_speed * np.minimum(ramp[:-1], ramp[1:]) / TIME_ROUNDING[0])
+    out = [
+        _slow_fault(pose[j], speed[j], min_speed[j], "on the way to pose")
+        for j in np.flatnonzero(is_slow).tolist()
+    ]
     speed = speed.copy()
     speed[0] = np.clip(speed[1], speed[0], 2.0 * speed[0])
     speed[-1] = np.clip(speed[-2], speed[-1], 2.0 * speed[-1])
@@ -368,44 +433,58 @@ def _moment(way: Way, first: int, last: int, run_up: float) -> list[Slow]:
         mixed = (1.0 - MOVE_INSTANTS)[:, None, None] * rate[:-1] + MOVE_INSTANTS[:, None, None] * rate[1:]
         fastest = np.maximum(fastest, np.linalg.norm(mixed, axis=2))
     slowest = fastest.min(axis=0)
-    limit = np.minimum(least[:-1], least[1:]) * ramp[1:-1]
+    limit = np.minimum(min_speed[:-1], min_speed[1:]) * ramp[1:-1]
     sharp = np.flatnonzero(slowest < limit / TIME_ROUNDING[0]).tolist()
-    return out + [_slow_at(pose[j], slowest[j], limit[j], "in the corner at pose") for j in sharp]
+    return out + [_slow_fault(pose[j], slowest[j], limit[j], "in the corner at pose") for j in sharp]
 
 
-def _slow_at(pose: int, speed: float, limit: float, where: str) -> Slow:
-    message = f"{where} {int(pose) + 1} the tool is as slow as {speed * 1e3:.2f} mm/s, at every instant at "
-    message += f"least {limit * 1e3:.2f} mm/s is asked for"
-    return Slow(message, int(pose), float(speed), float(limit))
+def _slow_fault(pose: int, speed: float, limit: float, where: str) -> SlowFault:
+    message = f"{where} {int(pose) + 1} the tool is as slow as {speed * 1e3:.2f} mm/s, required at every "
+    message += f"instant at least {limit * 1e3:.2f} mm/s"
+    return SlowFault(message, int(pose), float(speed), float(limit))
 
 
-PLACE_COLUMNS = ("x_mm", "y_mm", "z_mm")
+POSITION_COLUMNS = ("x_mm", "y_mm", "z_mm")
 """Columns of a position [mm]."""
-TURN_COLUMNS = ("qw", "qx", "qy", "qz")
+QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
 """Columns of a unit quaternion."""
 FEED_COLUMN = "feed_mm_s"
 """Column of the feed [mm/s]."""
-LEAST_FEED_COLUMN = "feed_min_mm_s"
-"""Column of the least feed [mm/s]."""
+MIN_FEED_COLUMN = "feed_min_mm_s"
+"""Column of the minimum feed [mm/s]."""
 STOP_COLUMN = "stop"
 """Column of stops."""
 _YES_WORDS = ("1", "true", "yes")
-"""What says yes there."""
+"""Words for true in that column."""
 
 
 @dataclasses.dataclass(frozen=True)
 class PoseTable:
-    """``poses`` {arm: (P, 4, 4)} [m]; ``feed`` and ``least`` (P,) [m/s] on the way to each, NaN where the row
-    has none; ``stop`` (P,): the motion may stop there."""
+    """A table of poses.
+
+    Attributes:
+        poses: Poses (P, 4, 4) [m] by arm.
+        feed: Feed on the way to each (P,) [m/s], NaN if the row has none.
+        min_feed: Minimum feed on the way to each (P,) [m/s], NaN if the row has none.
+        stop: Whether the motion may stop there (P,).
+    """
 
     poses: Mapping[str, FloatArray]
     feed: FloatArray
-    least: FloatArray
+    min_feed: FloatArray
     stop: BoolArray
 
 
 def read_pose_table(path: Path, arms: Sequence[str]) -> PoseTable:
-    """The table in a file. Raises ``ValueError``, ``KeyError`` or ``OSError`` where it is none."""
+    """Read a table of poses.
+
+    Args:
+        path: The file.
+        arms: Names of the arms.
+
+    Raises:
+        ValueError: The file is not a table of poses; also ``KeyError`` and ``OSError``.
+    """
     text = path.read_text("utf-8-sig")
     rows: list[dict[str, Any]]
     if path.suffix.lower() == ".json":
@@ -417,32 +496,33 @@ def read_pose_table(path: Path, arms: Sequence[str]) -> PoseTable:
     poses = {}
     for arm in arms:
         values = np.array(
-            [[float(row[f"{arm}.{key}"]) for key in (*PLACE_COLUMNS, *TURN_COLUMNS)] for row in rows]
+            [[float(row[f"{arm}.{key}"]) for key in (*POSITION_COLUMNS, *QUATERNION_COLUMNS)] for row in rows]
         )
-        poses[arm] = _poses(values)
-    feed, least = (
-        np.array([_number(row.get(key)) for row in rows]) for key in (FEED_COLUMN, LEAST_FEED_COLUMN)
+        poses[arm] = _parse_poses(values)
+    feed, min_feed = (
+        np.array([_parse_number(row.get(key)) for row in rows]) for key in (FEED_COLUMN, MIN_FEED_COLUMN)
     )
     stop = np.array([str(row.get(STOP_COLUMN) or "").strip().lower() in _YES_WORDS for row in rows])
-    return PoseTable(poses, feed / 1000.0, least / 1000.0, stop)
+    return PoseTable(poses, feed / 1000.0, min_feed / 1000.0, stop)
 
 
-def _number(value: Any) -> float:
+def _parse_number(value: Any) -> float:
     return float("nan") if value is None or str(value).strip() == "" else float(value)
 
 
-def _poses(values: FloatArray) -> FloatArray:
-    """Poses (P, 4, 4) [m] of rows (P, 7): place [mm] and quaternion, real part first.
+def _parse_poses(values: FloatArray) -> FloatArray:
+    """Return poses (P, 4, 4) [m] of rows (P, 7): position [mm] and quaternion, real part first.
 
-    R v = v + 2 w (u x v) + 2 u x (u x v) for the quaternion (w, u) of length one (Shuster, "A survey of
-    attitude representations", 1993), column by column.
+    R v = v + 2 w (u x v) + 2 u x (u x v) for the unit quaternion (w, u), column by column.
+
+    Source: Shuster, "A survey of attitude representations", 1993.
     """
     q = values[:, 3:] / np.sqrt((values[:, 3:] ** 2).sum(axis=1, keepdims=True))
     real, u = q[:, :1], q[:, 1:]
     out = np.zeros((len(values), 4, 4))
     for column, axis in enumerate(np.eye(3)):
-        once = np.cross(u, axis)
-        out[:, :3, column] = axis + 2.0 * real * once + 2.0 * np.cross(u, once)
+        cross = np.cross(u, axis)
+        out[:, :3, column] = axis + 2.0 * real * cross + 2.0 * np.cross(u, cross)
     out[:, :3, 3] = values[:, :3] / 1000.0
     out[:, 3, 3] = 1.0
     return out

@@ -1,1 +1,1 @@
-"""The process ``trim``: a torch, knife or mill cuts curves out of a formed sheet."""
+"""Planning of the process ``trim``: a torch, knife or mill cuts curves out of a formed sheet."""

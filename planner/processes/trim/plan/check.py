@@ -1,4 +1,4 @@
-"""What would go wrong while a sheet is trimmed: curves that cross or leave the sheet, tools in the wall."""
+"""Checks of a trim job before motion planning: curves that cross or leave the sheet, tools inside a wall."""
 
 import itertools
 import re
@@ -10,235 +10,320 @@ import shapely
 from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import FloatArray, unit
-from planner.geometry.mesh import small_pieces
-from planner.geometry.swept_body import RoundBody, places_near
+from planner.geometry.mesh import bisect_triangles
+from planner.geometry.swept_body import RoundBody, SweptBody, points_near
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, refusal
-from planner.processes.trim.plan.cutting import Cutting, flute_body
-from planner.processes.trim.plan.face import Face, apart
+from planner.issues import Issue, issue_error
+from planner.processes.trim.plan.cutting import CuttingTool, flute_body
+from planner.processes.trim.plan.face import SheetFace, curve_distance
 from planner.processes.trim.plan.operation import Trim
-from planner.processes.trim.plan.slots import Slot, Wanted
+from planner.processes.trim.plan.slots import PlannedOutline, Slot
 
-ROUNDING: Final = 1e-6
-"""Room [m] for rounding where places are left out that are too far off."""
-FACE_SPACING: Final = 2.0 * MM
-"""Distance [m] of places of the face at which a torch is held against it."""
-MOST_PLACES: Final = 200_000
-"""Places of the face at most."""
-PART_SPACING: Final = 0.5 * MM
-"""Distance [m] of places of the face at which a cutter is held against the part."""
-MOST_PART_PLACES: Final = 1_000_000
-"""Such places at most."""
-LEANS: Final = 6
-"""Directions to which a torch is tried to lean."""
-LEAST_RISE: Final = 15.0 * DEG
-"""A torch must rise from the flat sheet by this angle [rad] at least, or it never reaches the safe plane."""
+ROUNDING_MARGIN_M: Final = 1e-6
+"""Margin for rounding where points that are too far away are left out [m]."""
+FACE_SPACING_M: Final = 2.0 * MM
+"""Distance of face points at which a torch is checked [m]."""
+MAX_FACE_POINTS: Final = 200_000
+"""Maximum number of these points."""
+PART_SPACING_M: Final = 0.5 * MM
+"""Distance of face points at which a cutter is checked against the part [m]."""
+MAX_PART_POINTS: Final = 1_000_000
+"""Maximum number of these points."""
+TILT_DIRECTIONS: Final = 6
+"""Number of directions in which a torch is tried to be tilted."""
+MIN_RISE_RAD: Final = 15.0 * DEG
+"""Minimum angle [rad] at which a torch rises from the flat sheet.
+
+Otherwise it never reaches the safe plane.
+"""
 
 
 def curve_issues(
-    wanted: Sequence[Wanted], opening: FloatArray, reach: float, tolerance: float
+    outlines: Sequence[PlannedOutline], opening: FloatArray, reach: float, tolerance: float
 ) -> Iterator[Issue]:
-    """Curves that cross themselves or each other, lie in the waste of another one, or leave the ``opening``
-    (K, 2) [m] of the clamp, with all that is cut ``reach`` [m] beside them; and those between which nothing
-    is sure to stay, as the edges of both may be off by the ``tolerance`` [m]."""
-    free = shapely.Polygon(opening)
-    for one in wanted:
-        name = one.spec.name
-        if not one.area.is_valid:
-            what = f"{name}: the curve crosses itself{_where(shapely.is_valid_reason(one.area))}"
-            yield Issue("trim.crosses", what, hint="draw it anew, as one closed curve that meets nothing")
+    """Yield issues of the outlines.
+
+    They cross themselves or each other, lie in the waste of another one, or leave the opening of the clamp.
+    Two of them may also be so close that nothing is sure to remain between them.
+
+    Args:
+        outlines: Outlines on the face.
+        opening: Opening of the clamp (K, 2) [m].
+        reach: Width beside the outlines that is cut as well [m].
+        tolerance: Allowed deviation of the cut edges [m].
+    """
+    opening_area = shapely.Polygon(opening)
+    for outline in outlines:
+        name = outline.spec.name
+        if not outline.area.is_valid:
+            what = f"{name}: the curve crosses itself{_fault_position(shapely.is_valid_reason(outline.area))}"
+            yield Issue("trim.crosses", what, hint="redraw it as one closed curve that does not cross itself")
             continue
-        side = 0.0 if one.inside else reach
-        out = shapely.distance(free, shapely.points(one.laid.point[:, :2]))
-        near = float(shapely.distance(free.exterior, one.area.exterior)) - side
-        if out.max() > 0.0 or near < 0.0:
-            k = int(np.argmax(out)) if out.max() > 0.0 else _nearest(one, free)
-            x, y, _ = one.laid.point[k] / MM
-            beyond = float(out.max()) + side if out.max() > 0.0 else -near
-            what = f"{name}: at ({x:.1f}, {y:.1f}) mm the curve, with slot and ways in, is {beyond / MM:.1f} "
+        side = 0.0 if outline.drops_inside else reach
+        distances = shapely.distance(opening_area, shapely.points(outline.curve.point[:, :2]))
+        gap = float(shapely.distance(opening_area.exterior, outline.area.exterior)) - side
+        if distances.max() > 0.0 or gap < 0.0:
+            k = int(np.argmax(distances)) if distances.max() > 0.0 else _nearest_point(outline, opening_area)
+            x, y, _ = outline.curve.point[k] / MM
+            beyond = float(distances.max()) + side if distances.max() > 0.0 else -gap
+            what = f"{name}: at ({x:.1f}, {y:.1f}) mm the curve, with slot and leads, is {beyond / MM:.1f} "
             what += "mm beyond the opening of the clamp"
-            hint = "move the curve inwards, or take a larger opening"
+            hint = "move the curve inwards, or use a larger opening"
             yield Issue("trim.off_part", what, value=beyond / MM, limit=0.0, unit="mm", hint=hint)
-    for one, other in itertools.combinations([w for w in wanted if w.area.is_valid], 2):
-        names = f"{one.spec.name} and {other.spec.name}"
-        if shapely.intersects(one.area.exterior, other.area.exterior):
+    for outline, other in itertools.combinations([w for w in outlines if w.area.is_valid], 2):
+        names = f"{outline.spec.name} and {other.spec.name}"
+        if shapely.intersects(outline.area.exterior, other.area.exterior):
             where = (
-                shapely.get_coordinates(shapely.intersection(one.area.exterior, other.area.exterior))[0] / MM
+                shapely.get_coordinates(shapely.intersection(outline.area.exterior, other.area.exterior))[0]
+                / MM
             )
             what = f"{names} cross or meet, at ({where[0]:.1f}, {where[1]:.1f}) mm"
             yield Issue("trim.crosses", what, hint="move one of them, or join them to one curve")
             continue
-        between = float(shapely.distance(one.area.exterior, other.area.exterior))
+        between = float(shapely.distance(outline.area.exterior, other.area.exterior))
         if between < 2.0 * tolerance:
-            near = shapely.get_coordinates(shapely.shortest_line(one.area.exterior, other.area.exterior))
-            x, y = near.mean(axis=0) / MM
+            gap = shapely.get_coordinates(shapely.shortest_line(outline.area.exterior, other.area.exterior))
+            x, y = gap.mean(axis=0) / MM
             what = f"{names} come within {between / MM:.2f} mm of each other, at ({x:.1f}, {y:.1f}) mm; as "
-            what += f"both edges may be off by shape_tol_mm, allowed are {2.0 * tolerance / MM:g} mm or more"
-            hint = "move them apart, join them to one curve, or take a smaller shape_tol_mm"
+            what += f"both edges may deviate by shape_tol_mm, allowed {2.0 * tolerance / MM:g} mm or more"
+            hint = "move them apart, join them to one curve, or use a smaller shape_tol_mm"
             value, limit = between / MM, 2.0 * tolerance / MM
             yield Issue("trim.crosses", what, value=value, limit=limit, unit="mm", hint=hint)
             continue
-        for a, b in ((one, other), (other, one)):
-            if bool(a.waste(b.laid.point[:1, :2])[0]):
-                what = f"{b.spec.name} lies in what {a.spec.name} lets drop, so that nothing is cut there"
-                yield Issue("trim.in_waste", what, hint="leave it out, or turn drops of one of them")
+        for a, b in ((outline, other), (other, outline)):
+            if bool(a.in_waste(b.curve.point[:1, :2])[0]):
+                what = f"{b.spec.name} lies in the waste of {a.spec.name}, so that nothing is cut there"
+                yield Issue("trim.in_waste", what, hint="leave it out, or swap drops of one of them")
 
 
-def _where(reason: str) -> str:
-    """The place of a fault as GEOS tells it [m], in words; nothing where it tells none."""
-    found = re.search(r"\[(\S+) (\S+)\]", reason)
-    if found is None:
+def _fault_position(reason: str) -> str:
+    """Return the position of a fault from GEOS's reason [m], in words; empty if it states none."""
+    match = re.search(r"\[(\S+) (\S+)\]", reason)
+    if match is None:
         return ""
-    x, y = (round(float(number) / MM, 1) + 0.0 for number in found.groups())  # no -0.0
+    x, y = (round(float(number) / MM, 1) + 0.0 for number in match.groups())  # no -0.0
     return f", at ({x:.1f}, {y:.1f}) mm"
 
 
-def _nearest(one: Wanted, free: shapely.Polygon) -> int:
-    return int(np.argmin(shapely.distance(free.exterior, shapely.points(one.laid.point[:, :2]))))
+def _nearest_point(outline: PlannedOutline, free: shapely.Polygon) -> int:
+    return int(np.argmin(shapely.distance(free.exterior, shapely.points(outline.curve.point[:, :2]))))
 
 
-def clear_of(
-    own: RoundBody, places: FloatArray, tips: FloatArray, axes: FloatArray, sight: float
+def body_clearance(
+    body: RoundBody, points: FloatArray, tips: FloatArray, axes: FloatArray, max_distance: float
 ) -> FloatArray:
-    """Least distance (N, L) [m] of a tool's body, at each of ``tips`` with ``axes`` (N, L, 3) from there into
-    the tool, from ``places`` (P, 3); at most ``sight`` [m]. The L of one row lean about one place."""
+    """Return the distance (N, L) [m] of a tool's body from points.
+
+    Args:
+        body: Body of the tool.
+        points: Points (P, 3) [m].
+        tips: Tips (N, L, 3) [m]; the L of one row are tilted about one point.
+        axes: Axes into the tool (N, L, 3).
+        max_distance: Upper bound of the reported distance [m].
+    """
     out = np.empty(tips.shape[:2])
-    wide, far = own.widest + sight, max(abs(own.start), abs(own.end)) + sight
-    # what comes near to any of a row is near to the first, as far as the others lean from it
-    aside = np.linalg.norm(tips - tips[:, :1], axis=2) + far * np.linalg.norm(axes - axes[:, :1], axis=2)
-    square = np.einsum("ij,ij->i", places, places)
-    for k, (row, ways) in enumerate(zip(tips, axes, strict=True)):
-        back = places @ ways[0] - row[0] @ ways[0]
-        beside = square - 2.0 * (places @ row[0]) + row[0] @ row[0] - back * back
-        most = wide + float(aside[k].max()) + ROUNDING
-        near = places[(beside < most * most) & (np.abs(back) < far + most)]
-        for number, (tip, axis) in enumerate(zip(row, ways, strict=True)):
-            rest = near - tip
-            back = rest @ axis
-            off = np.sqrt(np.maximum(np.einsum("ij,ij->i", rest, rest) - back * back, 0.0))
-            out[k, number] = own.distance(back, off).min(initial=sight)
+    max_radius, max_axial = body.max_radius + max_distance, max(abs(body.start), abs(body.end)) + max_distance
+    # points near any tool of a row are near the first one, plus the displacement of the tilted ones
+    displacement = np.linalg.norm(tips - tips[:, :1], axis=2) + max_axial * np.linalg.norm(
+        axes - axes[:, :1], axis=2
+    )
+    square = np.einsum("ij,ij->i", points, points)
+    for k, (row, row_axes) in enumerate(zip(tips, axes, strict=True)):
+        axial = points @ row_axes[0] - row[0] @ row_axes[0]
+        radial_square = square - 2.0 * (points @ row[0]) + row[0] @ row[0] - axial * axial
+        max_radial = max_radius + float(displacement[k].max()) + ROUNDING_MARGIN_M
+        nearby = points[(radial_square < max_radial * max_radial) & (np.abs(axial) < max_axial + max_radial)]
+        for number, (tip, axis) in enumerate(zip(row, row_axes, strict=True)):
+            rest = nearby - tip
+            axial = rest @ axis
+            radial = np.sqrt(np.maximum(np.einsum("ij,ij->i", rest, rest) - axial * axial, 0.0))
+            out[k, number] = body.distance(axial, radial).min(initial=max_distance)
     return out
 
 
-def gouged(
-    one: Wanted,
-    tool: Cutting,
-    places: FloatArray,
+def gouge_depths(
+    outline: PlannedOutline,
+    tool: CuttingTool,
+    points: FloatArray,
     thickness: float,
     side: int,
-    way: tuple[FloatArray, FloatArray],
+    path: tuple[FloatArray, FloatArray],
 ) -> tuple[FloatArray, FloatArray]:
-    """How far (N,) [m] over its outline the cutter is in the part, and where (N, 3), at each row of a
-    ``way``: its tips and its axes (N, 3). ``places`` (P, 3) are those of the face, the other one
-    is lower by the ``thickness`` [m]: of that so much counts as the edge of the cut."""
-    deep, where = np.zeros(len(way[0])), np.zeros((len(way[0]), 3))
-    if tool.cutter is None or not len(places):
-        return deep, where
+    """Return how far the cutter is in the part at each row of a path.
+
+    Args:
+        outline: Outline of the slot.
+        tool: How the tool cuts.
+        points: Points of the face (P, 3) [m]. The other face is lower by the thickness.
+        thickness: Thickness of the sheet [m]. A cut through it may be as oblique as that on the other face.
+        side: +1 for the upper face, -1 for the lower one.
+        path: Tips and axes of the path (N, 3).
+
+    Returns:
+        Depth over the outline (N,) [m], and where it occurs (N, 3) [m].
+    """
+    depth, where = np.zeros(len(path[0])), np.zeros((len(path[0]), 3))
+    if tool.cutter is None or not len(points):
+        return depth, where
     cutter = tool.cutter
-    part = places[~one.waste(places[:, :2])]
+    part = points[~outline.in_waste(points[:, :2])]
     if not len(part):
-        return deep, where
-    off = apart(part, one.laid.point)
-    both = np.concatenate([part, part - np.array([0.0, 0.0, side * thickness])])
-    off = np.concatenate([off, off - thickness])
-    tree = cKDTree(both)
-    for k, (tip, axis) in enumerate(zip(*way, strict=True)):
-        some = tree.query_ball_point(tip + 0.5 * cutter.flute * axis, 0.5 * cutter.flute + cutter.radius)
-        if not some:
+        return depth, where
+    distances = curve_distance(part, outline.curve.point)
+    both_faces = np.concatenate([part, part - np.array([0.0, 0.0, side * thickness])])
+    distances = np.concatenate([distances, distances - thickness])
+    tree = cKDTree(both_faces)
+    for k, (tip, axis) in enumerate(zip(*path, strict=True)):
+        nearby = tree.query_ball_point(tip + 0.5 * cutter.flute * axis, 0.5 * cutter.flute + cutter.radius)
+        if not nearby:
             continue
-        rest = both[some] - tip
-        back = rest @ axis
-        beside = np.linalg.norm(rest - back[:, None] * axis, axis=1)
-        inside = (beside < cutter.radius) & (back > 0.0) & (back < cutter.flute)
-        found = np.where(inside, off[some], 0.0)
-        j = int(np.argmax(found))
-        deep[k], where[k] = found[j], both[some[j]]
-    return deep, where
+        rest = both_faces[nearby] - tip
+        axial = rest @ axis
+        radial = np.linalg.norm(rest - axial[:, None] * axis, axis=1)
+        inside = (radial < cutter.radius) & (axial > 0.0) & (axial < cutter.flute)
+        depths = np.where(inside, distances[nearby], 0.0)
+        j = int(np.argmax(depths))
+        depth[k], where[k] = depths[j], both_faces[nearby[j]]
+    return depth, where
 
 
-def gouge_issue(slot: Slot, deep: FloatArray, where: FloatArray, op: Trim) -> Iterator[Issue]:
-    """A cutter that goes into the part where that is bent."""
-    k = int(np.argmax(deep))
-    if deep[k] <= op.shape_tol_mm * MM:
+def gouge_issue(slot: Slot, depth: FloatArray, where: FloatArray, op: Trim) -> Iterator[Issue]:
+    """Yield the issue of a cutter that enters the part where the part is bent.
+
+    Args:
+        slot: Slot.
+        depth: Depths along it (N,) [m].
+        where: Points at which they occur (N, 3) [m].
+        op: Operation.
+    """
+    k = int(np.argmax(depth))
+    if depth[k] <= op.shape_tol_mm * MM:
         return
     x, y, z = where[k] / MM
-    what = f"{slot.outline}: the cutter goes {deep[k] / MM:.2f} mm over the curve into the part, at "
-    what += f"({x:.1f}, {y:.1f}, {z:.1f}) mm; allowed: {op.shape_tol_mm:g} mm"
-    hint = "move the curve away from the wall there, take a thinner cutter, or less below_mm"
-    value, limit = float(deep[k]) / MM, op.shape_tol_mm
+    what = f"{slot.outline}: the cutter goes {depth[k] / MM:.2f} mm over the curve into the part, at "
+    what += f"({x:.1f}, {y:.1f}, {z:.1f}) mm, allowed {op.shape_tol_mm:g} mm"
+    hint = "move the curve away from the wall there, use a thinner cutter, or less below_mm"
+    value, limit = float(depth[k]) / MM, op.shape_tol_mm
     yield Issue("trim.wall", what, value=value, limit=limit, unit="mm", hint=hint)
 
 
-def part_places(
-    face: Face, size: FloatArray, tool: Cutting, way: tuple[FloatArray, FloatArray]
+def part_points(
+    face: SheetFace, size: FloatArray, tool: CuttingTool, path: tuple[FloatArray, FloatArray]
 ) -> FloatArray:
-    """Places (P, 3) of the sheet of ``size`` (3,) [m], ``PART_SPACING`` from one another at most, where a
-    cutter may be in one of its faces at some row of a ``way``: its tips and axes (N, 3). Raises
-    ``TandemError`` (trim.wall) where there are too many."""
+    """Return points of the sheet at which a cutter may be in one of its faces.
+
+    Args:
+        face: Face of the sheet.
+        size: Size of the sheet (3,) [m].
+        tool: How the tool cuts.
+        path: Tips and axes of the path (N, 3).
+
+    Returns:
+        Points (P, 3) [m], at most ``PART_SPACING_M`` apart.
+
+    Raises:
+        TandemError: ``trim.wall`` if there are too many points.
+    """
     if tool.cutter is None:
         return np.zeros((0, 3))
-    vertices, faces = face.beyond(size[:2])
-    flute = flute_body(tool.cutter)
-    found, _, count = places_near(
-        vertices[faces], *way, flute, float(size[2]), PART_SPACING, MOST_PART_PLACES
-    )
-    if count > MOST_PART_PLACES:
-        what = f"about the slot there are {count} places to be looked at; allowed: {MOST_PART_PLACES}"
-        hint = "cut it in several pieces (joints), or take a thinner cutter"
-        raise refusal("trim.wall", what, value=count, limit=MOST_PART_PLACES, hint=hint)
-    return found
+    vertices, faces = face.sheet_triangles(size[:2])
+    flute = SweptBody(*path, flute_body(tool.cutter))
+    points, _, count = points_near(vertices[faces], flute, float(size[2]), PART_SPACING_M, MAX_PART_POINTS)
+    if count > MAX_PART_POINTS:
+        what = f"the slot needs {count} points to be checked, allowed {MAX_PART_POINTS}"
+        hint = "cut it in several pieces (joints), or use a thinner cutter"
+        raise issue_error("trim.wall", what, value=count, limit=MAX_PART_POINTS, hint=hint)
+    return points
 
 
-def face_places(face: Face, size: FloatArray) -> FloatArray:
-    """Places (P, 3) of the sheet of ``size`` (2,) [m], ``FACE_SPACING`` from one another at most."""
-    vertices, faces = face.beyond(size)
+def face_points(face: SheetFace, size: FloatArray) -> FloatArray:
+    """Return points (P, 3) of the sheet, at most ``FACE_SPACING_M`` apart.
+
+    Args:
+        face: Face of the sheet.
+        size: Size of the sheet (2,) [m].
+    """
+    vertices, faces = face.sheet_triangles(size)
     return np.concatenate(
-        [vertices, small_pieces(vertices[faces], FACE_SPACING, MOST_PLACES)[0].mean(axis=1)]
+        [vertices, bisect_triangles(vertices[faces], FACE_SPACING_M, MAX_FACE_POINTS)[0].mean(axis=1)]
     )
 
 
-def wall_issue(slot: Slot, tips: FloatArray, off: FloatArray, op: Trim, tool: Cutting) -> Iterator[Issue]:
-    """A tool square to the face that is nearer to the sheet than it may be."""
-    k = int(np.argmin(off))
-    if off[k] >= op.clear_mm * MM:
+def wall_issue(
+    slot: Slot, tips: FloatArray, distances: FloatArray, op: Trim, tool: CuttingTool
+) -> Iterator[Issue]:
+    """Yield the issue of a tool, normal to the face, that is too near to the sheet.
+
+    Args:
+        slot: Slot.
+        tips: Tips along it (N, 3) [m].
+        distances: Distances of the tool from the sheet (N,) [m].
+        op: Operation.
+        tool: How the tool cuts.
+    """
+    k = int(np.argmin(distances))
+    if distances[k] >= op.clear_mm * MM:
         return
     x, y, z = tips[k] / MM
-    what = f"{slot.outline}: at ({x:.1f}, {y:.1f}, {z:.1f}) mm the {_named(tool)}, square to the sheet, "
-    what += f"{'stands in it by' if off[k] < 0.0 else 'is off its wall by'} {abs(off[k]) / MM:.2f} mm; "
-    what += f"wanted: {op.clear_mm:g} mm"
-    hint = "move the curve away from the wall, take a longer flute or a slimmer holder"
+    what = (
+        f"{slot.outline}: at ({x:.1f}, {y:.1f}, {z:.1f}) mm the {_clear_part_name(tool)}, square to the "
+        "sheet, "
+    )
+    what += (
+        f"{'enters it by' if distances[k] < 0.0 else 'is away from its wall by'} "
+        f"{abs(distances[k]) / MM:.2f} mm, "
+    )
+    what += f"required {op.clear_mm:g} mm"
+    hint = "move the curve away from the wall, use a longer flute or a slimmer holder"
     if tool.blade is not None:
-        hint = "move the curve away from the wall, take a longer blade_mm or a slimmer body"
+        hint = "move the curve away from the wall, use a longer blade_mm or a slimmer body"
     elif tool.cutter is None:
-        hint = "move the curve away from the wall, take a slimmer nozzle, or a larger standoff_mm"
-    yield Issue("trim.wall", what, value=float(off[k]) / MM, limit=op.clear_mm, unit="mm", hint=hint)
+        hint = "move the curve away from the wall, use a slimmer nozzle, or a larger standoff_mm"
+    yield Issue("trim.wall", what, value=float(distances[k]) / MM, limit=op.clear_mm, unit="mm", hint=hint)
 
 
-def _named(tool: Cutting) -> str:
-    """What keeps clear of the sheet, in words."""
+def _clear_part_name(tool: CuttingTool) -> str:
+    """Return the name of what has to keep its clearance from the sheet."""
     if tool.blade is not None:
-        return f"{tool.word}'s body"
-    return tool.word if tool.cutter is None else f"{tool.word}'s shank or holder"
+        return f"{tool.label}'s body"
+    return tool.label if tool.cutter is None else f"{tool.label}'s shank or holder"
 
 
 def rise_issue(slot: Slot, axes: FloatArray, side: int) -> Iterator[Issue]:
-    """A tool so flat at a pierce point or at an end that it never rises to the safe plane."""
+    """Yield the issue of a tool that is too flat at the ends of a slot to rise to the safe plane.
+
+    Args:
+        slot: Slot.
+        axes: Axes along it (N, 3).
+        side: +1 for the upper face, -1 for the lower one.
+    """
     up = float((side * axes[[0, -1], 2]).min())
-    if up < np.sin(LEAST_RISE):
-        lean = float(np.rad2deg(np.arccos(np.clip(up, -1.0, 1.0))))
-        most = 90.0 - LEAST_RISE / DEG
-        what = f"{slot.outline}: where its slot begins or ends the wall is {lean:.0f} deg steep, and a tool "
-        what += f"square to it does not come down to it from the safe plane; allowed: {most:g} deg"
+    if up < np.sin(MIN_RISE_RAD):
+        wall_deg = float(np.rad2deg(np.arccos(np.clip(up, -1.0, 1.0))))
+        max_deg = 90.0 - MIN_RISE_RAD / DEG
+        what = f"{slot.outline}: at an end of its slot the wall is {wall_deg:.0f} deg steep, and a tool "
+        what += f"normal to it cannot come down to it from the safe plane, allowed {max_deg:g} deg"
         yield Issue(
-            "trim.wall", what, value=lean, limit=most, unit="deg", hint="let it begin on a flatter place"
+            "trim.wall",
+            what,
+            value=wall_deg,
+            limit=max_deg,
+            unit="deg",
+            hint="start it where the sheet is flatter",
         )
 
 
-def leans(axes: FloatArray, angle: float) -> list[FloatArray]:
-    """Axes (N, 3) leant by ``angle`` [rad] to ``LEANS`` sides."""
-    one = unit(np.cross(axes, np.eye(3)[int(np.abs(axes).max(axis=0).argmin())]))
-    other = np.cross(axes, one)
-    turn = 2.0 * np.pi * np.arange(LEANS) / LEANS
+def tilted_axes(axes: FloatArray, angle: float) -> list[FloatArray]:
+    """Return axes (N, 3) tilted in ``TILT_DIRECTIONS`` directions.
+
+    Args:
+        axes: Axes (N, 3).
+        angle: Tilt [rad].
+    """
+    first = unit(np.cross(axes, np.eye(3)[int(np.abs(axes).max(axis=0).argmin())]))
+    second = np.cross(axes, first)
+    directions = 2.0 * np.pi * np.arange(TILT_DIRECTIONS) / TILT_DIRECTIONS
     return [
-        np.asarray(np.cos(angle) * axes + np.sin(angle) * (np.cos(t) * one + np.sin(t) * other)) for t in turn
+        np.asarray(np.cos(angle) * axes + np.sin(angle) * (np.cos(t) * first + np.sin(t) * second))
+        for t in directions
     ]

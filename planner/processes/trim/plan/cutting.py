@@ -1,5 +1,7 @@
-"""What cuts a sheet, as the job sees it: a torch whose TCP is on the face, a mill or a knife that goes
-through it."""
+"""What cuts a sheet, as the job sees it.
+
+The TCP of a torch is on the face. A mill or knife goes through the sheet.
+"""
 
 import dataclasses
 from collections.abc import Sequence
@@ -10,42 +12,51 @@ import numpy as np
 from planner.geometry.arrays import FloatArray
 from planner.geometry.swept_body import RoundBody
 from planner.geometry.units import MM
-from planner.issues import refusal
+from planner.issues import issue_error
 from planner.processes.trim.plan.operation import KnifeCut, MillCut, Trim
 from planner.tooling import Blade, Cutter, Knife, Mill, Tool, Torch
 
-Trimmer = Torch | Mill | Knife
+TrimTool = Torch | Mill | Knife
 """Tools that trim."""
 
-OFF_SHANK: Final = 0.1 * MM
-"""How much of flute or blade [m] stays out of the sheet besides the wanted clearance."""
+SHANK_MARGIN_M: Final = 0.1 * MM
+"""Length of flute or blade [m] that stays out of the sheet, in addition to the required clearance."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Cutting:
-    """``word`` names the tool, ``kerf`` [m] is the width of its slot. In a slot its TCP is ``deep`` [m]
-    behind the face, along its axis, and where it begins ``lift`` [m] higher than that. ``body`` keeps clear
-    of the sheet. A mill's ``cutter`` cuts what it meets, a knife's ``blade`` what is in its plane; both go
-    down at ``plunge`` [m/s], straight where not ``ramp``."""
+class CuttingTool:
+    """How a tool cuts.
 
-    word: str
+    Attributes:
+        label: Name of the tool in messages.
+        kerf: Width of its slot [m].
+        depth: Depth of the TCP behind the face in a slot, along the tool's axis [m].
+        lift: How much higher the TCP is where a slot starts [m].
+        clear_body: Body that keeps clear of the sheet.
+        cutter: Cutter of a mill, which cuts what it meets.
+        plunge: Speed at which a mill or knife goes down [m/s].
+        is_ramp: Whether it goes down along its lead-in, or else straight.
+        blade: Blade of a knife, which cuts in its plane.
+    """
+
+    label: str
     kerf: float
-    deep: float
+    depth: float
     lift: float
-    body: RoundBody
+    clear_body: RoundBody
     cutter: Cutter | None = None
     plunge: float = float("inf")
-    ramp: bool = True
+    is_ramp: bool = True
     blade: Blade | None = None
 
     @property
-    def through(self) -> bool:
+    def goes_through(self) -> bool:
         """Whether it goes through the sheet."""
         return self.cutter is not None or self.blade is not None
 
 
-def kerf_of(tool: Trimmer) -> float:
-    """Width [m] of the slot that a tool cuts; a knife takes nothing away."""
+def kerf_width(tool: TrimTool) -> float:
+    """Return the width [m] of the slot that a tool cuts. A knife removes nothing."""
     match tool:
         case Torch():
             return tool.kerf
@@ -55,49 +66,65 @@ def kerf_of(tool: Trimmer) -> float:
             return 0.0
 
 
-def mounted(op: Trim, tool: Tool) -> Trimmer:
-    """The tool with which an arm cuts. Raises ``TandemError`` (trim.tool) for one that does not."""
-    if isinstance(tool, Mill | Torch | Knife) and op.by.kind == _KIND[type(tool)]:
+def mounted_tool(op: Trim, tool: Tool) -> TrimTool:
+    """Return the tool with which an arm cuts.
+
+    Args:
+        op: Operation.
+        tool: Tool of the arm.
+
+    Raises:
+        TandemError: ``trim.tool`` if it does not cut as the operation states.
+    """
+    if isinstance(tool, Mill | Torch | Knife) and op.by.kind == _TOOL_KINDS[type(tool)]:
         return tool
-    wanted = op.by.kind
-    what = f"{op.name}: arm {op.arms[0]} carries {tool.name}, no {wanted}"
-    hint = f"give it tool: {{kind: {wanted}, ...}}, by a setup if need be"
+    required = op.by.kind
+    what = f"{op.name}: arm {op.arms[0]} carries {tool.name}, which is not a {required}"
+    hint = f"give it tool: {{kind: {required}, ...}}, in a setup if necessary"
     if isinstance(tool, Mill | Torch | Knife):
-        hint += f", or state by: {{kind: {_KIND[type(tool)]}}}"
-    raise refusal("trim.tool", what, hint=hint)
+        hint += f", or state by: {{kind: {_TOOL_KINDS[type(tool)]}}}"
+    raise issue_error("trim.tool", what, hint=hint)
 
 
-_KIND: Final = {Mill: "mill", Torch: "torch", Knife: "knife"}
-"""What ``by`` calls each tool."""
+_TOOL_KINDS: Final = {Mill: "mill", Torch: "torch", Knife: "knife"}
+"""Kind of each tool in ``by``."""
 
 
-def cutting(op: Trim, tool: Trimmer, thickness: float) -> Cutting:
-    """How a tool cuts a sheet ``thickness`` [m] thick. Raises ``TandemError`` (trim.tool) for cutters and
-    blades that do not go through it."""
+def cutting_tool(op: Trim, tool: TrimTool, thickness: float) -> CuttingTool:
+    """Return how a tool cuts a sheet.
+
+    Args:
+        op: Operation.
+        tool: Tool of the arm.
+        thickness: Thickness of the sheet [m].
+
+    Raises:
+        TandemError: ``trim.tool`` for cutters and blades that do not go through the sheet.
+    """
     if isinstance(tool, Torch):
         height = tool.standoff if op.pierce.height_mm is None else op.pierce.height_mm * MM
-        return Cutting("torch", tool.kerf, 0.0, height - tool.standoff, torch_body(tool))
+        return CuttingTool("torch", tool.kerf, 0.0, height - tool.standoff, torch_body(tool))
     if isinstance(tool, Knife) and isinstance(op.by, KnifeCut):
-        deep = thickness + op.by.below_mm * MM
-        _require_reach(op, ("blade", "blade_mm"), tool.blade.length, deep)
-        body = _cylinders([(tool.blade.length, tool.back, tool.body)])
-        lift, plunge = deep + op.by.start_mm * MM, op.by.plunge_mm_s * MM
-        return Cutting("knife", 0.0, deep, lift, body, plunge=plunge, ramp=False, blade=tool.blade)
+        depth = thickness + op.by.below_mm * MM
+        _require_reach(op, ("blade", "blade_mm"), tool.blade.length, depth)
+        body = _stacked_cylinders([(tool.blade.length, tool.back, tool.body)])
+        lift, plunge = depth + op.by.start_mm * MM, op.by.plunge_mm_s * MM
+        return CuttingTool("knife", 0.0, depth, lift, body, plunge=plunge, is_ramp=False, blade=tool.blade)
     if not isinstance(tool, Mill) or not isinstance(op.by, MillCut):
         raise ValueError("a mill cuts by: {kind: mill}, a knife by: {kind: knife}")
     cutter, by = tool.cutter, op.by
-    deep = thickness + by.below_mm * MM
-    _require_reach(op, ("flute", "flute_mm"), cutter.flute, deep)
+    depth = thickness + by.below_mm * MM
+    _require_reach(op, ("flute", "flute_mm"), cutter.flute, depth)
     if cutter.corner > by.below_mm * MM:
         what = f"{op.name}: the end of the {cutter.kind} cutter, round over {cutter.corner / MM:g} mm, stays "
-        what += f"in the sheet; below_mm: {by.below_mm:g}"
-        hint = f"take a cylinder, or below_mm: {cutter.corner / MM:g}"
-        raise refusal("trim.tool", what, limit=by.below_mm, unit="mm", hint=hint)
-    return Cutting(
+        what += f"in the sheet with below_mm: {by.below_mm:g}"
+        hint = f"use a cylinder, or below_mm: {cutter.corner / MM:g}"
+        raise issue_error("trim.tool", what, limit=by.below_mm, unit="mm", hint=hint)
+    return CuttingTool(
         "cutter",
         2.0 * cutter.radius,
-        deep,
-        deep + by.start_mm * MM,
+        depth,
+        depth + by.start_mm * MM,
         shank_body(cutter),
         cutter,
         by.plunge_mm_s * MM,
@@ -105,51 +132,57 @@ def cutting(op: Trim, tool: Trimmer, thickness: float) -> Cutting:
     )
 
 
-def _require_reach(op: Trim, names: tuple[str, str], length: float, deep: float) -> None:
-    """Whether what cuts reaches ``deep`` [m] behind the face with room for what does not; ``names``: of it,
-    and of the field of its ``length`` [m]."""
-    least = deep + op.clear_mm * MM + OFF_SHANK
-    if length < least:
-        what = f"{op.name}: the {names[0]} of {length / MM:g} mm does not reach through the sheet; wanted: "
-        what += f"{least / MM:.2f} mm, the sheet, below_mm and clear_mm"
-        hint = f"take a longer {names[1]}, or less below_mm"
-        value, limit = length / MM, least / MM
-        raise refusal("trim.tool", what, value=value, limit=limit, unit="mm", hint=hint)
+def _require_reach(op: Trim, names: tuple[str, str], length: float, depth: float) -> None:
+    """Check that what cuts reaches ``depth`` [m] behind the face, with a margin for what does not cut.
+
+    ``names`` are those of what cuts and of the field of its ``length`` [m].
+    """
+    required = depth + op.clear_mm * MM + SHANK_MARGIN_M
+    if length < required:
+        what = f"{op.name}: the {names[0]} of {length / MM:g} mm does not reach through the sheet, required "
+        what += f"{required / MM:.2f} mm (sheet, below_mm and clear_mm)"
+        hint = f"use a longer {names[1]}, or less below_mm"
+        value, limit = length / MM, required / MM
+        raise issue_error("trim.tool", what, value=value, limit=limit, unit="mm", hint=hint)
 
 
 def torch_body(torch: Torch) -> RoundBody:
-    """A torch as a body of revolution about its axis, from the TCP backwards. Its distances are those from
-    the planes of nozzle's end, cone and body, never more than the true ones."""
+    """Return a torch as a body of revolution about its axis, from the TCP backwards.
+
+    Distances are those from the planes of nozzle, cone and body, which are never more than the true ones.
+    """
     slope = np.arctan2(torch.body - torch.nozzle, torch.cone)
 
-    def distance(back: FloatArray, beside: FloatArray) -> FloatArray:
-        cone = (beside - torch.nozzle) * np.cos(slope) - (back - torch.standoff) * np.sin(slope)
-        ends = np.maximum(torch.standoff - back, back - torch.back)
-        return np.asarray(np.maximum(np.maximum(cone, beside - torch.body), ends))
+    def distance(axial: FloatArray, radial: FloatArray) -> FloatArray:
+        cone = (radial - torch.nozzle) * np.cos(slope) - (axial - torch.standoff) * np.sin(slope)
+        ends = np.maximum(torch.standoff - axial, axial - torch.back)
+        return np.asarray(np.maximum(np.maximum(cone, radial - torch.body), ends))
 
     return RoundBody(torch.standoff, torch.back, torch.body, distance)
 
 
 def flute_body(cutter: Cutter) -> RoundBody:
-    """What of a mill cuts: a cylinder."""
-    return _cylinders([(0.0, cutter.flute, cutter.radius)])
+    """Return the part of a mill that cuts: a cylinder."""
+    return _stacked_cylinders([(0.0, cutter.flute, cutter.radius)])
 
 
 def shank_body(cutter: Cutter) -> RoundBody:
-    """What of a mill does not cut: shank, holder and spindle, cylinders one behind the other."""
-    rings = cutter.behind
+    """Return the part of a mill that does not cut: shank, holder and spindle, as consecutive cylinders."""
+    rings = cutter.holder_outline
     pieces = [(cutter.flute, cutter.overhang, cutter.shank)]
     pieces += [(float(a[0]), float(b[0]), float(a[1])) for a, b in zip(rings[::2], rings[1::2], strict=True)]
-    return _cylinders(pieces)
+    return _stacked_cylinders(pieces)
 
 
-def _cylinders(pieces: Sequence[tuple[float, float, float]]) -> RoundBody:
-    """Cylinders one behind the other, from where to where behind the tip and of which radius [m] each. Their
-    distances are those from their planes and sides, never more than the true ones."""
+def _stacked_cylinders(pieces: Sequence[tuple[float, float, float]]) -> RoundBody:
+    """Return consecutive cylinders, each with start and end behind the tip and radius [m].
 
-    def distance(back: FloatArray, beside: FloatArray) -> FloatArray:
-        own = [np.maximum(beside - r, np.maximum(low - back, back - high)) for low, high, r in pieces]
-        return np.asarray(np.min(own, axis=0))
+    Distances are those from their planes and sides, which are never more than the true ones.
+    """
+
+    def distance(axial: FloatArray, radial: FloatArray) -> FloatArray:
+        distances = [np.maximum(radial - r, np.maximum(low - axial, axial - high)) for low, high, r in pieces]
+        return np.asarray(np.min(distances, axis=0))
 
     widest = max(radius for _, _, radius in pieces)
     return RoundBody(pieces[0][0], pieces[-1][1], widest, distance)

@@ -1,14 +1,15 @@
-"""The process `trim`: from closed curves on a formed sheet to targets of one arm's torch, mill or knife, and
-claims.
+"""The process ``trim``: from closed curves on a formed sheet to targets of one arm's tool, and claims.
 
-See `face` (curves laid on the face, slots beside them), `slots` (ways in and out, micro-joints),
-`stretches` (a knife's cuts), `cutting` (what cuts), `check` (what would go wrong), `route` (the way through
-all slots), `route_targets` (targets of it), `pace` (how fast), `claims`, `shown`.
+The tool is a torch, a mill or a knife. See `face` (curves on the face, offset slots), `slots` (leads,
+micro-joints), `stretches` (cuts of a knife), `cutting` (what cuts), `check` (checks before motion planning),
+`route` (path through all slots), `route_targets` (its targets), `pace` (feeds), `claims` and `shown`
+(exhibits).
 
-**Poses**: a torch's TCP is the place that is cut, a mill's and a knife's its tip, as far behind that as it
-goes through the sheet; z is the tool's axis, which points into the sheet, x of a knife the way it cuts.
-Motion may spin the tool, and lean it about the place that is cut within its cone where that keeps it clear
-of the sheet; a knife it may spin a little, as it stands along its curve and square to the sheet.
+**Poses**: the TCP of a torch is the point that is cut. That of a mill or knife is its tip, as deep behind
+that point as it goes through the sheet. z is the tool's axis, which points into the sheet; x of a knife is
+its cutting direction. Motion planning may spin a tool. It may tilt it about the point that is cut, within its
+cone, where the tool stays clear of the sheet. A knife may only spin a little, because it is aligned with its
+curve and normal to the sheet.
 """
 
 import dataclasses
@@ -22,56 +23,69 @@ import shapely
 from planner.claims.claim import Claim
 from planner.geometry.arrays import FloatArray, Mesh
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError, aggregate, has_errors, refusal
-from planner.problem import Formed, Hole
-from planner.processes.forming.plan.features.tree import LEAST_BUMP, build
-from planner.processes.forming.plan.stages import formed_sheet, shown
+from planner.issue_codes import format_message
+from planner.issues import Issue, TandemError, aggregate, has_errors, issue_error
+from planner.problem import FormedPart, SheetHole
+from planner.processes.forming.plan.features.tree import MIN_BUMP_HEIGHT_M, build_feature_tree
+from planner.processes.forming.plan.stages import formed_sheet, sheet_exhibit
 from planner.processes.trim.plan import check
-from planner.processes.trim.plan.claims import claims
-from planner.processes.trim.plan.cutting import Cutting, Trimmer, cutting, mounted
-from planner.processes.trim.plan.face import Face, lay
+from planner.processes.trim.plan.claims import trim_claims
+from planner.processes.trim.plan.cutting import CuttingTool, TrimTool, cutting_tool, mounted_tool
+from planner.processes.trim.plan.face import SheetFace, project_curve
+from planner.processes.trim.plan.feed_check import slow_issues
 from planner.processes.trim.plan.operation import Trim, every_outline, outline_notes
-from planner.processes.trim.plan.pace import too_slow
-from planner.processes.trim.plan.route import route
-from planner.processes.trim.plan.route_targets import targets_of
-from planner.processes.trim.plan.slots import Slot, Wanted, slots
-from planner.processes.trim.plan.stretches import stretches
+from planner.processes.trim.plan.route import plan_route
+from planner.processes.trim.plan.route_targets import build_targets
+from planner.processes.trim.plan.slots import PlannedOutline, Slot, SlotPlan, plan_slots
+from planner.processes.trim.plan.stretches import plan_stretches
 from planner.reading import sheet as sheet_file
 from planner.targets import Job, Targets
 
 FEATURE_STEP: Final = 0.5 * MM
-"""Distance of the slices of features [m]; what each one moves does not hang on it."""
+"""Distance of the slices of features [m]. The shape of the features does not depend on it."""
 
 
 class TrimJob(Job[Trim]):
-    """An operation that trims, with the torch and the sheet that it finds."""
+    """Job of an operation that trims, with its tool and the sheet as the operation finds it."""
 
     @functools.cached_property
-    def tool(self) -> Trimmer:
-        """The tool of the arm. Raises ``TandemError`` (trim.tool)."""
-        return mounted(self.operation, self.setup.cell.arm(self.operation.arms[0]).tool)
+    def tool(self) -> TrimTool:
+        """The tool of the arm.
+
+        Raises:
+            TandemError: ``trim.tool``.
+        """
+        return mounted_tool(self.operation, self.setup.cell.arm(self.operation.arms[0]).tool)
 
     @functools.cached_property
-    def cutting(self) -> Cutting:
-        """How it cuts. Raises ``TandemError`` (trim.tool)."""
-        return cutting(self.operation, self.tool, float(self.setup.stock.size[2]))
+    def cutting(self) -> CuttingTool:
+        """How the tool cuts.
+
+        Raises:
+            TandemError: ``trim.tool``.
+        """
+        return cutting_tool(self.operation, self.tool, float(self.setup.stock.size[2]))
 
     @functools.cached_property
-    def face(self) -> Face:
-        """The face that the torch follows. Raises ``TandemError`` (trim.no_sheet) and issues of files."""
+    def face(self) -> SheetFace:
+        """The face that the tool follows.
+
+        Raises:
+            TandemError: ``trim.no_sheet``, and issues of files.
+        """
         thickness = float(self.setup.stock.size[2])
-        return Face(self.formed, thickness, 1 if self.operation.side == "top" else -1)
+        return SheetFace(self.formed, thickness, 1 if self.operation.side == "top" else -1)
 
     @functools.cached_property
-    def surface(self) -> Formed:
-        """What the file has of the face, and how far it may be off. Raises as :attr:`face`."""
+    def surface(self) -> FormedPart:
+        """The face as the file has it, and its possible deviation. Raises as :attr:`face`."""
         op, stock, part = self.operation, self.setup.stock, self.part
         if not isinstance(op.surface, str):
-            place = None if op.surface.frame == "find" else np.eye(4)
-            part = sheet_file.build(op.surface, Path(), stock, place)
+            pose = None if op.surface.frame == "find" else np.eye(4)
+            part = sheet_file.build_formed_part(op.surface, Path(), stock, pose)
         if stock.sheet is None or part is None or part.formed is None:
             what = f"{op.name}: there is no formed sheet; give sheet: and a part of kind sheet_mesh"
-            raise refusal("trim.no_sheet", what, field="sheet")
+            raise issue_error("trim.no_sheet", what, field="sheet")
         return part.formed
 
     @functools.cached_property
@@ -79,78 +93,100 @@ class TrimJob(Job[Trim]):
         """The lower face of the sheet as it is trimmed. Raises as :attr:`face`."""
         mesh, sheet = self.surface.mesh, self.setup.stock.sheet
         stages = None if sheet is None else sheet.stages
-        if isinstance(self.operation.surface, str) and stages is not None and stages.after:
-            tree = build(mesh, FEATURE_STEP, max(LEAST_BUMP, self.surface.tolerance))
-            done = {number for _, some in stages.before for number in some or ()}
-            known = sorted(done.intersection(one.id for one in tree.features))
+        if isinstance(self.operation.surface, str) and stages is not None and stages.following:
+            tree = build_feature_tree(mesh, FEATURE_STEP, max(MIN_BUMP_HEIGHT_M, self.surface.tolerance))
+            done = {number for _, numbers in stages.previous for number in numbers or ()}
+            known = sorted(done.intersection(feature.id for feature in tree.features))
             mesh = formed_sheet(mesh, tree, known)
         return mesh
 
     @functools.cached_property
-    def wanted(self) -> tuple[Wanted, ...]:
-        """The outlines in the order of cutting: those that lie in most others first."""
-        found = []
-        for one, points in every_outline(self.operation):
-            laid = lay(one.name, points, self.face)
-            found.append(Wanted(one, laid, shapely.Polygon(laid.point[:, :2])))
+    def outlines(self) -> tuple[PlannedOutline, ...]:
+        """The outlines in the order of cutting: those inside most others first."""
+        outlines = []
+        for spec, points in every_outline(self.operation):
+            curve = project_curve(spec.name, points, self.face)
+            outlines.append(PlannedOutline(spec, curve, shapely.Polygon(curve.point[:, :2])))
         inside = [
             sum(
-                shapely.contains_properly(o.area.buffer(0), shapely.Point(w.laid.point[0, :2])) for o in found
+                shapely.contains_properly(o.area.buffer(0), shapely.Point(w.curve.point[0, :2]))
+                for o in outlines
             )
-            for w in found
+            for w in outlines
         ]
-        return tuple(found[k] for k in sorted(range(len(found)), key=lambda k: -inside[k]))
+        return tuple(outlines[k] for k in sorted(range(len(outlines)), key=lambda k: -inside[k]))
 
     def targets(self) -> Targets:
-        """Targets of the operation; raises ``TandemError`` with the codes ``trim.*``."""
-        op, tool, wanted = self.operation, self.cutting, self.wanted
+        """Return the targets of the operation.
+
+        Raises:
+            TandemError: Codes ``trim.*``.
+        """
+        op, tool, outlines = self.operation, self.cutting, self.outlines
         sheet = self.setup.stock.sheet
         if sheet is None:
-            raise refusal("trim.no_sheet", f"{op.name}: there is no sheet to trim", field="sheet")
-        if tool.through and sheet.die:
-            what = f"{op.name}: there is a die behind the sheet, into which the {tool.word} would go"
-            hint = "take the die out, and trim by a problem of its own (surface:), or by a torch or laser"
-            raise refusal("trim.die", what, field="operations.die", hint=hint)
+            raise issue_error("trim.no_sheet", f"{op.name}: there is no sheet to trim", field="sheet")
+        if tool.goes_through and sheet.die:
+            what = format_message("trim.die", operation=op.name, tool=tool.label)
+            hint = "remove the die and trim in a separate problem (surface:), or use a torch or laser"
+            raise issue_error("trim.die", what, field="operations.die", hint=hint)
         reach = tool.kerf + op.lead.length_mm * MM if tool.blade is None else tool.blade.width
-        issues = list(check.curve_issues(wanted, sheet.opening, reach, op.shape_tol_mm * MM))
+        issues = list(check.curve_issues(outlines, sheet.opening, reach, op.shape_tol_mm * MM))
         if issues:
             raise TandemError(aggregate(issues))
-        made: list[Slot] = []
-        for one in wanted:
+        cut_slots: list[Slot] = []
+        for outline in outlines:
             try:
                 if tool.blade is not None:
-                    made += stretches(op, one, self.face, tool)
+                    cut_slots += plan_stretches(op, outline, self.face, tool)
                     continue
-                made += slots(op, one, [o for o in wanted if o is not one], self.face, tool.kerf)
+                cut_slots += plan_slots(
+                    op, outline, [o for o in outlines if o is not outline], self.face, tool.kerf
+                )
             except TandemError as error:
                 issues += error.issues
         if issues:
             raise TandemError(aggregate(issues))
-        way, issues = route(op, self.setup, self.face, tool, made, wanted, self.surface.tolerance)
+        slot_plan = SlotPlan(outlines, tuple(cut_slots))
+        trim_route, issues = plan_route(op, self.setup, self.face, tool, slot_plan, self.surface.tolerance)
         if has_errors(issues):
             raise TandemError(aggregate(issues))
-        free = [w for w in wanted if not w.spec.joints]  # what hangs by joints stays
-        cut = [Hole(w.spec.name, w.laid.point[:, :2], w.spec.drops == "inside") for w in free]
-        drawn = sheet.stages is not None and not self.brief
-        left = shown(self.formed, (*sheet.holes, *cut), op.name) if drawn else {}
-        found = targets_of(op, self.setup, self.tool, tool, made, wanted, way, self.claims(), left)
-        return found if self.brief else dataclasses.replace(found, issues=tuple(outline_notes(op)))
+        free = [w for w in outlines if not w.spec.joints]  # pieces held by joints stay in the sheet
+        cut = [SheetHole(w.spec.name, w.curve.point[:, :2], w.spec.drops == "inside") for w in free]
+        drawn = sheet.stages is not None and not self.is_brief
+        sheet_exhibits = sheet_exhibit(self.formed, (*sheet.holes, *cut), op.name) if drawn else {}
+        targets = build_targets(op, self.setup, tool, slot_plan, trim_route, self.claims())
+        if self.is_brief:
+            return targets
+        return dataclasses.replace(
+            targets, exhibits={**targets.exhibits, **sheet_exhibits}, issues=tuple(outline_notes(op))
+        )
 
-    def driven(
-        self, targets: Targets, time: FloatArray, passed: FloatArray | None = None
+    def check_timing(
+        self, targets: Targets, time: FloatArray, program_clock: FloatArray | None = None
     ) -> tuple[Issue, ...]:
-        """Slots in which the arm is slower on average than the operation allows."""
-        if passed is not None:
-            time = np.interp(np.arange(targets.count), *passed)
-        return too_slow(self.operation, self.cutting, targets, time)
+        """Return the slots in which the arm is slower on average than the operation allows.
 
-    def stated(self) -> tuple[Claim, ...]:
-        """What must hold of the job, from the problem alone."""
-        _ = self.cutting  # a cutter that does not go through is told before all else
-        return claims(self.operation, self.setup, self.tool, self._rough())
+        Args:
+            targets: Targets of the operation.
+            time: Times of the targets (N,) [s], or of the indices in ``program_clock``.
+            program_clock: Fractional indices of targets and their times, if the motion does not stop at
+                targets.
+        """
+        if program_clock is not None:
+            time = np.interp(np.arange(targets.count), *program_clock)
+        return slow_issues(self.operation, self.cutting, targets, time)
 
-    def _rough(self) -> float:
-        """How far [m] the face may be off; 0 where there is none, which :meth:`targets` tells."""
+    def make_claims(self) -> tuple[Claim, ...]:
+        """Return what must hold of the job, from the problem alone."""
+        _ = self.cutting  # a cutter that does not go through is reported before everything else
+        return trim_claims(self.operation, self.setup, self.tool, self._surface_error())
+
+    def _surface_error(self) -> float:
+        """Return the possible deviation of the face [m].
+
+        It is 0 if there is no face, which :meth:`targets` reports.
+        """
         try:
             return self.surface.tolerance
         except TandemError:

@@ -1,4 +1,4 @@
-"""The `trim` operation of a problem file: what a torch, a mill or a knife cuts out of a sheet, and how.
+"""The ``trim`` operation of a problem file: what a torch, a mill or a knife cuts out of a sheet, and how.
 
 Lengths are in mm, angles in degrees, speeds in mm/s.
 """
@@ -15,12 +15,12 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator, mod
 from planner.claims.segments import fold
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, LENGTH_UNITS, MM
-from planner.issues import Issue, TandemError, refusal
-from planner.problem import Hole, Stock
+from planner.issues import Issue, TandemError, issue_error
+from planner.problem import SheetHole, Stock
 from planner.reading import rhino
 from planner.reading.drawing import read_dxf
 from planner.reading.drawing_file import DrawingFile
-from planner.reading.part_ruled import GuideFile, guide
+from planner.reading.part_ruled import GuideFile, build_guide
 from planner.reading.sheet import SheetMeshFile
 from planner.reading.strict_yaml import Name, Strict
 
@@ -30,17 +30,17 @@ Signal = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")]
 class CircleFile(Strict):
     """A circle in the sheet's plane."""
 
-    at_mm: tuple[float, float] = Field(description="its middle, in the sheet's frame")
+    at_mm: tuple[float, float] = Field(description="its centre, in the sheet's frame")
     diameter_mm: float = Field(gt=0, le=10_000)
 
 
 class OutlineFile(Strict):
-    """A closed curve that is projected along the sheet's z onto its formed face and cut there: exactly one of
-    a ``curve``, whose z is not looked at, a ``circle``, and a ``drawing``, which stands for as many outlines
-    as it has curves: ``name``_1, ``name``_2 ... in the order of the file, alike in all else.
+    """A closed curve that is projected along the sheet's z onto its formed face and cut there.
 
-    What is ``inside`` of it drops, or what is ``outside``. ``joints`` of a width stay between what drops and
-    the part until somebody breaks them.
+    Give exactly one of ``curve``, whose z is ignored, ``circle`` and ``drawing``. A drawing stands for one
+    outline for each of its curves, ``name``_1, ``name``_2 and so on, in the order of the file and with the
+    same settings. What is ``inside`` of it drops, or what is ``outside``. ``joints`` of a width stay between
+    what drops and the part until they are broken.
     """
 
     name: Name
@@ -53,32 +53,35 @@ class OutlineFile(Strict):
 
     @field_validator("curve")
     @classmethod
-    def _from_the_problem_file(cls, value: GuideFile | None, info: ValidationInfo) -> GuideFile | None:
-        """A drawing is looked up from the folder of the problem file."""
+    def _resolve_curve(cls, value: GuideFile | None, info: ValidationInfo) -> GuideFile | None:
+        """Resolve a drawing from the folder of the problem file."""
         folder: Path = (info.context or {}).get("folder", Path())
-        return None if value is None else value.looked_up(folder)
+        return None if value is None else value.resolve(folder)
 
     @field_validator("drawing")
     @classmethod
-    def _drawing_from_there(cls, value: DrawingFile | None, info: ValidationInfo) -> DrawingFile | None:
+    def _resolve_drawing(cls, value: DrawingFile | None, info: ValidationInfo) -> DrawingFile | None:
         folder: Path = (info.context or {}).get("folder", Path())
-        return None if value is None else value.looked_up(folder)
+        return None if value is None else value.resolve(folder)
 
     @model_validator(mode="after")
-    def _one(self) -> Self:
+    def _check_one_source(self) -> Self:
         if [self.curve, self.circle, self.drawing].count(None) != 2:
             raise ValueError("give exactly one of curve, circle and drawing")
         return self
 
 
 class LeadFile(Strict):
-    """How the slot begins and ends, in the waste: a straight ``line`` at right angles to the curve, or an
-    ``arc`` that runs into it, as far from the curve as it is long."""
+    """How the slot starts and ends, in the waste.
+
+    A straight ``line`` is at right angles to the curve. An ``arc`` is tangent to it and as far from the curve
+    as it is long.
+    """
 
     shape: Literal["arc", "line"] = "line"
     length_mm: float = Field(default=4.0, ge=0.5, le=200, description="from the pierce point to the curve")
     out_mm: float = Field(
-        default=1.0, ge=0, le=200, description="straight off the closed curve; none behind micro-joints"
+        default=1.0, ge=0, le=200, description="straight away from the closed curve; none after micro-joints"
     )
     overcut_mm: float = Field(default=1.0, ge=0, le=50, description="past the start of a closed curve")
 
@@ -87,16 +90,16 @@ class PierceFile(Strict):
     """How the sheet is pierced, with the torch at rest in the waste."""
 
     height_mm: float | None = Field(
-        default=None, ge=0.2, le=100, description="of the nozzle off the sheet; none: its stand-off"
+        default=None, ge=0.2, le=100, description="of the nozzle above the sheet; none: its stand-off"
     )
     seconds: float = Field(default=0.5, ge=0, le=60, description="from the arc's OK to the first move")
     off_mm: float = Field(
-        default=2.0, ge=0.2, le=200, description="least distance of the pierce point from any curve"
+        default=2.0, ge=0.2, le=200, description="minimum distance of the pierce point from any curve"
     )
 
 
-def _resolved(value: SheetMeshFile | str, info: ValidationInfo) -> SheetMeshFile | str:
-    """The file of a surface, looked up from the folder of the problem file."""
+def _resolve_surface(value: SheetMeshFile | str, info: ValidationInfo) -> SheetMeshFile | str:
+    """Resolve the file of a surface from the folder of the problem file."""
     folder: Path = (info.context or {}).get("folder", Path())
     if isinstance(value, str):
         return value
@@ -110,9 +113,11 @@ class TorchCut(Strict):
 
 
 class MillCut(Strict):
-    """A mill cuts, whose kerf is its cutter's diameter. It goes through the sheet: its tip is ``below_mm``
-    lower than a sheet of its whole thickness would be. On the way in it goes down in the waste, as a ``ramp``
-    along the lead, or straight at its beginning (``plunge``)."""
+    """A mill cuts, whose kerf is its cutter's diameter.
+
+    It goes through the sheet: its tip is ``below_mm`` below a sheet of full thickness. On the lead-in it goes
+    down in the waste, as a ``ramp`` along the lead, or straight at its start (``plunge``).
+    """
 
     kind: Literal["mill"]
     below_mm: float = Field(default=1.0, ge=0.2, le=100, description="of the tip through the sheet")
@@ -123,30 +128,31 @@ class MillCut(Strict):
     plunge_mm_s: float = Field(
         default=2.0, ge=0.1, le=200, description="along the cutter's axis, into the sheet"
     )
-    spindle_rpm: float = Field(default=12_000.0, ge=1, le=100_000, description="told to the operator")
+    spindle_rpm: float = Field(default=12_000.0, ge=1, le=100_000, description="shown to the operator")
     spin_up_s: float = Field(default=5.0, ge=0, le=600)
     spin_down_s: float = Field(default=10.0, ge=0, le=600)
 
 
 class KnifeCut(Strict):
-    """A knife cuts: its blade stands in the plane of the curve, its edge ahead, and takes nothing away. It is
-    lifted and turned at corners sharper than ``turns_deg``, and where its heading has turned by more than
-    ``most_turn_deg`` since it went in.
+    """A knife cuts: its blade is in the plane of the curve, its edge ahead, and removes nothing.
 
-    Where its edge slants it cuts farther at the near face than at the far one: past a corner into the part by
-    ``overcut_mm`` at most.
+    It is lifted and rotated at corners sharper than ``turns_deg``, and where its heading has rotated by more
+    than ``most_turn_deg`` since it went in.
+
+    Where its edge is slanted, it cuts farther at the near face than at the far one. Past a corner it cuts
+    into the part by at most ``overcut_mm``.
     """
 
     kind: Literal["knife"]
     below_mm: float = Field(default=1.0, ge=0.2, le=100, description="of the tip through the sheet")
     heading_deg: float = Field(
-        default=3.0, ge=0.5, le=15, description="how far the blade may stand off the curve's direction"
+        default=3.0, ge=0.5, le=15, description="maximum angle between blade and curve"
     )
     turns_deg: float = Field(
-        default=10.0, ge=2, le=60, description="corner that it turns through without being lifted, at most"
+        default=10.0, ge=2, le=60, description="maximum corner that it passes without being lifted"
     )
     most_turn_deg: float = Field(
-        default=400.0, ge=30, le=720, description="of its heading between going in and coming out"
+        default=400.0, ge=30, le=720, description="maximum rotation of its heading while it is in the sheet"
     )
     overcut_mm: float = Field(
         default=0.5, ge=0, le=50, description="into the part past a corner, at the near face"
@@ -156,24 +162,25 @@ class KnifeCut(Strict):
     )
     plunge_mm_s: float = Field(default=5.0, ge=0.1, le=200, description="along the blade, into the sheet")
     start_up_s: float = Field(default=2.0, ge=0, le=600, description="of a drive that signal switches")
-    run_down_s: float = Field(default=2.0, ge=0, le=600, description="the same when it is switched off")
+    run_down_s: float = Field(default=2.0, ge=0, le=600, description="of that drive when it is switched off")
 
 
 SPINDLE_SIGNAL: Final = "doSpindle"
-"""The output that switches a mill's spindle, where no other is stated."""
-NOT_OF_MILLS: Final = ("pierce.height_mm", "pierce.seconds", "ok_signal", "ok_timeout_s")
-"""Fields of a torch that a mill does not have,"""
-NOT_OF_KNIVES: Final = (*NOT_OF_MILLS, "pierce.off_mm", "lead", "least_feed")
-"""and a knife."""
+"""Output that switches a mill's spindle, if no other is stated."""
+TORCH_ONLY_FIELDS: Final = ("pierce.height_mm", "pierce.seconds", "ok_signal", "ok_timeout_s")
+"""Fields of a torch that a mill does not have."""
+NON_KNIFE_FIELDS: Final = (*TORCH_ONLY_FIELDS, "pierce.off_mm", "lead", "least_feed")
+"""Fields that a knife does not have."""
 
 
 class Trim(Strict):
-    """One arm cuts closed curves out of the formed sheet ``by`` a torch, a mill or a knife, inner ones before
-    outer ones.
+    """One arm cuts closed curves out of the formed sheet ``by`` a torch, a mill or a knife.
 
-    ``surface``: the face that the tool follows: the ``wanted`` part, or a mesh of the sheet as it really is,
-    scanned or released, in the sheet's frame. ``feed_mm_s`` is for the sheet's own thickness t0; on walls of
-    the angle a, where t0 cos a is left of it, it goes at ``feed_mm_s`` / cos a.
+    Inner curves are cut before outer ones.
+
+    ``surface``: the face that the tool follows: the ``wanted`` part, or a mesh of the sheet as it is, scanned
+    or released, in the sheet's frame. ``feed_mm_s`` applies to the sheet's own thickness t0. On walls of the
+    angle a, where t0 cos a is left of it, the feed is ``feed_mm_s`` / cos a.
     """
 
     name: Name
@@ -183,7 +190,7 @@ class Trim(Strict):
         default=TorchCut(kind="torch"), discriminator="kind", description="what cuts"
     )
     side: Literal["top", "bottom"] = Field(default="top", description="of the sheet, on which the tool is")
-    surface: Annotated[Literal["wanted"] | SheetMeshFile, AfterValidator(_resolved)] = "wanted"
+    surface: Annotated[Literal["wanted"] | SheetMeshFile, AfterValidator(_resolve_surface)] = "wanted"
     outlines: tuple[OutlineFile, ...] = Field(min_length=1, max_length=500)
     lead: LeadFile = LeadFile()
     pierce: PierceFile = PierceFile()
@@ -192,66 +199,68 @@ class Trim(Strict):
         default=None, ge=0.5, le=1000, description="on thin walls; none: as the thickness says"
     )
     least_feed: float = Field(
-        default=0.5, ge=0.05, le=0.95, description="share of its feed that each cut has to reach on average"
+        default=0.5, ge=0.05, le=0.95, description="fraction of its feed that each cut reaches on average"
     )
     cone_deg: float = Field(
-        default=5.0, ge=1, le=45, description="how far the tool may lean off the sheet's normal"
+        default=5.0, ge=1, le=45, description="maximum tilt of the tool from the sheet's normal"
     )
     signal: Signal | None = Field(
         default="doArc",
         description="output that starts the arc, or the beam; of a mill the spindle: doSpindle; of a "
-        "knife its drive, none unless it is stated: it is dragged",
+        "knife its drive; without one it is dragged",
     )
     ok_signal: Signal | None = Field(
-        default="diArcOk", description="input that says that it burns; none: no such wait"
+        default="diArcOk", description="input that reports that the torch burns; none: no such wait"
     )
-    ok_timeout_s: float = Field(default=5.0, ge=0.1, le=60, description="behind which the program breaks off")
+    ok_timeout_s: float = Field(default=5.0, ge=0.1, le=60, description="after which the program aborts")
     shape_tol_mm: float = Field(default=0.3, ge=0.02, le=10, description="of the cut edge to the curve")
     height_tol_mm: float = Field(
         default=0.5, ge=0.02, le=10, description="of the stand-off, or of how deep a mill or a knife is"
     )
     clear_mm: float = Field(
-        default=1.0, ge=0.1, le=50, description="least distance of what does not cut to the formed sheet"
+        default=1.0, ge=0.1, le=50, description="minimum distance of what does not cut to the formed sheet"
     )
     safe_mm: float = Field(
-        default=30.0, ge=1, le=2000, description="of the safe plane off clamp and formed sheet"
+        default=30.0, ge=1, le=2000, description="of the safe plane from clamp and formed sheet"
     )
-    plunge_mm_s: float = Field(default=40.0, ge=0.5, le=500, description="down to where a slot begins")
+    plunge_mm_s: float = Field(default=40.0, ge=0.5, le=500, description="down to where a slot starts")
     rapid_mm_s: float = Field(default=150.0, ge=1, le=5000, description="on the safe plane")
-    step_mm: float = Field(default=4.0, ge=0.2, le=100, description="longest way between targets of a cut")
+    step_mm: float = Field(default=4.0, ge=0.2, le=100, description="maximum distance of targets of a cut")
 
     @model_validator(mode="after")
-    def _no_arc(self) -> Self:
-        """A mill and a knife have no arc, and another output, or none, unless one is stated."""
+    def _apply_tool_defaults(self) -> Self:
+        """Remove the fields of an arc from a mill or knife, and set its output if none is stated."""
         knife = isinstance(self.by, KnifeCut)
         if not knife and self.signal is None:
-            raise ValueError("signal: only a knife that is dragged has none; name the output")
+            raise ValueError("signal: only a knife that is dragged needs none; name the output")
         if not knife and not isinstance(self.by, MillCut):
             return self
         for name, value in (("signal", None if knife else SPINDLE_SIGNAL), ("ok_signal", None)):
             if name not in self.model_fields_set:
-                object.__setattr__(self, name, value)  # the model is frozen, and not yet anybody's
+                object.__setattr__(self, name, value)  # the model is frozen, but not shared yet
         given = set(self.model_fields_set) | {f"pierce.{name}" for name in self.pierce.model_fields_set}
         given -= {"ok_signal"} if self.ok_signal is None else set()
-        own = [name for name in (NOT_OF_KNIVES if knife else NOT_OF_MILLS) if name in given]
-        if own and knife:
+        unsuitable = [name for name in (NON_KNIFE_FIELDS if knife else TORCH_ONLY_FIELDS) if name in given]
+        if unsuitable and knife:
             raise ValueError(
-                f"{', '.join(own)}: not of a knife, which goes in on the curve, however slow; it has "
-                "by.start_mm, by.plunge_mm_s and by.start_up_s"
+                f"{', '.join(unsuitable)}: does not apply to a knife, which goes in on the curve at any "
+                "speed; it has by.start_mm, by.plunge_mm_s and by.start_up_s"
             )
-        if own:
-            raise ValueError(f"{', '.join(own)}: of a torch; a mill has by.start_mm and by.spin_up_s")
+        if unsuitable:
+            raise ValueError(
+                f"{', '.join(unsuitable)}: only for a torch; a mill has by.start_mm and by.spin_up_s"
+            )
         return self
 
     @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        if len({fold(one.name) for one in self.outlines}) != len(self.outlines):
+    def _check_consistency(self) -> Self:
+        if len({fold(outline.name) for outline in self.outlines}) != len(self.outlines):
             raise ValueError(
-                "outlines: each has a name of its own, where case and runs of underscores do not count"
+                "outlines: each needs a unique name, where case and runs of underscores do not count"
             )
-        if self.lead.shape == "arc" and any(one.joints for one in self.outlines):
+        if self.lead.shape == "arc" and any(outline.joints for outline in self.outlines):
             raise ValueError(
-                "lead: an arc would cut through the micro-joint before it; take shape: line, or joints: 0"
+                "lead: an arc would cut through the micro-joint before it; use shape: line, or joints: 0"
             )
         if self.feed_most_mm_s is not None and self.feed_most_mm_s < self.feed_mm_s:
             raise ValueError("feed_most_mm_s is below feed_mm_s; the flat sheet could not be cut")
@@ -259,163 +268,196 @@ class Trim(Strict):
             raise ValueError(
                 f"lead: length_mm {self.lead.length_mm:g} is less than three times shape_tol_mm, so that "
                 f"it cannot "
-                "be told from the curve; lengthen it"
+                "be distinguished from the curve; lengthen it"
             )
         if self.signal is not None and self.signal.lower() == (self.ok_signal or "").lower():
             raise ValueError(
-                "signal and ok_signal: one is an output, the other an input; give them two names"
+                "signal and ok_signal: one is an output, the other an input; give them different names"
             )
         return self
 
     def leaves(self, stock: Stock) -> Stock:
-        """The sheet as it stays clamped, with holes; bodies keep clear of what was cut out of it, too."""
+        """Return the sheet as it stays clamped, with holes. Bodies also keep clear of what was cut out."""
         if stock.sheet is None:
             return stock
         # a cut through the sheet is no longer than this, so its other edge is no farther off in plan
         across = float(stock.size[2]) / math.cos(self.cone_deg * DEG)
         try:
             cut = tuple(
-                Hole(own.name, ring[:, :2], own.drops == "inside", across)
-                for own, ring in every_outline(self)
+                SheetHole(outline.name, ring[:, :2], outline.drops == "inside", across)
+                for outline, ring in every_outline(self)
             )
         except TandemError:
-            return stock  # a file that cannot be read is told by the operation itself
+            return stock  # the operation itself reports a file that cannot be read
         return dataclasses.replace(
             stock, sheet=dataclasses.replace(stock.sheet, holes=(*stock.sheet.holes, *cut))
         )
 
 
 CIRCLE_POINTS: Final = 720
-"""Points of a circle."""
-MOST_OUTLINES: Final = 500
-"""Curves of an operation at most, those of drawings among them."""
+"""Number of points of a circle."""
+MAX_OUTLINES: Final = 500
+"""Maximum number of curves of an operation, those of drawings included."""
 _Curves = tuple[tuple[FloatArray, ...], tuple[Issue, ...]]
-"""Points of curves, and what is to be told of their file."""
-_READ: dict[tuple[str, int, int], _Curves] = {}
-"""Curves by all that is stated of them, and by when their file was written and how long it is: a drawing may
-be changed while a process goes on."""
-MOST_READ: Final = 1000
-"""Curves that are kept at most."""
+"""Points of curves, and notes about their file."""
+_CURVE_CACHE: dict[tuple[str, int, int], _Curves] = {}
+"""Cache of curves.
+
+The key is all that is stated about them, with time and size of their file, because a drawing may be changed
+while a process runs.
+"""
+MAX_CACHED_CURVES: Final = 1000
+"""Maximum number of cached curves."""
 
 
 def every_outline(op: Trim) -> list[tuple[OutlineFile, FloatArray]]:
-    """All outlines of an operation with their points (K, 2 or 3) [m]: of a drawing each of its curves, under
-    its name with a number. Read once.
+    """Return all outlines of an operation with their points (K, 2 or 3) [m].
 
-    Raises ``TandemError``: issues of files, ``part.guide``, ``trim.open``, ``problem.field`` for names that
-    come twice, or too many curves.
+    A drawing gives each of its curves, under its name with a number. Files are read once.
+
+    Args:
+        op: Operation.
+
+    Raises:
+        TandemError: Issues of files, ``part.guide``, ``trim.open``, or ``problem.field`` for duplicate names
+            or too many curves.
     """
     out: list[tuple[OutlineFile, FloatArray]] = []
-    for one in op.outlines:
-        curves, _ = _read(one)
-        if one.drawing is None:
-            out.append((one, curves[0]))
+    for outline in op.outlines:
+        curves, _ = _read_curves(outline)
+        if outline.drawing is None:
+            out.append((outline, curves[0]))
             continue
         for number, points in enumerate(curves, 1):
-            out.append((one.model_copy(update={"name": f"{one.name}_{number}"}), points))
+            out.append((outline.model_copy(update={"name": f"{outline.name}_{number}"}), points))
     known: dict[str, str] = {}
-    for own, _ in out:
-        if other := known.get(fold(own.name)):
-            what = f"outlines: {other} and {own.name} cannot be told apart; curves of drawings have numbers"
+    for named, _ in out:
+        if other := known.get(fold(named.name)):
+            what = f"outlines: {other} and {named.name} have the same name; curves of drawings have numbers"
             hint = "give the outline, or the drawing, another name"
-            raise refusal("problem.field", what, field="operations.outlines", hint=hint)
-        known[fold(own.name)] = own.name
+            raise issue_error("problem.field", what, field="operations.outlines", hint=hint)
+        known[fold(named.name)] = named.name
     for name in known if isinstance(op.by, KnifeCut) else ():
         base = known.get(re.sub(r"_p\d+$", "", name))
         if base is not None and base != known[name]:
-            what = f"outlines: {known[name]} is what a stretch of {base} is called where a knife is lifted"
+            what = f"outlines: {known[name]} is the name of a stretch of {base} between lifts of the knife"
             hint = "give the outline another name"
-            raise refusal("problem.field", what, field="operations.outlines", hint=hint)
-    if len(out) > MOST_OUTLINES:
-        what = f"outlines: {len(out)} curves with those of drawings; allowed: {MOST_OUTLINES}"
-        hint = "name layers, or divide them among operations"
-        raise refusal("problem.field", what, field="operations.outlines", hint=hint)
+            raise issue_error("problem.field", what, field="operations.outlines", hint=hint)
+    if len(out) > MAX_OUTLINES:
+        what = f"outlines: {len(out)} curves, those of drawings included, allowed {MAX_OUTLINES}"
+        hint = "name layers, or distribute the curves over several operations"
+        raise issue_error("problem.field", what, field="operations.outlines", hint=hint)
     return out
 
 
 def outline_notes(op: Trim) -> list[Issue]:
-    """What is to be told of the outlines' files, of one that several read once: what is left out of them, and
-    that they state another unit. Raises ``TandemError`` as :func:`every_outline`."""
+    """Return notes about the outlines' files, each once.
+
+    They state what is omitted, and that a file has another unit.
+
+    Args:
+        op: Operation.
+
+    Raises:
+        TandemError: As :func:`every_outline`.
+    """
     known: dict[tuple[str, str], Issue] = {}
-    for one in op.outlines:
-        for note in _read(one)[1]:
+    for outline in op.outlines:
+        for note in _read_curves(outline)[1]:
             known.setdefault((note.code, note.message), note)
     return list(known.values())
 
 
-def _read(one: OutlineFile) -> _Curves:
-    """The curves of an outline, read once. Raises ``TandemError`` as :func:`every_outline`."""
-    key = one.model_dump_json(), *_written(one)
-    if key not in _READ:
-        while len(_READ) >= MOST_READ:
-            _READ.pop(next(iter(_READ)))
-        if one.drawing is None:
-            points, notes = outline_points(one)
-            _READ[key] = (points,), tuple(notes)
+def _read_curves(outline: OutlineFile) -> _Curves:
+    """Return the curves of an outline from the cache or its file. Raises as :func:`every_outline`."""
+    key = outline.model_dump_json(), *_file_stamp(outline)
+    if key not in _CURVE_CACHE:
+        while len(_CURVE_CACHE) >= MAX_CACHED_CURVES:
+            _CURVE_CACHE.pop(next(iter(_CURVE_CACHE)))
+        if outline.drawing is None:
+            points, notes = outline_points(outline)
+            _CURVE_CACHE[key] = (points,), tuple(notes)
         else:
-            _READ[key] = _drawn(one, one.drawing)
-    return _READ[key]
+            _CURVE_CACHE[key] = _drawing_curves(outline, outline.drawing)
+    return _CURVE_CACHE[key]
 
 
-def _written(one: OutlineFile) -> tuple[int, int]:
-    """When the file of an outline was written, and its length; of one without a file nothing."""
-    own = one.drawing or (None if one.curve is None else one.curve.dxf)
+def _file_stamp(outline: OutlineFile) -> tuple[int, int]:
+    """Return modification time and size of the file of an outline, zeros without a file."""
+    source = outline.drawing or (None if outline.curve is None else outline.curve.dxf)
     try:
-        found = None if own is None else Path(own.file).stat()
-    except OSError:  # told by who reads it
-        found = None
-    return (0, 0) if found is None else (found.st_mtime_ns, found.st_size)
+        status = None if source is None else Path(source.file).stat()
+    except OSError:  # the reader of the file reports it
+        status = None
+    return (0, 0) if status is None else (status.st_mtime_ns, status.st_size)
 
 
-def _drawn(one: OutlineFile, drawing: DrawingFile) -> _Curves:
-    """The curves of a drawing, layer by layer. Raises ``TandemError``: issues of files, ``trim.open``."""
-    path, field = Path(drawing.file), f"operations.outlines.{one.name}.drawing"
+def _drawing_curves(outline: OutlineFile, drawing: DrawingFile) -> _Curves:
+    """Return the curves of a drawing, layer by layer.
+
+    Raises:
+        TandemError: Issues of files, ``trim.open``.
+    """
+    path, field = Path(drawing.file), f"operations.outlines.{outline.name}.drawing"
     out: list[FloatArray] = []
     issues: list[Issue] = []
     curves, notes = drawing.curves(field)
     for curve in curves:
-        name = f"{one.name}_{len(out) + 1}"
+        name = f"{outline.name}_{len(out) + 1}"
         if not curve.closed:
-            issues.append(_open(f"{path.name}: {name}", curve.points, field))
+            issues.append(_open_issue(f"{path.name}: {name}", curve.points, field))
         out.append(curve.points)
     if issues:
         raise TandemError(issues)
     return tuple(out), tuple(notes)
 
 
-def _open(name: str, points: FloatArray, field: str) -> Issue:
-    """A curve that does not close, with its ends."""
+def _open_issue(name: str, points: FloatArray, field: str) -> Issue:
+    """Return the issue of a curve that does not close, with its ends."""
     (x, y), (u, v) = points[0, :2] / MM, points[-1, :2] / MM
     gap = float(np.linalg.norm(points[0] - points[-1])) / MM
     what = f"{name} is open by {gap:.3g} mm, from ({x:.2f}, {y:.2f}) to ({u:.2f}, {v:.2f}) mm; only closed "
     what += "curves are cut"
-    hint = "close it, or put what is not to be cut on another layer"
+    hint = "close it, or move what must not be cut to another layer"
     return Issue("trim.open", what, field=field, value=gap, limit=0.01, unit="mm", hint=hint)
 
 
-def outline_points(one: OutlineFile) -> tuple[FloatArray, list[Issue]]:
-    """Points (K, 2 or 3) [m] of an outline that is one curve, and notes. Raises ``TandemError``: issues of
-    files, ``part.guide``."""
-    if one.circle is not None:
+def outline_points(outline: OutlineFile) -> tuple[FloatArray, list[Issue]]:
+    """Return points (K, 2 or 3) [m] of an outline that is one curve, and notes.
+
+    Args:
+        outline: Outline.
+
+    Raises:
+        TandemError: Issues of files, ``part.guide``.
+    """
+    if outline.circle is not None:
         around = np.linspace(0.0, 2.0 * np.pi, CIRCLE_POINTS, endpoint=False)
         ring = np.stack([np.cos(around), np.sin(around)], axis=1)
-        return np.asarray((np.array(one.circle.at_mm) + 0.5 * one.circle.diameter_mm * ring) * MM), []
-    field = f"operations.outlines.{one.name}"
-    curve = one.curve
+        return np.asarray((np.array(outline.circle.at_mm) + 0.5 * outline.circle.diameter_mm * ring) * MM), []
+    field = f"operations.outlines.{outline.name}"
+    curve = outline.curve
     if curve is None:
         raise ValueError("an outline is a curve or a circle")
     _require_closed(curve, field)
-    found, notes = guide(curve, True, Path(), field)
-    return found.points, notes
+    result, notes = build_guide(curve, True, Path(), field)
+    return result.points, notes
 
 
 def _require_closed(curve: GuideFile, field: str) -> None:
-    """Raises ``TandemError`` (trim.open) for a drawing with open curves, which no slot goes round."""
-    if (own := curve.dxf) is not None:
-        found, file = read_dxf(Path(own.file), LENGTH_UNITS[own.unit], own.layer, f"{field}.dxf")[0], own.file
+    """Check that a drawing has no open curve.
+
+    Raises:
+        TandemError: ``trim.open``.
+    """
+    if (source := curve.dxf) is not None:
+        curves, file = (
+            read_dxf(Path(source.file), LENGTH_UNITS[source.unit], source.layer, f"{field}.dxf")[0],
+            source.file,
+        )
     elif curve.rhino is not None:
-        found, file = rhino.curves(curve.rhino, Path(), f"{field}.rhino")[0], curve.rhino.file
+        curves, file = rhino.read_curves(curve.rhino, Path(), f"{field}.rhino")[0], curve.rhino.file
     else:
         return
-    if len(found) == 1 and not found[0].closed:
-        raise TandemError(_open(f"{Path(file).name}: the curve", found[0].points, field))
+    if len(curves) == 1 and not curves[0].closed:
+        raise TandemError(_open_issue(f"{Path(file).name}: the curve", curves[0].points, field))

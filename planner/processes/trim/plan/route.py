@@ -1,7 +1,7 @@
-"""The way of a tool through all slots of an operation: down to where each begins, along it, and up again.
+"""Path of a tool through all slots of an operation: down to the start of each, along it, and up again.
 
-Places of a slot are thinned to targets, as near to one another as straight moves between them may be off; a
-tool that goes through the sheet comes down to its depth before it is near to the curve.
+Points of a slot are thinned to targets whose spacing keeps the chord error of straight moves. A tool that
+goes through the sheet is at its depth before it is near the curve.
 """
 
 import dataclasses
@@ -10,119 +10,140 @@ from typing import Final
 import numpy as np
 
 from planner.claims.segments import Segment
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray, corners, transform
-from planner.geometry.polylines import sharp, thinned
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, hull_points, transform
+from planner.geometry.polylines import stop_flags, thin_rows
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, TandemError, has_errors, refusal
+from planner.issues import Issue, TandemError, has_errors, issue_error
 from planner.problem import Setup
 from planner.processes.trim.plan import check
-from planner.processes.trim.plan.cutting import Cutting
-from planner.processes.trim.plan.face import Face, Laid, apart
+from planner.processes.trim.plan.cutting import CuttingTool
+from planner.processes.trim.plan.face import FaceCurve, SheetFace, curve_distance
 from planner.processes.trim.plan.operation import KnifeCut, Trim
-from planner.processes.trim.plan.slots import Slot, Wanted
-from planner.processes.trim.plan.stretches import ahead, turning
+from planner.processes.trim.plan.slots import Slot, SlotPlan
+from planner.processes.trim.plan.stretches import heading_vectors, rotate_in_air
 
 TRIM: Final = "trim"
-"""The kind of segments in which a torch cuts, and comes and goes."""
-CHORD_SHARE: Final = 0.1
-"""Share of the tolerance that straight moves between targets may cost."""
-AXIS_LEVER: Final = 0.03
-"""How far behind the TCP [m] the torch keeps within the chord between targets, too."""
-LEAN_SHARE: Final = 0.85
-"""Share of the cone that motion may use at targets; the rest is for what lies between them."""
-HEADING_SHARE: Final = 0.4
-"""Share of what a blade may stand off its curve that motion may use at targets,"""
-CHORD_TURN_SHARE: Final = 0.2
-"""Share of it that straight moves between targets may cost,"""
-SIDE_SHARE: Final = 0.2
-"""at targets its front and back are off by no more than this share of the tolerance then."""
+"""Kind of the segments in which a tool cuts, leads in and leads out."""
+CHORD_FRACTION: Final = 0.1
+"""Fraction of the tolerance that straight moves between targets may use."""
+AXIS_LEVER_M: Final = 0.03
+"""Distance behind the TCP [m] of a second point that also keeps the chord error."""
+TILT_FRACTION: Final = 0.85
+"""Fraction of the cone that motion planning may use at targets. The rest is for the motion between them."""
+HEADING_FRACTION: Final = 0.4
+"""Fraction of the angle between blade and curve that motion planning may use at targets."""
+CHORD_ROTATION_FRACTION: Final = 0.2
+"""Fraction of that angle that straight moves between targets may use."""
+SIDE_FRACTION: Final = 0.2
+"""Fraction of the tolerance by which front and back of a blade may then deviate at targets."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Route:
-    """N targets: ``tip`` and ``axis`` (N, 3), from the TCP into the torch; ``feed`` (N,) [m/s]; ``lean``:
-    how far [rad] the torch may lean, or a knife spin; ``segment`` and ``stop`` (N,). ``height`` (N,) [m] of
-    the nozzle off the face in slots, NaN elsewhere. ``pierce`` and ``end`` are the rows at which each slot
-    begins and ends. ``heading`` (N,) [rad] is that of a knife's edge; of other tools NaN."""
+class TrimRoute:
+    """Path of an operation with N targets.
+
+    Attributes:
+        tip: Tips (N, 3) [m].
+        axis: Axes from the TCP into the tool (N, 3).
+        feed: Speed of the move to each target (N,) [m/s].
+        max_tilt: Maximum tilt of the tool, or spin of a knife (N,) [rad].
+        segment: Segment of each target.
+        stop: Whether the tool stops (N,).
+        height: Height of the TCP above the face in slots (N,) [m], NaN elsewhere.
+        start_rows: Rows at which the slots start.
+        end_rows: Rows at which the slots end.
+        heading: Heading of a knife's edge (N,) [rad], NaN for other tools.
+    """
 
     tip: FloatArray
     axis: FloatArray
     feed: FloatArray
-    lean: FloatArray
+    max_tilt: FloatArray
     segment: tuple[Segment, ...]
     stop: BoolArray
     height: FloatArray
-    pierce: tuple[int, ...]
-    end: tuple[int, ...]
+    start_rows: tuple[int, ...]
+    end_rows: tuple[int, ...]
     heading: FloatArray
 
 
-def route(
-    op: Trim,
-    setup: Setup,
-    face: Face,
-    tool: Cutting,
-    made: list[Slot],
-    wanted: tuple[Wanted, ...],
-    rough: float,
-) -> tuple[Route, list[Issue]]:
-    """The way through all slots: down along the tool's axis to where it pierces, along the slot, up again.
-    The face may be off by ``rough`` [m]."""
-    level, issues = _level(op, setup, face), list[Issue]()
+def plan_route(
+    op: Trim, setup: Setup, face: SheetFace, tool: CuttingTool, slot_plan: SlotPlan, surface_error: float
+) -> tuple[TrimRoute, list[Issue]]:
+    """Plan the path through all slots: down along the tool's axis, along the slot, up again.
+
+    Args:
+        op: Operation.
+        setup: Cell and stock as the operation finds them.
+        face: Face of the sheet.
+        tool: How the tool cuts.
+        slot_plan: Outlines on the face, and their slots in order.
+        surface_error: Possible deviation of the face [m].
+
+    Returns:
+        The route, which is empty if there are errors, and issues.
+    """
+    level, issues = _safe_level(op, setup, face), list[Issue]()
     size = setup.stock.size[:2]
-    places = check.face_places(face, size)
+    face_points = check.face_points(face, size)
     tips: list[FloatArray] = []
     axes: list[FloatArray] = []
     feeds: list[FloatArray] = []
-    leans: list[FloatArray] = []
+    tilts: list[FloatArray] = []
     heights: list[FloatArray] = []
     headings: list[FloatArray] = []
     segments: list[Segment] = []
     pierce: list[int] = []
     end: list[int] = []
-    most = _most_lean(op, tool)
-    for number, slot in enumerate(made):
-        own_outline = next(one for one in wanted if one.spec.name == slot.outline)
+    tilt_limit = _max_tilt(op, tool)
+    for number, slot in enumerate(slot_plan.slots):
+        outline_of_slot = next(o for o in slot_plan.outlines if o.spec.name == slot.outline)
         try:
-            rows, raised = _rows(slot, op, tool, (own_outline.laid, rough))
-            whole = _whole(slot, face, tool, rows, raised)
-            part = check.part_places(face, setup.stock.size, tool, whole)
+            # targets of the slot, and points of the sheet that the cutter may gouge
+            rows, lifts = _target_rows(slot, op, tool, (outline_of_slot.curve, surface_error))
+            slot_path = _slot_path(slot, face, tool, rows, lifts)
+            part = check.part_points(face, setup.stock.size, tool, slot_path)
         except TandemError as error:
             issues += error.issues
             continue
         point, axis = slot.point[rows], face.side * slot.normal[rows]
+        # poses at the targets, upright and tilted to the edge of the cone; upright ones must be free
         heading = slot.heading[rows] if tool.blade is not None else np.full(len(rows), np.nan)
-        pivot = point + raised[:, None] * axis
-        tip = pivot - tool.deep * axis
-        leant = check.leans(axis, op.cone_deg * DEG) if tool.blade is None else []
-        ways = np.stack([axis, *leant], axis=1)
-        low = pivot[:, None] - tool.deep * ways
-        off = check.clear_of(tool.body, places, low, ways, op.clear_mm * MM)
+        pivot = point + lifts[:, None] * axis
+        tip = pivot - tool.depth * axis
+        tilted_axes = check.tilted_axes(axis, op.cone_deg * DEG) if tool.blade is None else []
+        tilted = np.stack([axis, *tilted_axes], axis=1)
+        low_tips = pivot[:, None] - tool.depth * tilted
+        clearances = check.body_clearance(tool.clear_body, face_points, low_tips, tilted, op.clear_mm * MM)
         issues += [
-            *check.wall_issue(slot, tip, off[:, 0], op, tool),
+            *check.wall_issue(slot, tip, clearances[:, 0], op, tool),
             *check.rise_issue(slot, axis, face.side),
         ]
-        cut = (own_outline, tool, part, float(setup.stock.size[2]), face.side)
-        issues += check.gouge_issue(slot, *check.gouged(*cut, whole), op)
+        cut = (outline_of_slot, tool, part, float(setup.stock.size[2]), face.side)
+        issues += check.gouge_issue(slot, *check.gouge_depths(*cut, slot_path), op)
         if has_errors(issues):
             continue
-        ok: BoolArray = np.asarray((off[:, 1:] >= op.clear_mm * MM).all(axis=1))
-        for k in range(1, ways.shape[1]):
-            ok &= check.gouged(*cut, (low[:, k], ways[:, k]))[0] <= op.shape_tol_mm * MM
-        lean = np.where(ok & np.append(ok[1:], True) & np.append(True, ok[:-1]), most, 0.0)
-        if tool.through:  # not turned on the way down, and straight out again
-            lean[(raised > 0.0) | np.append(True, raised[:-1] > 0.0)] = 0.0
-            lean[-1] = 0.0
+        # motion planning may tilt at a target if all tilted poses there and at its neighbours are free
+        may_tilt: BoolArray = np.asarray((clearances[:, 1:] >= op.clear_mm * MM).all(axis=1))
+        for k in range(1, tilted.shape[1]):
+            may_tilt &= check.gouge_depths(*cut, (low_tips[:, k], tilted[:, k]))[0] <= op.shape_tol_mm * MM
+        max_tilt = np.where(
+            may_tilt & np.append(may_tilt[1:], True) & np.append(True, may_tilt[:-1]), tilt_limit, 0.0
+        )
+        if tool.goes_through:  # no tilt on the way down and up
+            max_tilt[(lifts > 0.0) | np.append(True, lifts[:-1] > 0.0)] = 0.0
+            max_tilt[-1] = 0.0
         above = [tip[k] + max((level - tip[k, 2]) / axis[k, 2], 2.0 * MM) * axis[k] for k in (0, -1)]
+        # sine law: on a wall of the angle a the sheet is thinner by cos a = |axis_z|, so the feed is higher
         feed = op.feed_mm_s * MM / np.maximum(np.abs(axis[:, 2]), 0.1)
         if op.feed_most_mm_s is not None:
             feed = np.minimum(feed, op.feed_most_mm_s * MM)
-        # on the way to a target the wall may be flatter than there
+        # the wall may be flatter along a move than at its target
         feed[1:] = np.minimum(feed[1:], feed[:-1])
-        feed = _of_tip(feed, tool, point, tip, raised)
-        own = Segment(TRIM, slot.name)
-        if tool.blade is not None and number:  # turned back, or to the next stretch, in the air
-            air = turning(
+        feed = _tip_feed(feed, tool, point, tip, lifts)
+        segment = Segment(TRIM, slot.name)
+        if tool.blade is not None and number:  # rotate back, or to the next stretch, in the air
+            air = rotate_in_air(
                 (tips[-1][-1], axes[-1][-1], float(headings[-1][-1])), (above[0], axis[0], float(heading[0]))
             )
             count = len(air.heading)
@@ -130,9 +151,10 @@ def route(
             axes.append(air.axis)
             headings.append(air.heading)
             feeds.append(np.full(count, op.rapid_mm_s * MM))
-            leans.append(np.zeros(count))
+            tilts.append(np.zeros(count))
             heights.append(np.full(count, np.nan))
             segments += [Segment("link")] * count
+        # above the start, down, along the slot, up above the end
         pierce.append(sum(map(len, tips)) + 1)
         end.append(pierce[-1] + len(tip) - 1)
         tips += [above[0][None], tip, above[1][None]]
@@ -143,24 +165,25 @@ def route(
             feed[1:],
             np.array([op.rapid_mm_s * MM]),
         ]
-        leans += [lean[:1], lean, lean[-1:]]
-        heights += [np.full(1, np.nan), raised - tool.deep, np.full(1, np.nan)]
-        segments += [Segment("approach" if number == 0 else "link"), own.at("in")]
-        segments += [own] * (len(tip) - 1) + [own.at("out")]
+        tilts += [max_tilt[:1], max_tilt, max_tilt[-1:]]
+        heights += [np.full(1, np.nan), lifts - tool.depth, np.full(1, np.nan)]
+        segments += [Segment("approach" if number == 0 else "link"), segment.at("in")]
+        segments += [segment] * (len(tip) - 1) + [segment.at("out")]
     if has_errors(issues):
-        return _nowhere(), issues
+        return _empty_route(), issues
     tip, axis = np.concatenate(tips), np.concatenate(axes)
+    # stops above both ends of a slot and at its corners, and a last target farther up
     stop = np.zeros(len(tip), dtype=bool)
     for first, last in zip(pierce, end, strict=True):
         stop[[first - 1, last + 1]] = True
-        stop[first : last + 1] = sharp(tip[first : last + 1])
+        stop[first : last + 1] = stop_flags(tip[first : last + 1])
     rise = tip[-1] + op.safe_mm * MM * axis[-1]
     heading = np.concatenate(headings)
-    return Route(
+    return TrimRoute(
         np.concatenate([tip, rise[None]]),
         np.concatenate([axis, axis[-1:]]),
         np.append(np.concatenate(feeds), op.rapid_mm_s * MM),
-        np.append(np.concatenate(leans), leans[-1][-1]),
+        np.append(np.concatenate(tilts), tilts[-1][-1]),
         (*segments, Segment("retreat")),
         np.append(stop, True),
         np.append(np.concatenate(heights), np.nan),
@@ -170,128 +193,147 @@ def route(
     ), issues
 
 
-def _most_lean(op: Trim, tool: Cutting) -> float:
-    """How far [rad] motion may lean the tool; a knife stands square to the face, and is so far turned about
-    its axis at most."""
+def _max_tilt(op: Trim, tool: CuttingTool) -> float:
+    """Return the maximum tilt [rad] of the tool by motion planning.
+
+    A knife stays normal to the face, so for it this is the maximum rotation about its axis.
+    """
     if tool.blade is None or not isinstance(op.by, KnifeCut):
-        return LEAN_SHARE * op.cone_deg * DEG
-    long = max(tool.blade.end, float(tool.blade.front(tool.deep)))
-    beside = float(np.arctan2(SIDE_SHARE * op.shape_tol_mm * MM, long))
-    return min(HEADING_SHARE * op.by.heading_deg * DEG, beside)
+        return TILT_FRACTION * op.cone_deg * DEG
+    blade_reach = max(tool.blade.end, float(tool.blade.front(tool.depth)))
+    side_angle = float(np.arctan2(SIDE_FRACTION * op.shape_tol_mm * MM, blade_reach))
+    return min(HEADING_FRACTION * op.by.heading_deg * DEG, side_angle)
 
 
-def _whole(
-    slot: Slot, face: Face, tool: Cutting, rows: IntArray, raised: FloatArray
+def _slot_path(
+    slot: Slot, face: SheetFace, tool: CuttingTool, rows: IntArray, lifts: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Tips and axes (N, 3) at all places of a slot; ``raised`` (R,) [m] at those of ``rows``."""
+    """Return tips and axes (N, 3) at all points of a slot; ``lifts`` (R,) [m] are the lifts at ``rows``."""
     axis = face.side * slot.normal
-    above = np.interp(np.arange(len(axis)), rows, raised)
-    return slot.point + (above - tool.deep)[:, None] * axis, axis
+    lift_rows = np.interp(np.arange(len(axis)), rows, lifts)
+    return slot.point + (lift_rows - tool.depth)[:, None] * axis, axis
 
 
-PLUNGE_SHARE: Final = 0.8
-"""Share of its plunge feed at which a cutter goes down: on a bent face it does not go down evenly."""
-LEAST_SHARE: Final = 0.05
-"""Of a feed along the face, that of a tip behind it at least."""
+PLUNGE_FRACTION: Final = 0.8
+"""Fraction of its plunge feed at which a cutter goes down. On a bent face the descent is not uniform."""
+MIN_FEED_FRACTION: Final = 0.05
+"""Lower bound of a tip's speed as a fraction of the feed along the face."""
 
 
-def _of_tip(
-    feed: FloatArray, tool: Cutting, point: FloatArray, tip: FloatArray, raised: FloatArray
+def _tip_feed(
+    feed: FloatArray, tool: CuttingTool, point: FloatArray, tip: FloatArray, lifts: FloatArray
 ) -> FloatArray:
-    """The feed (N,) [m/s] of a tip that is not on the face: so that it is ``feed`` there, and down no faster
-    than a plunge."""
-    if not tool.through:
+    """Return the feed (N,) [m/s] of a tip behind the face.
+
+    It gives ``feed`` on the face and is no faster than the plunge feed downwards.
+    """
+    if not tool.goes_through:
         return feed
     out, along = feed.copy(), np.linalg.norm(np.diff(point, axis=0), axis=1)
-    way, down = np.linalg.norm(np.diff(tip, axis=0), axis=1), -np.diff(raised)
-    share = np.maximum(way / np.maximum(along, 1e-9), LEAST_SHARE)
-    out[1:] *= np.where(along > 1e-9, np.minimum(share, 1.0), 1.0)
+    lengths, down = np.linalg.norm(np.diff(tip, axis=0), axis=1), -np.diff(lifts)
+    fraction = np.maximum(lengths / np.maximum(along, 1e-9), MIN_FEED_FRACTION)
+    out[1:] *= np.where(along > 1e-9, np.minimum(fraction, 1.0), 1.0)
     steep = down > 1e-9
-    most = PLUNGE_SHARE * tool.plunge * way / np.maximum(down, 1e-9)
-    out[1:][steep] = np.minimum(out[1:], most)[steep]
+    max_feed = PLUNGE_FRACTION * tool.plunge * lengths / np.maximum(down, 1e-9)
+    out[1:][steep] = np.minimum(out[1:], max_feed)[steep]
     return out
 
 
-def _nowhere() -> Route:
+def _empty_route() -> TrimRoute:
     none = np.zeros((0, 3))
     flat = none[:, 0]
-    return Route(none, none, flat, flat, (), flat > 0.0, flat, (), (), flat)
+    return TrimRoute(none, none, flat, flat, (), flat > 0.0, flat, (), (), flat)
 
 
-LOW_TOLERANCES: Final = 2.0
-"""Where its slot's edge is so many tolerances off the curve,"""
-LOW_ROOM: Final = 0.05 * MM
-"""and so much more [m], the tool is as low as it cuts: the proof asks that of all that is near to a curve."""
+DEPTH_TOLERANCE_FACTOR: Final = 2.0
+"""Distance of a slot's edge from the curve, in tolerances, at which the tool has to be at its depth."""
+DEPTH_MARGIN_M: Final = 0.05 * MM
+"""Margin added to that distance [m]. The proof requires the depth at all points near a curve."""
 
 
-def _above(slot: Slot, op: Trim, tool: Cutting, near: tuple[Laid, float]) -> FloatArray:
-    """How far (N,) the tool is still up on its way from where it begins, from 1 to 0; ``near``: its curve,
-    of a face that may be off by so much [m]. Raises ``TandemError`` (trim.lead)."""
-    curve, rough = near
-    low = LOW_TOLERANCES * op.shape_tol_mm * MM + LOW_ROOM + rough
-    off = apart(slot.point[: slot.first + 1], curve.point) - 0.5 * tool.kerf
-    last = int(np.argmax(off < low)) - 1
-    if last < 1 and tool.lift != 0.0 and tool.ramp:
-        what = f"{slot.outline}: the way in of {op.lead.length_mm:g} mm is too short for the tool to come "
-        what += f"down on it before it is {low / MM:.2f} mm off the curve"
-        hint = f"take a longer lead.length_mm (about {1.3 * low / MM:.1f}), or a smaller shape_tol_mm"
-        value, limit = op.lead.length_mm, low / MM
-        raise refusal("trim.lead", what, value=value, limit=limit, unit="mm", hint=hint)
+def _lift_fractions(
+    slot: Slot, op: Trim, tool: CuttingTool, curve_and_error: tuple[FaceCurve, float]
+) -> FloatArray:
+    """Return how far (N,) the tool is still lifted on its lead-in, from 1 to 0.
+
+    ``curve_and_error`` is its curve, and the possible deviation of the face [m].
+
+    Raises:
+        TandemError: ``trim.lead`` if the lead-in is too short.
+    """
+    curve, surface_error = curve_and_error
+    depth_distance = DEPTH_TOLERANCE_FACTOR * op.shape_tol_mm * MM + DEPTH_MARGIN_M + surface_error
+    edge_distances = curve_distance(slot.point[: slot.first + 1], curve.point) - 0.5 * tool.kerf
+    last = int(np.argmax(edge_distances < depth_distance)) - 1
+    if last < 1 and tool.lift != 0.0 and tool.is_ramp:
+        what = f"{slot.outline}: the lead-in of {op.lead.length_mm:g} mm is too short for the tool to reach "
+        what += f"its depth {depth_distance / MM:.2f} mm before the curve"
+        hint = (
+            f"use a longer lead.length_mm (about {1.3 * depth_distance / MM:.1f}), or a smaller shape_tol_mm"
+        )
+        value, limit = op.lead.length_mm, depth_distance / MM
+        raise issue_error("trim.lead", what, value=value, limit=limit, unit="mm", hint=hint)
     step = np.linalg.norm(np.diff(slot.point[: max(last, 1) + 1], axis=0), axis=1)
-    left = np.append(np.cumsum(step[::-1])[::-1], np.zeros(len(slot.point) - len(step)))
-    return np.asarray(left / float(left[0]))
+    remaining = np.append(np.cumsum(step[::-1])[::-1], np.zeros(len(slot.point) - len(step)))
+    return np.asarray(remaining / float(remaining[0]))
 
 
-def _rows(slot: Slot, op: Trim, tool: Cutting, near: tuple[Laid, float]) -> tuple[IntArray, FloatArray]:
-    """Rows of a slot's places that become targets, and how much higher (N,) [m] than in the slot the TCP is
-    there; ``near`` as :func:`_above` has it. A cutter that plunges has its first place twice."""
-    chord = CHORD_SHARE * min(op.shape_tol_mm, op.height_tol_mm) * MM
-    chord = min(chord, CHORD_SHARE * tool.deep) if tool.through else chord
-    lever = np.array([0.0, AXIS_LEVER, -tool.deep])[: 3 if tool.through else 2]
+def _target_rows(
+    slot: Slot, op: Trim, tool: CuttingTool, curve_and_error: tuple[FaceCurve, float]
+) -> tuple[IntArray, FloatArray]:
+    """Return the rows of a slot's points that become targets, and the lift (N,) [m] of the TCP there.
+
+    ``curve_and_error`` is as for :func:`_lift_fractions`. A cutter that plunges has its first point twice.
+    """
+    chord = CHORD_FRACTION * min(op.shape_tol_mm, op.height_tol_mm) * MM
+    chord = min(chord, CHORD_FRACTION * tool.depth) if tool.goes_through else chord
+    lever = np.array([0.0, AXIS_LEVER_M, -tool.depth])[: 3 if tool.goes_through else 2]
     points = slot.point[:, None] + lever[:, None] * slot.normal[:, None]
-    if tool.blade is not None and isinstance(op.by, KnifeCut):  # its front and its back, too, and its heading
-        far = chord / (CHORD_TURN_SHARE * op.by.heading_deg * DEG)
-        ends = np.array([-max(tool.blade.end, far), max(float(tool.blade.front(tool.deep)), far)])
-        ways = ahead(slot.normal, slot.heading)
-        points = np.concatenate([points, slot.point[:, None] + ends[:, None] * ways[:, None]], axis=1)
-    above = _above(slot, op, tool, near)
-    low = int(np.argmax(above == 0.0))
+    if tool.blade is not None and isinstance(op.by, KnifeCut):  # also its front, its back and its heading
+        min_reach = chord / (CHORD_ROTATION_FRACTION * op.by.heading_deg * DEG)
+        ends = np.array(
+            [-max(tool.blade.end, min_reach), max(float(tool.blade.front(tool.depth)), min_reach)]
+        )
+        directions = heading_vectors(slot.normal, slot.heading)
+        points = np.concatenate([points, slot.point[:, None] + ends[:, None] * directions[:, None]], axis=1)
+    lift = _lift_fractions(slot, op, tool, curve_and_error)
+    low = int(np.argmax(lift == 0.0))
     marks = [0, slot.first, slot.last, len(slot.point) - 1]
     breaks = np.unique(marks if tool.blade is not None else [*marks, low])
-    found = [np.zeros(1, dtype=np.int64)]
+    kept = [np.zeros(1, dtype=np.int64)]
     for first, last in zip(breaks[:-1].tolist(), breaks[1:].tolist(), strict=True):
-        found.append(first + thinned(points[first : last + 1], chord, op.step_mm * MM)[1:])
-    rows = np.concatenate(found)
+        kept.append(first + thin_rows(points[first : last + 1], chord, op.step_mm * MM)[1:])
+    rows = np.concatenate(kept)
     if tool.blade is not None:
-        rows = _evened(rows, slot.point)
-    if tool.ramp:
-        return rows, tool.lift * above[rows]
+        rows = _even_last_moves(rows, slot.point)
+    if tool.is_ramp:
+        return rows, tool.lift * lift[rows]
     return np.append(0, rows), tool.lift * np.append(1.0, np.zeros(len(rows)))
 
 
-LAST_MOVES: Final = 5
-"""So many moves at the end of a knife's stretch share what thinning leaves to the last one,"""
-ALIKE: Final = 1.3
-"""where the others of them differ by no more than this factor; else the last two do."""
+EVENED_MOVES: Final = 5
+"""Number of moves at the end of a knife's stretch over which the remainder of thinning is distributed."""
+MAX_LENGTH_RATIO: Final = 1.3
+"""Maximum ratio of the lengths of these moves. Beyond it only the last two share the remainder."""
 
 
-def _evened(rows: IntArray, point: FloatArray) -> IntArray:
-    """Rows (K,) of places (N, 3) with the last moves evenly long, so that no short one is left."""
-    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(point, axis=0), axis=1)))
-    count = min(LAST_MOVES, len(rows) - 1)
-    step = np.diff(way[rows[-count - 1 :]])
-    if count > 2 and step[:-1].max() > ALIKE * step[:-1].min():
+def _even_last_moves(rows: IntArray, point: FloatArray) -> IntArray:
+    """Return rows (K,) of points (N, 3) with last moves of equal length, so that no short one remains."""
+    lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(point, axis=0), axis=1)))
+    count = min(EVENED_MOVES, len(rows) - 1)
+    step = np.diff(lengths[rows[-count - 1 :]])
+    if count > 2 and step[:-1].max() > MAX_LENGTH_RATIO * step[:-1].min():
         count = 2
     if count < 2 or step[-1] >= step[-2]:
         return rows
     first = rows[-count - 1]
-    wanted = np.linspace(way[first], way[rows[-1]], count + 1)[1:-1]
-    inner = np.unique(np.clip(np.searchsorted(way, wanted), first + 1, rows[-1] - 1))
+    positions = np.linspace(lengths[first], lengths[rows[-1]], count + 1)[1:-1]
+    inner = np.unique(np.clip(np.searchsorted(lengths, positions), first + 1, rows[-1] - 1))
     return np.concatenate([rows[:-count], inner, rows[-1:]])
 
 
-def _level(op: Trim, setup: Setup, face: Face) -> float:
-    """Height [m] of the safe plane: off the clamp and all of the sheet, on the torch's side."""
+def _safe_level(op: Trim, setup: Setup, face: SheetFace) -> float:
+    """Return the height [m] of the safe plane above clamp and sheet, on the tool's side."""
     heights = [face.side * face.mesh.vertices[:, 2], np.array([face.side * face.rise])]
-    heights += [face.side * transform(shape.pose, corners(shape))[:, 2] for shape in setup.stock.support]
+    heights += [face.side * transform(shape.pose, hull_points(shape))[:, 2] for shape in setup.stock.support]
     return face.side * (float(np.concatenate(heights).max()) + op.safe_mm * MM)

@@ -1,9 +1,9 @@
-"""From closed curves to the stretches that a knife cuts between going into the sheet and coming out of it.
+"""From closed curves to the stretches that a knife cuts between entering and leaving the sheet.
 
-A blade stands in the plane of its curve. At a corner that is sharper than it can turn through, at a
-micro-joint, and where its heading has turned by as much as it may, it is lifted out of the sheet, turned
-and put in again. Behind its tip it has a straight end, before it its edge goes up and forward: so it is put
-in and taken out that far from the ends of a stretch, and cuts past a corner at the near face alone.
+The blade is in the plane of its curve. It is lifted out of the sheet, rotated and put in again at corners
+that are sharper than it can pass, at micro-joints, and where its heading has rotated by the maximum. The
+blade has a straight end behind its tip, and its edge rises forward before it. It is therefore put in and
+taken out at that distance from the ends of a stretch, and cuts past a corner only at the near face.
 """
 
 import dataclasses
@@ -13,160 +13,203 @@ import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray, dots, unit
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, TandemError, refusal
-from planner.processes.trim.claims import MOST_STRETCHES
-from planner.processes.trim.plan.cutting import Cutting
-from planner.processes.trim.plan.face import Face, Laid, apart
+from planner.issues import Issue, TandemError, issue_error
+from planner.processes.trim.claims import MAX_STRETCHES
+from planner.processes.trim.plan.cutting import CuttingTool
+from planner.processes.trim.plan.face import FaceCurve, SheetFace, curve_distance
 from planner.processes.trim.plan.operation import KnifeCut, Trim
-from planner.processes.trim.plan.slots import Slot, Wanted
+from planner.processes.trim.plan.slots import PlannedOutline, Slot
 from planner.tooling import Blade
 
-OVERLAP: Final = 0.1 * MM
-"""How much farther than to a corner a stretch is cut [m], so that it meets the next one there."""
-OVERLAP_SHARE: Final = 0.3
-"""The same at most as a share of the tolerance."""
-CLOSING: Final = 0.5 * MM
-"""The same where a smooth curve closes, or is cut in pieces [m]."""
-LEAST_STROKE: Final = 0.2 * MM
-"""The way [m] that a knife goes in a stretch that is shorter than its blade."""
-PLAN_TURN: Final = 1.0 * DEG
-"""Where a curve turns by less than this at a place, seen from above, there is no corner [rad]."""
-HEADING_REACH: Final = (0.3 * MM, 1.5 * MM)
-"""Half the length of the chords whose direction a blade has: that of its own, within these [m]."""
-NORMAL_REACH: Final = 2.0 * MM
-"""A blade stands square to the face as it is, in the mean, over so much of the curve either way [m],"""
-NORMAL_PLACES: Final = 17
-"""by so many places;"""
-LEAN_SHARE: Final = 0.5
-"""it leans off the face at its own place by this share of its cone at most for that,"""
-FAR_SHARE: Final = 0.4
-"""and is off its curve at the far face by this share of the tolerance at most."""
-BESIDE_SHARE: Final = 0.5
-"""Share of the tolerance by which front and back of a blade may be off its curve where that is bent."""
-BLADE_PLACES: Final = 9
-"""Places along a blade at which it is held against its curve."""
-JOINT_STARTS: Final = 48
-"""Places at which micro-joints are tried to begin, so that they are off all corners."""
-TURN_STEP: Final = 80.0 * DEG
-"""How far a knife turns on one move in the air at most [rad]."""
+OVERLAP_M: Final = 0.1 * MM
+"""Length by which a stretch is cut past a corner, so that it meets the next one there [m]."""
+OVERLAP_FRACTION: Final = 0.3
+"""Upper bound of that length, as a fraction of the tolerance."""
+CLOSING_OVERLAP_M: Final = 0.5 * MM
+"""Length by which a stretch is cut past a point where a smooth curve closes or is divided [m]."""
+MIN_STROKE_M: Final = 0.2 * MM
+"""Minimum length of a stretch that is shorter than the blade [m]."""
+MIN_PLAN_CORNER_RAD: Final = 1.0 * DEG
+"""Minimum angle of a corner, seen from above [rad]."""
+HEADING_REACH_M: Final = (0.3 * MM, 1.5 * MM)
+"""Bounds of half the length of the chords that define a blade's heading [m].
 
-End = Literal["corner", "joint", "piece"]
-"""What a stretch ends at: a corner, a micro-joint, or a place where the curve goes on smoothly."""
+The blade's own half width is used in between.
+"""
+NORMAL_REACH_M: Final = 2.0 * MM
+"""Length of the curve on either side over which the normal of a blade is averaged [m]."""
+NORMAL_SAMPLES: Final = 17
+"""Number of points in that average."""
+TILT_FRACTION: Final = 0.5
+"""Maximum tilt of the average from the normal at its own point, as a fraction of the cone."""
+FAR_FACE_FRACTION: Final = 0.4
+"""Maximum deviation at the far face that follows from it, as a fraction of the tolerance."""
+BLADE_DEVIATION_FRACTION: Final = 0.5
+"""Maximum deviation of front and back of a blade from a bent curve, as a fraction of the tolerance."""
+BLADE_SAMPLES: Final = 9
+"""Number of points along a blade that are compared with its curve."""
+JOINT_TRIALS: Final = 48
+"""Number of positions that are tried for micro-joints, so that they are away from all corners."""
+MAX_ROTATION_STEP_RAD: Final = 80.0 * DEG
+"""Maximum rotation of a knife in one move in the air [rad]."""
+
+StretchEnd = Literal["corner", "joint", "piece"]
+"""End of a stretch: a corner, a micro-joint, or a point where the curve continues smoothly."""
 
 
 @dataclasses.dataclass(frozen=True)
-class _Span:
+class _CurveSpan:
     """A stretch of a curve from ``low`` to ``high`` [m] along it."""
 
     low: float
     high: float
-    begins: End
-    ends: End
+    start_kind: StretchEnd
+    end_kind: StretchEnd
 
 
-def ahead(axis: FloatArray, heading: FloatArray) -> FloatArray:
-    """Directions (N, 3) at right angles to ``axis`` (N, 3) that have, seen from above, a ``heading`` (N,)
-    [rad]."""
+def heading_vectors(axis: FloatArray, heading: FloatArray) -> FloatArray:
+    """Return directions (N, 3) normal to ``axis`` with a given heading, seen from above.
+
+    Args:
+        axis: Axes (N, 3).
+        heading: Headings (N,) [rad].
+    """
     flat = np.stack([np.cos(heading), np.sin(heading)], axis=1)
     rise = np.copysign(np.maximum(np.abs(axis[:, 2]), 0.02), axis[:, 2])
     return unit(np.column_stack([flat, -dots(flat, axis[:, :2]) / rise]))
 
 
-def corners(laid: Laid, least: float) -> FloatArray:
-    """Where along a curve (C,) [m] it turns, on its face, by more than ``least`` [rad] at one place."""
-    flat = laid.point[:, :2]
-    after = unit(np.roll(flat, -1, axis=0) - flat)
-    before = np.roll(after, 1, axis=0)
-    plan = np.abs(np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], dots(before, after)))
-    one, other = (ahead(laid.normal, np.arctan2(way[:, 1], way[:, 0])) for way in (before, after))
-    turn = np.arctan2(np.linalg.norm(np.cross(one, other), axis=1), dots(one, other))
-    return np.asarray(laid.along[:-1][(plan > PLAN_TURN) & (turn > least)])
+def find_corners(curve: FaceCurve, min_angle: float) -> FloatArray:
+    """Return where along a curve (C,) [m] it has a corner on its face.
+
+    Args:
+        curve: Curve on the face.
+        min_angle: Minimum angle of a corner [rad].
+    """
+    flat = curve.point[:, :2]
+    following = unit(np.roll(flat, -1, axis=0) - flat)
+    previous = np.roll(following, 1, axis=0)
+    plan = np.abs(
+        np.arctan2(
+            previous[:, 0] * following[:, 1] - previous[:, 1] * following[:, 0], dots(previous, following)
+        )
+    )
+    incoming, outgoing = (
+        heading_vectors(curve.normal, np.arctan2(direction[:, 1], direction[:, 0]))
+        for direction in (previous, following)
+    )
+    angle = np.arctan2(np.linalg.norm(np.cross(incoming, outgoing), axis=1), dots(incoming, outgoing))
+    return np.asarray(curve.along[:-1][(plan > MIN_PLAN_CORNER_RAD) & (angle > min_angle)])
 
 
-class _Ring:
-    """A closed curve by the way along it, with the ``corners`` at which its stretches end."""
+class _ClosedCurve:
+    """A closed curve parametrised by length, with the corners at which its stretches end."""
 
-    def __init__(self, laid: Laid, face: Face, sharp: FloatArray) -> None:
-        self.laid, self.face, self.corners, self.length = laid, face, sharp, laid.length
-        self._points = np.concatenate([laid.point, laid.point[:1]])
+    def __init__(self, curve: FaceCurve, face: SheetFace, corners: FloatArray) -> None:
+        self.curve, self.face, self.corners, self.length = curve, face, corners, curve.length
+        self._points = np.concatenate([curve.point, curve.point[:1]])
 
-    def at(self, along: FloatArray, span: _Span) -> FloatArray:
-        """Places (N, 3) ``along`` (N,) [m] a stretch: past corners and joints straight on."""
-        low = -np.inf if span.begins == "piece" else span.low
-        high = np.inf if span.ends == "piece" else span.high
-        out = self._on(np.clip(along, low, high))
-        for end, beyond, inner in (
+    def points(self, along: FloatArray, span: _CurveSpan) -> FloatArray:
+        """Return points (N, 3) at lengths ``along`` (N,) [m] of a stretch.
+
+        Past corners and joints it is extended straight.
+        """
+        low = -np.inf if span.start_kind == "piece" else span.low
+        high = np.inf if span.end_kind == "piece" else span.high
+        out = self._points_on(np.clip(along, low, high))
+        for end, excess, inner in (
             (low, np.minimum(along - low, 0.0), 1e-5),
             (high, np.maximum(along - high, 0.0), -1e-5),
         ):
-            if np.isfinite(end) and np.any(beyond):
-                way = (self._on(np.array([end + inner])) - self._on(np.array([end]))) / inner
-                out = out + beyond[:, None] * unit(way)
+            if np.isfinite(end) and np.any(excess):
+                direction = (
+                    self._points_on(np.array([end + inner])) - self._points_on(np.array([end]))
+                ) / inner
+                out = out + excess[:, None] * unit(direction)
         return self.face.at(out[:, :2])[0]
 
-    def _on(self, along: FloatArray) -> FloatArray:
-        place = along % self.length
-        return np.stack([np.interp(place, self.laid.along, self._points[:, k]) for k in range(3)], axis=1)
+    def _points_on(self, along: FloatArray) -> FloatArray:
+        positions = along % self.length
+        return np.stack(
+            [np.interp(positions, self.curve.along, self._points[:, k]) for k in range(3)], axis=1
+        )
 
-    def headings(self, along: FloatArray, span: _Span, reach: float) -> FloatArray:
-        """Directions (N,) [rad], seen from above, of the chords that go ``reach`` [m] either way, but not
-        past corners and joints."""
-        low = along - reach if span.begins == "piece" else np.clip(along - reach, span.low, span.high)
-        high = along + reach if span.ends == "piece" else np.clip(along + reach, span.low, span.high)
-        short = high - low < reach
-        low, high = np.where(short & (along > span.high - reach), high - reach, low), high
-        high = np.where(short & (along < span.low + reach), low + reach, high)
-        way = self.at(high, span) - self.at(low, span)
-        return np.unwrap(np.arctan2(way[:, 1], way[:, 0]))
+    def headings(self, along: FloatArray, span: _CurveSpan, reach: float) -> FloatArray:
+        """Return headings (N,) [rad], seen from above, of chords of ``reach`` [m] on either side.
 
-    def normals(self, along: FloatArray, span: _Span, most: float) -> FloatArray:
-        """Mean normals (N, 3) of the face over ``NORMAL_REACH`` either way, the nearer the more, so that they
-        turn evenly where the face begins to bend: off its own by no more than ``most`` [rad]."""
-        own = self.face.at(self.at(along, span)[:, :2])[1]
-        share = np.linspace(-1.0, 1.0, NORMAL_PLACES)
-        for reach in NORMAL_REACH * 0.5 ** np.arange(4):
-            places = self.at((along[:, None] + reach * share).ravel(), span)
-            some = self.face.at(places[:, :2])[1].reshape(len(along), NORMAL_PLACES, 3)
-            mean = unit(np.einsum("k,nkd->nd", 1.0 - np.abs(share) + 1e-3, some))
-            if float(dots(mean, own).min()) >= np.cos(most):
+        Chords do not extend past corners and joints.
+        """
+        low = along - reach if span.start_kind == "piece" else np.clip(along - reach, span.low, span.high)
+        high = along + reach if span.end_kind == "piece" else np.clip(along + reach, span.low, span.high)
+        is_short = high - low < reach
+        low, high = np.where(is_short & (along > span.high - reach), high - reach, low), high
+        high = np.where(is_short & (along < span.low + reach), low + reach, high)
+        chords = self.points(high, span) - self.points(low, span)
+        return np.unwrap(np.arctan2(chords[:, 1], chords[:, 0]))
+
+    def normals(self, along: FloatArray, span: _CurveSpan, max_tilt: float) -> FloatArray:
+        """Return normals (N, 3) of the face, averaged over its neighbourhood with linear weights.
+
+        The neighbourhood is at most ``NORMAL_REACH_M`` on either side. The averages therefore change evenly
+        where the face starts to bend. They differ by at most ``max_tilt`` [rad] from the local normals.
+        """
+        local_normals = self.face.at(self.points(along, span)[:, :2])[1]
+        offsets = np.linspace(-1.0, 1.0, NORMAL_SAMPLES)
+        for reach in NORMAL_REACH_M * 0.5 ** np.arange(4):
+            points = self.points((along[:, None] + reach * offsets).ravel(), span)
+            near_normals = self.face.at(points[:, :2])[1].reshape(len(along), NORMAL_SAMPLES, 3)
+            mean = unit(np.einsum("k,nkd->nd", 1.0 - np.abs(offsets) + 1e-3, near_normals))
+            if float(dots(mean, local_normals).min()) >= np.cos(max_tilt):
                 return mean
-        return own
+        return local_normals
 
-    def bent(self, along: float, end: float, span: _Span, thickness: float) -> float:
-        """How far apart [m] at the far face, ``thickness`` [m] behind, normals at two places are more than at
-        the near one: by so much a stretch is longer that is to reach its corner there, too."""
-        one, other = self.face.at(self.at(np.array([along, end]), span)[:, :2])[1]
-        turn = float(np.arccos(np.clip(one @ other, -1.0, 1.0)))
-        return 1.5 * thickness * min(turn, 0.5 * np.pi)
+    def far_face_extension(self, along: float, end: float, span: _CurveSpan, thickness: float) -> float:
+        """Return how much longer [m] a stretch has to be to reach its corner at the far face as well.
 
-    def between(self, low: float, high: float) -> FloatArray:
-        """Its own places [m] along it from ``low`` to ``high``, with both of these."""
-        turns = np.arange(np.floor(low / self.length), np.floor(high / self.length) + 1.0)
-        own = (self.laid.along[:-1] + self.length * turns[:, None]).ravel()
-        inner = own[(own > low + 1e-6) & (own < high - 1e-6)]
+        It is the extra distance between the normals at two points, ``thickness`` [m] behind the near face.
+        """
+        start_normal, end_normal = self.face.at(self.points(np.array([along, end]), span)[:, :2])[1]
+        angle = float(np.arccos(np.clip(start_normal @ end_normal, -1.0, 1.0)))
+        return 1.5 * thickness * min(angle, 0.5 * np.pi)
+
+    def lengths_between(self, low: float, high: float) -> FloatArray:
+        """Return the curve's own points [m] along it from ``low`` to ``high``, with both of these."""
+        revolutions = np.arange(np.floor(low / self.length), np.floor(high / self.length) + 1.0)
+        vertices = (self.curve.along[:-1] + self.length * revolutions[:, None]).ravel()
+        inner = vertices[(vertices > low + 1e-6) & (vertices < high - 1e-6)]
         return np.concatenate([[low], inner, [high]])
 
 
-def stretches(op: Trim, one: Wanted, face: Face, tool: Cutting) -> list[Slot]:
-    """The stretches of an outline, each a slot without ways in and out. Raises ``TandemError`` with
-    ``trim.corner`` and ``trim.joints``."""
+def plan_stretches(op: Trim, outline: PlannedOutline, face: SheetFace, tool: CuttingTool) -> list[Slot]:
+    """Plan the stretches of an outline, each a slot without leads.
+
+    Args:
+        op: Operation.
+        outline: Outline.
+        face: Face of the sheet.
+        tool: How the tool cuts.
+
+    Raises:
+        TandemError: ``trim.corner`` or ``trim.joints``.
+    """
     by, blade = op.by, tool.blade
     if not isinstance(by, KnifeCut) or blade is None:
         raise ValueError("stretches are those of a knife")
-    ring = _Ring(one.laid, face, corners(one.laid, by.turns_deg * DEG))
-    long = blade.end + float(blade.front(tool.deep))
-    reach = float(np.clip(0.5 * long, *HEADING_REACH))
-    spans = _pieces(ring, _spans(one, ring), by.most_turn_deg * DEG, reach)
-    if len(spans) > MOST_STRETCHES:
-        what = f"{one.spec.name}: the blade would be lifted {len(spans)} times; allowed: {MOST_STRETCHES}"
-        hint = "draw what is round as arcs or splines, not as corners, or allow larger turns_deg"
-        value, limit = float(len(spans)), float(MOST_STRETCHES)
-        raise refusal("trim.corner", what, value=value, limit=limit, hint=hint)
+    ring = _ClosedCurve(outline.curve, face, find_corners(outline.curve, by.turns_deg * DEG))
+    long = blade.end + float(blade.front(tool.depth))
+    reach = float(np.clip(0.5 * long, *HEADING_REACH_M))
+    spans = _divide_spans(ring, _find_spans(outline, ring), by.most_turn_deg * DEG, reach)
+    if len(spans) > MAX_STRETCHES:
+        what = f"{outline.spec.name}: the blade would be lifted {len(spans)} times, allowed {MAX_STRETCHES}"
+        hint = "draw round shapes as arcs or splines, not as corners, or allow a larger turns_deg"
+        value, limit = float(len(spans)), float(MAX_STRETCHES)
+        raise issue_error("trim.corner", what, value=value, limit=limit, hint=hint)
+    knife = _BladeInSheet(by, blade, tool.depth, reach)
     out, issues = [], list[Issue]()
     for number, span in enumerate(spans, 1):
-        name = one.spec.name if len(spans) == 1 else f"{one.spec.name}_p{number}"
+        name = outline.spec.name if len(spans) == 1 else f"{outline.spec.name}_p{number}"
         try:
-            out.append(_stretch(op, by, one, ring, span, (blade, tool.deep, reach), name))
+            out.append(_build_stretch(op, outline, ring, span, knife, name))
         except TandemError as error:
             issues += error.issues
     if issues:
@@ -174,200 +217,262 @@ def stretches(op: Trim, one: Wanted, face: Face, tool: Cutting) -> list[Slot]:
     return out
 
 
-def _spans(one: Wanted, ring: _Ring) -> list[_Span]:
-    """The stretches between corners and micro-joints; a curve without either begins where its heading is
-    that of -x, so that all round ones begin alike and turn by half a turn either way."""
-    half, joints = 0.5 * one.spec.joint_mm * MM, _joints(one, ring)
-    marks: list[tuple[float, float, End]] = [(float(at), 0.0, "corner") for at in ring.corners]
+def _find_spans(outline: PlannedOutline, ring: _ClosedCurve) -> list[_CurveSpan]:
+    """Return the stretches between corners and micro-joints.
+
+    A curve without either starts where its heading is that of -x, so that all round curves start alike and
+    rotate by half a revolution either way.
+    """
+    half, joints = 0.5 * outline.spec.joint_mm * MM, _joint_centres(outline, ring)
+    marks: list[tuple[float, float, StretchEnd]] = [(float(at), 0.0, "corner") for at in ring.corners]
     marks = sorted([*marks, *((at, half, "joint") for at in joints)])
     if not marks:
-        whole = _Span(0.0, ring.length, "piece", "piece")
-        places = ring.laid.along[:-1]
-        heading = ring.headings(places, whole, HEADING_REACH[0])
-        start = float(places[int(np.argmin(np.cos(heading)))])
-        return [_Span(start, start + ring.length, "piece", "piece")]
+        whole = _CurveSpan(0.0, ring.length, "piece", "piece")
+        lengths = ring.curve.along[:-1]
+        heading = ring.headings(lengths, whole, HEADING_REACH_M[0])
+        start = float(lengths[int(np.argmin(np.cos(heading)))])
+        return [_CurveSpan(start, start + ring.length, "piece", "piece")]
     out = []
-    for (at, half_gap, kind), (to, other, end) in zip(marks, [*marks[1:], marks[0]], strict=True):
-        far = to if to > at else to + ring.length
-        out.append(_Span(at + half_gap, far - other, kind, end))
+    for (at, half_gap, kind), (following, other, end) in zip(marks, [*marks[1:], marks[0]], strict=True):
+        next_mark = following if following > at else following + ring.length
+        out.append(_CurveSpan(at + half_gap, next_mark - other, kind, end))
     return out
 
 
-def _joints(one: Wanted, ring: _Ring) -> list[float]:
-    """Middles [m] of micro-joints along a curve, off its corners as far as may be. Raises ``TandemError``
-    (trim.joints)."""
-    count, width = one.spec.joints, one.spec.joint_mm * MM
+def _joint_centres(outline: PlannedOutline, ring: _ClosedCurve) -> list[float]:
+    """Return the centres [m] of micro-joints along a curve, as far from its corners as possible.
+
+    Raises:
+        TandemError: ``trim.joints`` if they do not fit.
+    """
+    count, width = outline.spec.joints, outline.spec.joint_mm * MM
     if not count:
         return []
     even = ring.length * np.arange(count) / count
-    shifts = ring.length / count * np.arange(JOINT_STARTS) / JOINT_STARTS
-    best, room = shifts[0], np.inf
+    shifts = ring.length / count * np.arange(JOINT_TRIALS) / JOINT_TRIALS
+    best, margin = shifts[0], np.inf
     if len(ring.corners):
-        off = np.abs(even[:, None, None] + shifts[:, None] - ring.corners) % ring.length
-        least = np.minimum(off, ring.length - off).min(axis=(0, 2))
-        best, room = float(shifts[int(np.argmax(least))]), float(least.max())
-    if ring.length / count <= 2.0 * width or room <= width:
-        most = int(ring.length / (2.0 * width))
-        what = f"{one.spec.name}: {count} micro-joints of {width / MM:g} mm do not fit between its corners, "
-        what += "each as far off them as it is wide"
-        hint = f"take fewer joints (at most {most}), or a smaller joint_mm"
-        raise refusal("trim.joints", what, value=count, limit=most, hint=hint)
+        distances = np.abs(even[:, None, None] + shifts[:, None] - ring.corners) % ring.length
+        min_distances = np.minimum(distances, ring.length - distances).min(axis=(0, 2))
+        best, margin = float(shifts[int(np.argmax(min_distances))]), float(min_distances.max())
+    if ring.length / count <= 2.0 * width or margin <= width:
+        max_joints = int(ring.length / (2.0 * width))
+        what = (
+            f"{outline.spec.name}: {count} micro-joints of {width / MM:g} mm do not fit between its corners, "
+        )
+        what += "each at a distance of its width"
+        hint = f"use fewer joints (at most {max_joints}), or a smaller joint_mm"
+        raise issue_error("trim.joints", what, value=count, limit=max_joints, hint=hint)
     return [float(at) for at in (even + best) % ring.length]
 
 
-def _pieces(ring: _Ring, spans: list[_Span], most: float, reach: float) -> list[_Span]:
-    """The stretches, in so many pieces that the heading of none turns by more than ``most`` [rad]."""
+def _divide_spans(
+    ring: _ClosedCurve, spans: list[_CurveSpan], max_rotation: float, reach: float
+) -> list[_CurveSpan]:
+    """Divide stretches so that the heading of none rotates by more than ``max_rotation`` [rad]."""
     out = []
     for span in spans:
-        at = ring.between(span.low, span.high)
+        at = ring.lengths_between(span.low, span.high)
         heading = ring.headings(at, span, reach)
-        cuts = _cut_at(heading, most)
-        for share in np.linspace(1.0, 0.5, 26)[1:]:  # as many pieces, but more alike
-            less = _cut_at(heading, share * most)
-            if len(less) > len(cuts):
+        cuts = _division_rows(heading, max_rotation)
+        for fraction in np.linspace(1.0, 0.5, 26)[1:]:  # the same number of pieces, but of similar length
+            smaller = _division_rows(heading, fraction * max_rotation)
+            if len(smaller) > len(cuts):
                 break
-            cuts = less
+            cuts = smaller
         ends = [span.low, *(float(at[k]) for k in cuts), span.high]
-        kinds: list[End] = [span.begins, *["piece" for _ in cuts], span.ends]  # type: ignore[list-item]
-        out += [_Span(ends[k], ends[k + 1], kinds[k], kinds[k + 1]) for k in range(len(ends) - 1)]
+        kinds: list[StretchEnd] = [span.start_kind, *["piece" for _ in cuts], span.end_kind]  # type: ignore[list-item]
+        out += [_CurveSpan(ends[k], ends[k + 1], kinds[k], kinds[k + 1]) for k in range(len(ends) - 1)]
     return out
 
 
-def _cut_at(heading: FloatArray, most: float) -> list[int]:
-    """Rows at which headings (N,) [rad] have turned by ``most`` since the row before of these."""
+def _division_rows(heading: FloatArray, max_rotation: float) -> list[int]:
+    """Return rows at which headings (N,) [rad] have rotated by ``max_rotation`` since the last such row."""
     out, first = list[int](), 0
     for k in range(1, len(heading)):
-        own = heading[first : k + 1]
-        if float(np.ptp(own)) > most and k > first + 1:
+        piece = heading[first : k + 1]
+        if float(np.ptp(piece)) > max_rotation and k > first + 1:
             first = k - 1
             out.append(first)
     return out
 
 
-def _stretch(
-    op: Trim, by: KnifeCut, one: Wanted, ring: _Ring, span: _Span, tool: tuple[Blade, float, float], name: str
+@dataclasses.dataclass(frozen=True)
+class _BladeInSheet:
+    """Blade of a knife as it cuts a sheet.
+
+    Attributes:
+        by: How the operation cuts with it.
+        blade: The blade.
+        depth: Depth of its tip behind the face [m].
+        reach: Reach of the chords that define its heading, on either side [m].
+    """
+
+    by: KnifeCut
+    blade: Blade
+    depth: float
+    reach: float
+
+
+def _build_stretch(
+    op: Trim, outline: PlannedOutline, ring: _ClosedCurve, span: _CurveSpan, knife: _BladeInSheet, name: str
 ) -> Slot:
-    """One stretch, by a ``tool``: a blade, how deep [m] it is behind the face, and the reach [m] of chords
-    whose headings it has. Raises ``TandemError`` (trim.corner, trim.joints)."""
-    blade, deep, reach = tool
-    far, near = float(blade.front(by.below_mm * MM)), float(blade.front(deep))
-    meets = min(OVERLAP, OVERLAP_SHARE * op.shape_tol_mm * MM)
-    low, high = span.low, span.high + CLOSING  # where a curve goes on, its tip alone cuts all of it
-    if span.begins != "piece":
+    """Plan one stretch.
+
+    Raises:
+        TandemError: ``trim.corner`` or ``trim.joints``.
+    """
+    by, blade, deep, reach = knife.by, knife.blade, knife.depth, knife.reach
+    far_front, near_front = float(blade.front(by.below_mm * MM)), float(blade.front(deep))
+    overlap = min(OVERLAP_M, OVERLAP_FRACTION * op.shape_tol_mm * MM)
+    low, high = span.low, span.high + CLOSING_OVERLAP_M  # where a curve continues, the tip cuts all of it
+    if span.start_kind != "piece":
         low = span.low + blade.end
         low -= (
-            meets + ring.bent(low, span.low, span, deep - by.below_mm * MM)
-            if span.begins == "corner"
+            overlap + ring.far_face_extension(low, span.low, span, deep - by.below_mm * MM)
+            if span.start_kind == "corner"
             else 0.0
         )
-    if span.ends != "piece":
-        high = span.high - (near if span.ends == "joint" else far)
+    if span.end_kind != "piece":
+        high = span.high - (near_front if span.end_kind == "joint" else far_front)
         high += (
-            meets + ring.bent(high, span.high, span, deep - by.below_mm * MM)
-            if span.ends == "corner"
+            overlap + ring.far_face_extension(high, span.high, span, deep - by.below_mm * MM)
+            if span.end_kind == "corner"
             else 0.0
         )
-    if high - low < LEAST_STROKE:
-        if "joint" in (span.begins, span.ends):
-            what = f"{name}: the stretch of {(span.high - span.low) / MM:.1f} mm beside a micro-joint is "
-            what += f"shorter than the blade, {(blade.end + near) / MM:.1f} mm"
-            hint = "take fewer joints, or a narrower blade"
-            raise refusal("trim.joints", what, hint=hint)
+    if high - low < MIN_STROKE_M:
+        if "joint" in (span.start_kind, span.end_kind):
+            what = f"{name}: the stretch of {(span.high - span.low) / MM:.1f} mm next to a micro-joint is "
+            what += f"shorter than the blade, {(blade.end + near_front) / MM:.1f} mm"
+            hint = "use fewer joints, or a narrower blade"
+            raise issue_error("trim.joints", what, hint=hint)
         middle = 0.5 * (low + high)
-        low, high = middle - 0.5 * LEAST_STROKE, middle + 0.5 * LEAST_STROKE
-    along = ring.between(low, high)
-    point = ring.at(along, span)
-    aside = float(np.arctan2(FAR_SHARE * op.shape_tol_mm * MM, deep - by.below_mm * MM))
-    normal = ring.normals(along, span, min(LEAN_SHARE * op.cone_deg * DEG, aside))
+        low, high = middle - 0.5 * MIN_STROKE_M, middle + 0.5 * MIN_STROKE_M
+    along = ring.lengths_between(low, high)
+    point = ring.points(along, span)
+    max_far_tilt = float(np.arctan2(FAR_FACE_FRACTION * op.shape_tol_mm * MM, deep - by.below_mm * MM))
+    normal = ring.normals(along, span, min(TILT_FRACTION * op.cone_deg * DEG, max_far_tilt))
     heading = ring.headings(along, span, reach)
     middle = 0.5 * (heading.max() + heading.min())
     heading = heading - 2.0 * np.pi * np.round(middle / (2.0 * np.pi))
-    over = _over(one, ring, span, (span.low - (low - blade.end), high + near - span.high))
-    if over > by.overcut_mm * MM + meets + 1e-9:
-        end = ring.at(np.array([span.high]), span)[0] / MM
-        what = f"{name}: the blade cuts {over / MM:.2f} mm past a corner into the part, about "
-        what += f"({end[0]:.1f}, {end[1]:.1f}) mm; allowed: {by.overcut_mm:g} mm"
-        hint = f"allow overcut_mm: {np.ceil(10.0 * over / MM) / 10.0:g}, or take a blade that is narrower, "
-        hint += f"or a below_mm of its ground_mm ({blade.ground / MM:g}), where it is as wide at both faces"
-        value, limit = over / MM, by.overcut_mm
-        raise refusal("trim.corner", what, value=value, limit=limit, unit="mm", hint=hint)
-    slot = Slot(name, one.spec.name, point, normal, 0, len(point) - 1, heading, over)
-    _require_beside(op, one, slot, along, span, (blade, near, ring.face, deep - by.below_mm * MM))
+    overcut = _corner_overcut(
+        outline, ring, span, (span.low - (low - blade.end), high + near_front - span.high)
+    )
+    if overcut > by.overcut_mm * MM + overlap + 1e-9:
+        end = ring.points(np.array([span.high]), span)[0] / MM
+        what = f"{name}: the blade cuts {overcut / MM:.2f} mm past a corner into the part, about "
+        what += f"({end[0]:.1f}, {end[1]:.1f}) mm, allowed {by.overcut_mm:g} mm"
+        hint = f"allow overcut_mm: {np.ceil(10.0 * overcut / MM) / 10.0:g}, or use a narrower blade, "
+        hint += f"or a below_mm of its ground_mm ({blade.ground / MM:g}), where both faces see its full width"
+        value, limit = overcut / MM, by.overcut_mm
+        raise issue_error("trim.corner", what, value=value, limit=limit, unit="mm", hint=hint)
+    slot = Slot(name, outline.spec.name, point, normal, 0, len(point) - 1, heading, overcut)
+    _check_blade_deviation(
+        op, outline, slot, along, span, (blade, near_front, ring.face, deep - by.below_mm * MM)
+    )
     return slot
 
 
-def _over(one: Wanted, ring: _Ring, span: _Span, past: tuple[float, float]) -> float:
-    """How far [m] a stretch that is cut ``past`` [m] both of its corners goes into the part there."""
+def _corner_overcut(
+    outline: PlannedOutline, ring: _ClosedCurve, span: _CurveSpan, past: tuple[float, float]
+) -> float:
+    """Return how far [m] a stretch that is cut ``past`` [m] both of its corners goes into the part there."""
     out = 0.0
-    for kind, end, sign, way in (
-        (span.begins, span.low, -1.0, past[0]),
-        (span.ends, span.high, 1.0, past[1]),
+    for kind, end, sign, distance in (
+        (span.start_kind, span.low, -1.0, past[0]),
+        (span.end_kind, span.high, 1.0, past[1]),
     ):
-        if kind != "corner" or way <= 0.0:
+        if kind != "corner" or distance <= 0.0:
             continue
-        beyond = way * np.linspace(0.0, 1.0, BLADE_PLACES)[1:]
-        some = ring.at(end + sign * beyond, span)
-        out = max(out, float(np.max(beyond, initial=0.0, where=~_harmless(one, some))))
+        beyond = distance * np.linspace(0.0, 1.0, BLADE_SAMPLES)[1:]
+        points = ring.points(end + sign * beyond, span)
+        out = max(out, float(np.max(beyond, initial=0.0, where=~_is_harmless(outline, points))))
     return out
 
 
-def _harmless(one: Wanted, places: FloatArray) -> BoolArray:
-    """(N,) whether what is cut at places is waste, or on the curve."""
-    return np.asarray(one.waste(places[:, :2]) | (apart(places, one.laid.point) < 1e-6))
+def _is_harmless(outline: PlannedOutline, points: FloatArray) -> BoolArray:
+    """Return whether (N,) points are in the waste or on the curve."""
+    return np.asarray(outline.in_waste(points[:, :2]) | (curve_distance(points, outline.curve.point) < 1e-6))
 
 
-def _require_beside(
-    op: Trim, one: Wanted, slot: Slot, along: FloatArray, span: _Span, blade: tuple[Blade, float, Face, float]
+def _check_blade_deviation(
+    op: Trim,
+    outline: PlannedOutline,
+    slot: Slot,
+    along: FloatArray,
+    span: _CurveSpan,
+    blade: tuple[Blade, float, SheetFace, float],
 ) -> None:
-    """Whether front and back of the blade stay by the curve where it is bent. Raises ``TandemError``
-    (trim.corner)."""
-    own, near, face, thickness = blade
-    before = np.linspace(-own.end, near, BLADE_PLACES)
-    at = along[:, None] + before
-    ways = ahead(slot.normal, slot.heading)
-    places = slot.point[:, None] + before[:, None] * ways[:, None]
-    inside = ((at >= span.low) | (span.begins == "piece")) & ((at <= span.high) | (span.ends == "piece"))
-    places = places[inside]
-    if not len(places):
+    """Check that front and back of the blade stay near the curve where it is bent.
+
+    Raises:
+        TandemError: ``trim.corner``.
+    """
+    blade_shape, near_front, face, thickness = blade
+    blade_offsets = np.linspace(-blade_shape.end, near_front, BLADE_SAMPLES)
+    at = along[:, None] + blade_offsets
+    directions = heading_vectors(slot.normal, slot.heading)
+    points = slot.point[:, None] + blade_offsets[:, None] * directions[:, None]
+    inside = ((at >= span.low) | (span.start_kind == "piece")) & (
+        (at <= span.high) | (span.end_kind == "piece")
+    )
+    points = points[inside]
+    if not len(points):
         return
-    # at the far face, seen from the near one: the blade stands square to the sheet at its tip alone
-    turned = face.at(places[:, :2])[1] - np.repeat(slot.normal, BLADE_PLACES, axis=0)[inside.ravel()]
-    places = np.concatenate([places, places + face.side * thickness * turned])
-    off = np.where(one.waste(places[:, :2]), 0.0, apart(places, one.laid.point))
-    # where it goes in and comes out, also in the waste: there the whole blade is to be on the curve
-    row = np.tile(np.repeat(np.arange(len(along)), BLADE_PLACES)[inside.ravel()], 2)
-    ends = [0] * (span.begins != "piece") + [len(along) - 1] * (span.ends != "piece")
-    some = np.isin(row, ends)
-    off[some] = apart(places[some], one.laid.point) if some.any() else off[some]
-    k, most = int(np.argmax(off)), BESIDE_SHARE * op.shape_tol_mm * MM
-    if off[k] > most:
-        x, y, _ = places[k] / MM
-        what = f"{slot.name}: at ({x:.1f}, {y:.1f}) mm the blade, {(own.end + near) / MM:.1f} mm wide in the "
-        what += f"sheet, is {off[k] / MM:.2f} mm off its curve; allowed: {most / MM:.2f} mm"
-        hint = "take a narrower blade, or less below_mm, draw a wider bend, or a sharp corner, at which it "
-        hint += f"is lifted, or take shape_tol_mm: {np.ceil(200.0 * off[k] / MM) / 100.0:g}"
-        value, limit = float(off[k]) / MM, most / MM
-        raise refusal("trim.corner", what, value=value, limit=limit, unit="mm", hint=hint)
+    # far face seen from the near one: the blade is normal to the sheet only at its tip
+    normal_change = face.at(points[:, :2])[1] - np.repeat(slot.normal, BLADE_SAMPLES, axis=0)[inside.ravel()]
+    points = np.concatenate([points, points + face.side * thickness * normal_change])
+    deviations = np.where(outline.in_waste(points[:, :2]), 0.0, curve_distance(points, outline.curve.point))
+    # where it enters and leaves, the whole blade has to be on the curve, also in the waste
+    row = np.tile(np.repeat(np.arange(len(along)), BLADE_SAMPLES)[inside.ravel()], 2)
+    ends = [0] * (span.start_kind != "piece") + [len(along) - 1] * (span.end_kind != "piece")
+    is_end = np.isin(row, ends)
+    deviations[is_end] = (
+        curve_distance(points[is_end], outline.curve.point) if is_end.any() else deviations[is_end]
+    )
+    k, limit = int(np.argmax(deviations)), BLADE_DEVIATION_FRACTION * op.shape_tol_mm * MM
+    if deviations[k] > limit:
+        x, y, _ = points[k] / MM
+        what = (
+            f"{slot.name}: at ({x:.1f}, {y:.1f}) mm the blade, {(blade_shape.end + near_front) / MM:.1f} mm "
+            "wide in the "
+        )
+        what += f"sheet, is {deviations[k] / MM:.2f} mm off its curve, allowed {limit / MM:.2f} mm"
+        hint = "use a narrower blade, or less below_mm, draw a wider bend, or a sharp corner, at which it "
+        hint += f"is lifted, or use shape_tol_mm: {np.ceil(200.0 * deviations[k] / MM) / 100.0:g}"
+        value, limit_mm = float(deviations[k]) / MM, limit / MM
+        raise issue_error("trim.corner", what, value=value, limit=limit_mm, unit="mm", hint=hint)
 
 
 @dataclasses.dataclass(frozen=True)
-class Turning:
-    """M places in the air on the way from one stretch to the next, over which a knife turns: ``tip``,
-    ``axis`` (M, 3) and ``heading`` (M,) [rad]."""
+class KnifeRotation:
+    """M positions in the air on the way from one stretch to the next, over which a knife rotates.
+
+    Attributes:
+        tip: Tips (M, 3) [m].
+        axis: Axes (M, 3).
+        heading: Headings (M,) [rad].
+    """
 
     tip: FloatArray
     axis: FloatArray
     heading: FloatArray
 
 
-def turning(
-    one: tuple[FloatArray, FloatArray, float], other: tuple[FloatArray, FloatArray, float]
-) -> Turning:
-    """From tip, axis (3,) and heading [rad] over the end of a stretch to those over the next: headings count
-    on, so that a knife turns back what it has turned in the sheet."""
-    turn = other[2] - one[2]
-    count = max(int(np.ceil(abs(turn) / TURN_STEP - 1e-9)) - 1, 0)
-    share = (np.arange(count) + 1.0) / (count + 1.0)
-    tip = one[0] + share[:, None] * (other[0] - one[0])
-    axis = one[1] + share[:, None] * (other[1] - one[1])
-    return Turning(np.asarray(tip), unit(np.asarray(axis)), np.asarray(one[2] + share * turn))
+def rotate_in_air(
+    start: tuple[FloatArray, FloatArray, float], end: tuple[FloatArray, FloatArray, float]
+) -> KnifeRotation:
+    """Rotate a knife in the air from the end of a stretch to the start of the next one.
+
+    Headings have no jumps, so a knife rotates back what it has rotated in the sheet.
+
+    Args:
+        start: Tip (3,) [m], axis (3,) and heading [rad] above the end of a stretch.
+        end: The same above the start of the next one.
+    """
+    rotation = end[2] - start[2]
+    count = max(int(np.ceil(abs(rotation) / MAX_ROTATION_STEP_RAD - 1e-9)) - 1, 0)
+    fraction = (np.arange(count) + 1.0) / (count + 1.0)
+    tip = start[0] + fraction[:, None] * (end[0] - start[0])
+    axis = start[1] + fraction[:, None] * (end[1] - start[1])
+    return KnifeRotation(np.asarray(tip), unit(np.asarray(axis)), np.asarray(start[2] + fraction * rotation))

@@ -1,1 +1,1 @@
-"""Sheets that a torch trims, by the proof's own reading of part and curves."""
+"""Proof of trimming, by the proof's own reading of part and curves."""

@@ -1,8 +1,8 @@
-"""What of a sheet a knife's blade is in, and how it stands along its curve.
+"""Which part of a sheet a knife's blade cuts, and how the blade is aligned with its curve.
 
-The blade is looked at as lines along its axis, from its back to its edge: each goes through both faces of
-the sheet, and has cut one of them where its lower end is behind that. Headings are read from the x axis of
-the TCP, which the program's text gives, and held against directions that the curve has along the blade.
+The blade is represented by lines along its axis, from its back to its edge. Each line passes both faces of
+the sheet, and has cut a face if its lower end is behind it. Headings follow from the x axis of the TCP in the
+program text. They are compared with directions of the curve along the blade.
 """
 
 import dataclasses
@@ -12,193 +12,256 @@ import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.processes.trim.claims import TrimBlade
-from planner.processes.trim.proof.outlines import Curve
-from planner.processes.trim.proof.torch_motion import BEND_SHARE, PLACE_STEP, TrimWork, Way, behind
+from planner.processes.trim.proof.outlines import OutlineCurve
+from planner.processes.trim.proof.torch_motion import (
+    BEND_FRACTION,
+    SAMPLE_STEP_M,
+    SlotPath,
+    TrimmedSheet,
+    face_distance,
+)
 
-LINES = 9
-"""Lines along a blade that are looked at wherever it goes,"""
-END_SPACING = 0.04e-3
-"""and how near to one another [m] they are where it went in and where it comes out."""
-ON_FACE = 1e-6
-"""A line that ends no farther over a face than this [m] has cut it."""
-PLAN_TURN = np.deg2rad(1.0)
-"""Where a curve turns by less than this at a place, seen from above, is no corner."""
-CORNER_ERROR = np.deg2rad(1.0)
-"""What may be between two readings of a corner [rad]."""
-LEAST_CHORD = 0.3e-3
-"""Chords whose directions count are no shorter [m]."""
-DIRECTIONS = 7
-"""Directions of a curve that count at one place."""
-WENT_ON = 0.1e-3
-"""A knife that has moved along the face by less than this [m] has only gone in."""
+BLADE_LINES = 9
+"""Number of lines along a blade that are checked along the whole path."""
+END_SPACING_M = 0.04e-3
+"""Distance of the lines where the blade enters and leaves [m]."""
+FACE_TOLERANCE_M = 1e-6
+"""A line that ends no farther above a face than this [m] has cut it."""
+MIN_PLAN_CORNER_RAD = np.deg2rad(1.0)
+"""Minimum angle of a corner, seen from above [rad]."""
+CORNER_ERROR_RAD = np.deg2rad(1.0)
+"""Difference of the angle of a corner between two readings [rad]."""
+MIN_CHORD_M = 0.3e-3
+"""Minimum length of chords that define directions [m]."""
+DIRECTION_SAMPLES = 7
+"""Number of directions of a curve that count at one point."""
+MIN_ADVANCE_M = 0.1e-3
+"""A knife that has moved along the face by less than this [m] has only entered."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Corners:
-    """Sharp corners of a curve on the face: ``place`` (C, 3), ``normal`` (C, 3), the directions ``before``
-    and ``after`` (C, 3) of the curve there, and ``at`` (C,) [m] along it, in order."""
+class SharpCorners:
+    """Sharp corners of a curve on the face, in order.
 
-    place: FloatArray
+    Attributes:
+        points: Points (C, 3) [m].
+        normal: Normals (C, 3).
+        incoming: Directions of the curve before them (C, 3).
+        outgoing: Directions after them (C, 3).
+        lengths: Lengths along the curve (C,) [m].
+    """
+
+    points: FloatArray
     normal: FloatArray
-    before: FloatArray
-    after: FloatArray
-    at: FloatArray
+    incoming: FloatArray
+    outgoing: FloatArray
+    lengths: FloatArray
 
-    def past(self, places: FloatArray, near: float) -> FloatArray:
-        """How far (N,) [m] beyond a corner places (N, 3) are that lie, within ``near`` [m], on the straight
-        line on which one of its sides goes on, the least of all; inf of others."""
-        out = np.full(len(places), np.inf)
-        for place, normal, before, after in zip(
-            self.place, self.normal, self.before, self.after, strict=True
+    def distance_past(self, points: FloatArray, max_distance: float) -> FloatArray:
+        """Return how far (N,) [m] points are past a corner, the smallest value of all corners.
+
+        A point is past a corner if it is within ``max_distance`` of the straight continuation of one of its
+        sides. The result is infinite for other points.
+
+        Args:
+            points: Points (N, 3) [m].
+            max_distance: Allowed distance from the line [m].
+        """
+        out = np.full(len(points), np.inf)
+        for corner, normal, incoming, outgoing in zip(
+            self.points, self.normal, self.incoming, self.outgoing, strict=True
         ):
-            rest = places - place
-            for way in (before, -after):
-                along, aside = rest @ way, np.abs(rest @ np.cross(normal, way))
-                out = np.where((aside <= near) & (along >= -near), np.minimum(out, along), out)
+            rest = points - corner
+            for direction in (incoming, -outgoing):
+                along, lateral = rest @ direction, np.abs(rest @ np.cross(normal, direction))
+                out = np.where(
+                    (lateral <= max_distance) & (along >= -max_distance), np.minimum(out, along), out
+                )
         return out
 
 
-def sharp(work: TrimWork, curve: Curve, least: float) -> Corners:
-    """Where a curve turns, on the face, by more than ``least`` [rad] at one place."""
-    flat = curve.flat
+def find_corners(work: TrimmedSheet, curve: OutlineCurve, min_angle: float) -> SharpCorners:
+    """Return the corners of a curve on the face.
+
+    Args:
+        work: Claim with the motion.
+        curve: Curve.
+        min_angle: Minimum angle of a corner [rad].
+    """
+    flat = curve.plan_vertices
     step = np.roll(flat, -1, axis=0) - flat
-    after = step / np.linalg.norm(step, axis=1, keepdims=True)
-    before = np.roll(after, 1, axis=0)
-    plan = np.arccos(np.clip((before * after).sum(axis=1), -1.0, 1.0))
-    some = np.flatnonzero(plan > PLAN_TURN)
-    place, normal = work.sheet.at(flat[some])
-    ways = []
-    for way in (before[some], after[some]):
-        up = -(way * normal[:, :2]).sum(axis=1) / np.maximum(normal[:, 2], 0.02)
-        along = np.column_stack([way, up])
-        ways.append(along / np.linalg.norm(along, axis=1, keepdims=True))
-    turn = np.arccos(np.clip((ways[0] * ways[1]).sum(axis=1), -1.0, 1.0))
-    at = curve.off(place)[1]
-    rows = np.flatnonzero(turn > least)
-    rows = rows[np.argsort(at[rows], kind="stable")]
-    return Corners(place[rows], normal[rows], ways[0][rows], ways[1][rows], at[rows])
+    following = step / np.linalg.norm(step, axis=1, keepdims=True)
+    previous = np.roll(following, 1, axis=0)
+    plan = np.arccos(np.clip((previous * following).sum(axis=1), -1.0, 1.0))
+    candidates = np.flatnonzero(plan > MIN_PLAN_CORNER_RAD)
+    points, normal = work.sheet.at(flat[candidates])
+    directions = []
+    for plan_direction in (previous[candidates], following[candidates]):
+        up = -(plan_direction * normal[:, :2]).sum(axis=1) / np.maximum(normal[:, 2], 0.02)
+        along = np.column_stack([plan_direction, up])
+        directions.append(along / np.linalg.norm(along, axis=1, keepdims=True))
+    angles = np.arccos(np.clip((directions[0] * directions[1]).sum(axis=1), -1.0, 1.0))
+    lengths = curve.distance(points)[1]
+    rows = np.flatnonzero(angles > min_angle)
+    rows = rows[np.argsort(lengths[rows], kind="stable")]
+    return SharpCorners(points[rows], normal[rows], directions[0][rows], directions[1][rows], lengths[rows])
 
 
 @dataclasses.dataclass(frozen=True)
-class Cut:
-    """Where lines of a blade went through one face: ``foot`` (M, 3) on the near one, ``off`` (M,) [m] from
-    the curve, below zero on the part, ``at`` (M,) [m] along it, ``rows`` (M,) of the motion. ``ways`` has the
-    same line by line, and along the blade at both ends."""
+class BladeCut:
+    """Where lines of a blade passed one face.
 
-    ways: tuple[Way, ...]
+    Attributes:
+        paths: The same line by line, and along the blade at both ends.
+        foot: Points on the near face (M, 3) [m].
+        distances: Distances from the curve (M,) [m], negative on the part.
+        at: Lengths along the curve (M,) [m].
+        rows: Samples of the motion (M,).
+    """
+
+    paths: tuple[SlotPath, ...]
     foot: FloatArray
-    off: FloatArray
+    distances: FloatArray
     at: FloatArray
     rows: IntArray
 
 
-class BladeWay:
-    """The way of a knife in one slot: ``tip``, ``axis``, ``ahead`` (N, 3), from the TCP into the tool and the
-    way it cuts, at places no farther apart than ``PLACE_STEP``, and ``rows`` (N,) of the motion."""
+class BladePath:
+    """Path of a knife in one slot, with samples at most ``SAMPLE_STEP_M`` apart.
 
-    def __init__(self, work: TrimWork, own: TrimBlade, key: str) -> None:
-        self.work, self.own, self.curve = work, own, work.slots[key]
-        track, claim = work.of_slot(key), work.claim
-        bend = BEND_SHARE * claim.tolerance
-        tip, axis, ahead, rows = track.turned(PLACE_STEP, bend, own.blade.width)
+    Attributes:
+        tip: Tips (N, 3) [m].
+        axis: Directions from the TCP into the tool (N, 3).
+        ahead: Cutting directions (N, 3).
+        rows: Samples of the motion (N,).
+    """
+
+    def __init__(self, work: TrimmedSheet, knife: TrimBlade, key: str) -> None:
+        self.work, self.knife, self.curve = work, knife, work.slots[key]
+        track, claim = work.slot_track(key), work.claim
+        bend = BEND_FRACTION * claim.tolerance
+        tip, axis, ahead, rows = track.spaced_with_x_axes(SAMPLE_STEP_M, bend, knife.blade.width)
         order = np.argsort(rows, kind="stable")
         self.tip, self.axis, self.ahead = tip[order], axis[order], ahead[order]
         self.rows = rows[order]
-        self.feet, self.deep = work.feet(self.tip, self.axis)
+        self.feet, self.deep = work.project(self.tip, self.axis)
 
     @cached_property
-    def moved(self) -> BoolArray:
-        """(N,) whether it has gone on along the face, not only in."""
-        return np.asarray(np.linalg.norm(self.feet.foot - self.feet.foot[0], axis=1) > WENT_ON)
+    def has_advanced(self) -> BoolArray:
+        """Whether (N,) the knife has moved along the face, not only into it."""
+        return np.asarray(np.linalg.norm(self.feet.foot - self.feet.foot[0], axis=1) > MIN_ADVANCE_M)
 
     @cached_property
-    def near(self) -> Cut:
-        """What is cut of the near face."""
-        return self._cut(False)
+    def near_cut(self) -> BladeCut:
+        """Cut of the near face."""
+        return self._face_cut(False)
 
     @cached_property
-    def far(self) -> Cut:
-        """What is cut of the far one."""
-        return self._cut(True)
+    def far_cut(self) -> BladeCut:
+        """Cut of the far face."""
+        return self._face_cut(True)
 
-    def _cut(self, far: bool) -> Cut:
-        blade = self.own.blade
-        most = float(blade.front(min(float(self.deep.max()) + self.work.claim.height, blade.length)))
-        before = np.unique(np.append(np.linspace(-blade.end, most, LINES), 0.0))
-        every = np.arange(len(self.tip))
-        ways = [self._line(every, np.full(len(every), x), far) for x in before]
-        fine = np.linspace(-blade.end, most, max(int(np.ceil((blade.end + most) / END_SPACING)), 2))
-        inside = int(np.argmax(self.deep >= self.deep.max() - 0.5 * self.work.claim.height))
-        ends = (np.full(len(fine), row) for row in (inside, len(every) - 1))
-        ways += [self._line(row, fine, far) for row in ends]
-        foot = np.concatenate([way.feet.foot for way in ways])
-        off, at, rows = (
-            np.concatenate([getattr(way, name) for way in ways]) for name in ("off", "at", "rows")
+    def _face_cut(self, is_far: bool) -> BladeCut:
+        blade = self.knife.blade
+        front = float(
+            blade.front(min(float(self.deep.max()) + self.work.claim.height_tolerance, blade.length))
         )
-        return Cut(tuple(way for way in ways if len(way.rows)), foot, off, at, rows)
+        offsets = np.unique(np.append(np.linspace(-blade.end, front, BLADE_LINES), 0.0))
+        all_rows = np.arange(len(self.tip))
+        paths = [self._cut_lines(all_rows, np.full(len(all_rows), x), is_far) for x in offsets]
+        end_offsets = np.linspace(
+            -blade.end, front, max(int(np.ceil((blade.end + front) / END_SPACING_M)), 2)
+        )
+        inside = int(np.argmax(self.deep >= self.deep.max() - 0.5 * self.work.claim.height_tolerance))
+        ends = (np.full(len(end_offsets), row) for row in (inside, len(all_rows) - 1))
+        paths += [self._cut_lines(row, end_offsets, is_far) for row in ends]
+        foot = np.concatenate([path.feet.foot for path in paths])
+        distances = np.concatenate([path.curve_distance for path in paths])
+        at = np.concatenate([path.at for path in paths])
+        rows = np.concatenate([path.rows for path in paths])
+        return BladeCut(tuple(path for path in paths if len(path.rows)), foot, distances, at, rows)
 
-    def _line(self, index: IntArray, before: FloatArray, far: bool) -> Way:
-        """Lines ``before`` (M,) [m] the TCP at places ``index`` (M,) that have cut a face."""
-        blade, work = self.own.blade, self.work
+    def _cut_lines(self, index: IntArray, offsets: FloatArray, is_far: bool) -> SlotPath:
+        """Return the lines of a blade that have cut a face.
+
+        They are ``offsets`` (M,) [m] ahead of the TCP, at samples ``index`` (M,).
+        """
+        blade, work = self.knife.blade, self.work
         axis = self.axis[index]
-        base = self.tip[index] + before[:, None] * self.ahead[index]
-        up = behind(work.other if far else work.sheet, base, axis)
-        front, full = np.maximum(before, 0.0), blade.width - blade.end
-        low = front / full * blade.ground if full > 0.0 else np.zeros(len(before))
-        cut = (low <= up + ON_FACE) & (up <= blade.length)
-        index, axis, place = index[cut], axis[cut], (base + up[:, None] * axis)[cut]
-        feet = work.sheet.feet(place)
-        off, at = self.curve.off(feet.foot)
-        off = np.where(self.curve.in_waste(feet.foot), off, -off)
-        return Way(place, axis, feet, self.rows[index], off, at, np.zeros(len(index)))
+        base = self.tip[index] + offsets[:, None] * self.ahead[index]
+        up = face_distance(work.other_side if is_far else work.sheet, base, axis)
+        front, full = np.maximum(offsets, 0.0), blade.width - blade.end
+        low = front / full * blade.ground if full > 0.0 else np.zeros(len(offsets))
+        cut = (low <= up + FACE_TOLERANCE_M) & (up <= blade.length)
+        index, axis, points = index[cut], axis[cut], (base + up[:, None] * axis)[cut]
+        feet = work.sheet.project(points)
+        distances, at = self.curve.distance(feet.foot)
+        distances = np.where(self.curve.in_waste(feet.foot), distances, -distances)
+        return SlotPath(points, axis, feet, self.rows[index], distances, at, np.zeros(len(index)))
 
-    def off_heading(self) -> FloatArray:
-        """How far (N,) [rad] the blade is turned off all directions that its curve has within half of its
-        width either way, on one side of a sharp corner or on the other."""
-        work, curve, blade = self.work, self.curve, self.own.blade
+    def heading_errors(self) -> FloatArray:
+        """Return the angle (N,) [rad] between the blade and the nearest direction of its curve.
+
+        Directions are those within half of the blade's width on either side, before or after a sharp corner.
+        """
+        work, curve, blade = self.work, self.curve, self.knife.blade
         normal, foot = self.feet.normal, self.feet.foot
-        at = curve.off(foot)[1]
-        ends = sharp(work, curve, self.own.turns + CORNER_ERROR + work.sheet.turn).at
+        at = curve.distance(foot)[1]
+        ends = find_corners(
+            work, curve, self.knife.max_corner + CORNER_ERROR_RAD + work.sheet.normal_error
+        ).lengths
         long = blade.end + float(blade.front(min(float(np.max(self.deep)), blade.length)))
-        reach, best = max(0.5 * long, LEAST_CHORD), np.full(len(at), np.inf)
-        for low, high in _sides(at, ends, curve.length, long + work.near):
-            least, most = np.full(len(at), np.inf), np.full(len(at), -np.inf)
-            for x in np.linspace(-reach, reach, DIRECTIONS):
-                first = np.clip(at + x - 0.5 * LEAST_CHORD, low, high - LEAST_CHORD)
-                last = np.maximum(np.minimum(first + LEAST_CHORD, high), first + LEAST_CHORD)
-                turn = _turned(self.ahead, curve.on(last) - curve.on(first), normal)
-                least, most = np.minimum(least, turn), np.maximum(most, turn)
-            best = np.minimum(best, np.maximum(np.maximum(least, -most), 0.0))
+        reach, best = max(0.5 * long, MIN_CHORD_M), np.full(len(at), np.inf)
+        for low, high in _sides(at, ends, curve.length, long + work.edge_tolerance):
+            low_angle, high_angle = np.full(len(at), np.inf), np.full(len(at), -np.inf)
+            for x in np.linspace(-reach, reach, DIRECTION_SAMPLES):
+                first = np.clip(at + x - 0.5 * MIN_CHORD_M, low, high - MIN_CHORD_M)
+                last = np.maximum(np.minimum(first + MIN_CHORD_M, high), first + MIN_CHORD_M)
+                angle = _line_angles(self.ahead, curve.points_at(last) - curve.points_at(first), normal)
+                low_angle, high_angle = np.minimum(low_angle, angle), np.maximum(high_angle, angle)
+            best = np.minimum(best, np.maximum(np.maximum(low_angle, -high_angle), 0.0))
         return best
 
 
 def _sides(
     at: FloatArray, ends: FloatArray, length: float, reach: float
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """Between which corners (N,) [m] a place is that is ``at`` (N,) along a curve: those on both sides of it,
-    and of a place within ``reach`` [m] of a corner those on that one's other side, too."""
+    """Return between which corners (N,) [m] points at ``at`` (N,) along a curve are.
+
+    For a point within ``reach`` [m] of a corner, the corners on its other side are returned as well.
+    """
     if not len(ends):
         return [(np.full(len(at), -np.inf), np.full(len(at), np.inf))]
     marks = np.concatenate([ends + turn * length for turn in (-2.0, -1.0, 0.0, 1.0, 2.0)])
     k = np.searchsorted(marks, at, side="right")
-    before, behind_it = at - marks[k - 1] < reach, marks[k] - at < reach
+    near_previous, near_next = at - marks[k - 1] < reach, marks[k] - at < reach
     return [
         (marks[k - 1], marks[k]),
-        (np.where(before, marks[k - 2], marks[k - 1]), np.where(before, marks[k - 1], marks[k])),
-        (np.where(behind_it, marks[k], marks[k - 1]), np.where(behind_it, marks[k + 1], marks[k])),
+        (
+            np.where(near_previous, marks[k - 2], marks[k - 1]),
+            np.where(near_previous, marks[k - 1], marks[k]),
+        ),
+        (np.where(near_next, marks[k], marks[k - 1]), np.where(near_next, marks[k + 1], marks[k])),
     ]
 
 
-def _turned(ahead: FloatArray, way: FloatArray, normal: FloatArray) -> FloatArray:
-    """Angle (N,) [rad] from lines along one way to those along another, about the normal (N, 3), a quarter of
-    a turn either way at most."""
-    across = (np.cross(ahead, way) * normal).sum(axis=1)
-    flat = (ahead * way).sum(axis=1) - (ahead * normal).sum(axis=1) * (way * normal).sum(axis=1)
-    return np.asarray(np.arctan2(np.where(flat < 0.0, -across, across), np.abs(flat)))
+def _line_angles(ahead: FloatArray, direction: FloatArray, normal: FloatArray) -> FloatArray:
+    """Return the angle (N,) [rad] between lines about the normal (N, 3), at most a quarter revolution."""
+    across = (np.cross(ahead, direction) * normal).sum(axis=1)
+    cosine_part = (ahead * direction).sum(axis=1) - (ahead * normal).sum(axis=1) * (direction * normal).sum(
+        axis=1
+    )
+    return np.asarray(np.arctan2(np.where(cosine_part < 0.0, -across, across), np.abs(cosine_part)))
 
 
-def blade_way(work: TrimWork, own: TrimBlade, key: str) -> BladeWay:
-    """The way of a knife in one slot, worked out once."""
-    if key not in work.kept:
-        work.kept[key] = BladeWay(work, own, key)
-    return work.kept[key]  # type: ignore[no-any-return]
+def blade_path(work: TrimmedSheet, knife: TrimBlade, key: str) -> BladePath:
+    """Return the path of a knife in one slot, which is computed once.
+
+    Args:
+        work: Claim with the motion.
+        knife: Knife.
+        key: Key of the slot's segment.
+    """
+    if key not in work.cache:
+        work.cache[key] = BladePath(work, knife, key)
+    return work.cache[key]  # type: ignore[no-any-return]

@@ -1,4 +1,4 @@
-"""What trimming contributes to the proof."""
+"""Contribution of trimming to the proof."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -8,15 +8,20 @@ from planner.claims.segments import Segment
 from planner.processes.trim.claims import TrimsSheet, slot_names
 from planner.processes.trim.proof import outlines
 from planner.processes.trim.proof.rules import forming_holes, knife, mill, slots
-from planner.proof.contribution import Edges, ProofOfProcess
+from planner.proof.contribution import ProofOfProcess, WorkingEdges
 
 
-def edges(group: Sequence[Claim], arm: str) -> Edges | None:
-    """A tool that trims is near to the sheet in its slots, with their ways in and out."""
+def contact_segments(group: Sequence[Claim], arm: str) -> WorkingEdges | None:
+    """Return the segments in which a tool on ``arm`` is near the sheet: its slots with their leads.
+
+    Args:
+        group: Claims of one operation.
+        arm: Name of the arm.
+    """
     claims = [claim for claim in group if isinstance(claim, TrimsSheet) and claim.arm == arm]
-    names = [name for claim in claims for one in claim.outlines for name in slot_names(claim, one)]
-    segments = frozenset(part.key for name in names for part in Segment("trim", name).ways)
-    return Edges(segments) if segments else None
+    names = [name for claim in claims for outline in claim.outlines for name in slot_names(claim, outline)]
+    segments = frozenset(part.key for name in names for part in Segment("trim", name).all_phases)
+    return WorkingEdges(segments) if segments else None
 
 
 PROOF: Final = ProofOfProcess(
@@ -25,6 +30,6 @@ PROOF: Final = ProofOfProcess(
         *(slots.trim_feed, slots.trim_clear, mill.trim_mill, mill.trim_spindle, knife.trim_knife),
         forming_holes.forming_holes,
     ),
-    complete=outlines.worked_out,
-    edges=edges,
+    complete=outlines.resolve_claims,
+    edges=contact_segments,
 )

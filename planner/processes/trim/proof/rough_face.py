@@ -1,7 +1,7 @@
-"""The face that is meant by a mesh with noise, as a tool that goes square to it sees it.
+"""Smoothed face of a mesh with noise, as a tool normal to it sees it.
 
-Facets of a scan lean by several degrees where the face does not. Each vertex goes to the height of the second
-order surface through those about it. Of a mesh without noise nothing of that is asked.
+Facets of a scan are tilted by several degrees where the face is not. Each vertex moves to the height of the
+second-order surface through its neighbourhood. Meshes without noise stay as they are.
 """
 
 from typing import Final
@@ -11,63 +11,83 @@ from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import FloatArray, IntArray
 
-ABOUT: Final = 30
-"""Vertices about one, seen along z, that make its face; those of one that has more near by count, too,"""
-NEAR: Final = (2.5e-3, 6e-3)
-"""as they are no less and no more than so far off [m]."""
-TURN_LENGTH: Final = 1.5e-3
-"""The way [m] on which a levelled face rises and falls by its noise at most:"""
-MOST_TURN: Final = np.deg2rad(5.0)
-"""but no farther than this [rad] counts."""
-FEWEST: Final = 12
-"""Where there are fewer about a vertex it stays where it is."""
-VERTICES_AT_ONCE: Final = 500
-"""Vertices that are worked on at once."""
-STEADY: Final = 1e-9
-"""Of the largest eigenvalue, what is added so that a fit has one answer."""
+NEIGHBOUR_COUNT: Final = 30
+"""Number of neighbours, seen along z, that define the face at a vertex."""
+NEIGHBOUR_RADIUS_M: Final = (2.5e-3, 6e-3)
+"""Bounds of the radius of the neighbourhood [m]. All vertices within it count."""
+NOISE_LENGTH_M: Final = 1.5e-3
+"""Length over which a smoothed face rises and falls by its noise [m]."""
+MAX_ROTATION_RAD: Final = np.deg2rad(5.0)
+"""Maximum rotation of normals because of noise [rad]."""
+MIN_NEIGHBOURS: Final = 12
+"""Minimum number of neighbours. A vertex with fewer stays where it is."""
+MAX_VERTICES: Final = 500
+"""Number of vertices that are processed at once."""
+REGULARISATION_FRACTION: Final = 1e-9
+"""Regularisation of the fit, as a fraction of the largest eigenvalue."""
 
 
-def noise_turn(noise: float) -> float:
-    """How far [rad] normals of a levelled face may be turned by what vertices are off it [m]."""
-    return float(min(np.arctan2(noise, TURN_LENGTH), MOST_TURN))
+def noise_rotation(noise: float) -> float:
+    """Return the possible rotation of normals of a smoothed face [rad].
+
+    Args:
+        noise: Deviation of vertices from the face [m].
+    """
+    return float(min(np.arctan2(noise, NOISE_LENGTH_M), MAX_ROTATION_RAD))
 
 
-def levelled(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """Vertices (V, 3) [m] of a mesh ``faces`` (F, 3), each at the height of the face about it."""
+def smooth_heights(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """Return the vertices of a mesh with smoothed heights.
+
+    Args:
+        vertices: Vertices (V, 3) [m].
+        faces: Triangles (F, 3).
+    """
     corners = vertices[faces, :2]
-    one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    share = np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]) / 6.0
-    area = np.asarray(np.bincount(faces.ravel(), np.repeat(share, 3), len(vertices)), dtype=np.float64)
+    first_edge, second_edge = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    corner_areas = np.abs(first_edge[:, 0] * second_edge[:, 1] - first_edge[:, 1] * second_edge[:, 0]) / 6.0
+    area = np.asarray(np.bincount(faces.ravel(), np.repeat(corner_areas, 3), len(vertices)), dtype=np.float64)
     tree = cKDTree(vertices[:, :2])
-    far = np.asarray(tree.query(vertices[:, :2], k=min(ABOUT, len(vertices)))[0])[:, -1]
-    reach = np.clip(far, *NEAR)
+    neighbour_distance = np.asarray(tree.query(vertices[:, :2], k=min(NEIGHBOUR_COUNT, len(vertices)))[0])[
+        :, -1
+    ]
+    radius = np.clip(neighbour_distance, *NEIGHBOUR_RADIUS_M)
     out = vertices.copy()
-    for first in range(0, len(vertices), VERTICES_AT_ONCE):
-        rows = slice(first, first + VERTICES_AT_ONCE)
-        about = list(tree.query_ball_point(vertices[rows, :2], reach[rows]))
-        out[rows, 2] = _heights(vertices, area, vertices[rows], reach[rows], about)
+    for first in range(0, len(vertices), MAX_VERTICES):
+        rows = slice(first, first + MAX_VERTICES)
+        neighbours = list(tree.query_ball_point(vertices[rows, :2], radius[rows]))
+        out[rows, 2] = _heights(vertices, area, vertices[rows], radius[rows], neighbours)
     return out
 
 
 def _heights(
-    vertices: FloatArray, area: FloatArray, own: FloatArray, reach: FloatArray, about: list[list[int]]
+    vertices: FloatArray,
+    area: FloatArray,
+    points: FloatArray,
+    radius: FloatArray,
+    neighbours: list[list[int]],
 ) -> FloatArray:
-    """Heights (K,) [m] at places ``own`` (K, 3) of the surfaces through the vertices ``about`` each, which
-    count by the ``area`` (V,) [m^2] that is theirs, and less the farther off they are within its ``reach``
-    (K,) [m]."""
-    many = np.array([len(one) for one in about])
-    row, column = np.repeat(np.arange(len(own)), many), np.concatenate([np.asarray(one) for one in about])
-    x, y = ((vertices[column, k] - own[row, k]) / reach[row] for k in range(2))
+    """Return heights (K,) [m] of the surfaces through the vertices ``neighbours`` each of some points.
+
+    Vertices are weighted by their ``area`` (V,) [m^2], and by distance within ``radius`` (K,) [m] with (1 -
+    r^2)^2. The points are ``points`` (K, 3).
+    """
+    counts = np.array([len(rows) for rows in neighbours])
+    row, column = (
+        np.repeat(np.arange(len(points)), counts),
+        np.concatenate([np.asarray(rows) for rows in neighbours]),
+    )
+    x, y = ((vertices[column, k] - points[row, k]) / radius[row] for k in range(2))
     weight = area[column] * np.clip(1.0 - x * x - y * y, 0.0, 1.0) ** 2
     terms = np.stack([np.ones(len(row)), x, y, x * x, x * y, y * y])
-    rest = vertices[column, 2] - own[row, 2]
-    count, size = len(own), len(terms)
+    rest = vertices[column, 2] - points[row, 2]
+    count, size = len(points), len(terms)
     matrix, right = np.empty((count, size, size)), np.empty((count, size))
     for a in range(size):
         right[:, a] = np.bincount(row, weight * terms[a] * rest, count)
         for b in range(size):
             matrix[:, a, b] = np.bincount(row, weight * terms[a] * terms[b], count)
     largest = np.trace(matrix, axis1=1, axis2=2)
-    matrix += (STEADY * largest + 1e-30)[:, None, None] * np.eye(size)
-    found = np.linalg.solve(matrix, right[..., None])[:, 0, 0]
-    return np.asarray(own[:, 2] + np.where(many >= FEWEST, found, 0.0))
+    matrix += (REGULARISATION_FRACTION * largest + 1e-30)[:, None, None] * np.eye(size)
+    offsets = np.linalg.solve(matrix, right[..., None])[:, 0, 0]
+    return np.asarray(points[:, 2] + np.where(counts >= MIN_NEIGHBOURS, offsets, 0.0))

@@ -1,5 +1,4 @@
-"""Where a torch, a mill or a knife is while it trims, whether an arc burns then, and how far its body is off
-the sheet."""
+"""Motion of a torch, mill or knife while it trims: its path, its arc, and its distance from the sheet."""
 
 import dataclasses
 import itertools
@@ -11,224 +10,283 @@ import numpy as np
 
 from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
-from planner.geometry.swept_body import RoundBody, least_distances, places_near
+from planner.geometry.swept_body import RoundBody, SweptBody, least_distances, points_near
 from planner.issues import Issue
-from planner.processes.forming.proof.state import FORMING
+from planner.processes.forming.proof.forming_facts import FORMING
 from planner.processes.trim.claims import TrimsSheet, slot_names
-from planner.processes.trim.proof.outlines import TRIM, Curve, Feet, SheetSide
+from planner.processes.trim.proof.outlines import TRIM, FacePoints, OutlineCurve, SheetSide
 from planner.proof.context import Context
 from planner.proof.facts import Fact
 from planner.proof.part_files import UnreadError
-from planner.proof.replay.tool_track import Track, track_of
+from planner.proof.replay.tool_track import ReplayedToolPath, tool_path
 from planner.tooling import Torch
 
-SIGHT = 20e-3
-"""What is farther off a torch than this [m] is not told apart."""
-FACE_SPACING = 0.8e-3
-"""How near [m] to one another places of a face are at which a torch is looked for."""
-PLACE_STEP = 0.2e-3
-"""Places of a torch's way are no farther apart than this [m];"""
-PLACE_ERROR = 0.02e-3
-"""What places of ways and curves, between which nothing is looked at, may hide [m]."""
-BEND_SHARE = 0.05
-"""straight lines between them leave its way by no more than this part of the tolerance."""
-MOST_FACE_PLACES = 1_000_000
-"""Places of a face at most."""
+MAX_QUERY_DISTANCE_M = 20e-3
+"""Distances from a tool greater than this [m] are not distinguished."""
+FACE_SPACING_M = 0.8e-3
+"""Distance of face points that are compared with a tool [m]."""
+SAMPLE_STEP_M = 0.2e-3
+"""Maximum distance of samples of a tool's path [m]."""
+SAMPLING_ERROR_M = 0.02e-3
+"""Deviation that may be hidden between samples of paths and curves [m]."""
+BEND_FRACTION = 0.05
+"""Fraction of the tolerance by which straight lines between samples may deviate from the path."""
+MAX_FACE_POINTS = 1_000_000
+"""Maximum number of face points."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Burning:
-    """Intervals [s] in which a signal is on: ``begin`` and ``end`` (B,)."""
+class OnIntervals:
+    """Intervals in which a signal is on.
 
-    begin: FloatArray
+    Attributes:
+        start: Starts (B,) [s].
+        end: Ends (B,) [s].
+    """
+
+    start: FloatArray
     end: FloatArray
 
     @staticmethod
-    def of(context: Context, claim: TrimsSheet) -> "Burning":
-        """When the programs have the signal of a claim on."""
-        begin: list[float] = []
-        end: list[float] = []
-        for at, value in context.motion.switched(claim.signal, context.switching((claim.arm,))):
-            if value and len(begin) == len(end):
-                begin.append(at)
-            elif not value and len(begin) > len(end):
-                end.append(at)
-        if len(begin) > len(end):
-            end.append(float("inf"))
-        return Burning(np.array(begin), np.array(end))
+    def from_motion(context: Context, claim: TrimsSheet) -> "OnIntervals":
+        """Return when the programs have the signal of a claim on.
 
-    def at(self, time: FloatArray) -> BoolArray:
-        """(T,) whether it is on at some times, the ends of intervals among them."""
-        place = np.searchsorted(self.begin, time, side="right") - 1
-        inside = place >= 0
+        Args:
+            context: Context of the proof.
+            claim: Claim on the sheet.
+        """
+        starts: list[float] = []
+        ends: list[float] = []
+        for at, value in context.motion.signal_changes(
+            claim.signal, context.controller_task_names((claim.arm,))
+        ):
+            if value and len(starts) == len(ends):
+                starts.append(at)
+            elif not value and len(starts) > len(ends):
+                ends.append(at)
+        if len(starts) > len(ends):
+            ends.append(float("inf"))
+        return OnIntervals(np.array(starts), np.array(ends))
+
+    def contains(self, time: FloatArray) -> BoolArray:
+        """Return whether (T,) it is on at times (T,) [s], ends of intervals included."""
+        indices = np.searchsorted(self.start, time, side="right") - 1
+        inside = indices >= 0
         out = np.zeros(len(time), dtype=bool)
-        out[inside] = time[inside] <= self.end[place[inside]]
+        out[inside] = time[inside] <= self.end[indices[inside]]
         return out
 
 
-CROSS_ROUNDS = 8
-"""Times that the place is looked for anew in which an axis goes through a face."""
+INTERSECTION_ITERATIONS = 8
+"""Number of fixed-point iterations for the intersection of an axis with a face."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Way:
-    """Places of the tool in one slot, ``PLACE_STEP`` apart at most: ``tip`` and ``axis`` (N, 3), from the TCP
-    into the tool, ``feet`` on the face, and ``rows`` (N,) of the motion; ``off`` (N,) [m] from the curve that
-    it cuts, below zero on the part, and where along that, ``at`` (N,) [m]. ``deep`` (N,) [m]: of a mill or a
-    knife, how far along its axis the tip is behind the face, below zero over it; zero of a torch."""
+class SlotPath:
+    """Samples of the tool in one slot, at most ``SAMPLE_STEP_M`` apart.
+
+    Attributes:
+        tip: Tips (N, 3) [m].
+        axis: Directions from the TCP into the tool (N, 3).
+        feet: Points on the face.
+        rows: Samples of the motion (N,).
+        curve_distance: Distances from the curve (N,) [m], negative on the part.
+        at: Lengths along the curve (N,) [m].
+        depth: Depth of the tip of a mill or knife behind the face, along its axis (N,) [m]; zero for a torch.
+    """
 
     tip: FloatArray
     axis: FloatArray
-    feet: Feet
+    feet: FacePoints
     rows: IntArray
-    off: FloatArray
+    curve_distance: FloatArray
     at: FloatArray
-    deep: FloatArray
+    depth: FloatArray
 
 
-def behind(sheet: SheetSide, tip: FloatArray, axis: FloatArray) -> FloatArray:
-    """How far (N,) [m] from a ``tip`` along its ``axis`` (N, 3) the axis goes through the face."""
+def face_distance(sheet: SheetSide, tip: FloatArray, axis: FloatArray) -> FloatArray:
+    """Return how far (N,) [m] from a tip its axis intersects the face.
+
+    Args:
+        sheet: Side of the sheet.
+        tip: Tips (N, 3) [m].
+        axis: Axes (N, 3).
+    """
     out = np.zeros(len(tip))
-    for _ in range(CROSS_ROUNDS):
-        place = tip + out[:, None] * axis
-        point, normal = sheet.at(place[:, :2])
+    for _ in range(INTERSECTION_ITERATIONS):
+        points = tip + out[:, None] * axis
+        point, normal = sheet.at(points[:, :2])
         slope = (axis * normal).sum(axis=1)
         slope = np.where(np.abs(slope) < 0.1, np.copysign(0.1, slope), slope)
-        out = out - ((place - point) * normal).sum(axis=1) / slope
+        out = out - ((points - point) * normal).sum(axis=1) / slope
     return out
 
 
-class TrimWork:
-    """One claim on a trimmed sheet, with the motion of its torch. Raises `UnreadError` where part or curves
-    cannot be read once more."""
+class TrimmedSheet:
+    """One claim on a trimmed sheet, with the motion of its tool.
+
+    Raises:
+        UnreadError: Part or curves cannot be read.
+    """
 
     def __init__(
-        self, context: Context, index: int, claim: TrimsSheet, flat: Callable[[FloatArray], FloatArray]
+        self,
+        context: Context,
+        index: int,
+        claim: TrimsSheet,
+        remaining_forming: Callable[[FloatArray], FloatArray],
     ) -> None:
         self.context, self.index, self.claim = context, index, claim
         part = context.problem.source.get("part")
-        self.sheet = SheetSide(claim, part, flat)
-        self._other = partial(SheetSide, dataclasses.replace(claim, side=-claim.side), part, flat)
-        self.curves = tuple(Curve(one, self.sheet) for one in claim.outlines)
-        self._tracks: dict[tuple[str, ...], Track] = {}
+        self.sheet = SheetSide(claim, part, remaining_forming)
+        self._other = partial(
+            SheetSide, dataclasses.replace(claim, side=-claim.side), part, remaining_forming
+        )
+        self.curves = tuple(OutlineCurve(outline, self.sheet) for outline in claim.outlines)
+        self._tracks: dict[tuple[str, ...], ReplayedToolPath] = {}
         labels = tuple(sorted(set(context.motion.node_label.tolist())))
         self.track = self._track(labels)
-        self._ways: dict[str, Way | None] = {}
-        self.kept: dict[str, Any] = {}  # what is worked out of it elsewhere
-        self.burning = Burning.of(context, claim)
+        self._paths: dict[str, SlotPath | None] = {}
+        self.cache: dict[str, Any] = {}  # results that other modules derive from it
+        self.on_intervals = OnIntervals.from_motion(context, claim)
 
     @property
-    def near(self) -> float:
-        """How far [m] a slot's edge may be off its outline: whatever is no farther cuts that, and is held
-        against all that is asked of what cuts."""
-        return self.claim.tolerance + self.sheet.tolerance + PLACE_ERROR
+    def edge_tolerance(self) -> float:
+        """How far [m] a slot's edge may be from its outline.
+
+        What is nearer cuts the outline, and has to fulfil all requirements on what cuts.
+        """
+        return self.claim.tolerance + self.sheet.tolerance + SAMPLING_ERROR_M
 
     @cached_property
-    def other(self) -> SheetSide:
-        """The sheet's other side."""
+    def other_side(self) -> SheetSide:
+        """The other side of the sheet."""
         return self._other()
 
-    def feet(self, tip: FloatArray, axis: FloatArray) -> tuple[Feet, FloatArray]:
-        """Where tools are on the face: a torch at its foot, others where their axis goes through that; and
-        how deep (N,) [m] the tip is behind."""
-        if self.claim.through is None:
-            return self.sheet.feet(tip), np.zeros(len(tip))
-        deep = behind(self.sheet, tip, axis)
-        return self.sheet.feet(tip + deep[:, None] * axis), deep
+    def project(self, tip: FloatArray, axis: FloatArray) -> tuple[FacePoints, FloatArray]:
+        """Return the tools' points on the face, and the depth (N,) [m] of the tips behind it.
+
+        For a torch it is the foot, for other tools the intersection of the axis with the face.
+
+        Args:
+            tip: Tips (N, 3) [m].
+            axis: Axes (N, 3).
+        """
+        if self.claim.through_tool is None:
+            return self.sheet.project(tip), np.zeros(len(tip))
+        depth = face_distance(self.sheet, tip, axis)
+        return self.sheet.project(tip + depth[:, None] * axis), depth
 
     @cached_property
-    def slots(self) -> dict[str, Curve]:
-        """The curve that each slot cuts, by the key of its segment; of a knife's those that there are."""
-        names = {Segment(TRIM, name).key: c for c in self.curves for name in slot_names(self.claim, c.one)}
+    def slots(self) -> dict[str, OutlineCurve]:
+        """The curve that each slot cuts, by the key of its segment.
+
+        Of a knife's slots only those that occur.
+        """
+        names = {
+            Segment(TRIM, name).key: c for c in self.curves for name in slot_names(self.claim, c.outline)
+        }
         if self.claim.knife is None:
             return names
-        there = set(self.context.motion.node_label.tolist())
-        return {key: curve for key, curve in names.items() if key in there}
+        occurring = set(self.context.motion.node_label.tolist())
+        return {key: curve for key, curve in names.items() if key in occurring}
 
-    def _track(self, labels: tuple[str, ...]) -> Track:
+    def _track(self, labels: tuple[str, ...]) -> ReplayedToolPath:
         if labels not in self._tracks:
-            self._tracks[labels] = track_of(self.context, self.index, self.claim.arm, labels)
+            self._tracks[labels] = tool_path(self.context, self.index, self.claim.arm, labels)
         return self._tracks[labels]
 
-    def of_slot(self, key: str) -> Track:
-        """The track in one slot."""
+    def slot_track(self, key: str) -> ReplayedToolPath:
+        """Return the track in one slot."""
         return self._track((key,))
 
-    def way(self, key: str) -> Way | None:
-        """The way of the torch in one slot, None where it has none."""
-        if key not in self._ways:
-            track, curve = self.of_slot(key), self.slots[key]
-            self._ways[key] = None
+    def slot_path(self, key: str) -> SlotPath | None:
+        """Return the path of the tool in one slot, None if it has none."""
+        if key not in self._paths:
+            track, curve = self.slot_track(key), self.slots[key]
+            self._paths[key] = None
             if len(track.rows) > 1:
-                tip, axis, rows = track.spaced(PLACE_STEP, BEND_SHARE * self.claim.tolerance)
+                tip, axis, rows = track.spaced(SAMPLE_STEP_M, BEND_FRACTION * self.claim.tolerance)
                 order = np.argsort(rows, kind="stable")
                 tip, axis, rows = tip[order], axis[order], rows[order]
-                feet, deep = self.feet(tip, axis)
-                off, at = curve.off(feet.foot)
-                off = np.where(curve.in_waste(feet.foot), off, -off)
-                self._ways[key] = Way(tip, axis, feet, rows, off, at, deep)
-        return self._ways[key]
+                feet, depth = self.project(tip, axis)
+                distances, at = curve.distance(feet.foot)
+                distances = np.where(curve.in_waste(feet.foot), distances, -distances)
+                self._paths[key] = SlotPath(tip, axis, feet, rows, distances, at, depth)
+        return self._paths[key]
 
-    def ways(self, curve: Curve) -> dict[str, Way | None]:
-        """:meth:`way` of each slot of a curve, by its key."""
-        return {key: self.way(key) for key, own in self.slots.items() if own is curve}
+    def slot_paths(self, curve: OutlineCurve) -> dict[str, SlotPath | None]:
+        """Return :meth:`slot_path` of each slot of a curve, by its key."""
+        return {key: self.slot_path(key) for key, slot_curve in self.slots.items() if slot_curve is curve}
 
 
 class Trimming:
-    """All claims on trimmed sheets of a proof; ``issues`` says what could not be read."""
+    """All claims on trimmed sheets of a proof. ``issues`` states what could not be read."""
 
     def __init__(self, context: Context) -> None:
         self.context, forming = context, context.get(FORMING)
-        works, self.issues = list[TrimWork](), list[Issue]()
+        sheets, self.issues = list[TrimmedSheet](), list[Issue]()
         for index, setup in enumerate(context.setup_claims):
             for group in setup.groups:
                 for claim in group:
                     if not isinstance(claim, TrimsSheet):
                         continue
                     try:
-                        flat = partial(forming.still_flat, group)
-                        works.append(TrimWork(context, index, claim, flat))
+                        remaining_forming = partial(forming.later_displacement, group)
+                        sheets.append(TrimmedSheet(context, index, claim, remaining_forming))
                     except (UnreadError, OSError) as error:
                         what = f"part or curves cannot be read a second time: {error}"
                         self.issues.append(Issue("verify.trim_cut", what, field="operations.outlines"))
-        self.works = tuple(works)
+        self.sheets = tuple(sheets)
 
 
 TRIMMING: Final[Fact[Context, Trimming]] = Fact("trimming", Trimming)
-"""The trimming of a proof."""
+"""Trimming of a proof."""
 
 
-STANDING = 0.05e-3
-"""A torch that moves by no more than this [m] stands."""
+REST_TOLERANCE_M = 0.05e-3
+"""A torch that moves by no more than this [m] is at rest."""
 
 
-def begins(track: Track) -> int:
-    """The last row at which a tool still stands where its track begins: the first one of none that stands."""
-    moved = np.linalg.norm(track.tip - track.tip[:1], axis=1) > STANDING
+def start_row(track: ReplayedToolPath) -> int:
+    """Return the last row at which a tool is still at rest at the start of its track.
+
+    It is the first row if the tool is not at rest.
+    """
+    moved = np.linalg.norm(track.tip - track.tip[:1], axis=1) > REST_TOLERANCE_M
     return max(int(np.argmax(moved)) - 1, 0) if moved.any() else len(moved) - 1
 
 
-FIRST_SAMPLES = 256
-"""Samples at once in which it is looked for where a tool gets so far, four times as many each time."""
+FIRST_BATCH = 256
+"""Number of samples in the first batch of a search. Each further batch is four times as large."""
 
 
-def longest_stay(track: Track, far: float) -> float:
-    """The longest time [s] in which a tool gets no farther than ``far`` [m] from a place, from where it
-    begins to move: each time from the first place that is farther from the one before."""
-    worst, last, at = 0.0, len(track.tip) - 1, begins(track)
+def longest_stay(track: ReplayedToolPath, distance: float) -> float:
+    """Return the longest time [s] in which a tool moves at most by a distance.
+
+    It starts when the tool starts to move. Each interval ends at the first sample that is farther away.
+
+    Args:
+        track: Track of the tool.
+        distance: Distance [m].
+    """
+    worst, last, at = 0.0, len(track.tip) - 1, start_row(track)
     while at < last:
-        count, away = FIRST_SAMPLES, np.zeros(0, dtype=bool)
-        while not away.any() and len(away) < last - at:
-            away = np.linalg.norm(track.tip[at + 1 : at + 1 + count] - track.tip[at], axis=1) > far
+        count, is_away = FIRST_BATCH, np.zeros(0, dtype=bool)
+        while not is_away.any() and len(is_away) < last - at:
+            is_away = np.linalg.norm(track.tip[at + 1 : at + 1 + count] - track.tip[at], axis=1) > distance
             count *= 4
-        step = int(np.argmax(away)) + 1 if away.any() else len(away)
+        step = int(np.argmax(is_away)) + 1 if is_away.any() else len(is_away)
         worst, at = max(worst, float(track.time[at + step] - track.time[at])), at + step
     return worst
 
 
-def body(torch: Torch) -> RoundBody:
-    """A torch as a body of revolution, from the TCP backwards: cone and body, by its half section, a convex
-    polygon; distances outside of it are from its edges, inside from the nearest of them."""
+def torch_body(torch: Torch) -> RoundBody:
+    """Return a torch as a body of revolution, from the TCP backwards: cone and body.
+
+    Distances are those from its half section, a convex polygon: from its edges outside, from the nearest edge
+    inside.
+    """
     corners = np.array(
         [
             [torch.standoff, 0.0],
@@ -239,56 +297,62 @@ def body(torch: Torch) -> RoundBody:
         ]
     )
 
-    def distance(back: FloatArray, beside: FloatArray) -> FloatArray:
-        shape, point = back.shape, np.stack([back.ravel(), beside.ravel()], axis=1)
+    def distance(axial: FloatArray, radial: FloatArray) -> FloatArray:
+        shape, point = axial.shape, np.stack([axial.ravel(), radial.ravel()], axis=1)
         best, inside = np.full(len(point), np.inf), np.ones(len(point), dtype=bool)
         for a, b in itertools.pairwise(corners):
-            way, rest = b - a, point - a
-            inside &= way[0] * rest[:, 1] - way[1] * rest[:, 0] <= 0.0
-            share = np.clip(rest @ way / max(float(way @ way), 1e-24), 0.0, 1.0)
-            best = np.minimum(best, np.linalg.norm(rest - share[:, None] * way, axis=1))
+            edge, rest = b - a, point - a
+            inside &= edge[0] * rest[:, 1] - edge[1] * rest[:, 0] <= 0.0
+            fraction = np.clip(rest @ edge / max(float(edge @ edge), 1e-24), 0.0, 1.0)
+            best = np.minimum(best, np.linalg.norm(rest - fraction[:, None] * edge, axis=1))
         return np.asarray(np.where(inside, -best, best).reshape(shape))
 
     return RoundBody(torch.standoff, torch.back, torch.body, distance)
 
 
 def cylinder(low: float, high: float, radius: float) -> RoundBody:
-    """A cylinder from ``low`` to ``high`` [m] behind the tip."""
+    """Return a cylinder from ``low`` to ``high`` [m] behind the tip."""
 
-    def distance(back: FloatArray, beside: FloatArray) -> FloatArray:
-        side, ends = beside - radius, np.maximum(low - back, back - high)
+    def distance(axial: FloatArray, radial: FloatArray) -> FloatArray:
+        side, ends = radial - radius, np.maximum(low - axial, axial - high)
         outside = np.hypot(np.maximum(side, 0.0), np.maximum(ends, 0.0))
         return np.asarray(np.where(outside > 0.0, outside, np.maximum(side, ends)))
 
     return RoundBody(low, high, radius, distance)
 
 
-def bodies(claim: TrimsSheet) -> list[RoundBody]:
-    """What of the tool keeps clear of the sheet: a torch; shank, holder and spindle of a mill; a knife's
-    body."""
+def clear_bodies(claim: TrimsSheet) -> list[RoundBody]:
+    """Return what keeps clear of the sheet: a torch; shank, holder and spindle of a mill; a knife's body."""
     if claim.torch is not None:
-        return [body(claim.torch)]
+        return [torch_body(claim.torch)]
     if claim.knife is not None:
         return [cylinder(claim.knife.blade.length, claim.knife.back, claim.knife.body)]
     if claim.mill is None:
         return []
     cutter = claim.mill.cutter
     out = [cylinder(cutter.flute, cutter.overhang, cutter.shank)] if cutter.overhang > cutter.flute else []
-    rings = cutter.behind.tolist()
+    rings = cutter.holder_outline.tolist()
     return out + [cylinder(a[0], b[0], a[1]) for a, b in zip(rings[::2], rings[1::2], strict=True)]
 
 
-def off_sheet(work: TrimWork, rows: IntArray) -> tuple[float, int]:
-    """Least distance [m] of the tool from the sheet at rows of its track, ``SIGHT`` at most, and the row."""
-    found = [_off_sheet(work, rows, own) for own in bodies(work.claim)]
-    return min(found, key=lambda one: one[0])
+def sheet_distance(work: TrimmedSheet, rows: IntArray) -> tuple[float, int]:
+    """Return the smallest distance [m] of the tool from the sheet and its row.
+
+    Distances are at most ``MAX_QUERY_DISTANCE_M``.
+
+    Args:
+        work: Claim with the motion.
+        rows: Rows of the track.
+    """
+    distances = [_body_distance(work, rows, part) for part in clear_bodies(work.claim)]
+    return min(distances, key=lambda result: result[0])
 
 
-def _off_sheet(work: TrimWork, rows: IntArray, own: RoundBody) -> tuple[float, int]:
-    tip, axis = work.track.tip[rows], work.track.axis[rows]
+def _body_distance(work: TrimmedSheet, rows: IntArray, part: RoundBody) -> tuple[float, int]:
+    swept = SweptBody(work.track.tip[rows], work.track.axis[rows], part)
     corners = work.sheet.vertices[work.sheet.faces]
     low, high = corners.reshape(-1, 3)[:, :2].min(axis=0), corners.reshape(-1, 3)[:, :2].max(axis=0)
-    size = 0.5 * np.asarray(work.context.stock(work.index).size)[:2]
+    size = 0.5 * np.asarray(work.context.stock_at(work.index).size)[:2]
     flat = []
     xs, ys = [min(-size[0], low[0]), max(size[0], high[0])], [min(-size[1], low[1]), max(size[1], high[1])]
     for x0, y0, x1, y1 in (
@@ -297,19 +361,19 @@ def _off_sheet(work: TrimWork, rows: IntArray, own: RoundBody) -> tuple[float, i
         (low[0], ys[0], high[0], low[1]),
         (low[0], high[1], high[0], ys[1]),
     ):
-        a, b, c, d = (np.array([x, y, work.sheet.rise]) for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1)))
-        flat += [np.array([a, b, c]), np.array([a, c, d])]
-    every = np.concatenate([corners, np.array(flat)])
-    # no place of a face is looked at that is farther off than the nearest corner
-    corner, where = least_distances(work.sheet.vertices, tip, axis, own, SIGHT, -np.inf)
-    k = int(np.argmin(corner))
-    near = max(float(corner[k]), 0.0) + PLACE_ERROR
-    places, _, count = places_near(every, tip, axis, own, near, FACE_SPACING, MOST_FACE_PLACES)
-    if count > MOST_FACE_PLACES:
-        raise UnreadError(
-            f"the sheet would have to be looked at in {count} places; {MOST_FACE_PLACES} may be"
+        a, b, c, d = (
+            np.array([x, y, work.sheet.height]) for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1))
         )
-    off, at = least_distances(places, tip, axis, own, near, -np.inf)
-    if len(off) and float(off.min()) < float(corner[k]):
-        corner, where, k = off, at, int(np.argmin(off))
+        flat += [np.array([a, b, c]), np.array([a, c, d])]
+    triangles = np.concatenate([corners, np.array(flat)])
+    # face points farther away than the nearest vertex cannot be the nearest ones
+    corner, where = least_distances(work.sheet.vertices, swept, MAX_QUERY_DISTANCE_M, -np.inf)
+    k = int(np.argmin(corner))
+    max_distance = max(float(corner[k]), 0.0) + SAMPLING_ERROR_M
+    points, _, count = points_near(triangles, swept, max_distance, FACE_SPACING_M, MAX_FACE_POINTS)
+    if count > MAX_FACE_POINTS:
+        raise UnreadError(f"the sheet would have to be checked at {count} points, allowed {MAX_FACE_POINTS}")
+    distances, at = least_distances(points, swept, max_distance, -np.inf)
+    if len(distances) and float(distances.min()) < float(corner[k]):
+        corner, where, k = distances, at, int(np.argmin(distances))
     return float(corner[k]), int(rows[where[k]])

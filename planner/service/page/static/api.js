@@ -10,7 +10,7 @@ function compare(answer) {
   const now = answer.headers.get("Tandem-Version");
   if (told || !now || !version || now === version) return;
   told = true;
-  const again = h("button", { type: "button", class: "small", onclick: () => location.reload() }, "Load it anew");
+  const again = h("button", { type: "button", class: "small", onclick: () => location.reload() }, "Reload");
   document.querySelector("main").prepend(h("p", { class: "banner warn", id: "outdated", role: "alert" }, `The service was updated to ${now}, and this page is of ${version}. What a draft has stays. `, again));
 }
 

@@ -2,9 +2,9 @@
 import { h } from "./dom.js";
 import { number } from "./words.js";
 
-export const WORDS = { "": "nothing fails", "motion.no_reach": "out of reach", "motion.joint_limit": "joint limit", "motion.singular": "singular posture", "motion.collision": "too near" };
+export const WORDS = { "": "nothing fails", "motion.no_reach": "out of reach", "motion.joint_limit": "joint limit", "motion.singular": "singularity", "motion.collision": "too close" };
 export const STYLES = { "": "--map-free", "motion.no_reach": "--map-reach", "motion.joint_limit": "--map-limit", "motion.singular": "--map-singular", "motion.collision": "--map-near" };
-const LAYERS = { limit_deg: ["room to joint limits", 45, "°"], singular_deg: ["distance to singular postures", 45, "°"], clearance_mm: ["clearance", 100, " mm"] };
+const LAYERS = { limit_deg: ["margin to joint limits", 45, "°"], singular_deg: ["distance to singularities", 45, "°"], clearance_mm: ["clearance", 100, " mm"] };
 const [LEFT, TOP, HEIGHT, GAP, BELOW] = [64, 20, 118, 26, 20]; // pixels
 
 export class AxisMap {
@@ -153,7 +153,7 @@ export class AxisMap {
 
   legend() {
     const { data, name } = this;
-    const way = data.path ? [h("span", {}, h("i", { class: "swatch map-path" }), "the plan's way ")] : [];
+    const way = data.path ? [h("span", {}, h("i", { class: "swatch map-path" }), "path of the plan ")] : [];
     if (name !== "states") {
       const [title, most, unit] = LAYERS[name];
       return [...way, h("i", { class: "swatch map-scale" }), `${title}, from 0 to ${most}${unit} and more; `, h("i", { class: "swatch map-none" }), "none"];
@@ -197,7 +197,7 @@ export class AxisMap {
     const name = this.data.freedom;
     this.chosen(place[0]);
     const done = this.moves(value);
-    this.say(place, done ? "The block is moved there." : `The search chooses ${name.replaceAll("_", " ")} itself: there is no field for it.`);
+    this.say(place, done ? "The block was moved." : `The planner chooses ${name.replaceAll("_", " ")}. It has no field.`);
     this.draw();
   }
 
@@ -209,7 +209,7 @@ export class AxisMap {
     const states = this.arms.map((arm) => {
       const code = data.codes[data.states[arm][k][v]];
       const room = ["limit_deg", "singular_deg"].map((name) => data[name][arm][k][v]);
-      return `${arm}: ${WORDS[code]}${code === "motion.collision" && data.pairs[k][v] ? ` (${data.pairs[k][v]})` : ""}${room[0] === null ? "" : `, ${number(room[0])}° to limits, ${number(room[1])}° to singular`}`;
+      return `${arm}: ${WORDS[code]}${code === "motion.collision" && data.pairs[k][v] ? ` (${data.pairs[k][v]})` : ""}${room[0] === null ? "" : `, ${number(room[0])}° to limits, ${number(room[1])}° to singularity`}`;
     });
     const clear = data.clearance_mm[k][v];
     const text = `${this.targets[k]?.name}, ${data.freedom.replaceAll("_", " ")} ${number(data.values[k][v])}${unit}: ${states.join("; ")}${clear === null ? "" : `; clearance ${number(clear)} mm${clear >= 100 ? " or more" : ""}`}. ${more}`;

@@ -31,12 +31,12 @@ export function openBatch(found) {
   show($("batch"), true);
   $("batch-title").textContent = `${now.problems.length} problems`;
   $("batch-list").replaceChildren(...now.problems.map((one) => h("li", {}, icon("file"), h("bdi", {}, one.name), h("ul", { class: "issues" }))));
-  $("batch-files").textContent = now.files.length ? `With ${now.files.map((one) => one.name).join(", ")}: each problem takes what it names.` : "No other files were chosen with them.";
-  $("batch-go").textContent = `Make ${now.problems.length} jobs`;
+  $("batch-files").textContent = now.files.length ? `With ${now.files.map((one) => one.name).join(", ")}: each problem uses the files that it states.` : "No other files were selected.";
+  $("batch-go").textContent = `Create ${now.problems.length} jobs`;
   $("batch-go").disabled = false;
   $("batch").scrollIntoView({ block: "nearest" });
   $("batch-title").focus();
-  announce(`${now.problems.length} problems are chosen`);
+  announce(`${now.problems.length} problems are selected`);
 }
 
 export const closeBatch = () => show($("batch"), false);
@@ -60,7 +60,7 @@ function tellFaults({ issues, of }) {
     rows[number].lastChild.append(issueItem({ ...issue, message }));
   }
   const wrong = rows.filter((row) => row.lastChild.children.length).length;
-  banner(left.length ? left.join(" · ") : `${wrong} of ${rows.length} problems cannot be read, so no job was made.`);
+  banner(left.length ? left.join(" · ") : `${wrong} of ${rows.length} problems cannot be read, so no job was created.`);
 }
 
 export function setUpBatch() {

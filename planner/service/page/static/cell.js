@@ -14,7 +14,7 @@ export function drawCells(state, cells, choose) {
   const option = ([name, cell]) => h("option", { value: name, selected: name === chosen }, `${name}: ${(cell.arms ?? []).map((arm) => robotName(arm.robot)).join(" and ")}`);
   const select = $("cell");
   select.replaceChildren(
-    ...(chosen ? [] : [h("option", { value: "" }, "as the problem has it")]),
+    ...(chosen ? [] : [h("option", { value: "" }, "as in the problem")]),
     ...(alike.length ? [h("optgroup", { label: "With the same tools" }, alike.map(option))] : []),
     h("optgroup", { label: "With other tools" }, other.map(option)),
   );

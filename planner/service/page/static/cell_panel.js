@@ -23,7 +23,7 @@ export class CellPanel {
       dropped: () => this.drop(),
     });
     this.map = new AxisMap($("map-canvas"), $("map-told"), { chosen: (target) => this.go(target + 1), moves: (value) => this.prefer(value) });
-    if (!this.view.works) $("cell-empty").textContent = "This browser draws no 3D (WebGL 2); the targets are told all the same.";
+    if (!this.view.works) $("cell-empty").textContent = "This browser cannot show 3D views: it lacks WebGL 2. Targets are described in text nevertheless.";
     $("cell-at").oninput = () => this.go($("cell-at").valueAsNumber);
     $("cell-next").onclick = () => this.next();
     $("cell-operation").onchange = $("map-freedom").onchange = () => this.again();
@@ -67,7 +67,7 @@ export class CellPanel {
     const reach = this.tab === "cell" && $("cell-reach").value ? "&reach=true" : "";
     if (!this.open || (this.looked === (freedom || this.looked || "none") && !(reach && !this.data?.reach && this.looked !== "reach"))) return;
     this.looked = freedom || (reach ? "reach" : "none");
-    this.note("Looking at the targets …");
+    this.note("Checking the targets …");
     await this.ask(`&targets=${TARGETS}${freedom ? `&freedom=${encodeURIComponent(freedom)}` : ""}${freedom && this.state.job ? `&job=${this.state.job}` : ""}${reach}`, signal);
   }
 
@@ -118,8 +118,8 @@ export class CellPanel {
     $("cell-move").replaceChildren(h("option", { value: "" }, "nothing: the view turns"), ...moves.map((move) => h("option", { value: move.name, selected: move.name === chosen }, nameOf(move))));
     this.choose(chosen);
     const bad = all.filter((target) => target.posture === undefined).length;
-    $("cell-canvas").setAttribute("aria-label", `3D view of the cell: ${data.arms.map((arm) => `${arm.name}, ${arm.robot}`).join("; ")}${all.length ? `; ${bad} of ${all.length} targets cannot be worked at` : ""}`);
-    $("cell-note").textContent = !data.placed ? "The block is not drawn: no place for it is known yet." : all.length ? `${number(all.length)} of ${number(data.of)} targets${data.thinned ? " of a coarser path" : ""} looked at${bad ? `, ${bad} without a posture (red)` : ", all have a posture"}` : "";
+    $("cell-canvas").setAttribute("aria-label", `3D view of the cell: ${data.arms.map((arm) => `${arm.name}, ${arm.robot}`).join("; ")}${all.length ? `; ${bad} of ${all.length} targets have no posture` : ""}`);
+    $("cell-note").textContent = !data.placed ? "The block is not drawn, because its pose is not known yet." : all.length ? `${number(all.length)} of ${number(data.of)} targets${data.thinned ? " of a coarser path" : ""} checked${bad ? `, ${bad} without a posture (red)` : ", all have a posture"}` : "";
     this.reach();
     this.freedoms(data);
     if (all.length) this.go(Math.min(this.number, all.length));
@@ -137,7 +137,7 @@ export class CellPanel {
     show(told, Boolean(wanted));
     if (!wanted || !reach) {
       if (this.view.works) this.view.field([], [], 0);
-      if (wanted) told.textContent = this.data.targets ? "Nothing is known over the block: it has no place yet, an arm holds it, or no target works." : "";
+      if (wanted) told.textContent = this.data.targets ? "No reach over the block: its pose is unknown, an arm holds it, or no target has a posture." : "";
       return;
     }
     const rows = wanted in reach.states ? [reach.states[wanted]] : Object.values(reach.states);
@@ -147,7 +147,7 @@ export class CellPanel {
     const each = Math.round(Math.max(...reach.pitch_mm));
     told.replaceChildren(
       ...counts.map(([code, count]) => h("span", {}, h("i", { class: `swatch ${STYLES[code].slice(2)}` }), `${code ? WORDS[code] : "within reach"} ${Math.round((100 * count) / states.length)} %`)),
-      h("span", {}, `${number(states.length)} places, every ${each} mm; tool turned as at the nearest of ${reach.targets} targets, ${reach.samples} samples of what is free, all branches; bodies are not held apart.`),
+      h("span", {}, `${number(states.length)} points, every ${each} mm. Tool orientation of the nearest of ${reach.targets} targets, ${reach.samples} samples of the freedoms, all branches. Collisions are not tested.`),
     );
   }
 
@@ -173,7 +173,7 @@ export class CellPanel {
     $("cell-at").value = n;
     const where = n ? `${target?.name ?? ""} (${n} of ${this.data?.targets?.length})` : "at home";
     $("cell-where").textContent = where;
-    $("cell-at").setAttribute("aria-valuetext", target?.posture === undefined && n ? `${where}, cannot be worked at` : where);
+    $("cell-at").setAttribute("aria-valuetext", target?.posture === undefined && n ? `${where}, no posture` : where);
     if (this.data && (!n || target?.posture !== undefined)) this.view.works && this.view.stand(n ? target.posture : 0);
     if (this.view.works && this.data) this.view.point(n ? n - 1 : null);
     this.map.mark(n - 1);
@@ -197,7 +197,7 @@ export class CellPanel {
     const faults = target?.faults ?? [];
     place.classList.toggle("wrong", faults.length > 0);
     const joints = target?.posture === undefined ? [] : this.data.arms.filter((arm) => arm.works).map((arm) => `${arm.name} ${this.data.joints_deg[arm.name][target.posture].map((v) => `${v.toFixed(0)}°`).join(" ")}`);
-    const told = faults.map((one) => `${one.message}${one.hint ? `. What to do: ${one.hint}` : ""}`).join(". "); // which names the target
+    const told = faults.map((one) => `${one.message.replace(/\.?$/, ".")}${one.hint ? ` What to do: ${one.hint}` : ""}`).join(" "); // which names the target
     const text = !target ? "" : faults.length ? told.charAt(0).toUpperCase() + told.slice(1) : `${target.name}: ${joints.join(" · ")}`;
     if (place.textContent !== text) place.textContent = text;
   }
@@ -231,7 +231,7 @@ export class CellPanel {
           this.set(this.moved, key, i, input.valueAsNumber);
         } });
       return h("label", {}, h("span", {}, `${label} [${unit}]`), input);
-    }), h("button", { type: "button", class: "link", onclick: () => goTo(this.moved.fields[0].field) }, "all its fields"));
+    }), h("button", { type: "button", class: "link", onclick: () => goTo(this.moved.fields[0].field) }, "all fields"));
   }
 
   // The numbers of what is chosen, but for the one that is being typed.

@@ -50,7 +50,7 @@ export async function script(name) {
   try {
     return await import(`./${name}`);
   } catch {
-    throw new Refused(0, [{ code: "service.request", severity: "error", message: "a script of this page did not come; load the page anew" }]);
+    throw new Refused(0, [{ code: "service.request", severity: "error", message: "a script of this page was not loaded. Reload the page." }]);
   }
 }
 
@@ -61,8 +61,8 @@ export function reached() {
 
 // Says what went wrong with a request; again: it is sent once more by itself.
 export function tell(error, again = false) {
-  if (error instanceof Unreachable) banner(`The service cannot be reached. ${again === true ? "Trying again …" : "Try it once more in a moment."}`, "warn");
-  else if (error instanceof Refused) banner(error.issues.map((issue) => (issue.hint ? `${issue.message}; ${issue.hint}` : issue.message)).join(" · "));
+  if (error instanceof Unreachable) banner(`The service cannot be reached. ${again === true ? "Trying again …" : "Try again in a moment."}`, "warn");
+  else if (error instanceof Refused) banner(error.issues.map((issue) => (issue.hint ? `${issue.message.replace(/\.?$/, ".")} ${issue.hint}` : issue.message)).join(" · "));
   else {
     banner(`The page failed: ${error.message}`);
     throw error;
@@ -82,7 +82,7 @@ me.then((who) => {
   if (!who) return;
   document.body.dataset.role = who.role;
   if (who.scope) document.body.dataset.scope = who.scope;
-  const may = { submit: "own jobs alone", released: `released programs alone${who.tag ? `, ${who.tag}` : ""}` }[who.scope];
+  const may = { submit: "own jobs only", released: `released programs only${who.tag ? `, ${who.tag}` : ""}` }[who.scope];
   if ($("me") && who.tokens) $("me").textContent = [who.name, who.team, may ?? who.role].filter(Boolean).join(" · ");
 });
 

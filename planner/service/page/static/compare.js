@@ -49,7 +49,7 @@ async function compare() {
   turn += 1;
   const mine = turn;
   history.replaceState(null, "", `/ui/compare?a=${a}&b=${b}`);
-  if (!a || !b) return empty("Choose two jobs, and what differs between them is shown here.");
+  if (!a || !b) return empty("Choose two jobs to see their differences.");
   try {
     const [one, two] = await Promise.all([a, b].map((id) => json(path(id))));
     const [p, q] = await Promise.all([a, b].map(async (id) => readYaml(await text(fileOf(id, "problem/problem.yaml")))));
@@ -61,7 +61,7 @@ async function compare() {
     follow(mine, [one, two]);
   } catch (error) {
     if (mine !== turn) return;
-    empty("These two cannot be compared now."); // and not what was chosen before
+    empty("These jobs cannot be compared now."); // and not what was chosen before
     if (error instanceof Unreachable) setTimeout(() => mine === turn && show(), RETRY_MS);
     tell(error, true);
   }
@@ -186,10 +186,10 @@ function programs(a, b, lists) {
       }
     };
     const button = h("button", { type: "button", class: "small", "aria-label": `Show what differs in ${name.slice(9)}`, onclick: read }, "Show");
-    const says = !two.has(name) ? "in the first alone" : !one.has(name) ? "in the second alone" : one.get(name) === two.get(name) ? "the same" : "differs";
+    const says = !two.has(name) ? "only in the first" : !one.has(name) ? "only in the second" : one.get(name) === two.get(name) ? "the same" : "differs";
     return h("li", {}, h("span", {}, h("code", {}, name.slice(9)), ` ${says} `), says === "differs" ? button : null, place);
   };
-  return h("section", { class: "card" }, h("h2", {}, "Programs"), names.length ? h("ul", { class: "programs" }, names.map(row)) : h("p", { class: "soft" }, "Neither has any."));
+  return h("section", { class: "card" }, h("h2", {}, "Programs"), names.length ? h("ul", { class: "programs" }, names.map(row)) : h("p", { class: "soft" }, "Neither job has programs."));
 }
 
 function fields(p, q) {
@@ -197,7 +197,7 @@ function fields(p, q) {
   return h(
     "section",
     { class: "card" },
-    h("h2", {}, "What differs in the problems"),
+    h("h2", {}, "Differences between the problems"),
     found.length
       ? h("div", { class: "scroll" }, h("table", { class: "sides" }, h("thead", {}, h("tr", {}, h("th", {}, "Field"), h("th", {}, "First"), h("th", {}, "Second"))), h("tbody", {}, found.slice(0, 100).map(([at, x, y]) => h("tr", {}, h("th", { scope: "row" }, fieldName(at.join(".")), unitOf(String(at.at(-1))) ? h("span", { class: "soft" }, ` ${unitOf(String(at.at(-1)))}`) : null), h("td", {}, short(x)), h("td", {}, short(y)))))))
       : h("p", { class: "soft" }, "Nothing: both are the same problem."),

@@ -18,7 +18,7 @@ const WORDS = { link: "arms", tool: "tools", edge: "tools", wire: "wire", stock:
 export function filmOf(page) {
   const data = (id) => JSON.parse(page.match(new RegExp(`<script type='application/json' id='${id}'>(.*?)</script>`, "s"))?.[1] ?? "null");
   const [film, times] = [data("film"), data("track")];
-  if (!film?.fine || !times?.segments) throw new Error("the replay is of another version; plan the job again");
+  if (!film?.fine || !times?.segments) throw new Error("the replay was written by another version. Plan the job again.");
   return { film, times };
 }
 
@@ -205,7 +205,7 @@ class Both {
 
   tellLegend() {
     const { shown, same } = this.ghost?.told ?? { shown: [], same: [] };
-    const clear = !$("both-second").checked ? "not shown" : shown.length ? shown.join(", ") : "nothing is elsewhere or otherwise now";
+    const clear = !$("both-second").checked ? "not shown" : shown.length ? shown.join(", ") : "no differences now";
     const there = same.length ? `; ${same.join(", ")} as in the first` : "";
     if ($("both-clear").textContent !== clear) $("both-clear").textContent = clear;
     if ($("both-there").textContent !== there) $("both-there").textContent = there;
@@ -237,8 +237,8 @@ export async function openBoth(place, a, b, former = null) {
   if (!place.isConnected) return null;
   films = new Map(found);
   place.replaceChildren(
-    h("div", { class: "canvas" }, h("canvas", { id: "canvas", tabIndex: 0, role: "img", "aria-label": "3D view of both plans; what of the second is elsewhere or otherwise is clear. Arrow keys turn it, + and - zoom, 0 goes back to the work." }), h("div", { id: "labels", "aria-hidden": "true" }), h("p", { class: "view-empty", id: "view-empty", hidden: true }, "This browser draws no 3D (WebGL 2).")),
-    h("p", { class: "view-foot", id: "both-legend" }, h("span", {}, h("i", { class: "swatch first" }), "First: all of it, in its own colours"), h("span", {}, h("i", { class: "swatch second" }), "Second, clear: ", h("span", { id: "both-clear" }), h("span", { class: "soft", id: "both-there" }))),
+    h("div", { class: "canvas" }, h("canvas", { id: "canvas", tabIndex: 0, role: "img", "aria-label": "3D view of both plans; differences of the second are transparent. Arrow keys rotate, + and - zoom, 0 resets." }), h("div", { id: "labels", "aria-hidden": "true" }), h("p", { class: "view-empty", id: "view-empty", hidden: true }, "This browser cannot show 3D views: it lacks WebGL 2.")),
+    h("p", { class: "view-foot", id: "both-legend" }, h("span", {}, h("i", { class: "swatch first" }), "First: complete, in its own colours"), h("span", {}, h("i", { class: "swatch second" }), "Second, clear: ", h("span", { id: "both-clear" }), h("span", { class: "soft", id: "both-there" }))),
     h("div", { class: "cell-tools" },
       h("p", { class: "cell-line" }, h("button", { type: "button", class: "small", id: "both-play" }, "Play"), h("label", { htmlFor: "both-time" }, "Time"), h("input", { type: "range", id: "both-time", min: "0", step: "any", value: "0" })),
       h("p", { class: "told", id: "both-said" }),

@@ -123,7 +123,7 @@ export function table(field, value, set) {
         ? input.value.split(/[\s,;]+/).filter(Boolean).map(Number)
         : input.value.split("\n").filter((line) => line.trim()).map((line) => line.trim().split(/[\s,;]+/).map(Number));
       const wrong = rows.flat().some((one) => !isFinite(one));
-      input.setCustomValidity(wrong ? "numbers are wanted" : "");
+      input.setCustomValidity(wrong ? "enter numbers" : "");
       input.classList.toggle("invalid", wrong);
       if (!wrong) set(rows.length ? rows : field.empty);
     },

@@ -28,7 +28,7 @@ export function setUpDescription(job, after) {
     const said = { title: $("describe-name").value, tags, notes: $("describe-notes").value };
     try {
       await post(path(job().id), { method: "PATCH", body: JSON.stringify(said), headers: { "Content-Type": "application/json" } });
-      announce("Kept");
+      announce("Saved");
       await after();
     } catch (error) {
       tell(error);

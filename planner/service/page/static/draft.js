@@ -51,8 +51,8 @@ export class Draft {
     Object.assign(this, { state, restored });
     this.soon = later(SAVE_MS, () => this.save());
     this.begin();
-    $("undo").addEventListener("click", () => this.step(this.past, this.future, "Taken back"));
-    $("redo").addEventListener("click", () => this.step(this.future, this.past, "Done again"));
+    $("undo").addEventListener("click", () => this.step(this.past, this.future, "Undone"));
+    $("redo").addEventListener("click", () => this.step(this.future, this.past, "Redone"));
     $("history").addEventListener("click", () => this.showHistory().catch(tell));
     $("draft-theirs").addEventListener("click", () => this.open(this.id).catch(tell));
     $("draft-mine").addEventListener("click", () => {
@@ -75,8 +75,8 @@ export class Draft {
     this.now = this.snapshot();
     this.wait(false);
     show($("draft-bar"), Boolean(Object.keys(this.state.problem).length));
-    if (about && wasSent(about)) this.say(`The draft ${about.title} was sent; changes go on from there. `, about.job && h("a", { href: `/ui/jobs/${about.job}` }, "Its job"));
-    else this.say(about ? `Kept as the draft ${about.title}` : "");
+    if (about && wasSent(about)) this.say(`The draft ${about.title} was submitted. Further changes are saved. `, about.job && h("a", { href: `/ui/jobs/${about.job}` }, "Its job"));
+    else this.say(about ? `Saved as draft ${about.title}` : "");
     this.buttons();
   }
 
@@ -175,19 +175,19 @@ export class Draft {
       this.follow(about.title, (made || this.follows) && about.title === calledBy(problem));
       history.replaceState(null, "", `/ui/new?draft=${about.id}${location.hash}`);
       const other = this.follows && title !== name.normalize("NFC").trim() ? "; what no title may have of the name is left out of it" : "";
-      this.say(`Kept as the draft ${about.title}, version ${about.version}${other}`);
+      this.say(`Saved as draft ${about.title}, version ${about.version}${other}`);
       this.buttons();
     } catch (error) {
       if (own !== this.past) return;
       this.dirty = true;
       if (error instanceof Unreachable) {
-        this.say("Not kept yet: the service cannot be reached; it is tried again");
+        this.say("Not saved yet: the service cannot be reached. Trying again …");
         setTimeout(() => this.save(), 3000);
       } else if (error instanceof Refused) {
         const words = error.issues.map((issue) => issue.message).join("; ");
         if (error.status === 412) this.wait(true, words);
         if (error.status === 404) this.id = null; // deleted elsewhere: the next change makes another one
-        this.say(error.status === 404 ? "The draft was deleted elsewhere; with your next change what you have here is kept as a new one" : error.status === 412 ? "Not kept" : `Not kept: ${words}`);
+        this.say(error.status === 404 ? "The draft was deleted elsewhere. Your next change saves it as a new draft." : error.status === 412 ? "Not saved" : `Not saved: ${words}`);
         if (error.status === 404) this.sent = new Map();
         if ([429, 503, 507].includes(error.status)) setTimeout(() => this.save(), 10_000);
       } else throw error;
@@ -210,7 +210,7 @@ export class Draft {
     this.future = [];
     this.take({ text, files: found.files });
     if (number === null) this.dirty = false;
-    this.say(`Kept as the draft ${found.about.title}, version ${found.about.version}`);
+    this.say(`Saved as draft ${found.about.title}, version ${found.about.version}`);
   }
 
   async showHistory() {
@@ -218,11 +218,11 @@ export class Draft {
     const take = (one) => async () => {
       $("history-ask").close();
       await this.open(this.id, one.number).catch(tell);
-      announce(`Version ${one.number} is taken`);
+      announce(`Version ${one.number} is restored`);
     };
     $("history-list").replaceChildren(
       ...about.versions.map((one, i) =>
-        h("li", {}, h("span", {}, h("b", {}, `Version ${one.number}`), " ", age(one.at), ", ", h("bdi", {}, one.by)), i ? h("button", { type: "button", class: "small", "aria-label": `Take version ${one.number}`, onclick: take(one) }, "Take it") : h("span", { class: "soft" }, "the last one"))),
+        h("li", {}, h("span", {}, h("b", {}, `Version ${one.number}`), " ", age(one.at), ", ", h("bdi", {}, one.by)), i ? h("button", { type: "button", class: "small", "aria-label": `Restore version ${one.number}`, onclick: take(one) }, "Restore") : h("span", { class: "soft" }, "present version"))),
     );
     $("history-ask").showModal();
   }

@@ -16,14 +16,14 @@ let named = null;
 function sent(one) {
   if (!one.sent) return null;
   const job = one.job ? h("a", { href: `/ui/jobs/${one.job}` }, "a job") : "a job that was deleted";
-  return [wasSent(one) ? ", sent as " : `, version ${one.sent} sent as `, job];
+  return [wasSent(one) ? ", submitted as " : `, version ${one.sent} submitted as `, job];
 }
 
 function row(one) {
   const opens = { draft: `/ui/new?draft=${one.id}`, template: `/ui/new?template=${one.id}` }[one.kind];
   const title = h("bdi", {}, one.title);
   return h("tr", {},
-    h("td", {}, opens ? h("a", { href: opens, class: "job-name", title: one.title }, title) : h("b", { class: "job-name", title: one.title }, title), h("span", { class: "sub" }, [one.by !== own ? `of ${one.by}` : null, `version ${one.version}`].filter(Boolean).join(", "), sent(one))),
+    h("td", {}, opens ? h("a", { href: opens, class: "job-name", title: one.title }, title) : h("b", { class: "job-name", title: one.title }, title), h("span", { class: "sub" }, [one.by !== own ? `by ${one.by}` : null, `version ${one.version}`].filter(Boolean).join(", "), sent(one))),
     h("td", {}, KINDS[one.kind]),
     h("td", { class: "wide" }, age(one.changed)),
     h("td", { class: "n" }, h("span", { class: "actions plans" },
@@ -64,7 +64,7 @@ function rename(one) {
 }
 
 async function drop(one) {
-  if (!(await ask(`${one.title} and its ${one.version > 1 ? "versions are" : "content is"} gone then, for all of the team.`, "Delete it"))) return;
+  if (!(await ask(`${one.title} and its ${one.version > 1 ? "versions are" : "content is"} deleted for the whole team.`, "Delete it"))) return;
   try {
     await remove(path(one.id));
     announce("Deleted");

@@ -20,7 +20,7 @@ const SELDOM = 5000;
 const SHOWN = 40;
 const MARKS = { cut: "Cut", glued: "Glued", broken: "Broken" };
 const GROUPS = { all: "All", not_planned: "Not planned", open: "Waiting", verified: "Verified", refused: "Refused", uncut: "To be cut", cut: "Cut", glued: "Glued", broken: "Broken" };
-const TITLES = { "element.html": "Page of the element, to keep and to print", "labels.pdf": "Labels at 1:1, to print", "labels.svg": "Labels at 1:1", "panels.csv": "Table of panels", "panels.svg": "Drawing of panels", "element.obj": "Panels in 3D", "element.3dm": "Panels in 3D, for Rhino", "blocks.svg": "Cut drawings of raw blocks", "blocks.csv": "Table of raw blocks", "stock.csv": "What is left over", "progress.csv": "What is cut, glued and broken", "element.json": "All of it as data" };
+const TITLES = { "element.html": "Page of the element, for printing", "labels.pdf": "Labels at 1:1, to print", "labels.svg": "Labels at 1:1", "panels.csv": "Table of panels", "panels.svg": "Drawing of panels", "element.obj": "Panels in 3D", "element.3dm": "Panels in 3D, for Rhino", "blocks.svg": "Cut drawings of raw blocks", "blocks.csv": "Table of raw blocks", "stock.csv": "What is left over", "progress.csv": "What is cut, glued and broken", "element.json": "All of it as data" };
 
 let id = $("element").dataset.id;
 let element = null; // as the service has it
@@ -77,7 +77,7 @@ async function drawData() {
   show($("element"), true); // the view is fitted into a canvas that has its size
   viewer.show(data, before !== null);
   show($("view-empty"), !viewer.works);
-  if (!viewer.works) $("view-empty").textContent = "This browser draws no 3D (WebGL 2); the list below has all panels.";
+  if (!viewer.works) $("view-empty").textContent = "This browser cannot show 3D views: it lacks WebGL 2. The list below contains all panels.";
   drawFiles(files);
   announce(`Divided into ${plural(data.panels.length, "panel")}`);
 }
@@ -87,20 +87,20 @@ function draw() {
   drawDescription(element, "/ui/elements");
   badge(element.state, $("state"));
   const panels = element.panels ?? [];
-  $("facts").textContent = [element.title ? element.name : null, divided() ? plural(panels.length, "panel") : null, element.kind, `made ${ago(element.created)}`].filter(Boolean).join(" · ");
+  $("facts").textContent = [element.title ? element.name : null, divided() ? plural(panels.length, "panel") : null, element.kind, `created ${ago(element.created)}`].filter(Boolean).join(" · ");
   const problems = problemsOf(element);
   const left = problems.filter((one) => stateOf(one) === "not_planned").length;
   $("plan").disabled = !left || planning;
-  $("plan").textContent = planning ? "Making jobs …" : left && left < problems.length ? `Make jobs of the other ${left}` : left ? `Make jobs of all ${left}` : "All panels have jobs";
+  $("plan").textContent = planning ? "Creating jobs …" : left && left < problems.length ? `Create jobs of the other ${left}` : left ? `Create jobs of all ${left}` : "All panels have jobs";
   const open = problems.filter((one) => isOpen(one.state)).length;
   const reporting = element.report && isOpen(element.report.state);
   $("report").disabled = reporting || !problems.some((one) => one.job && !isOpen(one.state));
-  $("report").textContent = reporting ? "The report is being written …" : "Report on what is planned";
+  $("report").textContent = reporting ? "The report is being written …" : "Report on planned panels";
   show($("cancel"), open > 0 || isOpen(element.state));
   drawReleasePanels(problems);
   const made = [...panels, ...problems].some((one) => one.job || one.mark);
   show($("keeps"), made);
-  $("keeps").textContent = made ? "Panels of it are planned or marked. A change makes another element beside this one; marks go along, jobs stay here." : "";
+  $("keeps").textContent = made ? "Some panels are planned or marked. A change creates another element with the same marks. Jobs stay with this one." : "";
   drawVerdict();
   drawView();
   drawFoam();
@@ -118,12 +118,12 @@ function drawVerdict() {
     $("verdict").className = `verdict-line ${kind}`;
     $("verdict").replaceChildren(...text);
   };
-  if (refused.length) say("bad", icon("cross"), "Refused as it is");
+  if (refused.length) say("bad", icon("cross"), "The settings have errors");
   else if (busy) say("busy", element.state === "queued" && element.ahead ? `Waiting; ${plural(element.ahead, "job")} before it` : "Dividing …");
-  else if (wrong) say("bad", icon("cross"), element.state === "cancelled" ? "Stopped before it was divided" : "It cannot be divided so");
+  else if (wrong) say("bad", icon("cross"), element.state === "cancelled" ? "Stopped before it was divided" : "The division failed");
   else say(issues.length ? "warn" : "ok", icon(issues.length ? "warning" : "check"), `${plural((element.panels ?? []).length, "panel")}${issues.length ? `, with ${plural(issues.length, "remark")}` : ""}`);
   $("canvas").parentElement.classList.toggle("past", busy || drawn !== id);
-  if (!data) $("view-empty").textContent = wrong ? "Nothing to draw: what stands in the way is told beside the figures." : "The panels appear here when the element is divided.";
+  if (!data) $("view-empty").textContent = wrong ? "Nothing to draw. See the issues next to the settings." : "The panels appear here when the element is divided.";
   const key = JSON.stringify([issues, busy]);
   if ($("issues").dataset.shown === key) return;
   $("issues").dataset.shown = key;
@@ -137,8 +137,8 @@ function drawView() {
   const found = panels.find((panel) => panel.id === chosen);
   viewer.colourBy(new Map(panels.map((panel) => [panel.id, kindOf(panel)])), chosen);
   $("size").textContent = data ? plural(data.panels.length, "panel") : "";
-  $("said").textContent = found ? `${found.id}: ${words(found)}` : drawn && drawn !== id ? "As it was divided before" : "";
-  $("canvas").setAttribute("aria-label", `3D view of ${data ? plural(data.panels.length, "panel") : "nothing yet"}${found ? `; ${found.id} is chosen` : ""}`);
+  $("said").textContent = found ? `${found.id}: ${words(found)}` : drawn && drawn !== id ? "Previous division" : "";
+  $("canvas").setAttribute("aria-label", `3D view of ${data ? plural(data.panels.length, "panel") : "nothing yet"}${found ? `; ${found.id} is selected` : ""}`);
 }
 
 const words = (panel) => [panel.mark, stateWords(panel), `block ${panel.block_mm.map((v) => number(v)).join(" × ")} mm`].filter(Boolean).join(", ");
@@ -162,11 +162,11 @@ function drawFoam() {
   }
   const named = (some) => `${some.slice(0, 8).map((panel) => `${panel.id}${panel.issue ? ` (${panel.issue.code})` : ""}`).join(", ")}${some.length > 8 ? ` and ${some.length - 8} more` : ""}`;
   const lines = [
-    ["", `Robot hours: ${hours ? `the cuts alone take about ${hours}: an estimate` : "no estimate, since the jobs state no feed"}${problems.length ? `; the ${plural(problems.length, element.block_jobs?.length ? "proven job" : "proven panel")} take ${duration(cycle)} with their ways` : ""}.`],
+    ["", `Robot hours: ${hours ? `cutting takes about ${hours} (estimate)` : "no estimate, because the jobs state no feed"}${problems.length ? `; the ${plural(problems.length, element.block_jobs?.length ? "proven job" : "proven panel")} take ${duration(cycle)} with all motion` : ""}.`],
     nest ? ["", `Foam: ${[...sizes].map(([size, n]) => `${n} of ${size}`).join("; ")}; ${number(100 * nest.yield_volume, 2)} % of it becomes panels.`] : null,
-    bad.length ? ["bad", `Refused: ${plural(bad.length, "panel")}, ${named(bad)}. Order no foam for them.`] : null,
-    sawn.length ? ["bad", `Refused: ${plural(sawn.length, "job")} that cut raw blocks apart, ${named(sawn)}. Cut these by hand otherwise.`] : null,
-    proven.length < panels.length ? ["warn", `Proven: ${proven.length} of ${panels.length}. What is not proven may still be refused; plan it before its foam is ordered.`] : ["ok", `Proven: all ${panels.length} panels.`],
+    bad.length ? ["bad", `Refused: ${plural(bad.length, "panel")}, ${named(bad)}. Do not order foam for them.`] : null,
+    sawn.length ? ["bad", `Refused: ${plural(sawn.length, "job")} that divide raw blocks, ${named(sawn)}. Cut these blocks by hand.`] : null,
+    proven.length < panels.length ? ["warn", `Proven: ${proven.length} of ${panels.length}. The others may still be infeasible. Plan them before you order their foam.`] : ["ok", `Proven: all ${panels.length} panels.`],
   ].filter(Boolean);
   $("foam-said").replaceChildren(...lines.map(([kind, text]) => h("li", { class: kind }, icon(kind === "ok" ? "check" : kind === "bad" ? "cross" : kind === "warn" ? "warning" : "note"), h("span", {}, text))));
 }
@@ -212,7 +212,7 @@ function drawList() {
 function row(panel) {
   const own = panel.id;
   const done = panel.mark ? `mark-${panel.mark}` : "";
-  const facts = [panel.order ? `${panel.order}. to be put up` : null, panel.cut_in ? `cut in ${panel.cut_in} with others` : panel.block ? `from ${panel.block}` : null, panel.block_mm.map((v) => number(v)).join(" × ") + " mm", panel.cycle_s ? duration(panel.cycle_s) : null];
+  const facts = [panel.order ? `assembly step ${panel.order}` : null, panel.cut_in ? `cut in ${panel.cut_in} with others` : panel.block ? `from ${panel.block}` : null, panel.block_mm.map((v) => number(v)).join(" × ") + " mm", panel.cycle_s ? duration(panel.cycle_s) : null];
   return h("li", { class: `panel ${own === chosen ? "chosen" : ""} ${done}`, data: { panel: own } },
     h("div", { class: "who" }, panel.thumbnail ? pictureOf(panel.job, `panel ${own}`) : null, h("div", {}, h("button", { type: "button", class: "link id", "aria-pressed": String(own === chosen), "aria-label": `Show panel ${own} in the drawing`, data: { key: `show-${own}` }, onclick: () => choose(own === chosen ? "" : own, false) }, own), h("span", { class: "sub" }, facts.filter(Boolean).join(" · ")))),
     workOf(panel, plan),
@@ -302,7 +302,7 @@ function failed(error) {
   gone ||= error instanceof Refused && error.issues[0]?.code === "service.unknown_job";
   if (!gone || !element) return tell(error, true);
   clearTimeout(timer);
-  banner("This element is there no more: it was divided anew, or deleted, in another window. The list of elements has what there is.");
+  banner("This element no longer exists. It was divided again or deleted in another window. See the list of elements.");
   for (const control of document.querySelectorAll("#element button:not(.id), #element input, #element select")) control.disabled = true;
 }
 
@@ -334,7 +334,7 @@ $("report").addEventListener("click", () => post(`${path()}/report`).then(refres
 $("cancel").addEventListener("click", () => post(`${path()}/cancel`).then(refresh).catch(failed));
 $("delete").addEventListener("click", async () => {
   const marks = (element.panels ?? []).filter((panel) => panel.mark).length;
-  const text = `The division, its files and reports are deleted${marks ? `, and what ${plural(marks, "marked panel")} are` : ""}. Panels that were planned stay as jobs.`;
+  const text = `The division, its files and reports are deleted${marks ? `, and what ${plural(marks, "marked panel")} are` : ""}. Planned panels remain as jobs.`;
   if (await ask(text, "Delete")) await remove(path()).then(() => location.assign("/ui/elements"), failed);
 });
 $("find").addEventListener("input", () => pick(group));

@@ -105,7 +105,7 @@ async function send(element, files) {
     busy("");
     if (!(error instanceof Refused)) return tell(error);
     $("issues").replaceChildren(...sorted(error.issues).map((issue) => issueItem(issue)));
-    announce(`The element is refused: ${error.issues.length} thing${error.issues.length > 1 ? "s" : ""} to correct`);
+    announce(`The element has errors: ${error.issues.length} thing${error.issues.length > 1 ? "s" : ""} to correct`);
   }
 }
 
@@ -119,7 +119,7 @@ async function take(chosen) {
     const data = await file.text().then(readYaml).catch(() => null);
     if (data === null ? list.length === 1 : "element" in data) own.push(file);
   }
-  if (own.length !== 1) return banner(own.length ? `${own.map((file) => file.name).join(" and ")} are element files; choose one, with the files that it names` : "None of these is an element file, which begins with element: 1; choose it, and all files that it names with it");
+  if (own.length !== 1) return banner(own.length ? `${own.map((file) => file.name).join(" and ")} are element files. Choose one, with the files that it uses.` : "None of these is an element file, which starts with element: 1. Choose it with all files that it uses.");
   await send(own[0], async () => list.filter((file) => file !== own[0]).map((file) => [file.name, file]));
 }
 

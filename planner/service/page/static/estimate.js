@@ -28,12 +28,12 @@ export class Estimate {
     if (!this.found) return;
     const { elapsed_s: elapsed, left_s: left, whole_s: whole, like } = this.found;
     const since = (performance.now() - this.at) / 1000;
-    const by = like && `by ${like === 1 ? "one like job" : `${like} like jobs`}`;
+    const by = like && `from ${like === 1 ? "one similar job" : `${like} similar jobs`}`;
     const said = [];
     if (elapsed !== undefined) said.push(`${whole_seconds(elapsed + since)} so far`);
-    if (left !== undefined) said.push(left - since > 1 ? `about ${whole_seconds(left - since)} left, an estimate ${by}` : `longer than the ${like} like job${like > 1 ? "s" : ""} took: no estimate of what is left`);
-    else if (whole !== undefined) said.push(`about ${whole_seconds(whole)} once it is begun, an estimate ${by}`);
-    else said.push("no like job was proven yet, so nothing is estimated");
+    if (left !== undefined) said.push(left - since > 1 ? `about ${whole_seconds(left - since)} left, estimated ${by}` : `longer than the ${like} similar job${like > 1 ? "s" : ""} took, no estimate of the remaining time`);
+    else if (whole !== undefined) said.push(`about ${whole_seconds(whole)} after its start, estimated ${by}`);
+    else said.push("no estimate, because no similar job was proven yet");
     $("estimate").textContent = `${said.join("; ")}.`;
     show($("estimate"), true);
   }

@@ -21,7 +21,7 @@ export async function held(chosen) {
   };
   const found = await Promise.all(chosen.map(read));
   if (!unread.length) return found;
-  banner(`${unread.join(", ")} cannot be read. Choose files, not folders, and those that have moved or changed once more.`);
+  banner(`${unread.join(", ")} cannot be read. Choose files, not folders, and select moved or changed files again.`);
   return [];
 }
 
@@ -89,7 +89,7 @@ export function drawFiles(state, removed) {
   const names = new Set(wanted(state).map(([name]) => name));
   $("file-list").replaceChildren(
     ...[...state.files].map(([name, file]) =>
-      h("li", {}, icon("file"), h("b", {}, name.split("/").pop()), h("span", { class: "soft" }, bytes(file.size)), names.has(name) ? null : h("span", { class: "tag" }, "not used by the problem"), h("span", { class: "stretch" }), h("button", { type: "button", class: "round", "aria-label": `Take ${name} away`, onclick: () => removed(name) }, icon("cross"))),
+      h("li", {}, icon("file"), h("b", {}, name.split("/").pop()), h("span", { class: "soft" }, bytes(file.size)), names.has(name) ? null : h("span", { class: "tag" }, "not used by the problem"), h("span", { class: "stretch" }), h("button", { type: "button", class: "round", "aria-label": `Remove ${name}`, onclick: () => removed(name) }, icon("cross"))),
     ),
   );
 }
@@ -122,7 +122,7 @@ export function drawUnits(state, found, choose) {
   show(place, Boolean(found));
   if (!found) return;
   if (found.mesh.error) {
-    place.replaceChildren(h("p", { class: "help" }, `${found.name.split("/").pop()} cannot be drawn: ${found.mesh.error}. The check says what the service makes of it.`));
+    place.replaceChildren(h("p", { class: "help" }, `${found.name.split("/").pop()} cannot be drawn: ${found.mesh.error}. The check still reads it.`));
     return;
   }
   const box = boxOf(found.mesh.vertices);
@@ -139,7 +139,7 @@ export function drawUnits(state, found, choose) {
   };
   const focused = document.activeElement?.closest?.("#units") ? document.activeElement.value : null;
   place.replaceChildren(
-    h("fieldset", {}, h("legend", {}, `Unit of ${found.name.split("/").pop()}`), h("p", { class: "help" }, "Mesh files do not say their unit. Choose the one that makes the right size."),
+    h("fieldset", {}, h("legend", {}, `Unit of ${found.name.split("/").pop()}`), h("p", { class: "help" }, "Mesh files do not state their unit. Choose the one that gives the right size."),
       h("div", { class: "unit-rows" }, Object.keys(UNITS).map((unit) => h("label", { class: "unit-row" },
         h("input", { type: "radio", name: "mesh-unit", value: unit, checked: found.unit === unit, onchange: () => choose([...found.path, "unit"], unit) }),
         h("b", {}, unit), h("span", {}, sizeText(box.map((c) => c.map((v) => v * UNITS[unit] * found.scale)))), h("span", { class: "odd" }, odd(unit)))))),

@@ -27,9 +27,9 @@ function drawHead() {
   const facts = [
     job.title ? job.name : null,
     job.processes.map(processName).join(", "),
-    `made ${ago(job.created)}`,
+    `created ${ago(job.created)}`,
     job.seconds ? `planned in ${duration(job.seconds)}` : null,
-    job.from_store ? "answered from the store: the same problem had been planned before" : null,
+    job.from_store ? "answered from the store: the same problem was planned before" : null,
     job.attempts > 1 ? `attempt ${job.attempts}, the service was restarted` : null,
   ];
   $("facts").textContent = facts.filter(Boolean).join(" · ");
@@ -106,7 +106,7 @@ async function drawFiles() {
   await drawRelease(id, job, programs);
   tabs([further().length > 0 && ["issues", `${shownAbove() ? "Further issues" : "Issues"} (${further().length})`], has("report.html") && ["report", "Report"], has("replay.html") && ["replay", "Replay"], ["files", "Files"]].filter(Boolean));
   const groups = [
-    ["Programs", programs, "What the robots run. They are there because the proof of their text holds."],
+    ["Programs", programs, "Programs for the robots. They are available because their proof holds."],
     ["Results", files.filter((file) => !/^(programs|problem)\//.test(file.name)), ""],
     ["Problem", files.filter((file) => file.name.startsWith("problem/")), "The problem as it was planned, with all of its files."],
   ];
@@ -192,7 +192,7 @@ function seek(issue) {
   frame("replay", new URLSearchParams(moment).toString());
   $("tabs").scrollIntoView({ block: "start" });
   $("panel-replay").querySelector("iframe").focus({ preventScroll: true });
-  announce(`The replay stands at the moment of the issue, ${issue.time.toFixed(1)} seconds`);
+  announce(`The replay is at the time of the issue, ${issue.time.toFixed(1)} seconds`);
 }
 
 function draw() {

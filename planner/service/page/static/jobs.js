@@ -78,8 +78,8 @@ function row(one) {
     "tr",
     {},
     h("td", { class: "beyond" }, box),
-    h("td", {}, h("div", { class: "pictured" }, picture(one), h("div", {}, h("a", { href: `/ui/jobs/${one.id}`, class: "job-name", title: one.title || one.name, data: { key: one.id } }, h("bdi", {}, one.title || one.name)), (one.tags ?? []).map((tag) => h("button", { type: "button", class: "tag", onclick: () => narrow([...new Set([...tags, tag])]) }, h("bdi", {}, tag))), h("span", { class: "sub" }, [one.title ? one.name : null, one.by && one.by !== own ? `of ${one.by}` : null, one.from_store ? "answered from the store" : one.id.slice(0, 8)].filter(Boolean).join(", "))))),
-    h("td", {}, badge(one.state), AGAIN.includes(one.state) ? h("button", { type: "button", class: "small plans", data: { key: `again-${one.id}` }, "aria-label": `Try ${one.title || one.name} again`, onclick: () => act(one, "retry", "waits again") }, "Try again") : null, h("span", { class: "sub" }, running ? `${one.stage}, ${Math.round(100 * one.fraction)} %` : one.state === "queued" ? place(one) : [one.released && "released", count].filter(Boolean).join(", "))),
+    h("td", {}, h("div", { class: "pictured" }, picture(one), h("div", {}, h("a", { href: `/ui/jobs/${one.id}`, class: "job-name", title: one.title || one.name, data: { key: one.id } }, h("bdi", {}, one.title || one.name)), (one.tags ?? []).map((tag) => h("button", { type: "button", class: "tag", onclick: () => narrow([...new Set([...tags, tag])]) }, h("bdi", {}, tag))), h("span", { class: "sub" }, [one.title ? one.name : null, one.by && one.by !== own ? `by ${one.by}` : null, one.from_store ? "answered from the store" : one.id.slice(0, 8)].filter(Boolean).join(", "))))),
+    h("td", {}, badge(one.state), AGAIN.includes(one.state) ? h("button", { type: "button", class: "small plans", data: { key: `again-${one.id}` }, "aria-label": `Try ${one.title || one.name} again`, onclick: () => act(one, "retry", "is queued again") }, "Try again") : null, h("span", { class: "sub" }, running ? `${one.stage}, ${Math.round(100 * one.fraction)} %` : one.state === "queued" ? place(one) : [one.released && "released", count].filter(Boolean).join(", "))),
     h("td", { class: "wide" }, one.processes.map(processName).join(", ")),
     h("td", { class: "n" }, figure("cycle_s", duration)),
     h("td", { class: "n wider" }, figure("clearance_mm", (v) => `${number(v, 3)} mm`)),
@@ -101,7 +101,7 @@ function picture(one) {
 // Where it stands among all that wait, and the way to the front of one's own.
 function place(one) {
   const first = GROUPS[group][0] === "Queue" && one.ahead > 0;
-  return [`place ${(one.ahead ?? 0) + 1} of the queue`, first ? h("button", { type: "button", class: "small plans", data: { key: `first-${one.id}` }, "aria-label": `Plan ${one.title || one.name} next`, onclick: () => act(one, "first", "comes first among its owner's jobs") }, "Plan it next") : null];
+  return [`position ${(one.ahead ?? 0) + 1} in the queue`, first ? h("button", { type: "button", class: "small plans", data: { key: `first-${one.id}` }, "aria-label": `Plan ${one.title || one.name} next`, onclick: () => act(one, "first", "is planned next") }, "Plan it next") : null];
 }
 
 async function act(one, what, said) {
@@ -123,7 +123,7 @@ function choices() {
   show($("compare"), marked.length === 2);
   if (marked.length === 2) {
     $("compare").href = `/ui/compare?a=${marked[0]}&b=${marked[1]}`;
-    announce("Two jobs are chosen; they can be compared now");
+    announce("Two jobs are selected and can be compared now");
   }
 }
 
@@ -177,7 +177,7 @@ async function room() {
   if ((await me)?.scope === "released") return; // has no files of its own, and may not ask
   const { used_mb: used, limit_mb: limit } = await json("/v1/storage");
   show($("room"), jobs.size > 0);
-  $("room").textContent = `The files of your jobs take ${bytes(1e6 * used)} of ${bytes(1e6 * limit)}; deleted jobs give theirs back.`;
+  $("room").textContent = `The files of your jobs take ${bytes(1e6 * used)} of ${bytes(1e6 * limit)}. Deleting jobs frees space.`;
 }
 
 async function choose(i) {

@@ -56,7 +56,7 @@ export class Keeping {
   ask(kind, content) {
     if (!content) return;
     this.asked = { kind, content };
-    $("keep-title").textContent = `Keep this ${WORDS[kind]} for later`;
+    $("keep-title").textContent = `Save this ${WORDS[kind]} for later`;
     $("keep-name").value = kind === "template" ? String(content.name ?? "") : "";
     $("keep-ask").returnValue = "";
     $("keep-ask").showModal();
@@ -67,8 +67,8 @@ export class Keeping {
     const { kind, content } = this.asked;
     const files = kind === "template" ? this.state.files : filesOf(content, this.state.files);
     const made = await keep(kind, $("keep-name").value, content, files);
-    announce(`The ${WORDS[kind]} ${made.title} is kept`);
-    $("draft-state").textContent = `The ${WORDS[kind]} ${made.title} is kept`;
+    announce(`The ${WORDS[kind]} ${made.title} is saved`);
+    $("draft-state").textContent = `The ${WORDS[kind]} ${made.title} is saved`;
     await this.load();
   }
 
@@ -80,7 +80,7 @@ export class Keeping {
     const taken = await this.taken(found.files);
     if (taken.length) {
       const titles = `${WORDS[kind]} ${found.about.title}`;
-      banner(`The ${titles} has a file of the same name as another one here, with other contents: ${taken.join(", ")}. Nothing was put in: rename that file here, or take it away, first.`);
+      banner(`The ${titles} contains a file with the name of another file here but different content: ${taken.join(", ")}. Nothing was inserted. Rename or remove that file first.`);
       return null;
     }
     for (const [name, file] of found.files) this.state.files.set(name, file);
@@ -114,5 +114,5 @@ export class Keeping {
 export function goneRobots(problem, robots) {
   const arms = Array.isArray(problem.cell?.arms) ? problem.cell.arms : [];
   const gone = arms.filter((arm) => typeof arm?.robot === "string" && !robots.includes(arm.robot));
-  return gone.map((arm) => `The robot ${arm.robot} of the arm ${arm.name} is not in the catalogue any more: choose another one under Cell.`).join(" ");
+  return gone.map((arm) => `The robot ${arm.robot} of arm ${arm.name} is no longer in the catalogue. Choose another one under Cell.`).join(" ");
 }

@@ -13,7 +13,7 @@ $("login").addEventListener("submit", async (event) => {
   event.preventDefault();
   const token = $("token").value.trim();
   try {
-    if (!/^[\x21-\x7e]+$/.test(token)) throw new Refused(401, [{ code: "service.token", field: "Authorization", message: "give the token as it was printed" }]);
+    if (!/^[\x21-\x7e]+$/.test(token)) throw new Refused(401, [{ code: "service.token", field: "Authorization", message: "invalid token. Enter the token as it was printed." }]);
     await post("/v1/session", { headers: { Authorization: `Bearer ${token}` } });
     location.assign(inside);
   } catch (error) {

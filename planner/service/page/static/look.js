@@ -14,7 +14,7 @@ function draw(job) {
   document.title = `${job.title || job.name} · Tandem`;
   $("name").textContent = job.title || job.name;
   badge(job.state, $("state"));
-  const facts = [job.title ? job.name : null, job.processes.map(processName).join(", "), `made ${ago(job.created)}`, isOpen(job.state) ? job.stage : null, job.seconds ? `planned in ${duration(job.seconds)}` : null, WORDS[job.release], `this link ends ${minute(job.expires)}`];
+  const facts = [job.title ? job.name : null, job.processes.map(processName).join(", "), `created ${ago(job.created)}`, isOpen(job.state) ? job.stage : null, job.seconds ? `planned in ${duration(job.seconds)}` : null, WORDS[job.release], `this link expires ${minute(job.expires)}`];
   $("facts").textContent = facts.filter(Boolean).join(" · ");
   const figures = tiles(job.metrics);
   show($("figures"), figures.length > 0);

@@ -17,7 +17,7 @@ export function setUpLooks(id) {
     const { links } = await json(`${path(id)}/looks`);
     show($("looks-none"), links.length === 0);
     $("looks-list").replaceChildren(
-      ...links.map((one) => h("li", {}, h("span", {}, "made by ", h("bdi", {}, one.by), ` ${minute(one.created)}, ends ${minute(one.expires)}`), h("button", { type: "button", class: "small danger", "aria-label": `Withdraw the link that ends ${minute(one.expires)}`, onclick: trying(() => withdraw(one)) }, "Withdraw"))),
+      ...links.map((one) => h("li", {}, h("span", {}, "created by ", h("bdi", {}, one.by), ` ${minute(one.created)}, expires ${minute(one.expires)}`), h("button", { type: "button", class: "small danger", "aria-label": `Withdraw the link that expires ${minute(one.expires)}`, onclick: trying(() => withdraw(one)) }, "Withdraw"))),
     );
   };
   const withdraw = async (one) => {
@@ -36,7 +36,7 @@ export function setUpLooks(id) {
     await draw();
     $("looks-address").focus();
     $("looks-address").select();
-    announce("A link was made");
+    announce("A link was created");
   };
   $("looks").addEventListener("click", () => {
     show($("looks-new"), false);

@@ -54,12 +54,12 @@ function adder(form, field, kinds, path, entries, title, add) {
   const id = `f-${path.join("-")}`;
   const known = kinds.key.enum ?? form.known(field.name, path)?.entries?.map(([name]) => name);
   const left = known?.filter((name) => !entries.includes(name));
-  if (known && !left.length) return h("p", { class: "help", id, tabIndex: -1 }, "All of them are here.");
+  if (known && !left.length) return h("p", { class: "help", id, tabIndex: -1 }, "All entries are listed.");
   const pattern = kinds.key.pattern ? new RegExp(kinds.key.pattern, "u") : null;
   const told = h("span", { class: "help", role: "status" });
   const take = () => {
     const name = input.value.trim();
-    const wrong = !name ? "give a name first" : entries.includes(name) ? `${name} is there already` : pattern && !pattern.test(name) ? kinds.key.description ?? "this is no name that may be used" : "";
+    const wrong = !name ? "give a name first" : entries.includes(name) ? `${name} exists already` : pattern && !pattern.test(name) ? kinds.key.description ?? "this name is not allowed" : "";
     told.textContent = wrong;
     input.toggleAttribute("aria-invalid", Boolean(wrong));
     if (wrong) input.focus();

@@ -10,10 +10,10 @@ export async function readMesh(file, name) {
   const data = await file.arrayBuffer();
   const kind = name.split(".").pop().toLowerCase();
   const mesh = { obj: readObj, stl: readStl, ply: readPly }[kind](data);
-  if (!mesh.faces.length) throw new Error("no triangles in it");
+  if (!mesh.faces.length) throw new Error("it contains no triangles");
   for (const value of mesh.vertices) if (!Number.isFinite(value)) throw new Error("a coordinate is not a number");
   const count = mesh.vertices.length / 3;
-  for (const index of mesh.faces) if (index >= count) throw new Error("a triangle names a vertex that is not there");
+  for (const index of mesh.faces) if (index >= count) throw new Error("a triangle refers to a missing vertex");
   return mesh;
 }
 
@@ -98,7 +98,7 @@ function words(body) {
   const all = body.split(/\s+/).filter(Boolean);
   let i = 0;
   return () => {
-    if (i >= all.length) throw new Error("it ends too early");
+    if (i >= all.length) throw new Error("it is truncated");
     return +all[i++];
   };
 }
@@ -108,7 +108,7 @@ function numbers(data, start, little) {
   let i = start;
   return (type) => {
     if (!(type in SIZES)) throw new Error(`unknown type ${type}`);
-    if (i + SIZES[type] > data.byteLength) throw new Error("it ends too early");
+    if (i + SIZES[type] > data.byteLength) throw new Error("it is truncated");
     const value = view[GETS[type]](i, little);
     i += SIZES[type];
     return value;

@@ -53,7 +53,7 @@ async function begin() {
   const arms = () => ({ entries: (state.problem.cell?.arms ?? []).map((arm) => [arm.name]) });
   form = new Form(new Schema(schema), state, changed, (name) => (BY_ARM.includes(name) ? arms() : lists[name]));
   form.drawn = () => afterwards();
-  if (!viewer.works) $("view-empty").textContent = "This browser draws no 3D (WebGL 2); sizes are shown all the same.";
+  if (!viewer.works) $("view-empty").textContent = "This browser cannot show 3D views: it lacks WebGL 2. Sizes are shown nevertheless.";
   draft = new Draft(state, () => {
     draw();
     $("go").disabled = true;
@@ -82,7 +82,7 @@ function unsent() {
 // Whether another start may take the place of this one.
 async function mayLeave(yes) {
   const lost = unsent();
-  const what = draft.kept() ? "stays in the draft, and the page begins anew" : "would be lost; nothing of it has been sent yet";
+  const what = draft.kept() ? "stays in the draft, and the page starts over" : "would be lost, because nothing was submitted yet";
   return !lost || (await ask(`${lost.charAt(0).toUpperCase()}${lost.slice(1)} ${what}.`, yes));
 }
 
@@ -94,7 +94,7 @@ function back() {
 }
 
 async function chooseProcess(name) {
-  if (!(await mayLeave("Drop them and begin anew"))) return back();
+  if (!(await mayLeave("Discard and start over"))) return back();
   state.process = name;
   drawProcesses(name, chooseProcess);
   const some = drawExamples(examples, name, "", chooseExample);
@@ -105,7 +105,7 @@ async function chooseProcess(name) {
 
 async function chooseExample(name) {
   if (!name) return;
-  if (await mayLeave(`Drop them and begin with ${name}`)) return begun(name);
+  if (await mayLeave(`Discard and start with ${name}`)) return begun(name);
   $("example").value = state.example;
 }
 
@@ -177,7 +177,7 @@ async function takeKept(id, goesOn) {
 async function chooseKept() {
   const id = $("kept").value;
   $("kept").value = "";
-  if (!id || !(await mayLeave("Drop them and go on with what was kept"))) return;
+  if (!id || !(await mayLeave("Discard and open the saved work"))) return;
   await takeKept(id, keeping.kept.some((one) => one.id === id && one.kind === "draft")).catch(tell);
 }
 
@@ -190,7 +190,7 @@ function putIn(content, arm, title) {
   }
   draw();
   changed();
-  announce(`${title} is put in`);
+  announce(`${title} is inserted`);
   const gone = goneRobots(state.problem, catalogue);
   if (gone) banner(gone, "warn");
 }
@@ -199,7 +199,7 @@ const fieldOf = (issue) => fieldOfFile(state.problem, issue);
 
 async function chooseCell(name) {
   const lost = differences(state.cell, state.problem.cell).length;
-  if (lost && !(await ask(`${lost} changed field${lost > 1 ? "s" : ""} of this cell would be lost.`, `Drop and take ${name}`))) return afterwards();
+  if (lost && !(await ask(`${lost} changed field${lost > 1 ? "s" : ""} of this cell would be lost.`, `Discard and use ${name}`))) return afterwards();
   takeCell(state.problem, cells[name]);
   state.cell = structuredClone(cells[name]);
   draw();
@@ -273,24 +273,24 @@ async function check() {
     cell?.draw(own.signal);
     if ($("banner").classList.contains("warn") && !goneRobots(state.problem, catalogue)) banner(""); // an error stays until something is done about it
     if (errors(read.issues).length) return found(read.issues, true);
-    going("Nothing is wrong with the file. Looking at the reach and the clearance of some targets …");
+    going("The file is valid. Checking reach and clearance of some targets …");
     const some = await (await post(`/v1/check?targets=${FIRST_TARGETS}`, { body: upload(state.problem, wanted(state)), signal: own.signal })).json();
     if (errors(some.issues).length) found(some.issues, true, some.looked_at);
     if (!some.looked_at) return; // there are no targets
     seen.looked = true;
     cell?.look(own.signal);
-    if (!errors(some.issues).length) going(`${some.looked_at.placed ? `Looked at ${share(some.looked_at)}: no fault so far` : "None of the first places of the block will do: more are tried"}. Testing the part, the tools and the reach of every target …`);
+    if (!errors(some.issues).length) going(`${some.looked_at.placed ? `Checked ${share(some.looked_at)}: no errors so far` : "None of the first poses of the block is feasible. Trying more"}. Testing the part, the tools and the reach of every target …`);
     const whole = await (await post("/v1/check?reach=true", { body: upload(state.problem, wanted(state)), signal: own.signal })).json();
     found(whole.issues, true);
   } catch (error) {
     if (error.name === "AbortError") return;
     if (!(error instanceof Refused)) {
-      say("bad", "The service cannot be reached. It is asked again in a moment.");
+      say("bad", "The service cannot be reached. Trying again in a moment.");
       setTimeout(() => own === checking && check(), 2000);
       return;
     }
     if (!drawn) present([], null, "");
-    if (viewer.works) $("view-empty").textContent = "Nothing can be drawn before what is named below is corrected.";
+    if (viewer.works) $("view-empty").textContent = "Nothing can be drawn until the errors below are corrected.";
     found(error.issues, false);
   }
 }
@@ -346,7 +346,7 @@ function tellIssues(issues, readable, looked = null) {
   state.issues = issues.map((issue) => ({ ...issue, field: issue.field ?? fieldOf(issue), line: issue.code.startsWith("problem.") ? undefined : issue.line }));
   atFields(state.issues);
   const wrong = errors(issues).length;
-  if (wrong) say("bad", `${wrong} thing${wrong > 1 ? "s" : ""} to correct${readable ? "" : " before it can be planned"}${looked ? `; looked at ${share(looked)} so far` : ""}`);
+  if (wrong) say("bad", `${wrong} thing${wrong > 1 ? "s" : ""} to correct${readable ? "" : " before it can be planned"}${looked ? `; checked ${share(looked)} so far` : ""}`);
   else if (issues.length) say("warn", `Ready, with ${issues.length} remark${issues.length > 1 ? "s" : ""}`);
   else say("ok", "Ready: the arms reach every target");
   $("check-issues").replaceChildren(...sorted(state.issues).map((issue) => issueItem(issue, { edit: goTo, removes, remove })));
@@ -387,14 +387,14 @@ async function openProblem(chosen) {
   const { problems, files } = await sortFiles(own);
   if (problems.length > 1) return openBatch({ problems, files }); // beside what is edited here
   const list = [...problems, ...files];
-  if (!(await mayLeave("Drop them and open the file"))) return;
+  if (!(await mayLeave("Discard and open the file"))) return;
   closeBatch();
   state.example = "";
   choices += 1;
   try {
     take(await fromFiles(list));
   } catch (error) {
-    banner(`That problem file cannot be opened here: ${error.message}`);
+    banner(`The problem file cannot be opened: ${error.message}`);
     await sendAsItIs(list);
   }
 }
@@ -420,7 +420,7 @@ async function start() {
     const [body, headers, own] = [upload(state.problem, wanted(state)), once(), (state.sending = {})];
     const send = () => {
       if (state.sending === own) return post("/v1/jobs", { body, headers });
-      throw new Refused(0, [{ code: "service.request", severity: "error", message: "the problem was changed while the service could not be reached; start planning once more" }]);
+      throw new Refused(0, [{ code: "service.request", severity: "error", message: "the problem was changed while the service could not be reached. Start planning again." }]);
     };
     const made = await (await patiently(send)).json();
     if (version) await sentAs(version, made.id).catch(() => null); // the job is made, whatever becomes of its draft

@@ -4,20 +4,20 @@ import { errors } from "./issues.js";
 import { duration, figureName, figureOrder, number, STATES, unitOf } from "./words.js";
 
 const ENDS = {
-  verified: ["ok", "Verified: the programs are proven", "Their very text was replayed and held against the problem: shape, clearance, limits, timing. Read the setup sheet in the report before they run."],
-  infeasible: ["bad", "There is no feasible plan for this problem", "Nothing was written for the robots. What stands in the way, where, and what can be done:"],
-  bad_input: ["bad", "The problem cannot be planned as it is given", "Correct what is named here and run it again:"],
-  unproven: ["bad", "A plan was made, but its proof does not hold", "So no program is given out. What the proof found, each with its moment in the replay:"],
-  crashed: ["bad", "Planning failed", "This is not the problem's fault. Try again; if it happens once more, report it with the code below."],
-  timeout: ["bad", "Planning took longer than it may", "Fewer targets help most: a larger step, a looser tolerance, or fewer cuts. Or ask for more time."],
-  memory: ["bad", "Planning needs more memory than it may have", "Fewer targets help most: a larger step, a looser tolerance, or fewer cuts."],
-  cancelled: ["off", "Cancelled", "It was stopped before it ended. Run it again whenever you like."],
+  verified: ["ok", "Verified: the programs are proven", "Their text was replayed and compared with the problem: shape, clearance, limits, timing. Read the setup sheet in the report before you run them."],
+  infeasible: ["bad", "There is no feasible plan for this problem", "No programs were written. These issues prevent a plan:"],
+  bad_input: ["bad", "The problem has errors", "Correct these issues and run it again:"],
+  unproven: ["bad", "A plan exists, but its proof failed", "Therefore no programs are available. Findings of the proof, each with its time in the replay:"],
+  crashed: ["bad", "Planning failed", "The problem is not the cause. Try again. If it fails again, report it with the code below."],
+  timeout: ["bad", "Planning exceeded its time limit", "Reduce the number of targets: a larger step, a looser tolerance, or fewer cuts. Or request more time."],
+  memory: ["bad", "Planning exceeded its memory limit", "Reduce the number of targets: a larger step, a looser tolerance, or fewer cuts."],
+  cancelled: ["off", "Cancelled", "The job was stopped before it ended. You can run it again."],
 };
 
 export function outcomeOf(job, issues) {
   const [kind, title, text] = ENDS[job.state] ?? ["off", job.state, ""];
   const wrong = errors(issues).length;
-  const worse = job.state === "infeasible" && !wrong ? " The report tells more." : "";
+  const worse = job.state === "infeasible" && !wrong ? " See the report." : "";
   return { kind, title, text: text + worse };
 }
 

@@ -22,7 +22,7 @@ export function redrawn(list, rows) {
 export function workOf(one, plan) {
   const [state, own] = [stateOf(one), one.id];
   const can = one.cut_in ? one.mark === "broken" : !one.job || ["refused", "not_planned"].includes(state);
-  const word = one.cut_in ? "Make own job" : one.job ? "Plan again" : "Make job";
+  const word = one.cut_in ? "Create own job" : one.job ? "Plan again" : "Create job";
   return h("div", { class: "what" },
     h("span", { class: `badge ${STATE_KIND[state]}` }, h("i", { "aria-hidden": "true" }), stateWords(one).replace(/^./, (c) => c.toUpperCase())),
     one.job ? h("a", { href: `/ui/jobs/${one.job}`, "aria-label": `Job of ${own}`, data: { key: `job-${own}` } }, one.cut_in ? `job ${one.cut_in}` : "job") : null,

@@ -27,7 +27,7 @@ export async function drawRelease(id, job, programs) {
   $("download").replaceChildren(icon("down"), job.released ? "Download released programs" : "Download programs, not released");
   $("released").className = `card release ${job.released ? "ok" : "off"}`;
   const title = job.released ? "Released" : last ? "Withdrawn" : "Not released";
-  $("released-title").replaceChildren(icon(job.released ? "check" : "stop"), `${title}: ${job.released ? "these programs may run" : "nobody answers for these programs now, and what is downloaded says so"}`);
+  $("released-title").replaceChildren(icon(job.released ? "check" : "stop"), `${title}: ${job.released ? "these programs may run" : "nobody is responsible for these programs, and downloads state this"}`);
   $("released-list").replaceChildren(...all.map(line));
   show($("released-list"), all.length > 0);
 }

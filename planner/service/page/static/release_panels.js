@@ -16,7 +16,7 @@ export function drawReleasePanels(panels) {
   const proven = panels.filter((panel) => panel.state === "verified").length;
   show($("release-all"), proven > 0);
   $("release-all").disabled = !some.length;
-  $("release-all").textContent = some.length ? `Release ${some.length === proven ? "all " : ""}${plural(some.length, `proven ${named(panels)}`)}` : panels.some((panel) => panel.release === "withdrawn") ? "Withdrawn: release them at their jobs" : `All proven ${named(panels)}s are released`;
+  $("release-all").textContent = some.length ? `Release ${some.length === proven ? "all " : ""}${plural(some.length, `proven ${named(panels)}`)}` : panels.some((panel) => panel.release === "withdrawn") ? "Withdrawn. Release them in their jobs." : `All proven ${named(panels)}s are released`;
 }
 
 // path(): the element's address; panels(): as they are shown now; after(): reads them anew.
@@ -30,7 +30,7 @@ export function setUpReleasePanels(path, panels, after) {
     $("release-name").required = nameless;
     shown = toRelease(panels());
     const left = panels().length - shown.length;
-    $("release-count").textContent = `${plural(shown.length, named(panels()))}${left ? `; ${plural(left, "other")} not: not proven, released already, or withdrawn` : ", all that there are"}.`;
+    $("release-count").textContent = `${plural(shown.length, named(panels()))}${left ? `; ${plural(left, "other")} excluded: not proven, already released, or withdrawn` : ", all of them"}.`;
     $("release-what").replaceChildren(...shown.flatMap((one) => [h("dt", {}, one.id), h("dd", {}, h("code", { title: one.digest }, one.digest.slice(0, 16)))]));
     $("release-name").value = signed();
     $("release-ask").returnValue = "";

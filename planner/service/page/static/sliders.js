@@ -2,7 +2,7 @@
 import { h } from "./dom.js";
 import { labelOf, number, unitOf } from "./words.js";
 
-const NAMES = { count: "Panels", size_mm: ["Length", "Width", "Thickness"], cells: ["Across", "Along"], least_height_mm: "Least height", lobe_mm: "Radius of lobes", tolerance_mm: "Tolerance", joint_mm: "Step at joints", off_surface_mm: "Off the surface" };
+const NAMES = { count: "Panels", size_mm: ["Length", "Width", "Thickness"], cells: ["Across", "Along"], least_height_mm: "Minimum height", lobe_mm: "Radius of lobes", tolerance_mm: "Tolerance", joint_mm: "Step at joints", off_surface_mm: "Deviation from surface" };
 const WHOLE = ["count", "cells"];
 const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
 

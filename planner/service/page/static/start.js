@@ -35,7 +35,7 @@ export function drawExamples(all, process, chosen, choose) {
   select.replaceChildren(
     ...(chosen && all[chosen] ? [] : [h("option", { value: "" }, "choose one")]),
     h("optgroup", { label: "Problems with a plan" }, some.filter(([, one]) => one.feasible).map(option)),
-    ...(none.length ? [h("optgroup", { label: "Problems without a plan, to see what is told" }, none.map(option))] : []),
+    ...(none.length ? [h("optgroup", { label: "Problems without a plan, to see their issues" }, none.map(option))] : []),
   );
   select.onchange = () => choose(select.value);
   $("about").textContent = all[chosen]?.about ?? "";

@@ -22,7 +22,7 @@ export function setUpSweep(state, files, draft, refused) {
   const values = () => $("sweep-values").value.split(/[\s;]+/).filter(Boolean);
   const ready = () => {
     $("sweep-go").disabled = !values().length || !$("sweep-field").value.trim();
-    $("sweep-go").textContent = values().length > 1 ? `Make ${values().length} jobs` : "Make the jobs";
+    $("sweep-go").textContent = values().length > 1 ? `Create ${values().length} jobs` : "Create the jobs";
   };
   const redraw = () => {
     if (!$("sweep").open) return;

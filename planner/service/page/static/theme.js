@@ -41,7 +41,7 @@
   const stuck = (event) => {
     const place = event.target instanceof HTMLScriptElement && document.getElementById("banner");
     if (!place) return;
-    place.textContent = "This page was not loaded whole, and nothing on it works. Load it anew.";
+    place.textContent = "This page was not loaded completely and does not work. Reload it.";
     place.className = "banner bad";
     place.hidden = false;
   };

@@ -63,12 +63,12 @@ const FIGURES = {
   travel_s: "Time of track or turntable",
   targets: "Targets",
   path_cost: "Path cost",
-  clearance_mm: "Least clearance",
-  own_clearance_mm: "Least clearance of an arm to itself",
+  clearance_mm: "Minimum clearance",
+  own_clearance_mm: "Minimum self-clearance of an arm",
   joint_limits_deg: "Margin to joint limits",
-  joint_speed_percent: "Highest joint speed",
+  joint_speed_percent: "Maximum joint speed",
   singularity_deg: "Distance to singularity",
-  surface_percent: "Surface in tolerance",
+  surface_percent: "Surface within tolerance",
 };
 export const BETTER = { cycle_s: -1, travel_s: -1, path_cost: -1, clearance_mm: 1, own_clearance_mm: 1, joint_limits_deg: 1, joint_speed_percent: -1, singularity_deg: 1, surface_percent: 1 };
 export const figureName = (name) => FIGURES[name] ?? labelOf(name);

@@ -1,5 +1,7 @@
-"""Curves of the family that spline blocks are bounded over, evaluated one by one: by their own polynomials,
-not by the code that bounds them."""
+"""Curves of the family that bounds spline blocks, evaluated one by one.
+
+The evaluation uses the polynomials, not the code that computes the bounds.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,12 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from scipy.spatial.transform import Rotation
 
-from planner.languages.krl.reader.spline_curve import BENDS, ENDS, OUTER, TURN_LEVER
+from planner.languages.krl.reader.spline_curve import (
+    END_FRACTION,
+    MAX_BEND_WEIGHT,
+    OUTER_FRACTION,
+    ROTATION_LEVER_M_PER_RAD,
+)
 
 RULES = ("even", "chord", "centripetal", "time", "any")
 KINDS = ("random", "extreme", "catmull-rom", "five points", "akima", "minimum jerk", "flat")
@@ -16,7 +23,7 @@ KINDS = ("random", "extreme", "catmull-rom", "five points", "akima", "minimum je
 def rows(pose, i):
     """Steps (6,) of all segments of a block as segment i sees them, and the points (N + 1, 6)."""
     turn = (Rotation.from_matrix(pose[i, :3, :3]).inv() * Rotation.from_matrix(pose[:, :3, :3])).as_rotvec()
-    points = np.concatenate([pose[:, :3, 3] - pose[i, :3, 3], TURN_LEVER * turn], axis=1)
+    points = np.concatenate([pose[:, :3, 3] - pose[i, :3, 3], ROTATION_LEVER_M_PER_RAD * turn], axis=1)
     return np.diff(points, axis=0), points
 
 
@@ -35,9 +42,9 @@ def intervals(rule, i, steps, times, rng):
         own = knots(rule, steps, times, rng)
         return own / own[i]
     low, high = np.minimum(1.0, way / way[i]), np.maximum(1.0, way / way[i])
-    share = rng.choice([0.0, 1.0, rng.random()], len(way))
+    fraction = rng.choice([0.0, 1.0, rng.random()], len(way))
     # reciprocals are what counts
-    return 1.0 / (share / low + (1.0 - share) / high)
+    return 1.0 / (fraction / low + (1.0 - fraction) / high)
 
 
 def slope(k, steps, gap, kind, rng):
@@ -50,26 +57,29 @@ def slope(k, steps, gap, kind, rng):
 
     if k in (0, count):
         inner, near = (d[0], change(1)) if k == 0 else (d[-1], change(count - 1))
-        scale = {"random": rng.uniform(-ENDS, ENDS), "extreme": rng.choice([-ENDS, ENDS])}
+        scale = {
+            "random": rng.uniform(-END_FRACTION, END_FRACTION),
+            "extreme": rng.choice([-END_FRACTION, END_FRACTION]),
+        }
         half = -0.5 if k == 0 else 0.5
         return inner + scale.get(kind, half) * near
     before, after = d[k - 1], d[k]
     # the changes that a point beside an end has beyond it are none
     outer = change(k - 1), change(k + 1)
     if kind == "random":
-        share, (a, b) = rng.random(), rng.uniform(-OUTER, OUTER, 2)
+        fraction, (a, b) = rng.random(), rng.uniform(-OUTER_FRACTION, OUTER_FRACTION, 2)
     elif kind == "extreme":
-        share, (a, b) = rng.choice([0.0, 1.0]), rng.choice([-OUTER, OUTER], 2)
+        fraction, (a, b) = rng.choice([0.0, 1.0]), rng.choice([-OUTER_FRACTION, OUTER_FRACTION], 2)
     elif kind == "five points":
-        share, a, b = 0.5, 1.0 / 12.0, -1.0 / 12.0
+        fraction, a, b = 0.5, 1.0 / 12.0, -1.0 / 12.0
     elif kind == "minimum jerk":
-        share, a, b = 0.5, 0.1033, -0.1033
+        fraction, a, b = 0.5, 0.1033, -0.1033
     elif kind == "akima":
         one, two = np.linalg.norm(outer[1]), np.linalg.norm(outer[0])
-        share, a, b = (0.5 if one + two == 0.0 else two / (one + two)), 0.0, 0.0
+        fraction, a, b = (0.5 if one + two == 0.0 else two / (one + two)), 0.0, 0.0
     else:
-        share, a, b = gap[k - 1] / (gap[k - 1] + gap[k]), 0.0, 0.0
-    return (1.0 - share) * before + share * after + a * outer[0] + b * outer[1]
+        fraction, a, b = gap[k - 1] / (gap[k - 1] + gap[k]), 0.0, 0.0
+    return (1.0 - fraction) * before + fraction * after + a * outer[0] + b * outer[1]
 
 
 def bend(k, steps, gap, kind, rng):
@@ -84,9 +94,9 @@ def bend(k, steps, gap, kind, rng):
 
     three = np.array([change(k - 1), change(k), change(k + 1)])
     if kind == "random":
-        weights = rng.dirichlet(np.ones(3)) * BENDS * rng.random() * rng.choice([-1, 1], 3)
+        weights = rng.dirichlet(np.ones(3)) * MAX_BEND_WEIGHT * rng.random() * rng.choice([-1, 1], 3)
     elif kind == "extreme":
-        weights = BENDS * rng.choice([-1, 1]) * np.eye(3)[rng.integers(3)]
+        weights = MAX_BEND_WEIGHT * rng.choice([-1, 1]) * np.eye(3)[rng.integers(3)]
     else:
         weights = {
             "five points": np.array([-1.0, 14.0, -1.0]) / 12.0,
@@ -94,7 +104,7 @@ def bend(k, steps, gap, kind, rng):
             "flat": np.zeros(3),
         }.get(kind, np.array([0.0, 1.0, 0.0]))
     if k in (0, count):
-        weights = weights / BENDS
+        weights = weights / MAX_BEND_WEIGHT
     return weights @ three
 
 
@@ -107,20 +117,20 @@ def member(i, pose, times, rule, kind, rng):
     one, two = bend(i, steps, gap, kind, rng), bend(i + 1, steps, gap, kind, rng)
     for at, (v, a) in ((0, (first, one)), (len(steps), (last, two))):
         if at == i + (at > 0):  # the arm stands there: a share of both, none where times are looked at
-            share = 0.0 if rule == "time" else rng.choice([0.0, 1.0, rng.random()])
-            v *= share
-            a *= share
+            fraction = 0.0 if rule == "time" else rng.choice([0.0, 1.0, rng.random()])
+            v *= fraction
+            a *= fraction
     # six conditions at the two ends: x, x', x''
     rows_ = [
         [float(np.polynomial.polynomial.polyval(u, Polynomial.basis(p).deriv(k).coef)) for p in range(6)]
         for u in (0.0, 1.0)
         for k in range(3)
     ]
-    wanted = np.array([np.zeros(6), first, one, own, last, two])
-    return [Polynomial(column) for column in np.linalg.solve(np.array(rows_), wanted).T], own
+    expected = np.array([np.zeros(6), first, one, own, last, two])
+    return [Polynomial(column) for column in np.linalg.solve(np.array(rows_), expected).T], own
 
 
-def off(curve, steps, i, count=200):
+def max_deviation(curve, steps, i, count=200):
     """How far a member of segment i is off the straight ways at most, its own and those beside it: in all six
     numbers, by place, by turn [m, turns by TURN_LEVER]; and its highest rates: of all, and of the TCP."""
     u = np.linspace(0.0, 1.0, count)
@@ -134,8 +144,8 @@ def off(curve, steps, i, count=200):
         ways.append((own, steps[i + 1]))
     apart = []
     for start, way in ways:
-        share = np.clip((x - start) @ way / (way @ way), 0.0, 1.0)
-        apart.append(x - start - share[:, None] * way)
+        fraction = np.clip((x - start) @ way / (way @ way), 0.0, 1.0)
+        apart.append(x - start - fraction[:, None] * way)
     apart = np.array(apart)
     best = np.linalg.norm(apart, axis=2).argmin(axis=0)
     near = apart[best, np.arange(count)]

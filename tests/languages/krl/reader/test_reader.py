@@ -1,4 +1,4 @@
-"""The KRL reader on programs written by hand after docs/krl.md: what it gives, and what it refuses."""
+"""The KRL reader on programs written by hand after docs/krl.md: results and refusals."""
 
 import math
 
@@ -7,13 +7,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from planner.languages.krl.reader import reader
-from planner.languages.krl.reader.values import held_load, quaternion, value
-from planner.programs.signals import Signals
+from planner.languages.krl.reader.values import held_load, parse_value, quaternion
+from planner.programs.signals import NumberedSignals
 from planner.programs.steps import (
     CarryStep,
     FlowError,
     JointTarget,
-    Load,
+    LoadData,
     MessageStep,
     MoveStep,
     RobTarget,
@@ -27,13 +27,13 @@ from tests.languages.krl.reader.wall_program import (
     FOOT,
     HEAD,
     INTERRUPT,
-    LOOKED,
     MAIN,
     MOVES,
     NOT_EXTERNAL,
     OLD_FOOT,
     OLDER,
     OPTIONS,
+    ROBROOT_CHECK,
     WAIT,
     dialog,
     kinds,
@@ -102,8 +102,8 @@ def test_times_follow_from_ways_turns_and_speeds():
 def test_angles_are_those_of_scipy(seed):
     """A, B, C are the intrinsic z, y, x angles of scipy's Rotation."""
     angles = np.random.default_rng(seed).uniform([-180, -90, -180], [180, 90, 180])
-    wanted = Rotation.from_euler("ZYX", angles, degrees=True).as_matrix()
-    assert np.abs(rotation(np.array(quaternion(*angles))) - wanted).max() < 1e-12
+    expected = Rotation.from_euler("ZYX", angles, degrees=True).as_matrix()
+    assert np.abs(rotation(np.array(quaternion(*angles))) - expected).max() < 1e-12
 
 
 STATE = message("Waiting for arm right.") + "tm_state=Set_KrlMsg(#STATE,tm_msg,tm_par[],tm_opt)\n"
@@ -231,60 +231,65 @@ def test_what_is_not_of_the_subset_is_a_fault(name):
 
 
 NO_WAY = {
-    "an interrupt that is not on": ("main", "BAS(#", f"{STOP.splitlines()[0]}\nBAS(#", "does not begin"),
-    "an interrupt that is not there": ("main", "BAS(#", "INTERRUPT ON 3\nBAS(#", "does not begin"),
-    "an interrupt on the way": ("main", "WAIT SEC 2.5", STOP, "elsewhere"),
-    "an interrupt twice": ("main", "BAS(#", f"{STOP}{STOP}BAS(#", "does not begin"),
-    "no INITMOV": ("main", "BAS(#INITMOV,0)\n", "", "does not begin"),
-    "INITMOV again": ("main", "WAIT SEC 2.5", "BAS(#INITMOV,0)", "elsewhere"),
+    "an interrupt that is not on": ("main", "BAS(#", f"{STOP.splitlines()[0]}\nBAS(#", "does not start"),
+    "an interrupt that is not there": ("main", "BAS(#", "INTERRUPT ON 3\nBAS(#", "does not start"),
+    "an interrupt on the way": ("main", "WAIT SEC 2.5", STOP, "only"),
+    "an interrupt twice": ("main", "BAS(#", f"{STOP}{STOP}BAS(#", "does not start"),
+    "no INITMOV": ("main", "BAS(#INITMOV,0)\n", "", "does not start"),
+    "INITMOV again": ("main", "WAIT SEC 2.5", "BAS(#INITMOV,0)", "only"),
     "no speed": ("moves", "$VEL.CP=0.02000000\n", "", "$VEL.CP is not set"),
     "no corner": ("moves", "$APO.CDIS=0.3\n", "", "$APO.CDIS is not set"),
     "one ORI": ("moves", "$VEL.ORI2=10.0\n", "", "differ"),
     "no tool": ("main", "$TOOL=t_mill\n", "", "$TOOL is not set"),
     "no base": ("main", "$BASE=b_stock\n", "", "$BASE is not set"),
     "no axis speed": ("main", "$VEL_AXIS[4]=12\n", "", "$VEL_AXIS[4] is not set"),
-    "no start pose": ("main", "PTP p_1_start\n", "", "begins at no pose"),
-    "another base on the way": ("main", "WAIT SEC 2.5", "$BASE=base_frame", "begins at no pose"),
-    "a base in a file with moves": ("moves", "WAIT SEC 0.25", "$BASE=base_frame", "elsewhere"),
+    "no start pose": ("main", "PTP p_1_start\n", "", "is unknown"),
+    "another base on the way": ("main", "WAIT SEC 2.5", "$BASE=base_frame", "is unknown"),
+    "a base in a file with moves": ("moves", "WAIT SEC 0.25", "$BASE=base_frame", "only"),
     "a halt as a question": ("main", "WAIT SEC 2.5", ";? Sure?\nHALT", "HALT is no question"),
-    "half a question": ("main", dialog("and the way of the arm clear?"), "", "no dialog"),
-    "a text to be read and no question": ("main", "WAIT SEC 2.5", dialog("Sure.", "Read", ""), "no question"),
+    "half a question": ("main", dialog("and the way of the arm clear?"), "", "not followed by a dialog"),
+    "a text to be read and no question": (
+        "main",
+        "WAIT SEC 2.5",
+        dialog("Sure.", "Read", ""),
+        "not followed by a question",
+    ),
     "a text to be read in a question": (
         "main",
         dialog("and the way of the arm clear?"),
         dialog("Sure.", "Read", "") + dialog("and the way of the arm clear?"),
-        "within a question",
+        "inside a question",
     ),
     "no options of messages": ("main", OPTIONS, "", "tm_opt is not set"),
-    "no look at the foot": ("main", FOOT, "", "has looked at"),
+    "no look at the foot": ("main", FOOT, "", "has checked"),
     "a foot far off": ("main", "tm_shift>0.1", "tm_shift>0.2", "allowed: 0.1 mm"),
     "a foot turned": ("main", "tm_turn>0.02", "tm_turn>0.05", "0.02 deg"),
-    "the foot of another arm": ("main", "Arm left: $ROBROOT", "Arm right: $ROBROOT", "wanted: 'Arm left"),
-    "no word of the foot": ("main", FOOT, OLD_FOOT, "wanted: 'Arm left"),
+    "the foot of another arm": ("main", "Arm left: $ROBROOT", "Arm right: $ROBROOT", "expected 'Arm left"),
+    "no word of the foot": ("main", FOOT, OLD_FOOT, "expected 'Arm left"),
     "no interrupt": ("main", INTERRUPT, "", "GLOBAL INTERRUPT DECL 3"),
     "an interrupt that is off": ("main", "INTERRUPT ON 3\n", "", "INTERRUPT ON 3"),
     "an interrupt behind the settings": (
         "main",
         f"{INTERRUPT}BAS(#INITMOV,0)\n",
         f"BAS(#INITMOV,0)\n{INTERRUPT}",
-        "does not begin",
+        "does not start",
     ),
-    "the interrupt once more": ("main", "WAIT SEC 2.5", "INTERRUPT ON 3", "elsewhere"),
-    "a question among moves": ("moves", "WAIT SEC 0.25", dialog("Sure?"), "elsewhere"),
-    "a look among moves": ("moves", "WAIT SEC 0.25", FOOT, "elsewhere"),
-    "a state that is not cleared": ("main", "WAIT SEC 2.5", STATE, "which is not so"),
-    "a state of nothing": ("main", "WAIT SEC 2.5", STATE + CLEARED, "none of waiting"),
+    "the interrupt once more": ("main", "WAIT SEC 2.5", "INTERRUPT ON 3", "only"),
+    "a question among moves": ("moves", "WAIT SEC 0.25", dialog("Sure?"), "only"),
+    "a look among moves": ("moves", "WAIT SEC 0.25", FOOT, "only"),
+    "a state that is not cleared": ("main", "WAIT SEC 2.5", STATE, "which is not true"),
+    "a state of nothing": ("main", "WAIT SEC 2.5", STATE + CLEARED, "without a wait"),
     "a state that is taken back twice": ("main", "WAIT SEC 2.5", CLEARED, "not shown"),
-    "a wait without a word": ("main", "WAIT SEC 2.5", WAIT, "does not say so"),
+    "a wait without a word": ("main", "WAIT SEC 2.5", WAIT, "does not show it"),
     "a wait for nobody": (
         "main",
         "WAIT SEC 2.5",
         (STATE + WAIT + CLEARED).replace("arm right", "arm left"),
-        "wanted: 'Waiting",
+        "expected 'Waiting",
     ),
-    "another tale": ("main", "WAIT SEC 2.5", STATE.replace("Waiting for", "Go to"), "wanted: 'Waiting"),
+    "another tale": ("main", "WAIT SEC 2.5", STATE.replace("Waiting for", "Go to"), "expected 'Waiting"),
     "a program that calls itself": ("moves", "WAIT SEC 0.25", "wall_1()", "calls itself"),
-    "a PTP among the moves": ("moves", "WAIT SEC 0.25", "PTP x_home", "elsewhere"),
+    "a PTP among the moves": ("moves", "WAIT SEC 0.25", "PTP x_home", "only"),
 }
 
 
@@ -312,12 +317,20 @@ def test_the_older_dialect_has_other_words():
 QUESTION = ";? Is the stock in place\n;? and the way of the arm clear?\nHALT\n"
 OLDER_NO_WAY = {
     "a question that a PLC answers": (QUESTION + NOT_EXTERNAL, QUESTION, "refuse that mode"),
-    "a mode that is not looked at first": (NOT_EXTERNAL + LOOKED, LOOKED, "before automatic external"),
+    "a mode that is not looked at first": (
+        NOT_EXTERNAL + ROBROOT_CHECK,
+        ROBROOT_CHECK,
+        "before automatic external",
+    ),
     "a move between question and mode": (QUESTION, QUESTION + "$ADVANCE=3\n", "refuse that mode"),
     "a halt without a question": (QUESTION, "HALT\n", "without a question"),
-    "a question without a halt": (QUESTION, QUESTION.replace("HALT\n", "WAIT SEC 1\n"), "no HALT"),
-    "no look at the foot": (OLD_FOOT, "", "has looked at"),
-    "a dialog": ("WAIT SEC 2.5\n", dialog("Sure?"), "not of the dialect"),
+    "a question without a halt": (
+        QUESTION,
+        QUESTION.replace("HALT\n", "WAIT SEC 1\n"),
+        "not followed by a HALT",
+    ),
+    "no look at the foot": (OLD_FOOT, "", "has checked"),
+    "a dialog": ("WAIT SEC 2.5\n", dialog("Sure?"), "not part of"),
 }
 
 
@@ -372,7 +385,7 @@ def test_a_held_block_is_the_load_less_the_tool():
     theorem, with the inertia of a solid box from any textbook."""
     edges = np.array([0.4, 0.2, 0.1])
     moments = 3.0 / 12.0 * ((edges**2).sum() - edges**2)
-    tool = Load(2.0, np.array([0.0, 0.0, 0.1]), np.array([1.0, 0, 0, 0]), np.zeros(3))
+    tool = LoadData(2.0, np.array([0.0, 0.0, 0.1]), np.array([1.0, 0, 0, 0]), np.zeros(3))
     place = np.array([0.05, -0.1, 0.3])
     centre = (2.0 * tool.centre + 3.0 * place) / 5.0
     whole = np.diag(moments)
@@ -385,12 +398,12 @@ def test_a_held_block_is_the_load_less_the_tool():
     tcp = np.eye(4)
     tcp[:3, :3] = Rotation.from_euler("ZYX", [20, 30, 40], degrees=True).as_matrix()
     tcp[:3, 3] = [0.0, 0.0, 0.2]
-    found = held_load(Load(5.0, centre, turn, principal), tool, tcp)
+    found = held_load(LoadData(5.0, centre, turn, principal), tool, tcp)
     assert math.isclose(found.mass, 3.0)
     assert np.allclose(found.centre, tcp[:3, :3].T @ (place - tcp[:3, 3]))
     assert np.allclose(sorted(found.inertia), sorted(moments))
-    turned = (rotation(found.axes) * found.inertia) @ rotation(found.axes).T
-    assert np.allclose(turned, (tcp[:3, :3].T * moments) @ tcp[:3, :3])
+    rotated = (rotation(found.axes) * found.inertia) @ rotation(found.axes).T
+    assert np.allclose(rotated, (tcp[:3, :3].T * moments) @ tcp[:3, :3])
 
 
 def test_a_load_of_tool_and_block_is_told_as_carried():
@@ -408,9 +421,9 @@ def test_a_load_of_tool_and_block_is_told_as_carried():
 
 
 def test_values_of_the_data_list():
-    frame = value("frame", "{X 1.0000,Y 2.0000,Z 3.0000,A 30.000000,B 20.000000,C 10.000000}")
-    wanted = Rotation.from_euler("ZYX", [30, 20, 10], degrees=True).as_matrix()
-    assert np.allclose(frame[:3, :3], wanted) and np.allclose(frame[:3, 3], [0.001, 0.002, 0.003])
+    frame = parse_value("frame", "{X 1.0000,Y 2.0000,Z 3.0000,A 30.000000,B 20.000000,C 10.000000}")
+    expected = Rotation.from_euler("ZYX", [30, 20, 10], degrees=True).as_matrix()
+    assert np.allclose(frame[:3, :3], expected) and np.allclose(frame[:3, 3], [0.001, 0.002, 0.003])
 
 
 INI = """;FOLD INI;%{PE}
@@ -477,4 +490,4 @@ def test_programs_that_call_each_other_without_end_are_refused_soon():
     text = reader.read(files, 100_000, "krc4")
     assert text.faults == ()
     with pytest.raises(FlowError, match="too often"):
-        reader.flow(text, text.base, Signals({}, {}), "left")
+        reader.main_flow(text, text.base, NumberedSignals({}, {}), "left")

@@ -1,7 +1,7 @@
 """A KRL program written by hand after docs/krl.md, whole and in parts, in both dialects."""
 
 from planner.languages.krl.reader import reader
-from planner.programs.signals import Signals
+from planner.programs.signals import NumberedSignals
 
 HEAD = "&ACCESS RVP\r\n&REL 1\r\n"
 OUTER = "E1 0.0,E2 0.0,E3 0.0,E4 0.0,E5 0.0,E6 0.0"
@@ -38,12 +38,12 @@ EMPTY = "".join(
     for i in numbers
 )
 OPTIONS = f"tm_opt={{VL_Stop TRUE,Clear_P_Reset TRUE,Clear_P_SAW TRUE,Log_To_DB FALSE}}\n{EMPTY}"
-LOOKED = """tm_shift=SQRT($ROBROOT.X*$ROBROOT.X+$ROBROOT.Y*$ROBROOT.Y+$ROBROOT.Z*$ROBROOT.Z)
+ROBROOT_CHECK = """tm_shift=SQRT($ROBROOT.X*$ROBROOT.X+$ROBROOT.Y*$ROBROOT.Y+$ROBROOT.Z*$ROBROOT.Z)
 tm_turn=ABS($ROBROOT.A)+ABS($ROBROOT.B)+ABS($ROBROOT.C)
 """
-OLD_FOOT = f"""{LOOKED}WHILE (tm_shift>0.1) OR (tm_turn>0.02)
+OLD_FOOT = f"""{ROBROOT_CHECK}WHILE (tm_shift>0.1) OR (tm_turn>0.02)
 HALT
-{LOOKED}ENDWHILE
+{ROBROOT_CHECK}ENDWHILE
 """
 
 
@@ -57,13 +57,13 @@ def notify(text):
     return f"{message(text)}tm_ticket=Set_KrlMsg(#NOTIFY,tm_msg,tm_par[],tm_opt)\n"
 
 
-FOOT = f"""{LOOKED}WHILE (tm_shift>0.1) OR (tm_turn>0.02)
+FOOT = f"""{ROBROOT_CHECK}WHILE (tm_shift>0.1) OR (tm_turn>0.02)
 tm_par[1].Par_Type=#VALUE
 tm_par[1].Par_Real=tm_shift
 tm_par[2].Par_Type=#VALUE
 tm_par[2].Par_Real=tm_turn
 {notify("Arm left: $ROBROOT is off zero by %1 mm, %2 deg")}HALT
-{LOOKED}ENDWHILE
+{ROBROOT_CHECK}ENDWHILE
 tm_par[1].Par_Type=#EMPTY
 tm_par[2].Par_Type=#EMPTY
 """
@@ -86,14 +86,14 @@ ENDWHILE
 
 
 NOT_EXTERNAL = "WHILE $MODE_OP==#EX\nHALT\nENDWHILE\n"
-ASKED = dialog("Is the stock in place", "Next", "") + dialog("and the way of the arm clear?")
+QUESTIONS = dialog("Is the stock in place", "Next", "") + dialog("and the way of the arm clear?")
 MAIN = f"""DEF wall()
 {VARIABLES}{INTERRUPT}BAS(#INITMOV,0)
 $ADVANCE=3
 $IPO_MODE=#BASE
 $ORI_TYPE=#VAR
 $OUT[17]=FALSE ; doSpindle
-{OPTIONS}{FOOT}{ASKED}$TOOL=t_mill
+{OPTIONS}{FOOT}{QUESTIONS}$TOOL=t_mill
 $LOAD=l_mill
 $BASE=b_stock
 $VEL_AXIS[1]=12
@@ -114,7 +114,7 @@ END
 OLDER = (
     MAIN.replace(VARIABLES, "EXT BAS (BAS_COMMAND :IN,REAL :IN )\nEXT wall_1()\n" + OLD_VARIABLES)
     .replace(OPTIONS + FOOT, NOT_EXTERNAL + OLD_FOOT)
-    .replace(ASKED, ";? Is the stock in place\n;? and the way of the arm clear?\nHALT\n" + NOT_EXTERNAL)
+    .replace(QUESTIONS, ";? Is the stock in place\n;? and the way of the arm clear?\nHALT\n" + NOT_EXTERNAL)
     .replace(notify("The spindle starts."), ";* The spindle starts.\n")
 )
 """The same program for the older dialect."""
@@ -151,8 +151,8 @@ def read(dialect="krc4", **changed):
 def steps(dialect="krc4", **changed):
     text = read(dialect, **changed)
     assert text.faults == ()
-    signals = Signals({17: "doSpindle"}, {5: "diPartner"})
-    return reader.flow(text, text.base, signals, "left", ["right"])[0]
+    signals = NumberedSignals({17: "doSpindle"}, {5: "diPartner"})
+    return reader.main_flow(text, text.base, signals, "left", ["right"])[0]
 
 
 def kinds(**changed):
@@ -163,7 +163,7 @@ WAIT = """$TIMER[1]=0
 $TIMER_STOP[1]=FALSE
 WHILE $IN[5]==FALSE
 IF $TIMER[1]>30000 THEN
-; Arm right did not answer in time. Start waits for it again.
+; Arm right did not answer in time. Start repeats the wait.
 HALT
 $TIMER[1]=0
 ENDIF

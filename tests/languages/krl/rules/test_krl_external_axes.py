@@ -1,4 +1,4 @@
-"""Tracks and turntables in KRL: where arms and block are by the text, and what is wrong with E1 to E6."""
+"""Tracks and turntables in KRL: poses of arms and block by the text, and faults in E1 to E6."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from planner.cell.kinematics import forward
+from planner.cell.kinematics import forward_kinematics
 from planner.geometry.arrays import inverse
 from planner.pipeline import Outcome
 from planner.processes import registry
@@ -23,18 +23,18 @@ from planner.report import scene
 from tests import table_job, track_job
 from tests.proof.provers import prover_of
 
-THERE = "65.0000"
+SECOND_STATION = "65.0000"
 """The second station of the table as the text has it."""
 
 
 @pytest.fixture(scope="module")
-def tracked() -> Prover:
-    return prover_of(track_job.planned_krl())
+def track_prover() -> Prover:
+    return prover_of(track_job.planned_krl_job())
 
 
 @pytest.fixture(scope="module")
-def turned() -> Prover:
-    return prover_of(table_job.planned_krl())
+def turntable_prover() -> Prover:
+    return prover_of(table_job.planned_krl_job())
 
 
 def station(outcome: Outcome) -> str:
@@ -45,41 +45,45 @@ def station(outcome: Outcome) -> str:
 # ---- where things stand ----
 
 
-def test_the_text_has_the_tool_within_a_micrometre_of_the_plan_on_a_track(tracked: Prover) -> None:
-    out = track_job.planned_krl()
+def test_the_text_has_the_tool_within_a_micrometre_of_the_plan_on_a_track(track_prover: Prover) -> None:
+    out = track_job.planned_krl_job()
     assert out.verified and out.plan.stations[0] != out.plan.stations[1]
-    context = external_axes.standing(Context(tracked.problem, tracked.claims, out.programs))
+    context = external_axes.with_text_stations(
+        Context(track_prover.problem, track_prover.claims, out.programs)
+    )
     for index in range(2):
         # by hand: E1 [mm] of the text along y of the world, and the arm's axes from the plan
-        made, arm = out.plan.operations[index], tracked.problem.cell.arm("left")
+        operation_plan, arm = out.plan.operations[index], track_prover.problem.cell.arm("left")
         base = arm.base.copy()
         base[1, 3] += out.plan.stations[index]["left"]
-        tcp = (base @ forward(arm.data, made.q["left"]) @ arm.tool.tcp)[:, :3, 3]
-        assert np.linalg.norm(tcp - made.targets.pose["left"][:, :3, 3], axis=1).max() < 1e-6
+        tcp = (base @ forward_kinematics(arm.data, operation_plan.q["left"]) @ arm.tool.tcp)[:, :3, 3]
+        assert np.linalg.norm(tcp - operation_plan.targets.pose["left"][:, :3, 3], axis=1).max() < 1e-6
         nodes = context.spans.of_stage[context.motion.node_stage] == index
         text = context.motion.node_tcp["left"][nodes][:, :3, 3]
         assert np.linalg.norm(text[:, None] - tcp, axis=2).min(axis=0).max() < 1e-6
 
 
-def test_the_text_has_the_block_within_a_micrometre_of_the_plan_on_a_table(turned: Prover) -> None:
-    out = table_job.planned_krl()
-    assert out.verified and np.rad2deg(out.plan.stations[1]["stock"]) == pytest.approx(float(THERE))
-    context = external_axes.standing(Context(turned.problem, turned.claims, out.programs))
-    turn = Rotation.from_euler("z", float(THERE), degrees=True).as_matrix()  # scipy's
-    centre, stated = np.array([0.9, 0.0, 0.2]), turned.problem.stock.place
-    place = context.places[1]
+def test_the_text_has_the_block_within_a_micrometre_of_the_plan_on_a_table(turntable_prover: Prover) -> None:
+    out = table_job.planned_krl_job()
+    assert out.verified and np.rad2deg(out.plan.stations[1]["stock"]) == pytest.approx(float(SECOND_STATION))
+    context = external_axes.with_text_stations(
+        Context(turntable_prover.problem, turntable_prover.claims, out.programs)
+    )
+    turn = Rotation.from_euler("z", float(SECOND_STATION), degrees=True).as_matrix()  # scipy's
+    centre, stated = np.array([0.9, 0.0, 0.2]), turntable_prover.problem.stock.place
+    place = context.stock_frames[1]
     assert stated is not None and place is not None
     np.testing.assert_allclose(place[:3, :3], turn @ stated[:3, :3], atol=1e-8)
     np.testing.assert_allclose(place[:3, 3], centre + turn @ (stated[:3, 3] - centre), atol=1e-7)
     for index in range(2):
-        made, arm = out.plan.operations[index], turned.problem.cell.arm("left")
-        tcp = arm.base @ forward(arm.data, made.q["left"]) @ arm.tool.tcp
-        seen = (inverse(np.asarray(context.places[index])) @ tcp)[:, :3, 3]
-        assert np.linalg.norm(seen - made.targets.pose["left"][:, :3, 3], axis=1).max() < 1e-6
+        operation_plan, arm = out.plan.operations[index], turntable_prover.problem.cell.arm("left")
+        tcp = arm.base @ forward_kinematics(arm.data, operation_plan.q["left"]) @ arm.tool.tcp
+        seen = (inverse(np.asarray(context.stock_frames[index])) @ tcp)[:, :3, 3]
+        assert np.linalg.norm(seen - operation_plan.targets.pose["left"][:, :3, 3], axis=1).max() < 1e-6
 
 
 def test_axes_take_the_time_of_the_text_on_the_proofs_clock_and_in_the_replay() -> None:
-    for out, own in ((track_job.planned_krl(), 1.0), (table_job.planned_krl(), 20.0)):
+    for out, own in ((track_job.planned_krl_job(), 1.0), (table_job.planned_krl_job(), 20.0)):
         context = Context(out.problem, registry.claims(out.problem), out.programs)
         shown = re.search(r"\$VEL_EXTAX\[\d\]=(\d+)", "".join(out.programs.values()))
         assert shown is not None
@@ -88,10 +92,12 @@ def test_axes_take_the_time_of_the_text_on_the_proofs_clock_and_in_the_replay() 
         found = re.findall(r"x_\d_station_1=\{.*?E(?:1 (-?[1-9][\d.]*)|2 (-?[1-9][\d.]*))", text)
         ends = [0.0, *(float(a) * 1e-3 if a else float(b) for a, b in found), 0.0]
         ramp = 0.0 if own > 1.0 else speed / 1.0  # the track's 1 m/s2
-        wanted = [abs(b - a) / speed + ramp for a, b in itertools.pairwise(ends)]
+        expected = [abs(b - a) / speed + ramp for a, b in itertools.pairwise(ends)]
         gaps = np.diff(context.motion.time)
-        np.testing.assert_allclose(gaps[gaps > 1.0], wanted, atol=0.01)
-        assert scene.track(out.problem, out.plan, 100).travel == pytest.approx(sum(wanted), abs=1e-3)
+        np.testing.assert_allclose(gaps[gaps > 1.0], expected, atol=0.01)
+        assert scene.sample_keyframes(out.problem, out.plan, 100).travel == pytest.approx(
+            sum(expected), abs=1e-3
+        )
 
 
 # ---- programs that are wrong ----
@@ -118,7 +124,7 @@ def broken(programs: Mapping[str, str], change: Callable[[str], str]) -> dict[st
 
 
 def creeping(text: str, e: str) -> str:
-    """E1 in straight moves, each less than a micrometre off the one before."""
+    """Change E1 in straight moves, by less than a micrometre per move."""
     off = iter((1, 2, 1, 0))
     pattern = rf"(SLIN [^\n]*,E1 ){re.escape(e)}\}}"
     return re.sub(pattern, lambda m: f"{m[1]}{float(e) - 9e-4 * next(off, 0):.4f}}}", text)
@@ -130,8 +136,8 @@ def in_cut(text: str, axis: str, old: str, new: str) -> str:
     return text[:at] + first(text[at:], f"{axis} {old}", f"{axis} {new}")
 
 
-LOOK = re.compile(r"tm_shift=ABS\(\$AXIS_ACT\.E\d-0\.0000\)\n(?:[^\n]*\n)*?ENDIF\n")
-"""What looks whether an axis is at home."""
+HOME_CHECK = re.compile(r"tm_shift=ABS\(\$AXIS_ACT\.E\d-0\.0000\)\n(?:[^\n]*\n)*?ENDIF\n")
+"""Pattern of the check that an axis is at home."""
 
 TRACK: dict[str, tuple[str, Callable[[str, str], str]]] = {
     "missing E1": ("external_axes", lambda t, e: t.replace(f",E1 {e}}}", "}")),
@@ -172,18 +178,20 @@ TRACK: dict[str, tuple[str, Callable[[str, str], str]]] = {
             else first(t, "; Operation b.", "PTP x_2_station_1\n; Operation b.")
         ),
     ),
-    "no look at E1": ("external_axes", lambda t, e: LOOK.sub("", t, count=1)),
+    "no look at E1": ("external_axes", lambda t, e: HOME_CHECK.sub("", t, count=1)),
     "a look at E1 before the question": (
         "external_axes",
         lambda t, e: first(
-            LOOK.sub("", t, count=1),
+            HOME_CHECK.sub("", t, count=1),
             "tm_answer=0\n",
-            f"{LOOK.search(t)[0]}tm_answer=0\n",  # type: ignore[index]
+            f"{HOME_CHECK.search(t)[0]}tm_answer=0\n",  # type: ignore[index]
         ),
     ),
     "a look at E1 behind the first move": (
         "external_axes",
-        lambda t, e: first(LOOK.sub("", t, count=1), "PTP x_home\n", f"PTP x_home\n{LOOK.search(t)[0]}"),  # type: ignore[index]
+        lambda t, e: first(
+            HOME_CHECK.sub("", t, count=1), "PTP x_home\n", f"PTP x_home\n{HOME_CHECK.search(t)[0]}"
+        ),  # type: ignore[index]
     ),
     "a look at E2": ("external_axes", lambda t, e: first(t, "ABS($AXIS_ACT.E1-", "ABS($AXIS_ACT.E2-")),
     "a look for another home": (
@@ -214,18 +222,24 @@ TRACK: dict[str, tuple[str, Callable[[str, str], str]]] = {
         lambda t, e: changed(t, r"(PTP x_2_station_1\n)(?:[^\n]*\n)*?tm_par\[2\]\.Par_Type=#EMPTY\n", r"\1"),
     ),
 }
-"""On a track, by what is wrong: the rule that refuses it, and the change, given the text's first station."""
+"""Faults of a track: the rule that refuses it, and the change, given the first station of the text."""
 
 
 TABLE: dict[str, tuple[str, Callable[[str], str]]] = {
-    "missing E2": ("external_axes", lambda t: t.replace(f",E2 {THERE}}}", "}")),
-    "another E2 all along": ("external_axes", lambda t: t.replace(f"E2 {THERE}", "E2 130.0000")),
-    "another E2 of a tenth": ("work_object", lambda t: t.replace(f"E2 {THERE}", "E2 65.1000")),
-    "in radians": ("external_axes", lambda t: t.replace(f"E2 {THERE}", "E2 1.1345")),
-    "with the other sign": ("external_axes", lambda t: t.replace(f"E2 {THERE}", f"E2 -{THERE}")),
-    "moved in the cut": ("external_axes", lambda t: in_cut(t, "E2", THERE, "65.5000")),
-    "beyond the range": ("external_axes", lambda t: t.replace(f"E2 {THERE}", "E2 190.0000")),
-    "as the first axis": ("external_axes", lambda t: t.replace(f"E2 {THERE}}}", f"E1 {THERE}}}")),
+    "missing E2": ("external_axes", lambda t: t.replace(f",E2 {SECOND_STATION}}}", "}")),
+    "another E2 all along": ("external_axes", lambda t: t.replace(f"E2 {SECOND_STATION}", "E2 130.0000")),
+    "another E2 of a tenth": ("work_object", lambda t: t.replace(f"E2 {SECOND_STATION}", "E2 65.1000")),
+    "in radians": ("external_axes", lambda t: t.replace(f"E2 {SECOND_STATION}", "E2 1.1345")),
+    "with the other sign": (
+        "external_axes",
+        lambda t: t.replace(f"E2 {SECOND_STATION}", f"E2 -{SECOND_STATION}"),
+    ),
+    "moved in the cut": ("external_axes", lambda t: in_cut(t, "E2", SECOND_STATION, "65.5000")),
+    "beyond the range": ("external_axes", lambda t: t.replace(f"E2 {SECOND_STATION}", "E2 190.0000")),
+    "as the first axis": (
+        "external_axes",
+        lambda t: t.replace(f"E2 {SECOND_STATION}}}", f"E1 {SECOND_STATION}}}"),
+    ),
     "another frame": (
         "work_object",
         lambda t: changed(t, r"(b_stock_2=\{X )(-?\d+)\.", lambda m: f"{m[1]}{int(m[2]) + 5}."),
@@ -239,13 +253,13 @@ TABLE: dict[str, tuple[str, Callable[[str], str]]] = {
     "of another kinematic": ("syntax", lambda t: first(t, "$BASE=b_stock_2", "BAS(#EX_BASE,3)")),
     "no speed": ("external_axes", lambda t: changed(t, r"\$VEL_EXTAX\[2\]=\d+\n", "")),
     "not folded": ("external_axes", lambda t: first(t, "PTP x_2_station_1\n", "")),
-    "no look at E2": ("external_axes", lambda t: LOOK.sub("", t, count=1)),
+    "no look at E2": ("external_axes", lambda t: HOME_CHECK.sub("", t, count=1)),
     "a wide look": ("external_axes", lambda t: first(t, "IF tm_shift>0.1 THEN", "IF tm_shift>1.0 THEN")),
     "a look at E1": ("external_axes", lambda t: first(t, "ABS($AXIS_ACT.E2-", "ABS($AXIS_ACT.E1-")),
     "not home at the end": ("external_axes", lambda t: re.sub(r"(?s)(.*)PTP x_home\n", r"\1", t)),
-    "told another value": ("setup", lambda t: first(t, f"{THERE} deg", "20.0000 deg")),
+    "told another value": ("setup", lambda t: first(t, f"{SECOND_STATION} deg", "20.0000 deg")),
 }
-"""On a turntable."""
+"""Faults of a turntable."""
 
 
 def refused(prover: Prover, programs: dict[str, str], word: str) -> None:
@@ -256,17 +270,17 @@ def refused(prover: Prover, programs: dict[str, str], word: str) -> None:
 
 @pytest.mark.sampled(every=4)
 @pytest.mark.parametrize("name", TRACK)
-def test_a_wrong_track_is_refused(tracked: Prover, name: str) -> None:
+def test_a_wrong_track_is_refused(track_prover: Prover, name: str) -> None:
     word, change = TRACK[name]
-    out = track_job.planned_krl()
-    refused(tracked, broken(out.programs, lambda text: change(text, station(out))), word)
+    out = track_job.planned_krl_job()
+    refused(track_prover, broken(out.programs, lambda text: change(text, station(out))), word)
 
 
 @pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("name", TABLE)
-def test_a_wrong_turntable_is_refused(turned: Prover, name: str) -> None:
+def test_a_wrong_turntable_is_refused(turntable_prover: Prover, name: str) -> None:
     word, change = TABLE[name]
-    refused(turned, broken(table_job.planned_krl().programs, change), word)
+    refused(turntable_prover, broken(table_job.planned_krl_job().programs, change), word)
 
 
 OTHERS: dict[str, dict[str, Any]] = {
@@ -278,34 +292,34 @@ OTHERS: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("name", OTHERS)
-def test_programs_of_another_track_are_refused(tracked: Prover, name: str) -> None:
+def test_programs_of_another_track_are_refused(track_prover: Prover, name: str) -> None:
     """The same text for a cell whose track is another one."""
-    arm = tracked.problem.cell.arms[0]
+    arm = track_prover.problem.cell.arms[0]
     assert arm.track is not None
-    other = dataclasses.replace(arm, axes=(dataclasses.replace(arm.track, **OTHERS[name]),))
-    cell = dataclasses.replace(tracked.problem.cell, arms=(other,))
-    made = Prover(dataclasses.replace(tracked.problem, cell=cell), tracked.claims)
+    other = dataclasses.replace(arm, linear_axes=(dataclasses.replace(arm.track, **OTHERS[name]),))
+    cell = dataclasses.replace(track_prover.problem.cell, arms=(other,))
+    made = Prover(dataclasses.replace(track_prover.problem, cell=cell), track_prover.claims)
     word = "syntax" if name == "direction" else "external_axes"
-    refused(made, dict(track_job.planned_krl().programs), word)
+    refused(made, dict(track_job.planned_krl_job().programs), word)
 
 
-def test_a_table_that_turns_faster_than_the_text_takes_it_for_is_refused(turned: Prover) -> None:
-    table = turned.problem.cell.turntable
+def test_a_table_that_turns_faster_than_the_text_takes_it_for_is_refused(turntable_prover: Prover) -> None:
+    table = turntable_prover.problem.cell.turntable
     assert table is not None
-    cell = dataclasses.replace(turned.problem.cell, turntable=dataclasses.replace(table, speed=5.0))
-    made = Prover(dataclasses.replace(turned.problem, cell=cell), turned.claims)
-    refused(made, dict(table_job.planned_krl().programs), "external_axes")
+    cell = dataclasses.replace(turntable_prover.problem.cell, turntable=dataclasses.replace(table, speed=5.0))
+    made = Prover(dataclasses.replace(turntable_prover.problem, cell=cell), turntable_prover.claims)
+    refused(made, dict(table_job.planned_krl_job().programs), "external_axes")
 
 
-def test_axes_that_the_cell_does_not_have_are_refused(turned: Prover) -> None:
-    cell = dataclasses.replace(turned.problem.cell, turntable=None)
-    other = Prover(dataclasses.replace(turned.problem, cell=cell), turned.claims)
-    refused(other, dict(table_job.planned_krl().programs), "move_kinds")
+def test_axes_that_the_cell_does_not_have_are_refused(turntable_prover: Prover) -> None:
+    cell = dataclasses.replace(turntable_prover.problem.cell, turntable=None)
+    other = Prover(dataclasses.replace(turntable_prover.problem, cell=cell), turntable_prover.claims)
+    refused(other, dict(table_job.planned_krl_job().programs), "move_kinds")
 
 
 @pytest.mark.long
 def test_the_older_dialect_has_the_track_as_well() -> None:
-    out = track_job.planned_krl(dialect="krc2")
+    out = track_job.planned_krl_job(dialect="krc2")
     assert out.verified
     (moves,) = [text for file, text in out.programs.items() if file.endswith("track_1.src")]
     assert re.search(r"LIN \{[^}]*,E1 -?[\d.]+\}", moves)
@@ -313,7 +327,7 @@ def test_the_older_dialect_has_the_track_as_well() -> None:
 
 @pytest.mark.long
 def test_spline_blocks_have_the_track_as_well() -> None:
-    out = track_job.planned_krl(81, path="spline")
+    out = track_job.planned_krl_job(81, path="spline")
     assert out.verified
     text = "".join(out.programs.values())
     assert re.search(r"SPL \{[^}]*,E1 -?[\d.]+\}", text)
@@ -321,8 +335,8 @@ def test_spline_blocks_have_the_track_as_well() -> None:
 
 def test_the_setup_sheet_says_what_the_machine_data_need(tmp_path: Any) -> None:
     for made, words in (
-        (track_job.planned_krl(), ("E1, axis 7", "#ERSYS", "$SOFTN_END[7]", "0.500000, 0.866025")),
-        (table_job.planned_krl(), ("E2, axis 8", "#EASYS, or #NONE", "counter-clockwise", "of $WORLD")),
+        (track_job.planned_krl_job(), ("E1, axis 7", "#ERSYS", "$SOFTN_END[7]", "0.500000, 0.866025")),
+        (table_job.planned_krl_job(), ("E2, axis 8", "#EASYS, or #NONE", "counter-clockwise", "in $WORLD")),
     ):
         folder = tmp_path / made.problem.name
         made.save(folder)

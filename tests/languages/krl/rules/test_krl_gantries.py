@@ -1,4 +1,4 @@
-"""Gantries in KRL: where the arm is by E1 and E2 of the text, and what is wrong with them and with looks."""
+"""Gantries in KRL: the pose of the arm by E1 and E2 of the text, and faults in the values and checks."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner.cell.kinematics import forward
+from planner.cell.kinematics import forward_kinematics
 from planner.processes import registry
 from planner.proof.context import Context
 from planner.proof.prove import Prover
@@ -21,64 +21,68 @@ from tests import gantry_job
 from tests.languages.krl.rules.test_krl_external_axes import broken, changed, first, refused
 from tests.proof.provers import prover_of
 
-STAND, LEG, BEFORE = "E1 700.0000,E2 100.0000", "E1 700.0000,E2 0.0000", "E1 -400.0000,E2 0.0000"
+SECOND_STATION, INTERMEDIATE_STATION, FIRST_STATION = (
+    "E1 700.0000,E2 100.0000",
+    "E1 700.0000,E2 0.0000",
+    "E1 -400.0000,E2 0.0000",
+)
 """The second station as the text has it, what lies between it and those before and behind, and the first
 one."""
 TAKEN = "-0.500000*$AXIS_ACT.E1-0.000000*$AXIS_ACT.E2"
-"""What the axes take off $ROBROOT_C.X, which is turned by 30 degrees to the bridge."""
+"""Contribution of the axes to $ROBROOT_C.X, which is rotated by 30 degrees to the bridge."""
 
 
 @pytest.fixture(scope="module")
 def prover() -> Prover:
-    return prover_of(gantry_job.planned_krl())
+    return prover_of(gantry_job.planned_krl_job())
 
 
 def test_the_text_has_the_tool_within_a_micrometre_of_the_plan(prover: Prover) -> None:
-    out = gantry_job.planned_krl()
+    out = gantry_job.planned_krl_job()
     assert out.verified, [str(issue) for issue in out.issues]
     assert prover.prove(out.programs).ok  # of the text alone
-    context = external_axes.standing(Context(prover.problem, prover.claims, out.programs))
+    context = external_axes.with_text_stations(Context(prover.problem, prover.claims, out.programs))
     for index, (y, z) in enumerate([(-0.4, 0.0), (0.7, 0.1)]):
-        arm, made = prover.problem.cell.arm("left"), out.plan.operations[index]
+        arm, operation_plan = prover.problem.cell.arm("left"), out.plan.operations[index]
         base = arm.base.copy()
         base[:3, 3] += [0.0, y, z]
-        tcp = (base @ forward(arm.data, made.q["left"]) @ arm.tool.tcp)[:, :3, 3]
-        assert np.linalg.norm(tcp - made.targets.pose["left"][:, :3, 3], axis=1).max() < 1e-6
+        tcp = (base @ forward_kinematics(arm.data, operation_plan.q["left"]) @ arm.tool.tcp)[:, :3, 3]
+        assert np.linalg.norm(tcp - operation_plan.targets.pose["left"][:, :3, 3], axis=1).max() < 1e-6
         nodes = context.spans.of_stage[context.motion.node_stage] == index
         text = context.motion.node_tcp["left"][nodes][:, :3, 3]
         assert np.linalg.norm(text[:, None] - tcp, axis=2).min(axis=0).max() < 1e-6
 
 
 def test_each_axis_takes_the_time_of_the_text_on_the_proofs_clock_and_in_the_replay() -> None:
-    out = gantry_job.planned_krl()
+    out = gantry_job.planned_krl_job()
     context = Context(out.problem, registry.claims(out.problem), out.programs)
     text = "".join(out.programs.values())
     shares = {n: float(v) / 100.0 for n, v in re.findall(r"\$VEL_EXTAX\[(\d)\]=(\d+)", text)}
     own = {"1": (shares["1"], 1.0), "2": (0.5 * shares["2"], 0.5)}  # m/s, m/s2
     assert all(speed <= 0.25 for speed, _ in own.values())
-    wanted = []
+    expected = []
     for n, way in (("1", 0.4), ("1", 1.1), ("2", 0.1), ("2", 0.1), ("1", 0.7)):
         speed = min(own[n][0], float(np.sqrt(way * own[n][1])))
-        wanted.append(way / speed + speed / own[n][1])
+        expected.append(way / speed + speed / own[n][1])
     gaps = np.diff(context.motion.time)
-    for seconds in wanted:
+    for seconds in expected:
         assert np.abs(gaps - seconds).min() < 0.01
-    run = scene.track(out.problem, out.plan, 100)
-    assert run.travel == pytest.approx(sum(wanted), abs=1e-3)
+    run = scene.sample_keyframes(out.problem, out.plan, 100)
+    assert run.travel == pytest.approx(sum(expected), abs=1e-3)
     # home by the lift first: at no time does the bridge go while it is raised but there
-    lift, bridge = run.stands["left/lift"], run.stands["left/bridge"]
+    lift, bridge = run.axis_values["left/lift"], run.axis_values["left/bridge"]
     both = (np.abs(np.diff(lift)) > 1e-9) & (np.abs(np.diff(bridge)) > 1e-9)
     assert not both.any() and lift[-1] == bridge[-1] == 0.0 and lift.max() == pytest.approx(0.1)
 
 
 def test_the_replay_has_what_rides_where_it_is() -> None:
-    out = gantry_job.planned_krl()
+    out = gantry_job.planned_krl_job()
     from planner.report.output import cell_model
 
-    run = scene.track(out.problem, out.plan, 60)
-    shown = scene.extract(cell_model(out.problem, out.plan))
-    poses = scene.ridden(shown, out.problem.setups, run.setup, shown.poses(run.q), run.stands)
-    y, z = run.stands["left/bridge"], run.stands["left/lift"]
+    run = scene.sample_keyframes(out.problem, out.plan, 60)
+    shown = scene.extract_scene(cell_model(out.problem, out.plan))
+    poses = scene.poses_on_axes(shown, out.problem.setups, run.setup, shown.poses(run.q), run.axis_values)
+    y, z = run.axis_values["left/bridge"], run.axis_values["left/lift"]
     np.testing.assert_allclose(poses["left/base_link"][:, 1:3, 3], np.stack([y, 1.0 + z], axis=1), atol=1e-9)
     # of a model of the first setup, whose column stands at its station
     np.testing.assert_allclose(poses["column"][:, 1, 3], y + 0.4, atol=1e-9)
@@ -86,7 +90,7 @@ def test_the_replay_has_what_rides_where_it_is() -> None:
     assert (np.ptp(y), np.ptp(z)) == pytest.approx((1.1, 0.1))
     # pictures and files have them where each setup does
     setup = out.problem.setups[1]
-    stood = scene.stand(shown, setup, np.eye(4), {"left": setup.cell.arm("left").home[None]})
+    stood = scene.scene_poses(shown, setup, np.eye(4), {"left": setup.cell.arm("left").home[None]})
     np.testing.assert_allclose(stood["console"][0][:3, 3], [0.0, 1.1, 0.1], atol=1e-9)
 
 
@@ -95,10 +99,10 @@ def test_the_replay_has_what_rides_where_it_is() -> None:
 
 def cuts(text: str, new: str) -> str:
     """Values of the second station in straight moves."""
-    return changed(text, rf"(SLIN [^\n]*,){re.escape(STAND)}\}}", rf"\1{new}}}")
+    return changed(text, rf"(SLIN [^\n]*,){re.escape(SECOND_STATION)}\}}", rf"\1{new}}}")
 
 
-def looks(text: str, new: str) -> str:
+def replace_position_check(text: str, new: str) -> str:
     assert TAKEN in text
     return text.replace(TAKEN, new)
 
@@ -106,15 +110,21 @@ def looks(text: str, new: str) -> str:
 MUTANTS: dict[str, tuple[str, Callable[[str], str]]] = {
     "a value off by 1 mm": ("external_axes", lambda t: cuts(t, "E1 700.0000,E2 101.0000")),
     "off by 1 mm all along": ("setup", lambda t: t.replace("E1 700.0000", "E1 701.0000")),
-    "two axes swapped": ("external_axes", lambda t: t.replace(STAND, "E1 100.0000,E2 700.0000")),
+    "two axes swapped": ("external_axes", lambda t: t.replace(SECOND_STATION, "E1 100.0000,E2 700.0000")),
     "a sign": ("external_axes", lambda t: cuts(t, "E1 -700.0000,E2 100.0000")),
     "metres": ("external_axes", lambda t: cuts(t, "E1 0.7000,E2 0.1000")),
     "no lift": ("external_axes", lambda t: cuts(t, "E1 700.0000")),
-    "a third axis": ("external_axes", lambda t: cuts(t, f"{STAND},E3 10.0000")),
-    "the lift before the bridge": ("external_axes", lambda t: first(t, LEG, "E1 -400.0000,E2 100.0000")),
+    "a third axis": ("external_axes", lambda t: cuts(t, f"{SECOND_STATION},E3 10.0000")),
+    "the lift before the bridge": (
+        "external_axes",
+        lambda t: first(t, INTERMEDIATE_STATION, "E1 -400.0000,E2 100.0000"),
+    ),
     "both at once": ("external_axes", lambda t: first(t, "PTP x_2_station_1\n", "")),
     "no speed of the lift": ("external_axes", lambda t: changed(t, r"\$VEL_EXTAX\[2\]=\d+\n", "")),
-    "directions swapped": ("syntax", lambda t: looks(t, "-0.000000*$AXIS_ACT.E1-0.500000*$AXIS_ACT.E2")),
+    "directions swapped": (
+        "syntax",
+        lambda t: replace_position_check(t, "-0.000000*$AXIS_ACT.E1-0.500000*$AXIS_ACT.E2"),
+    ),
     "axes in the look swapped": (
         "syntax",
         lambda t: re.sub(
@@ -123,12 +133,12 @@ MUTANTS: dict[str, tuple[str, Callable[[str], str]]] = {
             t,
         ),
     ),
-    "a sign in the look": ("syntax", lambda t: looks(t, TAKEN.replace("-0.5", "+0.5"))),
+    "a sign in the look": ("syntax", lambda t: replace_position_check(t, TAKEN.replace("-0.5", "+0.5"))),
     "one axis in the look": ("syntax", lambda t: re.sub(r"-[\d.]+\*\$AXIS_ACT\.E2", "", t)),
-    "one axis of X alone": ("declarations", lambda t: looks(t, "-0.500000*$AXIS_ACT.E1")),
+    "one axis of X alone": ("declarations", lambda t: replace_position_check(t, "-0.500000*$AXIS_ACT.E1")),
     "one axis twice in X": (
         "declarations",
-        lambda t: looks(t, "-0.500000*$AXIS_ACT.E1-0.000000*$AXIS_ACT.E1"),
+        lambda t: replace_position_check(t, "-0.500000*$AXIS_ACT.E1-0.000000*$AXIS_ACT.E1"),
     ),
     "a look as on a track that stands": (
         "syntax",
@@ -155,7 +165,7 @@ MUTANTS: dict[str, tuple[str, Callable[[str], str]]] = {
 
 
 LATER = ("no speed of the lift", "a third axis", "no lift", "metres", "one axis twice in X")
-"""Those that are much like others are long tests."""
+"""Faults that resemble others; they are long tests."""
 
 
 @pytest.mark.sampled(every=3)
@@ -164,26 +174,26 @@ LATER = ("no speed of the lift", "a third axis", "no lift", "metres", "one axis 
 )
 def test_a_wrong_gantry_is_refused(prover: Prover, name: str) -> None:
     word, change = MUTANTS[name]
-    refused(prover, broken(gantry_job.planned_krl().programs, change), word)
+    refused(prover, broken(gantry_job.planned_krl_job().programs, change), word)
 
 
 def test_programs_for_a_gantry_of_another_direction_are_refused(prover: Prover) -> None:
     """The same text for a cell whose two axes change places: the looks at $ROBROOT_C tell."""
     arm = prover.problem.cell.arm("left")
-    one, two = arm.axes
+    one, two = arm.linear_axes
     swapped = (dataclasses.replace(one, axis=two.axis), dataclasses.replace(two, axis=one.axis))
-    cell = dataclasses.replace(prover.problem.cell, arms=(dataclasses.replace(arm, axes=swapped),))
+    cell = dataclasses.replace(prover.problem.cell, arms=(dataclasses.replace(arm, linear_axes=swapped),))
     made = Prover(dataclasses.replace(prover.problem, cell=cell), prover.claims)
-    refused(made, dict(gantry_job.planned_krl().programs), "syntax")
+    refused(made, dict(gantry_job.planned_krl_job().programs), "syntax")
 
 
 def test_the_setup_sheet_says_what_the_machine_data_need() -> None:
-    out = gantry_job.planned_krl()
+    out = gantry_job.planned_krl_job()
     rows: dict[str, Any] = {
-        str(what): str(wanted)
-        for _, what, wanted, _ in setup_sheet.controller_checks(out.problem, out.plan).rows
+        str(what): str(expected)
+        for _, what, expected, _ in setup_sheet.controller_checks(out.problem, out.plan).rows
     }
-    assert rows["E2, axis 8: GANTRY_1 lift"] == "there, one linear axis, synchronous, in mm"
+    assert rows["E2, axis 8: GANTRY_1 lift"] == "present, one linear axis, synchronous, in mm"
     chain = rows["GANTRY_1 in MACHINE_DEF, $EX_KIN"]
     assert chain.startswith("#ERSYS with TR_A1 #E1, TR_A2 #E2 from the floor up")
     assert "-300 to 900 mm" in rows["GANTRY_1 lift: $SOFTN_END[8], $SOFTP_END[8]"].replace("−", "-")
@@ -194,6 +204,6 @@ def test_the_setup_sheet_says_what_the_machine_data_need() -> None:
 
 @pytest.mark.long
 def test_the_older_dialect_has_both_axes_as_well() -> None:
-    older = gantry_job.planned_krl(dialect="krc2")
+    older = gantry_job.planned_krl_job(dialect="krc2")
     assert older.verified
-    assert re.search(rf"LIN \{{[^}}]*,{re.escape(STAND)}\}}", "".join(older.programs.values()))
+    assert re.search(rf"LIN \{{[^}}]*,{re.escape(SECOND_STATION)}\}}", "".join(older.programs.values()))

@@ -1,4 +1,4 @@
-"""Positioners in KRL: where the block is by the text, and what is wrong with two external axes."""
+"""Positioners in KRL: the pose of the block by the text, and faults in two external axes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from planner.proof.context import Context
 from planner.proof.prove import Prover
 from planner.report import scene, setup_sheet
 from tests import positioner_job
-from tests.languages.krl.rules.test_krl_external_axes import LOOK, broken, changed, first, refused
+from tests.languages.krl.rules.test_krl_external_axes import HOME_CHECK, broken, changed, first, refused
 from tests.proof.provers import prover_of
 
 TURN, TILT = "-180.0000", "-65.0000"
@@ -24,17 +24,17 @@ TURN, TILT = "-180.0000", "-65.0000"
 STAND = f"E1 {TURN},E2 {TILT}"
 LEG = f"E1 {TURN},E2 20.0000"
 """Between both stations: turned, and not tilted yet."""
-BEFORE = "E1 80.0000,E2 20.0000"
+FIRST_STATION = "E1 80.0000,E2 20.0000"
 """The first station."""
 
 
 @pytest.fixture(scope="module")
 def prover() -> Prover:
-    return prover_of(positioner_job.planned_krl())
+    return prover_of(positioner_job.planned_krl_job())
 
 
 def test_the_text_has_the_block_within_a_micrometre_of_the_plan(prover: Prover) -> None:
-    out = positioner_job.planned_krl()
+    out = positioner_job.planned_krl_job()
     assert out.verified and prover.prove(out.programs).ok  # of the text alone
     stands = out.plan.stations[1]
     np.testing.assert_allclose(
@@ -46,17 +46,17 @@ def test_the_text_has_the_block_within_a_micrometre_of_the_plan(prover: Prover) 
 
 
 def test_both_axes_take_the_time_of_the_text_on_the_proofs_clock_and_in_the_replay() -> None:
-    out = positioner_job.planned_krl()
+    out = positioner_job.planned_krl_job()
     context = Context(out.problem, registry.claims(out.problem), out.programs)
     text = "".join(out.programs.values())
     shares = {n: float(v) / 100.0 for n, v in re.findall(r"\$VEL_EXTAX\[(\d)\]=(\d+)", text)}
     own = {"1": (20.0 * shares["1"], 40.0), "2": (15.0 * shares["2"], 30.0)}  # deg/s, deg/s2
     legs = [("1", 100.0), ("2", 20.0), ("1", 260.0), ("2", 85.0), ("1", 360.0), ("2", 65.0)]
-    wanted = [way / own[n][0] + own[n][0] / own[n][1] for n, way in legs]
+    expected = [way / own[n][0] + own[n][0] / own[n][1] for n, way in legs]
     gaps = np.diff(context.motion.time)
-    for seconds in wanted:  # each on its own
+    for seconds in expected:  # each on its own
         assert np.abs(gaps - seconds).min() < 0.01
-    assert scene.track(out.problem, out.plan, 100).travel == pytest.approx(sum(wanted), abs=1e-3)
+    assert scene.sample_keyframes(out.problem, out.plan, 100).travel == pytest.approx(sum(expected), abs=1e-3)
 
 
 # ---- programs that are wrong ----
@@ -68,24 +68,24 @@ def cuts(text: str, old: str, new: str, count: int = 0) -> str:
 
 
 def ordered(text: str, first_one: str, then: str) -> str:
-    """Two lines of the program the other way round."""
+    """Swap two lines of the program."""
     return first(text, f"{first_one}\n{then}\n", f"{then}\n{first_one}\n")
 
 
 def creeping(text: str) -> str:
-    """E2 in straight moves of the second operation, each less than a micrometre off the one before."""
+    """Change E2 in straight moves of the second operation, by less than a micrometre per move."""
     off = iter((1, 2, 1, 0))
     pattern = rf"(SLIN [^\n]*,E1 {re.escape(TURN)},E2 ){re.escape(TILT)}\}}"
     return re.sub(pattern, lambda m: f"{m[1]}{float(TILT) - 5e-5 * next(off, 0):.5f}}}", text)
 
 
-def looks(text: str) -> list[str]:
-    found = [match[0] for match in LOOK_ANY.finditer(text)]
+def home_checks(text: str) -> list[str]:
+    found = [match[0] for match in ANY_HOME_CHECK.finditer(text)]
     assert len(found) == 2
     return found
 
 
-LOOK_ANY = re.compile(LOOK.pattern.replace(r"0\.0000", r"[\d.]+"))
+ANY_HOME_CHECK = re.compile(HOME_CHECK.pattern.replace(r"0\.0000", r"[\d.]+"))
 
 MUTANTS: dict[str, tuple[str, Callable[[str], str]]] = {
     "no tilt": ("external_axes", lambda t: cuts(t, STAND, f"E1 {TURN}")),
@@ -115,7 +115,7 @@ MUTANTS: dict[str, tuple[str, Callable[[str], str]]] = {
     "both exchanged": ("external_axes", lambda t: t.replace(STAND, f"E1 {TILT},E2 {TURN}")),
     "both exchanged, within their ranges": (
         "external_axes",
-        lambda t: t.replace(BEFORE, "E1 20.0000,E2 -60.0000"),
+        lambda t: t.replace(FIRST_STATION, "E1 20.0000,E2 -60.0000"),
     ),
     "the other sense of the tilt": ("external_axes", lambda t: t.replace("E2 20.0000", "E2 -20.0000")),
     "the other sense of the turn": ("external_axes", lambda t: t.replace("E1 80.0000", "E1 -80.0000")),
@@ -171,9 +171,9 @@ MUTANTS: dict[str, tuple[str, Callable[[str], str]]] = {
     "no speed of the tilt": ("external_axes", lambda t: changed(t, r"\$VEL_EXTAX\[2\]=\d+\n", "")),
     "no speed of the turn": ("external_axes", lambda t: changed(t, r"\$VEL_EXTAX\[1\]=\d+\n", "")),
     "a speed of nothing": ("declarations", lambda t: changed(t, r"\$VEL_EXTAX\[2\]=\d+", "$VEL_EXTAX[2]=0")),
-    "one look is missing": ("external_axes", lambda t: first(t, looks(t)[0], "")),
-    "the other look is missing": ("external_axes", lambda t: first(t, looks(t)[1], "")),
-    "one look twice": ("external_axes", lambda t: first(t, looks(t)[0], looks(t)[1])),
+    "one look is missing": ("external_axes", lambda t: first(t, home_checks(t)[0], "")),
+    "the other look is missing": ("external_axes", lambda t: first(t, home_checks(t)[1], "")),
+    "one look twice": ("external_axes", lambda t: first(t, home_checks(t)[0], home_checks(t)[1])),
     "looks at the other axis each": (
         "external_axes",
         lambda t: re.sub(r"AXIS_ACT\.E(\d)", lambda m: f"AXIS_ACT.E{3 - int(m[1])}", t),
@@ -210,7 +210,7 @@ MUTANTS: dict[str, tuple[str, Callable[[str], str]]] = {
         ),
     ),
 }
-"""By what is wrong: the rule that refuses it, and the change."""
+"""Faults by name: the rule that refuses each, and the change."""
 
 SHORT = (
     "no tilt in one move",
@@ -229,23 +229,23 @@ SHORT = (
     "column",
 )
 """Of those that a whole proof tells, the ones that are not much like others; the rest are long tests,"""
-QUICK = ("declarations", "syntax", "setup", "work_object")
+EARLY_RULES = ("declarations", "syntax", "setup", "work_object")
 """but for those by these rules, which end a proof early."""
 
 
-def some(names: Iterable[str]) -> list[Any]:
-    """All names, most of those that take a whole proof as long tests."""
-    quick = {name for name, (word, _) in MUTANTS.items() if word in QUICK}
+def mark_long(names: Iterable[str]) -> list[Any]:
+    """Return all names. Most of those that need a whole proof are long tests."""
+    quick = {name for name, (word, _) in MUTANTS.items() if word in EARLY_RULES}
     return [
         one if one in SHORT or one in quick else pytest.param(one, marks=pytest.mark.long) for one in names
     ]
 
 
 @pytest.mark.sampled(every=4)
-@pytest.mark.parametrize("name", some(MUTANTS))
+@pytest.mark.parametrize("name", mark_long(MUTANTS))
 def test_a_wrong_positioner_is_refused(prover: Prover, name: str) -> None:
     word, change = MUTANTS[name]
-    refused(prover, broken(positioner_job.planned_krl().programs, change), word)
+    refused(prover, broken(positioner_job.planned_krl_job().programs, change), word)
 
 
 OTHERS: dict[str, dict[str, Any]] = {
@@ -257,7 +257,7 @@ OTHERS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", some(OTHERS))
+@pytest.mark.parametrize("name", mark_long(OTHERS))
 def test_programs_of_another_tilt_axis_are_refused(prover: Prover, name: str) -> None:
     """The same text for a cell whose tilt axis is another one."""
     table = prover.problem.cell.turntable
@@ -265,23 +265,23 @@ def test_programs_of_another_tilt_axis_are_refused(prover: Prover, name: str) ->
     other = dataclasses.replace(table, tilt=dataclasses.replace(table.tilt, **OTHERS[name]))
     cell = dataclasses.replace(prover.problem.cell, turntable=other)
     made = Prover(dataclasses.replace(prover.problem, cell=cell), prover.claims)
-    refused(made, dict(positioner_job.planned_krl().programs), "external_axes")
+    refused(made, dict(positioner_job.planned_krl_job().programs), "external_axes")
 
 
 @pytest.mark.long
 def test_the_older_dialect_and_spline_blocks_have_both_axes_as_well() -> None:
-    older = positioner_job.planned_krl(dialect="krc2")
+    older = positioner_job.planned_krl_job(dialect="krc2")
     assert older.verified
     assert re.search(rf"LIN \{{[^}}]*,{re.escape(STAND)}\}}", "".join(older.programs.values()))
-    curved = positioner_job.planned_krl("kr6_r900_2", path="spline")  # room for curves
+    curved = positioner_job.planned_krl_job("kr6_r900_2", path="spline")  # room for curves
     assert curved.verified
     assert re.search(rf"SPL \{{[^}}]*,{re.escape(STAND)}\}}", "".join(curved.programs.values()))
 
 
 def test_the_setup_sheet_says_what_the_machine_data_need() -> None:
-    out = positioner_job.planned_krl()
-    rows = {str(what): str(wanted) for _, what, wanted, _ in _rows(out.problem, out.plan)}
-    kind = "there, rotary, synchronous, in deg; $AXIS_TYPE[{}] 3, not 5, which goes the shorter way"
+    out = positioner_job.planned_krl_job()
+    rows = {str(what): str(expected) for _, what, expected, _ in _check_rows(out.problem, out.plan)}
+    kind = "present, rotary, synchronous, in deg; $AXIS_TYPE[{}] 3, not 5 (shorter direction)"
     assert rows["E1, axis 7: STN_1 turn"] == kind.format(7)
     assert rows["E2, axis 8: STN_1 tilt"] == kind.format(8)
     chain = rows["STN_1 in MACHINE_DEF, $EX_KIN, $ET1_AX"]
@@ -291,10 +291,10 @@ def test_the_setup_sheet_says_what_the_machine_data_need() -> None:
     # as the foot sees it, which is turned by 10 degrees, 200 mm above the world's origin
     seen = Rotation.from_euler("z", -10.0, degrees=True).apply([[0.0, -1.0, 0.0], [900.0, 0.0, 0.0]])
     lies = rows["STN_1 tilt: base frame"]
-    assert f"({seen[0, 0]:.6f}, {seen[0, 1]:.6f}, 0.000000) of $WORLD" in lies.replace("−", "-")
-    assert f"{seen[1, 0]:.2f}, {seen[1, 1]:.2f}, 270.00 mm is on it" in lies.replace("−", "-")
+    assert f"({seen[0, 0]:.6f}, {seen[0, 1]:.6f}, 0.000000) in $WORLD" in lies.replace("−", "-")
+    assert f"{seen[1, 0]:.2f}, {seen[1, 1]:.2f}, 270.00 mm" in lies.replace("−", "-")
     assert "E3, E4, E5, E6" in rows["other external axes"] and "MechUnitLoad" not in str(rows)
 
 
-def _rows(problem: Any, made: Any) -> Any:
-    return setup_sheet.controller_checks(problem, made).rows
+def _check_rows(problem: Any, plan: Any) -> Any:
+    return setup_sheet.controller_checks(problem, plan).rows

@@ -1,4 +1,4 @@
-"""Programs with spline blocks: written, read, proven; each fault is caught, harmless rewrites pass."""
+"""Programs with spline blocks are written, read and proven. Each fault is caught, harmless rewrites pass."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from planner.processes import registry
 from planner.proof import context, prove
 from planner.proof.rule_table import built_in
 from planner.proof.rules import clearance
-from planner.reading.controller import ControllerFile, controllers
+from planner.reading.controller import ControllerFile, build_controller
 from tests import small_problem
 from tests.languages.krl import spline_job
 from tests.languages.krl.spline_job import MAIN, MOVES, broken
-from tests.languages.krl.spline_mutants import MUTATORS, REWRITES, instances, made
+from tests.languages.krl.spline_mutants import MUTATORS, REWRITES, apply_mutation, instances
 from tests.processes.hotwire.proof import straight_job
 
 
@@ -34,9 +34,9 @@ def test_a_block_keeps_the_planned_times_and_says_what_it_rests_on():
     end = float(re.search(r"TIME_BLOCK END = ([\d.]+)", text)[1])
     assert parts.sum() == pytest.approx(100.0, abs=1e-6)
     assert np.allclose(parts / 100.0 * end, np.diff(plan.operations[0].time), atol=2e-5)
-    assert "not seen on a controller" in " ".join(texts[MAIN].replace("\r\n; ", " ").split())
-    (told,) = [issue for issue in write.notes(plan, problem) if issue.code == "post.spline"]
-    assert "not seen on a controller" in told.message and told.value < 0.02
+    assert "not observed on a controller" in " ".join(texts[MAIN].replace("\r\n; ", " ").split())
+    (reported,) = [issue for issue in write.program_notes(plan, problem) if issue.code == "post.spline"]
+    assert "not observed on a controller" in reported.message and reported.value < 0.02
 
 
 def test_the_job_is_proven_with_that_much_less_room():
@@ -49,24 +49,24 @@ def test_the_job_is_proven_with_that_much_less_room():
 
 def test_a_long_job_is_measured_with_that_much_less_room_too(monkeypatch):
     """What is looked at in another process is asked for with the clearance that the curves leave."""
-    wanted = []
-    measured = clearance.measured
+    expected = []
+    measured = clearance.measure_queries
 
-    def seen(models, looks, settings):
-        wanted.append(settings.clearance)
-        return measured(models, looks, settings)
+    def record(models, queries, settings):
+        expected.append(settings.clearance)
+        return measured(models, queries, settings)
 
     monkeypatch.setattr(context, "MAX_SENT_SAMPLES", 0)
-    monkeypatch.setattr(clearance, "measured", seen)
+    monkeypatch.setattr(clearance, "measure_queries", record)
     problem, _, texts, prover = spline_job.job()
     assert prover.prove(texts).ok
-    assert wanted and min(wanted) > problem.settings.clearance
+    assert expected and min(expected) > problem.settings.clearance
 
 
 def test_straight_moves_are_what_is_written_without_asking(tmp_path):
     problem = pipeline.load(spline_job.written(tmp_path, spline_job.bow(), path="slin"))
     plan = dataclasses.replace(spline_job.job()[1], digest=problem.digest)
-    texts = write.programs(plan, problem)
+    texts = write.program_files(plan, problem)
     assert "SPLINE" not in texts[MOVES] and "SLIN {" in texts[MOVES]
     texts[MOVES] = spline_job.job()[2][MOVES].replace(spline_job.job()[0].digest, problem.digest)
     found = prove.Prover(problem, registry.claims(problem)).prove(texts, first_error=True)
@@ -96,7 +96,7 @@ def test_a_turn_that_is_too_wide_for_a_block_is_named(tmp_path):
     outcome = pipeline.plan(pipeline.load(path))
     assert outcome.verified, outcome.issues
     (left,) = [issue for issue in outcome.issues if issue.code == "post.spline_left"]
-    assert "turns by over 5.7 degrees" in left.message and "inf" not in left.message
+    assert "rotates by more than 5.7 degrees" in left.message and "inf" not in left.message
 
 
 @pytest.mark.parametrize(
@@ -131,32 +131,32 @@ def test_work_that_is_proven_on_straight_moves_alone_is_refused_by_check(tmp_pat
 def test_two_arms_have_no_splines():
     spec = ControllerFile.model_validate({"path": "spline", "sync": "handshake"})
     with pytest.raises(TandemError) as caught:
-        controllers(spec, ("left", "right"))
+        build_controller(spec, ("left", "right"))
     (issue,) = caught.value.issues
-    assert issue.field == "controller.path" and "one arm alone" in issue.message
+    assert issue.field == "controller.path" and "allowed: one arm" in issue.message
 
 
 @pytest.mark.parametrize(("name", "seed"), instances(MUTATORS, [0]))
 def test_each_kind_of_fault_is_caught(name, seed):
-    assert broken(made(name, seed, spline_job.job()[2])), name
+    assert broken(apply_mutation(name, seed, spline_job.job()[2])), name
 
 
 @pytest.mark.parametrize(("name", "seed"), instances(REWRITES, [0]))
 def test_harmless_rewrites_pass(name, seed):
-    texts = made(name, seed, spline_job.job()[2])
+    texts = apply_mutation(name, seed, spline_job.job()[2])
     assert spline_job.job()[3].prove(texts).ok, name
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(("name", "seed"), instances(MUTATORS, [1, 2, 3, 4]))
 def test_all_faults_are_caught(name, seed):
-    assert broken(made(name, seed, spline_job.job()[2])), name
+    assert broken(apply_mutation(name, seed, spline_job.job()[2])), name
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(("name", "seed"), instances(REWRITES, [1, 2, 3]))
 def test_all_harmless_rewrites_pass(name, seed):
-    texts = made(name, seed, spline_job.job()[2])
+    texts = apply_mutation(name, seed, spline_job.job()[2])
     assert spline_job.job()[3].prove(texts).ok, name
 
 

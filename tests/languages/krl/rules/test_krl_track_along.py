@@ -1,4 +1,4 @@
-"""Tracks of KUKA arms that go along: where the tool is by the text alone, and how programs go wrong."""
+"""Coordinated tracks of KUKA arms: the tool pose by the text alone, and faults of programs."""
 
 from __future__ import annotations
 
@@ -22,18 +22,20 @@ from tests.proof.provers import prover_of
 SLIN = re.compile(r"(SLIN \{[^\n]*?)(,E1 )(-?[0-9.]+)(\}[^\n]*)")
 """A straight move with the value of the track."""
 NUMBER = r"(-?[0-9.]+)"
-PLACE = re.compile(rf"SLIN \{{X {NUMBER},Y {NUMBER},Z {NUMBER},A {NUMBER},B {NUMBER},C {NUMBER},E1 {NUMBER}")
+TARGET_POSE = re.compile(
+    rf"SLIN \{{X {NUMBER},Y {NUMBER},Z {NUMBER},A {NUMBER},B {NUMBER},C {NUMBER},E1 {NUMBER}"
+)
 
 
 @pytest.fixture(scope="module")
 def prover() -> Prover:
-    return prover_of(following_job.planned_krl())
+    return prover_of(following_job.planned_krl_job())
 
 
 def test_a_row_longer_than_the_arm_reaches_is_one_proven_operation() -> None:
-    out = following_job.planned_krl()
+    out = following_job.planned_krl_job()
     assert out.verified, [str(issue) for issue in out.issues]
-    values = out.plan.operations[0].targets.ride["left"]
+    values = out.plan.operations[0].targets.track_positions["left"]
     assert np.ptp(values) > 2.5 and values.min() >= -1.5 and values.max() <= 1.5
     text = "".join(out.programs.values())
     assert text.count("$VEL_EXTAX[1]=100") == 2 and text.count("$VEL_EXTAX[1]=25") == 3
@@ -41,11 +43,11 @@ def test_a_row_longer_than_the_arm_reaches_is_one_proven_operation() -> None:
 
 def test_joints_have_the_tool_within_a_micrometre_where_the_text_wants_it_from_its_e1() -> None:
     """The arm by its stated axes and scipy's turns, on a foot that E1 of the text has moved along y."""
-    out = following_job.planned_krl()
+    out = following_job.planned_krl_job()
     arm = out.problem.cell.arm("left")
     for number, made in enumerate(out.plan.operations, start=1):
         (text,) = [t for file, t in out.programs.items() if file.endswith(f"row_{number}.src")]
-        table = np.array([[float(v) for v in found] for found in PLACE.findall(text)])
+        table = np.array([[float(v) for v in found] for found in TARGET_POSE.findall(text)])
         foot = Rotation.from_euler("z", 30, degrees=True)
         world = foot.apply(Rotation.from_euler("z", -30, degrees=True).apply(1e-3 * table[:, :3]))
         turn = Rotation.from_euler("ZYX", table[:, 3:6], degrees=True)
@@ -56,7 +58,7 @@ def test_joints_have_the_tool_within_a_micrometre_where_the_text_wants_it_from_i
         seen = foot.apply(place) + 1e-3 * table[:, 6:] * [0.0, 1.0, 0.0]
         assert np.abs(seen - world).max() < 1e-6
         assert ((foot * own).inv() * turn).magnitude().max() < 1e-6
-        np.testing.assert_allclose(1e-3 * table[:, 6], made.targets.ride["left"][1:], atol=1e-9)
+        np.testing.assert_allclose(1e-3 * table[:, 6], made.targets.track_positions["left"][1:], atol=1e-9)
 
 
 def chain(name: str, q: FloatArray) -> tuple[FloatArray, Rotation]:
@@ -76,16 +78,18 @@ def chain(name: str, q: FloatArray) -> tuple[FloatArray, Rotation]:
 
 
 def moved(text: str, change: Callable[[int, float], float | str]) -> str:
-    """The text with other values of the track in straight moves: by their number and the value that is there
-    [mm]; ways out begin where the last ones end."""
+    """Change the track values in straight moves, by their number and current value [mm].
+
+    Retreats start where the last moves end.
+    """
     number = iter(range(10**6))
 
-    def other(found: re.Match[str]) -> str:
-        value = change(next(number), float(found[3]))
+    def replace(match: re.Match[str]) -> str:
+        value = change(next(number), float(match[3]))
         told = value if isinstance(value, str) else f",E1 {value:.4f}"
-        return f"{found[1]}{told}{found[4]}"
+        return f"{match[1]}{told}{match[4]}"
 
-    text = SLIN.sub(other, text)
+    text = SLIN.sub(replace, text)
     for part in (1, 2):
         last = re.findall(r",E1 (-?[0-9.]+)\}", text.split(f"DEF row_{part}()")[1].split("END\n")[0])[-1:]
         text = at(f"x_{part}_exit_1", float(last[0]))(text) if last else text
@@ -153,7 +157,7 @@ MUTANTS: dict[str, tuple[str, Callable[[str], str]]] = {
 @pytest.mark.parametrize("name", MUTANTS)
 def test_a_track_that_goes_along_otherwise_is_refused(prover: Prover, name: str) -> None:
     word, change = MUTANTS[name]
-    refused(prover, broken(following_job.planned_krl().programs, change), word)
+    refused(prover, broken(following_job.planned_krl_job().programs, change), word)
 
 
 def test_spline_blocks_are_refused_where_the_track_goes_along(tmp_path: Path) -> None:
@@ -161,12 +165,12 @@ def test_spline_blocks_are_refused_where_the_track_goes_along(tmp_path: Path) ->
         tmp_path, count=5, depth=1000.0, controller={"path": "spline"}, **track_job.KUKA
     )
     (issue,) = [i for i in planner.check(made) if i.severity == "error"]
-    assert issue.code == "post.path" and "whose track goes along" in issue.message
+    assert issue.code == "post.path" and "on a coordinated track" in issue.message
 
 
 @pytest.mark.long
 def test_the_older_dialect_has_a_track_that_goes_along_as_well() -> None:
-    out = following_job.planned_krl(dialect="krc2")
+    out = following_job.planned_krl_job(dialect="krc2")
     assert out.verified
     (moves,) = [text for file, text in out.programs.items() if file.endswith("row_1.src")]
     assert len(set(re.findall(r"LIN \{[^}]*,E1 (-?[\d.]+)\}", moves))) > 30

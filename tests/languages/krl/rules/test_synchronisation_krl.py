@@ -1,4 +1,4 @@
-"""Rules that ask something else of KRL than of RAPID, on programs written by hand."""
+"""Rules whose requirements differ between KRL and RAPID, on programs written by hand."""
 
 from types import SimpleNamespace
 
@@ -7,7 +7,7 @@ import pytest
 
 from planner.languages.krl.reader import reader
 from planner.languages.krl.rules import moves as krl_moves
-from planner.programs.signals import Signals
+from planner.programs.signals import NumberedSignals
 from planner.programs.steps import MoveStep
 from planner.proof.rules import synchronisation
 from tests.languages.krl.reader.wall_program import MAIN, MOVES, OLDER, read
@@ -30,7 +30,7 @@ def moves(rows, dialect="krc4", **settings):
     main = MAIN if dialect == "krc4" else OLDER
     found = read(dialect, main=main, moves=text + "END\n")
     assert found.faults == ()
-    steps, _ = reader.flow(found, found.base_of(None), Signals({}, {}), "left")
+    steps, _ = reader.main_flow(found, found.base_of(None), NumberedSignals({}, {}), "left")
     return tuple(step for step in steps if isinstance(step, MoveStep) and step.time is not None)
 
 
@@ -39,10 +39,10 @@ ALONG = [(x, 40.0, 210.0, 12.5, 80.0, -4.0, "C_SPL") for x in (-10.0, -9.0, -8.0
 TURNS = [(-12.0, 40.0, 210.0, a, 80.0, -4.0, "C_ORI") for a in (14.5, 16.5, 18.5)]
 
 
-@pytest.mark.parametrize(("way", "wrong"), [("0.5", False), ("0.51", True), ("3.0", True)])
-def test_a_corner_takes_half_of_the_shorter_move(way, wrong):
+@pytest.mark.parametrize(("distance", "wrong"), [("0.5", False), ("0.51", True), ("3.0", True)])
+def test_a_corner_takes_half_of_the_shorter_move(distance, wrong):
     """Between moves of 1 mm."""
-    issues, _ = krl_moves.corners(TASK, moves(ALONG, way=way))
+    issues, _ = krl_moves.corners(TASK, moves(ALONG, way=distance))
     assert {issue.code for issue in issues} == ({"verify.zone_size"} if wrong else set())
 
 
@@ -62,8 +62,8 @@ def test_a_corner_by_angle_alone_is_no_corner_of_ways():
 def test_moves_that_run_together_take_the_same_time():
     a, b, c = (moves(ALONG, cp=cp)[-1] for cp in ("0.02", "0.0201", "0.0205"))
     assert np.allclose([a.time, c.time], [0.05, 1e-3 / 0.0205])
-    assert list(synchronisation._times_apart(TASK, a, TASK, b)) == []
-    (issue,) = synchronisation._times_apart(TASK, a, TASK, c)
+    assert list(synchronisation._compare_times(TASK, a, TASK, b)) == []
+    (issue,) = synchronisation._compare_times(TASK, a, TASK, c)
     assert issue.code == "verify.move_time" and "0.04878" in issue.message
 
 
@@ -72,5 +72,5 @@ def test_moves_as_slow_as_can_be_stated_may_be_early():
     slow = moves(ALONG, cp="0.0001", ori="0.1")[-1]
     other = moves(ALONG, cp="0.00005")[-1]
     assert np.allclose([slow.time, other.time], [10.0, 20.0])
-    assert list(synchronisation._times_apart(TASK, slow, TASK, other)) == []
-    assert len(list(synchronisation._times_apart(TASK, moves(ALONG)[-1], TASK, other))) == 1
+    assert list(synchronisation._compare_times(TASK, slow, TASK, other)) == []
+    assert len(list(synchronisation._compare_times(TASK, moves(ALONG)[-1], TASK, other))) == 1

@@ -1,4 +1,4 @@
-"""What is told beside KRL programs, and how fast their joint moves are."""
+"""Instructions that accompany KRL programs, and the speed of their joint moves."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from planner.catalogue.robots import robot
-from planner.cell.kinematics import forward
+from planner.cell.kinematics import forward_kinematics
 from planner.geometry.arrays import from_rpy
 from planner.issues import Severity
-from planner.languages.krl.writer.controller_files import MEMORY_BYTES, notes
+from planner.languages.krl.writer.controller_files import MAX_PROGRAM_BYTES, notes
 from planner.languages.krl.writer.program import ptp_percent
-from planner.languages.writing.steps import build
-from planner.languages.writing.write import notes as told
+from planner.languages.writing.steps import build_job
+from planner.languages.writing.write import program_notes as told
 from tests.languages.writing import krl_job, synthetic
 from tests.languages.writing.krl_job import turning_job
 
@@ -44,7 +44,7 @@ def test_a_large_turn_in_one_move_is_told_with_what_it_may_be_off(dialect, sever
 
 def test_programs_that_fill_a_controller_are_told():
     plan, problem = krl_job.alone()
-    tasks, full = build(plan, problem).tasks, "x" * MEMORY_BYTES
+    tasks, full = build_job(plan, problem).tasks, "x" * MAX_PROGRAM_BYTES
     assert notes(tasks, plan, problem, {"left/test.src": full, "right/test.src": "x" * 99}) == ()
     (issue,) = notes(tasks, plan, problem, {"left/test.src": full, "left/test.dat": "x"})
     assert (issue.code, issue.severity) == ("post.krl_size", Severity.WARNING)
@@ -57,14 +57,14 @@ def test_joint_moves_keep_the_tcp_below_its_limit_and_use_what_it_allows(name):
     whole = 0
     for _ in range(30):
         a, b = rng.uniform(arm.lower, arm.upper, (2, 6))
-        share = ptp_percent(arm, a, b, tcp, 0.25, 0.9) / 100.0
-        seconds = (np.abs(b - a) / arm.velocity).max() / share
+        fraction = ptp_percent(arm, a, b, tcp, 0.25, 0.9) / 100.0
+        seconds = (np.abs(b - a) / arm.velocity).max() / fraction
         s = np.linspace(0.0, 1.0, 3001)[:, None]
-        points = (forward(arm, a + s * (b - a)) @ tcp)[:, :3, 3]
+        points = (forward_kinematics(arm, a + s * (b - a)) @ tcp)[:, :3, 3]
         fastest = np.linalg.norm(np.diff(points, axis=0), axis=1).max() * 3000 / seconds
-        assert fastest <= 0.25 or share == 0.01
-        whole += share > 0.01
-        assert share == 0.9 or fastest * (share + 0.01) / share > 0.25 * 0.98
+        assert fastest <= 0.25 or fraction == 0.01
+        whole += fraction > 0.01
+        assert fraction == 0.9 or fastest * (fraction + 0.01) / fraction > 0.25 * 0.98
     assert whole > 10
 
 

@@ -1,5 +1,4 @@
-"""Status and turn: against points taught on robots, against places of links, and against all branches of an
-independent IK."""
+"""Status and turn, against points taught on robots, link positions, and all branches of an independent IK."""
 
 from __future__ import annotations
 
@@ -11,13 +10,13 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from planner.catalogue.robots import robot
-from planner.cell.kinematics import forward, link_frames
-from planner.languages.krl.writer.data import near_zero, status, turn
+from planner.cell.kinematics import forward_kinematics, link_frames
+from planner.languages.krl.writer.data import axes_near_zero, status, turn
 from tests.robot_sample import KUKAS
 
 
 def branches(arm, poses):
-    """All solutions (N, 8, 6) of py-opw-kinematics, in the arm's own angles."""
+    """All solutions (N, 8, 6) of py-opw-kinematics, in the arm's own angle convention."""
     p = arm.opw
     model = opw.KinematicModel(
         a1=p.a1,
@@ -65,10 +64,10 @@ def test_status_and_turn_select_exactly_one_solution_with_all_full_turns(name):
     arm = robot(name)
     q = np.random.default_rng(11).uniform(arm.lower, arm.upper, (300, 6))
     q = q[(np.abs(np.sin(q[:, 4])) > 0.05) & (np.abs(q) > np.deg2rad(2)).all(axis=1)]
-    wanted = np.stack([status(arm, q), turn(arm, q)], axis=1)
+    expected = np.stack([status(arm, q), turn(arm, q)], axis=1)
     shifts = 2 * np.pi * np.array(list(itertools.product((-1, 0, 1), repeat=6)))
     whole = 0
-    for row, own, want in zip(branches(arm, forward(arm, q)), q, wanted, strict=True):
+    for row, own, want in zip(branches(arm, forward_kinematics(arm, q)), q, expected, strict=True):
         found = row[np.isfinite(row).all(axis=1)]
         whole += len(found) == 8
         every = (found[:, None] + shifts).reshape(-1, 6)
@@ -91,4 +90,4 @@ def test_noise_at_zero_does_not_change_a_bit():
 
 def test_axes_near_zero_are_named_from_one():
     q = np.deg2rad([1.9, -90.0, 90.0, -2.1, 30.0, -1.0])
-    assert near_zero(robot("kr10_r1100"), q).tolist() == [1, 6]
+    assert axes_near_zero(robot("kr10_r1100"), q).tolist() == [1, 6]

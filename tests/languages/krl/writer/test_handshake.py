@@ -11,7 +11,7 @@ import pytest
 from planner.claims import sentences
 from planner.issues import TandemError
 from planner.languages.rapid.reader.reader import read_task
-from planner.languages.writing.write import notes, refusals
+from planner.languages.writing.write import program_notes, refusals
 from tests.languages.writing import krl_job, reading, synthetic
 from tests.languages.writing import test_handshake as rapid_side
 from tests.languages.writing.reading import programs
@@ -21,7 +21,7 @@ WAIT = re.compile(r"^WHILE \$IN\[([12])\]==(TRUE|FALSE)$")
 
 
 def run(files, arm, model):
-    """What a program does to the lines, its questions and moves, in order, in words of the RAPID tests."""
+    """Return the program's output changes, questions and moves in order, in the terms of the RAPID tests."""
     if model == ABB:
         return rapid_side.run(files, arm)
     out, inside = [], False
@@ -98,7 +98,7 @@ def test_a_wait_that_is_over_its_time_halts_and_waits_again_without_a_change_of_
         ]
     limits = [int(found) for found in re.findall(r"\$TIMER\[1\]>(\d+) ", text)]
     assert min(limits) == 30_000 and max(limits) == 3_600_000
-    assert sentences.UNANSWERED.filled(other="right").split(",")[0] in text
+    assert sentences.UNANSWERED.format(other="right").split(",")[0] in text
 
 
 @pytest.mark.parametrize(("kind", "every"), [("four_phase", 1), ("toggle", 3)])
@@ -139,7 +139,7 @@ def test_each_brand_gets_its_language_and_the_rapid_one_reads():
     kinds = {arm: {n.split(".")[-1] for n in files if n.startswith(arm)} for arm in ("left", "right")}
     assert kinds == {"left": {"mod", "pgf"}, "right": {"src", "dat"}}
     assert read_task(reading.modules(files, "left")).faults == ()
-    assert "Meets arm left, on a controller of its own" in files["right/test.src"]
+    assert "Meets arm left, on a separate controller" in files["right/test.src"]
 
 
 @pytest.mark.parametrize("models", [(KUKA, KUKA), (KUKA, ABB)])
@@ -162,7 +162,7 @@ def test_lines_of_the_handshake_need_numbers():
         plan, problem = krl_job.two(io={"left": less, "right": whole})
         found = refusals(problem, [operation.targets for operation in plan.operations])
         assert [(issue.code, issue.arm) for issue in found] == [("post.signal", "left")]
-        assert f"is to use {name}, which" in found[0].message
+        assert f"uses {name}, which" in found[0].message
 
 
 def test_two_arms_of_which_one_works_take_no_handshake():
@@ -177,5 +177,5 @@ def test_two_arms_of_which_one_works_take_no_handshake():
 
 
 def test_the_drift_of_two_kuka_arms_is_told():
-    codes = [issue.code for issue in notes(*krl_job.two())]
+    codes = [issue.code for issue in program_notes(*krl_job.two())]
     assert codes.count("post.handshake_drift") == 1

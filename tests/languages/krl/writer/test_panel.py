@@ -1,4 +1,4 @@
-"""What a KUKA panel is given: texts within its widths, in its letters, none of them lost."""
+"""Texts on a KUKA panel: they fit its width and its characters, and none is lost."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from planner.issues import TandemError
 from planner.languages.krl import sentences as krl_sentences
 from planner.languages.krl.writer import syntax as krl_syntax
-from planner.languages.krl.writer.syntax import NAME_LENGTH, name
-from planner.languages.writing.layout import plain
-from planner.languages.writing.write import programs
-from planner.targets import Action
+from planner.languages.krl.writer.syntax import MAX_NAME_LENGTH, identifier
+from planner.languages.writing.layout import to_ascii
+from planner.languages.writing.write import program_files
+from planner.targets import TargetAction
 from tests.languages.writing import krl_job
 
 TEXT = re.compile(r'^tm_msg=\{Modul\[\] "([^"]*)",Nr \d+,Msg_txt\[\] "([^"]*)"\}$')
@@ -32,13 +32,13 @@ def test_no_word_of_a_question_is_lost_and_no_text_is_cut(words):
     text = " ".join(words)
     lines = krl_syntax.question_lines(text, "krc4")
     shown = texts(lines)
-    assert " ".join(part for _, part in shown) == plain(text)
+    assert " ".join(part for _, part in shown) == to_ascii(text)
     assert all(len(part) <= 80 and 0 < len(origin) <= 24 for origin, part in shown)
     assert all(len(line) <= 200 and line.isascii() for line in lines)
     keys = [line for line in lines if line.startswith("tm_key[1]")]
     assert ['"Yes"' in key for key in keys] == [False] * (len(keys) - 1) + [True]
     old = krl_syntax.question_lines(text, "krc2")
-    assert " ".join(line[3:] for line in old if line.startswith(";?")) == plain(text)
+    assert " ".join(line[3:] for line in old if line.startswith(";?")) == to_ascii(text)
     assert max(map(len, old)) <= 104
 
 
@@ -52,10 +52,10 @@ def test_a_long_question_has_several_dialogs_and_one_yes():
 
 
 def test_what_a_question_rests_on_is_read_first_and_what_it_does_not_is_a_note():
-    ask = Action(0, "confirm", text="Block and cutter clamped?")
-    tell = Action(0, "message", text="Cutter of 12 mm at 12000 1/min.")
-    later = Action(8, "message", text="Take the part out.")
-    files = programs(*krl_job.alone(actions=(tell, ask, later)))
+    ask = TargetAction(0, "confirm", text="Block and cutter clamped?")
+    tell = TargetAction(0, "message", text="Cutter of 12 mm at 12000 1/min.")
+    later = TargetAction(8, "message", text="Take the part out.")
+    files = program_files(*krl_job.alone(actions=(tell, ask, later)))
     panel = krl_job.folded(krl_job.flat(files))
     words = [line for line in panel if line.split()[0] in ("READ", "ASK", "TELL")]
     assert words[1:] == [f"READ {tell.text}", f"ASK {ask.text}", f"TELL {later.text}"]
@@ -65,7 +65,7 @@ def test_other_letters_are_written_as_a_panel_has_them():
     ((origin, text),) = texts(krl_syntax.message_lines("Fräser Ø 12 für Säule, naïve", "krc4"))
     assert (origin, text) == ("Tandem", "Fraser O 12 fur Saule, naive")
     assert krl_syntax.message_lines("Fräser", "krc2") == [";* Fraser"]
-    assert name("Säule links") == "saule_links"
+    assert identifier("Säule links") == "saule_links"
 
 
 @pytest.mark.parametrize(
@@ -79,16 +79,23 @@ def test_what_no_panel_can_show_is_refused(text, word):
     assert krl_syntax.question_lines("x" * 80, "krc4")
 
 
-@pytest.mark.parametrize("arm", ["a", "n" * NAME_LENGTH])
+@pytest.mark.parametrize("arm", ["a", "n" * MAX_NAME_LENGTH])
 def test_texts_with_the_longest_names_fit(arm):
-    for form in (krl_sentences.WAITING, krl_sentences.TOGETHER, krl_sentences.FOOT):
-        assert len(form.filled(arm=arm)) <= 80
-    assert len(texts(krl_syntax.during(krl_sentences.TOGETHER.filled(arm=arm), ["x()"], "krc4"))) == 1
+    for form in (
+        krl_sentences.WAITING_FOR_PARTNER,
+        krl_sentences.MOVING_WITH_PARTNER,
+        krl_sentences.ROBROOT_DEVIATION,
+    ):
+        assert len(form.format(arm=arm)) <= 80
+    assert (
+        len(texts(krl_syntax.with_state(krl_sentences.MOVING_WITH_PARTNER.format(arm=arm), ["x()"], "krc4")))
+        == 1
+    )
     assert all(len(line) <= 200 for line in krl_syntax.robroot_check(arm, "krc4"))
 
 
 def values(line, angles):
-    """What a row of the look at the foot makes of a frame, in Python's words."""
+    """Evaluate a row of the ROBROOT check for a frame, in Python."""
     code = line.partition("=")[2].replace("$ROBROOT.", "f.").replace("SQRT", "sqrt").replace("ABS", "abs")
     frame = type("Frame", (), dict(zip("XYZABC", angles, strict=True)))
     return eval(code, {"f": frame, "sqrt": lambda x: x**0.5, "abs": abs})

@@ -11,11 +11,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from planner.catalogue.robots import robot
-from planner.cell.kinematics import forward
+from planner.cell.kinematics import forward_kinematics
 from planner.geometry.arrays import inverse
 from planner.issues import TandemError
 from planner.languages.krl.writer import syntax
-from planner.targets import Action
+from planner.targets import TargetAction
 from tests.languages.writing import krl_job, synthetic
 from tests.languages.writing.krl_job import body, data, flat, moves, turning_job
 from tests.languages.writing.reading import programs
@@ -72,9 +72,9 @@ def test_the_same_plan_gives_the_same_text_and_margins_change_comments_only(smal
     assert any("least clearance 12.3 mm" in text for text in files.values())
 
 
-@pytest.mark.parametrize("made", ["small", "older"])
-def test_files_are_as_a_controller_reads_them(made, request):
-    plan, _, files = request.getfixturevalue(made)
+@pytest.mark.parametrize("fixture", ["small", "older"])
+def test_files_are_as_a_controller_reads_them(fixture, request):
+    plan, _, files = request.getfixturevalue(fixture)
     files = {path: text for path, text in files.items() if not path.startswith("controller/")}
     assert sorted(files) == ["left/test.dat", "left/test.src", "left/test_1.src"]
     for path, text in files.items():
@@ -101,10 +101,10 @@ def test_the_words_follow_the_dialect(small, older):
     assert not any("EXT" in text for text in small[2].values())
 
 
-@pytest.mark.parametrize("made", ["small", "older"])
-def test_targets_read_back_as_planned(made, request):
+@pytest.mark.parametrize("fixture", ["small", "older"])
+def test_targets_read_back_as_planned(fixture, request):
     """In the cell's world, from the text alone, by scipy's angles: 0.001 mm and 0.0001 degrees."""
-    plan, problem, files = request.getfixturevalue(made)
+    plan, problem, files = request.getfixturevalue(fixture)
     values = {n: list(v.values()) for n, v in data(files).items()}
     arm = problem.cell.arms[0]
     assert np.allclose(pose(values["base_frame"]), arm.base, atol=1e-9)
@@ -112,11 +112,11 @@ def test_targets_read_back_as_planned(made, request):
     base = pose(values["base_frame"]) @ pose(values["b_stock"])
     got = [base @ pose(values["p_1_start"])] + [base @ pose(m[1]) for m in moves(flat(files))]
     flanges = np.array(got) @ inverse(tcp)
-    wanted = arm.base @ forward(robot(arm.robot), plan.operations[0].q["left"])
+    expected = arm.base @ forward_kinematics(robot(arm.robot), plan.operations[0].q["left"])
     assert len(got) == 9
-    assert np.linalg.norm(flanges[:, :3, 3] - wanted[:, :3, 3], axis=1).max() < 1e-6
-    off = Rotation.from_matrix(np.swapaxes(wanted[:, :3, :3], 1, 2) @ flanges[:, :3, :3]).magnitude()
-    assert np.rad2deg(off).max() < 1e-4
+    assert np.linalg.norm(flanges[:, :3, 3] - expected[:, :3, 3], axis=1).max() < 1e-6
+    deviation = Rotation.from_matrix(np.swapaxes(expected[:, :3, :3], 1, 2) @ flanges[:, :3, :3]).magnitude()
+    assert np.rad2deg(deviation).max() < 1e-4
 
 
 def test_every_station_is_where_the_plan_has_it(small):
@@ -126,7 +126,7 @@ def test_every_station_is_where_the_plan_has_it(small):
     joints = np.deg2rad([[v[f"A{i}"] for i in range(1, 7)] for v in way])
     planned = plan.operations[0]
     # all but the first and the last target: the one is a pose, at the other the arm stands already
-    expected = np.array([*planned.entry["left"][:-1], *planned.exit["left"][1:]])
+    expected = np.array([*planned.approach["left"][:-1], *planned.retreat["left"][1:]])
     assert flat(files).count("PTP p_1_start") == 1
     assert np.allclose(arm.from_controller(joints), expected, atol=1e-8)
     assert all(v[f"E{i}"] == 0.0 for v in way for i in range(1, 7))
@@ -137,12 +137,18 @@ def times(files, first):
     poses = [first, *(m[1] for m in moves(flat(files)))]
     turns = Rotation.from_euler("ZYX", np.array(poses)[:, 3:6], degrees=True)
     angle = np.rad2deg((turns[:-1].inv() * turns[1:]).magnitude())
-    way = np.linalg.norm(np.diff(np.array(poses)[:, :3], axis=0), axis=1)
+    path_length = np.linalg.norm(np.diff(np.array(poses)[:, :3], axis=0), axis=1)
     settings = [m[3] for m in moves(flat(files))]
     assert all(s["$VEL.ORI1"] == s["$VEL.ORI2"] for s in settings)
     speed = np.array([s["$VEL.CP"] for s in settings])
     turning = np.array([s["$VEL.ORI1"] for s in settings])
-    return np.maximum(1e-3 * way / speed, angle / (np.sqrt(2.0) * turning)), way, angle, speed, turning
+    return (
+        np.maximum(1e-3 * path_length / speed, angle / (np.sqrt(2.0) * turning)),
+        path_length,
+        angle,
+        speed,
+        turning,
+    )
 
 
 def start_of(files, operation=1):
@@ -150,9 +156,9 @@ def start_of(files, operation=1):
     return np.array([values[k] for k in "XYZABC"])
 
 
-@pytest.mark.parametrize("made", ["small", "older"])
-def test_moves_take_as_long_as_planned_and_never_less(made, request):
-    _, _, files = request.getfixturevalue(made)
+@pytest.mark.parametrize("fixture", ["small", "older"])
+def test_moves_take_as_long_as_planned_and_never_less(fixture, request):
+    _, _, files = request.getfixturevalue(fixture)
     seconds, _, _, _, turning = times(files, start_of(files))
     assert (seconds >= 0.5).all() and (seconds < 0.5 * (1 + 1e-5)).all()
     assert (turning == 200.0).all()
@@ -248,7 +254,7 @@ def test_settings_stand_at_the_head_of_every_file_with_moves():
 
 
 def test_an_action_between_two_segments_parts_their_files():
-    actions = (Action(6, "off", signal="doSpindle"), Action(6, "wait", seconds=1.0))
+    actions = (TargetAction(6, "off", signal="doSpindle"), TargetAction(6, "wait", seconds=1.0))
     plan, problem = krl_job.alone(actions=actions)
     lines = flat(programs(plan, problem))
     assert [
@@ -273,15 +279,15 @@ def test_setups_are_told_and_confirmed_at_home():
                 name=old.name,
                 actions=(),
                 coupled=False,
-                place=place,
+                stock_pose=place,
             ),
             problem,
         )
-        for setup, old, place in zip(problem.setups, (first, second), plan.places, strict=True)
+        for setup, old, place in zip(problem.setups, (first, second), plan.stock_poses, strict=True)
     ]
     files = programs(dataclasses.replace(plan, operations=tuple(made)), problem)
     text = files["left/test.src"]
-    assert text.index("Turn the block and clamp it again.") < text.index("Setup 2 done as told")
+    assert text.index("Turn the block and clamp it again.") < text.index("Setup 2 done as instructed")
     lines = body(text)
     panel = krl_job.folded(lines)
     asked = [i for i, line in enumerate(panel) if line.startswith("ASK")]
@@ -291,7 +297,7 @@ def test_setups_are_told_and_confirmed_at_home():
     assert read == [f"READ {step}" for step in problem.setups[1].steps]
     assert {"$BASE=b_stock", "$BASE=b_stock_2", "$TOOL=t_holder"} <= set(lines)
     second_base = pose(list(data(files)["b_stock_2"].values()))
-    assert np.allclose(second_base, inverse(plan.bases["left"]) @ synthetic.TURNED, atol=1e-6)
+    assert np.allclose(second_base, inverse(plan.bases["left"]) @ synthetic.ROTATED_STOCK, atol=1e-6)
 
 
 @pytest.mark.parametrize("fields", [{"io": {}}, {"io": {"left": {"doWater": 1}}}])
@@ -310,6 +316,6 @@ def test_a_pose_that_is_nearer_than_least_speeds_go_in_the_least_time_is_the_one
     position, angles = np.zeros((9, 3)), np.zeros((9, 3))
     position[:, 0] = x
     angles[8, 2] = 0.01
-    syntax._settle(position, angles)
+    syntax._snap_in_place(position, angles)
     assert position[:, 0].tolist() == [0.0, 1.0, 1.0, 1.0007, 1.0007, 2.0, 2.0, 2.0, 2.0]
     assert angles[8, 2] == 0.01

@@ -16,16 +16,16 @@ from planner.geometry.arrays import from_rpy, to_quaternion
 from planner.issues import TandemError
 from planner.languages.krl.writer.data import load_data
 from planner.languages.krl.writer.syntax import (
-    NAME_LENGTH,
+    MAX_NAME_LENGTH,
     RESERVED,
     abc,
     comment,
     frame,
-    name,
+    identifier,
     rotation,
-    settled,
+    snap_poses,
 )
-from planner.languages.writing.layout import Load
+from planner.languages.writing.layout import HeldLoad
 from tests.languages.writing import synthetic
 
 
@@ -33,35 +33,35 @@ def test_angles_are_those_of_scipy_about_z_then_y_then_x():
     turns = Rotation.random(2000, random_state=3)
     assert np.allclose(abc(turns.as_matrix()), turns.as_euler("ZYX", degrees=True), atol=1e-9)
     angles = np.random.default_rng(4).uniform(-180, 180, (500, 3))
-    wanted = Rotation.from_euler("ZYX", angles, degrees=True).as_matrix()
-    assert np.allclose(rotation(angles), wanted, atol=1e-12)
+    expected = Rotation.from_euler("ZYX", angles, degrees=True).as_matrix()
+    assert np.allclose(rotation(angles), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("b", [90.0, -90.0])
 def test_at_a_right_angle_c_is_zero_and_the_orientation_stays(b):
     for a, c in ((10.0, 30.0), (-170.0, 80.0), (0.0, 0.0)):
-        wanted = Rotation.from_euler("ZYX", [a, b, c], degrees=True).as_matrix()
-        got = abc(wanted)
+        expected = Rotation.from_euler("ZYX", [a, b, c], degrees=True).as_matrix()
+        got = abc(expected)
         assert got[2] == 0.0
-        assert np.allclose(rotation(got), wanted, atol=1e-12)
+        assert np.allclose(rotation(got), expected, atol=1e-12)
 
 
 @given(st.floats(-1e-5, 1e-5), st.floats(-180, 180), st.floats(-180, 180), st.sampled_from([90.0, -90.0]))
-def test_beside_a_right_angle_five_decimals_still_hold_the_orientation(off, a, c, b):
-    wanted = Rotation.from_euler("ZYX", [a, b + off, c], degrees=True)
-    got = Rotation.from_matrix(rotation(np.round(abc(wanted.as_matrix()), 5)))
-    assert np.rad2deg((wanted.inv() * got).magnitude()) < 3e-5
+def test_beside_a_right_angle_five_decimals_still_hold_the_orientation(deviation, a, c, b):
+    expected = Rotation.from_euler("ZYX", [a, b + deviation, c], degrees=True)
+    got = Rotation.from_matrix(rotation(np.round(abc(expected.as_matrix()), 5)))
+    assert np.rad2deg((expected.inv() * got).magnitude()) < 3e-5
 
 
 @given(st.text(max_size=60))
 def test_a_name_is_one_of_krl_or_refused(text):
     try:
-        made = name(text)
+        made = identifier(text)
     except TandemError as error:
         assert {issue.code for issue in error.issues} == {"post.name"}
     else:
         assert re.fullmatch(r"[a-z][a-z0-9_]*", made)
-        assert len(made) <= NAME_LENGTH
+        assert len(made) <= MAX_NAME_LENGTH
         assert made not in RESERVED
 
 
@@ -70,8 +70,8 @@ def test_a_name_is_one_of_krl_or_refused(text):
 )
 def test_what_names_nothing(text):
     """Words of the language, of the controller and of our own variables among them."""
-    with pytest.raises(TandemError, match="cannot name"):
-        name(text)
+    with pytest.raises(TandemError, match="no valid KRL name"):
+        identifier(text)
 
 
 def test_comments_are_plain_and_short():
@@ -105,7 +105,7 @@ def test_tool_and_block_together_weigh_what_trimesh_says():
     size, at = np.array([0.3, 0.2, 0.25]), from_rpy([0.02, -0.03, 0.125], [0.2, -0.1, 0.5])
     mass = 0.9
     moments = mass / 12 * (np.sum(size**2) - size**2)
-    text = load_data(tool, Load(2, mass, at[:3, 3], at[:3, :3], moments))
+    text = load_data(tool, HeldLoad(2, mass, at[:3, 3], at[:3, :3], moments))
     box = trimesh.creation.box(extents=size)
     box.density = mass / box.volume
     box.apply_transform(tool.tcp @ at)
@@ -131,7 +131,7 @@ def test_places_that_krl_has_as_one_are_no_moves_of_their_own():
     position = np.array([[0.0, 0, 0], [1, 0, 0], [1.0001, 0, 0], [1.0004, 0, 0], [1.0004, 0, 0], [2, 0, 0]])
     turn = np.deg2rad([0.0, 0, 0, 1e-7, 5, 5])
     quaternion = to_quaternion(np.stack([from_rpy((0, 0, 0), (0, 0, t))[:3, :3] for t in turn]))
-    at, out = settled(position, quaternion)
+    at, out = snap_poses(position, quaternion)
     same = [(at[k] == at[k - 1]).all() and (out[k] == out[k - 1]).all() for k in range(1, len(at))]
     assert same == [False, True, True, False, False]
     assert np.abs(at - position).max() < 6.1e-4 and np.abs(out - quaternion).max() < 1e-8

@@ -1,8 +1,8 @@
-"""Small RAPID programs for the reader's tests, and what the reader says of a program."""
+"""Small RAPID programs for the reader's tests, and the reader's messages about them."""
 
 from __future__ import annotations
 
-from planner.languages.rapid.reader.flow import flatten
+from planner.languages.rapid.reader.flow import main_steps
 from planner.languages.rapid.reader.reader import read_task
 
 HEAD = """MODULE Left
@@ -42,7 +42,7 @@ def codes(text: str) -> set[str]:
 def steps(text: str) -> tuple[object, ...]:
     task = read_task({"left.mod": text})
     assert task.faults == ()
-    return flatten(task.modules)
+    return main_steps(task.modules)
 
 
 FULL = program(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from planner.languages.rapid.reader.flow import flatten
-from planner.languages.rapid.reader.reader import Limits, read_module, read_task
+from planner.languages.rapid.reader.flow import main_steps
+from planner.languages.rapid.reader.reader import ModuleLimits, read_module, read_task
 from planner.programs.steps import MoveStep
 from tests.languages.rapid.reader.rapid_texts import FULL, HEAD, MOVE, faults, program
 
@@ -159,9 +159,9 @@ def test_a_missing_semicolon_costs_one_statement_only() -> None:
 def test_sizes_are_limited() -> None:
     long = program('    TPWrite "a"; ! ' + "x" * 300)
     assert faults(long) == [(HEAD.count("\n") + 3, "rapid.line_length")]
-    assert faults(long, limits=Limits(line=400)) == []
-    assert faults(long, limits=Limits(line=400, bytes=500)) == [(1, "rapid.file_size")]
-    module, wrong = read_module("x" * 100_000, limits=Limits(bytes=1000))
+    assert faults(long, limits=ModuleLimits(line=400)) == []
+    assert faults(long, limits=ModuleLimits(line=400, bytes=500)) == [(1, "rapid.file_size")]
+    module, wrong = read_module("x" * 100_000, limits=ModuleLimits(bytes=1000))
     assert module is None and [fault.code for fault in wrong] == ["rapid.file_size"]
 
 
@@ -185,7 +185,7 @@ def test_names_are_resolved_over_the_modules_of_a_task() -> None:
     second = f"MODULE Two\n  LOCAL CONST num answer:=1;\n{body}\nENDMODULE"
     task = read_task({"a.mod": first, "b.mod": second})
     assert task.faults == ()
-    (move,) = flatten(task.modules)
+    (move,) = main_steps(task.modules)
     assert isinstance(move, MoveStep) and (move.module, move.procedure, move.line) == ("Two", "second", 4)
     local = second.replace("PROC second", "LOCAL PROC second")
     assert [f.code for f in read_task({"a.mod": first, "b.mod": local}).faults] == ["rapid.unknown_procedure"]

@@ -1,9 +1,9 @@
-"""What a task does and may do: the same however it is split, with work that grows as its length."""
+"""Possible executions of a task: independent of its splitting, with work that grows linearly."""
 
-from planner.languages.rapid.reader.flow import flatten, flow, handlers
+from planner.languages.rapid.reader.flow import error_handlers, main_steps, task_flow
 from planner.languages.rapid.reader.reader import read_task
 from planner.programs.steps import MoveStep
-from tests.work import counted
+from tests.work import count_calls
 
 MOVE = r"MoveL [[10.5,-2,3],[0,1,0,0],[0,0,-1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],v100\T:=0.25,z1,tool0;"
 
@@ -11,7 +11,7 @@ HANDLER = "ERROR\n    StopMove;\n    away;\n    EXIT;\n"
 
 
 def modules(procedures, each, files):
-    """Texts of a task whose moves stand in procedures of several modules, called one after the other."""
+    """Return the texts of a task whose moves are in procedures of several modules, called in order."""
     calls = "".join(f"    part_{i};\n" for i in range(procedures))
     texts = {
         "Whole.mod": f"MODULE Whole\n  PROC main()\n{calls}  {HANDLER}  ENDPROC\n"
@@ -29,10 +29,10 @@ def modules(procedures, each, files):
 def test_all_that_runs_and_may_run():
     task = read_task(modules(6, 3, 2))
     assert not task.faults
-    found = flow(task.modules)
-    assert [step.line for step in found.steps] == [step.line for step in flatten(task.modules)]
+    found = task_flow(task.modules)
+    assert [step.line for step in found.steps] == [step.line for step in main_steps(task.modules)]
     assert len([step for step in found.steps if isinstance(step, MoveStep)]) == 18
-    assert found.handlers.keys() == handlers(task.modules).keys()
+    assert found.handlers.keys() == error_handlers(task.modules).keys()
     assert len(found.handlers) == 7
     assert found.undos == {}
     parts = {(f"Part{i % 2}", f"part_{i}") for i in range(6)}
@@ -40,8 +40,8 @@ def test_all_that_runs_and_may_run():
 
 
 def test_many_procedures_take_work_in_proportion():
-    _, few = counted(flow, read_task(modules(100, 10, 25)).modules)
-    found, many = counted(flow, read_task(modules(1000, 10, 25)).modules)
+    _, few = count_calls(task_flow, read_task(modules(100, 10, 25)).modules)
+    found, many = count_calls(task_flow, read_task(modules(1000, 10, 25)).modules)
     assert len(found.called) == 1002
     assert len(found.steps) == 10_000
     assert many < 10.5 * few

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planner.languages.rapid.reader.flow import flatten, handlers
+from planner.languages.rapid.reader.flow import error_handlers, main_steps
 from planner.languages.rapid.reader.reader import read_module, read_task
-from planner.languages.rapid.reader.syntax_tree import Data, Literal, Move
-from planner.programs.steps import Fault, FlowError
+from planner.languages.rapid.reader.syntax_tree import DataDeclaration, Literal, MoveStatement
+from planner.programs.steps import FlowError, TextFault
 from tests.languages.rapid.reader.rapid_texts import FULL, codes, faults, program
 
 NUMBERS = st.one_of(
@@ -48,14 +48,14 @@ def test_the_quick_way_and_the_ordinary_way_read_the_same(
     target = f"[[{place}],[{quaternion}],[0,1,-2,3],[9E9,9E9,9E9,9E9,9E9,9E9]]"
     line = rf"MoveL {target}\ID:={ident},v5\T:={time:.4f},z1,t;"
     text = f"MODULE a\nPROC main()\n{line}\nENDPROC\nENDMODULE"
-    found = [read_module(text, quick=quick) for quick in (True, False)]
+    found = [read_module(text, fast_moves=quick) for quick in (True, False)]
     assert [f.code for f in found[0][1]] == [f.code for f in found[1][1]]
     if found[0][1]:
         assert "-0" in line
         return
     moves = [module.procedures[0].body[0] for module, _ in found if module is not None]
     one, two = moves
-    assert isinstance(one, Move) and isinstance(two, Move)
+    assert isinstance(one, MoveStatement) and isinstance(two, MoveStatement)
     for name in ("kind", "line", "start", "zone", "tool", "wobj", "speed", "switches"):
         assert getattr(one, name) == getattr(two, name)
     for name in ("id", "time"):
@@ -74,11 +74,13 @@ def test_the_quick_way_and_the_ordinary_way_read_the_same(
 )
 def test_damaged_programs_give_faults_or_programs_but_never_fail(at: int, drop: int, put: str) -> None:
     task = read_task({"x.mod": FULL[:at] + put + FULL[at + drop :]})
-    assert all(isinstance(fault, Fault) and fault.line >= 1 and fault.column >= 1 for fault in task.faults)
+    assert all(
+        isinstance(fault, TextFault) and fault.line >= 1 and fault.column >= 1 for fault in task.faults
+    )
     if not task.faults:
         try:
-            flatten(task.modules)
-            handlers(task.modules)
+            main_steps(task.modules)
+            error_handlers(task.modules)
         except FlowError as wrong:
             assert wrong.faults
 
@@ -111,6 +113,6 @@ def test_data_know_their_place() -> None:
     module, _ = read_module(FULL, "left.mod")
     assert module is not None
     holder = module.data[0]
-    assert isinstance(holder, Data)
+    assert isinstance(holder, DataDeclaration)
     assert (holder.name, holder.storage, holder.kind, holder.line) == ("holder", "TASK PERS", "tooldata", 3)
     assert module.lines == FULL.count("\n") + 1 and module.bytes == len(FULL)

@@ -1,4 +1,4 @@
-"""The RAPID reader: what it accepts, what it refuses and where, and the straight way through a task."""
+"""The RAPID reader: accepted texts, refused texts with their place, and the straight execution of a task."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from planner.languages.rapid.reader.flow import flatten, handlers
+from planner.languages.rapid.reader.flow import error_handlers, main_steps
 from planner.languages.rapid.reader.reader import read_module, read_task
 from planner.languages.rapid.reader.syntax_tree import PREDEFINED
 from planner.programs.steps import (
@@ -63,7 +63,7 @@ def test_a_whole_program_is_read_without_fault_and_flattened_in_order() -> None:
     sync = found[9]
     assert isinstance(sync, SyncStep) and (sync.ident, sync.tasks) == ("sync2", ("T_ROB1", "T_ROB2"))
     wait = next(step for step in found if isinstance(step, WaitStep))
-    assert (wait.seconds, wait.standing) == (3.0, True)
+    assert (wait.seconds, wait.after_stop) == (3.0, True)
     load = next(step for step in found if isinstance(step, LoadStep))
     assert load.path == "HOME:/part1.mod"
     signal = next(step for step in found if isinstance(step, SignalStep))
@@ -95,7 +95,7 @@ def test_poses_agree_with_scipy() -> None:
 
 def test_error_handlers_stand_apart_and_name_their_conditions() -> None:
     task = read_task({"left.mod": FULL})
-    found = handlers(task.modules)["Left", "main"]
+    found = error_handlers(task.modules)["Left", "main"]
     assert [getattr(step, "kind", "") for step in found] == [
         "StopMove",
         "SetDO",
@@ -163,14 +163,14 @@ def test_programs_without_one_straight_way_are_refused(body: str) -> None:
     task = read_task({"left.mod": program(body)})
     assert task.faults == ()
     with pytest.raises(FlowError) as wrong:
-        flatten(task.modules)
+        main_steps(task.modules)
     assert wrong.value.faults[0].code == "rapid.flow" and wrong.value.faults[0].line > 10
 
 
 def test_missing_entry_is_said() -> None:
     task = read_task({"left.mod": program("    Stop;")})
     with pytest.raises(FlowError, match="no procedure start"):
-        flatten(task.modules, "start")
+        main_steps(task.modules, "start")
 
 
 def test_constants_decide_branches_and_loops() -> None:

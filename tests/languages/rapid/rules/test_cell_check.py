@@ -1,4 +1,4 @@
-"""What programs compare before anything moves, and that each fault in it is found."""
+"""Comparisons of programs before the first motion. Each fault in them is found."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ def test_the_name_of_the_robot_is_that_of_the_configuration():
     problem = small_job.problem()
     controller = dataclasses.replace(problem.cell.controller, robots=("rob_a", "rob_b"))
     named = dataclasses.replace(problem, cell=dataclasses.replace(problem.cell, controller=controller))
-    assert named.cell.controller.robot(1) == "rob_b"
-    assert "/MOC/ROBOT/rob_b" in write.programs(small_job.plan(COUNT), named)["T_ROB2/TandemCheck_2.mod"]
+    assert named.cell.controller.robot_name(1) == "rob_b"
+    assert "/MOC/ROBOT/rob_b" in write.program_files(small_job.plan(COUNT), named)["T_ROB2/TandemCheck_2.mod"]
     proof = Prover(named, small_job.claims()).prove(programs("small"), last=RULE)
     assert {issue.code for issue in proof.issues} == {RULE}
 

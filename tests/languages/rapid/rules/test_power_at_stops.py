@@ -1,5 +1,6 @@
-"""Behind a stop at which a torch burned no program goes on, and nothing lights it again: the files for the
-controllers do so when they are run, and the proof refuses any that might not.
+"""After a stop at which a torch burned, no program continues and nothing lights the torch again.
+
+The files for the controllers ensure this when they are run, and the proof refuses files that might not.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from planner.languages.rapid.reader.configuration import rapid_words
 from planner.languages.rapid.rules import power_at_stops
 from planner.languages.rapid.writer import controller_files as rapid_files
 from planner.languages.writing import write
+from planner.languages.writing.language import PoweredSignals
 from planner.problem import Interlock, PowerOutput
 from planner.processes.trim.claims import TrimsSheet
 from planner.proof.context import Context
@@ -51,19 +53,19 @@ def abb(both=False):
     outputs = {"doArc": PowerOutput("doArcOut", "Local_IO", 5)}
     actions = (*MILL[:1], *ARC, *MILL[1:]) if both else ARC
     plan, problem = post_job.alone("irb140", actions=actions, interlock=Interlock(outputs))
-    return lit(problem), write.programs(plan, lit(problem)), plan
+    return lit(problem), write.program_files(plan, lit(problem)), plan
 
 
 @functools.cache
 def kuka(both=False):
-    """The same of a KUKA arm, whose arc hangs on an output of its own."""
+    """A job of a KUKA arm whose arc is switched by a separate output."""
     io = {"left": {"doArc": 17, "diArcOk": 17, "doArcOut": 40, "doSpindle": 18}}
     actions = (*MILL[:1], *ARC, *MILL[1:]) if both else ARC
     plan, problem = post_job.alone(actions=actions, io=io)
-    return lit(problem), write.programs(plan, lit(problem)), plan
+    return lit(problem), write.program_files(plan, lit(problem)), plan
 
 
-def told(job, files):
+def file_messages(job, files):
     context = Context(job[0], {"panel": (CLAIM,)}, files)
     return [issue.message for issue in controller_files(context).issues]
 
@@ -72,10 +74,10 @@ def told(job, files):
 
 
 @pytest.mark.parametrize("both", [False, True])
-@pytest.mark.parametrize("made", [abb, kuka])
-def test_the_files_are_proven(made, both):
-    job = made(both)
-    assert told(job, job[1]) == []
+@pytest.mark.parametrize("build_job", [abb, kuka])
+def test_the_files_are_proven(build_job, both):
+    job = build_job(both)
+    assert file_messages(job, job[1]) == []
     (readme,) = [text for name, text in job[1].items() if name.endswith("README.txt")]
     assert "doArc lights a torch" in readme and max(map(len, readme.splitlines())) <= 100
     assert bool(re.search(r"set\s+the\s+(output\s+again|request)\s+by\s+hand", readme)) == both
@@ -99,11 +101,11 @@ def test_other_power_beside_a_torch_is_asked_about_as_ever():
     assert "IF TANDEM_CUT THEN\r\n$OV_PRO=0\r\nENDIF" in lines and "IF TANDEM_LIT THEN" in lines
 
 
-@pytest.mark.parametrize(("made", "anew"), [(abb, "PP to main in all tasks"), (kuka, "reset, start")])
-def test_the_setup_sheet_says_the_same(made, anew):
-    shown = repr(setup_sheet.controller_checks(made(True)[0], made(True)[2]))
+@pytest.mark.parametrize(("build_job", "anew"), [(abb, "PP to main in all tasks"), (kuka, "reset, start")])
+def test_the_setup_sheet_says_the_same(build_job, anew):
+    shown = repr(setup_sheet.controller_checks(build_job(True)[0], build_job(True)[2]))
     assert "doArc on at a stop: never set again by hand" in shown and "doSpindle on at" not in shown
-    assert f"sheet looked at, {anew}" in shown and "plan anew what is left" in shown
+    assert f"inspect the sheet, {anew}" in shown and "plan the remaining slots again" in shown
 
 
 @pytest.mark.parametrize("robots", [("irb140", "irb140"), ("kr10_r1100", "irb140")])
@@ -112,24 +114,27 @@ def test_of_two_controllers_both_are_told_to_begin_anew(robots):
     lines = {"doPartner": 1, "diPartner": 1, "doRunning": 2, "diPartnerRunning": 2, "doMoveEnable": 3}
     io = {"left": {"doArc": 17, "diArcOk": 17, "doSpindle": 18, **lines}} if robots[0][0] == "k" else {}
     plan, problem = post_job.two(robots, actions=ARC, io=io)
-    files = write.programs(plan, lit(problem))
+    files = write.program_files(plan, lit(problem))
     here, there = (" ".join(files[f"controller/{arm}/README.txt"].split()) for arm in ("left", "right"))
     assert "doArc lights a torch" in here
-    assert "Where the torch burned at a stop the program of arm right begins anew as well" in here
+    assert "restart the program of arm right from its beginning as well" in here
     assert "doArc of arm left lights a torch" in there
-    assert "so must this one: PP to main" in there and "Nothing here keeps it from going on" in there
+    assert "so must this one: PP to main" in there and "Nothing here prevents it from resuming" in there
     shown = repr(setup_sheet.controller_checks(lit(problem), plan))
     assert shown.count("at both controllers") == 2
     assert "doArc of arm left on at a stop" in shown
-    for_a_wire = write.programs(*post_job.two(robots, actions=post_job.ACTIONS, io=io))
-    assert not any("begins anew" in text for name, text in for_a_wire.items() if "README" in name)
+    for_a_wire = write.program_files(*post_job.two(robots, actions=post_job.ACTIONS, io=io))
+    assert not any("from its beginning" in text for name, text in for_a_wire.items() if "README" in name)
 
 
 def test_two_tasks_of_a_controller_end_both():
     problem = abb()[0]
     controller, tasks, signals = problem.cell.controller, ["T_ROB1", "T_ROB2"], ["doArc", "doWirePower"]
-    files = rapid_files.files(controller, tasks, signals, {}, ["left", "right"], (), ["doArc"])
-    due = power_at_stops.routines(controller, signals, frozenset({"doArc"}), True)
+    powered = PoweredSignals(signals, torches=["doArc"], wires=())
+    files = rapid_files.build_files(
+        controller, tasks, arms=["left", "right"], powered=powered, other_signals={}
+    )
+    due = power_at_stops.system_module(controller, signals, frozenset({"doArc"}), True)
     assert rapid_words(files[MODULE]) == rapid_words(due)
     hooks = files[SYS]
     assert hooks.count('"tandem_stay"') == hooks.count('"tandem_lost"') == hooks.count('"tandem_again"') == 2
@@ -311,7 +316,7 @@ KRL = {
     "kept as other power is": (STOPPED, "TANDEM_LIT", "TANDEM_CUT"),
     "kept as other power is by the interpreter": (SUBMIT, r"TANDEM_LIT=TRUE", "TANDEM_CUT=TRUE"),
     "goes on by a start": (SUBMIT, "#P_RESET", "#P_ACTIVE"),
-    "goes on from where it stopped": (SUBMIT, "#P_RESET", "#P_STOP"),
+    "continues where it stopped": (SUBMIT, "#P_RESET", "#P_STOP"),
     "goes on unless it is reset": (SUBMIT, r"\$PRO_STATE1==", "$PRO_STATE1<>"),
     "the state of the interpreter itself": (SUBMIT, r"\$PRO_STATE1", "$PRO_STATE0"),
     "freed at once": (SUBMIT, r"IF \$PRO_STATE1==#P_RESET THEN\r\n(TANDEM_LIT=FALSE\r\n)ENDIF\r\n", r"\1"),
@@ -336,12 +341,12 @@ def changed(job, case):
 
 @pytest.mark.parametrize("name", RAPID)
 def test_a_fault_in_event_routines_is_found(name):
-    assert told(abb(), changed(abb(), RAPID[name]))
+    assert file_messages(abb(), changed(abb(), RAPID[name]))
 
 
 @pytest.mark.parametrize("name", KRL)
 def test_a_fault_in_lines_of_the_submit_interpreter_is_found(name):
-    assert told(kuka(), changed(kuka(), KRL[name]))
+    assert file_messages(kuka(), changed(kuka(), KRL[name]))
 
 
 def test_no_second_file_hides_where_case_does_not_count():
@@ -350,26 +355,29 @@ def test_no_second_file_hides_where_case_does_not_count():
     for path in ("Controller/T_ROB1/", "controller/t_rob1/", "controller/T_ROB1/"):
         name = MODULE if path != HOME else MODULE.lower()
         other = good[HOME + MODULE].replace("tandem_end;", "")
-        found = told(abb(), dict(sorted({**good, path + name: other}.items())))
-        assert any("where case does not count" in one for one in found), path
+        found = file_messages(abb(), dict(sorted({**good, path + name: other}.items())))
+        assert any("differ only in case" in one for one in found), path
     moved = {name.replace("controller/", "CONTROLLER/"): text for name, text in good.items()}
-    assert any("is to be called controller" in one for one in told(abb(), moved))
+    assert any("must be named controller" in one for one in file_messages(abb(), moved))
 
 
 def test_files_that_take_a_torch_for_other_power_are_refused():
     """As they were written before: with the question whether it is on again."""
     problem, files, _ = abb()
-    plain = rapid_files.files(problem.cell.controller, ["T_ROB1"], ["doArc"], {"diArcOk": "DI"}, ["left"])
+    powered = PoweredSignals(["doArc"], torches=(), wires=())
+    plain = rapid_files.build_files(
+        problem.cell.controller, ["T_ROB1"], arms=["left"], powered=powered, other_signals={"diArcOk": "DI"}
+    )
     assert '"Free","On","Stop"' in plain[MODULE]
     put = {HOME + name: text for name, text in plain.items()}
-    found = told(abb(), {**files, **put})
-    assert any("no way on where a torch burned" in one for one in found)
+    found = file_messages(abb(), {**files, **put})
+    assert any("never resume after a torch burned" in one for one in found)
     assert any("TandemRequest" in one for one in found) and any("POWER_ON" in one for one in found)
     problem, files, _ = kuka()
-    plain = krl_files.files(problem.cell.controller, "left", ["doArc"])
+    plain = krl_files.build_files(problem.cell.controller, "left", ["doArc"])
     put = {LEFT + name: text for name, text in plain.items()}
     assert krl_lines(put[LEFT + STOPPED]) != krl_lines(files[LEFT + STOPPED])
-    assert any("TANDEM_CUT" in one for one in told(kuka(), {**files, **put}))
+    assert any("TANDEM_CUT" in one for one in file_messages(kuka(), {**files, **put}))
 
 
 def test_files_that_take_a_spindle_for_a_torch_are_refused_too():

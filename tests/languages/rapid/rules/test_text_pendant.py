@@ -1,4 +1,4 @@
-"""Targets that were changed on the pendant are named where a rule fails, as the likely cause."""
+"""Targets that were changed on the pendant are named as the likely cause if a rule fails."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_nothing_looks_changed_as_written():
         (small_job.problem(), small_job.programs(COUNT)),
         (krl_job.problem(), krl_job.programs()),
     ):
-        assert text_rules.summary(job.read(problem, texts)) == ""
+        assert text_rules.modified_targets_note(job.read_job(problem, texts)) == ""
 
 
 def test_a_target_that_was_touched_up_is_told():
@@ -69,7 +69,7 @@ def test_programs_that_are_coarse_throughout_were_not_changed():
     texts = dict(small_job.programs(COUNT))
     for file, text in texts.items():
         texts[file] = re.sub(r"-?\d+\.\d{4}(?=[,\]])", lambda m: f"{float(m.group()):.2f}", text)
-    assert text_rules.summary(job.read(small_job.problem(), texts)) == ""
+    assert text_rules.modified_targets_note(job.read_job(small_job.problem(), texts)) == ""
 
 
 def test_a_taught_pose_of_krl_is_named():

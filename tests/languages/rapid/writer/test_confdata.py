@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from planner.catalogue.robots import robot
-from planner.cell.kinematics import forward, link_frames
+from planner.cell.kinematics import forward_kinematics, link_frames
 from planner.languages.rapid.writer.syntax import confdata
 
 ABB = ("irb140", "irb120", "irb1200_7_70", "irb4600_40", "irb6640_185", "irb6700_200")
@@ -103,11 +103,11 @@ def test_confdata_select_exactly_one_branch_of_an_independent_ik(name):
     rng = np.random.default_rng(11)
     q = rng.uniform(np.maximum(arm.lower, -np.pi), np.minimum(arm.upper, np.pi), (300, 6))
     q = q[np.abs(np.sin(q[:, 4])) > 0.05]
-    branches = np.asarray(kinematics.reach(RigidTransform.from_matrix(forward(arm, q))).joints)
+    branches = np.asarray(kinematics.reach(RigidTransform.from_matrix(forward_kinematics(arm, q))).joints)
     assert branches.shape == (len(q), 8, 6)
-    wanted = confdata(arm, q)
+    expected = confdata(arm, q)
     whole = 0
-    for row, own, conf in zip(branches, q, wanted, strict=True):
+    for row, own, conf in zip(branches, q, expected, strict=True):
         found = row[np.isfinite(row).all(axis=1)]
         whole += len(found) == 8
         turned = (found - own + np.pi) % (2 * np.pi) - np.pi + own

@@ -26,7 +26,7 @@ def job(robotware):
 
 @functools.cache
 def written(robotware=6):
-    return write.programs(small_job.plan(COUNT), job(robotware))
+    return write.program_files(small_job.plan(COUNT), job(robotware))
 
 
 @functools.cache

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from planner.catalogue.robots import robot
-from planner.cell.kinematics import forward
+from planner.cell.kinematics import forward_kinematics
 from planner.geometry.arrays import from_quaternion
 from planner.languages.rapid.reader.reader import read_task
-from planner.targets import Action
+from planner.targets import TargetAction
 from tests.languages.writing import synthetic
 from tests.languages.writing.reading import flat, modules, moves, numbers, programs
 
@@ -148,8 +148,8 @@ def test_written_targets_are_the_planned_poses(small):
         position, quaternion = numbers(rows, 0), numbers(rows, 1)
         item = problem.cell.arm(arm)
         q = plan.operations[0].q[arm][1:]
-        world = item.base @ forward(robot(item.robot), q) @ item.tool.tcp
-        expected = np.linalg.inv(plan.places[0]) @ world
+        world = item.base @ forward_kinematics(robot(item.robot), q) @ item.tool.tcp
+        expected = np.linalg.inv(plan.stock_poses[0]) @ world
         assert np.abs(position / 1e3 - expected[:, :3, 3]).max() <= 0.51e-7
         assert np.abs(from_quaternion(quaternion) - expected[:, :3, :3]).max() < 3e-8
 
@@ -295,7 +295,9 @@ def test_lines_stay_short_at_the_largest_numbers():
 
 
 def test_an_action_within_the_work_parts_the_block():
-    plan, problem = synthetic.small(actions=(*synthetic.ACTIONS, Action(2, "message", text="Half way.")))
+    plan, problem = synthetic.small(
+        actions=(*synthetic.ACTIONS, TargetAction(2, "message", text="Half way."))
+    )
     operation = plan.operations[0]
     stop = operation.targets.stop.copy()
     stop[2] = True

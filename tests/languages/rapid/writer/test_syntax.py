@@ -13,31 +13,31 @@ from planner.issues import TandemError
 from planner.languages.rapid.writer.syntax import (
     RESERVED,
     action_lines,
-    box,
     comment,
     identifier,
+    message_box,
     pose,
     quoted,
     write_lines,
 )
-from planner.languages.writing.layout import number, plain, short
-from planner.targets import Action
+from planner.languages.writing.layout import format_fixed, format_short, to_ascii
+from planner.targets import TargetAction
 
 
 @given(st.floats(-1e5, 1e5), st.integers(1, 8))
 def test_numbers_read_back_within_half_a_last_digit_and_are_never_minus_zero(value, decimals):
-    text = number(value, decimals)
+    text = format_fixed(value, decimals)
     assert abs(float(text) - value) <= 0.5 * 10.0**-decimals * (1 + 1e-9) + 1e-11
     assert not re.fullmatch(r"-0\.?0*", text)
     assert len(text.partition(".")[2]) == decimals
 
 
 def test_numbers_drop_the_sign_of_what_rounds_to_zero():
-    assert number(-0.00004, 4) == "0.0000"
-    assert number(-0.00006, 4) == "-0.0001"
-    assert short(-0.0) == "0"
-    assert short(250.0) == "250"
-    assert short(100) == "100"
+    assert format_fixed(-0.00004, 4) == "0.0000"
+    assert format_fixed(-0.00006, 4) == "-0.0001"
+    assert format_short(-0.0) == "0"
+    assert format_short(250.0) == "250"
+    assert format_short(100) == "100"
 
 
 def test_a_pose_is_in_mm_with_a_unit_quaternion_scalar_first():
@@ -48,7 +48,7 @@ def test_a_pose_is_in_mm_with_a_unit_quaternion_scalar_first():
 
 
 def test_texts_are_plain_quoted_and_cut_to_what_the_panel_shows():
-    assert plain("Länge\n 5 mm →  ok") == "Lange 5 mm ? ok"
+    assert to_ascii("Länge\n 5 mm →  ok") == "Lange 5 mm ? ok"
     assert quoted('say "go" \\ stop') == '"say ""go"" \\\\ stop"'
     lines = write_lines("word " * 40)
     assert all(re.fullmatch(r'TPWrite "[^"]{1,40}";', line) for line in lines)
@@ -56,7 +56,7 @@ def test_texts_are_plain_quoted_and_cut_to_what_the_panel_shows():
 
 
 def test_a_long_question_takes_several_boxes_of_five_short_lines():
-    lines = box("Tandem", "word " * 90)
+    lines = message_box("Tandem", "word " * 90)
     text = "\n".join(lines)
     assert text.count("UIMsgBox") == text.count("\\Buttons:=btnOK") == 2
     strings = re.findall(r'(?:,|:=)"([^"]*)"', text)
@@ -92,8 +92,8 @@ def test_every_reserved_word_is_refused():
 
 
 def test_actions_become_instructions():
-    assert action_lines(Action(0, "on", signal="doWirePower")) == ["SetDO doWirePower,1;"]
-    assert action_lines(Action(0, "off", signal="doWirePower")) == ["SetDO doWirePower,0;"]
-    assert action_lines(Action(0, "wait", seconds=2.5)) == ["WaitTime 2.5;"]
-    assert action_lines(Action(0, "message", text="Hello")) == ['TPWrite "Hello";']
-    assert "btnOK" in "".join(action_lines(Action(0, "confirm", text="Ready?")))
+    assert action_lines(TargetAction(0, "on", signal="doWirePower")) == ["SetDO doWirePower,1;"]
+    assert action_lines(TargetAction(0, "off", signal="doWirePower")) == ["SetDO doWirePower,0;"]
+    assert action_lines(TargetAction(0, "wait", seconds=2.5)) == ["WaitTime 2.5;"]
+    assert action_lines(TargetAction(0, "message", text="Hello")) == ['TPWrite "Hello";']
+    assert "btnOK" in "".join(action_lines(TargetAction(0, "confirm", text="Ready?")))

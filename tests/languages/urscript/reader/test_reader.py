@@ -1,4 +1,4 @@
-"""The URScript reader on a program written by hand after docs/urscript.md: what it gives, what it refuses."""
+"""The URScript reader on a program written by hand after docs/urscript.md: results and refusals."""
 
 from __future__ import annotations
 
@@ -49,7 +49,9 @@ def read(text, file="left/wall.script"):
 def steps(text=PROGRAM):
     found = read(text)
     assert found.faults == ()
-    return flow.flow(found, found.base, flow.Wires({2: "doWirePower"}, {}), "left", "ur10e", SPEED)
+    return flow.flow_steps(
+        found, found.base, flow.ControllerWires({2: "doWirePower"}, {}), "left", "ur10e", SPEED
+    )
 
 
 def test_the_way_through_the_program():
@@ -204,7 +206,9 @@ def test_whatever_stands_in_a_file_is_read_or_refused_in_words():
             assert all(0 < fault.line <= text.count("\n") + 1 and fault.message for fault in found.faults)
             continue
         try:
-            read_whole += bool(flow.flow(found, BASE, flow.Wires({}, {}), "left", "ur10e", SPEED))
+            read_whole += bool(
+                flow.flow_steps(found, BASE, flow.ControllerWires({}, {}), "left", "ur10e", SPEED)
+            )
         except FlowError as wrong:
             assert wrong.faults[0].line > 0
     assert read_whole > 50  # comments, and what other rules look at

@@ -12,21 +12,21 @@ from planner.geometry.arrays import from_rpy
 from planner.issues import TandemError
 from planner.languages.urscript.writer import program, syntax
 from planner.languages.writing import write
-from planner.languages.writing.layout import Track
+from planner.languages.writing.layout import MoveTable
 from planner.problem import Arm
-from planner.reading.controller import faults
+from planner.reading.controller import controller_faults
 from tests import urdf_text
 from tests.languages.urscript import ur_job
 from tests.processes.hotwire.proof import straight_job
 
 
 def arm(data):
-    return dataclasses.replace(straight_job.cell(0, "ur10e").arms[0], given=data)
+    return dataclasses.replace(straight_job.cell(0, "ur10e").arms[0], custom_data=data)
 
 
 def refused(problem, plan=None):
     with pytest.raises(TandemError) as caught:
-        write.programs(straight_job.plan(12, model="ur10e") if plan is None else plan, problem)
+        write.program_files(straight_job.plan(12, model="ur10e") if plan is None else plan, problem)
     return [(issue.code, issue.message) for issue in caught.value.issues]
 
 
@@ -50,8 +50,8 @@ def test_an_arm_that_a_ur_controller_does_not_move_is_refused():
     )
     tip = dataclasses.replace(own.form, right=from_rpy([0.0, 0.0, 0.1], [0.0, 0.0, 0.0]))
     for form, what in (
-        (turned, "turn the other way"),
-        (offset, "zero elsewhere"),
+        (turned, "directions differ"),
+        (offset, "joint zeros"),
         (tip, "its tip"),
         (robot("irb140").form, "not parallel"),
     ):
@@ -75,7 +75,9 @@ def test_two_arms_are_refused_and_numbers_are_asked_for():
     assert issue.code == "post.controller" and "arms of KUKA and UR have one each" in issue.message
     controller = dataclasses.replace(problem.cell.controller, io={})
     found = refused(with_cell(problem, controller=controller))
-    assert [code for code, _ in found] == ["post.signal"] and "URScript knows by number" in found[0][1]
+    assert [code for code, _ in found] == ["post.signal"] and "URScript addresses by number only" in found[0][
+        1
+    ]
 
 
 def test_an_arm_that_would_hold_the_block_is_refused_before_anything_is_planned():
@@ -84,7 +86,7 @@ def test_an_arm_that_would_hold_the_block_is_refused_before_anything_is_planned(
     held = dataclasses.replace(problem, stock=dataclasses.replace(problem.stock, held_by="left"))
     found = write.refusals(held, targets)
     assert [(issue.code, issue.arm) for issue in found] == [("post.load", "left")]
-    assert "URScript is written for tools alone" in found[0].message
+    assert "URScript is written only for tools" in found[0].message
 
 
 @pytest.mark.parametrize(("number", "fits"), [(0, True), (15, True), (16, False)])
@@ -92,11 +94,13 @@ def test_numbers_are_those_of_digital_outputs(number, fits):
     problem = ur_job.problem()
     controller = dataclasses.replace(problem.cell.controller, io={"left": {"doWirePower": number}})
     found = [
-        issue for issue in faults(dataclasses.replace(problem.cell, controller=controller), ()) if issue.field
+        issue
+        for issue in controller_faults(dataclasses.replace(problem.cell, controller=controller), ())
+        if issue.field
     ]
     assert [issue.code for issue in found] == ([] if fits else ["problem.field"])
     if fits:
-        (text,) = write.programs(
+        (text,) = write.program_files(
             straight_job.plan(12, model="ur10e"), with_cell(problem, controller=controller)
         ).values()
         word = "set_standard_digital_out(0,True)" if number == 0 else "set_configurable_digital_out(7,True)"
@@ -108,7 +112,7 @@ def test_a_tool_without_mass_and_a_program_too_long_are_refused():
     plan = straight_job.plan(12, model="ur10e")
     controller = dataclasses.replace(problem.cell.controller, max_moves=20)
     ((code, message),) = refused(with_cell(problem, controller=controller))
-    assert code == "post.no_split" and "for it is one program" in message
+    assert code == "post.no_split" and "because it is one program" in message
     light = dataclasses.replace(straight_job.BOWS[0], mass=0.0)
     arms = (dataclasses.replace(problem.cell.arms[0], tool=light),)
     bare = dataclasses.replace(with_cell(problem, arms=arms), changes={})
@@ -120,7 +124,7 @@ def track(position, reach):
     distance = np.linalg.norm(np.diff(position, axis=0, prepend=position[:1] - [[10.0, 0.0, 0.0]]), axis=1)
     turn = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
     flat = np.zeros(count)
-    return Track(position, turn, np.zeros((count, 6)), np.ones(count), distance, reach, flat, "stock")
+    return MoveTable(position, turn, np.zeros((count, 6)), np.ones(count), distance, reach, flat, "stock")
 
 
 def test_blends_keep_to_their_room_and_never_meet():
@@ -149,8 +153,8 @@ def test_a_turn_about_the_tcp_is_no_blend_and_a_stop_there_helps():
     ((code, message),) = refused(
         ur_job.problem(), dataclasses.replace(plan, operations=(least, *plan.operations[1:]))
     )
-    assert code == "post.blend" and "turns about its TCP" in message
-    (text,) = write.programs(
+    assert code == "post.blend" and "rotates about its TCP" in message
+    (text,) = write.program_files(
         dataclasses.replace(plan, operations=(turned, *plan.operations[1:])), ur_job.problem()
     ).values()
     rows = [row for row in text.splitlines() if row.startswith("movel")]
@@ -164,7 +168,7 @@ def test_a_turn_about_the_tcp_is_no_blend_and_a_stop_there_helps():
     stop[[4, 5, 6]] = True
     stopped = dataclasses.replace(turned, targets=dataclasses.replace(turned.targets, stop=stop))
     plan = dataclasses.replace(plan, operations=(stopped, *plan.operations[1:]))
-    assert len(write.programs(plan, ur_job.problem())) == 1
+    assert len(write.program_files(plan, ur_job.problem())) == 1
 
 
 def test_a_move_by_joints_keeps_to_the_tools_speed_and_the_axes_share():

@@ -1,4 +1,4 @@
-"""What the tests of forming share."""
+"""Shared fixtures of the forming tests."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from planner.processes.forming.plan.springback import forecast
 
 @pytest.fixture(autouse=True)
 def _no_forecast(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each plan foretells springback at two places, a second of work which what else is looked at of a plan
-    does not hang on: only the forecast's own tests wait for it."""
+    """Skip the springback forecast of each plan. It takes a second, and only its own tests need it."""
     if "springback" not in request.path.parts:
-        monkeypatch.setattr(forecast, "estimate", lambda *_: None)
+        monkeypatch.setattr(forecast, "estimate_springback", lambda *_: None)

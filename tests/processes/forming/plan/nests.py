@@ -1,4 +1,4 @@
-"""Parts with known features: heights over the plane, meshed, and random nests that know the truth."""
+"""Parts with known features: meshed height fields and random nests with their true features."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Height = Callable[[FloatArray, FloatArray], FloatArray]
 
 @dataclasses.dataclass(frozen=True)
 class Truth:
-    """A feature as it was made: ``middle`` (2,) [m] lies in it, ``parent`` is an index or None."""
+    """A true feature. ``middle`` (2,) [m] lies in it, ``parent`` is an index or None."""
 
     parent: int | None
     kind: str
@@ -119,10 +119,10 @@ class _Shape:
     def height(self, x: FloatArray, y: FloatArray) -> FloatArray:
         dx, dy = x - self.middle[0], y - self.middle[1]
         outline = self.radius * (1.0 + self.wave * np.cos(self.lobes * np.arctan2(dy, dx) + self.phase))
-        share = np.hypot(dx, dy) / outline
+        fraction = np.hypot(dx, dy) / outline
         if self.profile == "cap":
-            return np.asarray(self.rise * np.clip(1.0 - share**2, 0.0, 1.0))
-        ramp = np.clip((1.0 - share) / (1.0 - self.inner), 0.0, 1.0)
+            return np.asarray(self.rise * np.clip(1.0 - fraction**2, 0.0, 1.0))
+        ramp = np.clip((1.0 - fraction) / (1.0 - self.inner), 0.0, 1.0)
         if self.profile == "rounded":
             ramp = ramp * ramp * (3.0 - 2.0 * ramp)
         return np.asarray(self.rise * ramp)
@@ -141,12 +141,12 @@ def _fill(
 ) -> None:
     """Features on a round flat of radius ``room`` at ``level``."""
     gap = 4.0 * spacing
-    wanted = int(rng.integers(1, 8)) if depth else int(rng.integers(1, 5))
+    expected = int(rng.integers(1, 8)) if depth else int(rng.integers(1, 5))
     placed: list[tuple[float, float, float]] = []
     for _ in range(60):
-        if len(placed) == wanted:
+        if len(placed) == expected:
             return
-        radius = float(rng.uniform(0.15, 0.95 if wanted < 3 else 0.5) * room)
+        radius = float(rng.uniform(0.15, 0.95 if expected < 3 else 0.5) * room)
         away = float(np.sqrt(rng.uniform()) * max(room - radius - gap, 0.0))
         angle = rng.uniform(0.0, 2.0 * np.pi)
         x, y = middle[0] + away * np.cos(angle), middle[1] + away * np.sin(angle)

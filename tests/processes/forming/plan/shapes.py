@@ -9,11 +9,16 @@ import shapely
 
 from planner.catalogue.materials import sheet_metal
 from planner.geometry.arrays import Mesh
-from planner.processes.forming.plan.contact import ContactPath, Pass
-from planner.processes.forming.plan.features.pass_shape import joined, polygons, triangulated
-from planner.processes.forming.plan.features.tree import FeatureTree, OrderStep, build, in_place
+from planner.processes.forming.plan.contact import ContactPath, FormingPass
+from planner.processes.forming.plan.features.pass_shape import merge_meshes, polygons, triangulate
+from planner.processes.forming.plan.features.tree import (
+    FeatureTree,
+    OrderStep,
+    build_feature_tree,
+    in_place_order,
+)
 from planner.processes.forming.plan.operation import Forming
-from planner.processes.forming.plan.passes import passes
+from planner.processes.forming.plan.passes import make_passes
 from planner.tooling import FormingHead
 
 T0 = 1e-3
@@ -65,11 +70,11 @@ def pit(outline: shapely.Polygon, angle: float, depth: float) -> Mesh:
     """Walls of one angle down from any outline, with sharp edges."""
     floor = outline.buffer(-depth / np.tan(np.radians(angle)), join_style="mitre", mitre_limit=20.0)
     areas = [*polygons(outline.difference(floor)), floor, *polygons(outline.buffer(0.02).difference(outline))]
-    points, faces = triangulated(areas)
+    points, faces = triangulate(areas)
     low = set(map(tuple, shapely.get_coordinates(floor).tolist()))
     z = np.array([-depth if tuple(point) in low else 0.0 for point in points.tolist()])
     none = Mesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
-    return joined(Mesh(np.column_stack([points, z]), faces), none)
+    return merge_meshes(Mesh(np.column_stack([points, z]), faces), none)
 
 
 def star(outer: float, inner: float, points: int = 5) -> shapely.Polygon:
@@ -86,21 +91,28 @@ def horseshoe(radius: float, width: float) -> shapely.Polygon:
 
 
 def tree_of(mesh: Mesh) -> tuple[FeatureTree, tuple[OrderStep, ...]]:
-    tree = build(mesh, 1e-3)
-    return tree, in_place(tree)
+    tree = build_feature_tree(mesh, 1e-3)
+    return tree, in_place_order(tree)
 
 
 def cone_path(
-    one: Pass, angle: float, radius: float, ball: float, per_loop: int = 150, step: float = 2e-3
+    forming_pass: FormingPass,
+    angle: float,
+    radius: float,
+    ball: float,
+    per_loop: int = 150,
+    step: float = 2e-3,
 ) -> ContactPath:
     """Level circles of a ball down the wall of a cone whose near face begins at ``radius``."""
-    a, side = np.radians(angle), one.side
-    lowest = abs(one.end - one.start) - ball * (1.0 - np.cos(a))  # the floor stops the ball there
+    a, side = np.radians(angle), forming_pass.side
+    lowest = abs(forming_pass.end - forming_pass.start) - ball * (
+        1.0 - np.cos(a)
+    )  # the floor stops the ball there
     depth = np.arange(step, lowest, step)
     turn = np.linspace(0.0, 2.0 * np.pi, per_loop + 1)
     d, phi = (grid.reshape(-1) for grid in np.meshgrid(depth, turn, indexing="ij"))
     r = radius - d / np.tan(a)
-    point = np.column_stack([r * np.cos(phi), r * np.sin(phi), one.start - side * d])
+    point = np.column_stack([r * np.cos(phi), r * np.sin(phi), forming_pass.start - side * d])
     inward = np.column_stack([-np.cos(phi), -np.sin(phi), np.zeros(len(phi))])
     toward = np.sin(a) * inward + np.cos(a) * np.array([0.0, 0.0, side])
     loop = np.repeat(np.arange(len(depth)), len(turn))
@@ -111,6 +123,6 @@ def cone_path(
 METAL = sheet_metal("aluminium")
 
 
-def made(mesh: Mesh, mode: str = "dsif", **more: object) -> tuple[Pass, ...]:
+def plan_passes(mesh: Mesh, mode: str = "dsif", **more: object) -> tuple[FormingPass, ...]:
     tree, order = tree_of(mesh)
-    return passes(tree, order, mesh, T0, operation(mode, **more), METAL)
+    return make_passes(tree, order, mesh, T0, operation(mode, **more), METAL)

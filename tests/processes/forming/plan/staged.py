@@ -25,13 +25,13 @@ SUMP_RADIUS = 16.0
 """Radius [mm] in plan at which the sump begins."""
 
 
-def wall(begin: float, depth: float, angle: float, fillet: float) -> list[tuple[float, float]]:
+def wall(start_radius: float, depth: float, angle: float, fillet: float) -> list[tuple[float, float]]:
     """Radius and height [mm] of a wall of one angle [deg] that begins at a radius, rounded at both edges."""
     a = np.deg2rad(angle)
     turn = np.linspace(0.0, a, 13)
-    top = [(begin - fillet * np.sin(t), fillet * (np.cos(t) - 1.0)) for t in turn]
+    top = [(start_radius - fillet * np.sin(t), fillet * (np.cos(t) - 1.0)) for t in turn]
     run = (depth - 2.0 * fillet * (1.0 - np.cos(a))) / np.tan(a)
-    end = begin - 2.0 * fillet * np.sin(a) - run
+    end = start_radius - 2.0 * fillet * np.sin(a) - run
     low = [(end + fillet * np.sin(t), fillet * (1.0 - np.cos(t)) - depth) for t in turn[::-1]]
     between = [
         tuple((1.0 - s) * np.array(top[-1]) + s * np.array(low[0])) for s in np.linspace(0, 1, 6)[1:-1]
@@ -43,7 +43,7 @@ def part() -> Mesh:
     """The part [m]."""
     dish, sump = wall(42.0, DEPTHS[0], 35.0, 7.0), wall(SUMP_RADIUS, DEPTHS[1], 25.0, 8.0)
     sunk = [(r, z - DEPTHS[0]) for r, z in sump]
-    floor = [(share * sunk[-1][0], sunk[-1][1]) for share in (0.5, 0.0)]
+    floor = [(fraction * sunk[-1][0], sunk[-1][1]) for fraction in (0.5, 0.0)]
     flat = [(r, -DEPTHS[0]) for r in (22.0, 19.0)]
     profile = [(48.0, 0.0), *dish, *flat, *sunk, *floor]
     return revolved([(r * MM, z * MM) for r, z in profile], 96)

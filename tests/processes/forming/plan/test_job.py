@@ -1,4 +1,4 @@
-"""The forming process as a whole: targets and claims of every mode, held against the mesh by other means."""
+"""The forming process as a whole: targets and claims of every mode, independently checked on the mesh."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from planner.processes.forming.claims import (
     FormsInOrder,
     FormsPart,
     FormsSheet,
+    LimitsToolTilt,
     SheetState,
     SupportsBorder,
     ToolGap,
-    ToolsLean,
 )
-from planner.processes.forming.plan.features.pass_shape import joined, polygons, triangulated
-from planner.processes.forming.plan.process_plan import Work, work
+from planner.processes.forming.plan.features.pass_shape import merge_meshes, polygons, triangulate
+from planner.processes.forming.plan.process_plan import FormingWork, prepare_work
 from planner.reading.sheet import CLAMP_BARS
 from planner.targets import Targets
 from tests import small_forming
@@ -43,16 +43,16 @@ from tests.processes.forming.plan import shapes
 
 KINDS = ("helical", "contour", "alternating", "stepped")
 MODES: dict[str, tuple[dict[str, Any], set[type]]] = {
-    "spif": ({}, {FormsSheet, ToolsLean}),
-    "dsif": ({}, {FormsSheet, ToolGap, ToolsLean}),
-    "dpif_l": ({"shift_deg": 20}, {FormsSheet, ToolGap, ToolsLean}),
-    "dpif_p": ({}, {FormsSheet, SupportsBorder, ToolsLean}),
-    "heat": ({}, {FormsSheet, FollowsOpposite, ToolsLean}),
+    "spif": ({}, {FormsSheet, LimitsToolTilt}),
+    "dsif": ({}, {FormsSheet, ToolGap, LimitsToolTilt}),
+    "dpif_l": ({"shift_deg": 20}, {FormsSheet, ToolGap, LimitsToolTilt}),
+    "dpif_p": ({}, {FormsSheet, SupportsBorder, LimitsToolTilt}),
+    "heat": ({}, {FormsSheet, FollowsOpposite, LimitsToolTilt}),
     "adsif": ({}, {FormsByTable}),
 }
 
 
-class Laid(NamedTuple):
+class PlannedMode(NamedTuple):
     """A part's job and its targets."""
 
     mode: str
@@ -65,8 +65,8 @@ def problem(folder: Path, mode: str = "spif", part: Mesh | None = None, **operat
     return pipeline.load(small_forming.write(folder, small_forming.problem(mode, **operation), part))
 
 
-def made_of(found: Problem) -> Work:
-    return work(found.operations[0], found.setups[0], found.part)  # type: ignore[arg-type]
+def work_of(loaded: Problem) -> FormingWork:
+    return prepare_work(loaded.operations[0], loaded.setups[0], loaded.part)  # type: ignore[arg-type]
 
 
 def gentle() -> Mesh:
@@ -90,8 +90,8 @@ def notched() -> Mesh:
     points = np.unique(np.concatenate([grid[~near], shapely.get_coordinates(lines)]).round(9), axis=0)
     inside = shapely.contains_xy(outline, points[:, 0], points[:, 1])
     deep = np.where(inside, shapely.distance(outline.boundary, shapely.points(points)), 0.0)
-    share = np.clip(deep / 0.0075, 0.0, 1.0)
-    z = -0.0008 * share**2 * (3.0 - 2.0 * share)
+    fraction = np.clip(deep / 0.0075, 0.0, 1.0)
+    z = -0.0008 * fraction**2 * (3.0 - 2.0 * fraction)
     return Mesh(np.column_stack([points, z]), Delaunay(points).simplices.astype(np.int64))
 
 
@@ -108,46 +108,47 @@ def pyramid(depth: float) -> Mesh:
     return Mesh(vertices, np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]]))
 
 
-def same(one: Any, two: Any) -> bool:
-    if isinstance(one, np.ndarray):
-        return isinstance(two, np.ndarray) and np.array_equal(one, two)
-    if dataclasses.is_dataclass(one):
-        return type(one) is type(two) and all(
-            same(getattr(one, field.name), getattr(two, field.name)) for field in dataclasses.fields(one)
+def is_same(first: Any, second: Any) -> bool:
+    if isinstance(first, np.ndarray):
+        return isinstance(second, np.ndarray) and np.array_equal(first, second)
+    if dataclasses.is_dataclass(first):
+        return type(first) is type(second) and all(
+            is_same(getattr(first, field.name), getattr(second, field.name))
+            for field in dataclasses.fields(first)
         )
-    if isinstance(one, list | tuple):
-        return len(one) == len(two) and all(map(same, one, two))
-    return bool(one == two)
+    if isinstance(first, list | tuple):
+        return len(first) == len(second) and all(map(is_same, first, second))
+    return bool(first == second)
 
 
 def centres(targets: Targets, arm: str, segment: str) -> np.ndarray:
     return targets.pose[arm][[str(one) == segment for one in targets.segment], :3, 3]
 
 
-def refusal(found: Problem) -> dict[str, str]:
+def refusal(loaded: Problem) -> dict[str, str]:
     with pytest.raises(TandemError) as caught:
-        registry.job(found, 0).targets()
+        registry.job(loaded, 0).targets()
     return {issue.code: f"{issue.message} {issue.hint}" for issue in caught.value.issues}
 
 
 @pytest.fixture(scope="module", params=MODES)
-def laid(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Laid:
+def planned_mode(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> PlannedMode:
     """A dish in every mode, or a gentle cone where only that can be formed."""
     part = gentle() if request.param == "adsif" else small_forming.dish()
     found = problem(tmp_path_factory.mktemp("mode"), request.param, part, **MODES[request.param][0])
-    return Laid(request.param, part, found, registry.job(found, 0).targets())
+    return PlannedMode(request.param, part, found, registry.job(found, 0).targets())
 
 
-def test_targets_of_every_mode(laid: Laid) -> None:
-    (_, kinds), found, targets = MODES[laid.mode], laid.problem, laid.targets
+def test_targets_of_every_mode(planned_mode: PlannedMode) -> None:
+    (_, kinds), found, targets = MODES[planned_mode.mode], planned_mode.problem, planned_mode.targets
     count, forming = len(targets.segment), np.array([segment.works for segment in targets.segment])
     assert count == len(targets.feed) == len(targets.travel) == len(targets.stop)
     assert forming.sum() > 100
     for arm, pose in targets.pose.items():
         assert pose.shape == (count, 4, 4)
         np.testing.assert_allclose(np.linalg.det(pose[:, :3, :3]), 1.0)
-        way = np.linalg.norm(np.diff(pose[:, :3, 3], axis=0), axis=1)
-        assert (targets.travel[1:] >= way - 1e-12).all(), arm
+        path_length = np.linalg.norm(np.diff(pose[:, :3, 3], axis=0), axis=1)
+        assert (targets.travel[1:] >= path_length - 1e-12).all(), arm
     assert (targets.feed[forming] <= found.operations[0].feed_mm_s * MM + 1e-12).all()  # type: ignore[attr-defined]
     assert (targets.travel[1:] / targets.feed[1:] >= 0.005).all()
     assert targets.stop[[0, -1]].all()
@@ -159,11 +160,11 @@ def test_targets_of_every_mode(laid: Laid) -> None:
         FormingFeed,
         *kinds,
     }
-    assert same(targets.claims, registry.claims(found)["dish"])
+    assert is_same(targets.claims, registry.claims(found)["dish"])
 
 
-def test_tools_begin_and_end_off_the_sheet(laid: Laid) -> None:
-    part, targets, made = laid.part, laid.targets, made_of(laid.problem)
+def test_tools_begin_and_end_off_the_sheet(planned_mode: PlannedMode) -> None:
+    part, targets, made = planned_mode.part, planned_mode.targets, work_of(planned_mode.problem)
     away = [k for k, segment in enumerate(targets.segment) if not segment.works]
     assert {0, len(targets.segment) - 1} <= set(away)
     low, high = float(part.vertices[:, 2].min()), MM
@@ -181,15 +182,15 @@ def test_tools_begin_and_end_off_the_sheet(laid: Laid) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_ball_is_on_the_mesh_and_never_in_it(tmp_path: Path, kind: str) -> None:
     found = problem(tmp_path, path=kind)
-    targets, made = registry.job(found, 0).targets(), made_of(found)
-    (one,) = made.passes
+    targets, made = registry.job(found, 0).targets(), work_of(found)
+    (forming_pass,) = made.passes
     centre = centres(targets, "robot", "form/f1")
-    mesh = trimesh.Trimesh(one.vertices, one.faces, process=False)
-    share = np.linspace(0.0, 1.0, 4)[:-1, None, None]
-    between = ((1.0 - share) * centre[:-1] + share * centre[1:]).reshape(-1, 3)
+    mesh = trimesh.Trimesh(forming_pass.vertices, forming_pass.faces, process=False)
+    fraction = np.linspace(0.0, 1.0, 4)[:-1, None, None]
+    between = ((1.0 - fraction) * centre[:-1] + fraction * centre[1:]).reshape(-1, 3)
     rng = np.random.default_rng(11)
-    off = trimesh.proximity.closest_point(mesh, rng.permutation(between)[:1500])[1] - 6.0 * MM
-    assert off.min() > -0.05 * MM  # the stated chord
+    deviation = trimesh.proximity.closest_point(mesh, rng.permutation(between)[:1500])[1] - 6.0 * MM
+    assert deviation.min() > -0.05 * MM  # the stated chord
     at = trimesh.proximity.closest_point(mesh, centre)[1] - 6.0 * MM
     assert at.min() > -2.5e-6
     assert np.quantile(at, 0.9) < 15e-6  # facets are chords of the smooth face that the ball is on
@@ -235,21 +236,21 @@ def test_a_support_too_large_for_a_bend_is_told_with_the_largest_that_fits(tmp_p
     foot = bend[-1, 0] - (0.02 + bend[-1, 1]) / np.tan(turn[-1])
     bent = [(0.055, 0.0), (0.045, 0.0), *map(tuple, bend), (foot, -0.02), (0.0, -0.02)]
     part = shapes.revolved(bent, 120)
-    (told,) = {
+    (reported,) = {
         issue
         for issue in registry.job(problem(tmp_path, "dsif", part), 0).targets().issues
         if issue.code == "forming.support_radius"
     }
-    assert told.severity is Severity.WARNING
-    assert "pass f1: on" in told.message and "largest that fits" in told.message
+    assert reported.severity is Severity.WARNING
+    assert "pass f1: on" in reported.message and "largest that fits" in reported.message
 
 
 def test_a_step_deeper_than_the_part_is_refused_as_that(tmp_path: Path) -> None:
     part = shapes.cone(40.0, 0.006, 0.03, 96)
-    told = refusal(problem(tmp_path, "spif", part, stepdown_mm=7))
-    assert list(told) == ["forming.path_options"]
-    assert "stepdown_mm is 7, allowed is up to 6" in told["forming.path_options"]
-    assert "a tenth of that, 0.6" in told["forming.path_options"]
+    reported = refusal(problem(tmp_path, "spif", part, stepdown_mm=7))
+    assert list(reported) == ["forming.path_options"]
+    assert "stepdown_mm is 7, allowed is up to 6" in reported["forming.path_options"]
+    assert "a tenth of that, 0.6" in reported["forming.path_options"]
     assert registry.job(problem(tmp_path, "spif", part, stepdown_mm=0.6), 0).targets().count > 100
 
 
@@ -265,7 +266,7 @@ def test_a_ledge_that_no_step_in_height_forms_is_refused_and_scallop_forms_it(tm
     assert issue.code == "forming.path_options"
     assert issue.value is not None
     assert 30.0 < issue.value < 80.0
-    assert "state scallop_mm: 0.01 in place of stepdown_mm" in str(issue.hint)
+    assert "state scallop_mm: 0.01 instead of stepdown_mm" in str(issue.hint)
     assert registry.job(problem(tmp_path, "spif", part, scallop_mm=0.01), 0).targets().count > 300
 
 
@@ -274,8 +275,8 @@ def test_small_fillets_are_left_to_the_ball_where_the_stated_tolerance_allows_it
     """Fillets of 2 mm below walls of 40 degrees: a ball of 6 mm stays (6 - 2) (1 / cos 20 - 1) = 0.26 mm off.
     The tolerance that the refusal names is enough, and half of it is not."""
     part = small_forming.dish(fillet=2.0)
-    told = refusal(problem(tmp_path, "spif", part))
-    named = re.search(r"unreached_mm: ([0-9.]+)", told["forming.tool_radius"])
+    reported = refusal(problem(tmp_path, "spif", part))
+    named = re.search(r"unreached_mm: ([0-9.]+)", reported["forming.tool_radius"])
     assert named is not None and 0.24 < float(named[1]) < 0.30
     assert list(refusal(problem(tmp_path, "spif", part, unreached_mm=0.5 * float(named[1])))) == [
         "forming.unreached"
@@ -286,8 +287,8 @@ def test_small_fillets_are_left_to_the_ball_where_the_stated_tolerance_allows_it
 
 
 def test_a_shift_beyond_the_wall_is_refused(tmp_path: Path) -> None:
-    told = refusal(problem(tmp_path, "dpif_l", shift_deg=41))["forming.shift"]
-    assert "shift_deg is 41, allowed is 0 to 40.0" in told
+    reported = refusal(problem(tmp_path, "dpif_l", shift_deg=41))["forming.shift"]
+    assert "shift_deg is 41, allowed is 0 to 40.0" in reported
     with pytest.raises(TandemError, match="shift_deg belongs to mode dpif_l"):
         problem(tmp_path, "dsif", shift_deg=10)
 
@@ -304,7 +305,7 @@ def test_a_support_on_the_border_never_comes_over_the_part(tmp_path: Path, outli
         data["cell"]["arms"][1]["tool"] = dict(small_forming.DISK, radius_mm=8, shaft_radius_mm=6)
         radius = 8.0 * MM
     found = pipeline.load(small_forming.write(tmp_path, data, part))
-    targets, (one,) = registry.job(found, 0).targets(), made_of(found).passes
+    targets, (one,) = registry.job(found, 0).targets(), work_of(found).passes
     place = centres(targets, "right", "form/f1")
     region = shapely.Polygon(one.region[:, :2])
     inside = shapely.LineString(place[:, :2]).distance(region)
@@ -322,7 +323,7 @@ def test_tools_that_reach_into_the_clamp_are_told_before_any_arm_is_asked(tmp_pa
     with pytest.raises(TandemError) as caught:
         registry.job(found, 0).targets()
     (issue,) = caught.value.issues
-    border = np.linalg.norm(made_of(found).passes[0].region[:, :2], axis=1).max()
+    border = np.linalg.norm(work_of(found).passes[0].region[:, :2], axis=1).max()
     assert (issue.code, issue.arm, issue.field) == ("forming.clamp", "right", "sheet.opening_mm")
     # the bars are chords of the opening's circle, and the support keeps 0.3 mm outside of its border
     assert issue.value == pytest.approx(border / MM + 40.3 - 60.0 * np.cos(np.pi / CLAMP_BARS), abs=0.05)
@@ -332,15 +333,15 @@ def test_tools_that_reach_into_the_clamp_are_told_before_any_arm_is_asked(tmp_pa
 
 def test_ridges_are_as_high_as_stated(tmp_path: Path) -> None:
     found = problem(tmp_path, scallop_mm=0.05, chord_mm=0.005, path="contour")
-    targets, (one,) = registry.job(found, 0).targets(), made_of(found).passes
+    targets, (one,) = registry.job(found, 0).targets(), work_of(found).passes
     centre = centres(targets, "robot", "form/f1")
-    share = np.linspace(0.0, 1.0, 10)[:, None, None]
-    dense = ((1.0 - share) * centre[:-1] + share * centre[1:]).reshape(-1, 3)
+    fraction = np.linspace(0.0, 1.0, 10)[:, None, None]
+    dense = ((1.0 - fraction) * centre[:-1] + fraction * centre[1:]).reshape(-1, 3)
     mesh = trimesh.Trimesh(one.vertices, one.faces, process=False)
     points, face = trimesh.sample.sample_surface(mesh, 5000, seed=5)
     wall = mesh.face_normals[face][:, 2] < np.cos(15.0 * DEG)
-    off = np.linalg.norm(points[wall][:, None, :2] - dense[None, ::40, :2], axis=2).min(axis=1)
-    assert off.max() < 0.01
+    deviation = np.linalg.norm(points[wall][:, None, :2] - dense[None, ::40, :2], axis=2).min(axis=1)
+    assert deviation.max() < 0.01
     least = np.array([np.linalg.norm(dense - point, axis=1).min() for point in points[wall][:400]])
     ridge = least - 6.0 * MM
     assert np.quantile(ridge, 0.98) <= (0.05 + 0.015) * MM  # and what facets of the mesh are off
@@ -355,24 +356,25 @@ def test_both_sides_in_one_program_swap_the_tools(tmp_path: Path) -> None:
     rims = [
         shapely.Polygon(part.vertices[:96, :2] + side[:2]) for part, side in ((down, -aside), (turned, aside))
     ]
-    points, faces = triangulated(polygons(flat.difference(shapely.union_all(rims))))
+    points, faces = triangulate(polygons(flat.difference(shapely.union_all(rims))))
     rest = Mesh(np.column_stack([points, np.zeros(len(points))]), faces)
-    part = joined(
-        joined(Mesh(down.vertices - aside, down.faces), Mesh(turned.vertices + aside, turned.faces)), rest
+    part = merge_meshes(
+        merge_meshes(Mesh(down.vertices - aside, down.faces), Mesh(turned.vertices + aside, turned.faces)),
+        rest,
     )
     part = facing_up(part)
     found = problem(tmp_path, "dsif", part)
-    targets, made = registry.job(found, 0).targets(), made_of(found)
-    assert sorted(one.side for one in made.passes) == [-1, 1]
-    for one in made.passes:
+    targets, made = registry.job(found, 0).targets(), work_of(found)
+    assert sorted(forming_pass.side for forming_pass in made.passes) == [-1, 1]
+    for forming_pass in made.passes:
         (claim,) = [
             c
             for c in targets.claims
-            if isinstance(c, ToolGap) and c.segment == Segment.read(f"form/{one.name}")
+            if isinstance(c, ToolGap) and c.segment == Segment.read(f"form/{forming_pass.name}")
         ]
-        assert claim.arms == (("left", "right") if one.side > 0 else ("right", "left"))
+        assert claim.arms == (("left", "right") if forming_pass.side > 0 else ("right", "left"))
     order = next(c for c in targets.claims if isinstance(c, FormsInOrder))
-    assert order.segments == tuple(Segment("form", one.name) for one in made.passes)
+    assert order.segments == tuple(Segment("form", forming_pass.name) for forming_pass in made.passes)
     states: list[Claim] = [c for c in targets.claims if isinstance(c, SheetState)]
     assert len(states) == 2
     # one arm alone can form only one of them
@@ -387,7 +389,7 @@ def test_repeats_and_stated_passes_are_passes_of_their_own(tmp_path: Path) -> No
     ]
     one, two = (centres(twice, "robot", f"form/f1_p{k}") for k in (1, 2))
     np.testing.assert_array_equal(one[-100:], two[-100:])
-    steps = made_of(problem(tmp_path, "dsif", small_forming.dish(30, 12, 55, 8), passes=[40])).passes
+    steps = work_of(problem(tmp_path, "dsif", small_forming.dish(30, 12, 55, 8), passes=[40])).passes
     assert [one.number for one in steps] == [1, 2]
     assert steps[0].end > steps[1].end - 1e-9
 
@@ -408,12 +410,12 @@ def test_what_cannot_be_formed_is_told_with_figures_and_a_remedy(tmp_path: Path)
     assert "largest radius that fits is" in small
     assert "smaller tool" in small
     up = refusal(problem(tmp_path, "spif", upside_down(small_forming.dish())))["forming.side"]
-    assert "feature 1 goes up and needs a tool below" in up
+    assert "feature 1 goes up and needs a ball tool below" in up
     assert "name each of 1 to 1 once" in refusal(problem(tmp_path, order=[2]))["forming.order"]
     data = small_forming.problem("dsif")
     data["cell"]["arms"][1]["tool"] = dict(small_forming.DISK)
     disk = refusal(pipeline.load(small_forming.write(tmp_path, data)))["forming.tool"]
-    assert "mode dsif wants ball_tool" in disk
+    assert "mode dsif needs ball_tool" in disk
     data = small_forming.problem("spif")
     data["cell"]["arms"][0]["tool"] |= {"radius_mm": 2, "shaft_radius_mm": 15, "neck_mm": 2.1}
     thick = refusal(pipeline.load(small_forming.write(tmp_path, data)))["forming.clear"]
@@ -425,13 +427,15 @@ def test_what_a_ball_does_not_reach_is_told_or_refused_by_the_users_figure(tmp_p
     """A pit of four facets that lean by the angle a: from its tip a ball stays R (1 / cos a - 1) off."""
     sharp = pyramid(10.0)
     found = problem(tmp_path, "spif", sharp)
-    told = [one for one in registry.job(found, 0).targets().issues if one.code == "forming.unreached"]
+    reported = [
+        issue for issue in registry.job(found, 0).targets().issues if issue.code == "forming.unreached"
+    ]
     radius = found.cell.arms[0].tool.head.radius / MM
     off = float(radius * (np.hypot(1.0, 0.5) - 1.0))
-    assert len(told) == 1
-    assert told[0].severity is not Severity.ERROR
-    assert told[0].value == pytest.approx(off, abs=0.02)
-    assert "mm3" in told[0].message
+    assert len(reported) == 1
+    assert reported[0].severity is not Severity.ERROR
+    assert reported[0].value == pytest.approx(off, abs=0.02)
+    assert "mm3" in reported[0].message
     refused = refusal(problem(tmp_path, "spif", sharp, unreached_mm=0.9 * off))["forming.unreached"]
     assert "unreached_mm allows" in refused
     # each remedy that it names

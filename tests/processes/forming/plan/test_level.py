@@ -1,4 +1,4 @@
-"""One level of a pass: its path is the whole loop, from seam to seam, in all kinds of paths."""
+"""One level of a pass: its path is the whole loop, from seam to seam, for all kinds of paths."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def contact(folder: Path, number: int, **operation: Any) -> ContactPath:
     assert isinstance(job, FormingJob)
     level = job.operation.level
     assert level is not None
-    one = one_level.pass_of(job.planned, level)
-    return one_level.alone(job.planned, one, level).contact
+    one = one_level.level_pass(job.planned, level)
+    return one_level.make_level_path(job.planned, one, level).contact
 
 
 @pytest.mark.long

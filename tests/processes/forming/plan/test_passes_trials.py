@@ -1,4 +1,4 @@
-"""The table of trials, and the warnings that it gives."""
+"""The table of trials and its warnings."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from planner.catalogue.materials import sheet_metals
 from planner.geometry.units import DEG, MM
 from planner.issues import Severity
-from planner.processes.forming.plan.passes import nearest_failed, trials, warning
+from planner.processes.forming.plan.passes import nearest_failed_trial, trial_warning, trials
 
 INCH = 25.4
 
@@ -39,17 +39,19 @@ def test_the_table_is_that_of_the_thesis() -> None:
 def test_the_same_part_again_meets_its_own_trial() -> None:
     modes = {"isf": "spif", "dpif_p": "dpif_p", "dpif_l": "dpif_l"}
     for trial in trials():
-        found = nearest_failed(trial.family, trial.thickness, trial.angle, trial.depth, modes[trial.mode])
+        found = nearest_failed_trial(
+            trial.family, trial.thickness, trial.angle, trial.depth, modes[trial.mode]
+        )
         if trial.failed:
             assert found == trial
 
 
 def test_a_warning_says_what_it_is() -> None:
-    issue = warning("aluminium", 1.5 * MM, 60 * DEG, 165 * MM, "dpif_l")
+    issue = trial_warning("aluminium", 1.5 * MM, 60 * DEG, 165 * MM, "dpif_l")
     assert issue is not None
     assert issue.code == "forming.trial"
     assert issue.severity is Severity.WARNING
-    assert "one trial in one lab" in issue.message
+    assert "a single trial in one lab" in issue.message
     assert "tore at the forming tool at a depth of 165 mm" in issue.message
 
 
@@ -67,4 +69,4 @@ def test_a_warning_says_what_it_is() -> None:
 def test_parts_unlike_any_failed_trial_have_no_warning(
     family: str, thickness: float, angle: float, depth: float, mode: str
 ) -> None:
-    assert warning(family, thickness * MM, angle * DEG, depth * MM, mode) is None
+    assert trial_warning(family, thickness * MM, angle * DEG, depth * MM, mode) is None

@@ -1,4 +1,4 @@
-"""Sheet metals and the force estimate: figures with sources, the published formula, its largest value."""
+"""Sheet metals and the force estimate: sourced values, the published formula and its maximum."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from planner.catalogue.materials import sheet_metal, sheet_metals, thickness_doubt
+from planner.catalogue.materials import sheet_metal, sheet_metals, untested_thickness_warning
 from planner.geometry.units import DEG, GRAVITY, MM
 from planner.issues import Severity, TandemError
 from planner.processes.forming.plan import sheet_mechanics
@@ -52,9 +52,9 @@ def test_an_unknown_metal_names_the_known_ones() -> None:
 
 def test_a_thickness_without_tests_is_doubted() -> None:
     metal = sheet_metal("galvanised_steel")
-    assert thickness_doubt(metal, 0.5 * MM) is None
-    assert thickness_doubt(metal, 1.0 * MM) is None
-    found = thickness_doubt(metal, 3.0 * MM)
+    assert untested_thickness_warning(metal, 0.5 * MM) is None
+    assert untested_thickness_warning(metal, 1.0 * MM) is None
+    found = untested_thickness_warning(metal, 3.0 * MM)
     assert found is not None
     assert found.code == "forming.thickness_untested"
     assert found.severity is Severity.WARNING
@@ -95,18 +95,18 @@ def test_scallops_are_the_inverse_of_the_stepdown() -> None:
 def test_an_estimate_takes_the_worst_wall_and_the_strengths_range() -> None:
     metal = sheet_metal("dc04")
     walls = np.array([0.0, 20.0, 50.0, 70.0]) * DEG
-    found = sheet_mechanics.estimate(metal, 1 * MM, 10 * MM, 0.5 * MM, walls)
+    found = sheet_mechanics.estimate_force(metal, 1 * MM, 10 * MM, 0.5 * MM, walls)
     assert found.angle == pytest.approx(50 * DEG)
     assert found.low == pytest.approx(found.force * 270 / 310)
     assert found.high == pytest.approx(found.force * 350 / 310)
     assert "Aerens" in found.source
-    own = sheet_mechanics.estimate(metal, 1 * MM, 10 * MM, 0.5 * MM, walls, given=900.0)
-    assert (own.force, own.low, own.high, own.source) == (900.0, 900.0, 900.0, "the user's figure")
+    own = sheet_mechanics.estimate_force(metal, 1 * MM, 10 * MM, 0.5 * MM, walls, stated_force=900.0)
+    assert (own.force, own.low, own.high, own.source) == (900.0, 900.0, 900.0, "stated by the user")
 
 
 def test_a_force_beyond_the_payload_warns() -> None:
     metal = sheet_metal("dc04")
-    found = sheet_mechanics.estimate(metal, 1 * MM, 10 * MM, 0.5 * MM, 50 * DEG)
+    found = sheet_mechanics.estimate_force(metal, 1 * MM, 10 * MM, 0.5 * MM, 50 * DEG)
     issue = sheet_mechanics.payload_issue(found, "left", "IRB 140", payload=6.0, carried=1.0)
     assert issue is not None
     assert issue.code == "forming.force"
@@ -131,7 +131,7 @@ def test_what_is_out_of_range_is_named(
     thickness: float, diameter: float, step: float, angle: float, given: float | None
 ) -> None:
     with pytest.raises(TandemError) as caught:
-        sheet_mechanics.estimate(
+        sheet_mechanics.estimate_force(
             sheet_metal("dc04"), thickness * MM, diameter * MM, step * MM, angle * DEG, given
         )
     assert caught.value.issues[0].code == "forming.force_input"

@@ -1,4 +1,4 @@
-"""Forming in stages, around holes: what an operation finds, and what it is refused for."""
+"""Forming in stages and around holes: the initial sheet state of each operation, and refused operations."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 from planner import pipeline
-from planner.cell.clearance import overlaps
-from planner.cell.plant import build
+from planner.cell.clearance import find_overlaps
+from planner.cell.plant import build_cell_model
 from planner.issues import Issue, TandemError
-from planner.problem import Hole, Problem, Stock
+from planner.problem import Problem, SheetHole, Stock
 from planner.processes import registry
 from planner.processes.forming.plan.job import FormingJob
-from planner.processes.forming.plan.process_plan import lay_all
-from planner.processes.forming.plan.stages import formed_sheet, hole_issues, shown
-from planner.processes.forming.proof.rules.part import forming_part
-from planner.processes.forming.proof.state import FORMING, Forming
+from planner.processes.forming.plan.process_plan import make_tool_paths
+from planner.processes.forming.plan.stages import formed_sheet, hole_issues, sheet_exhibit
+from planner.processes.forming.proof.forming_facts import FORMING, FormingFacts
+from planner.processes.forming.proof.rules.part import check_forming_part
 from planner.processes.trim.plan.job import TrimJob
 from planner.proof.context import Context
 from tests.processes.forming.plan.staged import BALL, DEPTHS, HOLE, SUMP_RADIUS, part, problem
@@ -34,7 +34,7 @@ ACROSS = 1.0 / np.cos(np.deg2rad(15.0))
 def refused(folder: Path, index: int, **changes: Any) -> list[Issue]:
     with pytest.raises(TandemError) as error:
         registry.job(problem(folder, **changes), index).targets()
-    return [one for one in error.value.issues if one.severity.name == "ERROR"]
+    return [issue for issue in error.value.issues if issue.severity.name == "ERROR"]
 
 
 def hole(x: float, diameter: float = 5.0, **more: Any) -> dict[str, Any]:
@@ -46,12 +46,12 @@ def test_a_stage_leaves_the_sheet_with_its_features_alone(tmp_path: Path) -> Non
     first, second = (registry.job(read, k) for k in (0, 2))
     assert isinstance(first, FormingJob) and isinstance(second, FormingJob)
     made, then = first.planned, second.planned
-    assert [one.name for one in made.passes] == ["f1"] and made.before == ()
-    assert [one.name for one in then.passes] == ["f2"] and then.before == (1,)
+    assert [forming_pass.name for forming_pass in made.passes] == ["f1"] and made.previous_features == ()
+    assert [forming_pass.name for forming_pass in then.passes] == ["f2"] and then.previous_features == (1,)
     # the sump is the only thing below the dish's floor, so without it the sheet is the part cut off there
-    wanted = np.maximum(part().vertices[:, 2], -DEPTHS[0] * 1e-3)
-    assert np.allclose(np.sort(made.left.vertices[:, 2]), np.sort(wanted), atol=1e-6)
-    assert np.array_equal(then.left.vertices, then.mesh.vertices)
+    expected = np.maximum(part().vertices[:, 2], -DEPTHS[0] * 1e-3)
+    assert np.allclose(np.sort(made.formed_mesh.vertices[:, 2]), np.sort(expected), atol=1e-6)
+    assert np.array_equal(then.formed_mesh.vertices, then.mesh.vertices)
     flat = formed_sheet(made.mesh, made.tree, ())
     assert np.allclose(flat.vertices[:, 2], 0.0, atol=1e-9)
 
@@ -80,10 +80,10 @@ def test_a_torch_before_all_forming_finds_a_flat_sheet(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("first", "second", "words"),
     [
-        ({"features": [1, 2]}, {"features": [2]}, "sump: feature 2 is formed by dish already"),
-        ({"features": None}, {"features": [2]}, "sump: feature 2 is formed by dish already"),
-        ({"features": [1]}, {"features": [3, 2]}, "sump: feature 3 is not there; the part has 1 to 2"),
-        ({"features": [1]}, {"features": [5]}, "sump: feature 5 is not there; the part has 1 to 2"),
+        ({"features": [1, 2]}, {"features": [2]}, "sump: feature 2 is already formed by dish"),
+        ({"features": None}, {"features": [2]}, "sump: feature 2 is already formed by dish"),
+        ({"features": [1]}, {"features": [3, 2]}, "sump: feature 3 is not in the part, which has 1 to 2"),
+        ({"features": [1]}, {"features": [5]}, "sump: feature 5 is not in the part, which has 1 to 2"),
     ],
 )
 def test_features_that_do_not_add_up_to_the_part_are_refused(
@@ -117,15 +117,17 @@ def test_an_order_with_a_feature_of_another_operation_says_so(tmp_path: Path) ->
 def test_what_stands_on_a_feature_is_not_formed_in_place_before_it(tmp_path: Path) -> None:
     (issue,) = refused(tmp_path, 0, first={"features": [2]}, second={"features": [1]})
     assert issue.code == "forming.order"
-    assert "feature 2 comes before feature 1" in issue.message
+    assert "feature 2 comes before its parent, feature 1" in issue.message
 
 
 def test_the_part_may_be_formed_from_the_inside_out_over_two_stages(tmp_path: Path) -> None:
     changes = {"first": {"features": [2], "strategy": "virgin"}, "second": {"features": [1]}}
     first = registry.job(problem(tmp_path, **changes), 0)
     assert isinstance(first, FormingJob)
-    (one,) = first.planned.passes
-    assert one.start == pytest.approx(0.001, abs=1e-6)  # on the flat sheet of 1 mm, not on the dish's floor
+    (forming_pass,) = first.planned.passes
+    assert forming_pass.start == pytest.approx(
+        0.001, abs=1e-6
+    )  # on the flat sheet of 1 mm, not on the dish's floor
     # what was cut in what sinks then would be moved
     (issue,) = refused(tmp_path, 2, **changes)
     assert issue.code == "forming.holes"
@@ -154,7 +156,9 @@ def test_bodies_keep_clear_of_what_stands_out_before_the_part_is_finished(tmp_pa
     found = on_a_virgin_sheet(tmp_path, False, obstacles=[{"name": "bar", "shapes": [shape]}])
     setup = found.setups[0]
     (pair,) = [
-        one for one in overlaps(build(setup.cell, setup.stock, np.eye(4))) if set(one[:2]) == {"bar", "stock"}
+        one
+        for one in find_overlaps(build_cell_model(setup.cell, setup.stock, np.eye(4)))
+        if set(one[:2]) == {"bar", "stock"}
     ]
     assert pair[2] == pytest.approx(0.002, abs=2e-4)  # dome of 5 mm and sheet of 1 mm, less 4 mm
     assert registry.job(found, 0).targets().arms == ("left", "right")
@@ -163,29 +167,29 @@ def test_bodies_keep_clear_of_what_stands_out_before_the_part_is_finished(tmp_pa
 @pytest.mark.parametrize("stages", [False, True])
 def test_the_proof_finds_states_that_bodies_do_not_keep_clear_of(tmp_path: Path, stages: bool) -> None:
     found = on_a_virgin_sheet(tmp_path, stages)
-    assert not stands_out(found)
+    assert not part_messages(found)
     sheet = found.stock.sheet
     assert sheet is not None
     finished = dataclasses.replace(sheet, formed=sheet.formed[:1])
-    (message,) = stands_out(
+    (message,) = part_messages(
         dataclasses.replace(found, stock=dataclasses.replace(found.stock, sheet=finished))
     )
-    assert message.startswith("once form/f2 is formed the sheet stands out of the solids")
+    assert message.startswith("once form/f2 is formed the sheet protrudes from the solids")
 
 
-def stands_out(found: Problem) -> list[str]:
+def part_messages(loaded: Problem) -> list[str]:
     """What the proof says, of claims alone, of the part that is formed."""
-    forming = Forming.__new__(Forming)  # of a text there is no need
-    forming.context = Context(found, registry.claims(found), {})
+    forming = FormingFacts.__new__(FormingFacts)  # of a text there is no need
+    forming.context = Context(loaded, registry.claims(loaded), {})
     forming.context.put(FORMING, forming)
-    return [issue.message for issue in forming_part(forming.context).issues]
+    return [issue.message for issue in check_forming_part(forming.context).issues]
 
 
 @pytest.mark.parametrize(
     ("x", "diameter", "got", "words"),
     [
         # off the sump's edge by x less both radii, and what a torch leans through the sheet
-        (22.0, 5.0, 22.0 - 2.5 - SUMP_RADIUS - ACROSS, "mm off what f2 forms"),
+        (22.0, 5.0, 22.0 - 2.5 - SUMP_RADIUS - ACROSS, "mm away from what f2 forms"),
         (10.0, 5.0, 0.0, "lies in what f2 forms"),
         (0.0, 40.0, 0.0, "lies in what f2 forms"),
     ],
@@ -205,12 +209,12 @@ def test_tools_keep_off_holes_with_their_own_radius(tmp_path: Path) -> None:
     job = registry.job(problem(tmp_path, hole=hole(28.0)), 2)
     assert isinstance(job, FormingJob)
     holes = job.planned.sheet.holes
-    ((one, path),) = lay_all(job.planned)
+    ((one, path),) = make_tool_paths(job.planned)
     assert not list(hole_issues(holes, 0.005, [(one, path)], [(0.006, 0.0)]))
-    aside = dataclasses.replace(path, former=path.former + np.array([0.006, 0.0, 0.0]))
+    aside = dataclasses.replace(path, forming_centre=path.forming_centre + np.array([0.006, 0.0, 0.0]))
     (issue,) = hole_issues(holes, 0.005, [(one, aside)], [(0.006, 0.0)])
     assert issue.value is not None
-    way = 1e3 * float(aside.former[:, 0].max())
+    way = 1e3 * float(aside.forming_centre[:, 0].max())
     assert issue.value == pytest.approx(28.0 - 2.5 - way - 6.0 - ACROSS, abs=0.05)
     assert "in f2 a tool comes within" in issue.message
     (late,) = hole_issues(holes, 0.005, [(one, aside)], [(0.006, 0.0)], slack=0.0003)
@@ -219,15 +223,15 @@ def test_tools_keep_off_holes_with_their_own_radius(tmp_path: Path) -> None:
 
 def test_a_smaller_margin_and_a_hole_farther_away_help(tmp_path: Path) -> None:
     assert registry.job(problem(tmp_path, hole=hole(22.0), second={"hole_margin_mm": 2.8}), 2).targets().count
-    told = registry.job(problem(tmp_path), 2).targets().issues
-    (note,) = [one for one in told if one.code == "forming.springback"]
-    assert "not foretold" in note.message
+    reported = registry.job(problem(tmp_path), 2).targets().issues
+    (note,) = [one for one in reported if one.code == "forming.springback"]
+    assert "not predicted" in note.message
 
 
 def test_a_sheet_that_was_cut_off_its_clamp_is_not_formed(tmp_path: Path) -> None:
     (issue,) = refused(tmp_path, 2, hole=hole(0.0, 100.0, drops="outside"))
     assert issue.code == "forming.holes"
-    assert "its clamp holds nothing" in issue.message
+    assert "so the clamp holds nothing" in issue.message
 
 
 @pytest.mark.parametrize("kind", ["male", "female"])
@@ -245,7 +249,7 @@ def test_a_sheet_that_was_cut_is_not_formed_over_a_die(tmp_path: Path, kind: str
         registry.job(pipeline.load(write(tmp_path, whole, mesh)), 1).targets()
     (issue,) = [one for one in error.value.issues if one.code == "forming.holes"]
     assert issue.message == "the sheet was cut along hole before; in tpif all of it moves against the die"
-    assert issue.hint == "form it before it is cut, or take another mode"
+    assert issue.hint == "form it before it is cut, or use another mode"
 
 
 def two(folder: Path, first: dict[str, Any], second: dict[str, Any]) -> Problem:
@@ -267,9 +271,9 @@ def test_levels_of_a_pass_may_be_operations_of_one_problem(tmp_path: Path) -> No
 def test_a_sheet_that_is_clamped_anew_does_not_stay_clamped(tmp_path: Path) -> None:
     for change, stays in (({}, True), ({"place": {"xyz_mm": [700, 0, 500]}}, False)):
         whole = two(tmp_path, {"features": [1]}, {"features": [1], "setup": {"note": "as told", **change}})
-        sheet = whole.found_by(0).stock.sheet
+        sheet = whole.setup_on_arrival(0).stock.sheet
         assert sheet is not None and sheet.stages is not None
-        assert sheet.stages.stays is stays
+        assert sheet.stages.stays_clamped is stays
 
 
 def test_an_operation_of_another_process_is_no_stage(tmp_path: Path) -> None:
@@ -297,7 +301,7 @@ def test_what_is_shown_has_its_holes(inside: bool) -> None:
     mesh = part()
     turn = np.linspace(0.0, 2.0 * np.pi, 200, endpoint=False)
     ring = 0.01 * np.stack([np.cos(turn), np.sin(turn)], axis=1) + [0.02, 0.0]
-    (one,) = shown(mesh, [Hole("hole", ring, inside)], "cut").values()
+    (one,) = sheet_exhibit(mesh, [SheetHole("hole", ring, inside)], "cut").values()
     whole, left = (
         0.5 * float(np.abs(np.linalg.det(np.diff(v[f][:, :, :2], axis=1))).sum())
         for v, f in ((mesh.vertices, mesh.faces), (one["vertices"], one["faces"]))
@@ -310,19 +314,19 @@ def test_what_is_shown_has_its_holes(inside: bool) -> None:
 def test_a_hole_beyond_the_mesh_of_the_part_leaves_what_is_shown(inside: bool) -> None:
     mesh = part()
     ring = 0.01 * np.array([[10.0, 0.0], [11.0, 0.0], [10.0, 1.0]])
-    found = shown(mesh, [Hole("hole", ring, inside)], "cut")
+    found = sheet_exhibit(mesh, [SheetHole("hole", ring, inside)], "cut")
     assert [len(one["faces"]) for one in found.values()] == ([len(mesh.faces)] if inside else [])
 
 
 @pytest.mark.parametrize(
     ("fields", "words"),
     [
-        ({"features": [2, 2]}, "each number from 1 on is named once"),
-        ({"features": [0]}, "each number from 1 on is named once"),
-        ({"features": []}, "has 0 entries, at least 1 must be there"),
-        ({"springback": {"file": "back.json"}}, "neither level nor springback is known"),
+        ({"features": [2, 2]}, "numbers start at 1; name each once"),
+        ({"features": [0]}, "numbers start at 1; name each once"),
+        ({"features": []}, "has 0 entries, at least 1 required"),
+        ({"springback": {"file": "back.json"}}, "level and springback are not supported"),
         ({"hole_margin_mm": 0}, "hole_margin_mm"),
-        ({"features": 2}, "operations.2.features: a list is wanted, got 2; put it in brackets: [..]"),
+        ({"features": 2}, "operations.2.features: expected a list, got 2; put it in brackets: [..]"),
     ],
 )
 def test_what_cannot_be_a_stage_is_refused_by_its_field(
@@ -346,4 +350,4 @@ def test_operations_of_one_setup_find_what_was_cut_in_it(tmp_path: Path) -> None
     read = pipeline.load(write(tmp_path, whole, part()))
     assert len(read.setups) == 1
     found = registry.job(read, 1).setup.stock.sheet
-    assert found is not None and [one.name for one in found.holes] == ["hole"]
+    assert found is not None and [hole.name for hole in found.holes] == ["hole"]

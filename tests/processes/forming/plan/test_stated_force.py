@@ -1,4 +1,4 @@
-"""Forces that an operation states: by depth, level and place, less a support's; planner and proof alike."""
+"""Stated forces by depth, level and place, less the support force. Planner and proof agree."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from planner.processes import registry
 from planner.processes.forming.claims import FormsSheet
 from planner.processes.forming.plan.check import check
 from planner.processes.forming.plan.job import FormingJob
-from planner.processes.forming.plan.process_plan import lay_all
+from planner.processes.forming.plan.process_plan import make_tool_paths
 from planner.processes.forming.proof import stated_force
 from tests import small_forming
 from tests.processes.forming.plan import shapes
@@ -54,27 +54,27 @@ def refused(folder: Path, mode: str = "spif", text: str = "", **op: Any) -> list
     return list(error.value.issues)
 
 
-def at(made: FormingJob, *places: tuple[float, float, float]) -> list[float]:
+def forces_at(job: FormingJob, *points_mm: tuple[float, float, float]) -> list[float]:
     """Forces [N] at places [mm], as planner and proof have them, which are the same."""
-    points = MM * np.array(places, dtype=float)
-    work = made.planned
-    assert work.stated is not None
-    found = work.stated.at(work.passes[0].name, points)
-    np.testing.assert_allclose(_proof(made, work.passes[0].name).at(points), found, rtol=1e-9)
+    points = MM * np.array(points_mm, dtype=float)
+    work = job.planned
+    assert work.stated_forces is not None
+    found = work.stated_forces.force_at(work.passes[0].name, points)
+    np.testing.assert_allclose(_force_of_proof(job, work.passes[0].name).force_at(points), found, rtol=1e-9)
     return [round(float(n), 3) for n in found]
 
 
-def _proof(made: FormingJob, name: str) -> stated_force.StatedForce:
-    claim = next(c for c in made.claims() if isinstance(c, FormsSheet) and c.segment.name == name)
-    found = stated_force.stated(made.operation, claim)
+def _force_of_proof(job: FormingJob, name: str) -> stated_force.StatedPassForce:
+    claim = next(c for c in job.claims() if isinstance(c, FormsSheet) and c.segment.name == name)
+    found = stated_force.stated_pass_force(job.operation, claim)
     assert found is not None
     return found
 
 
 def test_a_table_goes_evenly_between_its_rows_and_on_beyond_them(tmp_path: Path) -> None:
     for table in (TABLE, TABLE[::-1]):
-        made = load(tmp_path, force_by={"table": table})
-        assert at(made, (20, 0, 5), (20, 0, 0), (0, 9, -1), (0, 0, -3.5), (0, 0, -9)) == [
+        job = load(tmp_path, force_by={"table": table})
+        assert forces_at(job, (20, 0, 5), (20, 0, 0), (0, 9, -1), (0, 0, -3.5), (0, 0, -9)) == [
             200.0,
             350.0,
             500.0,
@@ -84,15 +84,15 @@ def test_a_table_goes_evenly_between_its_rows_and_on_beyond_them(tmp_path: Path)
 
 
 def test_what_the_support_presses_is_taken_off(tmp_path: Path) -> None:
-    made = load(tmp_path, "dsif", force_by={"table": TABLE}, support_force_n=150)
-    assert at(made, (0, 0, 1), (0, 0, -6)) == [50.0, 550.0]
-    assert at(load(tmp_path, "dpif_l", force_n=400, support_force_n=150), (0, 0, -3)) == [250.0]
-    assert at(load(tmp_path, "dsif", force_n=400, support_force_n=0), (0, 0, -3)) == [400.0]
+    job = load(tmp_path, "dsif", force_by={"table": TABLE}, support_force_n=150)
+    assert forces_at(job, (0, 0, 1), (0, 0, -6)) == [50.0, 550.0]
+    assert forces_at(load(tmp_path, "dpif_l", force_n=400, support_force_n=150), (0, 0, -3)) == [250.0]
+    assert forces_at(load(tmp_path, "dsif", force_n=400, support_force_n=0), (0, 0, -3)) == [400.0]
 
 
 def test_each_arm_is_held_against_what_it_presses_itself(tmp_path: Path) -> None:
-    made = load(tmp_path, "dsif", force_n=3000, support_force_n=2000)
-    issues = [one for one in check(made.planned, made.setup, lay_all(made.planned)) if one.arm]
+    job = load(tmp_path, "dsif", force_n=3000, support_force_n=2000)
+    issues = [one for one in check(job.planned, job.setup, make_tool_paths(job.planned)) if one.arm]
     assert {one.arm: one.value for one in issues if one.code == "forming.force"} == {
         "arm left": 3000.0,
         "arm right": 2000.0,
@@ -105,20 +105,20 @@ def test_each_arm_is_held_against_what_it_presses_itself(tmp_path: Path) -> None
 def test_a_level_counts_for_the_middle_of_a_spiral_and_the_end_of_others(
     tmp_path: Path, path: str, depths: tuple[float, ...]
 ) -> None:
-    made = load(tmp_path, text=by_level(len(depths)), path=path)
+    job = load(tmp_path, text=by_level(len(depths)), path=path)
     places = [(20.0, 0.0, 1.0 - depth) for depth in depths]
-    assert at(made, *places) == [375.0 + 75.0 * k for k in range(len(depths))]
-    assert at(made, (20.0, 0.0, 1.0)) == [375.0]
+    assert forces_at(job, *places) == [375.0 + 75.0 * k for k in range(len(depths))]
+    assert forces_at(job, (20.0, 0.0, 1.0)) == [375.0]
 
 
 def test_around_a_level_it_is_by_place(tmp_path: Path) -> None:
-    made = load(tmp_path, text=by_level(4, 8))
-    assert at(made, (28, 0, 0), (40, 0, 0), (-28, 0, 0), (0, 28, 0)) == [375.0, 375.0, 225.0, 300.0]
+    job = load(tmp_path, text=by_level(4, 8))
+    assert forces_at(job, (28, 0, 0), (40, 0, 0), (-28, 0, 0), (0, 28, 0)) == [375.0, 375.0, 225.0, 300.0]
     middle = 28.0 * np.cos(np.pi / 8) * np.array([np.cos(np.pi / 8), np.sin(np.pi / 8)])
-    (force,) = at(made, (float(middle[0]), float(middle[1]), 0.0))
+    (force,) = forces_at(job, (float(middle[0]), float(middle[1]), 0.0))
     assert force == pytest.approx(300.0 * (1.0 + 0.125 * (1.0 + np.sqrt(0.5))), rel=2e-4)
     random = np.random.default_rng(5).uniform([-30, -30, -7], [30, 30, 2], (400, 3))
-    at(made, *map(tuple, random))  # both alike
+    forces_at(job, *map(tuple, random))  # both alike
 
 
 def test_of_several_passes_each_has_rows_of_its_own(tmp_path: Path) -> None:
@@ -134,12 +134,12 @@ def test_of_several_passes_each_has_rows_of_its_own(tmp_path: Path) -> None:
     names = ("f1_p1", "f1_p2")
     first, second = (by_level(6, name=name) for name in names)
     made = of(first + second.partition("\n")[2].replace(".0\n", "9.0\n"))
-    assert made.planned.stated is not None
+    assert made.planned.stated_forces is not None
     points = np.array([[0.02, 0.0, -0.004], [0.0, 0.02, -0.009]])
-    one, other = (made.planned.stated.at(name, points) for name in names)
+    one, other = (made.planned.stated_forces.force_at(name, points) for name in names)
     assert (one + 5.0 < other).all()
     for name, found in zip(names, (one, other), strict=True):
-        np.testing.assert_allclose(_proof(made, name).at(points), found)
+        np.testing.assert_allclose(_force_of_proof(made, name).force_at(points), found)
     with pytest.raises(TandemError, match="got 0 levels, it has"):
         _ = of(first).planned
     with pytest.raises(TandemError, match="got no column 'pass'"):
@@ -147,33 +147,33 @@ def test_of_several_passes_each_has_rows_of_its_own(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("mode", "op", "said"),
+    ("mode", "op", "message"),
     [
         ("spif", {"force_by": {"table": [[1, 200], [-6, -5]]}}, "than or equal to 0, got -5"),
-        ("spif", {"force_by": {"table": [[1, 200], [-6, 700], [-3, 500]]}}, "row 3 is at z -3 mm; rows have"),
+        ("spif", {"force_by": {"table": [[1, 200], [-6, 700], [-3, 500]]}}, "row 3 is at z -3 mm; z must"),
         ("spif", {"force_by": {"table": [[1, 200], [1, 700]]}}, "row 2 is at z 1 mm"),
         ("spif", {"force_by": {"table": [[1, 0], [-6, 0]]}}, "all forces are 0"),
         ("spif", {"force_by": {"table": [[1, 200]]}}, "2"),
-        ("spif", {"force_by": {}}, "one of them"),
-        ("spif", {"force_by": {"table": TABLE, "file": "forces.csv"}}, "one of them"),
+        ("spif", {"force_by": {}}, "either a table"),
+        ("spif", {"force_by": {"table": TABLE, "file": "forces.csv"}}, "either a table"),
         ("spif", {"force_by": {"table": TABLE}, "force_n": 400}, "either force_n or force_by"),
         ("spif", {"force_by": {"file": "f.csv"}, "scallop_mm": 0.01}, "levels are counted by stepdown_mm"),
         ("adsif", {"force_by": {"table": TABLE}}, "force_by belongs to the modes"),
         ("spif", {"force_n": 400, "support_force_n": 100}, "in spif no second tool presses"),
         ("dpif_p", {"force_n": 400, "support_force_n": 100}, "belongs to the modes dpif_l and dsif"),
         ("dsif", {"support_force_n": 100}, "the formula has no support"),
-        ("dsif", {"force_n": 400, "support_force_n": 400}, "more than the former's 400 N leave"),
-        ("dsif", {"force_by": {"table": TABLE}, "support_force_n": 300}, "former's 200 N leave"),
-        ("dsif", {"force_by": {"file": "f.csv"}, "support_force_n": 300}, "of both tools together"),
+        ("dsif", {"force_n": 400, "support_force_n": 400}, "exceeds the forming tool's 400 N"),
+        ("dsif", {"force_by": {"table": TABLE}, "support_force_n": 300}, "forming tool's 200 N"),
+        ("dsif", {"force_by": {"file": "f.csv"}, "support_force_n": 300}, "the force of both tools"),
         ("dsif", {"force_n": 400, "support_force_n": -1}, "than or equal to 0, got -1"),
     ],
 )
 def test_what_cannot_be_stated_is_refused_by_its_field(
-    tmp_path: Path, mode: str, op: dict[str, Any], said: str
+    tmp_path: Path, mode: str, op: dict[str, Any], message: str
 ) -> None:
     issues = refused(tmp_path, mode, **op)
     assert {issue.code for issue in issues} == {"problem.field"}
-    assert any(said in issue.message for issue in issues), issues
+    assert any(message in issue.message for issue in issues), issues
 
 
 def test_a_force_that_is_no_number_is_refused(tmp_path: Path) -> None:
@@ -182,7 +182,7 @@ def test_a_force_that_is_no_number_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("table", "said"),
+    ("table", "message"),
     [
         ([[1, 200], [-3, 700]], "the table goes from z -3 to 1 mm, the passes from -5.00 to 1.00 mm"),
         ([[-2, 200], [-6, 700]], "the table goes from z -6 to -2 mm"),
@@ -190,19 +190,19 @@ def test_a_force_that_is_no_number_is_refused(tmp_path: Path) -> None:
         ([[1, 200], [-6, 90_000]], "largest force is 90000 N, about"),
     ],
 )
-def test_a_table_of_another_part_or_unit_is_refused(tmp_path: Path, table: list[Any], said: str) -> None:
+def test_a_table_of_another_part_or_unit_is_refused(tmp_path: Path, table: list[Any], message: str) -> None:
     (issue,) = refused(tmp_path, force_by={"table": table})
     assert issue.code == "forming.force_input"
-    assert said in issue.message
+    assert message in issue.message
     assert issue.hint
-    assert load(tmp_path, force_by={"table": TABLE}).planned.stated
+    assert load(tmp_path, force_by={"table": TABLE}).planned.stated_forces
 
 
 GOOD, PLACED = by_level(4), by_level(4, 8)
 
 
 @pytest.mark.parametrize(
-    ("text", "field", "said"),
+    ("text", "field", "message"),
     [
         (by_level(2), "level", "got 2 levels, it has 3"),
         (by_level(5), "level", "'4', allowed 0 to 3"),
@@ -213,7 +213,7 @@ GOOD, PLACED = by_level(4), by_level(4, 8)
         ("level,force_n\n0,0.4\n1,0.5\n2,0.6\n", "force_n", "the largest force is 0.6 N"),
         (GOOD.replace("force_n", "force_kn"), "force_n", "got no column 'force_n'"),
         ("level,force_n\n", "level", "got 0 levels, it has 3"),
-        (PLACED.replace("x_mm,y_mm", "x_in,y_in"), "x_in", "none of a file of forces"),
+        (PLACED.replace("x_mm,y_mm", "x_in,y_in"), "x_in", "which is unknown"),
         (
             "\n".join(row.rsplit(",", 2)[0] for row in PLACED.splitlines()),
             "x_mm",
@@ -222,10 +222,10 @@ GOOD, PLACED = by_level(4), by_level(4, 8)
         (PLACED.replace("2,3,", "2,9,"), "level", "got 8 of its 10 points"),
     ],
 )
-def test_a_wrong_row_of_measured_forces_is_named(tmp_path: Path, text: str, field: str, said: str) -> None:
+def test_a_wrong_row_of_measured_forces_is_named(tmp_path: Path, text: str, field: str, message: str) -> None:
     issues = refused(tmp_path, text=text)
     assert {issue.code for issue in issues} == {"forming.loop_forces"}
-    assert any(issue.field == field and said in issue.message for issue in issues), issues
+    assert any(issue.field == field and message in issue.message for issue in issues), issues
     assert all(issue.hint for issue in issues)
 
 

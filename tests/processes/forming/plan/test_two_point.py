@@ -1,4 +1,4 @@
-"""Dies of two point forming against the part."""
+"""Dies of two-point forming against the part."""
 
 from __future__ import annotations
 
@@ -8,33 +8,33 @@ import pytest
 from planner.catalogue.materials import sheet_metal
 from planner.geometry.mesh import TriangleMesh
 from planner.issues import Severity
-from planner.processes.forming.plan.contact import Pass
-from planner.processes.forming.plan.passes import passes
+from planner.processes.forming.plan.contact import FormingPass
+from planner.processes.forming.plan.passes import make_passes
 from planner.processes.forming.plan.two_point import die_issues
 from tests.processes.forming.plan.shapes import T0, cone, operation, tree_of, upside_down
 
 TOLERANCE = 5e-5
 
 
-def made(kind: str, full: bool = True) -> tuple[list[Pass], TriangleMesh, object]:
+def plan_two_point(kind: str, full: bool = True) -> tuple[list[FormingPass], TriangleMesh, object]:
     part = cone(45.0, 0.02, 0.05, 200)
     part = part if kind == "female" else upside_down(part)
     op = operation("tpif", die={"file": "die.stl", "unit": "mm", "kind": kind, "full": full})
     tree, order = tree_of(part)
-    found = passes(tree, order, part, T0, op, sheet_metal("aluminium"))
+    found = make_passes(tree, order, part, T0, op, sheet_metal("aluminium"))
     return list(found), TriangleMesh(part.vertices, part.faces), op.die
 
 
 @pytest.mark.parametrize("kind", ["male", "female"])
 def test_a_die_of_the_parts_own_face_fits(kind: str) -> None:
-    found, mesh, die = made(kind)
+    found, mesh, die = plan_two_point(kind)
     assert [one.side for one in found] == [1]  # the tool is above, either way
     assert die_issues(found, die, mesh, T0, TOLERANCE) == ()  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("kind", ["male", "female"])
 def test_a_die_that_stands_in_the_part_is_refused_with_how_deep(kind: str) -> None:
-    found, mesh, die = made(kind)
+    found, mesh, die = plan_two_point(kind)
     raised = TriangleMesh(mesh.vertices + np.array([0.0, 0.0, 0.6e-3]), mesh.faces)
     issues = die_issues(found, die, raised, T0, TOLERANCE)  # type: ignore[arg-type]
     assert [issue.code for issue in issues] == ["forming.die_gouge"]
@@ -44,7 +44,7 @@ def test_a_die_that_stands_in_the_part_is_refused_with_how_deep(kind: str) -> No
 
 def test_only_a_full_die_must_be_at_the_walls() -> None:
     for full in (True, False):
-        found, mesh, die = made("female", full)
+        found, mesh, die = plan_two_point("female", full)
         lowered = TriangleMesh(mesh.vertices - np.array([0.0, 0.0, 2e-3]), mesh.faces)
         issues = die_issues(found, die, lowered, T0, TOLERANCE)  # type: ignore[arg-type]
         assert [issue.code for issue in issues] == (["forming.die_far"] if full else [])

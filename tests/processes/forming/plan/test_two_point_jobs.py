@@ -1,5 +1,7 @@
-"""Forming over a die: the die and its holder as bodies and as a signal, from the problem to proven programs,
-and faults of the signal that the proof finds."""
+"""Forming over a die: the die and its holder as bodies and as a signal, from the problem to proven programs.
+
+The proof finds faults of the signal.
+"""
 
 from __future__ import annotations
 
@@ -21,14 +23,14 @@ from planner.processes import registry
 from planner.processes.forming.plan import job as forming
 from planner.processes.forming.plan import two_point
 from planner.processes.forming.plan.operation import Die, Forming, die_mesh, with_die
-from planner.processes.forming.plan.process_plan import Work, lay, work
-from planner.processes.forming.plan.sheet_state import states
+from planner.processes.forming.plan.process_plan import FormingWork, make_tool_path, prepare_work
+from planner.processes.forming.plan.sheet_state import sheet_states
 from planner.proof.prove import Prover
 from planner.proof.verdict import Proof
 from tests import line_ends
 from tests.proof.provers import broken
 
-HERE = Path(pipeline.__file__).resolve().parents[1] / "problems" / "dome_tpif"
+PROBLEM_FOLDER = Path(pipeline.__file__).resolve().parents[1] / "problems" / "dome_tpif"
 MAIN = "T_ROB1/TandemMain_1.mod"
 PULSE = ["    SetDO doBlankHolder,1;", "    WaitTime 0.1;", "    SetDO doBlankHolder,0;", "    WaitTime 0.1;"]
 RISE, SHEET = 25e-3, 0.8e-3
@@ -44,21 +46,21 @@ def operation(problem: Problem, die: dict[str, Any] | None = None, **more: Any) 
 @functools.cache
 def coarse() -> Problem:
     """The bundled problem with large steps."""
-    problem = pipeline.load(HERE / "problem.yaml")
+    problem = pipeline.load(PROBLEM_FOLDER / "problem.yaml")
     one = operation(problem, {"step_mm": 5.0}, stepdown_mm=2.5, tangent_deg=12.0)
     return dataclasses.replace(problem, operations=(one,))
 
 
-def made(one: Forming) -> Work:
+def work_of(forming_operation: Forming) -> FormingWork:
     problem = coarse()
-    return work(one, problem.setups[0], problem.part)
+    return prepare_work(forming_operation, problem.setups[0], problem.part)
 
 
 @functools.cache
 def programs() -> dict[str, str]:
     problem = coarse()
     targets = [registry.job(problem, 0).targets()]
-    return line_ends.bare(write.programs(solve.solve(problem, targets, lambda *_: None), problem))
+    return line_ends.bare(write.program_files(solve.solve(problem, targets, lambda *_: None), problem))
 
 
 @functools.cache
@@ -162,8 +164,8 @@ def test_the_clamp_keeps_within_a_step_of_the_tip(path: str, by: float) -> None:
     clamp = start
     pulses: dict[int, int] = {}
     for action in targets.actions:
-        assert action.kind != "on" or targets.stop[action.at]
-        pulses[action.at] = pulses.get(action.at, 0) + (action.kind == "on")
+        assert action.kind != "on" or targets.stop[action.target]
+        pulses[action.target] = pulses.get(action.target, 0) + (action.kind == "on")
     low = start
     for k in np.flatnonzero(form | np.roll(form, -1)):
         low = min(low, float(tip[k]))
@@ -185,8 +187,8 @@ def test_steps_that_are_too_small_for_the_tools_moves_are_refused() -> None:
 
 
 def test_a_depth_of_no_whole_steps_is_told() -> None:
-    there = made(operation(coarse(), {"step_mm": 4.0}))
-    paths = [(one, lay(there, one)) for one in there.passes]
+    there = work_of(operation(coarse(), {"step_mm": 4.0}))
+    paths = [(forming_pass, make_tool_path(there, forming_pass)) for forming_pass in there.passes]
     (issue,) = two_point.step_issues(there, paths)
     assert issue.code == "forming.holder_step" and issue.severity.value == "warning"
     assert "1.00 mm higher" in issue.message
@@ -195,13 +197,13 @@ def test_a_depth_of_no_whole_steps_is_told() -> None:
 @pytest.mark.parametrize(("kind", "how"), [("male", "fixed"), ("female", "sinking")])
 def test_dies_and_holders_that_do_not_go_together(kind: str, how: str) -> None:
     there = dataclasses.replace(
-        made(coarse_operation()), operation=operation(coarse(), {"kind": kind, "holder": how})
+        work_of(coarse_operation()), operation=operation(coarse(), {"kind": kind, "holder": how})
     )
     assert [issue.code for issue in two_point.holder_issues(there)] == ["forming.holder"]
 
 
 def test_one_feature_over_a_die_that_sinks() -> None:
-    there = made(coarse_operation())
+    there = work_of(coarse_operation())
     two = dataclasses.replace(there.passes[0], feature=2, name="f2")
     there = dataclasses.replace(there, passes=(*there.passes, two))
     assert [issue.code for issue in two_point.holder_issues(there)] == ["forming.holder"]
@@ -214,7 +216,7 @@ def coarse_operation() -> Forming:
 
 
 def test_a_holder_needs_a_step_where_ridges_set_the_tools() -> None:
-    data = yaml.safe_load((HERE / "problem.yaml").read_text())["operations"][0]
+    data = yaml.safe_load((PROBLEM_FOLDER / "problem.yaml").read_text())["operations"][0]
     del data["stepdown_mm"], data["die"]["step_mm"]
     with pytest.raises(ValueError, match="step_mm"):
         Forming.model_validate({**data, "scallop_mm": 0.02})
@@ -249,8 +251,8 @@ def test_below_the_sheet_all_is_the_other_way_round() -> None:
 
 
 def test_the_flat_sinks_with_the_tool() -> None:
-    there = made(coarse_operation())
-    (state,) = states(there.tree, there.mesh, there.passes, there.thickness)
+    there = work_of(coarse_operation())
+    (state,) = sheet_states(there.tree, there.mesh, there.passes, there.thickness)
     assert len(state.fixed) == 0
     assert np.unique(state.carried[:, 2].round(9)) == pytest.approx([RISE, RISE + SHEET])
 

@@ -1,8 +1,8 @@
 """A small job with a known answer: two arms form a spherical dish out of an upright sheet between them.
 
-Everything is in closed form about the dish's sphere: the forming ball's centre runs on a smaller sphere, the
-supporting one's on a larger one, both on one ray from the sphere's centre, the sheet's thickness by the sine
-law between them.
+Everything is in closed form about the dish's sphere. The centre of the forming ball moves on a smaller sphere
+and that of the supporting ball on a larger one. Both lie on one ray from the sphere's centre, separated by
+the sheet thickness that the sine law predicts.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from planner.processes.forming.claims import (
     SheetState,
     ToolGap,
 )
-from planner.targets import Action
-from planner.tooling import ball_tool, profile
+from planner.targets import TargetAction
+from planner.tooling import ball_tool, head_outline
 from tests import line_ends
 from tests.proof.by_hand import Operation, home_of, operation_plan
 
@@ -47,7 +47,9 @@ TOLERANCE, GAP_TOLERANCE, SCALLOP = 5e-5, 2e-5, 1.5e-4
 FEED, AIR = 0.065, 0.05
 AWAY = 0.030
 # the sheet's z axis points to the left arm
-PLACE = from_parts(np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]), np.array([0.0, 0.0, 0.45]))
+STOCK_POSE = from_parts(
+    np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]), np.array([0.0, 0.0, 0.45])
+)
 BASES = {
     "left": from_rpy([-0.72, 0.0, 0.0], [0.0, 0.0, 0.0]),
     "right": from_rpy([0.72, 0.0, 0.0], [0.0, 0.0, np.pi]),
@@ -96,10 +98,10 @@ def problem(controller=None, **settings):
     arms = []
     for name in ARMS:
         arm = Arm(name, "irb140", BASES[name], TOOL, np.zeros(6))
-        pose = PLACE @ poses(name, np.array([[0.0, 0.0, 0.11 if name == "left" else -0.11]]))[0]
+        pose = STOCK_POSE @ poses(name, np.array([[0.0, 0.0, 0.11 if name == "left" else -0.11]]))[0]
         arms.append(dataclasses.replace(arm, home=home_of(arm, pose, [0.0, -20.0, 20.0, 0.0, 20.0, 0.0])))
     cell = Cell("forming", tuple(arms), (), controller or Controller())
-    stock = Stock(np.array([0.2, 0.2, SHEET]), PLACE, PLACE[:3, :3])
+    stock = Stock(np.array([0.2, 0.2, SHEET]), STOCK_POSE, STOCK_POSE[:3, :3])
     operation = Operation("dish", "forming", ARMS)
     return Problem(
         "forming",
@@ -144,17 +146,17 @@ def part():
 
 
 def flat():
-    """Both faces of the flat sheet around the dish, off the bend at its rim."""
+    """Both faces of the flat sheet around the dish, without the bend at its rim."""
     x, y = (axis.ravel() for axis in np.meshgrid(*2 * [np.arange(-0.056, 0.0561, 0.004)]))
     out = np.hypot(x, y) > SPHERE * np.sin(RIM) + 0.006
     return np.concatenate([np.column_stack([x[out], y[out], np.full(out.sum(), z)]) for z in (0.0, SHEET)])
 
 
 def claims(more=(), **changes):
-    """What a process would claim, and ``more``; ``changes`` {class name: fields}."""
+    """Return the claims of a process and ``more``; ``changes`` {class name: fields}."""
     vertices, faces = face()
     end = float(vertices[:, 2].min())
-    head, none = profile(TOOL.head), np.zeros((0, 3))
+    head, none = head_outline(TOOL.head), np.zeros((0, 3))
     # a wall that is formed already, beside the dish
     wall = np.stack(np.meshgrid([0.05], np.linspace(-0.02, 0.02, 21), np.linspace(-0.02, SHEET, 12)), -1)
     made = (
@@ -215,7 +217,7 @@ def plan(steps=72):
         off = np.array([0.0, 0.0, up])
         first, last = (np.where([0, 0, 1], off, points[k]) for k in (0, -1))
         pose[arm] = poses(arm, np.concatenate([[first + off, first], points, [last, last + off]]))
-        ends[arm] = (PLACE @ pose[arm])[[0, -1]]
+        ends[arm] = (STOCK_POSE @ pose[arm])[[0, -1]]
     count = len(way["left"])
     rows = [(AIR, "approach", True)] * 2 + [(AIR, str(SEGMENT.at("in")), True)]
     rows += [(FEED, str(SEGMENT), False)] * (count - 2) + [(FEED, str(SEGMENT), True)]
@@ -227,7 +229,7 @@ def plan(steps=72):
         problem().cell,
         pose,
         dict.fromkeys(ARMS, "stock"),
-        {arm: PLACE @ pose[arm] for arm in ARMS},
+        {arm: STOCK_POSE @ pose[arm] for arm in ARMS},
         rows,
         travel,
         "doWirePower",
@@ -239,16 +241,16 @@ def plan(steps=72):
     forming = np.array([row[1] == str(SEGMENT) for row in rows])
     duration[forming] = 0.04 * np.where(np.array([row[2] for row in rows]), 1.5, 1.0)[forming]
     duration[int(np.argmax(forming))] = 0.06
-    actions = (Action(0, "confirm", text="Sheet clamped, nobody in the cell?"),)
+    actions = (TargetAction(0, "confirm", text="Sheet clamped, nobody in the cell?"),)
     targets = dataclasses.replace(made.targets, actions=actions)
     made = dataclasses.replace(made, targets=targets, time=np.cumsum(duration))
-    return Plan("forming", DIGEST, {}, (PLACE,), BASES, (made,), {})
+    return Plan("forming", DIGEST, {}, (STOCK_POSE,), BASES, (made,), {})
 
 
 @functools.cache
 def programs(steps=72):
     """The texts of the job as the planner writes them."""
-    return line_ends.bare(write.programs(plan(steps), problem()))
+    return line_ends.bare(write.program_files(plan(steps), problem()))
 
 
 @functools.cache
@@ -258,4 +260,4 @@ def programs_of_two(every, steps=72):
         ("T_ROB1",) * 2, ("ROB_1",) * 2, sync="handshake", handshake=Handshake("toggle", every)
     )
     there = problem(controller)
-    return there, line_ends.bare(write.programs(plan(steps), there))
+    return there, line_ends.bare(write.program_files(plan(steps), there))

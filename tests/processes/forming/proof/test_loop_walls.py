@@ -1,5 +1,7 @@
-"""Walls between the loops of tools that go deeper than the part: known ways, and a planner that makes them
-too steep."""
+"""Walls between the loops of tools that go deeper than the part.
+
+Known paths are tested, and a planner that makes them too steep.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,7 @@ import pytest
 import yaml
 
 import planner
-from planner.cli.forming import Springback, run_springback
+from planner.cli.forming import SpringbackCommand, run_springback
 from planner.geometry.units import MM
 from planner.issues import Severity, TandemError
 from planner.processes.forming.proof import loop_walls
@@ -31,9 +33,13 @@ def ring(sides: int, radius: float, count: int) -> np.ndarray:
     return np.stack([np.interp(at, np.arange(sides + 1), corner[:, k]) for k in (0, 1)], axis=1)
 
 
-def way(degrees: float, sides: int = 90, spiral: bool = True, loops: int = 24, side: int = 1) -> np.ndarray:
-    """A way (N, 3) [m] of ``loops`` down a wall of ``degrees``, 30 mm and less from the middle, by 0.5 mm a
-    loop, as a spiral or as level loops."""
+def wall_path(
+    degrees: float, sides: int = 90, spiral: bool = True, loops: int = 24, side: int = 1
+) -> np.ndarray:
+    """Return a path (N, 3) [m] of ``loops`` down a wall of ``degrees``.
+
+    It is at most 30 mm from the middle and 0.5 mm deeper per loop, as a spiral or as level loops.
+    """
     count = 90 * sides // np.gcd(90, sides)
     across = STEP / np.tan(np.deg2rad(degrees)) / np.cos(np.pi / sides)
     out = []
@@ -44,15 +50,19 @@ def way(degrees: float, sides: int = 90, spiral: bool = True, loops: int = 24, s
     return np.concatenate(out)
 
 
-def deeper(place: np.ndarray, shift: np.ndarray, side: int = 1) -> np.ndarray:
-    return np.asarray(place - np.outer(side * shift, [0.0, 0.0, 1.0]))
+def shifted_down(points: np.ndarray, shift: np.ndarray, side: int = 1) -> np.ndarray:
+    return np.asarray(points - np.outer(side * shift, [0.0, 0.0, 1.0]))
 
 
-def grown(place: np.ndarray, full: float, to: float = 0.0, at: float = 0.0, over: float = 1.0) -> np.ndarray:
-    """Shifts that grow from 0 to ``full`` [m] by the slope, and by ``to`` [m] more from the depth ``at`` [m]
-    on, over so many [m] of it."""
-    gone = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(place, axis=0), axis=1)))
-    more = to * np.clip((np.abs(place[:, 2]) - at) / over, 0.0, 1.0)
+def growing_shift(
+    points: np.ndarray, full: float, to: float = 0.0, at: float = 0.0, over: float = 1.0
+) -> np.ndarray:
+    """Return shifts that grow from 0 to ``full`` [m] at the limit slope.
+
+    From the depth ``at`` [m] on, they grow by another ``to`` [m] over the depth ``over`` [m].
+    """
+    gone = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+    more = to * np.clip((np.abs(points[:, 2]) - at) / over, 0.0, 1.0)
     return np.asarray(np.minimum(SLOPE * gone, full) + more)
 
 
@@ -64,71 +74,71 @@ def grown(place: np.ndarray, full: float, to: float = 0.0, at: float = 0.0, over
 def test_walls_without_more_shift_are_those_of_the_way(
     degrees: float, spiral: bool, side: int, sides: int
 ) -> None:
-    place = way(degrees, sides, spiral, side=side)
-    shift = grown(place, 2.0 * MM)
-    found = loop_walls.between_loops(deeper(place, shift, side), shift, side, SLOPE)
+    place = wall_path(degrees, sides, spiral, side=side)
+    shift = growing_shift(place, 2.0 * MM)
+    found = loop_walls.walls_between_loops(shifted_down(place, shift, side), shift, side, SLOPE)
     assert len(found.row) > 0.7 * len(place)
     steep = np.rad2deg(found.angle)
     assert np.quantile(np.abs(steep - degrees), 0.9) < 0.5  # beside a seam, level loops join aslant
     assert steep.max() < degrees + 1.0
-    np.testing.assert_allclose(found.angle, found.before, atol=1e-9)
+    np.testing.assert_allclose(found.angle, found.unshifted_angle, atol=1e-9)
 
 
 @pytest.mark.parametrize("sides", [4, 90])
 def test_a_shift_that_grows_with_depth_makes_walls_steeper_by_that(sides: int) -> None:
     """A wall of 45 degrees whose shift grows by 1.55 mm on ten loops of 0.5 mm is one of 52.6 degrees."""
-    place = way(45.0, sides, loops=30)
-    shift = grown(place, 2.0 * MM, 1.55 * MM, 5.0 * MM, 5.0 * MM)
-    found = loop_walls.between_loops(deeper(place, shift), shift, 1, SLOPE)
+    place = wall_path(45.0, sides, loops=30)
+    shift = growing_shift(place, 2.0 * MM, 1.55 * MM, 5.0 * MM, 5.0 * MM)
+    found = loop_walls.walls_between_loops(shifted_down(place, shift), shift, 1, SLOPE)
     depth = -place[found.row, 2]
     inside, outside = (depth > 5.8 * MM) & (depth < 9.7 * MM), (depth < 4.8 * MM) | (depth > 11.0 * MM)
     steep = np.rad2deg(found.angle)
-    wanted = np.rad2deg(np.arctan(1.0 + 1.55 / 5.0))
-    assert wanted == pytest.approx(52.6, abs=0.05)
-    assert np.median(steep[inside]) == pytest.approx(wanted, abs=0.3)
-    assert steep[inside].max() < wanted + 0.8
+    expected = np.rad2deg(np.arctan(1.0 + 1.55 / 5.0))
+    assert expected == pytest.approx(52.6, abs=0.05)
+    assert np.median(steep[inside]) == pytest.approx(expected, abs=0.3)
+    assert steep[inside].max() < expected + 0.8
     assert steep[outside].max() < 46.0
 
 
 def test_one_loop_that_takes_all_of_it_is_found() -> None:
-    place = way(60.0)
-    shift = grown(place, 2.0 * MM, 0.3 * MM, 6.0 * MM, STEP)
-    found = loop_walls.between_loops(deeper(place, shift), shift, 1, SLOPE)
-    wanted = np.rad2deg(np.arctan(np.tan(np.deg2rad(60.0)) * 1.6))
-    assert np.rad2deg(found.angle.max()) == pytest.approx(wanted, abs=0.6)
+    place = wall_path(60.0)
+    shift = growing_shift(place, 2.0 * MM, 0.3 * MM, 6.0 * MM, STEP)
+    found = loop_walls.walls_between_loops(shifted_down(place, shift), shift, 1, SLOPE)
+    expected = np.rad2deg(np.arctan(np.tan(np.deg2rad(60.0)) * 1.6))
+    assert np.rad2deg(found.angle.max()) == pytest.approx(expected, abs=0.6)
 
 
 def test_the_way_on_which_shifts_grow_from_nothing_is_no_wall() -> None:
-    place = way(45.0)
-    shift = grown(place, 5.0 * MM)  # 100 mm of a first loop of 188 mm
-    found = loop_walls.between_loops(deeper(place, shift), shift, 1, SLOPE)
+    place = wall_path(45.0)
+    shift = growing_shift(place, 5.0 * MM)  # 100 mm of a first loop of 188 mm
+    found = loop_walls.walls_between_loops(shifted_down(place, shift), shift, 1, SLOPE)
     assert np.rad2deg(found.angle.max()) < 46.0
     assert found.row.min() < 2 * 90
     late = shift + 1.0 * MM * (np.arange(len(place)) > 3 * 90)  # all at once, three loops later
-    found = loop_walls.between_loops(deeper(place, late), late, 1, SLOPE)
+    found = loop_walls.walls_between_loops(shifted_down(place, late), late, 1, SLOPE)
     assert np.rad2deg(found.angle.max()) > 65.0
 
 
 def test_a_flat_last_loop_and_a_stop_are_no_walls() -> None:
     """The last loop of a spiral is level and lies on the one before it in part; tools stand at a place."""
-    place = way(60.0)
+    place = wall_path(60.0)
     last = np.column_stack([ring(90, float(np.hypot(*place[-1, :2])), 90), np.full(90, place[-1, 2])])
     place = np.concatenate([place[:500], place[500:501], place[500:], last])
-    shift = grown(place, 2.0 * MM) + 1e-5 * np.arange(len(place)) / len(place)
-    found = loop_walls.between_loops(deeper(place, shift), shift, 1, SLOPE)
+    shift = growing_shift(place, 2.0 * MM) + 1e-5 * np.arange(len(place)) / len(place)
+    found = loop_walls.walls_between_loops(shifted_down(place, shift), shift, 1, SLOPE)
     assert np.rad2deg(found.angle.max()) < 61.0
 
 
 def test_ways_of_nothing_have_no_walls() -> None:
     for place in (np.zeros((0, 3)), np.zeros((2, 3)), np.zeros((5, 3)), np.eye(3)):
-        assert len(loop_walls.between_loops(place, np.zeros(len(place)), 1, SLOPE).row) == 0
+        assert len(loop_walls.walls_between_loops(place, np.zeros(len(place)), 1, SLOPE).row) == 0
 
 
 # ---- from file to proof ----
 
 
 def stated(folder: Path, **more: Any) -> Path:
-    """A dish with a wall of 62 degrees, which the metal stands up to 65, in a wide clamp."""
+    """Write a dish with a wall of 62 degrees, in a wide clamp. The metal allows up to 65 degrees."""
     data = small_forming.problem("spif", force_n=600.0, stepdown_mm=0.5, tangent_deg=6, **more)
     data["sheet"] |= {"size_mm": [240, 240], "opening_mm": 180}
     data["accept"] = ["forming.force"]
@@ -137,13 +147,16 @@ def stated(folder: Path, **more: Any) -> Path:
 
 
 def _sudden(old: Callable[..., Any]) -> Callable[..., Any]:
-    """Shifts fall behind by 4.5 % from 4.5 to 6.5 mm of depth and make up for that within one loop, on which
-    the wall is 69 degrees steep: within what the proof takes between control points."""
+    """Reduce shifts by 4.5 % from 4.5 to 6.5 mm of depth and recover within one loop.
 
-    def other(name: str, path: Any, radius: float, asked: Any, *more: Any) -> Any:
+    The wall is 69 degrees steep on this loop, within the variation that the proof accepts between control
+    points.
+    """
+
+    def other(name: str, path: Any, radius: float, required_springback: Any, *more: Any) -> Any:
         def late(points: np.ndarray, angle: np.ndarray, at: np.ndarray) -> np.ndarray:
             share = np.interp(-points[:, 2], [4.5e-3, 6.5e-3, 7e-3], [0.0, 0.045, 0.0])
-            return np.asarray(asked(points, angle, at) * (1.0 - share))
+            return np.asarray(required_springback(points, angle, at) * (1.0 - share))
 
         return old(name, path, radius, late, *more)
 
@@ -154,8 +167,8 @@ def _sudden(old: Callable[..., Any]) -> Callable[..., Any]:
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The problem with its springback file, which the planner has made such."""
     folder = tmp_path_factory.mktemp("steep")
-    request = Springback(stated(folder), most_points=4, triangles=3000, write=folder / "back.json")
-    with planner_faults.changed({"processes.forming.plan.springback.compensation:way_of": _sudden}):
+    request = SpringbackCommand(stated(folder), most_points=4, triangles=3000, write=folder / "back.json")
+    with planner_faults.changed({"processes.forming.plan.springback.compensation:shift_path": _sudden}):
         run_springback(request, planner.load(request.problem))
     return stated(folder, springback={"file": "back.json"})
 

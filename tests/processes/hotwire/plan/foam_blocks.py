@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.geometry.arrays import Ruled
+from planner.geometry.arrays import RuledSurface
 from planner.problem import Arm, Cell, Controller, Part, Setup, Stock
 from planner.processes.hotwire.plan.operation import Straight
 from planner.tooling import bow, gripper_plate, wire_holder
@@ -17,7 +17,7 @@ SIZE = (0.30, 0.20, 0.10)
 
 
 def stock(size: tuple[float, float, float] = SIZE, **more: Any) -> Stock:
-    """A block that stands level."""
+    """A level block."""
     return Stock(np.array(size), None, np.eye(3), **more)
 
 
@@ -29,7 +29,7 @@ def setup(block: Stock | None = None, span: float = 0.4, throat: float = 0.4, pl
 
 
 def operation(**more: Any) -> Straight:
-    """An operation with a slot of 1.5 mm, unless it says otherwise."""
+    """An operation, by default with a slot of 1.5 mm."""
     base: dict[str, Any] = {"name": "shape", "process": "straight_wire", "arms": ["left"]}
     heat = {} if "power_w" in more else {"kerf_mm": 1.5}
     return Straight.model_validate_json(json.dumps(base | heat | more), strict=True)
@@ -41,16 +41,16 @@ def prism(
     y: tuple[float, float] = (-0.1, 0.1),
     corner: np.ndarray | bool = True,
     **more: Any,
-) -> Ruled:
+) -> RuledSurface:
     """Rulings along y through points [x, z], outward to the left of the way in x and z seen against y."""
     xz = np.asarray(points, dtype=np.float64)
     start = np.column_stack([xz[:, 0], np.full(len(xz), y[0]), xz[:, 1]])
     end = start.copy()
     end[:, 1] = y[1]
-    return Ruled(name, start, end, np.broadcast_to(corner, len(xz)).copy(), **more)
+    return RuledSurface(name, start, end, np.broadcast_to(corner, len(xz)).copy(), **more)
 
 
-def part(*ruled: Ruled) -> Part:
+def part(*ruled: RuledSurface) -> Part:
     """A part of ruled surfaces alone."""
     return Part(ruled=ruled)
 
@@ -62,4 +62,4 @@ def twisted() -> Part:
     half = np.stack([0.1 * np.sin(turn), -0.1 * np.cos(turn), 0.0 * x], axis=1)
     middle = np.stack([x + 0.04 * np.sign(x), 0.0 * x, np.full_like(x, 0.06)], axis=1)
     middle[:, 0] = np.clip(x, -0.1, 0.1)
-    return blocks.part(Ruled("fan", middle + half, middle - half, np.zeros(len(x), dtype=np.bool_)))
+    return blocks.part(RuledSurface("fan", middle + half, middle - half, np.zeros(len(x), dtype=np.bool_)))

@@ -9,7 +9,7 @@ import numpy as np
 
 from planner.problem import Cell, Controller, Part, Setup, Stock
 from planner.processes.hotwire.plan.operation import ElasticWire
-from planner.reading.part import PartFile, build
+from planner.reading.part import PartFile, build_part
 
 ARCH = ((-70.0, 0.0), (-25.0, 21.0), (25.0, 21.0), (70.0, 0.0))
 LEVEL = np.eye(3)
@@ -36,11 +36,11 @@ def setup(block: Stock | None = None) -> Setup:
 
 
 def part(front: dict[str, Any] | None = None, back: float | None = 15.0, block: Stock | None = None) -> Part:
-    """A part laid into the block."""
+    """Return a part placed in the block."""
     spec: dict[str, Any] = {"front": front or loft(ARCH)}
     if back is not None:
         spec["back"] = {"offset_mm": back}
-    return build(PartFile.model_validate(spec), Path(), block or stock())
+    return build_part(PartFile.model_validate(spec), Path(), block or stock())
 
 
 def operation(wire: dict[str, Any] | None = None, **more: Any) -> ElasticWire:

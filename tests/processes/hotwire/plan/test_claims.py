@@ -1,5 +1,7 @@
-"""What claims of hot wires are worked out from, against tables, raw data, closed forms, and the planner's own
-figures, with which they share no code."""
+"""Inputs of hot-wire claims, against tables, raw data, closed forms and the planner's figures.
+
+The claims share no code with the planner.
+"""
 
 from __future__ import annotations
 
@@ -13,21 +15,27 @@ import yaml
 
 import planner
 from planner.catalogue import materials
-from planner.geometry.arrays import Ruled
+from planner.geometry.arrays import RuledSurface
 from planner.geometry.rulings import resample
 from planner.issues import TandemError
 from planner.processes.hotwire.claims import SlitsAllowed
 from planner.processes.hotwire.plan import claims, wire
-from planner.processes.hotwire.plan.claims import claimed, nesting, rectangle_torsion, slot, stiffness
+from planner.processes.hotwire.plan.claims import (
+    claimed_cuts,
+    nesting_depths,
+    rectangle_torsion,
+    slot_width_curve,
+    wire_stiffness,
+)
 from planner.processes.hotwire.plan.kerf import width as kerf_width
 from planner.processes.hotwire.plan.operation import SurfaceCut
-from planner.processes.hotwire.plan.straight.cut import choose
-from planner.processes.hotwire.plan.straight.order import depths, wanted_surfaces
+from planner.processes.hotwire.plan.straight.cut import choose_start
+from planner.processes.hotwire.plan.straight.order import contour_depths, nominal_surfaces
 from planner.processes.hotwire.proof.slits import (
-    BLOCK_DIAGONAL_SHARE,
-    CONTOUR_SHARE,
+    SLIT_CONTOUR_FRACTION,
+    SLIT_DIAGONAL_FRACTION,
     SLIT_LENGTH_FACTOR,
-    Section,
+    ContourSection,
 )
 from planner.reading import materials as material_file
 from tests.processes.hotwire.plan import foam_blocks as blocks
@@ -64,9 +72,9 @@ def test_what_makes_claims_uses_nothing_that_plans(module: str) -> None:
     """As the page on the proof says."""
     root = Path(planner.__file__).parent
 
-    def imported(path: Path, asked: str = "") -> set[str]:
+    def imported(path: Path, required_text: str = "") -> set[str]:
         text, found = path.read_text(encoding="utf-8"), set()
-        if asked not in text:
+        if required_text not in text:
             return found
         for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.Import):
@@ -101,7 +109,7 @@ def test_the_slot_follows_the_raw_figures_of_its_foam(name: str) -> None:
     speed = np.array([0.0005, 0.001, 0.0023, 0.007, 0.0311, 0.050, 0.080])
     ideal = 42.0 / LENGTH / heat / np.clip(speed, 0.001, 0.050)
     by_hand = np.maximum(entry["kerf"]["chi"] * ideal - entry["kerf"]["offset_mm"] * 1e-3, DIAMETER)
-    got = slot(None, 42.0, materials.foam(name), DIAMETER, LENGTH).at(speed)
+    got = slot_width_curve(None, 42.0, materials.foam(name), DIAMETER, LENGTH).at(speed)
     np.testing.assert_allclose(got, by_hand, rtol=3e-6)
 
 
@@ -117,7 +125,9 @@ def test_nine_of_ten_measured_cells_are_within_the_stated_interval_of_the_slot(n
     for row in mine:
         power, speed = float(row["power_w"]), float(row["speed_mm_s"]) * 1e-3
         told = kerf_width.width(name, kerf_width.TEST_WIRE, power, speed, 0.05)
-        width = float(slot(None, power, materials.foam(name), DIAMETER, LENGTH).at(np.array(speed)))
+        width = float(
+            slot_width_curve(None, power, materials.foam(name), DIAMETER, LENGTH).at(np.array(speed))
+        )
         hits += abs(width - float(row["measured_mm"]) * 1e-3) <= float(told.high - told.low) / 2.0
     assert len(mine) >= 17
     assert hits >= 0.85 * len(mine)
@@ -126,7 +136,7 @@ def test_nine_of_ten_measured_cells_are_within_the_stated_interval_of_the_slot(n
 @pytest.mark.parametrize("name", TESTED)
 def test_both_readings_of_the_model_agree(name: str) -> None:
     speed = np.geomspace(1e-3, 50e-3, 777)
-    own = slot(None, 55.0, materials.foam(name), 0.0006, 0.7).at(speed)
+    own = slot_width_curve(None, 55.0, materials.foam(name), 0.0006, 0.7).at(speed)
     planned = kerf_width.curve(name, kerf_width.HotWire(0.0006, 0.7), 55.0, 0.1, speed).at(speed)
     assert np.abs(own - planned).max() < 1.5e-6
 
@@ -140,19 +150,21 @@ def test_the_slot_in_a_foam_of_ones_own_follows_its_file(tmp_path: Path) -> None
         "power_per_length_w_m: [50, 100], speed_mm_s: [2, 10], thickness_mm: 50, wire_diameter_mm: 0.4}\n"
     )
     width = 1.25 * 30.0 / 0.5 / (20.0 * 1400.0 * 200.0) / 0.004 - 0.0003
-    got = slot(None, 30.0, material_file.read_foam(path), 0.0004, 0.5).at(np.array([0.004, 0.049]))
+    got = slot_width_curve(None, 30.0, material_file.read_foam(path), 0.0004, 0.5).at(
+        np.array([0.004, 0.049])
+    )
     np.testing.assert_allclose(got, [width, 0.0004], rtol=1e-5)
 
 
 def test_what_a_slot_needs_is_asked_for() -> None:
-    bare = materials.Foam("bare", "no tests", 20.0, {})
+    bare = materials.FoamMaterial("bare", "no tests", 20.0, {})
     for code, given in (
         ("stock.foam_missing", (None, 30.0, None, 0.0004, 0.4)),
         ("kerf.no_data", (None, 30.0, bare, 0.0004, 0.4)),
         ("kerf.input", (None, 30.0, materials.foam("xps_30"), 0.0, 0.4)),
     ):
         with pytest.raises(TandemError) as caught:
-            slot(*given)
+            slot_width_curve(*given)
         assert [issue.code for issue in caught.value.issues] == [code]
 
 
@@ -190,12 +202,14 @@ def test_torsion_of_rectangles(ratio: float, table: float) -> None:
 @pytest.mark.parametrize("size", [(1.5, None, None), (None, 5.0, 0.5), (None, 2.0, 1.5)])
 def test_both_readings_of_a_wire_agree(name: str, size: tuple[float | None, ...]) -> None:
     hot = 0.6 * materials.wire_material(name).limit_temperature
-    own = stiffness(materials.wire_material(name), *(None if s is None else s * 1e-3 for s in size), hot)
-    made = wire.make(name, *size, temperature_c=hot)
-    assert own.ei_soft == pytest.approx(made.bending, rel=1e-9)
-    assert own.ei_stiff == pytest.approx(made.bending * made.section.stiff, rel=1e-9)
-    assert own.gj == pytest.approx(made.torsion, rel=5e-3)  # the planner's is a fit to the series
-    assert own.weight == pytest.approx(made.weight, rel=1e-9)
+    own = wire_stiffness(materials.wire_material(name), *(None if s is None else s * 1e-3 for s in size), hot)
+    made = wire.make_wire(name, *size, temperature_c=hot)
+    assert own.ei_soft == pytest.approx(made.bending_stiffness, rel=1e-9)
+    assert own.ei_stiff == pytest.approx(
+        made.bending_stiffness * made.stiffness_ratios.stiff_bending, rel=1e-9
+    )
+    assert own.gj == pytest.approx(made.torsional_stiffness, rel=5e-3)  # the planner's is a fit to the series
+    assert own.weight == pytest.approx(made.weight_per_length, rel=1e-9)
     assert own.max_curvature == pytest.approx(made.max_curvature, rel=1e-9)
     assert own.thickness == pytest.approx(made.thickness)
 
@@ -205,14 +219,14 @@ def test_both_readings_of_a_wire_agree(name: str, size: tuple[float | None, ...]
 
 def ring(
     name: str, x: float, z: float, radius: float, corners: int, hole: bool = False, turn: float = 0.0
-) -> Ruled:
+) -> RuledSurface:
     angle = turn + 2.0 * np.pi * np.arange(corners) / corners
     angle = angle if hole else angle[::-1]
     points = np.column_stack([x + radius * np.cos(angle), z + radius * np.sin(angle)])
     return blocks.prism(name, points, corner=corners < 12, closed=True, hole=hole)
 
 
-def plate(seed: int) -> tuple[Ruled, ...]:
+def plate(seed: int) -> tuple[RuledSurface, ...]:
     """An outline with holes in it, some of which hold a piece, which may have a bore; in any order."""
     rng = np.random.default_rng(seed)
     out = []
@@ -237,9 +251,9 @@ def plate(seed: int) -> tuple[Ruled, ...]:
 def test_both_orders_of_a_plate_agree(seed: int) -> None:
     part, setup = blocks.part(*plate(seed)), blocks.setup()
     op = blocks.operation(cuts="all")
-    assert nesting(list(part.ruled)) == depths(part.ruled)
-    planned = [one.segment for one in wanted_surfaces(op, setup, part)]
-    assert [one.segment for one in claimed(op, setup.stock, part, SPAN)] == planned
+    assert nesting_depths(list(part.ruled)) == contour_depths(part.ruled)
+    planned = [one.segment for one in nominal_surfaces(op, setup, part)]
+    assert [one.segment for one in claimed_cuts(op, setup.stock, part, SPAN)] == planned
 
 
 SIDES = ("left", "right", "front", "back", "bottom", "top")
@@ -258,11 +272,11 @@ def test_both_readings_of_a_trimmed_side_agree(
     over[SIDES.index(side) % 2, axis] = 0.01
     setup = blocks.setup(blocks.stock(size, oversize=over))
     op = blocks.operation(cuts=[{"trim": [side], "along": along}])
-    (planned,) = wanted_surfaces(op, setup, None)
-    (own,) = claimed(op, setup.stock, None, SPAN)
+    (planned,) = nominal_surfaces(op, setup, None)
+    (own,) = claimed_cuts(op, setup.stock, None, SPAN)
     assert own.segment == planned.segment
 
-    def lines(ruled: Ruled) -> list[list[list[float]]]:
+    def lines(ruled: RuledSurface) -> list[list[list[float]]]:
         both = np.stack([ruled.start, ruled.end], axis=1).round(9) + 0.0
         return sorted(sorted(line.tolist()) for line in both)
 
@@ -293,21 +307,21 @@ def test_slits_that_the_search_finds_are_allowed(seed: int, lead: str | tuple[fl
     up = np.array([0.0, 0.0, 1.0])
     seen = 0
     for number, contour in enumerate(ruled):
-        section = Section.of(claim.contours, number, claim.box)
+        section = ContourSection.across(claim.contours, number, claim.box)
         cut = SurfaceCut(surface=contour.name, lead=lead)
         own = resample(contour, 3e-5, 0.004)  # as cuts are, before their beginning is chosen
-        start = choose(own, ruled, cut, claim.box, up)
-        assert section.surrounded == (contour.hole or "core" in contour.name)
-        if not section.surrounded:
+        start = choose_start(own, ruled, cut, claim.box, up)
+        assert section.is_surrounded == (contour.hole or "core" in contour.name)
+        if not section.is_surrounded:
             continue
-        least = section.least(None if lead == "auto" else np.array(lead))
-        spare = CONTOUR_SHARE * section.length + BLOCK_DIAGONAL_SHARE * section.diagonal
-        assert start.through <= SLIT_LENGTH_FACTOR * least + spare
+        least = section.min_length_in_part(None if lead == "auto" else np.array(lead))
+        spare = SLIT_CONTOUR_FRACTION * section.length + SLIT_DIAGONAL_FRACTION * section.diagonal
+        assert start.length_in_part <= SLIT_LENGTH_FACTOR * least + spare
         middle = 0.5 * (own.start + own.end)[start.first] @ section.axes
-        way = start.way @ section.axes
+        way = start.direction @ section.axes
         far = np.array([start.length])
-        mine = float(section.through(middle[None], way[None], far)[0])
-        assert mine == pytest.approx(start.through, abs=2e-5)
+        mine = float(section.length_in_part(middle[None], way[None], far)[0])
+        assert mine == pytest.approx(start.length_in_part, abs=2e-5)
         seen += 1
     assert seen >= 3
 
@@ -325,7 +339,7 @@ def test_a_plate_of_even_thickness() -> None:
     found = claims.straight_claims(blocks.operation(cuts="all"), blocks.setup(), part)
     (claim,) = (one for one in found if isinstance(one, SlitsAllowed))
     assert [str(one.segment) for one in claim.contours] == ["cut/rim", "cut/hole"]
-    section = Section.of(claim.contours, 1, claim.box)
+    section = ContourSection.across(claim.contours, 1, claim.box)
     assert section.length == pytest.approx(0.02 * np.pi, rel=1e-4)
-    assert section.least(None) == pytest.approx(0.030, abs=1e-5)
-    assert section.least(np.array([-1.0, 0.0, 0.0])) == pytest.approx(0.060, abs=1e-4)
+    assert section.min_length_in_part(None) == pytest.approx(0.030, abs=1e-5)
+    assert section.min_length_in_part(np.array([-1.0, 0.0, 0.0])) == pytest.approx(0.060, abs=1e-4)

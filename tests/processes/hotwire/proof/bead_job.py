@@ -1,6 +1,6 @@
-"""Beads along a table of poses with a least feed: one ABB arm, one KUKA arm, and two ABB arms side by side.
+"""Beads along a table of poses with a minimum feed: one ABB arm, one KUKA arm, and two ABB arms side by side.
 
-Each has a lane, a turn without a least feed, and a lane back with a stop in its middle.
+Each has a lane, a turn without a minimum feed, and a lane back with a stop in its middle.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from planner.claims.claim import Claim
 from planner.problem import Problem
 from planner.processes import registry
 
-FEED, LEAST = 40.0, 36.0
+FEED, MIN_FEED = 40.0, 36.0
 STEP, COUNT, STOP = 6.0, 13, 7
 TOOL: dict[str, Any] = {
     "kind": "plain",
@@ -46,13 +46,13 @@ def lanes() -> tuple[np.ndarray, list[float], list[str], list[bool]]:
     angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 14)[1:-1]
     turn = np.stack([half + 15 * np.cos(angle), 15 * np.sin(angle), np.full(12, 90.0)], axis=1)
     back = there[::-1] * [1, -1, 1]
-    least = [LEAST] * COUNT + [0.0] * 13 + [LEAST] * (COUNT - 1)
+    least = [MIN_FEED] * COUNT + [0.0] * 13 + [MIN_FEED] * (COUNT - 1)
     segment = ["cut/there"] * COUNT + ["link/turn"] * 12 + ["cut/back"] * COUNT
     stop = [False] * (COUNT + 12) + [i == STOP for i in range(COUNT)]
     return np.concatenate([there, turn, back]), least, segment, stop
 
 
-def turned(job: str, row: int) -> str:
+def tool_quaternion(job: str, row: int) -> str:
     """The head down, which the KUKA arm turns by a degree a row."""
     half = np.deg2rad(0.5 * row) if job == "kuka" else 0.0
     return f"0,{np.cos(half):.9f},{np.sin(half):.9f},0"
@@ -65,7 +65,9 @@ def write(folder: Path, job: str, **changes: object) -> Path:
     rows = [",".join([*columns, "feed_min_mm_s", "segment", "stop"])]
     for k, (place, least, segment, stop) in enumerate(zip(*lanes(), strict=True)):
         shifts = [0.0] if len(arms) == 1 else [-90.0, 90.0]
-        poses = [f"{place[0] + x:.4f},{place[1]:.4f},{place[2]:.4f},{turned(job, k)}" for x in shifts]
+        poses = [
+            f"{place[0] + x:.4f},{place[1]:.4f},{place[2]:.4f},{tool_quaternion(job, k)}" for x in shifts
+        ]
         rows.append(",".join([*poses, f"{least:g}", segment, str(stop).lower()]))
     (folder / "beads.csv").write_text("\n".join(rows) + "\n")
     cell: dict[str, Any] = {
@@ -115,13 +117,13 @@ def problem(job: str) -> Problem:
 
 @functools.cache
 def claims(job: str) -> dict[str, tuple[Claim, ...]]:
-    """What must hold, from the problem."""
+    """Claims that follow from the problem."""
     return dict(registry.claims(problem(job)))
 
 
 @functools.cache
 def outcome(job: str) -> pipeline.Outcome:
-    """A job as it is planned and proven."""
+    """The planned and proven job."""
     made = pipeline.plan(problem(job))
     assert made.verified, made.proof.issues
     return made

@@ -1,4 +1,4 @@
-"""RAPID texts of jobs with a bow (``straight_job``, ``held_job``) as rows and moves, read and changed."""
+"""RAPID texts of jobs with a bow (``straight_job``, ``held_job``) as rows and moves, read and edited."""
 
 from __future__ import annotations
 
@@ -78,8 +78,10 @@ def placed(texts: Texts, task: int, i: int, position, rotation) -> Texts:
 
 
 def tilted(texts: Texts, rows: list[int], angle: float, about: float = 0.0) -> Texts:
-    """The wire turned across the face (about its own way) by ``angle`` [rad], about a point of the wire at
-    ``about`` [mm] from its middle."""
+    """Rotate the wire across the face, about its direction of motion, by ``angle`` [rad].
+
+    The centre of rotation is the point of the wire at ``about`` [mm] from its middle.
+    """
     for k, i in enumerate(rows):
         position, rotation = pose_of(texts, 1, i)
         other, _ = pose_of(texts, 1, rows[k + 1] if k + 1 < len(rows) else rows[k - 1])
@@ -93,7 +95,7 @@ def tilted(texts: Texts, rows: list[int], angle: float, about: float = 0.0) -> T
 
 
 def outwards(texts: Texts, rows: list[int], by: float) -> Texts:
-    """The wire moved off the face by ``by`` [mm], across itself and its way."""
+    """Move the wire off the face by ``by`` [mm], across itself and its direction of motion."""
     for k, i in enumerate(rows):
         position, rotation = pose_of(texts, 1, i)
         other, _ = pose_of(texts, 1, rows[k + 1] if k + 1 < len(rows) else rows[k - 1])

@@ -1,6 +1,6 @@
-"""Faults put into the texts of the jobs with a bow: ``straight_job`` and ``held_job``, by kind and seeded.
+"""Seeded faults in the texts of the jobs with a bow (``straight_job`` and ``held_job``), by kind.
 
-Geometric faults are twice the tolerance that they violate, or more.
+Geometric faults are at least twice the tolerance that they violate.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ BOTH = (STRAIGHT, HELD)
 
 def question(rows: list[str], number: int) -> tuple[int, int]:
     """First and last row of the box that confirms a setup."""
-    first = next(i for i, row in enumerate(rows) if f"Setup {number} done as told" in row)
+    first = next(i for i, row in enumerate(rows) if f"Setup {number} done as instructed" in row)
     last = next(i for i in range(first, len(rows)) if rows[i].rstrip().endswith(";"))
     return first, last
 
@@ -81,8 +81,10 @@ def confirmed_twice(rng, texts):
 @mutator("verify.setup", *BOTH)
 def lookalike(rng, texts):
     k = int(rng.integers(1, 3))
-    old = f"Setup {k} done as told, nobody in the cell?"
-    new = pick(rng, [old.lower(), old.replace("?", "!"), old.replace("told", "to1d"), old + " Or is it?"])
+    old = f"Setup {k} done as instructed, nobody in the cell?"
+    new = pick(
+        rng, [old.lower(), old.replace("?", "!"), old.replace("instructed", "instruct3d"), old + " Or is it?"]
+    )
     return edit(texts, name("Main", 1), old, new)
 
 
@@ -93,7 +95,7 @@ def confirmed_in_passing(rng, texts):
     def also(rows):
         rows.insert(
             next(i for i, row in enumerate(rows) if "operation_1;" in row),
-            f'    UIMsgBox "Setup {int(rng.integers(1, 3))} done as told, nobody in the cell? More.";',
+            f'    UIMsgBox "Setup {int(rng.integers(1, 3))} done as instructed, nobody in the cell? More.";',
         )
 
     return with_main(texts, also)

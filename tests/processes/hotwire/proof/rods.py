@@ -1,4 +1,4 @@
-"""Rods, end frames and a reference for the tests of the discrete rod."""
+"""Rods, end frames and a reference solution for the tests of the discrete rod."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ROUND = 1.0 / 1.3  # torsion over bending of a round wire with Poisson's ratio 0
 
 
 def frame(x: float, y: float, theta: float, spin: float = 0.0) -> FloatArray:
-    """Planar end frame in the world's x-y plane, then spun about its own x."""
+    """Planar end frame in the world's x-y plane, then rotated about its own x."""
     c, s, a, b = math.cos(theta), math.sin(theta), math.cos(spin), math.sin(spin)
     found = np.eye(4)
     found[:3, :3] = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]) @ np.array(
@@ -52,8 +52,8 @@ def planar_reference(
 
     solution = solve_bvp(rate, edge, s, y0, p=[-20.0, 0.0], tol=1e-10, max_nodes=20000)
     assert solution.success
-    found: FloatArray = solution.sol(s)
-    return found
+    states: FloatArray = solution.sol(s)
+    return states
 
 
 def arc_frames(turn: float) -> tuple[FloatArray, FloatArray, FloatArray]:

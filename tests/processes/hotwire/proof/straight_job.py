@@ -1,8 +1,8 @@
-"""A small job with a known answer: one arm's bow cuts two tapered, twisted panels out of a block, which is
-turned in between, with another bow.
+"""A small job with a known answer: the bow of one arm cuts two tapered, twisted panels out of a block.
 
-Each face is ruled between two straight guide lines, along which the wire's ends go at different speeds; the
-wire stands off each of them by half the kerf of the speed there.
+The block is turned between the cuts, and the second cut uses another bow. Each face is ruled between two
+straight guide lines, along which the wire's ends move at different speeds. The wire is offset from each line
+by half the kerf at the speed there.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from planner.claims.segments import Segment
 from planner.geometry.arrays import from_rpy
 from planner.languages.writing import write
 from planner.plans import Plan
-from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock
+from planner.problem import Arm, Cell, Controller, Problem, Settings, SetupChange, Stock
 from planner.processes.hotwire.claims import CutsSurface, FollowsRulings, KerfCurve, KerfWithin, StraightWire
 from planner.tooling import bow
 from tests import line_ends, urdf_text
@@ -29,14 +29,20 @@ MARGIN = 0.02
 DIGEST = "cd34" * 16
 SIZE = np.array([0.16, 0.08, 0.1])
 OVER = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.012]])
-PLACES = (from_rpy([0.45, 0.0, -0.1], [0.0, 0.0, 0.0]), from_rpy([0.45, 0.0, -0.1], [0.0, 0.0, np.pi / 2.0]))
+STOCK_POSES = (
+    from_rpy([0.45, 0.0, -0.1], [0.0, 0.0, 0.0]),
+    from_rpy([0.45, 0.0, -0.1], [0.0, 0.0, np.pi / 2.0]),
+)
 SIGNAL = "doWirePower"
 NAMES = ("top", "back")
-"""Of the faces, one an operation."""
+"""Names of the faces, one per operation."""
 DOWN = np.array([0.0, 0.0, -1.0])
 FEED, AIR = 0.008, 0.05
-NEAR = {"irb140": [0.0, 0.0, 0.0, 0.0, 90.0, 0.0], "kr10_r1100": [0.0, -90.0, 90.0, 0.0, 90.0, 0.0]}
-NEAR["ur10e"] = [180.0, -90.0, 90.0, -90.0, -90.0, 0.0]
+JOINT_GUESS_DEG = {
+    "irb140": [0.0, 0.0, 0.0, 0.0, 90.0, 0.0],
+    "kr10_r1100": [0.0, -90.0, 90.0, 0.0, 90.0, 0.0],
+}
+JOINT_GUESS_DEG["ur10e"] = [180.0, -90.0, 90.0, -90.0, -90.0, 0.0]
 """Joints [deg] near home, by robot."""
 BOWS = (bow(0.4, 0.4), bow(0.3, 0.4))
 STEPS = (
@@ -77,22 +83,22 @@ def wire(k, u):
 
 
 def face(k):
-    """The wanted face as a mesh with normals away from the part."""
+    """The nominal face as a mesh with normals away from the part."""
     u = np.linspace(-1.0, 1.0, 41)
     return np.concatenate(guides(k, u)), strip(u)
 
 
 @functools.cache
-def own(model):
+def robot_data(model):
     """The data of a robot that is not built in, None for the others."""
     return urdf_text.ur10e_data() if model == "ur10e" else None
 
 
 def cell(k=0, model="irb140"):
     """The cell with the bow of setup ``k``."""
-    arm = Arm("left", model, np.eye(4), BOWS[k], np.zeros(6), given=own(model))
-    pose = PLACES[0] @ frames(np.array([[-0.16, -0.1, 0.2]]), np.array([[-0.16, 0.1, 0.2]]), DOWN)[0]
-    home = home_of(dataclasses.replace(arm, tool=BOWS[0]), pose, NEAR[model])
+    arm = Arm("left", model, np.eye(4), BOWS[k], np.zeros(6), custom_data=robot_data(model))
+    pose = STOCK_POSES[0] @ frames(np.array([[-0.16, -0.1, 0.2]]), np.array([[-0.16, 0.1, 0.2]]), DOWN)[0]
+    home = home_of(dataclasses.replace(arm, tool=BOWS[0]), pose, JOINT_GUESS_DEG[model])
     arms = (dataclasses.replace(arm, home=home),)
     io = {"left": {SIGNAL: 17 if model != "ur10e" else 9}}
     return Cell("straight", arms, (), Controller(("T_ROB1",), ("ROB_1",), wire_signal=SIGNAL, io=io))
@@ -100,8 +106,8 @@ def cell(k=0, model="irb140"):
 
 def problem(model="irb140", **settings):
     """The problem of the job."""
-    stock = Stock(SIZE, PLACES[0], np.eye(3), oversize=OVER)
-    turned = {"place": PLACES[1], "attitude": PLACES[1][:3, :3]}
+    stock = Stock(SIZE, STOCK_POSES[0], np.eye(3), oversize=OVER)
+    turned = {"place": STOCK_POSES[1], "attitude": STOCK_POSES[1][:3, :3]}
     return Problem(
         "straight",
         cell(model=model),
@@ -111,13 +117,13 @@ def problem(model="irb140", **settings):
         Settings(**settings),
         Path("straight.yaml"),
         DIGEST,
-        changes={0: Change(steps=STEPS[0]), 1: Change({"left": BOWS[1]}, turned, STEPS[1])},
+        changes={0: SetupChange(steps=STEPS[0]), 1: SetupChange({"left": BOWS[1]}, turned, STEPS[1])},
         accept=("stock.hangs",),
     )
 
 
 def claims(margin=MARGIN, kerf=KERF):
-    """What the process claims."""
+    """The claims of the process."""
     out = {}
     for k, name in enumerate(("top", "back")):
         half = 0.5 * (0.4, 0.3)[k]
@@ -129,15 +135,15 @@ def claims(margin=MARGIN, kerf=KERF):
             CutsSurface(segment, *face(k), kerf, TOLERANCE),
             FollowsRulings(segment, *guides(k, u), kerf, TOLERANCE),
             KerfWithin(segment, kerf, 0.0008, 0.0016),
-            *(FeedWindow(way, 0.003, 0.012) for way in segment.ways),
+            *(FeedWindow(way, 0.003, 0.012) for way in segment.all_phases),
         )
     return out
 
 
-def way(k, count):
+def wire_path(k, count):
     """Both ends of the wire at all targets, and speed, label and stop of each."""
     segment, step = Segment("cut", NAMES[k]), 2.0 / count
-    into_, on, out_ = map(str, segment.ways)
+    into_, on, out_ = map(str, segment.all_phases)
     lead = 0.035 / (0.056, 0.03)[k]  # the slower end comes from outside the block too
     leads = max(int(np.ceil(lead / step)), 2)
     into, out = np.linspace(-1.0 - lead, -1.0, leads + 1), np.linspace(1.0, 1.0 + lead, leads + 1)
@@ -154,20 +160,20 @@ def plan(count=24, over=None, model="irb140"):
     """The plan; ``over``: height [m] in the block at which the first bow goes home above it."""
     parts = []
     for k, name in enumerate(("top", "back")):
-        start, end = way(k, count)[0]
+        start, end = wire_path(k, count)[0]
         pose = frames(start, end, DOWN)
-        world = PLACES[k] @ pose
+        world = STOCK_POSES[k] @ pose
         up = np.eye(4)
         up[2, 3] = 0.13 if k == 0 else 0.17
         ways = {"left": up @ world[:1]}, {"left": up @ world[-1:]}
         if over is not None and k == 0:
             low = np.repeat(world[-1:], 2, axis=0)
-            low[:, 0, 3] = PLACES[0][0, 3] + np.array([0.12, -0.11])
-            low[:, 2, 3] = PLACES[0][2, 3] + over
+            low[:, 0, 3] = STOCK_POSES[0][0, 3] + np.array([0.12, -0.11])
+            low[:, 2, 3] = STOCK_POSES[0][2, 3] + over
             ways = ways[0], {"left": low}
         arm = cell(model=model).arms[0]
         here = dataclasses.replace(cell(k, model), arms=(dataclasses.replace(arm, tool=BOWS[k]),))
-        rows = way(k, count)[1]
+        rows = wire_path(k, count)[1]
         parts.append(
             operation_plan(
                 name,
@@ -182,10 +188,10 @@ def plan(count=24, over=None, model="irb140"):
                 ("left",),
             )
         )
-    return Plan("straight", DIGEST, {}, PLACES, {"left": np.eye(4)}, tuple(parts), {})
+    return Plan("straight", DIGEST, {}, STOCK_POSES, {"left": np.eye(4)}, tuple(parts), {})
 
 
 @functools.cache
 def programs(count=24, model="irb140"):
     """The texts of the job as the planner writes them."""
-    return line_ends.bare(write.programs(plan(count, model=model), problem(model)))
+    return line_ends.bare(write.program_files(plan(count, model=model), problem(model)))

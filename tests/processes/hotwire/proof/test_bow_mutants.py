@@ -1,5 +1,7 @@
-"""Jobs with a bow, over two setups, on a standing and on a held block: clean programs are proven, each kind
-of fault is caught by the rule that is named for it, and seeded mutants are all caught."""
+"""Jobs with a bow, over two setups, on a fixed and on a held block.
+
+Clean programs are proven, each kind of fault is caught by its rule, and all seeded mutants are caught.
+"""
 
 from __future__ import annotations
 

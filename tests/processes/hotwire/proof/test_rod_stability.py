@@ -1,4 +1,4 @@
-"""Where the discrete rod loses its shape, against limits known from elsewhere."""
+"""Stability limits of the discrete rod, against known values."""
 
 from __future__ import annotations
 
@@ -9,40 +9,40 @@ from scipy.integrate import solve_ivp
 
 from planner.geometry.arrays import FloatArray
 from planner.processes.hotwire.proof import rod_energy, rod_equilibrium
-from planner.processes.hotwire.proof.rod import Rod, follow, mount
+from planner.processes.hotwire.proof.rod import Rod, follow_rod, mount_rod
 from tests.processes.hotwire.proof.rods import DOWN, LENGTH, arc_frames, frame, planar_reference, wire
 
 
-def end_gap(q: FloatArray, ends: rod_energy.Ends) -> FloatArray:
+def end_gap(q: FloatArray, ends: rod_energy.RodEnds) -> FloatArray:
     """Error (3, T) of the end's place."""
-    found: FloatArray = rod_energy.matrix(q)[:, 0].sum(axis=1) / q.shape[1] - ends.place
-    return found
+    gap: FloatArray = rod_energy.rotation_matrix(q)[:, 0].sum(axis=1) / q.shape[1] - ends.position
+    return gap
 
 
 def test_gradient_and_hessian_are_those_of_the_energy() -> None:
     rng = np.random.default_rng(0)
     n, t = 8, 2
     stiffness = np.array([0.8, 10.0, 1.0])
-    q = rod_energy.exponential(rng.normal(size=(3, n, t)) * 0.3)
-    turn = rod_energy.exponential(rng.normal(size=(3, t)) * 0.3)
-    ends = rod_energy.Ends(rng.normal(size=(3, t)), turn, rng.normal(size=(3, t)) * 3)
+    q = rod_energy.quaternion_exp(rng.normal(size=(3, n, t)) * 0.3)
+    turn = rod_energy.quaternion_exp(rng.normal(size=(3, t)) * 0.3)
+    ends = rod_energy.RodEnds(rng.normal(size=(3, t)), turn, rng.normal(size=(3, t)) * 3)
     force = rng.normal(size=(3, t)) * 5
 
-    def turned(rotation: FloatArray) -> FloatArray:
-        return rod_energy.multiply(q, rod_energy.exponential(rotation))
+    def rotated(rotation: FloatArray) -> FloatArray:
+        return rod_energy.quaternion_product(q, rod_energy.quaternion_exp(rotation))
 
     def lagrangian(rotation: FloatArray) -> FloatArray:
-        there = turned(rotation)
-        return rod_energy.energy(stiffness, there, ends) - (force * end_gap(there, ends)).sum(axis=0)
+        there = rotated(rotation)
+        return rod_energy.rod_energy(stiffness, there, ends) - (force * end_gap(there, ends)).sum(axis=0)
 
-    parts = rod_energy.derivatives(stiffness, q, force, ends)
+    parts = rod_energy.rod_derivatives(stiffness, q, force, ends)
     for i, k in np.ndindex(3, n):
         one = np.zeros((3, n, t))
         one[i, k] = 1e-5
         slope = (lagrangian(one) - lagrangian(-one)) / 2e-5
         assert np.allclose(slope, parts.gradient[i, k], atol=1e-7)
-        gap = (end_gap(turned(one), ends) - end_gap(turned(-one), ends)) / 2e-5
-        assert np.allclose(gap, parts.slope[:, i, k], atol=1e-8)
+        gap = (end_gap(rotated(one), ends) - end_gap(rotated(-one), ends)) / 2e-5
+        assert np.allclose(gap, parts.end_jacobian[:, i, k], atol=1e-8)
         one *= 10
         for j, m in ((j, m) for j in range(3) for m in (k, k + 1) if m < n):
             two = np.zeros((3, n, t))
@@ -50,27 +50,27 @@ def test_gradient_and_hessian_are_those_of_the_energy() -> None:
             four = (
                 lagrangian(one + two) - lagrangian(one - two) - lagrangian(two - one) + lagrangian(-one - two)
             )
-            block = parts.diagonal[i, j, k] if m == k else parts.beside[i, j, k]
+            block = parts.diagonal[i, j, k] if m == k else parts.off_diagonal[i, j, k]
             assert np.allclose(four / 4e-8, block, atol=2e-5)
 
 
 def test_batched_elimination_agrees_with_the_dense_solution() -> None:
     rng = np.random.default_rng(1)
-    q = rod_energy.exponential(rng.normal(size=(3, 12, 5)) * 0.3)
-    turn = rod_energy.exponential(rng.normal(size=(3, 5)) * 0.3)
-    ends = rod_energy.Ends(rng.normal(size=(3, 5)), turn, rng.normal(size=(3, 5)))
-    parts = rod_energy.derivatives(np.array([0.8, 4.0, 1.0]), q, rng.normal(size=(3, 5)) * 5, ends)
-    work = rod_equilibrium.Elimination(parts, lift=0.0)
-    rotation, force = work.solve(-parts.gradient, parts.gap)
-    names = ("gradient", "diagonal", "beside", "slope", "gap")
+    q = rod_energy.quaternion_exp(rng.normal(size=(3, 12, 5)) * 0.3)
+    turn = rod_energy.quaternion_exp(rng.normal(size=(3, 5)) * 0.3)
+    ends = rod_energy.RodEnds(rng.normal(size=(3, 5)), turn, rng.normal(size=(3, 5)))
+    parts = rod_energy.rod_derivatives(np.array([0.8, 4.0, 1.0]), q, rng.normal(size=(3, 5)) * 5, ends)
+    work = rod_equilibrium.BlockElimination(parts, lift=0.0)
+    rotation, force = work.solve(-parts.gradient, parts.end_error)
+    names = ("gradient", "diagonal", "off_diagonal", "end_jacobian", "end_error")
     for k in range(5):
-        one = rod_energy.Derivatives(*(getattr(parts, name)[..., k : k + 1] for name in names))
-        full = rod_equilibrium.saddle(one)
-        dense = np.linalg.solve(full, np.concatenate([-one.gradient[..., 0].T.ravel(), one.gap[:, 0]]))
+        one = rod_energy.RodDerivatives(*(getattr(parts, name)[..., k : k + 1] for name in names))
+        full = rod_equilibrium.saddle_matrix(one)
+        dense = np.linalg.solve(full, np.concatenate([-one.gradient[..., 0].T.ravel(), one.end_error[:, 0]]))
         assert np.allclose(dense[:36].reshape(12, 3).T, rotation[..., k], atol=1e-7)
         assert np.allclose(dense[36:], force[:, k], atol=1e-6)
         negatives = int((np.linalg.eigvalsh(full) < 0).sum())
-        assert negatives == work.negatives[k] + 3 == rod_equilibrium.factor(full)[2]
+        assert negatives == work.negatives[k] + 3 == rod_equilibrium.factorise(full)[2]
 
 
 def rocking(rod: Rod, distance: float, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -80,23 +80,26 @@ def rocking(rod: Rod, distance: float, angles: FloatArray) -> tuple[FloatArray, 
 
 
 def test_round_wire_between_rocking_ends_turns_over_as_soon_as_they_pass_level() -> None:
-    """With level ends any plane through the ends is as good as any other, so past level the shape must fall;
-    the mirror image of the shape before is the only stable one of its kind."""
+    """With level ends all planes through the ends are equivalent, so past level the shape must fall.
+
+    The mirror image of the previous shape is the only stable one of its kind.
+    """
     rod = wire()
     angles = np.linspace(0.31, -0.31, 32)
     a, b = rocking(rod, 0.9, angles)
-    path = follow(rod, a, b, DOWN, mount(rod, a[0], b[0], DOWN))
-    assert path.jump.tolist() == [k == 16 for k in range(32)]
-    assert path.stable.all()
+    path = follow_rod(rod, a, b, DOWN, mount_rod(rod, a[0], b[0], DOWN))
+    assert path.has_jumped.tolist() == [k == 16 for k in range(32)]
+    assert path.is_stable.all()
     assert np.allclose(path.points[::-1] * [1, -1, 1], path.points, atol=1e-5 * LENGTH)
-    assert path.moved[16] > 0.3 * LENGTH and path.moved[:16].max() == 0.0
-    assert path.min_eig[15] < 0.02 < path.min_eig[0]
+    assert path.jump_distance[16] > 0.3 * LENGTH and path.jump_distance[:16].max() == 0.0
+    assert path.min_eigenvalue[15] < 0.02 < path.min_eigenvalue[0]
 
 
 def first_singular_angle(distance: float, angles: FloatArray) -> float:
-    """Where the planar elastica between rocking ends ends: its shooting map's Jacobian is singular there.
+    """Return the angle at which the planar elastica between rocking ends loses stability.
 
-    The map takes (k0, Fx, Fy) at the start to (x, y, theta) at the end, integrated by scipy.
+    The Jacobian of its shooting map is singular there. The map takes (k0, Fx, Fy) at the start to (x, y,
+    theta) at the end, integrated by scipy.
     """
 
     def shoot(p: FloatArray, angle: float) -> FloatArray:
@@ -148,7 +151,7 @@ def start_guess(distance: float, angle: float) -> FloatArray:
     rod = wire(10.0)
     a, b = rocking(rod, distance, np.array([angle]))
     points: FloatArray = (
-        follow(rod, a, b, DOWN, mount(rod, a[0], b[0], DOWN, bow=1.0)).points[0, :, :2] / LENGTH
+        follow_rod(rod, a, b, DOWN, mount_rod(rod, a[0], b[0], DOWN, bow=1.0)).points[0, :, :2] / LENGTH
     )
     return points
 
@@ -157,17 +160,17 @@ def test_strip_between_rocking_ends_snaps_where_the_planar_elastica_ends() -> No
     rod = wire(10.0)
     angles = np.linspace(-0.3, -0.8, 51)
     a, b = rocking(rod, 0.9, angles)
-    path = follow(rod, a, b, DOWN, mount(rod, a[0], b[0], DOWN, bow=1.0))
+    path = follow_rod(rod, a, b, DOWN, mount_rod(rod, a[0], b[0], DOWN, bow=1.0))
     critical = first_singular_angle(0.9, np.arange(-0.57, -0.7, -0.01))
-    jumps = np.flatnonzero(path.jump)
+    jumps = np.flatnonzero(path.has_jumped)
     assert len(jumps) == 1
     assert angles[jumps[0]] - 0.001 <= critical <= angles[jumps[0] - 1] + 0.001
     assert np.abs(path.points[..., 2]).max() < 1e-6  # in its plane all the way
-    assert path.stable.all()
+    assert path.is_stable.all()
     # behind the snap: the mirror image of the shape with the opposite angle
     last = angles[-1]
     c, d = rocking(rod, 0.9, -np.array([last]))
-    twin = follow(rod, c, d, DOWN, mount(rod, c[0], d[0], DOWN))
+    twin = follow_rod(rod, c, d, DOWN, mount_rod(rod, c[0], d[0], DOWN))
     assert np.allclose(twin.points[0] * [1, -1, 1], path.points[-1], atol=1e-5 * LENGTH)
 
 
@@ -177,16 +180,16 @@ def test_round_wire_buckles_out_of_plane_where_a_strip_holds() -> None:
     for ratio, holds in ((10.0, True), (1.0, False)):
         rod = wire(ratio)
         a, b = rocking(rod, 0.8, angles)
-        flat = mount(wire(10.0), a[0], b[0], DOWN, bow=1.0)
-        path = follow(rod, a, b, DOWN, flat)
+        flat = mount_rod(wire(10.0), a[0], b[0], DOWN, bow=1.0)
+        path = follow_rod(rod, a, b, DOWN, flat)
         signs = np.sign(path.curvature[0, :, 1])
         if holds:
             assert (np.diff(signs[2:-2]) != 0).sum() == 2
-            assert path.stable.all() and not path.jump.any()
+            assert path.is_stable.all() and not path.has_jumped.any()
             assert np.abs(path.points[..., 2]).max() < 1e-8
-            assert path.min_eig.min() > 0.1
+            assert path.min_eigenvalue.min() > 0.1
         else:
-            assert path.jump[0]  # the planar shape cannot even be mounted
+            assert path.has_jumped[0]  # the planar shape cannot even be mounted
             assert path.points[0, 32, 1] < 0.0  # it has turned over
 
 
@@ -195,8 +198,8 @@ def test_spin_of_both_ends_together_leaves_a_round_wire_alone_and_turns_no_twist
     spins = np.linspace(0.0, 4.0 * math.pi, 60)
     a = np.array([frame(0, 0, 0.7, spin) for spin in spins])
     b = np.array([frame(0.55, 0.1, -0.9, spin) for spin in spins])
-    path = follow(rod, a, b, DOWN, mount(rod, a[0], b[0], DOWN))
-    assert not path.jump.any() and path.stable.all()
+    path = follow_rod(rod, a, b, DOWN, mount_rod(rod, a[0], b[0], DOWN))
+    assert not path.has_jumped.any() and path.is_stable.all()
     assert np.abs(path.points - path.points[0]).max() < 1e-9
     assert np.abs(path.twist).max() < 1e-6
 
@@ -205,9 +208,9 @@ def test_unequal_spin_twists_evenly() -> None:
     rod = Rod(LENGTH, 2e-3, 2e-3, 6e-3)  # torsionally stiff: holds the twist
     spins = np.linspace(0.0, 0.5, 12)
     a, b, _ = arc_frames(0.8)
-    turned = np.array([b @ frame(0, 0, 0, spin) for spin in spins])
-    path = follow(rod, np.repeat(a[None], 12, axis=0), turned, DOWN, mount(rod, a, b, DOWN))
-    assert path.stable.all() and not path.jump.any()
+    rotated = np.array([b @ frame(0, 0, 0, spin) for spin in spins])
+    path = follow_rod(rod, np.repeat(a[None], 12, axis=0), rotated, DOWN, mount_rod(rod, a, b, DOWN))
+    assert path.is_stable.all() and not path.has_jumped.any()
     # the torsion moment of an isotropic rod is constant along it (Love, Treatise on Elasticity, art. 260)
     assert np.ptp(path.twist[-1]) < 2e-3 * abs(path.twist[-1]).mean()
 
@@ -221,16 +224,18 @@ def test_ring_loses_stability_at_the_twist_of_michell_and_zajac() -> None:
     middle = (np.arange(n) + 0.5) / n
     values = []
     for twist in (0.97 * critical, 1.03 * critical):
-        around = rod_energy.exponential(np.outer([0, 0, 1.0], 2 * math.pi * middle))
-        about = rod_energy.exponential(np.outer([1.0, 0, 0], twist * middle))
-        q = rod_energy.multiply(around, about)[..., None]
-        turn = rod_energy.exponential(np.array([twist, 0.0, 0.0]))[:, None]
-        ends = rod_energy.Ends(np.zeros((3, 1)), turn, np.zeros((3, 1)))
+        around = rod_energy.quaternion_exp(np.outer([0, 0, 1.0], 2 * math.pi * middle))
+        about = rod_energy.quaternion_exp(np.outer([1.0, 0, 0], twist * middle))
+        q = rod_energy.quaternion_product(around, about)[..., None]
+        turn = rod_energy.quaternion_exp(np.array([twist, 0.0, 0.0]))[:, None]
+        ends = rod_energy.RodEnds(np.zeros((3, 1)), turn, np.zeros((3, 1)))
         stiffness = np.array([torsion, 1.0, 1.0])
         # the ring stands because of a force along its axis' direction: found by least squares of the gradient
-        state = rod_equilibrium.State(q, np.zeros((3, 1)))
-        state = rod_equilibrium.newton(stiffness, state, ends, rounds=30).state
-        full = rod_equilibrium.saddle(rod_energy.derivatives(stiffness, state.q, state.force, ends))
+        state = rod_equilibrium.RodState(q, np.zeros((3, 1)))
+        state = rod_equilibrium.solve_newton(stiffness, state, ends, rounds=30).state
+        full = rod_equilibrium.saddle_matrix(
+            rod_energy.rod_derivatives(stiffness, state.attitudes, state.force, ends)
+        )
         basis = np.linalg.qr(full[3 * n :, : 3 * n].T, mode="complete")[0][:, 3:]
         lowest = np.linalg.eigvalsh(basis.T @ full[: 3 * n, : 3 * n] @ basis)[:3] * n
         values.append(lowest)

@@ -1,5 +1,7 @@
-"""Faults in what two controllers need for their running wires, by kind; each gets a generator of random
-numbers, the files, and the folder of the controller."""
+"""Faults in the running wires between two controllers, by kind.
+
+Each mutator takes a random generator, the files, and the folder of the controller.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Tools and what they sweep as solids of another library: manifold3d's convex hulls and booleans.
+"""Tools and their swept volumes as solids of another library: manifold3d's convex hulls and booleans.
 
-Between two poses near to one another a convex tool sweeps the convex hull of both, but for what its turn
-leaves out: a flat end of radius r that turns by w is told too deep by r w / 2 at most.
+Between two close poses a convex tool sweeps the convex hull of both, except for the effect of its rotation:
+the depth in a flat end of radius r that rotates by w is overestimated by at most r w / 2.
 """
 
 from __future__ import annotations
@@ -25,8 +25,10 @@ def shell(radius: float, corner: float, length: float, around: int = 64, arc: in
 
 
 def swept(points: FloatArray, tip: FloatArray, axis: FloatArray, cuts: list[int] | None = None) -> Manifold:
-    """What a tool (P, 3) sweeps on its way by places ``tip``, ``axis`` (N, 3); it is lifted off before the
-    rows of ``cuts``."""
+    """Return the volume that a tool (P, 3) sweeps over positions ``tip``, ``axis`` (N, 3).
+
+    It is lifted off before the rows of ``cuts``.
+    """
     x = np.cross(axis, [0.3, 0.9, 0.1])
     x /= np.linalg.norm(x, axis=1, keepdims=True)
     frame = np.stack([x, np.cross(axis, x), axis], axis=1)
@@ -45,8 +47,10 @@ def signed(solid: Manifold, points: FloatArray) -> FloatArray:
 
 
 def heights(solid: Manifold, points: FloatArray, normals: FloatArray, sight: float) -> FloatArray:
-    """How high (N,) above points of a face, along its normals, the solid begins for who leaves the part: what
-    stays there, below zero where the solid goes into the part; NaN beyond ``sight``."""
+    """Return the height (N,) at which the solid starts above points of a face, along its normals.
+
+    It is the remaining material, negative where the solid enters the part, and NaN beyond ``sight``.
+    """
     out = np.full(len(points), np.nan)
     for i, (point, normal) in enumerate(zip(points, normals, strict=True)):
         hits = solid.ray_cast(point - sight * normal, point + sight * normal)

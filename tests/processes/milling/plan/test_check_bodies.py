@@ -1,4 +1,4 @@
-"""Tools against points, as planner and proof work it out, beside all points held against all places."""
+"""Distances between tools and points, by planner and proof, against all points at all positions."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import FloatArray
 from planner.processes.milling.plan import check
-from planner.processes.milling.plan.job import MillingJob, claims
-from planner.processes.milling.plan.process_plan import work
+from planner.processes.milling.plan.job import MillingJob, milling_claims
+from planner.processes.milling.plan.process_plan import plan_milling
 from planner.processes.milling.proof import tool_motion
 from planner.tooling import Cutter
 from tests.processes.milling.plan.small_mill import WALL, problem
 
-BEHIND = np.array([[0.08, 0.02], [0.12, 0.02], [0.12, 0.05], [0.3, 0.05]])
+HOLDER = np.array([[0.08, 0.02], [0.12, 0.02], [0.12, 0.05], [0.3, 0.05]])
 CUTTERS = [
-    Cutter("cylinder", 0.01, 0.0, 0.05, 0.08, 0.008, BEHIND),
-    Cutter("ball", 0.006, 0.006, 0.03, 0.08, 0.006, BEHIND),
-    Cutter("bull", 0.01, 0.003, 0.05, 0.08, 0.01, BEHIND),
+    Cutter("cylinder", 0.01, 0.0, 0.05, 0.08, 0.008, HOLDER),
+    Cutter("ball", 0.006, 0.006, 0.03, 0.08, 0.006, HOLDER),
+    Cutter("bull", 0.01, 0.003, 0.05, 0.08, 0.01, HOLDER),
 ]
 
 
@@ -51,8 +51,10 @@ def _leaning(seed: int) -> tuple[FloatArray, FloatArray]:
     return np.concatenate([tip, tip[-1] + up]), np.concatenate([axis, np.repeat(axis[-1:], len(up), axis=0)])
 
 
-def _near(tip: FloatArray, axis: FloatArray, start: float, end: float, radius: float) -> FloatArray:
-    """Places in and around a body on its way, half of them at its flat ends."""
+def _points_near_body(
+    tip: FloatArray, axis: FloatArray, start: float, end: float, radius: float
+) -> FloatArray:
+    """Return points in and around a moving body, half of them at its flat ends."""
     rng = np.random.default_rng(4)
     some = rng.integers(0, len(tip), 2400)
     deep = rng.uniform(start - 0.003, end + 0.003, 2400)
@@ -73,17 +75,17 @@ PATHS = [_path(), *(_leaning(seed) for seed in range(3))]
 def test_the_proof_finds_the_nearest_of_all_places(cutter: Cutter, path: int) -> None:
     tip, axis = PATHS[path]
     for solid in tool_motion.solids(cutter):
-        points = _near(tip, axis, solid.start, solid.end, solid.radius)
-        wanted = tool_motion.signed(solid, *_all(points, tip, axis))
-        got, place = tool_motion.sweep(points, tip, axis, solid)
-        _agrees(wanted, got, tool_motion.SIGHT_DISTANCE)
-        seen = np.flatnonzero(got < tool_motion.SIGHT_DISTANCE)
-        np.testing.assert_allclose(got[seen], wanted[seen, place[seen]], rtol=0.0, atol=1e-12)
-        near = np.flatnonzero(wanted.min(axis=1) < tool_motion.SIGHT_DISTANCE)[::10]
-        assert all(tool_motion.comes_near(points[[i]], tip, axis, solid) for i in near)
+        points = _points_near_body(tip, axis, solid.start, solid.end, solid.radius)
+        expected = tool_motion.signed_distance(solid, *_all(points, tip, axis))
+        got, place = tool_motion.track_distance(points, tip, axis, solid)
+        _check_equal(expected, got, tool_motion.MAX_QUERY_DISTANCE_M)
+        seen = np.flatnonzero(got < tool_motion.MAX_QUERY_DISTANCE_M)
+        np.testing.assert_allclose(got[seen], expected[seen, place[seen]], rtol=0.0, atol=1e-12)
+        near = np.flatnonzero(expected.min(axis=1) < tool_motion.MAX_QUERY_DISTANCE_M)[::10]
+        assert all(tool_motion.may_touch(points[[i]], tip, axis, solid) for i in near)
         for below in (-0.005, -0.0001):
-            deep, _ = tool_motion.sweep(points, tip, axis, solid, below)
-            _agrees_below(wanted, deep, tool_motion.SIGHT_DISTANCE, below)
+            deep, _ = tool_motion.track_distance(points, tip, axis, solid, below)
+            _check_equal_below(expected, deep, tool_motion.MAX_QUERY_DISTANCE_M, below)
 
 
 @pytest.mark.sampled(every=3)
@@ -92,32 +94,32 @@ def test_the_proof_finds_the_nearest_of_all_places(cutter: Cutter, path: int) ->
 def test_the_planner_finds_the_nearest_of_all_places(cutter: Cutter, path: int) -> None:
     tip, axis = PATHS[path]
     for section in check.sections(cutter):
-        points = _near(tip, axis, section.start, section.end, section.radius)[::4]
-        step = max(check.PATH_SPACING * section.radius, check.LEAST_SPACING)
-        tips, axes, to = check.between(tip, axis, section.end, step)
-        wanted = section.off(*_all(points, tips, axes))
-        got, where = check.distance_off(points, tip, axis, section)
-        _agrees(wanted, got, check.SIGHT_DISTANCE)
-        for i in np.flatnonzero(got < check.SIGHT_DISTANCE):
-            assert np.isclose(wanted[i, to == where[i]], got[i], rtol=0.0, atol=1e-12).any()
-        near = np.flatnonzero(wanted.min(axis=1) < check.SIGHT_DISTANCE)[::10]
-        assert all(check.comes_near(points[[i]], tip, axis, section) for i in near)
+        points = _points_near_body(tip, axis, section.start, section.end, section.radius)[::4]
+        step = max(check.PATH_SPACING_FACTOR * section.radius, check.MIN_SPACING_M)
+        tips, axes, to = check.subdivide_moves(tip, axis, section.end, step)
+        expected = section.signed_distance(*_all(points, tips, axes))
+        got, where = check.path_distance(points, tip, axis, section)
+        _check_equal(expected, got, check.MAX_QUERY_DISTANCE_M)
+        for i in np.flatnonzero(got < check.MAX_QUERY_DISTANCE_M):
+            assert np.isclose(expected[i, to == where[i]], got[i], rtol=0.0, atol=1e-12).any()
+        near = np.flatnonzero(expected.min(axis=1) < check.MAX_QUERY_DISTANCE_M)[::10]
+        assert all(check.may_touch(points[[i]], tip, axis, section) for i in near)
         for below in (-0.005, -0.0001):
-            deep, _ = check.distance_off(points, tip, axis, section, below)
-            _agrees_below(wanted, deep, check.SIGHT_DISTANCE, below)
+            deep, _ = check.path_distance(points, tip, axis, section, below)
+            _check_equal_below(expected, deep, check.MAX_QUERY_DISTANCE_M, below)
 
 
-def _agrees(wanted: FloatArray, got: FloatArray, sight: float) -> None:
+def _check_equal(expected: FloatArray, got: FloatArray, sight: float) -> None:
     """The least over all places, inside and outside, at the sides and at the ends."""
-    least = np.minimum(wanted.min(axis=1), sight)
+    least = np.minimum(expected.min(axis=1), sight)
     assert (least < 0.0).sum() > 100
     assert ((least > 0.0) & (least < sight)).sum() > 10
     np.testing.assert_allclose(got, least, rtol=0.0, atol=1e-9)
 
 
-def _agrees_below(wanted: FloatArray, got: FloatArray, sight: float, below: float) -> None:
+def _check_equal_below(expected: FloatArray, got: FloatArray, sight: float, below: float) -> None:
     """The least over all places where it is below, and of the others nothing below, nor below the truth."""
-    least = np.minimum(wanted.min(axis=1), sight)
+    least = np.minimum(expected.min(axis=1), sight)
     deep = least < below - 1e-9
     np.testing.assert_allclose(got[deep], least[deep], rtol=0.0, atol=1e-9)
     assert np.all(got[~deep] >= least[~deep] - 1e-9)
@@ -127,43 +129,46 @@ def _agrees_below(wanted: FloatArray, got: FloatArray, sight: float, below: floa
 def test_the_least_of_all_is_told_where_nothing_is_as_deep_as_asked_for() -> None:
     tip, axis = PATHS[1]
     solid = tool_motion.solids(CUTTERS[2])[0]
-    points = _near(tip, axis, solid.start, solid.end, solid.radius)
-    least = tool_motion.signed(solid, *_all(points, tip, axis)).min(axis=1)
+    points = _points_near_body(tip, axis, solid.start, solid.end, solid.radius)
+    least = tool_motion.signed_distance(solid, *_all(points, tip, axis)).min(axis=1)
     outer = np.flatnonzero(least > 2e-4)
-    got, place = tool_motion.sweep(points[outer], tip, axis, solid, -1e-3)
+    got, place = tool_motion.track_distance(points[outer], tip, axis, solid, -1e-3)
     k = int(got.argmin())
     assert k == int(least[outer].argmin())
     assert got[k] == pytest.approx(least[outer[k]], abs=1e-9)
     back, beside = _all(points[outer[[k]]], tip[place[[k]]], axis[place[[k]]])
-    assert tool_motion.signed(solid, back, beside)[0, 0] == pytest.approx(got[k], abs=1e-12)
+    assert tool_motion.signed_distance(solid, back, beside)[0, 0] == pytest.approx(got[k], abs=1e-12)
 
 
 def test_a_holder_whose_flat_end_goes_into_the_part_is_found_where_near_places_do_not_show_it() -> None:
-    """A holder of 60 mm leans over a path and back; the front face of its nose goes into a part far from the
-    axis, while the middle of the holder is nearer at many other places. Those alone are told to be clear."""
+    """A holder of 60 mm tilts over a path and back.
+
+    The front face of its nose enters a part far from the axis, while the middle of the holder is nearer at
+    many other positions. These alone are reported as clear.
+    """
     tip, axis = PATHS[1]
-    solid = tool_motion.Solid("holder", 0.06, 0.1, 0.06)
-    points = _near(tip, axis, solid.start, solid.end, solid.radius)
-    wanted = tool_motion.signed(solid, *_all(points, tip, axis))
+    solid = tool_motion.ToolSolid("holder", 0.06, 0.1, 0.06)
+    points = _points_near_body(tip, axis, solid.start, solid.end, solid.radius)
+    expected = tool_motion.signed_distance(solid, *_all(points, tip, axis))
     count = int(np.ceil((solid.end - solid.start) / solid.radius))
     depth = solid.start + (np.arange(count) + 0.5) / count * (solid.end - solid.start)
     middles = (tip[:, None] + depth[None, :, None] * axis[:, None]).reshape(-1, 3)
     few = cKDTree(middles).query(points, k=8)[1] // count
-    seen = np.take_along_axis(wanted, few, axis=1).min(axis=1)
-    deep = np.flatnonzero((wanted.min(axis=1) < -1e-3) & (seen > 0.0))
+    seen = np.take_along_axis(expected, few, axis=1).min(axis=1)
+    deep = np.flatnonzero((expected.min(axis=1) < -1e-3) & (seen > 0.0))
     assert len(deep) > 5
     for i in deep:
-        got, _ = tool_motion.sweep(points[[i]], tip, axis, solid, -1e-4)
-        assert got[0] == pytest.approx(wanted[i].min(), abs=1e-9)
-    section = check.Section("holder", 0.06, 0.1, 0.06)
-    assert np.all(check.distance_off(points[deep], tip, axis, section)[0] < -9e-4)
+        got, _ = tool_motion.track_distance(points[[i]], tip, axis, solid, -1e-4)
+        assert got[0] == pytest.approx(expected[i].min(), abs=1e-9)
+    section = check.ToolSection("holder", 0.06, 0.1, 0.06)
+    assert np.all(check.path_distance(points[deep], tip, axis, section)[0] < -9e-4)
 
 
 def test_what_is_far_off_is_left_out_by_boxes() -> None:
     tip, axis = _path()
     away = np.array([[0.0, 0.5, 0.0], [0.2, 0.6, 0.05]])
-    assert not tool_motion.comes_near(away, tip, axis, tool_motion.solids(CUTTERS[0])[0])
-    assert not check.comes_near(away, tip, axis, check.sections(CUTTERS[0])[0])
+    assert not tool_motion.may_touch(away, tip, axis, tool_motion.solids(CUTTERS[0])[0])
+    assert not check.may_touch(away, tip, axis, check.sections(CUTTERS[0])[0])
 
 
 def test_a_job_is_worked_out_once_for_one_problem_and_anew_for_another(tmp_path: Path) -> None:
@@ -174,8 +179,8 @@ def test_a_job_is_worked_out_once_for_one_problem_and_anew_for_another(tmp_path:
     assert mine.planned is first
     second = MillingJob(other.operations[0], other.setup_of(0), other.part).planned
     assert second.box[1, 1] > first.box[1, 1]
-    fresh = work(one.operations[0], one.setup_of(0), one.part)
-    for a, b in zip(claims(fresh, one.part), claims(first, one.part), strict=True):
+    fresh = plan_milling(one.operations[0], one.setup_of(0), one.part)
+    for a, b in zip(milling_claims(fresh, one.part), milling_claims(first, one.part), strict=True):
         assert repr(a) == repr(b)
     with pytest.raises(ValueError, match="read-only"):
         first.faces[0].mesh.vertices[0, 0] = 1.0

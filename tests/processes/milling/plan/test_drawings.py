@@ -1,5 +1,7 @@
-"""Curves of Rhino files and of drawings that are engraved: read, run and counted alike by planner and proof,
-and milled."""
+"""Engraved curves of Rhino files and drawings: planner and proof read, order and count them alike.
+
+The curves are milled too.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +17,11 @@ from planner.issues import TandemError
 from planner.processes import registry
 from planner.processes.milling.plan import point_cut
 from planner.processes.milling.plan.operation import EngraveCut
-from planner.proof.part_files.drawn_curves import each_curve
+from planner.proof.part_files.drawn_curves import split_curves
 from planner.reading import problem as problem_file
 from planner.reading import rhino
 from tests.processes.milling.plan import small_mill
-from tests.rhino_files import Model, along, curve
+from tests.rhino_files import Model, curve, sample_curve
 
 rhino3dm = pytest.importorskip("rhino3dm")
 WAVE = [(-30, -10, 0), (-10, 12, 5), (10, -12, 0), (30, 10, 0)]
@@ -38,19 +40,22 @@ def arc(x: float, y: float, r: float, first: float, last: float) -> Any:
 
 
 def pattern(folder: Path, shift: float = 0.0) -> None:
-    """On the layer lines: a wave, a hook of three pieces of which the middle one comes first and the last
-    one is drawn backwards, and a ring of two halves; a circle on a layer that is off."""
-    made = Model("Millimeters")
-    made.layer("lines")
-    made.layer("old", visible=False)
-    made.add(curve([(x, y + shift, z) for x, y, z in WAVE]), "lines", "wave")
-    made.add(rhino3dm.LineCurve(point(-20, -20), point(0, -20)), "lines", "hook")
-    made.add(arc(0, -15, 5, 90, -90), "lines", "hook")
-    made.add(rhino3dm.LineCurve(point(-20, -20), point(-20, -12)), "lines", "hook")
-    made.add(arc(30, -15, 6, 180, 360), "lines", "ring")
-    made.add(arc(30, -15, 6, 180, 0), "lines", "ring")
-    made.add(rhino3dm.NurbsCurve.CreateFromCircle(rhino3dm.Circle(point(0, 0), 5.0)), "old")
-    made.write(folder / "pattern.3dm")
+    """Write a Rhino file with the curves to engrave.
+
+    The layer "lines" has a wave, a hook of three pieces (the middle one first, the last one drawn backwards),
+    and a ring of two halves. A circle is on a layer that is off.
+    """
+    created_model = Model("Millimeters")
+    created_model.layer("lines")
+    created_model.layer("old", visible=False)
+    created_model.add(curve([(x, y + shift, z) for x, y, z in WAVE]), "lines", "wave")
+    created_model.add(rhino3dm.LineCurve(point(-20, -20), point(0, -20)), "lines", "hook")
+    created_model.add(arc(0, -15, 5, 90, -90), "lines", "hook")
+    created_model.add(rhino3dm.LineCurve(point(-20, -20), point(-20, -12)), "lines", "hook")
+    created_model.add(arc(30, -15, 6, 180, 360), "lines", "ring")
+    created_model.add(arc(30, -15, 6, 180, 0), "lines", "ring")
+    created_model.add(rhino3dm.NurbsCurve.CreateFromCircle(rhino3dm.Circle(point(0, 0), 5.0)), "old")
+    created_model.write(folder / "pattern.3dm")
 
 
 def cut(folder: Path, *engrave: dict[str, Any], **fields: Any) -> EngraveCut:
@@ -61,8 +66,10 @@ def cut(folder: Path, *engrave: dict[str, Any], **fields: Any) -> EngraveCut:
 def test_planner_and_proof_run_the_curves_alike(tmp_path: Path) -> None:
     pattern(tmp_path)
     own = cut(tmp_path, {"drawing": {"file": "pattern.3dm", "layers": ["lines"]}})
-    ours = [points for points, _ in point_cut._curves(own, "engrave")[0]]
-    theirs = [1e-3 * np.array(one.points_mm) for one in each_curve(tuple(c.drawn() for c in own.engrave))]
+    ours = [engraved.points for engraved in point_cut._engraved_curves(own, "engrave")[0]]
+    theirs = [
+        1e-3 * np.array(one.points_mm) for one in split_curves(tuple(c.to_drawn_curve() for c in own.engrave))
+    ]
     assert len(ours) == len(theirs) == 3
     begins = [(-30, -10), (-20, -12), (24, -15)]
     ends = [(30, 10), (0, -10), (24, -15)]
@@ -72,7 +79,7 @@ def test_planner_and_proof_run_the_curves_alike(tmp_path: Path) -> None:
             assert 1e3 * points[-1, :2] == pytest.approx(end, abs=1e-6)
         assert cKDTree(one).query(other)[0].max() < 0.2e-3
     assert ours[2][len(ours[2]) // 4, 1] < -15e-3 and theirs[2][len(theirs[2]) // 4, 1] < -15e-3  # first half
-    true = 1e-3 * along(curve(WAVE), 4000)
+    true = 1e-3 * sample_curve(curve(WAVE), 4000)
     assert cKDTree(true).query(ours[0])[0].max() < 0.02e-3
 
 
@@ -99,14 +106,14 @@ def test_a_layer_of_a_rhino_file_is_engraved_and_proven(
     assert outcome.proof.ok, [str(issue) for issue in outcome.proof.issues]
     names = {s.name for s in registry.job(problem, 0).targets().segment if s.kind == "mill"}
     assert names == {"pattern_c1", "pattern_c2"}
-    read = rhino.curves
+    read = rhino.read_curves
 
-    def beside(*given: Any) -> Any:
+    def read_shifted(*given: Any) -> Any:
         found, notes = read(*given)
         return [
             rhino.FileCurve(one.points + np.array([0.0, 0.2e-3, 0.0]), one.closed) for one in found
         ], notes
 
-    monkeypatch.setattr(rhino, "curves", beside)
+    monkeypatch.setattr(rhino, "read_curves", read_shifted)
     proof = pipeline.plan(pipeline.load(tmp_path / "problem.yaml")).proof
     assert "verify.mill_path" in {issue.code for issue in proof.issues}

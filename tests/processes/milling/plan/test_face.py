@@ -1,4 +1,4 @@
-"""Lines that leave a strip along a face's edge: how wide it is, and what is then wanted of the rest."""
+"""Lines that leave a strip along the edge of a face: its width, and the remaining required area."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from planner.geometry.arrays import Mesh
 from planner.processes import registry
 from planner.processes.milling.claims import MillsSurface
 from planner.processes.milling.plan import cutter_contact as milling_face
-from planner.processes.milling.plan.process_plan import work
+from planner.processes.milling.plan.process_plan import plan_milling
 from tests.processes.milling.plan.small_mill import BALL, PANEL, problem
 from tests.processes.milling.proof.milling_job import Job
 
@@ -35,8 +35,8 @@ def disk(rings: int = 30, around: int = 180) -> Mesh:
 @pytest.mark.parametrize("margin", [0.004, 0.0171])
 def test_the_rest_of_a_disk_is_a_smaller_disk(margin: float) -> None:
     front = disk()
-    area = milling_face.inner(front, margin)
-    left = milling_face.clipped(front, area)
+    area = milling_face.inner_area(front, margin)
+    left = milling_face.clip_face(front, area)
     corners = left.vertices[left.faces]
     flat = 0.5 * np.cross(corners[:, 1, :2] - corners[:, 0, :2], corners[:, 2, :2] - corners[:, 0, :2])
     assert flat.min() > 0.0
@@ -48,7 +48,7 @@ def test_the_rest_of_a_disk_is_a_smaller_disk(margin: float) -> None:
 
 
 def test_a_margin_that_leaves_nothing() -> None:
-    assert milling_face.inner(disk(), 0.051).is_empty
+    assert milling_face.inner_area(disk(), 0.051).is_empty
 
 
 def test_lines_keep_the_margin_from_every_edge(tmp_path: Path) -> None:
@@ -59,7 +59,7 @@ def test_lines_keep_the_margin_from_every_edge(tmp_path: Path) -> None:
     edge = made.part.front.vertices[:, :2]
     low, high = edge.min(axis=0), edge.max(axis=0)
     assert claim.margin == 0.012
-    face = work(made.operations[0], made.setup_of(0), made.part).cuts[0].face
+    face = plan_milling(made.operations[0], made.setup_of(0), made.part).cuts[0].face
     assert face is not None
     # the panel is a piece of a ring seen from above, and is narrower than the box around it by 1.5 mm at most
     own = face.mesh.vertices[:, :2]

@@ -1,6 +1,6 @@
-"""Figures of what a round cutter cannot reach, against closed forms: an inner corner, a round trough.
+"""Areas that a round cutter cannot reach, against closed forms: an inner corner, a round trough.
 
-What other issues of milling and G-code advise is tried by the rows in ``remedies/remedy_rows_milling.py``.
+The remedies of other milling and G-code issues are tested by the rows in ``remedies/remedy_rows_milling.py``.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from planner.geometry.arrays import Mesh
 from planner.geometry.mesh import TriangleMesh
 from planner.issues import Issue, Severity
 from planner.processes.milling.plan import cutter_contact
-from tests.remedies.advice import Said
+from tests.remedies.advice import ReportedFigure
 from tests.remedies.remedy_rows import lay
 from tests.remedies.remedy_rows_milling import arc, walls
 
@@ -32,9 +32,9 @@ def test_an_inner_corner_is_rounded_as_it_is_said(tmp_path: Path) -> None:
     found = faults(walls([[*p, 12.0] for p in low], [[*p, 45.0] for p in low], {}), tmp_path)
     (corner,) = found
     assert corner.code == "milling.corner"
-    off = Said("its own, # mm off", 0.01).of(found, None)
+    off = ReportedFigure("leaves a fillet, # mm from the corner", 0.01).of(found, None)
     assert off == pytest.approx(6.0 * (math.hypot(20.0, 40.0) / 40.0 - 1.0), abs=0.006)
-    radius = Said("by # mm or more", 0.01).of(found, None)
+    radius = ReportedFigure("by # mm or more", 0.01).of(found, None)
     assert not faults(walls(arc(radius, 12.0), arc(radius, 45.0), {}), tmp_path)
     assert faults(walls(arc(5.0, 12.0), arc(5.0, 45.0), {}), tmp_path)
 
@@ -55,13 +55,13 @@ def test_a_ball_reaches_a_round_trough_of_its_own_radius_alone() -> None:
     mesh = Mesh(grid.reshape(-1, 3), faces)
     up = TriangleMesh(mesh.vertices, mesh.faces)
     assert float(np.cross(*np.diff(up.vertices[up.faces[0]], axis=0))[2]) > 0.0
-    found = cutter_contact.unreached(mesh, 20e-3, 1e-4)
+    found = cutter_contact.find_unreached(mesh, 20e-3, 1e-4)
     assert found is not None
-    assert found.share == pytest.approx(1.0, abs=0.01)
+    assert found.area_fraction == pytest.approx(1.0, abs=0.01)
     # from the one rim the other is in the ball farthest: of the chord that joins them
     across = 2.0 * pipe * np.sin(steep)
     centre = 20e-3 * np.array([-np.sin(steep), np.cos(steep)])
     deepest = 20e-3 - float(np.linalg.norm(np.array([across, 0.0]) * -1.0 - centre))
-    assert found.deep == pytest.approx(deepest, rel=0.03)
-    assert found.fits is not None and found.fits == pytest.approx(pipe, rel=0.03)
-    assert cutter_contact.unreached(mesh, 11.9e-3, 1e-4) is None
+    assert found.depth == pytest.approx(deepest, rel=0.03)
+    assert found.fitting_radius is not None and found.fitting_radius == pytest.approx(pipe, rel=0.03)
+    assert cutter_contact.find_unreached(mesh, 11.9e-3, 1e-4) is None

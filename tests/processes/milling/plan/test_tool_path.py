@@ -1,4 +1,4 @@
-"""Ways between passes, and what the report says of them."""
+"""Links between passes, and their rows in the report."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from planner.claims.segments import Segment
 from planner.processes import registry
 from planner.processes.milling.plan.operation import Milling
-from planner.processes.milling.plan.tool_path import LEAST_PLUNGE, Run, lay_out, plain_path
+from planner.processes.milling.plan.tool_path import MIN_PLUNGE_M, CutterPass, plain_path, plan_route
 from tests.processes.milling.plan.small_mill import BALL, PANEL, WALL, problem
 
 LINE = [{"polyline_mm": [[-30, 0, 0], [30, 0, 0]]}]
@@ -25,23 +25,23 @@ def test_a_tool_always_comes_down_to_a_pass_and_rises_from_it(height: float) -> 
     )
     tip = np.array([[-0.05, 0.0, height], [0.05, 0.0, height]])
     path = plain_path(tip, np.tile([0.0, 0.0, 1.0], (2, 1)), 0.02)
-    route = lay_out(op, [Run("one", path, 0, 1, 0.0), Run("two", path, 0, 1, 0.0)], BOX)
+    route = plan_route(op, [CutterPass("one", path, 0, 1, 0.0), CutterPass("two", path, 0, 1, 0.0)], BOX)
     assert [str(s) for s in route.segment[:4]] == ["approach", "mill/one_in", "mill/one", "mill/one_out"]
     assert route.segment[4] == Segment("link")
-    top = max(0.08, height + LEAST_PLUNGE)
+    top = max(0.08, height + MIN_PLUNGE_M)
     np.testing.assert_allclose(route.tip[[0, 3, 4, 7], 2], top)
     ways = np.linalg.norm(np.diff(route.tip, axis=0), axis=1)
-    assert (ways[[0, 2, 3, 4, 6]] >= LEAST_PLUNGE - 1e-12).all()
+    assert (ways[[0, 2, 3, 4, 6]] >= MIN_PLUNGE_M - 1e-12).all()
 
 
 def test_the_report_names_feeds_and_leaves_out_what_no_pass_has(tmp_path: Path) -> None:
     wall = registry.job(problem(tmp_path, WALL), 0).targets().exhibits
-    assert "cutter off the surface [mm]" in wall["cuts"]["columns"]
+    assert "cutter to surface [mm]" in wall["cuts"]["columns"]
     cuts = [
         {"lines": "front", "stepover_mm": 10, "feed_mm_s": 60, "shape_tol_mm": 8},
         {"engrave": LINE, "depth_mm": 0.5},
     ]
     face = registry.job(problem(tmp_path, PANEL, BALL, cuts=cuts, share=0.6), 0).targets().exhibits
-    assert "cutter off the surface [mm]" not in face["cuts"]["columns"]
+    assert "cutter to surface [mm]" not in face["cuts"]["columns"]
     assert all(len(row) == len(face["cuts"]["columns"]) for row in face["cuts"]["rows"])
     assert ("feed", "30 to 60", "mm/s") in face["setup"]["items"]

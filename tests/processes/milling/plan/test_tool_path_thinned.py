@@ -1,4 +1,4 @@
-"""Thinned ways: what is left out lies on the moves that stay, tip and axis at the same moment."""
+"""Thinned paths: removed targets lie on the remaining moves, tip and axis at the same instant."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import itertools
 import numpy as np
 import pytest
 
-from planner.geometry.polylines import thinned
+from planner.geometry.polylines import thin_rows
 
 CHORD, LEVER = 2e-5, 0.05
 
 
-def points(tip: np.ndarray, lean: np.ndarray) -> np.ndarray:
+def points(tip: np.ndarray, tilt: np.ndarray) -> np.ndarray:
     """Tip and a point on the axis (N, 2, 3) of tools that go along x and lean by angles (N,) in the plane."""
-    axis = np.stack([np.sin(lean), 0.0 * lean, np.cos(lean)], axis=1)
+    axis = np.stack([np.sin(tilt), 0.0 * tilt, np.cos(tilt)], axis=1)
     return np.stack([tip, tip + LEVER * axis], axis=1)
 
 
@@ -24,14 +24,16 @@ def test_rows_left_out_are_met_by_tip_and_axis_at_one_moment(wave: float) -> Non
     x = np.linspace(0.0, 0.06, 601)
     tip = np.stack([x, 0.0 * x, 0.0 * x], axis=1)
     tools = points(tip, 0.25 * np.cos(x / wave))
-    rows = thinned(tools, CHORD, 1.0)
+    rows = thin_rows(tools, CHORD, 1.0)
     assert rows[0] == 0 and rows[-1] == 600 and (np.diff(rows) > 0).all()
     moment = np.linspace(0.0, 1.0, 1001)[:, None, None]
     for first, last in itertools.pairwise(rows):
         moves = tools[first] + moment * (tools[last] - tools[first])
         for row in range(first + 1, last):
-            off = np.linalg.norm(moves - tools[row], axis=2).max(axis=1).min()
-            assert off < 1.5 * CHORD  # the moment that is nearest on the whole need not be the very best
+            deviation = np.linalg.norm(moves - tools[row], axis=2).max(axis=1).min()
+            assert (
+                deviation < 1.5 * CHORD
+            )  # the moment that is nearest on the whole need not be the very best
 
 
 def test_an_axis_that_leans_while_its_tip_goes_evenly_is_kept() -> None:
@@ -39,7 +41,7 @@ def test_an_axis_that_leans_while_its_tip_goes_evenly_is_kept() -> None:
     x = np.linspace(0.0, 0.004, 5)
     tip = np.stack([x, 0.0 * x, 0.0 * x], axis=1)
     even = points(tip, np.full(5, 0.1))
-    assert thinned(even, CHORD, 1.0).tolist() == [0, 4]
+    assert thin_rows(even, CHORD, 1.0).tolist() == [0, 4]
     ahead = even.copy()
     ahead[1:4, 1, 0] += 0.001
-    assert thinned(ahead, CHORD, 1.0).tolist() != [0, 4]
+    assert thin_rows(ahead, CHORD, 1.0).tolist() != [0, 4]

@@ -21,7 +21,7 @@ class Job:
     def __init__(self, folder: Path, base: dict, tool: dict | None = None, **fields: object) -> None:  # type: ignore[type-arg]
         self.problem = problem(folder, base, tool, **fields)
         targets = [registry.job(self.problem, 0).targets()]
-        self.programs: Programs = dict(write.programs(solve.solve(self.problem, targets), self.problem))
+        self.programs: Programs = dict(write.program_files(solve.solve(self.problem, targets), self.problem))
         self.prover = Prover(self.problem, registry.claims(self.problem))
 
     def prove(self, programs: Programs, last: str | None = "verify.spindle") -> Proof:

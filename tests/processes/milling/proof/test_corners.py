@@ -1,4 +1,4 @@
-"""Sharp corners of milled ways: what the proof says of them does not hang on where samples happen to lie."""
+"""Sharp corners of milled paths: the verdict does not depend on the phase of the samples."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ import pytest
 import planner
 from planner.geometry.arrays import FloatArray
 from planner.processes import registry
-from planner.processes.milling.proof import following
+from planner.processes.milling.proof import path_following
 from planner.proof.prove import Prover
 from planner.proof.replay import moves, playback, tool_track
-from planner.proof.replay.tool_track import Track, _with_bends
+from planner.proof.replay.tool_track import ReplayedToolPath, _add_bends
 from tests.test_sharp_turns import ABB, CELLS, KUKA, MILLED
 
 PHASES = np.linspace(3.7e-3, 4.3e-3, 12)
 """Times between samples [s]: each puts the samples elsewhere on every corner."""
 CORNERS = ["X20 Y0", "X0 Y0", "X20 Y2", "X0 Y0", "X0 Y20", "X20 Y20", "X30 Y10"]
-"""A way with turns by 180, 174, 96, 90 and 45 degrees."""
-PLACES = np.clip(np.cumsum(np.random.default_rng(2).normal(0.0, 10.0, (14, 2)), axis=0), -60.0, 60.0)
-ZIGZAG = [*(f"X{x:.3f} Y{y:.3f}" for x, y in PLACES), "X0 Y0", "X20 Y0", "X0 Y0", "X20 Y2", "X0 Y-1"]
+"""A path with turns by 180, 174, 96, 90 and 45 degrees."""
+POINTS_MM = np.clip(np.cumsum(np.random.default_rng(2).normal(0.0, 10.0, (14, 2)), axis=0), -60.0, 60.0)
+ZIGZAG = [*(f"X{x:.3f} Y{y:.3f}" for x, y in POINTS_MM), "X0 Y0", "X20 Y0", "X0 Y0", "X20 Y2", "X0 Y-1"]
 """One with turns of any size."""
 
 
@@ -31,13 +31,13 @@ class Job:
     """A zigzag that is milled at one feed [mm/min] within a tolerance [mm], and its programs."""
 
     def __init__(
-        self, folder: Path, cell: tuple[str, str], tolerance: float, feed: float, way: list[str]
+        self, folder: Path, cell: tuple[str, str], tolerance: float, feed: float, path_words: list[str]
     ) -> None:
         text = MILLED.replace("CELL", f"{CELLS / cell[0]}.yaml").replace("PLACE", cell[1])
         text = text.replace("TOLERANCE", str(tolerance)).replace("AXIS", "tool_axis: fixed")
         (folder / "problem.yaml").write_text(text)
         head = ["G21 G90 G94 G17", "S12000 M3 F1200", "G0 X0 Y0 Z20", "G1 Z-3"]
-        lines = [*head, f"F{feed:g}", *way, "G0 Z30", "M5", "M30", ""]
+        lines = [*head, f"F{feed:g}", *path_words, "G0 Z30", "M5", "M30", ""]
         (folder / "job.nc").write_text("\n".join(lines))
         problem = planner.load(folder / "problem.yaml")
         self.outcome = planner.plan(problem)
@@ -45,10 +45,10 @@ class Job:
         self.prover = Prover(problem, registry.claims(problem))
 
     def verdicts(self, monkeypatch: pytest.MonkeyPatch, programs: dict[str, str]) -> set[tuple[bool, bool]]:
-        """What is said of the way and of the feed, whatever the phase of the samples."""
+        """Verdicts on the path and on the feed, for any phase of the samples."""
         out = set()
         for phase in PHASES:
-            monkeypatch.setattr(playback, "SAMPLE_TIME", float(phase))
+            monkeypatch.setattr(playback, "SAMPLE_TIME_S", float(phase))
             proof = self.prover.prove(programs, last="verify.mill_feed")
             out.add((proof.rule("verify.mill_path").passed, proof.rule("verify.mill_feed").passed))
         return out
@@ -71,10 +71,10 @@ def test_corners_hold_at_every_phase_of_the_samples(
     assert job.verdicts(monkeypatch, job.programs) == {(True, True)}
 
 
-def moved(programs: dict[str, str], place: str, to: str) -> dict[str, str]:
-    """The programs with the last target at a place elsewhere."""
-    (name,) = [name for name, text in programs.items() if place in text]
-    before, _, behind = programs[name].rpartition(place)
+def moved(programs: dict[str, str], target: str, to: str) -> dict[str, str]:
+    """Move the last occurrence of a target in the programs."""
+    (name,) = [name for name, text in programs.items() if target in text]
+    before, _, behind = programs[name].rpartition(target)
     return {**programs, name: before + to + behind}
 
 
@@ -117,8 +117,8 @@ def test_what_is_found_hangs_not_on_how_many_places_are_worked_on_at_once(
     fine: Job, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = fine.prover.prove(fine.programs, last="verify.spindle").rules
-    monkeypatch.setattr(tool_track, "MAX_PLACES_AT_ONCE", 7)
-    monkeypatch.setattr(following, "_PLACES_AT_ONCE", 7)
+    monkeypatch.setattr(tool_track, "POSITIONS_PER_BATCH", 7)
+    monkeypatch.setattr(path_following, "_MAX_SAMPLES", 7)
     assert fine.prover.prove(fine.programs, last="verify.spindle").rules == whole
 
 
@@ -132,7 +132,7 @@ def test_lines_between_looks_are_off_the_motion_by_micrometres() -> None:
         stop[[0, -1]] = True
         duration = rng.uniform(0.003, 0.2, count)
         reach, room = rng.uniform(0.0, 0.5, (count + 1, 2)), rng.uniform(0.0, 2e-3, count + 1)
-        law = moves.time_law_of(duration, np.linalg.norm(delta[:, :3], axis=1), stop, reach, room)
+        law = moves.time_law(duration, np.linalg.norm(delta[:, :3], axis=1), stop, reach, room)
         start = np.concatenate([np.zeros((1, 6)), np.cumsum(delta, axis=0)])
 
         def at(time: FloatArray) -> FloatArray:
@@ -145,12 +145,15 @@ def test_lines_between_looks_are_off_the_motion_by_micrometres() -> None:
         dense = np.linspace(0.0, total, 10_000)
         seen, true = at(looks), at(dense)
         k = np.clip(np.searchsorted(looks, dense, side="right") - 1, 0, len(looks) - 2)
-        for columns, error in ((slice(0, 3), moves.CHORD_ERROR[0]), (slice(3, 6), moves.CHORD_ERROR[1])):
+        for columns, error in (
+            (slice(0, 3), moves.CHORD_TOLERANCE[0]),
+            (slice(3, 6), moves.CHORD_TOLERANCE[1]),
+        ):
             a, step = seen[k, columns], np.diff(seen[:, columns], axis=0)[k]
             off = true[:, columns] - a
-            share = (off * step).sum(axis=1) / np.maximum((step * step).sum(axis=1), 1e-30)
-            apart = np.linalg.norm(off - np.clip(share, 0.0, 1.0)[:, None] * step, axis=1)
-            assert apart.max() <= 1.5 * error
+            fraction = (off * step).sum(axis=1) / np.maximum((step * step).sum(axis=1), 1e-30)
+            distance = np.linalg.norm(off - np.clip(fraction, 0.0, 1.0)[:, None] * step, axis=1)
+            assert distance.max() <= 1.5 * error
 
 
 def test_places_of_a_track_leave_out_no_corner() -> None:
@@ -163,11 +166,11 @@ def test_places_of_a_track_leave_out_no_corner() -> None:
     joined = rows[1:] != 250  # there the tool is elsewhere for a while
     ahead = np.tile([1.0, 0.0, 0.0], (len(tip), 1))
     node, names = np.zeros(len(tip), dtype=np.int64), np.array(["mill/a"])
-    track = Track(rows, tip, axis, joined, node, names, 0.004 * rows, ahead)
+    track = ReplayedToolPath(rows, tip, axis, joined, node, names, 0.004 * rows, ahead)
     for bend in (np.inf, 1e-5):
         places, _, _ = track.spaced(1e-3, bend)
-        apart = np.linalg.norm(places[None] - corner[:, None], axis=2).min(axis=1)
-        assert (apart.max() < 1e-9) == np.isfinite(bend)
+        distance = np.linalg.norm(places[None] - corner[:, None], axis=2).min(axis=1)
+        assert (distance.max() < 1e-9) == np.isfinite(bend)
         assert len(places) < 40 + 3 * len(corner)
     on = np.linspace(0.0, 1.0, len(tip))
-    assert np.array_equal(_with_bends(tip[:, None].repeat(2, 1), on, on, 1e-5), on)
+    assert np.array_equal(_add_bends(tip[:, None].repeat(2, 1), on, on, 1e-5), on)

@@ -1,5 +1,7 @@
-"""The rule that holds a tool against a way of tips and axes, on ways worked out by hand: what follows them is
-found to, and everything else is not."""
+"""The rule that compares a tool with a path of tips and axes, on paths computed by hand.
+
+Motion that follows the path passes, all other motion fails.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray
 from planner.processes.milling.claims import MillsAlong
-from planner.processes.milling.proof.following import Followed, follow
+from planner.processes.milling.proof.path_following import PathDeviation, match_path
 
 UP = np.array([0.0, 0.0, 1.0])
 TOLERANCE, TURN = 1e-4, np.deg2rad(0.5)
@@ -21,7 +23,7 @@ def leaning(angle: float) -> FloatArray:
     return np.array([np.sin(angle), 0.0, np.cos(angle)])
 
 
-WAYS = {
+PATHS = {
     "straight": [([0, 0, 0], UP), ([100, 0, 0], UP)],
     "corner": [([0, 0, 0], UP), ([30, 0, 0], UP), ([30, 20, 0], UP)],
     "out and back": [([0, 0, 0], UP), ([40, 0, 0], UP), ([0, 0, 0], UP), ([0, 5, 0], UP)],
@@ -39,47 +41,51 @@ WAYS = {
 }
 
 
-def claim(way: list[tuple[list[float], FloatArray]]) -> MillsAlong:
-    tip = np.array([place for place, _ in way], dtype=np.float64) * 1e-3
-    axis = np.array([axis for _, axis in way])
+def claim(path: list[tuple[list[float], FloatArray]]) -> MillsAlong:
+    tip = np.array([place for place, _ in path], dtype=np.float64) * 1e-3
+    axis = np.array([axis for _, axis in path])
     return MillsAlong(Segment.read("mill/a"), "robot", tip, axis, np.full(len(tip), 0.02), TOLERANCE, TURN)
 
 
-def replay(own: MillsAlong, step: float = 0.4e-3) -> tuple[FloatArray, FloatArray]:
-    """Samples along the way, tip and axis (by SciPy's rotations) going evenly from place to place."""
-    tips, axes = [own.tip[:1]], [own.axis[:1]]
-    for i in range(len(own.tip) - 1):
-        length = np.linalg.norm(own.tip[i + 1] - own.tip[i]) + 0.05 * np.linalg.norm(
-            own.axis[i + 1] - own.axis[i]
+def replay(claimed: MillsAlong, step: float = 0.4e-3) -> tuple[FloatArray, FloatArray]:
+    """Sample the path. Tip and axis (by SciPy's rotations) move uniformly from point to point."""
+    tips, axes = [claimed.tip[:1]], [claimed.axis[:1]]
+    for i in range(len(claimed.tip) - 1):
+        length = np.linalg.norm(claimed.tip[i + 1] - claimed.tip[i]) + 0.05 * np.linalg.norm(
+            claimed.axis[i + 1] - claimed.axis[i]
         )
-        share = np.append(
+        fraction = np.append(
             np.arange(0.3, max(length / step, 0.4))[:, None] * step / max(length, 1e-9), [[1.0]], 0
         )
-        share = share[share[:, 0] <= 1.0]
-        tips.append(own.tip[i] + share * (own.tip[i + 1] - own.tip[i]))
-        turn = Rotation.align_vectors(own.axis[i + 1], own.axis[i])[0].as_rotvec()
-        axes.append(Rotation.from_rotvec(share * turn).apply(own.axis[i]))
+        fraction = fraction[fraction[:, 0] <= 1.0]
+        tips.append(claimed.tip[i] + fraction * (claimed.tip[i + 1] - claimed.tip[i]))
+        turn = Rotation.align_vectors(claimed.axis[i + 1], claimed.axis[i])[0].as_rotvec()
+        axes.append(Rotation.from_rotvec(fraction * turn).apply(claimed.axis[i]))
     return np.concatenate(tips), np.concatenate(axes)
 
 
-def holds(found: Followed) -> bool:
-    return bool((found.off <= TOLERANCE).all() and (found.turn <= TURN).all() and found.missed == 0)
+def holds(followed: PathDeviation) -> bool:
+    return bool(
+        (followed.distance <= TOLERANCE).all()
+        and (followed.angle <= TURN).all()
+        and followed.missed_count == 0
+    )
 
 
-@pytest.mark.parametrize("name", WAYS)
+@pytest.mark.parametrize("name", PATHS)
 def test_a_tool_on_its_way_follows_it_exactly(name: str) -> None:
-    own = claim(WAYS[name])
-    found = follow(own, *replay(own))
+    own = claim(PATHS[name])
+    found = match_path(own, *replay(own))
     assert holds(found)
-    assert found.off.max() < 1e-9
-    assert found.turn.max() < 1e-6
+    assert found.distance.max() < 1e-9
+    assert found.angle.max() < 1e-6
 
 
-@pytest.mark.parametrize("name", WAYS)
+@pytest.mark.parametrize("name", PATHS)
 def test_a_tool_within_the_tolerances_holds(name: str) -> None:
-    own = claim(WAYS[name])
+    own = claim(PATHS[name])
     tip, axis = replay(own)
-    assert holds(follow(own, tip + np.array([0.0, 0.0, 0.6 * TOLERANCE]), axis))
+    assert holds(match_path(own, tip + np.array([0.0, 0.0, 0.6 * TOLERANCE]), axis))
 
 
 def shifted(tip: FloatArray, axis: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -88,7 +94,7 @@ def shifted(tip: FloatArray, axis: FloatArray) -> tuple[FloatArray, FloatArray]:
     return out, axis
 
 
-def turned(tip: FloatArray, axis: FloatArray) -> tuple[FloatArray, FloatArray]:
+def tilted(tip: FloatArray, axis: FloatArray) -> tuple[FloatArray, FloatArray]:
     out = axis.copy()
     out[len(tip) // 2] += [0.0, 3.0 * TURN, 0.0]
     return tip, out / np.linalg.norm(out, axis=1, keepdims=True)
@@ -114,33 +120,33 @@ def twice(tip: FloatArray, axis: FloatArray) -> tuple[FloatArray, FloatArray]:
     return tip[rows], axis[rows]
 
 
-@pytest.mark.parametrize("name", WAYS)
-@pytest.mark.parametrize("wrong", [shifted, turned, cut_short, late, backwards, twice])
+@pytest.mark.parametrize("name", PATHS)
+@pytest.mark.parametrize("wrong", [shifted, tilted, cut_short, late, backwards, twice])
 def test_whatever_else_a_tool_does_is_found(name: str, wrong: object) -> None:
-    own = claim(WAYS[name])
+    own = claim(PATHS[name])
     assert callable(wrong)
-    assert not holds(follow(own, *wrong(*replay(own))))
+    assert not holds(match_path(own, *wrong(*replay(own))))
 
 
 def test_a_corner_that_is_cut_is_missed() -> None:
-    own = claim(WAYS["corner"])
+    own = claim(PATHS["corner"])
     tip, axis = replay(own)
     keep = np.linalg.norm(tip - own.tip[1], axis=1) > 2e-3
-    assert not holds(follow(own, tip[keep], axis[keep]))
+    assert not holds(match_path(own, tip[keep], axis[keep]))
 
 
 def test_a_turn_in_place_that_is_left_out_is_missed() -> None:
-    own = claim(WAYS["turn in place"])
+    own = claim(PATHS["turn in place"])
     tip, axis = replay(own)
     keep = (np.linalg.norm(tip - own.tip[1], axis=1) > 1e-6) & (axis[:, 0] < 1e-6)
-    assert not holds(follow(own, tip[keep], axis[keep]))
+    assert not holds(match_path(own, tip[keep], axis[keep]))
 
 
 def test_one_time_around_of_two_is_not_enough() -> None:
-    own = claim(WAYS["twice around"])
+    own = claim(PATHS["twice around"])
     tip, axis = replay(own)
     half = len(tip) // 2
-    assert not holds(follow(own, tip[half:], axis[half:]))
+    assert not holds(match_path(own, tip[half:], axis[half:]))
 
 
 @pytest.mark.parametrize("step", [8e-5, 2.4e-4, 4e-4, 1.2e-3])
@@ -154,5 +160,5 @@ def test_a_step_back_that_is_left_out_is_missed_however_far_samples_are_apart(
     for shift in np.linspace(0.0, 0.9, 7):
         tip, axis = replay(straight, step)
         tip = np.concatenate([tip[:1], tip[1:-1] + np.array([shift * step, 0.0, 0.0]), tip[-1:]])
-        assert not holds(follow(own, tip, axis))
-    assert holds(follow(own, *replay(own, step)))
+        assert not holds(match_path(own, tip, axis))
+    assert holds(match_path(own, *replay(own, step)))

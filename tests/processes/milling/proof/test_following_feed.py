@@ -1,4 +1,4 @@
-"""The feed at each place of a way, and programs whose feed is too high where the file asks for less."""
+"""The feed along a path, and programs that exceed it where the file states a lower one."""
 
 from __future__ import annotations
 
@@ -9,8 +9,14 @@ import pytest
 
 from planner.claims.segments import Segment
 from planner.processes.milling.claims import MillsAlong
-from planner.processes.milling.plan.tool_path import parted
-from planner.processes.milling.proof.following import FEED_TOLERANCES, allowed, follow, highest, rows_to_check
+from planner.processes.milling.plan.tool_path import insert_near_changes
+from planner.processes.milling.proof.path_following import (
+    FEED_TOLERANCE_FACTOR,
+    match_path,
+    max_feeds,
+    range_maxima,
+    rows_to_check,
+)
 from tests.processes.milling.plan.small_mill import BALL, PANEL
 from tests.processes.milling.proof.milling_job import Job, in_procedure
 
@@ -46,8 +52,8 @@ def test_highest_is_that_of_every_stretch() -> None:
     values = rng.normal(size=500)
     first = rng.integers(0, 500, 3000)
     last = np.minimum(first + rng.integers(0, 500, 3000) ** 2 // 500, 499)
-    wanted = [values[a : b + 1].max() for a, b in zip(first, last, strict=True)]
-    np.testing.assert_array_equal(highest(values, first, last), wanted)
+    expected = [values[a : b + 1].max() for a, b in zip(first, last, strict=True)]
+    np.testing.assert_array_equal(range_maxima(values, first, last), expected)
 
 
 def test_the_feed_changes_where_the_way_says() -> None:
@@ -61,8 +67,8 @@ def test_the_feed_changes_where_the_way_says() -> None:
     seen = np.stack([x, np.zeros_like(x), np.zeros_like(x)], axis=1)
     axes = np.tile([0.0, 0.0, 1.0], (len(x), 1))
     some = rows_to_check(seen, axes, TOLERANCE)
-    got = allowed(claim, some, follow(claim, seen[some], axes[some]), len(x))
-    sure = (FEED_TOLERANCES + 3.0) * TOLERANCE
+    got = max_feeds(claim, some, match_path(claim, seen[some], axes[some]), len(x))
+    sure = (FEED_TOLERANCE_FACTOR + 3.0) * TOLERANCE
     x = 0.5 * (x[1:] + x[:-1])
     for low, high, feed in ((0.0, 0.03, 0.01), (0.03, 0.06, 0.05), (0.06, 0.09, 0.02)):
         inner = (x > low + sure * (low > 0)) & (x < high - sure * (high < 0.09))
@@ -72,7 +78,7 @@ def test_the_feed_changes_where_the_way_says() -> None:
 def test_places_about_changes() -> None:
     tip = np.array([[0.0, 0, 0], [10, 0, 0], [11, 0, 0], [11.9, 0, 0], [12.1, 0, 0], [20, 0, 0]])
     change = np.array([False, True, True, True, True, False])
-    to, tips, axes = parted(tip, np.tile([0.0, 0.0, 1.0], (6, 1)), change, 0.4)
+    to, tips, axes = insert_near_changes(tip, np.tile([0.0, 0.0, 1.0], (6, 1)), change, 0.4)
     np.testing.assert_allclose(tips[:, 0], [0, 9.6, 10, 10.4, 10.6, 11, 11.45, 11.9, 12.1, 12.5, 20])
     np.testing.assert_array_equal(to, [0, 1, 1, 2, 2, 2, 3, 3, 4, 5, 5])
     np.testing.assert_allclose(axes, np.tile([0.0, 0.0, 1.0], (len(tips), 1)))

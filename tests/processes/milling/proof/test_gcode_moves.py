@@ -1,7 +1,7 @@
-"""The proof's own reader of G-code: the same ways as the planner's own, which shares no code with it, over
-random files; what it refuses; and faults in the planner's reader, which must not end proven.
+"""The proof's own G-code reader: it reads random files as the planner's reader does.
 
-Both are held against LinuxCNC's interpreter in ``tests/processes/milling/plan/gcode/test_canon.py``.
+The two share no code. Refusals are tested, and faults in the planner's reader, which must not end proven.
+Both readers are compared with LinuxCNC's interpreter in ``tests/processes/milling/plan/gcode/test_canon.py``.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from planner.processes.milling.plan.job import program_file
 from planner.processes.milling.plan.operation import GCodeFile
 from planner.processes.milling.plan.tool_path import ToolPath
 from planner.processes.milling.proof import gcode_moves as second
-from planner.processes.milling.proof import wanted_ways
-from planner.processes.milling.proof.gcode_lines import UnreadableError, words
+from planner.processes.milling.proof import resolve_claims
+from planner.processes.milling.proof.gcode_lines import UnreadableError, split_words
 from planner.programs import dialogue_text
 from planner.proof.prove import Prover
 from planner.proof.verdict import Proof
@@ -42,36 +42,38 @@ from tests.processes.milling.plan.gcode.gcode_programs import HEAD, read, spec
 from tests.processes.milling.plan.small_mill import BALL, PANEL, problem
 
 
-def by_the_proof(own: GCodeFile) -> second.Way:
-    return second.read(program_file(own), own.chord_tol_mm * 1e-3)
+def read_by_proof(operation: GCodeFile) -> second.ProgrammedPath:
+    return second.read_path(program_file(operation), operation.chord_tol_mm * 1e-3)
 
 
 def at_the_ends(line: NDArray[np.int64], *columns: Any) -> list[FloatArray]:
-    """Columns at the last row of each line's move: the readers part moves in their own ways."""
+    """Return the columns at the last row of each line's move. The readers divide moves differently."""
     last = np.append(np.flatnonzero(np.diff(line)), len(line) - 1)
     return [np.asarray(column, dtype=np.float64)[last] for column in (line, *columns)]
 
 
-def same(one: ToolPath, two: second.Way) -> None:
+def check_same(planned: ToolPath, proven: second.ProgrammedPath) -> None:
     """Raises ``AssertionError`` where two readings differ."""
-    turns = two.spindle * np.pi / 30.0
-    first = at_the_ends(one.line, one.tip, one.axis, one.feed, one.cuts, one.spindle)
-    for a, b in zip(first, at_the_ends(two.line, two.tip, two.axis, two.feed, two.cuts, turns), strict=True):
+    turns = proven.spindle * np.pi / 30.0
+    first = at_the_ends(planned.line, planned.tip, planned.axis, planned.feed, planned.cuts, planned.spindle)
+    for a, b in zip(
+        first, at_the_ends(proven.line, proven.tip, proven.axis, proven.feed, proven.cuts, turns), strict=True
+    ):
         np.testing.assert_allclose(b, a, atol=1e-9, rtol=1e-9)
 
 
 def both(folder: Path, seed: int) -> str:
     """Reads a random program twice; what came of it."""
     own = random.Random(seed)
-    said = gcode_random.stated(own)
+    said = gcode_random.random_settings(own)
     file = spec(folder, gcode_random.program(own, said, own.randint(1, 60)), **said)
     try:
-        one = reader.read(file.dialect("gcode")).path
+        one = reader.read_gcode(file.dialect("gcode")).path
     except TandemError:
         with pytest.raises(UnreadableError):
-            by_the_proof(file)
+            read_by_proof(file)
         return "refused"
-    same(one, by_the_proof(file))
+    check_same(one, read_by_proof(file))
     return "read"
 
 
@@ -90,7 +92,7 @@ def test_many_random_programs_are_read_alike(tmp_path: Path) -> None:
 def test_arcs_lie_on_their_circles_between_the_ends(tmp_path: Path) -> None:
     """A helix of a turn and a half in the zx plane about the axis of y: radius 20 mm about (5, *, 0)."""
     text = HEAD + "G0 X25 Y0 Z0\nG18 G3 X-15 Y4 Z0 I-20 K0\nG2 X-15 Y4 Z0 I20\n"
-    way = by_the_proof(spec(tmp_path, text, chord_tol_mm=0.001))
+    way = read_by_proof(spec(tmp_path, text, chord_tol_mm=0.001))
     around = way.tip[way.line == 5] * 1e3
     np.testing.assert_allclose(np.hypot(around[:, 0] - 5, around[:, 2]), 20.0, atol=1e-9)
     # counterclockwise seen from +y, from x: z to x is the first quarter, so that the way begins toward -z
@@ -103,21 +105,21 @@ def test_arcs_lie_on_their_circles_between_the_ends(tmp_path: Path) -> None:
 
 
 REFUSED = [
-    ("G1 X#1\n", 4, "no part of a word"),
-    ("G0 X0 Y0 Z0\nG1 X1 Q2\n", 5, "means nothing"),
+    ("G1 X#1\n", 4, "not part of a G-code word"),
+    ("G0 X0 Y0 Z0\nG1 X1 Q2\n", 5, "has no meaning"),
     ("G0 X0 Y0 Z0\nG81 X1\n", 5, "not known"),
     ("G0 X0 Y0 Z0\nG1 X1 X2\n", 5, "twice"),
     ("G0 X0 Y0 Z0\nG1 G2 X2\n", 5, "contradict"),
     ("G0 X0 Y0 Z0\nG1 X\n", 5, "without a number"),
-    ("G0 X0 Y0 Z0\nG1 X1.2.3\n", 5, "no number"),
+    ("G0 X0 Y0 Z0\nG1 X1.2.3\n", 5, "not a number"),
     ("G0 X0 Y0 Z0\n7\n", 5, "without a letter"),
-    ("G0 X0 Y0 Z0\nG55 G1 X1\n", 5, "does not place"),
+    ("G0 X0 Y0 Z0\nG55 G1 X1\n", 5, "does not state"),
     ("G0 X0 Y0 Z0\nG2 X10 Y0 R4\n", 5, "too small"),
     ("G0 X0 Y0 Z0\nG2 X10 Y0 I4 J0\n", 5, "radii"),
-    ("G0 X0 Y0 Z0\nG1 A4\n", 5, "turns nothing"),
+    ("G0 X0 Y0 Z0\nG1 A4\n", 5, "not an axis"),
     ("G0 X0 Y0 Z0\n/G1 X4\n", 5, "block_delete"),
-    ("G0 X0 Y0 Z0\nM5\nG1 X4\n", 6, "stands"),
-    ("G0 X0\nG1 X4\n", 5, "not known"),
+    ("G0 X0 Y0 Z0\nM5\nG1 X4\n", 6, "stopped"),
+    ("G0 X0\nG1 X4\n", 5, "unknown position"),
     ("G0 X0 Y0 Z0\nG93 G1 X4\n", 5, "feed"),
     ("G0 X0 Y0 Z0\nG1 X4 I1\n", 5, "I J K"),
     ("G0 X0 Y0 Z0\nG1 X4 % Y1\n", 5, "%"),
@@ -127,12 +129,12 @@ REFUSED = [
 @pytest.mark.parametrize(("text", "line", "word"), REFUSED)
 def test_what_it_does_not_know_it_refuses_by_line(tmp_path: Path, text: str, line: int, word: str) -> None:
     with pytest.raises(UnreadableError, match=word) as caught:
-        by_the_proof(spec(tmp_path, HEAD + text))
+        read_by_proof(spec(tmp_path, HEAD + text))
     assert caught.value.line == line
 
 
 def test_words_are_those_of_the_text() -> None:
-    found = words(b"%\r\nn10 g01 x-1. 5 (y7)\n/z3 ; a\n y+.5\n", False)
+    found = split_words(b"%\r\nn10 g01 x-1. 5 (y7)\n/z3 ; a\n y+.5\n", False)
     assert bytes(found.letter) == b"NGXZY"
     np.testing.assert_array_equal(found.value, [10, 1, -1.5, 3, 0.5])
     np.testing.assert_array_equal(found.line, [2, 2, 2, 3, 4])
@@ -146,7 +148,7 @@ def test_a_feed_that_the_problem_states_is_one_a_minute(tmp_path: Path) -> None:
     with pytest.raises(TandemError):
         read(tmp_path, text, **stated)
     with pytest.raises(UnreadableError, match="feed"):
-        by_the_proof(spec(tmp_path, text, **stated))
+        read_by_proof(spec(tmp_path, text, **stated))
     with pytest.raises(ValueError, match="feed_mm_min"):
         spec(tmp_path, text, feed_mode="per_rev", **stated)
 
@@ -186,14 +188,14 @@ class Job:
     def prove(self) -> Proof:
         own = self.problem()
         targets = [registry.job(own, 0).targets()]
-        programs = dict(write.programs(solve.solve(own, targets), own))
+        programs = dict(write.program_files(solve.solve(own, targets), own))
         return Prover(own, registry.claims(own)).prove(programs, last="verify.spindle")
 
 
 def test_a_clean_file_is_proven_with_its_questions(tmp_path: Path) -> None:
     job = Job(tmp_path)
     own = job.problem()
-    (group,) = wanted_ways.worked_out(registry.claims(own))[0].values()
+    (group,) = resolve_claims.resolve_claims(registry.claims(own))[0].values()
     (spoken,) = [claim for claim in group if isinstance(claim, OperatorDialogue)]
     (stop,) = spoken.stops
     assert [
@@ -212,7 +214,7 @@ def test_a_clean_file_is_proven_with_its_questions(tmp_path: Path) -> None:
 
 def _moved(change: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]) -> Callable[..., Any]:
     """The planner's reader with its places and axes changed."""
-    real = reader._path
+    real = reader._stock_path
 
     def path(*arguments: Any) -> ToolPath:
         own = real(*arguments)
@@ -227,20 +229,20 @@ def _fast(*arguments: Any) -> ToolPath:
     return dataclasses.replace(own, feed=own.feed * 10.0)
 
 
-_REAL = reader._path
+_REAL = reader._stock_path
 FAULTS: dict[str, tuple[Any, str, Any]] = {
-    "shifted by 3 mm": (reader, "_path", _moved(lambda t, a: (t + np.array([0.003, 0, 0]), a))),
-    "x and y swapped": (reader, "_path", _moved(lambda t, a: (t[:, [1, 0, 2]], a[:, [1, 0, 2]]))),
-    "y mirrored": (reader, "_path", _moved(lambda t, a: (t * [1, -1, 1], a * [1, -1, 1]))),
-    "depth halved": (reader, "_path", _moved(lambda t, a: (t - [0, 0, 0.5] * (t - 0.03), a))),
-    "feed times ten": (reader, "_path", _fast),
-    "inches as millimetres": (lines, "INCH", 1e-3),
+    "shifted by 3 mm": (reader, "_stock_path", _moved(lambda t, a: (t + np.array([0.003, 0, 0]), a))),
+    "x and y swapped": (reader, "_stock_path", _moved(lambda t, a: (t[:, [1, 0, 2]], a[:, [1, 0, 2]]))),
+    "y mirrored": (reader, "_stock_path", _moved(lambda t, a: (t * [1, -1, 1], a * [1, -1, 1]))),
+    "depth halved": (reader, "_stock_path", _moved(lambda t, a: (t - [0, 0, 0.5] * (t - 0.03), a))),
+    "feed times ten": (reader, "_stock_path", _fast),
+    "inches as millimetres": (lines, "INCH_M", 1e-3),
     "arcs the other way round": (moves, "CLOCKWISE", 3),
     "A the other way": (Convention, "axis", lambda own, turn, real=Convention.axis: real(own, -turn)),
     "arcs about another centre": (
         moves,
-        "points",
-        lambda s, e, c, *more, real=moves.points: real(s, e, (c[0] + 2e-3, c[1]), *more),
+        "arc_points",
+        lambda s, e, c, *more, real=moves.arc_points: real(s, e, (c[0] + 2e-3, c[1]), *more),
     ),
 }
 
@@ -251,14 +253,14 @@ def test_a_fault_in_the_planners_reader_is_not_proven(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     """With the planner's own checks switched off."""
-    monkeypatch.setattr(milling_job, "check", lambda made: [])
-    monkeypatch.setattr(check, "check", lambda job: [])
+    monkeypatch.setattr(milling_job, "check_work", lambda made: [])
+    monkeypatch.setattr(check, "check_work", lambda job: [])
     monkeypatch.setattr(*FAULTS[name])
     issues = Job(tmp_path).prove().issues
     assert issues
     if name == "shifted by 3 mm":
-        told = next(issue for issue in issues if issue.code == "verify.mill_path")
-        assert "3.0" in told.message
+        reported = next(issue for issue in issues if issue.code == "verify.mill_path")
+        assert "3.0" in reported.message
         assert "of job.nc" in " ".join(issue.message for issue in issues)
 
 
@@ -268,7 +270,7 @@ def test_a_file_that_only_the_planner_reads_is_not_proven(
     def unreadable(*arguments: Any) -> Any:
         raise UnreadableError(7, "a code that is not known")
 
-    monkeypatch.setattr(wanted_ways.gcode_moves, "read", unreadable)
+    monkeypatch.setattr(resolve_claims.gcode_moves, "read_path", unreadable)
     (issue,) = [i for i in Job(tmp_path).prove().issues if i.code == "verify.mill_path"]
     assert issue.line == 7
     assert "job.nc" in issue.message
@@ -282,10 +284,10 @@ def test_a_spindle_waits_as_long_as_the_file_says_and_no_longer(tmp_path: Path) 
     gcode_ = {"file": "job.nc", "origin": place, "tool_axis": "rotary", "convention": "head_a", "dwell": "ms"}
     own = problem(tmp_path, PANEL, BALL, cuts=[{"name": "prog", "gcode": gcode_}], part=None)
     claims = registry.claims(own)
-    (group,) = wanted_ways.worked_out(claims)[0].values()
+    (group,) = resolve_claims.resolve_claims(claims)[0].values()
     ways = [claim for claim in group if isinstance(claim, MillsAlong)]
     assert [way.dwell for way in ways if not way.segment.phase] == [3.0, 0.5]
-    programs = dict(write.programs(solve.solve(own, [registry.job(own, 0).targets()]), own))
+    programs = dict(write.program_files(solve.solve(own, [registry.job(own, 0).targets()]), own))
     prover = Prover(own, claims)
     assert not prover.prove(programs, last="verify.power_idle").issues
     (main,) = [file for file, text in programs.items() if "WaitTime 2;" in text]

@@ -1,5 +1,8 @@
-"""How a cutter passes a ruled surface with its side, by the guides alone: what the planner lays keeps to it,
-over all that a problem may ask, and faults do not. The planner's code is another one."""
+"""Flank passes over a ruled surface, derived from the guides alone.
+
+The planner's paths, which other code computes, fulfil the requirements for all options of a problem. Faults
+do not.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ from planner.processes.milling.claims import MillsFlank
 from planner.processes.milling.plan import cutter_contact, flank_cut
 from planner.processes.milling.plan import job as milling_job
 from planner.processes.milling.plan.job import MillingJob
-from planner.processes.milling.plan.tool_path import Run, ends
+from planner.processes.milling.plan.tool_path import CutterPass, safe_points
 from planner.processes.milling.proof import surface_passes
 from planner.processes.milling.proof.tool_motion import in_block
 from planner.proof.prove import Prover
@@ -74,11 +77,11 @@ def job(folder: Path, **fields: Any) -> tuple[MillingJob, MillsFlank]:
 
 
 def dense(tip: FloatArray, axis: FloatArray, step: float = 0.8e-3) -> tuple[FloatArray, FloatArray]:
-    """Samples along a path, straight from place to place."""
-    way = np.maximum(
+    """Sample a path, straight from point to point."""
+    path_length = np.maximum(
         np.linalg.norm(np.diff(tip, axis=0), axis=1), 0.02 * np.linalg.norm(np.diff(axis, axis=0), axis=1)
     )
-    along = np.append(0.0, np.cumsum(way))
+    along = np.append(0.0, np.cumsum(path_length))
     at = np.union1d(np.arange(0.0, along[-1], step), along)
     tips, axes = (
         np.stack([np.interp(at, along, row[:, k]) for k in range(3)], axis=1) for row in (tip, axis)
@@ -86,10 +89,10 @@ def dense(tip: FloatArray, axis: FloatArray, step: float = 0.8e-3) -> tuple[Floa
     return tips, axes / np.linalg.norm(axes, axis=1, keepdims=True)
 
 
-def parts(own: MillingJob, run: Run) -> dict[str, tuple[FloatArray, FloatArray]]:
+def parts(milling_job: MillingJob, run: CutterPass) -> dict[str, tuple[FloatArray, FloatArray]]:
     """Samples of a pass, and of its ways away from it."""
     path = run.path
-    start, end = ends(own.operation, run, own.planned.box)
+    start, end = safe_points(milling_job.operation, run, milling_job.planned.box)
     into = np.concatenate([start[None], path.tip[: run.first + 1]])[::-1]
     turned = np.concatenate([path.axis[:1], path.axis[: run.first + 1]])[::-1]
     out = np.concatenate([path.tip[run.last :], end[None]])
@@ -98,23 +101,25 @@ def parts(own: MillingJob, run: Run) -> dict[str, tuple[FloatArray, FloatArray]]
     return {"": dense(path.tip[rows], path.axis[rows]), "_in": dense(into, turned), "_out": dense(out, leant)}
 
 
-def held(claim: MillsFlank, number: int, found: dict[str, tuple[FloatArray, FloatArray]]) -> list[str]:
-    """What is wrong with a pass and its ways."""
-    tip, axis = found[""]
-    own = surface_passes.passed(claim, number, tip, axis)
-    out = [*own.faults, *(own.worst[i] for i in np.flatnonzero(own.off > 1.0)[:1])]
+def faults_of_pass(
+    claim: MillsFlank, number: int, sampled: dict[str, tuple[FloatArray, FloatArray]]
+) -> list[str]:
+    """Return the faults of a pass with its lead-in and lead-out."""
+    tip, axis = sampled[""]
+    own = surface_passes.check_pass(claim, number, tip, axis)
+    out = [*own.faults, *(own.criterion[i] for i in np.flatnonzero(own.deviation > 1.0)[:1])]
     for phase, rows in (("_in", [0, 1]), ("_out", [-1, -2])):
-        way = surface_passes.ways(claim, number, (tip[rows], axis[rows]), *found[phase])
-        out += [*way.faults, *(f"{phase} {value:.2f}" for value in [way.off.max()] if value > 1.0)]
-        assert way.up[-1]
+        way = surface_passes.check_lead(claim, number, (tip[rows], axis[rows]), *sampled[phase])
+        out += [*way.faults, *(f"{phase} {value:.2f}" for value in [way.deviation.max()] if value > 1.0)]
+        assert way.is_axial[-1]
     return out
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_what_the_planner_lays_keeps_to_the_surface(tmp_path: Path, name: str) -> None:
     own, claim = job(tmp_path, **CASES[name])
-    for number, run in enumerate(own.planned.runs):
-        assert held(claim, number, parts(own, run)) == []
+    for number, run in enumerate(own.planned.passes):
+        assert faults_of_pass(claim, number, parts(own, run)) == []
 
 
 @pytest.mark.parametrize("radii", [(28, 8), (20, 16), (26, 30)])
@@ -128,7 +133,7 @@ def test_a_tool_that_turns_on_its_way_is_off_the_block_at_its_end(
     ]
     own, claim = job(tmp_path, part=wall(*cone, closed=True), cuts=[{"flank": "wall"}])
     cutter, stock = claim.cutter, own.setup.stock
-    for run in own.planned.runs:
+    for run in own.planned.passes:
         tip, axis = run.path.tip[[0, -1]], run.path.axis[[0, -1]]
         assert not in_block(tip, axis, cutter.overhang, cutter.radius, stock).any()
 
@@ -137,13 +142,13 @@ def test_a_tool_that_is_drawn_back_may_do_so_fast_from_the_end_of_its_way_on(tmp
     """Its first millimetres up counted as its way aside, at the feed: a quick arm's job was not proven."""
     straight = [{"polyline_mm": [[*p[:2], z] for p in ROUND[0]["polyline_mm"]]} for z in (12, 50)]
     own, claim = job(tmp_path, part=wall(*straight, closed=True), cuts=[{"flank": "wall"}])
-    (run,) = own.planned.runs
+    (run,) = own.planned.passes
     found = parts(own, run)
     tip, axis = found[""]
     for phase, rows, end in (("_in", [0, 1], 0), ("_out", [-1, -2], -1)):
-        way = surface_passes.ways(claim, 0, (tip[rows], axis[rows]), *found[phase])
+        way = surface_passes.check_lead(claim, 0, (tip[rows], axis[rows]), *found[phase])
         rise = (found[phase][0] - run.path.tip[end]) @ run.path.axis[end]
-        assert way.up[rise > 0.5e-3].all() and not way.up[rise < -0.5e-3].any()
+        assert way.is_axial[rise > 0.5e-3].all() and not way.is_axial[rise < -0.5e-3].any()
 
 
 Change = Callable[[FloatArray, FloatArray, MillsFlank], tuple[FloatArray, FloatArray]]
@@ -158,7 +163,7 @@ def _sideways(metres: float) -> Change:
     return change
 
 
-def _lean(tip: FloatArray, axis: FloatArray, claim: MillsFlank) -> tuple[FloatArray, FloatArray]:
+def _tilt(tip: FloatArray, axis: FloatArray, claim: MillsFlank) -> tuple[FloatArray, FloatArray]:
     side = np.cross(axis, np.gradient(tip, axis=0))
     out = axis + 0.03 * side / np.linalg.norm(side, axis=1, keepdims=True)
     return tip, out / np.linalg.norm(out, axis=1, keepdims=True)
@@ -170,7 +175,7 @@ WRONG: dict[str, Change] = {
     "on the other side": _sideways(-0.008),
     "too deep": lambda tip, axis, claim: (tip - 1e-3 * axis, axis),
     "too high": lambda tip, axis, claim: (tip + 1e-3 * axis, axis),
-    "leaning off": _lean,
+    "leaning off": _tilt,
     "backwards": lambda tip, axis, claim: (tip[::-1], axis[::-1]),
     "cut short": lambda tip, axis, claim: (tip[: len(tip) * 9 // 10], axis[: len(tip) * 9 // 10]),
     "begun late": lambda tip, axis, claim: (tip[len(tip) // 10 :], axis[len(tip) // 10 :]),
@@ -195,9 +200,9 @@ def _led(tip: FloatArray, axis: FloatArray, claim: MillsFlank) -> tuple[FloatArr
 def test_what_is_off_it_is_found(tmp_path: Path, name: str, wrong: str) -> None:
     own, claim = job(tmp_path, **CASES[name])
     last = len(claim.segments) - 1
-    tip, axis = WRONG[wrong](*parts(own, own.planned.runs[-1])[""], claim)
-    found = surface_passes.passed(claim, last, tip, axis)
-    assert found.faults or found.off.max() > 1.0
+    tip, axis = WRONG[wrong](*parts(own, own.planned.passes[-1])[""], claim)
+    found = surface_passes.check_pass(claim, last, tip, axis)
+    assert found.faults or found.deviation.max() > 1.0
 
 
 ASTRAY: dict[str, Change] = {
@@ -224,45 +229,49 @@ ASTRAY: dict[str, Change] = {
 @pytest.mark.parametrize("phase", ["_in", "_out"])
 def test_ways_that_go_elsewhere_are_found(tmp_path: Path, phase: str, wrong: str) -> None:
     own, claim = job(tmp_path, **CASES["short lead"])
-    found = parts(own, own.planned.runs[0])
+    found = parts(own, own.planned.passes[0])
     rows = [0, 1] if phase == "_in" else [-1, -2]
     end = found[""][0][rows], found[""][1][rows]
-    way = surface_passes.ways(claim, 0, end, *ASTRAY[wrong](*found[phase], claim))
-    assert way.faults or way.off.max() > 1.0
+    way = surface_passes.check_lead(claim, 0, end, *ASTRAY[wrong](*found[phase], claim))
+    assert way.faults or way.deviation.max() > 1.0
 
 
-_AXES, _RUN, _PLACED = cutter_contact.axes, flank_cut._run, flank_cut.placed
+_AXES, _RUN, _PLACED = cutter_contact.cutter_axes, flank_cut._build_pass, flank_cut.place_cutter
 FAULTS: dict[str, tuple[Any, str, Any]] = {
     "on the other side": (
         cutter_contact,
-        "axes",
-        lambda strip, radius: _AXES(dataclasses.replace(strip, out=-strip.out), radius),
+        "cutter_axes",
+        lambda strip, radius: _AXES(dataclasses.replace(strip, outward_sign=-strip.outward_sign), radius),
     ),
-    "radius not compensated": (cutter_contact, "axes", lambda strip, radius: _AXES(strip, 0.0)),
-    "half of the radius": (cutter_contact, "axes", lambda strip, radius: _AXES(strip, 0.5 * radius)),
-    "tip not beyond its guide": (flank_cut, "under", lambda cut, cutter: -0.004),
+    "radius not compensated": (cutter_contact, "cutter_axes", lambda strip, radius: _AXES(strip, 0.0)),
+    "half of the radius": (cutter_contact, "cutter_axes", lambda strip, radius: _AXES(strip, 0.5 * radius)),
+    "tip not beyond its guide": (flank_cut, "tip_overrun", lambda cut, cutter: -0.004),
     "roughing 2 mm too high": (
         flank_cut,
-        "_run",
+        "_build_pass",
         lambda op, cut, name, on, lift, *more: _RUN(
             op, cut, name, on, lift + 0.002 * (name != "wall"), *more
         ),
     ),
     "the other way": (
         flank_cut,
-        "placed",
+        "place_cutter",
         lambda op, cut, ruled, radius: _PLACED(
             op, cut.model_copy(update={"direction": "against"}), ruled, radius
         ),
     ),
-    "ways in and out left out": (flank_cut, "_lead", lambda cut, low, high, *more: (low[:0], high[:0])),
+    "ways in and out left out": (
+        flank_cut,
+        "_extend_lead",
+        lambda cut, low, high, *more: (low[:0], high[:0]),
+    ),
 }
 
 
 def prove(folder: Path) -> Any:
     own = problem(folder, WALL, cuts=[{"flank": "wall", "stepdown_mm": 25}])
     targets = [registry.job(own, 0).targets()]
-    programs = line_ends.bare(write.programs(solve.solve(own, targets), own))
+    programs = line_ends.bare(write.program_files(solve.solve(own, targets), own))
     return Prover(own, registry.claims(own)).prove(programs, last="verify.spindle")
 
 
@@ -271,7 +280,7 @@ def prove(folder: Path) -> Any:
 def test_a_fault_in_the_planner_is_not_proven(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    monkeypatch.setattr(milling_job, "check", lambda made: [])
-    monkeypatch.setattr(flank_cut, "check", lambda *given: [])
+    monkeypatch.setattr(milling_job, "check_work", lambda made: [])
+    monkeypatch.setattr(flank_cut, "check_flank", lambda *given: [])
     monkeypatch.setattr(*FAULTS[name])
     assert prove(tmp_path).issues

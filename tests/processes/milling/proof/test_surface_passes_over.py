@@ -1,5 +1,8 @@
-"""How a cutter passes over a face with its end, by the face alone: what the planner lays keeps to it over all
-that a problem may ask, and faults, in its ways or its code, do not."""
+"""Point-milling passes over a face, derived from the face alone.
+
+The planner's paths fulfil the requirements for all options of a problem. Faults in its paths or its code do
+not.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ from planner.processes.milling.claims import MillsOver, MillsSurface
 from planner.processes.milling.plan import job as milling_job
 from planner.processes.milling.plan import point_cut
 from planner.processes.milling.plan.job import MillingJob
-from planner.processes.milling.proof.surface_passes import OverFace
+from planner.processes.milling.proof.surface_passes import MilledFace
 from planner.proof.prove import Prover
 from tests import line_ends
 from tests.processes.milling.plan.small_mill import BALL, PANEL, problem
@@ -47,9 +50,9 @@ def job(folder: Path, tool: str, cut: dict[str, Any]) -> tuple[MillingJob, Mills
     return own, claim
 
 
-def samples(own: MillingJob) -> tuple[FloatArray, FloatArray]:
+def samples(milling_job: MillingJob) -> tuple[FloatArray, FloatArray]:
     """Samples of all passes."""
-    rows = [dense(run.path.tip, run.path.axis) for run in own.planned.runs]
+    rows = [dense(run.path.tip, run.path.axis) for run in milling_job.planned.passes]
     return np.concatenate([tip for tip, _ in rows]), np.concatenate([axis for _, axis in rows])
 
 
@@ -58,8 +61,8 @@ def samples(own: MillingJob) -> tuple[FloatArray, FloatArray]:
 @pytest.mark.parametrize("name", CASES)
 def test_what_the_planner_lays_keeps_to_the_face(tmp_path: Path, name: str, tool: str) -> None:
     own, claim = job(tmp_path, tool, CASES[name])
-    off = OverFace(claim).off(*samples(own))
-    assert max(float(value.max()) for value in off.values()) < 0.97
+    deviation = MilledFace(claim).deviations(*samples(own))
+    assert max(float(value.max()) for value in deviation.values()) < 0.97
 
 
 Change = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
@@ -83,11 +86,11 @@ WRONG: dict[str, Change] = {
 @pytest.mark.parametrize("name", ["normal", "upright", "within a margin"])
 def test_what_is_off_it_is_found(tmp_path: Path, name: str, wrong: str) -> None:
     own, claim = job(tmp_path, "ball", CASES[name])
-    off = OverFace(claim).off(*WRONG[wrong](*samples(own)))
-    assert max(float(value.max()) for value in off.values()) > 1.0
+    deviation = MilledFace(claim).deviations(*WRONG[wrong](*samples(own)))
+    assert max(float(value.max()) for value in deviation.values()) > 1.0
 
 
-_TOOL, _TIPS, _RUNS = point_cut._line_tool, point_cut.tips, point_cut.line_runs
+_TOOL, _TIPS, _RUNS = point_cut._line_tool_path, point_cut.tool_tips, point_cut.plan_lines
 
 
 def _each(change: Change) -> Callable[..., Any]:
@@ -95,13 +98,13 @@ def _each(change: Change) -> Callable[..., Any]:
 
 
 FAULTS: dict[str, tuple[str, Any]] = {
-    "shifted by 3 mm": ("_line_tool", _each(lambda tip, axis: (tip + np.array([0.003, 0, 0]), axis))),
-    "0.4 mm too deep": ("_line_tool", _each(lambda tip, axis: (tip - 4e-4 * axis, axis))),
-    "the ball's middle for its tip": ("tips", lambda contact, normal, *more: contact + 0.003 * normal),
-    "x and y swapped": ("_line_tool", _each(lambda tip, axis: (tip[:, [1, 0, 2]], axis[:, [1, 0, 2]]))),
-    "margin left out": ("line_runs", lambda op, cut, over, cutter, area=None: _RUNS(op, cut, over, cutter)),
+    "shifted by 3 mm": ("_line_tool_path", _each(lambda tip, axis: (tip + np.array([0.003, 0, 0]), axis))),
+    "0.4 mm too deep": ("_line_tool_path", _each(lambda tip, axis: (tip - 4e-4 * axis, axis))),
+    "the ball's middle for its tip": ("tool_tips", lambda contact, normal, *more: contact + 0.003 * normal),
+    "x and y swapped": ("_line_tool_path", _each(lambda tip, axis: (tip[:, [1, 0, 2]], axis[:, [1, 0, 2]]))),
+    "margin left out": ("plan_lines", lambda op, cut, over, cutter, area=None: _RUNS(op, cut, over, cutter)),
     "margin twice as wide": (
-        "line_runs",
+        "plan_lines",
         lambda op, cut, over, cutter, area=None: _RUNS(op, cut, over, cutter, area.buffer(-0.004)),
     ),
 }
@@ -116,15 +119,15 @@ ALWAYS = ("0.4 mm too deep", "margin left out")
 def test_faults_in_the_planner_are_not_proven(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str | None
 ) -> None:
-    monkeypatch.setattr(milling_job, "check", lambda made: [])
+    monkeypatch.setattr(milling_job, "check_work", lambda made: [])
     if name is not None:
         monkeypatch.setattr(point_cut, *FAULTS[name])
     own = problem(
         tmp_path, PANEL, BALL, cuts=[{**LINES, "stepover_mm": 1.2, "margin_mm": 8, "feed_mm_s": 20}]
     )
     claims = registry.claims(own)
-    (wanted,) = [c for group in claims.values() for c in group if isinstance(c, MillsSurface)]
-    assert wanted.margin == 0.008
+    (expected,) = [c for group in claims.values() for c in group if isinstance(c, MillsSurface)]
+    assert expected.margin == 0.008
     targets = [registry.job(own, 0).targets()]
-    programs = line_ends.bare(write.programs(solve.solve(own, targets), own))
+    programs = line_ends.bare(write.program_files(solve.solve(own, targets), own))
     assert bool(Prover(own, claims).prove(programs, last="verify.spindle").issues) == (name is not None)

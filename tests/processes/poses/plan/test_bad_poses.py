@@ -1,4 +1,4 @@
-"""Every way in which a file of targets or its operation can be wrong is named."""
+"""Every fault of a file of targets or of its operation is named."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from planner import pipeline
 from planner.issues import TandemError
 from planner.processes.poses.plan.job import MAX_TABLE_BYTES as MAX_TABLE
 from tests import small_problem
-from tests.refusals import OPERATION, POSES, change, codes, refused
+from tests.refusals import OPERATION, POSES, change, codes, expect_refusal
 
 ROW = small_problem.ROWS[0]
 TABLES = {
@@ -103,7 +103,7 @@ def test_tables_that_are_missing_or_too_large(tmp_path: Path) -> None:
 )
 def test_each_wrong_field_of_the_general_door_is_named(tmp_path: Path, field: str, value: Any) -> None:
     path = small_problem.write(tmp_path, yaml.safe_dump(change(POSES, OPERATION + field, value)))
-    (*_, issue) = refused(path)
+    (*_, issue) = expect_refusal(path)
     assert issue.code == "problem.field"
     assert issue.field
     assert issue.field.startswith("operations.0")

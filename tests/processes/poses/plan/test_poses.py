@@ -1,4 +1,4 @@
-"""The general door: poses from CSV and JSON, and every way such a file can be wrong."""
+"""The generic input: poses from CSV and JSON, and every fault of such a file."""
 
 from __future__ import annotations
 

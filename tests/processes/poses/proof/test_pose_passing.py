@@ -1,12 +1,11 @@
-"""Passing of given poses: against the plain search from pose to pose, and with work that grows as the
-number."""
+"""Passing of given poses: against a plain search from pose to pose, with work that grows linearly."""
 
 import numpy as np
 import pytest
 
 from planner.geometry.arrays import exp_rotation, exp_twist, from_parts
-from planner.processes.poses.proof.pose_passing import MOST_MISSED, passing, values
-from tests.work import counted
+from planner.processes.poses.proof.pose_passing import MAX_MISSED, free_values, match_poses
+from tests.work import count_calls
 
 TOLERANCE = (5e-5, 1e-3)
 SPIN = (np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]),)
@@ -53,32 +52,36 @@ def test_the_first_targets_that_meet(case):
         path = np.delete(path, [0, 7, 8, 30, 59], axis=0)
     if case == "swapped":
         path[[20, 21]] = path[[21, 20]]
-    found = passing([path], [poses], [()], TOLERANCE)
+    found = match_poses([path], [poses], [()], TOLERANCE)
     target, met = plainly(path, poses, ())
-    assert found.met.tolist() == met
+    assert found.is_matched.tolist() == met
     assert found.target.tolist() == target
-    assert found.looked == len(poses)
+    assert found.checked_count == len(poses)
     assert (case in ("missing", "swapped")) == (not all(met))
 
 
 def test_what_is_free_may_differ():
     poses = spiral(30)
-    turned = poses @ from_parts(exp_rotation(np.linspace(0, 0.5, 30)[:, None] * [0.0, 0.0, 1.0]), np.zeros(3))
-    assert passing([turned], [poses], [SPIN], TOLERANCE).met.all()
-    assert not passing([turned], [poses], [()], TOLERANCE).met.all()
-    assert passing([turned], [poses], [SPIN], TOLERANCE).target.tolist() == plainly(turned, poses, SPIN)[0]
+    rotated = poses @ from_parts(
+        exp_rotation(np.linspace(0, 0.5, 30)[:, None] * [0.0, 0.0, 1.0]), np.zeros(3)
+    )
+    assert match_poses([rotated], [poses], [SPIN], TOLERANCE).is_matched.all()
+    assert not match_poses([rotated], [poses], [()], TOLERANCE).is_matched.all()
+    assert (
+        match_poses([rotated], [poses], [SPIN], TOLERANCE).target.tolist() == plainly(rotated, poses, SPIN)[0]
+    )
 
 
 def test_many_poses_take_work_in_proportion():
     poses = spiral(20_000)
-    _, few = counted(passing, [poses[:2000]], [poses[:2000]], [()], TOLERANCE)
-    found, many = counted(passing, [poses], [poses], [()], TOLERANCE)
-    assert found.met.all()
+    _, few = count_calls(match_poses, [poses[:2000]], [poses[:2000]], [()], TOLERANCE)
+    found, many = count_calls(match_poses, [poses], [poses], [()], TOLERANCE)
+    assert found.is_matched.all()
     assert found.target.tolist() == list(range(20_000))
-    assert found.looked == 20_000
+    assert found.checked_count == 20_000
     assert many < 10.5 * few
-    elsewhere = passing([poses], [from_parts(np.eye(3), np.ones(3)) @ poses], [()], TOLERANCE)
-    assert elsewhere.looked == MOST_MISSED
+    elsewhere = match_poses([poses], [from_parts(np.eye(3), np.ones(3)) @ poses], [()], TOLERANCE)
+    assert elsewhere.checked_count == MAX_MISSED
 
 
 AXES = np.eye(6)
@@ -89,18 +92,18 @@ def test_values_of_free_axes_come_back(free):
     """Against the product of exponentials that made them, turns up to half a turn, slides up to 50 mm."""
     rng = np.random.default_rng(11)
     span = [(2.8 if j == free[-1] else 1.2) if j < 3 else 0.05 for j in free]
-    wanted = rng.uniform(-1.0, 1.0, (200, len(free))) * span
+    expected = rng.uniform(-1.0, 1.0, (200, len(free))) * span
     relative = np.broadcast_to(np.eye(4), (200, 4, 4))
     for j, axis in enumerate(free):
-        relative = relative @ exp_twist(wanted[:, j, None] * AXES[axis])
-    found, left = values(relative @ exp_twist(rng.normal(0.0, 1e-6, (200, 6))), [AXES[j] for j in free])
+        relative = relative @ exp_twist(expected[:, j, None] * AXES[axis])
+    found, left = free_values(relative @ exp_twist(rng.normal(0.0, 1e-6, (200, 6))), [AXES[j] for j in free])
     assert np.abs(left).max() < 1e-5
-    np.testing.assert_allclose(found, wanted, atol=1e-4)
+    np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
 def test_two_tools_pass_their_poses_at_one_target():
     left, right = spiral(20), spiral(20) @ from_parts(np.eye(3), np.array([0.0, 0.0, 0.3]))
     paths = [left, right]
-    assert passing(paths, [left, right], [(), ()], TOLERANCE).target.tolist() == list(range(20))
+    assert match_poses(paths, [left, right], [(), ()], TOLERANCE).target.tolist() == list(range(20))
     late = np.concatenate([right[:1], right[:-1]])
-    assert not passing([left, late], [left, right], [(), ()], TOLERANCE).met.all()
+    assert not match_poses([left, late], [left, right], [(), ()], TOLERANCE).is_matched.all()

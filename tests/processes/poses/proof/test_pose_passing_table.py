@@ -1,5 +1,7 @@
-"""The proof's own reading of tables of poses, against scipy's rotations and against the planner's reader; and
-what it catches: a planner that reads the table otherwise, leaves a range or goes too fast."""
+"""The proof's own reader of pose tables, against scipy's rotations and the planner's reader.
+
+It catches a planner that misreads the table, leaves a range or moves too fast.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,7 @@ from planner.processes.poses.plan import job
 from planner.processes.poses.proof import pose_passing
 
 ROWS = 12
-NAMES = ["robot." + key for key in (*pose_passing.PLACE_COLUMNS, *pose_passing.TURN_COLUMNS)]
+NAMES = ["robot." + key for key in (*pose_passing.POSITION_COLUMNS, *pose_passing.QUATERNION_COLUMNS)]
 
 
 def table(path: Path, values: np.ndarray, feed: list[str] | None = None) -> Path:
@@ -45,15 +47,15 @@ def test_poses_and_feeds_in_si_units(tmp_path: Path, name: str) -> None:
     feeds = ["", *map(str, range(10, 10 + ROWS - 1))]
     path = table(tmp_path / name, np.concatenate([place, quaternion], axis=1), feeds)
     read = pose_passing.read_pose_table(path, ("robot",))
-    wanted = Rotation.from_quat(quaternion[:, [1, 2, 3, 0]]).as_matrix()
-    np.testing.assert_allclose(read.poses["robot"][:, :3, :3], wanted, atol=1e-12)
+    expected = Rotation.from_quat(quaternion[:, [1, 2, 3, 0]]).as_matrix()
+    np.testing.assert_allclose(read.poses["robot"][:, :3, :3], expected, atol=1e-12)
     np.testing.assert_allclose(read.poses["robot"][:, :3, 3], place * 1e-3, atol=1e-15)
     assert np.isnan(read.feed[0])
     np.testing.assert_allclose(read.feed[1:], np.arange(10, 10 + ROWS - 1) * 1e-3)
 
 
 def lanes(folder: Path, **changes: object) -> Path:
-    """The first lane of the bundled table, as a problem of its own, with fields of its operation changed."""
+    """Return the first lane of the bundled table as a problem, with changed fields of its operation."""
     source = robots.data_dir("problems") / "gauge_lanes"
     data = yaml.safe_load((source / "problem.yaml").read_text())
     data["cell"] = str(source.parent / "cells" / "irb140_gauge.yaml")
@@ -64,11 +66,11 @@ def lanes(folder: Path, **changes: object) -> Path:
 
 
 SPIN = {"name": "spin", "arms": ["robot"], "axis": "z", "turn_deg": [-180, 180]}
-LEAN = {"name": "lean", "arms": ["robot"], "axis": "x", "turn_deg": [-4, 3]}
+TILT = {"name": "lean", "arms": ["robot"], "axis": "x", "turn_deg": [-4, 3]}
 LIFT = {"name": "lift", "arms": ["robot"], "axis": "z", "slide_mm": [-3, 1]}
 
 
-@pytest.mark.parametrize("free", [(), (SPIN,), (LEAN, SPIN), (LIFT, SPIN, LEAN)])
+@pytest.mark.parametrize("free", [(), (SPIN,), (TILT, SPIN), (LIFT, SPIN, TILT)])
 def test_what_is_free_is_proven_within_its_ranges(
     tmp_path: Path, free: tuple[dict[str, object], ...]
 ) -> None:
@@ -109,14 +111,14 @@ def test_short_moves_are_at_their_feed(tmp_path: Path, tolerance: float) -> None
 def spoiled(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Puts a fault into the planner's reader of tables."""
     if name == "shifted by 3 mm":
-        old = job._poses
+        old = job._parse_poses
 
         def shifted(*args):  # type: ignore[no-untyped-def]
             out = old(*args)
             out[:, 0, 3] += 3e-3
             return out
 
-        monkeypatch.setattr(job, "_poses", shifted)
+        monkeypatch.setattr(job, "_parse_poses", shifted)
     elif name == "ten times the feed":
         monkeypatch.setattr(job.PosedJob, "targets", _changed(lambda t: {"feed": 10.0 * t.feed}))
     elif name == "a range without an end":
@@ -148,23 +150,23 @@ def _changed(change):  # type: ignore[no-untyped-def]
 
 
 @pytest.mark.parametrize(
-    ("fault", "free", "told"),
+    ("fault", "free", "message"),
     [
         ("shifted by 3 mm", [SPIN], "of robot is missed by 3.000"),
         ("ten times the feed", [SPIN], "the tool moves at"),
-        ("a range without an end", [LEAN], "the free turn about x is 1"),
+        ("a range without an end", [TILT], "the free rotation about x is 1"),
         ("a row left out", [SPIN], "of robot is missed by"),
     ],
 )
 def test_faults_of_the_planner_are_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str, free: list[dict[str, object]], told: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str, free: list[dict[str, object]], message: str
 ) -> None:
     problem = pipeline.load(lanes(tmp_path, free=free, feed_mm_s=20))
     spoiled(fault, monkeypatch)
     outcome = pipeline.plan(problem)
     assert not outcome.verified
     found = [issue for issue in outcome.proof.issues if issue.code == "verify.follows"]
-    assert any(told in issue.message for issue in found), [issue.message for issue in outcome.proof.issues]
+    assert any(message in issue.message for issue in found), [issue.message for issue in outcome.proof.issues]
 
 
 def test_a_table_that_is_gone_is_told(tmp_path: Path) -> None:

@@ -46,11 +46,11 @@ OUTLINES: list[dict[str, Any]] = [
     {"name": "rim", "circle": {"at_mm": [0, 0], "diameter_mm": 72}, "drops": "outside", "joints": 3},
 ]
 KUKA: dict[str, Any] = {"robot": "kr10_r1100", "home_deg": [0, -90, 90, 0, 60, 0]}
-"""A KUKA arm in place of the IRB 140."""
+"""A KUKA arm instead of the IRB 140."""
 NUMBERS = {"doArc": 17, "diArcOk": 17}
 """Numbers of its output and of its input; they count apart."""
 UR_NUMBERS = {"doArc": 3, "diArcOk": 0}
-"""The same of the UR10e of :func:`of_ur`."""
+"""Numbers of the output and of the input of the UR10e of :func:`of_ur`."""
 TRIM: dict[str, Any] = {
     "name": "cut",
     "process": "trim",
@@ -105,7 +105,7 @@ def data(**fields: Any) -> dict[str, Any]:
 
 
 def of_ur(folder: Path, numbers: dict[str, int] | None = None) -> dict[str, Any]:
-    """Fields with a UR10e in place of the IRB 140, whose URDF is put into the folder."""
+    """Return fields with a UR10e instead of the IRB 140, and write its URDF into the folder."""
     (folder / "ur10e.urdf").write_text(urdf_text.ur10e(), "utf-8")
     robot = {"urdf": "ur10e.urdf", "name": "ur10e", "family": "ur", "payload_kg": 12.5}
     return {
@@ -127,7 +127,7 @@ class Job:
         self.problem = problem(folder, part, **fields)
         targets = [registry.job(self.problem, 0).targets()]
         self.plan = solve.solve(self.problem, targets)
-        self.programs: dict[str, str] = dict(post.programs(self.plan, self.problem))
+        self.programs: dict[str, str] = dict(post.program_files(self.plan, self.problem))
         self.prover = Prover(self.problem, registry.claims(self.problem))
 
     def prove(self, programs: dict[str, str], last: str | None = "verify.trim_spindle") -> Proof:
@@ -137,14 +137,14 @@ class Job:
         return {issue.code for issue in self.prove(programs).issues}
 
     def told_by(self, code: str, programs: dict[str, str]) -> bool:
-        """Whether the rule of that code refuses the programs."""
+        """Return whether the rule of that code refuses the programs."""
         return code in {issue.code for issue in self.issues_of(code, programs)}
 
     def issues_of(self, code: str, programs: dict[str, str]) -> list[Issue]:
         """What the rule of that code refuses the programs for; of those on trimming it alone looks."""
-        claims, unread = outlines.worked_out(self.prover.claims)
+        claims, unread = outlines.resolve_claims(self.prover.claims)
         context = Context(self.problem, claims, programs, unread)
-        if code in ORDER["slots"] and context.playable:
+        if code in ORDER["slots"] and context.is_replayable:
             issues = built_in()[code](context).issues
         else:
             issues = self.prove(programs, code).issues

@@ -1,4 +1,4 @@
-"""Several curves of one drawing: read, named and refused by the planner, and read once more by the proof."""
+"""Several curves of one drawing: read, named and refused by the planner, read again by the proof."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from planner.issues import Issue, TandemError
 from planner.processes import registry
 from planner.processes.trim.claims import TrimsSheet
 from planner.processes.trim.plan.operation import Trim, every_outline
-from planner.processes.trim.proof.outlines import drawn, expanded, order, worked_out
+from planner.processes.trim.proof.outlines import cutting_order, expand_drawings, plan_curve, resolve_claims
 from planner.proof.context import Context
 from planner.proof.part_files import UnreadError
 from planner.proof.rule_order import ORDER
@@ -50,8 +50,8 @@ def outline(**fields: Any) -> dict[str, Any]:
 
 
 def job(folder: Path, *outlines: dict[str, Any], **fields: Any) -> Any:
-    own: dict[str, Any] = {"lead": {"length_mm": 1.5}, "pierce": {"off_mm": 1.0}, "shape_tol_mm": 0.3}
-    return registry.job(problem(folder, outlines=list(outlines), **{**own, **fields}), 0)
+    defaults: dict[str, Any] = {"lead": {"length_mm": 1.5}, "pierce": {"off_mm": 1.0}, "shape_tol_mm": 0.3}
+    return registry.job(problem(folder, outlines=list(outlines), **{**defaults, **fields}), 0)
 
 
 def refused(folder: Path, *outlines: dict[str, Any]) -> list[Issue]:
@@ -60,8 +60,8 @@ def refused(folder: Path, *outlines: dict[str, Any]) -> list[Issue]:
     return list(error.value.issues)
 
 
-def claim_of(made: Any) -> TrimsSheet:
-    (own,) = [claim for claim in made.claims() if isinstance(claim, TrimsSheet)]
+def claim_of(trim_job: Any) -> TrimsSheet:
+    (own,) = [claim for claim in trim_job.claims() if isinstance(claim, TrimsSheet)]
     return own
 
 
@@ -78,14 +78,14 @@ def test_planner_and_proof_read_the_same_curves(tmp_path: Path, unit: str, mm: f
     made = job(tmp_path, outline(unit=unit))
     assert isinstance(made.operation, Trim)
     planned = every_outline(made.operation)
-    read = expanded(claim_of(made)).outlines
+    read = expand_drawings(claim_of(made)).outlines
     assert [one.name for one in read] == [one.name for one, _ in planned] == ["a_1", "a_2", "a_3", "a_4"]
     for (x, y, r), one in zip(CIRCLES, read, strict=False):
-        assert np.linalg.norm(drawn(one) - 1e-3 * np.array([x, y]), axis=1) == pytest.approx(
+        assert np.linalg.norm(plan_curve(one) - 1e-3 * np.array([x, y]), axis=1) == pytest.approx(
             1e-3 * r, abs=1e-8
         )
     for (_, points), one in zip(planned, read, strict=True):
-        spans = [np.ptp(ring[:, :2], axis=0) for ring in (points, drawn(one))]
+        spans = [np.ptp(ring[:, :2], axis=0) for ring in (points, plan_curve(one))]
         assert spans[0] == pytest.approx(spans[1], abs=5e-6)
 
 
@@ -107,8 +107,8 @@ def test_what_is_left_out_of_a_drawing_and_another_unit_are_told(tmp_path: Path)
         *[("part.dxf_left_out", "note")] * 2,
         *[("part.dxf_unit", "warning")] * 2,
     ]
-    (told, other) = [note for note in found if note.code == "part.dxf_unit"]
-    assert "apertures.dxf says that its lengths are in in ($INSUNITS)" in told.message
+    (reported, other) = [note for note in found if note.code == "part.dxf_unit"]
+    assert "apertures.dxf states lengths in in ($INSUNITS)" in reported.message
     assert other.field == "operations.outlines.b.dxf"
 
 
@@ -118,7 +118,9 @@ def test_a_drawing_that_was_changed_is_read_anew(tmp_path: Path) -> None:
     before = every_outline(job(tmp_path, outline()).operation)
     drawing(tmp_path, extra=lambda space: space.add_circle((0, -20), 3, dxfattribs={"layer": "CUT"}))
     made = job(tmp_path, outline())
-    assert len(every_outline(made.operation)) == len(before) + 1 == len(expanded(claim_of(made)).outlines)
+    assert (
+        len(every_outline(made.operation)) == len(before) + 1 == len(expand_drawings(claim_of(made)).outlines)
+    )
 
 
 def test_inner_curves_come_first_and_layers_choose(tmp_path: Path) -> None:
@@ -130,8 +132,8 @@ def test_inner_curves_come_first_and_layers_choose(tmp_path: Path) -> None:
     made = job(tmp_path, outside, outline(layers=["CUT"]))
     names = list(dict.fromkeys(s.name for s in made.targets().segment if s.kind == "trim"))
     assert names == ["a_1", "a_2", "a_3", "rim_1_p1", "rim_1_p2", "rim_1_p3"]
-    whole = expanded(claim_of(made))
-    assert [whole.outlines[k].name for k in order(whole)] == ["a_1", "a_2", "a_3", "rim_1"]
+    whole = expand_drawings(claim_of(made))
+    assert [whole.outlines[k].name for k in cutting_order(whole)] == ["a_1", "a_2", "a_3", "rim_1"]
 
 
 def test_an_open_curve_is_refused_with_its_ends(tmp_path: Path) -> None:
@@ -140,7 +142,7 @@ def test_an_open_curve_is_refused_with_its_ends(tmp_path: Path) -> None:
     assert issue.code == "trim.open" and issue.value == pytest.approx(10.0)
     assert "a_5" in issue.message and "(0.00, 30.00) to (10.00, 30.00)" in issue.message
     claims = job(tmp_path, outline(layers=None)).claims()
-    _, unread = worked_out({"cut": tuple(claims)})
+    _, unread = resolve_claims({"cut": tuple(claims)})
     assert "verify.trim_cut" in {one.code for one in unread}
 
 
@@ -178,32 +180,32 @@ def test_a_claim_that_names_no_file_is_not_taken_for_no_curves(tmp_path: Path) -
         claim.outlines[0], drawn=dataclasses.replace(claim.outlines[0].drawn, file=None)
     )
     with pytest.raises(UnreadError):
-        expanded(dataclasses.replace(claim, outlines=(bare,)))
+        expand_drawings(dataclasses.replace(claim, outlines=(bare,)))
     nothing = dataclasses.replace(claim.outlines[0].drawn, layers=("NOTHING",))
     none = dataclasses.replace(claim.outlines[0], drawn=nothing)
     with pytest.raises(UnreadError):
-        expanded(dataclasses.replace(claim, outlines=(none,)))
+        expand_drawings(dataclasses.replace(claim, outlines=(none,)))
 
 
 def test_curves_of_a_rhino_file_are_cut_alike(tmp_path: Path) -> None:
     """In inches, on a layer in a layer; what is hidden, and what is on others, is not."""
-    made = Model("Inches")
-    made.layer("work")
-    made.layer("cut", parent="work")
-    made.layer("off", parent="work", visible=False)
+    created_model = Model("Inches")
+    created_model.layer("work")
+    created_model.layer("cut", parent="work")
+    created_model.layer("off", parent="work", visible=False)
     for layer in ("cut", "off"):
         for x, y, r in CIRCLES:
             centre = rhino3dm.Point3d(x / 25.4, y / 25.4, 0.0)
-            made.add(rhino3dm.NurbsCurve.CreateFromCircle(rhino3dm.Circle(centre, r / 25.4)), layer)
-    made.write(tmp_path / "apertures.3dm")
+            created_model.add(rhino3dm.NurbsCurve.CreateFromCircle(rhino3dm.Circle(centre, r / 25.4)), layer)
+    created_model.write(tmp_path / "apertures.3dm")
     drawing(tmp_path)
     both = []
     one = {"curve": {"rhino": {"file": "apertures.3dm", "layer": "work::cut"}}}
     for own in (outline(layers=["CUT"]), outline(file="apertures.3dm", unit=None, layers=["work::cut"])):
         made_job = job(tmp_path, own)
-        whole = expanded(claim_of(made_job))
+        whole = expand_drawings(claim_of(made_job))
         assert [row.name for row in whole.outlines] == ["a_1", "a_2", "a_3"]
-        both.append([drawn(row) for row in whole.outlines])
+        both.append([plan_curve(row) for row in whole.outlines])
         for (_, points), (x, y, r) in zip(every_outline(made_job.operation), CIRCLES, strict=True):
             assert np.abs(np.hypot(*(1e3 * points[:, :2] - [x, y]).T) - r).max() < 3e-3
     for ring, (x, y, r) in zip(both[1], CIRCLES, strict=True):
@@ -213,17 +215,17 @@ def test_curves_of_a_rhino_file_are_cut_alike(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("own", "words"),
+    ("fields", "words"),
     [
         ({"unit": None}, "a DXF file needs its unit"),
-        ({"colour": "#ff0000"}, "name and colour are of objects of Rhino files"),
-        ({"layers": ["CUT", "cut"]}, "a layer stands twice"),
+        ({"colour": "#ff0000"}, "name and colour are for Rhino files"),
+        ({"layers": ["CUT", "cut"]}, "a layer is listed twice"),
     ],
 )
-def test_what_a_drawing_may_say(tmp_path: Path, own: dict[str, Any], words: str) -> None:
+def test_what_a_drawing_may_say(tmp_path: Path, fields: dict[str, Any], words: str) -> None:
     drawing(tmp_path)
     with pytest.raises(TandemError, match=words):
-        problem(tmp_path, outlines=[outline(**own)])
+        problem(tmp_path, outlines=[outline(**fields)])
 
 
 @pytest.mark.long
@@ -241,7 +243,7 @@ def test_a_drawing_is_planned_and_proven_and_a_curve_that_moves_later_is_told(tm
     proof = planned.prove(planned.programs, None)
     assert proof.issues == () and proof.ok
     cuts(1.0)  # the programs are those of the drawing as it was
-    claims, unread = worked_out(planned.prover.claims)
+    claims, unread = resolve_claims(planned.prover.claims)
     context = Context(planned.problem, claims, planned.programs, unread)
     codes = {issue.code for code in ORDER["slots"] for issue in built_in()[code](context).issues}
     assert "verify.trim_kept" in codes

@@ -1,4 +1,4 @@
-"""A sheet with holes: what would move them is refused; what an operation that trims leaves."""
+"""A sheet with holes: operations that would move them are refused. The result of trimming is tested too."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FORM = {"name": "form", "process": "forming", "arms": ["robot"], "mode": "spif",
 
 
 def both(folder: Path, trim_first: bool) -> Problem:
-    """A dish that is formed, and trimmed before that or behind it."""
+    """A dish that is formed, and trimmed before or after that."""
     hole = {"name": "hole", "circle": {"at_mm": [0, 0], "diameter_mm": 16}}
     whole = data(outlines=[hole])
     (trim,) = whole["operations"]

@@ -15,8 +15,8 @@ from planner.geometry.arrays import Mesh
 from planner.issues import Issue, TandemError
 from planner.languages.writing import write as post
 from planner.processes import registry
-from planner.processes.trim.plan.face import Face, apart, lay, offset
-from planner.processes.trim.proof.outlines import winding
+from planner.processes.trim.plan.face import SheetFace, curve_distance, offset_curve, project_curve
+from planner.processes.trim.proof.outlines import encloses
 from planner.tooling import torch
 from tests.processes.trim.plan.small_trim import data, of_ur, problem
 from tests.small_forming import dish
@@ -65,7 +65,7 @@ FOLLOWED: dict[str, dict[str, Any]] = {
     "trim.lead": {"lead": {"length_mm": 2}},
     "trim.wall": {"tool": {}},
 }
-"""What the hints of CASES say to change."""
+"""The changes that the hints of CASES recommend."""
 
 
 @pytest.mark.sampled(every=3)
@@ -74,15 +74,15 @@ def test_what_cannot_be_cut_is_refused_and_the_change_that_is_told_helps(tmp_pat
     found = refused(tmp_path, **CASES[code])
     assert code in {issue.code for issue in found}
     assert all(issue.hint for issue in found)
-    made = registry.job(problem(tmp_path, **{**CASES[code], **FOLLOWED[code]}), 0).targets()
-    assert made.count > 10
+    targets = registry.job(problem(tmp_path, **{**CASES[code], **FOLLOWED[code]}), 0).targets()
+    assert targets.count > 10
 
 
 @pytest.mark.parametrize(
     ("circles", "code", "words"),
     [
         ([(0, 10), (10, 10)], "trim.crosses", "within 0.00 mm of each other, at (5.0, 0.0) mm"),
-        ([(0, 10), (10.3, 10)], "trim.crosses", "allowed are 0.6 mm or more"),  # each edge may be off by 0.3
+        ([(0, 10), (10.3, 10)], "trim.crosses", "allowed 0.6 mm or more"),  # each edge may be off by 0.3
         ([(0, 1.2)], "trim.narrow", "narrower than the kerf of 1.2 mm"),  # its slot would be one place
     ],
 )
@@ -113,8 +113,8 @@ def test_a_sharp_corner_that_the_tolerance_takes_is_cut(tmp_path: Path) -> None:
     # a round slot of 1.2 mm leaves 0.6 (sqrt 2 - 1) = 0.249 mm in a right angle
     (issue,) = refused(tmp_path, outlines=[{"name": "a", "curve": square(7.0)}], shape_tol_mm=0.1)
     assert issue.value == pytest.approx(0.6 * (np.sqrt(2.0) - 1.0), abs=0.005)
-    made = registry.job(problem(tmp_path, outlines=[{"name": "a", "curve": square(7.0)}]), 0).targets()
-    assert made.count > 10
+    targets = registry.job(problem(tmp_path, outlines=[{"name": "a", "curve": square(7.0)}]), 0).targets()
+    assert targets.count > 10
 
 
 def test_an_open_drawing_is_refused(tmp_path: Path) -> None:
@@ -131,7 +131,7 @@ def test_a_forming_tool_cuts_no_sheet(tmp_path: Path) -> None:
     whole = data()
     whole["cell"]["arms"][0]["tool"] = {"kind": "ball_tool", "radius_mm": 6, "length_mm": 180}
     read = pipeline.load(write_forming(tmp_path, whole, dish()))
-    with pytest.raises(TandemError, match="no torch") as error:
+    with pytest.raises(TandemError, match="carries ball_tool, which is not a torch") as error:
         registry.job(read, 0).targets()
     assert [issue.code for issue in error.value.issues] == ["trim.tool"]
 
@@ -145,31 +145,31 @@ def test_without_a_formed_sheet_nothing_is_trimmed(tmp_path: Path) -> None:
 
 def test_an_arm_that_is_too_slow_is_told(tmp_path: Path) -> None:
     job = registry.job(problem(tmp_path, outlines=[ROUND]), 0)
-    made = job.targets()
-    clock = np.concatenate([[0.0], np.cumsum(made.travel[1:] / made.feed[1:])])
-    assert job.driven(made, clock) == ()
-    assert [issue.code for issue in job.driven(made, 4.0 * clock)] == ["trim.slow"]
+    targets = job.targets()
+    clock = np.concatenate([[0.0], np.cumsum(targets.travel[1:] / targets.feed[1:])])
+    assert job.check_timing(targets, clock) == ()
+    assert [issue.code for issue in job.check_timing(targets, 4.0 * clock)] == ["trim.slow"]
 
 
 def test_a_torch_that_lingers_in_a_long_slot_is_told(tmp_path: Path) -> None:
     """One move of 3 s more hardly counts on average, and burns a hole."""
     circle = {"name": "rim", "circle": {"at_mm": [0, 0], "diameter_mm": 72}, "drops": "outside"}
     job = registry.job(problem(tmp_path, outlines=[circle]), 0)
-    made = job.targets()
-    step = made.travel / made.feed
-    assert job.driven(made, np.cumsum(step)) == ()
-    step[made.count // 2] += 3.0
-    (issue,) = job.driven(made, np.cumsum(step))
+    targets = job.targets()
+    step = targets.travel / targets.feed
+    assert job.check_timing(targets, np.cumsum(step)) == ()
+    step[targets.count // 2] += 3.0
+    (issue,) = job.check_timing(targets, np.cumsum(step))
     assert issue.code == "trim.slow"
     assert "burns away more than its kerf" in issue.message
 
 
 def test_controllers_of_ur_know_both_signals_by_number(tmp_path: Path) -> None:
     read = problem(tmp_path, outlines=[ROUND], **of_ur(tmp_path))
-    made = registry.job(read, 0).targets()
-    assert post.controller_refusals(read, [made]) == ()
+    targets = registry.job(read, 0).targets()
+    assert post.controller_refusals(read, [targets]) == ()
     fewer = problem(tmp_path, outlines=[ROUND], **of_ur(tmp_path, {"doArc": 3}))
-    (issue,) = post.controller_refusals(fewer, [made])
+    (issue,) = post.controller_refusals(fewer, [targets])
     assert issue.code == "post.signal" and "diArcOk" in issue.message
 
 
@@ -184,16 +184,16 @@ def test_two_arms_of_ur_light_no_torch(tmp_path: Path) -> None:
     other = {**one, "name": "other", "arms": ["second"], "signal": "doArc2"}
     whole["operations"].append({**other, "outlines": [{**ROUND, "name": "b"}]})
     read = pipeline.load(write_forming(tmp_path, whole, dish()))
-    made = [registry.job(read, k).targets() for k in range(2)]
-    found = [i for i in post.controller_refusals(read, made) if i.code == "post.controller"]
+    targets = [registry.job(read, k).targets() for k in range(2)]
+    found = [i for i in post.controller_refusals(read, targets) if i.code == "post.controller"]
     assert [i.arm for i in found] == ["robot", "second"]
-    assert all("beside another arm of UR" in i.message for i in found)
+    assert all("beside another UR arm" in i.message for i in found)
 
 
 def test_inner_curves_come_before_outer_ones(tmp_path: Path) -> None:
     rim = {"name": "rim", "circle": {"at_mm": [0, 0], "diameter_mm": 72}, "drops": "outside"}
-    made = registry.job(problem(tmp_path, outlines=[rim, ROUND]), 0).targets()
-    names = list(dict.fromkeys(segment.name for segment in made.segment if segment.name))
+    targets = registry.job(problem(tmp_path, outlines=[rim, ROUND]), 0).targets()
+    names = list(dict.fromkeys(segment.name for segment in targets.segment if segment.name))
     assert names == ["round", "rim"]
 
 
@@ -222,16 +222,16 @@ def test_feed_follows_the_thickness_of_the_sine_law(tmp_path: Path) -> None:
 # ---- geometry, by closed forms ----
 
 
-def flat() -> Face:
+def flat() -> SheetFace:
     corners = np.array([[-0.1, -0.1, 0.0], [0.1, -0.1, 0.0], [0.1, 0.1, 0.0], [-0.1, 0.1, 0.0]])
-    return Face(Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]])), 0.001, 1)
+    return SheetFace(Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]])), 0.001, 1)
 
 
 @pytest.mark.parametrize(("inside", "radius"), [(True, 0.0092), (False, 0.0108)])
 def test_the_slot_beside_a_circle_is_a_circle(inside: bool, radius: float) -> None:
     turn = 2.0 * np.pi * np.arange(720) / 720
-    laid = lay("a", 0.01 * np.stack([np.cos(turn), np.sin(turn)], axis=1), flat())
-    middle, out = offset(laid, flat(), 0.0008, inside)
+    laid = project_curve("a", 0.01 * np.stack([np.cos(turn), np.sin(turn)], axis=1), flat())
+    middle, out = offset_curve(laid, flat(), 0.0008, inside)
     assert np.linalg.norm(middle[:, :2], axis=1) == pytest.approx(radius, abs=2e-6)
     assert middle[:, 2] == pytest.approx(0.001)
     assert ((out[:, :2] * middle[:, :2]).sum(axis=1) * (-1.0 if inside else 1.0) > 0.0).all()
@@ -240,22 +240,22 @@ def test_the_slot_beside_a_circle_is_a_circle(inside: bool, radius: float) -> No
 def test_the_slot_around_a_square_goes_round_its_corners() -> None:
     # outside: four sides of 20 mm and a full turn of 0.8 mm; inside: four sides of 18.4 mm
     corners = 0.01 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    laid = lay("a", corners, flat())
+    laid = project_curve("a", corners, flat())
     for inside, length in ((False, 0.08 + 2.0 * np.pi * 0.0008), (True, 4.0 * 0.0184)):
-        middle, _ = offset(laid, flat(), 0.0008, inside)
+        middle, _ = offset_curve(laid, flat(), 0.0008, inside)
         ring = np.concatenate([middle, middle[:1]])
         assert np.linalg.norm(np.diff(ring, axis=0), axis=1).sum() == pytest.approx(length, rel=5e-3)
-        assert apart(middle, laid.point).min() > 0.00077
+        assert curve_distance(middle, laid.point).min() > 0.00077
 
 
 def test_the_slot_on_a_wall_is_as_wide_along_the_wall() -> None:
     # a plane of 45 deg: along it the slot is its half width off the curve, in plan less
     corners = np.array([[-0.1, -0.1, -0.1], [0.1, -0.1, 0.1], [0.1, 0.1, 0.1], [-0.1, 0.1, -0.1]])
-    face = Face(Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]])), 0.001, 1)
+    face = SheetFace(Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]])), 0.001, 1)
     turn = 2.0 * np.pi * np.arange(720) / 720
-    laid = lay("a", 0.01 * np.stack([np.cos(turn), np.sin(turn)], axis=1), face)
-    middle, _ = offset(laid, face, 0.0008, False)
-    assert apart(middle, laid.point) == pytest.approx(0.0008, abs=3e-6)
+    laid = project_curve("a", 0.01 * np.stack([np.cos(turn), np.sin(turn)], axis=1), face)
+    middle, _ = offset_curve(laid, face, 0.0008, False)
+    assert curve_distance(middle, laid.point) == pytest.approx(0.0008, abs=3e-6)
     assert middle[:, 0].max() == pytest.approx(0.01 + 0.0008 / np.sqrt(2.0), abs=5e-6)
 
 
@@ -265,8 +265,8 @@ def test_what_a_curve_encloses_is_told_by_its_winding() -> None:
     turn = 2.0 * np.pi * np.arange(400) / 400
     ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     clear = np.abs(np.linalg.norm(places, axis=1) - 1.0) > 1e-3
-    assert (winding(ring, places) == (np.linalg.norm(places, axis=1) < 1.0))[clear].all()
-    assert (winding(ring[::-1], places) == winding(ring, places)).all()
+    assert (encloses(ring, places) == (np.linalg.norm(places, axis=1) < 1.0))[clear].all()
+    assert (encloses(ring[::-1], places) == encloses(ring, places)).all()
 
 
 def test_sizes_that_make_no_torch_are_refused() -> None:

@@ -1,5 +1,7 @@
-"""A knife cuts curves with corners and without out of a dish: its stretches by closed forms, what it is
-refused for, its programs in RAPID, KRL and URScript, and the faults in them that the proof tells by cause.
+"""A knife cuts curves with and without corners out of a dish.
+
+The stretches are compared with closed forms. Refusals, programs in RAPID, KRL and URScript, and the faults
+that the proof reports are tested.
 """
 
 from __future__ import annotations
@@ -42,7 +44,7 @@ MAIN = "operation_1"
 
 
 def cut(outlines: list[dict[str, Any]], tool: dict[str, Any] | None = None, **fields: Any) -> dict[str, Any]:
-    """A problem in which a knife cuts, as a file has it; ``by`` are fields of the knife's own."""
+    """Return a problem file in which a knife cuts; ``by`` are fields of the knife."""
     by = {"kind": "knife", **fields.pop("by", {})}
     whole = data(tool={**KNIFE, **(tool or {})}, by=by, outlines=outlines, **fields)
     for name in set(TRIM) & {"lead", "pierce"}:
@@ -60,7 +62,7 @@ class KnifeJob(Job):
     def __init__(self, folder: Path, outlines: list[dict[str, Any]], **fields: Any) -> None:
         self.problem = read(folder, outlines, **fields)
         self.plan = solve.solve(self.problem, [registry.job(self.problem, 0).targets()])
-        self.programs = dict(write.programs(self.plan, self.problem))
+        self.programs = dict(write.program_files(self.plan, self.problem))
         self.prover = Prover(self.problem, registry.claims(self.problem))
 
 
@@ -69,8 +71,8 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> KnifeJob:
     return KnifeJob(tmp_path_factory.mktemp("knife"), [RIM, RECT], signal="doKnife", by={"start_up_s": 20})
 
 
-def turned(degrees: float) -> Callable[[str], str]:
-    """Turns the tool of all targets of a procedure about its own axis."""
+def rotate_tool(degrees: float) -> Callable[[str], str]:
+    """Rotate the tool of all targets of a procedure about its own axis."""
     c, s = np.cos(np.deg2rad(0.5 * degrees)), np.sin(np.deg2rad(0.5 * degrees))
 
     def turn(match: Any) -> str:
@@ -103,7 +105,7 @@ def not_lifted(text: str) -> str:
 
 
 def swapped(text: str) -> str:
-    """The rectangle behind the rim, in which it lies."""
+    """Cut the rectangle after the rim around it."""
     first, rim = text.index("trim_rect_p1_in;"), text.index("trim_rim_in;")
     end = text.index("trim_rim_out;") + len("trim_rim_out;")
     return f"{text[:first]}{text[rim:end]}\n    {text[first:rim].rstrip()}{text[end:]}"
@@ -112,38 +114,38 @@ def swapped(text: str) -> str:
 FAULTS: dict[str, tuple[str, str, str, Callable[[str], str]]] = {
     "turned by 10 deg": (
         "verify.trim_knife",
-        "off its curve while it is in the sheet",
+        "from its curve inside the sheet",
         "trim_rim",
-        turned(10.0),
+        rotate_tool(10.0),
     ),
-    "turned on a straight side": ("verify.trim_knife", "stands 10", "trim_rect_p2", turned(-10.0)),
-    "its edge behind": ("verify.trim_knife", "its edge behind", "trim_rim", turned(180.0)),
+    "turned on a straight side": ("verify.trim_knife", "rotated 10", "trim_rect_p2", rotate_tool(-10.0)),
+    "its edge behind": ("verify.trim_knife", "moves backwards", "trim_rim", rotate_tool(180.0)),
     "0.5 mm beside, in the part": ("verify.trim_kept", "0.5", "trim_rect_p1", by(y=-0.5)),
     "0.5 mm beside, in the waste": ("verify.trim_cut", "left uncut", "trim_rect_p1", by(y=0.5)),
     "too shallow": ("verify.trim_knife", "0.20 mm through the sheet", "trim_rim", by(z=0.8)),
-    "not through": ("verify.trim_cut", "nowhere through the sheet", "trim_rim", by(z=1.3)),
+    "not through": ("verify.trim_cut", "never through the sheet", "trim_rim", by(z=1.3)),
     "too deep": ("verify.trim_knife", "1.80 mm through the sheet", "trim_rim", by(z=-0.8)),
-    "it leans": ("verify.trim_knife", "leans 9.", "trim_rim", leant(10.0)),
+    "it leans": ("verify.trim_knife", "tilted 9.", "trim_rim", leant(10.0)),
     "not lifted at a corner": ("verify.trim_knife", "it was not lifted out", MAIN, not_lifted),
     "a side left out": ("verify.trim_cut", "left uncut in 1", MAIN, replaced("trim_rect_p2;", "")),
     "not closed": ("verify.trim_cut", "left uncut in 1", "trim_rim", without_moves(slice(-9, None))),
     "an outline left out": ("verify.trim_cut", "rim is not cut", MAIN, replaced("trim_rim;", "")),
     "short of a corner": ("verify.trim_cut", "left uncut in 1", "trim_rect_p1", last(-0.3)),
     "too far past a corner": ("verify.trim_kept", "past a corner", "trim_rect_p1", last(1.5)),
-    "the outer curve first": ("verify.trim_order", "rim is begun before rect", MAIN, swapped),
+    "the outer curve first": ("verify.trim_order", "rim is started before rect", MAIN, swapped),
     "no drive": ("verify.trim_spindle", "doKnife is not on", MAIN, replaced("SetDO doKnife,1;", "")),
     "its drive not up yet": (
         "verify.trim_spindle",
-        "wanted: 20 s",
+        "required 20 s",
         MAIN,
         replaced("WaitTime 20;", "WaitTime 2;"),
     ),
     "into the sheet too fast": ("verify.trim_knife", "deeper than at 5 mm/s", "trim_rim", timed(0.2)),
-    "too fast along it": ("verify.trim_feed", "allowed there: 8.00", "trim_rim", timed(0.5)),
+    "too fast along it": ("verify.trim_feed", "allowed 8.00", "trim_rim", timed(0.5)),
     "down too early": ("verify.trim_spindle", "where nothing is cut", "trim_rect_p1_in", by(z=-3.0)),
-    "turned on its way out": ("verify.trim_knife", "it is lifted first", "trim_rect_p1_out", turned(150.0)),
-    "aside on its way out": ("verify.trim_knife", "goes aside", "trim_rect_p1_out", by(x=20.0)),
-    "its body in the sheet": ("verify.trim_clear", "off the sheet", "trim_rim", by(z=-32.0)),
+    "turned on its way out": ("verify.trim_knife", "lifted first", "trim_rect_p1_out", rotate_tool(150.0)),
+    "aside on its way out": ("verify.trim_knife", "moves sideways", "trim_rect_p1_out", by(x=20.0)),
+    "its body in the sheet": ("verify.trim_clear", "from the sheet", "trim_rim", by(z=-32.0)),
 }
 
 
@@ -203,7 +205,7 @@ def test_a_blade_is_turned_back_in_the_air(job: KnifeJob) -> None:
 def test_the_report_says_what_is_cut_past_corners(job: KnifeJob) -> None:
     items = {row[0]: row[1] for row in job.plan.operations[0].targets.exhibits["setup"]["items"]}
     # at the near face its front is 0.27 mm farther than at the far one
-    assert items["past corners into the part"].startswith("0.36 mm at most")
+    assert items["past corners into the part"].startswith("at most 0.36 mm")
     assert items["stretches between lifts"] == "5"
     assert items["output that switches its drive"] == "doKnife, 20 s before it cuts"
 
@@ -220,7 +222,7 @@ CASES: dict[str, tuple[dict[str, Any], str, str, dict[str, Any]]] = {
     "a bend too tight for its width": (
         {"outlines": [{**RIM, "drops": "inside"}], "tool": {"width_mm": 8, "end_mm": 5, "ground_mm": 6}},
         "trim.corner",
-        "is 0.35 mm off its curve; allowed: 0.15 mm",
+        "is 0.35 mm off its curve, allowed 0.15 mm",
         {"shape_tol_mm": 0.7},
     ),
     "past a corner": (
@@ -232,7 +234,7 @@ CASES: dict[str, tuple[dict[str, Any], str, str, dict[str, Any]]] = {
     "too many corners": (
         {"outlines": [SAW]},
         "trim.corner",
-        "would be lifted 220 times; allowed: 200",
+        "would be lifted 220 times, allowed 200",
         {"outlines": [RECT]},
     ),
     "micro-joints without room": (
@@ -244,7 +246,7 @@ CASES: dict[str, tuple[dict[str, Any], str, str, dict[str, Any]]] = {
     "a blade too short": (
         {"outlines": [RECT], "tool": {"blade_mm": 2}},
         "trim.tool",
-        "the blade of 2 mm does not reach through the sheet; wanted: 3.10 mm",
+        "the blade of 2 mm does not reach through the sheet, required 3.10 mm",
         {"tool": {"blade_mm": 4}},
     ),
 }
@@ -266,7 +268,7 @@ def test_a_torch_is_no_knife(tmp_path: Path) -> None:
     whole = cut([RECT])
     whole["operations"][0]["by"] = {"kind": "torch"}
     whole["operations"][0]["signal"] = "doArc"
-    with pytest.raises(TandemError, match="carries knife, no torch") as error:
+    with pytest.raises(TandemError, match="carries knife, which is not a torch") as error:
         registry.job(pipeline.load(write_forming(tmp_path, whole, dish())), 0).targets()
     assert [issue.code for issue in error.value.issues] == ["trim.tool"]
 
@@ -283,7 +285,7 @@ FIELDS: list[dict[str, Any]] = [
 def test_fields_of_a_torch_are_refused_for_a_knife(tmp_path: Path, field: dict[str, Any]) -> None:
     whole = cut([RECT])
     whole["operations"][0] |= field
-    with pytest.raises(TandemError, match="not of a knife"):
+    with pytest.raises(TandemError, match="does not apply to a knife"):
         pipeline.load(write_forming(tmp_path, whole, dish()))
 
 
@@ -295,12 +297,12 @@ def test_only_a_knife_has_no_signal(tmp_path: Path) -> None:
 def test_sizes_that_make_no_knife_are_refused() -> None:
     blade = Blade(0.6e-3, 3e-3, 1e-3, 2e-3, 20e-3)
     np.testing.assert_allclose(blade.front(np.array([0.0, 1e-3, 2e-3, 5e-3])), [0.0, 1e-3, 2e-3, 2e-3])
-    made = knife(blade, (0.02, 0.2), turn=0.5 * np.pi)
+    made = knife(blade, (0.02, 0.2), rotation=0.5 * np.pi)
     np.testing.assert_allclose(made.tcp[:3, 0], [0.0, 1.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(made.tcp[:3, 3], [0.0, 0.0, 0.2])
     with pytest.raises(ValueError, match="thickness must be above zero"):
         knife(Blade(4e-3, 3e-3, 1e-3, 2e-3, 20e-3))
-    with pytest.raises(ValueError, match="only there"):
+    with pytest.raises(ValueError, match="is zero exactly"):
         knife(Blade(0.6e-3, 3e-3, 3e-3, 2e-3, 20e-3))
     with pytest.raises(ValueError, match="must fit into the length"):
         knife(blade, (0.02, 0.08))
@@ -334,7 +336,7 @@ def test_a_ur_cuts_on_a_wall(tmp_path: Path) -> None:
     whole["sheet"]["place"] = {"xyz_mm": [700, 0, 300]}
     problem = pipeline.load(write_forming(tmp_path, whole, dish()))
     plan = solve.solve(problem, [registry.job(problem, 0).targets()])
-    programs = dict(write.programs(plan, problem))
+    programs = dict(write.program_files(plan, problem))
     prover = Prover(problem, registry.claims(problem))
     assert prover.prove(programs).issues == ()
     (file,) = programs
@@ -351,9 +353,9 @@ def test_an_axis_that_would_turn_on_and_on_is_named(tmp_path: Path) -> None:
     problem = pipeline.load(write_forming(tmp_path, whole, dish()))
     with pytest.raises(TandemError) as error:
         solve.solve(problem, [registry.job(problem, 0).targets()])
-    found: list[Issue] = [i for i in error.value.issues if i.code == "motion.no_path"]
-    assert len(found) == 1
-    assert "axis 4 of arm robot would have to turn from" in found[0].message
+    issues: list[Issue] = [i for i in error.value.issues if i.code == "motion.no_path"]
+    assert len(issues) == 1
+    assert "axis 4 of arm robot would have to turn from" in issues[0].message
 
 
 @pytest.mark.long
@@ -365,10 +367,10 @@ def test_an_axis_that_would_jump_is_named(tmp_path: Path) -> None:
     with pytest.raises(TandemError) as error:
         solve.solve(problem, [registry.job(problem, 0).targets()])
     (issue,) = (i for i in error.value.issues if i.code == "motion.no_path")
-    assert "axis 6 of arm robot would have to turn on past its limits, and jumps" in issue.message
+    assert "axis 6 of arm robot would have to turn beyond its limits and jumps" in issue.message
 
 
 def test_names_of_stretches_are_not_those_of_outlines(tmp_path: Path) -> None:
     other = {"name": "rect_p2", "circle": {"at_mm": [0, 30], "diameter_mm": 8}}
-    with pytest.raises(TandemError, match="rect_p2 is what a stretch of rect is called"):
+    with pytest.raises(TandemError, match="rect_p2 is the name of a stretch of rect"):
         registry.job(read(tmp_path, [RECT, other]), 0).targets()

@@ -1,5 +1,6 @@
-"""A trimmed dish in KRL: the clean programs are proven, and faults in their text are told by the rule for
-them, those of the RAPID programs that have a meaning here and those that only KRL can have.
+"""A trimmed dish in KRL: clean programs are proven, and faults in their text are reported by their rule.
+
+The faults are those of the RAPID programs that exist in KRL, and those that only KRL can have.
 """
 
 from __future__ import annotations
@@ -11,17 +12,17 @@ from typing import Any
 
 import pytest
 
-from planner.languages.krl.reader.parser import Reader
-from planner.languages.krl.reader.syntax_tree import Await
+from planner.languages.krl.reader.parser import KrlFileParser
+from planner.languages.krl.reader.syntax_tree import InputWait
 from planner.languages.writing import write as post
 from planner.processes import registry
 from tests.processes.trim.plan.small_trim import KUKA, NUMBERS, OUTLINES, Job, problem
 
 Programs = dict[str, str]
 MAIN = "robot/trimmed.src"
-ON, OFF, PIERCE = "$OUT[17]=TRUE ; doArc\r\n", "$OUT[17]=FALSE ; doArc\r\n", "WAIT SEC 0.5\r\n"
+SWITCH_ON, SWITCH_OFF, PIERCE = "$OUT[17]=TRUE ; doArc\r\n", "$OUT[17]=FALSE ; doArc\r\n", "WAIT SEC 0.5\r\n"
 WAIT = re.compile(r"\$TIMER\[1\]=0\r\n.*?\$TIMER_STOP\[1\]=TRUE\r\n", re.DOTALL)
-PLACE = re.compile(r"SLIN \{X ([-\d.]+),Y ([-\d.]+),Z ([-\d.]+),")
+POSITION = re.compile(r"SLIN \{X ([-\d.]+),Y ([-\d.]+),Z ([-\d.]+),")
 SPEED = re.compile(r"\$VEL\.CP=([\d.]+)")
 
 
@@ -43,7 +44,7 @@ def file_of(programs: Programs, segment: str) -> str:
 
 
 def part_of(text: str, segment: str) -> tuple[int, int]:
-    """Where a segment begins and ends in its file."""
+    """Return start and end of a segment in its file."""
     start = text.index(f"; Segment {segment}:")
     after = text.find("; Segment ", start + 5)
     return start, after if after >= 0 else len(text)
@@ -60,15 +61,15 @@ def inside(segment: str, change: Callable[[str], str]) -> Callable[[Programs], P
 
 
 def moved(x: float = 0.0, z: float = 0.0, scale: float = 1.0) -> Callable[[str], str]:
-    def place(match: re.Match[str]) -> str:
+    def move_target(match: re.Match[str]) -> str:
         a, b, c = (float(match[k]) for k in (1, 2, 3))
         return f"SLIN {{X {scale * a + x:.4f},Y {scale * b:.4f},Z {c + z:.4f},"
 
-    return lambda text: PLACE.sub(place, text)
+    return lambda text: POSITION.sub(move_target, text)
 
 
 def faster(factor: float) -> Callable[[Programs], Programs]:
-    """All speeds of the file with the slot of the round hole."""
+    """Increase all speeds of the file with the slot of the round hole."""
 
     def put(programs: Programs) -> Programs:
         name = file_of(programs, "trim/round")
@@ -88,7 +89,7 @@ def without_last(count: int) -> Callable[[str], str]:
 
 
 def main(old: str, new: str) -> Callable[[Programs], Programs]:
-    """The first place in the main program."""
+    """Replace the first occurrence in the main program."""
 
     def put(programs: Programs) -> Programs:
         assert old in programs[MAIN], old
@@ -115,8 +116,11 @@ def no_wait(programs: Programs) -> Programs:
 
 
 def arc_left_on(programs: Programs) -> Programs:
-    """The call of the way out stands before the output goes off."""
-    return {**programs, MAIN: re.sub(rf"{re.escape(OFF)}(trimmed_3\(\)\r\n)", rf"\1{OFF}", programs[MAIN])}
+    """The lead-out is called before the output goes off."""
+    return {
+        **programs,
+        MAIN: re.sub(rf"{re.escape(SWITCH_OFF)}(trimmed_3\(\)\r\n)", rf"\1{SWITCH_OFF}", programs[MAIN]),
+    }
 
 
 FAULTS: dict[str, tuple[str, Callable[[Programs], Programs]]] = {
@@ -128,8 +132,8 @@ FAULTS: dict[str, tuple[str, Callable[[Programs], Programs]]] = {
     "the torch too high": ("verify.trim_torch", inside("trim/round", moved(z=0.8))),
     "the torch too low": ("verify.trim_torch", inside("trim/round", moved(z=-0.8))),
     "pierced from too near": ("verify.trim_torch", inside("trim/round_in", moved(z=-1.0))),
-    "no arc": ("verify.trim_arc", main(ON, "")),
-    "the arc too early": ("verify.trim_arc", main("trimmed_1()\r\n", f"{ON}trimmed_1()\r\n")),
+    "no arc": ("verify.trim_arc", main(SWITCH_ON, "")),
+    "the arc too early": ("verify.trim_arc", main("trimmed_1()\r\n", f"{SWITCH_ON}trimmed_1()\r\n")),
     "the arc left on": ("verify.trim_arc", arc_left_on),
     "nobody waits for the arc": ("verify.trim_arc", no_wait),
     "a wait for no arc": ("verify.trim_arc", wait("==FALSE", "==TRUE")),
@@ -139,7 +143,7 @@ FAULTS: dict[str, tuple[str, Callable[[Programs], Programs]]] = {
     "pierced in the part": ("verify.trim_arc", inside("trim/round_in", moved(x=6.0))),
     "twice as fast": ("verify.trim_feed", faster(2.0)),
     "far too slow": ("verify.trim_feed", faster(0.25)),
-    "the arc burns while the program stands for good": ("verify.syntax", wait(OFF, "")),
+    "the arc burns while the program stands for good": ("verify.syntax", wait(SWITCH_OFF, "")),
     "another output goes off there": ("verify.syntax", wait("$OUT[17]", "$OUT[19]")),
     "a start goes on without an arc": ("verify.syntax", wait("LOOP\r\nHALT\r\nENDLOOP\r\n", "HALT\r\n")),
     "a program that does not stand": ("verify.syntax", wait("HALT\r\n", "WAIT SEC 1\r\n")),
@@ -164,18 +168,18 @@ def test_a_fault_is_told_by_the_rule_for_it(job: Job, name: str) -> None:
 
 
 def test_the_dialogue_has_all_that_is_switched_and_waited_for(job: Job) -> None:
-    changes = (no_wait, main(ON, ""), main(PIERCE, ""))
+    changes = (no_wait, main(SWITCH_ON, ""), main(PIERCE, ""))
     for change in changes:
         codes = {issue.code for issue in job.prove(change(job.programs), "verify.dialogue").issues}
         assert "verify.dialogue" in codes
 
 
 def test_a_wait_is_read_with_all_that_it_does(job: Job) -> None:
-    program = Reader(job.programs[MAIN].replace("\r\n", "\n"), MAIN).program()
+    program = KrlFileParser(job.programs[MAIN].replace("\r\n", "\n"), MAIN).program()
     assert program is not None
-    waits = [one for one in program.body if isinstance(one, Await)]
+    waits = [one for one in program.body if isinstance(one, InputWait)]
     assert len(waits) == 4  # the hole, and three slots between micro-joints
-    assert {(one.number, one.value, one.seconds, one.off) for one in waits} == {
+    assert {(one.number, one.value, one.seconds, one.outputs_off) for one in waits} == {
         (17, True, 5.0, frozenset({17}))
     }
 
@@ -183,7 +187,7 @@ def test_a_wait_is_read_with_all_that_it_does(job: Job) -> None:
 def test_the_older_dialect_says_it_in_a_comment(job: Job) -> None:
     own = dataclasses.replace(job.problem.cell.controller, dialect="krc2")
     older = dataclasses.replace(job.problem, cell=dataclasses.replace(job.problem.cell, controller=own))
-    text = dict(post.programs(job.plan, older))[MAIN]
+    text = dict(post.program_files(job.plan, older))[MAIN]
     assert "; No diArcOk in 5 s: the program ends. Reset it.\r\nLOOP\r\nHALT\r\nENDLOOP\r\n" in text
 
 
@@ -228,7 +232,10 @@ AFTER_A_STOP: dict[str, tuple[str, Callable[[Programs], Programs]]] = {
         "verify.controller_files",
         controller_file("ir_stopm_user.src", "$OUT[17]=FALSE", "$OUT[17]=TRUE"),
     ),
-    "lit before anything moves": ("verify.dialogue", main("BAS(#INITMOV,0)\r\n", f"BAS(#INITMOV,0)\r\n{ON}")),
+    "lit before anything moves": (
+        "verify.dialogue",
+        main("BAS(#INITMOV,0)\r\n", f"BAS(#INITMOV,0)\r\n{SWITCH_ON}"),
+    ),
     "the program frees itself": (
         "verify.syntax",
         main("BAS(#INITMOV,0)\r\n", "BAS(#INITMOV,0)\r\nTANDEM_LIT=FALSE\r\n"),
@@ -237,8 +244,8 @@ AFTER_A_STOP: dict[str, tuple[str, Callable[[Programs], Programs]]] = {
         "verify.syntax",
         main("BAS(#INITMOV,0)\r\n", "BAS(#INITMOV,0)\r\n$OV_PRO=100\r\n"),
     ),
-    "left on from before": ("verify.signals", main(OFF, "")),
-    "nobody is told": (
+    "left on from before": ("verify.signals", main(SWITCH_OFF, "")),
+    "no warning about stops": (
         "verify.dialogue",
         main("A stop while the torch burns ends this program", "A stop while the torch burns is no matter"),
     ),
@@ -255,6 +262,6 @@ def test_nothing_lights_a_torch_behind_a_stop_nor_goes_on_in_a_slot(job: Job, na
 
 def test_numbers_of_both_signals_are_asked_for(tmp_path: Any) -> None:
     read = problem(tmp_path, arm=KUKA, controller={"io": {"robot": {"doArc": 17}}}, outlines=[OUTLINES[0]])
-    made = registry.job(read, 0).targets()
-    (issue,) = post.controller_refusals(read, [made])
+    targets = registry.job(read, 0).targets()
+    (issue,) = post.controller_refusals(read, [targets])
     assert issue.code == "post.signal" and "diArcOk" in issue.message

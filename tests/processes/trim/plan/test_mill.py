@@ -1,7 +1,6 @@
-"""A mill cuts apertures out of a dish: what it is refused for, its programs in RAPID and KRL, and the faults
-in them that the proof tells.
+"""A mill cuts apertures out of a dish: refusals, programs in RAPID and KRL, and reported faults.
 
-Places are held against closed forms: the slot of a round hole, the depth of a tip.
+Positions are compared with closed forms: the slot of a round hole, the depth of a tip.
 """
 
 from __future__ import annotations
@@ -22,13 +21,13 @@ from planner.issues import TandemError
 from planner.languages.writing import write
 from planner.motion import solve
 from planner.processes import registry
-from planner.processes.trim.plan.check import gouged
-from planner.processes.trim.plan.cutting import Cutting, shank_body
-from planner.processes.trim.plan.face import Face, lay
+from planner.processes.trim.plan.check import gouge_depths
+from planner.processes.trim.plan.cutting import CuttingTool, shank_body
+from planner.processes.trim.plan.face import SheetFace, project_curve
 from planner.processes.trim.plan.operation import OutlineFile
-from planner.processes.trim.plan.slots import Wanted
+from planner.processes.trim.plan.slots import PlannedOutline
 from planner.processes.trim.proof import outlines
-from planner.processes.trim.proof.rules.mill import MeasuredCut, _beside, trim_mill, trim_spindle
+from planner.processes.trim.proof.rules.mill import MeasuredCut, _check_gouge, trim_mill, trim_spindle
 from planner.processes.trim.proof.rules.slots import trim_cut
 from planner.processes.trim.proof.torch_motion import TRIMMING, Trimming
 from planner.proof.context import Context
@@ -36,7 +35,7 @@ from planner.proof.findings import Findings
 from planner.proof.prove import Prover
 from planner.proof.rules.power import signals
 from planner.targets import ScrewFreedom
-from planner.tooling import mill
+from planner.tooling import CutterGeometry, mill
 from tests import urdf_text
 from tests.processes.milling.proof.milling_job import in_procedure
 from tests.processes.trim.plan.small_trim import KUKA, MILL, OUTLINES, Job, data, milled, problem
@@ -55,7 +54,7 @@ from tests.small_forming import write as write_forming
 ROUND, WALL = OUTLINES[0], OUTLINES[1]
 MAIN = "operation_1"
 ON = "SetDO doSpindle,1;"
-OFF = "SetDO doSpindle,0;"
+SPINDLE_OFF = "SetDO doSpindle,0;"
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +92,7 @@ FAULTS: dict[str, tuple[str, str, Callable[[str], str]]] = {
     "deeper on the way out": ("verify.trim_mill", "trim_round_out", deeper_first),
     "aside on the way out": ("verify.trim_mill", "trim_round_out", along(20.0)),
     "the spindle stands": ("verify.trim_spindle", MAIN, replaced(ON, "")),
-    "the spindle is off again at once": ("verify.trim_spindle", MAIN, replaced(ON, ON + OFF)),
+    "the spindle is off again at once": ("verify.trim_spindle", MAIN, replaced(ON, ON + SPINDLE_OFF)),
     "not up to speed": ("verify.trim_spindle", MAIN, replaced("WaitTime 5;", "WaitTime 0.5;")),
     "it stops in a slot": ("verify.trim_spindle", "trim_round", before_last_move("SetDO doSpindle,0;")),
     "twice as fast": ("verify.trim_feed", "trim_wall", timed(0.5)),
@@ -199,27 +198,27 @@ def test_short_slots_are_as_fast_as_asked_where_nothing_goes_down(tmp_path: Path
     changed = in_procedure(own.programs, "trim_rim_p1", slower)
     assert changed != own.programs
     assert own.told_by("verify.trim_feed", changed)
-    made, job = own.plan.operations[0], registry.job(own.problem, 0)
-    own_rows = np.array([str(s) == "trim/rim_p1" for s in made.targets.segment])
-    spent = np.diff(made.time, prepend=made.time[0])
+    operation_plan, job = own.plan.operations[0], registry.job(own.problem, 0)
+    own_rows = np.array([str(s) == "trim/rim_p1" for s in operation_plan.targets.segment])
+    spent = np.diff(operation_plan.time, prepend=operation_plan.time[0])
     behind = np.cumsum(own_rows) > 2  # of its rows: down, and the first at the bottom
     late = np.cumsum(np.where(own_rows & behind, 3.0 * spent, spent))
-    assert job.driven(made.targets, made.time) == ()
-    assert [i.code for i in job.driven(made.targets, late)] == ["trim.slow"]
+    assert job.check_timing(operation_plan.targets, operation_plan.time) == ()
+    assert [i.code for i in job.check_timing(operation_plan.targets, late)] == ["trim.slow"]
 
 
 def refused(folder: Path, **fields: Any) -> list[Any]:
     with pytest.raises(TandemError) as error:
         registry.job(problem(folder, **fields), 0).targets()
-    return [one for one in error.value.issues if one.severity.name == "ERROR"]
+    return [issue for issue in error.value.issues if issue.severity.name == "ERROR"]
 
 
 @pytest.mark.parametrize(
     ("fields", "code", "words"),
     [
-        ({**milled(), "tool": {}}, "trim.tool", "no mill"),
-        ({"tool": MILL}, "trim.tool", "no torch"),
-        (milled({"flute_mm": 2.5}), "trim.tool", "does not reach through the sheet; wanted: 3.10 mm"),
+        ({**milled(), "tool": {}}, "trim.tool", "not a mill"),
+        ({"tool": MILL}, "trim.tool", "not a torch"),
+        (milled({"flute_mm": 2.5}), "trim.tool", "does not reach through the sheet, required 3.10 mm"),
         (milled({"cutter": "ball", "diameter_mm": 4}), "trim.tool", "round over 2 mm, stays in the sheet"),
         (milled({"flute_mm": 3.2, "shank_diameter_mm": 18}), "trim.wall", "the cutter's shank or holder"),
     ],
@@ -241,36 +240,36 @@ def test_a_thick_cutter_beside_a_wall_goes_into_it() -> None:
     xs = np.array([-60.0, 10.0, 40.0])
     low, high = (np.column_stack([xs, np.full(3, y), np.maximum(xs - 10.0, 0.0)]) for y in (-60.0, 60.0))
     mesh = Mesh(np.concatenate([low, high]) * 1e-3, np.array([[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4]]))
-    face = Face(mesh, 0.001, 1)
+    face = SheetFace(mesh, 0.001, 1)
     edge = 10.0 + np.sqrt(0.5)
     ring = np.array([[-30.0, -30.0], [edge, -30.0], [edge, 30.0], [-30.0, 30.0]]) * 1e-3
-    laid = lay("a", ring, face)
+    laid = project_curve("a", ring, face)
     spec = OutlineFile.model_validate({"name": "a", "circle": {"at_mm": [0, 0], "diameter_mm": 1}})
-    one = Wanted(spec, laid, shapely.Polygon(laid.point[:, :2]))
-    cutter = mill("cylinder", 0.004, 0.0, 0.012, 0.03).cutter
-    tool = Cutting("cutter", 0.008, 0.002, 0.004, shank_body(cutter), cutter)
+    one = PlannedOutline(spec, laid, shapely.Polygon(laid.point[:, :2]))
+    cutter = mill(CutterGeometry("cylinder", 0.004, 0.0, 0.012, 0.03)).cutter
+    tool = CuttingTool("cutter", 0.008, 0.002, 0.004, shank_body(cutter), cutter)
     wall = np.linspace(10.0, 14.0, 401)
     places = np.column_stack([wall, np.zeros(401), wall - 10.0 + 1.0]) * 1e-3
     tip = np.array([[0.007, 0.0, -0.001], [0.0055, 0.0, -0.001]])
-    deep, where = gouged(one, tool, places, 0.001, 1, (tip, np.tile([0.0, 0.0, 1.0], (2, 1))))
+    deep, where = gouge_depths(one, tool, places, 0.001, 1, (tip, np.tile([0.0, 0.0, 1.0], (2, 1))))
     assert deep == pytest.approx([(11.0 - edge) * np.sqrt(2.0) * 1e-3, 0.0], abs=2e-5)
     assert where[0, 0] == pytest.approx(0.011, abs=2e-5)
 
 
 def test_the_proof_finds_a_cutter_that_is_too_thick_for_its_slot(job: Job) -> None:
     context, made = trimming(job, job.programs)
-    (work,) = made.works
+    (work,) = made.sheets
     own = work.claim.mill
     assert own is not None
-    way = work.way("trim/round")
+    way = work.slot_path("trim/round")
     assert way is not None
     curve = work.slots["trim/round"]
     findings = Findings("verify.trim_mill", context)
-    _beside(MeasuredCut(findings, work, "trim/round", way), curve, own)
+    _check_gouge(MeasuredCut(findings, work, "trim/round", way), curve, own)
     assert not findings.issues
     thick = dataclasses.replace(own, cutter=dataclasses.replace(own.cutter, radius=2.0e-3))
-    _beside(MeasuredCut(findings, work, "trim/round", way), curve, thick)
-    assert {one.code for one in findings.issues} == {"verify.trim_mill"}
+    _check_gouge(MeasuredCut(findings, work, "trim/round", way), curve, thick)
+    assert {issue.code for issue in findings.issues} == {"verify.trim_mill"}
 
 
 @pytest.mark.parametrize(
@@ -315,13 +314,13 @@ def test_the_proof_asks_for_a_die_itself(job: Job) -> None:
         job.problem = known
 
 
-@pytest.mark.parametrize(("sync", "told"), [("handshake", True), ("multimove", False)])
-def test_a_spindle_of_the_other_controller_is_another_one(job: Job, sync: Any, told: bool) -> None:
+@pytest.mark.parametrize(("sync", "reported"), [("handshake", True), ("multimove", False)])
+def test_a_spindle_of_the_other_controller_is_another_one(job: Job, sync: Any, reported: bool) -> None:
     """Its signal has the same name there; tasks of one controller share theirs."""
     cell = job.problem.cell
     controller = dataclasses.replace(cell.controller, sync=sync)
     whole = dataclasses.replace(job.problem, cell=dataclasses.replace(cell, controller=controller))
-    claims, unread = outlines.worked_out(job.prover.claims)
+    claims, unread = outlines.resolve_claims(job.prover.claims)
     context = Context(job.problem, claims, job.programs, unread)
     motion, (task,) = context.motion, context.job.tasks
     other = dataclasses.replace(task, name="other", arm=dataclasses.replace(task.arm, name="other"))
@@ -330,12 +329,12 @@ def test_a_spindle_of_the_other_controller_is_another_one(job: Job, sync: Any, t
     vars(context)["job"] = dataclasses.replace(context.job, tasks=(other, task))
     context.problem = whole
     issues = trim_spindle(context).issues
-    assert bool(issues) == told
+    assert bool(issues) == reported
 
 
 def trimming(job: Job, programs: dict[str, str]) -> tuple[Context, Trimming]:
     """What the rules look at, to be changed."""
-    claims, unread = outlines.worked_out(job.prover.claims)
+    claims, unread = outlines.resolve_claims(job.prover.claims)
     context = Context(job.problem, claims, programs, unread)
     return context, context.get(TRIMMING)
 
@@ -350,7 +349,7 @@ def test_what_counts_as_cut_is_asked_to_be_through_the_sheet(job: Job) -> None:
         moved(lambda p: p * np.array([middle, middle, 1.0]) + np.array([0.0, 0.0, 0.9])),
     )
     context, made = trimming(job, changed)
-    made.works[0].sheet.tolerance = 0.2e-3
+    made.sheets[0].sheet.tolerance = 0.2e-3
     found = [*trim_cut(context).issues, *trim_mill(context).issues]
     assert {(issue.code, issue.message.startswith("in trim/round the tip")) for issue in found} == {
         ("verify.trim_mill", True)
@@ -379,14 +378,14 @@ def test_a_way_in_on_which_nothing_comes_down_is_refused(tmp_path: Path) -> None
         registry.job(read, 0).targets()
     (issue,) = error.value.issues
     assert issue.code == "trim.lead"
-    assert "1.65 mm off the curve" in issue.message
+    assert "1.65 mm before the curve" in issue.message
 
 
 def test_a_cutter_goes_down_no_faster_however_deep_it_may_be(job: Job) -> None:
     """A large tolerance of the depth let it go down at any speed, as the last of its way was not looked
     at."""
     context, made = trimming(job, in_procedure(job.programs, "trim_round", timed(0.2)))
-    made.works[0].claim = dataclasses.replace(made.works[0].claim, height=5e-3)
+    made.sheets[0].claim = dataclasses.replace(made.sheets[0].claim, height_tolerance=5e-3)
     found = trim_mill(context).issues
     assert any("deeper than at 2 mm/s" in issue.message for issue in found)
 
@@ -394,18 +393,18 @@ def test_a_cutter_goes_down_no_faster_however_deep_it_may_be(job: Job) -> None:
 def test_a_long_slot_is_looked_at_as_closely_as_a_short_one(job: Job) -> None:
     """One place of 6,000 at which the cutter stands in the part."""
     context, made = trimming(job, job.programs)
-    (work,) = made.works
+    (work,) = made.sheets
     own, curve = work.claim.mill, work.slots["trim/wall"]
-    way = work.way("trim/wall")
+    way = work.slot_path("trim/wall")
     assert own is not None and way is not None
     count = -(-6000 // len(way.tip))
-    names = ("tip", "axis", "rows", "off", "at", "deep")
+    names = ("tip", "axis", "rows", "curve_distance", "at", "depth")
     long = {name: np.concatenate([getattr(way, name)] * count) for name in names}
-    k = int(np.argmin(way.off)) + 3 * len(way.tip)
+    k = int(np.argmin(way.curve_distance)) + 3 * len(way.tip)
     out = curve.ring[np.argmin(np.linalg.norm(curve.ring - way.feet.foot[k % len(way.tip)], axis=1))]
     long["tip"][k] += 1.5 * (out - way.feet.foot[k % len(way.tip)])
     findings = Findings("verify.trim_mill", context)
-    _beside(MeasuredCut(findings, work, "trim/wall", dataclasses.replace(way, **long)), curve, own)
+    _check_gouge(MeasuredCut(findings, work, "trim/wall", dataclasses.replace(way, **long)), curve, own)
     assert {issue.code for issue in findings.issues} == {"verify.trim_mill"}
 
 
@@ -416,7 +415,7 @@ def test_an_arm_of_ur_mills(tmp_path: Path) -> None:
     del whole["cell"]["arms"][0]["home_deg"]
     whole["sheet"]["place"] = {"xyz_mm": [700, 0, 300]}
     read = pipeline.load(write_forming(tmp_path, whole, dish()))
-    programs = dict(write.programs(solve.solve(read, [registry.job(read, 0).targets()]), read))
+    programs = dict(write.program_files(solve.solve(read, [registry.job(read, 0).targets()]), read))
     prover = Prover(read, registry.claims(read))
     assert prover.prove(programs).ok
     (file,) = programs
@@ -439,8 +438,8 @@ def test_two_controllers_switch_signals_of_their_own(tmp_path: Path) -> None:
     pipeline.load(write_forming(tmp_path, whole, dish()))
 
 
-@pytest.mark.parametrize(("sync", "told"), [("handshake", False), ("multimove", True)])
-def test_programs_of_two_controllers_may_switch_in_one_interval(sync: Any, told: bool) -> None:
+@pytest.mark.parametrize(("sync", "reported"), [("handshake", False), ("multimove", True)])
+def test_programs_of_two_controllers_may_switch_in_one_interval(sync: Any, reported: bool) -> None:
     """As both take their power back at first: only of signals of one controller the order is chance."""
     cell = handshake_job.problem().cell
     controller = dataclasses.replace(cell.controller, sync=sync)
@@ -453,4 +452,4 @@ def test_programs_of_two_controllers_may_switch_in_one_interval(sync: Any, told:
     whole = dataclasses.replace(cell, controller=controller)
     context.problem = dataclasses.replace(context.problem, cell=whole)
     found = [issue for issue in signals(context).issues if "between the same" in issue.message]
-    assert bool(found) == told
+    assert bool(found) == reported

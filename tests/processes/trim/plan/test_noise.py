@@ -1,4 +1,4 @@
-"""A dish whose mesh has noise, as a scan has: the face that the proof goes by is the one that is meant."""
+"""A dish whose mesh has the noise of a scan: the proof uses the intended face."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from planner import pipeline
 from planner.geometry.arrays import Mesh
 from planner.processes import registry
 from planner.processes.trim.claims import TrimsSheet
-from planner.processes.trim.plan.face import Face
+from planner.processes.trim.plan.face import SheetFace
 from planner.processes.trim.proof.outlines import SheetSide
 from tests.processes.trim.plan.small_trim import OUTLINES, data, milled
 from tests.small_forming import dish
@@ -31,14 +31,14 @@ def test_the_proof_sees_the_face_that_a_mesh_with_noise_means(tmp_path: Path) ->
     path = write_forming(tmp_path, data(outlines=[OUTLINES[0]], **milled()), Mesh(vertices, clean.faces))
     problem = pipeline.load(path)
     (claim,) = (one for one in registry.claims(problem)["cut"] if isinstance(one, TrimsSheet))
-    assert claim.rough == pytest.approx(3.0 * SIGMA, rel=0.15)
+    assert claim.surface_error == pytest.approx(3.0 * SIGMA, rel=0.15)
     side = SheetSide(claim, problem.source.get("part"))
-    assert 2.5 * SIGMA < side.tolerance <= claim.rough
+    assert 2.5 * SIGMA < side.tolerance <= claim.surface_error
     places = np.random.default_rng(1).uniform(-0.045, 0.045, (4000, 2))
     places = places[np.hypot(*places.T) < 0.045]
     point, normal = side.at(places)
-    wanted, square = Face(clean, 0.001, 1).at(places)
-    assert np.abs(point - wanted).max() < side.tolerance
+    expected, square = SheetFace(clean, 0.001, 1).at(places)
+    assert np.abs(point - expected).max() < side.tolerance
     turn = np.arccos(np.clip((normal * square).sum(axis=1), -1.0, 1.0))
     assert np.quantile(turn, 0.95) < np.deg2rad(1.5)
-    assert turn.max() < side.turn + np.deg2rad(1.0)
+    assert turn.max() < side.normal_error + np.deg2rad(1.0)

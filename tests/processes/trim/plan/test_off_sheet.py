@@ -1,4 +1,4 @@
-"""How far a torch is off a sheet: where no corner of the mesh is near, by hand."""
+"""Distance of a torch from a sheet far from any mesh vertex, computed by hand."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def coarse_sheet(corner: float) -> Any:
     """A flat square of 200 mm at height 0 with one more corner on the x axis; its stock is as large."""
     rim = [[x, y, 0.0] for x, y in ((-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1))]
     faces = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
-    return SimpleNamespace(vertices=np.array([*rim, [corner, 0.0, 0.0]]), faces=faces, rise=0.0)
+    return SimpleNamespace(vertices=np.array([*rim, [corner, 0.0, 0.0]]), faces=faces, height=0.0)
 
 
 @pytest.mark.parametrize("corner", [8e-3, 60e-3])
@@ -28,8 +28,8 @@ def test_the_face_is_looked_at_as_near_as_its_nearest_corner(corner: float, heig
     not; it is there at the second of three places."""
     tip = np.array([[-0.05, 0.0, 0.03], [0.0, 0.0, height], [0.02, 0.03, 0.03]])
     track = SimpleNamespace(tip=tip, axis=np.tile([0.0, 0.0, 1.0], (3, 1)))
-    context = SimpleNamespace(stock=lambda _: SimpleNamespace(size=(0.2, 0.2, 1e-3)))
+    context = SimpleNamespace(stock_at=lambda _: SimpleNamespace(size=(0.2, 0.2, 1e-3)))
     work: Any = SimpleNamespace(track=track, sheet=coarse_sheet(corner), context=context, index=0)
-    off, row = torch_motion._off_sheet(work, np.arange(3), cylinder(0.0, 0.1, RADIUS))
-    assert off == pytest.approx(height, abs=1e-6)
+    deviation, row = torch_motion._body_distance(work, np.arange(3), cylinder(0.0, 0.1, RADIUS))
+    assert deviation == pytest.approx(height, abs=1e-6)
     assert row == 1

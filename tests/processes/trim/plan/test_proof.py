@@ -1,7 +1,6 @@
-"""A trimmed dish is planned and proven, and each fault that is put into its programs is told by the rule for
-it.
+"""A trimmed dish is planned and proven, and each fault in its programs is reported by its rule.
 
-Faults are in the text alone: the proof knows nothing else of how the programs were made.
+The faults are in the text alone. The proof has no other knowledge of the programs.
 """
 
 from __future__ import annotations
@@ -15,8 +14,8 @@ import numpy as np
 import pytest
 
 from planner.processes.trim.proof import outlines
-from planner.processes.trim.proof.rules.slots import _closed
-from planner.processes.trim.proof.torch_motion import TRIMMING, Way
+from planner.processes.trim.proof.rules.slots import _check_closed
+from planner.processes.trim.proof.torch_motion import TRIMMING, SlotPath
 from planner.proof.context import Context
 from tests.processes.milling.proof.milling_job import in_procedure
 from tests.processes.trim.plan.small_trim import Job
@@ -25,7 +24,7 @@ Programs = dict[str, str]
 NUMBER = r"(-?\d+\.\d+)"
 TARGET = re.compile(rf"MoveL \[\[{NUMBER},{NUMBER},{NUMBER}\],\[{NUMBER},{NUMBER},{NUMBER},{NUMBER}\]")
 MAIN = "operation_1"
-ON, OK, OFF = "SetDO doArc,1;", "WaitDI diArcOk,1\\MaxTime:=5;", "SetDO doArc,0;"
+SWITCH_ON, OK, SWITCH_OFF = "SetDO doArc,1;", "WaitDI diArcOk,1\\MaxTime:=5;", "SetDO doArc,0;"
 
 
 @pytest.fixture(scope="module")
@@ -36,16 +35,16 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> Job:
 def moved(change: Callable[[Any], Any]) -> Callable[[str], str]:
     """Changes the places [mm] of all targets of a procedure."""
 
-    def place(match: re.Match[str]) -> str:
+    def move_target(match: re.Match[str]) -> str:
         x, y, z = change(np.array([float(match[k]) for k in (1, 2, 3)]))
         turn = ",".join(match[k] for k in (4, 5, 6, 7))
         return f"MoveL [[{x:.4f},{y:.4f},{z:.4f}],[{turn}]"
 
-    return lambda text: TARGET.sub(place, text)
+    return lambda text: TARGET.sub(move_target, text)
 
 
 def leant(degrees: float) -> Callable[[str], str]:
-    """Turns the tool of all targets of a procedure about its own x axis."""
+    """Rotate the tool of all targets of a procedure about its own x axis."""
     half = np.deg2rad(0.5 * degrees)
 
     def turn(match: re.Match[str]) -> str:
@@ -92,7 +91,7 @@ def before_last_move(what: str) -> Callable[[str], str]:
 
 
 def ended(xy: tuple[float, float]) -> Callable[[str], str]:
-    """Without its last three moves, the one before to a place in plan [mm]."""
+    """Remove the last three moves and move the previous one to a position in plan [mm]."""
 
     def put(text: str) -> str:
         lines = text.split("\n")
@@ -104,7 +103,7 @@ def ended(xy: tuple[float, float]) -> Callable[[str], str]:
 
 
 def around(text: str) -> str:
-    """From the slot's end on through the waste, 2.5 mm off, to where the next one begins."""
+    """Continue from the slot's end through the waste, 2.5 mm off, to the start of the next slot."""
     lines = text.split("\n")
     last = next(k for k in range(len(lines) - 1, 0, -1) if "MoveL" in lines[k])
     end = np.array([float(v) for v in TARGET.search(lines[last]).groups()[:2]])  # type: ignore[union-attr]
@@ -115,7 +114,7 @@ def around(text: str) -> str:
 
 
 def swapped(text: str) -> str:
-    """The round hole, and what belongs to it, behind all others."""
+    """Move the round hole with its statements after all others."""
     first = text.index("trim_round_in;")
     last = text.index("trim_round_out;") + len("trim_round_out;")
     end = text.rindex("trim_rim_p3_out;") + len("trim_rim_p3_out;")
@@ -153,19 +152,25 @@ FAULTS: dict[str, tuple[str, str, Callable[[str], str]]] = {
         "trim_round_in",
         moved(lambda p: p - np.array([0.0, 0.0, 1.0])),
     ),
-    "no arc": ("verify.trim_arc", MAIN, replaced(ON, "")),
-    "the arc too late": ("verify.trim_arc", "trim_round", behind_first_move(f"{OFF} {ON}")),
+    "no arc": ("verify.trim_arc", MAIN, replaced(SWITCH_ON, "")),
+    "the arc too late": ("verify.trim_arc", "trim_round", behind_first_move(f"{SWITCH_OFF} {SWITCH_ON}")),
     "the arc goes on late, on the way": (
         "verify.trim_arc",
         MAIN,
-        lambda text: text.replace(ON, "", 1).replace("trim_round;", f"trim_round;\r\n    {ON}", 1),
+        lambda text: text.replace(SWITCH_ON, "", 1).replace(
+            "trim_round;", f"trim_round;\r\n    {SWITCH_ON}", 1
+        ),
     ),
-    "the arc goes out before the last move": ("verify.trim_arc", "trim_round", before_last_move(OFF)),
-    "the arc too early": ("verify.trim_arc", MAIN, replaced("trim_round_in;", f"{ON}\n    trim_round_in;")),
+    "the arc goes out before the last move": ("verify.trim_arc", "trim_round", before_last_move(SWITCH_OFF)),
+    "the arc too early": (
+        "verify.trim_arc",
+        MAIN,
+        replaced("trim_round_in;", f"{SWITCH_ON}\n    trim_round_in;"),
+    ),
     "the arc left on": (
         "verify.trim_arc",
         MAIN,
-        replaced(f"{OFF}\r\n    trim_round_out;", f"trim_round_out;\r\n    {OFF}"),
+        replaced(f"{SWITCH_OFF}\r\n    trim_round_out;", f"trim_round_out;\r\n    {SWITCH_OFF}"),
     ),
     "nobody waits for the arc": ("verify.trim_arc", MAIN, replaced(OK, "")),
     "a wait without an end": ("verify.trim_arc", MAIN, replaced(OK, "WaitDI diArcOk,1;")),
@@ -202,17 +207,17 @@ def test_a_fault_is_told_by_the_rule_for_it(job: Job, name: str) -> None:
     assert job.told_by(code, programs)
 
 
-@pytest.mark.parametrize("wait", [f"WaitTime 1;\r\n    {ON}", f"{OFF}\r\n    WaitTime 1;"])
+@pytest.mark.parametrize("wait", [f"WaitTime 1;\r\n    {SWITCH_ON}", f"{SWITCH_OFF}\r\n    WaitTime 1;"])
 def test_a_torch_may_stand_dark_at_the_ends_of_its_slot(job: Job, wait: str) -> None:
     """As it does where it waits for the other arm."""
-    old = ON if ON in wait else OFF
+    old = SWITCH_ON if SWITCH_ON in wait else SWITCH_OFF
     programs = in_procedure(job.programs, MAIN, replaced(old, wait))
     assert programs != job.programs
     assert not job.told_by("verify.trim_arc", programs)
 
 
 def test_the_dialogue_has_all_that_is_switched(job: Job) -> None:
-    for old, new in ((OK, ""), (ON, ""), (OFF, ""), (OK, "WaitDI diArcOk,1\\MaxTime:=50;")):
+    for old, new in ((OK, ""), (SWITCH_ON, ""), (SWITCH_OFF, ""), (OK, "WaitDI diArcOk,1\\MaxTime:=50;")):
         programs = in_procedure(job.programs, MAIN, replaced(f"\n    {old}", f"\n    {new}"))
         assert "verify.dialogue" in {i.code for i in job.prove(programs, "verify.dialogue").issues}
 
@@ -274,7 +279,12 @@ AFTER_A_STOP: dict[str, tuple[str, str, str, str]] = {
         "    operation_1;\r\n",
         "    tandem_lit_1:=FALSE;\r\n    operation_1;\r\n",
     ),
-    "nobody is told": ("verify.dialogue", MAIN_FILE, "A stop while the torch", "A stop while no torch"),
+    "no warning about stops": (
+        "verify.dialogue",
+        MAIN_FILE,
+        "A stop while the torch",
+        "A stop while no torch",
+    ),
 }
 
 
@@ -295,22 +305,22 @@ def test_the_report_has_the_curves_with_the_stand_off(job: Job) -> None:
     assert ("output that starts the arc", "doArc") in shown["setup"]["items"]
 
 
-@pytest.mark.parametrize(("joints", "gap", "told"), [(1, 0.8, False), (0, 0.8, True), (0, 0.25, False)])
+@pytest.mark.parametrize(("joints", "gap", "reported"), [(1, 0.8, False), (0, 0.8, True), (0, 0.25, False)])
 def test_thin_slots_have_small_joints_and_no_other_ones(
-    job: Job, joints: int, gap: float, told: bool
+    job: Job, joints: int, gap: float, reported: bool
 ) -> None:
     """A slot of 0.3 mm whose ends are 0.8 mm apart leaves a joint of 0.5 mm, though no place of the curve is
     farther from it than the tolerance of 0.3 mm; of 0.25 mm nothing is left."""
-    claims, unread = outlines.worked_out(job.prover.claims)
+    claims, unread = outlines.resolve_claims(job.prover.claims)
     context = Context(job.problem, claims, job.programs, unread)
-    (work,) = context.get(TRIMMING).works
+    (work,) = context.get(TRIMMING).sheets
     work.claim = dataclasses.replace(work.claim, kerf=0.3e-3)
-    curve = next(one for one in work.curves if one.one.name == "rim")
-    curve.one = dataclasses.replace(curve.one, joints=joints, width=0.5e-3)
+    curve = next(one for one in work.curves if one.outline.name == "rim")
+    curve.outline = dataclasses.replace(curve.outline, joints=joints, width=0.5e-3)
     radius, z = 36.15e-3, curve.ring[0, 2]
     turn = np.linspace(0.5 * gap * 1e-3 / radius, 2.0 * np.pi - 0.5 * gap * 1e-3 / radius, 1400)
     tip = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.full(1400, z)])
-    off, at = curve.off(tip)
+    deviation, at = curve.distance(tip)
     up = np.tile([0.0, 0.0, 1.0], (1400, 1))
-    way = Way(tip, up, work.sheet.feet(tip), np.arange(1400), off, at, np.zeros(1400))
-    assert bool(_closed(work, curve, [way])[1]) == told
+    way = SlotPath(tip, up, work.sheet.project(tip), np.arange(1400), deviation, at, np.zeros(1400))
+    assert bool(_check_closed(work, curve, [way])[1]) == reported

@@ -1,5 +1,6 @@
-"""A trimmed dish in URScript: the clean programs are proven, and faults in their text are told by the rule
-for them, those of the other languages that have a meaning here and those of what watches a torch.
+"""A trimmed dish in URScript: clean programs are proven, and faults in their text are reported by their rule.
+
+The faults are those of the other languages that exist here, and those of the torch watchdog.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import pytest
 
 from planner import pipeline
 from planner.languages.urscript.reader import reader
-from planner.languages.urscript.reader.syntax_tree import AwaitArc, GuardArc
+from planner.languages.urscript.reader.syntax_tree import ArcWatchdog, AwaitArc
 from planner.languages.writing import write as post
 from planner.motion import solve
 from planner.processes import registry
@@ -24,13 +25,16 @@ from tests.small_forming import write as write_forming
 Change = Callable[[str], str]
 FILE = "robot/trimmed.script"
 END = "\r\n"
-ON, OFF = "set_standard_digital_out(3,True) # doArc\r\n", "set_standard_digital_out(3,False) # doArc\r\n"
+SWITCH_ON, SWITCH_OFF = (
+    "set_standard_digital_out(3,True) # doArc\r\n",
+    "set_standard_digital_out(3,False) # doArc\r\n",
+)
 WAIT, PIERCE = "await_arc(5.0)\r\n", "sleep(0.5)\r\n"
 RUN, KILL = "watching_arc = run watch_arc()\r\n", "kill watching_arc\r\n"
-LIT = ON + WAIT + PIERCE + RUN
+LIT = SWITCH_ON + WAIT + PIERCE + RUN
 THREAD = re.compile(r"thread watch_arc\(\):\r\n.*?halt\r\nend\r\n", re.DOTALL)
 FUNCTION = re.compile(r"def await_arc\(limit\):\r\n.*?end\r\nend\r\n(?=thread)", re.DOTALL)
-LOOK = re.compile(r"if get_standard_digital_out\(3\):\r\n.*?halt\r\nend\r\n", re.DOTALL)
+OUTPUT_CHECK = re.compile(r"if get_standard_digital_out\(3\):\r\n.*?halt\r\nend\r\n", re.DOTALL)
 MOVE = re.compile(r"movel\(pose_trans\(b_stock,p\[([-\d.]+),([-\d.]+),([-\d.]+),")
 TIME = re.compile(r"(?<=,t=)[\d.]+")
 AGAIN = "# Segment trim/round: the rest.\r\n"
@@ -44,7 +48,7 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> Job:
 
 
 def part_of(text: str, segment: str) -> tuple[int, int]:
-    """Where a segment begins and ends."""
+    """Return start and end of a segment."""
     start = text.index(f"# Segment {segment}:")
     return start, text.index("# Segment ", start + 5)
 
@@ -69,7 +73,7 @@ def within(pattern: re.Pattern[str], old: str, new: str) -> Change:
 
 
 def first(old: str, new: str) -> Change:
-    """The first place at which something stands."""
+    """Replace the first occurrence."""
 
     def put(text: str) -> str:
         assert old in text, old
@@ -83,17 +87,17 @@ def without(pattern: re.Pattern[str]) -> Change:
 
 
 def moved(x: float = 0.0, z: float = 0.0, scale: float = 1.0) -> Change:
-    """All targets, in mm."""
+    """Move all targets, in mm."""
 
-    def place(match: re.Match[str]) -> str:
+    def move_target(match: re.Match[str]) -> str:
         a, b, c = (float(match[k]) for k in (1, 2, 3))
         return f"movel(pose_trans(b_stock,p[{scale * a + 1e-3 * x:.7f},{scale * b:.7f},{c + 1e-3 * z:.7f},"
 
-    return lambda text: MOVE.sub(place, text)
+    return lambda text: MOVE.sub(move_target, text)
 
 
 def slower(factor: float) -> Change:
-    """All moves take so many times as long."""
+    """Multiply the time of all moves by a factor."""
     return lambda text: TIME.sub(lambda m: f"{factor * float(m[0]):.5f}", text)
 
 
@@ -119,7 +123,7 @@ def in_slot(new: str, move: int = 20) -> Change:
 
 
 def at_stop(new: str) -> Change:
-    """The same at an exact stop there."""
+    """Insert text at an exact stop of the slot."""
 
     def put(text: str) -> str:
         begin, end = part_of(text, "trim/round")
@@ -131,22 +135,22 @@ def at_stop(new: str) -> Change:
     return put
 
 
-def stood(text: str) -> str:
-    """What the thread has for the longest stand."""
+def max_dwell_of(text: str) -> str:
+    """Return the term of the thread's condition that limits the dwell."""
     found = re.search(r"arc_stood<=([\d.]+)", text)
     assert found is not None
     return found[0]
 
 
 def longer(seconds: float) -> Change:
-    return lambda text: text.replace(stood(text), f"arc_stood<={seconds}")
+    return lambda text: text.replace(max_dwell_of(text), f"arc_stood<={seconds}")
 
 
 def left_on(text: str) -> str:
-    """The torch goes off behind the way out of the round hole."""
-    text = text.replace(KILL + OFF, "", 1)
+    """The torch goes off after the lead-out of the round hole."""
+    text = text.replace(KILL + SWITCH_OFF, "", 1)
     begin = text.index("# Segment link")
-    return text[:begin] + KILL + OFF + text[begin:]
+    return text[:begin] + KILL + SWITCH_OFF + text[begin:]
 
 
 def early(text: str) -> str:
@@ -157,9 +161,9 @@ def early(text: str) -> str:
 
 
 def in_the_air(text: str) -> str:
-    """It burns on the way to the next slot, too."""
+    """The torch burns on the link to the next slot too."""
     begin, end = part_of(text, "link")
-    return text[:begin] + LIT + text[begin:end] + KILL + OFF + text[end:]
+    return text[:begin] + LIT + text[begin:end] + KILL + SWITCH_OFF + text[end:]
 
 
 def no_input(text: str) -> str:
@@ -176,14 +180,16 @@ def no_input(text: str) -> str:
 
 
 def _last_off(text: str) -> str:
-    """The second place at which it goes off is left out."""
-    a = text.index(KILL + OFF)
-    return text[: a + len(KILL + OFF)] + text[a + len(KILL + OFF) :].replace(KILL + OFF, "", 1)
+    """Remove the second statement that switches the torch off."""
+    a = text.index(KILL + SWITCH_OFF)
+    return text[: a + len(KILL + SWITCH_OFF)] + text[a + len(KILL + SWITCH_OFF) :].replace(
+        KILL + SWITCH_OFF, "", 1
+    )
 
 
 def unlit(text: str) -> str:
     """The round hole is not cut."""
-    return text.replace(LIT, "", 1).replace(KILL + OFF, "", 1)
+    return text.replace(LIT, "", 1).replace(KILL + SWITCH_OFF, "", 1)
 
 
 FAULTS: dict[str, tuple[str, Change]] = {
@@ -200,16 +206,16 @@ FAULTS: dict[str, tuple[str, Change]] = {
     "far too slow": ("verify.trim_feed", inside("trim/round", slower(4.0))),
     "not pierced through": ("verify.trim_arc", first(PIERCE, "sleep(0.05)\r\n")),
     "no arc": ("verify.trim_arc", unlit),
-    "nothing is lit, and the thread runs": ("verify.syntax", first(ON, "")),
+    "nothing is lit, and the thread runs": ("verify.syntax", first(SWITCH_ON, "")),
     "on before the pierce point": ("verify.trim_arc", early),
     "on in the air": ("verify.trim_arc", in_the_air),
     "off late": ("verify.trim_arc", left_on),
-    "never off": ("verify.syntax", first(KILL + OFF, "")),
+    "never off": ("verify.syntax", first(KILL + SWITCH_OFF, "")),
     "off, and the thread runs on": ("verify.syntax", first(KILL, "")),
-    "off before the thread ends": ("verify.syntax", first(KILL + OFF, OFF + KILL)),
-    "the thread ends, and it burns on": ("verify.syntax", first(KILL + OFF, KILL)),
-    "off in mid slot": ("verify.trim_arc", lambda text: _last_off(at_stop(KILL + OFF + AGAIN)(text))),
-    "lit again in mid slot": ("verify.trim_arc", at_stop(KILL + OFF + LIT)),
+    "off before the thread ends": ("verify.syntax", first(KILL + SWITCH_OFF, SWITCH_OFF + KILL)),
+    "the thread ends, and it burns on": ("verify.syntax", first(KILL + SWITCH_OFF, KILL)),
+    "off in mid slot": ("verify.trim_arc", lambda text: _last_off(at_stop(KILL + SWITCH_OFF + AGAIN)(text))),
+    "lit again in mid slot": ("verify.trim_arc", at_stop(KILL + SWITCH_OFF + LIT)),
     "nobody waits for the arc": ("verify.syntax", first(WAIT, "")),
     "nobody waits, nor looks at its input": (
         "verify.trim_arc",
@@ -217,13 +223,16 @@ FAULTS: dict[str, tuple[str, Change]] = {
     ),
     "a wait far too long": ("verify.syntax", first(WAIT, "await_arc(50.0)\r\n")),
     "a wait behind the pierce": ("verify.dialogue", first(WAIT + PIERCE, PIERCE + WAIT)),
-    "a wait before it is lit": ("verify.syntax", first(ON + WAIT, WAIT + ON)),
+    "a wait before it is lit": ("verify.syntax", first(SWITCH_ON + WAIT, WAIT + SWITCH_ON)),
     "a wait twice": ("verify.syntax", first(WAIT, WAIT + WAIT)),
     "a wait for another input": ("verify.syntax", within(FUNCTION, "in(0)", "in(1)")),
     "a wait for no arc": ("verify.syntax", within(FUNCTION, "==False", "==True")),
     "a wait that has no end": ("verify.syntax", within(FUNCTION, "passed=passed+0.01\r\n", "")),
     "a wait that goes on": ("verify.syntax", within(FUNCTION, "halt\r\n", "")),
-    "the arc burns while somebody reads that it does not": ("verify.syntax", within(FUNCTION, OFF, "")),
+    "the arc burns while somebody reads that it does not": (
+        "verify.syntax",
+        within(FUNCTION, SWITCH_OFF, ""),
+    ),
     "another output goes off there": ("verify.syntax", within(FUNCTION, "out(3,", "out(4,")),
     "a wait shows another text": ("verify.syntax", within(FUNCTION, "in 5 s", "in 6 s")),
     "no thread": ("verify.syntax", without(THREAD)),
@@ -232,7 +241,7 @@ FAULTS: dict[str, tuple[str, Change]] = {
     "nor is there a thread for one": (
         "verify.trim_arc",
         lambda text: (
-            without(LOOK)(without(THREAD)(without(FUNCTION)(text)))
+            without(OUTPUT_CHECK)(without(THREAD)(without(FUNCTION)(text)))
             .replace(RUN, "")
             .replace(KILL, "")
             .replace(WAIT, "")
@@ -270,16 +279,19 @@ FAULTS: dict[str, tuple[str, Change]] = {
         "verify.syntax",
         within(THREAD, "arc_place=get_actual_tcp_pose()\r\narc_stood", "arc_stood"),
     ),
-    "a thread that does not switch off": ("verify.syntax", within(THREAD, OFF, "")),
+    "a thread that does not switch off": ("verify.syntax", within(THREAD, SWITCH_OFF, "")),
     "a thread that holds the program": ("verify.syntax", within(THREAD, "blocking=False", "blocking=True")),
     "a thread that does not end it": ("verify.syntax", within(THREAD, "halt\r\n", "")),
     "a thread that shows another text": ("verify.syntax", within(THREAD, "no diArcOk", "no diOther")),
-    "nothing looks whether it stays on": ("verify.syntax", without(LOOK)),
+    "nothing looks whether it stays on": ("verify.syntax", without(OUTPUT_CHECK)),
     "that look comes late": ("verify.syntax", lambda text: _later(text)),
-    "that look switches nothing off": ("verify.syntax", within(LOOK, OFF, "")),
-    "that look goes on": ("verify.syntax", within(LOOK, "halt\r\n", "")),
-    "another output is lit": ("verify.syntax", first(ON, ON.replace("(3,", "(5,"))),
-    "a configurable output is lit": ("verify.syntax", first(ON, ON.replace("standard", "configurable"))),
+    "that look switches nothing off": ("verify.syntax", within(OUTPUT_CHECK, SWITCH_OFF, "")),
+    "that look goes on": ("verify.syntax", within(OUTPUT_CHECK, "halt\r\n", "")),
+    "another output is lit": ("verify.syntax", first(SWITCH_ON, SWITCH_ON.replace("(3,", "(5,"))),
+    "a configurable output is lit": (
+        "verify.syntax",
+        first(SWITCH_ON, SWITCH_ON.replace("standard", "configurable")),
+    ),
     "another one all along": (
         "verify.signals",
         lambda text: text.replace("out(3", "out(5").replace("doArc is", "output 5 is"),
@@ -295,10 +307,10 @@ FAULTS: dict[str, tuple[str, Change]] = {
 
 
 def _later(text: str) -> str:
-    """The look at the output stands behind the statement that has it low."""
-    found = LOOK.search(text)
+    """Check the output after the statement that sets it low."""
+    found = OUTPUT_CHECK.search(text)
     assert found is not None
-    return text.replace(found[0] + OFF, OFF + found[0], 1)
+    return text.replace(found[0] + SWITCH_OFF, SWITCH_OFF + found[0], 1)
 
 
 def test_the_programs_are_proven(job: Job) -> None:
@@ -344,7 +356,7 @@ def test_operations_with_and_without_an_input_of_the_arc_are_proven(
     whole["operations"].append({**whole["operations"][0], **other, "feed_mm_s": 4})
     read = pipeline.load(write_forming(tmp_path, whole, dish()))
     plan = solve.solve(read, [registry.job(read, k).targets() for k in range(2)])
-    programs = dict(post.programs(plan, read))
+    programs = dict(post.program_files(plan, read))
     assert programs[FILE].count("arc_lost<=") == sum(signal is not None for signal in ok_signals)
     proof = Prover(read, registry.claims(read)).prove(programs)
     assert proof.ok, [str(issue) for issue in proof.issues]
@@ -358,12 +370,12 @@ def test_two_operations_cut_with_one_torch(tmp_path: Path) -> None:
     whole["operations"].append({**whole["operations"][0], **slow, "outlines": [b]})
     read = pipeline.load(write_forming(tmp_path, whole, dish()))
     plan = solve.solve(read, [registry.job(read, k).targets() for k in range(2)])
-    programs, prover = dict(post.programs(plan, read)), Prover(read, registry.claims(read))
+    programs, prover = dict(post.program_files(plan, read)), Prover(read, registry.claims(read))
     assert prover.prove(programs, last="verify.trim_feed").issues == ()
     patient = re.sub(r"(?<=kill watching_arc)(?!_)|(?<=watch_arc)(?=\(\)\r)", "_2", programs[FILE])
     patient = patient.replace("watching_arc = run", "watching_arc_2 = run")
     (issue,) = prover.prove({FILE: patient}, last="verify.trim_arc").issues
-    assert issue.code == "verify.trim_arc" and "wanted: 0.2 mm or more" in issue.message
+    assert issue.code == "verify.trim_arc" and "required 0.2 mm or more" in issue.message
 
 
 def test_each_slot_is_lit_waited_for_and_watched(job: Job) -> None:
@@ -371,7 +383,13 @@ def test_each_slot_is_lit_waited_for_and_watched(job: Job) -> None:
     assert program is not None
     waits = [one for one in program.body if isinstance(one, AwaitArc)]
     assert [one.seconds for one in waits] == [5.0] * 4  # the hole, and three slots between micro-joints
-    guards = [one.on for one in program.body if isinstance(one, GuardArc)]
+    guards = [one.on for one in program.body if isinstance(one, ArcWatchdog)]
     assert guards == [True, False] * 4
     thread, function = program.torches["watch_arc"], program.torches["await_arc"]
-    assert (thread.own, thread.given, thread.off, function.given, function.off) == (3, 0, (3,), 0, (3,))
+    assert (
+        thread.torch_output,
+        thread.given,
+        thread.switched_off,
+        function.given,
+        function.switched_off,
+    ) == (3, 0, (3,), 0, (3,))

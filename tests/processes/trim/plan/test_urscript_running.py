@@ -1,5 +1,8 @@
-"""A UR controller runs the text of a torch's program: the torch burns in slots and nowhere else, whatever
-stops the program, and behind a stop in a slot nothing is lit again and nothing goes on."""
+"""A simulated UR controller runs the text of a torch program.
+
+The torch burns only in slots, whatever stops the program. After a stop in a slot the torch stays off and the
+program does not continue.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +47,7 @@ def test_it_burns_in_its_slot_and_nowhere_else(clean: Machine) -> None:
     places = np.array([place for _, place in clean.burned])
     radius = np.linalg.norm(places[:, :2], axis=1)
     assert radius.max() == pytest.approx(7.4e-3, abs=0.2e-3)  # half a kerf inside of the hole
-    assert LOST not in clean.told and clean.told[-1].startswith("Torch off")
+    assert LOST not in clean.messages and clean.messages[-1].startswith("Torch off")
 
 
 def test_behind_a_pause_nothing_is_lit_and_nothing_goes_on(text: str, clean: Machine) -> None:
@@ -53,13 +56,13 @@ def test_behind_a_pause_nothing_is_lit_and_nothing_goes_on(text: str, clean: Mac
     for at in random.Random(1).sample(range(begins + 2, last), 25):
         machine = Machine(text)
         machine.run(at)
-        way, count = machine.way, len(machine.burned)
+        way, count = machine.travelled, len(machine.burned)
         machine.pause()
         machine.run(100)
         machine.play()
         machine.run()
-        assert machine.told[-1] == LOST and len(machine.burned) == count
-        assert machine.way - way < FEED * (SEEN + 0.1)
+        assert machine.messages[-1] == LOST and len(machine.burned) == count
+        assert machine.travelled - way < FEED * (SEEN + 0.1)
 
 
 def test_a_pause_over_the_pierce_point_ends_it_too(text: str, clean: Machine) -> None:
@@ -67,13 +70,13 @@ def test_a_pause_over_the_pierce_point_ends_it_too(text: str, clean: Machine) ->
     for after in (0, 5, 19, 25, 60):
         machine = Machine(text)
         machine.run(first + after)
-        way, count = machine.way, len(machine.burned)
+        way, count = machine.travelled, len(machine.burned)
         machine.pause()
         machine.run(100)
         machine.play()
         machine.run()
-        assert machine.told[-1] in (LOST, NO_ARC) and len(machine.burned) == count
-        assert machine.way - way < FEED * (SEEN + 0.1)
+        assert machine.messages[-1] in (LOST, NO_ARC) and len(machine.burned) == count
+        assert machine.travelled - way < FEED * (SEEN + 0.1)
 
 
 def test_a_pause_elsewhere_is_an_ordinary_one(text: str, clean: Machine) -> None:
@@ -85,7 +88,7 @@ def test_a_pause_elsewhere_is_an_ordinary_one(text: str, clean: Machine) -> None
         machine.run(100)
         machine.play()
         machine.run()
-        assert machine.told == clean.told and len(machine.burned) == len(clean.burned)
+        assert machine.messages == clean.messages and len(machine.burned) == len(clean.burned)
 
 
 def test_where_outputs_come_back_the_input_ends_it(text: str, clean: Machine) -> None:
@@ -99,7 +102,7 @@ def test_where_outputs_come_back_the_input_ends_it(text: str, clean: Machine) ->
     machine.play()
     count = len(machine.burned)
     machine.run()
-    assert machine.told[-1] == LOST
+    assert machine.messages[-1] == LOST
     assert len(machine.burned) - count < 0.3 / TICK
 
 
@@ -115,14 +118,14 @@ def test_an_arc_that_goes_out_ends_it(text: str, clean: Machine) -> None:
     machine.arc_lost = True
     count = len(machine.burned)
     machine.run()
-    assert machine.told[-1] == LOST and len(machine.burned) - count < 0.3 / TICK
+    assert machine.messages[-1] == LOST and len(machine.burned) - count < 0.3 / TICK
 
 
 def test_an_arc_that_never_burns_ends_it(text: str, clean: Machine) -> None:
     machine = Machine(text)
     machine.lights = None
     machine.run()
-    assert machine.told[-1] == NO_ARC
+    assert machine.messages[-1] == NO_ARC
     assert len(machine.burned) * TICK == pytest.approx(5.0, abs=0.2)
 
 
@@ -135,14 +138,14 @@ def test_a_torch_that_stands_ends_it(text: str, clean: Machine, slider: float) -
     machine.slider = slider
     count = len(machine.burned)
     machine.run()
-    assert machine.told[-1] == LOST and (len(machine.burned) - count) * TICK < 4.0
+    assert machine.messages[-1] == LOST and (len(machine.burned) - count) * TICK < 4.0
 
 
 def test_one_that_is_on_before_the_program_ends_it(text: str) -> None:
     machine = Machine(text)
     machine.high.add(3)
     machine.run()
-    assert machine.told == [
+    assert machine.messages == [
         "doArc is on before the program: set it to low when not running in Installation, I/O."
     ]
-    assert machine.way == 0.0
+    assert machine.travelled == 0.0

@@ -1,7 +1,7 @@
-"""A UR controller that runs the text of a program with a torch, tick by tick, beside an arm and an arc.
+"""A simulated UR controller that runs the text of a torch program tick by tick, with an arm and an arc.
 
-Written from docs/urscript.md for the tests, beside writer and reader: a small interpreter of the language,
-which knows nothing of what the functions and threads of these programs are for.
+It is a small interpreter of the language, written for the tests from docs/urscript.md, independent of writer
+and reader. It does not know the purpose of the functions and threads of these programs.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class _EndedError(Exception):
 
 
 def _blocks(rows: Iterator[str]) -> list[Any]:
-    """Rows up to the end of their block; one that opens another stands with what is in it."""
+    """Return the rows up to the end of their block. Nested blocks come with their content."""
     out: list[Any] = []
     for row in rows:
         if row == "end":
@@ -49,9 +49,9 @@ class Machine:
         self.torch, self.feels, self.slider, self.gives_back = output, feels, slider, gives_back
         self.functions: dict[str, tuple[str, list[Any]]] = {}
         self.high: set[int] = set()
-        self.place: tuple[float, ...] = (0.0, 0.0, 0.0)
+        self.position: tuple[float, ...] = (0.0, 0.0, 0.0)
         self.threads: dict[str, Iterator[None]] = {}
-        self.told: list[str] = []
+        self.messages: list[str] = []
         self.paused, self.kept = False, set[int]()
         self.now = 0
         self.lights: int | None = 20
@@ -59,7 +59,7 @@ class Machine:
         """The tick at which the output rose."""
         self.arc_lost = False
         self.burned: list[tuple[int, tuple[float, ...]]] = []
-        self.way = 0.0
+        self.travelled = 0.0
         self.program: Iterator[None] | None = self._body(self.main[1], {})
 
     @property
@@ -77,7 +77,7 @@ class Machine:
         return self.program is not None
 
     def pause(self) -> None:
-        """As at a stop: outputs are low when the program does not run."""
+        """Pause the program as at a stop: outputs are low while it does not run."""
         self.paused, self.kept, self.high = True, set(self.high), set()
         self.since = None
 
@@ -88,21 +88,21 @@ class Machine:
             self.since = self.now if self.on else None
 
     def tick(self) -> None:
-        """Main program and threads, each up to where it takes time."""
+        """Run main program and threads until each of them takes time."""
         self.now += 1
         if not self.paused and self.program is not None:
             try:
-                before = self.place
+                before = self.position
                 if next(self.program, "end") == "end":
                     self._end()
-                self.way += math.dist(before, self.place)
+                self.travelled += math.dist(before, self.position)
                 for name, thread in list(self.threads.items()):
                     if name in self.threads and next(thread, "end") == "end":
                         del self.threads[name]
             except _EndedError:
                 self._end()
         if self.on:
-            self.burned.append((self.now, self.place))
+            self.burned.append((self.now, self.position))
 
     def run(self, ticks: int = 10**6) -> None:
         for _ in range(ticks):
@@ -116,23 +116,23 @@ class Machine:
 
     # ---- the language ----
 
-    def _body(self, rows: list[Any], own: dict[str, Any]) -> Iterator[None]:
+    def _body(self, rows: list[Any], variables: dict[str, Any]) -> Iterator[None]:
         for row in rows:
             if isinstance(row, str):
-                yield from self._row(row, own)
+                yield from self._row(row, variables)
                 continue
             head, inner = row
             word, _, rest = head.partition(" ")
             if word in ("def", "thread"):
                 name, _, given = rest.rstrip(":").partition("(")
                 self.functions[name] = given.rstrip(")"), inner
-            elif word == "if" and self._value(rest.rstrip(":"), own):
-                yield from self._body(inner, own)
+            elif word == "if" and self._value(rest.rstrip(":"), variables):
+                yield from self._body(inner, variables)
             elif word == "while":
-                while self._value(rest.rstrip(":"), own):
-                    yield from self._body(inner, own)
+                while self._value(rest.rstrip(":"), variables):
+                    yield from self._body(inner, variables)
 
-    def _row(self, row: str, own: dict[str, Any]) -> Iterator[None]:
+    def _row(self, row: str, variables: dict[str, Any]) -> Iterator[None]:
         if found := _OUT.fullmatch(row):
             number = int(found[2]) + 8 * (found[1] == "configurable")
             rose = found[3] == "True" and number not in self.high
@@ -145,7 +145,7 @@ class Machine:
             for _ in range(20):
                 yield
         elif row.startswith("popup("):
-            self.told.append(row.split('"')[1])
+            self.messages.append(row.split('"')[1])
             if "blocking=True" in row:
                 yield
         elif row == "halt":
@@ -153,38 +153,38 @@ class Machine:
         elif row == "sync()":
             yield
         elif found := re.fullmatch(r"sleep\((.*)\)", row):
-            for _ in range(max(1, round(self._value(found[1], own) / TICK))):
+            for _ in range(max(1, round(self._value(found[1], variables) / TICK))):
                 yield
         elif found := re.fullmatch(r"(\w+) = run (\w+)\(\)", row):
             self.threads[found[1]] = self._body(self.functions[found[2]][1], {})
         elif found := re.fullmatch(r"kill (\w+)", row):
             self.threads.pop(found[1], None)
         elif found := re.fullmatch(r"(?:local )?(\w+)\s?=\s?(.*)", row):
-            own[found[1]] = self._value(found[2], own)
+            variables[found[1]] = self._value(found[2], variables)
         elif (found := re.fullmatch(r"(\w+)\((.*)\)", row)) and found[1] in self.functions:
             given, inner = self.functions[found[1]]
-            yield from self._body(inner, {given: self._value(found[2], own)})
+            yield from self._body(inner, {given: self._value(found[2], variables)})
         else:
             assert row.startswith(("set_tcp(", "set_payload(")), row
 
-    def _move(self, place: tuple[float, ...], seconds: float) -> Iterator[None]:
+    def _move(self, target: tuple[float, ...], seconds: float) -> Iterator[None]:
         """Straight on at the slider's share of the speed, which may change meanwhile."""
-        start, share = self.place, 0.0
-        while share < 1.0:
-            share = min(1.0, share + TICK * self.slider / seconds)
-            self.place = tuple(a + share * (b - a) for a, b in zip(start, place, strict=True))
+        start, fraction = self.position, 0.0
+        while fraction < 1.0:
+            fraction = min(1.0, fraction + TICK * self.slider / seconds)
+            self.position = tuple(a + fraction * (b - a) for a, b in zip(start, target, strict=True))
             yield
 
-    def _value(self, text: str, own: dict[str, Any]) -> Any:
-        """What an expression is, as Python has it once inputs, outputs and poses are put in."""
+    def _value(self, text: str, variables: dict[str, Any]) -> Any:
+        """Evaluate an expression in Python, with inputs, outputs and poses inserted."""
         if text.startswith(("p[", "[", '"')):
             return text
         if text.startswith("point_dist(get_forward_kin"):
             return False  # this is the planned arm
         text = _READ.sub(self._read, text)
-        names = own | {"get_actual_tcp_pose": lambda: self.place, "point_dist": math.dist}
+        names = variables | {"get_actual_tcp_pose": lambda: self.position, "point_dist": math.dist}
         return eval(text, {"__builtins__": {}}, names)
 
-    def _read(self, found: re.Match[str]) -> str:
-        number = int(found[3]) + 8 * (found[1] == "configurable")
-        return str(number in self.high if found[2] == "out" else number == self.feels and self.arc)
+    def _read(self, match: re.Match[str]) -> str:
+        number = int(match[3]) + 8 * (match[1] == "configurable")
+        return str(number in self.high if match[2] == "out" else number == self.feels and self.arc)

@@ -1,30 +1,27 @@
-"""Features of a part that is formed from a flat sheet: how they stand on each other, their order.
+"""Features of a part that is formed from a flat sheet: their tree and their order.
 
-A feature is a wall that goes one way from where the sheet is flat (or from its parent) to where it
-ends. The tree comes from the topology of the height function of the mesh (`surface.contour_tree`),
-not from its slices: the slicing step sets how many contours a feature has and nothing else. The
-rules:
+A feature is a monotonic wall from where the sheet is flat (or from its parent) to where the wall ends. The
+tree follows from the topology of the height function of the mesh (`surface.contour_tree`), not from its
+slices. The slicing step determines only how many contours a feature has. The rules:
 
-- A fork of the level lines ends a feature where two or more of what follows go on in its direction
-  (a saddle: one loop becomes two), or none does. What follows are its children. Where one goes on,
-  it is still the same feature, and what turns back there is its child (a dome on a slope).
-- A terrace, a flat within a wall, ends a feature too, and what follows is its child: a stepped dish
-  is two features, and so is a dish with one dimple in its floor. `walls` says how wide a flat must
-  be.
-- What does not leave its surroundings by ``noise`` is no feature, nor is a bump less than 2 mm
-  across beside something larger.
+- A fork of the level lines ends a feature if two or more of its branches continue in its direction (a saddle:
+  one loop becomes two), or none does. The branches are its children. If one branch continues, it is still the
+  same feature, and a branch that turns back is its child (a dome on a slope).
+- A terrace, a flat within a wall, ends a feature too, and the rest is its child: a stepped dish is two
+  features, and so is a dish with one dimple in its floor. `find_walls` defines how wide a flat must be.
+- A bump within ``noise`` of its surroundings is no feature, nor is a bump less than 2 mm across beside
+  something larger.
 
-After Ndip-Agbor, Ehmann and Cao, Automated flexible forming strategy for geometries with multiple
-features in double-sided incremental forming, J. Manuf. Sci. Eng. 140 (2018), who match loops of
-neighbouring slices.
+After Ndip-Agbor, Ehmann and Cao, Automated flexible forming strategy for geometries with multiple features in
+double-sided incremental forming, J. Manuf. Sci. Eng. 140 (2018), who match loops of neighbouring slices.
 
-**Order** and level at which features are formed. The sheet inside a feature goes along when the
-feature is formed. So a feature is formed where its place of the sheet is at that time: at the level
-of its start where all the features around it are done (strategy 1), on the flat sheet where none is
-(strategy 2), and in between in an order of one's own.
+**Order** and level at which features are formed. The sheet inside a feature moves with it when the feature is
+formed. So a feature is formed at the level that its area of the sheet has at that time: at the level of its
+start if all features around it are done (strategy 1), on the flat sheet if none is (strategy 2), and in
+between in a custom order.
 
-**Drawings** (`plan_drawing`, `tree_diagram`, `drawing_page`): contours from above, and the tree over
-the levels of its features.
+**Drawings** (`plan_drawing`, `tree_diagram`, `drawing_page`): contours from above, and the tree over the
+levels of its features.
 """
 
 import dataclasses
@@ -41,35 +38,46 @@ from shapely.ops import nearest_points
 
 from planner.geometry.arrays import FloatArray, Mesh, spread_rows
 from planner.geometry.units import MM, measurement
-from planner.issues import Issue, Severity, TandemError, refusal
+from planner.issue_codes import format_message
+from planner.issues import Issue, Severity, TandemError, issue_error
 from planner.processes.forming.plan.features.surface import (
-    Beyond,
+    PlanAreaBeyondLevel,
     SheetSurface,
     check_sheet,
     contour_tree,
     plan_area,
     plan_areas,
+    position_text,
     slice_levels,
-    where,
 )
-from planner.processes.forming.plan.features.walls import Wall, skeleton, walls
+from planner.processes.forming.plan.features.walls import FeatureWall, build_skeleton, find_walls
 from planner.runtime.memoize import memoized
 
-LEAST_BUMP: Final = 50e-6
+MIN_BUMP_HEIGHT_M: Final = 50e-6
 """Height [m] below which a bump of the mesh is noise of its facets and no feature."""
-MOST_SLICES: Final = 100_000
-"""Levels at most at which a part is cut to find its features."""
+MAX_SLICES: Final = 100_000
+"""Maximum number of levels at which a part is cut to detect its features."""
 
 Kind = Literal["concave", "convex"]
 
 
 @dataclasses.dataclass(frozen=True)
 class Feature:
-    """One feature. ``id`` counts from 1 in preorder; ``parent`` is None on the flat sheet; ``kind`` "concave"
-    goes down (-z) and "convex" goes up, from ``start`` to ``end`` [m]. ``region`` (K, 2) [m]: outer contour
-    at the start. ``levels`` (L,) [m] and ``contours``, one (K, 3) [m] each: in the order of forming, from
-    just past the start to just before the end, between them every step from the start. Outlines are closed
-    (the first point is repeated) and counter-clockwise seen from above.
+    """One feature.
+
+    Outlines are closed (the first point is repeated) and counter-clockwise seen from above.
+
+    Attributes:
+        id: Number from 1, in preorder.
+        parent: Id of the parent, None on the flat sheet.
+        kind: "concave" goes down (-z), "convex" goes up.
+        start: Level [m] at which it starts.
+        end: Level [m] at which it ends.
+        region: Outer contour (K, 2) [m] at the start.
+        levels: Levels (L,) [m] in the order of forming, from just past the start to just before the end,
+            between them one at every step from the start.
+        contours: One contour (K, 3) [m] for each level.
+        children: Ids of the children.
     """
 
     id: int
@@ -90,15 +98,23 @@ class Feature:
 
 @dataclasses.dataclass(frozen=True)
 class FeatureTree:
-    """The features of a part in preorder. ``level`` [m]: z of the flat sheet. ``share`` (F, V) [m]: how far
-    each feature moves each vertex of the mesh; with the flat level they add up to the part's z, within
-    ``noise``. ``issues``: features that touch, for the user."""
+    """The features of a part in preorder.
+
+    Attributes:
+        level: Level z [m] of the flat sheet.
+        step: Spacing [m] of the slices.
+        noise: Height [m] of the mesh's noise.
+        features: The features.
+        displacement: Displacement (F, V) [m] of each vertex of the mesh by each feature. With the flat level
+            they add up to the part's z, within ``noise``.
+        issues: Features that touch, for the user.
+    """
 
     level: float
     step: float
     noise: float
     features: tuple[Feature, ...]
-    share: FloatArray
+    displacement: FloatArray
     issues: tuple[Issue, ...] = ()
 
     @property
@@ -107,61 +123,73 @@ class FeatureTree:
         return tuple(feature.id for feature in self.features if feature.parent is None)
 
     def feature(self, number: int) -> Feature:
-        """The feature of an id; raises ``KeyError`` where there is none."""
+        """Return the feature with an id.
+
+        Raises:
+            KeyError: if there is none.
+        """
         if not 1 <= number <= len(self.features):
             raise KeyError(f"feature {number} of {len(self.features)}")
         return self.features[number - 1]
 
 
 @memoized
-def build(mesh: Mesh, step: float, noise: float = LEAST_BUMP) -> FeatureTree:
-    """The features of a part, sliced every ``step`` [m].
+def build_feature_tree(mesh: Mesh, step: float, noise: float = MIN_BUMP_HEIGHT_M) -> FeatureTree:
+    """Return the features of a part.
 
-    ``mesh``: an open surface that is nearly a height field over the sheet plane, in the sheet's frame, z up,
-    its edge level with the flat sheet. Raises ``TandemError`` with the codes of `surface.check_sheet`, and
-    ``forming.step`` for a step that is no length or gives too many levels, ``forming.flat`` where nothing
-    leaves the flat, ``forming.touching`` where two features lie over each other.
+    Args:
+        mesh: Open surface, nearly a height field over the sheet plane, in the sheet's frame, z up, its edge
+            level with the flat sheet.
+        step: Spacing [m] of the slices.
+        noise: Height [m] of the mesh's noise.
+
+    Raises:
+        TandemError: the codes of `surface.check_sheet`; ``forming.step`` for a step that is no length or
+            gives too many levels; ``forming.flat`` if the part is flat; ``forming.touching`` if two features
+            overlap.
     """
     _check_step(mesh, step)
     surface = check_sheet(mesh.vertices, mesh.faces, noise)
-    found = _walls(surface, noise)
-    if not found:
-        raise TandemError(_flat(surface, noise))
-    sliced = [_sliced(wall, surface, step) for wall in found]
-    numbers = _preorder(found, [plan_area(lines[0]) for _, lines in sliced])
+    feature_walls = _surface_walls(surface, noise)
+    if not feature_walls:
+        raise TandemError(_flat_issue(surface, noise))
+    slices = [_slice_wall(wall, surface, step) for wall in feature_walls]
+    numbers = _preorder(feature_walls, [plan_area(lines[0]) for _, lines in slices])
     features = []
     for number, wall in enumerate(numbers, start=1):
-        parent = found[wall].parent
+        parent = feature_walls[wall].parent
         features.append(
             Feature(
                 number,
                 None if parent is None else numbers.index(parent) + 1,
-                "convex" if found[wall].sign > 0 else "concave",
-                found[wall].start,
-                found[wall].end,
-                np.ascontiguousarray(sliced[wall][1][0][:, :2]),
-                sliced[wall][0],
-                sliced[wall][1],
-                tuple(k for k, other in enumerate(numbers, start=1) if found[other].parent == wall),
+                "convex" if feature_walls[wall].sign > 0 else "concave",
+                feature_walls[wall].start,
+                feature_walls[wall].end,
+                np.ascontiguousarray(slices[wall][1][0][:, :2]),
+                slices[wall][0],
+                slices[wall][1],
+                tuple(k for k, other in enumerate(numbers, start=1) if feature_walls[other].parent == wall),
             )
         )
-    share = np.zeros((len(found), len(mesh.vertices)))
+    displacement = np.zeros((len(feature_walls), len(mesh.vertices)))
     for row, wall in enumerate(numbers):
-        share[row, surface.used] = found[wall].height - found[wall].start
-    return FeatureTree(surface.level, step, noise, tuple(features), share, _touching(features, noise))
+        displacement[row, surface.used] = feature_walls[wall].height - feature_walls[wall].start
+    return FeatureTree(
+        surface.level, step, noise, tuple(features), displacement, _touching_issues(features, noise)
+    )
 
 
 def _check_step(mesh: Mesh, step: float) -> None:
     extent = float(np.ptp(mesh.vertices[:, 2])) if len(mesh.vertices) else 0.0
-    if not (math.isfinite(step) and step > 0.0 and extent / step <= MOST_SLICES):
-        least = extent / MM / MOST_SLICES + 1e-6  # as told, in whole nanometres
-        what = f"step: got {step / MM:g} mm, allowed is {least:.6f} mm at least, {MOST_SLICES} levels over "
-        what += f"the part's {extent / MM:.3g} mm; state such a length"
-        raise refusal("forming.step", what, field="step", **measurement(step / MM, least, "mm"))
+    if not (math.isfinite(step) and step > 0.0 and extent / step <= MAX_SLICES):
+        min_step = extent / MM / MAX_SLICES + 1e-6  # as reported, in whole nanometres
+        what = f"step: got {step / MM:g} mm, allowed is {min_step:.6f} mm at least ({MAX_SLICES} levels over "
+        what += f"the part's {extent / MM:.3g} mm); state a larger one"
+        raise issue_error("forming.step", what, field="step", **measurement(step / MM, min_step, "mm"))
 
 
-def _walls(surface: SheetSurface, noise: float) -> list[Wall]:
-    # beyond its edge the part goes on as flat sheet: one more vertex, which closes the surface to a sphere
+def _surface_walls(surface: SheetSurface, noise: float) -> list[FeatureWall]:
+    # the part continues as flat sheet beyond its edge: one more vertex closes the surface to a sphere
     count = len(surface.vertices)
     height = np.append(surface.vertices[:, 2], surface.level)
     rim = np.stack([surface.border, np.full(len(surface.border), count)], axis=1)
@@ -169,14 +197,22 @@ def _walls(surface: SheetSurface, noise: float) -> list[Wall]:
     weight = np.bincount(
         surface.faces.reshape(-1), weights=np.repeat(plan_areas(surface), 3), minlength=count
     )
-    bones = skeleton(tree, height, np.append(weight, 0.0), Beyond(surface), noise, surface.level)
-    bones = dataclasses.replace(bones, element=bones.element[:count], height=bones.height[:count])
-    return walls(bones, surface, noise)
+    bare_skeleton = build_skeleton(
+        tree, height, np.append(weight, 0.0), PlanAreaBeyondLevel(surface), noise, surface.level
+    )
+    bare_skeleton = dataclasses.replace(
+        bare_skeleton, element=bare_skeleton.element[:count], height=bare_skeleton.height[:count]
+    )
+    return find_walls(bare_skeleton, surface, noise)
 
 
-def _sliced(wall: Wall, surface: SheetSurface, step: float) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-    """Levels in the order of forming, and the one level line at each. Where noise parts a line it is the
-    largest piece; a line that is a mere point, at a tip, is left out."""
+def _slice_wall(
+    wall: FeatureWall, surface: SheetSurface, step: float
+) -> tuple[FloatArray, tuple[FloatArray, ...]]:
+    """Levels in the order of forming, and the level line at each.
+
+    If noise splits a line, the largest piece is used. A line that is a single point, at a tip, is left out.
+    """
     sign = wall.sign
     between = wall.start + sign * step * np.arange(1, int(abs(wall.end - wall.start) / step) + 1)
     clear = 0.05 * step
@@ -188,112 +224,156 @@ def _sliced(wall: Wall, surface: SheetSurface, step: float) -> tuple[FloatArray,
     return np.array([level for level, _ in chosen]), tuple(line for _, line in chosen)
 
 
-def _preorder(found: list[Wall], size: list[float]) -> list[int]:
-    """Walls in preorder, of those of one parent the largest first."""
+def _preorder(feature_walls: list[FeatureWall], size: list[float]) -> list[int]:
+    """Walls in preorder, siblings by size, the largest first."""
     order: list[int] = []
-    waiting: list[int | None] = [None]
-    while waiting:
-        wall = waiting.pop()
+    pending: list[int | None] = [None]
+    while pending:
+        wall = pending.pop()
         if wall is not None:
             order.append(wall)
-        children = [index for index, other in enumerate(found) if other.parent == wall]
+        children = [index for index, other in enumerate(feature_walls) if other.parent == wall]
         children.sort(key=lambda index: size[index])
-        waiting.extend(children)
+        pending.extend(children)
     return order
 
 
-def _flat(surface: SheetSurface, noise: float) -> Issue:
+def _flat_issue(surface: SheetSurface, noise: float) -> Issue:
     height = float(np.ptp(surface.vertices[:, 2]))
-    what = f"nothing of the part leaves the sheet plane by {noise / MM:g} mm (its z vary by "
+    what = f"the part does not leave the sheet plane by {noise / MM:g} mm (its z varies by "
     what += f"{height / MM:.3g} mm); check the unit of the mesh, and that its z axis is normal to the sheet"
     return Issue("forming.flat", what, field="part", **measurement(height / MM, noise / MM, "mm"))
 
 
-def _touching(features: list[Feature], noise: float) -> tuple[Issue, ...]:
-    """Features of one parent with no flat between them, or that reach their parent's wall. Raises
-    ``TandemError`` where two lie over each other."""
+def _touching_issues(features: list[Feature], noise: float) -> tuple[Issue, ...]:
+    """Features of one parent with no flat between them, or that reach their parent's wall.
+
+    Raises ``TandemError`` if two features overlap.
+    """
     outlines = [Polygon(feature.region).buffer(0.0) for feature in features]
-    near = 2.0 * noise
+    max_distance = 2.0 * noise
     issues = []
-    a, b = STRtree(outlines).query(outlines, predicate="dwithin", distance=near)
+    a, b = STRtree(outlines).query(outlines, predicate="dwithin", distance=max_distance)
     for i, j in zip(a.tolist(), b.tolist(), strict=True):
         if i < j and features[i].parent == features[j].parent:
             over = outlines[i].intersection(outlines[j]).area
-            issues.append(_touch(features[i], features[j], outlines[i], outlines[j], over > near * near))
+            issues.append(
+                _touch_issue(
+                    features[i], features[j], outlines[i], outlines[j], over > max_distance * max_distance
+                )
+            )
     errors = [issue for issue in issues if issue.severity is Severity.ERROR]
     if errors:
         raise TandemError(errors)
     return tuple(issues)
 
 
-def _touch(one: Feature, other: Feature, outline: Polygon, second: Polygon, over: bool) -> Issue:
-    place = np.array(nearest_points(outline, second)[0].coords[0])
-    if over:
-        place = np.array(outline.intersection(second).representative_point().coords[0])
-    what = "lie over each other" if over else "touch"
+def _touch_issue(
+    feature: Feature, other: Feature, outline: Polygon, second: Polygon, overlaps: bool
+) -> Issue:
+    point = np.array(nearest_points(outline, second)[0].coords[0])
+    if overlaps:
+        point = np.array(outline.intersection(second).representative_point().coords[0])
+    what = "overlap" if overlaps else "touch"
     hint = (
-        "move them apart" if over else "leave a strip of flat between them, if both are to keep their edges"
+        "move them apart"
+        if overlaps
+        else "leave a strip of flat between them if both edges are to be preserved"
     )
     return Issue(
         "forming.touching",
-        f"features {one.id} and {other.id} ({one.kind} and {other.kind}) {what} at {where(place)}; {hint}",
-        Severity.ERROR if over else Severity.WARNING,
+        f"features {feature.id} and {other.id} ({feature.kind} and {other.kind}) {what} at "
+        f"{position_text(point)}; {hint}",
+        Severity.ERROR if overlaps else Severity.WARNING,
         field="part",
-        bodies=(f"feature {one.id}", f"feature {other.id}"),
+        bodies=(f"feature {feature.id}", f"feature {other.id}"),
     )
 
 
 @dataclasses.dataclass(frozen=True)
 class OrderStep:
-    """Form ``feature`` (its id) with ``shift`` [m] added to z of its contours."""
+    """One step of forming.
+
+    Attributes:
+        feature: Id of the feature to form.
+        shift: Distance [m] that is added to z of its contours.
+    """
 
     feature: int
     shift: float
 
 
-def in_place(
-    tree: FeatureTree, own: Sequence[int] | None = None, before: Sequence[int] = ()
+def in_place_order(
+    tree: FeatureTree, selected: Sequence[int] | None = None, previous: Sequence[int] = ()
 ) -> tuple[OrderStep, ...]:
-    """Strategy 1: parents before their children (preorder), every feature where it is in the part; of those
-    that are its ``own``, where others were formed ``before``."""
-    return given_order(tree, _chosen([feature.id for feature in tree.features], own), own=own, before=before)
+    """Return the order of strategy 1: parents before their children, each in place.
+
+    Every feature is formed at its level in the part (preorder).
+
+    Args:
+        tree: Features of the part.
+        selected: Features to form; None for all.
+        previous: Features that were formed before.
+    """
+    return custom_order(
+        tree,
+        _select([feature.id for feature in tree.features], selected),
+        selected=selected,
+        previous=previous,
+    )
 
 
-def on_virgin_sheet(
-    tree: FeatureTree, own: Sequence[int] | None = None, before: Sequence[int] = ()
+def virgin_sheet_order(
+    tree: FeatureTree, selected: Sequence[int] | None = None, previous: Sequence[int] = ()
 ) -> tuple[OrderStep, ...]:
-    """Strategy 2: children before their parents (postorder), every feature from the level of the flat
-    sheet; of those that are its ``own``, where others were formed ``before``."""
+    """Return the order of strategy 2: children before their parents, on the virgin sheet.
+
+    Every feature is formed from the level of the flat sheet (postorder).
+
+    Args:
+        tree: Features of the part.
+        selected: Features to form; None for all.
+        previous: Features that were formed before.
+    """
     order: list[int] = []
     waiting = list(tree.roots)  # siblings come out in reverse, then all is reversed
     while waiting:
         feature = tree.feature(waiting.pop())
         order.append(feature.id)
         waiting.extend(feature.children)
-    return given_order(tree, _chosen(order[::-1], own), True, own, before)
+    return custom_order(tree, _select(order[::-1], selected), True, selected, previous)
 
 
-def _chosen(order: list[int], own: Sequence[int] | None) -> list[int]:
-    some = set(order if own is None else own)
-    return [number for number in order if number in some]
+def _select(order: list[int], selected: Sequence[int] | None) -> list[int]:
+    allowed = set(order if selected is None else selected)
+    return [number for number in order if number in allowed]
 
 
-def given_order(
+def custom_order(
     tree: FeatureTree,
     order: Sequence[int],
     translated: bool = False,
-    own: Sequence[int] | None = None,
-    before: Sequence[int] = (),
+    selected: Sequence[int] | None = None,
+    previous: Sequence[int] = (),
 ) -> tuple[OrderStep, ...]:
-    """An order of one's own. In place, a parent must come before its children. ``translated`` allows any
-    order: what is formed before its parent is formed at the level that the sheet has there at the time.
-    ``own``: the features that are to be formed, none for all, where others were formed ``before``.
+    """Return the steps of a custom order.
 
-    Raises ``TandemError`` with ``forming.order`` for a feature that is unknown, missing or named twice, and
-    in place for a child before its parent.
+    In place, a parent must come before its children.
+
+    Args:
+        tree: Features of the part.
+        order: Ids of the features in the order of forming.
+        translated: Allow any order: a feature that is formed before its parent is formed at the level that
+            the sheet has there at that time.
+        selected: Features to form; None for all.
+        previous: Features that were formed before.
+
+    Raises:
+        TandemError: ``forming.order`` for a feature that is unknown, missing or named twice, and in place for
+            a child before its parent.
     """
-    _check(tree, order, translated, own, before)
-    done = set(before)
+    _check_order(tree, order, translated, selected, previous)
+    done = set(previous)
     steps = []
     for number in order:
         steps.append(OrderStep(number, sheet_level(tree, number, done) - tree.feature(number).start))
@@ -302,80 +382,88 @@ def given_order(
 
 
 def sheet_level(tree: FeatureTree, number: int, done: set[int]) -> float:
-    """z [m] of the sheet where a feature starts, once the features ``done`` are formed.
+    """Return z [m] of the sheet where a feature starts, once some features are formed.
 
-    A feature around it takes it along from the feature's own start to the start of what stands on it. With
-    all of them done that is the start itself, with none the flat sheet, to the last bit.
+    A feature around it moves it from that feature's own start to the start of what is inside it. With all of
+    them done the level is the start itself, with none the flat sheet, both exactly.
+
+    Args:
+        tree: Features of the part.
+        number: Id of the feature.
+        done: Features that are formed.
     """
     feature = tree.feature(number)
-    around = []
+    enclosing = []
     while feature.parent is not None:
         parent = tree.feature(feature.parent)
-        around.append((parent.id, feature.start - parent.start))
+        enclosing.append((parent.id, feature.start - parent.start))
         feature = parent
-    if all(parent in done for parent, _ in around):
+    if all(parent in done for parent, _ in enclosing):
         return tree.feature(number).start
-    return tree.level + sum(moved for parent, moved in around if parent in done)
+    return tree.level + sum(displacement for parent, displacement in enclosing if parent in done)
 
 
-def _check(
+def _check_order(
     tree: FeatureTree,
     order: Sequence[int],
     translated: bool,
-    own: Sequence[int] | None,
-    before: Sequence[int],
+    selected: Sequence[int] | None,
+    previous: Sequence[int],
 ) -> None:
-    wanted = set(range(1, len(tree.features) + 1)) if own is None else set(own)
+    required = set(range(1, len(tree.features) + 1)) if selected is None else set(selected)
     issues = []
-    unknown = sorted(set(order) - wanted - {feature.id for feature in tree.features})
-    others = sorted(set(order) - wanted - set(unknown))
-    missing = sorted(wanted - set(order))
-    twice = sorted({number for number in order if order.count(number) > 1})
+    unknown = sorted(set(order) - required - {feature.id for feature in tree.features})
+    others = sorted(set(order) - required - set(unknown))
+    missing = sorted(required - set(order))
+    repeated = sorted({number for number in order if order.count(number) > 1})
     for what, numbers in (
         ("does not exist", unknown),
         ("is formed by another operation", others),
         ("is missing", missing),
-        ("is there twice", twice),
+        ("is named twice", repeated),
     ):
-        each = f"1 to {len(wanted)}" if own is None else ", ".join(map(str, sorted(wanted)))
-        issues += [_issue(f"feature {n} {what}; name each of {each} once") for n in numbers]
+        allowed = f"1 to {len(required)}" if selected is None else ", ".join(map(str, sorted(required)))
+        issues += [_order_issue(f"feature {n} {what}; name each of {allowed} once") for n in numbers]
     if not translated and not issues:
-        place = {number: index for index, number in enumerate((*before, *order))}
+        position = {number: index for index, number in enumerate((*previous, *order))}
         issues += [
-            _issue(
-                f"feature {feature.id} comes before feature {feature.parent}, on which it stands; form the "
+            _order_issue(
+                f"feature {feature.id} comes before its parent, feature {feature.parent}; form the "
                 "parent first, or form the features translated, on the virgin sheet"
             )
             for feature in tree.features
-            if feature.id in wanted
+            if feature.id in required
             and feature.parent is not None
-            and place[feature.id] < place.get(feature.parent, len(place))
+            and position[feature.id] < position.get(feature.parent, len(position))
         ]
     if issues:
         raise TandemError(issues)
 
 
-def _issue(what: str) -> Issue:
-    return Issue("forming.order", f"order of forming: {what}", field="order")
+def _order_issue(what: str) -> Issue:
+    return Issue("forming.order", format_message("forming.order", fault=what), field="order")
 
 
 COLOUR_COUNT: Final = 8
-"""Colours c0 to c7 of the report's style sheet; features take them in turn."""
+"""Number of colours c0 to c7 of the report's style sheet; features use them in turn."""
 PRINT_COLOURS: Final = (
     *("#1f6fb4", "#d9662b", "#2a9461", "#8e5bb5"),
     *("#b8912a", "#c4497f", "#3aa5a0", "#6b7686"),
 )
-"""The same on white, for a drawing without the style sheet."""
-MOST_CONTOURS: Final = 24
-"""Contours drawn of one feature, at most: more run into each other."""
+"""Colours c0 to c7 on white, for a drawing without the style sheet."""
+MAX_DRAWN_CONTOURS: Final = 24
+"""Maximum number of drawn contours of one feature. More would merge visually."""
 CONTOUR_TOLERANCE: Final = 0.15
-"""Contours are drawn with points left out up to this far from the line, in units of the drawing."""
+"""Tolerance of the simplification of drawn contours, in units of the drawing."""
 DRAWING_WIDTH: Final = 760.0
 """Width of the drawing, in its own units."""
 
 
 def plan_drawing(tree: FeatureTree) -> str:
-    """Contours of all features from above as SVG: the sheet's x to the right and y up; dashed ones go up."""
+    """Return the contours of all features from above as SVG.
+
+    The sheet's x points to the right and y up. Contours of convex features are dashed.
+    """
     every = np.concatenate([feature.region for feature in tree.features])
     low, high = every.min(axis=0), every.max(axis=0)
     margin = 0.04 * float((high - low).max())
@@ -390,7 +478,9 @@ def plan_drawing(tree: FeatureTree) -> str:
         dashed = " dashed" if feature.sign > 0 else ""
         parts.append(f'<g class="thin c{feature.id % COLOUR_COUNT}{dashed}">')
         parts.append(f"<title>{html.escape(_feature_label(feature))}</title>")
-        parts += [f'<path d="{_path((line[:, :2] - low) * scale, tall)}"/>' for line in _some(feature)]
+        parts += [
+            f'<path d="{_svg_path((line[:, :2] - low) * scale, tall)}"/>' for line in _drawn_contours(feature)
+        ]
         parts.append("</g>")
     for feature in tree.features:
         x, y = (np.array(shapely.Polygon(feature.region).exterior.interpolate(0.0).coords[0]) - low) * scale
@@ -399,43 +489,43 @@ def plan_drawing(tree: FeatureTree) -> str:
 
 
 def tree_diagram(tree: FeatureTree) -> str:
-    """The tree as SVG: a bar for each feature from its start to its end, joined to its parent."""
+    """Return the tree as SVG: a bar for each feature from its start to its end, joined to its parent."""
     levels = [tree.level, *(value for feature in tree.features for value in (feature.start, feature.end))]
     low, high = min(levels), max(levels)
     tall, left, top = 260.0, 64.0, 24.0
     step = min((DRAWING_WIDTH - left - 20.0) / len(tree.features), 90.0)
 
-    def down(level: float) -> float:
+    def level_y(level: float) -> float:
         return top + (high - level) / (high - low) * tall
 
     parts = [
         f'<svg class="plot" viewBox="0 0 {DRAWING_WIDTH:.0f} {tall + 2 * top:.0f}" role="img" '
         f'aria-label="feature tree"><line class="axis" x1="{left}" x2="{DRAWING_WIDTH - 10}" '
-        f'y1="{down(tree.level):.1f}" y2="{down(tree.level):.1f}"/>'
+        f'y1="{level_y(tree.level):.1f}" y2="{level_y(tree.level):.1f}"/>'
     ]
     for level in sorted({round(value / MM, 1) for value in levels}):
-        y = down(level * MM) + 4
+        y = level_y(level * MM) + 4
         parts.append(f'<text class="ytick" x="{left - 6}" y="{y:.1f}">{level + 0.0:g} mm</text>')
     for feature in tree.features:
-        x, begin, end = left + (feature.id - 0.5) * step, down(feature.start), down(feature.end)
+        x, start_y, end_y = left + (feature.id - 0.5) * step, level_y(feature.start), level_y(feature.end)
         colour = feature.id % COLOUR_COUNT
         if feature.parent is not None:
             from_x = left + (feature.parent - 0.5) * step
             parts.append(
-                f'<line class="axis" x1="{from_x:.1f}" x2="{x:.1f}" y1="{begin:.1f}" y2="{begin:.1f}"/>'
+                f'<line class="axis" x1="{from_x:.1f}" x2="{x:.1f}" y1="{start_y:.1f}" y2="{start_y:.1f}"/>'
             )
         parts.append(
-            f'<rect style="fill:var(--c{colour})" x="{x - 6:.1f}" width="12" y="{min(begin, end):.1f}" '
-            f'height="{max(abs(end - begin), 1.0):.1f}">'
+            f'<rect style="fill:var(--c{colour})" x="{x - 6:.1f}" width="12" y="{min(start_y, end_y):.1f}" '
+            f'height="{max(abs(end_y - start_y), 1.0):.1f}">'
             f"<title>{html.escape(_feature_label(feature))}</title></rect>"
         )
-        y = end + 14.0 if feature.sign < 0 else end - 6.0
+        y = end_y + 14.0 if feature.sign < 0 else end_y - 6.0
         parts.append(f'<text class="mid" x="{x:.1f}" y="{y:.1f}">{feature.id}</text>')
     return "".join([*parts, "</svg>"])
 
 
-def alone(tree: FeatureTree) -> str:
-    """The contours from above as an SVG file of its own, with its colours in it."""
+def standalone_drawing(tree: FeatureTree) -> str:
+    """Return the contours from above as a standalone SVG file that contains its colours."""
     rules = [".thin{fill:none;stroke-width:1}", ".dashed{stroke-dasharray:4 3}", "text{font:11px sans-serif}"]
     rules += [f".c{index}{{stroke:{colour}}}" for index, colour in enumerate(PRINT_COLOURS)]
     start, rest = plan_drawing(tree).split(">", 1)
@@ -443,11 +533,11 @@ def alone(tree: FeatureTree) -> str:
     return f"{named}><style>{''.join(rules)}</style>{rest}\n"
 
 
-def _some(feature: Feature) -> list[FloatArray]:
-    return [feature.contours[index] for index in spread_rows(len(feature.contours), MOST_CONTOURS)]
+def _drawn_contours(feature: Feature) -> list[FloatArray]:
+    return [feature.contours[index] for index in spread_rows(len(feature.contours), MAX_DRAWN_CONTOURS)]
 
 
-def _path(points: FloatArray, tall: float) -> str:
+def _svg_path(points: FloatArray, tall: float) -> str:
     line = shapely.LineString(points).simplify(CONTOUR_TOLERANCE)
     pairs = (f"{x:.1f} {tall - y:.1f}" for x, y in shapely.get_coordinates(line)[:-1])
     return "M" + "L".join(pairs) + "Z"

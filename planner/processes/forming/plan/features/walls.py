@@ -1,17 +1,16 @@
-"""Walls of a part: runs of the contour tree that go one way, cut at terraces; each is a feature.
+"""Walls of a part: monotonic runs of the contour tree, split at terraces; each wall is one feature.
 
-**Skeleton**: what of a contour tree is meant: places where features begin and end, and walls
-between them. A branch that does not leave the height of its fork by ``noise`` is no feature, nor is
-the lesser one of two that is smaller in plan than any tool: its vertices count as part of the fork.
-Forks within ``noise`` of each other are one place, as those are that noise makes on a flat.
+**Skeleton**: the contour tree without noise, that is, nodes where features start and end, and walls between
+them. A branch that stays within ``noise`` of the height of its fork is no feature. Nor is the smaller of two
+branches if it is smaller in plan than any tool: its vertices count as part of the fork. Forks within
+``noise`` of each other are one node, because noise on a flat produces such forks.
 
-**Terraces**: where a wall pauses on a flat, a feature ends and the next one begins. A wall that
-goes on after a flat in the same direction (a stepped dish, a dimple alone in a floor) has level
-lines that nest in one another throughout; the flat shows only in the plan area that they enclose,
-which changes at once. Between the levels ``noise`` apart the mean width of the surface in plan is
-the change over the length of the line.
+**Terraces**: a feature ends where a wall pauses on a flat, and the next one starts. The level lines of a wall
+that continues in the same direction after a flat (a stepped dish, a single dimple in a floor) are nested
+throughout. The flat shows only as a sudden change of the plan area that they enclose. Between levels
+``noise`` apart the mean width of the surface in plan is that change divided by the length of the line.
 
-**Walls** are the maximal runs of a skeleton that go one way, cut at terraces.
+**Walls** are the maximal monotonic runs of a skeleton, split at terraces.
 """
 
 import dataclasses
@@ -24,358 +23,445 @@ from numpy.lib.stride_tricks import sliding_window_view
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.processes.forming.plan.features.surface import ContourTree, SheetSurface, plan_areas
 
-FLAT_WIDTH: Final = 1e-3
-"""Mean width [m] in plan, within a height of ``noise``, from which on a flat may be a terrace: 3 degrees."""
-RADIUS_SHARE: Final = 0.1
-"""The same as a share of the radius of a circle as large as the feature there, where that is less."""
-LEAST_WIDTH: Final = 0.4e-3
+MAX_TERRACE_WIDTH_M: Final = 1e-3
+"""Mean width [m] in plan, within a height of ``noise``, from which a flat may be a terrace: 3 degrees."""
+TERRACE_WIDTH_RADIUS_FRACTION: Final = 0.1
+"""Mean width in plan from which a flat may be a terrace, as a fraction of the radius of a circle as large as
+the feature there. The smaller of this and `MAX_TERRACE_WIDTH_M` counts.
+"""
+MIN_TERRACE_WIDTH_M: Final = 0.4e-3
 """Mean width [m] below which nothing is a terrace."""
-TERRACE_CONTRAST: Final = 3.0
-"""How many times wider a terrace is than the wall is somewhere before it and somewhere after it."""
-WALL_HEIGHTS: Final = 2.0
-"""Height of those walls at least, in units of ``noise``."""
+MIN_TERRACE_CONTRAST: Final = 3.0
+"""Minimum ratio of the width of a terrace to that of the wall before it and after it."""
+MIN_WALL_HEIGHT_FACTOR: Final = 2.0
+"""Minimum height of those walls, in units of ``noise``."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Terrace:
-    """``level`` [m] at which one feature ends and the next one begins; level lines are clean before ``first``
-    and after ``last`` [m], in the direction of the wall."""
+    """Flat that separates two features of a wall.
+
+    Attributes:
+        level: Level [m] at which one feature ends and the next one starts.
+        first: Level [m] before which level lines are clean, in the direction of the wall.
+        last: Level [m] after which level lines are clean.
+    """
 
     level: float
     first: float
     last: float
 
 
-class _Passed:
-    """Plan area that lies before a depth, each face's spread evenly over its depths."""
+class _CumulativeArea:
+    """Plan area before a depth; the area of each face is spread evenly over its depths."""
 
-    def __init__(self, near: FloatArray, far: FloatArray, area: FloatArray) -> None:
-        rate = area / (far - near)
-        order_near, order_far = np.argsort(near), np.argsort(far)
-        self.near, self.far = near[order_near], far[order_far]
+    def __init__(self, first_depth: FloatArray, last_depth: FloatArray, area: FloatArray) -> None:
+        rate = area / (last_depth - first_depth)
+        order_near, order_far = np.argsort(first_depth), np.argsort(last_depth)
+        self.first_depths, self.last_depths = first_depth[order_near], last_depth[order_far]
         self.sums = tuple(
             np.concatenate([[0.0], np.cumsum(values)])
             for values in (
                 rate[order_near],
-                (rate * near)[order_near],
+                (rate * first_depth)[order_near],
                 rate[order_far],
-                (rate * far)[order_far],
+                (rate * last_depth)[order_far],
             )
         )
 
     def __call__(self, depth: FloatArray) -> FloatArray:
-        i, j = np.searchsorted(self.near, depth), np.searchsorted(self.far, depth)
-        begun, begun_at, ended, ended_at = self.sums
-        return np.asarray(depth * begun[i] - begun_at[i] - depth * ended[j] + ended_at[j])
-
-
-def find_terraces(
-    low: FloatArray, high: FloatArray, area: FloatArray, inside: float, start: float, end: float, noise: float
-) -> list[Terrace]:
-    """Terraces of a wall from level ``start`` to ``end`` [m], in its order.
-
-    ``low``, ``high`` and ``area`` (F,): between which levels [m] each face lies, and its plan area [m^2].
-    ``inside`` [m^2]: plan area that the wall's first level line encloses.
-    """
-    total = abs(end - start)
-    if total < 2.0 * WALL_HEIGHTS * noise or len(area) == 0:
-        return []
-    sign = 1.0 if end > start else -1.0
-    near = np.clip(np.where(sign > 0, low - start, start - high), 0.0, total)
-    far = np.clip(np.where(sign > 0, high - start, start - low), 0.0, total)
-    cell = noise / 5.0
-    at = np.arange(0.5 * cell, total, cell)
-    passed = _Passed(near, np.maximum(far, near + 0.01 * cell), area)
-    change = passed(at + 0.5 * noise) - passed(at - 0.5 * noise)
-    radius = np.sqrt(np.maximum(inside - passed(at - 0.5 * noise), 1e-12) / np.pi)
-    width = change / (2.0 * np.pi * radius)
-    flat = width >= np.maximum(
-        np.clip(RADIUS_SHARE * radius, LEAST_WIDTH, FLAT_WIDTH),
-        TERRACE_CONTRAST * _walled(width, noise / cell),
-    )
-    bounds = np.nonzero(np.diff(np.concatenate([[0], flat.astype(np.int8), [0]])))[0].reshape(-1, 2)
-    return [_terrace(begin * cell, stop * cell, passed, start, sign, noise) for begin, stop in bounds]
-
-
-def _walled(width: FloatArray, cells: float) -> FloatArray:
-    """For each cell of height the width of the steepest wall before it, or after it if that is wider; where
-    there is no wall on a side, infinite."""
-    tall = round(WALL_HEIGHTS * cells)
-    before = np.full(len(width), np.inf)
-    after = before.copy()
-    if len(width) > tall:
-        widest = sliding_window_view(width, tall).max(axis=1)
-        before[tall:] = np.minimum.accumulate(widest)[:-1]
-        after[:-tall] = np.minimum.accumulate(widest[::-1])[::-1][1:]
-    return np.asarray(np.maximum(before, after))
-
-
-def _terrace(begin: float, stop: float, passed: _Passed, start: float, sign: float, noise: float) -> Terrace:
-    # the window of heights makes a flat seem half of it higher on both sides
-    begin, stop = sorted((begin + 0.5 * noise, stop - 0.5 * noise))
-    cell = noise / 5.0
-    if stop - begin > noise:  # it slopes: its own level lines belong to the wall before it
-        # the steeper it is, the farther ahead of its end the window has too much of the wall behind it
-        rate = float(np.diff(passed(np.array([begin, stop])))[0]) / (stop - begin)
-        depths = np.linspace(stop, stop + 1.5 * noise, 76)
-        wide = passed(depths + 0.5 * cell) - passed(depths - 0.5 * cell) >= 0.5 * rate * cell
-        stop = float(depths[np.flatnonzero(wide)].max(initial=stop))
-        # at vertices: below a level between them a facet of the terrace would reach back to those before
-        vertex = float(passed.far[np.argmin(np.abs(passed.far - stop))])
-        stop = vertex if abs(vertex - stop) <= noise else stop
-        levels = (stop, stop - cell, stop + cell)
-        return Terrace(*(start + sign * level for level in levels))
-    depths = np.linspace(begin - cell, stop + cell, 201)
-    areas = passed(depths)
-    middle = float(np.interp(0.5 * (areas[0] + areas[-1]), areas, depths))
-    return Terrace(
-        start + sign * middle,
-        start + sign * min(begin - cell, middle - 0.1 * cell),
-        start + sign * max(stop + cell, middle + 0.1 * cell),
-    )
-
-
-EXACT_HEIGHT: Final = 1e-6
-"""Heights [m] that differ by less are those of a mesh without noise."""
-LEAST_AREA: Final = 3e-6
-"""Plan area [m^2], 2 mm across, below which a bump is one of facets that do not follow a crease."""
+        i, j = np.searchsorted(self.first_depths, depth), np.searchsorted(self.last_depths, depth)
+        started, started_moment, ended, ended_moment = self.sums
+        return np.asarray(depth * started[i] - started_moment[i] - depth * ended[j] + ended_moment[j])
 
 
 @dataclasses.dataclass(frozen=True)
-class Place:
-    """A flat, a saddle or an end, on which walls begin or end: its ``level`` [m], how far ``off`` [m]
-    it noise takes its vertices, and the place from which a wall leads here (-1 for the flat sheet)."""
+class WallFaces:
+    """Faces of a wall.
+
+    Attributes:
+        low: Lower levels (F,) [m] of the faces.
+        high: Upper levels (F,) [m] of the faces.
+        area: Plan areas (F,) [m^2] of the faces.
+    """
+
+    low: FloatArray
+    high: FloatArray
+    area: FloatArray
+
+
+def find_terraces(faces: WallFaces, inside: float, start: float, end: float, noise: float) -> list[Terrace]:
+    """Return the terraces of a wall in its order.
+
+    Args:
+        faces: Faces of the wall.
+        inside: Plan area [m^2] that the wall's first level line encloses.
+        start: Level [m] at which the wall starts.
+        end: Level [m] at which it ends.
+        noise: Height [m] of the mesh's noise.
+    """
+    total = abs(end - start)
+    if total < 2.0 * MIN_WALL_HEIGHT_FACTOR * noise or len(faces.area) == 0:
+        return []
+    sign = 1.0 if end > start else -1.0
+    first_depth = np.clip(np.where(sign > 0, faces.low - start, start - faces.high), 0.0, total)
+    last_depth = np.clip(np.where(sign > 0, faces.high - start, start - faces.low), 0.0, total)
+    cell = noise / 5.0
+    depths = np.arange(0.5 * cell, total, cell)
+    cumulative = _CumulativeArea(first_depth, np.maximum(last_depth, first_depth + 0.01 * cell), faces.area)
+    change = cumulative(depths + 0.5 * noise) - cumulative(depths - 0.5 * noise)
+    radius = np.sqrt(np.maximum(inside - cumulative(depths - 0.5 * noise), 1e-12) / np.pi)
+    width = change / (2.0 * np.pi * radius)
+    flat = width >= np.maximum(
+        np.clip(TERRACE_WIDTH_RADIUS_FRACTION * radius, MIN_TERRACE_WIDTH_M, MAX_TERRACE_WIDTH_M),
+        MIN_TERRACE_CONTRAST * _adjacent_wall_width(width, noise / cell),
+    )
+    bounds = np.nonzero(np.diff(np.concatenate([[0], flat.astype(np.int8), [0]])))[0].reshape(-1, 2)
+    return [_terrace(first * cell, stop * cell, cumulative, start, sign, noise) for first, stop in bounds]
+
+
+def _adjacent_wall_width(width: FloatArray, cells: float) -> FloatArray:
+    """Width of the steepest wall before each cell of height, or of that after it if that is wider.
+
+    Infinite where there is no wall on a side.
+    """
+    window = round(MIN_WALL_HEIGHT_FACTOR * cells)
+    previous = np.full(len(width), np.inf)
+    following = previous.copy()
+    if len(width) > window:
+        widest = sliding_window_view(width, window).max(axis=1)
+        previous[window:] = np.minimum.accumulate(widest)[:-1]
+        following[:-window] = np.minimum.accumulate(widest[::-1])[::-1][1:]
+    return np.asarray(np.maximum(previous, following))
+
+
+def _terrace(
+    first: float, last: float, cumulative: _CumulativeArea, start: float, sign: float, noise: float
+) -> Terrace:
+    # the window of heights extends a flat by half its size on both sides
+    first, last = sorted((first + 0.5 * noise, last - 0.5 * noise))
+    cell = noise / 5.0
+    if last - first > noise:  # it slopes: its own level lines belong to the previous wall
+        # the steeper it is, the farther before its end the window contains too much of the next wall
+        rate = float(np.diff(cumulative(np.array([first, last])))[0]) / (last - first)
+        depths = np.linspace(last, last + 1.5 * noise, 76)
+        is_wide = cumulative(depths + 0.5 * cell) - cumulative(depths - 0.5 * cell) >= 0.5 * rate * cell
+        last = float(depths[np.flatnonzero(is_wide)].max(initial=last))
+        # end at a vertex: below a level between vertices, a facet of the terrace would reach back
+        vertex = float(cumulative.last_depths[np.argmin(np.abs(cumulative.last_depths - last))])
+        last = vertex if abs(vertex - last) <= noise else last
+        levels = (last, last - cell, last + cell)
+        return Terrace(*(start + sign * level for level in levels))
+    depths = np.linspace(first - cell, last + cell, 201)
+    areas = cumulative(depths)
+    middle = float(np.interp(0.5 * (areas[0] + areas[-1]), areas, depths))
+    return Terrace(
+        start + sign * middle,
+        start + sign * min(first - cell, middle - 0.1 * cell),
+        start + sign * max(last + cell, middle + 0.1 * cell),
+    )
+
+
+HEIGHT_TOLERANCE_M: Final = 1e-6
+"""Heights [m] that differ by less are equal on a mesh without noise."""
+MIN_BUMP_AREA_M2: Final = 3e-6
+"""Plan area [m^2] (2 mm across) below which a bump is an artefact of facets that do not follow a crease."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SkeletonNode:
+    """A flat, a saddle or an end, on which walls start or end.
+
+    Attributes:
+        level: Level [m].
+        deviation: Maximum deviation [m] of its vertices due to noise.
+        parent: Node from which a wall leads here, -1 for the flat sheet.
+    """
 
     level: float
-    off: float
-    before: int
+    deviation: float
+    parent: int
 
 
 @dataclasses.dataclass(frozen=True)
 class Skeleton:
-    """Places, each after the one before it, and where the vertices are. ``element`` (N,): 2 p at place p,
-    2 p + 1 on the wall that leads to place p. ``height`` (N,) [m]: the surface without what is noise."""
+    """Nodes and walls of a contour tree without noise.
 
-    places: tuple[Place, ...]
+    Attributes:
+        nodes: Nodes, each after its parent.
+        element: Element (N,) of each vertex: 2 p at node p, 2 p + 1 on the wall that leads to node p.
+        height: Height (N,) [m] of the surface without noise.
+    """
+
+    nodes: tuple[SkeletonNode, ...]
     element: IntArray
     height: FloatArray
 
-    def onward(self, place: int) -> list[int]:
-        """The places to which walls lead from one."""
-        return [index for index, other in enumerate(self.places) if other.before == place]
+    def child_nodes(self, node: int) -> list[int]:
+        """Return the nodes to which walls lead from a node."""
+        return [index for index, other in enumerate(self.nodes) if other.parent == node]
 
-    def direction(self, place: int) -> int:
-        """+1 where the wall to a place rises, -1 where it goes down."""
-        return 1 if self.places[place].level > self.places[self.places[place].before].level else -1
-
-
-Size = Callable[[list[int], float], float]
-"""Plan area [m^2] of what of the surface around some vertices lies beyond a level [m]."""
+    def direction(self, node: int) -> int:
+        """Return +1 if the wall to a node rises, -1 if it goes down."""
+        return 1 if self.nodes[node].level > self.nodes[self.nodes[node].parent].level else -1
 
 
-def skeleton(
-    tree: ContourTree, height: FloatArray, weight: FloatArray, size: Size, noise: float, level: float
+PlanAreaBeyond = Callable[[list[int], float], float]
+"""Plan area [m^2] of the part of the surface around some vertices that lies beyond a level [m]."""
+
+
+def build_skeleton(
+    tree: ContourTree,
+    height: FloatArray,
+    weight: FloatArray,
+    size: PlanAreaBeyond,
+    noise: float,
+    level: float,
 ) -> Skeleton:
-    """The skeleton of a contour tree of ``height`` (N,) [m] whose root is the flat sheet at ``level`` [m].
+    """Return the skeleton of a contour tree whose root is the flat sheet.
 
-    ``weight`` (N,): plan area of the vertices [m^2], by which a noisy flat's level is the median.
+    Args:
+        tree: Contour tree.
+        height: Heights (N,) [m] of its vertices.
+        weight: Plan areas (N,) [m^2] of the vertices; the level of a noisy flat is their weighted median.
+        size: Plan area beyond a level.
+        noise: Height [m] of the mesh's noise.
+        level: Level [m] of the flat sheet.
     """
-    return _Builder(tree, height, weight, size, noise).build(level)
+    return _SkeletonBuilder(tree, height, weight, size, noise).build(level)
 
 
-def _floats(values: FloatArray) -> list[float]:
-    """Single numbers of a list are got at several times faster than those of an array."""
+def _float_list(values: FloatArray) -> list[float]:
+    """List of floats, whose elements are read several times faster than those of an array."""
     return list(map(float, values))
 
 
-class _Builder:
+class _SkeletonBuilder:
     def __init__(
-        self, tree: ContourTree, height: FloatArray, weight: FloatArray, size: Size, noise: float
+        self, tree: ContourTree, height: FloatArray, weight: FloatArray, size: PlanAreaBeyond, noise: float
     ) -> None:
         self.weight, self.size = weight, size
-        self.tree, self.noise, self.z = tree, noise, _floats(height)
-        self.low, self.high = _floats(tree.low), _floats(tree.high)
+        self.tree, self.noise, self.heights = tree, noise, _float_list(height)
+        self.low, self.high = _float_list(tree.low), _float_list(tree.high)
         self.rank: list[int] = tree.rank.tolist()
         inner = tree.order[1:]
         above = tree.parent[inner]
         grouped = np.argsort(above, kind="stable")
-        self.begin: list[int] = np.concatenate(
+        self.child_offsets: list[int] = np.concatenate(
             [[0], np.cumsum(np.bincount(above, minlength=len(height)))]
         ).tolist()
-        self.after: list[int] = inner[grouped].tolist()
+        self.child_vertices: list[int] = inner[grouped].tolist()
         reach = np.maximum(tree.high[inner] - height[above], height[above] - tree.low[inner]) >= noise
         matters = np.zeros(len(height), dtype=bool)
         matters[inner] = reach
-        self.matters: list[bool] = matters.tolist()
+        self.is_significant: list[bool] = matters.tolist()
         forks = np.bincount(above[reach], minlength=len(height)) > 1
         self._drop_small(np.nonzero(forks)[0].tolist())
         self.element = np.full(len(height), -1, dtype=np.int64)
-        self.before: list[int] = [-1]
-        self.ends: dict[int, int] = {}
+        self.node_parents: list[int] = [-1]
+        self.end_vertices: dict[int, int] = {}
 
     def _drop_small(self, forks: list[int]) -> None:
         for fork in forks:
-            branches = sorted(self.onward(fork), key=lambda child: self._beyond(child, self.z[fork]))
+            branches = sorted(
+                self.significant_children(fork),
+                key=lambda child: self._height_beyond(child, self.heights[fork]),
+            )
             for branch in branches[:-1]:
-                members = self._few(branch)
-                if members and self.size(members, self.z[fork]) < LEAST_AREA:
-                    self.matters[branch] = False
+                members = self._small_branch(branch)
+                if members and self.size(members, self.heights[fork]) < MIN_BUMP_AREA_M2:
+                    self.is_significant[branch] = False
 
-    def _few(self, vertex: int) -> list[int]:
-        """The vertices from one on; none where they are clearly not small."""
+    def _small_branch(self, vertex: int) -> list[int]:
+        """Vertices from one on; none if they are clearly not small."""
         members, total = [vertex], 0.0
         for member in members:
             total += self.weight[member]
-            if total > 10.0 * LEAST_AREA:
+            if total > 10.0 * MIN_BUMP_AREA_M2:
                 return []
             members.extend(self.children(member))
         return members
 
     def children(self, vertex: int) -> list[int]:
-        return self.after[self.begin[vertex] : self.begin[vertex + 1]]
+        return self.child_vertices[self.child_offsets[vertex] : self.child_offsets[vertex + 1]]
 
-    def onward(self, vertex: int) -> list[int]:
-        return [child for child in self.children(vertex) if self.matters[child]]
+    def significant_children(self, vertex: int) -> list[int]:
+        return [child for child in self.children(vertex) if self.is_significant[child]]
 
     def build(self, level: float) -> Skeleton:
         self.element[self.tree.root] = 0
         reference = [level]
-        open_: list[tuple[int, int]] = [(self.tree.root, 0)]
-        while open_:
-            vertex, place = open_.pop()
-            for child in self.onward(vertex):
-                path, is_end = self._wall(vertex, child)
+        pending: list[tuple[int, int]] = [(self.tree.root, 0)]
+        while pending:
+            vertex, node = pending.pop()
+            for child in self.significant_children(vertex):
+                path, is_end = self._follow_wall(vertex, child)
                 last = path[-1]
-                if is_end and self._beyond(child, reference[place]) < self.noise:
-                    self.element[path] = 2 * place
+                if is_end and self._height_beyond(child, reference[node]) < self.noise:
+                    self.element[path] = 2 * node
                     continue
-                if not is_end and abs(self.z[last] - reference[place]) < self.noise:
-                    self.element[path] = 2 * place
-                    open_.append((last, place))
+                if not is_end and abs(self.heights[last] - reference[node]) < self.noise:
+                    self.element[path] = 2 * node
+                    pending.append((last, node))
                     continue
-                new = len(self.before)
-                self.before.append(place)
-                reference.append(self.z[last])
-                self.element[path[:-1]] = 2 * new + 1
-                self.element[last] = 2 * new
+                new_node = len(self.node_parents)
+                self.node_parents.append(node)
+                reference.append(self.heights[last])
+                self.element[path[:-1]] = 2 * new_node + 1
+                self.element[last] = 2 * new_node
                 if is_end:
-                    self.ends[new] = last
+                    self.end_vertices[new_node] = last
                 else:
-                    open_.append((last, new))
+                    pending.append((last, new_node))
         return self._finish(level)
 
-    def _wall(self, vertex: int, child: int) -> tuple[list[int], bool]:
-        """From one fork on to the next one, or to the end."""
-        begin, after, matters, rank = self.begin, self.after, self.matters, self.rank
+    def _follow_wall(self, vertex: int, child: int) -> tuple[list[int], bool]:
+        """Path from one fork to the next one or to the end, and whether it is the end."""
+        offsets, children, is_significant, rank = (
+            self.child_offsets,
+            self.child_vertices,
+            self.is_significant,
+            self.rank,
+        )
         rises = rank[child] > rank[vertex]
-        path, here = [child], child
+        path, current = [child], child
         while True:
-            onward = [one for one in after[begin[here] : begin[here + 1]] if matters[one]]
-            if len(onward) != 1 or (rank[onward[0]] > rank[here]) != rises:
+            following = [
+                candidate
+                for candidate in children[offsets[current] : offsets[current + 1]]
+                if is_significant[candidate]
+            ]
+            if len(following) != 1 or (rank[following[0]] > rank[current]) != rises:
                 break
-            here = onward[0]
-            path.append(here)
-        if onward:
+            current = following[0]
+            path.append(current)
+        if following:
             return path, False
-        return self._to_the_tip(path, 1.0 if rises else -1.0), True
+        return self._extend_to_tip(path, 1.0 if rises else -1.0), True
 
-    def _to_the_tip(self, path: list[int], sign: float) -> list[int]:
-        """What is left is small, or less high than noise; where there is none, it is followed to its end."""
+    def _extend_to_tip(self, path: list[int], sign: float) -> list[int]:
+        """Extend a path to its tip.
+
+        The rest is small, or lower than noise. Without noise the path is followed to its end.
+        """
         while children := self.children(path[-1]):
-            here = self.z[path[-1]]
-            reach = [max(self.high[c] - here, here - self.low[c]) for c in children]
+            current = self.heights[path[-1]]
+            reach = [max(self.high[c] - current, current - self.low[c]) for c in children]
             best = int(np.argmax(reach))
             others = reach[:best] + reach[best + 1 :]
-            noisy = max(others, default=0.0) > EXACT_HEIGHT and reach[best] < self.noise
-            if noisy or sign * (self.z[children[best]] - here) < -EXACT_HEIGHT:
+            noisy = max(others, default=0.0) > HEIGHT_TOLERANCE_M and reach[best] < self.noise
+            if noisy or sign * (self.heights[children[best]] - current) < -HEIGHT_TOLERANCE_M:
                 break
             path.append(children[best])
         return path
 
-    def _beyond(self, vertex: int, level: float) -> float:
+    def _height_beyond(self, vertex: int, level: float) -> float:
         return max(self.high[vertex] - level, level - self.low[vertex])
 
     def _finish(self, level: float) -> Skeleton:
-        element, flat, up = self.element.tolist(), list(self.z), self.tree.parent.tolist()
+        element, denoised, parents = self.element.tolist(), list(self.heights), self.tree.parent.tolist()
         for vertex in self.tree.order[1:].tolist():
             if element[vertex] < 0:
-                element[vertex], flat[vertex] = element[up[vertex]], flat[up[vertex]]
-        where, z = np.array(element), np.array(self.z)
-        places = self._places(level, where, z)
-        while (kept := self._apart(places)).sum() < len(places):
-            where = self._join(kept, where)
-            places = self._places(level, where, z)
-        smooth = np.array(flat)
-        return Skeleton(tuple(self._with_noise(places, where, z, smooth)), where, smooth)
+                element[vertex], denoised[vertex] = element[parents[vertex]], denoised[parents[vertex]]
+        elements, z = np.array(element), np.array(self.heights)
+        nodes = self._make_nodes(level, elements, z)
+        while (kept := self._differs_from_parent(nodes)).sum() < len(nodes):
+            elements = self._merge_nodes(kept, elements)
+            nodes = self._make_nodes(level, elements, z)
+        smooth = np.array(denoised)
+        return Skeleton(tuple(self._with_wall_noise(nodes, elements, z, smooth)), elements, smooth)
 
-    def _places(self, level: float, where: IntArray, z: FloatArray) -> list[Place]:
-        at_place = np.nonzero(where % 2 == 0)[0]
-        order = at_place[np.argsort(where[at_place], kind="stable")]
-        groups = np.split(order, np.nonzero(np.diff(where[order]))[0] + 1)
-        places = []
+    def _make_nodes(self, level: float, elements: IntArray, z: FloatArray) -> list[SkeletonNode]:
+        on_node = np.nonzero(elements % 2 == 0)[0]
+        order = on_node[np.argsort(elements[on_node], kind="stable")]
+        groups = np.split(order, np.nonzero(np.diff(elements[order]))[0] + 1)
+        nodes = []
         for index, members in enumerate(groups):
             heights = z[members]
-            own = level if index == 0 else self._level(index, heights, self.weight[members])
-            places.append(Place(own, float(np.abs(heights - own).max()), self.before[index]))
-        return places
+            node_level = level if index == 0 else self._node_level(index, heights, self.weight[members])
+            nodes.append(
+                SkeletonNode(node_level, float(np.abs(heights - node_level).max()), self.node_parents[index])
+            )
+        return nodes
 
-    def _apart(self, places: list[Place]) -> BoolArray:
-        """Whether (P,) places are off those before them by no less than noise: of a noisy flat the first fork
-        that was found may be off its level by as much again."""
-        level = np.array([place.level for place in places])
-        kept = np.abs(level - level[[max(place.before, 0) for place in places]]) >= self.noise
+    def _differs_from_parent(self, nodes: list[SkeletonNode]) -> BoolArray:
+        """Whether (P,) nodes differ from their parents by at least the noise.
+
+        Of a noisy flat, the first fork that was found may deviate from its level by as much again.
+        """
+        level = np.array([node.level for node in nodes])
+        kept = np.abs(level - level[[max(node.parent, 0) for node in nodes]]) >= self.noise
         kept[0] = True
         return np.asarray(kept)
 
-    def _join(self, kept: BoolArray, where: IntArray) -> IntArray:
-        """The places that are ``kept`` (P,) stay, the others and the walls to them become those before them;
-        ``where`` (N,) as `Skeleton.element`."""
-        number = np.cumsum(kept) - 1
-        to = np.zeros(len(kept), dtype=np.int64)
-        for index, place in enumerate(self.before):  # each comes after the one before it
-            to[index] = number[index] if kept[index] else to[place]
-        self.ends = {int(to[place]): end for place, end in self.ends.items() if kept[place]}
-        self.before = [
-            int(to[place]) if place >= 0 else -1 for place, own in zip(self.before, kept, strict=True) if own
-        ]
-        return np.asarray(2 * to[where // 2] + (where % 2) * kept[where // 2])
+    def _merge_nodes(self, kept: BoolArray, elements: IntArray) -> IntArray:
+        """Merge nodes that are not ``kept`` (P,), and the walls to them, into their parents.
 
-    def _with_noise(
-        self, places: list[Place], element: IntArray, z: FloatArray, smooth: FloatArray
-    ) -> list[Place]:
-        """The places with the noise of those of their vertices that hang on the walls beside them."""
+        ``elements`` (N,) is as `Skeleton.element`.
+        """
+        number = np.cumsum(kept) - 1
+        target = np.zeros(len(kept), dtype=np.int64)
+        for index, parent in enumerate(self.node_parents):  # each node comes after its parent
+            target[index] = number[index] if kept[index] else target[parent]
+        self.end_vertices = {
+            int(target[parent]): end for parent, end in self.end_vertices.items() if kept[parent]
+        }
+        self.node_parents = [
+            int(target[parent]) if parent >= 0 else -1
+            for parent, is_kept in zip(self.node_parents, kept, strict=True)
+            if is_kept
+        ]
+        return np.asarray(2 * target[elements // 2] + (elements % 2) * kept[elements // 2])
+
+    def _with_wall_noise(
+        self, nodes: list[SkeletonNode], element: IntArray, z: FloatArray, smooth: FloatArray
+    ) -> list[SkeletonNode]:
+        """The nodes with the noise of their vertices that belong to the adjacent walls."""
         bump = np.abs(z - smooth)
         bumpy = np.nonzero((bump > 0.0) & (bump < self.noise))[0]
         if len(bumpy) == 0:
-            return places
-        most, z, smooth = float(bump[bumpy].max()), z[bumpy], smooth[bumpy]
-        to = element[bumpy] // 2
-        on_wall, since = element[bumpy] % 2 == 1, np.array(self.before)[to]
-        found = []
-        for index, place in enumerate(places):
-            near = on_wall & ((to == index) | (since == index)) & (np.abs(smooth - place.level) <= most)
-            off = float(np.abs(z[near] - place.level).max(initial=0.0))
-            found.append(dataclasses.replace(place, off=max(place.off, off)))
-        return found
+            return nodes
+        max_bump, z, smooth = float(bump[bumpy].max()), z[bumpy], smooth[bumpy]
+        node_index = element[bumpy] // 2
+        on_wall, parent_index = element[bumpy] % 2 == 1, np.array(self.node_parents)[node_index]
+        updated = []
+        for index, node in enumerate(nodes):
+            adjacent = (
+                on_wall
+                & ((node_index == index) | (parent_index == index))
+                & (np.abs(smooth - node.level) <= max_bump)
+            )
+            deviation = float(np.abs(z[adjacent] - node.level).max(initial=0.0))
+            updated.append(dataclasses.replace(node, deviation=max(node.deviation, deviation)))
+        return updated
 
-    def _level(self, place: int, heights: FloatArray, weight: FloatArray) -> float:
-        if place in self.ends and np.ptp(heights) <= EXACT_HEIGHT:
-            return self.z[self.ends[place]]
+    def _node_level(self, node: int, heights: FloatArray, weight: FloatArray) -> float:
+        if node in self.end_vertices and np.ptp(heights) <= HEIGHT_TOLERANCE_M:
+            return self.heights[self.end_vertices[node]]
         order = np.argsort(heights)
         total = np.cumsum(weight[order])
         return float(heights[order[min(int(np.searchsorted(total, 0.5 * total[-1])), len(order) - 1)]])
 
 
-FLAT_CLEARANCE: Final = 1.1
-"""How far from a noisy flat the first level line is, in units of its noise as it shows on the flat itself: of
-the flat's vertices some count as parts of the walls."""
+FLAT_CLEARANCE_FACTOR: Final = 1.1
+"""Distance of the first level line from a noisy flat, in units of its noise as observed on the flat itself.
+
+Some vertices of the flat count as parts of the walls, hence the factor above 1.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
-class Wall:
-    """One feature to be: ``parent`` index among the walls or None, ``start`` and ``end`` [m], ``first`` and
-    ``last`` [m] levels between which its level lines are clean, ``height`` (V,) [m]: the surface on the wall,
-    ``start`` outside it and ``end`` inside."""
+class FeatureWall:
+    """One feature to be.
+
+    Attributes:
+        parent: Index among the walls, or None.
+        start: Level [m] at which it starts.
+        end: Level [m] at which it ends.
+        first: First level [m] from which its level lines are clean.
+        last: Last level [m] up to which they are clean.
+        height: Surface (V,) [m] on the wall, ``start`` outside it and ``end`` inside.
+    """
 
     parent: int | None
     start: float
@@ -386,108 +472,121 @@ class Wall:
 
     @property
     def sign(self) -> float:
-        """+1 where it rises from its start, -1 where it goes down."""
+        """+1 if the wall rises from its start, -1 if it goes down."""
         return 1.0 if self.end > self.start else -1.0
 
 
 @dataclasses.dataclass(frozen=True)
-class _Run:
-    begin: int
+class _WallRun:
+    start: int
     through: tuple[int, ...]
     end: int
 
 
-def walls(skeleton: Skeleton, surface: SheetSurface, noise: float) -> list[Wall]:
-    """The walls, each after its parent."""
+def find_walls(skeleton: Skeleton, surface: SheetSurface, noise: float) -> list[FeatureWall]:
+    """Return the walls, each after its parent.
+
+    Args:
+        skeleton: Skeleton of the part.
+        surface: Its surface.
+        noise: Height [m] of the mesh's noise.
+    """
     area = plan_areas(surface)
-    onward: list[list[int]] = [[] for _ in skeleton.places]
-    for index, place in enumerate(skeleton.places[1:], start=1):
-        onward[place.before].append(index)
-    found: list[Wall] = []
-    waiting: list[tuple[int, int | None]] = [(other, None) for other in onward[0]]
-    while waiting:
-        first, parent = waiting.pop()
-        run = _run(skeleton, onward, first)
-        pieces = _pieces(run, skeleton, surface, area, noise)
+    children: list[list[int]] = [[] for _ in skeleton.nodes]
+    for index, node in enumerate(skeleton.nodes[1:], start=1):
+        children[node.parent].append(index)
+    result: list[FeatureWall] = []
+    pending: list[tuple[int, int | None]] = [(other, None) for other in children[0]]
+    while pending:
+        first, parent = pending.pop()
+        wall_run = _follow_run(skeleton, children, first)
+        pieces = _wall_pieces(wall_run, skeleton, surface, area, noise)
         owner = parent
         owners = []
         for piece in pieces:
-            found.append(dataclasses.replace(piece, parent=owner))
-            owner = len(found) - 1
+            result.append(dataclasses.replace(piece, parent=owner))
+            owner = len(result) - 1
             owners.append(owner)
         sign = pieces[0].sign
-        for stop in (*run.through, run.end):
-            level = skeleton.places[stop].level
+        for node_index in (*wall_run.through, wall_run.end):
+            level = skeleton.nodes[node_index].level
             fits = [k for k, piece in enumerate(pieces) if sign * (level - piece.end) < noise]
-            leaving = [other for other in onward[stop] if other not in (*run.through, run.end)]
-            waiting.extend((other, owners[fits[0] if fits else -1]) for other in leaving)
-    return found
+            leaving = [
+                other for other in children[node_index] if other not in (*wall_run.through, wall_run.end)
+            ]
+            pending.extend((other, owners[fits[0] if fits else -1]) for other in leaving)
+    return result
 
 
-def _run(skeleton: Skeleton, onward: list[list[int]], first: int) -> _Run:
+def _follow_run(skeleton: Skeleton, children: list[list[int]], first: int) -> _WallRun:
     sign = skeleton.direction(first)
-    through, place = [], first
-    while len(same := [other for other in onward[place] if skeleton.direction(other) == sign]) == 1:
-        through.append(place)
-        place = same[0]
-    return _Run(skeleton.places[first].before, tuple(through), place)
+    through, node = [], first
+    while len(continuing := [other for other in children[node] if skeleton.direction(other) == sign]) == 1:
+        through.append(node)
+        node = continuing[0]
+    return _WallRun(skeleton.nodes[first].parent, tuple(through), node)
 
 
-def _height(run: _Run, skeleton: Skeleton) -> tuple[FloatArray, FloatArray]:
-    """The surface on a run, constant elsewhere; and (V,) whether a vertex lies on the run itself."""
-    places = skeleton.places
-    own = {*run.through, run.end}
-    low = np.full(2 * len(places), places[run.begin].level)
+def _run_height(run: _WallRun, skeleton: Skeleton) -> tuple[FloatArray, FloatArray]:
+    """Surface on a run, constant elsewhere, and (V,) whether a vertex lies on the run itself."""
+    nodes = skeleton.nodes
+    run_nodes = {*run.through, run.end}
+    low = np.full(2 * len(nodes), nodes[run.start].level)
     high = low.copy()
-    mine = np.zeros(2 * len(places), dtype=bool)
+    on_run = np.zeros(2 * len(nodes), dtype=bool)
     inside: set[int] = set()
-    for index, place in enumerate(places):
-        if index in own:
-            before = places[place.before].level
-            low[2 * index + 1], high[2 * index + 1] = min(before, place.level), max(before, place.level)
-            low[2 * index] = high[2 * index] = place.level
-            mine[2 * index : 2 * index + 2] = True
-        elif place.before in inside:
-            held = low[2 * place.before]
-            low[2 * index : 2 * index + 2] = high[2 * index : 2 * index + 2] = held
+    for index, node in enumerate(nodes):
+        if index in run_nodes:
+            parent_level = nodes[node.parent].level
+            low[2 * index + 1], high[2 * index + 1] = (
+                min(parent_level, node.level),
+                max(parent_level, node.level),
+            )
+            low[2 * index] = high[2 * index] = node.level
+            on_run[2 * index : 2 * index + 2] = True
+        elif node.parent in inside:
+            constant = low[2 * node.parent]
+            low[2 * index : 2 * index + 2] = high[2 * index : 2 * index + 2] = constant
         else:
             continue
         inside.add(index)
     element = skeleton.element
-    return np.clip(skeleton.height, low[element], high[element]), mine[element]
+    return np.clip(skeleton.height, low[element], high[element]), on_run[element]
 
 
-def _pieces(
-    run: _Run, skeleton: Skeleton, surface: SheetSurface, area: FloatArray, noise: float
-) -> list[Wall]:
-    height, mine = _height(run, skeleton)
-    begin, finish = skeleton.places[run.begin], skeleton.places[run.end]
-    start, end = begin.level, finish.level
+def _wall_pieces(
+    run: _WallRun, skeleton: Skeleton, surface: SheetSurface, area: FloatArray, noise: float
+) -> list[FeatureWall]:
+    height, on_run = _run_height(run, skeleton)
+    start_node, end_node = skeleton.nodes[run.start], skeleton.nodes[run.end]
+    start, end = start_node.level, end_node.level
     sign = 1.0 if end > start else -1.0
-    off = begin.off
-    if run.begin == 0:
-        off = max(off, float(np.abs(surface.vertices[surface.border, 2] - start).max()))
+    deviation = start_node.deviation
+    if run.start == 0:
+        deviation = max(deviation, float(np.abs(surface.vertices[surface.border, 2] - start).max()))
     first, last = (
-        start + sign * (FLAT_CLEARANCE * off + EXACT_HEIGHT),
-        end - sign * (FLAT_CLEARANCE * finish.off + EXACT_HEIGHT),
+        start + sign * (FLAT_CLEARANCE_FACTOR * deviation + HEIGHT_TOLERANCE_M),
+        end - sign * (FLAT_CLEARANCE_FACTOR * end_node.deviation + HEIGHT_TOLERANCE_M),
     )
-    one, two, three = height[surface.faces].T
-    low, high = np.minimum(np.minimum(one, two), three), np.maximum(np.maximum(one, two), three)
+    height_a, height_b, height_c = height[surface.faces].T
+    low, high = (
+        np.minimum(np.minimum(height_a, height_b), height_c),
+        np.maximum(np.maximum(height_a, height_b), height_c),
+    )
     reached = (low != start) | (high != start)
-    counts = (high > low) | mine[surface.faces].all(axis=1)
+    counts = (high > low) | on_run[surface.faces].all(axis=1)
     counts &= reached & ((low != end) | (high != end))
-    pauses = find_terraces(
-        low[counts], high[counts], area[counts], float(area[reached].sum()), start, end, noise
-    )
+    wall_faces = WallFaces(low=low[counts], high=high[counts], area=area[counts])
+    terraces = find_terraces(wall_faces, float(area[reached].sum()), start, end, noise)
     pieces = []
-    for pause in pauses:
-        pieces.append(_wall(start, pause.level, first, pause.first, height))
-        start, first = pause.level, pause.last
-    pieces.append(_wall(start, end, first, last, height))
+    for terrace in terraces:
+        pieces.append(_make_wall(start, terrace.level, first, terrace.first, height))
+        start, first = terrace.level, terrace.last
+    pieces.append(_make_wall(start, end, first, last, height))
     return pieces
 
 
-def _wall(start: float, end: float, first: float, last: float, height: FloatArray) -> Wall:
-    if (last - first) * (end - start) <= 0.0:  # barely higher than the noise at its ends
+def _make_wall(start: float, end: float, first: float, last: float, height: FloatArray) -> FeatureWall:
+    if (last - first) * (end - start) <= 0.0:  # the wall is barely higher than the noise at its ends
         first, last = start + 0.4 * (end - start), start + 0.6 * (end - start)
-    return Wall(None, start, end, first, last, np.clip(height, min(start, end), max(start, end)))
+    return FeatureWall(None, start, end, first, last, np.clip(height, min(start, end), max(start, end)))

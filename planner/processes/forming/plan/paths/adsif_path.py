@@ -1,11 +1,10 @@
-"""Paths of both tools in ADSIF: at the sheet's level from the inside out, the part sinking behind.
+"""Paths of both tools in ADSIF: at the sheet's level from the inside out, while the formed part sinks.
 
-The way of the forming tool in single point forming is projected on a plane: its tip goes the
-projection distance below the flat sheet's face. What lies inside a contour moves on as one rigid
-piece, so a contour needs no depth, but the wall angle there, which the response table turns into
-position angle and gap. Loops are the pitch apart: the level lines of the face at steps of pitch
-tan(a), a being the mean wall angle about the level. Source: the dissertation named in
-`adsif_response`, section 3.2.
+The path of the forming tool in single point forming is projected on a plane: its tip goes the projection
+distance below the flat sheet's face. The area inside a contour moves on as one rigid piece, so a contour
+needs no depth, only the wall angle there, from which the response table gives position angle and gap. Loops
+are one pitch apart: they are the level lines of the face at steps of pitch tan(a), where a is the mean wall
+angle about the level. Source: the dissertation named in `adsif_response`, section 3.2.
 """
 
 import dataclasses
@@ -18,130 +17,161 @@ from planner.catalogue.materials import SheetMetal
 from planner.geometry.arrays import FloatArray
 from planner.geometry.mesh import TriangleMesh, corner_normals
 from planner.geometry.units import DEG, MM
-from planner.issues import refusal
-from planner.processes.forming.plan.contact import CREASE_ANGLE, MIRROR, ContactPath, Pass, ToolPath
+from planner.issues import issue_error
+from planner.processes.forming.plan.contact import (
+    CREASE_ANGLE_RAD,
+    MIRROR,
+    ContactPath,
+    FormingPass,
+    FormingToolPath,
+)
 from planner.processes.forming.plan.operation import Adsif, Forming
 from planner.processes.forming.plan.paths.adsif_response import (
-    Conditions,
-    Response,
-    between_centres,
+    ResponseConditions,
+    ResponseTable,
     built_in_table,
-    compensated,
-    deflection,
-    invert,
-    left_to_command,
+    centre_distances,
+    checked_gap_to_command,
+    gap_to_command,
+    invert_response,
     read_table,
-    require,
+    require_conditions,
+    tool_deflection,
 )
-from planner.processes.forming.plan.paths.level_lines import Loop, cut, loops
+from planner.processes.forming.plan.paths.level_lines import LevelLoop, closed_loops, cut_levels
 from planner.tooling import FormingHead
 
-EDGE_MARGIN: Final = 1e-5
-"""The first and the last loop keep so far [m] from the ends of the wall."""
-ANGLE_CELL: Final = 1e-4
-"""Heights [m] over which the mean wall angle of a level is taken."""
-MOST_LOOPS: Final = 5000
-"""Loops of one pass at most."""
-WALL_ANGLE_STEP: Final = 0.01 * DEG
-"""Angles [rad] of walls, so far apart, are asked what a table holds at most."""
+EDGE_MARGIN_M: Final = 1e-5
+"""Distance [m] of the first and the last loop from the ends of the wall."""
+ANGLE_CELL_M: Final = 1e-4
+"""Height [m] over which the mean wall angle of a level is calculated."""
+MAX_LOOPS: Final = 5000
+"""Maximum number of loops of one pass."""
+WALL_ANGLE_STEP_RAD: Final = 0.01 * DEG
+"""Maximum spacing [rad] of the wall angles at which a table is evaluated."""
 
 
 def adsif_tool_path(
-    one: Pass,
+    forming_pass: FormingPass,
     operation: Forming,
-    former: FormingHead,
-    support: FormingHead,
+    forming_head: FormingHead,
+    support_head: FormingHead,
     thickness: float,
     metal: SheetMetal,
-) -> ToolPath:
-    """Both tools over a feature. ``thickness`` [m] of the sheet; the gap [m] is as commanded, so with the
-    give of the tools taken off.
+) -> FormingToolPath:
+    """Return the paths of both tools over a feature.
 
-    The contact's points are those of the wanted part, not of the sheet at that instant. Raises
-    ``TandemError`` with the codes ``forming.adsif_*`` where the table does not reach, and
-    ``forming.support_tool`` for tools that differ or are no balls.
+    The gap [m] is as commanded, that is, minus the deflection of the tools. The contact points are those of
+    the final part, not of the sheet at that instant.
+
+    Args:
+        forming_pass: Pass.
+        operation: Operation.
+        forming_head: Working end of the forming tool.
+        support_head: Working end of the other tool.
+        thickness: Thickness [m] of the sheet.
+        metal: Sheet metal.
+
+    Raises:
+        TandemError: ``forming.adsif_*`` where the table does not reach; ``forming.support_tool`` for tools
+            that differ or are no balls.
     """
-    ball = former.kind == support.kind == "ball"
-    if not ball or abs(former.radius - support.radius) > 1e-5:
-        got = " and ".join(f"a {one.kind} of {one.radius / MM:g} mm" for one in (former, support))
-        what = (
-            f"mode adsif needs two balls of one radius, got {got}; mount a ball of {former.radius / MM:g} mm "
-            "on both arms"
+    ball = forming_head.kind == support_head.kind == "ball"
+    if not ball or abs(forming_head.radius - support_head.radius) > 1e-5:
+        got = " and ".join(
+            f"a {head.kind} of {head.radius / MM:g} mm" for head in (forming_head, support_head)
         )
-        raise refusal("forming.support_tool", what, field="mode")
-    response = _response(operation)
-    held = operation.adsif
-    wanted = Conditions(metal.name, thickness, former.radius, held.pitch_mm * MM, held.projection_mm * MM)
-    require(response, wanted)
-    if one.side < 0:
-        vertices, start, end = one.vertices * MIRROR, -one.start, -one.end
-        one = dataclasses.replace(one, side=1, vertices=vertices, start=start, end=end)
-        return _mirrored(adsif_tool_path(one, operation, former, support, thickness, metal))
-    contact = _contact(one, former.radius, operation)
-    position, gap = _commanded(response, contact.angle, held, thickness)
-    across, down = between_centres(position, gap, former.radius, support.radius)
+        what = (
+            f"mode adsif needs two balls of equal radius, got {got}; mount a ball of "
+            f"{forming_head.radius / MM:g} mm on both arms"
+        )
+        raise issue_error("forming.support_tool", what, field="mode")
+    response = _response_table(operation)
+    adsif = operation.adsif
+    required = ResponseConditions(
+        metal.name, thickness, forming_head.radius, adsif.pitch_mm * MM, adsif.projection_mm * MM
+    )
+    require_conditions(response, required)
+    if forming_pass.side < 0:
+        vertices, start, end = forming_pass.vertices * MIRROR, -forming_pass.start, -forming_pass.end
+        forming_pass = dataclasses.replace(forming_pass, side=1, vertices=vertices, start=start, end=end)
+        return _mirror_tool_path(
+            adsif_tool_path(forming_pass, operation, forming_head, support_head, thickness, metal)
+        )
+    contact = _contact_path(forming_pass, forming_head.radius, operation)
+    position, gap = _commanded_gap(response, contact.angle, adsif, thickness)
+    across, down = centre_distances(position, gap, forming_head.radius, support_head.radius)
     outward = -contact.normal[:, :2] / np.linalg.norm(contact.normal[:, :2], axis=1, keepdims=True)
-    level = one.start - held.projection_mm * MM + former.radius
-    place = np.column_stack([contact.centre[:, :2], np.full(len(across), level)])
-    below = place + np.column_stack([across[:, None] * outward, -down])
-    axis = np.tile([0.0, 0.0, -1.0], (len(place), 1))
-    return ToolPath(place, axis, below, -axis, gap, dataclasses.replace(contact, centre=place))
+    level = forming_pass.start - adsif.projection_mm * MM + forming_head.radius
+    centre = np.column_stack([contact.centre[:, :2], np.full(len(across), level)])
+    support_centre = centre + np.column_stack([across[:, None] * outward, -down])
+    axis = np.tile([0.0, 0.0, -1.0], (len(centre), 1))
+    return FormingToolPath(
+        centre, axis, support_centre, -axis, gap, dataclasses.replace(contact, centre=centre)
+    )
 
 
-def pressed_by_support(operation: Forming, radii: float, thickness: float) -> float:
-    """How far [m] the support presses the flat sheet around at most for any wall of the response table, by
-    the geometry in `adsif`: its way of forming, for the forming ball's tip stays at the projection distance.
-    ``radii`` [m] of both balls together, ``thickness`` [m] of the sheet."""
-    response, held = _response(operation), operation.adsif
+def support_press_depth(operation: Forming, radii: float, thickness: float) -> float:
+    """Return the maximum depth [m] to which the support presses the surrounding flat sheet.
+
+    The maximum is over all walls of the response table, by the geometry of `centre_distances`. The support
+    presses while it forms, because the tip of the forming ball stays at the projection distance.
+
+    Args:
+        operation: Operation.
+        radii: Sum [m] of the radii of both balls.
+        thickness: Thickness [m] of the sheet.
+    """
+    response, adsif = _response_table(operation), operation.adsif
     low, high = response.range
-    wall = np.append(np.arange(low, high, WALL_ANGLE_STEP), high)
-    position, gap = invert(response, wall, held.prefer)
-    gap = left_to_command(gap * thickness, position, _yielded(held))
-    able = gap > 0.0  # of other walls the path says that nothing of their gap is left
-    if not able.any():
+    wall = np.append(np.arange(low, high, WALL_ANGLE_STEP_RAD), high)
+    position, gap = invert_response(response, wall, adsif.prefer)
+    gap = gap_to_command(gap * thickness, position, _tool_deflection(adsif))
+    has_gap = gap > 0.0  # the path reports other walls, which leave no gap to command
+    if not has_gap.any():
         return 0.0
-    _, down = between_centres(position[able], gap[able], radii, 0.0)
-    return float(thickness - held.projection_mm * MM + radii - down.min())
+    _, down = centre_distances(position[has_gap], gap[has_gap], radii, 0.0)
+    return float(thickness - adsif.projection_mm * MM + radii - down.min())
 
 
-def _yielded(held: Adsif) -> float:
-    """How far [m] both tools give way in the plane of the sheet, by the stated force and stiffness."""
-    if held.force_n <= 0.0 or held.stiffness_n_mm is None:
+def _tool_deflection(adsif: Adsif) -> float:
+    """Deflection [m] of both tools in the plane of the sheet, by the stated force and stiffness."""
+    if adsif.force_n <= 0.0 or adsif.stiffness_n_mm is None:
         return 0.0
-    return float(deflection(held.force_n, held.stiffness_n_mm / MM))
+    return float(tool_deflection(adsif.force_n, adsif.stiffness_n_mm / MM))
 
 
-def _commanded(
-    response: Response, wall: FloatArray, held: Adsif, thickness: float
+def _commanded_gap(
+    response: ResponseTable, wall: FloatArray, adsif: Adsif, thickness: float
 ) -> tuple[FloatArray, FloatArray]:
     """Position angles [rad] and gaps [m] as commanded (N,) for wall angles (N,) [rad]."""
-    position, gap = invert(response, wall, held.prefer)
-    gap, yielded = gap * thickness, _yielded(held)
-    return position, compensated(gap, position, yielded) if yielded > 0.0 else gap
+    position, gap = invert_response(response, wall, adsif.prefer)
+    gap, tool_deflection = gap * thickness, _tool_deflection(adsif)
+    return position, checked_gap_to_command(gap, position, tool_deflection) if tool_deflection > 0.0 else gap
 
 
-def _response(operation: Forming) -> Response:
+def _response_table(operation: Forming) -> ResponseTable:
     return built_in_table() if operation.adsif.file is None else read_table(operation.adsif.file)
 
 
-def _contact(one: Pass, radius: float, operation: Forming) -> ContactPath:
+def _contact_path(forming_pass: FormingPass, radius: float, operation: Forming) -> ContactPath:
     """Contacts of the ball on the face, loop by loop from the feature's end to its start."""
-    mesh = TriangleMesh(one.vertices, one.faces)
-    levels = _levels(one, operation.adsif.pitch_mm * MM)
-    smooth = corner_normals(mesh, CREASE_ANGLE)
-    found = loops(cut(mesh.vertices, mesh.faces, smooth, levels), None, one.name)
-    by_level: dict[int, Loop] = {}
-    for loop in found:
-        held = by_level.get(loop.level)
-        if held is None or abs(loop.area()) > abs(held.area()):
+    mesh = TriangleMesh(forming_pass.vertices, forming_pass.faces)
+    levels = _loop_levels(forming_pass, operation.adsif.pitch_mm * MM)
+    smooth = corner_normals(mesh, CREASE_ANGLE_RAD)
+    level_loops = closed_loops(cut_levels(mesh.vertices, mesh.faces, smooth, levels), None, forming_pass.name)
+    by_level: dict[int, LevelLoop] = {}
+    for loop in level_loops:
+        largest = by_level.get(loop.level)
+        if largest is None or abs(loop.area()) > abs(largest.area()):
             by_level[loop.level] = loop
-    way = 1.0 if operation.direction == "ccw" else -1.0
+    orientation = 1.0 if operation.direction == "ccw" else -1.0
     rings = [by_level[k] for k in sorted(by_level, key=lambda k: levels[k])]
-    rings = [ring if ring.area() * way > 0.0 else ring.reversed() for ring in rings]
+    rings = [ring if ring.area() * orientation > 0.0 else ring.reversed() for ring in rings]
     seam = np.array([np.cos(operation.seam_deg * DEG), np.sin(operation.seam_deg * DEG)])
-    sampled = [_sampled(ring, seam, radius, operation) for ring in rings]
+    sampled = [_sample_loop(ring, seam, radius, operation) for ring in rings]
     if operation.path == "helical":
-        sampled = _spiral(sampled)
+        sampled = _spiral_rings(sampled)
     point, normal = (np.concatenate([pair[k] for pair in sampled]) for k in range(2))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     loop_number = np.repeat(np.arange(len(sampled)), [len(pair[0]) for pair in sampled])
@@ -155,95 +185,107 @@ def _contact(one: Pass, radius: float, operation: Forming) -> ContactPath:
     )
 
 
-def _levels(one: Pass, pitch: float) -> FloatArray:
-    """Levels (L,) [m] from the feature's end up to its start, the pitch apart in plan."""
-    corner = one.vertices[one.faces]
+def _loop_levels(forming_pass: FormingPass, pitch: float) -> FloatArray:
+    """Levels (L,) [m] from the feature's end up to its start, one pitch apart in plan."""
+    corner = forming_pass.vertices[forming_pass.faces]
     low, high = corner[:, :, 2].min(axis=1), corner[:, :, 2].max(axis=1)
     a, b, c = corner[:, 0, :2], corner[:, 1, :2], corner[:, 2, :2]
     plan = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
     whole = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
     rises = high - low > 1e-9
     low, high, plan, whole = low[rises], high[rises], plan[rises], whole[rises]
-    edges = np.linspace(one.end, one.start, max(int(np.ceil((one.start - one.end) / ANGLE_CELL)), 1) + 1)
+    edges = np.linspace(
+        forming_pass.end,
+        forming_pass.start,
+        max(int(np.ceil((forming_pass.start - forming_pass.end) / ANGLE_CELL_M)), 1) + 1,
+    )
     middle = 0.5 * (edges[1:] + edges[:-1])
     order, falling = np.argsort(low), np.argsort(high)
 
-    def over(density: FloatArray) -> FloatArray:
-        """Sum (C,) of what lies at each middle height."""
-        begun = np.concatenate([[0.0], np.cumsum(density[order])])
+    # mean wall angle a at each height from the facets there: cos a = plan area / area;
+    # a step dz is dz / tan a wide in plan, and levels are equidistant in that width
+
+    def sum_at_heights(density: FloatArray) -> FloatArray:
+        """Sum (C,) of the density of the facets at each middle height."""
+        started = np.concatenate([[0.0], np.cumsum(density[order])])
         ended = np.concatenate([[0.0], np.cumsum(density[falling])])
         return np.asarray(
-            begun[np.searchsorted(low[order], middle)] - ended[np.searchsorted(high[falling], middle)]
+            started[np.searchsorted(low[order], middle)] - ended[np.searchsorted(high[falling], middle)]
         )
 
-    flat, full = over(plan / (high - low)), over(whole / (high - low))
+    flat, full = sum_at_heights(plan / (high - low)), sum_at_heights(whole / (high - low))
     cosine = np.clip(flat / np.maximum(full, 1e-300), 1e-3, 1.0)
     slope = np.sqrt(1.0 - cosine**2) / cosine
     width = np.concatenate([[0.0], np.cumsum(np.diff(edges) / np.maximum(slope, 1e-6))])
     count = int(width[-1] / pitch)
-    if not 1 <= count <= MOST_LOOPS:
+    if not 1 <= count <= MAX_LOOPS:
         what = (
-            f"pass {one.name}: {count} loops at a pitch of {pitch / MM:g} mm, allowed are 1 to {MOST_LOOPS}"
+            f"pass {forming_pass.name}: {count} loops at a pitch of {pitch / MM:g} mm, allowed are 1 to "
+            f"{MAX_LOOPS}"
         )
-        raise refusal("forming.adsif_conditions", what + "; change the pitch", field="adsif")
+        raise issue_error("forming.adsif_conditions", what + "; change the pitch", field="adsif")
     levels = np.interp(pitch * np.arange(count + 1), width, edges)
-    return np.asarray(np.clip(levels, one.end + EDGE_MARGIN, one.start - EDGE_MARGIN))
+    return np.asarray(np.clip(levels, forming_pass.end + EDGE_MARGIN_M, forming_pass.start - EDGE_MARGIN_M))
 
 
-def _sampled(
-    ring: Loop, seam: FloatArray, radius: float, operation: Forming
+def _sample_loop(
+    ring: LevelLoop, seam: FloatArray, radius: float, operation: Forming
 ) -> tuple[FloatArray, FloatArray]:
-    """Points and normals (M, 3) of a loop from the seam on, the last as the first: as many as the chord and
-    the tangent of the forming ball's way need."""
-    off = ring.point[:-1, :2] - ring.point[:-1, :2].mean(axis=0)
-    first = int(np.argmax((off @ seam) / np.linalg.norm(off, axis=1)))
+    """Points and normals (M, 3) of a loop from the seam on, the last equal to the first.
+
+    There are as many as the chord and the tangent of the forming ball's path require.
+    """
+    offset = ring.point[:-1, :2] - ring.point[:-1, :2].mean(axis=0)
+    first = int(np.argmax((offset @ seam) / np.linalg.norm(offset, axis=1)))
     point = np.concatenate([ring.point[:-1][first:], ring.point[: first + 1]])
     normal = np.concatenate([ring.normal[:-1][first:], ring.normal[: first + 1]])
-    way = point + radius * normal
-    step = np.linalg.norm(np.diff(way, axis=0), axis=1)
-    at = np.concatenate([[0.0], np.cumsum(step)])
+    centre = point + radius * normal
+    step = np.linalg.norm(np.diff(centre, axis=0), axis=1)
+    arc = np.concatenate([[0.0], np.cumsum(step)])
     keep = np.concatenate([[True], step > 1e-9])
     heading = np.unwrap(np.arctan2(normal[:, 1], normal[:, 0]))
-    turned = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(heading)))])
-    share = at / at[-1] + turned / max(turned[-1], 1e-9)
-    mean = at[-1] / (2.0 * np.pi)
+    rotation = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(heading)))])
+    progress = arc / arc[-1] + rotation / max(rotation[-1], 1e-9)
+    mean = arc[-1] / (2.0 * np.pi)
     angle = min(operation.tangent_deg * DEG, 2.0 * np.arccos(max(1.0 - operation.chord_mm * MM / mean, 0.0)))
-    count = max(int(np.ceil(max(turned[-1], 2.0 * np.pi) / angle)), 16)
-    wanted = np.linspace(0.0, share[-1], 2 * count + 1)
-    share, point, normal = share[keep], point[keep], normal[keep]
+    count = max(int(np.ceil(max(rotation[-1], 2.0 * np.pi) / angle)), 16)
+    stations = np.linspace(0.0, progress[-1], 2 * count + 1)
+    progress, point, normal = progress[keep], point[keep], normal[keep]
     return (
-        np.column_stack([np.interp(wanted, share, point[:, k]) for k in range(3)]),
-        np.column_stack([np.interp(wanted, share, normal[:, k]) for k in range(3)]),
+        np.column_stack([np.interp(stations, progress, point[:, k]) for k in range(3)]),
+        np.column_stack([np.interp(stations, progress, normal[:, k]) for k in range(3)]),
     )
 
 
-def _spiral(rings: list[tuple[FloatArray, FloatArray]]) -> list[tuple[FloatArray, FloatArray]]:
-    """One spiral outward between the first and the last loop, which stay whole."""
+def _spiral_rings(rings: list[tuple[FloatArray, FloatArray]]) -> list[tuple[FloatArray, FloatArray]]:
+    """One outward spiral between the first and the last loop, which stay whole."""
     out = [rings[0]]
     for inner, outer in itertools.pairwise(rings):
         count = max(len(inner[0]), len(outer[0]))
-        share = np.linspace(0.0, 1.0, count)
-        both = []
-        for one, two in zip(inner, outer, strict=True):
-            a, b = _even(one, count), _even(two, count)
-            both.append((a + share[:, None] * (b - a))[1:])
-        out.append((both[0], both[1]))
+        fraction = np.linspace(0.0, 1.0, count)
+        blended = []
+        for inner_values, outer_values in zip(inner, outer, strict=True):
+            a, b = _resample(inner_values, count), _resample(outer_values, count)
+            blended.append((a + fraction[:, None] * (b - a))[1:])
+        out.append((blended[0], blended[1]))
     out.append((rings[-1][0][1:], rings[-1][1][1:]))
     return out
 
 
-def _even(values: FloatArray, count: int) -> FloatArray:
-    at, wanted = np.linspace(0.0, 1.0, len(values)), np.linspace(0.0, 1.0, count)
-    return np.column_stack([np.interp(wanted, at, values[:, k]) for k in range(3)])
+def _resample(values: FloatArray, count: int) -> FloatArray:
+    fractions, new_fractions = np.linspace(0.0, 1.0, len(values)), np.linspace(0.0, 1.0, count)
+    return np.column_stack([np.interp(new_fractions, fractions, values[:, k]) for k in range(3)])
 
 
-def _mirrored(found: ToolPath) -> ToolPath:
+def _mirror_tool_path(tool_path: FormingToolPath) -> FormingToolPath:
     contact = dataclasses.replace(
-        found.contact,
-        point=found.contact.point * MIRROR,
-        centre=found.contact.centre * MIRROR,
-        normal=found.contact.normal * -MIRROR,
+        tool_path.contact,
+        point=tool_path.contact.point * MIRROR,
+        centre=tool_path.contact.centre * MIRROR,
+        normal=tool_path.contact.normal * -MIRROR,
     )
-    support = None if found.support is None else found.support * MIRROR
-    axis = None if found.support_axis is None else found.support_axis * MIRROR
-    return ToolPath(found.former * MIRROR, found.axis * MIRROR, support, axis, found.gap, contact)
+    support = None if tool_path.support_centre is None else tool_path.support_centre * MIRROR
+    axis = None if tool_path.support_axis is None else tool_path.support_axis * MIRROR
+    return FormingToolPath(
+        tool_path.forming_centre * MIRROR, tool_path.axis * MIRROR, support, axis, tool_path.gap, contact
+    )

@@ -1,7 +1,7 @@
 """The path of the contact on the face of a pass, of the ball's centre, and targets along it.
 
-Targets on the curve of contact are as few as the turn of its tangent, the straight moves of the
-ball's centre and the longest move allow.
+There are as few targets on the contact curve as the turn of its tangent, the straight moves of the ball's
+centre and the longest move allow.
 """
 
 import dataclasses
@@ -13,55 +13,73 @@ from shapely import Polygon
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.geometry.mesh import TriangleMesh
-from planner.issues import Issue, TandemError, refusal
-from planner.processes.forming.plan.contact import MIRROR, ContactPath, Face, Pass
+from planner.issues import Issue, TandemError, issue_error
+from planner.processes.forming.plan.contact import MIRROR, ContactFace, ContactPath, FormingPass
 from planner.processes.forming.plan.paths.level_lines import (
-    FLAT_MARGIN,
-    Loop,
+    FLAT_MARGIN_M,
+    LevelLoop,
     constant_levels,
-    cut,
+    cut_levels,
     scallop_levels,
-    scallop_width,
+    scallop_spacing,
 )
-from planner.processes.forming.plan.paths.level_lines import loops as closed_lines
-from planner.processes.forming.plan.paths.spiral import Curve, PathOptions, in_order, loop_curve, spiral_curve
+from planner.processes.forming.plan.paths.level_lines import closed_loops as closed_lines
+from planner.processes.forming.plan.paths.spiral import (
+    ContactCurve,
+    PathOptions,
+    loop_curve,
+    order_loops,
+    spiral_curve,
+)
 from planner.processes.forming.plan.paths.tool_radius import (
     Creases,
+    LevelSlices,
     TooNarrow,
-    largest,
-    lowest_reached,
-    refuse,
+    largest_fitting_radius,
+    reachable_loops,
+    too_narrow_error,
 )
 
-_Put = Callable[[FloatArray], "Targets"]
+_MakeTargets = Callable[[FloatArray], "ContactTargets"]
 
-LEAST_SPACING: Final = 5e-5
-"""Targets are at least so far apart [m]."""
-_CORNER_TURN: Final = np.radians(15.0)
-"""Normals that turn by more than this [rad] from place to place do so at a corner, which gets no targets
-within."""
-_SPLIT_ROUNDS: Final = 8
-"""Moves are halved so often at most where they leave the way of the ball's centre."""
+MIN_SPACING_M: Final = 5e-5
+"""Minimum spacing [m] of targets."""
+_MIN_CORNER_ANGLE_RAD: Final = np.radians(15.0)
+"""Normals that turn by more than this [rad] from point to point do so at a corner, which gets no targets
+within.
+"""
+_MAX_SPLIT_ROUNDS: Final = 8
+"""Maximum number of times that a move is halved if it leaves the path of the ball's centre."""
 _END_HALVINGS: Final = 10
-"""Halvings by which the end of a piece that the ball does not reach is found."""
-_CLOSED_GAP: Final = 3e-4
-"""Where a crease keeps the ball off a piece of the curve whose ends are so near [m], the piece is a corner
-and the ball goes from end to end."""
-_TRIED_SHARES: Final = np.array([0.25, 0.5, 0.75])
-"""Places of a straight move at which it is tried whether it cuts in."""
-_CHORD_SHARE: Final = 0.9
-"""Share of the chord that the spacing of targets is worked out with."""
-_TRIED_PLACES: Final = 40
-"""Places about that tell soon of a ball that is far too large."""
+"""Number of bisections that locate the end of a piece that the ball does not reach."""
+_MAX_CLOSED_GAP_M: Final = 3e-4
+"""If a crease keeps the ball away from a piece of the curve whose ends are this near [m], the piece is a
+corner and the ball goes from end to end.
+"""
+_MOVE_SAMPLE_FRACTIONS: Final = np.array([0.25, 0.5, 0.75])
+"""Fractions of a straight move at which it is tested for cutting into the face."""
+_CHORD_FRACTION: Final = 0.9
+"""Fraction of the chord with which the spacing of targets is calculated."""
+_EARLY_SAMPLES: Final = 40
+"""Approximate number of points that reveal early that a ball is far too large."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Targets:
-    """N targets: ``at`` (N,) row of the curve, with fractions; ``point``, ``normal``, ``centre`` (N, 3) as in
-    ``ContactPath``; ``loop``, ``piece`` (N,); ``kept`` (N,): ends of loops; ``missed`` (N,): a crease keeps
-    the ball off the wanted place."""
+class ContactTargets:
+    """N targets on a curve.
 
-    at: FloatArray
+    Attributes:
+        row: Row (N,) of the curve, with fractions.
+        point: Contact points (N, 3), as in ``ContactPath``.
+        normal: Unit normals (N, 3), as in ``ContactPath``.
+        centre: Ball centres (N, 3), as in ``ContactPath``.
+        loop: Loop (N,).
+        piece: Piece (N,).
+        kept: Ends of loops (N,).
+        missed: Whether (N,) a crease keeps the ball away from the required point.
+    """
+
+    row: FloatArray
     point: FloatArray
     normal: FloatArray
     centre: FloatArray
@@ -70,91 +88,113 @@ class Targets:
     kept: BoolArray
     missed: BoolArray
 
-    def __getitem__(self, rows: IntArray | BoolArray) -> "Targets":
-        return Targets(*(getattr(self, field.name)[rows] for field in dataclasses.fields(self)))
+    def __getitem__(self, rows: IntArray | BoolArray) -> "ContactTargets":
+        return ContactTargets(*(getattr(self, field.name)[rows] for field in dataclasses.fields(self)))
 
 
-def targets(curve: Curve, face: Face, creases: Creases, options: PathOptions, name: str) -> Targets:
-    """Targets on a curve, at least 0.05 mm apart.
+def make_targets(
+    curve: ContactCurve, face: ContactFace, creases: Creases, options: PathOptions, name: str
+) -> ContactTargets:
+    """Return targets on a curve, at least 0.05 mm apart.
 
-    Raises ``TooNarrow`` where the face is too narrow for the ball.
+    Args:
+        curve: Curve of required contact.
+        face: Face.
+        creases: Its creases.
+        options: Options of the path.
+        name: Name of the pass.
+
+    Raises:
+        TooNarrow: if the face is too narrow for the ball.
     """
 
-    def put(at: FloatArray) -> Targets:
-        return _put(at, curve, face, creases, options.missed, name)
+    def make_at(rows: FloatArray) -> ContactTargets:
+        return _targets_at(rows, curve, face, creases, options.missed, name)
 
-    at = _spread(curve, face.radius, options)
-    # a tool that is far too large is told soon, by a few places
-    wanted, normal = places(curve, face, creases, at[:: -(-len(at) // _TRIED_PLACES)])
-    contact = face.clear(wanted, normal, rounds=3)
-    narrow = (contact.gap > max(0.02 * face.radius, options.missed)) & ~creases.near(wanted)
+    rows = _initial_rows(curve, face.radius, options)
+    # a few points reveal early that a tool is far too large
+    required, normal = curve_points(curve, face, creases, rows[:: -(-len(rows) // _EARLY_SAMPLES)])
+    contact = face.clear(required, normal, rounds=3)
+    narrow = (contact.gap > max(0.02 * face.radius, options.missed)) & ~creases.is_near(required)
     if narrow.any():
-        raise refuse(name, face, wanted[narrow], normal[narrow], contact.gap[narrow], options.missed)
-    found = put(at)
-    found = _corners(found, put)
-    found = _halved(found, put, face, options)
-    found = _rolled(found, face, options.cut)
-    return _apart(found)
+        raise too_narrow_error(
+            name, face, required[narrow], normal[narrow], contact.gap[narrow], options.missed
+        )
+    result = make_at(rows)
+    result = _trim_corners(result, make_at)
+    result = _split_moves(result, make_at, face, options)
+    result = _add_edge_targets(result, face, options.cut)
+    return _drop_close_targets(result)
 
 
-def places(curve: Curve, face: Face, creases: Creases, at: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Wanted places (N, 3) [m] and unit normals (N, 3) at rows ``at`` (N,) of a curve."""
-    row = np.clip(np.floor(at).astype(np.int64), 0, len(curve.point) - 2)
-    share = (at - row)[:, None]
-    point = (1.0 - share) * curve.point[row] + share * curve.point[row + 1]
-    normal = (1.0 - share) * curve.normal[row] + share * curve.normal[row + 1]
+def curve_points(
+    curve: ContactCurve, face: ContactFace, creases: Creases, curve_rows: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the required points (N, 3) [m] and unit normals (N, 3) at ``curve_rows`` (N,) of a curve."""
+    row = np.clip(np.floor(curve_rows).astype(np.int64), 0, len(curve.point) - 2)
+    fraction = (curve_rows - row)[:, None]
+    point = (1.0 - fraction) * curve.point[row] + fraction * curve.point[row + 1]
+    normal = (1.0 - fraction) * curve.normal[row] + fraction * curve.normal[row + 1]
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    # rows themselves may be off the face too, inside a spiral
-    ends = np.concatenate([[False], curve.off]), np.concatenate([curve.off, [False]])
+    # inside a spiral, rows themselves may be off the face, too
+    ends = np.concatenate([[False], curve.is_off_face]), np.concatenate([curve.is_off_face, [False]])
     inner = ends[0] & ends[1]
-    loose = np.where(
-        share[:, 0] == 0.0, inner[row], np.where(share[:, 0] == 1.0, inner[row + 1], curve.off[row])
+    is_off_face = np.where(
+        fraction[:, 0] == 0.0,
+        inner[row],
+        np.where(fraction[:, 0] == 1.0, inner[row + 1], curve.is_off_face[row]),
     )
-    rows = np.flatnonzero(loose)
+    rows = np.flatnonzero(is_off_face)
     if len(rows):
-        place, on, weights = face.nearest(point[rows])
-        point[rows] = place
-        own = face.normal_at(on, weights)
-        # in a fillet that is low for the step the normals of the loops beside are far from its own
-        smooth = (dots(own, normal[rows]) > np.cos(_CORNER_TURN)) | ~creases.near(place)
-        normal[rows] = np.where(smooth[:, None], own, normal[rows])
+        nearest, nearest_face, weights = face.nearest(point[rows])
+        point[rows] = nearest
+        face_normal = face.normal_at(nearest_face, weights)
+        # in a fillet lower than the step, the normals of adjacent loops differ much from its own
+        smooth = (dots(face_normal, normal[rows]) > np.cos(_MIN_CORNER_ANGLE_RAD)) | ~creases.is_near(nearest)
+        normal[rows] = np.where(smooth[:, None], face_normal, normal[rows])
     return point, normal
 
 
-def _put(at: FloatArray, curve: Curve, face: Face, creases: Creases, missed: float, name: str) -> Targets:
-    wanted, normal = places(curve, face, creases, at)
-    contact = face.clear(wanted, normal)
-    narrow = creases.too_narrow(wanted, contact, missed)
+def _targets_at(
+    rows: FloatArray, curve: ContactCurve, face: ContactFace, creases: Creases, missed: float, name: str
+) -> ContactTargets:
+    required, normal = curve_points(curve, face, creases, rows)
+    contact = face.clear(required, normal)
+    narrow = creases.is_too_narrow(required, contact, missed)
     if narrow.any():
-        raise refuse(name, face, wanted[narrow], normal[narrow], contact.gap[narrow], missed)
-    row = np.round(at).astype(np.int64)
-    return Targets(
-        at,
+        raise too_narrow_error(name, face, required[narrow], normal[narrow], contact.gap[narrow], missed)
+    row = np.round(rows).astype(np.int64)
+    return ContactTargets(
+        rows,
         contact.point,
         contact.normal,
         contact.centre,
-        curve.loop[np.ceil(at - 1e-9).astype(np.int64)],
+        curve.loop[np.ceil(rows - 1e-9).astype(np.int64)],
         curve.piece[row],
-        curve.keep[row] & (row == at),
-        creases.misses(wanted, contact),
+        curve.keep[row] & (row == rows),
+        creases.misses(required, contact),
     )
 
 
-def _spread(curve: Curve, radius: float, options: PathOptions) -> FloatArray:
-    """Rows, with fractions, at which targets are put first."""
+def _initial_rows(curve: ContactCurve, radius: float, options: PathOptions) -> FloatArray:
+    """Rows, with fractions, of the initial targets."""
     point, centre = curve.point, curve.point + radius * curve.normal
     gap = np.diff(curve.piece) != 0
     turn, _ = _turns(point, gap)
-    bend, pace = _turns(centre, gap)
-    length = np.maximum(np.linalg.norm(np.diff(point, axis=0), axis=1), pace)
-    corner = turn > max(_CORNER_TURN, 1.01 * options.tangent_angle)
-    bend = np.where(corner, 0.0, bend)
-    width = np.maximum(0.5 * (np.append(pace, 0.0) + np.append(0.0, pace)), 1e-9)
-    # a move of length L over a polyline that turns by b at rows w apart is off it by L (b L / w + b) / 8
-    chord = 0.5 * (bend + np.sqrt(bend * bend + 32.0 * _CHORD_SHARE * options.chord * bend / width))
-    chord *= width / (8.0 * _CHORD_SHARE * options.chord)
+    centre_turn, centre_length = _turns(centre, gap)
+    length = np.maximum(np.linalg.norm(np.diff(point, axis=0), axis=1), centre_length)
+    corner = turn > max(_MIN_CORNER_ANGLE_RAD, 1.01 * options.tangent_angle)
+    centre_turn = np.where(corner, 0.0, centre_turn)
+    width = np.maximum(0.5 * (np.append(centre_length, 0.0) + np.append(0.0, centre_length)), 1e-9)
+    # a move of length L over a polyline that turns by b at rows w apart deviates by L (b L / w + b) / 8;
+    # solved for L, width / L is the number of moves that a row demands
+    chord = 0.5 * (
+        centre_turn
+        + np.sqrt(centre_turn * centre_turn + 32.0 * _CHORD_FRACTION * options.chord * centre_turn / width)
+    )
+    chord *= width / (8.0 * _CHORD_FRACTION * options.chord)
     demand = np.maximum(np.where(corner, 0.0, turn) / options.tangent_angle, chord)
-    # half of a row's demand lies on either side of it
+    # each row contributes half of its demand to either side
     between = np.maximum(0.5 * (demand[1:] + demand[:-1]), length / options.longest)
     between[gap] = 0.0
     keep = curve.keep | corner
@@ -166,298 +206,337 @@ def _spread(curve: Curve, radius: float, options: PathOptions) -> FloatArray:
     need = np.diff(total[rows])
     parts = np.maximum(np.ceil(need - 1e-9), 1).astype(np.int64)
     section = np.repeat(np.arange(len(parts)), parts)
-    share = (np.arange(len(section)) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[section]
-    wanted = total[rows[section]] + share * need[section]
-    at = np.interp(wanted, total, np.arange(len(total)))
-    at[share == 0.0] = rows[section[share == 0.0]]
-    # what spreads over the way between two pieces is on no piece
-    inside = ~gap[np.minimum(at.astype(np.int64), len(gap) - 1)] | (share == 0.0)
-    return np.append(at[inside], float(rows[-1]))
+    fraction = (np.arange(len(section)) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[section]
+    stations = total[rows[section]] + fraction * need[section]
+    fractional_rows = np.interp(stations, total, np.arange(len(total)))
+    fractional_rows[fraction == 0.0] = rows[section[fraction == 0.0]]
+    # drop rows between two pieces, which belong to none
+    inside = ~gap[np.minimum(fractional_rows.astype(np.int64), len(gap) - 1)] | (fraction == 0.0)
+    return np.append(fractional_rows[inside], float(rows[-1]))
 
 
 def _turns(point: FloatArray, gap: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """By how much (K,) [rad] a polyline turns at its rows, and how long (K - 1,) its moves are."""
+    """Turn (K,) [rad] of a polyline at its rows, and length (K - 1,) of its moves."""
     move = np.diff(point, axis=0)
     length = np.linalg.norm(move, axis=1)
     good = (length > 1e-7) & ~gap
     turn = np.zeros(len(point))
     rows = np.flatnonzero(good)
-    way = move[rows] / length[rows, None]
-    cosine = dots(way[1:], way[:-1])
-    sine = np.linalg.norm(np.cross(way[1:], way[:-1]), axis=1)
-    bent = np.arctan2(sine, cosine)
+    direction = move[rows] / length[rows, None]
+    cosine = dots(direction[1:], direction[:-1])
+    sine = np.linalg.norm(np.cross(direction[1:], direction[:-1]), axis=1)
+    angle = np.arctan2(sine, cosine)
     broken = np.cumsum(gap)[rows[1:]] != np.cumsum(gap)[rows[:-1]]
-    turn[rows[1:]] = np.where(broken, 0.0, bent)
+    turn[rows[1:]] = np.where(broken, 0.0, angle)
     return turn, length
 
 
-def _corners(found: Targets, put: _Put) -> Targets:
-    """Where creases keep the ball off: the last places that it reaches on either side, and nothing between if
-    they have become one."""
-    same = found.piece[1:] == found.piece[:-1]
-    edge = np.flatnonzero(same & (found.missed[1:] != found.missed[:-1]))
+def _trim_corners(targets: ContactTargets, make_at: _MakeTargets) -> ContactTargets:
+    """Treat sections that creases keep the ball away from.
+
+    Their ends are the last points that the ball reaches on either side. Nothing remains between if these have
+    become one.
+    """
+    same = targets.piece[1:] == targets.piece[:-1]
+    edge = np.flatnonzero(same & (targets.missed[1:] != targets.missed[:-1]))
     if not len(edge):
-        return found
-    good = np.where(found.missed[edge], found.at[edge + 1], found.at[edge])
-    bad = np.where(found.missed[edge], found.at[edge], found.at[edge + 1])
+        return targets
+    good = np.where(targets.missed[edge], targets.row[edge + 1], targets.row[edge])
+    bad = np.where(targets.missed[edge], targets.row[edge], targets.row[edge + 1])
     for _ in range(_END_HALVINGS):
         middle = 0.5 * (good + bad)
-        out = put(middle).missed
+        out = make_at(middle).missed
         good, bad = np.where(out, good, middle), np.where(out, middle, bad)
-    found = _merged(found, put(good))
-    run = np.cumsum(np.append(0, found.missed[1:] != found.missed[:-1]))
+    targets = _merge_targets(targets, make_at(good))
+    run = np.cumsum(np.append(0, targets.missed[1:] != targets.missed[:-1]))
     first = np.searchsorted(run, run, side="left")
     last = np.searchsorted(run, run, side="right") - 1
-    before, after = np.maximum(first - 1, 0), np.minimum(last + 1, len(run) - 1)
-    whole = (first > 0) & (last < len(run) - 1) & (found.piece[before] == found.piece[after])
-    near = np.linalg.norm(found.centre[after] - found.centre[before], axis=1) < _CLOSED_GAP
-    return found[~(found.missed & whole & near)]
+    previous, following = np.maximum(first - 1, 0), np.minimum(last + 1, len(run) - 1)
+    whole = (first > 0) & (last < len(run) - 1) & (targets.piece[previous] == targets.piece[following])
+    is_near = np.linalg.norm(targets.centre[following] - targets.centre[previous], axis=1) < _MAX_CLOSED_GAP_M
+    return targets[~(targets.missed & whole & is_near)]
 
 
-def _halved(found: Targets, put: _Put, face: Face, options: PathOptions) -> Targets:
-    """Targets put between those whose straight move leaves the way of the centre."""
-    check = np.ones(len(found.at) - 1, dtype=np.bool_)
-    for _ in range(_SPLIT_ROUNDS):
-        length = np.linalg.norm(np.diff(found.centre, axis=0), axis=1)
-        check &= (found.piece[1:] == found.piece[:-1]) & (length > 2.0 * LEAST_SPACING)
+def _split_moves(
+    targets: ContactTargets, make_at: _MakeTargets, face: ContactFace, options: PathOptions
+) -> ContactTargets:
+    """Insert targets between those whose straight move leaves the path of the centre."""
+    check = np.ones(len(targets.row) - 1, dtype=np.bool_)
+    for _ in range(_MAX_SPLIT_ROUNDS):
+        length = np.linalg.norm(np.diff(targets.centre, axis=0), axis=1)
+        check &= (targets.piece[1:] == targets.piece[:-1]) & (length > 2.0 * MIN_SPACING_M)
         rows = np.flatnonzero(check)
         if not len(rows):
             break
-        middle = put(0.5 * (found.at[rows] + found.at[rows + 1]))
-        off = _off_line(middle.centre, found.centre[rows], found.centre[rows + 1])
-        straight = 0.5 * (found.centre[rows] + found.centre[rows + 1])
-        # at a corner the middle is not where the ball goes; only what it cuts there counts
-        odd = np.flatnonzero(middle.missed)
+        middle = make_at(0.5 * (targets.row[rows] + targets.row[rows + 1]))
+        deviation = _line_distance(middle.centre, targets.centre[rows], targets.centre[rows + 1])
+        straight = 0.5 * (targets.centre[rows] + targets.centre[rows + 1])
+        # at a corner the ball does not pass the middle, so only cutting into the face counts
+        missed_rows = np.flatnonzero(middle.missed)
         cuts = dots(middle.centre - straight, middle.normal) > options.cut
-        if len(odd):
-            cuts[odd] = face.clearance(straight[odd]) < face.radius - min(options.chord, options.cut)
-        more = cuts | (~middle.missed & (off > options.chord)) | (length[rows] > 1.001 * options.longest)
-        if not more.any():
+        if len(missed_rows):
+            cuts[missed_rows] = face.clearance(straight[missed_rows]) < face.radius - min(
+                options.chord, options.cut
+            )
+        split = (
+            cuts | (~middle.missed & (deviation > options.chord)) | (length[rows] > 1.001 * options.longest)
+        )
+        if not split.any():
             break
-        fresh = np.zeros(len(found.at), dtype=np.bool_)
-        fresh[rows[more]] = True
-        slots = np.flatnonzero(fresh) + np.arange(1, int(more.sum()) + 1)
-        found = _merged(found, middle[more])
-        check = np.zeros(len(found.at) - 1, dtype=np.bool_)
+        is_split = np.zeros(len(targets.row), dtype=np.bool_)
+        is_split[rows[split]] = True
+        slots = np.flatnonzero(is_split) + np.arange(1, int(split.sum()) + 1)
+        targets = _merge_targets(targets, middle[split])
+        check = np.zeros(len(targets.row) - 1, dtype=np.bool_)
         check[slots - 1] = check[slots] = True
-    return found
+    return targets
 
 
-def _rolled(found: Targets, face: Face, cut: float) -> Targets:
-    """Targets put where the ball rolls over a convex edge: on the way from loop to loop the nearest place of
-    the face hops over it, however near targets are, and the straight move from one side to the other cuts
-    into the edge by more than ``cut`` [m]. There the place nearest to the move is on the edge."""
-    check = np.ones(len(found.at) - 1, dtype=np.bool_)
-    share = _TRIED_SHARES[:, None, None]
-    for _ in range(_SPLIT_ROUNDS):
-        turned = dots(found.normal[1:], found.normal[:-1]) < 1.0 - cut / face.radius
-        rows = np.flatnonzero(check & turned & (found.piece[1:] == found.piece[:-1]))
+def _add_edge_targets(targets: ContactTargets, face: ContactFace, cut: float) -> ContactTargets:
+    """Insert targets where the ball rolls over a convex edge.
+
+    From loop to loop the nearest point of the face jumps over the edge, however near targets are, and the
+    straight move from one side to the other cuts into the edge by more than ``cut`` [m]. There the point
+    nearest to the move is on the edge.
+    """
+    check = np.ones(len(targets.row) - 1, dtype=np.bool_)
+    fractions = _MOVE_SAMPLE_FRACTIONS[:, None, None]
+    for _ in range(_MAX_SPLIT_ROUNDS):
+        has_turned = dots(targets.normal[1:], targets.normal[:-1]) < 1.0 - cut / face.radius
+        rows = np.flatnonzero(check & has_turned & (targets.piece[1:] == targets.piece[:-1]))
         if not len(rows):
             break
-        one, two = found.centre[rows], found.centre[rows + 1]
-        way = ((1.0 - share) * one + share * two).reshape(-1, 3)
-        clear = face.clearance(way).reshape(len(share), len(rows))
+        start, end = targets.centre[rows], targets.centre[rows + 1]
+        samples = ((1.0 - fractions) * start + fractions * end).reshape(-1, 3)
+        clear = face.clearance(samples).reshape(len(fractions), len(rows))
         rows = rows[clear.min(axis=0) < face.radius - cut]
         if not len(rows):
             break
-        _, place, away = face.deepest(0.5 * (found.centre[rows] + found.centre[rows + 1]))
-        over = face.clear(place, away)
-        still = np.zeros(len(rows), dtype=np.bool_)
-        middle = Targets(
-            0.5 * (found.at[rows] + found.at[rows + 1]),
-            over.point,
-            over.normal,
-            over.centre,
-            found.loop[rows + 1],
-            found.piece[rows],
-            still,
-            still,
+        _, nearest, away = face.deepest(0.5 * (targets.centre[rows] + targets.centre[rows + 1]))
+        contact = face.clear(nearest, away)
+        false = np.zeros(len(rows), dtype=np.bool_)
+        middle = ContactTargets(
+            0.5 * (targets.row[rows] + targets.row[rows + 1]),
+            contact.point,
+            contact.normal,
+            contact.centre,
+            targets.loop[rows + 1],
+            targets.piece[rows],
+            false,
+            false,
         )
-        found = _merged(found, middle)
-        check = np.zeros(len(found.at) - 1, dtype=np.bool_)
+        targets = _merge_targets(targets, middle)
+        check = np.zeros(len(targets.row) - 1, dtype=np.bool_)
         slots = rows + np.arange(1, len(rows) + 1)
         check[slots - 1] = check[slots] = True
-    return found
+    return targets
 
 
-def _off_line(points: FloatArray, one: FloatArray, two: FloatArray) -> FloatArray:
-    way, rest = two - one, points - one
-    share = dots(rest, way) / np.maximum(dots(way, way), 1e-300)
-    return np.asarray(np.linalg.norm(rest - np.clip(share, 0.0, 1.0)[:, None] * way, axis=1))
+def _line_distance(points: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
+    line, rest = end - start, points - start
+    fraction = dots(rest, line) / np.maximum(dots(line, line), 1e-300)
+    return np.asarray(np.linalg.norm(rest - np.clip(fraction, 0.0, 1.0)[:, None] * line, axis=1))
 
 
-def _merged(one: Targets, two: Targets) -> Targets:
-    order = np.argsort(np.concatenate([one.at, two.at]), kind="stable")
-    both = (np.concatenate([getattr(one, f.name), getattr(two, f.name)]) for f in dataclasses.fields(one))
-    return Targets(*(part[order] for part in both))
+def _merge_targets(first: ContactTargets, second: ContactTargets) -> ContactTargets:
+    order = np.argsort(np.concatenate([first.row, second.row]), kind="stable")
+    both = (
+        np.concatenate([getattr(first, f.name), getattr(second, f.name)]) for f in dataclasses.fields(first)
+    )
+    return ContactTargets(*(part[order] for part in both))
 
 
-def _apart(found: Targets) -> Targets:
-    """Without targets whose centres are nearer than 0.05 mm to the one before; ends of pieces stay."""
-    while len(found.at) > 2:
-        near = np.linalg.norm(np.diff(found.centre, axis=0), axis=1) < LEAST_SPACING
-        same = found.piece[1:] == found.piece[:-1]
-        if not (near & same).any():
+def _drop_close_targets(targets: ContactTargets) -> ContactTargets:
+    """Remove targets whose centres are nearer than 0.05 mm to the previous one; ends of pieces stay."""
+    while len(targets.row) > 2:
+        is_near = np.linalg.norm(np.diff(targets.centre, axis=0), axis=1) < MIN_SPACING_M
+        same = targets.piece[1:] == targets.piece[:-1]
+        if not (is_near & same).any():
             break
-        pair = np.flatnonzero(near & same)
-        end = np.append(~same, True)[pair + 1] | (found.kept[pair + 1] & ~found.kept[pair])
-        victim = np.zeros(len(found.at), dtype=np.bool_)
-        victim[np.where(end, pair, pair + 1)] = True
+        pair = np.flatnonzero(is_near & same)
+        end = np.append(~same, True)[pair + 1] | (targets.kept[pair + 1] & ~targets.kept[pair])
+        is_dropped = np.zeros(len(targets.row), dtype=np.bool_)
+        is_dropped[np.where(end, pair, pair + 1)] = True
         start = np.concatenate([[True], ~same])
-        victim &= ~(start & ~np.append(~same, True))  # a piece of one target stays
-        if not victim.any():
+        is_dropped &= ~(start & ~np.append(~same, True))  # a piece of one target stays
+        if not is_dropped.any():
             break
-        run = np.cumsum(np.append(0, victim[1:] != victim[:-1]))
-        place = np.arange(len(run)) - np.searchsorted(run, run, side="left")
-        found = found[~(victim & (place % 2 == 0))]
-    return found
+        run = np.cumsum(np.append(0, is_dropped[1:] != is_dropped[:-1]))
+        position = np.arange(len(run)) - np.searchsorted(run, run, side="left")
+        targets = targets[~(is_dropped & (position % 2 == 0))]
+    return targets
 
 
-MOST_LEVEL_LINES: Final = 20_000
-"""Level lines of a path at most."""
+MAX_LEVEL_LINES: Final = 20_000
+"""Maximum number of level lines of a path."""
 
 
-def make_path(one: Pass, radius: float, options: PathOptions) -> ContactPath:
-    """The way of the contact of a ball of ``radius`` [m] over the face of a pass, level by level from its
-    start to its end.
+def make_contact_path(forming_pass: FormingPass, radius: float, options: PathOptions) -> ContactPath:
+    """Return the path of the contact of a ball over the face of a pass.
 
-    The ball touches the face (to 3 um) at every target and cuts into it nowhere (to 2 um), nor by more than
-    ``options.cut`` on the straight moves between targets of its centre. Targets are at least 0.05 mm apart.
-    Concave creases, where no ball fits, are left with a fillet of the ball's own radius: the path keeps off
-    them as far as it must. Rows whose ``working`` is False are the ends of moves that do not form (lifts to
-    another loop; the move along the sheet of kind "stepped"): at those in the air ``point`` is the nearest
-    place of the face.
+    It goes level by level from the start of the pass to its end. The ball touches the face (to 3 um) at every
+    target. It does not cut into it there (to 2 um), nor by more than ``options.cut`` on the straight moves of
+    its centre between targets. Targets are at least 0.05 mm apart. Concave creases, where no ball fits, are
+    left with a fillet of the ball's own radius: the path keeps away from them as far as necessary. Rows whose
+    ``working`` is False are the ends of moves that do not form (lifts to another loop; the move along the
+    sheet of kind "stepped"). At those in the air ``point`` is the nearest point of the face.
 
-    Raises ``TandemError``: ``forming.path_options`` for a step, chord ... that is out of range,
-    ``forming.no_contour`` if nothing of the face is between its levels, ``forming.open_contour`` where the
-    mesh ends, ``forming.tool_radius`` where a smooth place is narrower than the ball.
+    Args:
+        forming_pass: Pass.
+        radius: Radius [m] of the ball.
+        options: Options of the path.
+
+    Raises:
+        TandemError: ``forming.path_options`` for a step, chord ... that is out of range;
+            ``forming.no_contour`` if nothing of the face is between its levels; ``forming.open_contour``
+            where the mesh ends; ``forming.tool_radius`` where a smooth region is narrower than the ball.
     """
-    _check(one, radius, options)
+    _check_options(forming_pass, radius, options)
     try:
-        return _path(one, radius, options)
+        return _ball_path(forming_pass, radius, options)
     except TooNarrow as narrow:
-        fits = largest(narrow, lambda smaller: _path(one, smaller, options), options.scallop or 0.0)
+        fits = largest_fitting_radius(
+            narrow, lambda smaller: _ball_path(forming_pass, smaller, options), options.scallop or 0.0
+        )
         raise narrow.error(fits) from None
 
 
-def _path(one: Pass, radius: float, options: PathOptions) -> ContactPath:
+def _ball_path(forming_pass: FormingPass, radius: float, options: PathOptions) -> ContactPath:
     """The path; raises ``TooNarrow`` where it is too narrow for the ball."""
-    vertices = one.vertices if one.side > 0 else one.vertices * MIRROR  # features that rise: upside down
-    start, end = one.side * one.start, one.side * one.end
-    region = _region(one)
-    box = np.stack([one.region.min(axis=0), one.region.max(axis=0)])[:, :2]
-    face = Face(TriangleMesh(vertices, one.faces), radius, box)
+    vertices = (
+        forming_pass.vertices if forming_pass.side > 0 else forming_pass.vertices * MIRROR
+    )  # mirror features that rise
+    start, end = forming_pass.side * forming_pass.start, forming_pass.side * forming_pass.end
+    region = _feature_region(forming_pass)
+    box = np.stack([forming_pass.region.min(axis=0), forming_pass.region.max(axis=0)])[:, :2]
+    face = ContactFace(TriangleMesh(vertices, forming_pass.faces), radius, box)
     levels = _levels(face, region, start, end, radius, options)
-    centre = np.asarray(Polygon(one.region[:, :2]).centroid.coords[0])
+    centre = np.asarray(Polygon(forming_pass.region[:, :2]).centroid.coords[0])
 
-    def sliced(heights: FloatArray) -> list[list[Loop]]:
+    def slice_face(heights: FloatArray) -> list[list[LevelLoop]]:
         mesh = face.mesh
-        found = closed_lines(cut(mesh.vertices, mesh.faces, face.smooth, heights), region, one.name)
-        groups: list[list[Loop]] = [[] for _ in heights]
-        for loop in found:
+        level_loops = closed_lines(
+            cut_levels(mesh.vertices, mesh.faces, face.smooth, heights), region, forming_pass.name
+        )
+        groups: list[list[LevelLoop]] = [[] for _ in heights]
+        for loop in level_loops:
             groups[loop.level].append(loop)
         return groups
 
     creases = Creases(face)
-    wider = Face(face.mesh, radius + options.spare, box) if options.spare > 0.0 else None
-    groups = lowest_reached(
-        sliced(levels), levels, sliced, face, creases, options.chord, wider, options.missed
-    )
-    loops, ways = in_order([group for group in groups if group], options, centre)
+    wider = ContactFace(face.mesh, radius + options.spare, box) if options.spare > 0.0 else None
+    slices = LevelSlices(levels=levels, groups=slice_face(levels), slice_face=slice_face)
+    groups = reachable_loops(slices, face, creases, options.chord, wider=wider, missed=options.missed)
+    loops, transitions = order_loops([group for group in groups if group], options, centre)
     if not loops:
-        what = f"{one.name}: no closed level line of the face lies in the feature's outline between z = "
-        what += f"{1e3 * one.start:.3f} and {1e3 * one.end:.3f} mm; check that levels and outline belong to "
+        what = f"{forming_pass.name}: the face has no closed level line in the feature's outline between z = "
+        what += (
+            f"{1e3 * forming_pass.start:.3f} and {1e3 * forming_pass.end:.3f} mm; check that levels and "
+            "outline belong to "
+        )
         what += "the face"
-        raise refusal("forming.no_contour", what)
+        raise issue_error("forming.no_contour", what)
     helical = options.kind == "helical"
-    curve = spiral_curve(loops, ways, options.seams) if helical else loop_curve(loops, ways)
-    return _contact_path(targets(curve, face, creases, options, one.name), curve, face, options, one.side)
+    curve = spiral_curve(loops, transitions, options.seams) if helical else loop_curve(loops, transitions)
+    return _assemble_path(
+        make_targets(curve, face, creases, options, forming_pass.name),
+        curve,
+        face,
+        options,
+        forming_pass.side,
+    )
 
 
 def _levels(
-    face: Face, region: Polygon | None, start: float, end: float, radius: float, options: PathOptions
+    face: ContactFace, region: Polygon | None, start: float, end: float, radius: float, options: PathOptions
 ) -> FloatArray:
     if options.scallop is not None:
-        width = scallop_width(radius, options.scallop)
-        mesh = face.mesh
-        levels = scallop_levels(mesh.vertices, mesh.faces, face.smooth, region, start, end, width)
+        width = scallop_spacing(radius, options.scallop)
+        levels = scallop_levels(face.mesh, face.smooth, region, start, end, width)
     else:
         levels = constant_levels(start, end, options.stepdown or start - end)
     levels = np.append(start, levels)  # the first turn is flat, at the flat around the feature
-    # levels of the flat have no lines of their own
-    return np.asarray(np.clip(levels, end + FLAT_MARGIN, start - FLAT_MARGIN))
+    # the flat itself has no level lines
+    return np.asarray(np.clip(levels, end + FLAT_MARGIN_M, start - FLAT_MARGIN_M))
 
 
-def _region(one: Pass) -> Polygon:
-    """The outline of the feature and a little more, as the first lines run along it."""
-    wide = float(np.ptp(one.region, axis=0).max())
-    return Polygon(one.region[:, :2]).buffer(0.0).buffer(2e-4 + 1e-3 * wide)
+def _feature_region(forming_pass: FormingPass) -> Polygon:
+    """Outline of the feature with a small margin, because the first lines run along it."""
+    width = float(np.ptp(forming_pass.region, axis=0).max())
+    return Polygon(forming_pass.region[:, :2]).buffer(0.0).buffer(2e-4 + 1e-3 * width)
 
 
-def _contact_path(found: Targets, curve: Curve, face: Face, options: PathOptions, side: int) -> ContactPath:
-    """The targets with what lies between pieces, turned back to the side that forms."""
-    point, normal, centre, loop = found.point, found.normal, found.centre, found.loop
+def _assemble_path(
+    targets: ContactTargets, curve: ContactCurve, face: ContactFace, options: PathOptions, side: int
+) -> ContactPath:
+    """The targets with the moves between pieces, mirrored back to the side that forms."""
+    point, normal, centre, loop = targets.point, targets.normal, targets.centre, targets.loop
     working = np.ones(len(point), dtype=np.bool_)
     working[0] = False
-    breaks = np.flatnonzero(np.diff(found.piece)) + 1
+    breaks = np.flatnonzero(np.diff(targets.piece)) + 1
     high = float(face.mesh.vertices[:, 2].max()) + face.radius + options.lift
-    at, between, labels = [], [], []
+    insert_rows, insert_centres, labels = [], [], []
     for row in breaks:
-        one, two = centre[row - 1], centre[row]
-        if curve.ways[found.piece[row - 1]] == "step":
-            over = [np.array([two[0], two[1], max(one[2], two[2])])]
+        start, end = centre[row - 1], centre[row]
+        if curve.transitions[targets.piece[row - 1]] == "step":
+            via_points = [np.array([end[0], end[1], max(start[2], end[2])])]
         else:
-            over = [np.array([one[0], one[1], high]), np.array([two[0], two[1], high])]
+            via_points = [np.array([start[0], start[1], high]), np.array([end[0], end[1], high])]
             working[row] = False
-        at += [row] * len(over)
-        between += over
-        labels += [loop[row]] * len(over)
-    if at:
-        air = np.array(between)
-        near, on, weights = face.nearest(air)
-        centre, point = np.insert(centre, at, air, axis=0), np.insert(point, at, near, axis=0)
-        normal = np.insert(normal, at, face.normal_at(on, weights), axis=0)
-        loop = np.insert(loop, at, labels)
-        working = np.insert(working, at, False)
-    back = np.array([1.0, 1.0, float(side)])
+        insert_rows += [row] * len(via_points)
+        insert_centres += via_points
+        labels += [loop[row]] * len(via_points)
+    if insert_rows:
+        air = np.array(insert_centres)
+        nearest, nearest_face, weights = face.nearest(air)
+        centre, point = (
+            np.insert(centre, insert_rows, air, axis=0),
+            np.insert(point, insert_rows, nearest, axis=0),
+        )
+        normal = np.insert(normal, insert_rows, face.normal_at(nearest_face, weights), axis=0)
+        loop = np.insert(loop, insert_rows, labels)
+        working = np.insert(working, insert_rows, False)
+    mirror = np.array([1.0, 1.0, float(side)])
     return ContactPath(
-        point=point * back,
+        point=point * mirror,
         normal=normal * np.array([side, side, 1.0]),
-        centre=centre * back,
+        centre=centre * mirror,
         angle=np.arccos(np.clip(normal[:, 2], -1.0, 1.0)),
         loop=loop,
         working=working,
     )
 
 
-def _check(one: Pass, radius: float, options: PathOptions) -> None:
-    depth = one.side * (one.start - one.end)
-    wrong = []
+def _check_options(forming_pass: FormingPass, radius: float, options: PathOptions) -> None:
+    depth = forming_pass.side * (forming_pass.start - forming_pass.end)
+    problems = []
     step = options.stepdown if options.stepdown is not None else options.scallop
     if (options.stepdown is None) == (options.scallop is None):
-        wrong.append("state stepdown or scallop, one of both")
+        problems.append("state either stepdown or scallop")
     elif step is None or not step > 0.0 or not np.isfinite(step):
-        wrong.append("stepdown and scallop must be above 0")
-    elif options.stepdown is not None and depth / options.stepdown > MOST_LEVEL_LINES:
-        wrong.append(
-            f"stepdown {1e3 * options.stepdown:.4g} mm makes {depth / options.stepdown:.0f} levels, up to "
-            f"{MOST_LEVEL_LINES} are planned; take a stepdown of "
-            f"{1e3 * depth / MOST_LEVEL_LINES + 1e-5:.5f} mm at "
+        problems.append("stepdown and scallop must be above 0")
+    elif options.stepdown is not None and depth / options.stepdown > MAX_LEVEL_LINES:
+        problems.append(
+            f"stepdown {1e3 * options.stepdown:.4g} mm gives {depth / options.stepdown:.0f} levels, allowed "
+            f"are {MAX_LEVEL_LINES}; use a stepdown of "
+            f"{1e3 * depth / MAX_LEVEL_LINES + 1e-5:.5f} mm at "
             "least"
         )
     elif options.scallop is not None and not options.scallop < radius:
-        wrong.append(f"scallop {1e3 * options.scallop:.4g} mm must be below the ball's radius")
-    wrong += [
+        problems.append(f"scallop {1e3 * options.scallop:.4g} mm must be below the ball's radius")
+    problems += [
         f"{name} is {getattr(options, name):.4g}, it must be above 0"
         for name in ("tangent_angle", "chord", "cut", "longest", "lift", "missed")
         if not getattr(options, name) > 0.0
     ]
     if not radius > 0.0:
-        wrong.append(f"the ball's radius is {1e3 * radius:.4g} mm, it must be above 0")
-    if not depth > 2.0 * FLAT_MARGIN:
-        wrong.append(
-            f"the face goes from z = {1e3 * one.start:.4g} to {1e3 * one.end:.4g} mm, its end must lie "
-            f"{'below' if one.side > 0 else 'above'} its start"
+        problems.append(f"the ball's radius is {1e3 * radius:.4g} mm, it must be above 0")
+    if not depth > 2.0 * FLAT_MARGIN_M:
+        problems.append(
+            f"the face goes from z = {1e3 * forming_pass.start:.4g} to {1e3 * forming_pass.end:.4g} mm, its "
+            f"end must lie {'below' if forming_pass.side > 0 else 'above'} its start"
         )
-    if wrong:
-        raise TandemError([Issue("forming.path_options", f"{one.name}: {what}") for what in wrong])
+    if problems:
+        raise TandemError(
+            [Issue("forming.path_options", f"{forming_pass.name}: {what}") for what in problems]
+        )

@@ -1,14 +1,13 @@
 """Closed level lines of a face with their normals, and the levels by step or by ridge height.
 
-Lines are cut at all levels at once. From which level to which loops go: a constant step, or one
-that leaves ridges of a wanted height. A ball of radius R leaves ridges of height h between two ways
-that are d apart along a flat wall, h = R - sqrt(R^2 - d^2 / 4), so d = 2 sqrt(2 R h - h^2), and
-levels on a wall at angle a are d sin a apart (Malhotra and others 2010, who look at the flattest
-wall of the next contour; here of both). All levels here fall: for a feature that rises, mirror it
-first.
+Lines are cut at all levels at once. Levels follow from a constant step, or from the required height of the
+ridges. A ball of radius R leaves ridges of height h between two paths that are d apart along a flat wall, h =
+R - sqrt(R^2 - d^2 / 4), so d = 2 sqrt(2 R h - h^2), and levels on a wall at angle a are d sin a apart
+(Malhotra and others 2010, who use the flattest wall of the next contour; here of both). All levels here fall:
+mirror a feature that rises first.
 
-`ridge_heights`: what constant steps of a ball leave standing, place by place: ridges that grow where a
-wall is flat.
+`ridge_heights` gives the ridges that constant steps of a ball leave, point by point; they grow where a wall
+is flat.
 """
 
 import dataclasses
@@ -20,49 +19,65 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from shapely import Polygon, contains_xy
 
-from planner.geometry.arrays import FloatArray, IntArray, distinct_rows
+from planner.geometry.arrays import FloatArray, IntArray, unique_rows
 from planner.geometry.mesh import TriangleMesh, face_areas, face_normals
 from planner.geometry.units import DEG
-from planner.issues import refusal
+from planner.issues import issue_error
 
-_SAME_PLACE: Final = 1e-7
-"""Places of a line nearer than this [m], with the same normal, are one."""
-_SAME_NORMAL: Final = 1e-4
-"""Unit normals whose difference is shorter than this [-] are the same."""
-_FAN_STEP: Final = np.radians(2.0)
-"""Step [rad] of the normals between which a ball rolls over a crease at one place."""
-_LEAST_LOOP: Final = 2e-4
-"""Level lines shorter than this [m] are none."""
+_POINT_TOLERANCE_M: Final = 1e-7
+"""Points of a line nearer than this [m], with the same normal, are one."""
+_NORMAL_TOLERANCE: Final = 1e-4
+"""Unit normals whose difference is shorter than this [-] are equal."""
+_FAN_STEP_RAD: Final = np.radians(2.0)
+"""Step [rad] of the normals between which a ball rolls over a crease at one point."""
+_MIN_LOOP_LENGTH_M: Final = 2e-4
+"""Level lines shorter than this [m] are ignored."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Loop:
-    """A closed level line: ``point`` (K, 3) [m] and unit ``normal`` (K, 3), the last row as the first.
-    Neighbouring rows lie on one facet, or at one place between normals of a crease. ``level``: its number."""
+class LevelLoop:
+    """A closed level line.
+
+    Adjacent rows are on one facet, or at one point between normals of a crease.
+
+    Attributes:
+        point: Points (K, 3) [m], the last equal to the first.
+        normal: Unit normals (K, 3), the last equal to the first.
+        level: Number of its level.
+    """
 
     point: FloatArray
     normal: FloatArray
     level: int
 
     def length(self) -> float:
-        """Length [m]."""
+        """Return the length [m]."""
         return float(np.linalg.norm(np.diff(self.point, axis=0), axis=1).sum())
 
     def area(self) -> float:
-        """Area [m^2] in plan, positive where the line runs anticlockwise as seen from +z."""
+        """Return the area [m^2] in plan, positive if the line runs anticlockwise seen from +z."""
         x, y = self.point[:, 0], self.point[:, 1]
         return float(0.5 * np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))
 
-    def reversed(self) -> "Loop":
-        """The same line the other way round."""
-        return Loop(self.point[::-1], self.normal[::-1], self.level)
+    def reversed(self) -> "LevelLoop":
+        """Return the line in the opposite direction."""
+        return LevelLoop(self.point[::-1], self.normal[::-1], self.level)
 
 
 @dataclasses.dataclass(frozen=True)
-class Segments:
-    """Pieces of level lines, each on one facet: ``level`` (S,), ``face`` (S,), ``start`` and ``stop`` (S, 3)
-    [m], unit normals there (S, 3), and keys (S,) of the mesh's edges at both ends, unique over levels. The
-    higher side is to the right."""
+class LevelSegments:
+    """Pieces of level lines, each on one facet. The higher side is on the right.
+
+    Attributes:
+        level: Level (S,).
+        face: Face (S,).
+        start: Start points (S, 3) [m].
+        stop: End points (S, 3) [m].
+        start_normal: Unit normals (S, 3) at the start.
+        stop_normal: Unit normals (S, 3) at the end.
+        start_key: Key (S,) of the mesh edge at the start, unique over levels.
+        stop_key: Key (S,) of the mesh edge at the end, unique over levels.
+    """
 
     level: IntArray
     face: IntArray
@@ -74,19 +89,29 @@ class Segments:
     stop_key: IntArray
 
 
-def cut(vertices: FloatArray, faces: IntArray, normals: FloatArray, levels: FloatArray) -> Segments:
-    """Where the planes z = ``levels`` (L,) cut the facets, with ``normals`` (F, 3, 3) at their corners. A
-    vertex on a level counts as above it, so what is flat at a level is not cut."""
+def cut_levels(
+    vertices: FloatArray, faces: IntArray, normals: FloatArray, levels: FloatArray
+) -> LevelSegments:
+    """Return the segments in which horizontal planes cut the facets.
+
+    A vertex on a level counts as above it, so facets that are flat at a level are not cut.
+
+    Args:
+        vertices: Vertices [m].
+        faces: Triangles (F, 3).
+        normals: Unit normals (F, 3, 3) at their corners.
+        levels: Levels (L,) [m] of the planes.
+    """
     height = vertices[:, 2]
     corner = height[faces]
     order = np.argsort(levels)
     ordered = levels[order]
-    # levels z with least < z <= greatest of the face's corners
+    # levels z with min < z <= max of the face's corners
     first = np.searchsorted(ordered, corner.min(axis=1), side="right")
     count = np.searchsorted(ordered, corner.max(axis=1), side="right") - first
     face = np.repeat(np.arange(len(faces)), count)
-    place = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
-    level = order[np.repeat(first, count) + place]
+    offset = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
+    level = order[np.repeat(first, count) + offset]
     up = corner[face] >= levels[level][:, None]
     rises = ~up & np.roll(up, -1, axis=1)
     falls = up & ~np.roll(up, -1, axis=1)
@@ -98,141 +123,159 @@ def cut(vertices: FloatArray, faces: IntArray, normals: FloatArray, levels: Floa
     width = int(key.max()) + 1 if len(faces) else 1
     ends = []
     for side in (np.argmax(rises, axis=1), np.argmax(falls, axis=1)):
-        one, two = side, (side + 1) % 3
-        a, b = faces[face, one], faces[face, two]
-        swap = a > b  # both facets at an edge compute the very same place
+        first_corner, second_corner = side, (side + 1) % 3
+        a, b = faces[face, first_corner], faces[face, second_corner]
+        swap = a > b  # both facets at an edge compute exactly the same point
         a, b = np.where(swap, b, a), np.where(swap, a, b)
-        share = (levels[level] - height[a]) / (height[b] - height[a])
-        spot = vertices[a] + share[:, None] * (vertices[b] - vertices[a])
-        spot[:, 2] = levels[level]
-        mine = np.where(swap, 1.0 - share, share)[:, None]
-        mixed = (1.0 - mine) * normals[face, one] + mine * normals[face, two]
-        mixed /= np.maximum(np.linalg.norm(mixed, axis=1, keepdims=True), 1e-300)
-        ends.append((spot, mixed, level * width + key[face, side]))
+        fraction = (levels[level] - height[a]) / (height[b] - height[a])
+        point = vertices[a] + fraction[:, None] * (vertices[b] - vertices[a])
+        point[:, 2] = levels[level]
+        weight = np.where(swap, 1.0 - fraction, fraction)[:, None]
+        normal = (1.0 - weight) * normals[face, first_corner] + weight * normals[face, second_corner]
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+        ends.append((point, normal, level * width + key[face, side]))
     (start, start_normal, start_key), (stop, stop_normal, stop_key) = ends
-    return Segments(level, face, start, stop, start_normal, stop_normal, start_key, stop_key)
+    return LevelSegments(level, face, start, stop, start_normal, stop_normal, start_key, stop_key)
 
 
-def loops(segments: Segments, region: Polygon | None, name: str) -> list[Loop]:
-    """The closed lines within ``region`` that segments make up, in order of level, each at least 0.2 mm long.
+def closed_loops(segments: LevelSegments, region: Polygon | None, name: str) -> list[LevelLoop]:
+    """Return the closed lines that segments make up, in order of level, each at least 0.2 mm long.
 
-    Raises ``TandemError`` with ``forming.open_contour`` where a line ends at a border of the mesh within it.
+    Args:
+        segments: Segments.
+        region: Region in plan in which lines must lie; None for all.
+        name: Name of the pass, for messages.
+
+    Raises:
+        TandemError: ``forming.open_contour`` if a line ends at a border of the mesh inside the region.
     """
-    segments, follow = _followers(segments, region, name)
+    segments, successor = _successors(segments, region, name)
     count = len(segments.level)
     if not count:
         return []
-    least, jump = np.arange(count), follow.copy()
+    # pointer doubling: the smallest member names each cycle, then the steps to it order its segments
+    smallest, jump = np.arange(count), successor.copy()
     rounds = int(np.ceil(np.log2(max(count, 2)))) + 1
     for _ in range(rounds):
-        lower = np.minimum(least, least[jump])
-        if np.array_equal(lower, least):
+        lower = np.minimum(smallest, smallest[jump])
+        if np.array_equal(lower, smallest):
             break
-        least, jump = lower, jump[jump]
-    head = least == np.arange(count)
+        smallest, jump = lower, jump[jump]
+    head = smallest == np.arange(count)
     ahead = np.where(head, 0, 1)
-    jump = np.where(head, np.arange(count), follow)
+    jump = np.where(head, np.arange(count), successor)
     for _ in range(rounds):
         step = ahead[jump]
         if not step.any():
             break
         ahead, jump = ahead + step, jump[jump]
-    place = np.where(head, 0, -ahead)
-    rank = np.lexsort((np.where(head, -(count + 1), place), least, segments.level))
-    label = least[rank]
+    position = np.where(head, 0, -ahead)
+    rank = np.lexsort((np.where(head, -(count + 1), position), smallest, segments.level))
+    label = smallest[rank]
     cuts = np.flatnonzero(label[1:] != label[:-1]) + 1
-    found = []
+    result = []
     for rows in np.split(rank, cuts):
-        loop = _loop(segments, rows)
-        if loop is not None and (region is None or _share_inside(loop.point, region) > 0.99):
-            found.append(loop)
-    return found
+        loop = _make_loop(segments, rows)
+        if loop is not None and (region is None or _inside_fraction(loop.point, region) > 0.99):
+            result.append(loop)
+    return result
 
 
-def _share_inside(point: FloatArray, region: Polygon) -> float:
+def _inside_fraction(point: FloatArray, region: Polygon) -> float:
     return float(np.mean(contains_xy(region, point[:, 0], point[:, 1])))
 
 
-def _followers(segments: Segments, region: Polygon | None, name: str) -> tuple[Segments, IntArray]:
+def _successors(segments: LevelSegments, region: Polygon | None, name: str) -> tuple[LevelSegments, IntArray]:
     count = len(segments.level)
     if not count:
         return segments, np.zeros(0, dtype=np.int64)
     order = np.argsort(segments.start_key, kind="stable")
     keys = segments.start_key[order]
-    at = np.minimum(np.searchsorted(keys, segments.stop_key), count - 1)
-    follow, ends = order[at], keys[at] != segments.stop_key
+    match = np.minimum(np.searchsorted(keys, segments.stop_key), count - 1)
+    successor, ends = order[match], keys[match] != segments.stop_key
     if not ends.any():
-        return segments, follow
-    spot = segments.stop[ends]
-    inside = np.ones(len(spot), bool) if region is None else contains_xy(region, spot[:, 0], spot[:, 1])
+        return segments, successor
+    end_points = segments.stop[ends]
+    inside = (
+        np.ones(len(end_points), bool)
+        if region is None
+        else contains_xy(region, end_points[:, 0], end_points[:, 1])
+    )
     if inside.any():
-        at_mm = 1e3 * spot[inside][0]
+        at_mm = 1e3 * end_points[inside][0]
         what = f"{name}: the level line at z = {at_mm[2]:.2f} mm ends at ({at_mm[0]:.1f}, {at_mm[1]:.1f}) "
-        what += "mm, closed ones are wanted: the mesh has a hole or a border there; close it, or let the "
-        what += "mesh reach the flat around the feature"
-        raise refusal("forming.open_contour", what)
+        what += "mm, where the mesh has a hole or a border; close it, or let the mesh reach the flat around "
+        what += "the feature"
+        raise issue_error("forming.open_contour", what)
     rows = np.flatnonzero(~ends)
-    graph = coo_array((np.ones(len(rows)), (rows, follow[rows])), shape=(count, count))
+    graph = coo_array((np.ones(len(rows)), (rows, successor[rows])), shape=(count, count))
     _, piece = connected_components(graph, directed=False)
     kept = ~np.isin(piece, piece[ends])
     rank = np.cumsum(kept) - 1
-    some = Segments(*(getattr(segments, field.name)[kept] for field in dataclasses.fields(segments)))
-    return some, rank[follow[kept]]
+    kept_segments = LevelSegments(
+        *(getattr(segments, field.name)[kept] for field in dataclasses.fields(segments))
+    )
+    return kept_segments, rank[successor[kept]]
 
 
-def _loop(segments: Segments, rows: IntArray) -> Loop | None:
+def _make_loop(segments: LevelSegments, rows: IntArray) -> LevelLoop | None:
     point = np.stack([segments.start[rows], segments.stop[rows]], axis=1).reshape(-1, 3)
     normal = np.stack([segments.start_normal[rows], segments.stop_normal[rows]], axis=1).reshape(-1, 3)
     point, normal = np.concatenate([point, point[:1]]), np.concatenate([normal, normal[:1]])
     move = np.linalg.norm(np.diff(point, axis=0), axis=1)
-    if move.sum() < _LEAST_LOOP:
+    if move.sum() < _MIN_LOOP_LENGTH_M:
         return None
     turn = np.linalg.norm(np.diff(normal, axis=0), axis=1)
-    kept = np.concatenate([[True], (move > _SAME_PLACE) | (turn > _SAME_NORMAL)])
+    kept = np.concatenate([[True], (move > _POINT_TOLERANCE_M) | (turn > _NORMAL_TOLERANCE)])
     kept[-1] = True
     point, normal = point[kept], normal[kept]
     turn = np.linalg.norm(np.diff(normal, axis=0), axis=1)
-    still = np.linalg.norm(np.diff(point, axis=0), axis=1) <= _SAME_PLACE
-    fans = np.flatnonzero(still & (turn > _FAN_STEP))
+    is_same_point = np.linalg.norm(np.diff(point, axis=0), axis=1) <= _POINT_TOLERANCE_M
+    fans = np.flatnonzero(is_same_point & (turn > _FAN_STEP_RAD))
     if len(fans):
-        parts = np.ceil(turn[fans] / _FAN_STEP).astype(np.int64)
-        many = np.ones(len(point) - 1, dtype=np.int64)
-        many[fans] = parts
-        base = np.repeat(np.arange(len(many)), many)
-        share = (np.arange(len(base)) - np.repeat(np.cumsum(many) - many, many)) / many[base]
-        point = np.concatenate([point[base] + share[:, None] * (point[base + 1] - point[base]), point[-1:]])
-        mixed = (1.0 - share)[:, None] * normal[base] + share[:, None] * normal[base + 1]
+        parts = np.ceil(turn[fans] / _FAN_STEP_RAD).astype(np.int64)
+        repeats = np.ones(len(point) - 1, dtype=np.int64)
+        repeats[fans] = parts
+        base = np.repeat(np.arange(len(repeats)), repeats)
+        fraction = (np.arange(len(base)) - np.repeat(np.cumsum(repeats) - repeats, repeats)) / repeats[base]
+        point = np.concatenate(
+            [point[base] + fraction[:, None] * (point[base + 1] - point[base]), point[-1:]]
+        )
+        mixed = (1.0 - fraction)[:, None] * normal[base] + fraction[:, None] * normal[base + 1]
         mixed /= np.maximum(np.linalg.norm(mixed, axis=1, keepdims=True), 1e-300)
         normal = np.concatenate([mixed, normal[-1:]])
-    return Loop(point, normal, int(segments.level[rows[0]]))
+    return LevelLoop(point, normal, int(segments.level[rows[0]]))
 
 
-FLAT_MARGIN: Final = 1e-6
-"""The last line is so far above the flat end of a feature [m], where there are no lines."""
+FLAT_MARGIN_M: Final = 1e-6
+"""Distance [m] of the last line above the flat end of a feature, where there are no lines."""
 _PROFILE_STEPS: Final = 400
-"""Heights of a wall between which its ridges are worked out."""
+"""Number of heights of a wall between which its ridges are calculated."""
 _SHELF_WIDTHS: Final = 4.0
-"""A shelf between two neighbouring levels counts as so many ridges wide at most."""
+"""Maximum width of a shelf between two adjacent levels, in ridge widths."""
 
 
-def scallop_width(radius: float, scallop: float) -> float:
-    """How far apart [m] along a flat wall ways of a ball may be that leave ridges ``scallop`` [m] high."""
+def scallop_spacing(radius: float, scallop: float) -> float:
+    """Return the spacing [m] along a flat wall of paths of a ball that leave ridges ``scallop`` [m] high."""
     return 2.0 * float(np.sqrt(2.0 * radius * scallop - scallop * scallop))
 
 
 def scallop_height(radius: float, width: float | FloatArray) -> FloatArray:
-    """Height [m] of the ridges between ways ``width`` [m] apart along a flat wall: the inverse."""
+    """Return the height [m] of the ridges between paths ``width`` [m] apart along a flat wall.
+
+    The inverse of `scallop_spacing`: h = R - sqrt(R^2 - d^2 / 4).
+    """
     return np.asarray(radius - np.sqrt(np.maximum(radius**2 - 0.25 * np.square(width), 0.0)))
 
 
 def constant_levels(start: float, end: float, step: float) -> FloatArray:
-    """Levels below ``start`` down to ``end``, ``step`` [m] apart, the last step being what is left."""
+    """Return levels below ``start`` down to ``end``, ``step`` [m] apart; the last step is the remainder."""
     count = max(int(np.ceil((start - end) / step - 1e-6)), 1)
     return np.asarray(np.append(start - step * np.arange(1, count), end))
 
 
-def flattest(segments: Segments, region: Polygon | None, count: int) -> FloatArray:
-    """The least wall angle (count,) [rad] on each level, NaN where there is no line."""
+def flattest_wall(segments: LevelSegments, region: Polygon | None, count: int) -> FloatArray:
+    """Return the smallest wall angle (count,) [rad] on each level, NaN where there is no line."""
     if region is not None:
         middle = 0.5 * (segments.start[:, :2] + segments.stop[:, :2])
         inside = contains_xy(region, middle[:, 0], middle[:, 1])
@@ -245,85 +288,103 @@ def flattest(segments: Segments, region: Polygon | None, count: int) -> FloatArr
 
 
 def scallop_levels(
-    vertices: FloatArray,
-    faces: IntArray,
-    normals: FloatArray,
-    region: Polygon | None,
-    start: float,
-    end: float,
-    width: float,
+    mesh: TriangleMesh, normals: FloatArray, region: Polygon | None, start: float, end: float, width: float
 ) -> FloatArray:
-    """Levels below ``start`` down to ``end`` whose lines are ``width`` [m] apart along the face.
+    """Return levels whose lines are a given width apart along the face.
 
-    A step is ``width`` times the sine of the flattest wall of both its lines; where the face turns so flat
-    that this comes to little, lines are at least half of ``width`` apart along the face instead, as nothing
-    is gained from more of them.
+    A step is ``width`` times the sine of the flattest wall of both its lines. Where the face becomes so flat
+    that this is small, lines are at least half of ``width`` apart along the face instead, because more of
+    them gain nothing.
+
+    Args:
+        mesh: Face, F triangles.
+        normals: Unit normals (F, 3, 3) at the corners of the triangles.
+        region: Region in plan; None for all.
+        start: Upper level [m], not included.
+        end: Lower level [m].
+        width: Spacing [m] along the face.
     """
-    share = np.linspace(0.0, 1.0, _PROFILE_STEPS + 1)
-    smooth = share * share * (3.0 - 2.0 * share)  # dense at both ends, where faces turn into the flat
-    grid = start - FLAT_MARGIN - (start - end - 2.0 * FLAT_MARGIN) * smooth
-    angle = flattest(cut(vertices, faces, normals, grid), region, len(grid))
+    fraction = np.linspace(0.0, 1.0, _PROFILE_STEPS + 1)
+    smooth = (
+        fraction * fraction * (3.0 - 2.0 * fraction)
+    )  # dense at both ends, where faces turn into the flat
+    grid = start - FLAT_MARGIN_M - (start - end - 2.0 * FLAT_MARGIN_M) * smooth
+    angle = flattest_wall(cut_levels(mesh.vertices, mesh.faces, normals, grid), region, len(grid))
     known = np.isfinite(angle)
     sine = np.interp(-grid, -grid[known], np.sin(angle[known])) if known.any() else np.ones(len(grid))
-    way = -np.diff(grid) * 2.0 / np.maximum(sine[1:] + sine[:-1], 1e-9)
-    along = np.concatenate([[0.0], np.cumsum(np.minimum(way, _SHELF_WIDTHS * width))])
+    path_length = -np.diff(grid) * 2.0 / np.maximum(sine[1:] + sine[:-1], 1e-9)
+    along = np.concatenate([[0.0], np.cumsum(np.minimum(path_length, _SHELF_WIDTHS * width))])
     depth = grid[0] - grid
     levels = []
-    at = 0.0
-    while at < depth[-1] - FLAT_MARGIN:
-        here = float(np.interp(at, depth, sine))
-        # the farthest level of the profile to which the step holds, then the place between it and the next
-        ahead = depth > at
-        flat = np.minimum(np.minimum.accumulate(np.where(ahead, sine, np.inf)), here)
-        holds = ahead & (depth - at <= width * flat)
+    depth_reached = 0.0
+    while depth_reached < depth[-1] - FLAT_MARGIN_M:
+        local_sine = float(np.interp(depth_reached, depth, sine))
+        # farthest level of the profile for which step <= width * min sine, then interpolate to the next
+        ahead = depth > depth_reached
+        flat = np.minimum(np.minimum.accumulate(np.where(ahead, sine, np.inf)), local_sine)
+        holds = ahead & (depth - depth_reached <= width * flat)
         step = 0.0
         if holds.any():
             last = int(np.flatnonzero(holds)[-1])
             beyond = min(last + 1, len(depth) - 1)
-            step = max(depth[last] - at, min(width * flat[beyond], depth[beyond] - at))
+            step = max(depth[last] - depth_reached, min(width * flat[beyond], depth[beyond] - depth_reached))
         else:
             nearest = int(np.argmax(ahead))
-            step = min(width * flat[nearest], depth[nearest] - at)
-        least = float(np.interp(np.interp(at, depth, along) + 0.5 * width, along, depth)) - at
-        at = at + max(step, least, FLAT_MARGIN)
-        levels.append(grid[0] - min(at, depth[-1]))
+            step = min(width * flat[nearest], depth[nearest] - depth_reached)
+        min_step = (
+            float(np.interp(np.interp(depth_reached, depth, along) + 0.5 * width, along, depth))
+            - depth_reached
+        )
+        depth_reached = depth_reached + max(step, min_step, FLAT_MARGIN_M)
+        levels.append(grid[0] - min(depth_reached, depth[-1]))
     levels[-1] = end
     return np.asarray(levels)
 
 
-FLATTEST_WALL: Final = 2.0 * DEG
-"""Walls flatter than this [rad] count as flat: no finite steps leave them without ridges."""
+MIN_WALL_ANGLE_RAD: Final = 2.0 * DEG
+"""Walls flatter than this [rad] count as flat: no finite step leaves them without ridges."""
 _LINE_NEIGHBOURS: Final = 32
-"""Nearest places among which the nearest one of another line is looked for."""
+"""Number of nearest points among which the nearest one of another line is searched."""
 
 
-def ridge_heights(mesh: TriangleMesh, radius: float, step: float, share: float) -> FloatArray:
-    """Height (F,) [m] of the ridges between ways of a ball of ``radius`` [m] that are ``step`` [m] apart in
-    z, on the triangles of a face.
+def ridge_heights(mesh: TriangleMesh, radius: float, step: float, fraction: float) -> FloatArray:
+    """Return the height (F,) [m] of the ridges that a ball leaves on the triangles of a face.
 
-    On a wall at angle a ways are dz / sin a apart; where the wall bends, the flattest place within that
-    distance counts, for the ways on both sides of a ridge lie about there. Where it is nearly flat no step is
-    small enough: there the height is that at the angle that most of ``share`` of the walls stay above.
+    On a wall at angle a paths are dz / sin a apart. Where the wall bends, the flattest point within that
+    distance counts, because the paths on both sides of a ridge are about there. Where it is nearly flat no
+    step is small enough. There the height is that at the angle that the walls exceed except for (1 - share) /
+    2 of their area.
+
+    Args:
+        mesh: Face.
+        radius: Radius [m] of the ball.
+        step: Distance dz [m] of the paths in z.
+        fraction: Fraction of the walls that must be formed.
     """
     angle = np.arccos(np.clip(face_normals(mesh)[:, 2], -1.0, 1.0))
-    area = np.where(angle > FLATTEST_WALL, face_areas(mesh), 0.0)
+    area = np.where(angle > MIN_WALL_ANGLE_RAD, face_areas(mesh), 0.0)
     order = np.argsort(angle)
-    passed = np.cumsum(area[order]) / max(float(area.sum()), 1e-12)
-    least = max(float(angle[order[int(np.searchsorted(passed, 0.5 * (1.0 - share)))]]), FLATTEST_WALL)
-    middle = mesh.vertices[mesh.faces].mean(axis=1)
-    near = _least_within(
-        middle, np.maximum(angle, least), step / np.sin(np.maximum(angle, least)), 0.5 * step
+    cumulative = np.cumsum(area[order]) / max(float(area.sum()), 1e-12)
+    min_angle = max(
+        float(angle[order[int(np.searchsorted(cumulative, 0.5 * (1.0 - fraction)))]]), MIN_WALL_ANGLE_RAD
     )
-    return scallop_height(radius, np.minimum(step / np.sin(near), 2.0 * radius))
+    middle = mesh.vertices[mesh.faces].mean(axis=1)
+    local_angle = _min_within(
+        middle, np.maximum(angle, min_angle), step / np.sin(np.maximum(angle, min_angle)), 0.5 * step
+    )
+    return scallop_height(radius, np.minimum(step / np.sin(local_angle), 2.0 * radius))
 
 
-def _least_within(places: FloatArray, value: FloatArray, reach: FloatArray, cell: float) -> FloatArray:
-    """The least value (N,) of all places (N, 3) that are no farther than ``reach`` (N,) [m]: of those in one
-    cell of size ``cell`` [m] the least stands for all, so that fine meshes take no longer."""
-    which = distinct_rows(np.floor(places / cell).astype(np.int64))[2]
-    order = np.lexsort((value, which))
-    first = order[np.diff(which[order], prepend=-1) != 0]
+def _min_within(points: FloatArray, value: FloatArray, reach: FloatArray, cell: float) -> FloatArray:
+    """Minimum (N,) of the values of all points (N, 3) within ``reach`` (N,) [m].
+
+    The minimum of each cell of size ``cell`` [m] represents the whole cell, so that fine meshes take no
+    longer.
+    """
+    cell_index = unique_rows(np.floor(points / cell).astype(np.int64))[2]
+    order = np.lexsort((value, cell_index))
+    first = order[np.diff(cell_index[order], prepend=-1) != 0]
     count = min(_LINE_NEIGHBOURS, len(first))
-    apart, other = cKDTree(places[first]).query(places, k=[*range(1, count + 1)])
-    found = np.where(apart <= reach[:, None], value[first[other]], np.inf).min(axis=1)
-    return np.asarray(np.minimum(value, found))
+    distance, other = cKDTree(points[first]).query(points, k=[*range(1, count + 1)])
+    neighbour_minimum = np.where(distance <= reach[:, None], value[first[other]], np.inf).min(axis=1)
+    return np.asarray(np.minimum(value, neighbour_minimum))

@@ -1,6 +1,6 @@
 """Level lines joined to the curve that the contact follows: loop after loop, or one spiral.
 
-`PathOptions` is what a user may state about the path of the contact on a face.
+`PathOptions` has the user's options for the path of the contact on a face.
 """
 
 import dataclasses
@@ -12,229 +12,279 @@ import numpy as np
 from shapely import Point, Polygon
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
-from planner.processes.forming.plan.paths.level_lines import Loop
+from planner.processes.forming.plan.paths.level_lines import LevelLoop
 
-Kind = Literal["contour", "alternating", "stepped", "helical"]
-Direction = Literal["ccw", "cw"]
+PathKind = Literal["contour", "alternating", "stepped", "helical"]
+LoopDirection = Literal["ccw", "cw"]
 
 
-MISSED_DISTANCE: Final = 2e-5
-"""Smooth places [m] that a ball stays farther off are too narrow for it, where the mesh has no noise."""
+MAX_MISSED_DISTANCE_M: Final = 2e-5
+"""Smooth regions from which a ball stays farther away [m] are too narrow for it, if the mesh has no noise."""
 
 
 @dataclasses.dataclass(frozen=True)
 class PathOptions:
-    """How the contact goes over a face.
+    """Options for the path of the contact over a face.
 
-    ``kind``: "contour" closed loops, joined by a diagonal step along the face at the seam; "alternating" the
-    same, each loop the other way round; "stepped" at the seam level first, along the sheet as it is then,
-    and then straight down; "helical" one spiral between a flat first and a flat last loop.
-    Spacing: ``stepdown`` [m] from level to level or ``scallop`` [m], the height of the ridges left between
-    loops: exactly one of both. ``tangent_angle`` [rad]: a target wherever the contact's way has turned by so
-    much; corners always get one. ``chord`` [m]: the straight moves of the ball's centre stay within it of
-    the true offset of the face, and where they would cut into the face, within ``cut`` [m]. ``start_angle``
-    [rad] of the ray from the middle of the feature on which the
-    loops begin, ``direction`` of the loops as seen from +z. ``longest`` [m] move. ``lift`` [m]: so far above
-    everything the ball goes over to another loop. ``missed`` [m]: a place of a smooth face that the ball
-    stays farther off than this (and than the mesh's own facets make it) is too narrow for the tool;
-    infinite where a stated tolerance is asked before. ``spare`` [m]: fillets that a ball so
-    much larger does not fit count as creases; 0 where nothing depends on the place that the ball touches.
-    ``seams``: every loop of a spiral gets a target at its seam, so that it can be formed alone.
+    Attributes:
+        kind: "contour": closed loops, joined by a diagonal step along the face at the seam. "alternating":
+            the same with every other loop reversed. "stepped": at the seam first level, along the sheet as it
+            is then, and then straight down. "helical": one spiral between a flat first and a flat last loop.
+        stepdown: Distance [m] from level to level. Either this or ``scallop`` is stated.
+        scallop: Height [m] of the ridges left between loops.
+        tangent_angle: Turn [rad] of the contact's path after which there is a target; corners always get one.
+        chord: Maximum deviation [m] of the straight moves of the ball's centre from the true offset of the
+            face.
+        cut: Maximum depth [m] to which straight moves cut into the face.
+        start_angle: Angle [rad] of the ray from the middle of the feature on which the loops start.
+        direction: Direction of the loops seen from +z.
+        longest: Longest move [m].
+        lift: Height [m] above everything at which the ball moves to another loop.
+        missed: A point of a smooth face from which the ball stays farther away [m] than this (and than the
+            mesh's own facets cause) is too narrow for the tool; infinite if a stated tolerance is checked
+            before.
+        spare: Fillets that a ball with this much more radius [m] does not fit count as creases; 0 if nothing
+            depends on the point that the ball touches.
+        seams: Whether every loop of a spiral gets a target at its seam, so that it can be formed alone.
     """
 
-    kind: Kind = "contour"
+    kind: PathKind = "contour"
     stepdown: float | None = 1e-3
     scallop: float | None = None
     tangent_angle: float = math.radians(5.0)
     chord: float = 5e-5
     cut: float = 5e-5
     start_angle: float = 0.0
-    direction: Direction = "ccw"
+    direction: LoopDirection = "ccw"
     longest: float = 0.02
     lift: float = 5e-3
-    missed: float = MISSED_DISTANCE
+    missed: float = MAX_MISSED_DISTANCE_M
     spare: float = 0.0
     seams: bool = False
 
 
-Way = Literal["join", "step", "lift"]
+LoopTransition = Literal["join", "step", "lift"]
 
-_FAN_LENGTH: Final = 1e-3
-"""A turn of the normal over a crease counts as so much way [m/rad], so that it has places of its own."""
+_FAN_LENGTH_M_PER_RAD: Final = 1e-3
+"""Path length [m/rad] that a turn of the normal over a crease counts as, so that it has its own points."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Curve:
-    """A curve of wanted contact, K rows: ``point`` (K, 3) [m], unit ``normal`` (K, 3), ``loop`` (K,) number,
-    ``piece`` (K,): what is in one piece is formed in one go, pieces follow one another by the ``ways``
-    (pieces - 1 of them). ``off`` (K - 1,): between this row and the next the curve is that of the nearest
-    places on the face, not the straight line. ``keep`` (K,): rows that must become targets."""
+class ContactCurve:
+    """A curve of required contact, K rows.
+
+    Attributes:
+        point: Points (K, 3) [m].
+        normal: Unit normals (K, 3).
+        loop: Number (K,) of the loop.
+        piece: Piece (K,). A piece is formed without interruption.
+        is_off_face: Whether (K - 1,) the curve between this row and the next is that of the nearest points on
+            the face, not the straight line.
+        keep: Rows (K,) that must become targets.
+        transitions: How each piece leads to the next (pieces - 1 of them).
+    """
 
     point: FloatArray
     normal: FloatArray
     loop: IntArray
     piece: IntArray
-    off: BoolArray
+    is_off_face: BoolArray
     keep: BoolArray
-    ways: tuple[Way, ...]
+    transitions: tuple[LoopTransition, ...]
 
 
-def from_seam(loop: Loop, centre: FloatArray, angle: float, near: FloatArray | None) -> Loop:
-    """The loop begun where it meets the ray from ``centre`` (2,) [m] at ``angle`` [rad]: at the place nearest
-    to ``near`` (3,) if it meets it often, else at the outermost one. A loop that misses the ray begins at
-    its place nearest to ``near``, or nearest to the ray."""
+def start_at_seam(
+    loop: LevelLoop, centre: FloatArray, angle: float, previous_end: FloatArray | None
+) -> LevelLoop:
+    """Return the loop, starting where it meets the ray from a centre.
+
+    If it meets the ray several times, it starts at the point nearest to ``previous_end``, or at the outermost
+    one. A loop that misses the ray starts at its point nearest to ``previous_end``, or nearest to the ray.
+
+    Args:
+        loop: Loop.
+        centre: Origin (2,) [m] of the ray in plan.
+        angle: Direction [rad] of the ray.
+        previous_end: Point (3,) [m] to start near, or None.
+    """
     along = np.array([np.cos(angle), np.sin(angle)])
     across = np.array([-along[1], along[0]])
     offset = loop.point[:, :2] - centre
-    side, far = offset @ across, offset @ along
+    side, ray_distance = offset @ across, offset @ along
     hit = np.flatnonzero((side[:-1] >= 0.0) != (side[1:] >= 0.0))
-    share = side[hit] / (side[hit] - side[hit + 1])
-    reach = far[hit] + share * (far[hit + 1] - far[hit])
-    hit, share, reach = hit[reach > 0.0], share[reach > 0.0], reach[reach > 0.0]
+    fraction = side[hit] / (side[hit] - side[hit + 1])
+    reach = ray_distance[hit] + fraction * (ray_distance[hit + 1] - ray_distance[hit])
+    hit, fraction, reach = hit[reach > 0.0], fraction[reach > 0.0], reach[reach > 0.0]
     if len(hit):
-        place = loop.point[hit] + share[:, None] * (loop.point[hit + 1] - loop.point[hit])
-        apart = -reach if near is None else np.linalg.norm(place - near, axis=1)
-        best = int(np.argmin(apart))
-        row, part = int(hit[best]), float(share[best])
+        crossing = loop.point[hit] + fraction[:, None] * (loop.point[hit + 1] - loop.point[hit])
+        distance = -reach if previous_end is None else np.linalg.norm(crossing - previous_end, axis=1)
+        best = int(np.argmin(distance))
+        row, row_fraction = int(hit[best]), float(fraction[best])
     else:
-        target = loop.point[np.argmin(np.abs(side) - far)] if near is None else near
-        row, part = int(np.argmin(np.linalg.norm(loop.point[:-1] - target, axis=1))), 0.0
-    point = loop.point[row] + part * (loop.point[row + 1] - loop.point[row])
-    normal = (1.0 - part) * loop.normal[row] + part * loop.normal[row + 1]
+        target = loop.point[np.argmin(np.abs(side) - ray_distance)] if previous_end is None else previous_end
+        row, row_fraction = int(np.argmin(np.linalg.norm(loop.point[:-1] - target, axis=1))), 0.0
+    point = loop.point[row] + row_fraction * (loop.point[row + 1] - loop.point[row])
+    normal = (1.0 - row_fraction) * loop.normal[row] + row_fraction * loop.normal[row + 1]
     normal = normal / max(float(np.linalg.norm(normal)), 1e-300)
-    first = row + 1 if part < 1.0 else row + 2
-    last = row + 1 if part > 0.0 else row
+    first = row + 1 if row_fraction < 1.0 else row + 2
+    last = row + 1 if row_fraction > 0.0 else row
     points = np.concatenate([point[None], loop.point[first:-1], loop.point[:last], point[None]])
     normals = np.concatenate([normal[None], loop.normal[first:-1], loop.normal[:last], normal[None]])
-    return Loop(points, normals, loop.level)
+    return LevelLoop(points, normals, loop.level)
 
 
-def in_order(
-    levels: Sequence[Sequence[Loop]], options: PathOptions, centre: FloatArray
-) -> tuple[list[Loop], list[Way]]:
-    """All loops in the order of forming, each begun at its seam and turned the way it is formed, and how one
-    gets from each to the next. Several loops of a level follow one another by what is nearest."""
-    ordered: list[Loop] = []
-    ways: list[Way] = []
-    alone_before = False
+def order_loops(
+    levels: Sequence[Sequence[LevelLoop]], options: PathOptions, centre: FloatArray
+) -> tuple[list[LevelLoop], list[LoopTransition]]:
+    """Return all loops in the order of forming, and the transition from each to the next.
+
+    Each loop starts at its seam and has the direction in which it is formed. Several loops of a level follow
+    one another by distance.
+    """
+    ordered: list[LevelLoop] = []
+    transitions: list[LoopTransition] = []
+    was_single = False
     sign = 1.0 if options.direction == "ccw" else -1.0
     for group in levels:
-        left = list(group)
-        alone = len(left) == 1
-        while left:
-            near = ordered[-1].point[-1] if ordered else None
-            if near is None:
-                chosen = max(left, key=Loop.length)
+        remaining = list(group)
+        is_single = len(remaining) == 1
+        while remaining:
+            previous_end = ordered[-1].point[-1] if ordered else None
+            if previous_end is None:
+                chosen = max(remaining, key=LevelLoop.length)
             else:
-                chosen = min(left, key=lambda one: float(np.linalg.norm(one.point - near, axis=1).min()))
-            left = [one for one in left if one is not chosen]
+                chosen = min(
+                    remaining,
+                    key=lambda candidate: float(np.linalg.norm(candidate.point - previous_end, axis=1).min()),
+                )
+            remaining = [candidate for candidate in remaining if candidate is not chosen]
             turn = -sign if options.kind == "alternating" and len(ordered) % 2 else sign
             if chosen.area() * turn < 0.0:
                 chosen = chosen.reversed()
-            loop = from_seam(chosen, centre, options.start_angle, near)
+            loop = start_at_seam(chosen, centre, options.start_angle, previous_end)
             if ordered:
-                joined = alone and alone_before and _follows(ordered[-1], loop)
-                ways.append(("step" if options.kind == "stepped" else "join") if joined else "lift")
+                joined = is_single and was_single and _follows(ordered[-1], loop)
+                transitions.append(("step" if options.kind == "stepped" else "join") if joined else "lift")
             ordered.append(loop)
-        alone_before = alone
-    return ordered, ways
+        was_single = is_single
+    return ordered, transitions
 
 
-def loop_curve(loops: Sequence[Loop], ways: Sequence[Way]) -> Curve:
-    """Closed loops one after the other; those that are joined, by a diagonal step along the face."""
-    keep = [np.zeros(len(one.point), dtype=np.bool_) for one in loops]
-    for one in keep:
-        one[0] = one[-1] = True
-    off = [np.append(np.zeros(len(one.point) - 1, dtype=np.bool_), True) for one in loops]
-    piece = np.concatenate([[0], np.cumsum([way != "join" for way in ways])]).astype(np.int64)
-    count = [len(one.point) for one in loops]
-    return Curve(
-        np.concatenate([one.point for one in loops]),
-        np.concatenate([one.normal for one in loops]),
+def loop_curve(loops: Sequence[LevelLoop], transitions: Sequence[LoopTransition]) -> ContactCurve:
+    """Return closed loops one after the other.
+
+    Joined loops are connected by a diagonal step along the face.
+    """
+    keep = [np.zeros(len(item.point), dtype=np.bool_) for item in loops]
+    for item in keep:
+        item[0] = item[-1] = True
+    is_off_face = [np.append(np.zeros(len(item.point) - 1, dtype=np.bool_), True) for item in loops]
+    piece = np.concatenate([[0], np.cumsum([transition != "join" for transition in transitions])]).astype(
+        np.int64
+    )
+    count = [len(item.point) for item in loops]
+    return ContactCurve(
+        np.concatenate([item.point for item in loops]),
+        np.concatenate([item.normal for item in loops]),
         np.repeat(np.arange(len(loops)), count),
         np.repeat(piece, count),
-        np.concatenate(off)[:-1],
+        np.concatenate(is_off_face)[:-1],
         np.concatenate(keep),
-        tuple(way for way in ways if way != "join"),
+        tuple(transition for transition in transitions if transition != "join"),
     )
 
 
-def spiral_curve(loops: Sequence[Loop], ways: Sequence[Way], seams: bool = False) -> Curve:
-    """One spiral through all loops that are joined: flat along the first one, then from each to the next
-    p = (1 - s) C_i(s) + s C_i+1(s), s the fraction of the loops' length, and flat along the last one.
-    ``seams``: targets are kept where each loop ends."""
-    parts: list[Curve] = []
+def spiral_curve(
+    loops: Sequence[LevelLoop], transitions: Sequence[LoopTransition], seams: bool = False
+) -> ContactCurve:
+    """Return one spiral through all loops that are joined.
+
+    It is flat along the first loop, then goes from each to the next by p = (1 - s) C_i(s) + s C_i+1(s), with
+    s the fraction of the loops' length, and is flat along the last loop.
+
+    Args:
+        loops: Loops in the order of forming.
+        transitions: Transition from each loop to the next.
+        seams: Whether targets are kept where each loop ends.
+    """
+    parts: list[ContactCurve] = []
     start = 0
     number = 0
     for stop in range(1, len(loops) + 1):
-        if stop < len(loops) and ways[stop - 1] == "join":
+        if stop < len(loops) and transitions[stop - 1] == "join":
             continue
-        part = _spiral(loops[start:stop], number, len(parts), seams)
+        part = _spiral_piece(loops[start:stop], number, len(parts), seams)
         parts.append(part)
         number = int(part.loop[-1]) + 1
         start = stop
-    off = [np.append(part.off, False) for part in parts]
-    return Curve(
+    is_off_face = [np.append(part.is_off_face, False) for part in parts]
+    return ContactCurve(
         np.concatenate([part.point for part in parts]),
         np.concatenate([part.normal for part in parts]),
         np.concatenate([part.loop for part in parts]),
         np.concatenate([part.piece for part in parts]),
-        np.concatenate(off)[:-1],
+        np.concatenate(is_off_face)[:-1],
         np.concatenate([part.keep for part in parts]),
-        tuple(way for way in ways if way != "join"),
+        tuple(transition for transition in transitions if transition != "join"),
     )
 
 
-def _spiral(loops: Sequence[Loop], number: int, piece: int, seams: bool) -> Curve:
-    share = [_shares(one) for one in loops]
-    point, normal, off = [loops[0].point], [loops[0].normal], [np.zeros(len(loops[0].point) - 1, dtype=bool)]
+def _spiral_piece(loops: Sequence[LevelLoop], number: int, piece: int, seams: bool) -> ContactCurve:
+    fractions = [_length_fractions(points) for points in loops]
+    point, normal, is_off_face = (
+        [loops[0].point],
+        [loops[0].normal],
+        [np.zeros(len(loops[0].point) - 1, dtype=bool)],
+    )
     for k in range(len(loops) - 1):
-        # places of both loops, without the one that the curve has already
-        at = np.union1d(share[k], share[k + 1])[1:]
+        # rows of both loops, without the first, which the curve already has
+        stations = np.union1d(fractions[k], fractions[k + 1])[1:]
         mixed = [
-            np.stack([np.interp(at, share[j], rows[:, axis]) for axis in range(3)], axis=1)
+            np.stack([np.interp(stations, fractions[j], rows[:, axis]) for axis in range(3)], axis=1)
             for j in (k, k + 1)
             for rows in (loops[j].point, loops[j].normal)
         ]
-        part = at[:, None]
-        point.append((1.0 - part) * mixed[0] + part * mixed[2])
-        blend = (1.0 - part) * mixed[1] + part * mixed[3]
+        weight = stations[:, None]
+        point.append((1.0 - weight) * mixed[0] + weight * mixed[2])
+        blend = (1.0 - weight) * mixed[1] + weight * mixed[3]
         normal.append(blend / np.maximum(np.linalg.norm(blend, axis=1, keepdims=True), 1e-300))
-        off.append(np.ones(len(at), dtype=bool))
+        is_off_face.append(np.ones(len(stations), dtype=bool))
     if len(loops) > 1:
         point.append(loops[-1].point[1:])
         normal.append(loops[-1].normal[1:])
-        off.append(np.zeros(len(loops[-1].point) - 1, dtype=bool))
-    count = [len(one) for one in point]
+        is_off_face.append(np.zeros(len(loops[-1].point) - 1, dtype=bool))
+    count = [len(points) for points in point]
     keep = np.zeros(sum(count), dtype=np.bool_)
     keep[[0, count[0] - 1, sum(count) - 1]] = True
     if len(loops) > 1:
         keep[sum(count[:-1]) - 1] = True
     if seams:
         keep[np.cumsum(count) - 1] = True
-    return Curve(
+    return ContactCurve(
         np.concatenate(point),
         np.concatenate(normal),
         number + np.repeat(np.arange(len(count)), count),
         np.full(sum(count), piece),
-        np.concatenate(off),
+        np.concatenate(is_off_face),
         keep,
         (),
     )
 
 
-def _shares(loop: Loop) -> FloatArray:
-    """Fractions (K,) of a loop's length at its rows; over a crease the turn of the normal counts too."""
+def _length_fractions(loop: LevelLoop) -> FloatArray:
+    """Fractions (K,) of a loop's length at its rows; over a crease the turn of the normal counts, too."""
     move = np.linalg.norm(np.diff(loop.point, axis=0), axis=1)
     turn = np.linalg.norm(np.diff(loop.normal, axis=0), axis=1)
-    along = np.concatenate([[0.0], np.cumsum(move + np.where(move < 1e-6, _FAN_LENGTH * turn, 0.0))])
+    along = np.concatenate(
+        [[0.0], np.cumsum(move + np.where(move < 1e-6, _FAN_LENGTH_M_PER_RAD * turn, 0.0))]
+    )
     return np.asarray(along / max(along[-1], 1e-300))
 
 
-def _follows(one: Loop, other: Loop) -> bool:
-    """Whether loops of neighbouring levels are the same line a step on: one encloses a place of the other."""
-    first, second = Polygon(one.point[:, :2]).buffer(0.0), Polygon(other.point[:, :2]).buffer(0.0)
+def _follows(loop: LevelLoop, other: LevelLoop) -> bool:
+    """Whether loops of adjacent levels are consecutive: one encloses a point of the other."""
+    first, second = Polygon(loop.point[:, :2]).buffer(0.0), Polygon(other.point[:, :2]).buffer(0.0)
     if first.is_empty or second.is_empty:
-        return bool(np.linalg.norm(one.point[0] - other.point[0]) < 1e-2)
+        return bool(np.linalg.norm(loop.point[0] - other.point[0]) < 1e-2)
     a, b = Point(first.representative_point()), Point(second.representative_point())
     return bool(first.contains(b) or second.contains(a))

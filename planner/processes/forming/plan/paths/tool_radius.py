@@ -1,4 +1,4 @@
-"""Where a ball is too large for a face: creases, where every ball is, and smooth places."""
+"""Where a ball is too large for a face: creases, where every ball is, and smooth regions."""
 
 import dataclasses
 from collections.abc import Callable
@@ -8,42 +8,48 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import BoolArray, FloatArray, dots, lengths
-from planner.issues import TandemError, refusal
-from planner.processes.forming.plan.contact import CONTACT_TOLERANCE, CREASE_ANGLE, Contact, Face
-from planner.processes.forming.plan.paths.level_lines import Loop
+from planner.issues import TandemError, issue_error
+from planner.processes.forming.plan.contact import CONTACT_TOLERANCE_M, CREASE_ANGLE_RAD, Contact, ContactFace
+from planner.processes.forming.plan.paths.level_lines import LevelLoop
 
-PUSHED_DISTANCE: Final = 2e-5
-"""A ball that a crease pushes aside by more than this [m] does not reach its place."""
-FLOOR_CLEARANCE: Final = 1e-5
-"""The lowest loop at the foot of a wall keeps the ball so much farther [m] off the floor than straight moves
-between targets take it off the wall, which it would lose for the floor, facet by facet, else: the gap between
-two tools would hop from the wall's to the floor's."""
-FACET_PUSH: Final = 4e-6
-"""What a wider ball may be pushed aside [m] besides: facets make no more of a smooth face."""
-MOST_FLOOR_CLEARANCE: Final = 1e-4
-"""But no farther than this [m], however coarse the moves."""
-MOST_LIFT: Final = 8e-5
-"""It is lifted by so much [m] at most: floors that are not level stop the ball here and there."""
-FLOOR_HEIGHT: Final = 4e-4
-"""So far [m] above the lowest loop no floor stops the ball."""
-_DENSE_PLACES: Final = 128
-"""Places of a loop where corners of the wall are looked for."""
-_LOOP_PLACES: Final = 32
-"""Places of a loop where a ball is tried."""
-_NARROWEST_PLACES: Final = 12
-"""Narrow places about, from the narrowest to the widest, that a smaller ball is tried at."""
+MAX_PUSH_M: Final = 2e-5
+"""A ball that a crease pushes aside by more than this [m] does not reach its point."""
+FLOOR_CLEARANCE_M: Final = 1e-5
+"""Distance [m] of the ball from the floor on the lowest loop at the foot of a wall, in addition to the
+distance by which straight moves between targets take it off the wall.
+
+Without it the ball would change from the wall to the floor, facet by facet, and the gap between two tools
+would jump from the wall's to the floor's.
+"""
+MAX_FACET_PUSH_M: Final = 4e-6
+"""Distance [m] by which facets of a smooth face push a wider ball aside at most."""
+MAX_FLOOR_CLEARANCE_M: Final = 1e-4
+"""Maximum clearance [m] from the floor, however coarse the moves."""
+MAX_LIFT_M: Final = 8e-5
+"""Maximum lift [m] of the lowest loop. Floors that are not level stop the ball in places."""
+FREE_HEIGHT_M: Final = 4e-4
+"""Height [m] above the lowest loop at which no floor stops the ball."""
+_DENSE_SAMPLES: Final = 128
+"""Number of points of a loop at which corners of the wall are searched."""
+_LOOP_SAMPLES: Final = 32
+"""Number of points of a loop at which a ball is tried."""
+_NARROW_SAMPLES: Final = 12
+"""Approximate number of narrow points, from the narrowest to the widest, at which a smaller ball is tried."""
 _RADIUS_TRIALS: Final = 8
-"""Smaller balls that whole paths are laid with at most."""
-_RADIUS_STEP: Final = 1e-5
-"""Radii that are advised are multiples of this [m]."""
-_STEEPEST_WALL: Final = np.radians(85.0)
-"""Walls count as no steeper than this [rad], where the reach of a ball about them is worked out."""
+"""Maximum number of smaller balls for which whole paths are computed."""
+_RADIUS_STEP_M: Final = 1e-5
+"""Recommended radii are multiples of this [m]."""
+_MAX_WALL_ANGLE_RAD: Final = np.radians(85.0)
+"""Maximum wall angle [rad] in the calculation of a ball's reach."""
 
 
 class Creases:
-    """Concave creases and points of a face, and how far around them the face's ball cannot reach."""
+    """Concave creases and vertices of a face, and the reach of a ball near them.
 
-    def __init__(self, face: Face) -> None:
+    The reach is the distance around them within which the face's ball may not touch the face.
+    """
+
+    def __init__(self, face: ContactFace) -> None:
         mesh, normals = face.mesh, face.normals
         self._face = face
         directed = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
@@ -56,243 +62,314 @@ class Creases:
         turn = np.arccos(np.clip(dots(normals[f], normals[g]), -1.0, 1.0))
         middle = mesh.vertices[mesh.faces].mean(axis=1)
         concave = dots(middle[g] - middle[f], normals[f]) > 0.0
-        # what the facets of a smooth face turn by, at each vertex
+        # largest angle between facets of a smooth face at each vertex
         self._turn = np.zeros(len(mesh.vertices))
-        flat = turn < CREASE_ANGLE
+        flat = turn < CREASE_ANGLE_RAD
         for end in range(2):
             np.maximum.at(self._turn, directed[first[flat], end], turn[flat])
         sharp = concave & ~flat
-        spots, reach = [], []
+        points, reach = [], []
         step = 0.1 * face.radius
-        one, two = (mesh.vertices[directed[first[sharp], end]] for end in range(2))
-        parts = np.maximum(np.ceil(np.linalg.norm(two - one, axis=1) / step), 1).astype(np.int64)
+        edge_start, edge_end = (mesh.vertices[directed[first[sharp], end]] for end in range(2))
+        parts = np.maximum(np.ceil(np.linalg.norm(edge_end - edge_start, axis=1) / step), 1).astype(np.int64)
         edge = np.repeat(np.arange(len(parts)), parts + 1)
-        share = (np.arange(len(edge)) - np.repeat(np.cumsum(parts + 1) - parts - 1, parts + 1)) / parts[edge]
-        spots.append(one[edge] + share[:, None] * (two - one)[edge])
+        fraction = (np.arange(len(edge)) - np.repeat(np.cumsum(parts + 1) - parts - 1, parts + 1)) / parts[
+            edge
+        ]
+        points.append(edge_start[edge] + fraction[:, None] * (edge_end - edge_start)[edge])
         reach.append(0.5 * turn[sharp][edge])
-        # points: vertices around which the faces lean from their mean by more than a crease's half
+        # concave points: vertices at which faces deviate from their mean normal by over half a crease angle
         mean = np.zeros_like(mesh.vertices)
         pull = np.zeros_like(mesh.vertices)
         for k in range(3):
             np.add.at(mean, mesh.faces[:, k], normals)
             np.add.at(pull, mesh.faces[:, k], middle - mesh.vertices[mesh.faces[:, k]])
         mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-300)
-        lean = np.zeros(len(mesh.vertices))
+        deviation = np.zeros(len(mesh.vertices))
         for k in range(3):
             corner = mesh.faces[:, k]
             cosine = dots(mean[corner], normals)
-            np.maximum.at(lean, corner, np.arccos(np.clip(cosine, -1.0, 1.0)))
-        tip = (lean > 0.5 * CREASE_ANGLE) & (dots(mean, pull) > 0.0)
-        spots.append(mesh.vertices[tip])
-        reach.append(lean[tip])
-        self._spots = np.concatenate(spots)
-        wide = np.tan(np.minimum(np.concatenate(reach), _STEEPEST_WALL))
-        self._reach = 1.05 * face.radius * wide + step
-        self._tree = cKDTree(self._spots) if len(self._spots) else None
+            np.maximum.at(deviation, corner, np.arccos(np.clip(cosine, -1.0, 1.0)))
+        tip = (deviation > 0.5 * CREASE_ANGLE_RAD) & (dots(mean, pull) > 0.0)
+        points.append(mesh.vertices[tip])
+        reach.append(deviation[tip])
+        self._points = np.concatenate(points)
+        tangent = np.tan(np.minimum(np.concatenate(reach), _MAX_WALL_ANGLE_RAD))
+        # a ball of radius R in a crease with half angle b touches its planes R tan b from the crease
+        self._reach = 1.05 * face.radius * tangent + step
+        self._tree = cKDTree(self._points) if len(self._points) else None
 
-    def near(self, wanted: FloatArray) -> BoolArray:
-        """Whether places (N, 3) [m] lie where a crease may keep the ball off."""
-        found = np.zeros(len(wanted), dtype=np.bool_)
-        if self._tree is None or not len(wanted):
-            return found
-        most = float(self._reach.max())
-        for start in range(0, len(wanted), 2000):
-            some = cKDTree(wanted[start : start + 2000])
-            pairs = some.sparse_distance_matrix(self._tree, most, output_type="ndarray")
-            found[start + pairs["i"][pairs["v"] <= self._reach[pairs["j"]]]] = True
-        return found
+    def is_near(self, points: FloatArray) -> BoolArray:
+        """Return whether points (N, 3) [m] are where a crease may keep the ball away."""
+        result = np.zeros(len(points), dtype=np.bool_)
+        if self._tree is None or not len(points):
+            return result
+        max_reach = float(self._reach.max())
+        for start in range(0, len(points), 2000):
+            chunk = cKDTree(points[start : start + 2000])
+            pairs = chunk.sparse_distance_matrix(self._tree, max_reach, output_type="ndarray")
+            result[start + pairs["i"][pairs["v"] <= self._reach[pairs["j"]]]] = True
+        return result
 
-    def misses(self, wanted: FloatArray, contact: Contact) -> BoolArray:
-        """Whether a crease keeps the ball off the wanted places (N, 3)."""
-        out = contact.pushed > PUSHED_DISTANCE
-        out[out] = self.near(wanted[out])
+    def misses(self, required: FloatArray, contact: Contact) -> BoolArray:
+        """Return whether a crease keeps the ball away from the required points (N, 3)."""
+        out = contact.pushed > MAX_PUSH_M
+        out[out] = self.is_near(required[out])
         return np.asarray(out)
 
-    def too_narrow(self, wanted: FloatArray, contact: Contact, missed: float) -> BoolArray:
-        """Whether smooth places (N, 3) are too narrow for the ball: it stays farther off than ``missed`` [m]
-        and than what the mesh's facets leave under it, or fits nowhere near."""
+    def is_too_narrow(self, required: FloatArray, contact: Contact, missed: float) -> BoolArray:
+        """Return whether smooth points are too narrow for the ball.
+
+        They are if the ball fits nowhere near, or if it stays farther away than ``missed`` and than the
+        facets of the mesh cause.
+
+        Args:
+            required: Required points (N, 3) [m].
+            contact: Ball positions for them.
+            missed: Allowed distance [m].
+        """
         out = ~contact.clear | (contact.gap > missed)
-        out[out] = ~self.near(wanted[out])
+        out[out] = ~self.is_near(required[out])
         rows = np.flatnonzero(out)
         if len(rows):
-            out[rows] = ~contact.clear[rows] | (contact.gap[rows] > self.allowed(wanted[rows], missed))
+            out[rows] = ~contact.clear[rows] | (
+                contact.gap[rows] > self.allowed_distance(required[rows], missed)
+            )
         return np.asarray(out)
 
-    def allowed(self, wanted: FloatArray, missed: float) -> FloatArray:
-        """How far (N,) [m] the ball may stay off places (N, 3): ``missed`` and what is under it where facets
-        stand for a smooth face."""
-        _, face, _ = self._face.nearest(wanted)
+    def allowed_distance(self, points: FloatArray, missed: float) -> FloatArray:
+        """Return the distance (N,) [m] that the ball may have from points (N, 3).
+
+        It is ``missed`` plus 1.5 R (1 / cos(turn / 2) - 1), the space under the ball where facets represent a
+        smooth face.
+        """
+        _, face, _ = self._face.nearest(points)
         turn = self._turn[self._face.mesh.faces[face]].max(axis=1)
         return np.asarray(missed + 1.5 * self._face.radius * (1.0 / np.cos(0.5 * turn) - 1.0))
 
 
-def lowest_reached(
-    groups: list[list[Loop]],
-    levels: FloatArray,
-    sliced: Callable[[FloatArray], list[list[Loop]]],
-    face: Face,
-    creases: Creases,
-    chord: float,
-    wider: Face | None = None,
-    missed: float = np.inf,
-) -> list[list[Loop]]:
-    """The loops of each of the ``levels`` (L,) without those that a crease, as around a flat floor, keeps the
-    ball off all along; in place of the first level without any the lowest one that the ball reaches. Straight
-    moves are off the loops by up to ``chord`` [m].
+@dataclasses.dataclass(frozen=True)
+class LevelSlices:
+    """Level lines of a face.
 
-    So are those all along which a ``wider`` ball is pushed aside farther: a fillet that the ball just fits
-    counts as a crease, for a few micrometres aside it touches another place of it, where the sheet is of
-    another thickness. Where the ball would stay off more than the foot of a wall for it, as in a hollow that
-    is round all over, none counts; nor does a fillet that is so narrow that the ball itself stays off by more
-    than ``missed`` [m], which is to be told.
+    Attributes:
+        levels: Levels (L,) [m].
+        groups: Loops of each level.
+        slice_face: Cuts the face at given levels (K,) [m]. It returns the loops of each of them.
     """
 
-    def fits(loop: Loop, most: float = PUSHED_DISTANCE) -> bool:
-        if wider is None or creases.near(_sample(loop)[0]).all():
-            return _reached(loop, face, creases, most)
-        off = _pushed(loop, face)
-        return off > missed or _pushed(loop, wider) - off <= FACET_PUSH
+    levels: FloatArray
+    groups: list[list[LevelLoop]]
+    slice_face: Callable[[FloatArray], list[list[LevelLoop]]]
 
+
+def reachable_loops(
+    slices: LevelSlices,
+    face: ContactFace,
+    creases: Creases,
+    chord: float,
+    wider: ContactFace | None = None,
+    missed: float = np.inf,
+) -> list[list[LevelLoop]]:
+    """Return the loops of each level that the ball reaches.
+
+    Loops from which a crease, as around a flat floor, keeps the ball away all along are left out. The first
+    level without any is replaced by the lowest loop that the ball reaches.
+
+    Loops along which a ``wider`` ball is pushed aside farther are left out, too: a fillet that just admits
+    the ball counts as a crease, because a few micrometres aside the ball touches another point of it, where
+    the sheet has another thickness. No fillet counts where the ball would then stay farther away than the
+    foot of a wall requires, as in a hollow that is round all over, nor if the fillet is so narrow that the
+    ball itself stays away by more than ``missed``, which is reported.
+
+    Args:
+        slices: Level lines of the face.
+        face: Face.
+        creases: Its creases.
+        chord: Maximum deviation [m] of straight moves from the loops.
+        wider: Face with a wider ball, or None.
+        missed: Distance [m] from which a ball that stays away is reported.
+    """
+
+    def fits(loop: LevelLoop, max_push: float = MAX_PUSH_M) -> bool:
+        if wider is None or creases.is_near(_sample_loop(loop)[0]).all():
+            return _is_reached(loop, face, creases, max_push)
+        push = _min_push(loop, face)
+        return push > missed or _min_push(loop, wider) - push <= MAX_FACET_PUSH_M
+
+    levels, groups, slice_face = slices.levels, slices.groups, slices.slice_face
     reached = [[loop for loop in group if fits(loop)] for group in groups]
-    for k, (group, before) in enumerate(zip(reached, groups, strict=True)):
-        if group or not before or k == 0 or not reached[k - 1]:
+    for k, (group, original) in enumerate(zip(reached, groups, strict=True)):
+        if group or not original or k == 0 or not reached[k - 1]:
             continue
         good, bad = float(levels[k - 1]), float(levels[k])
-        best: list[Loop] = []
-        # so that the ball is still at the wall, not lifted off it by the floor
-        most = min(
-            max(CONTACT_TOLERANCE, 1.5 * min(_pushed(loop, face) for loop in reached[k - 1])), PUSHED_DISTANCE
+        best: list[LevelLoop] = []
+        # the ball must still be at the wall, not lifted off it by the floor
+        max_push = min(
+            max(CONTACT_TOLERANCE_M, 1.5 * min(_min_push(loop, face) for loop in reached[k - 1])), MAX_PUSH_M
         )
-        while good - bad > CONTACT_TOLERANCE:
+        while good - bad > CONTACT_TOLERANCE_M:
             middle = 0.5 * (good + bad)
-            found = [loop for loop in sliced(np.array([middle]))[0] if fits(loop, most)]
-            good, bad = (middle, bad) if found else (good, middle)
-            best = found or best
+            fitting = [loop for loop in slice_face(np.array([middle]))[0] if fits(loop, max_push)]
+            good, bad = (middle, bad) if fitting else (good, middle)
+            best = fitting or best
         reached[k] = best
-    if wider is not None and not _ends_low(reached, face.radius, float(levels[-1])):
-        return lowest_reached(groups, levels, sliced, face, creases, chord)
-    out: list[list[Loop]] = []
-    last = np.inf
+    if wider is not None and not _reaches_end(reached, face.radius, float(levels[-1])):
+        return reachable_loops(slices, face, creases, chord)
+    out: list[list[LevelLoop]] = []
+    previous_level = np.inf
     for k, group in enumerate(reached):
-        lifted = group  # the floor is at the foot of the lowest loops alone
+        lifted = group  # only the lowest loops are at the floor
         if not any(reached[k + 1 :]):
-            lifted = _lifted(group, sliced, face, creases, min(chord + FLOOR_CLEARANCE, MOST_FLOOR_CLEARANCE))
+            lifted = _lift_off_floor(
+                group, slice_face, face, creases, min(chord + FLOOR_CLEARANCE_M, MAX_FLOOR_CLEARANCE_M)
+            )
         level = float(lifted[0].point[0, 2]) if lifted else -np.inf
-        out.append(lifted if lifted is group or level < last - PUSHED_DISTANCE else [])
-        last = level if out[-1] else last
+        out.append(lifted if lifted is group or level < previous_level - MAX_PUSH_M else [])
+        previous_level = level if out[-1] else previous_level
     return out
 
 
-def _ends_low(groups: list[list[Loop]], radius: float, end: float) -> bool:
-    """Whether a ball on the lowest loops comes down to the level ``end`` [m] about."""
+def _reaches_end(groups: list[list[LevelLoop]], radius: float, end: float) -> bool:
+    """Whether a ball on the lowest loops comes down to about the level ``end`` [m]."""
     group = next((group for group in reversed(groups) if group), [])
     lowest = [float((loop.point[:, 2] + radius * loop.normal[:, 2]).min()) for loop in group]
-    return bool(lowest) and min(lowest) - radius <= end + MOST_FLOOR_CLEARANCE
+    return bool(lowest) and min(lowest) - radius <= end + MAX_FLOOR_CLEARANCE_M
 
 
-def _lifted(
-    group: list[Loop],
-    sliced: Callable[[FloatArray], list[list[Loop]]],
-    face: Face,
+def _lift_off_floor(
+    group: list[LevelLoop],
+    slice_face: Callable[[FloatArray], list[list[LevelLoop]]],
+    face: ContactFace,
     creases: Creases,
     clear: float,
-) -> list[Loop]:
-    """Loops of one level, ``clear`` [m] higher where the floor at the foot of their wall pushes the ball off
-    it."""
-    near = [loop for loop in group if creases.near(_sample(loop)[0]).any()]
-    if not near:
+) -> list[LevelLoop]:
+    """Loops of one level, raised where the floor pushes the ball off the wall.
+
+    They are ``clear`` [m] higher where the floor at the foot of their wall does so.
+    """
+    near_creases = [loop for loop in group if creases.is_near(_sample_loop(loop)[0]).any()]
+    if not near_creases:
         return group
     level = float(group[0].point[0, 2])
-    beside = _corners(sliced(np.array([level + FLOOR_HEIGHT]))[0], face)
-    if max(_stopped(loop, face, beside) for loop in near) == 0.0:
+    corners = _corner_points(slice_face(np.array([level + FREE_HEIGHT_M]))[0], face)
+    if max(_max_other_push(loop, face, corners) for loop in near_creases) == 0.0:
         return group
 
-    def free(height: float) -> bool:
-        found = sliced(np.array([height]))[0]
-        return bool(found) and max(_stopped(loop, face, beside) for loop in found) == 0.0
+    def is_free(height: float) -> bool:
+        candidates = slice_face(np.array([height]))[0]
+        return bool(candidates) and max(_max_other_push(loop, face, corners) for loop in candidates) == 0.0
 
-    low, high = level, level + MOST_LIFT
-    if not free(high):
+    low, high = level, level + MAX_LIFT_M
+    if not is_free(high):
         return group
-    while high - low > CONTACT_TOLERANCE:
+    while high - low > CONTACT_TOLERANCE_M:
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if free(middle) else (middle, high)
-    return sliced(np.array([high + clear]))[0]
+        low, high = (low, middle) if is_free(middle) else (middle, high)
+    return slice_face(np.array([high + clear]))[0]
 
 
-def _corners(loops: list[Loop], face: Face) -> FloatArray:
-    """Places (K, 2) [m] in plan where another wall pushes a ball aside on loops above any floor."""
-    at = [_sample(loop, _DENSE_PLACES) for loop in loops]
-    found = [place[face.pushed(place, normal, beyond=CREASE_ANGLE) > 0.0, :2] for place, normal in at]
-    return np.concatenate([*found, np.zeros((0, 2))])
+def _corner_points(loops: list[LevelLoop], face: ContactFace) -> FloatArray:
+    """Points (K, 2) [m] in plan where another wall pushes a ball aside on loops above any floor."""
+    samples = [_sample_loop(loop, _DENSE_SAMPLES) for loop in loops]
+    pushed_points = [
+        points[face.pushed(points, normal, beyond=CREASE_ANGLE_RAD) > 0.0, :2] for points, normal in samples
+    ]
+    return np.concatenate([*pushed_points, np.zeros((0, 2))])
 
 
-def _stopped(loop: Loop, face: Face, beside: FloatArray) -> float:
-    """By how much [m] at most something else than the wall it is on, and those that meet it ``beside`` (K, 2)
-    [m], pushes a ball aside along a loop."""
-    place, normal = _sample(loop, _DENSE_PLACES)
-    if len(beside):
-        step = float(np.linalg.norm(np.diff(loop.point, axis=0), axis=1).sum()) / _DENSE_PLACES
-        away = lengths(place[:, None, :2] - beside).min(axis=1) > 1.5 * step
-        place, normal = place[away], normal[away]
-    return float(face.pushed(place, normal, beyond=CREASE_ANGLE).max(initial=0.0))
+def _max_other_push(loop: LevelLoop, face: ContactFace, corners: FloatArray) -> float:
+    """Maximum distance [m] by which a ball is pushed aside along a loop.
+
+    Only pushes by something other than its own wall, and the walls that meet it at ``corners`` (K, 2) [m],
+    count.
+    """
+    points, normal = _sample_loop(loop, _DENSE_SAMPLES)
+    if len(corners):
+        step = float(np.linalg.norm(np.diff(loop.point, axis=0), axis=1).sum()) / _DENSE_SAMPLES
+        is_away = lengths(points[:, None, :2] - corners).min(axis=1) > 1.5 * step
+        points, normal = points[is_away], normal[is_away]
+    return float(face.pushed(points, normal, beyond=CREASE_ANGLE_RAD).max(initial=0.0))
 
 
-def _reached(loop: Loop, face: Face, creases: Creases, most: float = PUSHED_DISTANCE) -> bool:
-    return not creases.near(_sample(loop)[0]).all() or _pushed(loop, face) <= most
+def _is_reached(loop: LevelLoop, face: ContactFace, creases: Creases, max_push: float = MAX_PUSH_M) -> bool:
+    return not creases.is_near(_sample_loop(loop)[0]).all() or _min_push(loop, face) <= max_push
 
 
-def _pushed(loop: Loop, face: Face) -> float:
-    """By how much [m] a ball is pushed aside at a loop's best place."""
-    return float(face.pushed(*_sample(loop)).min())
+def _min_push(loop: LevelLoop, face: ContactFace) -> float:
+    """Distance [m] by which a ball is pushed aside at a loop's best point."""
+    return float(face.pushed(*_sample_loop(loop)).min())
 
 
-def _sample(loop: Loop, count: int = _LOOP_PLACES) -> tuple[FloatArray, FloatArray]:
-    """Places (``count``, 3) of a loop, evenly along it, and unit normals there: on large facets its rows are
-    at creases only."""
-    at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(loop.point, axis=0), axis=1))])
-    wanted = (np.arange(count) + 0.5) / count * at[-1]
-    row = np.clip(np.searchsorted(at, wanted, side="right") - 1, 0, len(at) - 2)
-    share = ((wanted - at[row]) / np.maximum(at[row + 1] - at[row], 1e-12))[:, None]
-    normal = (1.0 - share) * loop.normal[row] + share * loop.normal[row + 1]
+def _sample_loop(loop: LevelLoop, count: int = _LOOP_SAMPLES) -> tuple[FloatArray, FloatArray]:
+    """Points (``count``, 3) of a loop, evenly spaced, and unit normals there.
+
+    On large facets the loop has rows at creases only.
+    """
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(loop.point, axis=0), axis=1))])
+    stations = (np.arange(count) + 0.5) / count * arc[-1]
+    row = np.clip(np.searchsorted(arc, stations, side="right") - 1, 0, len(arc) - 2)
+    fraction = ((stations - arc[row]) / np.maximum(arc[row + 1] - arc[row], 1e-12))[:, None]
+    normal = (1.0 - fraction) * loop.normal[row] + fraction * loop.normal[row + 1]
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    return (1.0 - share) * loop.point[row] + share * loop.point[row + 1], normal
+    return (1.0 - fraction) * loop.point[row] + fraction * loop.point[row + 1], normal
 
 
 @dataclasses.dataclass(eq=False)
 class TooNarrow(Exception):  # noqa: N818
-    """Places of a pass are too narrow for its ball of ``radius`` [m]: at the worst one, ``place`` (3,) [m],
-    it stays ``gap`` [m] off. By these places alone one of ``fits`` [m] does."""
+    """Regions of a pass are too narrow for its ball.
+
+    Attributes:
+        name: Name of the pass.
+        radius: Radius [m] of the ball.
+        point: Worst point (3,) [m].
+        gap: Distance [m] of the ball from it.
+        fits: Radius [m] of a ball that fits at the tested points alone.
+    """
 
     name: str
     radius: float
-    place: FloatArray
+    point: FloatArray
     gap: float
     fits: float
 
     def error(self, fits: float | None) -> TandemError:
-        """The error, with the radius [m] that a whole path was laid with, or None where none was found."""
-        at = 1e3 * self.place
+        """Return the error.
+
+        Args:
+            fits: Radius [m] for which a whole path was computed, or None if none was found.
+        """
+        at = 1e3 * self.point
         what = (
-            f"{self.name}: the face is bent too tightly at ({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm for a "
-            f"ball of radius {1e3 * self.radius:.2f} mm, which stays {1e3 * self.gap:.3f} mm off it; "
+            f"{self.name}: the face is too tight at ({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm for a ball "
+            f"of radius {1e3 * self.radius:.2f} mm, which stays {1e3 * self.gap:.3f} mm away from it; "
         )
         if fits is None:
             what += "no smaller radius was found that fits everywhere: round the part more"
         else:
-            what += f"the largest radius that fits is {1e3 * fits:.2f} mm: take a smaller tool or round the "
+            what += f"the largest radius that fits is {1e3 * fits:.2f} mm: use a smaller tool or round the "
             what += "part more"
         limit = None if fits is None else 1e3 * fits
-        return refusal("forming.tool_radius", what, value=1e3 * self.radius, limit=limit, unit="mm")
+        return issue_error("forming.tool_radius", what, value=1e3 * self.radius, limit=limit, unit="mm")
 
 
-def largest(first: TooNarrow, path: Callable[[float], object], above: float) -> float | None:
-    """The largest radius [m] of those tried with which ``path`` lays the whole path, in whole hundredths of a
-    mm, ``above`` a least one [m]; or None. Paths of other balls have other targets, perhaps narrower ones."""
+def largest_fitting_radius(
+    first: TooNarrow, path: Callable[[float], object], min_radius: float
+) -> float | None:
+    """Return the largest of the tested radii for which ``path`` computes the whole path, or None.
+
+    Radii are whole hundredths of a mm, above a minimum. Paths of other balls have other targets, perhaps at
+    narrower points.
+
+    Args:
+        first: Error of the original ball.
+        path: Computes the path for a radius [m].
+        min_radius: Lower bound [m] of the radius.
+    """
     radius, step = first.fits, 0.0
     for _ in range(_RADIUS_TRIALS):
-        radius = np.floor(radius / _RADIUS_STEP + 1e-6) * _RADIUS_STEP
-        if radius <= above:
+        radius = np.floor(radius / _RADIUS_STEP_M + 1e-6) * _RADIUS_STEP_M
+        if radius <= min_radius:
             return None
         try:
             path(radius)
@@ -304,31 +381,41 @@ def largest(first: TooNarrow, path: Callable[[float], object], above: float) -> 
     return None
 
 
-def refuse(
-    name: str, face: Face, wanted: FloatArray, normal: FloatArray, gap: FloatArray, missed: float
+def too_narrow_error(
+    name: str, face: ContactFace, required: FloatArray, normal: FloatArray, gap: FloatArray, missed: float
 ) -> TooNarrow:
-    """That places (N, 3) [m] of a face are too narrow for its ball: the worst of them, and the largest ball
-    that fits a few of them."""
+    """Return the error that points of a face are too narrow for its ball.
+
+    It has the worst point, and the largest ball that fits at a few of them.
+
+    Args:
+        name: Name of the pass.
+        face: Face.
+        required: Points (N, 3) [m].
+        normal: Unit normals (N, 3).
+        gap: Distances (N,) [m] of the ball.
+        missed: Allowed distance [m].
+    """
     order = np.argsort(-gap)
-    rows = order[:: -(-len(order) // _NARROWEST_PLACES)]
+    rows = order[:: -(-len(order) // _NARROW_SAMPLES)]
     low = 0.0
-    box = np.stack([wanted[:, :2].min(axis=0), wanted[:, :2].max(axis=0)])
-    around = Face(face.mesh, face.radius, box).mesh
+    box = np.stack([required[:, :2].min(axis=0), required[:, :2].max(axis=0)])
+    around = ContactFace(face.mesh, face.radius, box).mesh
 
-    def fits(radius: float, quick: bool) -> bool:
-        smaller = Face(around, radius, box)
-        allowed = Creases(smaller).allowed(wanted[rows], missed)
-        if quick:
-            return bool((smaller.pushed(wanted[rows], normal[rows]) <= allowed).all())
-        few = slice(None, None, 2)
-        contact = smaller.clear(wanted[rows][few], normal[rows][few], rounds=5)
-        kept = contact.clear | (contact.pushed < 0.2 * radius)  # or soon would be
-        return bool((kept & (contact.gap <= allowed[few])).all())
+    def fits(radius: float, is_quick: bool) -> bool:
+        smaller = ContactFace(around, radius, box)
+        allowed = Creases(smaller).allowed_distance(required[rows], missed)
+        if is_quick:
+            return bool((smaller.pushed(required[rows], normal[rows]) <= allowed).all())
+        every_second = slice(None, None, 2)
+        contact = smaller.clear(required[rows][every_second], normal[rows][every_second], rounds=5)
+        kept = contact.clear | (contact.pushed < 0.2 * radius)  # clear, or nearly so after these rounds
+        return bool((kept & (contact.gap <= allowed[every_second])).all())
 
-    # a ball that is hardly pushed at all fits: a bound soon found; what counts is how far it stays off
-    for quick in (True, False):
+    # bisection in two passes: the push is a fast lower bound, the distance after clearing is decisive
+    for is_quick in (True, False):
         high = face.radius
-        for _ in range(7 if quick else 6):
+        for _ in range(7 if is_quick else 6):
             middle = 0.5 * (low + high)
-            low, high = (middle, high) if fits(middle, quick) else (low, middle)
-    return TooNarrow(name, face.radius, wanted[order[0]], float(gap[order[0]]), low)
+            low, high = (middle, high) if fits(middle, is_quick) else (low, middle)
+    return TooNarrow(name, face.radius, required[order[0]], float(gap[order[0]]), low)

@@ -1,1 +1,1 @@
-"""In-process springback: how far a formed place rises when the tool lets go."""
+"""In-process springback: elastic recovery of the formed sheet when the tool releases it."""

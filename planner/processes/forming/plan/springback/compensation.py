@@ -1,13 +1,14 @@
-"""Both tools deeper by what the sheet comes back by: from a forecast to shifts along the path, and there.
+"""Shifts of both tools that compensate springback: from a forecast to shifts along the path.
 
-The shift of a target is S at its contact, along z away from the former. Along the former's path it changes by
-a stated slope at most and begins at 0: of all curves below the forecast that do so the largest,
+The shift of a target is S at its contact, along z away from the forming tool. Along the path of the forming
+tool it changes by at most a stated slope and starts at 0. It is the largest of all curves below the forecast
+that do so,
 
     E(s) = min over t of (S(t) + slope |s - t|),  S(0) = 0,
 
-and then its mean over the way of one ball's width, less at both ends; a mean of what has a slope has no
-larger one. Both tools are shifted alike at the same target, so what is between them stays as it was, and what
-lets go of the sheet is the path as it was laid: the released part.
+averaged over the length of one ball's diameter, less at both ends. The average of a curve with a slope has no
+larger slope. Both tools are shifted alike at the same target, so the gap stays as it was, and the released
+part is the path without shifts.
 """
 
 import dataclasses
@@ -19,57 +20,72 @@ import numpy as np
 import shapely
 
 from planner.geometry.arrays import FloatArray, IntArray, lengths, unit
-from planner.geometry.curves import along, arc_length
+from planner.geometry.curves import arc_length, interpolate_polyline
 from planner.geometry.units import DEG, MM, measurement
-from planner.issues import Issue, Severity, TandemError, refusal
-from planner.processes.forming.plan.contact import Pass, ToolPath, heights
+from planner.issue_codes import format_message
+from planner.issues import Issue, Severity, TandemError, issue_error
+from planner.processes.forming.plan.contact import FormingPass, FormingToolPath, level_depths
 from planner.processes.forming.plan.operation import Level
-from planner.processes.forming.plan.passes import stood
-from planner.processes.forming.plan.process_plan import Work
-from planner.processes.forming.plan.sheet_mechanics import steepest
+from planner.processes.forming.plan.passes import max_wall_angle
+from planner.processes.forming.plan.process_plan import FormingWork
+from planner.processes.forming.plan.sheet_mechanics import wall_angle
 from planner.processes.forming.plan.springback.curves import PassSpringback
-from planner.processes.forming.plan.springback.forecast import along as springback_along
-from planner.processes.forming.plan.springback.forecast import require_mode as require_forecast
+from planner.processes.forming.plan.springback.forecast import require_forecast_mode as require_forecast
+from planner.processes.forming.plan.springback.forecast import springback_along as springback_along
 
-GRID: Final = 0.5 * MM
-"""Places along a path at which the forecast is asked [m], or more where that would be too many of them."""
-MOST_PLACES: Final = 60_000
-"""Places of a path at most."""
-AT_ONCE: Final = 5_000
-"""Places that are asked at once."""
-CHORD: Final = 5e-6
-"""A straight move has a target more where the shift within it is off the straight one by more [m]."""
-SAME_PLACE: Final = 0.1 * MM
+SHIFT_GRID_M: Final = 0.5 * MM
+"""Spacing [m] of the points along a path at which the forecast is evaluated; larger if there would be too
+many.
+"""
+MAX_GRID_POINTS: Final = 60_000
+"""Maximum number of these points of a path."""
+POINTS_AT_ONCE: Final = 5_000
+"""Number of points that are evaluated at once."""
+SHIFT_CHORD_M: Final = 5e-6
+"""Maximum deviation [m] of the shift within a straight move from a linear one, without an additional
+target.
+"""
+TARGET_TOLERANCE_M: Final = 0.1 * MM
 """Targets nearer than this [m] along the path are one."""
-OFF_WAY: Final = 0.05 * MM
-"""A path is the one of a file where it is off it by no more [m]."""
-GROWING: Final = 0.9
-"""A shift still grows from 0 where it is this share of what its slope allows there, or more."""
-SPACING: Final = 1.0 * MM
-"""Places of a loop at which its wall is looked at are so far apart [m]."""
-AROUND: Final = 3.0 * MM
-"""Distance and height of the loop above are means over so much way [m] on either side."""
-LEAST_RISE: Final = 0.1
-"""Levels that go down by less than this share of a step are floors."""
-STEEPER: Final = 0.5 * DEG
-"""Walls that get steeper by less [rad] are as they were."""
+MAX_PATH_DEVIATION_M: Final = 0.05 * MM
+"""Maximum distance [m] of a path from the path in a file."""
+GROWING_FRACTION: Final = 0.9
+"""Fraction of what its slope permits from which a shift counts as still growing from 0."""
+WALL_SPACING_M: Final = 1.0 * MM
+"""Spacing [m] of the points of a loop at which its wall is evaluated."""
+AVERAGING_HALF_LENGTH_M: Final = 3.0 * MM
+"""Half length [m] of the path over which distance and height of the loop above are averaged."""
+MIN_LEVEL_STEP_FRACTION: Final = 0.1
+"""Levels that go down by less than this fraction of a step are floors."""
+MIN_STEEPENING_RAD: Final = 0.5 * DEG
+"""Walls that become steeper by less than this [rad] count as unchanged."""
 
 
-def require_mode(work: Work) -> None:
-    """Raise ``TandemError`` (forming.springback_mode) where tools of a job may not go deeper alike."""
+def require_compensation_mode(work: FormingWork) -> None:
+    """Check that tools of a job may be shifted alike.
+
+    Raises:
+        TandemError: forming.springback_mode.
+    """
     require_forecast(work)
     op = work.operation
     if op.mode == "dpif_p":
         what = f"{op.name}: mode dpif_p: its second tool supports the feature's border, which has to stay "
-        what += "where it is, and compensation moves both tools alike; allowed are spif, dsif, dpif_l, heat"
-        hint = "take another mode, or form a test piece and measure it"
-        raise refusal("forming.springback_mode", what, field="mode", hint=hint)
+        what += "where it is, but compensation moves both tools alike; allowed are spif, dsif, dpif_l, heat"
+        hint = "use another mode, or form a test piece and measure it"
+        raise issue_error("forming.springback_mode", what, field="mode", hint=hint)
 
 
 @dataclasses.dataclass(frozen=True)
-class Way:
-    """The former's path of pass ``name`` with what its targets are shifted by: ``point`` (K, 3) [m] of the
-    ball's centre, ``shift`` (K,) [m], from 0, ``loop`` (K,) of the path."""
+class ShiftedPath:
+    """Path of the forming tool of a pass with the shifts of its targets.
+
+    Attributes:
+        name: Name of the pass.
+        point: Centres (K, 3) [m] of the ball.
+        shift: Shifts (K,) [m], from 0.
+        loop: Loop (K,) of the path.
+    """
 
     name: str
     point: FloatArray
@@ -77,73 +93,110 @@ class Way:
     loop: IntArray
 
 
-def ways(
-    work: Work, laid: Sequence[tuple[Pass, ToolPath]], found: Sequence[PassSpringback], slope: float
-) -> tuple[tuple[Way, ...], tuple[FloatArray, ...]]:
-    """The ways of all passes with shifts by the forecast ``found``, of at most ``slope``; and for each pass
-    what they leave of the forecast at its targets (K,) [m]. Raises ``TandemError`` (forming.limit_load) where
-    the sheet snaps under the force."""
-    out, left = [], []
-    for (one, path), forecast in zip(laid, found, strict=True):
-        radius = work.heads[work.former(one)].radius
-        way, rest = way_of(one.name, path, radius, functools.partial(_asked, work, forecast), slope)
-        out.append(way)
-        left.append(rest)
-    return tuple(out), tuple(left)
+def compensated_paths(
+    work: FormingWork,
+    paths: Sequence[tuple[FormingPass, FormingToolPath]],
+    forecasts: Sequence[PassSpringback],
+    slope: float,
+) -> tuple[tuple[ShiftedPath, ...], tuple[FloatArray, ...]]:
+    """Return the paths of all passes with shifts by a forecast.
+
+    Args:
+        work: Work of the operation.
+        paths: Passes with their tool paths.
+        forecasts: Springback of each pass.
+        slope: Maximum slope of the shifts.
+
+    Returns:
+        Shifted paths and, for each pass, the springback (K,) [m] that remains at their targets.
+
+    Raises:
+        TandemError: forming.limit_load if the sheet snaps under the force.
+    """
+    out, remaining = [], []
+    for (forming_pass, path), forecast in zip(paths, forecasts, strict=True):
+        radius = work.heads[work.forming_arm(forming_pass)].radius
+        shifted, remainder = shift_path(
+            forming_pass.name, path, radius, functools.partial(_forecast_springback, work, forecast), slope
+        )
+        out.append(shifted)
+        remaining.append(remainder)
+    return tuple(out), tuple(remaining)
 
 
-def _asked(
-    work: Work, forecast: PassSpringback, points: FloatArray, angle: FloatArray, _: FloatArray
+def _forecast_springback(
+    work: FormingWork, forecast: PassSpringback, points: FloatArray, angle: FloatArray, _: FloatArray
 ) -> FloatArray:
-    """Springback (N,) [m] as `forecast.along` says. Raises ``TandemError``: forming.limit_load where the
-    sheet snaps."""
-    pieces = [slice(k, k + AT_ONCE) for k in range(0, len(points), AT_ONCE)]
-    back = np.concatenate([springback_along(work, forecast, points[some], angle[some]) for some in pieces])
+    """Springback (N,) [m] by `forecast.springback_along`.
+
+    Raises ``TandemError`` (forming.limit_load) if the sheet snaps.
+    """
+    pieces = [slice(k, k + POINTS_AT_ONCE) for k in range(0, len(points), POINTS_AT_ONCE)]
+    back = np.concatenate([springback_along(work, forecast, points[chunk], angle[chunk]) for chunk in pieces])
     if not np.isfinite(back).all():
-        what = f"pass {forecast.one.name}: the sheet snaps or buckles under the force that is expected: no "
-        what += "shift of the tools makes up for that"
-        hint = "hold the sheet nearer to the part, form in more passes, or take thicker sheet"
-        raise refusal("forming.limit_load", what, field="force_n", hint=hint)
+        what = (
+            f"pass {forecast.forming_pass.name}: the sheet snaps or buckles under the expected force, which "
+            "no "
+        )
+        what += "shift of the tools can compensate"
+        hint = "clamp the sheet nearer to the part, form in more passes, or use thicker sheet"
+        raise issue_error("forming.limit_load", what, field="force_n", hint=hint)
     return back
 
 
-def way_of(
+def shift_path(
     name: str,
-    path: ToolPath,
+    path: FormingToolPath,
     radius: float,
-    asked: Callable[[FloatArray, FloatArray, FloatArray], FloatArray],
+    springback_at: Callable[[FloatArray, FloatArray, FloatArray], FloatArray],
     slope: float,
     first: float = 0.0,
-) -> tuple[Way, FloatArray]:
-    """A path shifted by what is ``asked`` (N,) [m] at places (N, 3) of its contact on walls at (N,) [rad],
-    (N,) [m] along the path, as far as ``slope`` lets it from ``first`` [m] on; and what that leaves at its
-    targets (K,) [m]. ``radius`` [m] of the ball."""
-    places = arc_length(path.former)
-    count = int(min(MOST_PLACES, np.ceil(places[-1] / GRID))) + 1
-    grid = np.linspace(0.0, float(places[-1]), count)
-    contact = along(path.contact.point, places, grid)
-    angle = np.interp(grid, places, path.contact.angle)
-    wanted = asked(contact, angle, grid)
-    limited = _limited(grid, wanted, slope, first)
-    shift = smoothed(limited, radius / max(float(grid[1]), 1e-12))
-    kept = _refined(path, _numbers(places, _targets(places, grid, shift, radius)))
-    at = arc_length(kept.former)
-    by = np.interp(at, grid, shift)
-    return Way(name, kept.former, by, kept.contact.loop), np.interp(at, grid, wanted) - by
+) -> tuple[ShiftedPath, FloatArray]:
+    """Return a path with shifts, and what remains of the springback at its targets.
+
+    Args:
+        name: Name of the pass.
+        path: Tool path.
+        radius: Radius [m] of the ball.
+        springback_at: Required shift (N,) [m] at contact points (N, 3) [m] on walls at angles (N,) [rad], at
+            arc lengths (N,) [m].
+        slope: Maximum slope of the shifts.
+        first: Shift [m] at the start.
+
+    Returns:
+        Shifted path and remaining springback (K,) [m].
+    """
+    arc = arc_length(path.forming_centre)
+    count = int(min(MAX_GRID_POINTS, np.ceil(arc[-1] / SHIFT_GRID_M))) + 1
+    grid = np.linspace(0.0, float(arc[-1]), count)
+    contact = interpolate_polyline(path.contact.point, arc, grid)
+    angle = np.interp(grid, arc, path.contact.angle)
+    required = springback_at(contact, angle, grid)
+    limited = _limit_slope(grid, required, slope, first)
+    shift = moving_average(limited, radius / max(float(grid[1]), 1e-12))
+    refined = _refine_path(path, _target_numbers(arc, _added_arcs(arc, grid, shift, radius)))
+    refined_arc = arc_length(refined.forming_centre)
+    refined_shift = np.interp(refined_arc, grid, shift)
+    return ShiftedPath(name, refined.forming_centre, refined_shift, refined.contact.loop), np.interp(
+        refined_arc, grid, required
+    ) - refined_shift
 
 
-def _limited(grid: FloatArray, wanted: FloatArray, slope: float, first: float) -> FloatArray:
-    """The largest curve (N,) below ``wanted`` (N,) of at most ``slope`` over ``grid`` (N,) [m] from ``first``
-    [m] on, above ``wanted`` where it cannot be down there yet."""
-    below = np.maximum(wanted, 0.0)
+def _limit_slope(grid: FloatArray, required: FloatArray, slope: float, first: float) -> FloatArray:
+    """Largest curve (N,) below ``required`` (N,) of at most ``slope``.
+
+    It is over ``grid`` (N,) [m], from ``first`` [m] on. It is above ``required`` where it cannot have come
+    down yet.
+    """
+    below = np.maximum(required, 0.0)
     below[0] = first
-    ahead = slope * grid + np.minimum.accumulate(below - slope * grid)
-    least = np.minimum.accumulate((ahead + slope * grid)[::-1])[::-1] - slope * grid
-    return np.asarray(np.maximum(least, first - slope * grid))
+    forward = slope * grid + np.minimum.accumulate(below - slope * grid)
+    lower = np.minimum.accumulate((forward + slope * grid)[::-1])[::-1] - slope * grid
+    return np.asarray(np.maximum(lower, first - slope * grid))
 
 
-def smoothed(value: FloatArray, half: float) -> FloatArray:
-    """The mean (N,) of ``half`` a window of even places on either side, less at the ends."""
+def moving_average(value: FloatArray, half: float) -> FloatArray:
+    """Return the mean (N,) over a window of ``half`` points on either side, less at the ends."""
     count = len(value)
     index = np.arange(count)
     reach = np.minimum(round(half), np.minimum(index, count - 1 - index))
@@ -151,226 +204,310 @@ def smoothed(value: FloatArray, half: float) -> FloatArray:
     return np.asarray((total[index + reach + 1] - total[index - reach]) / (2 * reach + 1))
 
 
-def _targets(places: FloatArray, grid: FloatArray, shift: FloatArray, step: float) -> FloatArray:
-    """Places (K,) [m] along a path, between its targets at ``places`` (N,), of those that its moves need so
-    that the shift is straight between them: at most ``step`` [m] apart where it is not."""
-    straight = np.interp(grid, places, np.interp(places, grid, shift))
-    move = np.clip(np.searchsorted(places, grid, side="right") - 1, 0, max(len(places) - 2, 0))
-    off = np.zeros(len(places) - 1)
-    np.maximum.at(off, move, np.abs(shift - straight))
-    more = [np.zeros(0)]
-    for k in np.flatnonzero(off > CHORD):
-        count = int(np.ceil((places[k + 1] - places[k]) / step))
-        more.append(np.linspace(places[k], places[k + 1], count + 1)[1:-1])
-    return np.concatenate(more)
+def _added_arcs(arc: FloatArray, grid: FloatArray, shift: FloatArray, step: float) -> FloatArray:
+    """Arc lengths (K,) [m] of additional targets between those at ``arc`` (N,) [m].
+
+    They are needed so that the shift is linear between targets: at most ``step`` [m] apart where it is not.
+    """
+    straight = np.interp(grid, arc, np.interp(arc, grid, shift))
+    move = np.clip(np.searchsorted(arc, grid, side="right") - 1, 0, max(len(arc) - 2, 0))
+    deviation = np.zeros(len(arc) - 1)
+    np.maximum.at(deviation, move, np.abs(shift - straight))
+    added = [np.zeros(0)]
+    for k in np.flatnonzero(deviation > SHIFT_CHORD_M):
+        count = int(np.ceil((arc[k + 1] - arc[k]) / step))
+        added.append(np.linspace(arc[k], arc[k + 1], count + 1)[1:-1])
+    return np.concatenate(added)
 
 
-def _numbers(places: FloatArray, more: FloatArray) -> FloatArray:
-    """Numbers (K,) of all targets of a path, at ``places`` (N,) [m] along it, with ``more`` of them between:
-    of these how far they are from one to the next. Where one tool stands several are at one place."""
-    before = np.clip(np.searchsorted(places, more, side="right") - 1, 0, max(len(places) - 2, 0))
-    share = (more - places[before]) / np.maximum(places[before + 1] - places[before], 1e-12)
-    return np.sort(np.concatenate([np.arange(len(places)), before + np.clip(share, 0.0, 1.0)]))
+def _target_numbers(arc: FloatArray, added: FloatArray) -> FloatArray:
+    """Fractional numbers (K,) of all targets of a path, with additional ones at ``added``.
+
+    The targets are at ``arc`` (N,) [m]. The fraction is that of the move from one target to the next. Where
+    one tool dwells, several targets are at one position.
+    """
+    previous = np.clip(np.searchsorted(arc, added, side="right") - 1, 0, max(len(arc) - 2, 0))
+    fraction = (added - arc[previous]) / np.maximum(arc[previous + 1] - arc[previous], 1e-12)
+    return np.sort(np.concatenate([np.arange(len(arc)), previous + np.clip(fraction, 0.0, 1.0)]))
 
 
-def _refined(path: ToolPath, number: FloatArray) -> ToolPath:
-    """A path with targets between its own, by their numbers (K,): `_numbers`."""
-    before = np.minimum(number.astype(np.int64), len(path.former) - 1)
-    share = number - before
-    ahead = np.minimum(before + 1, len(path.former) - 1)
-    end = np.where(share == 0.0, before, ahead)
+def _refine_path(path: FormingToolPath, number: FloatArray) -> FormingToolPath:
+    """A path with additional targets, by their fractional numbers (K,): `_target_numbers`."""
+    previous = np.minimum(number.astype(np.int64), len(path.forming_centre) - 1)
+    fraction = number - previous
+    following = np.minimum(previous + 1, len(path.forming_centre) - 1)
+    end = np.where(fraction == 0.0, previous, following)
 
-    def mixed(value: FloatArray) -> FloatArray:
-        part = share if value.ndim == 1 else share[:, None]
-        there = (1.0 - part) * value[before] + part * value[ahead]
-        own = share == 0.0
-        there[own] = value[before[own]]
-        return np.asarray(there)
+    def interpolate(value: FloatArray) -> FloatArray:
+        part = fraction if value.ndim == 1 else fraction[:, None]
+        interpolated = (1.0 - part) * value[previous] + part * value[following]
+        exact = fraction == 0.0
+        interpolated[exact] = value[previous[exact]]
+        return np.asarray(interpolated)
 
     contact = dataclasses.replace(
         path.contact,
-        point=mixed(path.contact.point),
-        normal=unit(mixed(path.contact.normal)),
-        centre=mixed(path.contact.centre),
-        angle=mixed(path.contact.angle),
+        point=interpolate(path.contact.point),
+        normal=unit(interpolate(path.contact.normal)),
+        centre=interpolate(path.contact.centre),
+        angle=interpolate(path.contact.angle),
         loop=path.contact.loop[end],
         working=path.contact.working[end],
     )
     return dataclasses.replace(
         path,
-        former=mixed(path.former),
-        axis=unit(mixed(path.axis)),
-        support=None if path.support is None else mixed(path.support),
-        support_axis=None if path.support_axis is None else unit(mixed(path.support_axis)),
-        gap=mixed(path.gap),
+        forming_centre=interpolate(path.forming_centre),
+        axis=unit(interpolate(path.axis)),
+        support_centre=None if path.support_centre is None else interpolate(path.support_centre),
+        support_axis=None if path.support_axis is None else unit(interpolate(path.support_axis)),
+        gap=interpolate(path.gap),
         contact=contact,
-        loose=None if path.loose is None else path.loose[end],
+        unresolved=None if path.unresolved is None else path.unresolved[end],
     )
 
 
-def at_targets(way: Way, path: ToolPath) -> FloatArray:
-    """Shifts (N,) [m] of a way at the targets of the path that it was made of."""
-    places, known = arc_length(path.former), arc_length(way.point)
-    return np.interp(places, known * (places[-1] / max(float(known[-1]), 1e-12)), way.shift)
+def shift_at_targets(shifted: ShiftedPath, path: FormingToolPath) -> FloatArray:
+    """Return the shifts (N,) [m] at the targets of the path that a shifted path was made from."""
+    arc, file_arc = arc_length(path.forming_centre), arc_length(shifted.point)
+    return np.interp(arc, file_arc * (arc[-1] / max(float(file_arc[-1]), 1e-12)), shifted.shift)
 
 
-def shifted(laid: Sequence[tuple[Pass, ToolPath]], given: Sequence[Way]) -> list[tuple[Pass, ToolPath]]:
-    """The paths of both tools, shifted alike as the ``given`` ways say, with the targets that these have.
-    Raises ``TandemError`` (forming.compensation) where a path is none of them."""
-    by_name = {way.name: way for way in given}
+def apply_shifts(
+    paths: Sequence[tuple[FormingPass, FormingToolPath]], given: Sequence[ShiftedPath]
+) -> list[tuple[FormingPass, FormingToolPath]]:
+    """Return the paths of both tools with the given shifts, and with the targets that these have.
+
+    Args:
+        paths: Passes with their tool paths.
+        given: Shifted paths.
+
+    Raises:
+        TandemError: forming.compensation if a path is none of them.
+    """
+    by_name = {shifted_path.name: shifted_path for shifted_path in given}
     out = []
-    for one, path in laid:
-        way = by_name.get(one.name)
-        if way is None:
-            raise refused(f"it has no shifts for pass {one.name}")
-        places, known = arc_length(path.former), arc_length(way.point)
-        known = known * (places[-1] / max(float(known[-1]), 1e-12))
-        off = lengths(along(way.point, known, places) - path.former)
-        if len(way.point) < 2 or off.max() > OFF_WAY:
-            worst = int(np.argmax(off))
-            x, y, z = path.former[worst] / MM
-            what = f"pass {one.name} is {off[worst] / MM:.3f} mm off it at ({x:.2f}, {y:.2f}, {z:.2f}) mm, "
-            raise refused(what + f"allowed {OFF_WAY / MM:g} mm: the path is laid in another way now")
-        near = np.abs(places[_nearest(places, known)] - known)
-        made = _refined(path, _numbers(places, known[near > SAME_PLACE]))
-        by = np.interp(arc_length(made.former), known, way.shift)
-        deep = np.zeros((len(by), 3))
-        deep[:, 2] = -one.side * by
-        support = None if made.support is None else made.support + deep
-        out.append((one, dataclasses.replace(made, former=made.former + deep, support=support)))
+    for forming_pass, path in paths:
+        shifted_path = by_name.get(forming_pass.name)
+        if shifted_path is None:
+            raise file_error(f"it has no shifts for pass {forming_pass.name}")
+        arc, file_arc = arc_length(path.forming_centre), arc_length(shifted_path.point)
+        file_arc = file_arc * (arc[-1] / max(float(file_arc[-1]), 1e-12))
+        deviation = lengths(interpolate_polyline(shifted_path.point, file_arc, arc) - path.forming_centre)
+        if len(shifted_path.point) < 2 or deviation.max() > MAX_PATH_DEVIATION_M:
+            worst = int(np.argmax(deviation))
+            x, y, z = path.forming_centre[worst] / MM
+            what = (
+                f"pass {forming_pass.name} is {deviation[worst] / MM:.3f} mm off it at ({x:.2f}, {y:.2f}, "
+                f"{z:.2f}) mm, "
+            )
+            raise file_error(
+                what + f"allowed {MAX_PATH_DEVIATION_M / MM:g} mm: the path has changed since then"
+            )
+        distance = np.abs(arc[_nearest_index(arc, file_arc)] - file_arc)
+        refined = _refine_path(path, _target_numbers(arc, file_arc[distance > TARGET_TOLERANCE_M]))
+        shift = np.interp(arc_length(refined.forming_centre), file_arc, shifted_path.shift)
+        displacement = np.zeros((len(shift), 3))
+        displacement[:, 2] = -forming_pass.side * shift
+        support = None if refined.support_centre is None else refined.support_centre + displacement
+        out.append(
+            (
+                forming_pass,
+                dataclasses.replace(
+                    refined, forming_centre=refined.forming_centre + displacement, support_centre=support
+                ),
+            )
+        )
     return out
 
 
-def _nearest(sorted_places: FloatArray, wanted: FloatArray) -> IntArray:
-    ahead = np.clip(np.searchsorted(sorted_places, wanted), 1, len(sorted_places) - 1)
-    back = wanted - sorted_places[ahead - 1] < sorted_places[ahead] - wanted
+def _nearest_index(sorted_arc: FloatArray, requested: FloatArray) -> IntArray:
+    ahead = np.clip(np.searchsorted(sorted_arc, requested), 1, len(sorted_arc) - 1)
+    back = requested - sorted_arc[ahead - 1] < sorted_arc[ahead] - requested
     return np.asarray(ahead - back)
 
 
-AGAIN: Final = "write it again: tandem springback PROBLEM --write FILE, or tandem adjust of a scan"
-"""What helps where a file of shifts is of another job, damaged or old."""
+REWRITE_HINT: Final = "write it again: tandem springback PROBLEM --write FILE, or tandem adjust of a scan"
+"""Remedy if a file of shifts is for another job, damaged or old."""
 
 
-def refused(what: str, hint: str = AGAIN) -> TandemError:
-    """What is wrong with a file of shifts, and what to do."""
-    return refusal(
+def file_error(what: str, hint: str = REWRITE_HINT) -> TandemError:
+    """Return the error for a file of shifts: the problem, and the remedy."""
+    return issue_error(
         "forming.compensation", f"the springback file is refused: {what}", field="springback.file", hint=hint
     )
 
 
-def steeper(
-    work: Work,
-    laid: Sequence[tuple[Pass, ToolPath]],
-    given: Sequence[Way],
+def steepening_issues(
+    work: FormingWork,
+    paths: Sequence[tuple[FormingPass, FormingToolPath]],
+    given: Sequence[ShiftedPath],
     slope: float,
     level: Level | None = None,
 ) -> Iterator[Issue]:
-    """Walls that the shifts make steeper than one pass may be (forming.wall_angle), to be accepted: from each
-    loop to the next, behind the way on which the shift grows from 0 by ``slope``; where one ``level`` is
-    formed alone, from where the level before ended to its own end."""
+    """Report walls that the shifts make steeper than one pass may form (forming.wall_angle).
+
+    The problem has to accept them. Walls are evaluated from each loop to the next, after the section on which
+    the shift grows from 0 by ``slope``. If one level is formed alone, from where the previous level ended to
+    its own end.
+
+    Args:
+        work: Work of the operation.
+        paths: Passes with their tool paths.
+        given: Shifted paths.
+        slope: Slope of the shifts.
+        level: Level that is formed alone, or None.
+    """
     op, metal = work.operation, work.sheet.metal
-    for (one, path), way in zip(laid, given, strict=True):
-        earlier = [p for p in work.passes if p.feature == one.feature and p.number < one.number]
-        limit = stood(max((steepest(p.vertices, p.faces) for p in earlier), default=0.0), op, metal)
+    for (forming_pass, path), shifted in zip(paths, given, strict=True):
+        earlier = [
+            p for p in work.passes if p.feature == forming_pass.feature and p.number < forming_pass.number
+        ]
+        limit = max_wall_angle(
+            max((wall_angle(p.vertices, p.faces) for p in earlier), default=0.0), op, metal
+        )
         if level is None:
-            places, before, angle = _between_loops(one, way, slope)
+            points, nominal_angle, angle = _wall_between_loops(forming_pass, shifted, slope)
         else:
-            places, before, angle = _below(one, path, way, level, (op.stepdown_mm or 0.0) * MM)
-        over = np.where(angle - before > STEEPER, angle, 0.0)
-        k = int(np.argmax(over)) if len(over) else 0
-        if len(over) and over[k] > limit:
-            x, y, z = places[k] / MM
+            points, nominal_angle, angle = _wall_of_level(
+                forming_pass, path, shifted, level, (op.stepdown_mm or 0.0) * MM
+            )
+        excess = np.where(angle - nominal_angle > MIN_STEEPENING_RAD, angle, 0.0)
+        k = int(np.argmax(excess)) if len(excess) else 0
+        if len(excess) and excess[k] > limit:
+            x, y, z = points[k] / MM
             what = (
-                f"pass {one.name}: with the tools deeper by what the sheet comes back by, its wall is "
-                f"{over[k] / DEG:.1f} deg at ({x:.1f}, {y:.1f}, {z:.1f}) mm, {before[k] / DEG:.1f} deg "
-                f"without; {metal.title} is known to stand {limit / DEG:.1f} deg there in one pass"
+                f"pass {forming_pass.name}: with springback compensation its wall is {excess[k] / DEG:.1f} "
+                f"deg at ({x:.1f}, {y:.1f}, {z:.1f}) mm, {nominal_angle[k] / DEG:.1f} deg without it; "
+                f"{metal.title} is known to allow {limit / DEG:.1f} deg there in one pass"
             )
             yield Issue(
                 "forming.wall_angle",
                 what,
                 Severity.WARNING,
                 field="springback" if level is None else "level",
-                **measurement(over[k] / DEG, limit / DEG, "deg"),
-                hint="hold the sheet nearer to the part, so that it comes back by less, or form more passes",
+                **measurement(excess[k] / DEG, limit / DEG, "deg"),
+                hint="clamp the sheet nearer to the part to reduce springback, or form more passes",
                 accepted=False,
             )
 
 
-def _between_loops(one: Pass, way: Way, slope: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Places (K, 3) [m] of a way, its walls (K,) [rad] from the loop before to there, and the same walls with
-    its shifts."""
-    gone = arc_length(way.point)
-    grows = (way.shift >= GROWING * slope * gone) & (gone > 0.0)
-    begun = float(gone[grows].max(initial=0.0))
+def _wall_between_loops(
+    forming_pass: FormingPass, shifted: ShiftedPath, slope: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Points (K, 3) [m] of a path, its walls (K,) [rad], and the walls with its shifts.
+
+    A wall is that from the previous loop to the point.
+    """
+    arc = arc_length(shifted.point)
+    grows = (shifted.shift >= GROWING_FRACTION * slope * arc) & (arc > 0.0)
+    growth_end = float(arc[grows].max(initial=0.0))
     points, tables = [], []
-    for k in range(int(way.loop.max())):
-        here, ahead = np.flatnonzero(way.loop == k), np.flatnonzero(way.loop == k + 1)
-        if len(here) < 2 or len(ahead) < 2:
+    for k in range(int(shifted.loop.max())):
+        previous_loop, current_loop = np.flatnonzero(shifted.loop == k), np.flatnonzero(shifted.loop == k + 1)
+        if len(previous_loop) < 2 or len(current_loop) < 2:
             continue
-        at = np.union1d(gone[ahead], np.arange(gone[ahead[0]], gone[ahead[-1]], SPACING))
-        place, shift = along(way.point, gone, at), np.interp(at, gone, way.shift)
-        line, plan = shapely.linestrings(way.point[here, :2]), arc_length(way.point[here, :2])
-        spot = shapely.points(place[:, :2])
-        on = shapely.line_locate_point(line, spot)
-        rise = one.side * (np.interp(on, plan, way.point[here, 2]) - place[:, 2])
-        more = shift - np.interp(on, plan, way.shift[here])
-        late = np.interp(on, plan, gone[here]) > begun
-        points.append(place[late])
-        tables.append(np.stack([at, shapely.distance(line, spot), rise, more], axis=1)[late])
+        stations = np.union1d(
+            arc[current_loop], np.arange(arc[current_loop[0]], arc[current_loop[-1]], WALL_SPACING_M)
+        )
+        station_points, shift = (
+            interpolate_polyline(shifted.point, arc, stations),
+            np.interp(stations, arc, shifted.shift),
+        )
+        line, plan = (
+            shapely.linestrings(shifted.point[previous_loop, :2]),
+            arc_length(shifted.point[previous_loop, :2]),
+        )
+        plan_points = shapely.points(station_points[:, :2])
+        line_arc = shapely.line_locate_point(line, plan_points)
+        rise = forming_pass.side * (
+            np.interp(line_arc, plan, shifted.point[previous_loop, 2]) - station_points[:, 2]
+        )
+        added_depth = shift - np.interp(line_arc, plan, shifted.shift[previous_loop])
+        is_after_growth = np.interp(line_arc, plan, arc[previous_loop]) > growth_end
+        points.append(station_points[is_after_growth])
+        tables.append(
+            np.stack([stations, shapely.distance(line, plan_points), rise, added_depth], axis=1)[
+                is_after_growth
+            ]
+        )
     if not points:
         return np.zeros((0, 3)), np.zeros(0), np.zeros(0)
-    place, height = np.concatenate(points), np.concatenate(tables)
-    apart = np.hypot(height[:, 1], height[:, 2])  # a last loop that is level lies on the one before in part
-    rows = np.flatnonzero(apart > 0.5 * float(np.median(apart))) if len(apart) else np.arange(0)
-    place, (at, away, rise, more) = place[rows], height[rows].T
-    # loops are polygons whose corners lie beside one another by chance
-    first, last = np.searchsorted(at, at - AROUND), np.searchsorted(at, at + AROUND, side="right")
-    total = np.cumsum(np.pad(np.stack([away, rise, more]), ((0, 0), (1, 0))), axis=1)
-    away, rise, more = (total[:, last] - total[:, first]) / (last - first)
-    return place, np.arctan2(rise, away), np.arctan2(rise + more, away)
-
-
-def _below(
-    one: Pass, path: ToolPath, way: Way, level: Level, step: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The same of a level that is formed alone, below the one above it: that ends at the shift with which
-    this one begins, and is deeper by the slope of the way from there at most, so its walls are as steep as
-    this says at least."""
-    none = np.zeros((0, 3)), np.zeros(0), np.zeros(0)
-    begin, end = heights(one, step, level.number)
-    gone = arc_length(way.point)
-    first = level.before_mm * MM
-    if begin <= 0.0 or end - begin < LEAST_RISE * step:
-        return none
-    if first > 0.0 and first >= GROWING * level.slope * gone[-1] * level.number:
-        return none  # it still grows from 0
-    before = np.interp(gone, arc_length(path.former), path.contact.angle)
-    more = np.maximum(way.shift - first - level.slope * (gone[-1] - gone), 0.0)
-    return way.point, before, np.arctan(np.tan(before) * (1.0 + more / (end - begin)))
-
-
-def told(given: Sequence[Way], file: str, level: int | None = None, scan: str | None = None) -> Issue:
-    """A note of what a plan shifts its tools by: all passes, or one ``level``, or as a ``scan`` has shown."""
-    deepest = max(given, key=lambda way: float(way.shift.max()))
-    most = float(deepest.shift.max()) / MM
-    field, why, of = "springback.file", "what it assumes stands in it", ""
-    if level is not None:
-        field, why, of = "level.file", "that follows from forces as they were measured", f"level {level} of "
-    if scan is not None:
-        why = f"that follows from the scan {scan} of a part that was formed before"
-    what = (
-        f"tools go deeper than the part by what the sheet comes back by, as {file} says: up to {most:.2f} mm "
-        f"({of}pass {deepest.name}); {why}"
+    station_points, height = np.concatenate(points), np.concatenate(tables)
+    distance = np.hypot(
+        height[:, 1], height[:, 2]
+    )  # a level last loop partly coincides with the previous one
+    rows = np.flatnonzero(distance > 0.5 * float(np.median(distance))) if len(distance) else np.arange(0)
+    station_points, (stations, plan_distance, rise, added_depth) = station_points[rows], height[rows].T
+    # loops are polygons with unrelated corners, so average along the path
+    first, last = (
+        np.searchsorted(stations, stations - AVERAGING_HALF_LENGTH_M),
+        np.searchsorted(stations, stations + AVERAGING_HALF_LENGTH_M, side="right"),
     )
-    return Issue("forming.compensated", what, Severity.NOTE, field=field, value=most, unit="mm")
+    total = np.cumsum(np.pad(np.stack([plan_distance, rise, added_depth]), ((0, 0), (1, 0))), axis=1)
+    plan_distance, rise, added_depth = (total[:, last] - total[:, first]) / (last - first)
+    return station_points, np.arctan2(rise, plan_distance), np.arctan2(rise + added_depth, plan_distance)
 
 
-def exhibit(given: Sequence[Way]) -> dict[str, Any]:
-    """The shifts along the paths, for the report."""
+def _wall_of_level(
+    forming_pass: FormingPass, path: FormingToolPath, shifted: ShiftedPath, level: Level, step: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Points (K, 3) [m] of a single level, its walls (K,) [rad], and the walls with its shifts.
+
+    The level above ends at the shift with which this one starts, and is deeper by at most the slope times the
+    distance from there. So the walls are at least as steep as this result.
+    """
+    none = np.zeros((0, 3)), np.zeros(0), np.zeros(0)
+    start_depth, end_depth = level_depths(forming_pass, step, level.number)
+    arc = arc_length(shifted.point)
+    first = level.before_mm * MM
+    if start_depth <= 0.0 or end_depth - start_depth < MIN_LEVEL_STEP_FRACTION * step:
+        return none
+    if first > 0.0 and first >= GROWING_FRACTION * level.slope * arc[-1] * level.number:
+        return none  # it still grows from 0
+    nominal_angle = np.interp(arc, arc_length(path.forming_centre), path.contact.angle)
+    added_depth = np.maximum(shifted.shift - first - level.slope * (arc[-1] - arc), 0.0)
+    return (
+        shifted.point,
+        nominal_angle,
+        np.arctan(np.tan(nominal_angle) * (1.0 + added_depth / (end_depth - start_depth))),
+    )
+
+
+def compensated_note(
+    given: Sequence[ShiftedPath], file: str, level: int | None = None, scan: str | None = None
+) -> Issue:
+    """Return a note about the shifts of a plan.
+
+    Args:
+        given: Shifted paths.
+        file: Name of the file.
+        level: Level that is formed alone, or None.
+        scan: Scan from which the shifts follow, or None.
+    """
+    deepest = max(given, key=lambda path: float(path.shift.max()))
+    max_shift = float(deepest.shift.max()) / MM
+    field, why, of = "springback.file", "the file states its assumptions", ""
+    if level is not None:
+        field, why, of = "level.file", "this follows from measured forces", f"level {level} of "
+    if scan is not None:
+        why = f"this follows from the scan {scan} of a part that was formed before"
+    what = format_message(
+        "forming.compensated",
+        file=file,
+        max_shift_mm=max_shift,
+        level_clause=of,
+        pass_name=deepest.name,
+        basis=why,
+    )
+    return Issue("forming.compensated", what, Severity.NOTE, field=field, value=max_shift, unit="mm")
+
+
+def compensation_exhibit(given: Sequence[ShiftedPath]) -> dict[str, Any]:
+    """Return the shifts along the paths, for the report."""
     return {
         "kind": "heatmap",
-        "title": "How much deeper the tools go, for the sheet comes back by it",
-        "points": np.concatenate([way.point for way in given]),
-        "value": np.concatenate([way.shift for way in given]) / MM,
+        "title": "Springback compensation: how much deeper the tools go",
+        "points": np.concatenate([path.point for path in given]),
+        "value": np.concatenate([path.shift for path in given]) / MM,
         "unit": "mm",
     }

@@ -1,9 +1,10 @@
-"""The file of shifts that make up for springback: `tandem springback --write` makes it, a problem names it.
+"""File of springback shifts: written by `tandem springback --write`, named by a problem.
 
-JSON, one ring or control point a line: what it belongs to, what is assumed, limits, control points with their
-curves, and of each pass the loops of the former's path with the shift at each target, x, y, z and S in mm in
-the sheet's frame. Its last line is the SHA-256 of all text before it, so one that is cut short or edited is
-refused; so is one that belongs to another part, sheet, tool or operation, by the name of what differs.
+JSON with one ring or control point a line: what it belongs to, assumptions, limits, control points with their
+curves, and for each pass the loops of the forming tool's path with the shift at each target, x, y, z and S in
+mm in the sheet's frame. Its last line is the SHA-256 of all text before it, so a file that is truncated or
+edited is refused. So is one that belongs to another part, sheet, tool or operation, with the name of the
+difference.
 """
 
 import dataclasses
@@ -15,34 +16,34 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.files import is_file, no_file
+from planner.files import is_file, missing_file_reason
 from planner.geometry.arrays import FloatArray, IntArray, Mesh, lengths
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Stock
 from planner.processes.forming.plan.operation import Forming, Springback
-from planner.processes.forming.plan.process_plan import Work
+from planner.processes.forming.plan.process_plan import FormingWork
 from planner.processes.forming.plan.springback import forecast
-from planner.processes.forming.plan.springback.compensation import AGAIN, Way, refused
-from planner.processes.forming.plan.springback.curves import Curve, PassSpringback
+from planner.processes.forming.plan.springback.compensation import REWRITE_HINT, ShiftedPath, file_error
+from planner.processes.forming.plan.springback.curves import PassSpringback, SpringbackCurve
 
-VERSIONS: Final = {"tandem_springback": 2, "tandem_adjustment": 2, "tandem_level": 1}
-"""Numbers of the files' forms, by what files have them with."""
-KINDS: Final = {
+FILE_VERSIONS: Final = {"tandem_springback": 2, "tandem_adjustment": 2, "tandem_level": 1}
+"""Versions of the file formats, by the key that marks the kind of file."""
+FILE_KINDS: Final = {
     "tandem_springback": "springback file",
     "tandem_adjustment": "file of adjustments by a scan",
     "tandem_level": "file of one level",
 }
-"""What files are, by the same."""
-MOST_LEVELS: Final = 1_000_000
-"""Levels of a pass are numbered below this."""
-LARGEST: Final = 64_000_000
-"""Bytes of a file at most."""
-DECIMALS: Final = 5
-"""Digits of lengths behind the point [mm]: a hundredth of a micrometre."""
-ROUNDING: Final = 2e-8
-"""What two rounded shifts may differ by besides their slope [m]."""
-DECIDES: Final = (
+"""Kinds of files in words, by the same keys."""
+MAX_LEVELS: Final = 1_000_000
+"""Upper bound of the level numbers of a pass."""
+MAX_FILE_BYTES: Final = 64_000_000
+"""Maximum size [bytes] of a file."""
+LENGTH_DECIMALS: Final = 5
+"""Decimals of lengths [mm]: a hundredth of a micrometre."""
+SHIFT_ROUNDING_M: Final = 2e-8
+"""Difference [m] of two rounded shifts in addition to their slope."""
+IDENTITY_FIELDS: Final = (
     "mode",
     "side",
     "path",
@@ -55,28 +56,37 @@ DECIDES: Final = (
     "repeats",
     "force_n",
 )
-"""Fields of an operation that decide what the sheet comes back by and where loops run."""
+"""Fields of an operation that determine the springback and the position of loops."""
 
-_CONTROL: Final = ("level", "x_mm", "y_mm", "z_mm", "springback_mm", "force_n")
-_CURVE: Final = ("forces_n", "displacements_mm")
-"""What is read of a control point, and of its curve."""
+_CONTROL_KEYS: Final = ("level", "x_mm", "y_mm", "z_mm", "springback_mm", "force_n")
+"""Keys of a control point that are read."""
+_CURVE_KEYS: Final = ("forces_n", "displacements_mm")
+"""Keys of the curve of a control point that are read."""
 
 
-def belongs_to(work: Work, stock: Stock, part: Part | None) -> dict[str, Any]:
-    """What decides how far a sheet comes back, as plain values by name; meshes and outlines by digest."""
+def job_identity(work: FormingWork, stock: Stock, part: Part | None) -> dict[str, Any]:
+    """Return what determines the springback of a sheet, as plain values by name.
+
+    Meshes and outlines are represented by a digest.
+    """
     op, sheet = work.operation, work.sheet
     mesh = None if part is None or part.formed is None else part.formed.source
     return {
         "part": "" if mesh is None else _mesh_digest(mesh),
-        "sheet.size_mm": [_short(v / MM) for v in stock.size],
+        "sheet.size_mm": [_round_significant(v / MM) for v in stock.size],
         "sheet.metal": sheet.metal.name,
-        "sheet.young_gpa": _short(sheet.metal.young / 1e9),
-        "sheet.poisson": _short(sheet.metal.poisson),
-        "sheet.tensile_mpa": _short(sheet.metal.tensile_stress / 1e6),
+        "sheet.young_gpa": _round_significant(sheet.metal.young / 1e9),
+        "sheet.poisson": _round_significant(sheet.metal.poisson),
+        "sheet.tensile_mpa": _round_significant(sheet.metal.tensile_stress / 1e6),
         "sheet.opening": _digest(np.round(sheet.opening * 1e9).astype("<i8").tobytes()),
-        "clamp.border_n_mm2": "immovable" if np.isinf(sheet.border) else _short(sheet.border * MM**2),
-        **{f"tool.{arm}": [head.kind, _short(head.radius / MM)] for arm, head in sorted(work.heads.items())},
-        **{f"operation.{name}": _plain(getattr(op, name)) for name in DECIDES},
+        "clamp.border_n_mm2": "immovable"
+        if np.isinf(sheet.border)
+        else _round_significant(sheet.border * MM**2),
+        **{
+            f"tool.{arm}": [head.kind, _round_significant(head.radius / MM)]
+            for arm, head in sorted(work.heads.items())
+        },
+        **{f"operation.{name}": _plain_value(getattr(op, name)) for name in IDENTITY_FIELDS},
         **_stated_forces(op),
     }
 
@@ -85,8 +95,8 @@ def _stated_forces(op: Forming) -> dict[str, Any]:
     out: dict[str, Any] = {}
     if op.force_by is not None:
         table, file = op.force_by.table, op.force_by.file
-        whole = [list(row) for row in table or ()] if file is None else _digest(file.read_bytes())
-        out["operation.force_by"] = whole
+        stated = [list(row) for row in table or ()] if file is None else _digest(file.read_bytes())
+        out["operation.force_by"] = stated
     if op.support_force_n is not None:
         out["operation.support_force_n"] = op.support_force_n
     return out
@@ -101,16 +111,16 @@ def _digest(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()[:32]
 
 
-def _short(value: float) -> float:
+def _round_significant(value: float) -> float:
     return float(f"{float(value):.9g}")
 
 
-def _plain(value: Any) -> Any:
+def _plain_value(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
 
 
-def assumed(work: Work) -> list[str]:
-    """What a forecast rests on that nobody has measured here."""
+def assumptions(work: FormingWork) -> list[str]:
+    """Return the assumptions of a forecast that were not measured on this setup."""
     metal = work.sheet.metal
     border = work.sheet.border
     edge = (
@@ -118,63 +128,75 @@ def assumed(work: Work) -> list[str]:
         if border == 0.0
         else "does not move"
         if np.isinf(border)
-        else f"gives way by a spring of {border * MM**2:g} N/mm for each mm"
+        else f"yields as a spring of {border * MM**2:g} N/mm for each mm"
     )
     return [
-        *forecast.forces_told(work),
+        *forecast.describe_forces(work),
         f"the sheet's edge {edge} (clamp: border)",
-        f"E {metal.young / 1e9:g} GPa and nu {metal.poisson:g} of {metal.title}, elastic alone",
-        "the sheet is as thick as the sine law has it, and has the wanted shape down to the tool",
-        "residual stress, which moves a part when it is unclamped or trimmed, is not in this",
+        f"E {metal.young / 1e9:g} GPa and nu {metal.poisson:g} of {metal.title}, purely elastic",
+        "the sheet has the thickness of the sine law, and the nominal shape down to the tool",
+        "residual stress, which moves a part when it is unclamped or trimmed, is not included",
     ]
 
 
-def text(
+def springback_file_text(
     title: str,
-    work: Work,
+    work: FormingWork,
     identity: Mapping[str, Any],
-    found: Sequence[PassSpringback],
-    ways: Sequence[Way],
+    forecasts: Sequence[PassSpringback],
+    paths: Sequence[ShiftedPath],
     slope: float,
 ) -> str:
-    """The file."""
-    rows = forecast.rows(found)
+    """Return the content of the file.
+
+    Args:
+        title: Title of the problem.
+        work: Work of the operation.
+        identity: What the file belongs to.
+        forecasts: Springback of each pass.
+        paths: Shifted paths.
+        slope: Slope of the shifts.
+    """
+    rows = forecast.forecast_rows(forecasts)
     head = {
-        "tandem_springback": VERSIONS["tandem_springback"],
+        "tandem_springback": FILE_VERSIONS["tandem_springback"],
         "problem": title,
         "operation": work.operation.name,
         "belongs_to": dict(identity),
-        "assumed": assumed(work),
+        "assumed": assumptions(work),
         "slope": slope,
     }
     lines = [f"{_dump(key)}: {_dump(value)}" for key, value in head.items()]
     points = ",\n".join(_dump(row) for row in rows)
     lines.append(f'"control_points": [\n{points}\n]')
-    return sealed([*lines, *way_lines(ways)])
+    return with_checksum([*lines, *path_lines(paths)])
 
 
-def way_lines(ways: Sequence[Way]) -> list[str]:
-    """Ways as lines of a file: passes with their rings, and how many points they have."""
-    return [f'"passes": {passes_text(ways)}', f'"points": {sum(len(way.point) for way in ways)}']
+def path_lines(paths: Sequence[ShiftedPath]) -> list[str]:
+    """Return shifted paths as lines of a file: passes with their rings, and the number of points."""
+    return [f'"passes": {passes_text(paths)}', f'"points": {sum(len(path.point) for path in paths)}']
 
 
-def passes_text(ways: Sequence[Way]) -> str:
-    """Passes with their rings."""
+def passes_text(paths: Sequence[ShiftedPath]) -> str:
+    """Return passes with their rings."""
     passes = []
-    for way in ways:
+    for path in paths:
         rings = []
-        for k in np.unique(way.loop):
-            mine = way.loop == k
-            table = np.round(np.column_stack([way.point[mine], way.shift[mine]]) / MM, DECIMALS) + 0.0
+        for k in np.unique(path.loop):
+            in_loop = path.loop == k
+            table = (
+                np.round(np.column_stack([path.point[in_loop], path.shift[in_loop]]) / MM, LENGTH_DECIMALS)
+                + 0.0
+            )
             rings.append(_dump(table.tolist()))
         joined = ",\n".join(rings)
-        passes.append(f'{{"name": {_dump(way.name)}, "rings": [\n{joined}\n]}}')
+        passes.append(f'{{"name": {_dump(path.name)}, "rings": [\n{joined}\n]}}')
     both = ",\n".join(passes)
     return f"[\n{both}\n]"
 
 
-def sealed(lines: Sequence[str]) -> str:
-    """A file of these lines, its checksum the last one."""
+def with_checksum(lines: Sequence[str]) -> str:
+    """Return a file of these lines, with its checksum as the last one."""
     body = "{\n" + ",\n".join(lines) + ",\n"
     return body + f'"sha256": "{hashlib.sha256(body.encode()).hexdigest()}"\n}}\n'
 
@@ -184,187 +206,244 @@ def _dump(value: Any) -> str:
 
 
 @dataclasses.dataclass(frozen=True)
-class Foretold:
-    """What a file foretells of pass ``name`` at its control points: ``point`` (C, 3) [m] of contact,
-    ``level`` (C,) which of its levels each is on, ``curves``, and ``springback`` (C,) [m] under the expected
-    ``force`` (C,) [N]."""
+class PassForecast:
+    """Forecast of a file for one pass, at C control points.
+
+    Attributes:
+        name: Name of the pass.
+        point: Contact points (C, 3) [m].
+        level: Level (C,) of each.
+        curves: Springback curves.
+        force: Expected forces (C,) [N].
+        springback: Springback (C,) [m] under them.
+    """
 
     name: str
     point: FloatArray
     level: IntArray
-    curves: tuple[Curve, ...]
+    curves: tuple[SpringbackCurve, ...]
     force: FloatArray
     springback: FloatArray
 
 
 @dataclasses.dataclass(frozen=True)
-class Compensation:
-    """A file that was read: the ``ways`` of all passes, whose shifts change by ``slope`` at most, named
-    ``file``, and what it has ``foretold`` of passes: nothing of a level alone, nor where a ``scan`` has
-    shown what a part comes back by."""
+class SpringbackFile:
+    """A file of shifts that was read.
+
+    Attributes:
+        file: Name of the file.
+        paths: Shifted paths of all passes.
+        slope: Maximum slope of the shifts.
+        forecasts: Forecasts for passes; none for a single level or if a scan has shown the springback.
+        scan: Scan from which the file was made, or None.
+    """
 
     file: str
-    ways: tuple[Way, ...]
+    paths: tuple[ShiftedPath, ...]
     slope: float
-    foretold: tuple[Foretold, ...] = ()
+    forecasts: tuple[PassForecast, ...] = ()
     scan: str | None = None
 
 
-def read(path: Path, operation: Forming, identity: Mapping[str, Any]) -> Compensation:
-    """Read a file of shifts for what ``identity`` says. Raises ``TandemError`` (forming.compensation): all
-    that is wrong with what it belongs to at once."""
+def read_springback_file(path: Path, operation: Forming, identity: Mapping[str, Any]) -> SpringbackFile:
+    """Read a file of shifts.
+
+    Args:
+        path: File.
+        operation: Operation that names it.
+        identity: What the file must belong to.
+
+    Raises:
+        TandemError: forming.compensation, with all differences from ``identity`` at once.
+    """
     limits = operation.springback or Springback(file=path)
-    data = read_data(path, "tandem_springback" if limits.scan is None else "tandem_adjustment")
-    require_same(data, identity)
-    ways = tuple(read_way(one) for one in _list(data, "passes"))
-    if sum(len(way.point) for way in ways) != data.get("points"):
-        raise refused(f"it says {data.get('points')} points and has {sum(len(way.point) for way in ways)}")
-    require_limits(ways, limits.slope, limits.most_mm * MM)
+    data = read_checked_file(path, "tandem_springback" if limits.scan is None else "tandem_adjustment")
+    require_identity(data, identity)
+    paths = tuple(read_shifted_path(entry) for entry in _require_list(data, "passes"))
+    if sum(len(shifted.point) for shifted in paths) != data.get("points"):
+        raise file_error(
+            f"it states {data.get('points')} points, got {sum(len(shifted.point) for shifted in paths)}"
+        )
+    require_shift_limits(paths, limits.slope, limits.most_mm * MM)
     if limits.scan is not None:
-        return Compensation(path.name, ways, limits.slope, scan=_scan(data, limits.scan.file))
-    rows = _list(data, "control_points")
+        return SpringbackFile(path.name, paths, limits.slope, scan=_require_scan(data, limits.scan.file))
+    rows = _require_list(data, "control_points")
     names = dict.fromkeys(str(row.get("pass")) for row in rows if isinstance(row, dict))
-    return Compensation(path.name, ways, limits.slope, tuple(_foretold(rows, name) for name in names))
+    return SpringbackFile(path.name, paths, limits.slope, tuple(_read_forecast(rows, name) for name in names))
 
 
-def _scan(data: Mapping[str, Any], path: Path) -> str:
-    """The name of the scan that the file was made from. Raises ``TandemError`` (forming.compensation) where
-    that is not the one of the problem."""
+def _require_scan(data: Mapping[str, Any], path: Path) -> str:
+    """Name of the scan from which the file was made.
+
+    Raises ``TandemError`` (forming.compensation) if it is not the scan of the problem.
+    """
     stated = data.get("scan")
     if not is_file(path):
-        raise refused(f"{path}: {no_file(path)}", "check the path of springback: scan: file")
+        raise file_error(f"{path}: {missing_file_reason(path)}", "check the path of springback: scan: file")
     if not isinstance(stated, dict) or stated.get("sha256") != hashlib.sha256(path.read_bytes()).hexdigest():
         name = stated.get("file") if isinstance(stated, dict) else None
-        raise refused(f"it was made from the scan {_told(name)}, {path.name} is another one or was changed")
+        raise file_error(
+            f"it was made from the scan {_value_text(name)}, {path.name} is another one or has changed"
+        )
     return str(stated.get("file"))
 
 
-def require_same(data: Mapping[str, Any], identity: Mapping[str, Any]) -> None:
-    """Raise ``TandemError`` (forming.compensation) where a file belongs to another job than ``identity``."""
-    theirs = data.get("belongs_to")
-    theirs = theirs if isinstance(theirs, dict) else {}
-    mine = json.loads(_dump(dict(identity)))
+def require_identity(data: Mapping[str, Any], identity: Mapping[str, Any]) -> None:
+    """Check that a file belongs to the job with a given identity.
+
+    Raises:
+        TandemError: forming.compensation.
+    """
+    file_identity = data.get("belongs_to")
+    file_identity = file_identity if isinstance(file_identity, dict) else {}
+    own_identity = json.loads(_dump(dict(identity)))
     differ = [
-        f"{name}: got {_told(theirs.get(name))}, the problem has {_told(mine.get(name))}"
-        for name in dict.fromkeys([*mine, *theirs])
-        if theirs.get(name) != mine.get(name)
+        f"{name}: got {_value_text(file_identity.get(name))}, the problem has "
+        f"{_value_text(own_identity.get(name))}"
+        for name in dict.fromkeys([*own_identity, *file_identity])
+        if file_identity.get(name) != own_identity.get(name)
     ]
     if differ:
-        issues = [issue for what in differ for issue in refused(f"it belongs to another job: {what}").issues]
+        issues = [
+            issue for what in differ for issue in file_error(f"it belongs to another job: {what}").issues
+        ]
         raise TandemError(issues)
 
 
-def _told(value: Any) -> str:
+def _value_text(value: Any) -> str:
     return "none" if value is None else _dump(value)
 
 
-def read_data(path: Path, kind: str) -> dict[str, Any]:
-    """A file of a ``kind`` whose checksum is right. Raises ``TandemError`` (forming.compensation)."""
+def read_checked_file(path: Path, kind: str) -> dict[str, Any]:
+    """Read a file of a kind and check its checksum.
+
+    Raises:
+        TandemError: forming.compensation.
+    """
     if not is_file(path):
         hint = (
             "check the path, which starts at the problem file's folder, or write the file: tandem springback "
         )
-        raise refused(f"{path}: {no_file(path)}", f"{hint}PROBLEM --write FILE")
+        raise file_error(f"{path}: {missing_file_reason(path)}", f"{hint}PROBLEM --write FILE")
     try:
-        if path.stat().st_size > LARGEST:
-            raise refused(f"{path.name} has more than {LARGEST // 1_000_000} MB")
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise file_error(f"{path.name} has more than {MAX_FILE_BYTES // 1_000_000} MB")
         content = path.read_text("utf-8")
     except (OSError, ValueError) as error:
         what = f"{path.name}: it cannot be read ({getattr(error, 'strerror', None) or 'no text'})"
-        raise refused(what) from None
+        raise file_error(what) from None
     body, mark, tail = content.rpartition('"sha256"')
     stated = tail.replace('"', " ").replace(":", " ").replace("}", " ").split()
     if content.lstrip().startswith('{"tandem_loop"'):
-        what = f"{path.name} has curves for tandem next-loop, as --curves writes them, and no shifts"
-        raise refused(what)
+        what = f"{path.name} has curves for tandem next-loop, written by --curves, and no shifts"
+        raise file_error(what)
     if not mark or len(stated) != 1:
-        raise refused(f"{path.name} is cut short: its last line is no checksum")
+        raise file_error(f"{path.name} is truncated: its last line is no checksum")
     if hashlib.sha256(body.encode()).hexdigest() != stated[0]:
-        raise refused(
-            f"{path.name} was changed since it was written, or is cut short: its checksum is another"
+        raise file_error(
+            f"{path.name} was changed after it was written, or is truncated: its checksum does not match"
         )
     try:
         data = json.loads(content)
     except (ValueError, RecursionError) as error:
-        raise refused(f"{path.name} is no JSON: {error}") from None
-    other = [KINDS[one] for one in KINDS if one != kind and isinstance(data, dict) and one in data]
+        raise file_error(f"{path.name} is not valid JSON: {error}") from None
+    other = [FILE_KINDS[key] for key in FILE_KINDS if key != kind and isinstance(data, dict) and key in data]
     if other:
         hint = "name adjustments with their scan, springback: {file: ..., scan: {file: ...}}, others without"
-        raise refused(f"{path.name} is a {other[0]}, wanted is a {KINDS[kind]}", hint)
-    if not isinstance(data, dict) or data.get(kind) != VERSIONS[kind]:
-        raise refused(f"{path.name} is no {KINDS[kind]} of version {VERSIONS[kind]}")
+        raise file_error(f"{path.name} is a {other[0]}, expected a {FILE_KINDS[kind]}", hint)
+    if not isinstance(data, dict) or data.get(kind) != FILE_VERSIONS[kind]:
+        raise file_error(f"{path.name} is not a {FILE_KINDS[kind]} of version {FILE_VERSIONS[kind]}")
     return data
 
 
-def _list(data: Mapping[str, Any], name: str) -> list[Any]:
+def _require_list(data: Mapping[str, Any], name: str) -> list[Any]:
     value = data.get(name)
     if not isinstance(value, list) or not value:
-        raise refused(f"{name}: got nothing")
+        raise file_error(f"{name}: got nothing")
     return value
 
 
-def read_way(one: Any) -> Way:
-    """A pass of a file. Raises ``TandemError`` (forming.compensation)."""
-    name = str(one.get("name")) if isinstance(one, dict) else ""
+def read_shifted_path(entry: Any) -> ShiftedPath:
+    """Read a pass of a file.
+
+    Raises:
+        TandemError: forming.compensation.
+    """
+    name = str(entry.get("name")) if isinstance(entry, dict) else ""
     tables: list[FloatArray] = []
-    for ring in _list(one if isinstance(one, dict) else {}, "rings"):
+    for ring in _require_list(entry if isinstance(entry, dict) else {}, "rings"):
         try:
             table = np.asarray(ring, dtype=np.float64)
         except (TypeError, ValueError, OverflowError):
             table = np.zeros((0, 0))
         if table.ndim != 2 or table.shape[1] != 4 or not np.isfinite(table).all():
-            raise refused(f"pass {name}: ring {len(tables)} is no table of x, y, z and S in mm")
+            raise file_error(f"pass {name}: ring {len(tables)} is not a table of x, y, z and S in mm")
         tables.append(table * MM)
-    whole = np.concatenate(tables)
+    table_of_all = np.concatenate(tables)
     loop: IntArray = np.repeat(np.arange(len(tables)), [len(table) for table in tables])
-    return Way(name, whole[:, :3], whole[:, 3], loop)
+    return ShiftedPath(name, table_of_all[:, :3], table_of_all[:, 3], loop)
 
 
-def _foretold(rows: Sequence[Any], name: str) -> Foretold:
-    mine = [row for row in rows if isinstance(row, dict) and str(row.get("pass")) == name]
+def _read_forecast(rows: Sequence[Any], name: str) -> PassForecast:
+    pass_rows = [row for row in rows if isinstance(row, dict) and str(row.get("pass")) == name]
     try:
-        table = np.array([[row[key] for key in _CONTROL] for row in mine], dtype=np.float64)
-        curves = [np.array([row[key] for key in _CURVE], dtype=np.float64) for row in mine]
+        table = np.array([[row[key] for key in _CONTROL_KEYS] for row in pass_rows], dtype=np.float64)
+        curves = [np.array([row[key] for key in _CURVE_KEYS], dtype=np.float64) for row in pass_rows]
     except (KeyError, TypeError, ValueError, OverflowError):
-        table, curves = np.zeros((0, len(_CONTROL))), []
-    whole = [table, *curves]
+        table, curves = np.zeros((0, len(_CONTROL_KEYS))), []
+    arrays = [table, *curves]
     rising = all(c.ndim == 2 and c.shape[1] > 2 and (np.diff(c) > 0.0).all() for c in curves)
-    if not len(table) or not all(np.isfinite(one).all() for one in whole) or not rising:
-        what = f"pass {name}: its control points are no rows of {', '.join((*_CONTROL, *_CURVE))}, with "
-        raise refused(what + "curves that grow")
+    if not len(table) or not all(np.isfinite(array).all() for array in arrays) or not rising:
+        what = (
+            f"pass {name}: its control points are not rows of {', '.join((*_CONTROL_KEYS, *_CURVE_KEYS))}, "
+            "with "
+        )
+        raise file_error(what + "increasing curves")
     level = table[:, 0]
-    if (level < 0).any() or (level >= MOST_LEVELS).any() or (level % 1.0 != 0.0).any():
-        raise refused(f"pass {name}: levels of control points are numbers from 0 to {MOST_LEVELS - 1}")
-    return Foretold(
+    if (level < 0).any() or (level >= MAX_LEVELS).any() or (level % 1.0 != 0.0).any():
+        raise file_error(f"pass {name}: levels of control points must be numbers from 0 to {MAX_LEVELS - 1}")
+    return PassForecast(
         name,
         table[:, 1:4] * MM,
         table[:, 0].astype(np.int64),
-        tuple(Curve(n, s * MM, False) for n, s in curves),
+        tuple(SpringbackCurve(n, s * MM, False) for n, s in curves),
         table[:, 5],
         table[:, 4] * MM,
     )
 
 
-def require_limits(ways: Sequence[Way], slope: float, most: float, first: float = 0.0) -> None:
-    """Raise ``TandemError`` (forming.compensation) where shifts are below 0, above ``most`` [m], change by
-    more than ``slope`` along a way, or begin with another than ``first`` [m]."""
+def require_shift_limits(
+    paths: Sequence[ShiftedPath], slope: float, max_shift: float, first: float = 0.0
+) -> None:
+    """Check the shifts of paths.
+
+    Args:
+        paths: Shifted paths.
+        slope: Maximum slope.
+        max_shift: Maximum shift [m].
+        first: Required shift [m] at the start.
+
+    Raises:
+        TandemError: forming.compensation for shifts below 0 or above the maximum, too steep, or with a wrong
+            start.
+    """
     issues: list[Issue] = []
-    for way in ways:
-        step = lengths(np.diff(way.point, axis=0))
-        steep = np.abs(np.diff(way.shift)) - ROUNDING - slope * step
-        if way.shift.max() > most:
-            what = f"pass {way.name} has a shift of {way.shift.max() / MM:.3f} mm, "
-            what += f"most_mm allows {most / MM:g} mm"
-            issues += refused(what, f"allow more (springback: most_mm), or {AGAIN}").issues
-        wrong = []
-        if way.shift.min() < 0.0:
-            wrong.append(f"a shift of {way.shift.min() / MM:.3f} mm, allowed 0 and more")
-        if abs(way.shift[0] - first) > ROUNDING:
-            wrong.append(f"a shift of {way.shift[0] / MM:.3f} mm at its beginning, allowed {first / MM:g}")
+    for path in paths:
+        step = lengths(np.diff(path.point, axis=0))
+        steep = np.abs(np.diff(path.shift)) - SHIFT_ROUNDING_M - slope * step
+        if path.shift.max() > max_shift:
+            what = f"pass {path.name} has a shift of {path.shift.max() / MM:.3f} mm, "
+            what += f"most_mm allows {max_shift / MM:g} mm"
+            issues += file_error(what, f"allow more (springback: most_mm), or {REWRITE_HINT}").issues
+        problems = []
+        if path.shift.min() < 0.0:
+            problems.append(f"a shift of {path.shift.min() / MM:.3f} mm, allowed 0 and more")
+        if abs(path.shift[0] - first) > SHIFT_ROUNDING_M:
+            problems.append(f"a shift of {path.shift[0] / MM:.3f} mm at its start, allowed {first / MM:g}")
         if len(steep) and steep.max() > 0.0:
             k = int(np.argmax(steep))
-            got = abs(way.shift[k + 1] - way.shift[k]) / max(float(step[k]), 1e-12)
-            wrong.append(f"a slope of {got:.4f} mm/mm, allowed {slope:g}")
-        issues += [issue for what in wrong for issue in refused(f"pass {way.name} has {what}").issues]
+            got = abs(path.shift[k + 1] - path.shift[k]) / max(float(step[k]), 1e-12)
+            problems.append(f"a slope of {got:.4f} mm/mm, allowed {slope:g}")
+        issues += [issue for what in problems for issue in file_error(f"pass {path.name} has {what}").issues]
     if issues:
         raise TandemError(issues)

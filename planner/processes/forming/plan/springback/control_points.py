@@ -1,22 +1,22 @@
-"""Control points of a path: few places whose springback stands for that of their neighbours.
+"""Control points of a path: a few points whose springback represents that of their neighbourhood.
 
-A loop of the path is divided where its shape changes. Features of a place, each without a unit:
-wall angle over 45 deg, curvature in plan and curvature across the loop, both times the tool's
-radius (curvature, not radius, so that a straight wall is 0; positive where the part is convex).
-Neighbours on the ring are merged by Ward's distance
+A loop of the path is divided where its shape changes. The features of a point are dimensionless: wall angle
+over 45 deg, curvature in plan and curvature across the loop, both times the tool's radius (curvature, not
+radius, so that a straight wall is 0; positive where the part is convex). Neighbours on the ring are merged by
+Ward's distance
 
     d(A, B) = n_A n_B / (n_A + n_B) |mean_A - mean_B|^2,
 
-and the number of clusters K is that of the largest index of Calinski and Harabasz, "A dendrite
-method for cluster analysis", Communications in Statistics 3 (1974) 1,
+and the number of clusters K is that of the largest index of Calinski and Harabasz, "A dendrite method for
+cluster analysis", Communications in Statistics 3 (1974) 1,
 
     CH(K) = [B / (K - 1)] / [(W + n f^2) / (n - K)],
 
-with W the spread within clusters, B that between them, and a floor f: without it a clean shape is
-divided until nothing but its smeared corners is left. A spread below the floor is one cluster, as
-that of a cone. Where a pass begins or ends tools roll over an edge, and a loop there shows little of the
-shape beside the rolling: one that is divided half as much as most loops of its pass is divided as the next
-one below that is not.
+with W the spread within clusters, B that between them, and a floor f. Without the floor a clean shape is
+divided until only its smeared corners are left. A spread below the floor is one cluster, as that of a cone.
+Where a pass starts or ends, tools roll over an edge, and the rolling hides the shape in a loop there. So a
+loop that has at most half as many clusters as most loops of its pass is divided as the next one below that is
+not affected.
 """
 
 import dataclasses
@@ -27,38 +27,43 @@ from typing import Final
 import numpy as np
 
 from planner.geometry.arrays import FloatArray, IntArray, lengths
-from planner.geometry.curves import along, arc_length
+from planner.geometry.curves import arc_length, interpolate_polyline
 from planner.geometry.units import DEG, MM
 from planner.processes.forming.plan.features.surface import plan_area
 
 ANGLE_UNIT: Final = 45.0 * DEG
 """Wall angle [rad] that counts as 1 among the features."""
-FLOOR: Final = 0.1
-"""Spread of features, each without a unit, that counts as none."""
-PLACES_PER_RADIUS: Final = 5
-"""Places of a loop in one tool radius of its length; curvature is fitted to as many on either side."""
-LEAST_PLACES: Final = 4 * PLACES_PER_RADIUS
-"""Places of a loop at least, however short it is."""
-FEW: Final = 0.5
-"""Clusters of a loop, as a share of what most loops of its pass have, that are too few."""
-MOST_CLUSTERS: Final = 24
-"""Clusters of a loop at most."""
-MOST_POINTS: Final = 60
-"""Control points of a pass at most, but for `LEAST_LEVELS`."""
-LEAST_LEVELS: Final = 3
-"""Levels of a pass that get control points at least, if it has as many loops."""
-TURNING: Final = 0.25
-"""A turn of the wall by `ANGLE_UNIT` counts as this share of a pass' depth where levels are chosen."""
-LEVELS_APART: Final = 0.05 * MM
-"""Depth between any two levels with control points at least [m]: loops of one floor are one level."""
-LEVEL_SPACING: Final = 1.0 * MM
-"""Depth between levels with control points at least [m]: springback changes slowly with depth."""
+SPREAD_FLOOR: Final = 0.1
+"""Spread of dimensionless features that counts as none."""
+POINTS_PER_RADIUS: Final = 5
+"""Points of a loop per tool radius of its length; curvature is fitted to as many on either side."""
+MIN_RING_POINTS: Final = 4 * POINTS_PER_RADIUS
+"""Minimum number of points of a loop, however short it is."""
+FEW_CLUSTERS_FRACTION: Final = 0.5
+"""Number of clusters of a loop, as a fraction of that of most loops of its pass, that is too small."""
+MAX_CLUSTERS: Final = 24
+"""Maximum number of clusters of a loop."""
+MAX_CONTROL_POINTS: Final = 60
+"""Maximum number of control points of a pass, except as required by `MIN_LEVELS`."""
+MIN_LEVELS: Final = 3
+"""Minimum number of levels of a pass with control points, if it has as many loops."""
+TURN_DEPTH_FRACTION: Final = 0.25
+"""Fraction of a pass' depth that a turn of the wall by `ANGLE_UNIT` counts as in the choice of levels."""
+MIN_LEVEL_DISTANCE_M: Final = 0.05 * MM
+"""Minimum depth [m] between any two levels with control points: loops of one floor are one level."""
+LEVEL_SPACING_M: Final = 1.0 * MM
+"""Minimum mean depth [m] between levels with control points: springback changes slowly with depth."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Ring:
-    """A loop as N places equally far apart along it, closed: ``point`` (N, 3) [m], ``angle`` (N,) [rad] of
-    the wall; ``label`` (N,) the cluster of each, counted along the ring."""
+class ClusterRing:
+    """A loop as N equidistant points, closed.
+
+    Attributes:
+        point: Points (N, 3) [m].
+        angle: Wall angles (N,) [rad].
+        label: Cluster (N,) of each point, counted along the ring.
+    """
 
     point: FloatArray
     angle: FloatArray
@@ -67,83 +72,105 @@ class Ring:
 
 @dataclasses.dataclass(frozen=True)
 class ControlPoints:
-    """C control points of a pass: ``point`` (C, 3) [m] on the contact's path, ``angle`` (C,) [rad] of the
-    wall there, ``level`` (C,) which of ``rings`` they are on, ``place`` (C,) and ``cluster`` (C,) which of
-    its places and clusters; ``loop`` (L,) which loop of the path each ring is, ``clusters`` (M,) how many
-    clusters each of the path's M loops has."""
+    """C control points of a pass.
+
+    Attributes:
+        point: Points (C, 3) [m] on the contact's path.
+        angle: Wall angles (C,) [rad] there.
+        level: Index (C,) of their ring in ``rings``.
+        ring_index: Index (C,) of their point on the ring.
+        cluster: Cluster (C,) on the ring.
+        rings: Rings with control points, L of them.
+        loop: Loop (L,) of the path of each ring.
+        clusters: Number (M,) of clusters of each of the path's M loops.
+    """
 
     point: FloatArray
     angle: FloatArray
     level: IntArray
-    place: IntArray
+    ring_index: IntArray
     cluster: IntArray
-    rings: tuple[Ring, ...]
+    rings: tuple[ClusterRing, ...]
     loop: IntArray
     clusters: IntArray
 
 
-def control_points(
-    point: FloatArray, angle: FloatArray, loop: IntArray, radius: float, most: int = MOST_POINTS
+def choose_control_points(
+    point: FloatArray, angle: FloatArray, loop: IntArray, radius: float, max_points: int = MAX_CONTROL_POINTS
 ) -> ControlPoints:
-    """Control points of a path: the middle of each cluster on levels that are evenly deep.
+    """Return the control points of a path: the middle of each cluster on some levels.
 
-    ``point`` (N, 3) [m] of contact, ``angle`` (N,) [rad] of the wall and ``loop`` (N,) of each target, tool
-    ``radius`` [m]. At most ``most`` points, as long as `LEAST_LEVELS` allow.
+    The levels are evenly spaced in depth.
+
+    Args:
+        point: Contact points (N, 3) [m] of the targets.
+        angle: Wall angles (N,) [rad].
+        loop: Loops (N,).
+        radius: Radius [m] of the tool.
+        max_points: Maximum number of points, as far as `MIN_LEVELS` permits.
     """
     numbers = np.unique(loop)
-    rings = [_even(point[loop == k], angle[loop == k], radius) for k in numbers]
-    rings = _as_neighbours(_labelled(rings, radius))
+    rings = [_resample_ring(point[loop == k], angle[loop == k], radius) for k in numbers]
+    rings = _divide_like_neighbours(_label_rings(rings, radius))
     clusters = np.array([int(ring.label.max()) + 1 for ring in rings])
     depth = np.array([float(ring.point[:, 2].mean()) for ring in rings])
     steep = np.array([float(ring.angle.mean()) for ring in rings])
-    chosen = _levels(depth, steep, clusters, most)
+    chosen = _choose_levels(depth, steep, clusters, max_points)
     rows = [
-        (level, place, cluster)
+        (level, ring_index, cluster)
         for level, k in enumerate(chosen)
-        for cluster, place in enumerate(middles(rings[k].label))
+        for cluster, ring_index in enumerate(cluster_middles(rings[k].label))
     ]
-    level, place, cluster = np.array(rows, dtype=np.int64).T
-    kept = tuple(rings[k] for k in chosen)
+    level, ring_index, cluster = np.array(rows, dtype=np.int64).T
+    chosen_rings = tuple(rings[k] for k in chosen)
     return ControlPoints(
-        point=np.stack([kept[i].point[j] for i, j in zip(level, place, strict=True)]),
-        angle=np.array([kept[i].angle[j] for i, j in zip(level, place, strict=True)]),
+        point=np.stack([chosen_rings[i].point[j] for i, j in zip(level, ring_index, strict=True)]),
+        angle=np.array([chosen_rings[i].angle[j] for i, j in zip(level, ring_index, strict=True)]),
         level=level,
-        place=place,
+        ring_index=ring_index,
         cluster=cluster,
-        rings=kept,
+        rings=chosen_rings,
         loop=numbers[chosen],
         clusters=clusters,
     )
 
 
-def _levels(depth: FloatArray, steep: FloatArray, clusters: IntArray, most: int) -> IntArray:
-    """Which loops get control points, by their mean z (M,) [m] and wall angle (M,) [rad]: the first, the
-    last, and others between, evenly by depth and by how the wall turns: there force and sheet change."""
+def _choose_levels(depth: FloatArray, steep: FloatArray, clusters: IntArray, max_points: int) -> IntArray:
+    """Loops that get control points: the first, the last, and others between.
+
+    By their mean z (M,) [m] and wall angle (M,) [rad], evenly spaced in depth and in the turn of the wall,
+    because force and sheet change with both.
+    """
     down = np.abs(depth - depth[0])
     whole = max(float(down.max()), 1e-12)
-    gone = np.append(
-        0.0, np.cumsum(np.abs(np.diff(depth)) / whole + TURNING * np.abs(np.diff(steep)) / ANGLE_UNIT)
+    progress = np.append(
+        0.0,
+        np.cumsum(np.abs(np.diff(depth)) / whole + TURN_DEPTH_FRACTION * np.abs(np.diff(steep)) / ANGLE_UNIT),
     )
-    wanted = 1 + int(np.ceil(float(down.max()) / LEVEL_SPACING))
-    for count in range(min(wanted, len(depth)), 0, -1):
-        goals = np.linspace(0.0, float(gone[-1]), count) if count > 1 else gone[-1:]
-        chosen = _apart(depth, np.unique(np.abs(gone[:, None] - goals).argmin(axis=0)))
-        if clusters[chosen].sum() <= most or count <= LEAST_LEVELS:
+    max_levels = 1 + int(np.ceil(float(down.max()) / LEVEL_SPACING_M))
+    for count in range(min(max_levels, len(depth)), 0, -1):
+        goals = np.linspace(0.0, float(progress[-1]), count) if count > 1 else progress[-1:]
+        chosen = _distinct_depths(depth, np.unique(np.abs(progress[:, None] - goals).argmin(axis=0)))
+        if clusters[chosen].sum() <= max_points or count <= MIN_LEVELS:
             break
     return np.asarray(chosen)
 
 
-def _apart(depth: FloatArray, chosen: IntArray) -> IntArray:
-    """Those of the ``chosen`` loops that are at a depth of their own, by ``depth`` (M,) [m] of all."""
+def _distinct_depths(depth: FloatArray, chosen: IntArray) -> IntArray:
+    """The ``chosen`` loops that have distinct depths (``depth`` (M,) [m] of all loops)."""
     kept: list[int] = []
     for k in chosen.tolist():
-        if all(abs(float(depth[k] - depth[other])) > LEVELS_APART for other in kept):
+        if all(abs(float(depth[k] - depth[other])) > MIN_LEVEL_DISTANCE_M for other in kept):
             kept.append(k)
     return np.array(kept, dtype=np.int64)
 
 
-def middles(label: IntArray) -> IntArray:
-    """The middle place of each cluster of a ring by its labels (N,), which are counted along it."""
+def cluster_middles(label: IntArray) -> IntArray:
+    """Return the index of the middle point of each cluster of a ring.
+
+    Args:
+        label: Labels (N,) of the points, counted along the ring.
+    """
     n = len(label)
     out = []
     for k in range(int(label.max()) + 1):
@@ -156,63 +183,75 @@ def middles(label: IntArray) -> IntArray:
     return np.array(out, dtype=np.int64)
 
 
-def _even(point: FloatArray, angle: FloatArray, radius: float) -> Ring:
-    """A loop as places that are equally far apart; targets are not."""
+def _resample_ring(point: FloatArray, angle: FloatArray, radius: float) -> ClusterRing:
+    """A loop resampled to equidistant points."""
     ends = np.vstack([point, point[:1]])
-    places = arc_length(ends)
-    count = max(LEAST_PLACES, round(float(places[-1]) / (radius / PLACES_PER_RADIUS)))
-    at = np.arange(count) * (places[-1] / count)
-    even = along(ends, places, at)
-    return Ring(even, np.interp(at, places, np.append(angle, angle[0])), np.zeros(count, dtype=np.int64))
+    arc = arc_length(ends)
+    count = max(MIN_RING_POINTS, round(float(arc[-1]) / (radius / POINTS_PER_RADIUS)))
+    at = np.arange(count) * (arc[-1] / count)
+    even = interpolate_polyline(ends, arc, at)
+    return ClusterRing(even, np.interp(at, arc, np.append(angle, angle[0])), np.zeros(count, dtype=np.int64))
 
 
-def _labelled(rings: Sequence[Ring], radius: float) -> list[Ring]:
+def _label_rings(rings: Sequence[ClusterRing], radius: float) -> list[ClusterRing]:
     across = curvature_across(rings)
     out = []
     for ring, turn in zip(rings, across, strict=True):
-        plan = curvature_in_plan(ring.point[:, :2], PLACES_PER_RADIUS)
+        plan = curvature_in_plan(ring.point[:, :2], POINTS_PER_RADIUS)
         features = np.stack([ring.angle / ANGLE_UNIT, plan * radius, turn * radius], axis=1)
         out.append(dataclasses.replace(ring, label=ring_clusters(features)))
     return out
 
 
-def _as_neighbours(rings: Sequence[Ring]) -> list[Ring]:
-    """Rings of which those with few clusters beside most are divided at the places that are nearest in plan
-    to where the next ring that has as many as most is divided: of those below, or else above."""
+def _divide_like_neighbours(rings: Sequence[ClusterRing]) -> list[ClusterRing]:
+    """Rings, with those that have few clusters divided like another ring.
+
+    They are divided at the points nearest in plan to the divisions of the next ring below with a usual number
+    of clusters, or else above.
+    """
     count = np.array([int(ring.label.max()) + 1 for ring in rings])
     usual = float(np.median(count))
     full = np.flatnonzero(count >= usual)
     out = list(rings)
-    for k in np.flatnonzero(count <= FEW * usual).tolist():
+    for k in np.flatnonzero(count <= FEW_CLUSTERS_FRACTION * usual).tolist():
         ahead = full[full > k]
-        like = rings[int(ahead[0] if len(ahead) else full[-1])]
-        own = rings[k].point[:, :2]
-        begins = like.point[like.label != np.roll(like.label, 1), :2]
-        starts = np.zeros(len(own), dtype=np.bool_)
-        starts[lengths(own[:, None] - begins[None]).argmin(axis=0)] = True
+        reference = rings[int(ahead[0] if len(ahead) else full[-1])]
+        plan_points = rings[k].point[:, :2]
+        divisions = reference.point[reference.label != np.roll(reference.label, 1), :2]
+        starts = np.zeros(len(plan_points), dtype=np.bool_)
+        starts[lengths(plan_points[:, None] - divisions[None]).argmin(axis=0)] = True
         label = (np.cumsum(starts) - 1) % np.count_nonzero(starts)
         out[k] = dataclasses.replace(rings[k], label=label)
     return out
 
 
 def curvature_in_plan(xy: FloatArray, window: int) -> FloatArray:
-    """Signed curvatures (N,) [1/m] of a closed polyline (N, 2) [m], positive where it is convex: of circles
-    fitted to each place with ``window`` places on either side.
+    """Return the signed curvatures (N,) [1/m] of a closed polyline, positive where it is convex.
 
-    The fit is Pratt's, "Direct least-squares fitting of algebraic surfaces", SIGGRAPH 21 (1987) 145: of all
-    A (x^2 + y^2) + B x + C y + D with B^2 + C^2 - 4 A D = 1 that of the least sum of squares. Its curvature
-    is 2 A, and 0 for a straight line.
+    A circle is fitted to each point with ``window`` points on either side. The fit is Pratt's, "Direct
+    least-squares fitting of algebraic surfaces", SIGGRAPH 21 (1987) 145: of all A (x^2 + y^2) + B x + C y + D
+    with B^2 + C^2 - 4 A D = 1 the one with the smallest sum of squares. Its curvature is 2 A, and 0 for a
+    straight line.
+
+    Args:
+        xy: Points (N, 2) [m].
+        window: Number of points on either side.
     """
     n = len(xy)
     rows = (np.arange(n)[:, None] + np.arange(-window, window + 1)) % n
-    some = xy[rows] - xy[:, None]
-    scale = float(np.sqrt((some**2).sum(axis=2).mean()))
-    some = some / scale
+    neighbourhood = xy[rows] - xy[:, None]
+    scale = float(np.sqrt((neighbourhood**2).sum(axis=2).mean()))
+    neighbourhood = neighbourhood / scale
     terms = np.concatenate(
-        [(some**2).sum(axis=2, keepdims=True), some, np.ones((*some.shape[:2], 1))], axis=2
+        [
+            (neighbourhood**2).sum(axis=2, keepdims=True),
+            neighbourhood,
+            np.ones((*neighbourhood.shape[:2], 1)),
+        ],
+        axis=2,
     )
     moments = np.einsum("nki,nkj->nij", terms, terms) / terms.shape[1]
-    # the inverse of the constraint's matrix, whose form in (A, B, C, D) is B^2 + C^2 - 4 A D
+    # inverse of the matrix of the constraint, the quadratic form B^2 + C^2 - 4 A D in (A, B, C, D)
     inverse = np.zeros((4, 4))
     inverse[1, 1] = inverse[2, 2] = 1.0
     inverse[0, 3] = inverse[3, 0] = -0.5
@@ -221,46 +260,62 @@ def curvature_in_plan(xy: FloatArray, window: int) -> FloatArray:
     # exact circles have an eigenvalue of 0, which rounding may put below it
     best = np.where(values >= -1e-12, values, np.inf).argmin(axis=1)
     a, b, c, d = np.take_along_axis(vectors, best[:, None, None], axis=2)[:, :, 0].T
-    # the gradient at the place itself, against the way along: which side of the circle is inside
-    way = np.roll(xy, -1, axis=0) - np.roll(xy, 1, axis=0)
-    sign = np.sign(way[:, 1] * b - way[:, 0] * c)
+    # the gradient at the point itself, relative to the direction of travel, shows the inside of the circle
+    direction = np.roll(xy, -1, axis=0) - np.roll(xy, 1, axis=0)
+    sign = np.sign(direction[:, 1] * b - direction[:, 0] * c)
     area = plan_area(np.vstack([xy, xy[:1]]))
     size = np.sqrt(np.maximum(b * b + c * c - 4.0 * a * d, 1e-300))
     return np.asarray(np.sign(area) * sign * 2.0 * a / size / scale)
 
 
-def curvature_across(rings: Sequence[Ring]) -> list[FloatArray]:
-    """Curvatures (N,) [1/m] of the wall across each ring, positive where it grows steeper inward: the change
-    of the wall's angle from the ring before to the one after, over the way between them."""
+def curvature_across(rings: Sequence[ClusterRing]) -> list[FloatArray]:
+    """Return the curvatures (N,) [1/m] of the wall across each ring.
+
+    Positive where the wall becomes steeper inward: the change of its angle from the previous ring to the next
+    one, divided by the distance between them.
+    """
     out = []
     for k, ring in enumerate(rings):
-        before, after = rings[max(k - 1, 0)], rings[min(k + 1, len(rings) - 1)]
-        (one, at_one), (two, at_two) = (_nearest(ring, other) for other in (before, after))
-        way = lengths(ring.point - one) + lengths(two - ring.point)
-        out.append(np.where(way > 0.0, (at_two - at_one) / np.maximum(way, 1e-300), 0.0))
+        previous, following = rings[max(k - 1, 0)], rings[min(k + 1, len(rings) - 1)]
+        (previous_points, previous_angle), (next_points, next_angle) = (
+            _nearest_in_plan(ring, other) for other in (previous, following)
+        )
+        distance = lengths(ring.point - previous_points) + lengths(next_points - ring.point)
+        out.append(
+            np.where(distance > 0.0, (next_angle - previous_angle) / np.maximum(distance, 1e-300), 0.0)
+        )
     return out
 
 
-def _nearest(ring: Ring, other: Ring) -> tuple[FloatArray, FloatArray]:
-    """Of another ring the nearest place in plan to each of a ring's: points (N, 3), wall angles (N,)."""
+def _nearest_in_plan(ring: ClusterRing, other: ClusterRing) -> tuple[FloatArray, FloatArray]:
+    """Nearest point in plan of another ring to each point of a ring: points (N, 3), wall angles (N,)."""
     if ring is other:
         return ring.point, ring.angle
-    apart = lengths(ring.point[:, None, :2] - other.point[None, :, :2])
-    at = apart.argmin(axis=1)
+    distance = lengths(ring.point[:, None, :2] - other.point[None, :, :2])
+    at = distance.argmin(axis=1)
     return other.point[at], other.angle[at]
 
 
-def ring_clusters(features: FloatArray, most: int = MOST_CLUSTERS, floor: float = FLOOR) -> IntArray:
-    """Clusters (N,) of the places of a ring by their ``features`` (N, D), counted along it from the one that
-    holds the first place; each is one arc of the ring, at most ``most`` of them."""
+def ring_clusters(
+    features: FloatArray, max_clusters: int = MAX_CLUSTERS, floor: float = SPREAD_FLOOR
+) -> IntArray:
+    """Return the clusters (N,) of the points of a ring, counted along it from the one with the first point.
+
+    Each cluster is one arc of the ring.
+
+    Args:
+        features: Features (N, D) of the points.
+        max_clusters: Maximum number of clusters.
+        floor: Spread that counts as none.
+    """
     n = len(features)
     spread = float(((features - features.mean(axis=0)) ** 2).sum())
     if spread <= n * floor * floor or n < 3:
         return np.zeros(n, dtype=np.int64)
-    ends, gained = _merges(features)
+    ends, gained = _merge_order(features)
     # the spread within the clusters when K of them are left: merging adds Ward's distance to it
     within = np.cumsum(np.concatenate([[0.0], gained]))[::-1]
-    counts = np.arange(2, min(most, n - 1) + 1)
+    counts = np.arange(2, min(max_clusters, n - 1) + 1)
     w = within[counts - 1]
     index = (spread - w) / (counts - 1) / ((w + n * floor * floor) / (n - counts))
     best = int(counts[int(np.argmax(index))])
@@ -269,24 +324,27 @@ def ring_clusters(features: FloatArray, most: int = MOST_CLUSTERS, floor: float 
     return np.asarray((np.cumsum(starts) - 1) % best)
 
 
-def _merges(features: FloatArray) -> tuple[IntArray, FloatArray]:
-    """The order in which arcs of a ring are merged, as the place at which the later of both began (N,), the
-    last of which is left when one arc is, and by how much each merge spreads its arc (N - 1,)."""
+def _merge_order(features: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Order in which arcs of a ring are merged.
+
+    Returns the start (N,) of the later arc of each merge (the last one is that of the remaining arc), and the
+    increase (N - 1,) of the spread by each merge.
+    """
     n = len(features)
     total = [row.copy() for row in features]
     count, alive, version = [1] * n, [True] * n, [0] * n
-    after, before = [(k + 1) % n for k in range(n)], [(k - 1) % n for k in range(n)]
+    following, previous = [(k + 1) % n for k in range(n)], [(k - 1) % n for k in range(n)]
 
-    def cost(a: int, b: int) -> float:
-        apart = total[a] / count[a] - total[b] / count[b]
-        return float(count[a] * count[b] / (count[a] + count[b]) * (apart @ apart))
+    def ward_distance(a: int, b: int) -> float:
+        difference = total[a] / count[a] - total[b] / count[b]
+        return float(count[a] * count[b] / (count[a] + count[b]) * (difference @ difference))
 
-    waiting = [(cost(k, after[k]), k, after[k], 0, 0) for k in range(n)]
-    heapq.heapify(waiting)
+    queue = [(ward_distance(k, following[k]), k, following[k], 0, 0) for k in range(n)]
+    heapq.heapify(queue)
     order: list[int] = []
     gained: list[float] = []
     while len(order) < n - 1:
-        value, a, b, old_a, old_b = heapq.heappop(waiting)
+        value, a, b, old_a, old_b = heapq.heappop(queue)
         if not (alive[a] and alive[b]) or (version[a], version[b]) != (old_a, old_b):
             continue
         order.append(b)
@@ -295,10 +353,12 @@ def _merges(features: FloatArray) -> tuple[IntArray, FloatArray]:
         count[a] += count[b]
         alive[b] = False
         version[a] += 1
-        after[a] = after[b]
-        before[after[b]] = a
+        following[a] = following[b]
+        previous[following[b]] = a
         if len(order) < n - 1:
-            for one, two in ((before[a], a), (a, after[a])):
-                heapq.heappush(waiting, (cost(one, two), one, two, version[one], version[two]))
+            for first, second in ((previous[a], a), (a, following[a])):
+                heapq.heappush(
+                    queue, (ward_distance(first, second), first, second, version[first], version[second])
+                )
     order.append(alive.index(True))
     return np.array(order, dtype=np.int64), np.array(gained)

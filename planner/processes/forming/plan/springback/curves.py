@@ -1,13 +1,14 @@
 """Springback of a pass: at each control point the curve of displacement over force, and S along the path.
 
-S is how far the sheet moves, at a place and along z, under the force of the tools there; when they let go it
-comes back by as much, so the part is S too shallow (a dissertation on double-sided forming, section 4.2: S is
-the tool's command less the part after release). What is loaded is the sheet as formed so far, elastic, its
-displacements large: loads of several places must not be added, nor scaled.
+S is the displacement of the sheet, at a point and along z, under the force of the tools there. The sheet
+springs back by as much when they release it, so the part is S too shallow (a dissertation on double-sided
+forming, section 4.2: S is the tool's command minus the part after release). The load acts on the sheet as
+formed so far, which is elastic with large displacements: loads of several points must not be added, nor
+scaled.
 
 The curve itself is used, a monotone cubic through S(0) = 0 (F. N. Fritsch, J. Butland, A method for
 constructing local monotone piecewise cubic interpolants, SIAM Journal on Scientific and Statistical Computing
-5 (1984) 300). S = a F^b is fitted beside it, for people to compare.
+5 (1984) 300). S = a F^b is fitted as well, for comparison by people.
 """
 
 import contextlib
@@ -21,43 +22,60 @@ from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import FloatArray, IntArray, Mesh
 from planner.geometry.units import MM
-from planner.processes.forming.plan.contact import Pass
-from planner.processes.forming.plan.process_plan import Work
+from planner.processes.forming.plan.contact import FormingPass
+from planner.processes.forming.plan.process_plan import FormingWork
 from planner.processes.forming.plan.sheet_mechanics import axial_force, scallop_height
 from planner.processes.forming.plan.springback.control_points import ControlPoints
-from planner.processes.forming.plan.springback.formed_sheet import thickness, walls
-from planner.shell.element import Sheet
-from planner.shell.mesh import SheetMesh, Wall, mesh_walls
-from planner.shell.newton import LimitLoadError, Loading, clamped, pressure
+from planner.processes.forming.plan.springback.formed_sheet import sheet_thickness, sheet_walls
+from planner.shell.element import ShellSheet
+from planner.shell.mesh import ShellMesh, Wall, mesh_walls
+from planner.shell.newton import LimitLoadError, Loading, clamped, pressure_weights
 
-LOAD_SHARES: Final = np.array([0.15, 0.35, 0.65, 1.0, 1.4])
-"""Loads of a curve over the force that is expected."""
-TRIANGLES: Final = 4000
-"""Triangles of an elastic sheet at most: within half a percent of five times as many."""
-SQUARE: Final = 3.0 * MM
-"""Width [m] of the square that a tool presses on."""
-MORE: Final = (1.0, 1.5, 2.25)
-"""Times as many triangles that are tried, one after the other, where a sheet has no mesh of those allowed."""
-NEAR: Final = SQUARE / 3.0
-"""Elements there at most [m]: beside a sharp rim or on a narrow ledge it decides, not how many there are."""
+LOAD_FACTORS: Final = np.array([0.15, 0.35, 0.65, 1.0, 1.4])
+"""Loads of a curve as multiples of the expected force."""
+MAX_TRIANGLES: Final = 4000
+"""Maximum number of triangles of an elastic sheet: the result is within half a percent of that with five
+times as many.
+"""
+PRESSED_WIDTH_M: Final = 3.0 * MM
+"""Width [m] of the square on which a tool presses."""
+TRIANGLE_FACTORS: Final = (1.0, 1.5, 2.25)
+"""Factors on the number of triangles that are tried in turn if a sheet has no mesh with the allowed
+number.
+"""
+MAX_LOCAL_ELEMENT_M: Final = PRESSED_WIDTH_M / 3.0
+"""Maximum size [m] of elements at the pressed point: next to a sharp rim or on a narrow ledge it is decisive,
+not the number of elements.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
-class Point:
-    """What is to be solved: pass ``number``, ``place`` (3,) [m] of contact, ``force`` [N] that is expected
-    there, ``most`` [N] on the levels around."""
+class SpringbackPoint:
+    """A point at which springback is to be solved.
+
+    Attributes:
+        number: Number of the pass.
+        contact: Contact point (3,) [m].
+        force: Expected force [N].
+        max_force: Largest force [N] on the adjacent levels.
+    """
 
     number: int
-    place: FloatArray
+    contact: FloatArray
     force: float
-    most: float = 0.0
+    max_force: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
-class Curve:
-    """Displacement along the tool's way over force: ``force`` (K,) [N], ``springback`` (K,) [m], from 0 and
-    growing. ``snaps``: beyond the last force the sheet has no state in balance near by. ``allowed``: as many
-    triangles its mesh might have; 0 of one that was read."""
+class SpringbackCurve:
+    """Displacement in the direction of the tool as a function of force.
+
+    Attributes:
+        force: Forces (K,) [N], from 0.
+        springback: Displacements (K,) [m], from 0 and increasing.
+        snaps: Whether the sheet has no nearby equilibrium beyond the last force.
+        allowed: Maximum number of triangles of its mesh; 0 for a curve that was read.
+    """
 
     force: FloatArray
     springback: FloatArray
@@ -65,82 +83,110 @@ class Curve:
     allowed: int = 0
 
     def at(self, force: float | FloatArray) -> FloatArray:
-        """Springback [m] under ``force`` [N], NaN beyond the last force."""
-        if len(self.force) < 2:  # it snaps under the first load already
+        """Return the springback [m] under ``force`` [N], NaN beyond the last force."""
+        if len(self.force) < 2:  # it snaps under the first load
             return np.where(np.asarray(force) > 0.0, np.nan, 0.0)
         return np.asarray(PchipInterpolator(self.force, self.springback, extrapolate=False)(force))
 
     def power_law(self) -> tuple[float, float]:
-        """a and b of S = a F^b, with S [m] and F [N], by least squares of the logarithms."""
+        """Return a and b of S = a F^b, with S [m] and F [N], by least squares of the logarithms."""
         b, log_a = np.polyfit(np.log(self.force[1:]), np.log(self.springback[1:]), 1)
         return float(np.exp(log_a)), float(b)
 
 
 @dataclasses.dataclass(frozen=True)
 class PassSpringback:
-    """Springback of pass ``one``: at its ``control`` points C ``curves``, the ``force`` (C,) [N] that is
-    expected and the ``springback`` (C,) [m] under it."""
+    """Springback of a pass at C control points.
 
-    one: Pass
+    Attributes:
+        forming_pass: Pass.
+        control: Control points.
+        curves: C curves.
+        force: Expected forces (C,) [N].
+        springback: Springback (C,) [m] under them.
+    """
+
+    forming_pass: FormingPass
     control: ControlPoints
-    curves: tuple[Curve, ...]
+    curves: tuple[SpringbackCurve, ...]
     force: FloatArray
     springback: FloatArray
 
     def at(self, points: FloatArray, force: FloatArray) -> FloatArray:
-        """Springback (N,) [m] at places (N, 3) [m] of the contact's path under the forces (N,) [N] there:
-        that of the nearest places in plan of the rings above and below, linear in z between them."""
+        """Return the springback (N,) [m] at points of the contact's path.
+
+        It is that of the nearest points in plan of the rings above and below, linear in z between them.
+
+        Args:
+            points: Points (N, 3) [m].
+            force: Forces (N,) [N] there.
+        """
         height = np.array([float(ring.point[:, 2].mean()) for ring in self.control.rings])
-        each = np.stack(
+        ring_springback = np.stack(
             [
-                self._under(level, np.asarray(cKDTree(ring.point[:, :2]).query(points[:, :2])[1]), force)
+                self._on_ring(level, np.asarray(cKDTree(ring.point[:, :2]).query(points[:, :2])[1]), force)
                 for level, ring in enumerate(self.control.rings)
             ]
         )
         order = np.argsort(height)
-        height, each = height[order], each[order]
+        height, ring_springback = height[order], ring_springback[order]
         above = np.clip(np.searchsorted(height, points[:, 2]), 1, max(len(height) - 1, 1))
         below = above - 1
         above = np.minimum(above, len(height) - 1)
         rise = height[above] - height[below]
-        rise = np.where(rise > 0.0, rise, 1.0)  # of a file two levels may be nearest to one loop
-        share = np.clip((points[:, 2] - height[below]) / rise, 0.0, 1.0)
+        rise = np.where(rise > 0.0, rise, 1.0)  # two levels of a file may be nearest to one loop
+        fraction = np.clip((points[:, 2] - height[below]) / rise, 0.0, 1.0)
         rows = np.arange(len(points))
-        return _between(each[below, rows], each[above, rows], share)
+        return _interpolate(ring_springback[below, rows], ring_springback[above, rows], fraction)
 
-    def _under(self, level: int, at: IntArray, force: FloatArray) -> FloatArray:
-        """Springback (N,) [m] at places (N,) of a level's ring under forces (N,) [N]: linear from one control
-        point to the next, along the ring. Of a curve no more force than its last one is asked, but where
-        the sheet snaps beyond that: NaN."""
-        mine = np.flatnonzero(self.control.level == level)
-        mine = mine[np.argsort(self.control.place[mine])]
-        knots, count = self.control.place[mine], len(self.control.rings[level].point)
-        before = (np.searchsorted(knots, at, side="right") - 1) % len(mine)
-        after = (before + 1) % len(mine)
-        gap = (knots[after] - knots[before] - 1) % count + 1
-        share = ((at - knots[before]) % count) / gap
-        ends = np.zeros((2, len(at)))
-        for k, row in enumerate(mine):
+    def _on_ring(self, level: int, ring_index: IntArray, force: FloatArray) -> FloatArray:
+        """Springback (N,) [m] at indices (N,) of a level's ring under forces (N,) [N].
+
+        Linear from one control point to the next, along the ring. Forces are limited to the last one of each
+        curve; where the sheet snaps beyond that, the result is NaN.
+        """
+        on_level = np.flatnonzero(self.control.level == level)
+        on_level = on_level[np.argsort(self.control.ring_index[on_level])]
+        knots, count = self.control.ring_index[on_level], len(self.control.rings[level].point)
+        previous = (np.searchsorted(knots, ring_index, side="right") - 1) % len(on_level)
+        following = (previous + 1) % len(on_level)
+        gap = (knots[following] - knots[previous] - 1) % count + 1
+        fraction = ((ring_index - knots[previous]) % count) / gap
+        ends = np.zeros((2, len(ring_index)))
+        for k, row in enumerate(on_level):
             curve = self.curves[row]
-            most = np.inf if curve.snaps else curve.force[-1]
-            for end, value in zip((before, after), ends, strict=True):
-                some = end == k
-                value[some] = curve.at(np.minimum(force[some], most))
-        return _between(ends[0], ends[1], share)
+            max_force = np.inf if curve.snaps else curve.force[-1]
+            for end, value in zip((previous, following), ends, strict=True):
+                selected = end == k
+                value[selected] = curve.at(np.minimum(force[selected], max_force))
+        return _interpolate(ends[0], ends[1], fraction)
 
 
-def _between(first: FloatArray, second: FloatArray, share: FloatArray) -> FloatArray:
-    """From ``first`` to ``second`` (N,) by a ``share`` (N,); at an end whatever the other one is, NaN too."""
-    mixed = (1.0 - share) * first + share * second
-    return np.asarray(np.where(share <= 0.0, first, np.where(share >= 1.0, second, mixed)))
+def _interpolate(first: FloatArray, second: FloatArray, fraction: FloatArray) -> FloatArray:
+    """Interpolation from ``first`` to ``second`` (N,) by a ``fraction`` (N,).
+
+    At an end the other value may be NaN.
+    """
+    mixed = (1.0 - fraction) * first + fraction * second
+    return np.asarray(np.where(fraction <= 0.0, first, np.where(fraction >= 1.0, second, mixed)))
 
 
-def forces(work: Work, one: Pass, points: FloatArray, angle: FloatArray) -> FloatArray:
-    """Forces (N,) [N] along z on the sheet at places (N, 3) [m] of a pass, on walls at ``angle`` (N,) [rad]:
-    as the user states them, else by the formula of `axial_force`, which knows of no second tool."""
-    if work.stated is not None:
-        return work.stated.at(one.name, points)
-    op, radius = work.operation, work.heads[work.former(one)].radius
+def sheet_forces(
+    work: FormingWork, forming_pass: FormingPass, points: FloatArray, angle: FloatArray
+) -> FloatArray:
+    """Return the forces (N,) [N] along z on the sheet at points of a pass.
+
+    As the user states them, otherwise by the formula of `axial_force`, which does not include a second tool.
+
+    Args:
+        work: Work of the operation.
+        forming_pass: Pass.
+        points: Points (N, 3) [m].
+        angle: Wall angles (N,) [rad].
+    """
+    if work.stated_forces is not None:
+        return work.stated_forces.force_at(forming_pass.name, points)
+    op, radius = work.operation, work.heads[work.forming_arm(forming_pass)].radius
     if op.stepdown_mm is None:
         ridge = np.full(len(angle), (op.scallop_mm or 0.0) * MM)
     else:
@@ -148,43 +194,68 @@ def forces(work: Work, one: Pass, points: FloatArray, angle: FloatArray) -> Floa
     return axial_force(work.sheet.metal.tensile_stress, work.thickness, 2.0 * radius, ridge, angle)
 
 
-def solved(work: Work, point: Point, triangles: int = TRIANGLES, shares: FloatArray = LOAD_SHARES) -> Curve:
-    """The curve at a point of a pass, on the sheet as formed when the tool is there, at ``shares`` (K,) of
-    the expected force; where more is expected around, at this force and at shares of that one up to it. Of
-    more ``triangles`` where the sheet has no mesh of so few: `MORE`.
+def solve_curve(
+    work: FormingWork,
+    point: SpringbackPoint,
+    triangles: int = MAX_TRIANGLES,
+    factors: FloatArray = LOAD_FACTORS,
+) -> SpringbackCurve:
+    """Return the curve at a point of a pass, on the sheet as formed when the tool is there.
 
-    Raises ``ValueError`` where the sheet as formed cannot be divided into so many triangles either.
+    Loads are ``factors`` of the expected force. If larger forces are expected nearby, loads are this force
+    and fractions of the larger one up to it.
+
+    Args:
+        work: Work of the operation.
+        point: Point.
+        triangles: Maximum number of triangles; multiplied by `TRIANGLE_FACTORS` if the sheet has no mesh of
+            so few.
+        factors: Loads (K,) as multiples of the expected force.
+
+    Raises:
+        ValueError: if the formed sheet cannot be meshed with any of these numbers.
     """
-    one = work.passes[point.number]
-    formed = walls(work, point.number, float(point.place[2]))
-    made, allowed = _meshed(formed, work.sheet.opening, triangles, point.place)
-    mesh = Mesh(made.nodes, made.triangles)
+    forming_pass = work.passes[point.number]
+    formed = sheet_walls(work, point.number, float(point.contact[2]))
+    sheet_mesh, allowed = _mesh_sheet(formed, work.sheet.opening, triangles, point.contact)
+    mesh = Mesh(sheet_mesh.nodes, sheet_mesh.triangles)
     metal = work.sheet.metal
-    sheet = Sheet(made.nodes, made.triangles, thickness(work, point.number, mesh), metal.young, metal.poisson)
-    loads = point.force * shares
-    if point.most > loads[-1]:
-        loads = np.unique(np.append(point.most * shares[shares <= 1.0], point.force))
-    way = np.array([0.0, 0.0, -float(one.side)])
+    sheet = ShellSheet(
+        sheet_mesh.nodes,
+        sheet_mesh.triangles,
+        sheet_thickness(work, point.number, mesh),
+        metal.young,
+        metal.poisson,
+    )
+    loads = point.force * factors
+    if point.max_force > loads[-1]:
+        loads = np.unique(np.append(point.max_force * factors[factors <= 1.0], point.force))
+    direction = np.array([0.0, 0.0, -float(forming_pass.side)])
     try:
-        held = Loading(sheet, clamped(sheet, _border(work)))
-        moved, snaps = held.curve(pressure(sheet, point.place, SQUARE), loads[:, None] * way), False
+        loading = Loading(sheet, clamped(sheet, _border_condition(work)))
+        moved, snaps = (
+            loading.curve(
+                pressure_weights(sheet, point.contact, PRESSED_WIDTH_M), loads[:, None] * direction
+            ),
+            False,
+        )
     except LimitLoadError as error:
         moved, snaps = error.displacements, True
     count = len(moved)
-    return Curve(np.append(0.0, loads[:count]), np.append(0.0, moved @ way), snaps, allowed)
+    return SpringbackCurve(np.append(0.0, loads[:count]), np.append(0.0, moved @ direction), snaps, allowed)
 
 
-def _meshed(
-    formed: Sequence[Wall], opening: FloatArray, triangles: int, place: FloatArray
-) -> tuple[SheetMesh, int]:
-    """A mesh of a sheet with a node at a place (3,) [m], and how many triangles it was allowed."""
-    *first, last = (int(share * triangles) for share in MORE)
+def _mesh_sheet(
+    formed: Sequence[Wall], opening: FloatArray, triangles: int, point: FloatArray
+) -> tuple[ShellMesh, int]:
+    """A mesh of a sheet with a node at a point (3,) [m], and the number of triangles that it was allowed."""
+    *first, last = (int(factor * triangles) for factor in TRIANGLE_FACTORS)
     for allowed in first:
-        with contextlib.suppress(ValueError):  # the last one tells why
-            return mesh_walls(formed, opening, allowed, place[None], NEAR), allowed
-    return mesh_walls(formed, opening, last, place[None], NEAR), last
+        with contextlib.suppress(ValueError):  # the last attempt reports the reason
+            return mesh_walls(formed, opening, allowed, point[None], MAX_LOCAL_ELEMENT_M), allowed
+    return mesh_walls(formed, opening, last, point[None], MAX_LOCAL_ELEMENT_M), last
 
 
-def _border(work: Work) -> str | float:
+def _border_condition(work: FormingWork) -> str | float:
     stiff = work.sheet.border
     return "sliding" if stiff == 0.0 else "immovable" if np.isinf(stiff) else stiff

@@ -1,11 +1,12 @@
-"""The file of shifts of one level: `tandem next-loop --problem` makes it, a problem's ``level`` names it.
+"""File of the shifts of one level: written by `tandem next-loop --problem`, named by a problem's ``level``.
 
-The form is that of springback files (`compensation_file`), with one pass that has the former's path of this
-level alone, and without control points: what the shifts follow from was measured while the part was formed,
-so nobody can work it out again. It says which plan, pass and level it is of, at what shift the level before
-ended, and how much more than expected the foretold forces are.
+The format is that of springback files (`compensation_file`), with one pass that has the path of the forming
+tool on this level alone, and without control points: the shifts follow from measurements while the part was
+formed, so they cannot be recalculated. The file states its plan, pass and level, the shift at which the
+previous level ended, and the ratio by which the predicted forces exceed the expected ones.
 """
 
+import dataclasses
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,53 +17,98 @@ from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import FloatArray, lengths
 from planner.geometry.units import MM
-from planner.processes.forming.plan.contact import Pass, ToolPath
+from planner.processes.forming.plan.contact import FormingPass, FormingToolPath
 from planner.processes.forming.plan.operation import Level
 from planner.processes.forming.plan.springback import compensation_file
-from planner.processes.forming.plan.springback.compensation import GRID, Way, refused, way_of
+from planner.processes.forming.plan.springback.compensation import (
+    SHIFT_GRID_M,
+    ShiftedPath,
+    file_error,
+    shift_path,
+)
 
-KIND = "tandem_level"
-"""What files of this kind have with their version."""
-OFF_RING = 5.0
-"""Places of a level are off the ring of its offsets, in plan, by no more than so many stepdowns and a place's
-distance from the next."""
+LEVEL_FILE_KIND = "tandem_level"
+"""Key of files of this kind, with their version."""
+MAX_RING_DISTANCE_STEPS = 5.0
+"""Maximum distance, in step-downs plus the spacing of points, of a level's points from the ring of its
+offsets, in plan.
+"""
 
 
-def way(
-    one: Pass, path: ToolPath, radius: float, ring: FloatArray, offset: FloatArray, level: Level, step: float
-) -> Way:
-    """The path of a level shifted by ``offset`` (K,) [m] at places of contact ``ring`` (K, 3) [m], closed,
-    as far as the level's slope lets it from where the level before ends. ``radius`` [m] of the ball, ``step``
-    [m] of the levels. Raises ``TandemError`` (forming.compensation): the ring is not that of the path."""
-    ends = np.vstack([ring, ring[:1]])
+@dataclasses.dataclass(frozen=True)
+class OffsetRing:
+    """Closed ring of contact points with an offset at each.
+
+    Attributes:
+        point: Contact points (K, 3) [m].
+        offset: Offsets (K,) [m] at them.
+    """
+
+    point: FloatArray
+    offset: FloatArray
+
+
+def shifted_level_path(
+    forming_pass: FormingPass,
+    path: FormingToolPath,
+    radius: float,
+    ring: OffsetRing,
+    level: Level,
+    step: float,
+) -> ShiftedPath:
+    """Return the path of a level with its shifts.
+
+    The shifts change as far as the level's slope permits, from where the previous level ends.
+
+    Args:
+        forming_pass: Pass.
+        path: Tool path of the level.
+        radius: Radius [m] of the ball.
+        ring: Contact points of the level with their offsets.
+        level: Level of the operation.
+        step: Step-down [m] of the levels.
+
+    Raises:
+        TandemError: forming.compensation if the ring does not belong to the path.
+    """
+    ends = np.vstack([ring.point, ring.point[:1]])
     spacing = float(lengths(np.diff(ends, axis=0)).max())
-    parts = max(1, int(np.ceil(spacing / GRID)))
-    share = np.arange(len(ring) * parts) / parts
-    both = np.column_stack([ends[:, :2], np.append(offset, offset[:1])])
-    fine = np.column_stack([np.interp(share, np.arange(len(ends)), row) for row in both.T])
+    subdivisions = max(1, int(np.ceil(spacing / SHIFT_GRID_M)))
+    parameter = np.arange(len(ring.point) * subdivisions) / subdivisions
+    closed = np.column_stack([ends[:, :2], np.append(ring.offset, ring.offset[:1])])
+    fine = np.column_stack([np.interp(parameter, np.arange(len(ends)), row) for row in closed.T])
     tree = cKDTree(fine[:, :2])
 
-    def asked(points: FloatArray, _: FloatArray, __: FloatArray) -> FloatArray:
+    def offset_at(points: FloatArray, _: FloatArray, __: FloatArray) -> FloatArray:
         away, row = tree.query(points[:, :2])
-        if np.max(away) > spacing + OFF_RING * step:
-            what = f"its level has places {np.max(away) / MM:.1f} mm off the loop along which forces were "
-            raise refused(what + "measured")
+        if np.max(away) > spacing + MAX_RING_DISTANCE_STEPS * step:
+            what = f"its level has points {np.max(away) / MM:.1f} mm away from the loop along which forces "
+            raise file_error(what + "were measured")
         return np.asarray(fine[row, 2])
 
-    return way_of(one.name, path, radius, asked, level.slope, level.before_mm * MM)[0]
+    return shift_path(forming_pass.name, path, radius, offset_at, level.slope, level.before_mm * MM)[0]
 
 
-def text(
+def level_file_text(
     title: str,
     operation: str,
     identity: Mapping[str, Any],
     level: Level,
-    shifted: Way,
-    why: Mapping[str, Any],
+    shifted: ShiftedPath,
+    reasons: Mapping[str, Any],
 ) -> str:
-    """The file of a level; ``why`` its shifts are as they are, by name."""
+    """Return the content of the file of a level.
+
+    Args:
+        title: Title of the problem.
+        operation: Name of the operation.
+        identity: What the file belongs to.
+        level: Level of the operation.
+        shifted: Path with its shifts.
+        reasons: Reasons for the shifts, by name.
+    """
     head = {
-        KIND: compensation_file.VERSIONS[KIND],
+        LEVEL_FILE_KIND: compensation_file.FILE_VERSIONS[LEVEL_FILE_KIND],
         "problem": title,
         "operation": operation,
         "belongs_to": dict(identity),
@@ -71,22 +117,28 @@ def text(
         "before_mm": level.before_mm,
         "slope": level.slope,
         "most_mm": level.most_mm,
-        **why,
+        **reasons,
     }
     lines = [f"{json.dumps(key)}: {json.dumps(value, ensure_ascii=False)}" for key, value in head.items()]
-    return compensation_file.sealed([*lines, *compensation_file.way_lines([shifted])])
+    return compensation_file.with_checksum([*lines, *compensation_file.path_lines([shifted])])
 
 
-def read(path: Path, level: Level, name: str, identity: Mapping[str, Any]) -> compensation_file.Compensation:
-    """Read the file of a ``level`` of the pass ``name``. Raises ``TandemError`` (forming.compensation)."""
-    data = compensation_file.read_data(path, KIND)
-    compensation_file.require_same(data, identity)
+def read_level_file(
+    path: Path, level: Level, name: str, identity: Mapping[str, Any]
+) -> compensation_file.SpringbackFile:
+    """Read the file of a ``level`` of the pass ``name``.
+
+    Raises:
+        TandemError: forming.compensation.
+    """
+    data = compensation_file.read_checked_file(path, LEVEL_FILE_KIND)
+    compensation_file.require_identity(data, identity)
     if data.get("level") != level.number:
-        raise refused(f"it is of level {data.get('level')}, the problem forms level {level.number}")
+        raise file_error(f"it is for level {data.get('level')}, the problem forms level {level.number}")
     if data.get("plan") != level.plan:
-        raise refused(f"it is of the plan {data.get('plan')}, the problem of a level of {level.plan}")
-    ways = tuple(compensation_file.read_way(one) for one in data.get("passes") or ())
-    if [one.name for one in ways] != [name] or len(ways[0].point) != data.get("points"):
-        raise refused(f"it has not the one pass {name} with {data.get('points')} points")
-    compensation_file.require_limits(ways, level.slope, level.most_mm * MM, level.before_mm * MM)
-    return compensation_file.Compensation(path.name, ways, level.slope)
+        raise file_error(f"it is for the plan {data.get('plan')}, the problem names {level.plan}")
+    paths = tuple(compensation_file.read_shifted_path(entry) for entry in data.get("passes") or ())
+    if [entry.name for entry in paths] != [name] or len(paths[0].point) != data.get("points"):
+        raise file_error(f"it does not have exactly the pass {name} with {data.get('points')} points")
+    compensation_file.require_shift_limits(paths, level.slope, level.most_mm * MM, level.before_mm * MM)
+    return compensation_file.SpringbackFile(path.name, paths, level.slope)

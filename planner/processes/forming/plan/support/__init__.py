@@ -1,1 +1,1 @@
-"""Where the second tool is while the first one forms."""
+"""Positions of the second tool while the first one forms."""

@@ -1,15 +1,13 @@
-"""Tools that keep clear of the clamp, and a supporting ball that keeps clear of what is formed.
+"""Clearance of tools from the clamp, and of a supporting ball from formed sheet.
 
-**Clamp** of the sheet as tools meet it: bars around the opening, above and below. A forming head is
-a body of revolution, so where its axis is given, whatever the arm does, it is in the clamp or it is
-not.
+**Clamp** of the sheet: bars around the opening, above and below. A forming head is a body of revolution, so
+its axis alone decides whether it is in the clamp, whatever the arm does.
 
-**Supporting ball** that does not cut into what is formed already: it is turned about the forming
-ball. Opposite the forming ball along the face's normal, a ball that is larger than a hollow of the
-sheet's far face (the bend from the flat into the wall, a groove where two walls meet) would cut
-into it. Turned toward straight below, it comes clear: there it is lower than anything that is
-formed. So the largest angle from the vertical is sought at which it is clear, by halving; the
-distance of the balls stays.
+**Supporting ball**: it must not cut into formed sheet, so it is rotated about the forming ball. Opposite the
+forming ball along the face's normal, a ball that is larger than a hollow of the sheet's far face (the bend
+from the flat into the wall, a groove where two walls meet) would cut into it. Rotated toward straight below
+it is clear, because there it is lower than anything that is formed. So the largest angle from the vertical at
+which it is clear is found by bisection; the distance of the balls is constant.
 """
 
 import dataclasses
@@ -20,185 +18,268 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
-from planner.geometry.mesh import small_pieces
+from planner.geometry.mesh import bisect_triangles
 from planner.geometry.units import DEG, MM, measurement
+from planner.issue_codes import format_message
 from planner.issues import Issue, Severity
 from planner.problem import Stock
-from planner.processes.forming.plan.contact import ContactPath, Pass, ToolPath
-from planner.processes.forming.plan.support.directions import leaned
+from planner.processes.forming.plan.contact import ContactPath, FormingPass, FormingToolPath, PassContact
+from planner.processes.forming.plan.support.directions import tilt_from_vertical
 from planner.reading.sheet import CLAMP_BARS
 
-FACE_SPACING: Final = 1e-3
-"""Distance [m] of points on the face and of places on a tool's way."""
-REACHED_WITHIN: Final = 1.5e-4
-"""What the forming ball comes so near [m] to is formed by it, but for what is left."""
-MOST_POINTS: Final = 100_000
-"""Pieces at most into which a face is divided for its points,"""
-FIRST_POINTS: Final = 10_000
-"""so many of them for a first look, which is of few targets, some degrees of the support's turn apart."""
+FACE_SPACING_M: Final = 1e-3
+"""Spacing [m] of points on the face and of positions on a tool's path."""
+REACHED_TOLERANCE_M: Final = 1.5e-4
+"""Sheet to which the forming ball comes this near [m] is formed, except for what is left there."""
+MAX_POINTS: Final = 100_000
+"""Maximum number of pieces into which a face is divided for its points."""
+MAX_COARSE_POINTS: Final = 10_000
+"""Maximum number of pieces for a quick check, which has few targets, some degrees of the support's rotation
+apart.
+"""
 _TILT_HALVINGS: Final = 9
-"""Halvings by which the largest tilt of a support is found that clears the sheet."""
-_PLACES_AT_ONCE: Final = 4000
-"""Places of a support that are looked at at once."""
-_FLAT_HEIGHT: Final = 2e-5
-"""Points higher than a place by less than this [m] are on the same flat."""
-TURNED_ANGLE: Final = 2.0 * DEG
-"""A warning is due where the support is turned by more than this [rad] ..."""
-TURNED_SHARE: Final = 0.02
-"""... on more than this share of the way."""
-RADIUS_STEP: Final = 1e-5
-"""Radii [m] are told to this: one that is no smaller is none to take."""
-"""A warning is given where the support is turned by more than the angle on more than the share of the way."""
+"""Number of bisections for the largest tilt of a support that is clear of the sheet."""
+_POSITIONS_AT_ONCE: Final = 4000
+"""Number of support positions that are checked at once, to bound memory."""
+_FLAT_TOLERANCE_M: Final = 2e-5
+"""Points higher than a position by less than this [m] are on the same flat."""
+MAX_SUPPORT_ROTATION_RAD: Final = 2.0 * DEG
+"""Rotation [rad] of the support beyond which a warning is due if it occurs on more than
+``MAX_ROTATED_FRACTION`` of the path.
+"""
+MAX_ROTATED_FRACTION: Final = 0.02
+"""Fraction of the path on which the support may be rotated by more than ``MAX_SUPPORT_ROTATION_RAD`` without
+a warning.
+"""
+RADIUS_RESOLUTION_M: Final = 1e-5
+"""Resolution [m] of reported radii. A radius that is not smaller by this is not recommended."""
 
 
 class FarFace:
-    """Points of the sheet's far face of a pass formed from above: those over which the forming ball of
-    ``radius`` [m] comes on its way, and the flat around. Corners too narrow for it are not formed, so what is
-    behind them in the wanted part is not there. ``thickness`` [m] of the sheet; ``most``: pieces of it."""
+    """Points of the sheet's far face for a pass that is formed from above.
+
+    Included are the points under the forming ball on its path, and the surrounding flat. Corners that are too
+    narrow for the ball are not formed, so the far face behind them in the required part does not exist.
+
+    Args:
+        forming_pass: Pass.
+        thickness: Thickness [m] of the sheet.
+        contact: Path of the contact.
+        radius: Radius [m] of the forming ball.
+        max_points: Maximum number of pieces.
+    """
 
     def __init__(
-        self, one: Pass, thickness: float, contact: ContactPath, radius: float, most: int = MOST_POINTS
+        self,
+        forming_pass: FormingPass,
+        thickness: float,
+        contact: ContactPath,
+        radius: float,
+        max_points: int = MAX_POINTS,
     ) -> None:
-        pieces, _ = small_pieces(one.vertices[one.faces], FACE_SPACING, most)
-        near = np.concatenate([pieces.mean(axis=1), one.vertices])
-        apart = cKDTree(_along(contact)).query(near, distance_upper_bound=radius + REACHED_WITHIN)[0]
-        flat = near[:, 2] >= one.start - _FLAT_HEIGHT
-        near, self._short = near[np.isfinite(apart) | flat], np.where(flat, 0.0, apart - radius)
-        self._short = np.maximum(self._short[np.isfinite(self._short)], 0.0)
-        self._level = near[:, 2]
-        self._points = near - np.array([0.0, 0.0, thickness])
+        pieces, _ = bisect_triangles(forming_pass.vertices[forming_pass.faces], FACE_SPACING_M, max_points)
+        points = np.concatenate([pieces.mean(axis=1), forming_pass.vertices])
+        distance = cKDTree(_sampled_centres(contact)).query(
+            points, distance_upper_bound=radius + REACHED_TOLERANCE_M
+        )[0]
+        flat = points[:, 2] >= forming_pass.start - _FLAT_TOLERANCE_M
+        points, self._uncovered = points[np.isfinite(distance) | flat], np.where(flat, 0.0, distance - radius)
+        self._uncovered = np.maximum(self._uncovered[np.isfinite(self._uncovered)], 0.0)
+        self._near_level = points[:, 2]
+        self._points = points - np.array([0.0, 0.0, thickness])
         self._tree = cKDTree(self._points)
 
-    def cuts(self, place: FloatArray, radius: FloatArray, above: FloatArray) -> BoolArray:
-        """Whether balls of ``radius`` (M,) [m] about ``place`` (M, 3) hold points of what is formed: what is
-        higher than ``above`` (M,) [m] on the near face."""
-        out = np.zeros(len(place), dtype=np.bool_)
-        for start in range(0, len(place), _PLACES_AT_ONCE):
-            some = slice(start, start + _PLACES_AT_ONCE)
-            most = float(radius[some].max())
-            found = cKDTree(place[some]).sparse_distance_matrix(self._tree, most, output_type="ndarray")
-            i, j = found["i"], found["j"]
-            hit = (found["v"] < radius[some][i] - self._short[j]) & (
-                self._level[j] > above[some][i] + _FLAT_HEIGHT
+    def contains_formed(self, centre: FloatArray, radius: FloatArray, above: FloatArray) -> BoolArray:
+        """Return whether balls contain points of formed sheet.
+
+        Args:
+            centre: Centres (M, 3) [m].
+            radius: Radii (M,) [m].
+            above: Only points higher than this (M,) [m] on the near face count.
+        """
+        out = np.zeros(len(centre), dtype=np.bool_)
+        for start in range(0, len(centre), _POSITIONS_AT_ONCE):
+            chunk = slice(start, start + _POSITIONS_AT_ONCE)
+            max_radius = float(radius[chunk].max())
+            pairs = cKDTree(centre[chunk]).sparse_distance_matrix(
+                self._tree, max_radius, output_type="ndarray"
+            )
+            i, j = pairs["i"], pairs["j"]
+            hit = (pairs["v"] < radius[chunk][i] - self._uncovered[j]) & (
+                self._near_level[j] > above[chunk][i] + _FLAT_TOLERANCE_M
             )
             out[start + i[hit]] = True
         return out
 
-    def largest(self, touch: FloatArray, line: FloatArray, above: FloatArray, most: float) -> float:
-        """Largest radius [m], up to ``most``, of a ball that touches the far face at every one of ``touch``
-        (M, 3), its centre along -``line`` (M, 3) from there, and holds no point of what is formed."""
-        best = most
-        for start in range(0, len(touch), _PLACES_AT_ONCE):
-            some = slice(start, start + _PLACES_AT_ONCE)
-            found = cKDTree(touch[some]).sparse_distance_matrix(self._tree, 2.0 * best, output_type="ndarray")
-            i, j = found["i"], found["j"]
-            kept = (self._level[j] > above[some][i] + _FLAT_HEIGHT) & (found["v"] > 2.0 * FACE_SPACING)
-            i, j, far = i[kept], j[kept], found["v"][kept]
-            ahead = -dots(self._points[j] - touch[some][i], line[some][i])
-            fits = ahead > 1e-3 * far
+    def largest_radius(
+        self, touch: FloatArray, line: FloatArray, above: FloatArray, max_radius: float
+    ) -> float:
+        """Return the largest radius [m] of a ball at the far face that contains no formed sheet.
+
+        A ball that touches at t with its centre along -n contains a point p unless
+        R <= |p - t|^2 / (2 (t - p) . n).
+
+        Args:
+            touch: Points t (M, 3) [m] at which the ball touches.
+            line: Unit vectors n (M, 3); centres are along -n.
+            above: Only points higher than this (M,) [m] on the near face count.
+            max_radius: Upper bound [m].
+        """
+        best = max_radius
+        for start in range(0, len(touch), _POSITIONS_AT_ONCE):
+            chunk = slice(start, start + _POSITIONS_AT_ONCE)
+            pairs = cKDTree(touch[chunk]).sparse_distance_matrix(
+                self._tree, 2.0 * best, output_type="ndarray"
+            )
+            i, j = pairs["i"], pairs["j"]
+            kept = (self._near_level[j] > above[chunk][i] + _FLAT_TOLERANCE_M) & (
+                pairs["v"] > 2.0 * FACE_SPACING_M
+            )
+            i, j, distance = i[kept], j[kept], pairs["v"][kept]
+            ahead = -dots(self._points[j] - touch[chunk][i], line[chunk][i])
+            fits = ahead > 1e-3 * distance
             if fits.any():
-                best = min(best, float((far[fits] ** 2 / (2.0 * ahead[fits])).min()))
+                best = min(best, float((distance[fits] ** 2 / (2.0 * ahead[fits])).min()))
         return best
 
 
-def _along(contact: ContactPath) -> FloatArray:
-    """Places of the forming ball's centre on its way, a point's spacing apart."""
+def _sampled_centres(contact: ContactPath) -> FloatArray:
+    """Positions of the forming ball's centre on its path, FACE_SPACING_M apart."""
     length = np.linalg.norm(np.diff(contact.centre, axis=0), axis=1)
-    count = np.where(contact.working[1:], np.maximum(np.ceil(length / FACE_SPACING), 1), 1).astype(np.int64)
+    count = np.where(contact.working[1:], np.maximum(np.ceil(length / FACE_SPACING_M), 1), 1).astype(np.int64)
     row = np.repeat(np.arange(len(count)), count)
-    share = (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)) / count[row]
+    fraction = (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)) / count[row]
     step = contact.centre[row + 1] - contact.centre[row]
-    return np.concatenate([contact.centre[row] + share[:, None] * step, contact.centre[-1:]])
+    return np.concatenate([contact.centre[row] + fraction[:, None] * step, contact.centre[-1:]])
 
 
 def clear_tilt(
-    face: FarFace, contact: ContactPath, tilt: FloatArray, apart: FloatArray, radius: FloatArray
+    face: FarFace, contact: ContactPath, tilt: FloatArray, distance: FloatArray, radius: FloatArray
 ) -> FloatArray:
-    """Largest angles (N,) [rad] from the vertical, up to ``tilt`` (N,), at which balls of ``radius`` (N,)
-    [m], ``apart`` (N,) [m] below the centres of the forming ball, are clear of what is formed."""
+    """Return the largest tilts (N,) [rad] of supporting balls that are clear of formed sheet.
+
+    The tilt is the angle from the vertical.
+
+    Args:
+        face: Far face.
+        contact: Path of the contact.
+        tilt: Upper bounds (N,) [rad].
+        distance: Distances (N,) [m] of the balls below the centres of the forming ball.
+        radius: Radii (N,) [m] of the balls.
+    """
     out = tilt.copy()
 
-    def wrong(rows: IntArray, angle: FloatArray) -> BoolArray:
-        place = contact.centre[rows] - apart[rows, None] * leaned(contact.normal[rows], angle)
-        return face.cuts(place, radius[rows], contact.point[rows, 2])
+    def is_cutting(rows: IntArray, angle: FloatArray) -> BoolArray:
+        centre = contact.centre[rows] - distance[rows, None] * tilt_from_vertical(contact.normal[rows], angle)
+        return face.contains_formed(centre, radius[rows], contact.point[rows, 2])
 
-    rows = np.flatnonzero(wrong(np.arange(len(tilt)), tilt))
+    rows = np.flatnonzero(is_cutting(np.arange(len(tilt)), tilt))
     low, high = np.zeros(len(rows)), tilt[rows]
     for _ in range(_TILT_HALVINGS):
         middle = 0.5 * (low + high)
-        bad = wrong(rows, middle)
+        bad = is_cutting(rows, middle)
         low, high = np.where(bad, low, middle), np.where(bad, middle, high)
     out[rows] = low
     return out
 
 
-def radius_issue(
-    one: Pass,
-    thickness: float,
-    contact: ContactPath,
-    wanted: FloatArray,
-    off: FloatArray,
-    gap: FloatArray,
-    radii: FloatArray,
-    slack: float,
+@dataclasses.dataclass(frozen=True)
+class ToolLine:
+    """Line between the centres of two balls opposite each other, at N targets.
+
+    Attributes:
+        required: Angles (N,) [rad] from the vertical that would be opposite.
+        deviation: Rotations (N,) [rad] away from opposite.
+        gap: Gaps (N,) [m] along the line.
+    """
+
+    required: FloatArray
+    deviation: FloatArray
+    gap: FloatArray
+
+
+def support_radius_issue(
+    pass_contact: PassContact, thickness: float, tool_line: ToolLine, radii: FloatArray, slack: float
 ) -> Issue | None:
-    """A warning (forming.support_radius) where the support is turned away from opposite by ``off`` (N,) [rad]
-    too often, beyond where the flat around the feature makes it, as it would else cut into what is formed
-    by more than ``slack`` [m]. ``wanted`` (N,) [rad]: the angle from the vertical that would be opposite;
-    ``thickness`` [m] of the flat sheet; ``gap`` (N,) [m]; ``radii`` (2,) [m] of the forming ball and the
-    support."""
-    deep = one.start - contact.point[:, 2] > radii[1] * (1.0 - np.cos(contact.angle)) + 2e-4
-    wrong = deep & (off > TURNED_ANGLE) & contact.working
-    rows = np.flatnonzero(wrong)
+    """Return a warning (forming.support_radius) if the support is too often rotated away from opposite.
+
+    The support is rotated because it would otherwise cut into formed sheet by more than the slack. Rotations
+    due to the flat around the feature do not count.
+
+    Args:
+        pass_contact: Pass with the path of the contact.
+        thickness: Thickness [m] of the flat sheet.
+        tool_line: Line of the tools at the targets of the path.
+        radii: Radii (2,) [m] of the forming ball and the support.
+        slack: Allowed depth [m].
+    """
+    forming_pass, contact = pass_contact.forming_pass, pass_contact.contact
+    deviation, gap = tool_line.deviation, tool_line.gap
+    deep = forming_pass.start - contact.point[:, 2] > radii[1] * (1.0 - np.cos(contact.angle)) + 2e-4
+    is_rotated = deep & (deviation > MAX_SUPPORT_ROTATION_RAD) & contact.working
+    rows = np.flatnonzero(is_rotated)
     if not len(rows):
         return None
-    # the line is turned also where what the ball leans on changes at once; no smaller support changes that
-    face = FarFace(one, thickness, contact, float(radii[0]))
-    line = leaned(contact.normal[rows], wanted[rows])
-    place = contact.centre[rows] - (radii.sum() + gap[rows])[:, None] * line
+    # the line also rotates where the supporting face changes abruptly; a smaller support does not change that
+    face = FarFace(forming_pass, thickness, contact, float(radii[0]))
+    line = tilt_from_vertical(contact.normal[rows], tool_line.required[rows])
+    centre = contact.centre[rows] - (radii.sum() + gap[rows])[:, None] * line
     squeezed = np.maximum(thickness * np.cos(contact.angle[rows]) - gap[rows], 0.0)
-    wrong[rows] = face.cuts(place, radii[1] - squeezed - slack, contact.point[rows, 2])
-    way = np.linalg.norm(np.diff(contact.centre, axis=0, prepend=contact.centre[:1]), axis=1)
-    share = float(way[wrong].sum()) / max(float(way[deep].sum()), 1e-9)
-    if share <= TURNED_SHARE:
+    is_rotated[rows] = face.contains_formed(centre, radii[1] - squeezed - slack, contact.point[rows, 2])
+    step_length = np.linalg.norm(np.diff(contact.centre, axis=0, prepend=contact.centre[:1]), axis=1)
+    fraction = float(step_length[is_rotated].sum()) / max(float(step_length[deep].sum()), 1e-9)
+    if fraction <= MAX_ROTATED_FRACTION:
         return None
-    touch = contact.centre[wrong] - (radii[0] + gap[wrong])[:, None] * contact.normal[wrong]
-    fits = face.largest(touch, contact.normal[wrong], contact.point[wrong, 2], float(radii[1]))
-    at = contact.point[np.flatnonzero(wrong)[int(np.argmax(off[wrong]))]] / MM
-    what = (
-        f"pass {one.name}: on {100.0 * share:.0f} % of the way the supporting ball of {radii[1] / MM:.2f} mm "
-        f"radius cannot be opposite the forming one, most at ({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm; it "
-        f"is turned aside by up to {float(off[wrong].max()) / DEG:.0f} deg"
+    touch = contact.centre[is_rotated] - (radii[0] + gap[is_rotated])[:, None] * contact.normal[is_rotated]
+    fits = face.largest_radius(
+        touch, contact.normal[is_rotated], contact.point[is_rotated, 2], float(radii[1])
     )
-    known = fits < radii[1] - RADIUS_STEP
+    point_mm = contact.point[np.flatnonzero(is_rotated)[int(np.argmax(deviation[is_rotated]))]] / MM
+    what = (
+        f"pass {forming_pass.name}: on {100.0 * fraction:.0f} % of the path the supporting ball of "
+        f"{radii[1] / MM:.2f} mm radius cannot be opposite the forming one, most at "
+        f"({point_mm[0]:.1f}, {point_mm[1]:.1f}, {point_mm[2]:.1f}) mm, where it is rotated aside by up to "
+        f"{float(deviation[is_rotated].max()) / DEG:.0f} deg"
+    )
+    known = fits < radii[1] - RADIUS_RESOLUTION_M
     return Issue(
         "forming.support_radius",
         f"{what}; the largest that fits is {fits / MM:.2f} mm" if known else what,
         Severity.WARNING,
         **measurement(float(radii[1]) / MM, fits / MM if known else None, "mm"),
-        hint="take a smaller supporting tool, or round the part more" if known else "round the part there",
+        hint="use a smaller supporting tool, or round the part more" if known else "round the part there",
     )
 
 
-CLAMP_SPACING: Final = 2e-3
-"""Tools are looked at each time that they have gone so far [m]."""
-LEANING_ROOM: Final = 12e-3
-"""What a head that may lean as it likes keeps from the clamp [m], a little more than arms keep by default."""
-OPENING_SPARE_MM: Final = 1.0
-"""Openings that are advised are wider by this [mm]: tools are looked at in places."""
-CIRCLE_PLACES: Final = 32
-"""Places around a circle of a tool that are held against the clamp."""
-_LEAN_HALVINGS: Final = 9
-"""Halvings by which the largest lean of a tool is found that clears the clamp."""
-_CLAMP_PLACES_AT_ONCE: Final = 500
-"""Places of a tool's tip that are held against the clamp at once."""
+CLAMP_SPACING_M: Final = 2e-3
+"""Spacing [m] along a tool's path at which it is checked against the clamp."""
+TILT_CLEARANCE_M: Final = 12e-3
+"""Distance [m] from the clamp that a head keeps if it may tilt freely, slightly more than arms keep by
+default.
+"""
+OPENING_MARGIN_MM: Final = 1.0
+"""Margin [mm] of recommended openings, because tools are checked at discrete positions."""
+CIRCLE_POINTS: Final = 32
+"""Number of points around a circle of a tool that are compared with the clamp."""
+_CLAMP_TILT_HALVINGS: Final = 9
+"""Number of bisections for the largest tilt of a tool that is clear of the clamp."""
+_CLAMP_POSITIONS_AT_ONCE: Final = 500
+"""Number of tool positions that are compared with the clamp at once, to bound memory."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Clamp:
-    """K bars: a place is in one of them where it is farther out than ``reach`` (K,) [m] along ``outward``
-    (K, 2) in the sheet's plane and between ``low`` and ``high`` (K,) [m] along z. Their width is not asked:
-    nothing comes in from outside."""
+class ClampBars:
+    """Clamp of K bars.
+
+    A point is in a bar if it is farther out than ``reach`` along ``outward`` and between ``low`` and
+    ``high``. The width of a bar does not matter, because nothing comes in from outside.
+
+    Attributes:
+        outward: Unit directions (K, 2) in the sheet's plane.
+        reach: Distances (K,) [m] along them.
+        low: Lower z (K,) [m].
+        high: Upper z (K,) [m].
+    """
 
     outward: FloatArray
     reach: FloatArray
@@ -206,94 +287,128 @@ class Clamp:
     high: FloatArray
 
 
-def clamp_of(stock: Stock) -> Clamp:
-    """The clamp of a sheet: the boxes of its support, whose y axes point inward."""
+def clamp_bars(stock: Stock) -> ClampBars:
+    """Return the clamp of a sheet: the boxes of its support, whose y axes point inward."""
     bars = [shape for shape in stock.support if shape.kind == "box"]
     outward = np.array([-bar.pose[:2, 1] for bar in bars]).reshape(-1, 2)
     middle = np.array([bar.pose[:3, 3] for bar in bars]).reshape(-1, 3)
     size = np.array([bar.size for bar in bars]).reshape(-1, 3)
     reach = dots(middle[:, :2], outward) - 0.5 * size[:, 1]
-    return Clamp(outward, reach, middle[:, 2] - 0.5 * size[:, 2], middle[:, 2] + 0.5 * size[:, 2])
+    return ClampBars(outward, reach, middle[:, 2] - 0.5 * size[:, 2], middle[:, 2] + 0.5 * size[:, 2])
 
 
-def clear_lean(
-    clamp: Clamp, place: FloatArray, normal: FloatArray, lean: FloatArray, profile: FloatArray
+def clamp_clear_tilt(
+    clamp: ClampBars, centre: FloatArray, normal: FloatArray, tilt: FloatArray, profile: FloatArray
 ) -> FloatArray:
-    """Largest angles (N,) [rad] from the vertical, up to ``lean`` (N,), at which a head below the sheet, its
-    TCP at ``place`` (N, 3) [m] and leaning in the plane of the vertical and ``normal`` (N, 3), keeps
-    ``LEANING_ROOM`` from the clamp; 0 where none does. ``profile`` (K, 2) [m] is the head's outline."""
-    out = lean.copy()
-    rows = np.flatnonzero(~_clear(clamp, place, leaned(normal, lean), profile))
-    low, high = np.zeros(len(rows)), lean[rows]
-    for _ in range(_LEAN_HALVINGS):
+    """Return the largest tilts (N,) [rad] at which a head below the sheet is clear of the clamp.
+
+    It keeps ``TILT_CLEARANCE_M``. The result is 0 where no tilt is clear.
+
+    Args:
+        clamp: Clamp.
+        centre: TCPs (N, 3) [m] of the head.
+        normal: The head tilts in the plane of the vertical and these (N, 3).
+        tilt: Upper bounds (N,) [rad] from the vertical.
+        profile: Outline (K, 2) [m] of the head.
+    """
+    out = tilt.copy()
+    rows = np.flatnonzero(~_keeps_clear(clamp, centre, tilt_from_vertical(normal, tilt), profile))
+    low, high = np.zeros(len(rows)), tilt[rows]
+    for _ in range(_CLAMP_TILT_HALVINGS):
         middle = 0.5 * (low + high)
-        good = _clear(clamp, place[rows], leaned(normal[rows], middle), profile)
+        good = _keeps_clear(clamp, centre[rows], tilt_from_vertical(normal[rows], middle), profile)
         low, high = np.where(good, middle, low), np.where(good, high, middle)
     out[rows] = low
     return out
 
 
 def clamp_issues(
-    one: Pass, path: ToolPath, clamp: Clamp, arms: Sequence[str], profiles: Sequence[FloatArray]
+    forming_pass: FormingPass,
+    path: FormingToolPath,
+    clamp: ClampBars,
+    arms: Sequence[str],
+    profiles: Sequence[FloatArray],
 ) -> tuple[Issue, ...]:
-    """Issues (forming.clamp) of the heads of a pass that stand in the clamp, the forming one first in
-    ``arms`` and ``profiles`` (K, 2) [m]: the deepest place of each."""
-    tools = [(path.former, path.axis)]
-    if path.support is not None and path.support_axis is not None:
-        tools.append((path.support, path.support_axis))
+    """Report the deepest position of each head of a pass in the clamp (forming.clamp).
+
+    Args:
+        forming_pass: Pass.
+        path: Its tool path.
+        clamp: Clamp.
+        arms: Arms, the forming one first.
+        profiles: Tool outlines (K, 2) [m] of the arms.
+    """
+    tools = [(path.forming_centre, path.axis)]
+    if path.support_centre is not None and path.support_axis is not None:
+        tools.append((path.support_centre, path.support_axis))
     issues = []
-    for (place, axis), arm, profile in zip(tools, arms, profiles, strict=False):
-        travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place, axis=0), axis=1))])
-        rows = np.flatnonzero(np.diff(np.floor(travel / CLAMP_SPACING), prepend=-1.0) > 0.0)
-        rows = rows[~_clear(clamp, place[rows], axis[rows], profile, 0.0)]
-        deep, where = _deepest(clamp, place[rows], axis[rows], profile)
-        if len(rows) and deep.max() > 0.0:
-            k = int(np.argmax(deep))
-            wider = wider_mm(float(deep[k]) / MM, len(clamp.reach) > 8)
-            issues.append(_issue(one, arm, float(deep[k]), where[k], int(rows[k]), wider))
+    for (centre, axis), arm, profile in zip(tools, arms, profiles, strict=False):
+        travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(centre, axis=0), axis=1))])
+        rows = np.flatnonzero(np.diff(np.floor(travel / CLAMP_SPACING_M), prepend=-1.0) > 0.0)
+        rows = rows[~_keeps_clear(clamp, centre[rows], axis[rows], profile, 0.0)]
+        depth, deepest_points = _deepest_points(clamp, centre[rows], axis[rows], profile)
+        if len(rows) and depth.max() > 0.0:
+            k = int(np.argmax(depth))
+            wider = wider_mm(float(depth[k]) / MM, len(clamp.reach) > 8)
+            issues.append(
+                _clamp_issue(forming_pass, arm, float(depth[k]), deepest_points[k], int(rows[k]), wider)
+            )
     return tuple(issues)
 
 
-def wider_mm(deep: float, rounded: bool) -> float:
-    """How much wider [mm] an opening must be for tools that reach ``deep`` [mm] into its clamp; the bars of a
-    ``rounded`` one are nearer to its middle than its radius."""
-    return 2.0 * deep / (np.cos(np.pi / CLAMP_BARS) if rounded else 1.0) + OPENING_SPARE_MM
+def wider_mm(depth: float, is_round: bool) -> float:
+    """Return how much wider [mm] an opening must be for tools that reach into its clamp.
+
+    Args:
+        depth: Depth [mm] of the tools in the clamp.
+        is_round: Whether the opening is round; its bars are nearer to the middle than its radius.
+    """
+    return 2.0 * depth / (np.cos(np.pi / CLAMP_BARS) if is_round else 1.0) + OPENING_MARGIN_MM
 
 
-def _clear(
-    clamp: Clamp, place: FloatArray, axis: FloatArray, profile: FloatArray, room: float = LEANING_ROOM
+def _keeps_clear(
+    clamp: ClampBars,
+    centre: FloatArray,
+    axis: FloatArray,
+    profile: FloatArray,
+    margin: float = TILT_CLEARANCE_M,
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """Whether heads (N,) surely keep ``room`` [m] from the clamp: the circles that they are made of reach
-    r sqrt(1 - (a u)^2) along a direction u, with the axis a."""
-    back, radius = _circles(profile)
-    out = np.ones(len(place), dtype=np.bool_)
-    rows = np.flatnonzero(_near(clamp, place, axis, profile, room))
-    for some in np.split(rows, range(_CLAMP_PLACES_AT_ONCE, len(rows), _CLAMP_PLACES_AT_ONCE)):
-        middle = place[some, None] - back[None, :, None] * axis[some, None]
-        aside = np.sqrt(np.maximum(1.0 - (axis[some, :2] @ clamp.outward.T) ** 2, 0.0))
-        most = middle[..., :2] @ clamp.outward.T + radius[None, :, None] * aside[:, None]
-        up = radius * np.sqrt(np.maximum(1.0 - axis[some, 2:] ** 2, 0.0))
-        over = middle[..., 2, None] + up[..., None] > clamp.low - room
-        under = middle[..., 2, None] - up[..., None] < clamp.high + room
-        out[some] = ~((most > clamp.reach - room) & over & under).any(axis=(1, 2))
+    """Whether heads (N,) certainly keep ``margin`` [m] from the clamp.
+
+    The circles of radius r that a head with axis a consists of reach r sqrt(1 - (a . u)^2) along a direction
+    u.
+    """
+    back, radius = _head_circles(profile)
+    out = np.ones(len(centre), dtype=np.bool_)
+    rows = np.flatnonzero(_may_touch(clamp, centre, axis, profile, margin))
+    for chunk in np.split(rows, range(_CLAMP_POSITIONS_AT_ONCE, len(rows), _CLAMP_POSITIONS_AT_ONCE)):
+        middle = centre[chunk, None] - back[None, :, None] * axis[chunk, None]
+        lateral = np.sqrt(np.maximum(1.0 - (axis[chunk, :2] @ clamp.outward.T) ** 2, 0.0))
+        extent = middle[..., :2] @ clamp.outward.T + radius[None, :, None] * lateral[:, None]
+        up = radius * np.sqrt(np.maximum(1.0 - axis[chunk, 2:] ** 2, 0.0))
+        over = middle[..., 2, None] + up[..., None] > clamp.low - margin
+        under = middle[..., 2, None] - up[..., None] < clamp.high + margin
+        out[chunk] = ~((extent > clamp.reach - margin) & over & under).any(axis=(1, 2))
     return out
 
 
-def _near(
-    clamp: Clamp, place: FloatArray, axis: FloatArray, profile: FloatArray, room: float
+def _may_touch(
+    clamp: ClampBars, centre: FloatArray, axis: FloatArray, profile: FloatArray, margin: float
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """Whether cylinders (N,) around heads come as near as ``room`` [m] to a bar of the clamp: whether some
-    part of their axes is far enough out and as high as the bar."""
-    wide = float(profile[:, 1].max())
-    aside = np.sqrt(np.maximum(1.0 - (axis[:, :2] @ clamp.outward.T) ** 2, 0.0))
+    """Whether cylinders (N,) around heads come within ``margin`` [m] of a bar of the clamp.
+
+    They do if some part of their axes is far enough out and as high as the bar.
+    """
+    max_radius = float(profile[:, 1].max())
+    lateral = np.sqrt(np.maximum(1.0 - (axis[:, :2] @ clamp.outward.T) ** 2, 0.0))
     up = np.sqrt(np.maximum(1.0 - axis[:, 2:] ** 2, 0.0))
-    out = place[:, :2] @ clamp.outward.T + wide * aside - (clamp.reach - room)
-    over = place[:, 2:] + wide * up - (clamp.low - room)
-    under = clamp.high + room - place[:, 2:] + wide * up
+    out = centre[:, :2] @ clamp.outward.T + max_radius * lateral - (clamp.reach - margin)
+    over = centre[:, 2:] + max_radius * up - (clamp.low - margin)
+    under = clamp.high + margin - centre[:, 2:] + max_radius * up
     rise = np.broadcast_to(axis[:, 2:], over.shape)
     first = np.full(out.shape, profile[0, 0])
     last = np.full(out.shape, profile[-1, 0])
-    # each of the three is positive where b * slope < value, b behind the TCP
+    # each of the three conditions is met where b * slope < value, at the distance b behind the TCP
     for value, slope in ((out, axis[:, :2] @ clamp.outward.T), (over, rise), (under, -rise)):
         bound = value / np.where(np.abs(slope) < 1e-12, 1e-12, slope)
         last = np.where(slope >= 0.0, np.minimum(last, bound), last)
@@ -301,46 +416,53 @@ def _near(
     return np.asarray((first <= last).any(axis=1))
 
 
-def _deepest(
-    clamp: Clamp, place: FloatArray, axis: FloatArray, profile: FloatArray
+def _deepest_points(
+    clamp: ClampBars, centre: FloatArray, axis: FloatArray, profile: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """How far (N,) [m] heads reach out under or over the clamp's bars within their heights, and the places
-    (N, 3) [m] that do; by places around their circles."""
-    back, radius = _circles(profile)
-    turn = np.linspace(0.0, 2.0 * np.pi, CIRCLE_PLACES, endpoint=False)
-    deep, where = np.zeros(len(place)), np.zeros((len(place), 3))
-    for k in range(len(place)):
-        one = np.cross(axis[k], [0.0, 1.0, 0.0] if abs(axis[k, 1]) < 0.9 else [1.0, 0.0, 0.0])
-        one /= np.linalg.norm(one)
-        ring = np.cos(turn)[:, None] * one + np.sin(turn)[:, None] * np.cross(axis[k], one)
-        points = (place[k] - back[:, None] * axis[k])[:, None] + radius[:, None, None] * ring
+    """Depth (N,) [m] of heads under or over the clamp's bars, and the deepest points (N, 3) [m].
+
+    The depth is within the heights of the bars. Points around the circles of the heads are checked.
+    """
+    back, radius = _head_circles(profile)
+    turn = np.linspace(0.0, 2.0 * np.pi, CIRCLE_POINTS, endpoint=False)
+    depth, deepest = np.zeros(len(centre)), np.zeros((len(centre), 3))
+    for k in range(len(centre)):
+        perpendicular = np.cross(axis[k], [0.0, 1.0, 0.0] if abs(axis[k, 1]) < 0.9 else [1.0, 0.0, 0.0])
+        perpendicular /= np.linalg.norm(perpendicular)
+        ring = np.cos(turn)[:, None] * perpendicular + np.sin(turn)[:, None] * np.cross(
+            axis[k], perpendicular
+        )
+        points = (centre[k] - back[:, None] * axis[k])[:, None] + radius[:, None, None] * ring
         points = points.reshape(-1, 3)
-        past = points[:, :2] @ clamp.outward.T - clamp.reach
+        beyond = points[:, :2] @ clamp.outward.T - clamp.reach
         inside = (points[:, 2, None] > clamp.low) & (points[:, 2, None] < clamp.high)
-        past = np.where(inside, past, 0.0).max(axis=1, initial=0.0)
-        deep[k], where[k] = past.max(), points[int(np.argmax(past))]
-    return deep, where
+        beyond = np.where(inside, beyond, 0.0).max(axis=1, initial=0.0)
+        depth[k], deepest[k] = beyond.max(), points[int(np.argmax(beyond))]
+    return depth, deepest
 
 
-def _circles(profile: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Places behind the TCP and radii (J,) [m] of the circles by which a head is looked at."""
-    even = np.arange(profile[0, 0], profile[-1, 0], CLAMP_SPACING)
+def _head_circles(profile: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Positions behind the TCP and radii (J,) [m] of the circles by which a head is checked."""
+    even = np.arange(profile[0, 0], profile[-1, 0], CLAMP_SPACING_M)
     back = np.concatenate([even, profile[:, 0]])
     radius = np.concatenate([np.interp(even, profile[:, 0], profile[:, 1]), profile[:, 1]])
     rows: IntArray = np.flatnonzero(radius > 0.0)
     return back[rows], radius[rows]
 
 
-def _issue(one: Pass, arm: str, deep: float, point: FloatArray, index: int, wider: float) -> Issue:
+def _clamp_issue(
+    forming_pass: FormingPass, arm: str, depth: float, point: FloatArray, index: int, wider: float
+) -> Issue:
     x, y, z = (float(value) / MM for value in point)
     return Issue(
         "forming.clamp",
-        f"pass {one.name}: the tool of {arm} reaches {deep / MM:.1f} mm into the clamp at ({x:.1f}, {y:.1f}, "
-        f"{z:.1f}) mm, allowed is 0",
+        format_message(
+            "forming.clamp", pass_name=forming_pass.name, arm=arm, depth_mm=depth / MM, x_mm=x, y_mm=y, z_mm=z
+        ),
         field="sheet.opening_mm",
         arm=arm,
         index=index,
-        **measurement(deep / MM, 0.0, "mm"),
+        **measurement(depth / MM, 0.0, "mm"),
         hint=f"make the opening {wider:.1f} mm wider and twice settings.clearance_mm besides; or "
-        "take a slimmer tool or a smaller disk, let the tool lean less, or make the clamp's bars lower",
+        "use a slimmer tool or a smaller disk, tilt the tool less, or lower the clamp's bars",
     )

@@ -1,10 +1,9 @@
-"""verify.springback: tools that go deeper than the part, for the sheet comes back when they let go.
+"""verify.springback: tools that go deeper than the part to compensate springback.
 
-The problem names a file of shifts. All other rules about sheets judge the released tools, that is the replay
-less these shifts; so what the file says has to be right. It is held against the problem (what it belongs to,
-limits, forces), its shifts against its control points by an interpolation, a limit of slope and a mean of the
-proof's own, the replayed way against its way, and a few control points against an elastic sheet on another
-mesh with another membrane.
+The problem names a file of shifts. All other rules about sheets judge the tools without these shifts, so the
+file has to be correct. It is compared with the problem (what it belongs to, limits, forces). Its shifts are
+compared with its control points, by the proof's own interpolation, slope limit and averaging; the replayed
+path with its path; and a few control points with an elastic sheet on another mesh with another membrane.
 """
 
 import dataclasses
@@ -18,112 +17,123 @@ from scipy.spatial import cKDTree
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.units import MM
 from planner.issues import Issue
-from planner.processes.forming.claims import ComesBack, FormsPart, FormsSheet
+from planner.processes.forming.claims import CompensatesSpringback, FormsPart, FormsSheet
 from planner.processes.forming.proof import (
-    elastic,
+    elastic_sheet,
     loop_walls,
     scan_field,
     springback_bounds,
     springback_file,
 )
-from planner.processes.forming.proof.face import Face
-from planner.processes.forming.proof.released import Told
+from planner.processes.forming.proof.compensation import CompensationClaim
+from planner.processes.forming.proof.formed_shapes import PartShapes
+from planner.processes.forming.proof.forming_facts import FORMING, FormedPass, FormingFacts
 from planner.processes.forming.proof.rules.springback_forces import (
     CODE,
+    claim_group,
     force_issues,
     forces_along,
     formula_forces,
-    group_of,
     springback_issue,
 )
-from planner.processes.forming.proof.shapes import PartShapes
-from planner.processes.forming.proof.springback_bounds import STEP, FilePass
-from planner.processes.forming.proof.springback_file import Control, Measured, Way
-from planner.processes.forming.proof.state import FORMING, Forming
+from planner.processes.forming.proof.springback_bounds import POINT_SPACING_M, FilePass
+from planner.processes.forming.proof.springback_file import FileControlPoint, FilePath, ScanData
 from planner.proof.context import Context
-from planner.proof.findings import Findings, in_degrees, in_mm, in_percent, percent
-from planner.proof.rule import Outcome, at_sample, mm, rule
+from planner.proof.findings import Findings, measure_in_degrees, measure_in_mm, measure_in_percent, to_percent
+from planner.proof.rule import RuleOutcome, mm, rule, sample_issue
 
-NOTHING = "no tool goes deeper than the part"
-"""Why it has not run."""
-DRAWN = 5
-"""Control points that are worked out once more, at least, if so many are near the way."""
-MOST_DRAWS = 400
-"""Places that are drawn to find these at most."""
-SHARE, NOISE = 0.03, 2e-5
-"""How far what comes out may be off the file's, as a share, and [m] besides: two meshes."""
-WAY_OFF = 1e-4
-"""The replayed way is off the file's by no more [m] while it forms."""
-BETWEEN = 0.05
-"""Shifts are within this share of what lies between the control points around them."""
-OFF_TOUCH = 3e-4
-"""Control points are off the places that the tool touches by no more [m]."""
-LEVELS_APART = 1e-5
-"""Levels differ in height by so much [m] at least."""
-OFF_ANGLE = 1.5e-3
-"""Walls so near to a control point [m] are those that it is on."""
-ANGLE = np.deg2rad(2.0)
-"""Walls of control points are as steep as the part's, within this [rad]."""
-ANGLE_BESIDE = np.deg2rad(10.0)
-"""The same in corners where the ball does not fit [rad]."""
-PLACES = 3
-"""Places of the ways, anywhere on them, at which shifts are worked out once more."""
-CURVED = 0.35
-"""Between levels shifts are off by no more than this share of what these differ under the force there: where
-a tool rolls onto the floor one level is on the wall's edge and the next one on the floor."""
-BEYOND = 1.5
-"""Curves that go on to so many times the force of their point are worked out at their end as well."""
-MOST_PLACES = 60_000
-"""Places of a way at most."""
+NOT_RUN_REASON = "no tool goes deeper than the part"
+"""Reason why it has not run."""
+MIN_RECALCULATED = 5
+"""Minimum number of control points that are recalculated, if so many are near the path."""
+MAX_DRAWS = 400
+"""Maximum number of points that are drawn to find these."""
+MESH_TOLERANCE_FRACTION, MESH_TOLERANCE_M = 0.03, 2e-5
+"""Tolerance of the recalculated springback, as a fraction, plus a constant [m]: two meshes differ."""
+MAX_PATH_DISTANCE_M = 1e-4
+"""Maximum distance [m] of the replayed path from the file's while it forms."""
+INTERPOLATION_TOLERANCE_FRACTION = 0.05
+"""Tolerance of shifts, as a fraction of what lies between the control points around them."""
+MAX_TOUCH_DISTANCE_M = 3e-4
+"""Maximum distance [m] of control points from the points that the tool touches."""
+MIN_LEVEL_DISTANCE_M = 1e-5
+"""Minimum difference [m] in height of levels."""
+ANGLE_RADIUS_M = 1.5e-3
+"""Walls this near [m] to a control point are those that it is on."""
+ANGLE_TOLERANCE_RAD = np.deg2rad(2.0)
+"""Tolerance [rad] of the wall angles of control points compared with the part's."""
+CORNER_ANGLE_TOLERANCE_RAD = np.deg2rad(10.0)
+"""Tolerance [rad] of the wall angles of control points in corners where the ball does not fit."""
+RECALCULATED_POINTS = 3
+"""Number of points anywhere on the paths at which shifts are recalculated."""
+LEVEL_DIFFERENCE_FRACTION = 0.35
+"""Tolerance of shifts between levels, as a fraction of the difference of the levels under the force there:
+where a tool rolls onto the floor, one level is on the wall's edge and the next one on the floor.
+"""
+CURVE_END_FACTOR = 1.5
+"""Curves that continue to more than this multiple of the force of their point are recalculated at their end
+as well.
+"""
+MAX_PATH_POINTS = 60_000
+"""Maximum number of points of a path."""
 NO_CURVE = np.zeros(0)
-"""Of a place that is no control point."""
-SCAN_OFF = 1e-4
-"""Shifts that follow from a scan are within this [m] of what the proof makes of it, and `BETWEEN`."""
-ON_PART = 1.5e-4
-"""A pass forms the part's own face where half of its way is within this [m] of that."""
-LEAST_SEEN = 0.6
-"""Share of a way of which a scan says something, at least."""
-MODES = frozenset({"spif", "dsif", "dpif_l", "heat"})
-"""Modes in which what is formed comes back as one elastic sheet, and no tool holds its border."""
+"""Curve of a point that is no control point."""
+SCAN_TOLERANCE_M = 1e-4
+"""Tolerance [m] of shifts that follow from a scan, in addition to `INTERPOLATION_TOLERANCE_FRACTION`."""
+ON_PART_TOLERANCE_M = 1.5e-4
+"""A pass forms the part's own face if half of its path is within this distance [m] of it."""
+MIN_COVERED_FRACTION = 0.6
+"""Minimum fraction of a path that a scan has to cover."""
+COMPENSATED_MODES = frozenset({"spif", "dsif", "dpif_l", "heat"})
+"""Modes in which the formed sheet springs back as one elastic sheet, and no tool holds its border."""
 
 
-@rule("verify.springback", ComesBack)
-def springback(context: Context) -> Outcome:
-    """Tools that go deeper than the part do so, both alike, as the problem's springback file says; that is of
-    this very job, within its limits, makes no wall steeper than the metal stands, and an elastic sheet comes
-    back by what it says, at places drawn by lot."""
+@rule("verify.springback", CompensatesSpringback)
+def check_springback(context: Context) -> RuleOutcome:
+    """Tools that go deeper than the part do so alike, as the problem's springback file states; that belongs
+    to this very job, is within its limits, makes no wall steeper than the metal allows, and an elastic sheet
+    springs back as it states, at points drawn at random.
+    """
     forming, findings = context.get(FORMING), Findings(CODE, context, worst=0.0)
-    findings.issues += _unclaimed(context, forming)
-    for one in forming.told:
-        if one.given is None:
-            findings.issues.append(springback_issue(one, one.fault))
+    findings.issues += _unclaimed_issues(context, forming)
+    for compensation in forming.compensations:
+        if compensation.file is None:
+            findings.issues.append(springback_issue(compensation, compensation.fault))
             continue
-        if one.given.measured is not None or one.operation.springback.scan is not None:
-            off, found = _scanned(context, forming, one)
-            found += [*_belongs(context, one), *_limits(one), *_way(context, forming, one)]
-            findings.issues += [*found, *_steep(context, forming, one)]
+        if compensation.file.measured is not None or compensation.operation.springback.scan is not None:
+            deviation, found_issues = _scan_issues(context, forming, compensation)
+            found_issues += [
+                *_identity_issues(context, compensation),
+                *_limit_issues(compensation),
+                *_path_issues(context, forming, compensation),
+            ]
+            findings.issues += [*found_issues, *_wall_issues(context, forming, compensation)]
         else:
-            found = [*_belongs(context, one), *_limits(one), *force_issues(context, one)]
-            passes = [] if found else list(_passes(context, forming, one))
-            found += _placed(one, passes)
-            found += _along(one, passes) if not found else []
-            found += _way(context, forming, one)
-            found += _steep(context, forming, one)
-            findings.issues += found
-            if found:
-                continue  # nothing of it is worth being worked out
-            off, solved = _solved(context, forming, one, passes)
+            found_issues = [
+                *_identity_issues(context, compensation),
+                *_limit_issues(compensation),
+                *force_issues(context, compensation),
+            ]
+            passes = [] if found_issues else list(_file_passes(context, forming, compensation))
+            found_issues += _control_point_issues(compensation, passes)
+            found_issues += _shift_issues(compensation, passes) if not found_issues else []
+            found_issues += _path_issues(context, forming, compensation)
+            found_issues += _wall_issues(context, forming, compensation)
+            findings.issues += found_issues
+            if found_issues:
+                continue  # with these issues a recalculation is pointless
+            deviation, solved = _elastic_issues(context, forming, compensation, passes)
             findings.issues += solved
-        if off >= findings.worst:
-            findings.worst, findings.where = off, one.claim.operation
-    if not forming.told:
-        return findings.outcome_without_value(NOTHING)
-    return findings.outcome(percent, "% of how far two meshes may be off", 1.0)
+        if deviation >= findings.worst:
+            findings.worst, findings.where = deviation, compensation.claim.operation
+    if not forming.compensations:
+        return findings.outcome_without_value(NOT_RUN_REASON)
+    return findings.outcome(to_percent, "% of the tolerance of two meshes", 1.0)
 
 
-def _unclaimed(context: Context, forming: Forming) -> Iterator[Issue]:
-    """Operations that name a file of which nothing is claimed, and passes that are left out of a claim."""
-    claimed = {one.claim.operation: one for one in forming.told}
+def _unclaimed_issues(context: Context, forming: FormingFacts) -> Iterator[Issue]:
+    """Operations that name a file without a claim for it, and passes that are left out of a claim."""
+    claimed = {compensation.claim.operation: compensation for compensation in forming.compensations}
     for operation in context.problem.operations:
         if getattr(operation, "springback", None) is not None and operation.name not in claimed:
             what = f"{operation.name} names a springback file, and nothing is claimed of it"
@@ -131,430 +141,600 @@ def _unclaimed(context: Context, forming: Forming) -> Iterator[Issue]:
     for index, claim in forming.by_setup:
         if not isinstance(claim, FormsSheet):
             continue
-        for one in claimed.values():
-            group = group_of(context, one)
-            if index == one.index and claim in group and claim.segment not in one.claim.segments:
-                yield springback_issue(one, f"{claim.segment} is left out of what goes deeper")
+        for compensation in claimed.values():
+            group = claim_group(context, compensation)
+            if (
+                index == compensation.index
+                and claim in group
+                and claim.segment not in compensation.claim.segments
+            ):
+                yield springback_issue(compensation, f"{claim.segment} is left out of what goes deeper")
 
 
-def _made(forming: Forming, one: Told) -> PartShapes | None:
-    return next((made for made, group in forming.parts if one.claim in group), None)
+def _part_shapes(forming: FormingFacts, compensation: CompensationClaim) -> PartShapes | None:
+    return next((shapes for shapes, group in forming.parts if compensation.claim in group), None)
 
 
-def _belongs(context: Context, one: Told) -> Iterator[Issue]:
-    """Whether the file is of this very part, sheet, tools and operation."""
-    given = one.given
-    mine = springback_file.of_job(context.problem, context.setups[one.index], one.operation)
-    if given is None or mine is None:
-        yield springback_issue(one, "there is no sheet that comes back")
+def _identity_issues(context: Context, compensation: CompensationClaim) -> Iterator[Issue]:
+    """Check that the file belongs to this very part, sheet, tools and operation."""
+    given = compensation.file
+    own_identity = springback_file.job_identity_of(
+        context.problem, context.setups[compensation.index], compensation.operation
+    )
+    if given is None or own_identity is None:
+        yield springback_issue(compensation, "there is no sheet that springs back")
         return
-    for name in springback_file.differing(given.belongs, mine):
-        said, has = given.belongs.get(name), mine.get(name)
-        yield springback_issue(one, f"its springback file is of another job: {name} is {said}, here {has}")
-    if one.operation.mode not in MODES:
-        what = f"in mode {one.operation.mode} nothing is known of what the sheet comes back by"
-        yield springback_issue(one, what)
-    names = {segment.name for segment in one.claim.segments}
-    if names != set(given.ways):
-        what = f"its springback file has the passes {sorted(given.ways)}, here {sorted(names)}"
-        yield springback_issue(one, what)
+    for name in springback_file.differing_names(given.belongs, own_identity):
+        in_file, in_job = given.belongs.get(name), own_identity.get(name)
+        yield springback_issue(
+            compensation, f"its springback file is of another job: {name} is {in_file}, here {in_job}"
+        )
+    if compensation.operation.mode not in COMPENSATED_MODES:
+        what = f"in mode {compensation.operation.mode} the springback of the sheet is not known"
+        yield springback_issue(compensation, what)
+    names = {segment.name for segment in compensation.claim.segments}
+    if names != set(given.paths):
+        what = f"its springback file has the passes {sorted(given.paths)}, here {sorted(names)}"
+        yield springback_issue(compensation, what)
 
 
-def _limits(one: Told) -> Iterator[Issue]:
-    """Whether shifts go into the sheet, as far and as fast as the problem allows."""
-    stated = one.operation.springback
-    for name, way in ({} if one.given is None else one.given.ways).items():
-        for what, got, limit, unit in way.faults(float(stated.slope), float(stated.most_mm) * MM):
-            told = f"{name} has {what} in its springback file: {got:.4g} {unit}; allowed: {limit:g}"
-            yield springback_issue(one, told, (got, limit, unit or None))
+def _limit_issues(compensation: CompensationClaim) -> Iterator[Issue]:
+    """Check that shifts go into the sheet, as far and as fast as the problem allows."""
+    stated = compensation.operation.springback
+    for name, file_path in ({} if compensation.file is None else compensation.file.paths).items():
+        for what, got, limit, unit in file_path.faults(float(stated.slope), float(stated.most_mm) * MM):
+            message = f"{name} has {what} in its springback file: {got:.4g} {unit}, allowed: {limit:g}"
+            yield springback_issue(compensation, message, (got, limit, unit or None))
 
 
-def _passes(context: Context, forming: Forming, one: Told) -> Iterator[FilePass]:
-    """What the file says of each pass that is claimed, with what its former touches."""
-    for made in forming.formed:
-        claim = made.claim
-        if one.given is None or made.setup != one.index or claim.segment not in one.claim.segments:
+def _file_passes(
+    context: Context, forming: FormingFacts, compensation: CompensationClaim
+) -> Iterator[FilePass]:
+    """The file's data of each claimed pass, with what its forming tool touches."""
+    for formed in forming.formed:
+        claim = formed.claim
+        if (
+            compensation.file is None
+            or formed.setup != compensation.index
+            or claim.segment not in compensation.claim.segments
+        ):
             continue
-        way = one.given.ways.get(claim.segment.name)
-        controls = tuple(c for c in one.given.controls if c.segment == claim.segment.name)
-        if way is None or not controls:
+        file_path = compensation.file.paths.get(claim.segment.name)
+        controls = tuple(c for c in compensation.file.controls if c.segment == claim.segment.name)
+        if file_path is None or not controls:
             continue
-        at, centre, ring = _evenly(way)
-        count, found = len(at), made.face.nearest(centre)
-        up = np.abs(centre[:, 2] - found.place[:, 2]) / np.maximum(found.apart, 1e-9)
-        stated = one.operation.stepdown_mm
-        most = claim.radius if stated is None else 2.0 * float(stated) * MM
+        arc, centre, ring = _resample(file_path)
+        count, nearest = len(arc), formed.face.nearest(centre)
+        up = np.abs(centre[:, 2] - nearest.point[:, 2]) / np.maximum(nearest.distance, 1e-9)
+        stated = compensation.operation.stepdown_mm
+        max_rise = claim.radius if stated is None else 2.0 * float(stated) * MM
         rise = np.zeros(count)
         for k in np.unique(ring):
             rows = ring == k
-            rise[rows] = min(float(np.ptp(found.place[rows, 2])), most)
+            rise[rows] = min(float(np.ptp(nearest.point[rows, 2])), max_rise)
         angle = np.arccos(np.clip(up, 0.0, 1.0))
-        force = forces_along(context, one, claim, found.place, angle, controls)
-        yield FilePass(claim, made.face, way, controls, at, found.place, angle, force, ring, rise)
+        force = forces_along(context, compensation, claim, nearest.point, angle, controls)
+        yield FilePass(claim, formed.face, file_path, controls, arc, nearest.point, angle, force, ring, rise)
 
 
-def _evenly(way: Way) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Places of a way, `STEP` apart: (P,) [m] along it, the ball's centre (P, 3) [m] and the ring (P,)."""
-    gone = springback_bounds.gone(way.point)
-    count = int(min(MOST_PLACES, np.ceil(gone[-1] / STEP))) + 1
-    at = np.linspace(0.0, float(gone[-1]), count)
-    centre = np.stack([np.interp(at, gone, way.point[:, axis]) for axis in range(3)], axis=1)
-    return at, centre, way.ring[np.clip(np.searchsorted(gone, at), 0, len(way.ring) - 1)]
+def _resample(file_path: FilePath) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Points of a path, `POINT_SPACING_M` apart: arc lengths (P,) [m], the ball's centre (P, 3) [m] and the
+    ring (P,).
+    """
+    path_arc = springback_bounds.arc_lengths(file_path.point)
+    count = int(min(MAX_PATH_POINTS, np.ceil(path_arc[-1] / POINT_SPACING_M))) + 1
+    arc = np.linspace(0.0, float(path_arc[-1]), count)
+    centre = np.stack([np.interp(arc, path_arc, file_path.point[:, axis]) for axis in range(3)], axis=1)
+    return arc, centre, file_path.ring[np.clip(np.searchsorted(path_arc, arc), 0, len(file_path.ring) - 1)]
 
 
-def _scanned(context: Context, forming: Forming, one: Told) -> tuple[float, list[Issue]]:
-    """How far shifts that follow from a scan are off what the proof makes of it, as a share of what is
-    allowed, and issues."""
-    given, stated, stock = one.given, one.operation.springback, context.setups[one.index].stock
+def _scan_issues(
+    context: Context, forming: FormingFacts, compensation: CompensationClaim
+) -> tuple[float, list[Issue]]:
+    """Deviation of shifts that follow from a scan from the proof's own result, as a fraction of what is
+    allowed, and issues.
+    """
+    given, stated, stock = (
+        compensation.file,
+        compensation.operation.springback,
+        context.setups[compensation.index].stock,
+    )
     part = context.problem.part
     if given is None or given.measured is None or stated.scan is None or part is None or part.formed is None:
-        return 0.0, [springback_issue(one, "its file and the scan that the problem names do not go together")]
-    said, issues = given.measured, []
+        return 0.0, [
+            springback_issue(compensation, "its file does not match the scan that the problem names")
+        ]
+    scan, issues = given.measured, []
     try:
-        points = scan_field.points_of(Path(stated.scan.file), said)
+        points = scan_field.read_scan(Path(stated.scan.file), scan)
     except ValueError as error:
-        return 0.0, [springback_issue(one, f"{Path(stated.scan.file).name}: {error}")]
-    field = scan_field.Field(part.formed.mesh, stock.size, said.top, points)
-    flat, corners = field.flat_off()
-    marks = scan_field.marks_off(said)
-    if flat > scan_field.FLAT_OFF or not corners:
+        return 0.0, [springback_issue(compensation, f"{Path(stated.scan.file).name}: {error}")]
+    field = scan_field.ScanField(part.formed.mesh, stock.size, scan.is_top, points)
+    flat, corners = field.flat_deviation()
+    marks = scan_field.mark_excess(scan)
+    if flat > scan_field.MAX_FLAT_DEVIATION_M or not corners:
         what = f"the flat of its scan is {mm(flat):.3f} mm off that of the sheet"
-        issues.append(springback_issue(one, what, in_mm(flat, scan_field.FLAT_OFF)))
-    if marks > scan_field.MARKS_OFF:
-        what = f"its scan lies {mm(marks):.3f} mm farther from its marks than it has to"
-        issues.append(springback_issue(one, what, in_mm(marks, scan_field.MARKS_OFF)))
-    worst = max(flat / scan_field.FLAT_OFF, marks / scan_field.MARKS_OFF)
-    for made in forming.formed:
-        claim, way = made.claim, given.ways.get(made.claim.segment.name)
-        if made.setup != one.index or claim.segment not in one.claim.segments or way is None:
+        issues.append(
+            springback_issue(compensation, what, measure_in_mm(flat, scan_field.MAX_FLAT_DEVIATION_M))
+        )
+    if marks > scan_field.MAX_MARK_EXCESS_M:
+        what = f"its scan is {mm(marks):.3f} mm farther from its marks than the best fit"
+        issues.append(
+            springback_issue(compensation, what, measure_in_mm(marks, scan_field.MAX_MARK_EXCESS_M))
+        )
+    worst = max(flat / scan_field.MAX_FLAT_DEVIATION_M, marks / scan_field.MAX_MARK_EXCESS_M)
+    for formed in forming.formed:
+        claim, file_path = formed.claim, given.paths.get(formed.claim.segment.name)
+        if (
+            formed.setup != compensation.index
+            or claim.segment not in compensation.claim.segments
+            or file_path is None
+        ):
             continue
-        off, found = _by_scan(one, field, said, made.face, claim, way, float(stock.size[2]))
-        worst, issues = max(worst, off), [*issues, *found]
+        deviation, pass_issues = _pass_scan_issues(
+            compensation, field, scan, formed, file_path, float(stock.size[2])
+        )
+        worst, issues = max(worst, deviation), [*issues, *pass_issues]
     return worst, issues
 
 
-def _by_scan(
-    one: Told, field: scan_field.Field, said: Measured, face: Face, claim: FormsSheet, way: Way, thick: float
+def _pass_scan_issues(
+    compensation: CompensationClaim,
+    field: scan_field.ScanField,
+    scan: ScanData,
+    formed: FormedPass,
+    file_path: FilePath,
+    thickness: float,
 ) -> tuple[float, list[Issue]]:
-    name, given = claim.segment.name, one.given
-    at, centre, _ = _evenly(way)
-    touch = face.nearest(centre).place
-    before = None if given is None else given.before.get(name)
-    went = (np.zeros(1), np.zeros(1))
-    if before is not None:
-        gone = springback_bounds.gone(before.point)
-        went = gone * (at[-1] / max(float(gone[-1]), 1e-9)), before.shift
-    high = field.height(touch[:, :2]) + (thick if claim.side > 0 else 0.0)
-    own = float(np.nanmedian(np.abs(high - touch[:, 2]))) <= ON_PART
-    if own != (name in said.adjusts):
-        what = f"{name} {'forms' if own else 'does not form'} the part's own face, and its file "
-        what += "leaves it as it was" if own else "adjusts it by the scan"
-        return np.inf, [springback_issue(one, what)]
-    got = np.interp(at, springback_bounds.gone(way.point), way.shift)
-    slope = float(one.operation.springback.slope)
-    if own:
-        least, most, share = scan_field.shifts(
-            field, said, went, claim.side, touch[:, :2], at, claim.radius, slope
+    claim, given = formed.claim, compensation.file
+    name = claim.segment.name
+    arc, centre, _ = _resample(file_path)
+    touch = formed.face.nearest(centre).point
+    previous_path = None if given is None else given.previous_paths.get(name)
+    previous_shift = scan_field.ShiftProfile(arc=np.zeros(1), shift=np.zeros(1))
+    if previous_path is not None:
+        previous_arc = springback_bounds.arc_lengths(previous_path.point)
+        previous_shift = scan_field.ShiftProfile(
+            arc=previous_arc * (arc[-1] / max(float(previous_arc[-1]), 1e-9)), shift=previous_path.shift
         )
-        if share < LEAST_SEEN:
-            what = f"its scan shows {100.0 * share:.0f} % of the way of {name}"
-            return np.inf, [springback_issue(one, what, in_percent(share, LEAST_SEEN))]
+    high = field.part_height(touch[:, :2]) + (thickness if claim.side > 0 else 0.0)
+    forms_part = float(np.nanmedian(np.abs(high - touch[:, 2]))) <= ON_PART_TOLERANCE_M
+    if forms_part != (name in scan.adjusts):
+        what = f"{name} {'forms' if forms_part else 'does not form'} the part's own face, and its file "
+        what += "leaves it as it was" if forms_part else "adjusts it by the scan"
+        return np.inf, [springback_issue(compensation, what)]
+    actual = np.interp(arc, springback_bounds.arc_lengths(file_path.point), file_path.shift)
+    slope = float(compensation.operation.springback.slope)
+    if forms_part:
+        touched_path = scan_field.TouchedPath(
+            plan=touch[:, :2], arc=arc, side=claim.side, radius=claim.radius
+        )
+        minimum, maximum, covered = scan_field.shift_bounds(field, scan, previous_shift, touched_path, slope)
+        if covered < MIN_COVERED_FRACTION:
+            what = f"its scan covers {100.0 * covered:.0f} % of the path of {name}"
+            return np.inf, [
+                springback_issue(compensation, what, measure_in_percent(covered, MIN_COVERED_FRACTION))
+            ]
     else:
-        least = most = np.interp(at, *went)
-    wanted = np.clip(got, least, most)
-    off = np.abs(got - wanted)
-    slack = SCAN_OFF + BETWEEN * np.abs(wanted) + 0.5 * slope * STEP
-    k = int(np.argmax(off / slack))
-    if off[k] <= slack[k]:
-        return float(off[k] / slack[k]), []
-    what = (
-        f"{name} is shifted by {mm(got[k]):.3f} mm at {at[k] / MM:.0f} mm of its way; its scan, and how the "
-        f"scanned part was formed, make {mm(wanted[k]):.3f} mm of it"
+        minimum = maximum = np.interp(arc, previous_shift.arc, previous_shift.shift)
+    expected = np.clip(actual, minimum, maximum)
+    deviation = np.abs(actual - expected)
+    slack = (
+        SCAN_TOLERANCE_M + INTERPOLATION_TOLERANCE_FRACTION * np.abs(expected) + 0.5 * slope * POINT_SPACING_M
     )
-    return float(off[k] / slack[k]), [springback_issue(one, what, in_mm(off[k], slack[k]))]
+    k = int(np.argmax(deviation / slack))
+    if deviation[k] <= slack[k]:
+        return float(deviation[k] / slack[k]), []
+    what = (
+        f"{name} is shifted by {mm(actual[k]):.3f} mm at {arc[k] / MM:.0f} mm of its path, its scan and the "
+        f"shifts of the scanned part give {mm(expected[k]):.3f} mm"
+    )
+    return float(deviation[k] / slack[k]), [
+        springback_issue(compensation, what, measure_in_mm(deviation[k], slack[k]))
+    ]
 
 
-def _placed(one: Told, passes: Sequence[FilePass]) -> Iterator[Issue]:
-    """Whether control points are where the former touches the part, on walls as steep as they say, and their
-    levels are loops from the first one to the last."""
-    for own in passes:
-        tree = cKDTree(own.touch)
-        places = np.array([control.place for control in own.controls])
-        found = own.face.nearest(places, OFF_ANGLE)
-        away = np.asarray(tree.query(places)[0])
-        # in corners where the ball does not fit a place is beside it that it does not touch
-        beside = (found.apart <= OFF_TOUCH) & (away <= own.claim.radius) & (away > 0.5 * STEP + OFF_TOUCH)
-        away = np.where(beside, 0.0, away)
-        k = int(np.argmax(away))
-        if away[k] > 0.5 * STEP + OFF_TOUCH:
-            x, y, z = places[k] / MM
-            what = f"a control point of {own.claim.segment} at ({x:.1f}, {y:.1f}, {z:.1f}) mm is "
-            what += f"{mm(away[k]):.2f} mm off what the tool touches"
-            yield springback_issue(one, what, in_mm(away[k], 0.5 * STEP + OFF_TOUCH))
+def _control_point_issues(compensation: CompensationClaim, passes: Sequence[FilePass]) -> Iterator[Issue]:
+    """Check the control points of a file.
+
+    They have to be where the forming tool touches the part, on walls with the stated angles, and their levels
+    have to be loops from the first one to the last.
+    """
+    for file_pass in passes:
+        tree = cKDTree(file_pass.touch)
+        points = np.array([control.point for control in file_pass.controls])
+        nearest = file_pass.face.nearest(points, ANGLE_RADIUS_M)
+        distance = np.asarray(tree.query(points)[0])
+        # in corners where the ball does not fit, a control point may be next to the ball without contact
+        is_in_corner = (
+            (nearest.distance <= MAX_TOUCH_DISTANCE_M)
+            & (distance <= file_pass.claim.radius)
+            & (distance > 0.5 * POINT_SPACING_M + MAX_TOUCH_DISTANCE_M)
+        )
+        distance = np.where(is_in_corner, 0.0, distance)
+        k = int(np.argmax(distance))
+        if distance[k] > 0.5 * POINT_SPACING_M + MAX_TOUCH_DISTANCE_M:
+            x, y, z = points[k] / MM
+            what = f"a control point of {file_pass.claim.segment} at ({x:.1f}, {y:.1f}, {z:.1f}) mm is "
+            what += f"{mm(distance[k]):.2f} mm off what the tool touches"
+            yield springback_issue(
+                compensation, what, measure_in_mm(distance[k], 0.5 * POINT_SPACING_M + MAX_TOUCH_DISTANCE_M)
+            )
             continue
-        normal = own.face.normal[found.triangle]
-        # else nothing hangs on angles
-        formula = one.operation.force_n is None and one.operation.force_by is None
-        for row, control in enumerate(own.controls) if formula else ():
-            around = tree.query_ball_point(places[row], OFF_ANGLE)
-            walls = np.unique(normal[found.row == row].round(6), axis=0)
+        normal = file_pass.face.normal[nearest.triangle]
+        # angles matter only for forces by formula
+        formula = compensation.operation.force_n is None and compensation.operation.force_by is None
+        for row, control in enumerate(file_pass.controls) if formula else ():
+            around = tree.query_ball_point(points[row], ANGLE_RADIUS_M)
+            walls = np.unique(normal[nearest.row == row].round(6), axis=0)
             both = walls.sum(axis=0, keepdims=True)  # on an edge the ball rolls from one wall to the other
             walls = np.concatenate([walls, both / np.linalg.norm(both)])
-            steep = np.append(own.angle[around], np.arccos(np.clip(np.abs(walls[:, 2]), 0.0, 1.0)))
-            off = max(float(steep.min()) - control.angle, control.angle - float(steep.max()))
-            if off > (ANGLE_BESIDE if beside[row] else ANGLE):
-                what = f"a control point of {own.claim.segment} is on a wall of "
+            steep = np.append(file_pass.angle[around], np.arccos(np.clip(np.abs(walls[:, 2]), 0.0, 1.0)))
+            angle_error = max(float(steep.min()) - control.angle, control.angle - float(steep.max()))
+            if angle_error > (CORNER_ANGLE_TOLERANCE_RAD if is_in_corner[row] else ANGLE_TOLERANCE_RAD):
+                what = f"a control point of {file_pass.claim.segment} is on a wall of "
                 what += f"{np.rad2deg(control.angle):.1f} deg, where the part has "
                 what += f"{np.rad2deg(steep.min()):.1f} to {np.rad2deg(steep.max()):.1f} deg"
-                yield springback_issue(one, what, in_degrees(off, ANGLE))
+                yield springback_issue(
+                    compensation, what, measure_in_degrees(angle_error, ANGLE_TOLERANCE_RAD)
+                )
                 break
-        height, _ = own.levels()
-        room = float(own.rise.max()) + OFF_TOUCH
-        for row, control in enumerate(own.controls):
-            if abs(control.place[2] - height[control.level]) > room:
-                what = f"control points of level {control.level} of {own.claim.segment} are of several loops"
-                yield springback_issue(one, what, in_mm(abs(places[row, 2] - height[control.level]), room))
+        height, _ = file_pass.level_groups()
+        tolerance = float(file_pass.rise.max()) + MAX_TOUCH_DISTANCE_M
+        for row, control in enumerate(file_pass.controls):
+            if abs(control.point[2] - height[control.level]) > tolerance:
+                what = (
+                    f"control points of level {control.level} of {file_pass.claim.segment} are of several "
+                    "loops"
+                )
+                yield springback_issue(
+                    compensation, what, measure_in_mm(abs(points[row, 2] - height[control.level]), tolerance)
+                )
                 break
-        if len(np.unique(places.round(7), axis=0)) < len(places):
-            yield springback_issue(one, f"control points of {own.claim.segment} are named twice")
-        near = float(np.diff(sorted(height.values())).min(initial=np.inf))
-        if not near > LEVELS_APART:
-            what = f"two levels of {own.claim.segment} are at one height"
-            yield springback_issue(one, what, in_mm(near, LEVELS_APART))
-        low, high = float(own.touch[:, 2].min()), float(own.touch[:, 2].max())
-        bare = max(min(height.values()) - low, high - max(height.values()))
-        if bare > room:
-            what = f"the levels of {own.claim.segment} leave {mm(bare):.2f} mm of its depth without one"
-            yield springback_issue(one, what, in_mm(bare, room))
+        if len(np.unique(points.round(7), axis=0)) < len(points):
+            yield springback_issue(
+                compensation, f"control points of {file_pass.claim.segment} are named twice"
+            )
+        level_distance = float(np.diff(sorted(height.values())).min(initial=np.inf))
+        if not level_distance > MIN_LEVEL_DISTANCE_M:
+            what = f"two levels of {file_pass.claim.segment} are at one height"
+            yield springback_issue(compensation, what, measure_in_mm(level_distance, MIN_LEVEL_DISTANCE_M))
+        low, high = float(file_pass.touch[:, 2].min()), float(file_pass.touch[:, 2].max())
+        uncovered = max(min(height.values()) - low, high - max(height.values()))
+        if uncovered > tolerance:
+            what = (
+                f"the levels of {file_pass.claim.segment} leave {mm(uncovered):.2f} mm of its depth without "
+                "a level"
+            )
+            yield springback_issue(compensation, what, measure_in_mm(uncovered, tolerance))
 
 
-def _along(one: Told, passes: Sequence[FilePass]) -> Iterator[Issue]:
-    """Whether shifts are what lies between the control points around, as far as the slope lets them."""
-    slope = float(one.operation.springback.slope)
-    for own in passes:
-        low, high, _ = own.between
-        got, half = own.shift, own.claim.radius
-        least, most = (
-            springback_bounds.mean(own.at, springback_bounds.slower(own.at, value, slope), half)
+def _shift_issues(compensation: CompensationClaim, passes: Sequence[FilePass]) -> Iterator[Issue]:
+    """Check that shifts are what lies between the control points around, as far as the slope permits."""
+    slope = float(compensation.operation.springback.slope)
+    for file_pass in passes:
+        low, high, _ = file_pass.springback_bounds
+        actual, half = file_pass.shift, file_pass.claim.radius
+        minimum, maximum = (
+            springback_bounds.moving_mean(
+                file_pass.arc, springback_bounds.limit_slope(file_pass.arc, value, slope), half
+            )
             for value in (low, high)
         )
-        slack = BETWEEN * most + NOISE + 0.5 * slope * STEP
-        off = np.maximum(least - got, got - most) - slack
-        k = int(np.argmax(np.where(np.isfinite(off), off, np.inf)))
-        if not off[k] <= 0.0:
+        slack = INTERPOLATION_TOLERANCE_FRACTION * maximum + MESH_TOLERANCE_M + 0.5 * slope * POINT_SPACING_M
+        excess = np.maximum(minimum - actual, actual - maximum) - slack
+        k = int(np.argmax(np.where(np.isfinite(excess), excess, np.inf)))
+        if not excess[k] <= 0.0:
             what = (
-                f"{own.claim.segment} is shifted by {mm(got[k]):.3f} mm at {own.at[k] / MM:.0f} mm of its "
-                f"way; what its control points and the slope make is {mm(least[k]):.3f} to "
-                f"{mm(most[k]):.3f} mm"
+                f"{file_pass.claim.segment} is shifted by {mm(actual[k]):.3f} mm at "
+                f"{file_pass.arc[k] / MM:.0f} mm of its path, its control points and the slope give "
+                f"{mm(minimum[k]):.3f} to {mm(maximum[k]):.3f} mm"
             )
-            yield springback_issue(one, what, in_mm(got[k], most[k]))
+            yield springback_issue(compensation, what, measure_in_mm(actual[k], maximum[k]))
 
 
-def _way(context: Context, forming: Forming, one: Told) -> Iterator[Issue]:
-    """Whether the forming ball is on the file's way, shifted, all the time that it forms."""
-    for made in forming.formed:
-        claim, way = made.claim, made.track
-        if made.setup != one.index or claim.segment not in one.claim.segments:
+def _path_issues(context: Context, forming: FormingFacts, compensation: CompensationClaim) -> Iterator[Issue]:
+    """Check that the forming ball is on the file's path, shifted, all the time that it forms."""
+    for formed in forming.formed:
+        claim, tool_track = formed.claim, formed.track
+        if formed.setup != compensation.index or claim.segment not in compensation.claim.segments:
             continue
-        if way.aside is None or not len(way.aside):
-            what = f"{claim.segment} has no way in the springback file, or in the programs"
-            yield springback_issue(one, what)
+        if tool_track.path_distance is None or not len(tool_track.path_distance):
+            what = f"{claim.segment} has no path in the springback file, or in the programs"
+            yield springback_issue(compensation, what)
             continue
-        k = int(np.argmax(way.aside))
-        if way.aside[k] > WAY_OFF:
+        k = int(np.argmax(tool_track.path_distance))
+        if tool_track.path_distance[k] > MAX_PATH_DISTANCE_M:
             what = (
-                f"{claim.arm} is {mm(float(way.aside[k])):.3f} mm off the way of the springback file in "
-                f"{claim.segment}; allowed: {mm(WAY_OFF):g} mm"
+                f"{claim.arm} is {mm(float(tool_track.path_distance[k])):.3f} mm off the path of the "
+                f"springback file in {claim.segment}, allowed: {mm(MAX_PATH_DISTANCE_M):g} mm"
             )
-            measure = in_mm(way.aside[k], WAY_OFF)
-            yield at_sample(CODE, what, context.motion, claim.arm, int(way.rows[k]), measure)
+            measure = measure_in_mm(tool_track.path_distance[k], MAX_PATH_DISTANCE_M)
+            yield sample_issue(CODE, what, context.motion, claim.arm, int(tool_track.rows[k]), measure)
 
 
-def _steep(context: Context, forming: Forming, one: Told) -> Iterator[Issue]:
-    """Whether walls between the replayed loops, which shifts make steeper, are such as the metal stands."""
-    slope = float(one.operation.springback.slope)
-    for made in forming.formed:
-        if made.setup != one.index or made.claim.segment not in one.claim.segments:
+def _wall_issues(context: Context, forming: FormingFacts, compensation: CompensationClaim) -> Iterator[Issue]:
+    """Check that walls between the replayed loops, which shifts make steeper, are allowed for the metal."""
+    slope = float(compensation.operation.springback.slope)
+    for formed in forming.formed:
+        if formed.setup != compensation.index or formed.claim.segment not in compensation.claim.segments:
             continue
-        yield from loop_walls.too_steep(CODE, context, forming, made, loop_walls.of_pass(made, slope))
+        yield from loop_walls.steep_wall_issues(
+            CODE, context, forming, formed, loop_walls.pass_walls(formed, slope)
+        )
 
 
-def _solved(
-    context: Context, forming: Forming, one: Told, passes: Sequence[FilePass]
+def _elastic_issues(
+    context: Context, forming: FormingFacts, compensation: CompensationClaim, passes: Sequence[FilePass]
 ) -> tuple[float, list[Issue]]:
-    """How far control points drawn by lot are off what an elastic sheet says, as a share of what is allowed,
-    and issues."""
-    given, made = one.given, _made(forming, one)
-    stock = context.setups[one.index].stock
-    part = next((c for c in group_of(context, one) if isinstance(c, FormsPart)), None)
-    if given is None or made is None or stock.sheet is None or part is None:
-        return 0.0, [springback_issue(one, "there is no part whose sheet comes back")]
+    """Deviation of randomly drawn control points from an elastic sheet, as a fraction of what is allowed, and
+    issues.
+    """
+    given, shapes_of_part = compensation.file, _part_shapes(forming, compensation)
+    stock = context.setups[compensation.index].stock
+    part = next((c for c in claim_group(context, compensation) if isinstance(c, FormsPart)), None)
+    if given is None or shapes_of_part is None or stock.sheet is None or part is None:
+        return 0.0, [springback_issue(compensation, "there is no part whose sheet springs back")]
     metal = stock.sheet.metal
-    held = elastic.Clamped(
+    clamped_sheet = elastic_sheet.ClampedSheet(
         float(stock.size[2]), metal.young, metal.poisson, stock.sheet.opening, stock.sheet.border
     )
     shapes = {
         claim.segment.name: (k, number, claim)
-        for k, feature in enumerate(made.features)
+        for k, feature in enumerate(shapes_of_part.features)
         for number, shape in enumerate(feature.shapes)
         for claim in shape.claims
     }
     worst, issues = 0.0, []
-    places = _places(context, one, passes)
-    if not places:
+    drawn = _draw_points(context, compensation, passes)
+    if not drawn:
         issues.append(
-            springback_issue(one, "its ways are too short for springback to be worked out anywhere")
+            springback_issue(
+                compensation, "its paths are too short for springback to be recalculated anywhere"
+            )
         )
-    for k, control in _to_solve(given.controls, places):
+    for k, control in _control_points_to_solve(given.controls, drawn):
         if control.segment not in shapes:
             issues.append(
-                springback_issue(one, f"a control point is of {control.segment}, which is not formed")
+                springback_issue(
+                    compensation, f"a control point is of {control.segment}, which is not formed"
+                )
             )
             continue
         feature, number, claim = shapes[control.segment]
-        formed = elastic.Formed(made, feature, number, abs(float(control.place[2]) - claim.start))
-        x, y, z = control.place / MM
-        named = f"control point {k + 1} of its springback file, at ({x:.1f}, {y:.1f}, {z:.1f}) mm"
-        try:
-            got, doubt = _once_more(formed, held, control)
-        except ValueError as error:
-            issues.append(springback_issue(one, f"{named}: the sheet there is not worked out: {error}"))
-            continue
-        allowed = SHARE * got + NOISE + doubt
-        off = abs(control.springback - got)
-        worst = max(worst, off / allowed if np.isfinite(got) else np.inf)
-        if not off <= allowed or not np.isfinite(got):
-            what = (
-                f"{named}: it comes back by {mm(control.springback):.4f} mm under {control.force:.0f} N; an "
-                f"elastic sheet on another mesh by {mm(got):.4f} mm"
-            )
-            measure = in_mm(off, allowed) if np.isfinite(got) else in_mm(control.springback, 0.0)
-            issues.append(springback_issue(one, what, measure))
-    for at in places[:PLACES]:
-        own, k = at.own, at.row
-        feature, number, claim = shapes[own.claim.segment.name]
-        formed = elastic.Formed(made, feature, number, abs(float(own.touch[k, 2]) - claim.start))
-        force, doubt_of_force = _force_at(context, one, own, k)
-        shift = float(own.shift[k])
-        control = Control(
-            own.claim.segment.name, 0, own.touch[k], float(own.angle[k]), force, shift, NO_CURVE, NO_CURVE
+        formed = elastic_sheet.PartlyFormedSheet(
+            shapes_of_part, feature, number, abs(float(control.point[2]) - claim.start)
         )
-        x, y, z = control.place / MM
-        named = f"{own.claim.segment} at ({x:.1f}, {y:.1f}, {z:.1f}) mm"
+        x, y, z = control.point / MM
+        description = f"control point {k + 1} of its springback file, at ({x:.1f}, {y:.1f}, {z:.1f}) mm"
         try:
-            got, doubt = _once_more(formed, held, control)
+            calculated, doubt = _recalculate(formed, clamped_sheet, control)
         except ValueError as error:
-            issues.append(springback_issue(one, f"{named}: the sheet there is not worked out: {error}"))
+            issues.append(
+                springback_issue(
+                    compensation, f"{description}: the sheet there cannot be calculated: {error}"
+                )
+            )
             continue
-        by_curves = max(at.low - got, got - at.high, 0.0), 0.5 * (at.low + at.high), at.uneven
-        asked = [("has", *by_curves)]
-        if at.shifted is not None:
-            asked.append(("is shifted by", abs(shift - got), shift, at.shifted))
-        for says, off, value, uneven in asked:
-            allowed = (BETWEEN + doubt_of_force) * got + NOISE + doubt + CURVED * at.apart + uneven
-            worst = max(worst, off / allowed if np.isfinite(got) else np.inf)
-            if not off <= allowed:
-                what = f"{named} {says} {mm(value):.4f} mm"
+        allowed = MESH_TOLERANCE_FRACTION * calculated + MESH_TOLERANCE_M + doubt
+        difference = abs(control.springback - calculated)
+        worst = max(worst, difference / allowed if np.isfinite(calculated) else np.inf)
+        if not difference <= allowed or not np.isfinite(calculated):
+            what = (
+                f"{description}: it springs back by {mm(control.springback):.4f} mm under "
+                f"{control.force:.0f} N, an elastic sheet on another mesh by {mm(calculated):.4f} mm"
+            )
+            measure = (
+                measure_in_mm(difference, allowed)
+                if np.isfinite(calculated)
+                else measure_in_mm(control.springback, 0.0)
+            )
+            issues.append(springback_issue(compensation, what, measure))
+    for point in drawn[:RECALCULATED_POINTS]:
+        file_pass, k = point.file_pass, point.row
+        feature, number, claim = shapes[file_pass.claim.segment.name]
+        formed = elastic_sheet.PartlyFormedSheet(
+            shapes_of_part, feature, number, abs(float(file_pass.touch[k, 2]) - claim.start)
+        )
+        force, doubt_of_force = _force_at(context, compensation, file_pass, k)
+        shift = float(file_pass.shift[k])
+        control = FileControlPoint(
+            file_pass.claim.segment.name,
+            0,
+            file_pass.touch[k],
+            float(file_pass.angle[k]),
+            force,
+            shift,
+            NO_CURVE,
+            NO_CURVE,
+        )
+        x, y, z = control.point / MM
+        description = f"{file_pass.claim.segment} at ({x:.1f}, {y:.1f}, {z:.1f}) mm"
+        try:
+            calculated, doubt = _recalculate(formed, clamped_sheet, control)
+        except ValueError as error:
+            issues.append(
+                springback_issue(
+                    compensation, f"{description}: the sheet there cannot be calculated: {error}"
+                )
+            )
+            continue
+        by_curves = (
+            max(point.low - calculated, calculated - point.high, 0.0),
+            0.5 * (point.low + point.high),
+            point.uneven,
+        )
+        checks = [("has", *by_curves)]
+        if point.shifted is not None:
+            checks.append(("is shifted by", abs(shift - calculated), shift, point.shifted))
+        for says, difference, value, uneven in checks:
+            allowed = (
+                (INTERPOLATION_TOLERANCE_FRACTION + doubt_of_force) * calculated
+                + MESH_TOLERANCE_M
+                + doubt
+                + LEVEL_DIFFERENCE_FRACTION * point.level_difference
+                + uneven
+            )
+            worst = max(worst, difference / allowed if np.isfinite(calculated) else np.inf)
+            if not difference <= allowed:
+                what = f"{description} {says} {mm(value):.4f} mm"
                 what += " by the control points around" if says == "has" else ""
-                what += f"; an elastic sheet comes back by {mm(got):.4f} mm there under {force:.0f} N"
-                measure = in_mm(off, allowed) if np.isfinite(got) else in_mm(value, 0.0)
-                issues.append(springback_issue(one, what, measure))
+                what += (
+                    f", an elastic sheet springs back by {mm(calculated):.4f} mm there under {force:.0f} N"
+                )
+                measure = (
+                    measure_in_mm(difference, allowed)
+                    if np.isfinite(calculated)
+                    else measure_in_mm(value, 0.0)
+                )
+                issues.append(springback_issue(compensation, what, measure))
     return worst, issues
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _Place:
-    """Place ``row`` of a pass ``own``, drawn by lot. ``low`` and ``high`` [m] is what control points say
-    there, of levels that are ``apart`` [m]; by how much that is off [m] for it is ``uneven`` around; the same
-    of what it is ``shifted`` by, none where the slope holds that back; ``around``: the control points next to
-    it."""
+class _DrawnPoint:
+    """A point of a pass that was drawn at random.
 
-    own: FilePass
+    Attributes:
+        file_pass: Pass of the file.
+        row: Row of the point.
+        low: Minimum springback [m] by the control points.
+        high: Maximum springback [m] by the control points.
+        level_difference: Difference [m] of the adjacent levels.
+        uneven: Uncertainty [m] of these due to the variation nearby.
+        shifted: Uncertainty [m] of the shift due to the variation nearby, None where the slope limits the
+            shift.
+        around: Adjacent control points.
+    """
+
+    file_pass: FilePass
     row: int
     low: float
     high: float
-    apart: float
+    level_difference: float
     uneven: float
     shifted: float | None
-    around: tuple[Control, ...]
+    around: tuple[FileControlPoint, ...]
 
 
-def _to_solve(controls: tuple[Control, ...], places: list[_Place]) -> Iterator[tuple[int, Control]]:
-    """Control points around the drawn places, by their number; where a curve goes far beyond the force of its
-    point, for around it tools press more, its end besides."""
+def _control_points_to_solve(
+    controls: tuple[FileControlPoint, ...], points: list[_DrawnPoint]
+) -> Iterator[tuple[int, FileControlPoint]]:
+    """Control points around the drawn points, with their numbers.
+
+    If a curve continues far beyond the force of its point, because tools press more nearby, its end is added.
+    """
     number = {id(control): k for k, control in enumerate(controls)}
-    for k in sorted({number[id(control)] for place in places for control in place.around}):
-        one = controls[k]
-        yield k, one
-        if one.loads[-1] > BEYOND * one.force:
-            yield k, dataclasses.replace(one, force=float(one.loads[-1]), springback=float(one.moved[-1]))
+    for k in sorted({number[id(control)] for point in points for control in point.around}):
+        control_point = controls[k]
+        yield k, control_point
+        if control_point.loads[-1] > CURVE_END_FACTOR * control_point.force:
+            yield (
+                k,
+                dataclasses.replace(
+                    control_point,
+                    force=float(control_point.loads[-1]),
+                    springback=float(control_point.displacement[-1]),
+                ),
+            )
 
 
-def _places(context: Context, one: Told, passes: Sequence[FilePass]) -> list[_Place]:
-    """Places drawn by lot on the ways of all passes, each place as likely as any other, so that what many
-    control points say of a little of the way is asked as little: `PLACES`, and more until there are `DRAWN`
-    control points around them."""
-    slope = float(one.operation.springback.slope)
-    some = [np.flatnonzero(own.at > 2.0 * own.claim.radius) for own in passes]
-    owner = np.repeat(np.arange(len(passes)), [len(rows) for rows in some])
-    rows = np.concatenate([*some, np.zeros(0, dtype=np.int64)])
-    bounds = {k: own.between for k, own in enumerate(passes)}
-    held = {
+def _draw_points(
+    context: Context, compensation: CompensationClaim, passes: Sequence[FilePass]
+) -> list[_DrawnPoint]:
+    """Points drawn at random on the paths of all passes, each equally likely.
+
+    So many control points on a short section of the path are checked as rarely as the section. There are
+    `RECALCULATED_POINTS` points, and more until they have `MIN_RECALCULATED` control points around them.
+    """
+    slope = float(compensation.operation.springback.slope)
+    candidate_rows = [np.flatnonzero(file_pass.arc > 2.0 * file_pass.claim.radius) for file_pass in passes]
+    owner = np.repeat(np.arange(len(passes)), [len(rows) for rows in candidate_rows])
+    rows = np.concatenate([*candidate_rows, np.zeros(0, dtype=np.int64)])
+    bounds = {k: file_pass.springback_bounds for k, file_pass in enumerate(passes)}
+    limited_by = {
         k: np.maximum(
-            low - springback_bounds.slower(passes[k].at, low, slope),
-            high - springback_bounds.slower(passes[k].at, high, slope),
+            low - springback_bounds.limit_slope(passes[k].arc, low, slope),
+            high - springback_bounds.limit_slope(passes[k].arc, high, slope),
         )
         for k, (low, high, _) in bounds.items()
     }
-    out: list[_Place] = []
+    out: list[_DrawnPoint] = []
     known: set[int] = set()
-    for draw in _drawn(context.problem.digest, len(rows), MOST_DRAWS):
+    for draw in _random_order(context.problem.digest, len(rows), MAX_DRAWS):
         k, row = int(owner[draw]), int(rows[draw])
-        own, (low, high, apart) = passes[k], bounds[k]
-        reach = int(np.ceil(2.0 * own.claim.radius / max(float(own.at[1]), 1e-9)))
-        near = slice(max(row - reach, 0), row + reach + 1)
-        around = springback_bounds.around(own, row)
-        if len(out) >= PLACES and known.issuperset(map(id, around)):
+        file_pass, (low, high, level_difference) = passes[k], bounds[k]
+        reach = int(np.ceil(2.0 * file_pass.claim.radius / max(float(file_pass.arc[1]), 1e-9)))
+        window = slice(max(row - reach, 0), row + reach + 1)
+        around = springback_bounds.adjacent_controls(file_pass, row)
+        if len(out) >= RECALCULATED_POINTS and known.issuperset(map(id, around)):
             continue
         known.update(map(id, around))
-        shifted = 0.5 * float(np.ptp(own.shift[near])) if held[k][row] < 1e-6 else None
-        uneven = 0.5 * float(np.ptp(low[near]))
+        shifted = 0.5 * float(np.ptp(file_pass.shift[window])) if limited_by[k][row] < 1e-6 else None
+        uneven = 0.5 * float(np.ptp(low[window]))
         out.append(
-            _Place(own, row, float(low[row]), float(high[row]), float(apart[row]), uneven, shifted, around)
+            _DrawnPoint(
+                file_pass,
+                row,
+                float(low[row]),
+                float(high[row]),
+                float(level_difference[row]),
+                uneven,
+                shifted,
+                around,
+            )
         )
-        if len(out) >= PLACES and len(known) >= DRAWN:
+        if len(out) >= RECALCULATED_POINTS and len(known) >= MIN_RECALCULATED:
             break
     return out
 
 
-def _force_at(context: Context, one: Told, own: FilePass, k: int) -> tuple[float, float]:
-    """The problem's force [N] at a place of a pass; and the share by which it is in doubt: a formula hangs on
-    the wall's angle, and what is stated by place on the place."""
-    operation, setup = one.operation, context.setups[one.index]
+def _force_at(
+    context: Context, compensation: CompensationClaim, file_pass: FilePass, k: int
+) -> tuple[float, float]:
+    """The problem's force [N] at a point of a pass, and its relative uncertainty.
+
+    A formula depends on the wall angle, and a force that is stated by position on the position.
+    """
+    operation, setup = compensation.operation, context.setups[compensation.index]
     if operation.force_n is not None or operation.force_by is not None:
-        low, high = (float(force) for force in own.force[:, k])
+        low, high = (float(force) for force in file_pass.force[:, k])
         return 0.5 * (low + high), 0.5 * (high - low) / max(high, 1e-9)
     sheet = setup.stock.sheet
     tensile = 0.0 if sheet is None else sheet.metal.tensile_stress
-    around = [float(own.angle[k]) + off for off in (0.0, -ANGLE, ANGLE)]
-    angle = np.maximum(np.array([*around, *(control.angle for control in own.controls)]), 0.0)
-    force = formula_forces(operation, tensile, setup, own.claim.radius, angle)
+    around = [
+        float(file_pass.angle[k]) + angle_offset
+        for angle_offset in (0.0, -ANGLE_TOLERANCE_RAD, ANGLE_TOLERANCE_RAD)
+    ]
+    angle = np.maximum(np.array([*around, *(control.angle for control in file_pass.controls)]), 0.0)
+    force = formula_forces(operation, tensile, setup, file_pass.claim.radius, angle)
     return float(force[0]), float(np.abs(force[1:3] / force[0] - 1.0).max())
 
 
-def _once_more(formed: elastic.Formed, held: elastic.Clamped, control: Control) -> tuple[float, float]:
-    """What an elastic sheet comes back by at a control point [m], and how far that is in doubt [m]: where it
-    is not what the file says, a mesh of more points decides, and half of what both differ by is in doubt."""
-    place, force = control.place[:2], control.force
-    got, _ = elastic.comes_back(formed, held, place, force)
-    if abs(control.springback - got) <= SHARE * got + NOISE:
-        return got, 0.0
-    finer, _ = elastic.comes_back(formed, held, place, force, elastic.MANY_POINTS)
-    return finer, 0.5 * abs(finer - got) if np.isfinite(finer - got) else 0.0
+def _recalculate(
+    formed: elastic_sheet.PartlyFormedSheet,
+    clamped_sheet: elastic_sheet.ClampedSheet,
+    control: FileControlPoint,
+) -> tuple[float, float]:
+    """Springback [m] of an elastic sheet, and its uncertainty [m].
+
+    If it differs from the file's, a mesh with more points decides, and half of the difference of both meshes
+    is the uncertainty.
+    """
+    position, force = control.point[:2], control.force
+    coarse, _ = elastic_sheet.springback_at(formed, clamped_sheet, position, force)
+    if abs(control.springback - coarse) <= MESH_TOLERANCE_FRACTION * coarse + MESH_TOLERANCE_M:
+        return coarse, 0.0
+    finer, _ = elastic_sheet.springback_at(
+        formed, clamped_sheet, position, force, elastic_sheet.MAX_POINTS_FINER
+    )
+    return finer, 0.5 * abs(finer - coarse) if np.isfinite(finer - coarse) else 0.0
 
 
-def _drawn(digest: str, count: int, most: int) -> list[int]:
-    """Which of ``count`` are looked at, ``most`` of them, in the order in which they are drawn: by the
-    problem's digest, so that one that changed has others."""
+def _random_order(digest: str, count: int, max_count: int) -> list[int]:
+    """Indices of ``count`` items in random order, ``max_count`` of them.
+
+    The problem's digest is the seed, so that a changed problem has others.
+    """
     seed = int.from_bytes(hashlib.sha256(f"springback {digest}".encode()).digest()[:8], "big")
-    return list(np.random.default_rng(seed).permutation(count)[:most].tolist())
+    return list(np.random.default_rng(seed).permutation(count)[:max_count].tolist())

@@ -1,10 +1,10 @@
-"""What a planned bent wire must satisfy: stable, elastic, within tolerance, its kerf right.
+"""Checks of a planned bent wire: stability, elastic limit, tolerance and kerf.
 
-The tolerance holds with the wire's weight and with the stated end errors.
+The tolerance holds with the weight of the wire and with the stated end errors.
 
-**Kerf along a bent wire**: where it moves slower its slot is wider, and half of that is the offset
-(`widths`). `check_heat` and `check_driven` say whether the slot is usable, `advice` at which heat
-it would be.
+**Kerf along a bent wire**: where the wire moves slower its slot is wider. Half of the slot is the offset
+(`widths`). `check_heat` and `check_driven` check whether the slot is usable, `suggest_heat` searches for a
+heat at which it is.
 """
 
 import dataclasses
@@ -17,39 +17,57 @@ from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, IndexArray
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.units import MM, measurement
+from planner.issue_codes import format_message
 from planner.issues import Issue, Severity, TandemError
 from planner.processes.hotwire.claims import KerfCurve
 from planner.processes.hotwire.plan.elastic.family import FamilyFit, SectionSet
-from planner.processes.hotwire.plan.elastic.path import Face, Route, box_distance
-from planner.processes.hotwire.plan.elastic.sweep import leaning
+from planner.processes.hotwire.plan.elastic.path import FaceCut, WireRoute, box_distance
+from planner.processes.hotwire.plan.elastic.sweep_screening import normal_component
 from planner.processes.hotwire.plan.elastica import heavy
-from planner.processes.hotwire.plan.elastica.clamped import STABLE
+from planner.processes.hotwire.plan.elastica.clamped import MIN_STABLE_MARGIN
 from planner.processes.hotwire.plan.elastica.heavy import end_sensitivity, weight_deviation
 from planner.processes.hotwire.plan.operation import ElasticWire
-from planner.processes.hotwire.plan.wire import Wire
-from planner.targets import FEED_SHARE
+from planner.processes.hotwire.plan.wire import HeatedWire
+from planner.targets import FEED_FRACTION
 
-_WEIGHED_SHAPES = 24  # shapes per job for which the deviation by weight is worked out
-_NO_LIMIT = 1e6  # stands for a shape that end errors or weight move without limit
-_TAUT_SHARE = 0.99985  # of the length: ends farther apart than that leave the wire no bow to give way with
-_THIN_MARGIN = 0.05  # margin of stability below which a note is due
+_MAX_WEIGHT_SAMPLES = 24  # shapes per job for which the deviation by weight is computed
+_NO_LIMIT = 1e6  # represents a shape that end errors or weight move without limit
+_MAX_CHORD_FRACTION = (
+    0.99985  # maximum distance of the ends over the length: the wire needs a bow to yield with
+)
+_MIN_STABILITY_MARGIN = 0.05  # stability margin below which a warning is issued
 
 
 @dataclasses.dataclass(frozen=True)
-class Cut:
-    """One face with what was fitted to it."""
+class ElasticCut:
+    """One face and the wires fitted to it.
 
-    face: Face
+    Attributes:
+        face: Planes and wires of the face.
+        mesh: Surface of the face, offset by half the kerf.
+        sections: Sections of the mesh.
+        fit: Family of wires fitted to the sections.
+    """
+
+    face: FaceCut
     mesh: TriangleMesh
     sections: SectionSet
     fit: FamilyFit
 
 
 @dataclasses.dataclass(frozen=True)
-class Figures:
-    """Per target (N,): margins of stability, largest curvature [1/m], shape change per end error [m/m] in
-    the block, sag across the plane [m], distance of the wire's ends from the block [m]; ``weight`` [m] of
-    some targets ``weight_at``.
+class TargetFigures:
+    """Figures of N targets.
+
+    Attributes:
+        in_plane: Stability margins in the plane (N,).
+        out_of_plane: Stability margins out of the plane (N,).
+        curvature: Largest curvature (N,) [1/m].
+        sensitivity: Change of shape in the block per end error (N,) [m/m].
+        sag: Sag across the plane (N,) [m].
+        end_clearance: Distance of the wire's ends from the block (N,) [m].
+        weight: Deflection by weight in the plane [m], of the targets ``weight_at``.
+        weight_at: Indices of these targets.
     """
 
     in_plane: FloatArray
@@ -57,395 +75,546 @@ class Figures:
     curvature: FloatArray
     sensitivity: FloatArray
     sag: FloatArray
-    end_clear: FloatArray
+    end_clearance: FloatArray
     weight: FloatArray
     weight_at: IndexArray
 
 
-def measure(route: Route, wire: Wire, box: FloatArray) -> Figures:
-    """The figures of every target."""
+def measure_targets(route: WireRoute, wire: HeatedWire, box: FloatArray) -> TargetFigures:
+    """Return the figures of every target.
+
+    Args:
+        route: Wires of the job.
+        wire: The wire.
+        box: Lower and upper corner of the block (2, 3) [m].
+    """
     wires = route.wires
     shape = wires.shapes(65)
     points = wires.points(shape)
     distance = box_distance(points, box)
     inside = distance < 0.0
-    place = np.linspace(0.0, wires.length, points.shape[1])
-    first = np.where(inside, place, wires.length).min(axis=1)
-    last = np.where(inside, place, 0.0).max(axis=1)
+    arc_length = np.linspace(0.0, wires.length, points.shape[1])
+    first = np.where(inside, arc_length, wires.length).min(axis=1)
+    last = np.where(inside, arc_length, 0.0).max(axis=1)
     touches = inside.any(axis=1)
     middle = np.where(touches, 0.5 * (first + last), 0.5 * wires.length)
     half = np.maximum(np.where(touches, 0.5 * (last - first), 0.0), 0.03 * wires.length)
-    feel = end_sensitivity(shape, np.stack([middle - half, middle + half], axis=1)).ends
-    sag, _ = heavy.sag_out_of_plane(shape, wires.load()[:, 2], wire.section)
-    some = np.unique(np.linspace(0, len(wires) - 1, _WEIGHED_SHAPES).astype(np.intp))
-    off, _ = weight_deviation(wires[some].shapes())
-    return Figures(
+    sensitivity = end_sensitivity(shape, np.stack([middle - half, middle + half], axis=1)).ends
+    sag, _ = heavy.sag_out_of_plane(shape, wires.load()[:, 2], wire.stiffness_ratios)
+    sampled = np.unique(np.linspace(0, len(wires) - 1, _MAX_WEIGHT_SAMPLES).astype(np.intp))
+    deflection, _ = weight_deviation(wires[sampled].shapes())
+    return TargetFigures(
         shape.margin_in_plane,
-        shape.margin_out_of_plane(wire.section),
+        shape.margin_out_of_plane(wire.stiffness_ratios),
         np.abs(shape.curvature).max(axis=1),
-        np.where(touches, np.minimum(feel, _NO_LIMIT), 0.0),
+        np.where(touches, np.minimum(sensitivity, _NO_LIMIT), 0.0),
         np.minimum(sag, _NO_LIMIT),
         np.minimum(distance[:, 0], distance[:, -1]),
-        off,
-        some,
+        deflection,
+        sampled,
     )
 
 
-def check(
-    op: ElasticWire, wire: Wire, route: Route, cuts: list[Cut], figures: Figures, box: FloatArray
+def check_job(
+    op: ElasticWire,
+    wire: HeatedWire,
+    route: WireRoute,
+    cuts: list[ElasticCut],
+    figures: TargetFigures,
+    box: FloatArray,
 ) -> list[Issue]:
-    """All issues of a job, errors first."""
+    """Return all issues of a job, errors first.
+
+    Args:
+        op: Operation with its wire and sweep.
+        wire: The wire.
+        route: Wires of the job.
+        cuts: The faces.
+        figures: Figures of the targets.
+        box: Lower and upper corner of the block (2, 3) [m].
+    """
     issues = [
-        *_ends(op, route, figures),
-        *_taut(op, route),
-        *_bending(wire, route, figures),
-        *_stability(route, figures),
+        *_end_clearance_issues(op, route, figures),
+        *_taut_issues(op, route),
+        *_curvature_issues(wire, route, figures),
+        *_stability_issues(route, figures),
     ]
     for cut in cuts:
-        issues += _tolerance(op, wire, route, cut, figures)
-    issues += _touching(op, wire, route, box)
+        issues += _tolerance_issues(op, wire, route, cut, figures)
+    issues += _air_clearance_issues(op, wire, route, box)
     return sorted(issues, key=lambda issue: issue.severity is not Severity.ERROR)
 
 
-def _name(route: Route, index: int) -> str:
+def _target_label(route: WireRoute, index: int) -> str:
     label = str(route.segment[index])
-    p = route.p[index]
+    p = route.sweep_position[index]
     return f"{label} at {p * 1e3:.0f} mm along the sweep" if np.isfinite(p) else label
 
 
-def _ends(op: ElasticWire, route: Route, figures: Figures) -> Iterator[Issue]:
-    worst = int(np.argmin(figures.end_clear))
-    short = op.margin_mm * MM - float(figures.end_clear[worst])
-    if short <= 1e-6:
+def _end_clearance_issues(op: ElasticWire, route: WireRoute, figures: TargetFigures) -> Iterator[Issue]:
+    worst = int(np.argmin(figures.end_clearance))
+    shortfall = op.margin_mm * MM - float(figures.end_clearance[worst])
+    if shortfall <= 1e-6:
         return
-    need = op.chosen.length_mm + 2.0 * short / MM
+    required_length = op.chosen_wire.length_mm + 2.0 * shortfall / MM
     yield Issue(
         "wire.too_short",
-        f"{op.name}: the wire of {op.chosen.length_mm:g} mm leaves its ends only "
-        f"{figures.end_clear[worst] * 1e3:.1f} mm outside the block ({_name(route, worst)}), "
-        f"{op.margin_mm:g} mm are wanted",
+        f"{op.name}: the ends of the wire of {op.chosen_wire.length_mm:g} mm are only "
+        f"{figures.end_clearance[worst] * 1e3:.1f} mm outside the block ({_target_label(route, worst)}), "
+        f"required are {op.margin_mm:g} mm",
         field="wire.length_mm",
         index=worst,
-        **measurement(op.chosen.length_mm, float(np.ceil(need)), "mm"),
-        hint=f"use a wire of {np.ceil(need / 5.0) * 5.0:.0f} mm or more, or a narrower block",
+        **measurement(op.chosen_wire.length_mm, float(np.ceil(required_length)), "mm"),
+        hint=f"use a wire of {np.ceil(required_length / 5.0) * 5.0:.0f} mm or more, or a narrower block",
     )
 
 
-def _taut(op: ElasticWire, route: Route) -> Iterator[Issue]:
-    """A wire that is all but straight is torn or slack where the arms are off by nothing."""
+def _taut_issues(op: ElasticWire, route: WireRoute) -> Iterator[Issue]:
+    """Check that the wire is not almost straight.
+
+    Otherwise the smallest error of the arms tears it or makes it slack.
+    """
     shape = route.wires.shapes(3)
-    apart = np.linalg.norm(shape.end[:, :2] - shape.start[:, :2], axis=1) / route.wires.length
-    worst = int(np.argmax(apart))
-    if apart[worst] <= _TAUT_SHARE:
+    distance_fraction = np.linalg.norm(shape.end[:, :2] - shape.start[:, :2], axis=1) / route.wires.length
+    worst = int(np.argmax(distance_fraction))
+    if distance_fraction[worst] <= _MAX_CHORD_FRACTION:
         return
-    what = f"{op.name}: the wire of {op.chosen.length_mm:g} mm is all but straight ({_name(route, worst)}): "
-    what += f"its ends are {apart[worst] * op.chosen.length_mm:.3f} mm apart, "
-    what += f"{_TAUT_SHARE * op.chosen.length_mm:.2f} mm are allowed"
+    what = (
+        f"{op.name}: the wire of {op.chosen_wire.length_mm:g} mm is almost straight "
+        f"({_target_label(route, worst)}): "
+    )
+    what += f"its ends are {distance_fraction[worst] * op.chosen_wire.length_mm:.3f} mm apart, "
+    what += f"allowed are {_MAX_CHORD_FRACTION * op.chosen_wire.length_mm:.2f} mm"
     yield Issue("wire.end_error", what, index=worst)
 
 
-def _bending(wire: Wire, route: Route, figures: Figures) -> Iterator[Issue]:
+def _curvature_issues(wire: HeatedWire, route: WireRoute, figures: TargetFigures) -> Iterator[Issue]:
     worst = int(np.argmax(figures.curvature))
     if figures.curvature[worst] <= wire.max_curvature:
         return
-    thin = wire.thickness * wire.max_curvature / figures.curvature[worst]
+    max_thickness = wire.thickness * wire.max_curvature / figures.curvature[worst]
     yield Issue(
         "wire.curvature",
-        f"the wire is bent to a radius of {1e3 / figures.curvature[worst]:.0f} mm "
-        f"({_name(route, worst)}), "
-        f"{wire.material.title} of {wire.thickness * 1e3:g} mm stays elastic down to "
-        f"{wire.min_bend_radius * 1e3:.0f} mm",
+        format_message(
+            "wire.curvature",
+            radius_mm=1e3 / figures.curvature[worst],
+            target=_target_label(route, worst),
+            material=wire.material.title,
+            thickness_mm=wire.thickness * 1e3,
+            min_radius_mm=wire.min_bend_radius * 1e3,
+        ),
         index=worst,
         **measurement(float(1e3 / figures.curvature[worst]), float(wire.min_bend_radius * 1e3), "mm"),
-        hint=f"use a wire no thicker than {thin * 1e3:.2f} mm, a stronger material, or flatter sections",
+        hint=f"use a wire no thicker than {max_thickness * 1e3:.2f} mm, a stronger material, or flatter "
+        "sections",
     )
 
 
-def _stability(route: Route, figures: Figures) -> Iterator[Issue]:
+def _stability_issues(route: WireRoute, figures: TargetFigures) -> Iterator[Issue]:
     for margin, where, remedy in (
         (
             figures.in_plane,
             "in its plane",
-            "use a shorter wire, or split the panel so that sections bend one way",
+            "use a shorter wire, or split the panel so that each section bends in one direction",
         ),
-        (figures.out_of_plane, "out of its plane", "use a strip, which is stiff that way, or a shorter wire"),
+        (figures.out_of_plane, "out of its plane", "use a strip, which is stiff there, or a shorter wire"),
     ):
         worst = int(np.argmin(margin))
-        if margin[worst] > _THIN_MARGIN:
+        if margin[worst] > _MIN_STABILITY_MARGIN:
             continue
-        stable = margin[worst] > STABLE
+        stable = margin[worst] > MIN_STABLE_MARGIN
         yield Issue(
             "wire.unstable",
-            f"the planned wire shape is {'close to snapping' if stable else 'not stable'} {where} "
-            f"({_name(route, worst)}): margin {margin[worst]:.3f}, 1 is a free wire and 0 snaps",
+            format_message(
+                "wire.unstable",
+                state="close to snapping" if stable else "not stable",
+                plane=where,
+                target=_target_label(route, worst),
+                margin=margin[worst],
+            ),
             Severity.WARNING if stable else Severity.ERROR,
             index=worst,
             value=float(margin[worst]),
-            limit=_THIN_MARGIN if stable else STABLE,
+            limit=_MIN_STABILITY_MARGIN if stable else MIN_STABLE_MARGIN,
             hint=remedy,
         )
 
 
-def shares(op: ElasticWire, route: Route, cut: Cut, figures: Figures) -> tuple[float, float, float]:
-    """What the wanted share of a face is within [m]: by the wire's shape, with its weight across the planes,
-    and with errors of its ends too."""
+def face_tolerances(
+    op: ElasticWire, route: WireRoute, cut: ElasticCut, figures: TargetFigures
+) -> tuple[float, float, float]:
+    """Return the tolerances [m] within which the required fraction of a face is.
+
+    Args:
+        op: Operation with its wire and sweep.
+        route: Wires of the job.
+        cut: The face.
+        figures: Figures of the targets.
+
+    Returns:
+        By the shape of the wire, with its weight across the planes, and with errors of its ends too.
+    """
     segment = Segment("cut", cut.face.name)
     residual = np.abs(cut.fit.residual)
     rows = np.nonzero(np.array(route.segment) == segment)[0]
-    order = rows[np.argsort(route.p[rows])]
+    order = rows[np.argsort(route.sweep_position[rows])]
 
     def at_sections(values: FloatArray) -> FloatArray:
-        return np.interp(cut.sections.p, route.p[order], values[order])[:, None]
+        return np.interp(cut.sections.p, route.sweep_position[order], values[order])[:, None]
 
-    lean = leaning(cut.mesh, cut.face.spine)
-    sag = residual + lean * at_sections(figures.sag)
-    feel = sag + op.end_error_mm * MM * at_sections(figures.sensitivity)
-    first, second, third = (cut.sections.within(off, op.share) for off in (residual, sag, feel))
+    lean = normal_component(cut.mesh, cut.face.spine)
+    with_sag = residual + lean * at_sections(figures.sag)
+    with_end_errors = with_sag + op.end_error_mm * MM * at_sections(figures.sensitivity)
+    first, second, third = (
+        cut.sections.distance_at_fraction(off, op.share) for off in (residual, with_sag, with_end_errors)
+    )
     return first, second, third
 
 
-def _tolerance(op: ElasticWire, wire: Wire, route: Route, cut: Cut, figures: Figures) -> Iterator[Issue]:
-    """Shape with weight, then with end errors too: the first that breaks the tolerance is named."""
-    tol, share = op.shape_tol_mm * MM, shares(op, route, cut, figures)
+def _tolerance_issues(
+    op: ElasticWire, wire: HeatedWire, route: WireRoute, cut: ElasticCut, figures: TargetFigures
+) -> Iterator[Issue]:
+    """Check the shape with weight, then with end errors too.
+
+    The first that exceeds the tolerance is reported.
+    """
+    tol, within = op.shape_tol_mm * MM, face_tolerances(op, route, cut, figures)
     rows = np.nonzero(np.array(route.segment) == Segment("cut", cut.face.name))[0]
-    what = f"{op.name}: {op.share * 100:g} % of the {cut.face.name} face is within"
-    if share[1] > tol:
+    if within[1] > tol:
         worst = float(figures.sag[rows].max())
-        free = max(tol - share[0], 0.1 * tol)
-        lean = leaning(cut.mesh, cut.face.spine)
-        thick = wire.thickness * np.sqrt(lean * worst / free)
-        falls = worst > 1.0  # a metre: nothing holds the wire up
-        reached = f"{share[1] * 1e3:.2f} mm" if share[1] < 1.0 else "no bound"
-        bends = "makes it fall" if falls else f"bends it by up to {worst * 1e3:.2f} mm"
-        bends += " out of its plane"
-        strip = "" if falls else f", about {thick * 1e3:.1f} mm thick"
+        remaining = max(tol - within[0], 0.1 * tol)
+        lean = normal_component(cut.mesh, cut.face.spine)
+        suggested_thickness = wire.thickness * np.sqrt(lean * worst / remaining)
+        is_unbounded = worst > 1.0  # a sag of 1 m: the wire is not stable
+        actual = f"{within[1] * 1e3:.2f} mm" if within[1] < 1.0 else "no bound"
+        effect = "makes it fall" if is_unbounded else f"deflects it by up to {worst * 1e3:.2f} mm"
+        effect += " out of its plane"
+        strip = "" if is_unbounded else f", about {suggested_thickness * 1e3:.1f} mm thick"
         yield Issue(
             "wire.weight",
-            f"{what} {reached}, {op.shape_tol_mm:g} mm are wanted: the wire's weight {bends}",
-            **measurement(min(share[1], 1.0) * 1e3, op.shape_tol_mm, "mm"),
-            hint=f"use a strip across the sweep{strip}, a shorter wire, upright "
-            "sections (sections: parallel), or a block that stands so that the sections are upright",
+            format_message(
+                "wire.weight",
+                operation=op.name,
+                required_percent=op.share * 100,
+                face=cut.face.name,
+                deviation=actual,
+                tolerance_mm=op.shape_tol_mm,
+                effect=effect,
+            ),
+            **measurement(min(within[1], 1.0) * 1e3, op.shape_tol_mm, "mm"),
+            hint=f"use a strip across the sweep{strip}, a shorter wire, upright sections "
+            "(sections: parallel), or place the block so that the sections are upright",
         )
         return
-    if share[2] > tol:
+    if within[2] > tol:
         worst = float(figures.sensitivity[rows].max())
-        feels = f"{worst * 0.1:.2f} mm" if worst < 0.01 * _NO_LIMIT else "without limit"
-        reached = f"{share[2] * 1e3:.2f} mm" if share[2] < 1.0 else "no bound"
+        displacement = f"{worst * 0.1:.2f} mm" if worst < 0.01 * _NO_LIMIT else "without limit"
+        actual = f"{within[2] * 1e3:.2f} mm" if within[2] < 1.0 else "no bound"
         yield Issue(
             "wire.end_error",
-            f"{what} {reached} with ends off by {op.end_error_mm:g} mm, {op.shape_tol_mm:g} mm are "
-            "wanted: "
-            f"the wire moves {feels} for 0.1 mm at its ends",
-            **measurement(min(share[2], 1.0) * 1e3, op.shape_tol_mm, "mm"),
+            f"{op.name}: {op.share * 100:g} % of the {cut.face.name} face is within {actual} with end errors "
+            f"of {op.end_error_mm:g} mm, required are {op.shape_tol_mm:g} mm: the wire moves {displacement} "
+            "for 0.1 mm at its ends",
+            **measurement(min(within[2], 1.0) * 1e3, op.shape_tol_mm, "mm"),
         )
         return
 
 
-def check_shape(op: ElasticWire, cut: Cut) -> Iterator[Issue]:
-    """Whether the fitted wires meet the face: to know before anything is laid out."""
-    has = np.nonzero(cut.sections.length > 0.0)[0]
-    return misfit(op, cut.face.name, cut.sections.take(has), cut.fit.residual[has])
+def check_shape(op: ElasticWire, cut: ElasticCut) -> Iterator[Issue]:
+    """Check whether the fitted wires meet the face, before the route is planned."""
+    rows = np.nonzero(cut.sections.length > 0.0)[0]
+    return misfit_issues(op, cut.face.name, cut.sections.select(rows), cut.fit.residual[rows])
 
 
-def misfit(
+def misfit_issues(
     op: ElasticWire, name: str, sections: SectionSet, residual: FloatArray, factor: float = 1.0
 ) -> Iterator[Issue]:
-    """``wire.shape`` if residuals (K, m) [m] of the sections are beyond ``factor`` times the
-    tolerance."""
-    got = sections.within(np.abs(residual), op.share)
-    if got <= factor * op.shape_tol_mm * MM:
+    """Yield ``wire.shape`` if the residuals exceed a multiple of the tolerance.
+
+    Args:
+        op: Operation with its wire and sweep.
+        name: Name of the face.
+        sections: K sections.
+        residual: Residuals of the sections (K, m) [m].
+        factor: Allowed multiple of the tolerance.
+    """
+    within = sections.distance_at_fraction(np.abs(residual), op.share)
+    if within <= factor * op.shape_tol_mm * MM:
         return
     worst = int(np.argmax(np.abs(residual).max(axis=1)))
-    off = float(np.abs(residual[worst]).max())
-    what = f"{op.name}: {op.chosen} swept along {op.way} meets {op.share * 100:g} % of the {name} face "
-    what += f"within {got * 1e3:.2f} mm, {op.shape_tol_mm:g} mm are wanted; the worst section is at "
-    what += f"{sections.p[worst] * 1e3:.0f} mm along the sweep, off by {off * 1e3:.2f} mm"
-    yield Issue("wire.shape", what, **measurement(got * 1e3, op.shape_tol_mm, "mm"))
+    deviation = float(np.abs(residual[worst]).max())
+    what = (
+        f"{op.name}: {op.chosen_wire} swept along {op.sweep_label} meets {op.share * 100:g} % of the {name} "
+        "face "
+    )
+    what += f"within {within * 1e3:.2f} mm, required are {op.shape_tol_mm:g} mm; the worst section is at "
+    what += f"{sections.p[worst] * 1e3:.0f} mm along the sweep and deviates by {deviation * 1e3:.2f} mm"
+    yield Issue("wire.shape", what, **measurement(within * 1e3, op.shape_tol_mm, "mm"))
 
 
-def _touching(op: ElasticWire, wire: Wire, route: Route, box: FloatArray) -> Iterator[Issue]:
-    """In the air the wire stays clear of the block."""
-    air = np.array([segment.kind != "cut" for segment in route.segment])
+def _air_clearance_issues(
+    op: ElasticWire, wire: HeatedWire, route: WireRoute, box: FloatArray
+) -> Iterator[Issue]:
+    """Check that the wire stays clear of the block in air."""
+    is_air = np.array([segment.kind != "cut" for segment in route.segment])
     wires = route.wires
-    near = box_distance(wires.points(wires.shapes(65)), box).min(axis=1) - 0.5 * wire.thickness
-    near = np.where(air, near, np.inf)
-    worst = int(np.argmin(near))
-    if near[worst] >= 0.5 * op.margin_mm * MM:
+    clearance = box_distance(wires.points(wires.shapes(65)), box).min(axis=1) - 0.5 * wire.thickness
+    clearance = np.where(is_air, clearance, np.inf)
+    worst = int(np.argmin(clearance))
+    if clearance[worst] >= 0.5 * op.margin_mm * MM:
         return
     yield Issue(
         "wire.touches",
-        f"{op.name}: in segment {route.segment[worst]} the wire comes within {near[worst] * 1e3:.1f} "
-        "mm of the block, "
-        f"{0.5 * op.margin_mm:g} mm are kept",
+        format_message(
+            "wire.touches",
+            operation=op.name,
+            segment=route.segment[worst],
+            clearance_mm=clearance[worst] * 1e3,
+            min_clearance_mm=0.5 * op.margin_mm,
+        ),
         index=worst,
-        **measurement(float(near[worst] * 1e3), 0.5 * op.margin_mm, "mm"),
+        **measurement(float(clearance[worst] * 1e3), 0.5 * op.margin_mm, "mm"),
         hint="use runs: one, a larger margin_mm, or faces that leave the block straight",
     )
 
 
-SPEED_PLACES = 160
-"""Places along the sweep at which speeds along the wire are worked out."""
+SPEED_SAMPLES = 160
+"""Number of positions along the sweep at which speeds along the wire are computed."""
 
 
-MELTED_WAY = 1e-3
-"""[m] what the wire does on less of its way either way is melted together: stops are not told."""
+MELTING_DISTANCE_M = 1e-3
+"""Distance [m] along the path, to each side, over which the slot is averaged.
+
+Shorter stops are not reported.
+"""
 HEAT_FACTORS = np.geomspace(1.0 / 8.0, 8.0, 61)
-"""Powers and feeds that are looked at where a slot is too wide or too narrow, as multiples."""
-FASTEST_FEED_MM_S = 50.0
-"""[mm/s] no feed beyond this is named."""
+"""Factors on power and feed that are tried if a slot is too wide or too narrow."""
+MAX_SUGGESTED_FEED_MM_S = 50.0
+"""Maximum feed that is suggested [mm/s]."""
 
 
 def is_constant(curve: KerfCurve) -> bool:
-    """Whether the slot has one width at every speed."""
+    """Return whether the slot has one width at every speed."""
     return bool(np.ptp(curve.width) == 0.0)
 
 
-def speed_shares(face: Face, box: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Points (P, S, 3) [m] of a face's wires over its sweep, and how fast (P, S) each moves across the wire,
-    as a share of the fastest point inside the block ``box`` (2, 3); of the fastest of all outside."""
-    p = np.linspace(face.family.lower, face.family.upper, SPEED_PLACES)
+def relative_speeds(face: FaceCut, box: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return points of a face's wires over its sweep and their relative speeds.
+
+    Args:
+        face: The face.
+        box: Lower and upper corner of the block (2, 3) [m].
+
+    Returns:
+        Points (P, S, 3) [m], and their speeds across the wire (P, S) as a fraction of the fastest point
+        inside the block. If no point is inside, the fastest point of all counts.
+    """
+    p = np.linspace(face.family.lower, face.family.upper, SPEED_SAMPLES)
     wires = face.wires(p)
     points = wires.points(wires.shapes())
-    way = np.gradient(points, p, axis=0)
-    along = np.gradient(points, axis=1)
-    along /= np.linalg.norm(along, axis=2, keepdims=True)
-    across = np.linalg.norm(way - np.sum(way * along, axis=2, keepdims=True) * along, axis=2)
+    velocity = np.gradient(points, p, axis=0)
+    tangent = np.gradient(points, axis=1)
+    tangent /= np.linalg.norm(tangent, axis=2, keepdims=True)
+    normal_speed = np.linalg.norm(
+        velocity - np.sum(velocity * tangent, axis=2, keepdims=True) * tangent, axis=2
+    )
     inside = box_distance(points, box) < 0.0
     inside |= ~inside.any(axis=1, keepdims=True)
-    fastest = np.max(np.where(inside, across, 0.0), axis=1, keepdims=True)
-    return points, across / np.maximum(fastest, 1e-12)
+    fastest = np.max(np.where(inside, normal_speed, 0.0), axis=1, keepdims=True)
+    return points, normal_speed / np.maximum(fastest, 1e-12)
 
 
-def speeds(face: Face, vertices: FloatArray, feed: float, box: FloatArray) -> FloatArray:
-    """Speeds (V,) [m/s] of the wire where it passes vertices (V, 3) of a face, its fastest point moving at
-    ``feed`` [m/s]."""
-    points, share = speed_shares(face, box)
+def speeds(face: FaceCut, vertices: FloatArray, feed: float, box: FloatArray) -> FloatArray:
+    """Return the speeds (V,) [m/s] of the wire where it passes the vertices of a face.
+
+    Args:
+        face: The face.
+        vertices: Vertices (V, 3) [m].
+        feed: Speed of the fastest point of the wire [m/s].
+        box: Lower and upper corner of the block (2, 3) [m].
+    """
+    points, fractions = relative_speeds(face, box)
     distance, nearest = cKDTree(points.reshape(-1, 3)).query(vertices, k=4)
     weight = 1.0 / np.maximum(distance, 1e-9)
-    local = np.sum(weight * share.reshape(-1)[nearest], axis=1) / weight.sum(axis=1)
-    return np.asarray(feed * local)
+    local_fraction = np.sum(weight * fractions.reshape(-1)[nearest], axis=1) / weight.sum(axis=1)
+    return np.asarray(feed * local_fraction)
 
 
-def widths(face: Face, vertices: FloatArray, curve: KerfCurve, feed: float, box: FloatArray) -> FloatArray:
-    """Width (V,) [m] of the slot at the vertices (V, 3) of a face whose fastest point moves at ``feed``
-    [m/s]."""
+def widths(face: FaceCut, vertices: FloatArray, curve: KerfCurve, feed: float, box: FloatArray) -> FloatArray:
+    """Return the width (V,) [m] of the slot at the vertices of a face.
+
+    Args:
+        face: The face.
+        vertices: Vertices (V, 3) [m].
+        curve: Kerf over speed.
+        feed: Speed of the fastest point of the wire [m/s].
+        box: Lower and upper corner of the block (2, 3) [m].
+    """
     return curve.at(speeds(face, vertices, feed, box))
 
 
 @dataclasses.dataclass(frozen=True)
-class Passed:
-    """A face's name with vertices (V, 3) [m] and the wire's speed (V,) [m/s] there."""
+class FaceSpeeds:
+    """Speed of the wire at the vertices of a face.
+
+    Attributes:
+        name: Name of the face.
+        vertices: Vertices (V, 3) [m].
+        speed: Speed of the wire there (V,) [m/s].
+    """
 
     name: str
     vertices: FloatArray
     speed: FloatArray
 
 
-def check_heat(op: ElasticWire, passed: list[Passed], curve: KerfCurve) -> Iterator[Issue]:
-    """``kerf.too_hot`` and ``kerf.too_cold`` where the slot of an operation with a power leaves the range."""
+def check_heat(op: ElasticWire, passed: list[FaceSpeeds], curve: KerfCurve) -> Iterator[Issue]:
+    """Yield ``kerf.too_hot`` and ``kerf.too_cold`` if the slot leaves the allowed range. Needs a power.
+
+    Args:
+        op: Operation with its wire and sweep.
+        passed: Speeds at the faces.
+        curve: Kerf over speed.
+    """
     if op.power_w is None:
         return
     low, high = op.kerf_range_mm
-    for one in passed:
-        width = curve.at(one.speed) / MM
-        for code, k, limit, does in (
+    for face in passed:
+        width = curve.at(face.speed) / MM
+        for code, k, limit, effect in (
             ("kerf.too_hot", int(np.argmax(width)), high, "burns the foam"),
             ("kerf.too_cold", int(np.argmin(width)), low, "drags: it is too cold"),
         ):
             if (width[k] > limit) if code == "kerf.too_hot" else (width[k] < limit):
-                place = ", ".join(f"{value:.1f}" for value in one.vertices[k] / MM)
+                position = ", ".join(f"{value:.1f}" for value in face.vertices[k] / MM)
                 what = (
-                    f"{op.name}: on cut/{one.name} the wire, at {one.speed[k] / MM:.2f} mm/s at [{place}] mm "
-                    f"while its fastest point is at {FEED_SHARE * op.feed_mm_s:.3g} mm/s, melts "
-                    f"{width[k]:.2f} mm and {does}; allowed are {low:g} to {high:g} mm"
+                    f"{op.name}: on cut/{face.name} the wire moves at {face.speed[k] / MM:.2f} mm/s at "
+                    f"[{position}] mm while its fastest point moves at {FEED_FRACTION * op.feed_mm_s:.3g} "
+                    f"mm/s; it melts {width[k]:.2f} mm and {effect}; allowed are {low:g} to {high:g} mm"
                 )
                 value = float(width[k])
                 yield Issue(code, what, field="operations.power_w", value=value, limit=limit, unit="mm")
 
 
-def check_driven(
-    op: ElasticWire,
-    here: Passed,
-    curve: KerfCurve,
-    edge: FloatArray,
-    way: FloatArray,
-    clock: FloatArray,
-    spare: float,
-) -> Iterator[Issue]:
-    """``kerf.too_hot`` where the arms drive the wire so much slower than its feed that the slot leaves its
-    range, or more of the face than may be is off by over ``spare`` [m].
+@dataclasses.dataclass(frozen=True)
+class FaceMotion:
+    """Motion of the wire over one face, as the arms drive it.
 
-    ``here`` has the speeds that the face was offset for; ``edge`` (N, P, 3) [m] are the wires from the target
-    before the face to its last one, ``way`` (N,) [m] how far the fastest point has come there, ``clock``
-    (2, K) when [s] it has gone how far [m].
+    Attributes:
+        edge: Wires from the target before the face to its last one (N, P, 3) [m].
+        path: Distance of the fastest point at these targets (N,) [m].
+        clock: Time [s] and distance [m] at K samples (2, K).
     """
-    ends = np.clip(np.stack([way - MELTED_WAY, way + MELTED_WAY]), way[0], way[-1])
-    took = np.interp(ends[1], *clock) - np.interp(ends[0], *clock)
-    slow = np.clip((ends[1] - ends[0]) / np.maximum(took, 1e-9) / (FEED_SHARE * op.feed_mm_s * MM), 1e-3, 1.0)
-    vertices = here.vertices
-    slow = slow[cKDTree(edge.reshape(-1, 3)).query(vertices)[1] // edge.shape[1]]
-    width = curve.at(slow * here.speed)
-    more = 0.5 * (width - curve.at(here.speed))
+
+    edge: FloatArray
+    path: FloatArray
+    clock: FloatArray
+
+
+def check_driven(
+    op: ElasticWire, face_speeds: FaceSpeeds, curve: KerfCurve, motion: FaceMotion, allowed_deviation: float
+) -> Iterator[Issue]:
+    """Yield ``kerf.too_hot`` if the arms move the wire too slowly.
+
+    The arms may drive the wire so much slower than its feed that the slot leaves its range, or that a larger
+    fraction of the face than allowed deviates by more than ``allowed_deviation``.
+
+    Args:
+        op: Operation with its wire and sweep.
+        face_speeds: Speeds for which the face was offset.
+        curve: Kerf over speed.
+        motion: Motion of the wire over the face.
+        allowed_deviation: Allowed deviation of the face [m].
+    """
+    edge, path, clock = motion.edge, motion.path, motion.clock
+    ends = np.clip(np.stack([path - MELTING_DISTANCE_M, path + MELTING_DISTANCE_M]), path[0], path[-1])
+    duration = np.interp(ends[1], *clock) - np.interp(ends[0], *clock)
+    feed_fraction = np.clip(
+        (ends[1] - ends[0]) / np.maximum(duration, 1e-9) / (FEED_FRACTION * op.feed_mm_s * MM), 1e-3, 1.0
+    )
+    # slow: fraction of the feed that the arms reach, averaged over the melting distance
+    vertices = face_speeds.vertices
+    feed_fraction = feed_fraction[cKDTree(edge.reshape(-1, 3)).query(vertices)[1] // edge.shape[1]]
+    width = curve.at(feed_fraction * face_speeds.speed)
+    extra_offset = 0.5 * (width - curve.at(face_speeds.speed))
     high = op.kerf_range_mm[1] * MM
-    limit = np.minimum(high, width - 2.0 * (more - spare))
-    if width.max() <= high and (more > spare).mean() <= 1.0 - op.share:
+    limit = np.minimum(high, width - 2.0 * (extra_offset - allowed_deviation))
+    if width.max() <= high and (extra_offset > allowed_deviation).mean() <= 1.0 - op.share:
         return
     k = int(np.argmax(width - limit))
-    place = ", ".join(f"{value:.1f}" for value in vertices[k] / MM)
-    held = np.floor(100.0 * FEED_SHARE * op.feed_mm_s * slow.min()) / 100.0
-    hint = f"feed_mm_s: {held:g}, which the arms hold all along; check then says which power fits"
-    if held < op.feed_min_mm_s:
-        hint = "let the panel twist less, or move the arms so that they turn less (place: auto, base: auto)"
-    what = (
-        f"{op.name}: on cut/{here.name} the arms drive the wire at {100.0 * slow[k]:.0f} % of its feed at "
-        f"[{place}] mm, which is as fast as they may; it melts {width[k] / MM:.2f} mm there, allowed are "
-        f"{limit[k] / MM:.2f} mm"
+    position = ", ".join(f"{value:.1f}" for value in vertices[k] / MM)
+    reachable_feed = np.floor(100.0 * FEED_FRACTION * op.feed_mm_s * feed_fraction.min()) / 100.0
+    hint = (
+        f"set feed_mm_s: {reachable_feed:g}, which the arms reach everywhere; check then states a suitable "
+        "power"
+    )
+    if reachable_feed < op.feed_min_mm_s:
+        hint = "reduce the panel's twist, or move the arms so that they rotate less (place: auto, base: auto)"
+    what = format_message(
+        "kerf.too_hot",
+        operation=op.name,
+        face=face_speeds.name,
+        feed_percent=100.0 * feed_fraction[k],
+        position_mm=position,
+        kerf_mm=width[k] / MM,
+        max_kerf_mm=limit[k] / MM,
     )
     measure = measurement(float(width[k] / MM), float(limit[k] / MM), "mm")
     yield Issue("kerf.too_hot", what, field="operations.feed_mm_s", hint=hint, **measure)
 
 
-def advice(
+def suggest_heat(
     op: ElasticWire,
-    passed: list[Passed],
+    passed: list[FaceSpeeds],
     curve_of: Callable[[ElasticWire], KerfCurve],
-    tried: Callable[[ElasticWire], list[Issue]],
+    check_changed: Callable[[ElasticWire], list[Issue]],
 ) -> str:
-    """A power, and a feed, at which all slots are within the range, ``tried`` on cuts made anew; or that
-    there is none."""
-    said = []
-    for key, own in (("power_w", op.power_w or 0.0), ("feed_mm_s", op.feed_mm_s)):
-        good = [
-            value for value in own * HEAT_FACTORS if not _faults(_with(op, key, value), op, passed, curve_of)
+    """Return a power and a feed at which all slots are within the range, or a text that there is none.
+
+    Args:
+        op: Operation with its wire and sweep.
+        passed: Speeds at the faces.
+        curve_of: Function for the kerf curve of an operation.
+        check_changed: Function that plans the cuts of a changed operation and returns their issues.
+    """
+    suggestions = []
+    for key, current in (("power_w", op.power_w or 0.0), ("feed_mm_s", op.feed_mm_s)):
+        valid = [
+            value
+            for value in current * HEAT_FACTORS
+            if not _is_unusable(_with_value(op, key, value), op, passed, curve_of)
         ]
         for digits in (2, 3):
-            value = float(f"{np.sqrt(good[0] * good[-1]):.{digits}g}") if good else 0.0
-            changed = _with(op, key, value)
-            if good and not _faults(changed, op, passed, curve_of) and not tried(changed):
-                said.append(f"{key}: {value:g}")
+            value = float(f"{np.sqrt(valid[0] * valid[-1]):.{digits}g}") if valid else 0.0
+            changed = _with_value(op, key, value)
+            if valid and not _is_unusable(changed, op, passed, curve_of) and not check_changed(changed):
+                suggestions.append(f"{key}: {value:g}")
                 break
-    if said:
-        return f"{' or '.join(said)}, as was tried"
+    if suggestions:
+        return f"set {' or '.join(suggestions)}, which was tried"
     return (
-        "no power and no feed that was tried holds all of the face: let the wire's points move more alike "
-        "(another sweep, a panel that twists less), or allow more in kerf_range_mm"
+        "no power or feed that was tried cuts the whole face: make the speeds along the wire more even "
+        "(another sweep, a panel with less twist), or widen kerf_range_mm"
     )
 
 
-def _with(op: ElasticWire, key: str, value: float) -> ElasticWire:
+def _with_value(op: ElasticWire, key: str, value: float) -> ElasticWire:
     return op.model_copy(update={key: value})
 
 
-def _faults(
-    changed: ElasticWire, op: ElasticWire, passed: list[Passed], curve_of: Callable[[ElasticWire], KerfCurve]
+def _is_unusable(
+    changed: ElasticWire,
+    op: ElasticWire,
+    passed: list[FaceSpeeds],
+    curve_of: Callable[[ElasticWire], KerfCurve],
 ) -> bool:
-    """Whether another power or feed does not do at the speeds as they are, or is none."""
-    faster = changed.feed_mm_s / op.feed_mm_s
-    if not op.feed_min_mm_s <= changed.feed_mm_s <= FASTEST_FEED_MM_S:
+    """Return whether another power or feed fails at the present speeds, or is out of range."""
+    speed_ratio = changed.feed_mm_s / op.feed_mm_s
+    if not op.feed_min_mm_s <= changed.feed_mm_s <= MAX_SUGGESTED_FEED_MM_S:
         return True
     try:
         curve = curve_of(changed)
-    except TandemError:  # a power that melts the wire, and the like
+    except TandemError:  # for example a power that melts the wire
         return True
-    moved = [dataclasses.replace(one, speed=faster * one.speed) for one in passed]
-    return any(True for _ in check_heat(changed, moved, curve))
+    scaled = [dataclasses.replace(face, speed=speed_ratio * face.speed) for face in passed]
+    return any(True for _ in check_heat(changed, scaled, curve))

@@ -1,10 +1,10 @@
 """The process `elastic_wire`: from a part in a block to poses of two arms that hold a bent wire.
 
-The poses are synchronised; the wire's shape is a heavy elastica of exactly its hot length at every
-target. See `family` (sections and fit), `path` (order of the job), `sweep` and `wire_choice` (which
-way, which wire), `check` (what must hold).
+The poses are synchronised. At every target the wire is a heavy elastica of exactly its hot length. See
+`family` (sections and fit), `path` (route of the job), `sweep` and `wire_choice` (choice of sweep and wire),
+`check_job`.
 
-**Exhibits** for the report: sections and shapes, figures along the job, the setup sheet, the sweeps
+**Exhibits** for the report: sections and shapes, figures along the job, the setup sheet, the sweeps that were
 tried.
 """
 
@@ -19,9 +19,10 @@ import numpy as np
 from planner.claims.claim import Claim
 from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, Mesh, from_parts
-from planner.geometry.mesh import TriangleMesh, offset
+from planner.geometry.mesh import TriangleMesh, offset_mesh
 from planner.geometry.units import MM, measurement
-from planner.issues import Issue, TandemError, aggregate, has_errors, refusal
+from planner.issue_codes import format_message
+from planner.issues import Issue, TandemError, aggregate, has_errors, issue_error
 from planner.problem import Part, Setup, Stock
 from planner.processes.hotwire import sentences as hotwire_sentences
 from planner.processes.hotwire.claims import KerfCurve
@@ -29,52 +30,68 @@ from planner.processes.hotwire.plan import claims
 from planner.processes.hotwire.plan import wire as wires
 from planner.processes.hotwire.plan.elastic import check as checks
 from planner.processes.hotwire.plan.elastic.check import (
-    Cut,
-    Figures,
-    check,
+    ElasticCut,
+    TargetFigures,
+    check_job,
     check_shape,
-    measure,
-    misfit,
-    shares,
+    face_tolerances,
+    measure_targets,
+    misfit_issues,
 )
 from planner.processes.hotwire.plan.elastic.family import (
+    FamilyExtent,
     FamilyFit,
+    SectionWire,
     cut_sections,
-    direction_of,
     fit_family,
-    fit_first,
+    fit_single_sections,
     make_spine,
-    section_places,
+    section_positions,
+    sweep_direction,
 )
 from planner.processes.hotwire.plan.elastic.path import (
-    Face,
-    Route,
+    FaceCut,
+    WireRoute,
     box_distance,
-    lay_out,
+    max_travel,
+    plan_route,
     planar_pose,
     refine,
     slack_freedom,
-    travel,
 )
-from planner.processes.hotwire.plan.elastic.sweep import Screen, Sweep
-from planner.processes.hotwire.plan.elastic.wire_choice import Attempt, choose, sweep_notes
-from planner.processes.hotwire.plan.least_feed import check_least
-from planner.processes.hotwire.plan.operation import AIR_FEED, ElasticWire
-from planner.processes.hotwire.plan.wire import Wire
-from planner.targets import FEED_SHARE, Action, Edge, Freedom, Job, ScrewFreedom, Targets
+from planner.processes.hotwire.plan.elastic.sweep_screening import SweepCandidate, SweepScreen
+from planner.processes.hotwire.plan.elastic.wire_choice import WireAttempt, choose_wire, sweep_notes
+from planner.processes.hotwire.plan.min_feed_check import check_min_feed
+from planner.processes.hotwire.plan.operation import MAX_AIR_FEED_M_S, ElasticWire
+from planner.processes.hotwire.plan.wire import HeatedWire
+from planner.targets import FEED_FRACTION, FlexibleTool, Freedom, Job, ScrewFreedom, TargetAction, Targets
 
-_SECTIONS_DRAWN = 24
-"""Sections of a surface that the report draws at most."""
+_MAX_DRAWN_SECTIONS = 24
+"""Maximum number of sections of a surface in a drawing of the report."""
 
 
 def exhibits(
-    op: ElasticWire, wire: Wire, route: Route, cuts: list[Cut], figures: Figures, tried: list[Sweep]
+    op: ElasticWire,
+    wire: HeatedWire,
+    route: WireRoute,
+    cuts: list[ElasticCut],
+    figures: TargetFigures,
+    tried: list[SweepCandidate],
 ) -> dict[str, Any]:
-    """Exhibits by name, in the forms that the report knows."""
-    out: dict[str, Any] = {"setup": _setup(op, wire, route)}
+    """Return the exhibits by name, in the formats of the report.
+
+    Args:
+        op: Operation with its wire and sweep.
+        wire: The wire.
+        route: Wires of the job.
+        cuts: The faces.
+        figures: Figures of the targets.
+        tried: Sweeps that were tried.
+    """
+    out: dict[str, Any] = {"setup": _setup_exhibit(op, wire, route)}
     for cut in cuts:
-        out[f"sections_{cut.face.name}"] = _sections(cut)
-        out[f"residual_{cut.face.name}"] = _residual(cut)
+        out[f"sections_{cut.face.name}"] = _sections_exhibit(cut)
+        out[f"residual_{cut.face.name}"] = _residual_exhibit(cut)
     step = np.arange(len(route.wires), dtype=np.float64)
     out["stability"] = {
         "kind": "curve",
@@ -99,8 +116,8 @@ def exhibits(
     }
     out["errors"] = {
         "kind": "curve",
-        "title": "What moves the wire in the foam",
-        "note": "Weight in the plane is part of the planned shape; the line shows by how much it bends "
+        "title": "Deflections of the wire in the foam",
+        "note": "Weight in the plane is part of the planned shape; the line shows how far it deflects "
         "the wire there.",
         "x": step,
         "x_label": "target",
@@ -121,16 +138,16 @@ def exhibits(
                 "shape [mm]",
                 "by end errors [mm]",
                 "longest section [mm]",
-                "no way",
+                "impossible",
             ),
             "rows": [
                 (
                     "" if s.wire is None else str(s.wire),
                     f"{s.degrees:g}",
-                    "" if s.why else f"{s.shape * 1e3:.3f}",
-                    "" if s.why else f"{s.hold * 1e3:.3f}",
-                    f"{s.longest * 1e3:.0f}",
-                    s.why,
+                    "" if s.reason else f"{s.shape * 1e3:.3f}",
+                    "" if s.reason else f"{s.end_error_motion * 1e3:.3f}",
+                    f"{s.longest_section * 1e3:.0f}",
+                    s.reason,
                 )
                 for s in tried
             ],
@@ -138,55 +155,56 @@ def exhibits(
     return out
 
 
-def section_points(cut: Cut) -> tuple[FloatArray, FloatArray]:
-    """Wanted sections (S, m, 3) and the wires' points abreast of them (S, m, 3), in the stock frame, of
-    those planes that meet the face.
+def section_points(cut: ElasticCut) -> tuple[FloatArray, FloatArray]:
+    """Return nominal sections (S, m, 3) and the nearest points of the wires (S, m, 3) in the stock frame.
+
+    Only planes that meet the face are included.
     """
-    has = cut.sections.length > 0.0
-    planes = cut.face.spine.frames(cut.sections.p[has])
-    flat = cut.sections.points[has]
-    wanted = flat @ np.swapaxes(planes[:, :3, :2], 1, 2) + planes[:, None, :3, 3]
-    wires = cut.face.wires(cut.sections.p[has])
-    at = wires.shapes().at(cut.fit.foot[has])
-    planar = planar_pose(at[..., :3])[..., :3, 3]
+    has_section = cut.sections.length > 0.0
+    planes = cut.face.spine.frames(cut.sections.p[has_section])
+    planar_points = cut.sections.points[has_section]
+    nominal = planar_points @ np.swapaxes(planes[:, :3, :2], 1, 2) + planes[:, None, :3, 3]
+    wires = cut.face.wires(cut.sections.p[has_section])
+    states = wires.shapes().at(cut.fit.foot[has_section])
+    planar = planar_pose(states[..., :3])[..., :3, 3]
     frame = from_parts(wires.frame[:, :3, :3], wires.frame[:, :3, 3])
     points = planar @ np.swapaxes(frame[:, :3, :3], 1, 2) + frame[:, None, :3, 3]
-    return wanted, points
+    return nominal, points
 
 
-def _sections(cut: Cut) -> dict[str, Any]:
-    wanted, wires = section_points(cut)
-    has = np.nonzero(cut.sections.length > 0.0)[0]
-    some = np.unique(np.linspace(0, len(has) - 1, _SECTIONS_DRAWN).astype(np.intp))
+def _sections_exhibit(cut: ElasticCut) -> dict[str, Any]:
+    nominal, wires = section_points(cut)
+    rows = np.nonzero(cut.sections.length > 0.0)[0]
+    drawn = np.unique(np.linspace(0, len(rows) - 1, _MAX_DRAWN_SECTIONS).astype(np.intp))
     return {
         "kind": "sections",
         "title": f"Sections of the {cut.face.name} face and the wire's shapes",
-        "curves": wires[some],
-        "wanted": wanted[some],
-        "value": 1e3 * np.abs(cut.fit.residual[has[some]]).max(axis=1),
+        "curves": wires[drawn],
+        "wanted": nominal[drawn],
+        "value": 1e3 * np.abs(cut.fit.residual[rows[drawn]]).max(axis=1),
         "value_name": "off by",
         "unit": "mm",
     }
 
 
-def _residual(cut: Cut) -> dict[str, Any]:
-    has = cut.sections.length > 0.0
-    wanted, _ = section_points(cut)
+def _residual_exhibit(cut: ElasticCut) -> dict[str, Any]:
+    has_section = cut.sections.length > 0.0
+    nominal, _ = section_points(cut)
     return {
         "kind": "heatmap",
         "title": f"Planned wire against the {cut.face.name} face",
-        "points": wanted.reshape(-1, 3),
-        "value": 1e3 * cut.fit.residual[has].reshape(-1),
+        "points": nominal.reshape(-1, 3),
+        "value": 1e3 * cut.fit.residual[has_section].reshape(-1),
         "unit": "mm",
         "limit": max(0.05, float(1e3 * np.abs(cut.fit.residual).max())),
     }
 
 
-def _setup(op: ElasticWire, wire: Wire, route: Route) -> dict[str, Any]:
+def _setup_exhibit(op: ElasticWire, wire: HeatedWire, route: WireRoute) -> dict[str, Any]:
     chord, angles = mount_figures(route)
     size = (
         f"{wire.thickness * 1e3:g} mm round"
-        if op.chosen.is_round
+        if op.chosen_wire.is_round
         else f"{wire.width * 1e3:g} x {wire.thickness * 1e3:g} mm strip"
     )
     return {
@@ -194,335 +212,397 @@ def _setup(op: ElasticWire, wire: Wire, route: Route) -> dict[str, Any]:
         "title": "Wire",
         "items": [
             ("wire", f"{wire.material.title}, {size}"),
-            ("cold length between the clamps", f"{wire.cold_length(op.chosen.length_mm):.1f}", "mm"),
-            ("hot length between the clamps", f"{op.chosen.length_mm:.1f}", "mm"),
+            ("cold length between the clamps", f"{wire.cold_length(op.chosen_wire.length_mm):.1f}", "mm"),
+            ("hot length between the clamps", f"{op.chosen_wire.length_mm:.1f}", "mm"),
             ("distance of the clamps at the mount", f"{chord * 1e3:.1f}", "mm"),
             ("angle of the wire at its start, to the chord", f"{angles[0]:.1f}", "deg"),
             ("angle of the wire at its end, to the chord", f"{angles[1]:.1f}", "deg"),
-            ("temperature", f"{op.chosen.temperature_c:g}", "C"),
-            ("resistance of the hot wire", f"{wire.resistance * op.chosen.length_mm * 1e-3:.2f}", "ohm"),
+            ("temperature", f"{op.chosen_wire.temperature_c:g}", "C"),
+            (
+                "resistance of the hot wire",
+                f"{wire.resistance_per_length * op.chosen_wire.length_mm * 1e-3:.2f}",
+                "ohm",
+            ),
         ],
     }
 
 
-def mount_figures(route: Route) -> tuple[float, tuple[float, float]]:
-    """Distance of the clamps [m] and the wire's angles [deg] to the chord at its start and end, at the
-    mount.
+def mount_figures(route: WireRoute) -> tuple[float, tuple[float, float]]:
+    """Return the distance of the clamps [m] and the angles [deg] of the wire to the chord at start and end.
+
+    They hold where the wire is mounted.
     """
     wire = route.wires[:1]
     shape = wire.shapes(3)
     start, end = shape.start[0], shape.end[0]
     chord = end[:2] - start[:2]
-    level = np.arctan2(chord[1], chord[0])
-    return float(np.hypot(*chord)), (float(np.rad2deg(start[2] - level)), float(np.rad2deg(end[2] - level)))
+    chord_angle = np.arctan2(chord[1], chord[0])
+    return float(np.hypot(*chord)), (
+        float(np.rad2deg(start[2] - chord_angle)),
+        float(np.rad2deg(end[2] - chord_angle)),
+    )
 
 
-_SECTION_STEP = 0.006  # m between the sections that the fit sees, but for those near ends of a face
-_SECTION_COUNT = (40, 140)  # steps between the ends of a face, at least and at most
-_CELLS = (16, 32)  # cells of the family's spline, coarse first
-_HOPELESS = 3.0  # times the tolerance: single sections this far off are not fitted any further
-_KERF_ROUNDS = 2  # local speeds follow from the wires, which follow from the kerf: twice settles it
-_DRIVE_TOL = 0.05  # of the tolerance: how far the wire may be off half-way between targets
+_SECTION_SPACING_M = 0.006  # m between the sections of the fit, except near the ends of a face
+_SECTION_COUNT_RANGE = (40, 140)  # minimum and maximum number of steps between the ends of a face
+_SPLINE_CELLS = (16, 32)  # cells of the family's spline, coarse first
+_MAX_PROBE_FACTOR = 3.0  # multiple of the tolerance beyond which single sections are not fitted further
+_KERF_ITERATIONS = 2  # iterations: local speeds follow from the wires, which follow from the kerf
+_MAX_DRIVE_DEVIATION_FRACTION = (
+    0.05  # allowed deviation of the wire halfway between targets, as a fraction of the tolerance
+)
 
 
 class ElasticJob(Job[ElasticWire]):
-    """An operation with a bent wire, on the block that it finds."""
+    """An operation with a bent wire on the block as it finds it."""
 
     def targets(self) -> Targets:
-        """Targets of the operation; raises ``TandemError`` with the codes ``wire.*`` and ``part.*`` where the
-        wire cannot do it.
+        """Return the targets of the operation.
+
+        Raises:
+            TandemError: Codes ``wire.*`` and ``part.*`` if the wire cannot cut the part.
         """
         operation, setup, part = self.operation, self.setup, self.part
         stock = setup.stock
         if stock.held_by is not None:
-            what = f"{operation.name}: the block is held by arm {stock.held_by}, but an elastic wire takes "
-            what += "both its arms; let the block stand: setup: {held_by: nobody, place: auto}"
-            raise refusal("wire.held", what, field="stock.held_by", arm=stock.held_by)
-        if self.brief and (few := self._unjudged()) is not None:
-            return few
-        screen, made, tried = self._made
-        return _targets(
-            made.op,
-            made.wire,
+            what = f"{operation.name}: the block is held by arm {stock.held_by}, but an elastic wire needs "
+            what += "both arms; put the block on its support: setup: {held_by: nobody, place: auto}"
+            raise issue_error("wire.held", what, field="stock.held_by", arm=stock.held_by)
+        if self.is_brief and (unchecked := self._unchecked_targets()) is not None:
+            return unchecked
+        screen, attempt, tried = self._chosen
+        return _make_targets(
+            attempt.op,
             setup,
-            self.claims() if operation.wire is not None else claims.elastic_claims(made.op, setup, part),
-            made.route,
-            [*made.issues, *sweep_notes(screen, made, tried)],
-            exhibits(made.op, made.wire, made.route, made.cuts, made.figures, tried),
+            self.claims() if operation.wire is not None else claims.elastic_claims(attempt.op, setup, part),
+            attempt.route,
+            [*attempt.issues, *sweep_notes(screen, attempt, tried)],
+            exhibits(attempt.op, attempt.wire, attempt.route, attempt.cuts, attempt.figures, tried),
         )
 
-    def _unjudged(self) -> Targets | None:
-        """The same targets of the one wire and sweep that there are, without what asks whether they do; None
-        where these are to be chosen, or do not fit the faces."""
-        setup, wires = self.setup, self.operation.wires(self.setup.cell.wires)
-        if len(wires) != 1 or self.operation.degrees is None:
+    def _unchecked_targets(self) -> Targets | None:
+        """Return the same targets without checks, if wire and sweep are stated and fit the faces.
+
+        Otherwise None.
+        """
+        setup, wires = self.setup, self.operation.candidate_wires(self.setup.cell.wires)
+        if len(wires) != 1 or self.operation.sweep_degrees is None:
             return None
-        op = self.operation.using(wires[0], self.operation.degrees)
+        op = self.operation.with_wire(wires[0], self.operation.sweep_degrees)
         try:
-            cuts = _cuts(op, _wanted(self.operation, self.part), setup)
+            cuts = _fit_cuts(op, _nominal_faces(self.operation, self.part), setup)
         except TandemError:
             return None
         if any(True for cut in cuts for _ in check_shape(op, cut)):
             return None
-        route, off, miss = refine(_route(op, cuts, setup), [cut.face for cut in cuts], *_drive(op, setup))
-        if any(True for _ in _driven(op, route, off, miss)):
+        route, deviation, end_error = refine(
+            _plan_route(op, cuts, setup), [cut.face for cut in cuts], *_drive_limits(op, setup)
+        )
+        if any(True for _ in _drive_issues(op, route, deviation, end_error)):
             return None
-        return _targets(op, _wire(op), setup, (), route, [], {})
+        return _make_targets(op, setup, (), route, [], {})
 
     @functools.cached_property
-    def _made(self) -> tuple[Screen, Attempt, list[Sweep]]:
-        """What wires and sweeps are chosen from, the one that is, and all that were looked at."""
+    def _chosen(self) -> tuple[SweepScreen, WireAttempt, list[SweepCandidate]]:
+        """Screen of the candidates, the chosen attempt, and all sweeps that were tried."""
         setup = self.setup
-        wanted = _wanted(self.operation, self.part)
-        screen = Screen(self.operation, setup, wanted, lambda op: 0.5 * _slot(op, setup))
-        return (screen, *choose(screen, _attempt, self.advise))
+        nominal_faces = _nominal_faces(self.operation, self.part)
+        screen = SweepScreen(self.operation, setup, nominal_faces, lambda op: 0.5 * _slot_width(op, setup))
+        return (screen, *choose_wire(screen, _attempt, self.advise))
 
-    def driven(
-        self, targets: Targets, time: FloatArray, passed: FloatArray | None = None
+    def check_timing(
+        self, targets: Targets, time: FloatArray, program_clock: FloatArray | None = None
     ) -> tuple[Issue, ...]:
-        """``motion.feed_min`` and ``kerf.too_hot`` where the arms cannot drive the wire as fast as the feed
-        asks for."""
-        screen, made, _ = self._made
-        op, edge = made.op, targets.edge
-        places = np.stack([np.arange(targets.count), time]) if passed is None else passed
-        out: list[Issue] = [*check_least(op, targets, np.interp(np.arange(targets.count), *places))]
+        """Return ``motion.feed_min`` and ``kerf.too_hot`` if the arms cannot move the wire at its feed.
+
+        Args:
+            targets: Targets of this job.
+            time: Time (N,) [s] at which each target is reached.
+            program_clock: Indices between targets, 3.5 being halfway from target 3 to 4, and times [s] (2,
+                K). None: ``time``.
+        """
+        screen, attempt, _ = self._chosen
+        op, edge = attempt.op, targets.flexible_tool
+        samples = np.stack([np.arange(targets.count), time]) if program_clock is None else program_clock
+        out: list[Issue] = [*check_min_feed(op, targets, np.interp(np.arange(targets.count), *samples))]
         if op.power_w is None or edge is None:
             return tuple(out)
         kinds = np.array([segment.key for segment in targets.segment])
-        spare = max(op.shape_tol_mm * MM - made.within, 0.1 * op.shape_tol_mm * MM)
-        for here in _passed(op, made.cuts, screen.wanted, self.setup):
-            rows = np.flatnonzero(kinds == Segment("cut", here.name).key)
+        allowed_deviation = max(op.shape_tol_mm * MM - attempt.within, 0.1 * op.shape_tol_mm * MM)
+        for face_speeds in _face_speeds(op, attempt.cuts, screen.nominal_faces, self.setup):
+            rows = np.flatnonzero(kinds == Segment("cut", face_speeds.name).key)
             rows = np.append(rows[0] - 1, rows)
-            gone = np.cumsum(np.append(0.0, targets.travel[rows[1:]]))
-            known = (places[0] >= rows[0]) & (places[0] <= rows[-1])
-            clock = np.stack([np.interp(places[0, known], rows, gone), places[1, known]])
-            curve = _kerf(op, self.setup)
-            out += checks.check_driven(op, here, curve, edge.points[rows], gone, clock, spare)
+            travelled = np.cumsum(np.append(0.0, targets.travel[rows[1:]]))
+            is_in_face = (samples[0] >= rows[0]) & (samples[0] <= rows[-1])
+            clock = np.stack([np.interp(samples[0, is_in_face], rows, travelled), samples[1, is_in_face]])
+            curve = _kerf_curve(op, self.setup)
+            motion = checks.FaceMotion(edge=edge.points[rows], path=travelled, clock=clock)
+            out += checks.check_driven(op, face_speeds, curve, motion, allowed_deviation)
         return aggregate(out)
 
-    def stated(self) -> tuple[Claim, ...]:
-        """What must hold of the job, from the problem alone."""
+    def make_claims(self) -> tuple[Claim, ...]:
+        """Return the claims on the job. They follow from the problem alone."""
         return claims.elastic_claims(self.operation, self.setup, self.part)
 
 
-def _attempt(op: ElasticWire, wanted: Mapping[str, Mesh], setup: Setup) -> Attempt:
-    """All of an operation with its wire and its sweep but for motion; raises ``TandemError``."""
-    stock, wire = setup.stock, _wire(op)
-    cuts = _cuts(op, wanted, setup)
+def _attempt(op: ElasticWire, nominal_faces: Mapping[str, Mesh], setup: Setup) -> WireAttempt:
+    """Plan everything except motion for an operation with a wire and sweep.
+
+    Raises:
+        TandemError: If the wire cannot cut the faces.
+    """
+    stock, wire = setup.stock, _make_wire(op)
+    cuts = _fit_cuts(op, nominal_faces, setup)
     misfits = [issue for cut in cuts for issue in check_shape(op, cut)]
     if misfits:
         raise TandemError(misfits)
-    _refuse_heat(op, cuts, wanted, setup)
-    route = _route(op, cuts, setup)
-    issues = check(op, wire, route, cuts, measure(route, wire, stock.box), stock.box)
+    _raise_heat_issues(op, cuts, nominal_faces, setup)
+    route = _plan_route(op, cuts, setup)
+    issues = check_job(op, wire, route, cuts, measure_targets(route, wire, stock.box), stock.box)
     if has_errors(issues):
         raise TandemError(issues)
-    route, off, miss = refine(route, [cut.face for cut in cuts], *_drive(op, setup))
-    figures = measure(route, wire, stock.box)
-    issues = [*_driven(op, route, off, miss), *check(op, wire, route, cuts, figures, stock.box)]
+    route, deviation, end_error = refine(route, [cut.face for cut in cuts], *_drive_limits(op, setup))
+    figures = measure_targets(route, wire, stock.box)
+    issues = [
+        *_drive_issues(op, route, deviation, end_error),
+        *check_job(op, wire, route, cuts, figures, stock.box),
+    ]
     if has_errors(issues):
         raise TandemError(issues)
-    within = max(shares(op, route, cut, figures)[2] for cut in cuts)
-    return Attempt(op, wire, cuts, route, figures, issues, within)
+    within = max(face_tolerances(op, route, cut, figures)[2] for cut in cuts)
+    return WireAttempt(op, wire, cuts, route, figures, issues, within)
 
 
-def _route(op: ElasticWire, cuts: list[Cut], setup: Setup) -> Route:
-    """The way through all cuts, before targets are added."""
-    margin, radius = op.margin_mm * MM, 0.5 * _wire(op).width
+def _plan_route(op: ElasticWire, cuts: list[ElasticCut], setup: Setup) -> WireRoute:
+    """Plan the path through all cuts, before targets are added."""
+    margin, radius = op.margin_mm * MM, 0.5 * _make_wire(op).width
     faces = [cut.face for cut in cuts]
-    return lay_out(faces, setup.stock.box, margin, radius, op.step_mm * MM, op.runs == "two")
+    return plan_route(faces, setup.stock.box, margin, radius, op.step_mm * MM, op.runs == "two")
 
 
-def _drive(op: ElasticWire, setup: Setup) -> tuple[FloatArray, float]:
-    """The block, and how far [m] the wire may be off between targets in it."""
-    return setup.stock.box, _DRIVE_TOL * op.shape_tol_mm * MM
+def _drive_limits(op: ElasticWire, setup: Setup) -> tuple[FloatArray, float]:
+    """Return the block and the allowed deviation [m] of the wire between targets in it."""
+    return setup.stock.box, _MAX_DRIVE_DEVIATION_FRACTION * op.shape_tol_mm * MM
 
 
-def _cuts(op: ElasticWire, wanted: Mapping[str, Mesh], setup: Setup) -> list[Cut]:
-    """The wires of all faces, half of the local slot off each."""
-    stock, curve, feed = setup.stock, _kerf(op, setup), FEED_SHARE * op.feed_mm_s * MM
-    degrees, gravity = float(op.degrees or 0.0), _wire(op).load * stock.gravity
-    moved = {n: offset(_mesh(face), 0.5 * _slot(op, setup)) for n, face in wanted.items()}
-    cuts = [_cut(op, name, mesh, degrees, gravity, stock.box) for name, mesh in moved.items()]
-    for _ in range(0 if checks.is_constant(curve) else _KERF_ROUNDS):
-        for i, (cut, face) in enumerate(zip(cuts, wanted.values(), strict=True)):
+def _fit_cuts(op: ElasticWire, nominal_faces: Mapping[str, Mesh], setup: Setup) -> list[ElasticCut]:
+    """Fit wires to all faces, offset by half of the local slot."""
+    stock, curve, feed = setup.stock, _kerf_curve(op, setup), FEED_FRACTION * op.feed_mm_s * MM
+    degrees, gravity = float(op.sweep_degrees or 0.0), _make_wire(op).load_over_stiffness * stock.gravity
+    offset_meshes = {
+        n: offset_mesh(_triangle_mesh(face), 0.5 * _slot_width(op, setup))
+        for n, face in nominal_faces.items()
+    }
+    cuts = [_fit_cut(op, name, mesh, degrees, gravity, stock.box) for name, mesh in offset_meshes.items()]
+    for _ in range(0 if checks.is_constant(curve) else _KERF_ITERATIONS):
+        for i, (cut, face) in enumerate(zip(cuts, nominal_faces.values(), strict=True)):
             slot = checks.widths(cut.face, face.vertices, curve, feed, stock.box)
-            mesh = offset(_mesh(face), 0.5 * slot)
-            cuts[i] = _cut(op, cut.face.name, mesh, degrees, gravity, stock.box)
+            mesh = offset_mesh(_triangle_mesh(face), 0.5 * slot)
+            cuts[i] = _fit_cut(op, cut.face.name, mesh, degrees, gravity, stock.box)
     return cuts
 
 
-def _refuse_heat(op: ElasticWire, cuts: list[Cut], wanted: Mapping[str, Mesh], setup: Setup) -> None:
-    """Raises ``kerf.too_hot`` and ``kerf.too_cold``, with a power or feed that was tried."""
+def _raise_heat_issues(
+    op: ElasticWire, cuts: list[ElasticCut], nominal_faces: Mapping[str, Mesh], setup: Setup
+) -> None:
+    """Raise ``kerf.too_hot`` and ``kerf.too_cold``, with a power or feed that was tried."""
     if op.power_w is None:
         return
 
-    def tried(changed: ElasticWire) -> list[Issue]:
+    def check_changed(changed: ElasticWire) -> list[Issue]:
         try:
-            passed = _passed(changed, _cuts(changed, wanted, setup), wanted, setup)
-            return list(checks.check_heat(changed, passed, _kerf(changed, setup)))
+            passed = _face_speeds(changed, _fit_cuts(changed, nominal_faces, setup), nominal_faces, setup)
+            return list(checks.check_heat(changed, passed, _kerf_curve(changed, setup)))
         except TandemError as error:
             return list(error.issues)
 
-    here = _passed(op, cuts, wanted, setup)
-    found = list(checks.check_heat(op, here, _kerf(op, setup)))
-    if found:
-        hint = checks.advice(op, here, lambda own: _kerf(own, setup), tried)
-        raise TandemError([dataclasses.replace(issue, hint=hint) for issue in found])
+    face_speeds = _face_speeds(op, cuts, nominal_faces, setup)
+    issues = list(checks.check_heat(op, face_speeds, _kerf_curve(op, setup)))
+    if issues:
+        hint = checks.suggest_heat(op, face_speeds, lambda own: _kerf_curve(own, setup), check_changed)
+        raise TandemError([dataclasses.replace(issue, hint=hint) for issue in issues])
 
 
-def _passed(
-    op: ElasticWire, cuts: list[Cut], wanted: Mapping[str, Mesh], setup: Setup
-) -> list[checks.Passed]:
-    """The speeds with which the wire passes each face, at the feed that plans use."""
-    feed, box = FEED_SHARE * op.feed_mm_s * MM, setup.stock.box
+def _face_speeds(
+    op: ElasticWire, cuts: list[ElasticCut], nominal_faces: Mapping[str, Mesh], setup: Setup
+) -> list[checks.FaceSpeeds]:
+    """Return the speeds with which the wire passes each face, at the feed of the plan."""
+    feed, box = FEED_FRACTION * op.feed_mm_s * MM, setup.stock.box
     return [
-        checks.Passed(name, face.vertices, checks.speeds(cut.face, face.vertices, feed, box))
-        for (name, face), cut in zip(wanted.items(), cuts, strict=True)
+        checks.FaceSpeeds(name, face.vertices, checks.speeds(cut.face, face.vertices, feed, box))
+        for (name, face), cut in zip(nominal_faces.items(), cuts, strict=True)
     ]
 
 
-def _kerf(op: ElasticWire, setup: Setup) -> KerfCurve:
-    """Kerf over the local speed; the foam's thickness along the wire is taken as the block's shorter side."""
-    own, thickness = op.chosen, float(setup.stock.size[:2].min())
-    return op.kerf_curve(setup.stock.foam, (own.diameter_mm or 0.0) * MM, own.length_mm * MM, thickness)
+def _kerf_curve(op: ElasticWire, setup: Setup) -> KerfCurve:
+    """Return the kerf over the local speed.
+
+    The foam's thickness along the wire is taken as the block's shorter side.
+    """
+    wire_file, thickness = op.chosen_wire, float(setup.stock.size[:2].min())
+    return op.kerf_curve(
+        setup.stock.foam, (wire_file.diameter_mm or 0.0) * MM, wire_file.length_mm * MM, thickness
+    )
 
 
-def _slot(op: ElasticWire, setup: Setup) -> float:
-    """Width [m] of the slot at the feed that plans use."""
-    return float(_kerf(op, setup).at(np.array(FEED_SHARE * op.feed_mm_s * MM)))
+def _slot_width(op: ElasticWire, setup: Setup) -> float:
+    """Return the width [m] of the slot at the feed of the plan."""
+    return float(_kerf_curve(op, setup).at(np.array(FEED_FRACTION * op.feed_mm_s * MM)))
 
 
-def _wire(op: ElasticWire) -> Wire:
-    w = op.chosen
-    return wires.make(w.material, w.diameter_mm, w.width_mm, w.thickness_mm, w.temperature_c)
+def _make_wire(op: ElasticWire) -> HeatedWire:
+    wire_file = op.chosen_wire
+    return wires.make_wire(
+        wire_file.material,
+        wire_file.diameter_mm,
+        wire_file.width_mm,
+        wire_file.thickness_mm,
+        wire_file.temperature_c,
+    )
 
 
-def _wanted(op: ElasticWire, part: Part | None) -> dict[str, Mesh]:
-    """The faces to cut, in order; raises ``part.missing_face``."""
+def _nominal_faces(op: ElasticWire, part: Part | None) -> dict[str, Mesh]:
+    """Return the faces to cut, in order.
+
+    Raises:
+        TandemError: part.missing_face.
+    """
     out: dict[str, Mesh] = {}
     for name in op.faces:
         face = None if part is None else part.front if name == "front" else part.back
         if face is None:
             what = "the problem has no part" if part is None else "the part has no back face"
-            raise refusal(
+            raise issue_error(
                 "part.missing_face",
-                f"{op.name}: the {name} face is to be cut, but {what}; add it or leave it out of faces",
+                f"{op.name}: the {name} face is to be cut, but {what}; add it or remove it from faces",
                 field="part",
             )
         out[name] = face
     return out
 
 
-def _mesh(face: Mesh) -> TriangleMesh:
+def _triangle_mesh(face: Mesh) -> TriangleMesh:
     return TriangleMesh(face.vertices, face.faces)
 
 
-def _cut(
+def _fit_cut(
     op: ElasticWire, name: str, mesh: TriangleMesh, degrees: float, gravity: FloatArray, box: FloatArray
-) -> Cut:
-    """Sections of one face and the family of wires that meets them."""
-    spine = make_spine(mesh, direction_of(degrees), op.is_normal)
-    along = spine.places(mesh.vertices)
-    p = section_places(float(along.min()), float(along.max()), _SECTION_STEP, *_SECTION_COUNT)
+) -> ElasticCut:
+    """Return the sections of one face and the family of wires that meets them."""
+    spine = make_spine(mesh, sweep_direction(degrees), op.has_normal_sections)
+    positions = spine.positions(mesh.vertices)
+    p = section_positions(
+        float(positions.min()), float(positions.max()), _SECTION_SPACING_M, *_SECTION_COUNT_RANGE
+    )
     sections = cut_sections(mesh, spine, p)
-    _long_enough(op, name, sections.length)
+    _check_length(op, name, sections.length)
     load = (np.swapaxes(spine.frames(p)[:, :3, :3], 1, 2) @ gravity)[:, :2]
     reach = float(np.abs(spine.direction[:2]) @ np.abs(box[:, :2]).max(axis=0)) + 2.0 * op.margin_mm * MM
-    first = fit_first(sections, load, op.chosen.length_mm * MM)
-    hopeless = list(misfit(op, name, sections.take(first.rows), first.fit.residual, _HOPELESS))
-    if hopeless:
-        raise TandemError(hopeless)
+    wire = SectionWire(load=load, length=op.chosen_wire.length_mm * MM)
+    extent = FamilyExtent(lower=-reach, upper=reach, centre=-spine.across)
+    single_fits = fit_single_sections(sections, wire)
+    misfits = list(
+        misfit_issues(
+            op, name, sections.select(single_fits.rows), single_fits.fit.residual, _MAX_PROBE_FACTOR
+        )
+    )
+    if misfits:
+        raise TandemError(misfits)
     best: FamilyFit | None = None
-    least = np.inf
-    for cells in _CELLS:
-        fit = fit_family(sections, first, load, op.chosen.length_mm * MM, -reach, reach, -spine.across, cells)
-        within = sections.within(np.abs(fit.residual), op.share)
-        if best is None or within < 0.8 * least:
-            best, least = fit, within
+    best_within = np.inf
+    for cells in _SPLINE_CELLS:
+        fit = fit_family(sections, single_fits, wire, extent, cells)
+        within = sections.distance_at_fraction(np.abs(fit.residual), op.share)
+        if best is None or within < 0.8 * best_within:
+            best, best_within = fit, within
         if np.abs(best.residual).max() < 0.3 * op.shape_tol_mm * MM:
             break
     if best is None:
         raise ValueError("no cells to fit with")
-    return Cut(Face(name, spine, best.family, gravity), mesh, sections, best)
+    return ElasticCut(FaceCut(name, spine, best.family, gravity), mesh, sections, best)
 
 
-def _long_enough(op: ElasticWire, name: str, length: FloatArray) -> None:
-    need = float(length.max()) / MM + 2.0 * op.margin_mm
-    if need > op.chosen.length_mm:
-        raise refusal(
+def _check_length(op: ElasticWire, name: str, length: FloatArray) -> None:
+    required_length = float(length.max()) / MM + 2.0 * op.margin_mm
+    if required_length > op.chosen_wire.length_mm:
+        raise issue_error(
             "wire.too_short",
-            f"{op.name}: the wire of {op.chosen.length_mm:g} mm is shorter than the longest section of "
-            f"the {name} face across {op.way}, with its margins {math.ceil(10.0 * need) / 10.0:g} mm",
+            f"{op.name}: the wire of {op.chosen_wire.length_mm:g} mm is shorter than the longest section of "
+            f"the {name} face across {op.sweep_label}, which has "
+            f"{math.ceil(10.0 * required_length) / 10.0:g} mm with margins",
             field="wire.length_mm",
-            **measurement(op.chosen.length_mm, need, "mm"),
+            **measurement(op.chosen_wire.length_mm, required_length, "mm"),
         )
 
 
-def _driven(op: ElasticWire, route: Route, off: FloatArray, miss: FloatArray) -> Iterator[Issue]:
-    """Half-way between targets, driven by its ends, the wire must be where it is wanted."""
-    lost = np.array([not m < 1e-6 for m in miss], dtype=np.bool_)
+def _drive_issues(
+    op: ElasticWire, route: WireRoute, deviation: FloatArray, end_error: FloatArray
+) -> Iterator[Issue]:
+    """Check the wire halfway between targets, as its ends drive it."""
+    has_failed = np.array([not m < 1e-6 for m in end_error], dtype=np.bool_)
     cutting = np.array([segment.kind == "cut" for segment in route.segment], dtype=np.bool_)
-    far = cutting & (off > 0.5 * op.shape_tol_mm * MM)
-    if not (lost | far).any():
+    is_too_far = cutting & (deviation > 0.5 * op.shape_tol_mm * MM)
+    if not (has_failed | is_too_far).any():
         return
-    first = int(np.nonzero(lost | far)[0][0])
+    first = int(np.nonzero(has_failed | is_too_far)[0][0])
     yield Issue(
         "wire.between_targets",
-        f"{op.name}: between targets {first - 1} and {first} ({route.segment[first]}) the driven wire "
-        "is off by "
-        f"{off[first] * 1e3:.2f} mm or has no equilibrium, although targets were added",
+        format_message(
+            "wire.between_targets",
+            operation=op.name,
+            previous_target=first - 1,
+            target=first,
+            segment=route.segment[first],
+            deviation_mm=deviation[first] * 1e3,
+        ),
         index=first,
-        **measurement(float(off[first] * 1e3), 0.5 * op.shape_tol_mm, "mm"),
+        **measurement(float(deviation[first] * 1e3), 0.5 * op.shape_tol_mm, "mm"),
         hint="use a smaller step_mm or smoother faces",
     )
 
 
-def _targets(
+def _make_targets(
     op: ElasticWire,
-    wire: Wire,
     setup: Setup,
     claims: tuple[Claim, ...],
-    route: Route,
+    route: WireRoute,
     issues: list[Issue],
-    pictures: dict[str, object],
+    exhibits: dict[str, object],
 ) -> Targets:
-    stock, shapes = setup.stock, route.wires.shapes()
+    stock, wire, shapes = setup.stock, _make_wire(op), route.wires.shapes()
     start, end = route.wires.ends(shapes)
     points = route.wires.points(shapes)
-    foam = np.asarray(np.any(box_distance(points, stock.box) < 0.0, axis=1))
+    in_foam = np.asarray(np.any(box_distance(points, stock.box) < 0.0, axis=1))
     cutting = np.array([segment.kind == "cut" for segment in route.segment], dtype=np.bool_)
-    burning = cutting & foam & np.concatenate([[False], foam[:-1]])
-    feed = np.where(cutting, op.feed_mm_s * MM, AIR_FEED)
+    is_burning = cutting & in_foam & np.concatenate([[False], in_foam[:-1]])
+    feed = np.where(cutting, op.feed_mm_s * MM, MAX_AIR_FEED_M_S)
     return Targets(
         arms=op.arms,
         pose={op.arms[0]: start, op.arms[1]: end},
         frame=dict.fromkeys(op.arms, "stock"),
         freedoms=_freedoms(op, wire, stock, route),
         feed=feed,
-        feed_min=np.where(burning, op.feed_min_mm_s * MM, 0.0),
-        travel=travel(route.wires, stock.box),
+        feed_min=np.where(is_burning, op.feed_min_mm_s * MM, 0.0),
+        travel=max_travel(route.wires, stock.box),
         stop=route.stop,
         segment=route.segment,
         coupled=True,
-        edge=Edge(points, 0.5 * wire.width),
+        flexible_tool=FlexibleTool(points, 0.5 * wire.width),
         actions=_actions(op, wire, route),
         claims=claims,
-        exhibits=pictures,
+        exhibits=exhibits,
         issues=aggregate(issues),
         may_join=True,
     )
 
 
-def _freedoms(op: ElasticWire, wire: Wire, stock: Stock, route: Route) -> tuple[Freedom, ...]:
+def _freedoms(op: ElasticWire, wire: HeatedWire, stock: Stock, route: WireRoute) -> tuple[Freedom, ...]:
     out: list[Freedom] = []
     margin = op.margin_mm * MM
-    slack = slack_freedom(
-        route.wires, op.arms, op.slack_mm * MM, stock.box, margin, wire.section, wire.max_curvature
-    )
+    slack = slack_freedom(route.wires, op.arms, op.slack_mm * MM, stock.box, margin, wire)
     if slack is not None:
         out.append(slack)
-    if op.chosen.is_round:
+    if op.chosen_wire.is_round:
         count = len(route.wires)
         spin = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
         turn = np.full(count, np.pi)
@@ -530,22 +610,28 @@ def _freedoms(op: ElasticWire, wire: Wire, stock: Stock, route: Route) -> tuple[
     return tuple(out)
 
 
-def _actions(op: ElasticWire, wire: Wire, route: Route) -> tuple[Action, ...]:
+def _actions(op: ElasticWire, wire: HeatedWire, route: WireRoute) -> tuple[TargetAction, ...]:
     chord, angles = mount_figures(route)
     last = len(route.segment) - 1
     return (
-        Action(0, "message", hotwire_sentences.WIRE.filled(material=op.chosen.material, size=op.chosen.size)),
-        Action(0, "message", hotwire_sentences.MOUNT.filled(cold_mm=wire.cold_length(op.chosen.length_mm))),
-        Action(
+        TargetAction(
             0,
             "message",
-            hotwire_sentences.CLAMPS.filled(apart_mm=chord * 1e3, start_deg=angles[0], end_deg=angles[1]),
+            hotwire_sentences.WIRE.format(material=op.chosen_wire.material, size=op.chosen_wire.size),
         ),
-        Action(0, "confirm", hotwire_sentences.CLAMPED.filled()),
-        Action(0, "on", signal=op.signal),
-        Action(0, "wait", seconds=op.heat_up_s),
-        Action(0, "confirm", hotwire_sentences.LOCKED.filled(hot_mm=op.chosen.length_mm)),
-        Action(last, "off", signal=op.signal),
-        Action(last, "wait", seconds=op.cool_down_s),
-        Action(last, "confirm", hotwire_sentences.TAKEN_OFF.filled()),
+        TargetAction(
+            0, "message", hotwire_sentences.MOUNT.format(cold_mm=wire.cold_length(op.chosen_wire.length_mm))
+        ),
+        TargetAction(
+            0,
+            "message",
+            hotwire_sentences.CLAMPS.format(apart_mm=chord * 1e3, start_deg=angles[0], end_deg=angles[1]),
+        ),
+        TargetAction(0, "confirm", hotwire_sentences.CLAMPED.format()),
+        TargetAction(0, "on", signal=op.signal),
+        TargetAction(0, "wait", seconds=op.heat_up_s),
+        TargetAction(0, "confirm", hotwire_sentences.LOCKED.format(hot_mm=op.chosen_wire.length_mm)),
+        TargetAction(last, "off", signal=op.signal),
+        TargetAction(last, "wait", seconds=op.cool_down_s),
+        TargetAction(last, "confirm", hotwire_sentences.TAKEN_OFF.format()),
     )

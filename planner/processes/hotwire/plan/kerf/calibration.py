@@ -1,7 +1,7 @@
-"""Calibration of a foam from test cuts: the file of cuts, and chi and offset fitted to them.
+"""Calibration of a foam from test cuts: reading the file of cuts, and fitting chi and offset.
 
-The CSV file has what was measured on squares, or the kerf itself. The fit is of kerf = chi * ideal
-- offset (`models`), by least squares or robustly (Huber's, then Tukey's weights).
+The CSV file lists measured squares, or the kerf itself. The fitted law is kerf = chi * ideal - offset
+(`models`), by least squares or robustly (Huber's weights, then Tukey's).
 """
 
 import csv
@@ -13,28 +13,41 @@ from typing import Final
 import numpy as np
 from scipy.special import ndtr
 
-from planner.catalogue.materials import Foam, KerfFit, KerfTests
-from planner.files import is_file, no_file
+from planner.catalogue.materials import FoamMaterial, KerfFit, KerfTests
+from planner.files import is_file, missing_file_reason
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.geometry.units import MM, measurement
-from planner.issues import Issue, TandemError, refusal
+from planner.issue_codes import format_message
+from planner.issues import Issue, TandemError, issue_error
 from planner.processes.hotwire.plan.kerf import models
-from planner.processes.hotwire.plan.kerf.test_cuts import Cuts
-from planner.processes.hotwire.plan.kerf.width import USABLE_KERFS
+from planner.processes.hotwire.plan.kerf.cut_measurements import CutMeasurements
+from planner.processes.hotwire.plan.kerf.width import USABLE_KERF_RANGE_M
 
-HUBER: Final = 1.345
-"""Residuals beyond so many standard deviations count less: 95 % as good as least squares where none is wrong
-(Huber, Robust Statistics, 1981)."""
-TUKEY: Final = 4.685
-"""Residuals beyond so many do not count, at the same efficiency (Beaton and Tukey, 1974)."""
-FEWEST_CUTS: Final = 4
-"""A curve is fitted to this many test cuts at least."""
+HUBER_THRESHOLD: Final = 1.345
+"""Number of standard deviations beyond which residuals count less.
+
+At this bound the efficiency is 95 % of least squares if no reading is wrong. Source: Huber, Robust
+Statistics, 1981.
+"""
+TUKEY_THRESHOLD: Final = 4.685
+"""Number of standard deviations beyond which residuals do not count, at the same efficiency of 95 %.
+
+Source: Beaton and Tukey, 1974.
+"""
+MIN_CUTS: Final = 4
+"""Minimum number of test cuts for a fit."""
 
 
 @dataclasses.dataclass(frozen=True)
 class FitReport:
-    """``fit`` and how it came about: masks (N,) of the cuts left out as ``hot`` or ``cold``, ``residuals``
-    (N,) [m], measured less fitted, of all cuts."""
+    """A fit and the cuts that it uses.
+
+    Attributes:
+        fit: The fitted line.
+        hot: Cuts left out as too hot (N,).
+        cold: Cuts left out as too cold (N,).
+        residuals: Measured minus fitted width of all cuts (N,) [m].
+    """
 
     fit: KerfFit
     hot: BoolArray
@@ -43,121 +56,156 @@ class FitReport:
 
     @property
     def kept(self) -> BoolArray:
-        """The cuts that count."""
+        """The cuts that count (N,)."""
         return ~(self.hot | self.cold)
 
 
-def least_squares(foam: Foam, cuts: Cuts, thickness: float, diameter: float) -> KerfFit:
-    """Straight line through kerf over ideal width: every cut counts.
+def fit_least_squares(
+    foam: FoamMaterial, cuts: CutMeasurements, thickness: float, diameter: float
+) -> KerfFit:
+    """Fit a straight line through kerf over ideal width. Every cut counts.
 
-    ``foam`` gives density and heat, ``thickness`` and ``diameter`` [m] are those of the tests. Raises
-    `TandemError`: kerf.few_cuts.
+    Args:
+        foam: Foam, for its density and heat.
+        cuts: The test cuts.
+        thickness: Thickness of the foam in the tests [m].
+        diameter: Diameter of the wire in the tests [m].
+
+    Raises:
+        TandemError: kerf.few_cuts.
     """
-    return _line(foam, cuts, np.ones(len(cuts)), thickness, diameter)
+    return _fit_line(foam, cuts, np.ones(len(cuts)), thickness, diameter)
 
 
-def robust(
-    foam: Foam,
-    cuts: Cuts,
-    burnt: BoolArray,
-    dragging: BoolArray,
-    good: BoolArray,
-    thickness: float,
-    diameter: float,
-) -> FitReport:
-    """Straight line that a few wrong readings do not turn, over the cuts that are neither ``burnt`` nor
-    ``dragging`` (N,).
+@dataclasses.dataclass(frozen=True)
+class CutFile:
+    """Test cuts of a file.
 
-    Cuts that are not known to be ``good`` (N,) are left out too where the line itself gives a kerf outside
-    0.8 to 3 mm, as too cold or too hot, and the line is drawn again until none is left; by the line and not
-    by the reading, because choosing cuts by their readings would bend the line. Raises `TandemError`:
-    kerf.few_cuts, kerf.no_trend.
+    Attributes:
+        cuts: The N cuts.
+        thickness: Thickness of the foam, one for all cuts [m].
+        burnt: Cuts stated to be burnt (N,).
+        dragging: Cuts stated to drag (N,).
+        good: Cuts stated to be good (N,).
     """
-    ideal = models.ideal(foam, cuts.power_per_length, cuts.speed)
+
+    cuts: CutMeasurements
+    thickness: float
+    burnt: BoolArray
+    dragging: BoolArray
+    good: BoolArray
+
+
+def fit_robust(foam: FoamMaterial, cut_file: CutFile, diameter: float) -> FitReport:
+    """Fit a straight line that a few wrong readings do not rotate.
+
+    Burnt and dragging cuts are left out. Cuts not known to be good are also left out if the line itself gives
+    a kerf outside 0.8 to 3 mm, as too cold or too hot. The fit is repeated until no more cuts are left out.
+    The criterion is the line and not the reading, because selecting cuts by their readings would bias the
+    line.
+
+    Args:
+        foam: Foam, for its density and heat.
+        cut_file: The N test cuts, with those that are known to be burnt, to drag or to be good.
+        diameter: Diameter of the wire in the tests [m].
+
+    Raises:
+        TandemError: kerf.few_cuts, kerf.no_trend.
+    """
+    cuts, thickness = cut_file.cuts, cut_file.thickness
+    burnt, dragging, good = cut_file.burnt, cut_file.dragging, cut_file.good
+    ideal = models.ideal_width(foam, cuts.power_per_length, cuts.speed)
     hot, cold = burnt, dragging & ~burnt
-    known_hot, known_cold, known = hot, cold, hot | cold | good
+    fixed_hot, fixed_cold, is_fixed = hot, cold, hot | cold | good
     seen: set[bytes] = set()
     while True:
         kept = ~(hot | cold)
-        fit = _draw(foam, cuts.only(kept), thickness, diameter, (int(hot.sum()), int(cold.sum())))
+        fit = _fit_reweighted(foam, cuts.select(kept), thickness, diameter, (int(hot.sum()), int(cold.sum())))
         expected = fit.chi * ideal - fit.offset
-        now_hot = np.where(known, known_hot, expected > USABLE_KERFS[1])
-        now_cold = np.where(known, known_cold, expected < USABLE_KERFS[0])
-        if np.array_equal(now_hot, hot) and np.array_equal(now_cold, cold):
+        next_hot = np.where(is_fixed, fixed_hot, expected > USABLE_KERF_RANGE_M[1])
+        next_cold = np.where(is_fixed, fixed_cold, expected < USABLE_KERF_RANGE_M[0])
+        if np.array_equal(next_hot, hot) and np.array_equal(next_cold, cold):
             break
-        key = now_hot.tobytes() + now_cold.tobytes()
-        if key in seen:  # it goes round: out stays what was out before or after
-            now_hot, now_cold = now_hot | hot, (now_cold | cold) & ~(now_hot | hot)
-            known_hot, known_cold, known = now_hot, now_cold, np.ones_like(known)
+        key = next_hot.tobytes() + next_cold.tobytes()
+        if key in seen:  # the selection cycles: a cut left out in either state stays left out
+            next_hot, next_cold = next_hot | hot, (next_cold | cold) & ~(next_hot | hot)
+            fixed_hot, fixed_cold, is_fixed = next_hot, next_cold, np.ones_like(is_fixed)
         seen.add(key)
-        hot, cold = now_hot, now_cold
+        hot, cold = next_hot, next_cold
     slowest = cuts.speed[burnt].max() if np.any(burnt) else -np.inf
     burnt_speed = float(slowest) if np.any(burnt) and slowest < cuts.speed[kept].min() else None
     fit = dataclasses.replace(fit, tests=dataclasses.replace(fit.tests, burnt_speed=burnt_speed))
     return FitReport(fit, hot, cold, cuts.width - expected)
 
 
-def _draw(foam: Foam, cuts: Cuts, thickness: float, diameter: float, left_out: tuple[int, int]) -> KerfFit:
-    """Iteratively reweighted least squares, residuals scaled by their median: with Huber's weights from a
-    plain line, then with Tukey's, under which readings far off do not count at all."""
-    if len(cuts) < FEWEST_CUTS:
-        raise TandemError(_few(len(cuts), left_out))
-    ideal = models.ideal(foam, cuts.power_per_length, cuts.speed)
-    fit = _line(foam, cuts, np.ones(len(cuts)), thickness, diameter, left_out)
-    scale = _scale(fit, ideal, cuts)
-    for weigh in (_huber, _tukey):
+def _fit_reweighted(
+    foam: FoamMaterial, cuts: CutMeasurements, thickness: float, diameter: float, left_out: tuple[int, int]
+) -> KerfFit:
+    """Fit by iteratively reweighted least squares, with residuals scaled by their median.
+
+    Huber's weights start from a plain line. Tukey's weights follow, under which distant readings do not count
+    at all.
+    """
+    if len(cuts) < MIN_CUTS:
+        raise TandemError(_few_cuts_issue(len(cuts), left_out))
+    ideal = models.ideal_width(foam, cuts.power_per_length, cuts.speed)
+    fit = _fit_line(foam, cuts, np.ones(len(cuts)), thickness, diameter, left_out)
+    scale = _residual_scale(fit, ideal, cuts)
+    for weigh in (_huber_weights, _tukey_weights):
         for _ in range(100):
             if scale < 1e-9:
                 break
             weights = weigh((cuts.width - (fit.chi * ideal - fit.offset)) / scale)
-            before, fit = fit, _line(foam, cuts, weights, thickness, diameter, left_out)
-            scale = _scale(fit, ideal, cuts)
-            if abs(fit.chi - before.chi) < 1e-9:
+            previous, fit = fit, _fit_line(foam, cuts, weights, thickness, diameter, left_out)
+            scale = _residual_scale(fit, ideal, cuts)
+            if abs(fit.chi - previous.chi) < 1e-9:
                 break
     if fit.chi <= 0.0:
-        text = f"test cuts: got a kerf that falls with power over speed (chi {fit.chi:.2f}), allowed a rise"
-        raise refusal("kerf.no_trend", text, hint="see to the columns and units of the file")
-    clipped = np.clip(cuts.width - (fit.chi * ideal - fit.offset), -HUBER * scale, HUBER * scale)
-    spread = np.sqrt(np.sum(clipped**2) / (len(cuts) - 2) / _clipped_variance(HUBER))
+        text = format_message("kerf.no_trend", chi=fit.chi)
+        raise issue_error("kerf.no_trend", text, hint="check the columns and units of the file")
+    clipped = np.clip(
+        cuts.width - (fit.chi * ideal - fit.offset), -HUBER_THRESHOLD * scale, HUBER_THRESHOLD * scale
+    )
+    spread = np.sqrt(np.sum(clipped**2) / (len(cuts) - 2) / _clipped_variance(HUBER_THRESHOLD))
     return dataclasses.replace(fit, spread=float(spread))
 
 
-def _scale(fit: KerfFit, ideal: FloatArray, cuts: Cuts) -> float:
-    """Standard deviation [m] of normal residuals, from the median of their sizes."""
+def _residual_scale(fit: KerfFit, ideal: FloatArray, cuts: CutMeasurements) -> float:
+    """Return the standard deviation [m] of normal residuals, from the median of their absolute values."""
     return 1.4826 * float(np.median(np.abs(cuts.width - (fit.chi * ideal - fit.offset))))
 
 
-def _huber(scaled: FloatArray) -> FloatArray:
-    return np.asarray(np.minimum(1.0, HUBER / np.maximum(np.abs(scaled), 1e-12)))
+def _huber_weights(scaled: FloatArray) -> FloatArray:
+    return np.asarray(np.minimum(1.0, HUBER_THRESHOLD / np.maximum(np.abs(scaled), 1e-12)))
 
 
-def _tukey(scaled: FloatArray) -> FloatArray:
-    return np.asarray(np.maximum(1.0 - (scaled / TUKEY) ** 2, 0.0) ** 2)
+def _tukey_weights(scaled: FloatArray) -> FloatArray:
+    return np.asarray(np.maximum(1.0 - (scaled / TUKEY_THRESHOLD) ** 2, 0.0) ** 2)
 
 
 def _clipped_variance(bound: float) -> float:
-    """Variance of a standard normal value that is clipped at both sides."""
+    """Return the variance of a standard normal value that is clipped at both sides."""
     inside = 2.0 * float(ndtr(bound)) - 1.0
     density = math.exp(-0.5 * bound**2) / math.sqrt(2.0 * math.pi)
     return inside - 2.0 * bound * density + bound**2 * (1.0 - inside)
 
 
-def _line(
-    foam: Foam,
-    cuts: Cuts,
+def _fit_line(
+    foam: FoamMaterial,
+    cuts: CutMeasurements,
     weights: FloatArray,
     thickness: float,
     diameter: float,
     left_out: tuple[int, int] = (0, 0),
 ) -> KerfFit:
     if len(cuts) < 3:
-        raise TandemError(_few(len(cuts), left_out))
-    ideal = models.ideal(foam, cuts.power_per_length, cuts.speed)
+        raise TandemError(_few_cuts_issue(len(cuts), left_out))
+    ideal = models.ideal_width(foam, cuts.power_per_length, cuts.speed)
     total = float(weights.sum())
     mean, mean_width = float(weights @ ideal) / total, float(weights @ cuts.width) / total
     scatter = float(weights @ (ideal - mean) ** 2)
     if scatter <= 1e-6 * total * mean**2:
-        raise TandemError(_few(len(cuts), left_out))
+        raise TandemError(_few_cuts_issue(len(cuts), left_out))
     chi = float(weights @ ((ideal - mean) * (cuts.width - mean_width))) / scatter
     residuals = cuts.width - mean_width - chi * (ideal - mean)
     return KerfFit(
@@ -176,19 +224,18 @@ def _line(
     )
 
 
-def _few(count: int, left_out: tuple[int, int]) -> Issue:
+def _few_cuts_issue(count: int, left_out: tuple[int, int]) -> Issue:
     hot, cold = left_out
-    text = (
-        f"test cuts: got {count} that can be used ({hot} too hot, {cold} too cold left out), "
-        f"allowed {FEWEST_CUTS} or more, at two speeds or powers at least"
+    text = format_message(
+        "kerf.few_cuts", usable_count=count, hot_count=hot, cold_count=cold, min_count=MIN_CUTS
     )
-    wanted = f"{USABLE_KERFS[0] / MM:g} to {USABLE_KERFS[1] / MM:g} mm"
-    hint = f"cut squares whose kerf is {wanted}, at two powers and four speeds"
-    return Issue("kerf.few_cuts", text, value=float(count), limit=float(FEWEST_CUTS), hint=hint)
+    usable_range = f"{USABLE_KERF_RANGE_M[0] / MM:g} to {USABLE_KERF_RANGE_M[1] / MM:g} mm"
+    hint = f"cut squares whose kerf is {usable_range}, at two powers and four speeds"
+    return Issue("kerf.few_cuts", text, value=float(count), limit=float(MIN_CUTS), hint=hint)
 
 
 MAX_TEST_CUT_BYTES: Final = 2_000_000
-"""Files of test cuts larger than this [bytes] are refused unread."""
+"""Maximum size of a file of test cuts [bytes]. Larger files are refused unread."""
 NUMBER_COLUMNS: Final = {
     "power_w": (0.0, 1e5),
     "speed_mm_s": (0.0, 1e3),
@@ -198,89 +245,85 @@ NUMBER_COLUMNS: Final = {
     "wire_length_mm": (0.0, 1e5),
     "thickness_mm": (0.0, 1e5),
 }
-"""Columns of numbers, above the first and up to the second value."""
-FACE_WORDS: Final = ("ok", "burnt", "dragging")
-"""What the column ``face`` may say."""
+"""Numeric columns with their range: above the first value and up to the second."""
+FACE_VALUES: Final = ("ok", "burnt", "dragging")
+"""Allowed values of the column ``face``."""
 IGNORED_COLUMNS: Final = ("voltage_v", "current_a", "note")
-"""Columns that people keep and nothing reads."""
+"""Columns for the user's records. They are not read."""
 
 
-Row = tuple[int, dict[str, str]]
-"""A line's number and its values by heading."""
-
-
-@dataclasses.dataclass(frozen=True)
-class CutFile:
-    """``cuts`` (N,) of a file in foam of one ``thickness`` [m]; ``burnt`` and ``dragging`` (N,) as it
-    says."""
-
-    cuts: Cuts
-    thickness: float
-    burnt: BoolArray
-    dragging: BoolArray
-    good: BoolArray
+CsvRow = tuple[int, dict[str, str]]
+"""Line number and values by heading."""
 
 
 def read_cuts(path: Path, diameter: float, wire_length: float | None, thickness: float | None) -> CutFile:
-    """Test cuts from a CSV file, for a wire of ``diameter`` [m].
+    """Read test cuts from a CSV file.
 
-    Columns: power_w, speed_mm_s, and either kerf_mm or measured_side_mm with nominal_side_mm (a square whose
-    path the wire's middle goes loses half a kerf on each side, so its side is one whole kerf short);
-    wire_length_mm and thickness_mm unless ``wire_length`` and ``thickness`` [m] stand for all; face (ok,
-    burnt, dragging), voltage_v, current_a and note if you like. Commas, or semicolons with decimal commas;
-    lines that begin with # are skipped. Raises `TandemError` with every fault and its line: kerf.file,
-    kerf.impossible.
+    Columns: power_w, speed_mm_s, and either kerf_mm or measured_side_mm with nominal_side_mm. (A square along
+    whose path the centre of the wire moves loses half a kerf on each side, so its side is one kerf short.)
+    wire_length_mm and thickness_mm are required unless ``wire_length`` and ``thickness`` hold for all cuts.
+    Optional: face (ok, burnt, dragging), voltage_v, current_a and note. The separator is a comma, or a
+    semicolon with decimal commas. Lines that begin with # are skipped.
+
+    Args:
+        path: CSV file.
+        diameter: Diameter of the wire [m].
+        wire_length: Heated length of the wire [m], or None if a column states it.
+        thickness: Thickness of the foam [m], or None if a column states it.
+
+    Raises:
+        TandemError: kerf.file, kerf.impossible, with every error and its line.
     """
     name = str(path)
-    header, rows = _rows(path)
-    issues = _headings(name, header, wire_length, thickness)
+    header, rows = _read_rows(path)
+    issues = _heading_issues(name, header, wire_length, thickness)
     if issues:
         raise TandemError(issues)
-    columns, faces = _columns(name, header, rows)
+    columns, face_values = _columns(name, header, rows)
     if "kerf_mm" in columns:
         kerf = columns["kerf_mm"]
     else:
         kerf = columns["nominal_side_mm"] - columns["measured_side_mm"]
-    issues = _narrow(name, rows, kerf, diameter / MM)
+    issues = _narrow_cut_issues(name, rows, kerf, diameter / MM)
     if "thickness_mm" in columns:
-        issues += _uneven(name, rows, columns["thickness_mm"])
+        issues += _thickness_issues(name, rows, columns["thickness_mm"])
         thickness = float(columns["thickness_mm"][0]) * MM
     if issues:
         raise TandemError(issues)
     length = columns["wire_length_mm"] * MM if "wire_length_mm" in columns else wire_length
     if length is None or thickness is None:
         raise ValueError("the headings were checked")
-    cuts = Cuts(columns["power_w"] / length, columns["speed_mm_s"] * MM, kerf * MM)
-    good, burnt, dragging = (np.array([face == wanted for face in faces]) for wanted in FACE_WORDS)
+    cuts = CutMeasurements(columns["power_w"] / length, columns["speed_mm_s"] * MM, kerf * MM)
+    good, burnt, dragging = (np.array([face == wanted for face in face_values]) for wanted in FACE_VALUES)
     return CutFile(cuts, thickness, burnt, dragging, good)
 
 
-def _columns(name: str, header: list[str], rows: list[Row]) -> tuple[dict[str, FloatArray], list[str]]:
-    """The columns of numbers and that of faces; refuses every value that is out of range."""
+def _columns(name: str, header: list[str], rows: list[CsvRow]) -> tuple[dict[str, FloatArray], list[str]]:
+    """Return the numeric columns and the column of faces. Refuses every value that is out of range."""
     issues = []
-    found: dict[str, list[float]] = {key: [] for key in header if key in NUMBER_COLUMNS}
+    numbers: dict[str, list[float]] = {key: [] for key in header if key in NUMBER_COLUMNS}
     faces: list[str] = []
     for line, row in rows:
         faces.append(row.get("face", "").lower())
-        if faces[-1] and faces[-1] not in FACE_WORDS:
-            text = f"got {faces[-1]!r}, allowed {', '.join(FACE_WORDS)}"
+        if faces[-1] and faces[-1] not in FACE_VALUES:
+            text = f"got {faces[-1]!r}, allowed {', '.join(FACE_VALUES)}"
             issues.append(Issue("kerf.file", text, file=name, line=line, field="face", hint="correct it"))
-        for key, values in found.items():
+        for key, values in numbers.items():
             values.append(_number(row[key]))
             low, high = NUMBER_COLUMNS[key]
             if not (low < values[-1] <= high):
                 text = f"got {row[key]!r}, allowed a number above {low:g}, at most {high:g}"
-                hint = "correct it or leave the line out"
+                hint = "correct it or remove the line"
                 issues.append(Issue("kerf.file", text, file=name, line=line, field=key, hint=hint))
     if issues:
         raise TandemError(issues)
-    return {key: np.array(values) for key, values in found.items()}, faces
+    return {key: np.array(values) for key, values in numbers.items()}, faces
 
 
-def _narrow(name: str, rows: list[Row], kerf: FloatArray, diameter: float) -> list[Issue]:
-    """The cuts narrower than the wire [mm]."""
+def _narrow_cut_issues(name: str, rows: list[CsvRow], kerf: FloatArray, diameter: float) -> list[Issue]:
+    """Return issues on cuts that are narrower than the wire [mm]."""
     hint = (
-        "kerf is nominal less measured side: measure the piece and not the hole, or state the wire's diameter"
+        "kerf is nominal minus measured side: measure the piece, not the hole, or state the wire's diameter"
     )
     return [
         Issue(
@@ -295,8 +338,8 @@ def _narrow(name: str, rows: list[Row], kerf: FloatArray, diameter: float) -> li
     ]
 
 
-def _uneven(name: str, rows: list[Row], thickness: FloatArray) -> list[Issue]:
-    """The cuts in foam of another thickness [mm] than the first."""
+def _thickness_issues(name: str, rows: list[CsvRow], thickness: FloatArray) -> list[Issue]:
+    """Return issues on cuts in foam of another thickness [mm] than the first."""
     first = thickness[0]
     return [
         Issue(
@@ -311,32 +354,32 @@ def _uneven(name: str, rows: list[Row], thickness: FloatArray) -> list[Issue]:
     ]
 
 
-def _headings(
+def _heading_issues(
     name: str, header: list[str], wire_length: float | None, thickness: float | None
 ) -> list[Issue]:
     issues = []
 
-    def say(text: str, field: str, hint: str) -> None:
+    def add_issue(text: str, field: str, hint: str) -> None:
         issues.append(Issue("kerf.file", text, file=name, line=1, field=field, hint=hint))
 
     for key in sorted(set(header) - set(NUMBER_COLUMNS) - set(IGNORED_COLUMNS) - {"face"}):
         allowed = ", ".join((*NUMBER_COLUMNS, "face", *IGNORED_COLUMNS))
-        say(f"column: got {key!r}, allowed {allowed}", key, "remove it or correct its spelling")
+        add_issue(f"column: got {key!r}, allowed {allowed}", key, "remove it or correct its spelling")
     for key in sorted({key for key in header if header.count(key) > 1}):
-        say(f"column: got {key!r} twice, allowed once", key, "keep one")
+        add_issue(f"column: got {key!r} twice, allowed once", key, "keep one")
     for key in ("power_w", "speed_mm_s"):
         if key not in header:
-            say("got no such column, allowed one", key, "add it")
+            add_issue("the column is missing", key, "add it")
     sides = {"measured_side_mm", "nominal_side_mm"} & set(header)
     if ("kerf_mm" in header) == bool(sides) or len(sides) == 1:
         text = "columns of the kerf: got " + (
             ", ".join(sorted(sides | ({"kerf_mm"} & set(header)))) or "none"
         )
         text += ", allowed kerf_mm alone, or measured_side_mm with nominal_side_mm"
-        say(text, "kerf_mm", "give one of the two")
+        add_issue(text, "kerf_mm", "give one of the two")
     for key, given in (("wire_length_mm", wire_length), ("thickness_mm", thickness)):
         if key not in header and given is None:
-            say(
+            add_issue(
                 f"{key}: got neither a column nor a value, allowed one of them",
                 key,
                 f"add --{key.replace('_', '-')}",
@@ -344,35 +387,37 @@ def _headings(
     return issues
 
 
-def _rows(path: Path) -> tuple[list[str], list[Row]]:
+def _read_rows(path: Path) -> tuple[list[str], list[CsvRow]]:
     name = str(path)
     if not is_file(path):
-        raise refusal("kerf.file", f"{name}: {no_file(path)}", file=name, hint="check the path")
+        raise issue_error(
+            "kerf.file", f"{name}: {missing_file_reason(path)}", file=name, hint="check the path"
+        )
     try:
         if path.stat().st_size > MAX_TEST_CUT_BYTES:
             what = f"{name}: larger than {MAX_TEST_CUT_BYTES / 1e6:g} MB"
-            hint = "cut it down"
-            raise refusal("kerf.file", what, file=name, hint=hint)
+            hint = "split the file"
+            raise issue_error("kerf.file", what, file=name, hint=hint)
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         what = f"{name}: cannot be read as text: {error}"
         hint = "save it as CSV, UTF-8"
-        raise refusal("kerf.file", what, file=name, hint=hint) from error
+        raise issue_error("kerf.file", what, file=name, hint=hint) from error
     lines = [
         (k + 1, line) for k, line in enumerate(text.splitlines()) if line.strip() and not line.startswith("#")
     ]
     if len(lines) < 2:
-        text = f"{name}: got {len(lines)} lines, allowed a line of headings and one for each cut"
-        raise refusal("kerf.file", text, file=name, hint="write the headings first")
+        text = f"{name}: got {len(lines)} lines, allowed a line of headings and one line for each cut"
+        raise issue_error("kerf.file", text, file=name, hint="start the file with the headings")
     separator = ";" if ";" in lines[0][1] else ","
     parsed = list(csv.reader((line for _, line in lines), delimiter=separator))
     header = [cell.strip().lower() for cell in parsed[0]]
     issues, rows = [], []
     for (line, _), cells in zip(lines[1:], parsed[1:], strict=False):
         if len(cells) != len(header):
-            text = f"{name}: got {len(cells)} values, allowed {len(header)} as there are headings"
+            text = f"{name}: got {len(cells)} values, allowed {len(header)}, one for each heading"
             issues.append(
-                Issue("kerf.file", text, file=name, line=line, hint="quote nothing, one value a column")
+                Issue("kerf.file", text, file=name, line=line, hint="write one value per column, no quotes")
             )
         values = [cell.strip().replace(",", ".") if separator == ";" else cell.strip() for cell in cells]
         rows.append((line, dict(zip(header, values, strict=False))))

@@ -1,10 +1,9 @@
-"""Width of the slot that a hot wire melts in foam: forward, backward and as a table.
+"""Width of the slot that a hot wire melts in foam: forward, inverse and as a table.
 
-Models (`models`): ``energy`` (the default), ``general`` for foams without test cuts, ``measured``
-for cuts like the tests' and ``dissertation`` for traceability; `MODEL_FORMS` has them by name, with what
-each needs to know of a foam. `KerfFlag` is what is to be said against a kerf that a model gives.
-All functions take arrays that broadcast, so that every point along a wire has its own speed.
-`docs/kerf.md` tells where the figures come from and how far they are to be trusted.
+Models (`models`): ``energy`` (the default), ``general`` for foams without test cuts, ``measured`` for cuts
+like those of the tests, ``dissertation`` for traceability. `KERF_MODELS` lists them with the foam data that
+they need. `KerfFlag` states doubts about a kerf. All functions take arrays that broadcast, so every point
+along a wire has its own speed. `docs/kerf.md` states where the data come from and how reliable they are.
 """
 
 import dataclasses
@@ -16,91 +15,123 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.catalogue import materials
-from planner.catalogue.materials import Foam
+from planner.catalogue.materials import FoamMaterial
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError, refusal
+from planner.issues import Issue, TandemError, issue_error
 from planner.processes.hotwire.claims import KerfCurve
-from planner.processes.hotwire.plan.kerf import models, test_cuts
+from planner.processes.hotwire.plan.kerf import cut_measurements, models
+from planner.processes.hotwire.plan.kerf.cut_measurements import TEST_WIRE, HotWire
 from planner.processes.hotwire.plan.kerf.models import refuse_melting
-from planner.processes.hotwire.plan.kerf.test_cuts import TEST_WIRE, HotWire
 
 Model = Literal["energy", "general", "measured", "dissertation"]
 
 
 def _no_inverse(
-    foam: Foam, wire: HotWire, given: FloatArray, wanted: FloatArray, thickness: FloatArray
+    foam: FoamMaterial, wire: HotWire, given: FloatArray, required: FloatArray, thickness: FloatArray
 ) -> FloatArray:
     raise ValueError("this model has no inverse")
 
 
 @dataclasses.dataclass(frozen=True)
-class Form:
-    """A model: ``needs`` names fields of `Foam`, ``tables`` asks for a foam of the dissertation's."""
+class KerfModel:
+    """A kerf model.
+
+    Attributes:
+        width: Function for the kerf: expected, low and high [m].
+        speed_for: Function for the speed [m/s] of a kerf.
+        power_for: Function for the power [W] of a kerf.
+        required_fields: Fields of `FoamMaterial` that the model needs.
+        needs_dissertation_tables: Whether the foam must be one of the dissertation's.
+    """
 
     width: Callable[
-        [Foam, HotWire, FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray, FloatArray]
+        [FoamMaterial, HotWire, FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray, FloatArray]
     ]
-    speed_for: Callable[[Foam, HotWire, FloatArray, FloatArray, FloatArray], FloatArray]
-    power_for: Callable[[Foam, HotWire, FloatArray, FloatArray, FloatArray], FloatArray]
-    needs: tuple[str, ...]
-    tables: bool = False
+    speed_for: Callable[[FoamMaterial, HotWire, FloatArray, FloatArray, FloatArray], FloatArray]
+    power_for: Callable[[FoamMaterial, HotWire, FloatArray, FloatArray, FloatArray], FloatArray]
+    required_fields: tuple[str, ...]
+    needs_dissertation_tables: bool = False
 
 
-_HEAT_FIGURES: Final = ("specific_heat", "melt_temperature")
-"""Figures of a foam that the heat balance needs."""
-FIGURE_NAMES: Final = {
+_HEAT_FIELDS: Final = ("specific_heat", "melt_temperature")
+"""Foam data that the heat balance needs."""
+FIELD_LABELS: Final = {
     "specific_heat": "specific heat",
     "melt_temperature": "melting temperature",
     "kerf": "test cuts",
-    "radiation": "share of radiation",
+    "radiation": "fraction of radiation",
     "wire_rise": "wire temperatures",
 }
-"""The figures of a foam in words."""
-MODEL_FORMS: Final[dict[str, Form]] = {
-    "energy": Form(models.energy_width, models.energy_speed, models.energy_power, ("kerf", *_HEAT_FIGURES)),
-    "general": Form(
-        models.general_width, models.general_speed, models.general_power, (*_HEAT_FIGURES, "conductivity")
+"""Foam data in words."""
+KERF_MODELS: Final[dict[str, KerfModel]] = {
+    "energy": KerfModel(
+        models.energy_width, models.energy_speed, models.energy_power, ("kerf", *_HEAT_FIELDS)
     ),
-    "measured": Form(models.measured_width, _no_inverse, _no_inverse, ("kerf", *_HEAT_FIGURES), tables=True),
-    "dissertation": Form(
+    "general": KerfModel(
+        models.general_width, models.general_speed, models.general_power, (*_HEAT_FIELDS, "conductivity")
+    ),
+    "measured": KerfModel(
+        models.measured_width,
+        _no_inverse,
+        _no_inverse,
+        ("kerf", *_HEAT_FIELDS),
+        needs_dissertation_tables=True,
+    ),
+    "dissertation": KerfModel(
         models.convection_estimate,
         models.convection_speed,
         models.convection_power,
-        (*_HEAT_FIGURES, "radiation", "wire_rise"),
-        tables=True,
+        (*_HEAT_FIELDS, "radiation", "wire_rise"),
+        needs_dissertation_tables=True,
     ),
 }
 """The models by name."""
 
 
-def choose_model(foam: str | Foam, model: str, backward: bool = False) -> tuple[Foam, Form]:
-    """The foam's data and the model's functions; refuses what the model lacks."""
-    if model not in MODEL_FORMS:
-        text = f"kerf model: got {model!r}, allowed {', '.join(MODEL_FORMS)}"
-        raise refusal("kerf.model", text, field="model", hint="take energy")
-    data, form = materials.foam(foam) if isinstance(foam, str) else foam, MODEL_FORMS[model]
-    missing = [name for name in form.needs if getattr(data, name) is None]
-    if form.tables and data.name not in test_cuts.dissertation_tables():
-        missing.append("cells in the dissertation's tables")
+def choose_model(
+    foam: str | FoamMaterial, model: str, inverse: bool = False
+) -> tuple[FoamMaterial, KerfModel]:
+    """Return the data of a foam and the functions of a model.
+
+    Args:
+        foam: Built-in name or foam data.
+        model: Name of the model.
+        inverse: Whether the inverse of the model is needed.
+
+    Raises:
+        TandemError: kerf.model, kerf.no_data, kerf.unknown_foam.
+    """
+    if model not in KERF_MODELS:
+        text = f"kerf model: got {model!r}, allowed {', '.join(KERF_MODELS)}"
+        raise issue_error("kerf.model", text, field="model", hint="use energy")
+    data, functions = materials.foam(foam) if isinstance(foam, str) else foam, KERF_MODELS[model]
+    missing = [name for name in functions.required_fields if getattr(data, name) is None]
+    if functions.needs_dissertation_tables and data.name not in cut_measurements.dissertation_tables():
+        missing.append("cells in the tables of the dissertation")
     if missing:
         known = ", ".join(sorted(name for name, one in materials.foams().items() if one.kerf is not None))
-        lacks = " and ".join(FIGURE_NAMES.get(name, name) for name in missing)
-        text = f"kerf in {data.name} by model {model}: got no {lacks}, allowed {known} or a foam of your own"
+        missing_labels = " and ".join(FIELD_LABELS.get(name, name) for name in missing)
+        text = (
+            f"kerf in {data.name} by model {model}: got no {missing_labels}, allowed {known} or your own foam"
+        )
         hint = "cut the four squares of problems/kerf_test and run: tandem kerf fit tests.csv"
-        raise refusal("kerf.no_data", text, field="foam", hint=hint)
-    if backward and form.speed_for is _no_inverse:
-        text = f"kerf model for a wanted kerf: got {model}, whose kerf rises and falls with speed"
-        raise refusal("kerf.model", text, field="model", hint="take energy")
-    return data, form
+        raise issue_error("kerf.no_data", text, field="foam", hint=hint)
+    if inverse and functions.speed_for is _no_inverse:
+        text = f"kerf model for a required kerf: got {model}, whose kerf is not monotonic in the speed"
+        raise issue_error("kerf.model", text, field="model", hint="use energy")
+    return data, functions
 
 
-USABLE_KERFS: Final = (0.8e-3, 3.0e-3)
-"""Kerfs [m] that leave usable faces: thinner the wire drags, wider it burns (dissertation, chapter 3)."""
+USABLE_KERF_RANGE_M: Final = (0.8e-3, 3.0e-3)
+"""Range of kerfs [m] that leave usable faces. Below it the wire drags, above it the wire burns the foam.
+
+Source: dissertation, chapter 3.
+"""
 
 
 class KerfFlag(enum.IntFlag):
-    """Doubts about one estimate; 0 is none. Arrays of flags are uint8."""
+    """Doubts about one estimate, 0 for none. Arrays of flags are uint8."""
 
     OK = 0
     TOO_HOT = 1
@@ -117,17 +148,17 @@ FLAG_TEXTS: Final[dict[KerfFlag, str]] = {
     KerfFlag.UNTESTED: "power per length or speed is outside the tests",
     KerfFlag.OTHER_WIRE: "the wire is not as thick as in the tests",
 }
-"""What each flag says to people."""
+"""Text of each flag for users."""
 
 
 def explain(flag: int) -> tuple[str, ...]:
-    """What each doubt in ``flag`` means, in words; none for 0."""
+    """Return the texts of the doubts in ``flag``, empty for 0."""
     return tuple(text for bit, text in FLAG_TEXTS.items() if flag & bit)
 
 
 __all__ = [
     "TEST_WIRE",
-    "USABLE_KERFS",
+    "USABLE_KERF_RANGE_M",
     "HotWire",
     "KerfEstimate",
     "KerfFlag",
@@ -139,23 +170,29 @@ __all__ = [
     "width",
 ]
 
-SAME_THICKNESS_SHARE: Final = 0.1
-"""Foam and wire count as those of the tests up to this part of their thickness."""
-CURVE_ERROR: Final = 1e-6
-"""Largest error [m] of reading a curve linearly."""
-MOST_CURVE_POINTS: Final = 50_000
-"""Points of a curve at most: a kerf that cannot be read linearly with these is none."""
-CURVE_SPEEDS: Final = (0.5e-3, 50e-3)
-"""Range [m/s] of a curve when no speeds are given."""
+THICKNESS_TOLERANCE_FRACTION: Final = 0.1
+"""Foam and wire count as those of the tests if their thickness differs by at most this fraction."""
+CURVE_TOLERANCE_M: Final = 1e-6
+"""Largest error [m] of linear interpolation in a curve."""
+MAX_CURVE_POINTS: Final = 50_000
+"""Maximum number of points of a curve. A kerf that needs more is refused."""
+DEFAULT_CURVE_SPEEDS_M_S: Final = (0.5e-3, 50e-3)
+"""Default range of speeds of a curve [m/s]."""
 
 DISSERTATION_TESTS: Final = materials.KerfTests((35.7 / 0.43, 54.9 / 0.43), (2e-3, 10e-3), 0.05, 0.0004)
-"""What a foam without test cuts of its own is held against."""
+"""Conditions of the dissertation's tests. A foam without its own test cuts is compared with them."""
 
 
 @dataclasses.dataclass(frozen=True)
 class KerfEstimate:
-    """Kerfs (...) of the inputs' common shape [m]: ``width`` expected, ``low`` to ``high`` for nine new cuts
-    of ten, ``flag`` `KerfFlag` as uint8."""
+    """Kerfs in the common shape of the inputs.
+
+    Attributes:
+        width: Expected width [m].
+        low: Lower end of the interval that contains nine of ten new cuts [m].
+        high: Upper end of the interval [m].
+        flag: `KerfFlag` as uint8.
+    """
 
     width: FloatArray
     low: FloatArray
@@ -164,23 +201,32 @@ class KerfEstimate:
 
 
 def width(
-    foam: str | Foam,
+    foam: str | FoamMaterial,
     wire: HotWire,
     power_w: ArrayLike,
     speed_m_s: ArrayLike,
     thickness_m: ArrayLike,
     model: Model = "energy",
 ) -> KerfEstimate:
-    """Kerf of ``wire`` in ``foam`` (a built-in name or a value) at a power over the heated length [W], the
-    speed across the wire [m/s] and the foam's thickness along the wire [m].
+    """Return the kerf of a wire in foam. The numeric inputs broadcast.
 
-    But for the dissertation's form, no kerf is below the wire's diameter. Raises `TandemError`:
-    kerf.unknown_foam, kerf.no_data, kerf.input, kerf.model, kerf.melts.
+    Except in the dissertation's model, no kerf is below the diameter of the wire.
+
+    Args:
+        foam: Built-in name or foam data.
+        wire: The wire.
+        power_w: Power over the heated length [W].
+        speed_m_s: Speed across the wire [m/s].
+        thickness_m: Thickness of the foam along the wire [m].
+        model: Kerf model.
+
+    Raises:
+        TandemError: kerf.unknown_foam, kerf.no_data, kerf.input, kerf.model, kerf.melts.
     """
-    data, form = choose_model(foam, model)
-    power, speed, thickness = _numbers(power_w=power_w, speed_m_s=speed_m_s, thickness_m=thickness_m)
+    data, functions = choose_model(foam, model)
+    power, speed, thickness = _positive_arrays(power_w=power_w, speed_m_s=speed_m_s, thickness_m=thickness_m)
     refuse_melting(data, wire, float(power.max()))
-    middle, low, high = form.width(data, wire, power, speed, thickness)
+    middle, low, high = functions.width(data, wire, power, speed, thickness)
     shape = np.broadcast_shapes(power.shape, speed.shape, thickness.shape)
     flag = np.broadcast_to(_flags(data, wire, middle, power / wire.length, speed, thickness), shape)
     low, middle, high = (np.broadcast_to(values, shape) for values in (low, middle, high))
@@ -188,90 +234,129 @@ def width(
 
 
 def speed_for(
-    foam: str | Foam,
+    foam: str | FoamMaterial,
     wire: HotWire,
     power_w: ArrayLike,
     width: ArrayLike,
     thickness_m: ArrayLike,
     model: Model = "energy",
 ) -> FloatArray:
-    """Speed [m/s] at which the expected kerf is ``width`` [m]; the inputs broadcast.
+    """Return the speed [m/s] at which the expected kerf is ``width``. The numeric inputs broadcast.
 
-    `width` of this module then tells the interval and the doubts. Raises `TandemError` as `width` does, and
-    kerf.impossible.
+    The function `width` then gives the interval and the doubts.
+
+    Args:
+        foam: Built-in name or foam data.
+        wire: The wire.
+        power_w: Power over the heated length [W].
+        width: Required kerf [m].
+        thickness_m: Thickness of the foam along the wire [m].
+        model: Kerf model with an inverse.
+
+    Raises:
+        TandemError: As `width`, and kerf.impossible.
     """
-    data, form = choose_model(foam, model, backward=True)
-    power, wanted, thickness = _numbers(power_w=power_w, width=width, thickness_m=thickness_m)
-    _refuse_narrow(wanted, wire)
+    data, functions = choose_model(foam, model, inverse=True)
+    power, required, thickness = _positive_arrays(power_w=power_w, width=width, thickness_m=thickness_m)
+    _refuse_narrow(required, wire)
     refuse_melting(data, wire, float(power.max()))
-    return _possible(form.speed_for(data, wire, power, wanted, thickness), power, wanted, thickness)
+    return _refuse_impossible(
+        functions.speed_for(data, wire, power, required, thickness), power, required, thickness
+    )
 
 
 def power_for(
-    foam: str | Foam,
+    foam: str | FoamMaterial,
     wire: HotWire,
     speed_m_s: ArrayLike,
     width: ArrayLike,
     thickness_m: ArrayLike,
     model: Model = "energy",
 ) -> FloatArray:
-    """Power [W] over the wire's heated length at which the expected kerf is ``width`` [m] at a speed [m/s];
-    the inputs broadcast. Raises as `speed_for` does."""
-    data, form = choose_model(foam, model, backward=True)
-    speed, wanted, thickness = _numbers(speed_m_s=speed_m_s, width=width, thickness_m=thickness_m)
-    _refuse_narrow(wanted, wire)
-    found = _possible(form.power_for(data, wire, speed, wanted, thickness), speed, wanted, thickness)
-    refuse_melting(data, wire, float(found.max()))
-    return found
+    """Return the power [W] over the heated length at which the expected kerf is ``width``.
+
+    The numeric inputs broadcast.
+
+    Args:
+        foam: Built-in name or foam data.
+        wire: The wire.
+        speed_m_s: Speed across the wire [m/s].
+        width: Required kerf [m].
+        thickness_m: Thickness of the foam along the wire [m].
+        model: Kerf model with an inverse.
+
+    Raises:
+        TandemError: As `speed_for`.
+    """
+    data, functions = choose_model(foam, model, inverse=True)
+    speed, required, thickness = _positive_arrays(speed_m_s=speed_m_s, width=width, thickness_m=thickness_m)
+    _refuse_narrow(required, wire)
+    result = _refuse_impossible(
+        functions.power_for(data, wire, speed, required, thickness), speed, required, thickness
+    )
+    refuse_melting(data, wire, float(result.max()))
+    return result
 
 
 def curve(
-    foam: str | Foam,
+    foam: str | FoamMaterial,
     wire: HotWire,
     power_w: float,
     thickness_m: float,
     speeds: ArrayLike | None = None,
     model: Model = "energy",
 ) -> KerfCurve:
-    """Kerf over speed at one power and thickness, dense enough to be read linearly within 1 um.
+    """Return the kerf over speed at one power and thickness. Linear interpolation is exact within 1 um.
 
-    ``speeds`` [m/s] only bounds the table, from its lowest to its highest value; 0.5 to 50 mm/s without.
-    Raises as `width` does, also where that takes more than 50 000 speeds.
+    Args:
+        foam: Built-in name or foam data.
+        wire: The wire.
+        power_w: Power over the heated length [W].
+        thickness_m: Thickness of the foam along the wire [m].
+        speeds: Speeds [m/s]. Only their lowest and highest values count, as bounds of the table. Default: 0.5
+            to 50 mm/s.
+        model: Kerf model.
+
+    Raises:
+        TandemError: As `width`, also if the table needs more than 50 000 speeds.
     """
-    (given,) = _numbers(speeds=CURVE_SPEEDS if speeds is None else speeds)
-    first, last = float(given.min()), float(given.max())
+    (bounds,) = _positive_arrays(speeds=DEFAULT_CURVE_SPEEDS_M_S if speeds is None else speeds)
+    first, last = float(bounds.min()), float(bounds.max())
     first, last = (first, last) if last > first else (first, first * (1.0 + 1e-6))
 
-    def rows(table: FloatArray) -> FloatArray:
+    def kerf_rows(table: FloatArray) -> FloatArray:
         got = width(foam, wire, power_w, table, thickness_m, model)
         return np.stack([got.width, got.low, got.high])
 
-    table = _dense(rows, first, last)
-    middle, low, high = rows(table)
+    table = _dense_speeds(kerf_rows, first, last)
+    middle, low, high = kerf_rows(table)
     return KerfCurve(table, middle, low, high)
 
 
-def _dense(rows: Callable[[FloatArray], FloatArray], first: float, last: float) -> FloatArray:
-    """Speeds that let every row be read linearly: spaced evenly in 1 / sqrt(speed), where a kerf ~ 1 / speed
-    bends evenly, then halved where the middle of a step is still off."""
+def _dense_speeds(rows: Callable[[FloatArray], FloatArray], first: float, last: float) -> FloatArray:
+    """Return speeds between which every row is linear within `CURVE_TOLERANCE_M`.
+
+    They are evenly spaced in 1 / sqrt(speed), where a kerf ~ 1 / speed has even curvature. Steps whose middle
+    still deviates are halved.
+    """
     table = np.linspace(first**-0.5, last**-0.5, 65) ** -2.0
     table[0], table[-1] = first, last
     while True:
         middle = 0.5 * (table[:-1] + table[1:])
         ends = rows(table)
-        off = np.abs(rows(middle) - 0.5 * (ends[:, :-1] + ends[:, 1:])).max(axis=0)
-        coarse = off > 0.5 * CURVE_ERROR
-        if not np.any(coarse):
+        error = np.abs(rows(middle) - 0.5 * (ends[:, :-1] + ends[:, 1:])).max(axis=0)
+        needs_split = error > 0.5 * CURVE_TOLERANCE_M
+        if not np.any(needs_split):
             return table
-        if len(table) > MOST_CURVE_POINTS:
-            text = f"kerf curve: got {len(table)} speeds and still not read linearly within 1 um"
-            hint = "begin at a higher speed, or take less power"
-            raise refusal("kerf.input", text, field="speeds", hint=hint)
-        table = np.sort(np.concatenate([table, middle[coarse]]))
+        if len(table) > MAX_CURVE_POINTS:
+            text = f"kerf curve: {len(table)} speeds are not enough for linear interpolation within 1 um"
+            hint = "start at a higher speed, or use less power"
+            raise issue_error("kerf.input", text, field="speeds", hint=hint)
+        table = np.sort(np.concatenate([table, middle[needs_split]]))
 
 
 def _flags(
-    foam: Foam,
+    foam: FoamMaterial,
     wire: HotWire,
     kerf: FloatArray,
     power_per_length: FloatArray,
@@ -279,43 +364,50 @@ def _flags(
     thickness: FloatArray,
 ) -> NDArray[np.uint8]:
     tests = DISSERTATION_TESTS if foam.kerf is None else foam.kerf.tests
-    hot = kerf > USABLE_KERFS[1]
+    hot = kerf > USABLE_KERF_RANGE_M[1]
     if tests.burnt_speed is not None:
         hot = hot | (speed <= tests.burnt_speed)
     untested = _outside(power_per_length, tests.power_per_length) | _outside(speed, tests.speed)
-    named = (
+    conditions = (
         (KerfFlag.TOO_HOT, hot),
-        (KerfFlag.TOO_COLD, kerf < USABLE_KERFS[0]),
-        (KerfFlag.THICKNESS, abs(thickness - tests.thickness) > SAME_THICKNESS_SHARE * tests.thickness),
+        (KerfFlag.TOO_COLD, kerf < USABLE_KERF_RANGE_M[0]),
+        (
+            KerfFlag.THICKNESS,
+            abs(thickness - tests.thickness) > THICKNESS_TOLERANCE_FRACTION * tests.thickness,
+        ),
         (KerfFlag.UNTESTED, untested | (foam.kerf is None)),
         (
             KerfFlag.OTHER_WIRE,
-            abs(wire.diameter - tests.wire_diameter) > SAME_THICKNESS_SHARE * tests.wire_diameter,
+            abs(wire.diameter - tests.wire_diameter) > THICKNESS_TOLERANCE_FRACTION * tests.wire_diameter,
         ),
     )
     total: NDArray[np.uint8] = np.zeros((), np.uint8)
-    for flag, where in named:
+    for flag, where in conditions:
         total = total | np.where(where, np.uint8(flag.value), np.uint8(0))
     return np.asarray(total, np.uint8)
 
 
 def _outside(values: FloatArray, bounds: tuple[float, float]) -> BoolArray:
-    slack = 1e-6  # for figures that were converted from mm and W
+    slack = 1e-6  # rounding of values that were converted from mm and W
     return (values < bounds[0] * (1.0 - slack)) | (values > bounds[1] * (1.0 + slack))
 
 
-def _numbers(**inputs: ArrayLike) -> tuple[FloatArray, ...]:
-    """The inputs as arrays of one common shape each, refused unless all values are positive numbers."""
+def _positive_arrays(**inputs: ArrayLike) -> tuple[FloatArray, ...]:
+    """Return the inputs as arrays.
+
+    Refuses values that are not positive finite numbers and shapes that do not broadcast.
+    """
     arrays = {name: np.asarray(value, np.float64) for name, value in inputs.items()}
     issues = []
     for name, values in arrays.items():
-        wrong = ~(np.isfinite(values) & (values > 0.0))
-        if np.any(wrong) or values.size == 0:
-            bad = float(values[wrong].flat[0]) if values.size else float("nan")
+        invalid = ~(np.isfinite(values) & (values > 0.0))
+        if np.any(invalid) or values.size == 0:
+            first_invalid = float(values[invalid].flat[0]) if values.size else float("nan")
             text = (
-                f"{name}: got {bad:g} ({int(wrong.sum())} of {values.size}), allowed finite numbers above 0"
+                f"{name}: got {first_invalid:g} ({int(invalid.sum())} of {values.size}), allowed finite "
+                "numbers above 0"
             )
-            hint = "a point of the wire that stands still has no kerf: leave it out, or give its true speed"
+            hint = "a point of the wire at rest has no kerf: leave it out, or give its true speed"
             issues.append(
                 Issue("kerf.input", text, field=name, hint=hint if "speed" in name else "correct it")
             )
@@ -326,30 +418,35 @@ def _numbers(**inputs: ArrayLike) -> tuple[FloatArray, ...]:
     except ValueError as error:
         shapes = ", ".join(f"{name} {values.shape}" for name, values in arrays.items())
         text = f"shapes of the inputs: got {shapes}, allowed shapes that broadcast"
-        raise refusal("kerf.input", text, hint="give one value, or as many of each") from error
+        raise issue_error("kerf.input", text, hint="give one value, or as many of each") from error
     return tuple(arrays.values())
 
 
-def _refuse_narrow(wanted: FloatArray, wire: HotWire) -> None:
-    narrowest, least = float(wanted.min()) / MM, wire.diameter / MM
-    if narrowest <= least:
-        text = f"wanted kerf: got {narrowest:.3f} mm, allowed above the wire's own {least:.3f} mm"
-        hint = f"ask for {USABLE_KERFS[0] / MM:g} to {USABLE_KERFS[1] / MM:g} mm, or take a thinner wire"
-        raise refusal("kerf.impossible", text, value=narrowest, limit=least, unit="mm", hint=hint)
-
-
-def _possible(found: FloatArray, given: FloatArray, wanted: FloatArray, thickness: FloatArray) -> FloatArray:
-    """What a backward model found, in the inputs' common shape; refuses what is not a positive number."""
-    shape = np.broadcast_shapes(given.shape, wanted.shape, thickness.shape)
-    found, asked = (np.array(np.broadcast_to(values, shape)) for values in (found, wanted))
-    wrong = ~(np.isfinite(found) & (found > 0.0))
-    if np.any(wrong):
-        least = float(asked[wrong].flat[0]) / MM
-        text = f"wanted kerf: got {least:.3f} mm"
-        text += f" ({int(wrong.sum())} of {wrong.size}), which no speed or power gives"
+def _refuse_narrow(required: FloatArray, wire: HotWire) -> None:
+    narrowest, diameter = float(required.min()) / MM, wire.diameter / MM
+    if narrowest <= diameter:
+        text = f"required kerf: got {narrowest:.3f} mm, allowed above the wire's diameter {diameter:.3f} mm"
         hint = (
-            f"ask for {USABLE_KERFS[0] / MM:g} to {USABLE_KERFS[1] / MM:g} mm, with more power or at "
-            "another speed"
+            f"require {USABLE_KERF_RANGE_M[0] / MM:g} to {USABLE_KERF_RANGE_M[1] / MM:g} mm, or use a "
+            "thinner wire"
         )
-        raise refusal("kerf.impossible", text, value=least, unit="mm", hint=hint)
-    return found
+        raise issue_error("kerf.impossible", text, value=narrowest, limit=diameter, unit="mm", hint=hint)
+
+
+def _refuse_impossible(
+    result: FloatArray, given: FloatArray, required: FloatArray, thickness: FloatArray
+) -> FloatArray:
+    """Return the result of an inverse model in the common shape. Refuses values that are not positive."""
+    shape = np.broadcast_shapes(given.shape, required.shape, thickness.shape)
+    result, requested = (np.array(np.broadcast_to(values, shape)) for values in (result, required))
+    invalid = ~(np.isfinite(result) & (result > 0.0))
+    if np.any(invalid):
+        first_invalid = float(requested[invalid].flat[0]) / MM
+        text = f"required kerf: got {first_invalid:.3f} mm"
+        text += f" ({int(invalid.sum())} of {invalid.size}), which no speed or power gives"
+        hint = (
+            f"require {USABLE_KERF_RANGE_M[0] / MM:g} to {USABLE_KERF_RANGE_M[1] / MM:g} mm, with more "
+            "power or at another speed"
+        )
+        raise issue_error("kerf.impossible", text, value=first_invalid, unit="mm", hint=hint)
+    return result

@@ -1,5 +1,6 @@
-"""What must hold of cuts with a straight wire before they are planned: corners, kerfs, the bow's room, the
-holder's plate.
+"""Checks of cuts with a straight wire before they are planned.
+
+They concern corners, kerfs, span and throat of the bow, and the plate of the holder.
 """
 
 from collections.abc import Iterator
@@ -8,236 +9,314 @@ from typing import Final
 import numpy as np
 
 from planner.claims.segments import Segment
-from planner.geometry.arrays import FloatArray, Ruled, Shape, corners, inverse, transform
+from planner.geometry.arrays import FloatArray, RuledSurface, Shape, hull_points, inverse, transform
 from planner.geometry.units import MM, measurement
+from planner.issue_codes import format_message
 from planner.issues import Issue, Severity
 from planner.problem import Part, Setup
 from planner.processes.hotwire.plan.kerf import width as kerfs
 from planner.processes.hotwire.plan.kerf.width import KerfFlag, explain
 from planner.processes.hotwire.plan.operation import Straight
-from planner.processes.hotwire.plan.straight.cut import Cut
-from planner.processes.hotwire.plan.straight.gouge_check import check_spared
+from planner.processes.hotwire.plan.straight.cut import StraightCut
+from planner.processes.hotwire.plan.straight.gouge_check import check_other_surfaces
 from planner.processes.hotwire.plan.straight.order import (
-    Lines,
-    chord,
+    WireLines,
+    box_chord,
     distance_to_polyline,
-    exit_length,
+    enlarged_box,
+    exit_distance,
     gripper_holds,
-    grown,
-    pieces_across,
-    place_text,
+    neighbour_pieces,
+    point_text,
 )
 from planner.reading import grip_choice
 from planner.tooling import Bow
 
-GOUGE_SHARE: Final = 0.3
-"""Share of the tolerance by which a wire may come nearer to its surface than half a kerf."""
-NEGLIGIBLE_LENGTH: Final = 1e-9
+GOUGE_TOLERANCE_FRACTION: Final = 0.3
+"""Amount by which a wire may come closer to its surface than half a kerf, as a fraction of the tolerance."""
+LENGTH_TOLERANCE_M: Final = 1e-9
 """Lengths [m] below this are rounding."""
-BOW_TURNS: Final = 72
-"""Turns of the bow about the wire that are looked at for room behind the wire."""
-HOLDER_PLACES: Final = 65
-"""Places along a wire at which its distance to the holder is looked at."""
+BOW_ROTATION_SAMPLES: Final = 72
+"""Number of rotations of the bow about the wire at which the depth behind the wire is checked."""
+HOLDER_SAMPLES: Final = 65
+"""Number of points along a wire at which its distance to the holder is checked."""
 
 
-def check_cut(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) -> Iterator[Issue]:
-    """Issues of one cut's shape among all surfaces of the part: straight.corner, straight.crossing,
-    straight.slit and straight.lead; none where the wires stand for no true way."""
-    if not cut.on.settled:
+def check_cut(
+    op: Straight, cut: StraightCut, ruled: tuple[RuledSurface, ...], box: FloatArray
+) -> Iterator[Issue]:
+    """Yield issues of one cut's shape among all surfaces of the part.
+
+    Codes: straight.corner, straight.crossing, straight.slit, straight.lead. Yields nothing if the half kerfs
+    of the cut have not converged, because its wires then represent no real path.
+
+    Args:
+        op: Operation with a straight wire.
+        cut: The cut.
+        ruled: All ruled surfaces of the part.
+        box: Lower and upper corner of the block (2, 3) [m].
+    """
+    if not cut.on.converged:
         return
-    yield from _tight(op, cut)
-    yield from _crossing(op, cut)
-    yield from _slit(op, cut, ruled, box)
-    yield from check_spared(op, cut, ruled, box)
+    yield from _tight_curve_issues(op, cut)
+    yield from _self_crossing_issues(op, cut)
+    yield from _slit_issues(op, cut, ruled, box)
+    yield from check_other_surfaces(op, cut, ruled, box)
 
 
-def _tight(op: Straight, cut: Cut) -> Iterator[Issue]:
-    """Inner curves tighter than half a kerf cannot be cut."""
-    made, name = cut.on, cut.wanted.segment
-    lines, foot = made.lines, made.row.foot
+def _tight_curve_issues(op: Straight, cut: StraightCut) -> Iterator[Issue]:
+    """Report inner curves tighter than half a kerf, which cannot be cut."""
+    offset, name = cut.on, cut.nominal.segment
+    lines, foot = offset.lines, offset.row.foot
     for ends, feet, e in ((lines.start, foot.start, 0), (lines.end, foot.end, 1)):
-        move, way = np.diff(ends, axis=0), np.diff(feet, axis=0)
-        back = (np.sum(move * way, axis=1) < 0.0) & (np.linalg.norm(way, axis=1) > 1e-7)
-        if back.any():
-            k = int(np.argmax(back))
+        move, ruling_move = np.diff(ends, axis=0), np.diff(feet, axis=0)
+        is_reversed = (np.sum(move * ruling_move, axis=1) < 0.0) & (
+            np.linalg.norm(ruling_move, axis=1) > 1e-7
+        )
+        if is_reversed.any():
+            k = int(np.argmax(is_reversed))
             yield Issue(
                 "straight.corner",
-                f"{op.name}: {name} is bent inward more tightly than half a kerf, {made.half[k, e] / MM:.2f} "
-                f"mm, at {place_text(feet[k])}; take a thinner slot, or a larger radius there",
+                f"{op.name}: the inner radius of {name} at {point_text(feet[k])} is below half a kerf, "
+                f"{offset.half[k, e] / MM:.2f} mm; use a thinner slot, or a larger radius there",
                 field=str(name),
-                **measurement(float(made.half[k, e] / MM), None, "mm"),
+                **measurement(float(offset.half[k, e] / MM), None, "mm"),
             )
             return
 
 
-def _crossing(op: Straight, cut: Cut) -> Iterator[Issue]:
-    """No wire comes nearer to the surface, wherever on it, than half its kerf."""
-    made, ruled = cut.on, cut.wanted.ruled
-    allowed = GOUGE_SHARE * op.shape_tol_mm * MM
-    lines = made.lines
+def _self_crossing_issues(op: Straight, cut: StraightCut) -> Iterator[Issue]:
+    """Report wires that come closer to the surface, anywhere on it, than half their kerf."""
+    offset, ruled = cut.on, cut.nominal.ruled
+    allowed = GOUGE_TOLERANCE_FRACTION * op.shape_tol_mm * MM
+    lines = offset.lines
     for points, guide, e in ((lines.start, ruled.start, 0), (lines.end, ruled.end, 1)):
         line = np.concatenate([guide, guide[:1]]) if ruled.closed else guide
-        near = made.half[:, e] - distance_to_polyline(points, line)
-        k = int(np.argmax(near))
-        if near[k] > allowed:
+        overlap = offset.half[:, e] - distance_to_polyline(points, line)
+        k = int(np.argmax(overlap))
+        if overlap[k] > allowed:
             yield Issue(
                 "straight.crossing",
-                f"{op.name}: beside {cut.wanted.segment} the wire at {place_text(points[k])} takes "
-                f"{near[k] / MM:.2f} mm off another piece of the same surface: it crosses itself, or a gap "
-                "is narrower than the slot; take a thinner slot or change the outline",
-                field=str(cut.wanted.segment),
-                **measurement(float(near[k] / MM), allowed / MM, "mm"),
+                f"{op.name}: next to {cut.nominal.segment} the wire at {point_text(points[k])} removes "
+                f"{overlap[k] / MM:.2f} mm of another piece of the same surface: it crosses itself, or a gap "
+                "is narrower than the slot; use a thinner slot or change the outline",
+                field=str(cut.nominal.segment),
+                **measurement(float(overlap[k] / MM), allowed / MM, "mm"),
             )
             return
 
 
-def _slit(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) -> Iterator[Issue]:
+def _slit_issues(
+    op: Straight, cut: StraightCut, ruled: tuple[RuledSurface, ...], box: FloatArray
+) -> Iterator[Issue]:
     start = cut.start
-    if start is None or start.through < 1e-4:
+    if start is None or start.length_in_part < 1e-4:
         return
-    what = f"{op.name}: the wire comes to {cut.wanted.segment} through the part"
-    place = place_text(cut.on.row.foot.start[0])
-    how = f"a slit of {start.through / MM:.1f} mm, along {_way(start.way)} from {place}"
-    if cut.wanted.ruled.hole or pieces_across(cut.wanted.ruled, ruled, box, 0.5).enclosed:
+    position, direction = point_text(cut.on.row.foot.start[0]), _direction_text(start.direction)
+    if cut.nominal.ruled.hole or neighbour_pieces(cut.nominal.ruled, ruled, box, 0.5).enclosed:
         yield Issue(
             "straight.slit",
-            f"{what}: {how}; glue it, or cut the part in two there",
+            format_message(
+                "straight.slit",
+                operation=op.name,
+                segment=cut.nominal.segment,
+                length_mm=start.length_in_part / MM,
+                direction=direction,
+                position=position,
+            ),
             Severity.NOTE,
-            field=str(cut.wanted.segment),
-            **measurement(start.through / MM, None, "mm"),
+            field=str(cut.nominal.segment),
+            **measurement(start.length_in_part / MM, None, "mm"),
         )
         return
     yield Issue(
         "straight.lead",
-        f"{what}: {how}; give another lead, or move the pieces apart",
-        field=str(cut.wanted.segment),
-        **measurement(start.through / MM, 0.0, "mm"),
+        f"{op.name}: the wire reaches {cut.nominal.segment} through the part: a slit of "
+        f"{start.length_in_part / MM:.1f} mm, along {direction} from {position}; state another lead, or move "
+        "the pieces apart",
+        field=str(cut.nominal.segment),
+        **measurement(start.length_in_part / MM, 0.0, "mm"),
     )
 
 
-def check_model(op: Straight, setup: Setup, bow: Bow, cuts: list[Cut], thickness: float) -> Iterator[Issue]:
-    """What the kerf model says against its own figures, as a warning."""
+def check_model(
+    op: Straight, setup: Setup, bow: Bow, cuts: list[StraightCut], thickness: float
+) -> Iterator[Issue]:
+    """Yield a warning if the kerf model doubts its own figures.
+
+    Args:
+        op: Operation with a straight wire.
+        setup: Setup that the operation finds.
+        bow: The bow.
+        cuts: All cuts.
+        thickness: Thickness of the foam along the wire [m].
+    """
     foam = setup.stock.foam
     if op.power_w is None or foam is None:
         return
     wire = kerfs.HotWire(2.0 * bow.radius, bow.span)
     speed = np.concatenate([cut.on.speed.ravel() for cut in cuts])
-    made = kerfs.width(foam, wire, op.power_w, np.maximum(speed, 1e-3), thickness)
-    flag = int(np.bitwise_or.reduce(made.flag)) & ~int(KerfFlag.TOO_HOT | KerfFlag.TOO_COLD)
+    estimate = kerfs.width(foam, wire, op.power_w, np.maximum(speed, 1e-3), thickness)
+    flag = int(np.bitwise_or.reduce(estimate.flag)) & ~int(KerfFlag.TOO_HOT | KerfFlag.TOO_COLD)
     if flag:
-        spread = float((made.high - made.low).max() / 2.0 / MM)
+        spread = float((estimate.high - estimate.low).max() / 2.0 / MM)
         yield Issue(
             "kerf.doubt",
-            f"{op.name}: the kerf in {foam.name} is not sure: {'; '.join(explain(flag))}. Nine cuts of ten "
-            f"are within {spread:.2f} mm of it",
+            format_message(
+                "kerf.doubt",
+                operation=op.name,
+                foam=foam.name,
+                reasons="; ".join(explain(flag)),
+                spread_mm=spread,
+            ),
             Severity.WARNING,
             field="operations.power_w",
             **measurement(spread, None, "mm"),
-            hint="make test cuts, see tandem kerf fit, or state their kerf_mm instead of power_w",
+            hint="make test cuts (see tandem kerf fit), or state kerf_mm instead of power_w",
         )
 
 
 def check_bow(
-    op: Straight, bow: Bow, lines: Lines, segment: tuple[Segment, ...], box: FloatArray, pose: FloatArray
+    op: Straight, bow: Bow, lines: WireLines, segment: tuple[Segment, ...], box: FloatArray, pose: FloatArray
 ) -> Iterator[Issue]:
-    """The wire is long enough between its clamps, and the beam has room behind it at some turn of the bow."""
-    first, last = chord(lines, grown(box, op.margin_mm * MM))
-    need = np.where(np.isfinite(first), last - first, 0.0)
-    k = int(np.argmax(need))
-    if need[k] > bow.span + NEGLIGIBLE_LENGTH:
+    """Check that the wire is long enough between its clamps, and that the beam fits.
+
+    The beam has to clear the block at some rotation of the bow about the wire.
+
+    Args:
+        op: Operation with a straight wire.
+        bow: The bow.
+        lines: N wires of the job.
+        segment: Segment of each wire (N,).
+        box: Lower and upper corner of the block (2, 3) [m].
+        pose: Poses of the bow (N, 4, 4).
+    """
+    first, last = box_chord(lines, enlarged_box(box, op.margin_mm * MM))
+    required_span = np.where(np.isfinite(first), last - first, 0.0)
+    k = int(np.argmax(required_span))
+    if required_span[k] > bow.span + LENGTH_TOLERANCE_M:
         what = f"{op.name}: in {segment[k]} the foam and {op.margin_mm:g} mm at both ends need a wire of "
-        what += f"{np.ceil((need[k] - NEGLIGIBLE_LENGTH) / MM):.0f} mm, but the bow's is {bow.span / MM:.0f} "
-        what += "mm; take a wider bow or a smaller block, or let the wire run along another axis"
-        yield Issue("bow.span", what, index=k, **measurement(float(need[k] / MM), bow.span / MM, "mm"))
-    inside = np.flatnonzero(np.isfinite(chord(lines, box)[0]))
+        what += (
+            f"{np.ceil((required_span[k] - LENGTH_TOLERANCE_M) / MM):.0f} mm, but the bow has "
+            f"{bow.span / MM:.0f} "
+        )
+        what += "mm; use a wider bow or a smaller block, or let the wire run along another axis"
+        yield Issue(
+            "bow.span", what, index=k, **measurement(float(required_span[k] / MM), bow.span / MM, "mm")
+        )
+    inside = np.flatnonzero(np.isfinite(box_chord(lines, box)[0]))
     if not inside.size:
         return
-    depth = _depth(lines[inside], pose[inside], box, op.margin_mm * MM)
+    depth = _min_block_depth(lines[inside], pose[inside], box, op.margin_mm * MM)
     k = int(np.argmax(depth))
     if depth[k] > bow.throat:
         deeper = np.ceil((depth[k] - bow.throat) / MM)
         yield Issue(
             "bow.throat",
-            f"{op.name}: in {segment[inside[k]]} the block reaches {depth[k] / MM:.0f} mm behind the wire "
-            f"on every side, but the bow's throat is free for {bow.throat / MM:.0f} mm; take a bow that is "
-            f"{deeper:.0f} mm deeper (throat_mm: {bow.stated_throat / MM + deeper:.0f}), or a smaller block",
+            format_message(
+                "bow.throat",
+                operation=op.name,
+                segment=segment[inside[k]],
+                depth_mm=depth[k] / MM,
+                free_throat_mm=bow.throat / MM,
+                missing_mm=deeper,
+                required_throat_mm=bow.stated_throat / MM + deeper,
+            ),
             index=int(inside[k]),
             **measurement(float(depth[k] / MM), bow.throat / MM, "mm"),
         )
 
 
-def _depth(lines: Lines, pose: FloatArray, box: FloatArray, margin: float) -> FloatArray:
-    """Least depth (N,) [m] of the block behind the wires over all turns of the bow."""
-    angle = 2.0 * np.pi * np.arange(BOW_TURNS) / BOW_TURNS
+def _min_block_depth(lines: WireLines, pose: FloatArray, box: FloatArray, margin: float) -> FloatArray:
+    """Return the smallest depth (N,) [m] of the block behind the wires over all rotations of the bow."""
+    angle = 2.0 * np.pi * np.arange(BOW_ROTATION_SAMPLES) / BOW_ROTATION_SAMPLES
     best = np.full(len(lines), np.inf)
-    wide = grown(box, 0.1 * margin)
+    enlarged = enlarged_box(box, 0.1 * margin)
     for a in angle:
-        way = np.cos(a) * pose[:, :3, 2] + np.sin(a) * pose[:, :3, 1]
-        best = np.minimum(best, exit_length(lines, way, wide))
+        direction = np.cos(a) * pose[:, :3, 2] + np.sin(a) * pose[:, :3, 1]
+        best = np.minimum(best, exit_distance(lines, direction, enlarged))
     return best
 
 
 def check_holder(
-    op: Straight, setup: Setup, part: Part | None, cuts: list[Cut], lines: Lines, segment: tuple[Segment, ...]
+    op: Straight,
+    setup: Setup,
+    part: Part | None,
+    cuts: list[StraightCut],
+    lines: WireLines,
+    segment: tuple[Segment, ...],
 ) -> Iterator[Issue]:
-    """No wire that cuts comes within the margin of the plate that holds the block, and what is cut free is
-    what the plate holds."""
+    """Check that cutting wires keep the margin to the holder plate.
+
+    The plate must also hold the piece that is cut free.
+
+    Args:
+        op: Operation with a straight wire.
+        setup: Setup that the operation finds.
+        part: Part, if the problem has one.
+        cuts: All cuts.
+        lines: N wires of the job.
+        segment: Segment of each wire (N,).
+    """
     holder = setup.stock.held_by
     if holder is None:
         return
     tool = setup.cell.arm(holder).tool
-    outlines = [c.wanted.ruled for c in cuts if c.wanted.ruled.closed and not c.wanted.ruled.hole]
+    outlines = [c.nominal.ruled for c in cuts if c.nominal.ruled.closed and not c.nominal.ruled.hole]
     foot = inverse(setup.stock.grip)[:3, 3]
     if outlines and not any(gripper_holds(outline, foot) for outline in outlines):
         yield Issue(
             "stock.footprint",
-            f"{op.name}: {tool.name} holds the block at {place_text(foot)}, beside {outlines[0].name}, so "
+            f"{op.name}: {tool.name} holds the block at {point_text(foot)}, next to {outlines[0].name}, so "
             "that the part falls when it is cut free; move the grip below the part",
             field="stock.grip",
             arm=holder,
-            hint=grip_choice.advice(setup, part, op.margin_mm * MM),
+            hint=grip_choice.grip_advice(setup, part, op.margin_mm * MM),
         )
         return
     to_stock = inverse(setup.stock.grip) @ inverse(tool.tcp)
-    cutting = np.array([one.kind == "cut" for one in segment])
+    cutting = np.array([item.kind == "cut" for item in segment])
     for shape in tool.shapes:
-        own = inverse(to_stock @ shape.pose)
-        local = Lines(transform(own, lines.start), transform(own, lines.end))
-        hit = cutting & (_to_shape(local, shape, op.margin_mm * MM) < op.margin_mm * MM)
-        if hit.any():
-            k = int(np.argmax(hit))
+        to_shape = inverse(to_stock @ shape.pose)
+        local = WireLines(transform(to_shape, lines.start), transform(to_shape, lines.end))
+        is_too_close = cutting & (_distance_to_shape(local, shape, op.margin_mm * MM) < op.margin_mm * MM)
+        if is_too_close.any():
+            k = int(np.argmax(is_too_close))
             yield Issue(
                 "stock.footprint",
-                f"{op.name}: in {segment[k]} the wire comes nearer than {op.margin_mm:g} mm to {tool.name}, "
-                "which holds the block; take a smaller gripper, or move the grip away from the part's edges",
+                f"{op.name}: in {segment[k]} the wire comes closer than {op.margin_mm:g} mm to {tool.name}, "
+                "which holds the block; use a smaller gripper, or move the grip away from the part's edges",
                 field="stock.grip",
                 arm=holder,
                 index=k,
                 limit=op.margin_mm,
                 unit="mm",
-                hint=grip_choice.advice(setup, part, op.margin_mm * MM),
+                hint=grip_choice.grip_advice(setup, part, op.margin_mm * MM),
             )
             return
 
 
-def _to_shape(lines: Lines, shape: Shape, far: float) -> FloatArray:
-    """Distance (N,) [m] of lines to a shape, in its frame, where it is below ``far`` [m], else infinity;
-    sampled. Round shapes count as cylinders, meshes as boxes."""
-    extent = corners(shape)
+def _distance_to_shape(lines: WireLines, shape: Shape, max_distance: float) -> FloatArray:
+    """Return the distance (N,) [m] of lines to a shape, in its frame.
+
+    It is infinity if it is ``max_distance`` or more. The distance is sampled. Round shapes count as
+    cylinders, meshes as boxes.
+    """
+    extent = hull_points(shape)
     box = np.stack([extent.min(axis=0), extent.max(axis=0)])
-    first, last = chord(lines, grown(box, far))
+    first, last = box_chord(lines, enlarged_box(box, max_distance))
     out = np.full(len(lines), np.inf)
-    near = np.flatnonzero(np.isfinite(first))
-    share = np.linspace(0.0, 1.0, HOLDER_PLACES)[None, :, None]
-    ends = [lines[near].at(length[near])[:, None] for length in (first, last)]
-    points = ends[0] + share * (ends[1] - ends[0])
+    candidates = np.flatnonzero(np.isfinite(first))
+    fraction = np.linspace(0.0, 1.0, HOLDER_SAMPLES)[None, :, None]
+    ends = [lines[candidates].at(length[candidates])[:, None] for length in (first, last)]
+    points = ends[0] + fraction * (ends[1] - ends[0])
     gap = np.maximum(np.maximum(box[0] - points, points - box[1]), 0.0)
     if shape.kind in ("cylinder", "capsule", "sphere"):
         radial = np.linalg.norm(points[..., :2], axis=2) - shape.size[0]
         gap = np.stack([np.maximum(radial, 0.0), gap[..., 2]], axis=2)
-    out[near] = np.linalg.norm(gap, axis=2).min(axis=1)
+    out[candidates] = np.linalg.norm(gap, axis=2).min(axis=1)
     return out
 
 
-def _way(direction: FloatArray) -> str:
+def _direction_text(direction: FloatArray) -> str:
     return "[" + ", ".join(f"{value:.2f}" for value in direction + 0.0) + "]"

@@ -1,17 +1,16 @@
-"""The wire beside a ruled surface: every end of a ruling moved outward by half of its own kerf.
+"""The wire next to a ruled surface: each end of a ruling is moved outward by half of its own kerf.
 
-A convex corner is passed on a polygon around the circle of half a kerf, which nowhere comes nearer
-to the part; an inner corner is passed through the point that is half a kerf from both its sides.
+The wire passes a convex corner on a polygon around the circle of half a kerf, which nowhere comes closer to
+the part. It passes an inner corner through the point that is half a kerf from both sides.
 
-**Inner corners.** Where a surface is bent inward more tightly than half a slot, the wire leaves out
-what its own slot cannot reach, and what stays there is told. Beside an inner corner whose sides are
-shorter than half a slot, or an inner curve of a smaller radius, the wires that stand half a slot
-off form a loop. It is cut off where it crosses itself: at the place that is half a slot from both
-sides (a vertex of the surface's parallel).
+**Inner corners.** Where a surface is bent inward more tightly than half a slot, the wire leaves out what its
+slot cannot reach. The remaining foam is reported. Next to an inner corner whose sides are shorter than half a
+slot, or an inner curve of a smaller radius, the wires at half a slot form a loop. It is cut off where it
+crosses itself: at the point that is half a slot from both sides (a vertex of the surface's parallel).
 
-**The slot between guide points** (`melted`). A wire that turns on its way goes slowly where it
-turns about, so that its slot grows wide there, though both its ends are fast. So it is looked at
-all along the wire, at and between its guide points.
+**The slot between guide points** (`melt_slots`). A wire that rotates moves slowly near its centre of
+rotation, so its slot becomes wide there although both ends are fast. The slot is therefore checked all along
+the wire, at and between its guide points.
 """
 
 import dataclasses
@@ -22,462 +21,619 @@ import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
-from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, Ruled
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, RuledSurface
 from planner.geometry.rulings import outward_sides
 from planner.processes.hotwire.claims import KerfCurve
 from planner.processes.hotwire.plan.straight.order import (
-    Lines,
-    chord,
+    WireLines,
+    box_chord,
+    concatenate_lines,
     distance_to_polyline,
-    fastest,
-    join,
-    move_across,
+    fastest_move,
+    transverse_move,
 )
 
-Damping = tuple[tuple[float, int], ...]
+DampingSchedule = tuple[tuple[float, int], ...]
+"""Pairs of an exponent and a maximum number of iterations, see ``DAMPING_SCHEDULE``."""
 
-VERTEX_TURN: Final = np.deg2rad(60.0)
-"""Largest turn at one vertex of the polygon around a convex corner: it stays within 1 / cos 30 deg of half a
-kerf."""
-FLAT_TURN: Final = np.deg2rad(2.0)
-"""A turn below this [rad] needs no vertices of its own."""
-CUSP_TURN: Final = np.deg2rad(175.0)
-"""A turn beyond this [rad] is a cusp of the part: the wire goes round it, whatever the sign says."""
-KERF_SETTLED: Final = 1e-7
-"""[m] half kerfs have settled where one more round moves none of them by more."""
-DAMPING: Final[Damping] = ((0.5, 60), (0.25, 120), (0.1, 300), (0.05, 600))
-"""The kerf follows from the speed, the speed from the way, and the way from the kerf: of the step between the
-logarithms of two rounds so much is taken, in at most so many rounds; where that is too much to settle, less
-from the beginning. A wide slot drives its end on, which makes it narrow: whole steps swing for ever around a
-blunt edge at one end and a sharp one at the other."""
-LEAST_MOVE: Final = 1e-5
-"""[m] shorter moves say nothing of a speed."""
-MELTED_WAY: Final = 1e-3
-"""[m] a slot takes its width from the speed over so much of the way, to and from each place: what the wire
-does within less is melted together. Without it moves shorter than half a kerf would drive the rounds apart.
+MAX_VERTEX_ROTATION_RAD: Final = np.deg2rad(60.0)
+"""Largest rotation [rad] at one vertex of the polygon around a convex corner.
+
+The wire stays within 1 / cos 30 deg of half a kerf.
+"""
+MIN_VERTEX_ROTATION_RAD: Final = np.deg2rad(2.0)
+"""A rotation below this [rad] needs no vertices of its own."""
+CUSP_ROTATION_RAD: Final = np.deg2rad(175.0)
+"""A rotation above this [rad] is a cusp of the part. The wire goes round it, whatever the sign."""
+HALF_KERF_TOLERANCE_M: Final = 1e-7
+"""Half kerfs have converged if one more iteration changes none of them by more than this [m]."""
+DAMPING_SCHEDULE: Final[DampingSchedule] = ((0.5, 60), (0.25, 120), (0.1, 300), (0.05, 600))
+"""Exponents and maximum numbers of iterations of the fixed point of the half kerfs.
+
+The kerf follows from the speed, the speed from the path, and the path from the kerf. Each iteration takes the
+given fraction of the step between the logarithms of two iterates. If a fraction is too large to converge, the
+iteration starts again with the next one. A wide slot drives its end outward, which makes it faster and its
+slot narrow: full steps oscillate forever around an edge that is blunt at one end and sharp at the other.
+"""
+MIN_MOVE_M: Final = 1e-5
+"""Minimum length [m] of a move from which a speed is derived."""
+MELTING_DISTANCE_M: Final = 1e-3
+"""Distance [m] along the path, to each side, over which the speed of a slot is averaged.
+
+What the wire does within less is melted together. Without it moves shorter than half a kerf would make the
+iteration diverge.
 """
 
 
 @dataclasses.dataclass(frozen=True)
-class Row:
-    """Where wires are to stand beside a surface, in the order of the cut.
+class OffsetRow:
+    """Positions of N wires next to a surface, in the order of the cut.
 
-    ``foot`` (N) rulings of the surface, ``normal`` (N, 2, 3) how far the wire is off them at start and end
-    per half kerf, ``turn`` (N, 2) [rad] the corner's whole turn at both ends, positive where it is convex.
+    Attributes:
+        foot: Rulings of the surface (N).
+        normal: Offset of the wire at start and end per half kerf (N, 2, 3).
+        corner_rotation: Whole rotation of the corner at start and end, positive if convex (N, 2) [rad].
     """
 
-    foot: Lines
+    foot: WireLines
     normal: FloatArray
-    turn: FloatArray
+    corner_rotation: FloatArray
 
-    def __getitem__(self, rows: BoolArray) -> "Row":
-        return Row(self.foot[rows], self.normal[rows], self.turn[rows])
+    def __getitem__(self, rows: BoolArray) -> "OffsetRow":
+        return OffsetRow(self.foot[rows], self.normal[rows], self.corner_rotation[rows])
 
-    def lines(self, half: FloatArray) -> Lines:
-        """The wires for half kerfs (N, 2) [m]."""
-        off = half[:, :, None] * self.normal
-        return Lines(self.foot.start + off[:, 0], self.foot.end + off[:, 1])
+    def lines(self, half: FloatArray) -> WireLines:
+        """Return the wires for half kerfs (N, 2) [m]."""
+        offset = half[:, :, None] * self.normal
+        return WireLines(self.foot.start + offset[:, 0], self.foot.end + offset[:, 1])
 
 
 @dataclasses.dataclass(frozen=True)
-class Beside:
-    """Wires beside a surface: ``row`` where they stand, ``half`` (N, 2) half kerfs [m] at start and end,
-    ``speed`` (N, 2) [m/s] of both guide points where the fastest point in the foam has the feed. Where
-    ``settled`` is false no half kerfs were found that fit their own speeds: these are those of wires at one
-    distance all along, which is as near as one comes."""
+class WireOffset:
+    """N wires next to a surface.
 
-    row: Row
+    Attributes:
+        row: Positions of the wires.
+        half: Half kerfs at start and end (N, 2) [m].
+        speed: Speeds of both guide points if the fastest point in the foam has the feed (N, 2) [m/s].
+        converged: Whether the half kerfs fit their own speeds. If not, they are those of wires at one
+            constant distance, which is the best available approximation.
+    """
+
+    row: OffsetRow
     half: FloatArray
     speed: FloatArray
-    settled: bool = True
+    converged: bool = True
 
     @property
-    def lines(self) -> Lines:
+    def lines(self) -> WireLines:
         """The wires."""
         return self.row.lines(self.half)
 
 
-def make_row(ruled: Ruled, first: int = 0, backward: bool = False, sharpest: float = VERTEX_TURN) -> Row:
-    """Where wires stand beside a surface; a closed one from ruling ``first`` once around and back to it.
-    ``sharpest`` [rad]: largest turn at one vertex around a convex corner."""
+def make_row(
+    ruled: RuledSurface,
+    first: int = 0,
+    backward: bool = False,
+    max_vertex_rotation: float = MAX_VERTEX_ROTATION_RAD,
+) -> OffsetRow:
+    """Return the positions of wires next to a surface, once around and back to the start for a closed one.
+
+    Args:
+        ruled: The surface.
+        first: First ruling of a closed surface.
+        backward: Whether the rulings are cut in reverse order.
+        max_vertex_rotation: Largest rotation at one vertex around a convex corner [rad].
+    """
     count = len(ruled.start)
     order = np.arange(count + 1 if ruled.closed else count)
     order = (first - order if backward else first + order) % count if ruled.closed else order
     if backward and not ruled.closed:
         order = order[::-1]
-    before, after = outward_sides(ruled)
-    before, after = (after, before) if backward else (before, after)
-    before, after = before[order], after[order]
+    previous_normal, next_normal = outward_sides(ruled)
+    previous_normal, next_normal = (
+        (next_normal, previous_normal) if backward else (previous_normal, next_normal)
+    )
+    previous_normal, next_normal = previous_normal[order], next_normal[order]
     corner = ruled.corner[order].copy()
-    if ruled.closed and corner[0]:  # each side of the first corner is an end of its own
-        before[0], after[-1] = after[0], before[-1]
+    if ruled.closed and corner[0]:  # the two sides of the first corner are separate ends
+        previous_normal[0], next_normal[-1] = next_normal[0], previous_normal[-1]
         corner[[0, -1]] = False
-    foot = Lines(ruled.start[order], ruled.end[order])
-    turn = _turns(before, after, foot.direction, -1.0 if backward else 1.0) * corner[:, None]
-    return _with_vertices(foot, before, turn, -1.0 if backward else 1.0, sharpest)
+    foot = WireLines(ruled.start[order], ruled.end[order])
+    rotation = (
+        _corner_rotations(previous_normal, next_normal, foot.direction, -1.0 if backward else 1.0)
+        * corner[:, None]
+    )
+    return _with_vertices(foot, previous_normal, rotation, -1.0 if backward else 1.0, max_vertex_rotation)
 
 
-def _turns(before: FloatArray, after: FloatArray, direction: FloatArray, sense: float) -> FloatArray:
-    """Turns (N, 2) [rad] from normals to normals (N, 2, 3) about the wires, positive where convex."""
+def _corner_rotations(
+    previous_normal: FloatArray, next_normal: FloatArray, direction: FloatArray, sign: float
+) -> FloatArray:
+    """Return rotations (N, 2) [rad] between normals (N, 2, 3) about the wires, positive if convex."""
     axis = direction[:, None]
-    angle = np.arctan2(np.sum(np.cross(before, after) * axis, axis=2), np.sum(before * after, axis=2))
-    return np.asarray(np.where(np.abs(angle) > CUSP_TURN, np.abs(angle), sense * angle))
+    angle = np.arctan2(
+        np.sum(np.cross(previous_normal, next_normal) * axis, axis=2),
+        np.sum(previous_normal * next_normal, axis=2),
+    )
+    return np.asarray(np.where(np.abs(angle) > CUSP_ROTATION_RAD, np.abs(angle), sign * angle))
 
 
-def _with_vertices(foot: Lines, before: FloatArray, turn: FloatArray, sense: float, sharpest: float) -> Row:
-    """The row with as many vertices at every corner as its turn needs."""
-    largest = np.abs(turn).max(axis=1)
-    inner = turn.min(axis=1) < -FLAT_TURN
-    parts = np.where(inner | (largest < FLAT_TURN), 1, np.ceil(largest / sharpest)).astype(np.intp)
+def _with_vertices(
+    foot: WireLines, normal_before: FloatArray, rotation: FloatArray, sign: float, max_vertex_rotation: float
+) -> OffsetRow:
+    """Return the row with as many vertices at every corner as its rotation needs."""
+    max_rotation = np.abs(rotation).max(axis=1)
+    inner = rotation.min(axis=1) < -MIN_VERTEX_ROTATION_RAD
+    parts = np.where(
+        inner | (max_rotation < MIN_VERTEX_ROTATION_RAD), 1, np.ceil(max_rotation / max_vertex_rotation)
+    ).astype(np.intp)
     rows = np.repeat(np.arange(len(foot)), parts)
     number = np.arange(len(rows)) - np.repeat(np.cumsum(parts) - parts, parts)
-    part = turn[rows] / parts[rows, None]
-    angle = sense * part * (number[:, None] + 0.5)
-    n, axis = before[rows], foot.direction[rows][:, None]
+    vertex_rotation = rotation[rows] / parts[rows, None]
+    angle = sign * vertex_rotation * (number[:, None] + 0.5)
+    n, axis = normal_before[rows], foot.direction[rows][:, None]
     normal = np.cos(angle)[..., None] * n + np.sin(angle)[..., None] * np.cross(axis, n)
-    normal /= np.cos(0.5 * part)[..., None]
-    return Row(foot[rows], normal, turn[rows])
+    normal /= np.cos(0.5 * vertex_rotation)[..., None]
+    return OffsetRow(foot[rows], normal, rotation[rows])
 
 
-def beside(row: Row, kerf: KerfCurve, feed: float, box: FloatArray, damping: Damping = DAMPING) -> Beside:
-    """The wires beside a surface with the kerf of their own speeds at both ends, ``feed`` [m/s] being the
-    speed of the fastest point in the box (2, 3). ``damping``: how they are looked for, as ``DAMPING``."""
-    made = _settle(row, kerf, feed, box, damping)
-    kept = _clear_of_inner_corners(made) if made.settled else np.ones(len(row.foot), dtype=np.bool_)
-    return made if kept.all() else _settle(row[kept], kerf, feed, box, damping)
+def wire_offset(
+    row: OffsetRow, kerf: KerfCurve, feed: float, box: FloatArray, damping: DampingSchedule = DAMPING_SCHEDULE
+) -> WireOffset:
+    """Return the wires next to a surface with the kerfs of their own speeds at both ends.
+
+    Args:
+        row: Positions of the wires.
+        kerf: Kerf over speed.
+        feed: Speed of the fastest point in the box [m/s].
+        box: Lower and upper corner of the block (2, 3) [m].
+        damping: Damping of the iteration, as ``DAMPING_SCHEDULE``.
+    """
+    offset = _iterate_half_kerfs(row, kerf, feed, box, damping)
+    keep = _clear_of_inner_corners(offset) if offset.converged else np.ones(len(row.foot), dtype=np.bool_)
+    return offset if keep.all() else _iterate_half_kerfs(row[keep], kerf, feed, box, damping)
 
 
-def _settle(row: Row, kerf: KerfCurve, feed: float, box: FloatArray, damping: Damping) -> Beside:
-    """Half kerfs that are those of their own speeds, by damped rounds from those at the feed."""
+def _iterate_half_kerfs(
+    row: OffsetRow, kerf: KerfCurve, feed: float, box: FloatArray, damping: DampingSchedule
+) -> WireOffset:
+    """Return half kerfs of their own speeds by damped iteration from those at the feed.
+
+    h_(k+1) = h_k (w(v(h_k)) / 2 h_k)^s with exponent s from ``damping``.
+    """
     first = 0.5 * kerf.at(np.full((len(row.foot), 2), feed))
-    for share, rounds in damping:
+    for exponent, rounds in damping:
         half = first
         for _ in range(rounds):
             speed = end_speeds(row.lines(half), feed, box)
-            wanted = 0.5 * kerf.at(speed)
-            if np.abs(wanted - half).max() <= KERF_SETTLED:
-                return Beside(row, half, speed)
-            half = half * (wanted / half) ** share
+            next_half = 0.5 * kerf.at(speed)
+            if np.abs(next_half - half).max() <= HALF_KERF_TOLERANCE_M:
+                return WireOffset(row, half, speed)
+            half = half * (next_half / half) ** exponent
     speed = end_speeds(row.lines(first), feed, box)
-    return Beside(row, 0.5 * kerf.at(speed), speed, False)
+    return WireOffset(row, 0.5 * kerf.at(speed), speed, False)
 
 
-def end_speeds(lines: Lines, feed: float, box: FloatArray) -> FloatArray:
-    """Speeds (N, 2) [m/s] of starts and ends across the wire, meant over the moves to and from each line,
-    or over more of them up to ``MELTED_WAY`` either way, when the fastest point in the box moves at
-    ``feed``; at the first and last line those of the move beside it, which is how the wire comes and goes
-    on."""
-    ends = np.stack([move_across(lines, lines.start[:-1]), move_across(lines, lines.end[:-1])], axis=1)
-    quick = fastest(lines, box)[1:]
-    quick = np.where(np.isfinite(quick), quick, ends.max(axis=1))
-    gone = np.concatenate([[0.0], np.cumsum(np.maximum(quick, 1e-12))])
-    low = np.minimum(np.concatenate([gone[:1], gone[:-1]]), gone - MELTED_WAY).clip(gone[0])
-    high = np.maximum(np.concatenate([gone[1:], gone[-1:]]), gone + MELTED_WAY).clip(None, gone[-1])
+def end_speeds(lines: WireLines, feed: float, box: FloatArray) -> FloatArray:
+    """Return the speeds (N, 2) [m/s] of starts and ends across the wire.
+
+    They are averaged over the moves to and from each line, or over more of them up to ``MELTING_DISTANCE_M``
+    to each side. The first and last line have the speed of their only move, because the wire arrives and
+    continues with it.
+
+    Args:
+        lines: N wires.
+        feed: Speed of the fastest point in the box [m/s].
+        box: Lower and upper corner of the block (2, 3) [m].
+    """
+    ends = np.stack(
+        [transverse_move(lines, lines.start[:-1]), transverse_move(lines, lines.end[:-1])], axis=1
+    )
+    fastest_moves = fastest_move(lines, box)[1:]
+    fastest_moves = np.where(np.isfinite(fastest_moves), fastest_moves, ends.max(axis=1))
+    travelled = np.concatenate([[0.0], np.cumsum(np.maximum(fastest_moves, 1e-12))])
+    low = np.minimum(np.concatenate([travelled[:1], travelled[:-1]]), travelled - MELTING_DISTANCE_M).clip(
+        travelled[0]
+    )
+    high = np.maximum(np.concatenate([travelled[1:], travelled[-1:]]), travelled + MELTING_DISTANCE_M).clip(
+        None, travelled[-1]
+    )
     out = np.empty((len(lines), 2))
     for k in range(2):
-        way = np.concatenate([[0.0], np.cumsum(ends[:, k])])
-        out[:, k] = feed * (np.interp(high, gone, way) - np.interp(low, gone, way)) / (high - low)
+        end_travelled = np.concatenate([[0.0], np.cumsum(ends[:, k])])
+        out[:, k] = (
+            feed
+            * (np.interp(high, travelled, end_travelled) - np.interp(low, travelled, end_travelled))
+            / (high - low)
+        )
     for row, move in ((0, 0), (-1, -1)):
-        if quick[move] > LEAST_MOVE:
-            out[row] = feed * ends[move] / quick[move]
+        if fastest_moves[move] > MIN_MOVE_M:
+            out[row] = feed * ends[move] / fastest_moves[move]
     return out
 
 
-def _clear_of_inner_corners(made: Beside) -> BoolArray:
-    """Wires (N,) to keep: near an inner corner, sides are left out that the other side's wire has cut off."""
-    lines, foot = made.lines, made.row.foot
+def _clear_of_inner_corners(offset: WireOffset) -> BoolArray:
+    """Return which wires (N,) to keep.
+
+    Near an inner corner, sides that the other side's wire has cut off are dropped.
+    """
+    lines, foot = offset.lines, offset.row.foot
     keep = np.ones(len(lines), dtype=np.bool_)
-    for j in np.flatnonzero(made.row.turn.min(axis=1) < -FLAT_TURN).tolist():
+    for j in np.flatnonzero(offset.row.corner_rotation.min(axis=1) < -MIN_VERTEX_ROTATION_RAD).tolist():
         for step in (-1, 1):
             i = j + step
             while 0 <= i < len(lines):
                 if not 0 <= i + step < len(lines):
                     break
-                if (np.abs(made.row.turn[i]) > FLAT_TURN).any() or _beyond(
-                    lines, foot, j, i, step, made.half
-                ):
+                if (
+                    np.abs(offset.row.corner_rotation[i]) > MIN_VERTEX_ROTATION_RAD
+                ).any() or _is_beyond_corner(lines, foot, j, i, step, offset.half):
                     break
                 keep[i] = False
                 i += step
     return keep
 
 
-def _beyond(lines: Lines, foot: Lines, j: int, i: int, step: int, half: FloatArray) -> bool:
-    """Whether wire i lies on its own side of the inner corner j at both ends."""
+def _is_beyond_corner(lines: WireLines, foot: WireLines, j: int, i: int, step: int, half: FloatArray) -> bool:
+    """Return whether wire i lies on its own side of the inner corner j at both ends."""
     for ends, feet, end in ((lines.start, foot.start, 0), (lines.end, foot.end, 1)):
-        way = feet[j + step] - feet[j]
-        length = np.linalg.norm(way)
-        if length > 1e-9 and (ends[i] - ends[j]) @ way / length < 0.2 * half[j, end]:
+        direction = feet[j + step] - feet[j]
+        length = np.linalg.norm(direction)
+        if length > 1e-9 and (ends[i] - ends[j]) @ direction / length < 0.2 * half[j, end]:
             return False
     return True
 
 
-NEARER_SHARE: Final = 0.1
-"""Share of the tolerance by which wires beside a smooth surface may be nearer to it than half a slot."""
-RULING_SPACING: Final = 5e-4
-"""[m] distance of the rulings at which a surface is looked at."""
-QUARTER_PIECES: Final = 64
-"""Pieces of a quarter of an arc that lines are widened by."""
-LEFT_SHARE: Final = 0.03
-"""Share of the tolerance at which foam that stays begins."""
-LOOP_FACTOR: Final = 3.0
-"""A loop goes over no more of the surface than this many half slots and twice the depth that may stay."""
+NEARER_TOLERANCE_FRACTION: Final = 0.1
+"""Fraction of the tolerance by which wires next to a smooth surface may be closer to it than half a slot."""
+RULING_SPACING_M: Final = 5e-4
+"""Spacing of the rulings [m] at which a surface is checked."""
+QUARTER_SEGMENTS: Final = 64
+"""Number of segments of a quarter circle in buffers of lines."""
+MIN_LEFT_FRACTION: Final = 0.03
+"""Depth at which remaining foam starts to count, as a fraction of the tolerance."""
+MAX_LOOP_FACTOR: Final = 3.0
+"""A loop covers at most this many half slots of the surface plus twice the depth of foam that may remain."""
 
 
-def guides(ruled: Ruled) -> tuple[FloatArray, FloatArray]:
-    """Both guide lines (M, 3), those of a closed surface ending where they begin."""
+def guide_lines(ruled: RuledSurface) -> tuple[FloatArray, FloatArray]:
+    """Return both guide lines (M, 3). Those of a closed surface end at their first point."""
     if not ruled.closed:
         return ruled.start, ruled.end
     return np.concatenate([ruled.start, ruled.start[:1]]), np.concatenate([ruled.end, ruled.end[:1]])
 
 
-def unlooped(made: Beside, ruled: Ruled, tolerance: float, left: float) -> Row | None:
-    """The row without its loops, one wire in place of each; None where it has none that can be cut off.
-    ``tolerance`` [m] of the surface, ``left`` [m] how deep foam may stay."""
-    lines = made.lines
+def remove_loops(offset: WireOffset, ruled: RuledSurface, tolerance: float, left: float) -> OffsetRow | None:
+    """Return the row without its loops, with one wire in place of each.
+
+    Args:
+        offset: Wires next to the surface.
+        ruled: The surface.
+        tolerance: Tolerance of the surface [m].
+        left: Depth of foam that may remain [m].
+
+    Returns:
+        None if there is no loop that can be cut off.
+    """
+    lines = offset.lines
     ends = (lines.start, lines.end)
-    near = np.stack([distance_to_polyline(*pair) for pair in zip(ends, guides(ruled), strict=True)], axis=1)
-    bad = np.asarray((near < made.half - NEARER_SHARE * tolerance).any(axis=1))
-    if not bad.any() or bad[0] or bad[-1]:
+    distance = np.stack(
+        [distance_to_polyline(*pair) for pair in zip(ends, guide_lines(ruled), strict=True)], axis=1
+    )
+    is_too_close = np.asarray((distance < offset.half - NEARER_TOLERANCE_FRACTION * tolerance).any(axis=1))
+    if not is_too_close.any() or is_too_close[0] or is_too_close[-1]:
         return None
-    edges = np.flatnonzero(np.diff(bad))
-    row = made.row
-    keep = np.ones(len(bad), dtype=np.bool_)
+    edges = np.flatnonzero(np.diff(is_too_close))
+    row = offset.row
+    keep = np.ones(len(is_too_close), dtype=np.bool_)
     foot = [row.foot.start.copy(), row.foot.end.copy()]
-    normal, turn = row.normal.copy(), row.turn.copy()
-    for before, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        behind = last + 1
-        way = max(float(np.linalg.norm(np.diff(f[before : behind + 1], axis=0), axis=1).sum()) for f in foot)
-        if way > LOOP_FACTOR * float(made.half[before].max()) + 2.0 * left:
+    normal, turn = row.normal.copy(), row.corner_rotation.copy()
+    for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        following = last + 1
+        loop_length = max(
+            float(np.linalg.norm(np.diff(f[first : following + 1], axis=0), axis=1).sum()) for f in foot
+        )
+        if loop_length > MAX_LOOP_FACTOR * float(offset.half[first].max()) + 2.0 * left:
             continue
-        middle = (before + behind) // 2
-        places = [_crossing(end, before, behind, lines.direction[middle]) for end in ends]
-        for k, place in enumerate(places):
-            point = ends[k][middle] if place is None else place
-            normal[middle, k] = (point - foot[k][middle]) / made.half[middle, k]
+        middle = (first + following) // 2
+        crossings = [_self_crossing(end, first, following, lines.direction[middle]) for end in ends]
+        for k, crossing in enumerate(crossings):
+            point = ends[k][middle] if crossing is None else crossing
+            normal[middle, k] = (point - foot[k][middle]) / offset.half[middle, k]
         turn[middle] = 0.0
-        keep[before + 1 : behind] = False
+        keep[first + 1 : following] = False
         keep[middle] = True
     if keep.all():
         return None
-    return Row(Lines(*foot), normal, turn)[keep]
+    return OffsetRow(WireLines(*foot), normal, turn)[keep]
 
 
-def _crossing(points: FloatArray, before: int, behind: int, axis: FloatArray) -> FloatArray | None:
-    """Where the way of wires' ends (N, 3), as seen along ``axis`` (3,), crosses itself between two wires:
-    nearest to the first one; None where it does not."""
-    one = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
-    one /= np.linalg.norm(one)
-    own = points[before : behind + 1]
-    flat = np.stack([own @ one, own @ np.cross(axis, one)], axis=1)
-    a, way = flat[:-1], np.diff(flat, axis=0)
-    for i in range(len(way) - 2):
-        for j in range(len(way) - 1, i + 1, -1):
-            det = way[i, 0] * way[j, 1] - way[i, 1] * way[j, 0]
+def _self_crossing(points: FloatArray, first: int, last: int, axis: FloatArray) -> FloatArray | None:
+    """Return where the path of wires' ends (N, 3) crosses itself between two wires.
+
+    The path is projected along ``axis`` (3,). The crossing nearest to the first wire is returned, None if
+    there is none.
+    """
+    plane_axis = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    plane_axis /= np.linalg.norm(plane_axis)
+    loop = points[first : last + 1]
+    projected = np.stack([loop @ plane_axis, loop @ np.cross(axis, plane_axis)], axis=1)
+    a, edges = projected[:-1], np.diff(projected, axis=0)
+    for i in range(len(edges) - 2):
+        for j in range(len(edges) - 1, i + 1, -1):
+            det = edges[i, 0] * edges[j, 1] - edges[i, 1] * edges[j, 0]
             gap = a[j] - a[i]
             if abs(det) < 1e-18:
                 continue
-            s = (gap[0] * way[j, 1] - gap[1] * way[j, 0]) / det
-            t = (gap[0] * way[i, 1] - gap[1] * way[i, 0]) / det
+            s = (gap[0] * edges[j, 1] - gap[1] * edges[j, 0]) / det
+            t = (gap[0] * edges[i, 1] - gap[1] * edges[i, 0]) / det
             if 0.0 <= s <= 1.0 and 0.0 <= t <= 1.0:
-                return np.asarray(own[i] + s * (own[i + 1] - own[i]))
+                return np.asarray(loop[i] + s * (loop[i + 1] - loop[i]))
     return None
 
 
 @dataclasses.dataclass(frozen=True)
-class FoamLeft:
-    """Foam that stays in one place: ``depth`` [m] at most, at ``point`` (3,) of the surface; ``volume``
-    [m^3]."""
+class RemainingFoam:
+    """Foam that remains at one place.
+
+    Attributes:
+        depth: Maximum depth [m].
+        point: Point of the surface (3,) [m].
+        volume: Volume [m^3].
+    """
 
     depth: float
     point: FloatArray
     volume: float
 
 
-def foam_left(made: Beside, ruled: Ruled, tolerance: float, box: FloatArray) -> list[FoamLeft]:
-    """What the wires leave on the surface because they are round, deeper than ``tolerance`` [m], the deepest
-    first."""
-    fine, lines = _dense(ruled), made.lines
+def remaining_foam(
+    offset: WireOffset, ruled: RuledSurface, tolerance: float, box: FloatArray
+) -> list[RemainingFoam]:
+    """Return the foam that the round wires leave on the surface, deepest first.
+
+    Args:
+        offset: Wires next to the surface.
+        ruled: The surface.
+        tolerance: Depth from which foam is returned [m].
+        box: Lower and upper corner of the block (2, 3) [m].
+    """
+    fine, lines = _dense_rulings(ruled), offset.lines
     depth = np.empty((len(fine), 2))
     for k, (points, ends) in enumerate(((fine.start, lines.start), (fine.end, lines.end))):
-        near = cKDTree(ends).query(points)[1]
-        depth[:, k] = distance_to_polyline(points, ends) - made.half[near, k]
-    half = float(made.half.mean())
-    found: list[FoamLeft] = []
-    for rows in _runs(depth.max(axis=1) > LEFT_SHARE * tolerance, ruled.closed):
+        nearest = cKDTree(ends).query(points)[1]
+        depth[:, k] = distance_to_polyline(points, ends) - offset.half[nearest, k]
+    remaining: list[RemainingFoam] = []
+    for rows in _selected_runs(depth.max(axis=1) > MIN_LEFT_FRACTION * tolerance, ruled.closed):
         k = int(rows[int(np.argmax(depth[rows].max(axis=1)))])
-        deep = float(depth[k].max())
-        if deep > tolerance:
-            found.append(
-                FoamLeft(deep, fine.start[k], _volume(fine, k, half, deep, lines, box, ruled.closed))
+        max_depth = float(depth[k].max())
+        if max_depth > tolerance:
+            remaining.append(
+                RemainingFoam(
+                    max_depth, fine.start[k], _remaining_volume(fine, k, max_depth, offset, box, ruled.closed)
+                )
             )
-    return sorted(found, key=lambda one: -one.depth)
+    return sorted(remaining, key=lambda foam: -foam.depth)
 
 
-def _dense(ruled: Ruled) -> Lines:
-    """The rulings (M) of a surface, and such between them that both ends are ``RULING_SPACING`` apart at
-    most."""
-    a, b = guides(ruled)
-    way = np.maximum(*(np.linalg.norm(np.diff(p, axis=0), axis=1) for p in (a, b)))
-    count = np.maximum(np.ceil(way / RULING_SPACING).astype(np.intp), 1)
+def _dense_rulings(ruled: RuledSurface) -> WireLines:
+    """Return the rulings (M) of a surface with additional ones in between.
+
+    Both ends are at most ``RULING_SPACING_M`` apart.
+    """
+    a, b = guide_lines(ruled)
+    step = np.maximum(*(np.linalg.norm(np.diff(p, axis=0), axis=1) for p in (a, b)))
+    count = np.maximum(np.ceil(step / RULING_SPACING_M).astype(np.intp), 1)
     row = np.repeat(np.arange(len(count)), count)
-    share = ((np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)) / count[row])[:, None]
-    start, end = (p[row] + share * (p[row + 1] - p[row]) for p in (a, b))
+    fraction = ((np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)) / count[row])[:, None]
+    start, end = (p[row] + fraction * (p[row + 1] - p[row]) for p in (a, b))
     if ruled.closed:
-        return Lines(start, end)
-    return Lines(np.concatenate([start, a[-1:]]), np.concatenate([end, b[-1:]]))
+        return WireLines(start, end)
+    return WireLines(np.concatenate([start, a[-1:]]), np.concatenate([end, b[-1:]]))
 
 
-def _runs(chosen: BoolArray, closed: bool) -> Iterator[IndexArray]:
-    """Indices of every run of chosen places, one over the end of a closed line being one run."""
-    rows = np.flatnonzero(chosen)
+def _selected_runs(selected: BoolArray, closed: bool) -> Iterator[IndexArray]:
+    """Yield the indices of every run of selected positions.
+
+    A run over the end of a closed line counts as one.
+    """
+    rows = np.flatnonzero(selected)
     parts = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if len(rows) else []
-    if closed and len(parts) > 1 and chosen[0] and chosen[-1]:
+    if closed and len(parts) > 1 and selected[0] and selected[-1]:
         parts = [np.concatenate([parts[-1], parts[0]]), *parts[1:-1]]
     yield from parts
 
 
-def _volume(
-    fine: Lines, k: int, half: float, deep: float, lines: Lines, box: FloatArray, closed: bool
+def _remaining_volume(
+    fine: WireLines, k: int, depth: float, offset: WireOffset, box: FloatArray, closed: bool
 ) -> float:
-    """Volume [m^3] of the foam that stays at ruling ``k`` in the block: the line across it widened by half
-    a slot, ``half`` [m], and narrowed again, on the side of the wires."""
+    """Return the volume [m^3] of the foam that remains at ruling ``k`` in the block.
+
+    The line across the ruling is widened by half a slot [m] and narrowed again, on the side of the wires.
+    """
+    half, lines = float(offset.half.mean()), offset.lines
     axis = fine.direction[k]
-    one = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
-    plane = np.stack([one, np.cross(axis, one)], axis=1) / np.linalg.norm(one)
-    wide = int(np.ceil((3.0 * half + 2.0 * deep) / RULING_SPACING))
-    rows = np.arange(k - wide, k + wide + 1)
+    plane_axis = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    plane = np.stack([plane_axis, np.cross(axis, plane_axis)], axis=1) / np.linalg.norm(plane_axis)
+    half_count = int(np.ceil((3.0 * half + 2.0 * depth) / RULING_SPACING_M))
+    rows = np.arange(k - half_count, k + half_count + 1)
     rows = rows % len(fine) if closed else rows[(rows >= 0) & (rows < len(fine))]
     line = 0.5 * (fine.start + fine.end)[rows] @ plane
-    here = 0.5 * (fine.start + fine.end)[k] @ plane
+    ruling_point = 0.5 * (fine.start + fine.end)[k] @ plane
     wires = 0.5 * (lines.start + lines.end) @ plane
-    to = wires[int(np.argmin(np.linalg.norm(wires - here, axis=1)))] - here
+    to_wire = wires[int(np.argmin(np.linalg.norm(wires - ruling_point, axis=1)))] - ruling_point
     filled = (
         shapely.LineString(line)
-        .buffer(half, quad_segs=QUARTER_PIECES)
-        .buffer(-half, quad_segs=QUARTER_PIECES)
+        .buffer(half, quad_segs=QUARTER_SEGMENTS)
+        .buffer(-half, quad_segs=QUARTER_SEGMENTS)
     )
-    inside = shapely.Point(here + 0.3 * deep * to / max(float(np.linalg.norm(to)), 1e-12))
-    area = sum(piece.area for piece in shapely.get_parts(filled) if piece.distance(inside) < 0.1 * deep)
-    first, last = chord(fine[[k]], box)
+    inside = shapely.Point(ruling_point + 0.3 * depth * to_wire / max(float(np.linalg.norm(to_wire)), 1e-12))
+    area = sum(piece.area for piece in shapely.get_parts(filled) if piece.distance(inside) < 0.1 * depth)
+    first, last = box_chord(fine[[k]], box)
     return float(area * np.nan_to_num(last - first)[0])
 
 
-WIRE_SHARES: Final = np.linspace(0.0, 1.0, 9)
-"""Places along the wire, between its guide points, at which its slot is looked at."""
-SLOWED_SPACING: Final = 2e-4
-"""[m] spacing of places where a clock tells how slow the wire is in a corner."""
-SLOT_SPACING: Final = 7e-4
-"""[m] ways between looks."""
-MOST_HALVINGS: Final = 4
-"""So often ways between wires are halved."""
-INNER_SHARE: Final = 0.4
-"""Share of the tolerance that is well within it."""
+WIRE_FRACTIONS: Final = np.linspace(0.0, 1.0, 9)
+"""Positions along the wire, between its guide points, at which its slot is checked."""
+CLOCKED_SPACING_M: Final = 2e-4
+"""Spacing of positions [m] if a clock states how slow the wire is in a corner."""
+SLOT_SPACING_M: Final = 7e-4
+"""Spacing of positions [m] without a clock."""
+MAX_HALVINGS: Final = 4
+"""Maximum number of halvings of moves between wires."""
+WELL_WITHIN_FRACTION: Final = 0.4
+"""Fraction of the tolerance that counts as well within it."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Melted:
-    """Wires (N) as they pass, ``number`` (N,) of the line that each comes to; ``half`` and ``speed`` (N, 9)
-    [m], [m/s]: half their slots at ``WIRE_SHARES`` and their speeds across themselves there."""
+class MeltedSlots:
+    """Slots of N wires.
 
-    lines: Lines
-    number: IndexArray
+    Attributes:
+        lines: The wires.
+        line_index: Index of the line that each wire approaches (N,).
+        speed: Speeds across the wires at ``WIRE_FRACTIONS`` (N, 9) [m/s].
+        half: Half the slots at ``WIRE_FRACTIONS`` (N, 9) [m].
+    """
+
+    lines: WireLines
+    line_index: IndexArray
     speed: FloatArray
     half: FloatArray
 
-    def some(self, rows: BoolArray) -> "Melted":
-        """Those of ``rows`` (N,)."""
-        return Melted(self.lines[rows], self.number[rows], self.speed[rows], self.half[rows])
+    def select(self, rows: BoolArray) -> "MeltedSlots":
+        """Return the wires selected by ``rows`` (N,)."""
+        return MeltedSlots(self.lines[rows], self.line_index[rows], self.speed[rows], self.half[rows])
 
-    def into(self, guides: tuple[FloatArray, FloatArray]) -> FloatArray:
-        """How much nearer (N, 2) [m] than half their slots wires are to the guide lines (M, 3)."""
-        near = [
+    def penetration(self, guides: tuple[FloatArray, FloatArray]) -> FloatArray:
+        """Return how much closer (N, 2) [m] than half their slots the wires are to the guide lines (M, 3)."""
+        distance = [
             distance_to_polyline(*pair)
             for pair in zip((self.lines.start, self.lines.end), guides, strict=True)
         ]
-        return np.asarray(self.half[:, [0, -1]] - np.stack(near, axis=1))
+        return np.asarray(self.half[:, [0, -1]] - np.stack(distance, axis=1))
 
-    def off(self, guides: tuple[FloatArray, FloatArray]) -> FloatArray:
-        """How far (N, 2) [m] wires are off half their slots from the guide lines (M, 3)."""
-        return np.abs(self.into(guides))
+    def deviation(self, guides: tuple[FloatArray, FloatArray]) -> FloatArray:
+        """Return the deviation (N, 2) [m] of the distance to the guide lines (M, 3) from half the slot."""
+        return np.abs(self.penetration(guides))
 
 
-def melted(
-    lines: Lines, kerf: KerfCurve, feed: float, box: FloatArray, clock: FloatArray | None = None
-) -> Melted:
-    """The wires at lines (N) and on the straight ways between them, when the fastest point in the foam goes
-    at ``feed`` [m/s], or at the times [s] of places by ``clock`` (2, K): 3.5 is half way from line 3 to line
-    4."""
-    lines, number = _finer(lines, box, SLOT_SPACING if clock is None else SLOWED_SPACING)
+def melt_slots(
+    lines: WireLines, kerf: KerfCurve, feed: float, box: FloatArray, clock: FloatArray | None = None
+) -> MeltedSlots:
+    """Return the slots at lines and on the straight moves between them.
+
+    Args:
+        lines: N lines.
+        kerf: Kerf over speed.
+        feed: Speed of the fastest point in the foam [m/s], if there is no clock.
+        box: Lower and upper corner of the block (2, 3) [m].
+        clock: Positions among the lines, 3.5 being halfway from line 3 to line 4, and their times [s] (2, K).
+    """
+    lines, number = _dense_lines(lines, box, SLOT_SPACING_M if clock is None else CLOCKED_SPACING_M)
     time = None
     if clock is not None:
         count = np.bincount(number)
-        share = (np.arange(len(number)) - np.cumsum(count)[number] + 1) / count[number]
-        time = np.interp(number + share, *clock)
-    speed = _speeds(lines, feed, box, time)
-    return Melted(lines, number, speed, 0.5 * kerf.at(speed))
+        fraction = (np.arange(len(number)) - np.cumsum(count)[number] + 1) / count[number]
+        time = np.interp(number + fraction, *clock)
+    speed = _slot_speeds(lines, feed, box, time)
+    return MeltedSlots(lines, number, speed, 0.5 * kerf.at(speed))
 
 
-def followed(
-    row: Row, wanted: Ruled, kerf: KerfCurve, feed: float, box: FloatArray, allowed: tuple[float, float]
-) -> Beside:
-    """The wires beside a surface, with none where its slot cannot reach, and more of them where the slot
-    grows and shrinks on the way from one to the next, until all are well within the tolerance of half of it.
-    ``allowed`` [m]: that tolerance, and how deep foam may stay."""
-    lines, tolerance = guides(wanted), allowed[0]
+def fit_offset(
+    row: OffsetRow,
+    nominal: RuledSurface,
+    kerf: KerfCurve,
+    feed: float,
+    box: FloatArray,
+    allowed: tuple[float, float],
+) -> WireOffset:
+    """Return wires next to a surface that keep half a slot from it, well within the tolerance.
 
-    def tried(row: Row) -> tuple[Beside, IndexArray, FloatArray]:
-        made = beside(row, kerf, feed, box)
-        passed = melted(made.lines, kerf, feed, box)
-        return made, passed.number, passed.off(lines).max(axis=1)
+    Wires are dropped where the slot cannot reach. Wires are added where the slot grows and shrinks between
+    two of them.
 
-    best = tried(row)
-    without = unlooped(best[0], wanted, *allowed)
-    best = best if without is None else tried(without)
-    for _ in range(MOST_HALVINGS):
-        made, number, off = best
-        to = np.unique(number[(off > INNER_SHARE * tolerance) & (number > 0)])
-        if not len(to):
+    Args:
+        row: Positions of the wires.
+        nominal: The surface.
+        kerf: Kerf over speed.
+        feed: Speed of the fastest point in the foam [m/s].
+        box: Lower and upper corner of the block (2, 3) [m].
+        allowed: Tolerance of the surface and depth of foam that may remain [m].
+    """
+    lines, tolerance = guide_lines(nominal), allowed[0]
+
+    def evaluate(row: OffsetRow) -> tuple[WireOffset, IndexArray, FloatArray]:
+        offset = wire_offset(row, kerf, feed, box)
+        passed = melt_slots(offset.lines, kerf, feed, box)
+        return offset, passed.line_index, passed.deviation(lines).max(axis=1)
+
+    best = evaluate(row)
+    loop_free = remove_loops(best[0], nominal, *allowed)
+    best = best if loop_free is None else evaluate(loop_free)
+    for _ in range(MAX_HALVINGS):
+        offset, number, deviation = best
+        refine_rows = np.unique(number[(deviation > WELL_WITHIN_FRACTION * tolerance) & (number > 0)])
+        if not len(refine_rows):
             break
-        other = tried(_halved(made.row, to))
-        if other[2].max() >= off.max():  # what slows down for a wider slot may melt a wider one yet
+        refined = evaluate(_halve_moves(offset.row, refine_rows))
+        if (
+            refined[2].max() >= deviation.max()
+        ):  # a wire that slows down for a wider slot may melt an even wider one
             break
-        best = other
+        best = refined
     return best[0]
 
 
-def _halved(row: Row, to: IndexArray) -> Row:
-    """The row with wires halfway to those numbered ``to`` (K,): normals are meant with the feet, so that
-    the wire stays on the straight way beside a flat piece."""
-    foot = [np.insert(p, to, 0.5 * (p[to - 1] + p[to]), axis=0) for p in (row.foot.start, row.foot.end)]
-    normal = np.insert(row.normal, to, 0.5 * (row.normal[to - 1] + row.normal[to]), axis=0)
-    return Row(Lines(*foot), normal, np.insert(row.turn, to, 0.0, axis=0))
+def _halve_moves(row: OffsetRow, indices: IndexArray) -> OffsetRow:
+    """Return the row with additional wires halfway to those numbered ``indices`` (K,).
+
+    Normals are averaged like the feet, so that the wire stays on the straight path next to a flat piece.
+    """
+    foot = [
+        np.insert(p, indices, 0.5 * (p[indices - 1] + p[indices]), axis=0)
+        for p in (row.foot.start, row.foot.end)
+    ]
+    normal = np.insert(row.normal, indices, 0.5 * (row.normal[indices - 1] + row.normal[indices]), axis=0)
+    return OffsetRow(WireLines(*foot), normal, np.insert(row.corner_rotation, indices, 0.0, axis=0))
 
 
-def _finer(lines: Lines, box: FloatArray, spacing: float) -> tuple[Lines, IndexArray]:
-    """Lines with such between them that no guide point, and nothing in the box, moves farther than
-    ``spacing`` [m] from one to the next, and which of the given ones (N,) each comes to."""
-    way = [np.linalg.norm(np.diff(ends, axis=0), axis=1) for ends in (lines.start, lines.end)]
-    way.append(np.nan_to_num(fastest(lines, box)[1:]))
-    count = np.maximum(np.ceil(np.max(way, axis=0) / spacing).astype(np.intp), 1)
-    to = np.repeat(np.arange(1, len(lines)), count)
-    step = np.arange(len(to)) - np.repeat(np.cumsum(count) - count, count) + 1
-    share = (step / count[to - 1])[:, None]
-    ends = [p[to - 1] + share * (p[to] - p[to - 1]) for p in (lines.start, lines.end)]
-    return join([lines[:1], Lines(*ends)]), np.concatenate([[0], to])
+def _dense_lines(lines: WireLines, box: FloatArray, spacing: float) -> tuple[WireLines, IndexArray]:
+    """Return denser lines, and which of the given lines (N,) each one approaches.
+
+    No guide point, and nothing in the box, moves farther than ``spacing`` [m] from one line to the next.
+    """
+    steps = [np.linalg.norm(np.diff(ends, axis=0), axis=1) for ends in (lines.start, lines.end)]
+    steps.append(np.nan_to_num(fastest_move(lines, box)[1:]))
+    count = np.maximum(np.ceil(np.max(steps, axis=0) / spacing).astype(np.intp), 1)
+    target_index = np.repeat(np.arange(1, len(lines)), count)
+    step = np.arange(len(target_index)) - np.repeat(np.cumsum(count) - count, count) + 1
+    fraction = (step / count[target_index - 1])[:, None]
+    ends = [
+        p[target_index - 1] + fraction * (p[target_index] - p[target_index - 1])
+        for p in (lines.start, lines.end)
+    ]
+    return concatenate_lines([lines[:1], WireLines(*ends)]), np.concatenate([[0], target_index])
 
 
-def _speeds(lines: Lines, feed: float, box: FloatArray, time: FloatArray | None) -> FloatArray:
-    """Speeds (N, 9) [m/s] across the wire when the fastest point in the box moves at ``feed``, or at times
-    (N,) [s], meant over ``MELTED_WAY`` of its way either way."""
-    at = [lines.start + share * (lines.end - lines.start) for share in WIRE_SHARES]
-    moves = np.stack([move_across(lines, points[:-1]) for points in at], axis=1)
-    quick = fastest(lines, box)[1:]
-    quick = np.where(np.isfinite(quick), quick, moves.max(axis=1))
-    gone = np.concatenate([[0.0], np.cumsum(np.maximum(quick, 1e-12))])
-    low, high = (gone - MELTED_WAY).clip(gone[0]), (gone + MELTED_WAY).clip(None, gone[-1])
-    way = np.concatenate([np.zeros((1, len(WIRE_SHARES))), np.cumsum(moves, axis=0)])
-    over = [np.interp(high, gone, w) - np.interp(low, gone, w) for w in way.T]
-    time = gone / feed if time is None else time
-    took = np.interp(high, gone, time) - np.interp(low, gone, time)
-    return np.asarray(np.stack(over, axis=1) / np.maximum(took, 1e-9)[:, None])
+def _slot_speeds(lines: WireLines, feed: float, box: FloatArray, time: FloatArray | None) -> FloatArray:
+    """Return the speeds (N, 9) [m/s] across the wire.
+
+    They are averaged over ``MELTING_DISTANCE_M`` of its path to each side. The fastest point in the box moves
+    at ``feed``, or the wires pass at times (N,) [s].
+    """
+    wire_points = [lines.start + share * (lines.end - lines.start) for share in WIRE_FRACTIONS]
+    moves = np.stack([transverse_move(lines, points[:-1]) for points in wire_points], axis=1)
+    fastest_moves = fastest_move(lines, box)[1:]
+    fastest_moves = np.where(np.isfinite(fastest_moves), fastest_moves, moves.max(axis=1))
+    travelled = np.concatenate([[0.0], np.cumsum(np.maximum(fastest_moves, 1e-12))])
+    low, high = (
+        (travelled - MELTING_DISTANCE_M).clip(travelled[0]),
+        (travelled + MELTING_DISTANCE_M).clip(None, travelled[-1]),
+    )
+    point_travelled = np.concatenate([np.zeros((1, len(WIRE_FRACTIONS))), np.cumsum(moves, axis=0)])
+    distances = [np.interp(high, travelled, w) - np.interp(low, travelled, w) for w in point_travelled.T]
+    time = travelled / feed if time is None else time
+    durations = np.interp(high, travelled, time) - np.interp(low, travelled, time)
+    return np.asarray(np.stack(distances, axis=1) / np.maximum(durations, 1e-9)[:, None])

@@ -1,8 +1,8 @@
-"""What is cut in which order: rows of rulings, and the part's closed surfaces in a plane across the wire.
+"""Surfaces to cut and their order: rulings, and the part's closed surfaces in a plane across the wire.
 
-Wanted are ruled surfaces of the part and sides of the block. The section across the wire says which
-piece lies in which, and what lies beside a cut. Wires are batches of lines: how they move across
-themselves, and where they pass a box.
+Surfaces to cut are ruled surfaces of the part and sides of the block. The section across the wire shows which
+piece lies in which, and what lies next to a cut. Wires are batches of lines, with functions for their motion
+across themselves and their intersection with a box.
 """
 
 import dataclasses
@@ -13,22 +13,27 @@ from typing import Final
 import numpy as np
 import shapely
 
-from planner.claims.segments import Segment, clash
-from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, Ruled, dots
+from planner.claims.segments import Segment, first_clash
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, RuledSurface, dots
 from planner.geometry.units import MM, measurement
-from planner.issues import Issue, TandemError, refusal
+from planner.issue_codes import format_message
+from planner.issues import Issue, TandemError, issue_error
 from planner.problem import Part, Setup, Stock
 from planner.processes.hotwire.plan.operation import BLOCK_SIDES, Straight, SurfaceCut, TrimCut
 from planner.tooling import Bow
 
-_PARALLEL: Final = 1e-12
-"""Components of a direction below this do not leave the slab between two faces."""
+_PARALLEL_TOLERANCE: Final = 1e-12
+"""Direction components below this count as parallel to the faces of a slab."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Lines:
-    """Wires through the points ``start`` and ``end`` (N, 3) [m], which are the guide points of a cut; the
-    wire goes on beyond both."""
+class WireLines:
+    """N wires through two points each, which are the guide points of a cut. The wires extend beyond both.
+
+    Attributes:
+        start: Start points (N, 3) [m].
+        end: End points (N, 3) [m].
+    """
 
     start: FloatArray
     end: FloatArray
@@ -36,156 +41,185 @@ class Lines:
     def __len__(self) -> int:
         return len(self.start)
 
-    def __getitem__(self, rows: slice | list[int] | IndexArray | BoolArray) -> "Lines":
-        return Lines(self.start[rows], self.end[rows])
+    def __getitem__(self, rows: slice | list[int] | IndexArray | BoolArray) -> "WireLines":
+        return WireLines(self.start[rows], self.end[rows])
 
     @property
     def direction(self) -> FloatArray:
         """Unit vectors (N, 3) from start to end."""
-        way = self.end - self.start
-        return np.asarray(way / np.linalg.norm(way, axis=1, keepdims=True))
+        vector = self.end - self.start
+        return np.asarray(vector / np.linalg.norm(vector, axis=1, keepdims=True))
 
     def at(self, length: FloatArray) -> FloatArray:
-        """Points (N, 3) [m] at signed lengths (N,) [m] from the starts."""
+        """Return points (N, 3) [m] at signed lengths (N,) [m] from the starts."""
         return self.start + length[:, None] * self.direction
 
-    def moved(self, shift: FloatArray) -> "Lines":
-        """The lines shifted by (3,) or (N, 3) [m]."""
-        return Lines(self.start + shift, self.end + shift)
+    def shifted(self, shift: FloatArray) -> "WireLines":
+        """Return the lines shifted by (3,) or (N, 3) [m]."""
+        return WireLines(self.start + shift, self.end + shift)
 
-    def reversed(self) -> "Lines":
-        """The lines in the opposite order."""
-        return Lines(self.start[::-1], self.end[::-1])
+    def reversed(self) -> "WireLines":
+        """Return the lines in reverse order."""
+        return WireLines(self.start[::-1], self.end[::-1])
 
-    def abreast(self, points: FloatArray) -> FloatArray:
-        """Signed lengths (N,) from the starts to the points of the lines nearest to ``points`` (N, 3)."""
+    def nearest_length(self, points: FloatArray) -> FloatArray:
+        """Return signed lengths (N,) [m] from the starts to the nearest points to ``points`` (N, 3)."""
         return np.asarray(np.sum((points - self.start) * self.direction, axis=1))
 
 
-def join(parts: list[Lines]) -> Lines:
-    """All lines in one batch."""
-    return Lines(np.concatenate([p.start for p in parts]), np.concatenate([p.end for p in parts]))
+def concatenate_lines(parts: list[WireLines]) -> WireLines:
+    """Concatenate batches of lines."""
+    return WireLines(np.concatenate([p.start for p in parts]), np.concatenate([p.end for p in parts]))
 
 
-def chord(lines: Lines, box: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Signed lengths (N,), (N,) [m] from the starts at which the lines enter and leave a box (2, 3); NaN
-    where they pass it by (the slab method)."""
-    way = lines.direction
+def box_chord(lines: WireLines, box: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the signed lengths from the starts at which lines enter and leave a box (slab method).
+
+    Args:
+        lines: N lines.
+        box: Lower and upper corner of the box (2, 3) [m].
+
+    Returns:
+        Lengths (N,), (N,) [m], NaN if a line misses the box.
+    """
+    direction = lines.direction
     with np.errstate(divide="ignore", invalid="ignore"):
-        a, b = ((box[k] - lines.start) / way for k in (0, 1))
-    still = np.abs(way) < _PARALLEL
-    between = (lines.start > box[0]) & (lines.start < box[1])
-    first = np.where(still, np.where(between, -np.inf, np.inf), np.fmin(a, b)).max(axis=1)
-    last = np.where(still, np.where(between, np.inf, -np.inf), np.fmax(a, b)).min(axis=1)
-    passes = first < last
-    return np.where(passes, first, np.nan), np.where(passes, last, np.nan)
+        a, b = ((box[k] - lines.start) / direction for k in (0, 1))
+    is_parallel = np.abs(direction) < _PARALLEL_TOLERANCE
+    is_in_slab = (lines.start > box[0]) & (lines.start < box[1])
+    first = np.where(is_parallel, np.where(is_in_slab, -np.inf, np.inf), np.fmin(a, b)).max(axis=1)
+    last = np.where(is_parallel, np.where(is_in_slab, np.inf, -np.inf), np.fmax(a, b)).min(axis=1)
+    hits = first < last
+    return np.where(hits, first, np.nan), np.where(hits, last, np.nan)
 
 
-def grown(box: FloatArray, margin: float) -> FloatArray:
-    """A box (2, 3) that is larger by ``margin`` [m] on all sides."""
+def enlarged_box(box: FloatArray, margin: float) -> FloatArray:
+    """Return a box (2, 3) enlarged by ``margin`` [m] on all sides."""
     return box + margin * np.array([[-1.0], [1.0]])
 
 
-def place_text(point: FloatArray) -> str:
-    """A place (3,) [m] as messages name it."""
+def point_text(point: FloatArray) -> str:
+    """Return a point (3,) [m] as messages print it."""
     return "[" + ", ".join(f"{value / MM:.1f}" for value in point) + "] mm"
 
 
-def move_across(lines: Lines, points: FloatArray) -> FloatArray:
-    """How far (N - 1,) [m] each line moves across itself to the next one, at ``points`` (N - 1, 3) near it.
+def transverse_move(lines: WireLines, points: FloatArray) -> FloatArray:
+    """Return how far (N - 1,) [m] each line moves across itself to the next one.
 
-    Measured in the plane through the point across the mean direction of both.
+    The distance is measured in the plane through a point across the mean direction of both lines.
+
+    Args:
+        lines: N lines.
+        points: Points near the lines (N - 1, 3) [m].
     """
-    way = lines.direction
-    mean = way[:-1] + way[1:]
+    direction = lines.direction
+    mean = direction[:-1] + direction[1:]
     mean = mean / np.linalg.norm(mean, axis=1, keepdims=True)
 
-    def crossing(start: FloatArray, direction: FloatArray) -> FloatArray:
-        share = np.sum((points - start) * mean, axis=1) / np.sum(direction * mean, axis=1)
-        return np.asarray(start + share[:, None] * direction)
+    def plane_intersection(start: FloatArray, direction: FloatArray) -> FloatArray:
+        length = np.sum((points - start) * mean, axis=1) / np.sum(direction * mean, axis=1)
+        return np.asarray(start + length[:, None] * direction)
 
-    gap = crossing(lines.start[1:], way[1:]) - crossing(lines.start[:-1], way[:-1])
+    gap = plane_intersection(lines.start[1:], direction[1:]) - plane_intersection(
+        lines.start[:-1], direction[:-1]
+    )
     return np.asarray(np.linalg.norm(gap, axis=1))
 
 
-def fastest(lines: Lines, box: FloatArray) -> FloatArray:
-    """How far (N,) [m] the fastest point inside the box moves across the wire on the way to each line; NaN
-    where none is inside, 0 for the first.
+def fastest_move(lines: WireLines, box: FloatArray) -> FloatArray:
+    """Return the distance (N,) [m] that the fastest point inside a box moves across the wire to each line.
 
-    The move is linear along the wire, so that it is largest at an end of the stretch inside.
+    It is NaN if no point is inside, and 0 for the first line. The move is linear along the wire, so that it
+    is largest at an end of the part inside.
     """
-    enter, leave = chord(lines, box)
+    enter, leave = box_chord(lines, box)
     out = np.full(len(lines), np.nan)
-    for rows in (slice(None, -1), slice(1, None)):  # the stretch of either line: both count
-        here = lines[rows]
+    for rows in (slice(None, -1), slice(1, None)):  # the parts of both lines inside the box count
+        subset = lines[rows]
         for length in (enter[rows], leave[rows]):
             inside = np.isfinite(length)
-            points = here.at(np.where(inside, length, 0.0))
-            out[1:] = np.fmax(out[1:], np.where(inside, move_across(lines, points), np.nan))
+            points = subset.at(np.where(inside, length, 0.0))
+            out[1:] = np.fmax(out[1:], np.where(inside, transverse_move(lines, points), np.nan))
     out[:1] = 0.0
     return out
 
 
-def exit_length(lines: Lines, way: FloatArray, box: FloatArray) -> FloatArray:
-    """How far (N,) [m] each line must go along ``way`` (N, 3) until it has left the box for good, 0 where it
-    never meets it that way.
+def exit_distance(lines: WireLines, motion: FloatArray, box: FloatArray) -> FloatArray:
+    """Return the distance (N,) [m] that each line must move until it has left the box for good.
 
-    A line shifted by s meets the box where six half planes in (s, length along the line) have a common
-    point; the farthest is one of their corners.
+    It is 0 if the line never meets the box in this direction. A line shifted by s meets the box where six
+    half planes in (s, length along the line) have a common point. The farthest is one of their corners.
+
+    Args:
+        lines: N lines.
+        motion: Directions of motion (N, 3).
+        box: Lower and upper corner of the box (2, 3) [m].
     """
-    far = np.zeros(len(lines))
+    distance = np.zeros(len(lines))
     direction = lines.direction
     rows = [
-        (sign * way[:, k], sign * direction[:, k], sign * (box[end, k] - lines.start[:, k]))
+        (sign * motion[:, k], sign * direction[:, k], sign * (box[end, k] - lines.start[:, k]))
         for k in range(3)
         for end, sign in ((0, -1.0), (1, 1.0))
     ]
     for (a, b, c), (d, e, f) in itertools.combinations(rows, 2):
-        det = a * e - b * d
-        good = np.abs(det) > _PARALLEL
-        whole = np.where(good, det, 1.0)
-        s, t = (c * e - b * f) / whole, (a * f - c * d) / whole
+        determinant = a * e - b * d
+        is_valid = np.abs(determinant) > _PARALLEL_TOLERANCE
+        divisor = np.where(is_valid, determinant, 1.0)
+        s, t = (c * e - b * f) / divisor, (a * f - c * d) / divisor
         for g, h, k in rows:
-            good &= g * s + h * t <= k + 1e-9
-        far = np.where(good, np.maximum(far, s), far)
-    return far
+            is_valid &= g * s + h * t <= k + 1e-9
+        distance = np.where(is_valid, np.maximum(distance, s), distance)
+    return distance
 
 
 def distance_to_polyline(points: FloatArray, polyline: FloatArray) -> FloatArray:
-    """Distance (N,) [m] of points (N, 3) to a polyline (M, 3)."""
+    """Return the distance (N,) [m] of points (N, 3) to a polyline (M, 3)."""
     out = np.full(len(points), np.inf)
-    base, way = polyline[:-1], np.diff(polyline, axis=0)
-    square = np.maximum(np.sum(way * way, axis=1), 1e-30)
+    base, edge = polyline[:-1], np.diff(polyline, axis=0)
+    square = np.maximum(np.sum(edge * edge, axis=1), 1e-30)
     for chunk in np.array_split(np.arange(len(points)), max(1, len(points) * len(base) // 1_000_000)):
         gap = points[chunk, None] - base
-        share = np.clip(np.einsum("nmi,mi->nm", gap, way) / square, 0.0, 1.0)
-        gap -= share[..., None] * way
+        fraction = np.clip(np.einsum("nmi,mi->nm", gap, edge) / square, 0.0, 1.0)
+        gap -= fraction[..., None] * edge
         out[chunk] = np.sqrt(dots(gap, gap).min(axis=1))
     return out
 
 
-PARALLEL_COSINE: Final = 0.87
-"""Least cosine between the rulings of surfaces that are looked at together."""
-COMMON_SHARE: Final = 1e-3
-"""Pieces that share more than this of the smaller one bound the part together."""
+MIN_PARALLEL_COSINE: Final = 0.87
+"""Minimum cosine between the rulings of surfaces that are compared with each other."""
+COMMON_AREA_FRACTION: Final = 1e-3
+"""Pieces whose common area exceeds this fraction of the smaller one bound the part together."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Plane:
-    """A plane with its ``origin`` (3,) [m], unit ``normal`` (3,) and ``axes`` (3, 2)."""
+class SectionPlane:
+    """A plane.
+
+    Attributes:
+        origin: Origin (3,) [m].
+        normal: Unit normal (3,).
+        axes: Unit vectors in the plane (3, 2).
+    """
 
     origin: FloatArray
     normal: FloatArray
     axes: FloatArray
 
-    def point(self, place: FloatArray) -> FloatArray:
-        """The point (3,) [m] at a place (2,) in the plane."""
-        return np.asarray(self.origin + self.axes @ place)
+    def point(self, coordinates: FloatArray) -> FloatArray:
+        """Return the point (3,) [m] at coordinates (2,) in the plane."""
+        return np.asarray(self.origin + self.axes @ coordinates)
 
 
 @dataclasses.dataclass(frozen=True)
-class Piece:
-    """What a slot must leave alone: an outline's area, or, ``around``, the wall of a hole."""
+class NeighbourPiece:
+    """A piece that a slot must not touch.
+
+    Attributes:
+        name: Name of the surface.
+        shape: Area of an outline, or wall of a hole.
+        around: Whether it is the wall of a hole around the cut.
+    """
 
     name: str
     shape: shapely.Geometry
@@ -193,223 +227,264 @@ class Piece:
 
 
 @dataclasses.dataclass(frozen=True)
-class Pieces:
-    """The pieces beside a cut in a plane; ``enclosed``: what is cut lies in a hole of another piece."""
+class NeighbourPieces:
+    """Pieces next to a cut in a plane.
 
-    plane: Plane
-    others: list[Piece]
+    Attributes:
+        plane: The plane.
+        others: The pieces.
+        enclosed: Whether the cut lies in a hole of another piece.
+    """
+
+    plane: SectionPlane
+    others: list[NeighbourPiece]
     enclosed: bool
 
 
-def section(lines: Lines, plane: Plane) -> FloatArray:
-    """Where lines (N) pass a plane, in its axes (N, 2)."""
-    way = lines.end - lines.start
-    share = (plane.origin - lines.start) @ plane.normal / (way @ plane.normal)
-    return np.asarray((lines.start + share[:, None] * way - plane.origin) @ plane.axes)
+def intersect_plane(lines: WireLines, plane: SectionPlane) -> FloatArray:
+    """Return the intersections of N lines with a plane, in its axes (N, 2)."""
+    vector = lines.end - lines.start
+    fraction = (plane.origin - lines.start) @ plane.normal / (vector @ plane.normal)
+    return np.asarray((lines.start + fraction[:, None] * vector - plane.origin) @ plane.axes)
 
 
-def pieces_across(own: Ruled, ruled: Sequence[Ruled], box: FloatArray, level: float) -> Pieces:
-    """What lies beside a closed surface in the plane at the share ``level`` of its rulings in the box."""
-    plane = _plane(own, box, level)
-    mine = contour(own, plane)
-    others: list[Piece] = []
+def neighbour_pieces(
+    surface: RuledSurface, ruled: Sequence[RuledSurface], box: FloatArray, level: float
+) -> NeighbourPieces:
+    """Return the pieces next to a closed surface in a plane across its rulings.
+
+    Args:
+        surface: The closed surface.
+        ruled: All ruled surfaces of the part.
+        box: Lower and upper corner of the block (2, 3) [m].
+        level: Position of the plane as a fraction of the rulings in the box.
+    """
+    plane = _section_plane(surface, box, level)
+    own_area = contour(surface, plane)
+    others: list[NeighbourPiece] = []
     enclosed = False
     for other in ruled:
         if (
-            other.name == own.name
+            other.name == surface.name
             or not other.closed
-            or abs(_direction(other) @ plane.normal) < PARALLEL_COSINE
+            or abs(_mean_ruling(other) @ plane.normal) < MIN_PARALLEL_COSINE
         ):
             continue
         shape = contour(other, plane)
-        common = shapely.area(shapely.intersection(mine, shape))
-        small, large = sorted((mine.area, shape.area))
-        if common < COMMON_SHARE * small:
-            others += [] if other.hole else [Piece(other.name, shape)]
-        elif common > (1.0 - COMMON_SHARE) * small and small < large:
-            within = mine.area < shape.area
-            if within and other.hole:
-                others.append(Piece(other.name, shapely.boundary(shape), around=True))
-                enclosed |= not own.hole
-            elif not within and own.hole and not other.hole:
-                others.append(Piece(other.name, shape))
-    return Pieces(plane, others, enclosed)
+        common_area = shapely.area(shapely.intersection(own_area, shape))
+        small, large = sorted((own_area.area, shape.area))
+        if common_area < COMMON_AREA_FRACTION * small:
+            others += [] if other.hole else [NeighbourPiece(other.name, shape)]
+        elif common_area > (1.0 - COMMON_AREA_FRACTION) * small and small < large:
+            is_inside = own_area.area < shape.area
+            if is_inside and other.hole:
+                others.append(NeighbourPiece(other.name, shapely.boundary(shape), around=True))
+                enclosed |= not surface.hole
+            elif not is_inside and surface.hole and not other.hole:
+                others.append(NeighbourPiece(other.name, shape))
+    return NeighbourPieces(plane, others, enclosed)
 
 
-def alike(one: Ruled, other: Ruled) -> bool:
-    """Whether two surfaces have rulings of about one direction, so that they are looked at together."""
-    return bool(abs(_direction(one) @ _direction(other)) >= PARALLEL_COSINE)
+def are_parallel(surface: RuledSurface, other: RuledSurface) -> bool:
+    """Return whether two surfaces have rulings of about the same direction.
+
+    Such surfaces are compared with each other in one section.
+    """
+    return bool(abs(_mean_ruling(surface) @ _mean_ruling(other)) >= MIN_PARALLEL_COSINE)
 
 
-def gripper_holds(outline: Ruled, foot: FloatArray) -> bool:
-    """Whether a gripper below the block with the middle of its face at ``foot`` (3,) [m] holds what an
-    outline cuts free; true for outlines whose rulings lie rather than stand."""
-    if abs(_direction(outline)[2]) < PARALLEL_COSINE:
+def gripper_holds(outline: RuledSurface, foot: FloatArray) -> bool:
+    """Return whether a gripper below the block holds what an outline cuts free.
+
+    It is true for outlines with lying rulings.
+
+    Args:
+        outline: Outline of the part.
+        foot: Centre of the gripper's face (3,) [m].
+    """
+    if abs(_mean_ruling(outline)[2]) < MIN_PARALLEL_COSINE:
         return True
-    plane = _across(np.asarray(foot, dtype=np.float64), np.array([0.0, 0.0, 1.0]))
+    plane = _plane_across(np.asarray(foot, dtype=np.float64), np.array([0.0, 0.0, 1.0]))
     return bool(contour(outline, plane).intersects(shapely.Point(0.0, 0.0)))
 
 
-def depths(ruled: Sequence[Ruled]) -> list[int]:
-    """In how many other closed surfaces of the same direction each closed one lies; 0 for strips."""
-    out = [0] * len(ruled)
-    closed = [k for k, own in enumerate(ruled) if own.closed]
-    ways = [_direction(ruled[k]).round(6) for k in closed]
-    for way in np.unique(np.array(ways).reshape(-1, 3), axis=0):
-        rows = [k for k, own in zip(closed, ways, strict=True) if (own == way).all()]
-        plane = _across(np.zeros(3), way)
-        middles = [Lines(ruled[k].start, ruled[k].end) for k in rows]
+def contour_depths(ruled: Sequence[RuledSurface]) -> list[int]:
+    """Return for each closed surface in how many others of the same direction it lies; 0 for strips."""
+    depths = [0] * len(ruled)
+    closed = [k for k, surface in enumerate(ruled) if surface.closed]
+    directions = [_mean_ruling(ruled[k]).round(6) for k in closed]
+    for direction in np.unique(np.array(directions).reshape(-1, 3), axis=0):
+        rows = [k for k, surface in zip(closed, directions, strict=True) if (surface == direction).all()]
+        plane = _plane_across(np.zeros(3), direction)
+        middles = [WireLines(ruled[k].start, ruled[k].end) for k in rows]
         shapes = [shapely.make_valid(shapely.Polygon(0.5 * (m.start + m.end) @ plane.axes)) for m in middles]
         tree = shapely.STRtree(shapes)
         inner, outer = tree.query([shape.representative_point() for shape in shapes], predicate="within")
         for i, o in zip(inner, outer, strict=True):
-            out[rows[i]] += int(i != o and shapes[i].area < shapes[o].area)
-    return out
+            depths[rows[i]] += int(i != o and shapes[i].area < shapes[o].area)
+    return depths
 
 
-def _direction(ruled: Ruled) -> FloatArray:
-    way = (ruled.end - ruled.start).mean(axis=0)
-    return np.asarray(way / max(float(np.linalg.norm(way)), 1e-12))
+def _mean_ruling(ruled: RuledSurface) -> FloatArray:
+    mean = (ruled.end - ruled.start).mean(axis=0)
+    return np.asarray(mean / max(float(np.linalg.norm(mean)), 1e-12))
 
 
-def _across(origin: FloatArray, normal: FloatArray) -> Plane:
+def _plane_across(origin: FloatArray, normal: FloatArray) -> SectionPlane:
     first = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
     first /= np.linalg.norm(first)
-    return Plane(origin, normal, np.stack([first, np.cross(normal, first)], axis=1))
+    return SectionPlane(origin, normal, np.stack([first, np.cross(normal, first)], axis=1))
 
 
-def _plane(own: Ruled, box: FloatArray, level: float) -> Plane:
-    normal = _direction(own)
+def _section_plane(surface: RuledSurface, box: FloatArray, level: float) -> SectionPlane:
+    normal = _mean_ruling(surface)
     corners = np.array(list(itertools.product(*box.T))) @ normal
-    low = max(float((own.start @ normal).min()), float(corners.min()))
-    high = min(float((own.end @ normal).max()), float(corners.max()))
-    origin = 0.5 * (own.start + own.end).mean(axis=0)
-    return _across(origin + (low + level * (high - low) - float(origin @ normal)) * normal, normal)
+    low = max(float((surface.start @ normal).min()), float(corners.min()))
+    high = min(float((surface.end @ normal).max()), float(corners.max()))
+    origin = 0.5 * (surface.start + surface.end).mean(axis=0)
+    return _plane_across(origin + (low + level * (high - low) - float(origin @ normal)) * normal, normal)
 
 
-def contour(ruled: Ruled, plane: Plane) -> shapely.Geometry:
-    """The area within a closed surface where it passes a plane, in its axes."""
-    return shapely.make_valid(shapely.Polygon(section(Lines(ruled.start, ruled.end), plane)))
+def contour(ruled: RuledSurface, plane: SectionPlane) -> shapely.Geometry:
+    """Return the area within a closed surface where it crosses a plane, in its axes."""
+    return shapely.make_valid(shapely.Polygon(intersect_plane(WireLines(ruled.start, ruled.end), plane)))
 
 
-LEAST_OVERSIZE: Final = 1e-4
-"""[m] a side that stands out by less has nothing that could be cut off."""
+MIN_OVERSIZE_M: Final = 1e-4
+"""Minimum oversize [m] of a side that is trimmed."""
 
 
-LEAD_ALONG: Final = 0.94
-"""Largest cosine between a lead and the wire: one along the wire takes it nowhere."""
+MAX_LEAD_COSINE: Final = 0.94
+"""Maximum cosine between a lead and the wire. A lead along the wire does not move the wire."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Wanted:
-    """One surface to cut; ``name`` is that of its segment behind ``cut/``."""
+class NominalSurface:
+    """A surface to cut.
+
+    Attributes:
+        name: Name of its segment after ``cut/``.
+        ruled: The surface.
+        cut: The cut as the operation states it.
+    """
 
     name: str
-    ruled: Ruled
+    ruled: RuledSurface
     cut: SurfaceCut | TrimCut
 
     @property
     def segment(self) -> Segment:
-        """The segment of the targets on the surface; the ways in and out are its other phases."""
+        """Segment of the targets on the surface. The leads are its other phases."""
         return Segment("cut", self.name)
 
 
-def wanted_surfaces(op: Straight, setup: Setup, part: Part | None) -> list[Wanted]:
-    """The surfaces to cut, in order. Raises ``TandemError``: part.missing_surface, straight.trim,
-    straight.lead, problem.duplicate_name."""
-    out = _listed(op, setup, part)
-    both = clash(one.segment for one in out)
-    if both is not None:
+def nominal_surfaces(op: Straight, setup: Setup, part: Part | None) -> list[NominalSurface]:
+    """Return the surfaces to cut, in order.
+
+    Args:
+        op: Operation with a straight wire.
+        setup: Setup that the operation finds.
+        part: Part, if the problem has one.
+
+    Raises:
+        TandemError: part.missing_surface, straight.trim, straight.lead, problem.duplicate_name.
+    """
+    out = _listed_surfaces(op, setup, part)
+    clashing = first_clash(surface.segment for surface in out)
+    if clashing is not None:
         what = (
-            f"{op.name}: two surfaces are called {both[0].name!r} and {both[1].name!r}, which programs "
-            "cannot tell apart; rename one"
+            f"{op.name}: programs cannot distinguish the surface names {clashing[0].name!r} and "
+            f"{clashing[1].name!r}; rename one"
         )
-        raise refusal("problem.duplicate_name", what, field="part")
+        raise issue_error("problem.duplicate_name", what, field="part")
     return out
 
 
-def _listed(op: Straight, setup: Setup, part: Part | None) -> list[Wanted]:
+def _listed_surfaces(op: Straight, setup: Setup, part: Part | None) -> list[NominalSurface]:
     ruled = () if part is None else part.ruled
     if op.cuts == "all":
         if not ruled:
-            raise TandemError(_missing(op, "cuts: all ruled surfaces", ruled))
-        up, depth = -setup.stock.gravity, depths(ruled)
-        order = sorted(range(len(ruled)), key=lambda k: _rank(ruled[k], depth[k], up))
-        return [Wanted(ruled[k].name, ruled[k], SurfaceCut(surface=ruled[k].name)) for k in order]
-    known = {r.name: r for r in ruled}
-    out: list[Wanted] = []
+            raise TandemError(_missing_surface_issue(op, "cuts: all ruled surfaces", ruled))
+        up, depth = -setup.stock.gravity, contour_depths(ruled)
+        order = sorted(range(len(ruled)), key=lambda k: _cutting_rank(ruled[k], depth[k], up))
+        return [NominalSurface(ruled[k].name, ruled[k], SurfaceCut(surface=ruled[k].name)) for k in order]
+    ruled_by_name = {r.name: r for r in ruled}
+    out: list[NominalSurface] = []
     issues: list[Issue] = []
     for cut in op.cuts:
         if isinstance(cut, TrimCut):
             for side in cut.trim:
-                fault = list(_no_oversize(op, setup.stock, side))
-                issues += fault
-                if not fault:
-                    out.append(Wanted(f"trim_{side}", _side(op, setup, side, cut), cut))
-        elif cut.surface in known:
-            issues += _along_the_wire(op, known[cut.surface], cut)
-            out.append(Wanted(cut.surface, known[cut.surface], cut))
+                faults = list(_oversize_issues(op, setup.stock, side))
+                issues += faults
+                if not faults:
+                    out.append(NominalSurface(f"trim_{side}", _block_side(op, setup, side, cut), cut))
+        elif cut.surface in ruled_by_name:
+            issues += _lead_direction_issues(op, ruled_by_name[cut.surface], cut)
+            out.append(NominalSurface(cut.surface, ruled_by_name[cut.surface], cut))
         else:
-            issues.append(_missing(op, f"surface '{cut.surface}'", ruled))
+            issues.append(_missing_surface_issue(op, f"surface '{cut.surface}'", ruled))
     if issues:
         raise TandemError(issues)
     return out
 
 
-def _rank(ruled: Ruled, depth: int, up: FloatArray) -> tuple[int, int, float]:
-    """Holes and pieces in holes first, the inmost before what is around them; then strips, then outlines,
-    upper ones first, since what is cut free rests on the rest. ``depth``: in how many others it lies."""
+def _cutting_rank(ruled: RuledSurface, depth: int, up: FloatArray) -> tuple[int, int, float]:
+    """Return the sort key of a surface.
+
+    Holes and pieces in holes come first, the innermost before what is around them. Strips follow, then
+    outlines from the top down, because what is cut free rests on the rest. ``depth`` is the number of
+    surfaces that it lies in.
+    """
     middle = 0.5 * (ruled.start + ruled.end).mean(axis=0)
     kind = 0 if ruled.hole or depth else 2 if ruled.closed else 1
     return kind, -depth, float(-(middle @ up).round(6)) if ruled.closed and not ruled.hole else 0.0
 
 
-def _missing(op: Straight, what: str, ruled: tuple[Ruled, ...]) -> Issue:
-    have = ", ".join(r.name for r in ruled) or "none"
+def _missing_surface_issue(op: Straight, what: str, ruled: tuple[RuledSurface, ...]) -> Issue:
+    available = ", ".join(r.name for r in ruled) or "none"
     return Issue(
         "part.missing_surface",
-        f"{op.name}: {what} cannot be cut; ruled surfaces of the part: {have}; add it to the part or correct "
-        "the name",
+        f"{op.name}: {what} cannot be cut; ruled surfaces of the part: {available}; add it or correct the "
+        "name",
         field="part",
     )
 
 
-def _along_the_wire(op: Straight, ruled: Ruled, cut: SurfaceCut) -> Iterator[Issue]:
-    """A lead that is given must take the wire across itself, at every ruling."""
+def _lead_direction_issues(op: Straight, ruled: RuledSurface, cut: SurfaceCut) -> Iterator[Issue]:
+    """Report a stated lead that does not move the wire across itself at every ruling."""
     if isinstance(cut.lead, str):
         return
     rulings = ruled.end - ruled.start
     rulings = rulings / np.maximum(np.linalg.norm(rulings, axis=1, keepdims=True), 1e-12)
     lead = np.array(cut.lead) / np.linalg.norm(cut.lead)
-    along = float(np.abs(rulings @ lead).max())
-    if along <= LEAD_ALONG:
+    cosine = float(np.abs(rulings @ lead).max())
+    if cosine <= MAX_LEAD_COSINE:
         return
-    angle, least = (np.degrees(np.arccos(min(value, 1.0))) for value in (along, LEAD_ALONG))
-    what = f"{op.name}: lead {list(cut.lead)} of {cut.surface} is {angle:.0f} degrees off the wire; "
-    what += f"{least:.0f} at least are wanted: give a direction across the wire, or auto"
+    angle, min_angle = (np.degrees(np.arccos(min(value, 1.0))) for value in (cosine, MAX_LEAD_COSINE))
+    what = f"{op.name}: lead {list(cut.lead)} of {cut.surface}: got {angle:.0f} degrees to the wire, "
+    what += f"allowed {min_angle:.0f} or more; state a direction across the wire, or auto"
     yield Issue("straight.lead", what, field=cut.surface)
 
 
-def _no_oversize(op: Straight, stock: Stock, side: str) -> Iterator[Issue]:
+def _oversize_issues(op: Straight, stock: Stock, side: str) -> Iterator[Issue]:
     axis, end = BLOCK_SIDES[side]
-    over = float(stock.oversize[end, axis])
-    if over >= LEAST_OVERSIZE:
+    oversize = float(stock.oversize[end, axis])
+    if oversize >= MIN_OVERSIZE_M:
         return
     yield Issue(
         "straight.trim",
-        f"{op.name}: side {side} is to be trimmed, but the block stands out of the datum block by "
-        f"{over / MM:g} mm there; give stock.oversize_mm, or leave the side out",
+        format_message("straight.trim", operation=op.name, side=side, oversize_mm=oversize / MM),
         field="stock.oversize_mm",
-        **measurement(over / MM, LEAST_OVERSIZE / MM, "mm"),
+        **measurement(oversize / MM, MIN_OVERSIZE_M / MM, "mm"),
     )
 
 
-def _side(op: Straight, setup: Setup, side: str, cut: TrimCut) -> Ruled:
-    """A side of the datum block as two rulings, from the upper to the lower edge where it stands upright."""
+def _block_side(op: Straight, setup: Setup, side: str, cut: TrimCut) -> RuledSurface:
+    """Return a side of the datum block as two rulings, from the upper to the lower edge if it is upright."""
     stock = setup.stock
     axis, end = BLOCK_SIDES[side]
     low, high = np.array([-0.5, -0.5, 0.0]) * stock.size, np.array([0.5, 0.5, 1.0]) * stock.size
-    along = _along(op, setup, axis, cut)
+    along = _wire_axis(op, setup, axis, cut)
     sweep = 3 - axis - along
     corner = np.zeros((2, 2, 3))  # ruling, end
     corner[..., axis] = (low, high)[end][axis]
@@ -421,16 +496,16 @@ def _side(op: Straight, setup: Setup, side: str, cut: TrimCut) -> Ruled:
     normal = np.cross(corner[1, 0] - corner[0, 0], corner[0, 1] - corner[0, 0])
     if normal[axis] * (1.0 if end else -1.0) < 0.0:
         corner = corner[:, ::-1]
-    return Ruled(f"trim_{side}", corner[:, 0], corner[:, 1], np.zeros(2, dtype=np.bool_))
+    return RuledSurface(f"trim_{side}", corner[:, 0], corner[:, 1], np.zeros(2, dtype=np.bool_))
 
 
-def _along(op: Straight, setup: Setup, axis: int, cut: TrimCut) -> int:
-    """The axis that the wire is parallel to: level rather than upright, then the shorter way through."""
+def _wire_axis(op: Straight, setup: Setup, axis: int, cut: TrimCut) -> int:
+    """Return the axis that the wire is parallel to: prefers level axes, then the shorter one."""
     if cut.along != "auto":
         return "xyz".index(cut.along)
     length = setup.stock.upper - setup.stock.lower
     tool = setup.cell.arm(op.arms[0]).tool
-    room = (tool.span if isinstance(tool, Bow) else np.inf) - 2.0 * op.margin_mm * MM
+    max_length = (tool.span if isinstance(tool, Bow) else np.inf) - 2.0 * op.margin_mm * MM
     level = np.abs(setup.stock.gravity) < 0.5
-    choice = [k for k in range(3) if k != axis]
-    return min(choice, key=lambda k: (length[k] > room, not level[k], length[k]))
+    axes = [k for k in range(3) if k != axis]
+    return min(axes, key=lambda k: (length[k] > max_length, not level[k], length[k]))

@@ -1,11 +1,11 @@
-"""The order of a straight wire's job: to the block, cut after cut, ways in the air between, away.
+"""Route of a straight wire's job: to the block, cut after cut with links in air, and away.
 
-**Links** are ways of the wire through the air from one cut to the next, around the block. A wire
-that keeps its direction is a point in the plane across it, and the block a convex polygon there. To
-turn, it is taken to a place beyond one side of the block where there is room for that.
+**Links** are paths of the wire through air from one cut to the next, around the block. A wire that keeps its
+direction is a point in the plane across it, and the block is a convex polygon there. To rotate, the wire is
+moved to a place beyond one side of the block with enough clearance.
 
-`actions` is what the programs say and switch around the job, such as spacers under what rests on a
-slot (`drops`).
+`operator_actions` is what the programs show and switch around the job, such as spacers under material that
+rests on a slot (`would_drop`).
 """
 
 import dataclasses
@@ -19,86 +19,118 @@ from scipy.spatial import ConvexHull
 from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, exp_rotation
 from planner.geometry.units import MM, measurement
+from planner.issue_codes import format_message
 from planner.issues import Issue, Severity
 from planner.problem import Setup
 from planner.processes.hotwire import sentences as hotwire_sentences
-from planner.processes.hotwire.plan.operation import AIR_STEP, RESTING_COSINE, Straight
-from planner.processes.hotwire.plan.straight.cut import Cut
-from planner.processes.hotwire.plan.straight.order import Lines, grown, join
-from planner.targets import Action
+from planner.processes.hotwire.plan.operation import MAX_AIR_STEP_M, RESTING_COSINE, Straight
+from planner.processes.hotwire.plan.straight.cut import StraightCut
+from planner.processes.hotwire.plan.straight.order import WireLines, concatenate_lines, enlarged_box
+from planner.targets import TargetAction
 from planner.tooling import Bow
 
-SAME_DIRECTION: Final = np.deg2rad(0.5)
-"""Directions that differ by less [rad] need no place to turn."""
-NEARER_ROOM: Final = 1e-4
-"""[m] a way may come nearer to the block by this than its ends are."""
-BELOW_FACTOR: Final = 10.0
-"""What a way below the block costs, against one elsewhere: there is its support or its holder."""
+DIRECTION_TOLERANCE_RAD: Final = np.deg2rad(0.5)
+"""Directions that differ by less than this [rad] need no rotation."""
+CLEARANCE_TOLERANCE_M: Final = 1e-4
+"""A path may come closer to the block than its ends by this [m]."""
+BELOW_COST_FACTOR: Final = 10.0
+"""Cost of a path below the block relative to one elsewhere, because its support or holder is there."""
 
 
-def link(a: Lines, b: Lines, box: FloatArray, clear: float, half: float, down: FloatArray) -> Lines:
-    """Wires from ``a`` (1) to ``b`` (1), the first left out, that stay ``clear`` [m] of the block ``box``.
+@dataclasses.dataclass(frozen=True)
+class _AvoidedBlock:
+    """Block around which a link leads.
 
-    ``half`` [m] is half the wire's length, ``down`` (D, 3) the sides of the block to keep away from. Both
-    ends point the same way along the wire, within 90 degrees.
+    Attributes:
+        box: Lower and upper corner of the block (2, 3) [m].
+        hull: Lower and upper corner of the block with the clearance (2, 3) [m].
+        down: Sides of the block to avoid (D, 3).
     """
-    hull = grown(box, clear - NEARER_ROOM)
-    ways: list[tuple[float, Lines]] = []
-    if _angle(a, b) < SAME_DIRECTION:
-        ways += _around(a, b, hull, down, box)
+
+    box: FloatArray
+    hull: FloatArray
+    down: FloatArray
+
+
+def plan_link(
+    a: WireLines, b: WireLines, box: FloatArray, clear: float, half: float, down: FloatArray
+) -> WireLines:
+    """Return wires from ``a`` (1) to ``b`` (1), the first left out, that keep a distance from the block.
+
+    Args:
+        a: First wire.
+        b: Last wire. Both point in the same direction within 90 degrees.
+        box: Lower and upper corner of the block (2, 3) [m].
+        clear: Distance to the block [m].
+        half: Half the length of the wire [m].
+        down: Sides of the block to avoid (D, 3).
+    """
+    block = _AvoidedBlock(box=box, hull=enlarged_box(box, clear - CLEARANCE_TOLERANCE_M), down=down)
+    paths: list[tuple[float, WireLines]] = []
+    if _angle_between(a, b) < DIRECTION_TOLERANCE_RAD:
+        paths += _paths_around(a, b, block)
     for normal in np.concatenate([np.eye(3), -np.eye(3)]):
-        ways += _over(a, b, hull, half, normal, down, box)
-    if not ways:
-        raise ValueError("no way around the block")
-    return min(ways, key=lambda way: way[0])[1]
+        paths += _paths_beyond_side(a, b, block, half, normal)
+    if not paths:
+        raise ValueError("no path around the block")
+    return min(paths, key=lambda path: path[0])[1]
 
 
-def _angle(a: Lines, b: Lines) -> float:
+def _angle_between(a: WireLines, b: WireLines) -> float:
     return float(np.arccos(np.clip(a.direction[0] @ b.direction[0], -1.0, 1.0)))
 
 
-def _over(
-    a: Lines, b: Lines, hull: FloatArray, half: float, normal: FloatArray, down: FloatArray, box: FloatArray
-) -> list[tuple[float, Lines]]:
-    """Ways by a place beyond one side, where the wire turns from one direction to the other."""
+def _paths_beyond_side(
+    a: WireLines, b: WireLines, block: _AvoidedBlock, half: float, normal: FloatArray
+) -> list[tuple[float, WireLines]]:
+    """Return paths by a place beyond one side of the block.
+
+    There the wire rotates from one direction to the other.
+    """
     tilt = 1.5 * half * max(abs(float(line.direction[0] @ normal)) for line in (a, b))
-    if tilt > 0.6 * half and _angle(a, b) < SAME_DIRECTION:
-        return []  # along the side's normal: nothing to turn for there
+    if tilt > 0.6 * half and _angle_between(a, b) < DIRECTION_TOLERANCE_RAD:
+        return []  # the wire is along the side's normal: no rotation needed there
+    hull = block.hull
     centre = 0.5 * (hull[0] + hull[1])
-    # clearly outside the hull, so that it is a corner of what lies around both
-    place = centre + normal * (0.5 * np.abs(normal) @ (hull[1] - hull[0]) + tilt + 10.0 * NEARER_ROOM)
-    turning = _turn(a.direction[0], b.direction[0], place, half)
-    first, last = (_around(*ends, hull, down, box) for ends in ((a, turning[:1]), (turning[-1:], b)))
+    # clearly outside the hull, so that it is a corner of the convex hull of both
+    pivot = centre + normal * (
+        0.5 * np.abs(normal) @ (hull[1] - hull[0]) + tilt + 10.0 * CLEARANCE_TOLERANCE_M
+    )
+    turning = _rotate_wire(a.direction[0], b.direction[0], pivot, half)
+    first, last = (_paths_around(*ends, block) for ends in ((a, turning[:1]), (turning[-1:], b)))
     return [
-        (c + d + 0.3 * half * _angle(a, b), join([one, turning[1:], two]))
-        for (c, one), (d, two) in itertools.product(first, last)
+        (c + d + 0.3 * half * _angle_between(a, b), concatenate_lines([to_pivot, turning[1:], from_pivot]))
+        for (c, to_pivot), (d, from_pivot) in itertools.product(first, last)
     ]
 
 
-def _turn(a: FloatArray, b: FloatArray, place: FloatArray, half: float) -> Lines:
-    """The wire turning about a place from direction a to b (3,), no point of it faster than in the air."""
+def _rotate_wire(a: FloatArray, b: FloatArray, pivot: FloatArray, half: float) -> WireLines:
+    """Return the wire rotating about a point from direction a to b (3,).
+
+    No point of it moves farther between two lines than allowed in air.
+    """
     axis = np.cross(a, b)
-    size = float(np.linalg.norm(axis))
-    angle = float(np.arctan2(size, a @ b))
-    count = max(1, int(np.ceil(angle * half / AIR_STEP)))
-    turns = exp_rotation(np.arange(count + 1)[:, None] / count * angle * axis / max(size, 1e-12))
-    way = turns @ a
-    return Lines(place - half * way, place + half * way)
+    sine = float(np.linalg.norm(axis))
+    angle = float(np.arctan2(sine, a @ b))
+    count = max(1, int(np.ceil(angle * half / MAX_AIR_STEP_M)))
+    rotations = exp_rotation(np.arange(count + 1)[:, None] / count * angle * axis / max(sine, 1e-12))
+    directions = rotations @ a
+    return WireLines(pivot - half * directions, pivot + half * directions)
 
 
-def _around(
-    a: Lines, b: Lines, hull: FloatArray, down: FloatArray, box: FloatArray
-) -> list[tuple[float, Lines]]:
-    """Ways from a to b, which has nearly a's direction, around the block's shadow: straight, or both ways
-    round."""
+def _paths_around(a: WireLines, b: WireLines, block: _AvoidedBlock) -> list[tuple[float, WireLines]]:
+    """Return paths from a to b around the projection of the block: straight, or around both sides.
+
+    b has almost the direction of a.
+    """
     direction = a.direction[0]
     plane = np.linalg.svd(direction[None])[2][1:].T
-    shadow = np.array(list(itertools.product(*hull.T))) @ plane
-    block = np.array(list(itertools.product(*box.T)))
-    ends = [_foot(line, box) for line in (a, b)]
+    projected_hull = np.array(list(itertools.product(*block.hull.T))) @ plane
+    corners = np.array(list(itertools.product(*block.box.T)))
+    ends = [_nearest_to_centre(line, block.box) for line in (a, b)]
     start, goal = (point @ plane for point in ends)
-    polygon = shadow[ConvexHull(shadow).vertices]
-    if _free(start, goal, polygon):
+    polygon = projected_hull[ConvexHull(projected_hull).vertices]
+    if _is_free(start, goal, polygon):
         chains = [np.stack([start, goal])]
     else:
         points = np.concatenate([polygon, [start, goal]])
@@ -113,212 +145,257 @@ def _around(
     for chain in chains:
         length = np.linalg.norm(np.diff(chain, axis=0), axis=1)
         middle = 0.5 * (chain[1:] + chain[:-1]) @ plane.T
-        low = np.any([middle @ side > (block @ side).max() - NEARER_ROOM for side in down], axis=0)
-        below = BELOW_FACTOR * float(length[low].sum())
-        out.append((float(length.sum()) + below, _along(a, b, chain @ plane.T, direction, ends)))
+        low = np.any(
+            [middle @ side > (corners @ side).max() - CLEARANCE_TOLERANCE_M for side in block.down], axis=0
+        )
+        below = BELOW_COST_FACTOR * float(length[low].sum())
+        out.append((float(length.sum()) + below, _lines_along_chain(a, b, chain @ plane.T, direction, ends)))
     return out
 
 
-def _foot(line: Lines, box: FloatArray) -> FloatArray:
-    """The point (3,) of a line (1) that is abreast of the block's middle."""
-    return np.asarray(line.at(line.abreast(0.5 * (box[:1] + box[1:])))[0])
+def _nearest_to_centre(line: WireLines, box: FloatArray) -> FloatArray:
+    """Return the point (3,) of a line (1) that is nearest to the block's centre."""
+    return np.asarray(line.at(line.nearest_length(0.5 * (box[:1] + box[1:])))[0])
 
 
-def _free(a: FloatArray, b: FloatArray, polygon: FloatArray) -> bool:
-    """Whether the straight way from a to b (2,) stays out of a convex polygon (M, 2), counter-clockwise."""
+def _is_free(a: FloatArray, b: FloatArray, polygon: FloatArray) -> bool:
+    """Return whether the straight path from a to b (2,) stays out of a convex polygon (M, 2).
+
+    The polygon is counter-clockwise.
+    """
     edge = np.roll(polygon, -1, axis=0) - polygon
     normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     u, v = ((point - polygon) @ normal.T for point in (a, b))
     u, v = np.diagonal(u), np.diagonal(v)
     enter, leave = 0.0, 1.0
-    for p, q in zip(u, v, strict=True):  # inside is where all are negative
+    for p, q in zip(u, v, strict=True):  # a point is inside if all are negative
         if p > -1e-9 and q > -1e-9:
             return True
         if p > 0.0 or q > 0.0:
-            cross = p / (p - q)
-            enter, leave = (max(enter, cross), leave) if p > 0.0 else (enter, min(leave, cross))
+            crossing = p / (p - q)
+            enter, leave = (max(enter, crossing), leave) if p > 0.0 else (enter, min(leave, crossing))
     return enter >= leave - 1e-9
 
 
-def _along(a: Lines, b: Lines, chain: FloatArray, direction: FloatArray, ends: list[FloatArray]) -> Lines:
-    """Wires along a chain of points across the wire, from a (left out) to b; what is along the wire goes
-    evenly with the way."""
+def _lines_along_chain(
+    a: WireLines, b: WireLines, chain: FloatArray, direction: FloatArray, ends: list[FloatArray]
+) -> WireLines:
+    """Return wires along a chain of points across the wire, from a (left out) to b.
+
+    The slide along the wire is proportional to the path.
+    """
     length = np.linalg.norm(np.diff(chain, axis=0), axis=1)
-    gone = np.concatenate([[0.0], np.cumsum(length)])
+    travelled = np.concatenate([[0.0], np.cumsum(length)])
     slide = [float(point @ direction) for point in ends]
-    total = max(float(gone[-1]), abs(slide[1] - slide[0]))
+    total = max(float(travelled[-1]), abs(slide[1] - slide[0]))
     if total < 1e-6:
-        return b[:0]  # there already
-    own = [
-        np.linspace(gone[k], gone[k + 1], max(1, int(np.ceil(piece / AIR_STEP))) + 1)[1:]
+        return b[:0]  # already at the goal
+    piece_samples = [
+        np.linspace(travelled[k], travelled[k + 1], max(1, int(np.ceil(piece / MAX_AIR_STEP_M))) + 1)[1:]
         for k, piece in enumerate(length)
         if piece > 1e-9
     ]
-    at = np.concatenate(own) if own else np.array([gone[-1]])
-    points = np.stack([np.interp(at, gone, chain[:, k]) for k in range(3)], axis=1)
-    share = at / gone[-1] if gone[-1] > 1e-9 else np.ones(len(at))
-    points += (slide[0] + share * (slide[1] - slide[0]))[:, None] * direction
-    way = a.direction + share[:, None] * (b.direction - a.direction)
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    samples = np.concatenate(piece_samples) if piece_samples else np.array([travelled[-1]])
+    points = np.stack([np.interp(samples, travelled, chain[:, k]) for k in range(3)], axis=1)
+    fraction = samples / travelled[-1] if travelled[-1] > 1e-9 else np.ones(len(samples))
+    points += (slide[0] + fraction * (slide[1] - slide[0]))[:, None] * direction
+    directions = a.direction + fraction[:, None] * (b.direction - a.direction)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     half = 0.5 * float(np.linalg.norm(b.end[0] - b.start[0]))
-    lines = Lines(points - half * way, points + half * way)
-    return Lines(np.concatenate([lines.start[:-1], b.start]), np.concatenate([lines.end[:-1], b.end]))
+    lines = WireLines(points - half * directions, points + half * directions)
+    return WireLines(np.concatenate([lines.start[:-1], b.start]), np.concatenate([lines.end[:-1], b.end]))
 
 
-AIR_LEAD: Final = 0.040
-"""[m] way in the air before the first cut and behind the last one."""
-PASSING_COSINE: Final = 0.94
-"""Least cosine between moves in the air that are passed without a stop."""
+AIR_LEAD_LENGTH_M: Final = 0.040
+"""Length [m] of the path in air before the first cut and after the last one."""
+MIN_PASSING_COSINE: Final = 0.94
+"""Minimum cosine between moves in air that are passed without a stop."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Route:
-    """All wires of the job in order, pointing the same way along the wire all the time.
+class StraightRoute:
+    """All N wires of the job in order. They point in the same direction along the wire throughout.
 
-    ``segment``, ``stop`` (N,) where the motion stops, ``cut`` (N,) index of the cut on whose surface
-    a wire is, -1 elsewhere, ``place`` (N,) its number there. ``ends`` {index of a cut: its last target}.
+    Attributes:
+        lines: The wires.
+        segment: Segment of each wire (N,).
+        stop: Whether the motion stops there (N,).
+        cut: Index of the cut on whose surface a wire is, -1 elsewhere (N,).
+        number: Its number on that surface (N,).
+        last_target: Last target of each cut, by index of the cut.
     """
 
-    lines: Lines
+    lines: WireLines
     segment: tuple[Segment, ...]
     stop: BoolArray
     cut: IndexArray
-    place: IndexArray
-    ends: dict[int, int]
+    number: IndexArray
+    last_target: dict[int, int]
 
 
-def lay_out(cuts: list[Cut], box: FloatArray, clear: float, half: float, down: FloatArray) -> Route:
-    """The route through all cuts; see :func:`planner.processes.hotwire.plan.straight.route.link` for the
-    figures."""
-    parts: list[Lines] = []
+def plan_route(
+    cuts: list[StraightCut], box: FloatArray, clear: float, half: float, down: FloatArray
+) -> StraightRoute:
+    """Return the route through all cuts.
+
+    Args:
+        cuts: The cuts, in order.
+        box: Lower and upper corner of the block (2, 3) [m].
+        clear: Distance to the block [m].
+        half: Half the length of the wire [m].
+        down: Sides of the block to avoid (D, 3).
+    """
+    parts: list[WireLines] = []
     segments: list[Segment] = []
     stops: list[int] = []
-    owner: list[IndexArray] = []
-    place: list[IndexArray] = []
-    ends: dict[int, int] = {}
+    cut_index: list[IndexArray] = []
+    number_on_cut: list[IndexArray] = []
+    last_target: dict[int, int] = {}
 
-    def add(segment: Segment, lines: Lines, cut: int = -1, first: int = 0) -> None:
-        """Lines of one segment; from number ``first`` on they are on the surface of a cut."""
+    def add(segment: Segment, lines: WireLines, cut: int = -1, first: int = 0) -> None:
+        """Add the lines of one segment. From number ``first`` on they are on the surface of a cut."""
         parts.append(lines)
         segments.extend([segment] * len(lines))
-        on_it = np.arange(len(lines)) >= (first if cut >= 0 else len(lines))
-        owner.append(np.where(on_it, cut, -1))
-        place.append(np.where(on_it, np.arange(len(lines)) - first, -1))
+        is_on_surface = np.arange(len(lines)) >= (first if cut >= 0 else len(lines))
+        cut_index.append(np.where(is_on_surface, cut, -1))
+        number_on_cut.append(np.where(is_on_surface, np.arange(len(lines)) - first, -1))
 
     for number, cut in enumerate(cuts):
-        own = cut.wanted.segment
+        segment = cut.nominal.segment
         into, on, out = cut.into, cut.on.lines, cut.out
-        if parts and parts[-1].direction[-1] @ into.direction[0] < 0.0:  # the wire has no front end
-            into, on, out = (Lines(x.end, x.start) for x in (into, on, out))
+        if parts and parts[-1].direction[-1] @ into.direction[0] < 0.0:  # start and end are interchangeable
+            into, on, out = (WireLines(x.end, x.start) for x in (into, on, out))
         if not parts:
-            add(Segment("approach"), _lead(into, on)[::-1])
+            add(Segment("approach"), _air_lead(into, on)[::-1])
             stops.append(0)
         else:
             first = len(segments) - 1
-            add(Segment("link"), link(parts[-1][-1:], into[:1], box, clear, half, down))
-            stops += (first + _corners(join([parts[-2][-1:], parts[-1]]))).tolist()
+            add(Segment("link"), plan_link(parts[-1][-1:], into[:1], box, clear, half, down))
+            stops += (first + _air_corners(concatenate_lines([parts[-2][-1:], parts[-1]]))).tolist()
         stops.append(len(segments) - 1)
-        # the move that reaches the first wire beside the surface still belongs to the way in
-        add(own.at("in"), join([into[1:], on[:1]]), number, len(into) - 1)
-        add(own, on[1:], number)
-        place[-1] += 1
-        if cut.turns:
-            stops.append(len(segments) + cut.turns - 1)
-        add(own.at("out"), out)
-        ends[number] = len(segments) - 1
+        # the move that reaches the first wire next to the surface still belongs to the lead-in
+        add(segment.at("in"), concatenate_lines([into[1:], on[:1]]), number, len(into) - 1)
+        add(segment, on[1:], number)
+        number_on_cut[-1] += 1
+        if cut.reversal:
+            stops.append(len(segments) + cut.reversal - 1)
+        add(segment.at("out"), out)
+        last_target[number] = len(segments) - 1
         stops.append(len(segments) - 1)
         last = out
-    add(Segment("retreat"), _lead(last.reversed(), last.reversed()[1:])[1:])
+    add(Segment("retreat"), _air_lead(last.reversed(), last.reversed()[1:])[1:])
     stops.append(len(segments) - 1)
     stop = np.zeros(len(segments), dtype=np.bool_)
     stop[stops] = True
-    return Route(join(parts), tuple(segments), stop, np.concatenate(owner), np.concatenate(place), ends)
+    return StraightRoute(
+        concatenate_lines(parts),
+        tuple(segments),
+        stop,
+        np.concatenate(cut_index),
+        np.concatenate(number_on_cut),
+        last_target,
+    )
 
 
-def _corners(lines: Lines) -> IndexArray:
-    """Numbers of the lines at which a way in the air turns: there the motion stops, as nothing melts."""
+def _air_corners(lines: WireLines) -> IndexArray:
+    """Return the lines at which a path in air turns. The motion stops there, because nothing melts."""
     move = np.diff(np.concatenate([lines.start, lines.end], axis=1), axis=0)
     move /= np.maximum(np.linalg.norm(move, axis=1, keepdims=True), 1e-12)
-    return np.flatnonzero(np.sum(move[1:] * move[:-1], axis=1) < PASSING_COSINE) + 1
+    return np.flatnonzero(np.sum(move[1:] * move[:-1], axis=1) < MIN_PASSING_COSINE) + 1
 
 
-def _lead(into: Lines, on: Lines) -> Lines:
-    """Wires in the air from the first of ``into``, that one included, straight away from the second."""
+def _air_lead(into: WireLines, on: WireLines) -> WireLines:
+    """Return wires in air from the first of ``into``, inclusive, straight away from the second."""
     second = into[1:2] if len(into) > 1 else on[:1]
     move = into.start[0] + into.end[0] - second.start[0] - second.end[0]
-    way = into.direction[0]
-    move = move - (move @ way) * way
-    count = max(1, int(np.ceil(AIR_LEAD / AIR_STEP)))
-    shift = AIR_LEAD * np.arange(count + 1)[:, None] / count * move / max(float(np.linalg.norm(move)), 1e-12)
-    return Lines(into.start[:1] + shift, into.end[:1] + shift)
+    direction = into.direction[0]
+    move = move - (move @ direction) * direction
+    count = max(1, int(np.ceil(AIR_LEAD_LENGTH_M / MAX_AIR_STEP_M)))
+    shift = (
+        AIR_LEAD_LENGTH_M
+        * np.arange(count + 1)[:, None]
+        / count
+        * move
+        / max(float(np.linalg.norm(move)), 1e-12)
+    )
+    return WireLines(into.start[:1] + shift, into.end[:1] + shift)
 
 
-def actions(op: Straight, bow: Bow, setup: Setup, cuts: list[Cut], route: Route) -> tuple[Action, ...]:
-    """The operator's steps and the wire's power, by target."""
+def operator_actions(
+    op: Straight, bow: Bow, setup: Setup, cuts: list[StraightCut], route: StraightRoute
+) -> tuple[TargetAction, ...]:
+    """Return the operator steps and the power switching, by target."""
     diameter, material = 2.0 * bow.radius / MM, f" {op.wire_material}".rstrip()
     if op.power_w is not None:
-        mounted = hotwire_sentences.BOW_POWER.filled(
+        mount_message = hotwire_sentences.BOW_POWER.format(
             diameter_mm=diameter, material=material, power_w=op.power_w
         )
     else:
-        mounted = hotwire_sentences.BOW_SLOT.filled(
+        mount_message = hotwire_sentences.BOW_SLOT.format(
             diameter_mm=diameter, material=material, kerf_mm=op.kerf_mm or 0.0
         )
     last = len(route.segment) - 1
     out = [
-        Action(0, "message", mounted),
-        Action(0, "confirm", hotwire_sentences.TAUT.filled()),
-        Action(0, "on", signal=op.signal),
-        Action(0, "wait", seconds=op.heat_up_s),
+        TargetAction(0, "message", mount_message),
+        TargetAction(0, "confirm", hotwire_sentences.TAUT.format()),
+        TargetAction(0, "on", signal=op.signal),
+        TargetAction(0, "wait", seconds=op.heat_up_s),
     ]
     for number, cut in enumerate(cuts):
-        if op.spacers and drops(cut, setup):
-            out += _spacers(op, route.ends[number], 2.0 * float(cut.on.half.mean()))
+        if op.spacers and would_drop(cut, setup):
+            out += _spacer_actions(op, route.last_target[number], 2.0 * float(cut.on.half.mean()))
     return (
         *out,
-        Action(last, "off", signal=op.signal),
-        Action(last, "wait", seconds=op.cool_down_s),
-        Action(last, "confirm", hotwire_sentences.COLD.filled()),
+        TargetAction(last, "off", signal=op.signal),
+        TargetAction(last, "wait", seconds=op.cool_down_s),
+        TargetAction(last, "confirm", hotwire_sentences.COLD.format()),
     )
 
 
-def drops(cut: Cut, setup: Setup) -> bool:
-    """Whether what is above an open cut rests on its slot and would drop by a kerf: the slot is level and
-    goes through the block, and nothing holds what is above."""
-    if cut.wanted.ruled.closed or setup.stock.held_by is not None:
+def would_drop(cut: StraightCut, setup: Setup) -> bool:
+    """Return whether the material above an open cut rests on its slot and would drop by a kerf.
+
+    The slot is level and goes through the block, and nothing holds what is above it.
+    """
+    if cut.nominal.ruled.closed or setup.stock.held_by is not None:
         return False
     normal = cut.on.row.normal.mean(axis=(0, 1))
     return bool(abs(normal @ setup.stock.gravity) > RESTING_COSINE * np.linalg.norm(normal))
 
 
-def check_drops(op: Straight, cuts: list[Cut], setup: Setup) -> Iterator[Issue]:
-    """straight.drop where no spacers are asked for and what drops by a kerf is cut later."""
+def check_drops(op: Straight, cuts: list[StraightCut], setup: Setup) -> Iterator[Issue]:
+    """Yield straight.drop if no spacers are requested and material that drops by a kerf is cut later."""
     up = -setup.stock.gravity
     height = [float((cut.on.row.foot.start + cut.on.row.foot.end).mean(axis=0) @ up) for cut in cuts]
     for number, cut in enumerate(cuts):
         later = [k for k in range(number + 1, len(cuts)) if height[k] > height[number]]
-        if op.spacers or not later or not drops(cut, setup):
+        if op.spacers or not later or not would_drop(cut, setup):
             continue
         slot = 2.0 * float(cut.on.half.mean()) / MM
         yield Issue(
             "straight.drop",
-            f"{op.name}: what is above {cut.wanted.segment} drops by the slot of {slot:.1f} mm before "
-            f"{cuts[later[0]].wanted.segment} is cut in it; set spacers: true, or cut it later",
+            format_message(
+                "straight.drop",
+                operation=op.name,
+                segment=cut.nominal.segment,
+                slot_mm=slot,
+                later_segment=cuts[later[0]].nominal.segment,
+            ),
             Severity.WARNING,
-            field=str(cut.wanted.segment),
+            field=str(cut.nominal.segment),
             **measurement(slot, None, "mm"),
             accepted=False,
         )
 
 
-def _spacers(op: Straight, at: int, kerf: float) -> list[Action]:
-    """Off, spacers in, on again: hands come near the wire."""
+def _spacer_actions(op: Straight, at: int, kerf: float) -> list[TargetAction]:
+    """Return actions: power off, insert spacers, power on. Hands come near the wire."""
     return [
-        Action(at, "off", signal=op.signal),
-        Action(at, "wait", seconds=op.cool_down_s),
-        Action(at, "message", hotwire_sentences.SPACERS.filled(kerf_mm=kerf / MM)),
-        Action(at, "confirm", hotwire_sentences.SPACED.filled()),
-        Action(at, "on", signal=op.signal),
-        Action(at, "wait", seconds=op.heat_up_s),
+        TargetAction(at, "off", signal=op.signal),
+        TargetAction(at, "wait", seconds=op.cool_down_s),
+        TargetAction(at, "message", hotwire_sentences.SPACERS.format(kerf_mm=kerf / MM)),
+        TargetAction(at, "confirm", hotwire_sentences.SPACED.format()),
+        TargetAction(at, "on", signal=op.signal),
+        TargetAction(at, "wait", seconds=op.heat_up_s),
     ]

@@ -1,11 +1,11 @@
-"""Whether the slots of straight cuts come out right, and at which power or feed they would.
+"""Checks of the slots of straight cuts, and search for a power or feed at which they pass.
 
-**At the ends of the wire** (`check_heat`). A slot follows from power over speed, so that one factor
-on both ends' heat stands for more power as well as for less feed. Advice is found by trying factors
-on the cuts' own rows, and tried once more on whole cuts, made anew, before it is given.
+**At the ends of the wire** (`check_heat`). A slot follows from power over speed, so one factor on the heat at
+both ends represents more power as well as less feed. Advice is found by trying factors on the existing rows
+of the cuts. It is confirmed on newly planned cuts before it is given.
 
-**On the planned way** (`check_passed`): the slot that a wire melts all along itself and between its
-guide points, held against the surface and the usable widths.
+**On the planned path** (`check_path`): the slot that a wire melts all along itself and between its guide
+points is compared with the surface and the usable widths.
 """
 
 from collections.abc import Callable, Iterator
@@ -18,49 +18,64 @@ from planner.geometry.units import MM, measurement
 from planner.issues import Issue, Severity
 from planner.processes.hotwire.claims import KerfCurve
 from planner.processes.hotwire.plan.operation import Straight
-from planner.processes.hotwire.plan.straight.cut import Cut
+from planner.processes.hotwire.plan.straight.cut import StraightCut
 from planner.processes.hotwire.plan.straight.offset import (
-    DAMPING,
-    WIRE_SHARES,
-    Melted,
-    beside,
-    foam_left,
-    guides,
-    melted,
+    DAMPING_SCHEDULE,
+    WIRE_FRACTIONS,
+    MeltedSlots,
+    guide_lines,
+    melt_slots,
+    remaining_foam,
+    wire_offset,
 )
-from planner.processes.hotwire.plan.straight.order import Lines, join, place_text
-from planner.targets import FEED_SHARE
+from planner.processes.hotwire.plan.straight.order import WireLines, concatenate_lines, point_text
+from planner.targets import FEED_FRACTION
 
-LEAST_HEAT: Final = 1.0 / 64.0
-"""Heats between this share of the given one and its inverse are tried."""
+MIN_HEAT_FACTOR: Final = 1.0 / 64.0
+"""Factors on the heat between this and its inverse are tried."""
 HEAT_HALVINGS: Final = 8
-"""So often the interval between a heat that is right and one that is not is halved: to 4 %."""
+"""Number of halvings of the interval between a suitable and an unsuitable heat: to 4 %."""
 WIRE_ENDS: Final = ("start", "end")
 """Names of the wire's two ends."""
 
-Remake = Callable[[Straight], list[Cut]]
-"""All cuts of an operation, made for its power and feed."""
-Slots = Callable[[Straight], KerfCurve]
-"""The slot over the speed, for the operation's power."""
+PlanCuts = Callable[[Straight], list[StraightCut]]
+"""Plans all cuts of an operation for its power and feed."""
+KerfCurveOf = Callable[[Straight], KerfCurve]
+"""Returns the kerf over speed for the operation's power."""
 
 
 def check_heat(
-    op: Straight, cuts: list[Cut], box: FloatArray, slots: Slots, remake: Remake, most: float
+    op: Straight,
+    cuts: list[StraightCut],
+    box: FloatArray,
+    kerf_curve_of: KerfCurveOf,
+    plan_cuts: PlanCuts,
+    max_power: float,
 ) -> Iterator[Issue]:
-    """kerf.too_hot, kerf.too_cold and kerf.unsettled of the cuts of an operation with a power, in the block
-    ``box`` (2, 3), with a power or feed that was tried where there is one; the wire bears ``most`` [W]."""
+    """Yield kerf.too_hot, kerf.too_cold and kerf.unsettled of the cuts of an operation with a power.
+
+    The hint names a power or feed that was tried, if there is one.
+
+    Args:
+        op: Operation with a straight wire.
+        cuts: All cuts.
+        box: Lower and upper corner of the block (2, 3) [m].
+        kerf_curve_of: Function for the kerf curve of an operation.
+        plan_cuts: Function that plans the cuts of an operation.
+        max_power: Power that the wire withstands [W].
+    """
     if op.power_w is None:
         return
-    found = [fault for cut in cuts for fault in _faults(op, cut)]
-    if not found:
+    faults = [fault for cut in cuts for fault in _slot_faults(op, cut)]
+    if not faults:
         return
-    hint = _advice(op, cuts, box, slots, remake, most)
-    for cut, code, row, end in found:
-        yield _issue(op, cut, code, row, end, hint)
+    hint = _heat_advice(op, cuts, box, kerf_curve_of, plan_cuts, max_power)
+    for cut, code, row, end in faults:
+        yield _slot_issue(op, cut, code, row, end, hint)
 
 
-def _faults(op: Straight, cut: Cut) -> Iterator[tuple[Cut, str, int, int]]:
-    """What is wrong with a cut's slot: the code, the row of the place and the wire's end there."""
+def _slot_faults(op: Straight, cut: StraightCut) -> Iterator[tuple[StraightCut, str, int, int]]:
+    """Yield the faults of a cut's slot: the cut, the issue code, the row, and the wire's end there."""
     width = 2.0 * cut.on.half / MM
     low, high = op.kerf_range_mm
     widest, narrowest = (divmod(int(at), 2) for at in (np.argmax(width), np.argmin(width)))
@@ -68,112 +83,133 @@ def _faults(op: Straight, cut: Cut) -> Iterator[tuple[Cut, str, int, int]]:
         yield cut, "kerf.too_hot", *widest
     if width[narrowest] < low:
         yield cut, "kerf.too_cold", *narrowest
-    if not cut.on.settled and width.max() <= high and width.min() >= low:
+    if not cut.on.converged and width.max() <= high and width.min() >= low:
         slowest = divmod(int(np.argmin(cut.on.speed)), 2)
         yield cut, "kerf.unsettled", *slowest
 
 
-def _issue(op: Straight, cut: Cut, code: str, row: int, end: int, hint: str) -> Issue:
+def _slot_issue(op: Straight, cut: StraightCut, code: str, row: int, end: int, hint: str) -> Issue:
     speed, foot = cut.on.speed[row] / MM, cut.on.row.foot
     width = 2.0 * float(cut.on.half[row, end]) / MM
     point = (foot.start, foot.end)[end][row] / MM
-    place = "[" + ", ".join(f"{value:.1f}" for value in point) + "] mm"
+    position_text = "[" + ", ".join(f"{value:.1f}" for value in point) + "] mm"
     low, high = op.kerf_range_mm
-    wire = f"{op.name}: on {cut.wanted.segment} the {WIRE_ENDS[end]} of the wire, at {speed[end]:.2f} mm/s"
+    wire = f"{op.name}: on {cut.nominal.segment} the {WIRE_ENDS[end]} of the wire, at {speed[end]:.2f} mm/s"
     other = f"while its {WIRE_ENDS[1 - end]} moves at {speed[1 - end]:.2f} mm/s"
     if code == "kerf.unsettled":
-        what = f"{wire} at {place} {other}, has no slot that fits its own speed"
+        what = f"{wire} at {position_text} {other}, has no kerf that is consistent with its own speed"
         return Issue(code, what, field="part", value=float(speed[end]), unit="mm/s", hint=hint)
     what, limit = ("burns the foam", high) if code == "kerf.too_hot" else ("drags: it is too cold", low)
     return Issue(
         code,
-        f"{wire} at {place} {other}, melts {width:.2f} mm and {what}; allowed are {low:g} to {high:g} mm",
+        f"{wire} at {position_text} {other}, melts {width:.2f} mm and {what}; allowed are {low:g} to "
+        f"{high:g} mm",
         field="operations.power_w",
         **measurement(width, limit, "mm"),
         hint=hint,
     )
 
 
-def _advice(
-    op: Straight, cuts: list[Cut], box: FloatArray, slots: Slots, remake: Remake, bears: float
+def _heat_advice(
+    op: Straight,
+    cuts: list[StraightCut],
+    box: FloatArray,
+    kerf_curve_of: KerfCurveOf,
+    plan_cuts: PlanCuts,
+    max_power: float,
 ) -> str:
-    """A power, and a feed, at which all slots are within the range; or that there is none."""
+    """Return a power and a feed at which all slots are within the range, or that there is none."""
     power = op.power_w or 0.0
-    top = min(1.0 / LEAST_HEAT, 0.9 * bears / power)
+    max_factor = min(1.0 / MIN_HEAT_FACTOR, 0.9 * max_power / power)
 
-    def widths(factor: float) -> tuple[float, float]:
-        hot = _with(op, power=power * factor)
-        curve = slots(hot)
-        made = [
-            beside(cut.on.row, curve, FEED_SHARE * hot.feed(cut.wanted.cut), box, DAMPING[:2]) for cut in cuts
+    def width_range(factor: float) -> tuple[float, float]:
+        changed = _with_heat(op, power=power * factor)
+        curve = kerf_curve_of(changed)
+        offsets = [
+            wire_offset(
+                cut.on.row, curve, FEED_FRACTION * changed.feed(cut.nominal.cut), box, DAMPING_SCHEDULE[:2]
+            )
+            for cut in cuts
         ]
-        widest = max(2.0 * float(one.half.max()) / MM if one.settled else np.inf for one in made)
-        return min(2.0 * float(one.half.min()) / MM for one in made), widest
+        widest = max(
+            2.0 * float(offset.half.max()) / MM if offset.converged else np.inf for offset in offsets
+        )
+        return min(2.0 * float(offset.half.min()) / MM for offset in offsets), widest
 
     low, high = op.kerf_range_mm
-    most = _edge(lambda factor: widths(factor)[1] <= high, LEAST_HEAT, top)
-    least = _edge(lambda factor: widths(factor)[0] >= low, top, LEAST_HEAT)
-    if most is not None and least is not None and least < most:
-        tried = [text for text in _choices(op, least, most, remake) if text]
+    max_suitable = _suitable_limit(lambda factor: width_range(factor)[1] <= high, MIN_HEAT_FACTOR, max_factor)
+    min_suitable = _suitable_limit(lambda factor: width_range(factor)[0] >= low, max_factor, MIN_HEAT_FACTOR)
+    if max_suitable is not None and min_suitable is not None and min_suitable < max_suitable:
+        tried = [text for text in _suitable_settings(op, min_suitable, max_suitable, plan_cuts) if text]
         if tried:
-            return f"{' or '.join(tried)}, as was tried"
-    if least is None or (most is None and widths(LEAST_HEAT)[0] > high):
-        share = f"{top:.3g} times the power" if least is None else "a 64th of the power"
-        return f"even {share} is too {'little' if least is None else 'much'}: correct power_w or feed_mm_s"
+            return f"set {' or '.join(tried)}, which was tried"
+    if min_suitable is None or (max_suitable is None and width_range(MIN_HEAT_FACTOR)[0] > high):
+        factor_text = f"{max_factor:.3g} times the power" if min_suitable is None else "a 64th of the power"
+        return (
+            f"even {factor_text} is too {'little' if min_suitable is None else 'much'}; correct power_w or "
+            "feed_mm_s"
+        )
     alike = (
-        "let both ends move more alike: less taper, edges of one thickness at both ends (wing: "
-        "trailing_edge_mm), rulings that join equal shares of both lines (wing: match: arc_length), or two "
-        "panels instead of one"
+        "make the speeds of both ends more even: less taper, edges of equal thickness at both ends (wing: "
+        "trailing_edge_mm), rulings between equal fractions of both lines (wing: match: arc_length), or "
+        "two panels instead of one"
     )
-    if most is None:
-        return f"no power and no feed mends that: one end nearly stands while the other goes on; {alike}"
+    if max_suitable is None:
+        return f"no power or feed helps: one end almost stops while the other moves on; {alike}"
     return (
-        f"no power and no feed holds both ends: where the widest slot is {high:g} mm, at "
-        f"{power * most:.3g} W, the narrowest is {widths(most)[0]:.2f} mm; {alike}"
+        f"no power or feed suits both ends: if the widest slot is {high:g} mm, at "
+        f"{power * max_suitable:.3g} W, the narrowest is {width_range(max_suitable)[0]:.2f} mm; {alike}"
     )
 
 
-def _edge(good: Callable[[float], bool], inner: float, outer: float) -> float | None:
-    """How far from ``inner`` towards ``outer`` a factor may go and is good, by halving; None where even
-    ``inner`` is not."""
-    if not good(inner):
+def _suitable_limit(is_suitable: Callable[[float], bool], inner: float, outer: float) -> float | None:
+    """Return how far from ``inner`` towards ``outer`` a factor is suitable, by bisection.
+
+    None if ``inner`` is not suitable.
+    """
+    if not is_suitable(inner):
         return None
-    if good(outer):
+    if is_suitable(outer):
         return outer
     for _ in range(HEAT_HALVINGS):
         middle = float(np.sqrt(inner * outer))
-        inner, outer = (middle, outer) if good(middle) else (inner, middle)
+        inner, outer = (middle, outer) if is_suitable(middle) else (inner, middle)
     return inner
 
 
-def _choices(op: Straight, least: float, most: float, remake: Remake) -> Iterator[str]:
-    """A power and a feed between two factors on the heat, in round figures, where whole cuts hold."""
+def _suitable_settings(
+    op: Straight, min_factor: float, max_factor: float, plan_cuts: PlanCuts
+) -> Iterator[str]:
+    """Yield a power and a feed between two factors on the heat at which whole cuts pass.
+
+    They are round figures.
+    """
     low, high = op.kerf_range_mm
-    powers = [value * (op.power_w or 0.0) for value in (least, most)]
-    feeds = [op.feed_mm_s / value for value in (most, least)]
-    own = op.cuts != "all" and any(cut.feed_mm_s is not None for cut in op.cuts)
+    powers = [value * (op.power_w or 0.0) for value in (min_factor, max_factor)]
+    feeds = [op.feed_mm_s / value for value in (max_factor, min_factor)]
+    has_own_feeds = op.cuts != "all" and any(cut.feed_mm_s is not None for cut in op.cuts)
     for what, bounds, allowed in (
         ("power_w", powers, not powers[0] > 5000.0),
-        ("feed_mm_s", [max(feeds[0], op.feed_min_mm_s), min(feeds[1], 200.0)], not own),
+        ("feed_mm_s", [max(feeds[0], op.feed_min_mm_s), min(feeds[1], 200.0)], not has_own_feeds),
     ):
-        value = _round(bounds[0], bounds[1]) if allowed and bounds[0] < bounds[1] else None
+        value = _round_between(bounds[0], bounds[1]) if allowed and bounds[0] < bounds[1] else None
         if value is None:
             continue
-        changed = _with(op, **{what.split("_", maxsplit=1)[0]: value})
-        made = remake(changed)
-        width = np.concatenate([2.0 * cut.on.half.ravel() for cut in made]) / MM
-        if all(cut.on.settled for cut in made) and low <= width.min() and width.max() <= high:
+        changed = _with_heat(op, **{what.split("_", maxsplit=1)[0]: value})
+        cuts = plan_cuts(changed)
+        width = np.concatenate([2.0 * cut.on.half.ravel() for cut in cuts]) / MM
+        if all(cut.on.converged for cut in cuts) and low <= width.min() and width.max() <= high:
             yield f"{what}: {value:g}, which melts {width.min():.2f} to {width.max():.2f} mm"
 
 
-def _with(op: Straight, power: float | None = None, feed: float | None = None) -> Straight:
-    """The operation with another power [W] or feed [mm/s]."""
+def _with_heat(op: Straight, power: float | None = None, feed: float | None = None) -> Straight:
+    """Return the operation with another power [W] or feed [mm/s]."""
     changes = {"power_w": power} if power is not None else {"feed_mm_s": feed}
     return op.model_copy(update=changes)
 
 
-def _round(low: float, high: float) -> float:
-    """A round figure near the middle of an interval."""
+def _round_between(low: float, high: float) -> float:
+    """Return a round figure near the middle of an interval."""
     middle = float(np.sqrt(low * high))
     for step in (5.0, 1.0, 0.5, 0.1, 0.05, 0.01):
         value = round(middle / step) * step
@@ -182,101 +218,124 @@ def _round(low: float, high: float) -> float:
     return middle
 
 
-PLACES_NAMED: Final = 4
-"""So many places are named."""
-USABLE_SHARE: Final = 0.95
-"""Share of the tolerance that a plan may use up: controllers round the speed at corners."""
+MAX_NAMED_PLACES: Final = 4
+"""Maximum number of places named in a message."""
+USABLE_TOLERANCE_FRACTION: Final = 0.95
+"""Fraction of the tolerance that a plan may use, because controllers round the speed at corners."""
 
 
-def check_passed(op: Straight, cut: Cut, kerf: KerfCurve, box: FloatArray) -> Iterator[Issue]:
-    """``straight.uneven`` where the slot grows and shrinks so fast that the wire does not keep half of it off
-    the surface, ``kerf.too_hot`` and ``kerf.too_cold`` where it does so between the guide points."""
-    feed, count = FEED_SHARE * op.feed(cut.wanted.cut), len(cut.on.lines)
-    out = cut.out[: cut.turns] if cut.turns else cut.out
-    ahead = cut.into[-2:]
-    whole = melted(join([ahead, cut.on.lines, out[:2]]), kerf, feed, box)
-    number = whole.number - len(ahead)
-    own = (number > 0) & (number < count)
-    own[np.flatnonzero(number == 0)[-1:]] = True  # what comes to the first wire is still on the way in
-    passed = whole.some(own)
+def check_path(op: Straight, cut: StraightCut, kerf: KerfCurve, box: FloatArray) -> Iterator[Issue]:
+    """Yield issues of the slot along the planned path.
+
+    ``straight.uneven``: the slot grows and shrinks so fast that the wire does not keep half of it from the
+    surface. ``kerf.too_hot`` and ``kerf.too_cold``: the slot leaves the range between the guide points.
+
+    Args:
+        op: Operation with a straight wire.
+        cut: The cut.
+        kerf: Kerf over speed.
+        box: Lower and upper corner of the block (2, 3) [m].
+    """
+    feed, count = FEED_FRACTION * op.feed(cut.nominal.cut), len(cut.on.lines)
+    out = cut.out[: cut.reversal] if cut.reversal else cut.out
+    lead_end = cut.into[-2:]
+    slots = melt_slots(concatenate_lines([lead_end, cut.on.lines, out[:2]]), kerf, feed, box)
+    number = slots.line_index - len(lead_end)
+    on_surface = (number > 0) & (number < count)
+    on_surface[np.flatnonzero(number == 0)[-1:]] = (
+        True  # the sample at the first wire belongs to the lead-in move
+    )
+    passed = slots.select(on_surface)
     low, high = op.kerf_range_mm
     at_guides = 2.0 * cut.on.half / MM
     if op.power_w is not None:
         if not low <= at_guides.min() <= at_guides.max() <= high:
-            return  # it is uneven since it is too hot or too cold somewhere, which is told with advice
-        yield from _width(op, cut, passed)
-    yield from _off(op, cut, passed)
+            return  # uneven because too hot or too cold somewhere, which check_heat reports with advice
+        yield from _width_issues(op, cut, passed)
+    yield from _deviation_issues(op, cut, passed)
 
 
-def along(cut: Cut) -> Lines:
-    """The wires of a cut from the way in to the way out, up to where it turns back."""
-    return join([cut.into, cut.on.lines, cut.out[: cut.turns] if cut.turns else cut.out])
+def wires_along(cut: StraightCut) -> WireLines:
+    """Return the wires of a cut from the lead-in to the lead-out, up to the reversal."""
+    return concatenate_lines([cut.into, cut.on.lines, cut.out[: cut.reversal] if cut.reversal else cut.out])
 
 
 def check_driven(
-    op: Straight, cut: Cut, kerf: KerfCurve, box: FloatArray, clock: FloatArray
+    op: Straight, cut: StraightCut, kerf: KerfCurve, box: FloatArray, clock: FloatArray
 ) -> Iterator[Issue]:
-    """As :func:`check_passed`, at the times that the arms can keep: ``clock`` (2, K) of places between the
-    wires :func:`along` the cut and when [s] they are passed; nor does a wire that is slow on the way in or
-    out melt into the surface."""
+    """Yield issues of the slot at the times that the arms can keep, as :func:`check_path`.
+
+    A wire that is slow on a lead must not melt into the surface either.
+
+    Args:
+        op: Operation with a straight wire.
+        cut: The cut.
+        kerf: Kerf over speed.
+        box: Lower and upper corner of the block (2, 3) [m].
+        clock: Positions between the wires :func:`wires_along` the cut and their times [s] (2, K).
+    """
     if op.power_w is None:
         return
-    whole = melted(along(cut), kerf, op.feed(cut.wanted.cut), box, clock)
-    number = whole.number - len(cut.into)
-    own = (number > 0) & (number < len(cut.on.lines))
-    own[np.flatnonzero(number == 0)[-1:]] = True
-    passed = whole.some(own)
-    why = "the arm cannot turn the bow as fast as the feed asks for, so that it melts a wider slot"
-    yield from _width(op, cut, passed)
-    yield from _off(op, cut, passed, why)
-    if cut.wanted.ruled.hole:
-        return  # the ways in and out pass its surface in a slit
-    beside = whole.some(~own)
-    deep = beside.into(guides(cut.wanted.ruled))
-    row, end = np.unravel_index(int(np.argmax(deep)), deep.shape)
-    worst, allowed = float(deep[row, end]), op.shape_tol_mm * MM
-    if worst > USABLE_SHARE * allowed:
-        hint = "take a lower feed_mm_s with less power_w, which corners slow down less, or a larger "
+    slots = melt_slots(wires_along(cut), kerf, op.feed(cut.nominal.cut), box, clock)
+    number = slots.line_index - len(cut.into)
+    on_surface = (number > 0) & (number < len(cut.on.lines))
+    on_surface[np.flatnonzero(number == 0)[-1:]] = True
+    passed = slots.select(on_surface)
+    cause = "the arm cannot rotate the bow as fast as the feed requires, so that the slot becomes wider"
+    yield from _width_issues(op, cut, passed)
+    yield from _deviation_issues(op, cut, passed, cause)
+    if cut.nominal.ruled.hole:
+        return  # the leads pass its surface in a slit
+    on_leads = slots.select(~on_surface)
+    depth = on_leads.penetration(guide_lines(cut.nominal.ruled))
+    row, end = np.unravel_index(int(np.argmax(depth)), depth.shape)
+    worst, allowed = float(depth[row, end]), op.shape_tol_mm * MM
+    if worst > USABLE_TOLERANCE_FRACTION * allowed:
+        hint = "use a lower feed_mm_s with less power_w, which corners slow down less, or a larger "
         hint += "shape_tol_mm"
         yield Issue(
             "straight.uneven",
-            f"{op.name}: beside {cut.wanted.segment} the arm cannot drive the bow round the corner as fast "
-            f"as the feed asks for, so that it melts {worst / MM:.2f} mm into the part at "
-            f"{_place(beside, int(row), float(end))}",
-            field=str(cut.wanted.segment),
+            f"{op.name}: next to {cut.nominal.segment} the arm cannot move the bow round the corner as fast "
+            f"as the feed requires, so that it melts {worst / MM:.2f} mm into the part at "
+            f"{_position_text(on_leads, int(row), float(end))}",
+            field=str(cut.nominal.segment),
             **measurement(worst / MM, allowed / MM, "mm"),
             hint=hint,
         )
 
 
-def check_inner(op: Straight, cut: Cut, box: FloatArray) -> Iterator[Issue]:
-    """``straight.corner``: what a round wire leaves in inner corners and curves, as a note, or refused where
-    it is deeper than the operation allows."""
-    left = foam_left(cut.on, cut.wanted.ruled, op.shape_tol_mm * MM, box)
-    if not left:
+def check_inner_corners(op: Straight, cut: StraightCut, box: FloatArray) -> Iterator[Issue]:
+    """Yield ``straight.corner``: foam that a round wire leaves in inner corners and curves.
+
+    It is a note, or an error if the foam is deeper than the operation allows.
+    """
+    remaining = remaining_foam(cut.on, cut.nominal.ruled, op.shape_tol_mm * MM, box)
+    if not remaining:
         return
-    deep = left[0].depth / MM
-    volume = sum(one.volume for one in left) / MM**3
-    places = ", ".join(place_text(one.point) for one in left[:PLACES_NAMED])
-    more = f" and {len(left) - PLACES_NAMED} more places" if len(left) > PLACES_NAMED else ""
-    what = (
-        f"{op.name}: the wire is round and leaves foam in inner corners of {cut.wanted.segment}, "
-        f"{deep:.2f} mm deep at most, {volume:.0f} mm3 in all, at {places}{more}"
+    max_depth = remaining[0].depth / MM
+    volume = sum(foam.volume for foam in remaining) / MM**3
+    places = ", ".join(point_text(foam.point) for foam in remaining[:MAX_NAMED_PLACES])
+    more = (
+        f" and {len(remaining) - MAX_NAMED_PLACES} more places" if len(remaining) > MAX_NAMED_PLACES else ""
     )
-    over = deep > op.left_mm
+    what = (
+        f"{op.name}: the wire is round and leaves foam in inner corners of {cut.nominal.segment}, "
+        f"at most {max_depth:.2f} mm deep, {volume:.0f} mm3 in total, at {places}{more}"
+    )
+    is_too_deep = max_depth > op.left_mm
     yield Issue(
         "straight.corner",
-        f"{what}; allowed: {op.left_mm:g} mm (left_mm): take a thinner slot, round the corner, or allow more"
-        if over
-        else f"{what}; cut it off by hand, take a thinner slot or round the corner",
-        Severity.ERROR if over else Severity.NOTE,
-        field=str(cut.wanted.segment),
-        **measurement(deep, op.left_mm, "mm"),
+        f"{what}; allowed: {op.left_mm:g} mm (left_mm); use a thinner slot, round the corner or allow more"
+        if is_too_deep
+        else f"{what}; remove it by hand, use a thinner slot or round the corner",
+        Severity.ERROR if is_too_deep else Severity.NOTE,
+        field=str(cut.nominal.segment),
+        **measurement(max_depth, op.left_mm, "mm"),
     )
 
 
-def _width(op: Straight, cut: Cut, passed: Melted) -> Iterator[Issue]:
-    """The slot between the guide points is neither burnt nor dragged."""
+def _width_issues(op: Straight, cut: StraightCut, passed: MeltedSlots) -> Iterator[Issue]:
+    """Report slots between the guide points that are burnt or dragged."""
     low, high = op.kerf_range_mm
     width = 2.0 * passed.half / MM
     for code, k, limit, words in (
@@ -287,39 +346,52 @@ def _width(op: Straight, cut: Cut, passed: Melted) -> Iterator[Issue]:
         if (value > limit) if code == "kerf.too_hot" else (value < limit):
             row, column = np.unravel_index(k, width.shape)
             speed = float(passed.speed[row, column]) / MM
-            what = f"{op.name}: on {cut.wanted.segment} the wire turns on its way; at {speed:.2f} mm/s, at "
-            what += f"{_place(passed, int(row), float(WIRE_SHARES[column]))}, it melts {value:.2f} mm and "
+            what = f"{op.name}: on {cut.nominal.segment} the wire rotates; at {speed:.2f} mm/s, at "
+            what += (
+                f"{_position_text(passed, int(row), float(WIRE_FRACTIONS[column]))}, it melts {value:.2f} mm "
+                "and "
+            )
             what += f"{words}"
             yield Issue(code, what, field="operations.power_w", **measurement(value, limit, "mm"))
 
 
-def _off(op: Straight, cut: Cut, passed: Melted, why: str = "") -> Iterator[Issue]:
-    """All along its way, and all along itself but for the share that may be out, the wire is half its slot
-    off the surface."""
+def _deviation_issues(
+    op: Straight, cut: StraightCut, passed: MeltedSlots, cause: str = ""
+) -> Iterator[Issue]:
+    """Report wires that are not half their slot from the surface.
+
+    This is checked all along the path, and along the wire except for the fraction that may be out of
+    tolerance.
+    """
     allowed = op.shape_tol_mm * MM
-    off = passed.off(guides(cut.wanted.ruled))
-    row, end = np.unravel_index(int(np.argmax(off)), off.shape)
-    worst, where = float(off[row, end]), _place(passed, int(row), float(end))
-    between = passed.half[:, :1] + WIRE_SHARES * (passed.half[:, -1:] - passed.half[:, :1])
-    inside = np.abs(passed.half - between)
-    if worst <= USABLE_SHARE * allowed and (inside > allowed).mean() > USABLE_SHARE * (1.0 - op.share):
-        row, column = np.unravel_index(int(np.argmax(inside)), inside.shape)
-        worst, where = float(inside[row, column]), _place(passed, int(row), float(WIRE_SHARES[column]))
-    why = why or "the wire slows down and melts its slot wider faster than it can move aside"
-    # wires are laid as coarsely as the tolerance lets them, so that what is missing grows with it
-    remedy = "take less power, which evens the slot, or a shape_tol_mm of some times as much"
+    deviation = passed.deviation(guide_lines(cut.nominal.ruled))
+    row, end = np.unravel_index(int(np.argmax(deviation)), deviation.shape)
+    worst, position = float(deviation[row, end]), _position_text(passed, int(row), float(end))
+    interpolated = passed.half[:, :1] + WIRE_FRACTIONS * (passed.half[:, -1:] - passed.half[:, :1])
+    inner_deviation = np.abs(passed.half - interpolated)
+    if worst <= USABLE_TOLERANCE_FRACTION * allowed and (
+        inner_deviation > allowed
+    ).mean() > USABLE_TOLERANCE_FRACTION * (1.0 - op.share):
+        row, column = np.unravel_index(int(np.argmax(inner_deviation)), inner_deviation.shape)
+        worst, position = (
+            float(inner_deviation[row, column]),
+            _position_text(passed, int(row), float(WIRE_FRACTIONS[column])),
+        )
+    cause = cause or "the wire slows down and its slot widens faster than the wire can move aside"
+    # wires are as sparse as the tolerance allows, so the deviation grows with the tolerance
+    remedy = "use less power, which makes the slot more even, or a several times larger shape_tol_mm"
     if op.power_w is None:
-        why = "the wire does not follow the surface"
-        remedy = "take a shape_tol_mm of some times as much, or a smaller step_mm"
-    if worst > USABLE_SHARE * allowed:
+        cause = "the wire does not follow the surface"
+        remedy = "use a several times larger shape_tol_mm, or a smaller step_mm"
+    if worst > USABLE_TOLERANCE_FRACTION * allowed:
         yield Issue(
             "straight.uneven",
-            f"{op.name}: on {cut.wanted.segment} {why}, at {where}: {worst / MM:.2f} mm are missing or left; "
-            f"{remedy}",
-            field=str(cut.wanted.segment),
+            f"{op.name}: on {cut.nominal.segment} {cause}, at {position}: {worst / MM:.2f} mm missing or "
+            f"left; {remedy}",
+            field=str(cut.nominal.segment),
             **measurement(worst / MM, allowed / MM, "mm"),
         )
 
 
-def _place(passed: Melted, row: int, share: float) -> str:
-    return place_text((1.0 - share) * passed.lines.start[row] + share * passed.lines.end[row])
+def _position_text(passed: MeltedSlots, row: int, fraction: float) -> str:
+    return point_text((1.0 - fraction) * passed.lines.start[row] + fraction * passed.lines.end[row])

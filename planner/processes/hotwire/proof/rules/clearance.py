@@ -1,25 +1,25 @@
-"""The rule on the clearance of bent wires."""
+"""Rule on the clearance of bent wires."""
 
 import dataclasses
 
 import numpy as np
 
-from planner.cell.clearance import Against, edge
+from planner.cell.clearance import Against, FlexibleEdge, edge_clearance
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.processes.hotwire.proof.wire_motion import WIRES
 from planner.proof.context import Context
-from planner.proof.findings import Findings, in_mm
+from planner.proof.findings import Findings, measure_in_mm
 from planner.proof.models import MODELS
-from planner.proof.rule import Outcome, mm, rule
-from planner.proof.rules.clearance import accepted
+from planner.proof.rule import RuleOutcome, mm, rule
+from planner.proof.rules.clearance import min_accepted_clearance
 
 _NEAR_CLAMP_M = 0.02
 """Length of wire [m] next to a clamp whose distance to that clamp is not checked."""
 
 
-@rule("verify.wire_clearance", ahead="wires")
-def wire_bodies(context: Context) -> Outcome:
-    """A bent wire keeps clear of everything, but of the stock only where it does not cut."""
+@rule("verify.wire_clearance", parallel_group="wires")
+def wire_bodies(context: Context) -> RuleOutcome:
+    """A bent wire keeps clear of everything. The stock is exempt only where the wire cuts."""
     models, findings = context.get(MODELS), Findings("verify.wire_clearance", context, worst=np.inf)
     series = dict[str, FloatArray]()
     limit = context.problem.settings.clearance
@@ -28,32 +28,30 @@ def wire_bodies(context: Context) -> Outcome:
         series[f"wire/{number}/clearance"] = distance
         if wire.path is None:
             continue
-        cut = wire.cutting
+        is_cutting = wire.is_cutting
         groups: tuple[tuple[Against, IntArray], ...] = (
-            ("no_stock", np.flatnonzero(cut)),
-            ("all", np.flatnonzero(~cut)),
+            ("no_stock", np.flatnonzero(is_cutting)),
+            ("all", np.flatnonzero(~is_cutting)),
         )
-        for against, chosen in groups:
-            if not len(chosen):
+        for against, selected in groups:
+            if not len(selected):
                 continue
-            rows = wire.sample[chosen]
-            found = edge(
+            rows = wire.sample[selected]
+            result = edge_clearance(
                 models(wire.setup),
-                {arm: context.motion.links[arm][rows] for arm in wire.arms},
-                wire.world[chosen],
-                wire.radius,
-                _NEAR_CLAMP_M,
+                {arm: context.motion.link_joints[arm][rows] for arm in wire.arms},
+                FlexibleEdge(wire.world_points[selected], wire.radius, _NEAR_CLAMP_M),
                 against,
             )
-            distance[chosen] = found.distance
-            for i in np.flatnonzero(~(found.distance >= accepted(limit))):
-                pair = found.pair[int(i)]
+            distance[selected] = result.distance
+            for i in np.flatnonzero(~(result.distance >= min_accepted_clearance(limit))):
+                pair = result.pair[int(i)]
                 message = (
-                    f"the wire comes within {mm(found.distance[i]):.2f} mm of {' and '.join(pair)}; "
+                    f"the wire comes within {mm(result.distance[i]):.2f} mm of {' and '.join(pair)}; "
                     f"allowed: {mm(limit):.2f} mm"
                 )
-                measure = in_mm(found.distance[i], limit)
-                findings.at_sample(message, wire.arms[0], rows[i], measure, pair)
-            k = found.worst()
-            findings.lowest(found.distance[k], " and ".join(found.pair[k]))
+                measure = measure_in_mm(result.distance[i], limit)
+                findings.add_at_sample(message, wire.arms[0], rows[i], measure, pair)
+            k = result.worst()
+            findings.note_lowest(result.distance[k], " and ".join(result.pair[k]))
     return dataclasses.replace(findings.outcome(mm, "mm", limit, nothing="no bent wire"), series=series)

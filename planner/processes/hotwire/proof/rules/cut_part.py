@@ -1,7 +1,6 @@
-"""Rules on what cuts leave: the surface, its ridges, the part beside it, and the order of the cuts.
+"""Rules on what cuts leave: the surface, its ridges, and the part next to it.
 
-verify.surface, ridge. verify.part, order: what slots take from the part on the ways in and out and
-from other surfaces, and what has to be cut before what.
+verify.surface, verify.ridge. verify.part: what slots remove from the part on leads and from other surfaces.
 """
 
 import dataclasses
@@ -12,316 +11,361 @@ import numpy as np
 from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.processes.hotwire.claims import CutsSurface, FollowsRulings, SlitsAllowed
-from planner.processes.hotwire.proof.cut_surface import Sweep, cut_face, deepest, part_obj, unreached
+from planner.processes.hotwire.proof.cut_surface import (
+    WireSweep,
+    make_cut_face,
+    max_excess_depth,
+    part_obj,
+    unreachable_distance,
+)
 from planner.processes.hotwire.proof.rules.wire import at_wire
-from planner.processes.hotwire.proof.slits import in_slit, slits
-from planner.processes.hotwire.proof.walls import PartWalls, taken_by_bent, taken_depth, walls
-from planner.processes.hotwire.proof.wire_motion import WIRES, Wire, end_error, to_block
+from planner.processes.hotwire.proof.slits import find_slits, points_in_slit
+from planner.processes.hotwire.proof.walls import (
+    PartWalls,
+    bent_slot_overlap,
+    make_walls,
+    straight_slot_overlap,
+)
+from planner.processes.hotwire.proof.wire_motion import WIRES, WireMotion, block_distance, end_error_deviation
 from planner.proof.context import Context
 from planner.proof.facts import Fact
-from planner.proof.findings import Findings, coordinates, in_mm, in_percent
-from planner.proof.replay.motion import during, local
-from planner.proof.rule import Outcome, mm, rule
+from planner.proof.findings import Findings, format_point_mm, measure_in_mm, measure_in_percent
+from planner.proof.replay.motion import wire_speed, with_start_stations
+from planner.proof.rule import RuleOutcome, mm, rule
 from planner.proof.verdict import CutFace
 
 
-def sweeps(context: Context) -> tuple[Sweep, ...]:
-    """The wire's shapes in the segment of each wanted face."""
-    good = [wire for wire in context.get(WIRES) if not wire.fault]
-    speeds = [local(wire.points, context.motion.time[wire.sample], wire.inside) for wire in good]
+def face_sweeps(context: Context) -> tuple[WireSweep, ...]:
+    """Return the wire's shapes in the segment of each nominal face."""
+    followed = [wire for wire in context.get(WIRES) if not wire.fault]
+    speeds = [wire_speed(wire.points, context.motion.time[wire.sample], wire.inside) for wire in followed]
     out = []
-    for claim in context.of(CutsSurface):
+    for claim in context.claims_of(CutsSurface):
         parts = []
-        for wire, speed in zip(good, speeds, strict=True):
-            rows = np.flatnonzero(during(wire.labels == claim.segment.key))
+        for wire, speed in zip(followed, speeds, strict=True):
+            rows = np.flatnonzero(with_start_stations(wire.labels == claim.segment.key))
             if len(rows) and wire.setup == context.setup_of(claim):
                 parts.append((wire.points[rows], speed[rows], np.append(np.diff(rows) == 1, False)))
         if parts:
             points, speed, joined = (np.concatenate([part[k] for part in parts]) for k in range(3))
-            out.append(Sweep(points, speed, joined[:-1]))
+            out.append(WireSweep(points, speed, joined[:-1]))
         else:
-            out.append(Sweep.steady(np.zeros((0, 2, 3))))
+            out.append(WireSweep.continuous(np.zeros((0, 2, 3))))
     return tuple(out)
 
 
 def _cut_faces(context: Context) -> tuple[CutFace, ...]:
-    """The faces that wires cut, against the wanted ones."""
-    claims = context.of(CutsSurface)
+    """Compare the faces that wires cut with the nominal ones."""
+    claims = context.claims_of(CutsSurface)
     return tuple(
-        _reachable(context, claim, cut_face(claim, row))
+        _with_unreachable_parts(context, claim, make_cut_face(claim, row))
         for claim, row in zip(claims, context.get(SWEEPS), strict=True)
     )
 
 
-SWEEPS: Final[Fact[Context, tuple[Sweep, ...]]] = Fact("sweeps", sweeps)
-"""The wire's shapes in the segment of each wanted face."""
+SWEEPS: Final[Fact[Context, tuple[WireSweep, ...]]] = Fact("sweeps", face_sweeps)
+"""The wire's shapes in the segment of each nominal face."""
 CUT_FACES: Final[Fact[Context, tuple[CutFace, ...]]] = Fact("cut faces", _cut_faces)
 """The faces that wires cut, without the error of the wire's ends."""
 
 
 @rule("verify.surface", CutsSurface)
-def surface(context: Context) -> Outcome:
-    """The cut surface is within tolerance of the wanted one for the wanted share of it, and in that segment
-    the wire nowhere runs much deeper into the part."""
+def surface(context: Context) -> RuleOutcome:
+    """The required fraction of the cut surface is within tolerance of the nominal one, and in that segment
+    the wire nowhere runs much deeper into the part.
+    """
     rows, faces = context.get(SWEEPS), context.get(CUT_FACES)
     findings = Findings("verify.surface", context)
-    _gouges(findings, rows)
+    _add_gouges(findings, rows)
     for face in faces:
         if face.share < face.wanted_share:
             message = (
                 f"{100 * face.share:.2f} % of {face.segment} are within {mm(face.tolerance):g} mm of the "
-                f"wanted surface; wanted: {100 * face.wanted_share:g} % "
+                f"nominal surface; required: {100 * face.wanted_share:g} % "
                 f"(rms {mm(face.rms):.3f} mm, largest {mm(face.largest):.3f} mm)"
             )
-            findings.add(message, in_percent(face.share, face.wanted_share), field=face.title)
+            findings.add(message, measure_in_percent(face.share, face.wanted_share), field=face.title)
         area = face.area / max(float(face.area.sum()), 1e-30)
         missed = float(area[~np.isfinite(face.deviation)].sum())
         if missed > 1.0 - face.wanted_share:
             message = f"the wire does not pass over {100 * missed:.2f} % of {face.segment}"
-            findings.add(message, in_percent(missed, 1 - face.wanted_share), field=face.title)
+            findings.add(message, measure_in_percent(missed, 1 - face.wanted_share), field=face.title)
     if not faces:
-        return Outcome(nothing="no face is claimed")
+        return RuleOutcome(nothing="no face is claimed")
     worst = min(faces, key=lambda face: face.share - face.wanted_share)
-    return Outcome(
+    return RuleOutcome(
         tuple(findings.issues),
         100 * worst.share,
         100 * worst.wanted_share,
         "% within tolerance",
         worst.title,
         faces=with_end_error(context, context.get(WIRES), faces),
-        part=part_obj(context.of(CutsSurface), rows, context.of(FollowsRulings)),
+        part=part_obj(context.claims_of(CutsSurface), rows, context.claims_of(FollowsRulings)),
     )
 
 
-def _reachable(context: Context, claim: CutsSurface, face: CutFace) -> CutFace:
-    """The face with what a round wire cannot reach of it as good as it can be, where so much of it is off
-    that this counts."""
-    ruled = next((one for one in context.of(FollowsRulings) if one.segment == claim.segment), None)
+def _with_unreachable_parts(context: Context, claim: CutsSurface, face: CutFace) -> CutFace:
+    """Return the face with what a round wire cannot reach counted as good.
+
+    This is only done if enough of the face deviates to matter.
+    """
+    ruled = next(
+        (candidate for candidate in context.claims_of(FollowsRulings) if candidate.segment == claim.segment),
+        None,
+    )
     if ruled is None or face.share >= face.wanted_share:
         return face
-    # what stands farther than may be left by far is off whatever a wire reaches, and costs a search a point
-    off = (face.deviation > face.tolerance) & (face.deviation <= ruled.left + face.tolerance)
-    high = np.flatnonzero(off)
-    if not len(high):
+    # points farther than what may be left fail whatever a wire reaches; skip them, as each costs a search
+    deviates = (face.deviation > face.tolerance) & (face.deviation <= ruled.max_left + face.tolerance)
+    rows = np.flatnonzero(deviates)
+    if not len(rows):
         return face
     speed = face.speed[np.isfinite(face.speed)]
-    more = unreached(ruled, face.points[high], 0.5 * float(claim.kerf.at(speed).max()))
+    unreachable = unreachable_distance(ruled, face.points[rows], 0.5 * float(claim.kerf.at(speed).max()))
     good = np.abs(face.deviation) <= face.tolerance
-    good[high] = (face.deviation[high] <= more + face.tolerance) & (more <= ruled.left)
+    good[rows] = (face.deviation[rows] <= unreachable + face.tolerance) & (unreachable <= ruled.max_left)
     return dataclasses.replace(face, share=float(face.area[good].sum() / max(face.area.sum(), 1e-30)))
 
 
-def _gouges(findings: Findings, rows: tuple[Sweep, ...]) -> None:
-    """Faces into which the wire cuts besides: the nearest sheet of several hides those beneath it. Straight
-    wires keep to their rulings all along, which is more."""
+def _add_gouges(findings: Findings, rows: tuple[WireSweep, ...]) -> None:
+    """Report faces into which the wire also cuts: the nearest of several sheets hides those beneath it.
+
+    Straight wires follow their rulings everywhere, which is a stronger requirement.
+    """
     context = findings.context
-    ruled = {claim.segment.key for claim in context.of(FollowsRulings)}
-    for claim, sweep in zip(context.of(CutsSurface), rows, strict=True):
+    ruled = {claim.segment.key for claim in context.claims_of(FollowsRulings)}
+    for claim, sweep in zip(context.claims_of(CutsSurface), rows, strict=True):
         if len(sweep.points) < 2 or claim.segment.key in ruled:
             continue
-        block = context.stock(context.setup_of(claim))
-        deep, _ = deepest(claim, sweep, to_block(sweep.points, block) < 0.0)
-        limit = GOUGE_TOLERANCES * claim.tolerance + BENT_FACE_ERROR
-        if deep > limit:
-            what = f"the wire runs {mm(deep):.2f} mm deep below {claim.segment}; allowed: {mm(limit):g} mm"
-            findings.add(what, in_mm(deep, limit), field=str(claim.segment))
+        block = context.stock_at(context.setup_of(claim))
+        depth, _ = max_excess_depth(claim, sweep, block_distance(sweep.points, block) < 0.0)
+        limit = MAX_GOUGE_FACTOR * claim.tolerance + FLAT_FACE_ERROR_M
+        if depth > limit:
+            what = f"the wire runs {mm(depth):.2f} mm below {claim.segment}; allowed: {mm(limit):g} mm"
+            findings.add(what, measure_in_mm(depth, limit), field=str(claim.segment))
 
 
-ERROR_STATIONS = 5
-"""Stations of a wire at which errors of its ends are worked out."""
-GOUGE_TOLERANCES = 3.0
-"""A wire may run deeper than wanted by so many tolerances, in places."""
-BENT_FACE_ERROR = 3e-4
-"""What taking a bent face as flat around its samples may cost [m]."""
+END_ERROR_STATIONS = 5
+"""Number of stations of a wire at which errors of its ends are computed."""
+MAX_GOUGE_FACTOR = 3.0
+"""Multiple of the tolerance by which a wire may run too deep in places."""
+FLAT_FACE_ERROR_M = 3e-4
+"""Error [m] of taking a curved face as flat around its samples."""
 
 
 def with_end_error(
-    context: Context, wires: tuple[Wire, ...], faces: tuple[CutFace, ...]
+    context: Context, wires: tuple[WireMotion, ...], faces: tuple[CutFace, ...]
 ) -> tuple[CutFace, ...]:
-    """The faces with what the stated error of the wire's ends may add, looked at in a few places of each."""
+    """Return the faces with the possible effect of the stated end errors, at a few stations of each.
+
+    Args:
+        context: Context of the proof.
+        wires: All wires.
+        faces: The cut faces.
+    """
     out = []
     for face in faces:
         worst = 0.0
         for wire in wires:
             rows = np.flatnonzero((wire.labels == face.segment.key) & wire.inside.any(axis=1))
             if len(rows):
-                some = rows[np.unique(np.linspace(0, len(rows) - 1, ERROR_STATIONS).astype(np.int64))]
-                worst = max(worst, float(end_error(context, wire, some).max()))
+                sampled = rows[np.unique(np.linspace(0, len(rows) - 1, END_ERROR_STATIONS).astype(np.int64))]
+                worst = max(worst, float(end_error_deviation(context, wire, sampled).max()))
         good = np.abs(face.deviation) + worst <= face.tolerance
-        share = float(face.area[good].sum() / max(float(face.area.sum()), 1e-30))
-        out.append(dataclasses.replace(face, end_error=worst, share_with_error=share))
+        fraction = float(face.area[good].sum() / max(float(face.area.sum()), 1e-30))
+        out.append(dataclasses.replace(face, end_error=worst, share_with_error=fraction))
     return tuple(out)
 
 
 @rule("verify.ridge")
-def ridges(context: Context) -> Outcome:
-    """No target of a bent wire stands out of the smooth surface that its neighbours make by more than the
-    tolerance; a straight one is held against its rulings, which may have edges."""
+def ridges(context: Context) -> RuleOutcome:
+    """No target of a bent wire deviates by more than the tolerance from the smooth surface through its
+    neighbours. Straight wires are compared with their rulings, which may have edges.
+    """
     findings = Findings("verify.ridge", context)
     nodes = context.motion.node_sample
-    ruled = {claim.segment.key for claim in context.of(FollowsRulings)}
-    for claim in context.of(CutsSurface):
+    ruled = {claim.segment.key for claim in context.claims_of(FollowsRulings)}
+    for claim in context.claims_of(CutsSurface):
         for wire in context.get(WIRES) if claim.segment.key not in ruled else ():
             rows = np.flatnonzero((wire.labels == claim.segment.key) & np.isin(wire.sample, nodes))
             if wire.fault or len(rows) < 5:
                 continue
-            out = _standing_out(wire.points[rows], wire.inside[rows])
-            findings.highest(out.max(), claim.segment, claim.tolerance)
+            out = _deviation_from_neighbours(wire.points[rows], wire.inside[rows])
+            findings.note_highest(out.max(), claim.segment, claim.tolerance)
             for i in np.flatnonzero(out > claim.tolerance)[:50]:
                 message = (
-                    f"the wire is {mm(out[i]):.3f} mm off the surface of its neighbours: a ridge or groove; "
+                    f"the wire deviates {mm(out[i]):.3f} mm from its neighbours' surface: a ridge or groove; "
                     f"allowed: {mm(claim.tolerance):g} mm"
                 )
-                at_wire(findings, wire, message, rows[i], in_mm(out[i], claim.tolerance))
+                at_wire(findings, wire, message, rows[i], measure_in_mm(out[i], claim.tolerance))
     return findings.outcome(mm, "mm", nothing="no face is claimed")
 
 
-def _standing_out(points: FloatArray, inside: BoolArray) -> FloatArray:
-    """How far (T,) [m] each wire is off the cubic through the two wires before and the two behind it.
+def _deviation_from_neighbours(points: FloatArray, inside: BoolArray) -> FloatArray:
+    """Return how far (T,) [m] each wire deviates from the cubic through its two neighbours on each side.
 
-    ``points`` (T, P, 3) at equal arc lengths; measured across the wire and its way, at points ``inside`` (T,
-    P).
+    The deviation is measured across the wire and its path.
+
+    Args:
+        points: Points at equal arc lengths (T, P, 3) [m].
+        inside: Points that count (T, P).
     """
     out = np.zeros(len(points))
     step = np.linalg.norm(np.diff(points, axis=0), axis=2)
-    way = np.concatenate([np.zeros((1, points.shape[1])), np.cumsum(step, axis=0)])
-    at = np.stack([way[k : len(way) - 4 + k] for k in range(5)])
-    near = (0, 1, 3, 4)
-    guess = np.zeros_like(points[2:-2])
-    for i in near:
-        weight = np.ones_like(at[2])
-        for j in near:
+    path_length = np.concatenate([np.zeros((1, points.shape[1])), np.cumsum(step, axis=0)])
+    positions = np.stack([path_length[k : len(path_length) - 4 + k] for k in range(5)])
+    neighbours = (0, 1, 3, 4)
+    interpolated = np.zeros_like(points[2:-2])
+    for i in neighbours:
+        weight = np.ones_like(positions[2])
+        for j in neighbours:
             if j != i:
                 weight = (
-                    weight * (at[2] - at[j]) / np.where(np.abs(at[i] - at[j]) > 1e-9, at[i] - at[j], np.inf)
+                    weight
+                    * (positions[2] - positions[j])
+                    / np.where(
+                        np.abs(positions[i] - positions[j]) > 1e-9, positions[i] - positions[j], np.inf
+                    )
                 )
-        guess += weight[..., None] * points[i : len(points) - 4 + i]
+        interpolated += weight[..., None] * points[i : len(points) - 4 + i]
     tangent = np.gradient(points[2:-2], axis=1)
     forward = points[3:-1] - points[1:-3]
     normal = np.cross(tangent, forward)
     normal /= np.maximum(np.linalg.norm(normal, axis=2, keepdims=True), 1e-15)
-    off = np.abs(dots(points[2:-2] - guess, normal))
-    out[2:-2] = np.where(inside[2:-2], off, 0.0).max(axis=1)
+    deviation = np.abs(dots(points[2:-2] - interpolated, normal))
+    out[2:-2] = np.where(inside[2:-2], deviation, 0.0).max(axis=1)
     return out
 
 
-BESIDE = 0.01
-"""Points nearer to a face than this [m] are held against the faces that it crosses: no slot is as wide."""
-SIDE_DISTANCE = 1e-6
-"""A surface all of whose vertices are so near to one side of the datum block [m] is that side, and bounds raw
-foam instead of a piece."""
+MAX_SLOT_WIDTH_M = 0.01
+"""Points closer to a face than this [m] are compared with the faces that it crosses. No slot is as wide."""
+SIDE_TOLERANCE_M = 1e-6
+"""Distance [m] of a surface's vertices from a side of the datum block below which it is that side.
+
+Such a surface bounds raw foam instead of a piece.
+"""
 
 
-@rule("verify.part", CutsSurface, SlitsAllowed, ahead="wires")
-def part(context: Context) -> Outcome:
-    """On its ways in and out the wire's slot keeps off the part, within the tolerance, but for one plane
-    slit to what the part lies around; sides of the datum block are cut from outside. Beside a surface the
-    slot keeps off all the others, those that are cut already and those to come."""
+@rule("verify.part", CutsSurface, SlitsAllowed, parallel_group="wires")
+def part(context: Context) -> RuleOutcome:
+    """On lead-ins and lead-outs the wire's slot spares the part, within the tolerance, except for one plane
+    slit to what the part lies around. Sides of the datum block are cut from outside. Next to a surface the
+    slot spares all other surfaces, whether they are cut before or after.
+    """
     wires, findings = context.get(WIRES), Findings("verify.part", context, worst=np.inf)
-    own = {claim.segment.key for claim in context.of(CutsSurface)}
-    wanted = tuple(claim for claim in context.of(CutsSurface) if not _is_side(context, claim))
-    bounds = _Bounds(context, wanted)
+    face_keys = {claim.segment.key for claim in context.claims_of(CutsSurface)}
+    nominal = tuple(claim for claim in context.claims_of(CutsSurface) if not _is_datum_side(context, claim))
+    bounds = _PartBounds(context, nominal)
     for wire in wires:
         speed: FloatArray | None = None
-        through = slits(context, wire)
-        for label in sorted(set(wire.labels.tolist()) & wire.cuts - own) if not wire.fault else ():
+        slits_by_segment = find_slits(context, wire)
+        for label in (
+            sorted(set(wire.labels.tolist()) & wire.cut_segments - face_keys) if not wire.fault else ()
+        ):
             rows = np.flatnonzero(wire.labels == label)
             row, column = np.nonzero(wire.inside[rows])
             if not len(row):
                 continue
             row = rows[row]
             if speed is None:
-                speed = local(wire.points, context.motion.time[wire.sample], wire.inside)
+                speed = wire_speed(wire.points, context.motion.time[wire.sample], wire.inside)
             points = wire.points[row, column]
             base = Segment.read(label).at("").key
-            cut = next((c for c in context.of(CutsSurface) if c.segment.key == base), None)
+            cut = next((c for c in context.claims_of(CutsSurface) if c.segment.key == base), None)
             half = np.zeros(len(row)) if cut is None else 0.5 * cut.kerf.at(speed[row, column])
-            room, tolerance = bounds.off(points)
-            if base in through and base != label:
-                slit = in_slit(through[base], label, points, half + np.nan_to_num(tolerance))
-                room = np.where(slit, np.nan, room)
-            if cut is not None and cut not in wanted:
-                datum = to_block(points, context.datum)
-                room, tolerance = np.fmin(room, datum), np.fmin(tolerance, cut.tolerance)
-            room = room - half + tolerance
-            if not np.isfinite(room).any():
+            clearance, tolerance = bounds.signed_distance(points)
+            if base in slits_by_segment and base != label:
+                slit = points_in_slit(slits_by_segment[base], label, points, half + np.nan_to_num(tolerance))
+                clearance = np.where(slit, np.nan, clearance)
+            if cut is not None and cut not in nominal:
+                datum = block_distance(points, context.datum)
+                clearance, tolerance = np.fmin(clearance, datum), np.fmin(tolerance, cut.tolerance)
+            clearance = clearance - half + tolerance
+            if not np.isfinite(clearance).any():
                 continue
-            findings.lowest(np.nanmin(room), label)
-            for i in np.flatnonzero(room < 0.0)[:20]:
-                deep = float(tolerance[i] - room[i])
+            findings.note_lowest(np.nanmin(clearance), label)
+            for i in np.flatnonzero(clearance < 0.0)[:20]:
+                depth = float(tolerance[i] - clearance[i])
                 what = (
-                    f"in {label} the slot is {mm(deep):.2f} mm inside the part; "
+                    f"in {label} the slot is {mm(depth):.2f} mm inside the part; "
                     f"allowed: {mm(tolerance[i]):g} mm"
                 )
-                at_wire(findings, wire, what, row[i], in_mm(deep, tolerance[i]))
-    _beside(findings, bounds.walls)
-    return findings.outcome(mm, "mm left", 0.0, nothing="no way in or out in the foam beside the part")
+                at_wire(findings, wire, what, row[i], measure_in_mm(depth, tolerance[i]))
+    _add_slot_overlaps(findings, bounds.walls)
+    return findings.outcome(mm, "mm left", 0.0, nothing="no lead-in or lead-out in the foam next to the part")
 
 
-def _beside(findings: Findings, part: PartWalls) -> None:
-    """What slots take from other surfaces than those beside which they cut."""
+def _add_slot_overlaps(findings: Findings, part: PartWalls) -> None:
+    """Report what slots remove from surfaces other than those next to which they cut."""
     context = findings.context
-    straight = {claim.segment.key for claim in context.of(FollowsRulings)}
-    for claim, sweep in zip(context.of(CutsSurface), context.get(SWEEPS), strict=True):
+    straight = {claim.segment.key for claim in context.claims_of(FollowsRulings)}
+    for claim, sweep in zip(context.claims_of(CutsSurface), context.get(SWEEPS), strict=True):
         if len(sweep.points) < 2:
             continue
-        take = taken_depth if claim.segment.key in straight else taken_by_bent
+        find_overlap = straight_slot_overlap if claim.segment.key in straight else bent_slot_overlap
         for other in part.claims:
-            found = None if other is claim else take(claim, sweep, other, part)
-            if found is None:
+            overlap = None if other is claim else find_overlap(claim, sweep, other, part)
+            if overlap is None:
                 continue
             what = (
-                f"beside {claim.segment} the slot of {mm(2.0 * found.half):.2f} mm takes "
-                f"{mm(found.depth):.2f} mm off {other.segment} at [{coordinates(found.place)}] mm; "
+                f"next to {claim.segment} the slot of {mm(2.0 * overlap.half):.2f} mm removes "
+                f"{mm(overlap.depth):.2f} mm of {other.segment} at [{format_point_mm(overlap.point)}] mm; "
                 f"allowed: {mm(other.tolerance):g} mm"
             )
-            findings.add(what, in_mm(found.depth, other.tolerance), field=str(claim.segment))
+            findings.add(what, measure_in_mm(overlap.depth, other.tolerance), field=str(claim.segment))
 
 
-class _Bounds:
-    """What bounds the part: contours that are closed, and faces that may go on beyond these."""
+class _PartBounds:
+    """Bounds of the part: closed contours, and faces that may extend beyond them."""
 
     def __init__(self, context: Context, claims: tuple[CutsSurface, ...]) -> None:
         closed = {
             claim.segment.key
-            for claim in context.of(FollowsRulings)
-            if np.abs(claim.start[0] - claim.start[-1]).max() < SIDE_DISTANCE
+            for claim in context.claims_of(FollowsRulings)
+            if np.abs(claim.start[0] - claim.start[-1]).max() < SIDE_TOLERANCE_M
         }
         self.walls = PartWalls(claims, context.datum.box)
         contours = tuple(claim for claim in claims if claim.segment.key in closed)
         self.faces = tuple(claim for claim in claims if claim.segment.key not in closed)
         self.groups = [
-            (walls(some), np.array([claim.tolerance for claim in some]), some is self.faces)
-            for some in (contours, self.faces)
-            if some
+            (make_walls(surfaces), np.array([claim.tolerance for claim in surfaces]), surfaces is self.faces)
+            for surfaces in (contours, self.faces)
+            if surfaces
         ]
 
-    def off(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Distance (N,) [m] of points (N, 3) to the part, negative inside, NaN where it is not known, and the
-        tolerance (N,) there. What is outside of either the contours or the faces is outside, and so is what
-        is outside of a face that the nearest one crosses: both bound the part together, which is no nearer
-        than the farther one of them."""
-        off, tolerance = np.full(len(points), -np.inf), np.full(len(points), np.nan)
+    def signed_distance(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return signed distances (N,) [m] of points (N, 3) to the part, and the tolerances (N,) there.
+
+        Distances are negative inside and NaN where they are unknown. A point outside either the contours or
+        the faces is outside. So is a point outside a face that the nearest one crosses: both bound the part
+        together, which is no closer than the farther of them.
+        """
+        distance, tolerance = np.full(len(points), -np.inf), np.full(len(points), np.nan)
         for group, limits, are_faces in self.groups:
-            here, owner = group.off(points)
+            group_distance, owner = group.signed_distance(points)
             if are_faces:
-                here = self._beyond(points, here, owner)
-            tolerance = np.where(here > off, limits[owner], tolerance)
-            off = np.maximum(off, here)  # NaN remains
-        return np.where(np.isinf(off), np.nan, off), tolerance
+                group_distance = self._correct_for_crossings(points, group_distance, owner)
+            tolerance = np.where(group_distance > distance, limits[owner], tolerance)
+            distance = np.maximum(distance, group_distance)  # NaN remains
+        return np.where(np.isinf(distance), np.nan, distance), tolerance
 
-    def _beyond(self, points: FloatArray, off: FloatArray, owner: IntArray) -> FloatArray:
-        """Distances (N,) [m] of points (N, 3), where ``off`` is that to the nearest face, ``owner`` (N,)."""
-        off = off.copy()
-        for number in np.unique(owner[off < BESIDE]).tolist():
-            for other in self.walls.crossed(self.faces[number]):
+    def _correct_for_crossings(self, points: FloatArray, distance: FloatArray, owner: IntArray) -> FloatArray:
+        """Correct distances (N,) [m] of points (N, 3) to the nearest face for faces that cross it.
+
+        ``owner`` (N,) is the nearest face.
+        """
+        distance = distance.copy()
+        for number in np.unique(owner[distance < MAX_SLOT_WIDTH_M]).tolist():
+            for other in self.walls.crossing_surfaces(self.faces[number]):
                 if any(other is face for face in self.faces):
-                    rows = np.flatnonzero((off < BESIDE) & (owner == number))
-                    own, _ = self.walls.wall(other).off(points[rows])
-                    off[rows] = np.where(own > np.maximum(off[rows], 0.0), own, off[rows])
-        return off
+                    rows = np.flatnonzero((distance < MAX_SLOT_WIDTH_M) & (owner == number))
+                    crossing_distance, _ = self.walls.wall(other).signed_distance(points[rows])
+                    distance[rows] = np.where(
+                        crossing_distance > np.maximum(distance[rows], 0.0), crossing_distance, distance[rows]
+                    )
+        return distance
 
 
-def _is_side(context: Context, claim: CutsSurface) -> bool:
+def _is_datum_side(context: Context, claim: CutsSurface) -> bool:
     box = context.datum.box
-    return bool((np.abs(claim.vertices[:, None] - box[None]).max(axis=0) < SIDE_DISTANCE).any())
+    return bool((np.abs(claim.vertices[:, None] - box[None]).max(axis=0) < SIDE_TOLERANCE_M).any())

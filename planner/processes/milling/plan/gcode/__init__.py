@@ -1,1 +1,1 @@
-"""G-code in: from the lines of a file to passes of the cutter."""
+"""Reader of G-code, from the lines of a file to passes of the cutter, and writer for five-axis machines."""

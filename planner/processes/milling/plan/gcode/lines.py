@@ -1,7 +1,7 @@
-"""Any one line of G-code: its words, its G and M codes by modal group, and what they do.
+"""A single line of G-code: its words, its G and M codes by modal group, and their effect.
 
-Modes first, then dwell, motion and stop, as controllers do it. Words are letters with numbers,
-without comments and white space. For codes that are not read there is a reason (`why_not`).
+Modes come first, then dwell, motion and stop, as on controllers. Words are letters with numbers, without
+comments and white space. Codes that are not supported have a reason (`refusal_reason`).
 """
 
 import dataclasses
@@ -14,17 +14,20 @@ from planner.processes.milling.plan.gcode.moves import (
     AXIS_LETTERS,
     CENTRE_LETTERS,
     ROTARY_LETTERS,
-    Faults,
-    Gathered,
-    Step,
-    move,
+    LineFaults,
+    LineStep,
+    MoveRecorder,
+    execute_move,
 )
-from planner.processes.milling.plan.gcode.state import INCH, Dialect, Modal, wanted
+from planner.processes.milling.plan.gcode.state import INCH_M, Dialect, Modal, uses_tool
 
 Word = tuple[str, float]
 
-MOST_CHARACTERS: Final = 256
-"""Characters of a line's words, as controllers allow (RS274/NGC); no number is too large then."""
+MAX_CHARACTERS: Final = 256
+"""Maximum number of characters of a line's words, as controllers allow (RS274/NGC).
+
+It also bounds the size of numbers.
+"""
 COMMENT_PATTERN: Final = re.compile(r"\([^()]*\)|;.*")
 """Comments: in parentheses, or from a semicolon to the end of the line."""
 WORD_PATTERN: Final = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
@@ -32,58 +35,63 @@ WORD_PATTERN: Final = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
 
 
 class LineError(ValueError):
-    """A line that is no G-code: ``word`` is the text at fault, the message says what to do."""
+    """A line that is not G-code. ``word`` is the text at fault, the message says what to do."""
 
     def __init__(self, word: str, message: str) -> None:
         super().__init__(message)
         self.word = word
 
 
-def bare(line: str) -> str:
-    """The line in capitals, without comments and white space, which mean nothing anywhere in a line.
+def strip_line(line: str) -> str:
+    """Return the line in capitals without comments and white space, which have no meaning in a line.
 
-    Raises :class:`LineError` where a comment is not closed.
+    Raises:
+        LineError: A comment is not closed.
     """
     if "(" in line or ";" in line or ")" in line:
         line = COMMENT_PATTERN.sub("", line)
         if "(" in line or ")" in line:
-            raise LineError("(", "a comment is opened or closed but not both; pair ( and ) within the line")
+            raise LineError("(", "a parenthesis of a comment has no partner; pair ( and ) within the line")
     return "".join(line.split()).upper()
 
 
-def words(text: str) -> list[Word]:
-    """The words of a bare line, in order, their numbers as they stand. Raises :class:`LineError`."""
-    found = WORD_PATTERN.findall(text)
-    if sum(len(number) for _, number in found) + len(found) != len(text):
-        raise _refuse(text)
-    if len(text) > MOST_CHARACTERS:
+def parse_words(text: str) -> list[Word]:
+    """Return the words of a bare line in order, with their numbers as written.
+
+    Raises:
+        LineError: The text is not a list of words, or too long.
+    """
+    matches = WORD_PATTERN.findall(text)
+    if sum(len(number) for _, number in matches) + len(matches) != len(text):
+        raise _syntax_error(text)
+    if len(text) > MAX_CHARACTERS:
         raise LineError(
-            "", f"{len(text)} characters of words on a line, at most {MOST_CHARACTERS} are read; part it"
+            "", f"{len(text)} characters of words on a line, allowed {MAX_CHARACTERS}; split the line"
         )
-    return [(letter, float(number)) for letter, number in found]
+    return [(letter, float(number)) for letter, number in matches]
 
 
-def code(letter: str, value: float) -> str:
-    """The usual name of a code, ``G1``, ``G90.1``."""
+def code_name(letter: str, value: float) -> str:
+    """Return the usual name of a code, such as ``G1`` or ``G90.1``."""
     return f"{letter}{value:g}"
 
 
-def _refuse(text: str) -> LineError:
-    place = 0
-    while (met := WORD_PATTERN.match(text, place)) is not None:
-        place = met.end()
-    rest = text[place : place + 12]
+def _syntax_error(text: str) -> LineError:
+    position = 0
+    while (match := WORD_PATTERN.match(text, position)) is not None:
+        position = match.end()
+    rest = text[position : position + 12]
     if rest[0] in "#[]=*<" or (len(rest) > 1 and rest[1] in "#["):
         what = "parameters and expressions are not computed; let the CAM system write plain numbers"
         return LineError(rest[0], f"got {rest!r}: {what}")
     if rest[0].isalpha() and rest[0].isascii():
         what = "the word has no number, or one that is not written as 12, 12., .5 or -1.5; correct it"
         return LineError(rest[0], f"got {rest!r}: {what}")
-    return LineError("", f"got {rest!r}, which is no word of G-code (a letter and a number); correct it")
+    return LineError("", f"got {rest!r}, which is not a G-code word (a letter and a number); correct it")
 
 
 MOTION_CODES: Final = {"G0": 0, "G1": 1, "G2": 2, "G3": 3}
-"""Modes of motion: rapid, straight, arc clockwise, arc counterclockwise."""
+"""Motion modes: rapid, straight, arc clockwise, arc counterclockwise."""
 PLANE_CODES: Final = {"G17": 2, "G18": 1, "G19": 0}
 """Planes by their normals: xy, zx, yz."""
 
@@ -103,22 +111,22 @@ MODAL_GROUPS: Final[dict[str, str]] = {
     **dict.fromkeys(("M3", "M4", "M5"), "spindle"),
     "M6": "tool",
 }
-"""Two codes of one group on a line contradict each other."""
+"""Modal group of each code. Two codes of one group on a line contradict each other."""
 
 CODES_WITH_AXES: Final = frozenset({"G10", "G28", "G30", "G52", "G53", "G92"})
-"""Codes that take the axis words of their line, so that these are passed over with them."""
+"""Codes that use the axis words of their line. Skipping such a code also skips these words."""
 
 ARGUMENT_LETTERS: Final = "DEHLPQ"
-"""Words that belong to codes; beside one that is not carried out they are passed over with it."""
+"""Words that belong to codes. They are skipped with a code that is not executed."""
 
-_CYCLE_REASON = "canned cycles are not carried out; let the CAM system write them as moves"
-_OFFSET_REASON = "places of the file are stated in the problem (origin, offsets); take it out"
-_HOME_REASON = "the robot goes home its own safe way; take the line out, or name the code in skip"
+_CYCLE_REASON = "canned cycles are not supported; let the CAM system write them as moves"
+_OFFSET_REASON = "positions of the file are stated in the problem (origin, offsets); remove it"
+_HOME_REASON = "the robot moves home on its own safe path; remove the line, or name the code in skip"
 _COMPENSATION_REASON = (
-    "the radius of the tool is not offset here; let the CAM system write the path of the tip"
+    "cutter radius compensation is not supported; let the CAM system write the path of the tip"
 )
-_PATH_MODE_REASON = "how exactly corners are passed is for the problem's tolerances to say; name it in skip"
-_COOLANT_REASON = "no signal is known for coolant; name it in skip and switch it by hand"
+_PATH_MODE_REASON = "the accuracy of corners follows from the problem's tolerances; name it in skip"
+_COOLANT_REASON = "there is no signal for coolant; name it in skip and switch coolant by hand"
 _SPLINE_REASON = "only straight moves and arcs are read; let the CAM system write these"
 _SUBPROGRAM_REASON = "subprograms and variables are not read; let the CAM system write one plain program"
 """Why codes of each kind are refused, and what to do."""
@@ -138,94 +146,101 @@ REFUSALS: Final[dict[str, str]] = {
 """Why each of these codes is refused, and what to do."""
 
 
-def why_not(name: str) -> str:
-    """Why a code is not carried out, and what to do."""
-    return REFUSALS.get(
-        name, "this code is not known; take it out, or name it in skip if it may be passed over"
-    )
+def refusal_reason(name: str) -> str:
+    """Return why a code is not executed, and what to do."""
+    return REFUSALS.get(name, "this code is not known; remove it, or name it in skip if it may be ignored")
 
 
 SECONDS_PER_MINUTE: Final = 60.0
 """Feeds are stated per minute."""
-RADIANS_PER_TURN: Final = 2.0 * math.pi
-"""Spindle speeds are stated in turns a minute."""
+RADIANS_PER_REVOLUTION: Final = 2.0 * math.pi
+"""Spindle speeds are stated in revolutions per minute."""
 
 
-def execute(text: str, line: int, modal: Modal, dialect: Dialect, faults: Faults, out: Gathered) -> Modal:
-    """The state after line ``line`` of the file; its moves and events are added to ``out``."""
+def execute(
+    text: str, line: int, modal: Modal, dialect: Dialect, faults: LineFaults, out: MoveRecorder
+) -> Modal:
+    """Execute a line and return the state after it.
+
+    Args:
+        text: The line.
+        line: Its number in the file, from 1.
+        modal: State before the line.
+        dialect: What the problem states about the file.
+        faults: Collects faults.
+        out: Collects moves and events.
+    """
     stripped = text.strip()
     if stripped.startswith("/"):
         if dialect.block_delete is None:
-            message = (
-                "a line with / is run or not as a switch stands; state block_delete, true to leave it out"
-            )
+            message = "whether a line with / runs depends on a switch; set block_delete, true to leave it out"
             faults.add("gcode.mode", "/", line, message)
         if dialect.block_delete:
             return modal
         stripped = stripped[1:]
     try:
-        content = bare(stripped)
+        content = strip_line(stripped)
         if content == "%":
-            over = modal.started or modal.marks > 0
-            return dataclasses.replace(modal, marks=modal.marks + 1, ended=over)
+            is_over = modal.started or modal.marks > 0
+            return dataclasses.replace(modal, marks=modal.marks + 1, ended=is_over)
         if not content or (content[0] == "O" and content[1:].isdigit()):
             return modal
-        found = words(content)
+        line_words = parse_words(content)
     except LineError as error:
         faults.add("gcode.syntax", error.word, line, str(error))
         return modal
     if modal.ended:
-        message = "the program is over before this line (M2, M30 or %), which is not run; take it out"
+        message = "the program ends before this line (M2, M30 or %), so it does not run; remove it"
         faults.add("gcode.after_end", "", line, message, severity=Severity.WARNING)
         return modal
-    return _run(found, line, _changed(modal, {"started": True}), dialect, faults, out)
+    return _execute_words(line_words, line, _updated(modal, {"started": True}), dialect, faults, out)
 
 
-def _run(
-    found: list[Word], line: int, modal: Modal, dialect: Dialect, faults: Faults, out: Gathered
+def _execute_words(
+    line_words: list[Word], line: int, modal: Modal, dialect: Dialect, faults: LineFaults, out: MoveRecorder
 ) -> Modal:
-    names, values = _sorted(found, line, dialect, faults)
-    step = Step(values, line, dialect, faults, out)
-    modal = _changed(modal, _modes(names, modal, step))
-    modal = _changed(modal, _numbers(modal, step))
-    modal = _tool(names, modal, step)
-    modal = _changed(modal, _spindle(names, modal, step))
+    names, values = _split_words(line_words, line, dialect, faults)
+    step = LineStep(values, line, dialect, faults, out)
+    modal = _updated(modal, _mode_changes(names, modal, step))
+    modal = _updated(modal, _number_changes(modal, step))
+    modal = _change_tool(names, modal, step)
+    modal = _updated(modal, _spindle_change(names, modal, step))
     if "G4" in names:
-        _dwell(modal, step)
+        _add_dwell(modal, step)
     moving = any(word in values for word in AXIS_LETTERS + ROTARY_LETTERS + CENTRE_LETTERS + "R")
-    _strays(names, modal, step, moving)
+    _check_stray_words(names, modal, step, moving)
     if moving:
-        modal = move(modal, step)
-    if ("M0" in names or "M1" in names) and wanted(modal, dialect):
+        modal = execute_move(modal, step)
+    if ("M0" in names or "M1" in names) and uses_tool(modal, dialect):
         out.event("pause", line)
     if "M2" in names or "M30" in names:
         modal = dataclasses.replace(modal, ended=True)
     return modal
 
 
-def _changed(modal: Modal, change: dict[str, Any]) -> Modal:
-    """The state with some fields changed; the same one where they are as they were, as on most lines."""
+def _updated(modal: Modal, change: dict[str, Any]) -> Modal:
+    """Return the state with some fields changed; the same object if nothing changes, as on most lines."""
     if all(getattr(modal, name) == value for name, value in change.items()):
         return modal
     return dataclasses.replace(modal, **change)
 
 
-def _sorted(
-    found: list[Word], line: int, dialect: Dialect, faults: Faults
+def _split_words(
+    line_words: list[Word], line: int, dialect: Dialect, faults: LineFaults
 ) -> tuple[tuple[str, ...], dict[str, float]]:
-    """Names of the line's codes that are carried out, and the values of its other words."""
+    """Return the names of the line's codes that are executed, and the values of its other words."""
     names: dict[str, str] = {}
     values: dict[str, float] = {}
     refused = dropped = False
-    for letter, value in found:
+    for letter, value in line_words:
         if letter in "GM":
-            name = code(letter, value)
+            name = code_name(letter, value)
             if name in dialect.skip:
-                message = f"{name} is passed over, as the problem says"
+                message = f"{name} is skipped, as the problem states"
                 faults.add("gcode.skipped", name, line, message, severity=Severity.NOTE)
                 refused, dropped = True, dropped or name in CODES_WITH_AXES
             elif name not in MODAL_GROUPS:
-                faults.add("gcode.word", name, line, f"{name}: {why_not(name)}")
+                faults.add("gcode.word", name, line, f"{name}: {refusal_reason(name)}")
                 refused, dropped = True, dropped or name in CODES_WITH_AXES
             elif MODAL_GROUPS[name] in names and names[MODAL_GROUPS[name]] != name:
                 other = names[MODAL_GROUPS[name]]
@@ -234,7 +249,7 @@ def _sorted(
             else:
                 names[MODAL_GROUPS[name]] = name
         elif letter in values:
-            message = f"{letter} stands twice on a line; keep one, or part the line"
+            message = f"{letter} occurs twice on a line; keep one, or split the line"
             faults.add("gcode.syntax", letter, line, message)
         else:
             values[letter] = value
@@ -243,8 +258,8 @@ def _sorted(
     return tuple(names.values()), values
 
 
-def _modes(names: tuple[str, ...], modal: Modal, step: Step) -> dict[str, Any]:
-    """Changes of modes by the G codes of a line."""
+def _mode_changes(names: tuple[str, ...], modal: Modal, step: LineStep) -> dict[str, Any]:
+    """Return the changes of modes by the G codes of a line."""
     change: dict[str, Any] = {}
     for name in names:
         if name in MOTION_CODES:
@@ -252,7 +267,7 @@ def _modes(names: tuple[str, ...], modal: Modal, step: Step) -> dict[str, Any]:
         elif name in PLANE_CODES:
             change["plane"] = PLANE_CODES[name]
         elif name in ("G20", "G21"):
-            change["unit"] = INCH if name == "G20" else 1e-3
+            change["unit"] = INCH_M if name == "G20" else 1e-3
         elif name in ("G90", "G91"):
             change["absolute"] = name == "G90"
         elif name in ("G90.1", "G91.1"):
@@ -263,24 +278,24 @@ def _modes(names: tuple[str, ...], modal: Modal, step: Step) -> dict[str, Any]:
             if mode != (modal.feed_mode or "per_minute"):  # the problem states feeds a minute
                 change["feed"] = None
         elif MODAL_GROUPS[name] == "offset":
-            change["offset"] = _offset(name, modal, step)
+            change["offset"] = _find_offset(name, modal, step)
     return change
 
 
-def _offset(name: str, modal: Modal, step: Step) -> Any:
+def _find_offset(name: str, modal: Modal, step: LineStep) -> Any:
     known = step.dialect.offsets.get(int(name[1:]))
     if known is None:
-        message = f"{name}: the problem does not say where that is; add it to offsets, or take it out"
+        message = f"{name}: the problem does not state this offset; add it to offsets, or remove the code"
         step.fault("gcode.offset", name, message)
         return modal.offset
     return known
 
 
-def _numbers(modal: Modal, step: Step) -> dict[str, Any]:
+def _number_changes(modal: Modal, step: LineStep) -> dict[str, Any]:
     change: dict[str, Any] = {}
     feed, speed, tool = (step.values.get(word) for word in "FST")
     if feed is not None and feed <= 0.0:
-        step.fault("gcode.feed", "F", f"got F{feed:g}, a feed is above 0; correct it")
+        step.fault("gcode.feed", "F", f"feed must be positive, got F{feed:g}; correct it")
     elif feed is not None:
         if modal.feed_mode is None:
             message = (
@@ -290,25 +305,25 @@ def _numbers(modal: Modal, step: Step) -> dict[str, Any]:
             step.fault("gcode.feed", "feed_mode", message)
             change["feed_mode"] = "per_minute"
         if modal.feed_mode != "inverse_time" and modal.unit is None:
-            message = "F in no stated unit; write G20 or G21 before, or state the field unit: mm or in"
+            message = "F without a unit; write G20 or G21 before, or state the field unit: mm or in"
             step.fault("gcode.unit", "unit", message)
             change["unit"] = 1e-3
         unit = modal.unit or 1e-3
         if modal.feed_mode != "inverse_time":
             change["feed"] = feed * (unit if modal.feed_mode == "per_rev" else unit / SECONDS_PER_MINUTE)
     if speed is not None and speed < 0.0:
-        step.fault("gcode.spindle", "S", f"got S{speed:g}; give the speed in turns a minute, 0 or above")
+        step.fault("gcode.spindle", "S", f"got S{speed:g}; give the speed in 1/min, 0 or above")
     elif speed is not None:
-        change["speed"] = speed * RADIANS_PER_TURN / SECONDS_PER_MINUTE
+        change["speed"] = speed * RADIANS_PER_REVOLUTION / SECONDS_PER_MINUTE
     if tool is not None:
         if tool < 0 or tool != int(tool):
-            step.fault("gcode.tool", "T", f"got T{tool:g}; tools have whole numbers from 0")
+            step.fault("gcode.tool", "T", f"got T{tool:g}; tool numbers are integers from 0")
         else:
             change["chosen"] = int(tool)
     return change
 
 
-def _tool(names: tuple[str, ...], modal: Modal, step: Step) -> Modal:
+def _change_tool(names: tuple[str, ...], modal: Modal, step: LineStep) -> Modal:
     if "M6" not in names:
         return modal
     if modal.chosen is None:
@@ -325,35 +340,36 @@ def _tool(names: tuple[str, ...], modal: Modal, step: Step) -> Modal:
     return dataclasses.replace(modal, tool=modal.chosen, spindle=step.dialect.spindle or 0.0)
 
 
-def _spindle(names: tuple[str, ...], modal: Modal, step: Step) -> dict[str, Any]:
-    """The spindle's speed after the line; a new S counts at once while it runs."""
-    way = math.copysign(1.0, modal.spindle) if modal.spindle else 0.0
+def _spindle_change(names: tuple[str, ...], modal: Modal, step: LineStep) -> dict[str, Any]:
+    """Return the spindle's speed after the line. A new S applies immediately while it runs."""
+    direction = math.copysign(1.0, modal.spindle) if modal.spindle else 0.0
     if "M5" in names:
         return {"spindle": 0.0}
     if "M3" in names or "M4" in names:
-        way = 1.0 if "M3" in names else -1.0
+        direction = 1.0 if "M3" in names else -1.0
         if not modal.speed:
-            message = "the spindle is switched on at no speed; write S, or state spindle_rpm"
+            message = "the spindle is switched on without a speed; write S, or state spindle_rpm"
             step.fault("gcode.spindle", "S", message)
-            return {"spindle": way}
-    return {"spindle": way * (modal.speed or 0.0)} if way else {}
+            return {"spindle": direction}
+    return {"spindle": direction * (modal.speed or 0.0)} if direction else {}
 
 
-def _dwell(modal: Modal, step: Step) -> None:
+def _add_dwell(modal: Modal, step: LineStep) -> None:
     wait, unit = step.values.get("P"), step.dialect.dwell
     if wait is None or wait < 0.0:
-        step.fault("gcode.mode", "G4", "G4 waits for a P of 0 or above; add it")
+        step.fault("gcode.mode", "G4", "G4 needs a P of 0 or above; add it")
     elif unit is None:
         message = (
-            "P of a G4 is seconds to some controllers, milliseconds to others; state the field dwell: s or ms"
+            "P of a G4 is in seconds on some controllers, in milliseconds on others; state the field dwell: "
+            "s or ms"
         )
         step.fault("gcode.mode", "dwell", message)
-    elif wanted(modal, step.dialect):
+    elif uses_tool(modal, step.dialect):
         step.out.event("dwell", step.line, wait * unit)
 
 
-def _strays(names: tuple[str, ...], modal: Modal, step: Step, moving: bool) -> None:
-    """Words that mean nothing on their line."""
+def _check_stray_words(names: tuple[str, ...], modal: Modal, step: LineStep, moving: bool) -> None:
+    """Report words that have no meaning on their line."""
     arc = modal.motion in (2, 3)
     allowed = set(AXIS_LETTERS + ROTARY_LETTERS + CENTRE_LETTERS + "FNST") | (
         {"P"} if "G4" in names else set()
@@ -361,7 +377,7 @@ def _strays(names: tuple[str, ...], modal: Modal, step: Step, moving: bool) -> N
     allowed |= {"R"} if arc else set()
     allowed |= {"H", "D"} if any(MODAL_GROUPS[name] == "length" for name in names) else set()
     for letter in sorted(step.values.keys() - allowed):
-        message = f"{letter} means nothing here; take it out, or correct the codes of its line"
+        message = f"{letter} has no meaning here; remove it, or correct the codes of its line"
         step.fault("gcode.word", letter, message)
     if "G4" in names and moving:
-        step.fault("gcode.word", "G4", "a dwell and a move on one line; part them")
+        step.fault("gcode.word", "G4", "a dwell and a move are on one line; separate them")

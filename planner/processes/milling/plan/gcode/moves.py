@@ -1,7 +1,7 @@
-"""Moves of lines of G-code: straight ones, and arcs in the three planes, gathered as arrays.
+"""Moves of G-code lines: straight moves, and arcs in the three planes, collected as arrays.
 
-Arcs are given by centre or by radius, and become points within a chord error. Arrays (`Rows`) are
-in the file's own words. Faults are collected line by line: repeats are counted, first lines kept.
+Arcs are given by centre or by radius, and become points within a chord error. Arrays (`MoveRows`) are in the
+file's own words. Faults are collected line by line: repetitions are counted, and the first lines are kept.
 """
 
 import dataclasses
@@ -23,7 +23,7 @@ from planner.processes.milling.plan.gcode.state import (
     Dialect,
     Modal,
     Triple,
-    wanted,
+    uses_tool,
 )
 from planner.processes.milling.plan.tool_path import ARC, CUT
 from planner.processes.milling.plan.tool_path import RAPID as RAPID_MOVE
@@ -36,23 +36,37 @@ ROW_KINDS = (RAPID_MOVE, CUT, ARC)
 
 
 @dataclasses.dataclass(frozen=True)
-class Event:
-    """Something between two moves: ``at`` rows came before it. ``pause``: the operator goes on (M0, M1);
-    ``dwell``: a wait of ``seconds`` (G4). ``line`` of the file, from 1."""
+class GCodeEvent:
+    """Something between two moves.
 
-    at: int
+    Attributes:
+        row: Number of rows before it.
+        kind: ``pause``, which the operator ends (M0, M1), or ``dwell`` (G4).
+        line: Line of the file, from 1.
+        seconds: Duration of a dwell [s].
+    """
+
+    row: int
     kind: EventKind
     line: int
     seconds: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
-class Rows:
-    """N moves: ``place`` (N, 3) [m] in the file's frame and ``turn`` (N, 3), I J K or angles [rad], at their
-    ends; ``feed`` (N,) [m/s], infinite for rapid moves; ``kind`` (N,) index of ``ROW_KINDS``; ``spindle``
-    (N,) [rad/s]; ``tool`` (N,), ``line`` (N,)."""
+class MoveRows:
+    """N moves.
 
-    place: FloatArray
+    Attributes:
+        position: Positions at their ends (N, 3) [m] in the file's frame.
+        turn: I J K or angles [rad] at their ends (N, 3).
+        feed: Speeds (N,) [m/s], infinite for rapid moves.
+        kind: Index of ``ROW_KINDS`` (N,).
+        spindle: Spindle speeds (N,) [rad/s].
+        tool: Tool numbers (N,).
+        line: Lines of the file (N,), from 1.
+    """
+
+    position: FloatArray
     turn: FloatArray
     feed: FloatArray
     kind: IntArray
@@ -61,66 +75,76 @@ class Rows:
     line: IntArray
 
 
-class Gathered:
-    """Rows and events of a block, from single moves and from whole stretches."""
+class MoveRecorder:
+    """Collects rows and events of a block, from single moves and from whole stretches."""
 
     def __init__(self) -> None:
-        self.events: list[Event] = []
-        self._done: list[Rows] = []
+        self.events: list[GCodeEvent] = []
+        self._batches: list[MoveRows] = []
         self._count = 0
-        self._open: list[tuple[float, ...]] = []
+        self._pending: list[tuple[float, ...]] = []
 
     def __len__(self) -> int:
-        return self._count + len(self._open)
+        return self._count + len(self._pending)
 
-    def add(
-        self, place: Triple, turn: Triple, feed: float, kind: int, spindle: float, tool: int, line: int
-    ) -> None:
-        """One move."""
-        self._open.append((*place, *turn, feed, kind, spindle, tool, line))
+    def add(self, position: Triple, turn: Triple, feed: float, kind: int, modal: Modal, line: int) -> None:
+        """Add one move.
 
-    def extend(self, rows: Rows) -> None:
-        """A whole stretch."""
-        self._close()
-        self._done.append(rows)
+        Args:
+            position: Position at its end (3,) [m] in the file's frame.
+            turn: I J K or angles [rad] at its end (3,).
+            feed: Speed [m/s], infinite for a rapid move.
+            kind: Index of ``ROW_KINDS``.
+            modal: State of the controller, with the spindle speed and the tool.
+            line: Line of the file, from 1.
+        """
+        self._pending.append((*position, *turn, feed, kind, modal.spindle, modal.tool, line))
+
+    def extend(self, rows: MoveRows) -> None:
+        """Add a whole stretch of moves."""
+        self._flush()
+        self._batches.append(rows)
         self._count += len(rows.line)
 
     def event(self, kind: EventKind, line: int, seconds: float = 0.0) -> None:
-        """Something that happens after the moves so far."""
-        self.events.append(Event(len(self), kind, line, seconds))
+        """Add something that happens after the moves so far."""
+        self.events.append(GCodeEvent(len(self), kind, line, seconds))
 
-    def rows(self) -> Rows:
-        """All moves so far, in order."""
-        self._close()
-        if not self._done:
+    def rows(self) -> MoveRows:
+        """Return all moves so far, in order."""
+        self._flush()
+        if not self._batches:
             empty, whole = np.zeros(0), np.zeros(0, dtype=np.int64)
-            return Rows(np.zeros((0, 3)), np.zeros((0, 3)), empty, whole, empty, whole, whole)
-        return Rows(
+            return MoveRows(np.zeros((0, 3)), np.zeros((0, 3)), empty, whole, empty, whole, whole)
+        return MoveRows(
             **{
-                field.name: np.concatenate([getattr(rows, field.name) for rows in self._done])
-                for field in dataclasses.fields(Rows)
+                field.name: np.concatenate([getattr(rows, field.name) for rows in self._batches])
+                for field in dataclasses.fields(MoveRows)
             }
         )
 
-    def _close(self) -> None:
-        if self._open:
-            table = np.array(self._open, dtype=np.float64)
+    def _flush(self) -> None:
+        if self._pending:
+            table = np.array(self._pending, dtype=np.float64)
             kind, tool, line = (table[:, i].astype(np.int64) for i in (7, 9, 10))
-            rows = Rows(table[:, 0:3], table[:, 3:6], table[:, 6], kind, table[:, 8], tool, line)
-            self._done.append(rows)
+            rows = MoveRows(table[:, 0:3], table[:, 3:6], table[:, 6], kind, table[:, 8], tool, line)
+            self._batches.append(rows)
             self._count += len(table)
-            self._open = []
+            self._pending = []
 
 
-LINES_NAMED: Final = 3
-"""Lines that a fault names at most; the others are counted."""
-MOST_FAULTS: Final = 50
-"""Different faults of one file that are told; a file that is no G-code at all has one on each line."""
+MAX_LINES_NAMED: Final = 3
+"""Maximum number of lines that a fault names. The others are counted."""
+MAX_FAULTS: Final = 50
+"""Maximum number of different faults of one file that are reported.
+
+A file that is not G-code has one on each line.
+"""
 
 
 @dataclasses.dataclass
-class _Fault:
-    """One kind of fault: its first message, the first lines (from 1) that have it, and how many do."""
+class _LineFault:
+    """One kind of fault: its first message, the first lines (from 1) that have it, and their number."""
 
     message: str
     severity: Severity
@@ -128,13 +152,13 @@ class _Fault:
     count: int
 
 
-class Faults:
+class LineFaults:
     """Collects faults in bounded memory, whatever the length of the file."""
 
     def __init__(self, file: Path) -> None:
         self.file = file
-        self.left_out = 0
-        self._found: dict[tuple[str, str], _Fault] = {}
+        self.omitted = 0
+        self._faults: dict[tuple[str, str], _LineFault] = {}
 
     def add(
         self,
@@ -145,16 +169,25 @@ class Faults:
         count: int = 1,
         severity: Severity = Severity.ERROR,
     ) -> None:
-        """Note ``count`` lines, the first of which is ``line``; those of one code and word are one fault."""
-        known = self._found.get((code, word))
+        """Add a fault. Faults with the same code and word are merged.
+
+        Args:
+            code: Code of the issue.
+            word: Word of the line at fault.
+            line: First line that has it.
+            message: Problem and remedy.
+            count: Number of lines that have it.
+            severity: Severity of the issue.
+        """
+        known = self._faults.get((code, word))
         if known is not None:
             known.count += count
-            if len(known.lines) < LINES_NAMED:
+            if len(known.lines) < MAX_LINES_NAMED:
                 known.lines.append(line)
-        elif len(self._found) < MOST_FAULTS:
-            self._found[code, word] = _Fault(message, severity, [line], count)
+        elif len(self._faults) < MAX_FAULTS:
+            self._faults[code, word] = _LineFault(message, severity, [line], count)
         else:
-            self.left_out += count
+            self.omitted += count
 
     @property
     def errors(self) -> bool:
@@ -162,14 +195,14 @@ class Faults:
         return has_errors(self.issues())
 
     def issues(self) -> tuple[Issue, ...]:
-        """All faults, in the order in which the file has them, each with its first line."""
-        out = [self._issue(*key, fault) for key, fault in self._found.items()]
-        if self.left_out:
-            what = f"{self.left_out} more faults of other kinds; see to these first"
+        """Return all faults in the order of the file, each with its first line."""
+        out = [self._issue(*key, fault) for key, fault in self._faults.items()]
+        if self.omitted:
+            what = f"{self.omitted} more faults of other kinds are not listed; correct these first"
             out.append(Issue("gcode.syntax", what, file=str(self.file)))
         return tuple(out)
 
-    def _issue(self, code: str, word: str, fault: _Fault) -> Issue:
+    def _issue(self, code: str, word: str, fault: _LineFault) -> Issue:
         message = fault.message
         if fault.count > 1:
             more = fault.count - len(fault.lines)
@@ -188,110 +221,135 @@ class Faults:
 
 Point = Sequence[float]
 
-RADIUS_TOLERANCE: Final = 2e-5
-"""How far [m] the radii at both ends of an arc may differ."""
-RADIUS_SHARE: Final = 1e-3
-"""The same as a share of the radius, where that is more. Files are rounded to 1 um or 0.0001 inch; a wrong
-centre is off by millimetres."""
-SAME_PLACE: Final = 1e-9
-"""Places nearer to each other than this [m] are one."""
-WIDEST_ARC_PIECE: Final = math.radians(30.0)
-"""Longest piece [rad] of an arc."""
+RADIUS_TOLERANCE_M: Final = 2e-5
+"""Allowed difference of the radii at both ends of an arc [m]."""
+RADIUS_TOLERANCE_FRACTION: Final = 1e-3
+"""Allowed difference of the radii as a fraction of the radius, if that is more.
+
+Files are rounded to 1 um or 0.0001 inch. A wrong centre differs by millimetres.
+"""
+POINT_TOLERANCE_M: Final = 1e-9
+"""Positions closer than this [m] are one."""
+MAX_ARC_PIECE_RAD: Final = math.radians(30.0)
+"""Maximum angle of a piece of an arc [rad]."""
 
 
 class ArcError(ValueError):
-    """An arc that is none; the message says why and what to do."""
+    """An arc that does not exist. The message says why and what to do."""
 
 
-def centre_of(start: Point, end: Point, radius: float, normal: int, clockwise: bool) -> tuple[float, float]:
-    """Centre [m] in the plane across axis ``normal`` of the arc of ``radius`` [m]: at most half a turn above
-    zero, at least half a turn below.
+def arc_centre(start: Point, end: Point, radius: float, normal: int, clockwise: bool) -> tuple[float, float]:
+    """Return the centre (2,) [m] of an arc by radius, in the plane normal to axis ``normal``.
 
-    Raises :class:`ArcError` where the ends are farther apart than the diameter, or in one place.
+    Args:
+        start: Start of the arc [m].
+        end: End of the arc [m].
+        radius: Radius [m]; positive for at most half a revolution, negative for at least half.
+        normal: Index of the plane's normal.
+        clockwise: Direction of the arc.
+
+    Raises:
+        ArcError: The ends are farther apart than the diameter, or coincide.
     """
     a, b = (normal + 1) % 3, (normal + 2) % 3
     across, up = end[a] - start[a], end[b] - start[b]
     chord = math.hypot(across, up)
-    if chord <= SAME_PLACE:
-        raise ArcError("an arc by R whose ends are in one place has no centre; give a full circle by I J K")
+    if chord <= POINT_TOLERANCE_M:
+        raise ArcError("an arc by R with coincident ends has no centre; give a full circle by I J K")
     size = abs(radius)
-    if chord > 2.0 * size + max(RADIUS_TOLERANCE, RADIUS_SHARE * size):
+    if chord > 2.0 * size + max(RADIUS_TOLERANCE_M, RADIUS_TOLERANCE_FRACTION * size):
         raise ArcError(
-            f"R is {size * 1e3:.4f} mm, but the ends are {chord * 1e3:.4f} mm apart, at most twice R is "
-            f"allowed; correct the end, or give an R of {math.ceil(0.5e7 * chord) / 1e4:.4f} mm or more"
+            f"R is {size * 1e3:.4f} mm, but the ends are {chord * 1e3:.4f} mm apart, allowed is twice R; "
+            f"correct the end, or give an R of {math.ceil(0.5e7 * chord) / 1e4:.4f} mm or more"
         )
     height = math.sqrt(max(size * size - 0.25 * chord * chord, 0.0))
     side = height if (radius > 0.0) != clockwise else -height
     return (0.5 * (start[a] + end[a]) - side * up / chord, 0.5 * (start[b] + end[b]) + side * across / chord)
 
 
-def sweep_of(start: Point, end: Point, centre: tuple[float, float], normal: int, clockwise: bool) -> float:
-    """Angle [rad] from start to end, positive counterclockwise seen from +``normal``; a full turn where both
-    are in one place.
+def arc_sweep(start: Point, end: Point, centre: tuple[float, float], normal: int, clockwise: bool) -> float:
+    """Return the angle [rad] from start to end, positive counterclockwise seen from +``normal``.
 
-    Raises :class:`ArcError` where the radii at both ends differ, or are nothing.
+    It is a full revolution if both coincide.
+
+    Args:
+        start: Start of the arc [m].
+        end: End of the arc [m].
+        centre: Centre in the plane [m].
+        normal: Index of the plane's normal.
+        clockwise: Direction of the arc.
+
+    Raises:
+        ArcError: The radii at both ends differ, or are zero.
     """
     a, b = (normal + 1) % 3, (normal + 2) % 3
     first = math.hypot(start[a] - centre[0], start[b] - centre[1])
     last = math.hypot(end[a] - centre[0], end[b] - centre[1])
-    if min(first, last) <= SAME_PLACE:
+    if min(first, last) <= POINT_TOLERANCE_M:
         raise ArcError("the centre is at an end of the arc; correct I J K, which lead from the start to it")
-    if abs(last - first) > max(RADIUS_TOLERANCE, RADIUS_SHARE * first):
+    if abs(last - first) > max(RADIUS_TOLERANCE_M, RADIUS_TOLERANCE_FRACTION * first):
         raise ArcError(
-            f"the radius is {first * 1e3:.4f} mm at the start and {last * 1e3:.4f} mm at the end, allowed is "
-            f"a difference of {max(RADIUS_TOLERANCE, RADIUS_SHARE * first) * 1e3:.4f} mm; correct the centre"
-            f"{_fitting(start, end, centre, a, b)}, or "
-            "state whether centres are incremental or absolute (arc_centre, G90.1, G91.1)"
+            f"the radius is {first * 1e3:.4f} mm at the start and {last * 1e3:.4f} mm at the end, allowed "
+            f"difference {max(RADIUS_TOLERANCE_M, RADIUS_TOLERANCE_FRACTION * first) * 1e3:.4f} mm; correct "
+            f"the centre{_centre_hint(start, end, centre, a, b)}, or state whether centres are incremental "
+            "or absolute (arc_centre, G90.1, G91.1)"
         )
-    if math.hypot(end[a] - start[a], end[b] - start[b]) <= SAME_PLACE:
+    if math.hypot(end[a] - start[a], end[b] - start[b]) <= POINT_TOLERANCE_M:
         return -2.0 * math.pi if clockwise else 2.0 * math.pi
-    before = math.atan2(start[b] - centre[1], start[a] - centre[0])
-    after = math.atan2(end[b] - centre[1], end[a] - centre[0])
-    turn = (before - after if clockwise else after - before) % (2.0 * math.pi)
-    return -turn if clockwise else turn
+    start_angle = math.atan2(start[b] - centre[1], start[a] - centre[0])
+    end_angle = math.atan2(end[b] - centre[1], end[a] - centre[0])
+    sweep = (start_angle - end_angle if clockwise else end_angle - start_angle) % (2.0 * math.pi)
+    return -sweep if clockwise else sweep
 
 
-def _fitting(start: Point, end: Point, centre: tuple[float, float], a: int, b: int) -> str:
-    """The place nearest to the centre that is as far from both ends, as the words of an incremental one."""
-    way = end[a] - start[a], end[b] - start[b]
-    square = way[0] ** 2 + way[1] ** 2
-    if square <= SAME_PLACE**2:
+def _centre_hint(start: Point, end: Point, centre: tuple[float, float], a: int, b: int) -> str:
+    """Return the nearest centre at equal distance from both ends, as words of an incremental centre."""
+    chord = end[a] - start[a], end[b] - start[b]
+    square = chord[0] ** 2 + chord[1] ** 2
+    if square <= POINT_TOLERANCE_M**2:
         return ""
-    off = centre[0] - 0.5 * (start[a] + end[a]), centre[1] - 0.5 * (start[b] + end[b])
-    share = (off[0] * way[0] + off[1] * way[1]) / square
-    place = centre[0] - share * way[0] - start[a], centre[1] - share * way[1] - start[b]
-    words = " ".join(f"{'IJK'[k]}{v * 1e3:.4f}" for k, v in sorted(zip((a, b), place, strict=True)))
+    offset = centre[0] - 0.5 * (start[a] + end[a]), centre[1] - 0.5 * (start[b] + end[b])
+    fraction = (offset[0] * chord[0] + offset[1] * chord[1]) / square
+    start_offset = centre[0] - fraction * chord[0] - start[a], centre[1] - fraction * chord[1] - start[b]
+    words = " ".join(f"{'IJK'[k]}{v * 1e3:.4f}" for k, v in sorted(zip((a, b), start_offset, strict=True)))
     return f" (the nearest that fits is {words} mm from the start)"
 
 
-def points(
+def arc_points(
     start: Point, end: Point, centre: tuple[float, float], sweep: float, normal: int, chord: float
 ) -> FloatArray:
-    """Points (N, 3) [m] of an arc, or of a helix, without its start, within ``chord`` [m] of it between
-    them.
+    """Return points (N, 3) [m] of an arc or helix, without its start.
 
-    Angle, radius and the way along ``normal`` all grow evenly, so that small differences of the radii leave
-    no jump. The last point is ``end`` itself.
+    Angle, radius and the coordinate along ``normal`` change linearly, so that small differences of the radii
+    leave no jump. The last point is ``end`` itself.
+
+    Args:
+        start: Start of the arc [m].
+        end: End of the arc [m].
+        centre: Centre in the plane [m].
+        sweep: Angle from start to end [rad].
+        normal: Index of the plane's normal.
+        chord: Chord error between the points [m].
     """
     a, b = (normal + 1) % 3, (normal + 2) % 3
     first = math.hypot(start[a] - centre[0], start[b] - centre[1])
     last = math.hypot(end[a] - centre[0], end[b] - centre[1])
     size = max(first, last)
-    widest = 2.0 * math.acos(max(1.0 - chord / size, math.cos(0.5 * WIDEST_ARC_PIECE)))
+    widest = 2.0 * math.acos(max(1.0 - chord / size, math.cos(0.5 * MAX_ARC_PIECE_RAD)))
     count = max(math.ceil(abs(sweep) / widest - 1e-9), 1)
-    share = np.arange(1, count + 1) / count
-    angle = math.atan2(start[b] - centre[1], start[a] - centre[0]) + share * sweep
-    radius = first + share * (last - first)
+    fraction = np.arange(1, count + 1) / count
+    angle = math.atan2(start[b] - centre[1], start[a] - centre[0]) + fraction * sweep
+    radius = first + fraction * (last - first)
     out = np.empty((count, 3))
     out[:, a] = centre[0] + radius * np.cos(angle)
     out[:, b] = centre[1] + radius * np.sin(angle)
-    out[:, normal] = start[normal] + share * (end[normal] - start[normal])
+    out[:, normal] = start[normal] + fraction * (end[normal] - start[normal])
     out[-1] = end
     return out
 
 
-def length(start: Point, end: Point, centre: tuple[float, float], sweep: float, normal: int) -> float:
-    """Length [m] of the arc or helix."""
+def arc_length(start: Point, end: Point, centre: tuple[float, float], sweep: float, normal: int) -> float:
+    """Return the length [m] of an arc or helix. For the arguments see :func:`arc_points`."""
     a, b = (normal + 1) % 3, (normal + 2) % 3
     radius = math.hypot(start[a] - centre[0], start[b] - centre[1])
     return math.hypot(radius * sweep, end[normal] - start[normal])
@@ -308,26 +366,42 @@ PLANE_NAMES: Final = {2: "xy (G17)", 1: "zx (G18)", 0: "yz (G19)"}
 
 
 @dataclasses.dataclass(frozen=True)
-class Step:
-    """A line whose modes are set and whose motion is to be made: ``values`` of its words."""
+class LineStep:
+    """A line whose modes are set and whose motion is to be executed.
+
+    Attributes:
+        values: Values of its words.
+        line: Number of the line, from 1.
+        dialect: What the problem states about the file.
+        faults: Collects faults.
+        out: Collects moves and events.
+    """
 
     values: Mapping[str, float]
     line: int
     dialect: Dialect
-    faults: Faults
-    out: Gathered
+    faults: LineFaults
+    out: MoveRecorder
 
     def fault(self, code: str, word: str, message: str) -> None:
-        """Note a fault of this line."""
+        """Add a fault of this line."""
         self.faults.add(code, word, self.line, message)
 
 
-def move(modal: Modal, step: Step) -> Modal:
-    """The state after the line's move, whose rows are added; faults leave the state as if there were none."""
+def execute_move(modal: Modal, step: LineStep) -> Modal:
+    """Execute the move of a line, add its rows, and return the state after it.
+
+    After a fault the state is as if the line had none.
+
+    Args:
+        modal: State before the move.
+        step: The line.
+    """
     motion = modal.motion
     if motion is None:
         message = (
-            "a place without G0, G1, G2 or G3 before; write one, or state the field motion: rapid or linear"
+            "a position without G0, G1, G2 or G3 before; write one, or state the field motion: rapid or "
+            "linear"
         )
         step.fault("gcode.mode", "motion", message)
         motion = LINEAR
@@ -336,7 +410,7 @@ def move(modal: Modal, step: Step) -> Modal:
     if (
         any(axis in values for axis in AXIS_LETTERS) or "I" in values or "R" in values
     ) and modal.unit is None:
-        message = "lengths in no stated unit; write G20 or G21 before, or state the field unit: mm or in"
+        message = "lengths without a unit; write G20 or G21 before, or state the field unit: mm or in"
         step.fault("gcode.unit", "unit", message)
         modal = dataclasses.replace(modal, unit=1e-3)
     if modal.absolute is None:
@@ -345,35 +419,35 @@ def move(modal: Modal, step: Step) -> Modal:
         )
         step.fault("gcode.mode", "distance", message)
         modal = dataclasses.replace(modal, absolute=True)
-    place = _place(modal, step)
-    turn = _turn(modal, step, motion)
-    after = dataclasses.replace(modal, place=place, turn=turn)
-    if not wanted(modal, step.dialect):
+    position = _target_position(modal, step)
+    rotation = _target_rotation(modal, step, motion)
+    after = dataclasses.replace(modal, position=position, turn=rotation)
+    if not uses_tool(modal, step.dialect):
         return dataclasses.replace(after, gap=True)
-    if motion != RAPID and not _may_cut(modal, step):
+    if motion != RAPID and not _check_cut(modal, step):
         return after
-    if any(math.isnan(value) for value in place):
+    if any(math.isnan(value) for value in position):
         if motion != RAPID:
-            lost = ", ".join(
-                axis for axis, value in zip(AXIS_LETTERS, place, strict=True) if math.isnan(value)
+            unknown = ", ".join(
+                axis for axis, value in zip(AXIS_LETTERS, position, strict=True) if math.isnan(value)
             )
-            message = f"a cut to a place of which no line says {lost}; begin with G0 X Y Z, or state start_mm"
+            message = f"a cut to a position with unknown {unknown}; start with G0 X Y Z, or state start_mm"
             step.fault("gcode.position", "place", message)
         return after
     if motion == RAPID:
-        step.out.add(place, turn, math.inf, RAPID_ROW, modal.spindle, modal.tool, step.line)
+        step.out.add(position, rotation, math.inf, RAPID_ROW, modal, step.line)
     elif motion == LINEAR:
-        feed = _feed(modal, step, math.dist(modal.place, place))
-        step.out.add(place, turn, feed, CUT_ROW, modal.spindle, modal.tool, step.line)
+        feed = _cut_feed(modal, step, math.dist(modal.position, position))
+        step.out.add(position, rotation, feed, CUT_ROW, modal, step.line)
     else:
-        _arc(modal, after, step, motion == CLOCKWISE)
+        _add_arc(modal, after, step, motion == CLOCKWISE)
     return dataclasses.replace(after, gap=False) if after.gap else after
 
 
-def _place(modal: Modal, step: Step) -> Triple:
+def _target_position(modal: Modal, step: LineStep) -> Triple:
     unit = modal.unit or 1e-3
     out = []
-    for axis, old, shift in zip(AXIS_LETTERS, modal.place, modal.offset, strict=True):
+    for axis, old, shift in zip(AXIS_LETTERS, modal.position, modal.offset, strict=True):
         value = step.values.get(axis)
         if value is None:
             out.append(old)
@@ -381,135 +455,150 @@ def _place(modal: Modal, step: Step) -> Triple:
             out.append(value * unit + shift)
         else:
             if math.isnan(old):
-                message = f"{axis} by G91 from a place that no line says; give it by G90, or state start_mm"
+                message = f"{axis} by G91 from an unknown position; give it by G90, or state start_mm"
                 step.fault("gcode.position", axis, message)
                 old = 0.0
             out.append(old + value * unit)
     return (out[0], out[1], out[2])
 
 
-def _turn(modal: Modal, step: Step, motion: int) -> Triple:
-    """The new I J K or angles; a straight move's I J K is the tool axis, an arc's its centre."""
+def _target_rotation(modal: Modal, step: LineStep, motion: int) -> Triple:
+    """Return the new I J K or angles.
+
+    I J K of a straight move is the tool axis, that of an arc its centre.
+    """
     dialect, values = step.dialect, step.values
     out = list(modal.turn)
     if motion in (RAPID, LINEAR):
         for i, word in enumerate(CENTRE_LETTERS):
             if word in values:
-                if dialect.turns == "IJK":
+                if dialect.rotation_words == "IJK":
                     out[i] = values[word]
                 else:
                     message = (
-                        f"{word} with a straight move, where no tool axis by I J K is stated; state "
-                        "tool_axis: ijk, or take it out"
+                        f"{word} with a straight move, but no tool axis by I J K is stated; state "
+                        "tool_axis: ijk, or remove the word"
                     )
                     step.fault("gcode.rotary", word, message)
     for i, word in enumerate(ROTARY_LETTERS):
         if word in values:
-            if word in dialect.turns:
+            if word in dialect.rotation_words:
                 relative = 0.0 if modal.absolute else modal.turn[i]
                 out[i] = relative + values[word] * DEG
             else:
-                step.fault("gcode.rotary", word, _no_convention(word, dialect))
+                step.fault("gcode.rotary", word, _rotary_reason(word, dialect))
     return (out[0], out[1], out[2])
 
 
-def _no_convention(word: str, dialect: Dialect) -> str:
+def _rotary_reason(word: str, dialect: Dialect) -> str:
     letters = "" if dialect.convention is None else dialect.convention.letters
-    fit = " or ".join(name for name, own in KINEMATICS.items() if {word, *letters} <= {*own.letters})
+    suitable = " or ".join(
+        name for name, convention in KINEMATICS.items() if {word, *letters} <= {*convention.letters}
+    )
     if dialect.convention is None:
         return (
-            f"{word} turns a machine that is stated nowhere; state tool_axis: rotary and its "
-            f"convention: {fit}, which says what carries what"
+            f"{word} belongs to a machine that the problem does not state; state tool_axis: rotary and its "
+            f"convention: {suitable}, which says which axis carries which"
         )
-    do = f"state another convention: {fit}" if fit else "let the CAM system write I J K (tool_axis: ijk)"
-    return f"{word} is no axis of a machine {dialect.convention.name}, which has {letters}; {do}"
+    remedy = (
+        f"state another convention: {suitable}"
+        if suitable
+        else "let the CAM system write I J K (tool_axis: ijk)"
+    )
+    return f"{word} is not an axis of a machine {dialect.convention.name}, which has {letters}; {remedy}"
 
 
-def _may_cut(modal: Modal, step: Step) -> bool:
+def _check_cut(modal: Modal, step: LineStep) -> bool:
     if modal.spindle == 0.0:
-        message = "a cut while the spindle stands; write M3 or M4 with S before, or state spindle_rpm"
+        message = "a cut while the spindle is stopped; write M3 or M4 with S before, or state spindle_rpm"
         step.fault("gcode.spindle", "cut", message)
     if modal.gap:
         message = (
-            f"tool {modal.tool} cuts before a rapid move leads it there from where it was changed; "
-            "begin after M6 with G0 X Y Z"
+            f"tool {modal.tool} cuts before a rapid move takes it there from where it was changed; "
+            "start with G0 X Y Z after M6"
         )
         step.fault("gcode.position", "tool", message)
         return False
     return True
 
 
-def _feed(modal: Modal, step: Step, length: float) -> float:
-    """Speed [m/s] of a cut of ``length`` [m]."""
-    nothing = math.inf
+def _cut_feed(modal: Modal, step: LineStep, length: float) -> float:
+    """Return the speed [m/s] of a cut of ``arc_length`` [m]."""
+    no_feed = math.inf
     if modal.feed_mode == "inverse_time":
         if "F" not in step.values:
-            step.fault("gcode.feed", "F", "every move with G93 needs an F of its own; add it")
-            return nothing
-        if math.isnan(length):  # the way to the first place is not the file's
-            return nothing
+            step.fault("gcode.feed", "F", "every move with G93 needs its own F; add it")
+            return no_feed
+        if math.isnan(length):  # the move to the first position is not part of the file
+            return no_feed
         if length <= 0.0:
-            message = "a turn in place within a stated time (G93): feeds of the tip cannot say it; use G94"
+            message = "a rotation in place with G93 cannot be expressed as a feed of the tip; use G94"
             step.fault("gcode.feed", "G93", message)
-            return nothing
+            return no_feed
         return length * step.values["F"] / 60.0
     if modal.feed is None:
-        message = "a cut whose feed is stated nowhere; write F before, or state feed_mm_min"
+        message = "a cut without a feed; write F before, or state feed_mm_min"
         step.fault("gcode.feed", "F", message)
-        return nothing
+        return no_feed
     if modal.feed_mode == "per_rev":
         return modal.feed * abs(modal.spindle) / (2.0 * math.pi)
     return modal.feed
 
 
-def _arc(modal: Modal, after: Modal, step: Step, clockwise: bool) -> None:
+def _add_arc(modal: Modal, after: Modal, step: LineStep, clockwise: bool) -> None:
     normal = modal.plane
     if normal is None:
         message = (
-            "an arc in no stated plane; write G17, G18 or G19 before, or state the field plane: xy, zx or yz"
+            "an arc without a plane; write G17, G18 or G19 before, or state the field plane: xy, zx or yz"
         )
         step.fault("gcode.plane", "plane", message)
         normal = 2
-    if any(math.isnan(value) for value in modal.place):
-        message = "an arc from a place that no line says; begin with G0 X Y Z, or state start_mm"
+    if any(math.isnan(value) for value in modal.position):
+        message = "an arc from an unknown position; start with G0 X Y Z, or state start_mm"
         step.fault("gcode.position", "place", message)
         return
-    start, end = modal.place, after.place
+    start, end = modal.position, after.position
     try:
-        centre = _centre(modal, step, normal, end, clockwise)
-        sweep = sweep_of(start, end, centre, normal, clockwise)
+        centre = _find_centre(modal, step, normal, end, clockwise)
+        sweep = arc_sweep(start, end, centre, normal, clockwise)
     except ArcError as error:
         step.fault("gcode.arc", "arc", str(error))
         return
-    feed = _feed(modal, step, length(start, end, centre, sweep, normal))
-    found = points(start, end, centre, sweep, normal, step.dialect.chord).tolist()
-    for number, (x, y, z) in enumerate(found, start=1):
-        share = number / len(found)
-        turn = [old + share * (new - old) for old, new in zip(modal.turn, after.turn, strict=True)]
-        turned = (turn[0], turn[1], turn[2])
-        step.out.add((x, y, z), turned, feed, ARC_ROW, modal.spindle, modal.tool, step.line)
+    feed = _cut_feed(modal, step, arc_length(start, end, centre, sweep, normal))
+    arc = arc_points(start, end, centre, sweep, normal, step.dialect.chord).tolist()
+    for number, (x, y, z) in enumerate(arc, start=1):
+        fraction = number / len(arc)
+        rotation = [old + fraction * (new - old) for old, new in zip(modal.turn, after.turn, strict=True)]
+        row_rotation = (rotation[0], rotation[1], rotation[2])
+        step.out.add((x, y, z), row_rotation, feed, ARC_ROW, modal, step.line)
 
 
-def _centre(modal: Modal, step: Step, normal: int, end: Triple, clockwise: bool) -> tuple[float, float]:
-    """The centre [m] in the plane; raises ``ArcError``."""
+def _find_centre(
+    modal: Modal, step: LineStep, normal: int, end: Triple, clockwise: bool
+) -> tuple[float, float]:
+    """Return the centre [m] in the plane.
+
+    Raises:
+        ArcError: The centre is missing or contradictory.
+    """
     unit, values = modal.unit or 1e-3, step.values
     plane = (normal + 1) % 3, (normal + 2) % 3
     if CENTRE_LETTERS[normal] in values:
         raise ArcError(
-            f"{CENTRE_LETTERS[normal]} is no direction of the plane {PLANE_NAMES[normal]}; take it out, "
+            f"{CENTRE_LETTERS[normal]} is not a direction of the plane {PLANE_NAMES[normal]}; remove it, "
             "or select "
             "the plane"
         )
-    given = [i for i in plane if CENTRE_LETTERS[i] in values]
+    given_axes = [i for i in plane if CENTRE_LETTERS[i] in values]
     if "R" in values:
-        if given:
+        if given_axes:
             raise ArcError("both R and a centre by I J K are given; keep one of them")
-        return centre_of(modal.place, end, values["R"] * unit, normal, clockwise)
-    if not given:
-        raise ArcError("an arc without centre; give I J K or R")
-    if modal.absolute_centre and len(given) < 2:
+        return arc_centre(modal.position, end, values["R"] * unit, normal, clockwise)
+    if not given_axes:
+        raise ArcError("an arc without a centre; give I J K or R")
+    if modal.absolute_centre and len(given_axes) < 2:
         both = " and ".join(CENTRE_LETTERS[i] for i in sorted(plane))
         raise ArcError(f"an absolute centre (G90.1) needs both {both}; add the one that is missing")
-    base = modal.offset if modal.absolute_centre else modal.place
+    base = modal.offset if modal.absolute_centre else modal.position
     first, second = (base[i] + values.get(CENTRE_LETTERS[i], 0.0) * unit for i in plane)
     return first, second

@@ -1,12 +1,12 @@
-"""Reader of G-code: a file, block by block in bounded memory, as the way of a cutter in the stock.
+"""Reader of G-code: a file, block by block in bounded memory, as the path of a cutter in the stock frame.
 
-**Regular lines**: long stretches of straight moves in the usual order of words, read at once. A
-line is regular where it has, each once at most and in this order, N, G0 or G1, X Y Z, the words
-that turn the tool, and F. Everything else is read line by line by
-`planner.processes.milling.plan.gcode.lines`, which gives the same for regular lines.
+**Regular lines** are long stretches of straight moves with words in the usual order. They are read at once. A
+line is regular if it has, each at most once and in this order, N, G0 or G1, X Y Z, the words that rotate the
+tool, and F. `planner.processes.milling.plan.gcode.lines` reads all other lines one by one, and gives the same
+result for regular lines.
 
-**Settling**: moves in a file's own words become the way of a cutter: axes from I J K or angles, in
-the stock's frame.
+**Conversion** (`convert_moves`) turns moves in a file's own words into the path of a cutter: axes from I J K
+or angles, in the stock frame.
 """
 
 import dataclasses
@@ -21,40 +21,58 @@ from numpy.typing import NDArray
 from planner.files import is_file
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.geometry.units import DEG
-from planner.issues import Issue, TandemError, aggregate, refusal
+from planner.issues import Issue, TandemError, aggregate, issue_error
 from planner.processes.milling.plan.gcode import lines, state
 from planner.processes.milling.plan.gcode.moves import (
     CUT_ROW,
     RAPID_ROW,
     ROW_KINDS,
-    Event,
-    Faults,
-    Gathered,
-    Rows,
+    GCodeEvent,
+    LineFaults,
+    MoveRecorder,
+    MoveRows,
 )
-from planner.processes.milling.plan.gcode.state import LINEAR, RAPID, Dialect, Modal, Triple, pieces, wanted
-from planner.processes.milling.plan.tool_path import ToolPath, joined
+from planner.processes.milling.plan.gcode.state import (
+    LINEAR,
+    RAPID,
+    Dialect,
+    Modal,
+    Triple,
+    piece_counts,
+    uses_tool,
+)
+from planner.processes.milling.plan.tool_path import ToolPath, join_paths
 
 BytesArray = NDArray[np.bytes_]
 
-FEWEST_LINES: Final = 8
-"""Lines of a stretch below which arrays are slower than lines one by one."""
+MIN_STRETCH_LINES: Final = 8
+"""Number of lines of a stretch below which arrays are slower than single lines."""
 NUMBER_PATTERN: Final = rb"([-+]?(?:\d++\.?+\d*+|\.\d++))"
-"""A number without an exponent, as bytes; nothing in it is tried twice."""
+"""A number without an exponent, as bytes. The quantifiers are possessive, so that nothing is tried twice."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Pattern:
-    """How a regular line looks: ``line`` has a group for each of ``letters``, ``stretch`` is many of them."""
+class LinePattern:
+    """Pattern of regular lines.
+
+    Attributes:
+        letters: Letters of its words.
+        line: One line, with a group for each letter.
+        stretch: Any number of lines.
+    """
 
     letters: str
     line: re.Pattern[bytes]
     stretch: re.Pattern[bytes]
 
 
-def pattern(turns: str) -> Pattern:
-    """The regular lines of a dialect whose words ``turns`` turn the tool."""
-    letters = "G" + "XYZ" + turns + "F"
+def line_pattern(rotation_words: str) -> LinePattern:
+    """Return the pattern of regular lines of a dialect.
+
+    Args:
+        rotation_words: Words that rotate the tool.
+    """
+    letters = "G" + "XYZ" + rotation_words + "F"
     numbers = {letter: rb"0?([01])" if letter == "G" else NUMBER_PATTERN for letter in letters}
     gap = rb"[ \t]*+"
     inside = b"".join(
@@ -65,54 +83,86 @@ def pattern(turns: str) -> Pattern:
     whole = re.compile(
         rb"(?:" + line.replace(NUMBER_PATTERN, NUMBER_PATTERN.replace(rb"([-", rb"(?:[-")) + rb")++"
     )
-    return Pattern(letters, re.compile(line), whole)
+    return LinePattern(letters, re.compile(line), whole)
 
 
-def ready(modal: Modal, dialect: Dialect) -> bool:
-    """Whether regular lines mean straight moves to absolute places at feeds a minute."""
+def allows_regular(modal: Modal, dialect: Dialect) -> bool:
+    """Return whether regular lines mean straight moves to absolute positions at feeds per minute."""
     return (
         modal.unit is not None
         and modal.absolute is True
         and modal.motion in (RAPID, LINEAR)
         and modal.feed_mode == "per_minute"
-        and not any(map(math.isnan, modal.place))
-        and not (modal.gap and wanted(modal, dialect))
+        and not any(map(math.isnan, modal.position))
+        and not (modal.gap and uses_tool(modal, dialect))
         and not modal.ended
     )
 
 
+@dataclasses.dataclass(frozen=True)
+class RegularStretch:
+    """Consecutive regular lines of a file.
+
+    Attributes:
+        text: The lines.
+        line: Number of the first one in the file, from 1.
+        pattern: Pattern that all of them match.
+    """
+
+    text: bytes
+    line: int
+    pattern: LinePattern
+
+
 def read_regular(
-    text: bytes, line: int, modal: Modal, dialect: Dialect, own: Pattern, faults: Faults, out: Gathered
+    stretch: RegularStretch, modal: Modal, dialect: Dialect, faults: LineFaults, out: MoveRecorder
 ) -> Modal:
-    """The state after the regular lines ``text``, the first of which is line ``line`` of the file."""
-    table = np.array(own.line.findall(text))
+    """Execute regular lines and return the state after them.
+
+    Args:
+        stretch: The lines.
+        modal: State before them.
+        dialect: What the problem states about the file.
+        faults: Collects faults.
+        out: Collects moves.
+    """
+    letters = stretch.pattern.letters
+    table = np.array(stretch.pattern.line.findall(stretch.text))
     unit = modal.unit or 1e-3
-    columns = dict(zip(own.letters, table.T, strict=True))
+    columns = dict(zip(letters, table.T, strict=True))
     given = {letter: column != b"" for letter, column in columns.items()}
-    turns = own.letters[4:-1]
-    moves = np.any([given[letter] for letter in "XYZ" + turns], axis=0)
-    places = [
-        _filled(columns[axis], given[axis], unit, shift, old)
-        for axis, shift, old in zip("XYZ", modal.offset, modal.place, strict=True)
+    rotation_words = letters[4:-1]
+    moves = np.any([given[letter] for letter in "XYZ" + rotation_words], axis=0)
+    coordinates = [
+        _held_values(columns[axis], given[axis], unit, shift, old)
+        for axis, shift, old in zip("XYZ", modal.offset, modal.position, strict=True)
     ]
-    turned = [np.full(len(table), old) for old in modal.turn]
-    for letter in turns:
+    rotations = [np.full(len(table), old) for old in modal.turn]
+    for letter in rotation_words:
         i = "IJK".find(letter) if letter in "IJK" else "ABC".find(letter)
         scale = 1.0 if letter in "IJK" else DEG
-        turned[i] = _filled(columns[letter], given[letter], scale, 0.0, modal.turn[i])
-    motion = _filled(columns["G"], given["G"], 1.0, 0.0, float(modal.motion or 0))
-    feed = _filled(columns["F"], given["F"], unit / 60.0, 0.0, math.nan if modal.feed is None else modal.feed)
-    place, turn = np.stack(places, axis=1), np.stack(turned, axis=1)
-    numbers = line + np.arange(len(table))
-    cutting = moves & (motion == LINEAR)
-    if wanted(modal, dialect):
-        _check(columns["F"], given["F"], feed, cutting, numbers, modal, faults)
+        rotations[i] = _held_values(columns[letter], given[letter], scale, 0.0, modal.turn[i])
+    motion = _held_values(columns["G"], given["G"], 1.0, 0.0, float(modal.motion or 0))
+    feed = _held_values(
+        columns["F"], given["F"], unit / 60.0, 0.0, math.nan if modal.feed is None else modal.feed
+    )
+    positions, rotation_rows = np.stack(coordinates, axis=1), np.stack(rotations, axis=1)
+    numbers = stretch.line + np.arange(len(table))
+    if uses_tool(modal, dialect):
+        feeds = RegularFeeds(
+            word=columns["F"],
+            is_given=given["F"],
+            feed=feed,
+            is_cutting=moves & (motion == LINEAR),
+            line=numbers,
+        )
+        _check_regular(feeds, modal, faults)
         rows = np.flatnonzero(moves)
         rapid = motion[rows] == RAPID
         out.extend(
-            Rows(
-                place[rows],
-                turn[rows],
+            MoveRows(
+                positions[rows],
+                rotation_rows[rows],
                 np.where(rapid, math.inf, feed[rows]),
                 np.where(rapid, RAPID_ROW, CUT_ROW),
                 np.full(len(rows), modal.spindle),
@@ -122,46 +172,60 @@ def read_regular(
         )
     return dataclasses.replace(
         modal,
-        place=_triple(place[-1]),
-        turn=_triple(turn[-1]),
+        position=_triple(positions[-1]),
+        turn=_triple(rotation_rows[-1]),
         motion=int(motion[-1]),
         feed=None if math.isnan(feed[-1]) else float(feed[-1]),
         started=True,
-        gap=(modal.gap or bool(moves.any())) and not wanted(modal, dialect),
+        gap=(modal.gap or bool(moves.any())) and not uses_tool(modal, dialect),
     )
 
 
-def _filled(column: BytesArray, given: BoolArray, scale: float, shift: float, before: float) -> FloatArray:
-    """Values (N,) of a word, each holding until the next; ``before`` the first one."""
+def _held_values(
+    column: BytesArray, given: BoolArray, scale: float, shift: float, initial: float
+) -> FloatArray:
+    """Return the values (N,) of a word, each held until the next; ``initial`` holds until the first one."""
     last = np.maximum.accumulate(np.where(given, np.arange(len(column)), -1))
-    values = np.full(len(column), before)
+    values = np.full(len(column), initial)
     if given.any():
         values[given] = column[given].astype(np.float64) * scale + shift
-        values = np.where(last >= 0, values[last], before)
+        values = np.where(last >= 0, values[last], initial)
     return values
 
 
-def _check(
-    column: BytesArray,
-    given: BoolArray,
-    feed: FloatArray,
-    cutting: BoolArray,
-    numbers: IntArray,
-    modal: Modal,
-    faults: Faults,
-) -> None:
-    """The faults that regular lines can have, worded as those of single lines."""
-    low = given & (feed <= 0.0)
+@dataclasses.dataclass(frozen=True)
+class RegularFeeds:
+    """Feeds of N regular lines.
+
+    Attributes:
+        word: F words (N,), empty where there is none.
+        is_given: Whether (N,) a line has an F word.
+        feed: Feeds (N,) [m/s] that hold on the lines, NaN before the first F word.
+        is_cutting: Whether (N,) a line is a cut.
+        line: Numbers (N,) of the lines in the file, from 1.
+    """
+
+    word: BytesArray
+    is_given: BoolArray
+    feed: FloatArray
+    is_cutting: BoolArray
+    line: IntArray
+
+
+def _check_regular(feeds: RegularFeeds, modal: Modal, faults: LineFaults) -> None:
+    """Add the faults that regular lines can have, with the same messages as single lines."""
+    cutting, numbers = feeds.is_cutting, feeds.line
+    low = feeds.is_given & (feeds.feed <= 0.0)
     if low.any():
         first = int(np.argmax(low))
-        message = f"got F{float(column[first]):g}, a feed is above 0; correct it"
+        message = f"feed must be positive, got F{float(feeds.word[first]):g}; correct it"
         faults.add("gcode.feed", "F", int(numbers[first]), message, int(low.sum()))
-    unfed = cutting & np.isnan(feed)
+    unfed = cutting & np.isnan(feeds.feed)
     if unfed.any():
-        message = "a cut whose feed is stated nowhere; write F before, or state feed_mm_min"
+        message = "a cut without a feed; write F before, or state feed_mm_min"
         faults.add("gcode.feed", "F", int(numbers[np.argmax(unfed)]), message, int(unfed.sum()))
     if modal.spindle == 0.0 and cutting.any():
-        message = "a cut while the spindle stands; write M3 or M4 with S before, or state spindle_rpm"
+        message = "a cut while the spindle is stopped; write M3 or M4 with S before, or state spindle_rpm"
         first = int(numbers[np.argmax(cutting)])
         faults.add("gcode.spindle", "cut", first, message, int(cutting.sum()))
 
@@ -170,91 +234,109 @@ def _triple(row: FloatArray) -> Triple:
     return float(row[0]), float(row[1]), float(row[2])
 
 
-FARTHEST_COORDINATE: Final = 100.0
-"""No coordinate [m] is farther out: another unit is meant."""
+MAX_COORDINATE_M: Final = 100.0
+"""Maximum absolute coordinate [m]. Larger values indicate a wrong unit."""
 AXIS_LENGTH_TOLERANCE: Final = 0.01
-"""How far I J K may be off length 1: three decimals are, an arc's centre is not."""
-TURNED_OVER_COSINE: Final = np.cos(np.deg2rad(179.0))
-"""Cosine of the turn (179 degrees) of a tool axis in one move beyond which its way is not known."""
+"""Allowed deviation of the length of I J K from 1. Three decimals are within it, an arc's centre is not."""
+AMBIGUOUS_ROTATION_COSINE: Final = np.cos(np.deg2rad(179.0))
+"""Cosine of the rotation of a tool axis in one move (179 degrees) beyond which its direction is ambiguous."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Last:
-    """The last move before a block: its place (3,), its turn (3,) and its tool axis (3,), in file words."""
+class LastMove:
+    """The last move before a block, in file words.
 
-    place: FloatArray
+    Attributes:
+        position: Position (3,) [m].
+        turn: I J K or angles (3,).
+        axis: Tool axis (3,).
+    """
+
+    position: FloatArray
     turn: FloatArray
     axis: FloatArray
 
 
 @dataclasses.dataclass(frozen=True)
-class Settled:
-    """The path of a block, its events, and what the next block goes on from."""
+class BlockPath:
+    """Path of a block, its events, and the move from which the next block continues."""
 
     path: ToolPath
-    events: tuple[Event, ...]
-    last: Last | None
+    events: tuple[GCodeEvent, ...]
+    last: LastMove | None
 
 
-def settle(out: Gathered, last: Last | None, dialect: Dialect, faults: Faults) -> Settled:
-    """The path of gathered moves; faults of places and axes are noted with their lines."""
+def convert_moves(
+    out: MoveRecorder, last: LastMove | None, dialect: Dialect, faults: LineFaults
+) -> BlockPath:
+    """Convert recorded moves to a path. Faults of positions and axes are added with their lines.
+
+    Args:
+        out: Recorded moves and events.
+        last: Last move before them, None at the start of the file.
+        dialect: What the problem states about the file.
+        faults: Collects faults.
+    """
     rows = out.rows()
     if len(rows.line) == 0:
-        return Settled(_path(rows, np.zeros((0, 3)), dialect), tuple(out.events), last)
-    far = np.asarray((np.abs(rows.place) > FARTHEST_COORDINATE).any(axis=1))
-    _note(
-        far,
+        return BlockPath(_stock_path(rows, np.zeros((0, 3)), dialect), tuple(out.events), last)
+    is_far = np.asarray((np.abs(rows.position) > MAX_COORDINATE_M).any(axis=1))
+    _add_faults(
+        is_far,
         rows,
         faults,
         "gcode.position",
         "far",
-        f"a place beyond {FARTHEST_COORDINATE:g} m; correct it, or the unit (G20 inches, G21 millimetres)",
+        f"a position beyond {MAX_COORDINATE_M:g} m; correct it, or the unit (G20 inches, G21 millimetres)",
     )
-    if far.any():  # refused; numbers too large to reckon with are not carried on
-        rows = dataclasses.replace(rows, place=np.where(far[:, None], 0.0, rows.place))
-    rows, ends = _divided(rows, last, dialect)
-    axis = _axis(rows, dialect, faults)
-    before = np.concatenate([axis[:1] if last is None else last.axis[None], axis[:-1]])
-    over = (axis * before).sum(axis=1) < TURNED_OVER_COSINE
-    message = "the tool axis turns over by 180 deg in one move, which way is not said; part the move"
-    _note(over, rows, faults, "gcode.axis", "over", message)
+    if is_far.any():  # the file is refused; zeros keep the large numbers out of further arithmetic
+        rows = dataclasses.replace(rows, position=np.where(is_far[:, None], 0.0, rows.position))
+    rows, ends = _divide_rotations(rows, last, dialect)
+    axis = _tool_axes(rows, dialect, faults)
+    previous_axis = np.concatenate([axis[:1] if last is None else last.axis[None], axis[:-1]])
+    is_ambiguous = (axis * previous_axis).sum(axis=1) < AMBIGUOUS_ROTATION_COSINE
+    message = "the tool axis rotates by 180 deg in one move, so its direction is ambiguous; divide the move"
+    _add_faults(is_ambiguous, rows, faults, "gcode.axis", "over", message)
     events = tuple(
-        dataclasses.replace(event, at=int(ends[event.at - 1]) if event.at else 0) for event in out.events
+        dataclasses.replace(event, row=int(ends[event.row - 1]) if event.row else 0) for event in out.events
     )
-    done = Last(rows.place[-1], rows.turn[-1], axis[-1])
-    return Settled(_path(rows, axis, dialect), events, done)
+    last_move = LastMove(rows.position[-1], rows.turn[-1], axis[-1])
+    return BlockPath(_stock_path(rows, axis, dialect), events, last_move)
 
 
-def _divided(rows: Rows, last: Last | None, dialect: Dialect) -> tuple[Rows, IntArray]:
-    """Moves parted so that evenly turning axes of a machine and an evenly turning tool axis are the same,
-    and how many parts there are up to the end of each move (N,)."""
+def _divide_rotations(rows: MoveRows, last: LastMove | None, dialect: Dialect) -> tuple[MoveRows, IntArray]:
+    """Divide moves so that evenly changing angles and an evenly rotating tool axis agree.
+
+    Returns:
+        The divided moves, and the number of pieces up to the end of each original move (N,).
+    """
     count = len(rows.line)
     if dialect.convention is None:
         return rows, np.arange(1, count + 1)
-    before = {
+    starts = {
         name: np.concatenate(
-            [getattr(rows, name)[:1] if last is None else getattr(last, name)[None], own[:-1]]
+            [getattr(rows, name)[:1] if last is None else getattr(last, name)[None], column[:-1]]
         )
-        for name, own in (("place", rows.place), ("turn", rows.turn))
+        for name, column in (("position", rows.position), ("turn", rows.turn))
     }
-    number = pieces(rows.turn - before["turn"], dialect.angle)
+    number = piece_counts(rows.turn - starts["turn"], dialect.angle)
     ends = np.cumsum(number)
     if ends[-1] == count:
         return rows, ends
     origin = np.repeat(np.arange(count), number)
-    share = ((np.arange(ends[-1]) - np.repeat(ends - number, number) + 1) / number[origin])[:, None]
-    fields = {field.name: getattr(rows, field.name)[origin] for field in dataclasses.fields(Rows)}
-    for name, start in before.items():
+    fraction = ((np.arange(ends[-1]) - np.repeat(ends - number, number) + 1) / number[origin])[:, None]
+    fields = {field.name: getattr(rows, field.name)[origin] for field in dataclasses.fields(MoveRows)}
+    for name, start in starts.items():
         end = fields[name]
-        fields[name] = np.where(share == 1.0, end, start[origin] + share * (end - start[origin]))
-    return Rows(**fields), ends
+        fields[name] = np.where(fraction == 1.0, end, start[origin] + fraction * (end - start[origin]))
+    return MoveRows(**fields), ends
 
 
-def _axis(rows: Rows, dialect: Dialect, faults: Faults) -> FloatArray:
-    """Unit vectors (N, 3) from the tip to the spindle, in the file's frame."""
+def _tool_axes(rows: MoveRows, dialect: Dialect, faults: LineFaults) -> FloatArray:
+    """Return unit vectors (N, 3) from the tip to the spindle, in the file's frame."""
     if dialect.convention is not None:
         return dialect.convention.axis(rows.turn)
-    if dialect.turns != "IJK":
+    if dialect.rotation_words != "IJK":
         return np.tile([0.0, 0.0, 1.0], (len(rows.line), 1))
     size = np.linalg.norm(rows.turn, axis=1)
     wrong = np.abs(size - 1.0) > AXIS_LENGTH_TOLERANCE
@@ -263,154 +345,174 @@ def _axis(rows: Rows, dialect: Dialect, faults: Faults) -> FloatArray:
         message = (
             f"I J K of length {got:.4f}, a tool axis has length 1 within {AXIS_LENGTH_TOLERANCE:g}; "
             "correct it, or "
-            "state another tool_axis where I J K is none"
+            "state another tool_axis if I J K is not the axis"
         )
-        _note(wrong, rows, faults, "gcode.axis", "IJK", message)
+        _add_faults(wrong, rows, faults, "gcode.axis", "IJK", message)
     unit = rows.turn / np.maximum(size, 1e-12)[:, None]
     return np.asarray(dialect.to_spindle * unit)
 
 
-def _path(rows: Rows, axis: FloatArray, dialect: Dialect) -> ToolPath:
-    turn, origin = dialect.place[:3, :3], dialect.place[:3, 3]
+def _stock_path(rows: MoveRows, axis: FloatArray, dialect: Dialect) -> ToolPath:
+    rotation, origin = dialect.frame[:3, :3], dialect.frame[:3, 3]
     kind = tuple(np.array(ROW_KINDS, dtype=object)[rows.kind].tolist())
-    tip, along = rows.place @ turn.T + origin, axis @ turn.T
+    tip, along = rows.position @ rotation.T + origin, axis @ rotation.T
     return ToolPath(tip, along, rows.feed, kind, rows.spindle, rows.tool, rows.line)
 
 
-def _note(wrong: BoolArray, rows: Rows, faults: Faults, code: str, word: str, message: str) -> None:
+def _add_faults(
+    wrong: BoolArray, rows: MoveRows, faults: LineFaults, code: str, word: str, message: str
+) -> None:
     if wrong.any():
         lines = np.unique(rows.line[wrong])
         faults.add(code, word, int(lines[0]), message, len(lines))
 
 
-BYTES_AT_ONCE: Final = 1 << 20
-"""Bytes read at once: some 20,000 lines."""
-MOST_LINE_BYTES: Final = 4096
-"""Bytes of a line, comment included; what is longer is no G-code."""
+READ_SIZE: Final = 1 << 20
+"""Number of bytes read at once: about 20,000 lines."""
+MAX_LINE_BYTES: Final = 4096
+"""Maximum length of a line in bytes, comment included. Longer lines are not G-code."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Block:
-    """Some moves of a file and what happens between them; ``events`` count rows from the block's first."""
+class GCodeBlock:
+    """Some moves of a file and the events between them. ``events`` count rows from the block's first row."""
 
     path: ToolPath
-    events: tuple[Event, ...]
+    events: tuple[GCodeEvent, ...]
 
 
 @dataclasses.dataclass(frozen=True)
-class Program:
-    """A whole file; ``notes`` are its warnings and notes."""
+class GCodeProgram:
+    """A complete file. ``notes`` are its warnings and notes."""
 
     path: ToolPath
-    events: tuple[Event, ...]
+    events: tuple[GCodeEvent, ...]
     notes: tuple[Issue, ...]
 
 
-def read(dialect: Dialect) -> Program:
-    """The whole file in memory. Raises ``TandemError`` as :func:`blocks`."""
-    faults = Faults(dialect.file)
-    found = list(blocks(dialect, faults))
-    events, count = [], 0
-    for block in found:
-        events += [dataclasses.replace(event, at=event.at + count) for event in block.events]
-        count += len(block.path)
-    return Program(joined([block.path for block in found]), tuple(events), aggregate(faults.issues()))
+def read_gcode(dialect: Dialect) -> GCodeProgram:
+    """Read a complete file into memory.
 
+    Args:
+        dialect: What the problem states about the file.
 
-def blocks(dialect: Dialect, faults: Faults | None = None) -> Iterator[Block]:
-    """The file's moves in blocks of some 20,000 lines, those without moves left out.
-
-    What was yielded counts only when the last block was: then ``TandemError`` is raised with all faults of
-    the file, each with its first lines. Raises it at once for a file that is missing or no text.
+    Raises:
+        TandemError: As :func:`read_blocks`.
     """
-    found = Faults(dialect.file) if faults is None else faults
-    modal, last, line = state.first(dialect), None, 1
+    faults = LineFaults(dialect.file)
+    file_blocks = list(read_blocks(dialect, faults))
+    events, count = [], 0
+    for block in file_blocks:
+        events += [dataclasses.replace(event, row=event.row + count) for event in block.events]
+        count += len(block.path)
+    return GCodeProgram(
+        join_paths([block.path for block in file_blocks]), tuple(events), aggregate(faults.issues())
+    )
+
+
+def read_blocks(dialect: Dialect, faults: LineFaults | None = None) -> Iterator[GCodeBlock]:
+    """Yield the file's moves in blocks of about 20,000 lines. Blocks without moves are left out.
+
+    The blocks are valid only if the iteration ends without an exception.
+
+    Args:
+        dialect: What the problem states about the file.
+        faults: Collects faults, None for a new collection.
+
+    Raises:
+        TandemError: All faults of the file, each with its first lines, after the last block; or immediately
+            if the file is missing or not text.
+    """
+    collected = LineFaults(dialect.file) if faults is None else faults
+    modal, last, line = state.initial_state(dialect), None, 1
     rows, tools = 0, set[int]()
-    for chunk in _chunks(dialect):
-        out = Gathered()
-        modal, line = _chunk(chunk, line, modal, dialect, found, out)
+    for chunk in _read_chunks(dialect):
+        out = MoveRecorder()
+        modal, line = _execute_chunk(chunk, line, modal, dialect, collected, out)
         tools.add(modal.tool)
         if len(out) or out.events:
-            settled: Settled = settle(out, last, dialect, found)
+            settled: BlockPath = convert_moves(out, last, dialect, collected)
             last = settled.last
             rows += len(settled.path)
-            yield Block(settled.path, settled.events)
-    if rows == 0 and not found.errors:
-        found.add("gcode.empty", "", line - 1, _nothing(dialect, tools))
-    if found.errors:
-        raise TandemError(found.issues())
+            yield GCodeBlock(settled.path, settled.events)
+    if rows == 0 and not collected.errors:
+        collected.add("gcode.empty", "", line - 1, _no_moves_reason(dialect, tools))
+    if collected.errors:
+        raise TandemError(collected.issues())
 
 
-def _nothing(dialect: Dialect, tools: set[int]) -> str:
+def _no_moves_reason(dialect: Dialect, tools: set[int]) -> str:
     if dialect.tool is None:
         return "the file has no moves; give the G-code of the job"
     others = ", ".join(str(tool) for tool in sorted(tools - {0})) or "none"
     return f"no moves of tool {dialect.tool}; tools seen in the spindle: {others}; correct the field tool"
 
 
-def _chunk(
-    chunk: bytes, line: int, modal: Modal, dialect: Dialect, faults: Faults, out: Gathered
+def _execute_chunk(
+    chunk: bytes, line: int, modal: Modal, dialect: Dialect, faults: LineFaults, out: MoveRecorder
 ) -> tuple[Modal, int]:
-    """State and number of the next line after whole lines."""
-    own = pattern(dialect.turns)
-    place = 0
-    while place < len(chunk):
-        few = 1
-        if ready(modal, dialect):
-            met = own.stretch.match(chunk, place)
-            if met is not None:
-                count = chunk.count(b"\n", place, met.end())
-                if count >= FEWEST_LINES:
-                    text = chunk[place : met.end()]
-                    modal = read_regular(text, line, modal, dialect, own, faults, out)
-                    place, line = met.end(), line + count
+    """Execute whole lines and return the state and the number of the next line."""
+    line_format = line_pattern(dialect.rotation_words)
+    position = 0
+    while position < len(chunk):
+        count_single = 1
+        if allows_regular(modal, dialect):
+            match = line_format.stretch.match(chunk, position)
+            if match is not None:
+                count = chunk.count(b"\n", position, match.end())
+                if count >= MIN_STRETCH_LINES:
+                    stretch = RegularStretch(chunk[position : match.end()], line, line_format)
+                    modal = read_regular(stretch, modal, dialect, faults, out)
+                    position, line = match.end(), line + count
                     continue
-                few = count
-        for _ in range(few):
-            end = chunk.index(b"\n", place) + 1
-            own_line = chunk[place:end].decode("latin-1")
-            modal = lines.execute(own_line, line, modal, dialect, faults, out)
-            place, line = end, line + 1
+                count_single = count
+        for _ in range(count_single):
+            end = chunk.index(b"\n", position) + 1
+            text_line = chunk[position:end].decode("latin-1")
+            modal = lines.execute(text_line, line, modal, dialect, faults, out)
+            position, line = end, line + 1
     return modal, line
 
 
-def _chunks(dialect: Dialect) -> Iterator[bytes]:
+def _read_chunks(dialect: Dialect) -> Iterator[bytes]:
     path = dialect.file
     if not is_file(path):
         what = f"{path}: no such G-code file; check the path, which starts at the problem file's folder"
-        raise refusal("problem.missing_file", what, file=str(path), field=f"{dialect.field}.file")
+        raise issue_error("problem.missing_file", what, file=str(path), field=f"{dialect.field}.file")
     line = 1
     try:
         with path.open("rb") as stream:
             rest = stream.read(3).removeprefix(b"\xef\xbb\xbf")
-            while data := stream.read(BYTES_AT_ONCE):
-                whole, end, rest = _lines(rest + data).rpartition(b"\n")
+            while data := stream.read(READ_SIZE):
+                whole, end, rest = _normalise_newlines(rest + data).rpartition(b"\n")
                 if whole or end:
-                    yield _text(whole + end, path)
+                    yield _check_text(whole + end, path)
                     line += whole.count(b"\n") + 1
-                if len(rest) > MOST_LINE_BYTES:
-                    raise _no_text(path, f"line {line} is longer than {MOST_LINE_BYTES} bytes", line)
+                if len(rest) > MAX_LINE_BYTES:
+                    raise _unreadable(path, f"line {line} is longer than {MAX_LINE_BYTES} bytes", line)
             if rest:
-                yield _text(_lines(rest + b"\n"), path)
+                yield _check_text(_normalise_newlines(rest + b"\n"), path)
     except OSError as error:
-        raise _no_text(path, error.strerror or str(error)) from error
+        raise _unreadable(path, error.strerror or str(error)) from error
 
 
-def _lines(text: bytes) -> bytes:
-    """Text whose lines end with a line feed alone; a carriage return at the very end may still be followed by
-    one."""
+def _normalise_newlines(text: bytes) -> bytes:
+    """Return text whose lines end with a line feed only.
+
+    A carriage return at the very end is kept, because a line feed may follow.
+    """
     if b"\r" not in text:
         return text
     body, last = (text[:-1], text[-1:]) if text.endswith(b"\r") else (text, b"")
     return body.replace(b"\r\n", b"\n").replace(b"\r", b"\n") + last
 
 
-def _text(chunk: bytes, path: object) -> bytes:
+def _check_text(chunk: bytes, path: object) -> bytes:
     if b"\0" in chunk or chunk[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise _no_text(path, "it has bytes that no text has, as in UTF-16 or a binary file")
+        raise _unreadable(path, "it has bytes that do not occur in text, as in UTF-16 or a binary file")
     return chunk
 
 
-def _no_text(path: object, reason: str, line: int | None = None) -> TandemError:
+def _unreadable(path: object, reason: str, line: int | None = None) -> TandemError:
     what = f"{path}: cannot be read as G-code: {reason}; save it as plain text"
-    return refusal("gcode.syntax", what, file=str(path), line=line)
+    return issue_error("gcode.syntax", what, file=str(path), line=line)

@@ -1,14 +1,13 @@
-"""State of a G-code controller: modes, rotary axes, and what the problem states beside the file.
+"""State of a G-code controller: modes, rotary axes, and what the problem states in addition to the file.
 
-`Modal` is what a controller remembers from line to line, `Dialect` what the problem states beside
-the file.
+`Modal` is what a controller keeps from line to line, `Dialect` what the problem states.
 
-**Rotary axes** (`Convention`): how their angles turn the tool against the part. Each convention
-says which axes carry the tool and which carry the part, from the machine's frame outwards. Angles
-count by the right hand about the machine's +x (A), +y (B) and +z (C), as the thing that the axis
-carries turns; a machine that counts an axis the other way round, such as a table that is counted by
-the tool's motion against it (ISO 841), names it in ``reverse``. At zero the tool points along the
-spindle's own axis, from the tip up along +z.
+**Rotary axes** (`Convention`): how their angles rotate the tool relative to the part. Each convention states
+which axes carry the tool and which carry the part, from the machine's frame outwards. Angles are positive by
+the right-hand rule about the machine's +x (A), +y (B) and +z (C), for the rotation of what the axis carries.
+An axis that the machine counts in the opposite direction is named in ``reverse``, for example a table counted
+by the tool's relative motion (ISO 841). At zero the tool points along the spindle's own axis, from the tip up
+along +z.
 """
 
 import dataclasses
@@ -42,22 +41,29 @@ ROTARY_NAMES: Final = "ABC"
 
 @dataclasses.dataclass(frozen=True)
 class Convention:
-    """A chain of axes from the part to the tool: (letter, +1 where it carries the tool, -1 the part)."""
+    """A chain of axes from the part to the tool.
+
+    Attributes:
+        name: Name in problem files.
+        chain: Letter of each axis, and +1 if it carries the tool, -1 if it carries the part.
+    """
 
     name: str
     chain: tuple[tuple[str, int], ...]
 
     @property
     def letters(self) -> str:
-        """The rotary words that the machine has, in alphabetical order."""
+        """Rotary words that the machine has, in alphabetical order."""
         return "".join(sorted(letter for letter, _ in self.chain))
 
     def axis(self, angles: FloatArray) -> FloatArray:
-        """Unit vectors (N, 3) from the tip to the spindle in the part's frame, of angles (N, 3) [rad] of A, B
-        and C.
+        """Return unit vectors (N, 3) from the tip to the spindle in the part's frame.
 
-        The tool is turned by the product of its axes' rotations from the ram outwards; a part on a table is
-        turned the same way, so that in its own frame the tool turns by the inverse.
+        The tool is rotated by the product of its axes' rotations from the ram outwards. A part on a table is
+        rotated the same way, so that in the part's own frame the tool is rotated by the inverse.
+
+        Args:
+            angles: Angles of A, B and C (N, 3) [rad].
         """
         out = np.zeros((len(angles), 3))
         out[:, 2] = 1.0
@@ -65,9 +71,9 @@ class Convention:
             about = ROTARY_NAMES.index(letter)
             first, second = (about + 1) % 3, (about + 2) % 3
             cos, sin = np.cos(angles[:, about]), sign * np.sin(angles[:, about])
-            turned = cos * out[:, first] - sin * out[:, second]
+            rotated = cos * out[:, first] - sin * out[:, second]
             out[:, second] = sin * out[:, first] + cos * out[:, second]
-            out[:, first] = turned
+            out[:, first] = rotated
         return out
 
 
@@ -88,25 +94,31 @@ KINEMATICS: Final[dict[str, Convention]] = {
         Convention("head_b_table_c", (("C", -1), ("B", 1))),
     )
 }
-"""``head_ca``: C on the ram carries A, which carries the spindle. ``table_ac``: A on the bed carries C, which
-carries the part. ``head_b_table_c``: B tilts the spindle, C turns the part."""
+"""Conventions by name.
+
+``head_ca``: C on the ram carries A, which carries the spindle. ``table_ac``: A on the bed carries C, which
+carries the part. ``head_b_table_c``: B tilts the spindle, C rotates the part.
+"""
 
 
-def convention(name: str, reverse: str) -> Convention:
-    """The convention of that name with the axes in ``reverse`` counted the other way round."""
-    own = KINEMATICS[name]
-    chain = tuple((letter, -sign if letter in reverse else sign) for letter, sign in own.chain)
+def find_convention(name: str, reverse: str) -> Convention:
+    """Return the convention of that name with the axes in ``reverse`` counted in the opposite direction."""
+    base = KINEMATICS[name]
+    chain = tuple((letter, -sign if letter in reverse else sign) for letter, sign in base.chain)
     return Convention(name, chain)
 
 
-def pieces(turn: FloatArray, tolerance: float) -> IntArray:
-    """How many equal pieces (N,) a move with changes (N, 3) [rad] of the angles takes, so that between their
-    ends the axis is within ``tolerance`` [rad] of the great circle.
+def piece_counts(rotations: FloatArray, tolerance: float) -> IntArray:
+    """Return into how many equal pieces (N,) moves are divided so that the axis stays near the great circle.
 
-    The axis moves on the unit sphere with an acceleration of at most s^2, s being the sum of the angles'
-    speeds, so that over a piece it is off its chord by at most (s t)^2 / 8.
+    The axis moves on the unit sphere with an acceleration of at most s^2, where s is the sum of the angles'
+    speeds. Over a piece of duration t it therefore deviates from its chord by at most (s t)^2 / 8.
+
+    Args:
+        rotations: Changes of the angles (N, 3) [rad].
+        tolerance: Allowed deviation between the ends of a piece [rad].
     """
-    change = np.abs(turn).sum(axis=1)
+    change = np.abs(rotations).sum(axis=1)
     count = np.maximum(np.ceil(change / np.sqrt(8.0 * tolerance) - 1e-9), 1.0)
     return np.asarray(count, dtype=np.int64)
 
@@ -118,21 +130,37 @@ UNKNOWN_POSITION: Triple = (math.nan, math.nan, math.nan)
 """Position before the first move of a file."""
 RAPID, LINEAR, CLOCKWISE, COUNTER = 0, 1, 2, 3
 """Motion modes, by their G codes."""
-INCH = 0.0254
+INCH_M = 0.0254
 """One inch in metres."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Dialect:
-    """What the problem states of a file, in SI units; None is left to the file.
+    """What the problem states about a file, in SI units. None is left to the file.
 
-    ``unit`` [m], ``absolute`` coordinates, ``motion`` mode, ``plane`` by its normal (2 for xy), ``feed``
-    [m/s], ``spindle`` [rad/s], ``dwell`` [s] is what one P of a G4 means. ``turns``: the words that turn the
-    tool, "IJK", those of ``convention``, or none; ``to_spindle``: +1 where I J K points to the spindle, -1 to
-    the tip. ``start`` (3,) [m] is where the tip is before the first line; ``offsets`` are those of G54 to G59
-    in the file's frame [m], which ``place`` (4, 4) puts into the stock's. ``skip``: codes to pass over.
-    ``tool``: the number whose moves are wanted, None for the only one. ``chord`` [m] and ``angle`` [rad]
-    bound what pieces of arcs and of turns are off. ``field``: where the problem file states all this.
+    Attributes:
+        file: The file.
+        field: Where the problem file states all this, for messages.
+        unit: Length unit [m].
+        absolute: Whether coordinates are absolute.
+        motion: Motion mode.
+        plane: Index of the plane's normal; 2 for xy.
+        feed_mode: Meaning of F.
+        feed: Feed [m/s].
+        spindle: Spindle speed [rad/s].
+        absolute_centre: Whether arc centres are absolute.
+        dwell: Duration of one P of a G4 [s].
+        rotation_words: Words that rotate the tool: "IJK", those of ``find_convention``, or none.
+        convention: Rotary axes of the machine.
+        to_spindle: +1 if I J K points to the spindle, -1 if it points to the tip.
+        block_delete: Whether lines with / are left out.
+        start: Position of the tip before the first line (3,) [m].
+        offsets: Offsets of G54 to G59 in the file's frame [m].
+        skip: Codes to skip.
+        tool: Number of the tool whose moves are used, None for the only one.
+        chord: Chord error of pieces of arcs [m].
+        angle: Allowed deviation of the axis between pieces of rotations [rad].
+        frame: Pose of the file's frame in the stock frame (4, 4).
     """
 
     file: Path
@@ -146,7 +174,7 @@ class Dialect:
     spindle: float | None
     absolute_centre: bool
     dwell: float | None
-    turns: str
+    rotation_words: str
     convention: Convention | None
     to_spindle: int
     block_delete: bool | None
@@ -156,17 +184,32 @@ class Dialect:
     tool: int | None
     chord: float
     angle: float
-    place: FloatArray
+    frame: FloatArray
 
 
 @dataclasses.dataclass(frozen=True)
 class Modal:
-    """The state between two lines. Places [m] are in the file's frame, offset included.
+    """State between two lines. Positions are in the file's frame [m], offset included.
 
-    ``turn``: the last I J K, or angles of A B C [rad]. ``feed`` [m/s], or [m] a turn of the spindle with
-    ``per_rev``. ``spindle`` [rad/s] as it runs, ``speed`` [rad/s] as S states it. ``chosen``: the tool that T
-    asks for, ``tool`` the one in the spindle, 0 for one that no line names. ``gap``: moves were left out
-    since the last one that is kept. ``started``: a line had words; ``ended``: the program is over.
+    Attributes:
+        unit: Length unit [m].
+        absolute: Whether coordinates are absolute.
+        motion: Motion mode.
+        plane: Index of the plane's normal.
+        feed_mode: Meaning of F.
+        feed: Feed [m/s], or [m] per revolution of the spindle with ``per_rev``.
+        speed: Spindle speed as S states it [rad/s].
+        spindle: Spindle speed as it runs [rad/s].
+        absolute_centre: Whether arc centres are absolute.
+        position: Position of the tip.
+        turn: The last I J K, or angles of A B C [rad].
+        offset: Active offset [m].
+        chosen: Tool that T selects.
+        tool: Tool in the spindle, 0 if no line names it.
+        gap: Whether moves were left out since the last one that is kept.
+        marks: Number of % lines so far.
+        started: Whether a line had words.
+        ended: Whether the program has ended.
     """
 
     unit: float | None
@@ -178,7 +221,7 @@ class Modal:
     speed: float | None
     spindle: float
     absolute_centre: bool
-    place: Triple
+    position: Triple
     turn: Triple
     offset: Triple = (0.0, 0.0, 0.0)
     chosen: int | None = None
@@ -189,8 +232,8 @@ class Modal:
     ended: bool = False
 
 
-def first(dialect: Dialect) -> Modal:
-    """The state before the first line."""
+def initial_state(dialect: Dialect) -> Modal:
+    """Return the state before the first line."""
     return Modal(
         unit=dialect.unit,
         absolute=dialect.absolute,
@@ -201,11 +244,11 @@ def first(dialect: Dialect) -> Modal:
         speed=dialect.spindle,
         spindle=dialect.spindle or 0.0,
         absolute_centre=dialect.absolute_centre,
-        place=dialect.start,
-        turn=(0.0, 0.0, float(dialect.to_spindle)) if dialect.turns == "IJK" else (0.0, 0.0, 0.0),
+        position=dialect.start,
+        turn=(0.0, 0.0, float(dialect.to_spindle)) if dialect.rotation_words == "IJK" else (0.0, 0.0, 0.0),
     )
 
 
-def wanted(modal: Modal, dialect: Dialect) -> bool:
-    """Whether moves of the tool in the spindle are asked for."""
+def uses_tool(modal: Modal, dialect: Dialect) -> bool:
+    """Return whether moves of the tool in the spindle are used."""
     return dialect.tool is None or modal.tool == dialect.tool

@@ -1,9 +1,10 @@
-"""Rules on milling: what the swept cutter leaves and takes, its path, the feed, the spindle.
+"""Rules on milling: what the swept cutter leaves and takes, its path, its feed, its spindle.
 
-verify.milled, mill_gouge. verify.mill_path: the curves that it follows; cutters that pass ruled
-surfaces with their flanks, with their ways in and out; and those that pass faces with their ends.
-verify.mill_feed: the feed of the tip. verify.spindle: up to speed wherever the cutter is in the
-block.
+- verify.milled, verify.mill_gouge: surfaces that are made, and faces that are spared.
+- verify.mill_path: curves that the cutter follows; ruled surfaces that it passes with its flank, leads
+  included; faces that it passes with its end.
+- verify.mill_feed: the feed of the tip.
+- verify.spindle: up to speed where the cutter is in the block.
 """
 
 import dataclasses
@@ -27,410 +28,480 @@ from planner.processes.milling.claims import (
     SparesPart,
 )
 from planner.processes.milling.proof import surface_passes
-from planner.processes.milling.proof.following import WRITTEN_ROUNDING, Followed, allowed, rows_to_check
-from planner.processes.milling.proof.surface_passes import OverFace, Way, within
+from planner.processes.milling.proof.path_following import (
+    WRITTEN_ROUNDING_M,
+    PathDeviation,
+    max_feeds,
+    rows_to_check,
+)
+from planner.processes.milling.proof.surface_passes import LeadResult, MilledFace, plan_area
 from planner.processes.milling.proof.tool_motion import (
-    BEND_SHARE,
+    BEND_FRACTION,
+    MAX_FACE_POINTS,
+    MAX_QUERY_DISTANCE_M,
     MILLING,
-    MOST_FACE_POINTS,
-    SIGHT_DISTANCE,
-    Held,
-    Inside,
-    Milling,
-    Solid,
-    comes_near,
-    edges,
+    GougeQuery,
+    GougeResult,
+    MillingMotion,
+    ToolSolid,
+    edge_slices,
+    edge_step,
+    evaluate_queries,
     in_block,
-    insides,
-    rim_step,
+    may_touch,
     solids,
-    sweep,
+    track_distance,
 )
 from planner.proof.context import Context
-from planner.proof.faces import divided
-from planner.proof.findings import Findings, coordinates, evenly, in_mm, in_percent
-from planner.proof.replay.tool_track import Track
-from planner.proof.rule import FEED_SLACK, Outcome, mm, rule
+from planner.proof.faces import subdivide
+from planner.proof.findings import (
+    Findings,
+    evenly_spaced_rows,
+    format_point_mm,
+    measure_in_mm,
+    measure_in_percent,
+)
+from planner.proof.replay.tool_track import ReplayedToolPath
+from planner.proof.rule import MAX_FEED_FACTOR, RuleOutcome, mm, rule
 from planner.proof.verdict import CutFace
 from planner.runtime.executor import SERIAL
 from planner.tooling import Mill
 
 MILL_PATH = "verify.mill_path"
-"""Code of the rule about ways of cutters."""
-ISSUES_SHOWN = 50
-"""Issues of one segment at most."""
+"""Code of the rule about paths of cutters."""
+MAX_ISSUES = 50
+"""Maximum number of issues of one segment."""
 
 
-def _flanks(findings: Findings, milling: Milling) -> None:
-    """All passes along ruled surfaces."""
+def _check_flanks(findings: Findings, milling: MillingMotion) -> None:
+    """Check all passes along ruled surfaces."""
     for index, claim in milling.flanks:
         for number, segment in enumerate(claim.segments):
             track = milling.track(index, claim.arm, (segment.key,))
             if len(track.rows) < 2:
                 findings.add(f"{segment} is not milled", field=str(segment))
                 continue
-            some = rows_to_check(track.tip, track.axis, claim.tolerance)
-            found = surface_passes.passed(claim, number, track.tip[some], track.axis[some])
-            findings.highest(found.off.max(), segment)
-            for fault in found.faults:
+            rows = rows_to_check(track.tip, track.axis, claim.tolerance)
+            result = surface_passes.check_pass(claim, number, track.tip[rows], track.axis[rows])
+            findings.note_highest(result.deviation.max(), segment)
+            for fault in result.faults:
                 findings.add(f"{segment}: {fault}", field=str(segment))
-            for i in evenly(found.off > 1.0, ISSUES_SHOWN):
-                what = f"in {segment} the cutter is {found.worst[i]}, {found.off[i]:.2f} times as far as "
+            for i in evenly_spaced_rows(result.deviation > 1.0, MAX_ISSUES):
+                what = (
+                    f"in {segment} the cutter is {result.criterion[i]}, {result.deviation[i]:.2f} times what "
+                    "is "
+                )
                 what += f"allowed, {mm(claim.tolerance):g} mm"
-                findings.at_sample(what, claim.arm, track.rows[some[i]])
-            for phase, _ in _fast(claim):
-                _way(findings, milling, index, claim, number, phase)
+                findings.add_at_sample(what, claim.arm, track.rows[rows[i]])
+            for phase, _ in _axial_speeds(claim):
+                _check_lead(findings, milling, index, claim, number, phase)
 
 
-def _way(
-    findings: Findings, milling: Milling, index: int, claim: MillsFlank, number: int, phase: Phase
+def _check_lead(
+    findings: Findings, milling: MillingMotion, index: int, claim: MillsFlank, number: int, phase: Phase
 ) -> None:
     segment = claim.segments[number].at(phase)
-    known = _known(milling, index, claim, number, phase)
-    if known is None:
-        findings.add(f"{segment} is not there", field=str(segment))
+    lead = _find_lead(milling, index, claim, number, phase)
+    if lead is None:
+        findings.add(f"{segment} is missing", field=str(segment))
         return
-    track, rows, found = known
-    for fault in found.faults:
+    track, rows, result = lead
+    for fault in result.faults:
         findings.add(f"{segment}: {fault}", field=str(segment))
-    for i in evenly(found.off > 1.0, ISSUES_SHOWN):
-        what = f"in {segment} the tip is neither on the straight going on of its pass nor on its way up "
-        what += f"along the axis: {found.off[i]:.2f} times as far off as allowed"
-        findings.at_sample(what, claim.arm, track.rows[rows[i]])
-    if claim.lead is None:
-        own = findings.context.stock(index)
-        inside = in_block(track.tip, track.axis, claim.cutter.overhang, claim.cutter.radius, own)[rows]
-        for i in np.flatnonzero(inside & found.up & ~found.aside)[:1]:
+    for i in evenly_spaced_rows(result.deviation > 1.0, MAX_ISSUES):
+        what = f"in {segment} the tip is neither on the straight continuation of its pass nor on the move up "
+        what += f"along the axis: deviation {result.deviation[i]:.2f} times what is allowed"
+        findings.add_at_sample(what, claim.arm, track.rows[rows[i]])
+    if claim.lead_length is None:
+        stock = findings.context.stock_at(index)
+        inside = in_block(track.tip, track.axis, claim.cutter.overhang, claim.cutter.radius, stock)[rows]
+        for i in np.flatnonzero(inside & result.is_axial & ~result.is_lateral)[:1]:
             what = (
-                f"in {segment} the cutter comes into the block along its axis; it is to come from beside it"
+                f"in {segment} the cutter enters the block along its axis, but it has to enter from the side"
             )
-            findings.at_sample(what, claim.arm, track.rows[rows[i]])
+            findings.add_at_sample(what, claim.arm, track.rows[rows[i]])
 
 
-def _known(
-    milling: Milling, index: int, claim: MillsFlank, number: int, phase: Phase
-) -> tuple[Track, IntArray, Way] | None:
-    """The track of a way in or out, its rows away from the pass, and how it keeps to what is asked."""
+def _find_lead(
+    milling: MillingMotion, index: int, claim: MillsFlank, number: int, phase: Phase
+) -> tuple[ReplayedToolPath, IntArray, LeadResult] | None:
+    """Return the track of a lead, its rows in the order away from the pass, and how it keeps the claim."""
     segment = claim.segments[number]
     main = milling.track(index, claim.arm, (segment.key,))
     track = milling.track(index, claim.arm, (segment.at(phase).key,))
     if len(main.rows) < 2 or len(track.rows) < 2:
         return None
     forward, back = slice(None), slice(None, None, -1)
-    order, away = (forward, back) if phase == "in" else (back, forward)
+    order, outward = (forward, back) if phase == "in" else (back, forward)
     tip, axis = main.tip[order], main.axis[order]
-    far = np.linalg.norm(tip[1:] - tip[0], axis=1) > surface_passes.END_LENGTH
-    pair = [0, min(int(np.argmax(np.append(far, True))) + 1, len(tip) - 1)]
-    rows = np.arange(len(track.rows))[away]
-    way = surface_passes.ways(claim, number, (tip[pair], axis[pair]), track.tip[rows], track.axis[rows])
-    return track, rows, way
+    is_beyond = np.linalg.norm(tip[1:] - tip[0], axis=1) > surface_passes.END_LENGTH_M
+    pair = [0, min(int(np.argmax(np.append(is_beyond, True))) + 1, len(tip) - 1)]
+    rows = np.arange(len(track.rows))[outward]
+    result = surface_passes.check_lead(
+        claim, number, (tip[pair], axis[pair]), track.tip[rows], track.axis[rows]
+    )
+    return track, rows, result
 
 
-def feed(milling: Milling, index: int, segment: Segment, count: int) -> FloatArray:
-    """The feed (T - 1,) [m/s] from each of T samples of a way in or out to the next; without bounds where the
-    segment is none."""
+def lead_feeds(milling: MillingMotion, index: int, segment: Segment, count: int) -> FloatArray:
+    """Return the maximum feed (T - 1,) [m/s] from each of T samples of a lead to the next.
+
+    It is infinite for other segments.
+
+    Args:
+        milling: Milling of the proof.
+        index: Index of the setup.
+        segment: Segment.
+        count: Number of samples T.
+    """
     out = np.full(count - 1, np.inf)
     for setup, claim in milling.flanks:
-        for number, own in enumerate(claim.segments):
-            for phase, fast in _fast(claim):
-                if setup != index or segment.key != own.at(phase).key:
+        for number, pass_segment in enumerate(claim.segments):
+            for phase, axial_speed in _axial_speeds(claim):
+                if setup != index or segment.key != pass_segment.at(phase).key:
                     continue
-                known = _known(milling, index, claim, number, phase)
+                known = _find_lead(milling, index, claim, number, phase)
                 if known is None:
                     continue
-                _, rows, way = known
+                _, rows, lead = known
                 limit = np.empty(count)
-                limit[rows] = np.where(way.up, np.where(way.aside, max(claim.feed, fast), fast), claim.feed)
+                limit[rows] = np.where(
+                    lead.is_axial,
+                    np.where(lead.is_lateral, max(claim.feed, axial_speed), axial_speed),
+                    claim.feed,
+                )
                 out = np.maximum(limit[1:], limit[:-1])
     return out
 
 
-def _fast(claim: MillsFlank) -> tuple[tuple[Phase, float], ...]:
-    """How fast [m/s] a tool may be along its axis on its way in and out."""
+def _axial_speeds(claim: MillsFlank) -> tuple[tuple[Phase, float], ...]:
+    """Return the maximum speed [m/s] of a tool along its axis in its lead-in and lead-out."""
     return (("in", claim.safe.plunge), ("out", claim.safe.rapid))
 
 
-FACE_STEP = 1e-3
-"""Way between places [m] at which a cutter is held against its face."""
+FACE_STEP_M = 1e-3
+"""Distance of samples [m] at which a cutter is compared with its face."""
 
 
-def _over(findings: Findings, milling: Milling) -> None:
-    for index, claim in milling.over:
-        face = OverFace(claim)
+def _check_faces(findings: Findings, milling: MillingMotion) -> None:
+    for index, claim in milling.faces:
+        face = MilledFace(claim)
         for segment in claim.segments:
             labels = (segment.key,)
             if not len(milling.track(index, claim.arm, labels).rows):
                 findings.add(f"{segment} is not milled", field=str(segment))
                 continue
-            tip, axis, rows = milling.spaced(index, claim.arm, labels, FACE_STEP, claim.tolerance)
-            for asked, off in face.off(tip, axis).items():
-                findings.highest(off.max(), segment)
-                for i in evenly(off > 1.0, ISSUES_SHOWN):
-                    what = f"in {segment} the cutter is {asked}, {off[i]:.2f} times as far as allowed, "
+            tip, axis, rows = milling.spaced_samples(index, claim.arm, labels, FACE_STEP_M, claim.tolerance)
+            for criterion, deviation in face.deviations(tip, axis).items():
+                findings.note_highest(deviation.max(), segment)
+                for i in evenly_spaced_rows(deviation > 1.0, MAX_ISSUES):
+                    what = (
+                        f"in {segment} the cutter is {criterion}, {deviation[i]:.2f} times what is allowed, "
+                    )
                     what += f"{mm(claim.tolerance):g} mm"
-                    findings.at_sample(what, claim.arm, rows[i])
+                    findings.add_at_sample(what, claim.arm, rows[i])
 
 
 NOTHING_MILLED = "nothing is milled"
 """Why rules about milling have not run."""
-FACET_ERROR = 5e-5
-"""What facets, and places between which nothing is looked at, may hide [m]."""
-_FACE_PLACES = 30_000
-"""Places of a face, about, at most."""
-_FINEST_SPACING = 0.4e-3
-"""Places of a face are no nearer to one another than this [m]."""
-_GOUGE_SPACING = 1.6
-"""Gouges are looked for at places so much farther apart, of which a quarter of the tolerance is hidden."""
+FACET_ERROR_M = 5e-5
+"""Deviation [m] that facets, and gaps between samples, may hide."""
+_MAX_FACE_POINTS = 30_000
+"""Approximate maximum number of points of a face."""
+_MIN_SPACING_M = 0.4e-3
+"""Minimum distance of face points [m]."""
+_GOUGE_SPACING_FACTOR = 1.6
+"""Distance of samples for gouges as a factor of the usual one. They then hide a quarter of the tolerance."""
 
 
 @rule("verify.milled", MillsSurface)
-def milled(context: Context) -> Outcome:
-    """The swept cutter makes the wanted surface within the tolerance, but for a stated share of it, with the
-    cutter that is mounted, and nothing is milled that is not claimed."""
+def milled(context: Context) -> RuleOutcome:
+    """The swept cutter makes a stated fraction of the required surface within the tolerance.
+
+    The cutter is the one that is mounted, and nothing is milled that is not claimed.
+    """
     milling, findings = context.get(MILLING), Findings("verify.milled", context)
-    _unclaimed(findings, milling)
+    _check_unclaimed(findings, milling)
     faces: list[CutFace] = []
     for index, claim in milling.surfaces:
-        findings.issues += _same_cutter(milling, index, claim)
+        findings.issues += _cutter_issues(milling, index, claim)
         face = cut_face(milling, index, claim)
         faces.append(face)
-        if face.share < claim.share:
+        if face.share < claim.min_fraction:
             what = (
                 f"{face.title}: {100 * face.share:.2f} % of the surface are within "
-                f"{mm(claim.tolerance):g} mm; wanted: {100 * claim.share:g} %"
+                f"{mm(claim.tolerance):g} mm, required {100 * claim.min_fraction:g} %"
             )
-            findings.add(what, in_percent(face.share, claim.share), field=face.title)
+            findings.add(what, measure_in_percent(face.share, claim.min_fraction), field=face.title)
     if not faces:
         return findings.outcome_without_value(NOTHING_MILLED)
     worst = min(faces, key=lambda face: face.share - face.wanted_share)
-    share, wanted, issues = 100 * worst.share, 100 * worst.wanted_share, tuple(findings.issues)
-    return Outcome(issues, share, wanted, "% within tolerance", worst.title, faces=tuple(faces))
+    percent, required_percent, issues = 100 * worst.share, 100 * worst.wanted_share, tuple(findings.issues)
+    return RuleOutcome(
+        issues, percent, required_percent, "% within tolerance", worst.title, faces=tuple(faces)
+    )
 
 
-def cut_face(milling: Milling, index: int, claim: MillsSurface) -> CutFace:
-    """What the swept cutting part leaves of a surface (positive) or takes too much (negative); NaN where it
-    never comes near."""
+def cut_face(milling: MillingMotion, index: int, claim: MillsSurface) -> CutFace:
+    """Return what the swept cutting part leaves of a surface (positive) or cuts too deep (negative).
+
+    The deviation is NaN where the cutter is never near.
+
+    Args:
+        milling: Milling of the proof.
+        index: Index of the setup.
+        claim: Claim on the surface.
+    """
     corners = claim.vertices[claim.faces]
     area = 0.5 * np.linalg.norm(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
     )
-    size = max(float(np.sqrt(area.sum() / _FACE_PLACES)) * 2.0, _FINEST_SPACING)
-    pieces, _ = divided(corners, size)
+    size = max(float(np.sqrt(area.sum() / _MAX_FACE_POINTS)) * 2.0, _MIN_SPACING_M)
+    pieces, _ = subdivide(corners, size)
     area = 0.5 * np.linalg.norm(np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1)
     points = pieces.mean(axis=1)
     if claim.margin:
-        kept = shapely.contains_xy(within(corners, claim.margin + 0.5 * size), points[:, 0], points[:, 1])
+        kept = shapely.contains_xy(plan_area(corners, claim.margin + 0.5 * size), points[:, 0], points[:, 1])
         points, area = points[kept], area[kept]
     labels = tuple(segment.key for segment in claim.segments)
     track = milling.track(index, claim.arm, labels)
     solid = solids(claim.cutter)[0]
-    tip, axis, _ = track.spaced(_step(solid, claim.tolerance), BEND_SHARE * claim.tolerance)
-    off, _ = sweep(points, tip, axis, solid)
-    known = off < SIGHT_DISTANCE
-    share = float(area[known & (np.abs(off) <= claim.tolerance)].sum() / max(float(area.sum()), 1e-30))
-    weight = max(float(area[known].sum()), 1e-30)
-    rms = float(np.sqrt((area[known] * off[known] ** 2).sum() / weight))
-    largest = float(np.abs(off[known]).max(initial=0.0))
-    deviation = np.where(known, off, np.nan)
+    tip, axis, _ = track.spaced(_sample_step(solid, claim.tolerance), BEND_FRACTION * claim.tolerance)
+    distances, _ = track_distance(points, tip, axis, solid)
+    is_near = distances < MAX_QUERY_DISTANCE_M
+    fraction = float(
+        area[is_near & (np.abs(distances) <= claim.tolerance)].sum() / max(float(area.sum()), 1e-30)
+    )
+    weight = max(float(area[is_near].sum()), 1e-30)
+    rms = float(np.sqrt((area[is_near] * distances[is_near] ** 2).sum() / weight))
+    largest = float(np.abs(distances[is_near]).max(initial=0.0))
+    deviation = np.where(is_near, distances, np.nan)
     first, *more = claim.segments
-    measure = (claim.tolerance, share, claim.share, rms, largest)
+    measure = (claim.tolerance, fraction, claim.min_fraction, rms, largest)
     return CutFace(first, points, deviation, area, *measure, more=len(more))
 
 
-def _step(solid: Solid, tolerance: float) -> float:
-    """Way between places [m] of which a round tool hides a tenth of the tolerance at most: s^2 / 8 r."""
+def _sample_step(solid: ToolSolid, tolerance: float) -> float:
+    """Return the distance between samples [m] at which a round tool hides a tenth of the tolerance.
+
+    It is s in s^2 / 8 r.
+    """
     narrow = solid.radius if solid.corner == 0.0 else 0.5 * solid.radius
     return float(np.clip(np.sqrt(0.8 * narrow * tolerance), 0.3e-3, 3e-3))
 
 
 @rule("verify.mill_gouge", SparesPart)
-def mill_gouge(context: Context) -> Outcome:
-    """At every instant, also on its ways in and out, neither cutter nor shank, holder and spindle are in a
-    face of the part by more than the tolerance; a cutter that engraves is as deep as wanted."""
+def mill_gouge(context: Context) -> RuleOutcome:
+    """Cutter, shank, holder and spindle never enter a face of the part by more than the tolerance.
+
+    It holds at every instant, leads included. A cutter that engraves may be as deep as required.
+    """
     milling, findings = context.get(MILLING), Findings("verify.mill_gouge", context)
-    asked = [(index, claim, list(_held(milling, index, claim))) for index, claim in milling.spared]
-    found = _insides(milling, [one for _, _, group in asked for one, _ in group])
-    for index, claim, group in asked:
-        findings.issues += _same_cutter(milling, index, claim)
-        for one, rows in group:
-            solid, allowed, there = one.solid, one.allowed, next(found)
-            if isinstance(there, int):
-                findings.issues.append(_too_many(claim, solid, there, one.size))
+    queries = [(index, claim, list(_gouge_queries(milling, index, claim))) for index, claim in milling.spared]
+    results = _evaluate_queries(milling, [query for _, _, group in queries for query, _ in group])
+    for index, claim, group in queries:
+        findings.issues += _cutter_issues(milling, index, claim)
+        for query, rows in group:
+            solid, allowed, result = query.solid, query.allowed, next(results)
+            if isinstance(result, int):
+                findings.issues.append(_too_many(claim, solid, result, query.spacing))
                 findings.excess, findings.limit = max(findings.excess, 0.0), allowed
                 findings.where = str(claim.segments[0])
                 continue
-            at = context.motion.node_segment[context.motion.node[rows[there.at]]]
-            findings.beyond(-there.least, allowed, f"{solid.name} in {at}")
-            for i in range(0, len(there.off), max(1, len(there.off) // ISSUES_SHOWN)):
-                what = f"the {solid.name} is {mm(-there.off[i]):.3f} mm in the part at "
-                what += f"{coordinates(there.points[i])} mm; allowed: {mm(allowed):.3f} mm"
-                findings.at_sample(what, claim.arm, rows[there.place[i]], in_mm(-there.off[i], allowed))
-    return findings.outcome_beyond(NOTHING_MILLED)
+            at = context.motion.node_segment[context.motion.node[rows[result.min_sample]]]
+            findings.note_excess(-result.min_distance, allowed, f"{solid.name} in {at}")
+            for i in range(0, len(result.distances), max(1, len(result.distances) // MAX_ISSUES)):
+                what = f"the {solid.name} is {mm(-result.distances[i]):.3f} mm in the part at "
+                what += f"{format_point_mm(result.points[i])} mm, allowed {mm(allowed):.3f} mm"
+                findings.add_at_sample(
+                    what, claim.arm, rows[result.samples[i]], measure_in_mm(-result.distances[i], allowed)
+                )
+    return findings.excess_outcome(NOTHING_MILLED)
 
 
-def _held(milling: Milling, index: int, claim: SparesPart) -> Iterator[tuple[Held, IntArray]]:
-    """What a face is held against, and the rows of the motion at the places of each."""
-    labels = tuple(way.key for segment in claim.segments for way in segment.ways)
+def _gouge_queries(
+    milling: MillingMotion, index: int, claim: SparesPart
+) -> Iterator[tuple[GougeQuery, IntArray]]:
+    """Yield what a face is compared with, and the rows of the motion at the samples of each."""
+    labels = tuple(part.key for segment in claim.segments for part in segment.all_phases)
     track = milling.track(index, claim.arm, labels)
     if not len(track.rows):
         return
     pieces = solids(claim.cutter)
-    for solid, sharp in [*((one, False) for one in pieces), *((one, True) for one in edges(pieces))]:
-        near = comes_near(claim.vertices, track.tip, track.axis, solid)
-        if sharp and not near:
+    for solid, sharp in [
+        *((piece, False) for piece in pieces),
+        *((piece, True) for piece in edge_slices(pieces)),
+    ]:
+        is_near = may_touch(claim.vertices, track.tip, track.axis, solid)
+        if sharp and not is_near:
             continue
-        step = rim_step(claim.tolerance) if sharp else _GOUGE_SPACING * _step(solid, claim.tolerance)
-        tip, axis, rows = milling.spaced(index, claim.arm, labels, step, claim.tolerance)
-        allowed = claim.tolerance + FACET_ERROR + (claim.depth if solid.name == "cutter" else 0.0)
+        step = (
+            edge_step(claim.tolerance)
+            if sharp
+            else _GOUGE_SPACING_FACTOR * _sample_step(solid, claim.tolerance)
+        )
+        tip, axis, rows = milling.spaced_samples(index, claim.arm, labels, step, claim.tolerance)
+        allowed = claim.tolerance + FACET_ERROR_M + (claim.depth if solid.name == "cutter" else 0.0)
         measure = (claim.tolerance, allowed)
-        yield Held(claim.vertices, claim.faces, solid, sharp, near, tip, axis, *measure), rows
+        yield GougeQuery(claim.vertices, claim.faces, solid, sharp, is_near, tip, axis, *measure), rows
 
 
-def _insides(milling: Milling, held: Sequence[Held]) -> Iterator[Inside | int]:
-    """What is inside of each, in their order; every other one is begun, perhaps in another process."""
-    begun = (milling.executor if len(held) > 1 else SERIAL).submit(insides, held[1::2])
-    own = list(insides(held[::2]))
-    for k, one in enumerate(own):
-        yield one
-        if 2 * k + 1 < len(held):
-            yield next(begun)
+def _evaluate_queries(milling: MillingMotion, queries: Sequence[GougeQuery]) -> Iterator[GougeResult | int]:
+    """Yield what is inside of each, in order.
+
+    Every other one is submitted to the executor, perhaps another process.
+    """
+    submitted = (milling.executor if len(queries) > 1 else SERIAL).submit(evaluate_queries, queries[1::2])
+    results = list(evaluate_queries(queries[::2]))
+    for k, result in enumerate(results):
+        yield result
+        if 2 * k + 1 < len(queries):
+            yield next(submitted)
 
 
-def _too_many(claim: SparesPart, solid: Solid, count: int, size: float) -> Issue:
-    """Nothing is proven of a face that is too large to be looked at as closely as it has to be."""
+def _too_many(claim: SparesPart, solid: ToolSolid, count: int, size: float) -> Issue:
+    """Return the issue of a face that is too large to be checked as closely as required.
+
+    Nothing is proven of such a face.
+    """
     what = (
-        f"beside the {solid.name} the face would have to be looked at in {count} places, {mm(size):.2f} mm "
-        f"apart; allowed: {MOST_FACE_POINTS}: split the cut, or take a larger tolerance"
+        f"near the {solid.name} the face would have to be checked at {count} points, {mm(size):.2f} mm "
+        f"apart, allowed {MAX_FACE_POINTS}. Split the cut, or use a larger tolerance"
     )
     name = str(claim.segments[0])
-    return Issue("verify.mill_gouge", what, field=name, value=float(count), limit=float(MOST_FACE_POINTS))
+    return Issue("verify.mill_gouge", what, field=name, value=float(count), limit=float(MAX_FACE_POINTS))
 
 
 @rule("verify.mill_path", MillsAlong, MillsProgram, Engraves, MillsFlank, MillsOver)
-def mill_path(context: Context) -> Outcome:
-    """Tip and axis stay within the tolerances on the way that the G-code file, the curves, the ruled surface
-    or the face asks for, all of which is passed, ways in and out too, and mill nothing beside it."""
+def mill_path(context: Context) -> RuleOutcome:
+    """Tip and axis follow the required path within the tolerances, leads included.
+
+    The path is that of the G-code file, the curves, the ruled surface or the face. All of it is passed, and
+    nothing else is milled.
+    """
     milling, findings = context.get(MILLING), Findings(MILL_PATH, context, worst=0.0)
-    findings.issues += context.unread
-    _flanks(findings, milling)
-    _over(findings, milling)
+    findings.issues += context.reading_issues
+    _check_flanks(findings, milling)
+    _check_faces(findings, milling)
     for index, claim in milling.curves:
         track = milling.track(index, claim.arm, (claim.segment.key,))
-        known = milling.followed(index, claim)
-        if known is None and _small(claim):
+        known = milling.path_deviation(index, claim)
+        if known is None and _is_short(claim):
             continue
         if known is None:
             findings.add(f"{claim.segment} is not milled", field=str(claim.segment))
             continue
-        some, found = known
-        off, turn = found.off, found.turn
-        allowed_off = claim.tolerance + WRITTEN_ROUNDING
-        findings.highest(max(off.max() / allowed_off, turn.max() / claim.turn), claim.segment)
-        for i in evenly((off > allowed_off) | (turn > claim.turn), ISSUES_SHOWN):
+        rows, result = known
+        distance, angle = result.distance, result.angle
+        allowed_distance = claim.tolerance + WRITTEN_ROUNDING_M
+        findings.note_highest(max(distance.max() / allowed_distance, angle.max() / claim.turn), claim.segment)
+        for i in evenly_spaced_rows((distance > allowed_distance) | (angle > claim.turn), MAX_ISSUES):
             what = (
-                f"in {claim.segment} the tip is {mm(off[i]):.3f} mm off its curve{_line(claim, found, i)} "
-                f"and the axis {np.rad2deg(turn[i]):.2f} deg; allowed: {mm(claim.tolerance):g} mm, "
-                f"{np.rad2deg(claim.turn):.2f} deg"
+                f"in {claim.segment} the tip is {mm(distance[i]):.3f} mm off its "
+                f"curve{_line_text(claim, result, i)} and the axis {np.rad2deg(angle[i]):.2f} deg, allowed "
+                f"{mm(claim.tolerance):g} mm, {np.rad2deg(claim.turn):.2f} deg"
             )
-            findings.at_sample(what, claim.arm, track.rows[some[i]], in_mm(off[i], claim.tolerance))
-        if found.missed:
-            word = f"{found.missed} of {len(claim.tip)} places are never passed, or not in order"
+            findings.add_at_sample(
+                what, claim.arm, track.rows[rows[i]], measure_in_mm(distance[i], claim.tolerance)
+            )
+        if result.missed_count:
+            word = f"{result.missed_count} of {len(claim.tip)} points are never passed, or not in order"
             findings.add(f"{claim.segment}: {word}", field=str(claim.segment))
     out = findings.outcome(float, "of what is allowed", 1.0 if findings.where else None)
     return dataclasses.replace(out, nothing="" if findings.where else NOTHING_MILLED)
 
 
-def _small(claim: MillsAlong) -> bool:
-    """Whether a way is so short that standing still follows it."""
+def _is_short(claim: MillsAlong) -> bool:
+    """Return whether a path is so short that standing still follows it."""
     tips = float(np.linalg.norm(claim.tip - claim.tip[0], axis=1).max())
     return tips <= claim.tolerance and float((claim.axis @ claim.axis[0]).min()) >= np.cos(claim.turn)
 
 
-def _line(claim: MillsAlong, found: Followed, i: int) -> str:
+def _line_text(claim: MillsAlong, deviation: PathDeviation, i: int) -> str:
     if claim.line is None:
         return ""
-    place = min(int(np.searchsorted(found.along, found.at[i])), len(claim.line) - 1)
-    return f" by line {claim.line[place]} of {claim.file}"
+    point = min(int(np.searchsorted(deviation.point_positions, deviation.position[i])), len(claim.line) - 1)
+    return f" by line {claim.line[point]} of {claim.file}"
 
 
-def _unclaimed(findings: Findings, milling: Milling) -> None:
-    """Moves of segments that mill, of which nothing is claimed, and claimed ones that never come."""
+def _check_unclaimed(findings: Findings, milling: MillingMotion) -> None:
+    """Report moves of segments that mill without a claim, and claimed ones that never occur."""
     motion, arm = findings.context.motion, findings.context.job.tasks[0].arm.name
     seen: set[str] = set()
     for node, (segment, name) in enumerate(zip(motion.node_segment, motion.node_label, strict=True)):
         if segment.kind == MILL and name not in milling.labels and name not in seen:
-            what = f"the programs mill in {segment}, of which the problem claims nothing"
-            findings.at_node(what, arm, node)
+            what = f"the programs mill in {segment}, but the problem has no claim on it"
+            findings.add_at_node(what, arm, node)
         seen.add(name)
     for name in sorted({segment.key for _, c in milling.surfaces for segment in c.segments} - seen):
         findings.add(f"{name} is never milled", field=name)
 
 
-def _same_cutter(milling: Milling, index: int, claim: MillsSurface | SparesPart) -> list[Issue]:
-    own, said = milling.mounted(index, claim.arm), claim.cutter
+def _cutter_issues(milling: MillingMotion, index: int, claim: MillsSurface | SparesPart) -> list[Issue]:
+    mounted, claimed = milling.mounted_cutter(index, claim.arm), claim.cutter
     if (
-        own is not None
-        and own.kind == said.kind
+        mounted is not None
+        and mounted.kind == claimed.kind
         and all(
-            np.allclose(getattr(own, name), getattr(said, name), atol=1e-9)
-            for name in ("radius", "corner", "flute", "overhang", "shank", "behind")
-            if np.shape(getattr(own, name)) == np.shape(getattr(said, name))
+            np.allclose(getattr(mounted, name), getattr(claimed, name), atol=1e-9)
+            for name in ("radius", "corner", "flute", "overhang", "shank", "holder_outline")
+            if np.shape(getattr(mounted, name)) == np.shape(getattr(claimed, name))
         )
-        and np.shape(own.behind) == np.shape(said.behind)
+        and np.shape(mounted.holder_outline) == np.shape(claimed.holder_outline)
     ):
         return []
-    what = f"the tool of {claim.arm} in setup {index + 1} has another cutter than the claimed one"
+    what = f"the cutter of the tool of {claim.arm} in setup {index + 1} differs from the claimed one"
     return [Issue("verify.milled", what, arm=claim.arm)]
 
 
 @rule("verify.mill_feed", FeedWindow, MillsAlong, MillsProgram, Engraves, MillsFlank, MillsOver)
-def mill_feed(context: Context) -> Outcome:
-    """While it mills, and on its ways in and out, the tip moves no faster than it may at each place of its
-    way."""
+def mill_feed(context: Context) -> RuleOutcome:
+    """The tip never exceeds the maximum feed at its position on the path, leads included."""
     milling, findings = context.get(MILLING), Findings("verify.mill_feed", context, worst=0.0)
     claims = [c for c in context.feeds if c.segment.kind == MILL]
     for claim in claims:
         index = context.setup_of(claim)
-        arm = _arm(milling, index, claim)
+        arm = _milling_arm(milling, index, claim)
         track = milling.track(index, arm, (claim.segment.key,)) if arm else None
         if track is None or not len(track.joined):
             continue
         time = np.diff(track.time)
         speed = np.linalg.norm(np.diff(track.tip, axis=0), axis=1) / np.maximum(time, 1e-6)
         speed = np.where(track.joined, speed, 0.0)
-        there = _there(milling, index, claim.segment, len(speed) + 1)
-        there = np.minimum(there, feed(milling, index, claim.segment, len(speed) + 1))
-        limit = np.minimum(there, claim.upper)
-        share = speed / limit
-        findings.highest(share.max(), claim.segment, FEED_SLACK)
-        for k in evenly(share > FEED_SLACK, ISSUES_SHOWN):
-            got, most = mm(float(speed[k])), mm(float(limit[k]))
-            what = f"the tip moves at {got:.2f} mm/s in {claim.segment}; allowed there: {most:g}"
-            findings.at_sample(what, arm, track.rows[k + 1], (got, most, "mm/s"))
-    fed = {claim.segment.key for claim in claims}
-    for label in sorted(_labels(context) - fed):
+        path_limit = _path_feeds(milling, index, claim.segment, len(speed) + 1)
+        path_limit = np.minimum(path_limit, lead_feeds(milling, index, claim.segment, len(speed) + 1))
+        limit = np.minimum(path_limit, claim.upper)
+        fraction = speed / limit
+        findings.note_highest(fraction.max(), claim.segment, MAX_FEED_FACTOR)
+        for k in evenly_spaced_rows(fraction > MAX_FEED_FACTOR, MAX_ISSUES):
+            speed_mm, allowed_mm = mm(float(speed[k])), mm(float(limit[k]))
+            what = f"the tip moves at {speed_mm:.2f} mm/s in {claim.segment}, allowed {allowed_mm:g}"
+            findings.add_at_sample(what, arm, track.rows[k + 1], (speed_mm, allowed_mm, "mm/s"))
+    with_feed = {claim.segment.key for claim in claims}
+    for label in sorted(_milled_labels(context) - with_feed):
         findings.add(f"{label} has no feed", field=label)
     out = findings.outcome(float, "of the feed")
     return out if findings.measured else dataclasses.replace(out, worst=None, nothing=NOTHING_MILLED)
 
 
-def _there(milling: Milling, index: int, segment: Segment, count: int) -> FloatArray:
-    """The feed (T - 1,) [m/s] from each of T samples of a segment to the next, by the way that is claimed of
-    it; without bounds where none is."""
+def _path_feeds(milling: MillingMotion, index: int, segment: Segment, count: int) -> FloatArray:
+    """Return the maximum feed (T - 1,) [m/s] from each of T samples of a segment to the next.
+
+    It follows from the claimed path, and is infinite without one.
+    """
     out = np.full(count - 1, np.inf)
     for setup, claim in milling.curves:
         if setup != index or claim.segment.key != segment.key or len(claim.feed) < 2:
             continue
-        known = milling.followed(index, claim)
+        known = milling.path_deviation(index, claim)
         if known is not None:
-            out = np.minimum(out, allowed(claim, known[0], known[1], count))
+            out = np.minimum(out, max_feeds(claim, known[0], known[1], count))
     return out
 
 
 @rule("verify.spindle", ContactOnlyIn, MillsProgram)
-def spindle(context: Context) -> Outcome:
-    """The cutter is in the block only while its spindle has been on for long enough, and on segments that
-    mill."""
+def spindle(context: Context) -> RuleOutcome:
+    """The cutter is in the block only in segments that mill, after its spindle was on for long enough."""
     milling, findings = context.get(MILLING), Findings("verify.spindle", context)
     motion = context.motion
     seen = False
@@ -439,7 +510,7 @@ def spindle(context: Context) -> Outcome:
         for arm in setup.cell.arms:
             if not isinstance(arm.tool, Mill) or arm.name not in motion.tcp:
                 continue
-            rows, node, time = milling.inside(index, arm.name, arm.tool.cutter)
+            rows, node, time = milling.samples_in_block(index, arm.name, arm.tool.cutter)
             judged = [
                 c.spindle_rule[1] for c in context.claims if c.spindle_rule and c.spindle_rule[0] == arm.name
             ]
@@ -451,30 +522,32 @@ def spindle(context: Context) -> Outcome:
             seen = True
             for i in np.flatnonzero(motion.node_kind[motion.node[rows]] != MILL)[:1]:
                 what = f"the cutter is in the block in {motion.node_label[node[i]]}, where nothing is milled"
-                findings.at_sample(what, arm.name, rows[i])
+                findings.add_at_sample(what, arm.name, rows[i])
             if not claims:
-                what = f"{arm.name} mills in setup {index + 1}, which claims no spindle"
-                findings.at_sample(what, arm.name, rows[0])
+                what = f"{arm.name} mills in setup {index + 1}, which has no claim on the spindle"
+                findings.add_at_sample(what, arm.name, rows[0])
             for claim in claims:
-                on = motion.on_for(claim.signal, context.switching((arm.name,)), time)
+                on = motion.signal_on_time(claim.signal, context.controller_task_names((arm.name,)), time)
                 for i in np.flatnonzero(on < claim.heat_up - 1e-6)[:1]:
                     got = f"for {on[i]:.1f} s" if on[i] >= 0.0 else "not"
-                    what = f"the cutter is in the block and {claim.signal} is {got} on; wanted: "
+                    what = f"the cutter is in the block and {claim.signal} is {got} on, required "
                     what += f"{claim.heat_up:g} s"
                     measure = (float(max(on[i], 0.0)), claim.heat_up, "s")
-                    findings.at_sample(what, arm.name, rows[i], measure)
+                    findings.add_at_sample(what, arm.name, rows[i], measure)
     return findings.outcome_without_value("" if seen else NOTHING_MILLED)
 
 
-def _arm(milling: Milling, index: int, claim: FeedWindow) -> str:
-    """The arm that mills a segment in a setup, by the claims on it; empty for none."""
+def _milling_arm(milling: MillingMotion, index: int, claim: FeedWindow) -> str:
+    """Return the arm that mills a segment in a setup, by the claims on it; empty if there is none."""
     segment = claim.segment.key
-    for setup, own in milling.by_setup:
-        names = (own.segment,) if isinstance(own, MillsAlong) else own.segments
-        if setup == index and any(segment == way.key for name in names for way in name.ways):
-            return own.arm
+    for setup, claim_of_setup in milling.by_setup:
+        names = (
+            (claim_of_setup.segment,) if isinstance(claim_of_setup, MillsAlong) else claim_of_setup.segments
+        )
+        if setup == index and any(segment == part.key for name in names for part in name.all_phases):
+            return claim_of_setup.arm
     return ""
 
 
-def _labels(context: Context) -> set[str]:
+def _milled_labels(context: Context) -> set[str]:
     return {str(segment) for segment in context.motion.node_segment if segment.kind == MILL}

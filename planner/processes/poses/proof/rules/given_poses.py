@@ -1,4 +1,4 @@
-"""verify.follows: the tools pass the poses that are given, in order, where the problem wants it."""
+"""verify.follows: the tools pass the given poses in order, as the problem states."""
 
 import csv
 import itertools
@@ -8,56 +8,66 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray, IntArray, inverse
 from planner.issues import Issue
-from planner.processes.poses.claims import FollowsPoses, FollowsTable, FreeAxis
+from planner.processes.poses.claims import FollowsPoses, FollowsTable, FreeAxisRange
 from planner.processes.poses.proof import pose_passing
-from planner.processes.poses.proof.pose_passing import Passing, PoseTable, Way, passing, slow_places, values
+from planner.processes.poses.proof.pose_passing import (
+    PoseMatch,
+    PoseTable,
+    PoseTiming,
+    find_slow_motion,
+    free_values,
+    match_poses,
+)
 from planner.proof.context import Context
-from planner.proof.findings import Findings, in_mm
-from planner.proof.replay.tool_speeds import peaks
-from planner.proof.rule import FEED_SLACK, Outcome, issue, mm, rule
+from planner.proof.findings import Findings, measure_in_mm
+from planner.proof.replay.tool_speeds import peak_tool_speeds
+from planner.proof.rule import MAX_FEED_FACTOR, RuleOutcome, measured_issue, mm, rule
 
 FOLLOWS: Final = "verify.follows"
 """Code of this rule."""
 FEED_ROUNDING: Final = 1.002
-"""Moves may be faster than the feed by this factor: their times are rounded."""
-FULL_TURN: Final = 2.0 * np.pi
-"""One turn [rad]."""
-OWN_TARGET: Final = (1e-5, float(np.deg2rad(0.01)))
-"""How near [m, rad] a pose's own target is to it, as a rule."""
+"""Factor by which moves may be faster than the feed, because their times are rounded."""
+FULL_REVOLUTION_RAD: Final = 2.0 * np.pi
+"""One revolution [rad]."""
+OWN_TARGET_TOLERANCE: Final = (1e-5, float(np.deg2rad(0.01)))
+"""Usual distance [m, rad] between a pose and its own target."""
 
 
 @rule("verify.follows", FollowsPoses, FollowsTable)
-def follows(context: Context) -> Outcome:
-    """Targets of the tools are the poses that the problem gives, in order, up to the free axes and within
-    their ranges, no faster than at their feeds and no slower than at their least ones."""
+def follows(context: Context) -> RuleOutcome:
+    """The tools pass the given poses in order, up to the free axes, with their feeds.
+
+    Free axes stay within their ranges. The tools are no faster than their feeds and no slower than their
+    minimum feeds.
+    """
     findings = Findings(FOLLOWS, context, worst=0.0)
     limits = []
     for index, setup in enumerate(context.setup_claims):
         for claim in (c for group in setup.groups for c in group):
             if isinstance(claim, FollowsPoses):
-                _poses(findings, index, claim)
+                _check_poses(findings, index, claim)
             elif isinstance(claim, FollowsTable):
-                _table(findings, index, claim)
+                _check_table(findings, index, claim)
             else:
                 continue
             limits.append(claim.position_tol)
     if not limits:
-        return Outcome(nothing="no such claim")
+        return RuleOutcome(nothing="no such claim")
     return findings.outcome(mm, "mm", max(limits))
 
 
-def _poses(findings: Findings, index: int, claim: FollowsPoses) -> None:
-    rows, paths = _paths(findings.context, index, (claim.arm,), claim.frame)
+def _check_poses(findings: Findings, index: int, claim: FollowsPoses) -> None:
+    rows, paths = _tool_paths(findings.context, index, (claim.arm,), claim.frame)
     if not len(rows):
-        _never(findings, (claim.arm,))
+        _report_no_motion(findings, (claim.arm,))
         return
     tolerance = claim.position_tol, claim.angle_tol
-    found = passing(paths, (np.asarray(claim.poses),), (claim.free,), tolerance)
-    _missed(findings, found, (claim.arm,), claim.position_tol)
+    match = match_poses(paths, (np.asarray(claim.poses),), (claim.free,), tolerance)
+    _report_missed(findings, match, (claim.arm,), claim.position_tol)
 
 
-def _table(findings: Findings, index: int, claim: FollowsTable) -> None:
-    """A table, which the proof reads itself, with the ranges of what is free and the feeds."""
+def _check_table(findings: Findings, index: int, claim: FollowsTable) -> None:
+    """Check a table, which the proof reads itself, with the ranges of free axes and the feeds."""
     context = findings.context
     operation = next(op for op in context.problem.operations if op.name == claim.operation)
     file = operation.file  # type: ignore[attr-defined]
@@ -65,148 +75,159 @@ def _table(findings: Findings, index: int, claim: FollowsTable) -> None:
         table = pose_passing.read_pose_table(file, claim.arms)
     except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
         what = f"{file.name}: the proof cannot read the poses ({type(error).__name__}: {error})"
-        findings.add(f"{what}; write the table anew", file=str(file))
+        findings.add(f"{what}; write the table again", file=str(file))
         return
-    rows, paths = _paths(context, index, claim.arms, claim.frame)
+    rows, paths = _tool_paths(context, index, claim.arms, claim.frame)
     if not len(rows):
-        _never(findings, claim.arms)
+        _report_no_motion(findings, claim.arms)
         return
     poses = [table.poses[arm] for arm in claim.arms]
-    twists = [[_twist(axis) for axis in claim.free if arm in axis.arms] for arm in claim.arms]
+    twists = [[_axis_twist(axis) for axis in claim.free if arm in axis.arms] for arm in claim.arms]
     tolerance = (claim.position_tol, claim.angle_tol)
-    # as a rule each pose has a target of its own, which tells what is free there and which feed holds
-    bounds = [_bounds(claim, arm) for arm in claim.arms]
-    narrow = min(tolerance[0], OWN_TARGET[0]), min(tolerance[1], OWN_TARGET[1])
-    for near in (narrow, tolerance):
-        found = passing(paths, poses, twists, near, bounds)
-        if found.met.all():
+    # usually each pose has its own target, which defines the values of free axes and the feed there
+    bounds = [_free_ranges(claim, arm) for arm in claim.arms]
+    narrow = min(tolerance[0], OWN_TARGET_TOLERANCE[0]), min(tolerance[1], OWN_TARGET_TOLERANCE[1])
+    for search_tolerance in (narrow, tolerance):
+        match = match_poses(paths, poses, twists, search_tolerance, bounds)
+        if match.is_matched.all():
             break
     else:
-        found = passing(paths, poses, twists, tolerance)
-    if _missed(findings, found, claim.arms, claim.position_tol):
+        match = match_poses(paths, poses, twists, tolerance)
+    if _report_missed(findings, match, claim.arms, claim.position_tol):
         return
-    taken: dict[str, FloatArray] = {}
-    for arm, path, pose, own in zip(claim.arms, paths, poses, twists, strict=True):
-        moved = values(inverse(pose) @ path[found.target], own)[0]
+    shared_values: dict[str, FloatArray] = {}
+    for arm, path, pose, arm_twists in zip(claim.arms, paths, poses, twists, strict=True):
+        axis_values = free_values(inverse(pose) @ path[match.target], arm_twists)[0]
         free = [axis for axis in claim.free if arm in axis.arms]
-        for axis, value in zip(free, moved.T, strict=True):
-            _range(findings, claim, axis, arm, value, taken)
-    _feeds(findings, claim, table, rows[found.target])
-    findings.issues += _least(context, claim, table, rows, paths, found.target)
+        for axis, value in zip(free, axis_values.T, strict=True):
+            _check_range(findings, claim, axis, arm, value, shared_values)
+    _check_feeds(findings, claim, table, rows[match.target])
+    findings.issues += _min_feed_issues(context, claim, table, rows, paths, match.target)
 
 
-def _paths(
+def _tool_paths(
     context: Context, index: int, arms: tuple[str, ...], frame: str
 ) -> tuple[IntArray, list[FloatArray]]:
-    """Targets (R,) of setup ``index`` from which or to which arms move straight, and the tools' poses
-    (R, 4, 4) there in the frame; one arm stands where it is while another one comes to its place alone."""
+    """Return targets (R,) of a setup from or to which arms move straight, and the tools' poses there.
+
+    Poses (R, 4, 4) are in the frame ``frame``. An arm rests while another one moves to its position alone.
+    """
     motion = context.motion
     rows = np.flatnonzero(context.spans.of_stage[motion.node_stage] == index)
     if any(arm not in motion.node_tcp for arm in arms):
         return rows[:0], []
     last = np.zeros((len(arms), len(rows)), dtype=np.int64)
-    for own, arm in zip(last, arms, strict=True):
+    for last_known, arm in zip(last, arms, strict=True):
         known = np.isfinite(motion.node_tcp[arm][rows, 0, 0])
-        own[:] = np.maximum.accumulate(np.where(known, np.arange(len(rows)), -1))
-    begun = (last >= 0).all(axis=0)
-    paths = [motion.node_tcp[arm][rows[own[begun]]] for own, arm in zip(last, arms, strict=True)]
-    rows = rows[begun]
+        last_known[:] = np.maximum.accumulate(np.where(known, np.arange(len(rows)), -1))
+    has_started = (last >= 0).all(axis=0)
+    paths = [
+        motion.node_tcp[arm][rows[last_known[has_started]]]
+        for last_known, arm in zip(last, arms, strict=True)
+    ]
+    rows = rows[has_started]
     if frame == "stock" and len(rows):
         back = inverse(context.stock_poses(index, motion.node_sample[rows]))
         paths = [back @ path for path in paths]
     return rows, paths
 
 
-def _never(findings: Findings, arms: tuple[str, ...]) -> None:
+def _report_no_motion(findings: Findings, arms: tuple[str, ...]) -> None:
     who = f"arm {arms[0]} never moves" if len(arms) == 1 else f"arms {' and '.join(arms)} never move together"
     findings.add(who, arm=arms[0])
 
 
-def _missed(findings: Findings, found: Passing, arms: tuple[str, ...], within: float) -> bool:
-    """Poses that are missed, and the largest distance; whether there are any."""
-    who, before = " and ".join(arms), len(findings.issues)
-    for i in np.flatnonzero(~found.met[: found.looked]).tolist():
-        way, angle = found.off[i].tolist()
-        message = f"pose {i + 1} of {who} is missed by {mm(way):.4f} mm and {np.rad2deg(angle):.4f} deg"
-        findings.add(message, in_mm(way, within), arm=arms[0], index=i)
-    if found.looked < len(found.met):
-        message = f"so many poses of {who} are missed that those from {found.looked + 1} on are not looked at"
-        findings.add(message, arm=arms[0], index=found.looked)
-    findings.highest(found.off[: found.looked, 0].max(initial=0.0))
-    return len(findings.issues) > before
+def _report_missed(findings: Findings, match: PoseMatch, arms: tuple[str, ...], within: float) -> bool:
+    """Report poses that are missed, and the largest distance. Return whether there are any."""
+    who, issue_count = " and ".join(arms), len(findings.issues)
+    for i in np.flatnonzero(~match.is_matched[: match.checked_count]).tolist():
+        distance, angle = match.deviation[i].tolist()
+        message = f"pose {i + 1} of {who} is missed by {mm(distance):.4f} mm and {np.rad2deg(angle):.4f} deg"
+        findings.add(message, measure_in_mm(distance, within), arm=arms[0], index=i)
+    if match.checked_count < len(match.is_matched):
+        message = (
+            f"so many poses of {who} are missed that those from {match.checked_count + 1} on are not checked"
+        )
+        findings.add(message, arm=arms[0], index=match.checked_count)
+    findings.note_highest(match.deviation[: match.checked_count, 0].max(initial=0.0))
+    return len(findings.issues) > issue_count
 
 
-def _bounds(claim: FollowsTable, arm: str) -> FloatArray:
-    """The ranges (F, 2) of the free axes of an arm [m, rad]."""
-    own = [(axis.lower, axis.upper) for axis in claim.free if arm in axis.arms]
-    return np.array(own, dtype=np.float64).reshape(-1, 2)
+def _free_ranges(claim: FollowsTable, arm: str) -> FloatArray:
+    """Return the ranges (F, 2) of the free axes of an arm [m, rad]."""
+    ranges = [(axis.lower, axis.upper) for axis in claim.free if arm in axis.arms]
+    return np.array(ranges, dtype=np.float64).reshape(-1, 2)
 
 
-def _twist(axis: FreeAxis) -> FloatArray:
-    """The unit twist (6,) of a free axis, angular part first."""
+def _axis_twist(axis: FreeAxisRange) -> FloatArray:
+    """Return the unit twist (6,) of a free axis, angular part first."""
     twist = np.zeros((2, 3))
-    twist[0 if axis.turns else 1, axis.axis] = 1.0
+    twist[0 if axis.is_rotation else 1, axis.axis] = 1.0
     return twist.ravel()
 
 
-def _range(
+def _check_range(
     findings: Findings,
     claim: FollowsTable,
-    axis: FreeAxis,
+    axis: FreeAxisRange,
     arm: str,
     value: FloatArray,
-    taken: dict[str, FloatArray],
+    shared_values: dict[str, FloatArray],
 ) -> None:
-    """Where the value (P,) of a free axis is out of its range, or not the one of the arm that shares it;
-    ``taken`` has the values of shared axes that other arms took."""
-    unit, scale = ("deg", np.rad2deg(1.0)) if axis.turns else ("mm", 1e3)
-    within = claim.angle_tol if axis.turns else claim.position_tol
+    """Check that the value (P,) of a free axis is in its range, and equal to that of the arm that shares it.
+
+    ``shared_values`` has the values of shared axes of other arms.
+    """
+    unit, scale = ("deg", np.rad2deg(1.0)) if axis.is_rotation else ("mm", 1e3)
+    within = claim.angle_tol if axis.is_rotation else claim.position_tol
     middle, half = 0.5 * (axis.lower + axis.upper), 0.5 * (axis.upper - axis.lower)
-    off = value - middle
-    if axis.turns:
-        off = off - FULL_TURN * np.round(off / FULL_TURN)
-    beyond = np.abs(off) - half
-    name = f"{'turn about' if axis.turns else 'slide along'} {'xyz'[axis.axis]}"
+    offset = value - middle
+    if axis.is_rotation:
+        offset = offset - FULL_REVOLUTION_RAD * np.round(offset / FULL_REVOLUTION_RAD)
+    beyond = np.abs(offset) - half
+    name = f"{'rotation about' if axis.is_rotation else 'slide along'} {'xyz'[axis.axis]}"
     if beyond.max() > within:
         i = int(np.argmax(beyond))
-        got = float(middle + off[i]) * scale
+        got = float(middle + offset[i]) * scale
         allowed = f"{axis.lower * scale:g} to {axis.upper * scale:g} {unit}"
-        message = f"pose {i + 1} of {arm}: the free {name} is {got:.3f} {unit}, allowed: {allowed}"
-        limit = axis.upper if off[i] > 0.0 else axis.lower
+        message = f"pose {i + 1} of {arm}: the free {name} is {got:.3f} {unit}, allowed {allowed}"
+        limit = axis.upper if offset[i] > 0.0 else axis.lower
         findings.add(message, (got, float(limit) * scale, unit), arm=arm, index=i)
     key = repr(axis)
-    apart = value - taken.setdefault(key, value)
-    if axis.turns:
-        apart = apart - FULL_TURN * np.round(apart / FULL_TURN)
-    if np.abs(apart).max() > 2.0 * within:
-        i = int(np.argmax(np.abs(apart)))
-        message = f"pose {i + 1}: {' and '.join(axis.arms)} share the {name}, but are "
-        message += f"{abs(apart[i]) * scale:.4f} {unit} apart in it"
-        measure = float(abs(apart[i])) * scale, 2.0 * within * scale, unit
+    difference = value - shared_values.setdefault(key, value)
+    if axis.is_rotation:
+        difference = difference - FULL_REVOLUTION_RAD * np.round(difference / FULL_REVOLUTION_RAD)
+    if np.abs(difference).max() > 2.0 * within:
+        i = int(np.argmax(np.abs(difference)))
+        message = f"pose {i + 1}: {' and '.join(axis.arms)} share the {name}, but their values differ by "
+        message += f"{abs(difference[i]) * scale:.4f} {unit}"
+        measure = float(abs(difference[i])) * scale, 2.0 * within * scale, unit
         findings.add(message, measure, arm=arm, index=i)
 
 
-def _feeds(findings: Findings, claim: FollowsTable, table: PoseTable, node: IntArray) -> None:
-    """Poses to which the tools go faster than they may; ``node`` (P,) is the target that meets each. On the
-    cubics of trajectories they may not at any instant."""
+def _check_feeds(findings: Findings, claim: FollowsTable, table: PoseTable, node: IntArray) -> None:
+    """Check that the tools are no faster than their feeds, on cubics of trajectories at every instant.
+
+    ``node`` (P,) is the target that matches each pose.
+    """
     motion = findings.context.motion
-    at = np.cumsum(motion.node_duration)[node]  # exact; samples are too far apart for short moves
-    ways = [np.linalg.norm(np.diff(table.poses[arm][:, :3, 3], axis=0), axis=1) for arm in claim.arms]
-    took = np.diff(at)
+    times = np.cumsum(motion.node_duration)[node]  # exact; samples are too far apart for short moves
+    lengths = [np.linalg.norm(np.diff(table.poses[arm][:, :3, 3], axis=0), axis=1) for arm in claim.arms]
+    durations = np.diff(times)
     feed = np.where(np.isnan(table.feed), np.nan if claim.feed is None else claim.feed, table.feed)[1:]
     moved = np.diff(node) > 0
-    speed = np.where(moved, np.max(ways, axis=0) / np.maximum(took, 1e-9), 0.0)
-    peak = peaks(findings.context)
-    most = np.array([peak[a:b].max(initial=0.0) for a, b in itertools.pairwise((node + 1).tolist())])
-    for fast, slack, words in ((speed, FEED_ROUNDING, "at"), (most, FEED_SLACK, "at up to")):
-        for i in np.flatnonzero(~(fast <= slack * feed))[:20].tolist():
-            got, allowed = mm(fast[i]), mm(feed[i])
-            message = f"on the way to pose {i + 2} the tool moves {words} {got:.2f} mm/s, allowed: "
+    speed = np.where(moved, np.max(lengths, axis=0) / np.maximum(durations, 1e-9), 0.0)
+    peak = peak_tool_speeds(findings.context)
+    peak_speeds = np.array([peak[a:b].max(initial=0.0) for a, b in itertools.pairwise((node + 1).tolist())])
+    for speeds, slack, words in ((speed, FEED_ROUNDING, "at"), (peak_speeds, MAX_FEED_FACTOR, "at up to")):
+        for i in np.flatnonzero(~(speeds <= slack * feed))[:20].tolist():
+            got, allowed = mm(speeds[i]), mm(feed[i])
+            message = f"on the way to pose {i + 2} the tool moves {words} {got:.2f} mm/s, allowed "
             message += f"{allowed:.2f} mm/s"
             findings.add(message, (got, allowed, "mm/s"), arm=claim.arms[0], index=i + 1)
 
 
-def _least(
+def _min_feed_issues(
     context: Context,
     claim: FollowsTable,
     table: PoseTable,
@@ -214,28 +235,32 @@ def _least(
     paths: list[FloatArray],
     target: IntArray,
 ) -> list[Issue]:
-    """Where the tools are slower than they may, or stop where they may not; ``target`` (P,) are the places in
-    ``rows`` (R,) and ``paths`` that meet the poses."""
-    least = np.where(np.isnan(table.least), claim.feed_min, table.least)
-    if not (least[1:] > 0.0).any():
+    """Return where the tools are slower than the minimum feed, or stop where they must not.
+
+    ``target`` (P,) are the indices in ``rows`` (R,) and ``paths`` that match the poses.
+    """
+    min_feed = np.where(np.isnan(table.min_feed), claim.feed_min, table.min_feed)
+    if not (min_feed[1:] > 0.0).any():
         return []
     feed = np.where(np.isnan(table.feed), np.nan if claim.feed is None else claim.feed, table.feed)
     stop = table.stop.copy()
     stop[[0, -1]] = True
     motion = context.motion
     steps = [np.diff(table.poses[arm][:, :3, 3], axis=0) for arm in claim.arms]
-    way = Way(
+    timing = PoseTiming(
         step=np.max([np.linalg.norm(step, axis=1) for step in steps], axis=0),
-        least=least[1:],
+        min_feed=min_feed[1:],
         feed=feed[1:],
         may_stop=stop,
         node=target,
         end=np.cumsum(motion.node_duration)[rows],
         stops=motion.node_stop[rows],
-        place=tuple(path[:, :3, 3] for path in paths),
+        positions=tuple(path[:, :3, 3] for path in paths),
     )
     arm = claim.arms[0]
     return [
-        issue(FOLLOWS, fault.message, (mm(fault.got), mm(fault.limit), "mm/s"), arm=arm, index=fault.pose)
-        for fault in slow_places(way, claim.run_up)
+        measured_issue(
+            FOLLOWS, fault.message, (mm(fault.got), mm(fault.limit), "mm/s"), arm=arm, index=fault.pose
+        )
+        for fault in find_slow_motion(timing, claim.run_up)
     ]

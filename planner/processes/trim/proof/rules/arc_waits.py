@@ -1,126 +1,149 @@
-"""Waits for the arc of a torch, and what watches it while it moves."""
+"""Waits for the arc of a torch, and the watchdog while it moves."""
 
 from collections.abc import Collection, Iterator
 
 from planner.issues import Issue
 from planner.processes.trim.claims import TrimsSheet
-from planner.processes.trim.proof.torch_motion import TrimWork, longest_stay
+from planner.processes.trim.proof.torch_motion import TrimmedSheet, longest_stay
 from planner.programs.stages import TaskText
-from planner.programs.steps import GuardStep, MoveStep, SignalStep, Step, WaitStep
+from planner.programs.steps import GuardStep, MoveStep, ProgramStep, SignalStep, WaitStep
 from planner.programs.text import segment_of_name
 from planner.proof.context import Context
-from planner.proof.language_contribution import of_task
-from planner.proof.rule import at_step, mm
+from planner.proof.language_contribution import language_of_task
+from planner.proof.rule import mm, step_issue
 
-LEAST_FAR = 0.2e-3
-"""A thread that watches a torch may take one that gets farther than this [m] for one that moves."""
-
-
-LINGER = 3.0
-"""On a short stretch a torch may take so many times as long as at its least average feed,"""
+MIN_WATCH_DISTANCE_M = 0.2e-3
+"""Minimum distance [m] at which a watchdog may consider a torch as moving."""
 
 
-LINGER_TIME = 0.5
-"""and so much longer [s], as it stops at corners."""
+LINGER_FACTOR = 3.0
+"""Factor by which a torch may be slower on a short stretch than its minimum average feed."""
 
 
-LINGER_KERFS = 3.0
-"""Such a stretch is as long as a slot is wide, so many times,"""
+LINGER_TIME_S = 0.5
+"""Additional duration on such a stretch [s], because the torch stops at corners."""
 
 
-LEAST_STRETCH = 3e-3
-"""and so long [m] at least."""
+LINGER_KERF_FACTOR = 3.0
+"""Length of such a stretch in kerfs."""
 
 
-WAIT_ROUNDING = 0.001
-"""Times are written with three decimals [s]."""
+MIN_STRETCH_M = 3e-3
+"""Minimum length of such a stretch [m]."""
 
 
-def waits(context: Context, work: TrimWork, others: Collection[str]) -> Iterator[Issue]:
-    """Whether the program waits for the arc between its start and the next move, as the text has it; no
-    other program can, that starts it. ``others``: slots of other operations, which have their own waits."""
-    claim = work.claim
+WAIT_ROUNDING_S = 0.001
+"""Resolution of times in programs [s], which have three decimals."""
+
+
+def missing_waits(context: Context, sheet: TrimmedSheet, other_slots: Collection[str]) -> Iterator[Issue]:
+    """Yield missing waits for the arc between its start and the next move, in the program text.
+
+    Programs of other arms must not start the arc, because they cannot wait for it.
+
+    Args:
+        context: Context of the proof.
+        sheet: Claim with the motion.
+        other_slots: Slots of other operations, which have their own waits.
+    """
+    claim = sheet.claim
     if claim.ok_signal is None:
         return
     for task in context.job.tasks:
         if task.arm.name != claim.arm:
-            if task.name in context.switching((claim.arm,)):
-                lit = (s for s in task.steps if isinstance(s, SignalStep) and s.value)
+            if task.name in context.controller_task_names((claim.arm,)):
+                switch_steps = (s for s in task.steps if isinstance(s, SignalStep) and s.value)
                 yield from (
-                    _unwaited(task, s, claim) for s in lit if s.signal.lower() == claim.signal.lower()
+                    _missing_wait_issue(task, s, claim)
+                    for s in switch_steps
+                    if s.signal.lower() == claim.signal.lower()
                 )
             continue
-        started: Step | None = None
-        waited = False
+        start_step: ProgramStep | None = None
+        has_wait = False
         for step in task.steps:
             if isinstance(step, SignalStep) and step.signal.lower() == claim.signal.lower():
-                started, waited = step if step.value else None, False
+                start_step, has_wait = step if step.value else None, False
             elif isinstance(step, WaitStep):
-                waited |= _is_ok(step, claim)
-            elif isinstance(step, MoveStep) and started is not None:
-                if not waited and _slot(step) not in others:
-                    yield _unwaited(task, started, claim)
-                started = None
+                has_wait |= _is_arc_wait(step, claim)
+            elif isinstance(step, MoveStep) and start_step is not None:
+                if not has_wait and _slot_key(step) not in other_slots:
+                    yield _missing_wait_issue(task, start_step, claim)
+                start_step = None
 
 
-def _slot(move: MoveStep) -> str:
+def _slot_key(move: MoveStep) -> str:
     return segment_of_name(move.procedure).key
 
 
-def _is_ok(step: WaitStep, claim: TrimsSheet) -> bool:
+def _is_arc_wait(step: WaitStep, claim: TrimsSheet) -> bool:
     return (
         step.signal.lower() == (claim.ok_signal or "").lower()
         and step.value == 1.0
         and not step.flag
-        and not step.again
+        and not step.repeats
         and step.seconds is not None
-        and step.seconds <= claim.timeout + WAIT_ROUNDING
+        and step.seconds <= claim.timeout + WAIT_ROUNDING_S
     )
 
 
-def _unwaited(task: TaskText, step: Step, claim: TrimsSheet) -> Issue:
+def _missing_wait_issue(task: TaskText, step: ProgramStep, claim: TrimsSheet) -> Issue:
     what = (
-        f"behind {claim.signal} the torch moves without a wait for {claim.ok_signal} of {claim.timeout:g} s "
+        f"after {claim.signal} the torch moves without a wait for {claim.ok_signal} of at most "
+        f"{claim.timeout:g} s, "
     )
-    return at_step("verify.trim_arc", what + "at most, which breaks off where no arc burns", task, step)
+    return step_issue("verify.trim_arc", what + "which aborts the program if no arc burns", task, step)
 
 
-def unguarded(context: Context, work: TrimWork, others: Collection[str]) -> Iterator[Issue]:
-    """Whether a program that goes on in the slot behind a pause watches its torch wherever that
-    moves: output and input, and that it does not stand for longer than a torch may take, but for as long as
-    it does. ``others`` as :func:`waits` has it."""
-    claim = work.claim
+def missing_watchdogs(context: Context, sheet: TrimmedSheet, other_slots: Collection[str]) -> Iterator[Issue]:
+    """Yield moves of a torch without a watchdog, in programs that continue in the slot after a pause.
+
+    The watchdog has to check output and input, and that the torch does not rest longer than allowed, but as
+    long as it does in the replay.
+
+    Args:
+        context: Context of the proof.
+        sheet: Claim with the motion.
+        other_slots: Slots of other operations, which have their own watchdogs.
+    """
+    claim = sheet.claim
     for task in context.job.tasks:
-        if not of_task(task).watches_torch or task.arm.name != claim.arm:
+        if not language_of_task(task).watches_torch or task.arm.name != claim.arm:
             continue
-        lit: Step | None = None
-        guard: GuardStep | None = None
+        start_step: ProgramStep | None = None
+        watchdog: GuardStep | None = None
         for step in task.steps:
             if isinstance(step, SignalStep) and step.signal.lower() == claim.signal.lower():
-                lit, guard = step if step.value else None, None
+                start_step, watchdog = step if step.value else None, None
             elif isinstance(step, GuardStep):
-                guard = step if step.on else None
-            elif isinstance(step, MoveStep) and lit is not None and _slot(step) not in others:
-                yield from _watched(task, lit, guard, work)
-                lit = None
+                watchdog = step if step.on else None
+            elif isinstance(step, MoveStep) and start_step is not None and _slot_key(step) not in other_slots:
+                yield from _watchdog_issues(task, start_step, watchdog, sheet)
+                start_step = None
 
 
-def _watched(task: TaskText, lit: Step, guard: GuardStep | None, work: TrimWork) -> Iterator[Issue]:
-    """What is wrong with what watches a torch that moves, from where it was ``lit`` on."""
-    claim = work.claim
+def _watchdog_issues(
+    task: TaskText, start_step: ProgramStep, watchdog: GuardStep | None, sheet: TrimmedSheet
+) -> Iterator[Issue]:
+    """Yield faults of the watchdog of a torch that moves, from where it was ``start_step`` on."""
+    claim = sheet.claim
     signals = claim.signal.lower(), (claim.ok_signal or "").lower()
-    if guard is None or (guard.signal.lower(), guard.given.lower()) != signals:
-        what = (
-            f"the torch moves with {claim.signal} on, and nothing watches that it burns: behind a pause the "
-        )
-        yield at_step("verify.trim_arc", what + "program would go on in the slot", task, lit)
+    if watchdog is None or (watchdog.signal.lower(), watchdog.input.lower()) != signals:
+        what = f"the torch moves with {claim.signal} on, and nothing checks that it burns: after a pause the "
+        yield step_issue("verify.trim_arc", what + "program would continue in the slot", task, start_step)
         return
-    stretch = max(LINGER_KERFS * claim.kerf, LEAST_STRETCH)
-    most = LINGER * stretch / (claim.least_feed * claim.feed) + LINGER_TIME
-    stays = max((longest_stay(work.of_slot(key), guard.far) for key in work.slots), default=0.0)
-    if not stays < guard.stood <= most or guard.far < LEAST_FAR:
+    stretch = max(LINGER_KERF_FACTOR * claim.kerf, MIN_STRETCH_M)
+    max_stop = LINGER_FACTOR * stretch / (claim.min_feed_fraction * claim.feed) + LINGER_TIME_S
+    longest = max(
+        (longest_stay(sheet.slot_track(key), watchdog.min_distance) for key in sheet.slots), default=0.0
+    )
+    if not longest < watchdog.max_still_time <= max_stop or watchdog.min_distance < MIN_WATCH_DISTANCE_M:
         what = (
-            f"the program ends where the torch is within {mm(guard.far):g} mm for {guard.stood:g} s; wanted: "
+            f"the program ends if the torch stays within {mm(watchdog.min_distance):g} mm for "
+            f"{watchdog.max_still_time:g} s, "
         )
-        what += f"{mm(LEAST_FAR):g} mm or more, and over {stays:.2f} s, to {most:.2f} s"
-        yield at_step("verify.trim_arc", what, task, guard)
+        what += (
+            f"required {mm(MIN_WATCH_DISTANCE_M):g} mm or more, and more than {longest:.2f} s, up to "
+            f"{max_stop:.2f} s"
+        )
+        yield step_issue("verify.trim_arc", what, task, watchdog)

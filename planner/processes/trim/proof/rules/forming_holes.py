@@ -1,7 +1,7 @@
-"""verify.forming_holes: what is formed, and its tools, keep off curves along which the sheet was cut before.
+"""verify.forming_holes: what is formed, and its tools, stay away from cuts that were made before.
 
-A hole that nothing formed later comes near to stays where it was cut, so its edge is where the part has
-it. Curves are those that the proof reads itself; ways of tools are replayed from the programs' text.
+A hole that no later forming comes near keeps its position, so its edge is where the part has it. The proof
+reads the curves itself and replays the tools from the program text.
 """
 
 import dataclasses
@@ -14,149 +14,180 @@ from planner.claims.claim import Claim
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
 from planner.processes.forming.claims import FormsPart, FormsSheet
-from planner.processes.forming.proof.shapes import PartShapes, Shape
-from planner.processes.forming.proof.state import FORMING, Formed, Forming
-from planner.processes.forming.proof.tracks import pieces
+from planner.processes.forming.proof.formed_shapes import FormedShape, PartShapes
+from planner.processes.forming.proof.forming_facts import FORMING, FormedPass, FormingFacts
+from planner.processes.forming.proof.tracks import straight_pieces
 from planner.processes.trim.claims import TrimOutline, TrimsSheet
-from planner.processes.trim.proof.outlines import drawn, winding
+from planner.processes.trim.proof.outlines import encloses, plan_curve
 from planner.proof.context import Context
-from planner.proof.findings import in_mm
+from planner.proof.findings import measure_in_mm
 from planner.proof.part_files import UnreadError
-from planner.proof.rule import Outcome, at_sample, issue, mm, rule
+from planner.proof.rule import RuleOutcome, measured_issue, mm, rule, sample_issue
 
 FORMING_HOLES = "verify.forming_holes"
 """Code of this rule."""
 NO_HOLES = "no sheet is formed that was cut before"
 """Why it has not run."""
-OF_WHOLE_SHEETS = ("adsif", "tpif")
-"""Modes whose tools press all of the sheet, or whose die moves its rim: a cut before is at another height."""
-FACET = 0.05e-3
-"""How far [m] facets of a border, and chords of a curve, may be off them."""
+WHOLE_SHEET_MODES = ("adsif", "tpif")
+"""Modes that move the whole sheet, so that an earlier cut is at another height.
+
+Their tools press all of the sheet, or their die moves its rim.
+"""
+FACET_ERROR_M = 0.05e-3
+"""Deviation of facets of a border, and of chords of a curve [m]."""
 
 
-CHORD = 0.01e-3
-"""How far [m] straight pieces of a tool's way may be off it."""
+CHORD_ERROR_M = 0.01e-3
+"""Deviation of straight pieces of a tool's path [m]."""
 
 
 @dataclasses.dataclass(frozen=True)
-class _Hole:
-    """A curve, and how far [m] in plan the cut's edge on the other face may be off it: as long as the way of
-    a torch through the flat sheet that leans as far as it may, as sheets that are formed get thinner."""
+class _CutHole:
+    """A curve that was cut.
 
-    one: TrimOutline
-    flat: FloatArray
+    Attributes:
+        outline: Outline.
+        vertices: Its vertices in plan (K, 2) [m].
+        ring: The outline in plan as a Shapely geometry.
+        edge_offset: Possible distance in plan of the cut's edge on the other face [m]: that of a cut through
+            the flat sheet at maximum tilt, because formed sheets get thinner.
+    """
+
+    outline: TrimOutline
+    vertices: FloatArray
     ring: shapely.Geometry
-    across: float
+    edge_offset: float
 
 
 @rule("verify.forming_holes", FormsPart)
-def forming_holes(context: Context) -> Outcome:
-    """What is formed in a sheet that was cut before, and all tools while they form it, stay off each cut, on
-    both faces of the sheet, seen along z, by the margin of the problem; nothing is formed inside of one, nor
-    where the sheet was cut off its clamp."""
+def forming_holes(context: Context) -> RuleOutcome:
+    """What is formed in a sheet that was cut before, and its tools, keep the margin from each cut.
+
+    It holds on both faces of the sheet, seen along z. Nothing is formed inside a cut, nor where the sheet was
+    cut off its clamp.
+    """
     forming = context.get(FORMING)
     issues: list[Issue] = []
     worst, limit, where = np.inf, 0.0, ""
-    made = {id(group): one for one, group in forming.parts}
-    holes: list[_Hole] = []
+    shapes_by_group = {id(group): part for part, group in forming.parts}
+    holes: list[_CutHole] = []
     for index, setup in enumerate(context.setup_claims):
         for group in setup.groups:
-            own = made.get(id(group))
-            if holes and own is not None:
+            shapes = shapes_by_group.get(id(group))
+            if holes and shapes is not None:
                 for hole in holes:
-                    near, found = _of_hole(context, forming, index, (own, group), hole)
-                    issues += found
-                    if near - own.part.hole_margin < worst - limit:
-                        worst, limit, where = near, own.part.hole_margin, hole.one.name
+                    distance, hole_issues = _check_hole(context, forming, index, (shapes, group), hole)
+                    issues += hole_issues
+                    if distance - shapes.part.hole_margin < worst - limit:
+                        worst, limit, where = distance, shapes.part.hole_margin, hole.outline.name
             for claim in group:
                 if isinstance(claim, TrimsSheet):
-                    cut, unread = _cut(claim)
+                    cut, unread = _find_holes(claim)
                     holes += cut
                     issues += unread
     if not where:
-        return Outcome(tuple(issues), nothing=NO_HOLES)
-    return Outcome(tuple(issues), mm(worst), mm(limit), "mm", where)
+        return RuleOutcome(tuple(issues), nothing=NO_HOLES)
+    return RuleOutcome(tuple(issues), mm(worst), mm(limit), "mm", where)
 
 
-def _cut(claim: TrimsSheet) -> tuple[list[_Hole], list[Issue]]:
-    found, issues = [], []
+def _find_holes(claim: TrimsSheet) -> tuple[list[_CutHole], list[Issue]]:
+    holes, issues = [], []
     across = float(np.hypot(claim.thickness, claim.thickness * np.tan(claim.cone)))
-    for one in claim.outlines:
+    for outline in claim.outlines:
         try:
-            flat = drawn(one)
-            found.append(_Hole(one, flat, shapely.LinearRing(flat), across))
+            flat = plan_curve(outline)
+            holes.append(_CutHole(outline, flat, shapely.LinearRing(flat), across))
         except UnreadError as error:
-            what = f"{one.name} cannot be read a second time: {error}"
-            issues.append(Issue(FORMING_HOLES, what, field=one.name))
-    return found, issues
+            what = f"{outline.name} cannot be read a second time: {error}"
+            issues.append(Issue(FORMING_HOLES, what, field=outline.name))
+    return holes, issues
 
 
-def _of_hole(
-    context: Context, forming: Forming, index: int, own: tuple[PartShapes, Sequence[Claim]], hole: _Hole
+def _check_hole(
+    context: Context,
+    forming: FormingFacts,
+    index: int,
+    formed_group: tuple[PartShapes, Sequence[Claim]],
+    hole: _CutHole,
 ) -> tuple[float, list[Issue]]:
-    """How near [m] what an operation forms, and its tools, come to a curve, and where that is too near."""
-    made, group = own
-    part, name = made.part, hole.one.name
-    if not hole.one.inside:
-        what = f"the sheet was cut along {name}, outside of which all drops, and is formed behind that"
+    """Return how near [m] what an operation forms, and its tools, come to a curve, and issues."""
+    shapes, group = formed_group
+    part, name = shapes.part, hole.outline.name
+    if not hole.outline.drops_inside:
+        what = f"the sheet was cut along {name}, outside of which everything drops, and is formed after that"
         return 0.0, [Issue(FORMING_HOLES, what, field=name)]
-    if part.mode in OF_WHOLE_SHEETS:
+    if part.mode in WHOLE_SHEET_MODES:
         what = (
-            f"the sheet was cut along {name}, and is formed in {part.mode} behind that, which moves all of it"
+            f"the sheet was cut along {name}, and is formed in {part.mode} after that, which moves all of it"
         )
         return 0.0, [Issue(FORMING_HOLES, what, field=name)]
     issues: list[Issue] = []
-    least = np.inf
-    for _, feature in made.own:
+    min_distance = np.inf
+    for _, feature in shapes.own_features:
         for shape in feature.shapes:
-            near = max(_formed_off(shape, hole) - hole.across, 0.0)
-            least = min(least, near)
-            if near < part.hole_margin - FACET:
+            distance = max(_forming_distance(shape, hole) - hole.edge_offset, 0.0)
+            min_distance = min(min_distance, distance)
+            if distance < part.hole_margin - FACET_ERROR_M:
                 what = (
-                    f"{shape.claim.segment} moves the sheet {mm(near):.2f} mm off the edges of {name}, cut "
-                    f"before; wanted: {mm(part.hole_margin):g} mm"
+                    f"{shape.claim.segment} moves the sheet {mm(distance):.2f} mm from the edges of {name}, "
+                    f"cut before, required {mm(part.hole_margin):g} mm"
                 )
-                issues.append(issue(FORMING_HOLES, what, in_mm(near, part.hole_margin), field=name))
-    passes = [one for one in forming.formed if one.setup == index and any(one.claim is c for c in group)]
+                issues.append(
+                    measured_issue(FORMING_HOLES, what, measure_in_mm(distance, part.hole_margin), field=name)
+                )
+    passes = [
+        formed_pass
+        for formed_pass in forming.formed
+        if formed_pass.setup == index and any(formed_pass.claim is c for c in group)
+    ]
     if len(passes) != sum(isinstance(claim, FormsSheet) for claim in group):
-        issues.append(Issue(FORMING_HOLES, f"passes beside {name} are not all replayed", field=name))
-    for one in passes:
-        near, found = _tools_off(context, part, one, hole)
-        least = min(least, near)
-        issues += found
-    return float(least), issues
+        issues.append(Issue(FORMING_HOLES, f"not all passes near {name} are replayed", field=name))
+    for formed_pass in passes:
+        distance, pass_issues = _tool_distance(context, part, formed_pass, hole)
+        min_distance = min(min_distance, distance)
+        issues += pass_issues
+    return float(min_distance), issues
 
 
-def _formed_off(shape: Shape, hole: _Hole) -> float:
-    """How far [m] in plan what is moved is off a curve: 0 for what lies in it, or around it."""
+def _forming_distance(shape: FormedShape, hole: _CutHole) -> float:
+    """Return the distance [m] in plan of what is moved from a curve, 0 for what is inside or around it."""
     plan = shape.corners[shape.raised][:, :, :2]
     if not len(plan):
         return np.inf
-    if winding(hole.flat, plan.mean(axis=1)).any():
+    if encloses(hole.vertices, plan.mean(axis=1)).any():
         return 0.0
     tree = shapely.STRtree(shapely.polygons(plan[:, [0, 1, 2, 0]]))
     return float(tree.query_nearest(hole.ring, return_distance=True, all_matches=False)[1].min())
 
 
-def _tools_off(context: Context, part: FormsPart, one: Formed, hole: _Hole) -> tuple[float, list[Issue]]:
-    """How far [m] in plan the tools of a pass stay off the edges of a cut while they form."""
-    track, least = one.track, np.inf
+def _tool_distance(
+    context: Context, part: FormsPart, formed_pass: FormedPass, hole: _CutHole
+) -> tuple[float, list[Issue]]:
+    """Return the distance [m] in plan of the tools of a pass from the edges of a cut while they form."""
+    track, min_distance = formed_pass.track, np.inf
     issues: list[Issue] = []
-    parts = pieces(track, CHORD)
-    use = track.own[parts.first]
-    first, last, off = parts.first[use], parts.last[use], parts.off[use] + hole.across
+    parts = straight_pieces(track, CHORD_ERROR_M)
+    is_forming = track.is_forming[parts.first]
+    first, last, margins = (
+        parts.first[is_forming],
+        parts.last[is_forming],
+        parts.deviation[is_forming] + hole.edge_offset,
+    )
     radius = dict(zip(part.arms, part.radii, strict=True))
     for column, arm in enumerate(track.arms):
         if arm not in radius or not len(first):
             continue
         ends = np.stack([track.centre[rows, column][:, :2] for rows in (first, last)], axis=1)
-        near = shapely.distance(shapely.linestrings(ends), hole.ring) - off - radius[arm]
-        near = np.where(winding(hole.flat, ends[:, 0]), 0.0, np.maximum(near, 0.0))
-        k = int(np.argmin(near))
-        least = min(least, float(near[k]))
-        if near[k] < part.hole_margin - FACET:
-            what = f"in {one.claim.segment} the tool of {arm} comes within {mm(float(near[k])):.2f} mm of "
-            what += f"the edges of {hole.one.name}, which was cut before; wanted: {mm(part.hole_margin):g} mm"
-            row, measure = int(track.rows[first[k]]), in_mm(near[k], part.hole_margin)
-            issues.append(at_sample(FORMING_HOLES, what, context.motion, arm, row, measure))
-    return float(least), issues
+        distances = shapely.distance(shapely.linestrings(ends), hole.ring) - margins - radius[arm]
+        distances = np.where(encloses(hole.vertices, ends[:, 0]), 0.0, np.maximum(distances, 0.0))
+        k = int(np.argmin(distances))
+        min_distance = min(min_distance, float(distances[k]))
+        if distances[k] < part.hole_margin - FACET_ERROR_M:
+            what = (
+                f"in {formed_pass.claim.segment} the tool of {arm} comes within "
+                f"{mm(float(distances[k])):.2f} mm of "
+            )
+            what += f"the edges of {hole.outline.name}, cut before, required {mm(part.hole_margin):g} mm"
+            row, measure = int(track.rows[first[k]]), measure_in_mm(distances[k], part.hole_margin)
+            issues.append(sample_issue(FORMING_HOLES, what, context.motion, arm, row, measure))
+    return float(min_distance), issues

@@ -1,4 +1,4 @@
-"""Feature trees against parts whose features are known because they were made so."""
+"""Feature trees of parts whose features are known by construction."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from planner.issues import TandemError
 from planner.processes.forming.plan.features.surface import plan_area
 from planner.processes.forming.plan.features.tree import (
     FeatureTree,
-    build,
-    given_order,
-    in_place,
-    on_virgin_sheet,
+    build_feature_tree,
+    custom_order,
+    in_place_order,
+    virgin_sheet_order,
 )
 from tests.processes.forming.plan.nests import Nest, dome, frustum, over, random_nest, revolved, sheet
 
@@ -24,7 +24,7 @@ MM = 1e-3
 
 
 def differences(nest: Nest, tree: FeatureTree) -> list[str]:
-    """In what a tree is not the truth; empty where it is."""
+    """Return the differences between a tree and the true features, empty if there are none."""
     if len(tree.features) != len(nest.truth):
         return [f"{len(tree.features)} features, true are {len(nest.truth)}"]
     wrong = []
@@ -75,7 +75,7 @@ def dish() -> Mesh:
 @pytest.mark.parametrize("step", STEPS)
 def test_a_cone_is_one_feature_with_its_closed_form_contours(step: float) -> None:
     mesh = revolved([(60 * MM, 0.0), (50 * MM, 0.0), (20 * MM, -30 * MM), (0.0, -30 * MM)])
-    tree = build(mesh, step)
+    tree = build_feature_tree(mesh, step)
     assert outline(tree) == [(None, "concave", 0.0, -30.0)]
     (feature,) = tree.features
     assert len(feature.contours) == round(30 * MM / step) + 1
@@ -90,7 +90,7 @@ def test_a_cone_is_one_feature_with_its_closed_form_contours(step: float) -> Non
 
 
 def test_a_cone_with_a_tip_ends_at_the_tip() -> None:
-    tree = build(revolved([(60 * MM, 3 * MM), (50 * MM, 3 * MM), (0.0, 43 * MM)]), 1e-3)
+    tree = build_feature_tree(revolved([(60 * MM, 3 * MM), (50 * MM, 3 * MM), (0.0, 43 * MM)]), 1e-3)
     assert tree.level == 3 * MM
     assert outline(tree) == [(None, "convex", 3.0, 43.0)]
     assert tree.features[0].end == 43 * MM
@@ -99,14 +99,14 @@ def test_a_cone_with_a_tip_ends_at_the_tip() -> None:
 
 @pytest.mark.parametrize("step", STEPS)
 def test_a_dish_with_six_domes_and_three_dimples_has_ten_features(dish: Mesh, step: float) -> None:
-    tree = build(dish, step)
+    tree = build_feature_tree(dish, step)
     expected = [(None, "concave", 0.0, -20.0)]
     expected += [(1, "convex", -20.0, -12.0)] * 6 + [(1, "concave", -20.0, -24.0)] * 3
     assert outline(tree) == expected
     assert tree.features[0].children == tuple(range(2, 11))
     assert not tree.issues
     # what the features do to the sheet adds up to the part
-    assert np.abs(tree.level + tree.share.sum(axis=0) - dish.vertices[:, 2]).max() < 50e-6
+    assert np.abs(tree.level + tree.displacement.sum(axis=0) - dish.vertices[:, 2]).max() < 50e-6
     # every contour lies on the part
     part = LinearNDInterpolator(dish.vertices[:, :2], dish.vertices[:, 2])
     for feature in tree.features:
@@ -118,7 +118,7 @@ def test_a_dish_with_six_domes_and_three_dimples_has_ten_features(dish: Mesh, st
 @pytest.mark.parametrize("step", STEPS)
 def test_a_stepped_dish_is_two_features_also_where_its_terrace_is_at_a_level(step: float) -> None:
     profile = [(60, 0), (50, 0), (45, -5), (30, -5), (20, -15), (0, -15)]
-    tree = build(revolved([(r * MM, z * MM) for r, z in profile]), step)
+    tree = build_feature_tree(revolved([(r * MM, z * MM) for r, z in profile]), step)
     assert outline(tree) == [(None, "concave", 0.0, -5.0), (1, "concave", -5.0, -15.0)]
     assert plan_area(tree.features[1].region) == pytest.approx(np.pi * (30 * MM) ** 2, rel=2e-3)
 
@@ -133,7 +133,7 @@ def test_a_terrace_that_slopes_ends_where_the_next_wall_begins(angle: float, noi
     up = noise * np.random.default_rng(3).uniform(-1.0, 1.0, len(made.vertices))
     off = np.abs(made.vertices[:, 2]) > 1e-9
     mesh = Mesh(made.vertices + np.column_stack([0.0 * up, 0.0 * up, off * up]), made.faces)
-    first, second = build(mesh, 5e-4).features
+    first, second = build_feature_tree(mesh, 5e-4).features
     assert first.end == second.start == pytest.approx(low * MM, abs=1e-9 + 2.0 * noise)
     assert plan_area(second.region) == pytest.approx(np.pi * (30 * MM) ** 2, rel=3e-3)
 
@@ -145,13 +145,13 @@ def test_a_dimple_alone_in_a_floor_is_a_feature(step: float) -> None:
             x, y, (20 * MM, 9 * MM), 10 * MM, MM, 40.0
         )
 
-    tree = build(sheet(height, 70 * MM, 1.5 * MM, noise=5e-6), step)
+    tree = build_feature_tree(sheet(height, 70 * MM, 1.5 * MM, noise=5e-6), step)
     assert outline(tree) == [(None, "concave", 0.0, -10.0), (1, "concave", -10.0, -11.0)]
 
 
 def test_walls_without_a_flat_between_them_are_one_feature() -> None:
     profile = [(60, 0), (50, 0), (45, -10), (35, -15), (30, -25), (0, -25)]  # 63, 27 and 63 degrees
-    tree = build(revolved([(r * MM, z * MM) for r, z in profile]), 1e-3)
+    tree = build_feature_tree(revolved([(r * MM, z * MM) for r, z in profile]), 1e-3)
     assert outline(tree) == [(None, "concave", 0.0, -25.0)]
 
 
@@ -162,7 +162,7 @@ def test_a_saddle_splits_a_feature(step: float) -> None:
         return -np.maximum(*pockets)
 
     line = np.linspace(-60 * MM, 60 * MM, 121)
-    tree = build(over(np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2), height), step)
+    tree = build_feature_tree(over(np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2), height), step)
     # cones of 45 degrees meet half-way, 15 mm from their axes, 10 mm deep
     assert outline(tree) == [
         (None, "concave", 0.0, -10.0),
@@ -177,7 +177,7 @@ def test_loops_that_merge_are_a_dome_on_a_slope(step: float) -> None:
     def height(x: FloatArray, y: FloatArray) -> FloatArray:
         return -frustum(x, y, (0, 0), 60 * MM, 30 * MM, 30.0) + dome(x, y, (30 * MM, 0.0), 12 * MM, 9 * MM)
 
-    tree = build(sheet(height, 70 * MM, MM, noise=5e-6), step)
+    tree = build_feature_tree(sheet(height, 70 * MM, MM, noise=5e-6), step)
     (wall, bump) = tree.features
     assert (wall.kind, bump.kind, bump.parent) == ("concave", "convex", 1)
     assert (wall.start, wall.end) == pytest.approx((0.0, -30 * MM), abs=0.02 * MM)
@@ -189,7 +189,7 @@ def test_loops_that_merge_are_a_dome_on_a_slope(step: float) -> None:
 @pytest.mark.parametrize("step", STEPS)
 def test_an_island_in_a_groove_rises_above_the_sheet(step: float) -> None:
     profile = [(60, 0), (50, 0), (44, -10), (36, -10), (20, 4), (0, 4)]
-    tree = build(revolved([(r * MM, z * MM) for r, z in profile]), step)
+    tree = build_feature_tree(revolved([(r * MM, z * MM) for r, z in profile]), step)
     assert outline(tree) == [(None, "concave", 0.0, -10.0), (1, "convex", -10.0, 4.0)]
 
 
@@ -202,7 +202,7 @@ def test_a_groove_of_uneven_depth_is_one_feature(step: float) -> None:
         wall = np.minimum((50 * MM - away), np.maximum(away - 20 * MM, 0.0))
         return -np.clip(np.minimum(wall, deep), 0.0, None)
 
-    tree = build(sheet(height, 60 * MM, MM), step)
+    tree = build_feature_tree(sheet(height, 60 * MM, MM), step)
     groove, island = tree.features
     assert (groove.kind, groove.end) == ("concave", pytest.approx(-9.75 * MM, abs=0.4 * MM))
     assert (island.kind, island.end) == ("convex", pytest.approx(0.0, abs=0.01 * MM))
@@ -215,7 +215,7 @@ def test_both_sides_of_the_sheet_are_formed(step: float) -> None:
         up, down = (frustum(x, y, (c * MM, 0.0), 25 * MM, 12 * MM, 60.0) for c in (-35.0, 35.0))
         return up - down
 
-    tree = build(sheet(height, 75 * MM, 1.5 * MM, noise=5e-6), step)
+    tree = build_feature_tree(sheet(height, 75 * MM, 1.5 * MM, noise=5e-6), step)
     assert sorted(outline(tree)) == [(None, "concave", 0.0, -12.0), (None, "convex", 0.0, 12.0)]
     assert tree.roots == (1, 2)
 
@@ -226,7 +226,7 @@ def test_what_is_lower_than_a_step_is_found(step: float) -> None:
         small = dome(x, y, (20 * MM, 0.0), 8 * MM, 0.3 * MM) - dome(x, y, (-20 * MM, 0.0), 8 * MM, 0.25 * MM)
         return -frustum(x, y, (0, 0), 50 * MM, 9.97 * MM, 60.0) + small
 
-    tree = build(sheet(height, 60 * MM, MM), step)
+    tree = build_feature_tree(sheet(height, 60 * MM, MM), step)
     assert [(f.parent, f.kind) for f in tree.features] == [(None, "concave"), (1, "convex"), (1, "concave")]
     assert [abs(f.end - f.start) / MM for f in tree.features] == pytest.approx([9.97, 0.3, 0.25], abs=0.01)
     assert all(len(f.contours) >= 2 for f in tree.features)
@@ -235,7 +235,7 @@ def test_what_is_lower_than_a_step_is_found(step: float) -> None:
 @pytest.mark.parametrize("step", STEPS)
 def test_vertical_walls_have_loops_that_coincide(step: float) -> None:
     profile = [(60, 0), (50, 0), (50, -20), (30, -20), (30, -8), (0, -8)]
-    tree = build(revolved([(r * MM, z * MM) for r, z in profile]), step)
+    tree = build_feature_tree(revolved([(r * MM, z * MM) for r, z in profile]), step)
     assert outline(tree) == [(None, "concave", 0.0, -20.0), (1, "convex", -20.0, -8.0)]
     for feature, radius in zip(tree.features, (50, 30), strict=True):
         for line in feature.contours:
@@ -246,7 +246,7 @@ def test_a_ridge_of_few_facets_and_one_that_climbs_and_parts() -> None:
     """A roof over a rectangle, of six facets; and a ridge whose crest dips in its middle."""
     corners = [(-40, -20, 0), (40, -20, 0), (40, 20, 0), (-40, 20, 0), (-20, 0, 12), (20, 0, 12)]
     roof = [(0, 1, 5), (0, 5, 4), (1, 2, 5), (2, 3, 4), (2, 4, 5), (3, 0, 4)]
-    tree = build(Mesh(np.array(corners) * MM, np.array(roof)), 1e-3)
+    tree = build_feature_tree(Mesh(np.array(corners) * MM, np.array(roof)), 1e-3)
     assert outline(tree) == [(None, "convex", 0.0, 12.0)]
     (feature,) = tree.features
     for level, line in zip(feature.levels, feature.contours, strict=True):
@@ -261,7 +261,7 @@ def test_a_ridge_of_few_facets_and_one_that_climbs_and_parts() -> None:
         return np.asarray(np.clip(crest * ends * (1.0 - np.abs(y) / (20 * MM)), 0.0, None))
 
     line = np.linspace(-60 * MM, 60 * MM, 121)
-    tree = build(over(np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2), height), 1e-3)
+    tree = build_feature_tree(over(np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2), height), 1e-3)
     assert outline(tree) == [(None, "convex", 0.0, 8.0), (1, "convex", 8.0, 12.0), (1, "convex", 8.0, 12.0)]
 
 
@@ -272,7 +272,7 @@ def test_a_ledge_along_half_of_a_wall_does_no_harm_to_the_contours() -> None:
         z = frustum(x, y, (0.0, 0.0), 50 * MM, 20 * MM, 55.0)
         return -np.where(x > 0.0, np.minimum(z, np.maximum(10 * MM, z - 12 * MM)), z)
 
-    tree = build(sheet(height, 60 * MM, MM, noise=5e-6), 1e-3)
+    tree = build_feature_tree(sheet(height, 60 * MM, MM, noise=5e-6), 1e-3)
     assert tree.features[0].start == pytest.approx(0.0, abs=0.01 * MM)
     assert min(feature.end for feature in tree.features) == pytest.approx(-20 * MM, abs=0.02 * MM)
     assert all(feature.kind == "concave" for feature in tree.features)
@@ -280,17 +280,17 @@ def test_a_ledge_along_half_of_a_wall_does_no_harm_to_the_contours() -> None:
 
 
 def test_a_part_without_flat_around_it() -> None:
-    tree = build(revolved([(50 * MM, 0.0), (20 * MM, -30 * MM), (0.0, -30 * MM)]), 1e-3)
+    tree = build_feature_tree(revolved([(50 * MM, 0.0), (20 * MM, -30 * MM), (0.0, -30 * MM)]), 1e-3)
     assert outline(tree) == [(None, "concave", 0.0, -30.0)]
 
 
 def test_vertices_that_no_face_uses_stay_where_they_are() -> None:
     mesh = revolved([(50 * MM, 0.0), (20 * MM, -30 * MM), (0.0, -30 * MM)])
     padded = Mesh(np.concatenate([[[9.0, 9.0, 9.0]], mesh.vertices]), mesh.faces + 1)
-    tree = build(padded, 1e-3)
-    assert tree.share.shape == (1, len(padded.vertices))
-    assert tree.share[0, 0] == 0.0
-    assert tree.share[0, 1:].min() == pytest.approx(-30 * MM)
+    tree = build_feature_tree(padded, 1e-3)
+    assert tree.displacement.shape == (1, len(padded.vertices))
+    assert tree.displacement[0, 0] == 0.0
+    assert tree.displacement[0, 1:].min() == pytest.approx(-30 * MM)
 
 
 def test_features_whose_edges_touch_are_named() -> None:
@@ -299,7 +299,7 @@ def test_features_whose_edges_touch_are_named() -> None:
             x, y, (20 * MM, 0), 20 * MM, 9 * MM, 45.0
         )
 
-    tree = build(sheet(height, 50 * MM, MM), 1e-3)
+    tree = build_feature_tree(sheet(height, 50 * MM, MM), 1e-3)
     assert sorted(outline(tree)) == [(None, "concave", 0.0, -9.0), (None, "convex", 0.0, 9.0)]
     (issue,) = tree.issues
     assert issue.code == "forming.touching"
@@ -308,7 +308,7 @@ def test_features_whose_edges_touch_are_named() -> None:
 
 def refused(mesh: Mesh, step: float = 1e-3) -> str:
     with pytest.raises(TandemError) as caught:
-        build(mesh, step)
+        build_feature_tree(mesh, step)
     return str(caught.value)
 
 
@@ -326,7 +326,7 @@ def test_holes_edges_off_the_sheet_and_pieces_are_refused() -> None:
     tilted[:, 2] += 0.01 * tilted[:, 0]
     text = refused(Mesh(tilted, cone.faces))
     assert "forming.border" in text
-    assert "0.600 mm off" in text
+    assert "0.600 mm away" in text
     twice = np.concatenate([cone.vertices, cone.vertices + np.array([0.2, 0.0, 0.0])])
     assert "mesh.pieces" in refused(
         Mesh(twice, np.concatenate([cone.faces, cone.faces + len(cone.vertices)]))
@@ -356,7 +356,7 @@ def test_features_that_lie_over_each_other_are_refused() -> None:
     round_ = np.column_stack([line[:, 1] * np.cos(turned), line[:, 1] * np.sin(turned), mesh.vertices[:, 2]])
     text = refused(Mesh(round_ * MM, mesh.faces))
     assert "forming.touching" in text
-    assert "lie over each other" in text
+    assert "overlap" in text
 
 
 def test_bumps_of_a_noisy_floor_are_no_features_by_the_place_where_they_part() -> None:
@@ -366,7 +366,7 @@ def test_bumps_of_a_noisy_floor_are_no_features_by_the_place_where_they_part() -
         part = sheet(
             lambda x, y: -frustum(x, y, (0.0, 0.0), 25 * MM, 6 * MM, 50.0), 0.035, 2e-3, seed, 0.05 * MM
         )
-        (one,) = build(part, 5e-4, 0.07 * MM).features
+        (one,) = build_feature_tree(part, 5e-4, 0.07 * MM).features
         assert (one.start, one.end) == pytest.approx((0.0, -6 * MM), abs=0.05 * MM)
 
 
@@ -380,46 +380,46 @@ def test_steps_that_are_none_are_refused(step: float) -> None:
 
 
 def test_strategies_and_orders_of_ones_own(dish: Mesh) -> None:
-    tree = build(dish, 1e-3)
-    first = in_place(tree)
+    tree = build_feature_tree(dish, 1e-3)
+    first = in_place_order(tree)
     assert [step.feature for step in first] == list(range(1, 11))
     assert all(step.shift == 0.0 for step in first)
-    second = on_virgin_sheet(tree)
+    second = virgin_sheet_order(tree)
     assert [step.feature for step in second] == [*range(2, 11), 1]
     for step in second:
         assert tree.feature(step.feature).start + step.shift == pytest.approx(tree.level, abs=1e-12)
-    mixed = given_order(tree, [5, 1, 10, 9, 8, 7, 6, 4, 3, 2], translated=True)
+    mixed = custom_order(tree, [5, 1, 10, 9, 8, 7, 6, 4, 3, 2], translated=True)
     assert mixed[0].shift == pytest.approx(20 * MM, abs=0.02 * MM)
     assert all(step.shift == 0.0 for step in mixed[1:])
     for wrong, what in (
-        ([*range(2, 11), 1], "feature 2 comes before feature 1"),
+        ([*range(2, 11), 1], "feature 2 comes before its parent, feature 1"),
         (list(range(1, 10)), "feature 10 is missing"),
-        ([1, 1, *range(2, 11)], "feature 1 is there twice"),
+        ([1, 1, *range(2, 11)], "feature 1 is named twice"),
         (list(range(1, 12)), "feature 11 does not exist"),
     ):
         with pytest.raises(TandemError, match=r"forming\.order.*" + what):
-            given_order(tree, wrong)
+            custom_order(tree, wrong)
 
 
 def test_shifts_in_a_nest_of_three_take_what_is_formed_around() -> None:
     profile = [(60, 0), (50, 0), (45, -10), (35, -10), (30, -4), (22, -4), (18, -9), (0, -9)]
-    tree = build(revolved([(r * MM, z * MM) for r, z in profile]), 1e-3)
+    tree = build_feature_tree(revolved([(r * MM, z * MM) for r, z in profile]), 1e-3)
     assert outline(tree) == [(None, "concave", 0, -10), (1, "convex", -10, -4), (2, "concave", -4, -9)]
-    shifts = {step.feature: step.shift / MM for step in given_order(tree, [1, 3, 2], translated=True)}
+    shifts = {step.feature: step.shift / MM for step in custom_order(tree, [1, 3, 2], translated=True)}
     # with the dish done, and the island not yet, the innermost one starts 10 mm below the sheet
     assert shifts == pytest.approx({1: 0.0, 3: -6.0, 2: 0.0}, abs=1e-6)
-    assert [step.feature for step in on_virgin_sheet(tree)] == [3, 2, 1]
+    assert [step.feature for step in virgin_sheet_order(tree)] == [3, 2, 1]
 
 
 @pytest.mark.sampled(every=8)
 @pytest.mark.parametrize("seed", range(40))
 def test_random_nests(seed: int) -> None:
     nest = random_nest(seed)
-    assert not differences(nest, build(nest.mesh, STEPS[seed % 3]))
+    assert not differences(nest, build_feature_tree(nest.mesh, STEPS[seed % 3]))
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("seed", range(200))
 def test_random_nests_have_the_same_tree_at_every_step(seed: int) -> None:
     nest = random_nest(seed)
-    assert [differences(nest, build(nest.mesh, step)) for step in STEPS] == [[], [], []]
+    assert [differences(nest, build_feature_tree(nest.mesh, step)) for step in STEPS] == [[], [], []]

@@ -1,4 +1,4 @@
-"""Faces in closed form for tests of paths, and distances from them by brute force."""
+"""Faces in closed form for path tests, and distances from them by brute force."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from planner.geometry.arrays import FloatArray
-from planner.processes.forming.plan.contact import Pass
+from planner.processes.forming.plan.contact import FormingPass
 
 
 def round_shape(turn: FloatArray) -> FloatArray:
@@ -28,7 +28,7 @@ def rings(
     shape: Callable[[FloatArray], FloatArray] = round_shape,
     stretch: float = 1.0,
     middle: tuple[float, float] = (0.0, 0.0),
-) -> Pass:
+) -> FormingPass:
     """A feature of rings of ``shape`` at radii and heights (K,) [m] from the middle out, the last one the
     rim at z = 0, in a flat that reaches half as far again; mirrored for side -1."""
     turn = 2.0 * np.pi * np.arange(count) / count
@@ -47,12 +47,12 @@ def rings(
     region = radius[-1] * np.concatenate([plan, plan[:1]]) + middle
     low = float(height.min()) if end is None else end
     thick = np.full(len(points), 1e-3)
-    return Pass("shape", 0, 0, side, points, np.concatenate(faces), thick, 0.0, side * low, region)
+    return FormingPass("shape", 0, 0, side, points, np.concatenate(faces), thick, 0.0, side * low, region)
 
 
 def cone(
     radius: float, depth: float, angle: float, fillet: float, side: int = 1, count: int = 180, walls: int = 12
-) -> Pass:
+) -> FormingPass:
     """A frustum with a flat floor; ``fillet`` [m] between floor and wall, 0 for a sharp one."""
     a = np.radians(angle)
     turn = np.linspace(0.0, a, 31)
@@ -66,25 +66,27 @@ def cone(
     return rings(wide, high, count, side)
 
 
-def bowl(radius: float, depth: float, side: int = 1, count: int = 180, walls: int = 60, **more) -> Pass:  # type: ignore[no-untyped-def]
+def bowl(
+    radius: float, depth: float, side: int = 1, count: int = 180, walls: int = 60, **more
+) -> FormingPass:  # type: ignore[no-untyped-def]
     """A cap of a sphere."""
     turn = np.linspace(0.0, np.arccos(1.0 - depth / radius), walls)
     return rings(radius * np.sin(turn), radius * (1.0 - np.cos(turn)) - depth, count, side, **more)
 
 
-def distance(one: Pass, points: FloatArray) -> FloatArray:
+def distance(forming_pass: FormingPass, points: FloatArray) -> FloatArray:
     """Distances (N,) [m] from the face of a pass: to all triangles near enough, by planes and edges."""
-    corners = one.vertices[one.faces]
+    corners = forming_pass.vertices[forming_pass.faces]
     middle = corners.mean(axis=1)
     size = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
     found = np.empty(len(points))
     for k, p in enumerate(points):
-        off = np.linalg.norm(middle - p, axis=1)
-        found[k] = _least(p, corners[off - size <= (off + size).min()])
+        deviation = np.linalg.norm(middle - p, axis=1)
+        found[k] = _nearest_distance(p, corners[deviation - size <= (deviation + size).min()])
     return found
 
 
-def _least(p: FloatArray, corners: FloatArray) -> float:
+def _nearest_distance(p: FloatArray, corners: FloatArray) -> float:
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     height = np.einsum("fd,fd->f", p - corners[:, 0], normal)
@@ -94,7 +96,7 @@ def _least(p: FloatArray, corners: FloatArray) -> float:
         one, two = corners[:, k], corners[:, (k + 1) % 3]
         way = two - one
         inside &= np.einsum("fd,fd->f", np.cross(way, p - one), normal) >= 0.0
-        share = np.einsum("fd,fd->f", p - one, way) / np.einsum("fd,fd->f", way, way)
-        foot = one + np.clip(share, 0.0, 1.0)[:, None] * way
+        fraction = np.einsum("fd,fd->f", p - one, way) / np.einsum("fd,fd->f", way, way)
+        foot = one + np.clip(fraction, 0.0, 1.0)[:, None] * way
         best = np.minimum(best, np.linalg.norm(p - foot, axis=1))
     return float(np.where(inside, np.abs(height), best).min())

@@ -1,4 +1,4 @@
-"""The ADSIF response: the table as printed, bilinear between stable cells, and its inverse by brute force."""
+"""The ADSIF response: printed table, bilinear interpolation between stable cells, brute-force inverse."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ PRINTED = {  # wall angle [deg] by gap over thickness and position angle [deg]
     (1.0, 55): 27.2,
 }
 TABLE = adsif_response.built_in_table()
-HERE = TABLE.conditions
+CONDITIONS = TABLE.conditions
 
 
 def test_the_table_is_the_printed_one() -> None:
     assert np.isfinite(TABLE.wall).sum() == 19
     gaps, positions = (np.array(values) for values in zip(*PRINTED, strict=True))
-    walls = adsif_response.wall_angle(TABLE, positions * DEG, gaps)
+    walls = adsif_response.formed_wall_angle(TABLE, positions * DEG, gaps)
     assert np.allclose(walls / DEG, list(PRINTED.values()), atol=1e-9)
-    assert adsif_response.Conditions("aa5754_o", 1 * MM, 5 * MM, 0.2 * MM, 1.6 * MM) == HERE
+    assert adsif_response.ResponseConditions("aa5754_o", 1 * MM, 5 * MM, 0.2 * MM, 1.6 * MM) == CONDITIONS
 
 
 @pytest.mark.parametrize("prefer", ["angle", "gap"])
-def test_the_inverse_forms_what_is_wanted(prefer: adsif_response.Prefer) -> None:
-    wanted = np.concatenate([list(PRINTED.values()), np.linspace(16.5, 37.3, 1001)]) * DEG
-    position, gap = adsif_response.invert(TABLE, wanted, prefer)
-    assert np.abs(adsif_response.wall_angle(TABLE, position, gap) - wanted).max() < 1e-9
+def test_the_inverse_forms_what_is_wanted(prefer: adsif_response.SolutionPreference) -> None:
+    expected = np.concatenate([list(PRINTED.values()), np.linspace(16.5, 37.3, 1001)]) * DEG
+    position, gap = adsif_response.invert_response(TABLE, expected, prefer)
+    assert np.abs(adsif_response.formed_wall_angle(TABLE, position, gap) - expected).max() < 1e-9
 
 
 def test_no_solution_of_a_fine_search_is_better() -> None:
@@ -58,18 +58,18 @@ def test_no_solution_of_a_fine_search_is_better() -> None:
     th, g = (a.reshape(-1) for a in np.meshgrid(np.linspace(25, 55, 151) * DEG, np.linspace(0.6, 1.0, 101)))
     stable = (g >= 0.7 - 1e-9) | (th >= 35 * DEG)
     th, g = th[stable], g[stable]
-    walls = adsif_response.wall_angle(TABLE, th, g)
-    small, _ = adsif_response.invert(TABLE, walls, "angle")
-    _, large = adsif_response.invert(TABLE, walls, "gap")
+    walls = adsif_response.formed_wall_angle(TABLE, th, g)
+    small, _ = adsif_response.invert_response(TABLE, walls, "angle")
+    _, large = adsif_response.invert_response(TABLE, walls, "gap")
     assert np.all(small <= th + 1e-7)
     assert np.all(large >= g - 1e-7)
 
 
 def test_known_choices() -> None:
-    position, gap = adsif_response.invert(TABLE, np.array([16.5, 20.35, 31.9, 37.3]) * DEG, "angle")
+    position, gap = adsif_response.invert_response(TABLE, np.array([16.5, 20.35, 31.9, 37.3]) * DEG, "angle")
     assert np.allclose(position / DEG, [25, 25, 25, 45])
     assert np.allclose(gap, [1.0, 0.85, 0.7, 0.6])
-    position, gap = adsif_response.invert(TABLE, np.array([18.8, 27.65, 37.3]) * DEG, "gap")
+    position, gap = adsif_response.invert_response(TABLE, np.array([18.8, 27.65, 37.3]) * DEG, "gap")
     assert np.allclose(position / DEG, [30, 55, 45])
     assert np.allclose(gap, [1.0, 0.95, 0.6])
 
@@ -77,7 +77,7 @@ def test_known_choices() -> None:
 @pytest.mark.parametrize(("wall", "limit"), [(16.4, 16.5), (37.4, 37.3), (math.nan, 16.5)])
 def test_walls_beyond_the_table_are_refused(wall: float, limit: float) -> None:
     with pytest.raises(TandemError) as caught:
-        adsif_response.invert(TABLE, np.array([30.0, wall, wall]) * DEG, "angle")
+        adsif_response.invert_response(TABLE, np.array([30.0, wall, wall]) * DEG, "angle")
     (issue,) = caught.value.issues
     assert issue.code == "forming.adsif_range"
     assert issue.index == 1
@@ -90,12 +90,12 @@ def test_walls_beyond_the_table_are_refused(wall: float, limit: float) -> None:
 )
 def test_unstable_and_unknown_positions_are_refused(position: float, gap: float) -> None:
     with pytest.raises(TandemError) as caught:
-        adsif_response.wall_angle(TABLE, position * DEG, gap)
+        adsif_response.formed_wall_angle(TABLE, position * DEG, gap)
     assert caught.value.issues[0].code == "forming.adsif_unstable"
 
 
 def test_other_conditions_are_refused_one_by_one() -> None:
-    adsif_response.require(TABLE, HERE)
+    adsif_response.require_conditions(TABLE, CONDITIONS)
     changes = {
         "metal": "dc04",
         "thickness": 1.2 * MM,
@@ -106,7 +106,7 @@ def test_other_conditions_are_refused_one_by_one() -> None:
     fields = {"radius": ["thickness to tool radius"], "thickness": ["thickness", "thickness to tool radius"]}
     for name, value in changes.items():
         with pytest.raises(TandemError) as caught:
-            adsif_response.require(TABLE, dataclasses.replace(HERE, **{name: value}))  # type: ignore[arg-type]
+            adsif_response.require_conditions(TABLE, dataclasses.replace(CONDITIONS, **{name: value}))  # type: ignore[arg-type]
         assert [i.field for i in caught.value.issues] == fields.get(name, [name])
         assert {i.code for i in caught.value.issues} == {"forming.adsif_conditions"}
 
@@ -114,11 +114,11 @@ def test_other_conditions_are_refused_one_by_one() -> None:
 def test_compensation_keeps_the_gap_of_tools_that_yield() -> None:
     """Balls whose centres stand apart as commanded, pushed apart in the plane, leave the wanted gap."""
     radius, force, stiffness = 5 * MM, 150.0, (2e6, 3e6)
-    position, gap = adsif_response.invert(TABLE, np.array([20.0, 30.0, 36.0]) * DEG, "gap")
-    yielded = adsif_response.deflection(force, *stiffness)
+    position, gap = adsif_response.invert_response(TABLE, np.array([20.0, 30.0, 36.0]) * DEG, "gap")
+    yielded = adsif_response.tool_deflection(force, *stiffness)
     assert float(yielded) == pytest.approx(150 / 2e6 + 150 / 3e6)
-    command = adsif_response.compensated(gap * MM, position, yielded)
-    x, z = adsif_response.between_centres(position, command, radius, radius)
+    command = adsif_response.checked_gap_to_command(gap * MM, position, yielded)
+    x, z = adsif_response.centre_distances(position, command, radius, radius)
     real = np.hypot(x + yielded, z) - 2 * radius
     # what the first-order formula leaves out is D^2 cos^2 / (2 distance), less than 1 um here
     assert np.abs(real - gap * MM).max() < float(yielded) ** 2 / (2 * 10 * MM)
@@ -131,11 +131,13 @@ def test_compensation_keeps_the_gap_of_tools_that_yield() -> None:
 )
 def test_too_soft_or_senseless_tools_are_refused(force: float, stiffness: tuple[float, ...]) -> None:
     with pytest.raises(TandemError) as caught:
-        adsif_response.compensated(0.7 * MM, 45 * DEG, adsif_response.deflection(force, *stiffness))
+        adsif_response.checked_gap_to_command(
+            0.7 * MM, 45 * DEG, adsif_response.tool_deflection(force, *stiffness)
+        )
     assert caught.value.issues[0].code == "forming.adsif_compliance"
 
 
-OWN = """# metal: dc04
+CUSTOM_TABLE = """# metal: dc04
 # thickness_mm: 0.8
 # tool_radius_mm: 4
 # pitch_mm: 0.1
@@ -151,11 +153,13 @@ gap_over_thickness,position_angle_deg,wall_angle_deg
 
 def test_a_table_of_ones_own(tmp_path: Path) -> None:
     path = tmp_path / "own.csv"
-    path.write_text(OWN)
+    path.write_text(CUSTOM_TABLE)
     own = adsif_response.read_table(path)
     assert own.source == "own simulations"
-    adsif_response.require(own, adsif_response.Conditions("dc04", 0.8 * MM, 4 * MM, 0.1 * MM, 1 * MM))
-    assert float(adsif_response.wall_angle(own, 30 * DEG, 0.8)) / DEG == pytest.approx(
+    adsif_response.require_conditions(
+        own, adsif_response.ResponseConditions("dc04", 0.8 * MM, 4 * MM, 0.1 * MM, 1 * MM)
+    )
+    assert float(adsif_response.formed_wall_angle(own, 30 * DEG, 0.8)) / DEG == pytest.approx(
         (30 + 34 + 20 + 26) / 4
     )
 
@@ -175,9 +179,9 @@ def test_a_table_of_ones_own(tmp_path: Path) -> None:
     ],
 )
 def test_faults_of_a_table_are_named(tmp_path: Path, old: str, new: str, what: str) -> None:
-    assert old in OWN
+    assert old in CUSTOM_TABLE
     path = tmp_path / "own.csv"
-    path.write_text(OWN.replace(old, new))
+    path.write_text(CUSTOM_TABLE.replace(old, new))
     with pytest.raises(TandemError) as caught:
         adsif_response.read_table(path)
     assert {i.code for i in caught.value.issues} == {"forming.adsif_table"}

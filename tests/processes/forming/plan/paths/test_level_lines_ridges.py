@@ -1,4 +1,4 @@
-"""Ridges of constant steps on a cone and on a dome, against the closed form for a ball between two ways."""
+"""Ridges of constant steps on a cone and on a dome, against the closed form for a ball between two paths."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from planner.processes.forming.plan.paths import level_lines
 RADIUS, STEP = 5e-3, 1e-3
 
 
-def turned(radius: np.ndarray, z: np.ndarray, around: int = 240) -> TriangleMesh:
+def surface_of_revolution(radius: np.ndarray, z: np.ndarray, around: int = 240) -> TriangleMesh:
     """A surface of revolution, outermost ring first, normals up."""
     turn = np.linspace(0.0, 2.0 * np.pi, around, endpoint=False)
     rings = np.stack(
@@ -24,7 +24,7 @@ def turned(radius: np.ndarray, z: np.ndarray, around: int = 240) -> TriangleMesh
 
 
 def between(width: np.ndarray | float) -> np.ndarray:
-    """Height of the ridge between two ways of the ball ``width`` apart: Pythagoras."""
+    """Return the height of the ridge between two paths of the ball ``width`` apart (Pythagoras)."""
     return np.asarray(RADIUS - np.sqrt(RADIUS**2 - (0.5 * np.asarray(width)) ** 2))
 
 
@@ -33,7 +33,9 @@ def test_on_a_cone_the_ridge_is_that_of_its_wall(angle_deg: float) -> None:
     """Far from the cone's ends nothing is flatter than its wall."""
     slope = np.tan(np.radians(angle_deg))
     radius = np.linspace(0.06, 0.03, 40)
-    cone = turned(np.concatenate([[0.08], radius]), np.concatenate([[0.0], (radius - 0.06) * slope]))
+    cone = surface_of_revolution(
+        np.concatenate([[0.08], radius]), np.concatenate([[0.0], (radius - 0.06) * slope])
+    )
     found = level_lines.ridge_heights(cone, RADIUS, STEP, 0.95)
     middle = cone.vertices[cone.faces].mean(axis=1)
     wall = np.hypot(middle[:, 0], middle[:, 1]) < 0.055
@@ -44,7 +46,7 @@ def test_on_a_dome_it_is_that_of_a_flatter_place_within_a_step() -> None:
     """No lower than on a wall as steep as there, no higher than between the two ways that are next above."""
     sphere = 0.06
     angle = np.radians(np.linspace(70.0, 1.0, 140))
-    dome = turned(sphere * np.sin(angle), sphere * np.cos(angle))
+    dome = surface_of_revolution(sphere * np.sin(angle), sphere * np.cos(angle))
     found = level_lines.ridge_heights(dome, RADIUS, STEP, 0.95)
     middle = dome.vertices[dome.faces].mean(axis=1)
     here = np.arccos(np.clip(middle[:, 2] / np.linalg.norm(middle, axis=1), -1.0, 1.0))
@@ -59,7 +61,7 @@ def test_a_fine_mesh_says_the_same_as_a_coarse_one() -> None:
     sphere = 0.06
     for count in (60, 400):
         angle = np.radians(np.linspace(70.0, 1.0, count))
-        dome = turned(sphere * np.sin(angle), sphere * np.cos(angle))
+        dome = surface_of_revolution(sphere * np.sin(angle), sphere * np.cos(angle))
         middle = dome.vertices[dome.faces].mean(axis=1)
         here = np.degrees(np.arccos(np.clip(middle[:, 2] / np.linalg.norm(middle, axis=1), -1.0, 1.0)))
         found = level_lines.ridge_heights(dome, RADIUS, STEP, 0.95)[np.abs(here - 45.0) < 1.5]

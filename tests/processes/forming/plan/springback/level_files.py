@@ -1,4 +1,4 @@
-"""Files of one level of small jobs, whose shifts are made up, not solved: 0.4 mm and more toward +x."""
+"""Level files of small jobs. Their shifts are invented, not solved: at least 0.4 mm toward +x."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PLAN = "0123456789abcdef" * 4
 
 
 def stated(number: int, **more: Any) -> dict[str, Any]:
-    """A level of the first pass as a problem file has it, beside which its file is ``level.json``."""
+    """Return the entry of a problem file for a level of the first pass, whose file is ``level.json``."""
     return {"number": number, "file": "level.json", "plan": PLAN, "before_mm": 0.3, **more}
 
 
@@ -31,14 +31,15 @@ def write(path: Path) -> None:
     assert level is not None
     assert level.file is not None
     work = job.planned
-    one = one_level.pass_of(work, level)
-    loop = one_level.alone(work, one, level)
+    one = one_level.level_pass(work, level)
+    loop = one_level.make_level_path(work, one, level)
     ring = loop.contact.point[:-1]
     offset = (0.4 + 0.005 * (ring[:, 0] - ring[:, 0].min()) / MM) * MM
-    radius = work.heads[work.former(one)].radius
+    radius = work.heads[work.forming_arm(one)].radius
     step = (work.operation.stepdown_mm or 0.0) * MM
-    way = level_file.way(one, loop, radius, ring, np.asarray(offset), level, step)
-    identity = compensation_file.belongs_to(work, job.setup.stock, job.part)
+    offset_ring = level_file.OffsetRing(point=ring, offset=np.asarray(offset))
+    way = level_file.shifted_level_path(one, loop, radius, offset_ring, level, step)
+    identity = compensation_file.job_identity(work, job.setup.stock, job.part)
     level.file.write_text(
-        level_file.text(problem.name, work.operation.name, identity, level, way, {"kappa": 1.0})
+        level_file.level_file_text(problem.name, work.operation.name, identity, level, way, {"kappa": 1.0})
     )

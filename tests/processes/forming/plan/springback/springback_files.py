@@ -1,4 +1,4 @@
-"""Springback files of small jobs without an elastic sheet: forecasts by a formula, edits on purpose."""
+"""Springback files of small jobs without an elastic sheet: forecasts by a formula, and deliberate edits."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ import numpy as np
 
 from planner.geometry.units import MM
 from planner.processes.forming.plan.job import FormingJob
-from planner.processes.forming.plan.process_plan import lay_all
+from planner.processes.forming.plan.process_plan import make_tool_paths
 from planner.processes.forming.plan.springback import compensation, compensation_file, forecast
-from planner.processes.forming.plan.springback.curves import Curve, PassSpringback
+from planner.processes.forming.plan.springback.curves import PassSpringback, SpringbackCurve
 
 
-def foretold(job: FormingJob, most: int = 8) -> tuple[list[Any], tuple[PassSpringback, ...]]:
+def forecast_job(job: FormingJob, max_points: int = 8) -> tuple[list[Any], tuple[PassSpringback, ...]]:
     """Paths of a job, and a forecast of 1.2 mm at the top, 0.05 mm less for each mm of depth."""
-    laid = lay_all(job.planned)
-    control = forecast.points(job.planned, laid, most)
+    tool_paths = make_tool_paths(job.planned)
+    control = forecast.forecast_points(job.planned, tool_paths, max_points)
     curves = []
     for _, rows in control:
         for point in rows:
-            depth = abs(float(point.place[2]) - job.planned.passes[point.number].start)
+            depth = abs(float(point.contact[2]) - job.planned.passes[point.number].start)
             s = 1.2 * MM - 0.05 * depth
             force = point.force * np.array([0.0, 0.5, 1.0, 1.4])
-            curves.append(Curve(force, s * np.array([0.0, 0.6, 1.0, 1.3]), False))
-    return laid, forecast.forecast(laid, control, curves)
+            curves.append(SpringbackCurve(force, s * np.array([0.0, 0.6, 1.0, 1.3]), False))
+    return tool_paths, forecast.make_forecast(tool_paths, control, curves)
 
 
 def text_of(job: FormingJob, slope: float = 0.05) -> str:
-    laid, found = foretold(job)
-    ways, _ = compensation.ways(job.planned, laid, found, slope)
-    identity = compensation_file.belongs_to(job.planned, job.setup.stock, job.part)
-    return compensation_file.text("test", job.planned, identity, found, ways, slope)
+    laid, found = forecast_job(job)
+    ways, _ = compensation.compensated_paths(job.planned, laid, found, slope)
+    identity = compensation_file.job_identity(job.planned, job.setup.stock, job.part)
+    return compensation_file.springback_file_text("test", job.planned, identity, found, ways, slope)
 
 
 def edited(text: str, change: Callable[[dict[str, Any]], None]) -> str:
@@ -79,8 +79,8 @@ def under_less(data: dict[str, Any]) -> None:
     row["forces_n"] = [0.8 * one for one in row["forces_n"]]
 
 
-def turned(data: dict[str, Any]) -> None:
-    """Out of the sheet in place of into it."""
+def negate_springback(data: dict[str, Any]) -> None:
+    """Reverse all shifts: out of the sheet instead of into it."""
     each_point(lambda p: p.__setitem__(3, -p[3]))(data)
 
 

@@ -1,4 +1,4 @@
-"""``calibrate-clamp``: figures of a clamp back from readings that shells made up, and what is refused."""
+"""``calibrate-clamp``: recovers clamp parameters from simulated readings (by shells) and refuses bad ones."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from planner.geometry.arrays import FloatArray
 from planner.issues import TandemError
 from planner.processes.forming.plan.springback import clamp_calibration
 from planner.processes.forming.plan.springback.clamp_calibration import (
-    COLUMN,
-    Plate,
-    Readings,
+    PRESSED_WIDTH_M,
+    PlateReadings,
+    TestPlate,
     calibrate,
+    clarity_issues,
+    plate_response,
     read_readings,
-    respond,
-    unclear,
 )
-from planner.shell.element import Sheet
+from planner.shell.element import ShellSheet
 from planner.shell.mesh import mesh_walls
 from planner.shell.newton import clamped, curve
 
 OUTLINE = 0.125 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-PLATE = Plate(OUTLINE, np.zeros(2), 68e9, 0.3, 1e-3, 5e-5)
+PLATE = TestPlate(OUTLINE, np.zeros(2), 68e9, 0.3, 1e-3, 5e-5)
 FORCES = np.array([20.0, 40, 80, 120, 180, 250, 320, 400, 480, 560])
 TRUTHS = ((1.0, 0.0, 1.05), (1.05, 0.0, 0.92), (0.96, 1.0, 1.1), (1.03, 0.5, 1.03))
 """Thickness [mm], grip and kappa of sheets that are pressed."""
@@ -39,24 +39,24 @@ ERROR = 2e-5
 
 
 @functools.cache
-def response() -> clamp_calibration.Response:
-    return respond(PLATE, float(FORCES.max()), float(FORCES.min()))
+def response() -> clamp_calibration.PlateResponse:
+    return plate_response(PLATE, float(FORCES.max()), float(FORCES.min()))
 
 
 @functools.cache
 def pressed(thickness: float, grip: float) -> FloatArray:
-    """How far [m] a sheet sinks under `FORCES`, by a shell of its own: finer, and as thick as it is."""
+    """Return the deflection [m] of a sheet under `FORCES`, by a separate, finer shell of true thickness."""
     made = mesh_walls([], OUTLINE, 1500, np.zeros((1, 2)))
-    sheet = Sheet(made.nodes, made.triangles, np.full(len(made.triangles), thickness), 68e9, 0.3)
+    sheet = ShellSheet(made.nodes, made.triangles, np.full(len(made.triangles), thickness), 68e9, 0.3)
     border = {0.0: "sliding", 1.0: "immovable"}.get(grip, PLATE.spring(grip, thickness))
     loads = np.stack([0.0 * FORCES, 0.0 * FORCES, -FORCES], axis=1)
-    return -curve(sheet, clamped(sheet, border), np.zeros(2), loads, COLUMN)[:, 2]
+    return -curve(sheet, clamped(sheet, border), np.zeros(2), loads, PRESSED_WIDTH_M)[:, 2]
 
 
-def readings(truth: tuple[float, float, float], seed: int) -> Readings:
+def readings(truth: tuple[float, float, float], seed: int) -> PlateReadings:
     thickness, grip, kappa = truth
     noise = np.random.default_rng(seed).normal(0.0, ERROR, len(FORCES))
-    return Readings(FORCES, kappa * pressed(thickness * 1e-3, grip) + noise, ERROR)
+    return PlateReadings(FORCES, kappa * pressed(thickness * 1e-3, grip) + noise, ERROR)
 
 
 @pytest.mark.long
@@ -79,7 +79,7 @@ def test_a_plate_is_like_one_of_another_thickness() -> None:
     """One response serves all thicknesses: within 0.4 % of a finer shell of another one."""
     for thickness, grip, _ in TRUTHS:
         load = np.log(FORCES * PLATE.width**2 / (PLATE.young * (thickness * 1e-3) ** 4))
-        told = thickness * 1e-3 * np.exp(response().at(load, np.array([grip]))[:, 0])
+        told = thickness * 1e-3 * np.exp(response().log_deflection_at(load, np.array([grip]))[:, 0])
         np.testing.assert_allclose(told, pressed(thickness * 1e-3, grip), rtol=0.004)
 
 
@@ -99,21 +99,23 @@ def test_what_is_not_told_is_said() -> None:
     """A sheet that is hardly pressed says nothing of its border; one test cannot part thickness and kappa."""
     full = readings(TRUTHS[0], 3)
     some = [readings(TRUTHS[0], seed) for seed in range(4)]
-    lightly = Readings(*(np.concatenate([getattr(r, n)[:2] for r in some]) for n in ("force", "dial")), ERROR)
+    lightly = PlateReadings(
+        *(np.concatenate([getattr(r, n)[:2] for r in some]) for n in ("force", "dial")), ERROR
+    )
     found = calibrate(PLATE, lightly, response())
-    assert not found.grip.told
-    told = " ".join(issue.message for issue in unclear(found, PLATE, lightly, True))
-    assert {issue.code for issue in unclear(found, PLATE, lightly, True)} == {"forming.clamp_unclear"}
-    assert "press harder" in told
+    assert not found.grip.is_determined
+    reported = " ".join(issue.message for issue in clarity_issues(found, PLATE, lightly, True))
+    assert {issue.code for issue in clarity_issues(found, PLATE, lightly, True)} == {"forming.clamp_unclear"}
+    assert "press harder" in reported
     clear = calibrate(PLATE, full, response())
-    assert "press harder" not in " ".join(i.message for i in unclear(clear, PLATE, full, True))
+    assert "press harder" not in " ".join(i.message for i in clarity_issues(clear, PLATE, full, True))
     # a tolerance that is given is not asked for
-    assert "--thickness-tol-mm" in told
-    given = " ".join(issue.message for issue in unclear(found, PLATE, lightly, False))
-    assert "tell the thickness" in given
+    assert "--thickness-tol-mm" in reported
+    given = " ".join(issue.message for issue in clarity_issues(found, PLATE, lightly, False))
+    assert "determine the thickness" in given
     assert "--thickness-tol-mm" not in given
-    assert "the thickness and kappa go together" in " ".join(
-        i.message for i in unclear(clear, PLATE, full, True)
+    assert "the thickness and kappa are correlated" in " ".join(
+        i.message for i in clarity_issues(clear, PLATE, full, True)
     )
     # the remedy: a thickness measured to a hundredth
     exact = dataclasses.replace(PLATE, tolerance=1e-5)
@@ -126,32 +128,32 @@ GOOD = "force_n,dial_mm\n" + "".join(f"{f:g},{0.8 * (f / 20) ** 0.5:.3f}\n" for 
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
-        ("force_kn,dial_mm\n0.1,1\n", "the columns are force_kn, dial_mm; wanted: force_n, dial_mm"),
-        ("force_n,dial_in\n100,1\n", "wanted: force_n, dial_mm"),
+        ("force_kn,dial_mm\n0.1,1\n", "the columns are force_kn, dial_mm, expected force_n, dial_mm"),
+        ("force_n,dial_in\n100,1\n", "expected force_n, dial_mm"),
         ("", "the columns are nothing"),
-        ("force_n,dial_mm\n", "0 readings under 0 forces"),
-        ("\n".join(GOOD.splitlines()[:5]), "4 readings under 4 forces"),
+        ("force_n,dial_mm\n", "0 readings at 0 forces"),
+        ("\n".join(GOOD.splitlines()[:5]), "4 readings at 4 forces"),
         (GOOD.replace("40,", "-40,"), "line 3: the force is -40 N"),
         (GOOD.replace("40,", "40;"), "line 3: got"),
         (GOOD.replace("40,", "nan,"), "line 3: got"),
         (GOOD.replace("40,", "40,1,"), "line 3: got"),
-        ("force_n,dial_mm\n" + "".join(f"{f:g},{5 - f / 200:.3f}\n" for f in FORCES), "sinks deeper"),
-        ("force_n,dial_mm\n" + "".join(f"{f:g},2.0\n" for f in FORCES), "sinks deeper"),
-        ("force_n,dial_mm\n" + "".join(f"{f:g},{-f / 100:.3f}\n" for f in FORCES), "sinks deeper"),
-        ("force_n,dial_mm\n" + "".join(f"{f / 1e3:g},{f / 100:.3f}\n" for f in FORCES), "wanted in N"),
-        ("force_n,dial_mm\n" + "".join(f"{f:g},{f / 1e5:.6f}\n" for f in FORCES), "wanted in N"),
-        ("force_n,dial_mm\n" + "100,1\n" * 20, "20 readings under 1 forces"),
+        ("force_n,dial_mm\n" + "".join(f"{f:g},{5 - f / 200:.3f}\n" for f in FORCES), "must increase"),
+        ("force_n,dial_mm\n" + "".join(f"{f:g},2.0\n" for f in FORCES), "must increase"),
+        ("force_n,dial_mm\n" + "".join(f"{f:g},{-f / 100:.3f}\n" for f in FORCES), "must increase"),
+        ("force_n,dial_mm\n" + "".join(f"{f / 1e3:g},{f / 100:.3f}\n" for f in FORCES), "state forces in N"),
+        ("force_n,dial_mm\n" + "".join(f"{f:g},{f / 1e5:.6f}\n" for f in FORCES), "state forces in N"),
+        ("force_n,dial_mm\n" + "100,1\n" * 20, "20 readings at 1 forces"),
     ],
 )
-def test_what_are_no_readings_is_refused_by_line(text: str, said: str, tmp_path: Path) -> None:
+def test_what_are_no_readings_is_refused_by_line(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "readings.csv"
     path.write_text(text)
     with pytest.raises(TandemError) as refused:
         read_readings(path, ERROR)
     assert {issue.code for issue in refused.value.issues} == {"forming.plate_test"}
-    assert said in refused.value.issues[0].message
+    assert message in refused.value.issues[0].message
 
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
@@ -177,7 +179,7 @@ def test_the_command_says_what_to_write_into_the_problem(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """On a plate whose response is known already, for it depends on no modulus."""
-    monkeypatch.setattr(clamp_calibration, "respond", lambda *plate: response())
+    monkeypatch.setattr(clamp_calibration, "plate_response", lambda *plate: response())
     problem = pipeline.load("cone_spif")
     assert problem.stock.sheet is not None
     sheet = dataclasses.replace(problem.stock.sheet, opening=OUTLINE)
@@ -189,9 +191,9 @@ def test_the_command_says_what_to_write_into_the_problem(
     request = clamp.CalibrateClamp(path, Path("cone_spif"), output=page)
     issues = clamp.run_calibrate_clamp(request, dataclasses.replace(problem, stock=stock))
     assert {issue.code for issue in issues} == {"forming.clamp_unclear"}
-    told = capsys.readouterr().out
-    assert "for the problem: clamp: {border: spring, spring_n_mm2:" in told
-    assert "thickness within 5 %; what the modulus is off goes into kappa" in told
+    reported = capsys.readouterr().out
+    assert "for the problem: clamp: {border: spring, spring_n_mm2:" in reported
+    assert "thickness within 5 %; kappa includes the error of the modulus" in reported
     assert "Deflection of the flat sheet over force" in page.read_text()
 
 
@@ -213,4 +215,4 @@ def test_the_command_refuses_bad_input(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "planner", "calibrate-clamp", str(path), "--problem", "cone_spif"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert "wanted: force_n, dial_mm" in done.stderr + done.stdout
+    assert "expected force_n, dial_mm" in done.stderr + done.stdout

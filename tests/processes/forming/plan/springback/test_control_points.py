@@ -1,6 +1,7 @@
-"""Control points: whether shapes are divided where anybody would divide them.
+"""Control points: shapes are divided where an engineer would divide them.
 
-Shapes are outlines in plan whose loops shrink with depth, 1 mm or 3 mm deep a loop, with and without noise.
+The shapes are outlines in plan whose loops shrink with depth, 1 mm or 3 mm deep per loop, with and without
+noise.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ def fin(size: float) -> tuple[FloatArray, FloatArray]:
 
 
 def path(outlines: list[FloatArray], step: float, noise: float = 0.0) -> tuple[FloatArray, IntArray]:
-    """Loops of outlines, each ``step`` deeper, each begun at another place."""
+    """Return loops of outlines, each ``step`` deeper and with another start point."""
     rng = np.random.default_rng(5)
     points, loops = [], []
     for k, outline in enumerate(outlines):
@@ -56,8 +57,10 @@ def path(outlines: list[FloatArray], step: float, noise: float = 0.0) -> tuple[F
     return np.vstack(points), np.concatenate(loops)
 
 
-def points_of(points: FloatArray, loops: IntArray, most: int = cp.MOST_POINTS) -> cp.ControlPoints:
-    return cp.control_points(points, np.full(len(points), np.radians(45.0)), loops, RADIUS, most)
+def points_of(
+    points: FloatArray, loops: IntArray, max_points: int = cp.MAX_CONTROL_POINTS
+) -> cp.ControlPoints:
+    return cp.choose_control_points(points, np.full(len(points), np.radians(45.0)), loops, RADIUS, max_points)
 
 
 @pytest.mark.sampled(every=5)
@@ -87,14 +90,14 @@ def test_each_sharp_corner_is_a_cluster_of_its_own(shape: object, noise: float) 
     """In at least 95 of 100 loops; a corner's cluster is no longer than the ball is wide, twice."""
     shapes = [shape(1.0 - 0.006 * k) for k in range(80)]  # type: ignore[operator]
     points, loops = path([outline for outline, _ in shapes], 3e-4, noise)
-    found = points_of(points, loops, most=10_000)
+    found = points_of(points, loops, max_points=10_000)
     good = 0
     for ring, loop in zip(found.rings, found.loop, strict=True):
         corners = shapes[loop][1]
-        apart = np.linalg.norm(ring.point[:, None, :2] - corners, axis=2)
-        label = ring.label[apart.argmin(axis=0)]
+        distance = np.linalg.norm(ring.point[:, None, :2] - corners, axis=2)
+        label = ring.label[distance.argmin(axis=0)]
         sizes = [np.count_nonzero(ring.label == one) for one in label]
-        good += len(set(label)) == len(corners) and max(sizes) <= 4 * cp.PLACES_PER_RADIUS
+        good += len(set(label)) == len(corners) and max(sizes) <= 4 * cp.POINTS_PER_RADIUS
     assert len(found.rings) >= 20
     assert good >= 0.95 * len(found.rings)
 
@@ -107,7 +110,7 @@ def test_loops_at_an_edge_are_divided_as_the_wall_below() -> None:
     points, loops = path(outlines, 1e-3)
     along = np.concatenate([np.linspace(0.0, 1.0, np.count_nonzero(loops == k)) for k in range(45)])
     rolled = np.minimum(loops + along, 5.0) / 5.0
-    found = cp.control_points(points, np.radians(60.0) * rolled, loops, RADIUS)
+    found = cp.choose_control_points(points, np.radians(60.0) * rolled, loops, RADIUS)
     assert set(found.clusters) <= {8, 9}  # nine where a loop's seam is within a side
     assert len(found.point) <= 60
     assert found.loop[0] == 0
@@ -122,15 +125,15 @@ def test_a_wall_that_grows_steeper_is_told_from_a_straight_one() -> None:
     rings = [arc((0.0, 0.0), 0.040 - 5e-4 * k, 0.0, 354.0) for k in range(20)]
     points, loops = path(rings, 5e-4)
     angle = np.where(points[:, 0] > 0.0, np.radians(30.0), np.radians(60.0))
-    found = cp.control_points(points, angle, loops, RADIUS)
+    found = cp.choose_control_points(points, angle, loops, RADIUS)
     assert set(found.clusters) == {2}
     assert np.ptp(found.angle) == pytest.approx(np.radians(30.0))
 
 
-@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize("radius", [0.008, 0.040, 3.0])
-def test_curvature_of_a_circle(radius: float, way: int) -> None:
-    circle = arc((0.1, -0.2), radius, 0.0, 354.0)[::way]
+def test_curvature_of_a_circle(radius: float, direction: int) -> None:
+    circle = arc((0.1, -0.2), radius, 0.0, 354.0)[::direction]
     assert cp.curvature_in_plan(circle, 5) == pytest.approx(np.full(60, 1.0 / radius), rel=1e-4)
 
 
@@ -151,8 +154,8 @@ def test_curvature_of_a_straight_side_is_nothing_and_of_a_notch_negative() -> No
 def test_clusters_are_those_of_every_division_of_a_small_ring() -> None:
     """Ward's way is greedy; for arcs that stand well apart it finds what a search of all divisions finds."""
     rng = np.random.default_rng(7)
-    wanted = np.repeat([0.0, 3.0, 1.0], [5, 4, 6])
-    features = wanted[:, None] + 0.05 * rng.normal(size=(15, 1))
+    expected = np.repeat([0.0, 3.0, 1.0], [5, 4, 6])
+    features = expected[:, None] + 0.05 * rng.normal(size=(15, 1))
     label = cp.ring_clusters(np.roll(features, 2, axis=0))
     assert sorted(np.bincount(label)) == [4, 5, 6]
     best = min(
@@ -165,20 +168,20 @@ def test_clusters_are_those_of_every_division_of_a_small_ring() -> None:
 
 
 def _arcs(values: FloatArray, i: int, j: int, k: int) -> list[FloatArray]:
-    turned = np.roll(values, -i, axis=0)
-    return [turned[: j - i], turned[j - i : k - i], turned[k - i :]]
+    rotated = np.roll(values, -i, axis=0)
+    return [rotated[: j - i], rotated[j - i : k - i], rotated[k - i :]]
 
 
 def test_middles_of_clusters_that_go_over_the_ring_s_end() -> None:
     label = np.array([0, 0, 1, 1, 1, 2, 0, 0])
-    assert list(cp.middles(label)) == [7, 3, 5]
-    assert list(cp.middles(np.zeros(9, dtype=np.int64))) == [0]
+    assert list(cp.cluster_middles(label)) == [7, 3, 5]
+    assert list(cp.cluster_middles(np.zeros(9, dtype=np.int64))) == [0]
 
 
 def test_loops_of_one_floor_are_one_level() -> None:
     """Between two levels at one height springback would be 0/0."""
     depth = np.array([0.0, -2.0, -4.0, -5.0, -5.0, -5.02, -5.0]) * 1e-3
     steep = np.deg2rad([40.0, 45.0, 45.0, 30.0, 5.0, 0.0, 0.0])
-    chosen = cp._levels(depth, steep, np.ones(7, dtype=np.int64), 60)
+    chosen = cp._choose_levels(depth, steep, np.ones(7, dtype=np.int64), 60)
     assert len(chosen) >= 3
     assert np.abs(np.subtract.outer(depth[chosen], depth[chosen]))[~np.eye(len(chosen), dtype=bool)].min() > 0

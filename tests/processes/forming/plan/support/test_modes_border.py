@@ -1,4 +1,4 @@
-"""Support on the border: rays about star-shaped borders, shares about others, never across what is formed."""
+"""Support on the border: rays for star-shaped borders, fractions for others, never across the formed area."""
 
 from __future__ import annotations
 
@@ -8,10 +8,15 @@ import shapely
 
 from planner.catalogue.materials import sheet_metal
 from planner.geometry.arrays import FloatArray, Mesh
-from planner.processes.forming.plan.contact import ContactPath, Pass
-from planner.processes.forming.plan.features.tree import LEAST_BUMP, build, in_place
-from planner.processes.forming.plan.passes import passes
-from planner.processes.forming.plan.support.modes import border_curve, border_path, tool_path
+from planner.processes.forming.plan.contact import ContactPath, FormingPass, PassContact
+from planner.processes.forming.plan.features.tree import MIN_BUMP_HEIGHT_M, build_feature_tree, in_place_order
+from planner.processes.forming.plan.passes import make_passes
+from planner.processes.forming.plan.support.modes import (
+    MountedSheet,
+    border_curve,
+    border_path,
+    make_mode_path,
+)
 from planner.tooling import FormingHead
 from tests.processes.forming.plan.nests import sheet
 from tests.processes.forming.plan.shapes import (
@@ -30,12 +35,14 @@ from tests.processes.forming.plan.shapes import (
 DISK = FormingHead("disk", 0.03, 0.01, 0.01, 0.1, 0.002)
 
 
-def made(part: Mesh) -> Pass:
+def last_pass(part: Mesh) -> FormingPass:
     tree, order = tree_of(part)
-    return passes(tree, order, part, T0, operation("dpif_p"), sheet_metal("aluminium"))[-1]
+    return make_passes(tree, order, part, T0, operation("dpif_p"), sheet_metal("aluminium"))[-1]
 
 
-def rounds(one: Pass, outline: shapely.Polygon, inset: list[float], every: float) -> ContactPath:
+def concentric_loops(
+    forming_pass: FormingPass, outline: shapely.Polygon, inset: list[float], every: float
+) -> ContactPath:
     """Loops inside an outline, ``inset`` [m] from it, a target ``every`` [m]."""
     places, loop = [], []
     for number, off in enumerate(inset):
@@ -44,7 +51,7 @@ def rounds(one: Pass, outline: shapely.Polygon, inset: list[float], every: float
         places.append(shapely.get_coordinates(shapely.line_interpolate_point(ring, at, normalized=True)))
         loop.append(np.full(len(at), number))
     xy = np.concatenate(places)
-    point = np.column_stack([xy, np.full(len(xy), one.start - 0.001)])
+    point = np.column_stack([xy, np.full(len(xy), forming_pass.start - 0.001)])
     normal = np.tile([0.0, 0.0, 1.0], (len(xy), 1))
     working = np.arange(len(xy)) > 0
     return ContactPath(
@@ -52,49 +59,51 @@ def rounds(one: Pass, outline: shapely.Polygon, inset: list[float], every: float
     )
 
 
-def moves(place: FloatArray) -> FloatArray:
+def moves(centre: FloatArray) -> FloatArray:
     """The straight moves of a path in plan, but for those that go nowhere."""
-    lines = shapely.linestrings(np.stack([place[:-1, :2], place[1:, :2]], axis=1))
+    lines = shapely.linestrings(np.stack([centre[:-1, :2], centre[1:, :2]], axis=1))
     return np.asarray(lines[shapely.length(lines) > 0.0])
 
 
-def beside_the_border(one: Pass, place: FloatArray, head: FormingHead) -> None:
-    curve = border_curve(one, head, T0)
+def check_border_path(forming_pass: FormingPass, centre: FloatArray, head: FormingHead) -> None:
+    curve = border_curve(forming_pass, head, T0)
     inside = shapely.Polygon(curve[:, :2])
-    assert not shapely.intersects(inside.buffer(-1e-9), moves(place)).any()
-    middle = shapely.line_interpolate_point(moves(place), 0.5, normalized=True)
+    assert not shapely.intersects(inside.buffer(-1e-9), moves(centre)).any()
+    middle = shapely.line_interpolate_point(moves(centre), 0.5, normalized=True)
     assert shapely.distance(inside.exterior, middle).max() < 1e-3
-    assert np.allclose(place[:, 2], curve[0, 2])
+    assert np.allclose(centre[:, 2], curve[0, 2])
 
 
 @pytest.mark.parametrize("side", [1, -1])
 @pytest.mark.parametrize("head", [BALL, DISK])
 def test_round_borders_are_met_by_rays(side: int, head: FormingHead) -> None:
     part = cone(60.0, 0.03, 0.1, 400)
-    one = made(part if side > 0 else upside_down(part))
-    contact = cone_path(one, 60.0, 0.1, BALL.radius)
-    path = tool_path(one, contact, operation("dpif_p"), BALL, head, T0)
-    assert path.support is not None and path.support_axis is not None
-    assert len(path.support) == len(path.former) == len(path.contact.point)
-    turn = np.arctan2(path.former[:, 1], path.former[:, 0])
-    there = np.arctan2(path.support[:, 1], path.support[:, 0])
+    forming_pass = last_pass(part if side > 0 else upside_down(part))
+    contact = cone_path(forming_pass, 60.0, 0.1, BALL.radius)
+    path = make_mode_path(
+        PassContact(forming_pass, contact), operation("dpif_p"), BALL, head, MountedSheet(T0)
+    )
+    assert path.support_centre is not None and path.support_axis is not None
+    assert len(path.support_centre) == len(path.forming_centre) == len(path.contact.point)
+    turn = np.arctan2(path.forming_centre[:, 1], path.forming_centre[:, 0])
+    there = np.arctan2(path.support_centre[:, 1], path.support_centre[:, 0])
     assert np.abs(np.angle(np.exp(1j * (turn - there)))).max() < np.radians(0.5)
-    assert np.abs(np.hypot(*path.support.T[:2]) - 0.1 - head.radius).max() < 6e-4
+    assert np.abs(np.hypot(*path.support_centre.T[:2]) - 0.1 - head.radius).max() < 6e-4
     # a ball lies under the flat with its top, a disk with its face
     off = T0 + (head.radius if head.kind == "ball" else 0.0)
-    assert np.allclose(path.support[:, 2], one.start - side * off)
+    assert np.allclose(path.support_centre[:, 2], forming_pass.start - side * off)
     assert np.allclose(path.support_axis, [0.0, 0.0, side])
-    beside_the_border(one, path.support, head)
+    check_border_path(forming_pass, path.support_centre, head)
     assert np.isnan(path.gap).all()
 
 
 def test_at_corners_of_the_border_targets_are_added() -> None:
     outline = star(0.1, 0.06)
-    one = made(pit(outline, 60.0, 0.01))
-    contact = rounds(one, outline, [0.001, 0.002, 0.003], 0.03)
-    path, place = border_path(one, contact, BALL.radius, BALL, T0)
+    forming_pass = last_pass(pit(outline, 60.0, 0.01))
+    contact = concentric_loops(forming_pass, outline, [0.001, 0.002, 0.003], 0.03)
+    path, place = border_path(forming_pass, contact, BALL.radius, BALL, T0)
     assert len(place) == len(path.point) > len(contact.point)
-    beside_the_border(one, place, BALL)
+    check_border_path(forming_pass, place, BALL)
     # the former stays on its straight moves
     line = shapely.LineString(contact.centre[:, :2])
     assert shapely.distance(line, shapely.points(path.centre[:, :2])).max() < 1e-9
@@ -125,22 +134,24 @@ def test_the_border_is_around_all_that_is_off_the_flat(noise: float) -> None:
         ),
         part.faces,
     )
-    tree = build(part, 5e-4, max(LEAST_BUMP, 2.0 * noise))
-    one = passes(tree, in_place(tree), part, T0, operation("dpif_p"), sheet_metal("aluminium"))[-1]
-    ring = shapely.points(border_curve(one, BALL, T0)[:, :2])
-    corners = one.vertices[one.faces]
-    off = np.abs(corners[:, :, 2] - one.start).max(axis=1)
+    tree = build_feature_tree(part, 5e-4, max(MIN_BUMP_HEIGHT_M, 2.0 * noise))
+    forming_pass = make_passes(
+        tree, in_place_order(tree), part, T0, operation("dpif_p"), sheet_metal("aluminium")
+    )[-1]
+    ring = shapely.points(border_curve(forming_pass, BALL, T0)[:, :2])
+    corners = forming_pass.vertices[forming_pass.faces]
+    deviation = np.abs(corners[:, :, 2] - forming_pass.start).max(axis=1)
     for least, low, high in ((6e-5, -1e-6, 0.1), (1e-6, -0.1, 3e-4)):
-        face = shapely.union_all(shapely.polygons(corners[off > least][:, [0, 1, 2, 0], :2]))
-        apart = shapely.distance(face, ring) - BALL.radius
-        assert low <= apart.min() and apart.max() <= high
+        face = shapely.union_all(shapely.polygons(corners[deviation > least][:, [0, 1, 2, 0], :2]))
+        distance = shapely.distance(face, ring) - BALL.radius
+        assert low <= distance.min() and distance.max() <= high
 
 
 @pytest.mark.parametrize("back", [False, True])
 def test_borders_that_no_point_sees_are_gone_round_by_share(back: bool) -> None:
     outline = horseshoe(0.1, 0.05)
-    one = made(pit(outline, 60.0, 0.01))
-    contact = rounds(one, outline, [0.002, 0.004], 0.004)
+    forming_pass = last_pass(pit(outline, 60.0, 0.01))
+    contact = concentric_loops(forming_pass, outline, [0.002, 0.004], 0.004)
     if back:
         contact = ContactPath(
             contact.point[::-1],
@@ -150,10 +161,10 @@ def test_borders_that_no_point_sees_are_gone_round_by_share(back: bool) -> None:
             contact.loop,
             contact.working,
         )
-    path, place = border_path(one, contact, BALL.radius, BALL, T0)
-    beside_the_border(one, place, BALL)
+    path, place = border_path(forming_pass, contact, BALL.radius, BALL, T0)
+    check_border_path(forming_pass, place, BALL)
     # each loop goes once round the whole border, in its own sense
-    ring = shapely.LineString(border_curve(one, BALL, T0)[:, :2])
+    ring = shapely.LineString(border_curve(forming_pass, BALL, T0)[:, :2])
     for number in (0, 1):
         mine = place[path.loop == number]
         length = float(np.linalg.norm(np.diff(mine[:, :2], axis=0), axis=1).sum())
@@ -164,5 +175,5 @@ def test_borders_that_no_point_sees_are_gone_round_by_share(back: bool) -> None:
         u, v = (former - former[0]).T
         assert np.sign(area) == np.sign(np.sum(u * np.roll(v, -1) - np.roll(u, -1) * v))
     # beside the tool that forms, but for what the lengths of border and loop differ by
-    apart = np.linalg.norm(place[:, :2] - path.point[:, :2], axis=1)
-    assert np.median(apart) < 0.06 and apart.max() < 0.12
+    distance = np.linalg.norm(place[:, :2] - path.point[:, :2], axis=1)
+    assert np.median(distance) < 0.06 and distance.max() < 0.12

@@ -1,5 +1,7 @@
-"""Rules on forming: a job in closed form is proven, and each kind of fault is caught by the rule that is
-named for it, whether in the programs or in what is claimed."""
+"""Forming rules: a closed-form job is proven, and each kind of fault is caught by its rule.
+
+The faults are in the programs or in the claims.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,7 @@ import numpy as np
 import pytest
 
 from planner.claims.segments import Segment
-from planner.processes.forming.claims import FollowsOpposite, SupportsBorder, ToolsLean
+from planner.processes.forming.claims import FollowsOpposite, LimitsToolTilt, SupportsBorder
 from planner.proof.prove import Prover
 from tests.languages.rapid.rapid_edits import moves, name, segment, shifted, tilted, timed
 from tests.processes.forming.proof import forming_job as job
@@ -69,21 +71,21 @@ def a_turn_outwards(rng, texts):
 
 @mutant("verify.gouge")
 def out_through_the_wall(rng, texts):
-    """The way off the sheet leads sideways, through the dish's wall and under the flat sheet."""
+    """The retreat from the sheet leads sideways, through the dish's wall and under the flat sheet."""
     k = segment(texts, "form_f1_out")[0]
     return moved(texts, k, [28.0 * np.sign(rng.normal()), 0.0, -31.0], (1,))
 
 
 @mutant("verify.gouge")
 def past_the_border(rng, texts):
-    """The way in begins beside the face and goes on below the level of the flat sheet."""
+    """The approach starts next to the face and continues below the level of the flat sheet."""
     k = segment(texts, "form_f1_in")[0]
     return moved(texts, k, [25.0, 0.0, -6.0], (1,))
 
 
 @mutant("verify.formed")
 def lifted_turns(rng, texts):
-    """Turns during which the ball is off the face."""
+    """The ball is off the face during turns."""
     rows = segment(texts, "form_f1")
     for k in rows[150:250]:
         texts = moved(texts, k, [0.0, 0.0, 0.5])
@@ -137,7 +139,7 @@ def support_through_the_sheet(rng, texts):
 
 @mutant("verify.sheet")
 def into_the_middle(rng, texts):
-    """In its first loops the forming ball presses into the middle, where the sheet is flat still."""
+    """In its first loops the forming ball presses into the middle, where the sheet is still flat."""
     rows = segment(texts, "form_f1")
     k = int(rng.choice(rows[20:60]))
     middle = job.centre_of_sphere() - [0.0, 0.0, job.SPHERE - job.BALL - 0.0005]
@@ -215,8 +217,8 @@ def test_a_dropped_turn_between_others_that_leave_the_stated_ridges_is_told():
     """Turns are as far apart along the wall as ridges of the stated height let them be; one is left out."""
     rows = segment(job.programs(), "form_f1")[72 * 4 : 72 * 5]
     proof = prover().prove(dropped(job.programs(), rows), last="verify.formed")
-    told = [issue.message for issue in proof.issues if issue.code == "verify.formed"]
-    assert any("by the stated steps a whole loop is there" in message for message in told), told
+    messages = [issue.message for issue in proof.issues if issue.code == "verify.formed"]
+    assert any("the stated steps require a whole loop" in message for message in messages), messages
 
 
 CLAIMS = {
@@ -245,14 +247,14 @@ def test_programs_that_do_not_meet_a_claim_are_told(kind):
     assert code in broken(proof)
 
 
-@pytest.mark.parametrize(("above", "told"), [(True, False), (False, True)])
-def test_tools_stand_as_the_problem_lets_them(above, told):
+@pytest.mark.parametrize(("above", "reported"), [(True, False), (False, True)])
+def test_tools_stand_as_the_problem_lets_them(above, reported):
     """The forming tool of this job stands upright above the sheet."""
-    lean = ToolsLean(job.SEGMENT, ("left",), (above,), np.deg2rad(0.05))
-    proof = Prover(job.problem(), job.claims((lean,))).prove(job.programs(), last="verify.lean")
-    assert ("verify.lean" in broken(proof)) == told
+    tilt = LimitsToolTilt(job.SEGMENT, ("left",), (above,), np.deg2rad(0.05))
+    proof = Prover(job.problem(), job.claims((tilt,))).prove(job.programs(), last="verify.lean")
+    assert ("verify.lean" in broken(proof)) == reported
     rule = proof.rule("verify.lean")
-    assert rule.worst == pytest.approx(180.0 if told else 0.0, abs=1e-2)
+    assert rule.worst == pytest.approx(180.0 if reported else 0.0, abs=1e-2)
 
 
 def test_nothing_is_formed_unclaimed():
@@ -321,15 +323,15 @@ def test_the_simulated_part_is_where_the_ball_leaves_the_sheet():
     lines = clean().part_obj.split("\n")
     assert [line for line in lines if line.startswith("o ")] == ["o form_f1"]
     places = np.array([line.split()[1:] for line in lines if line.startswith("v ")], dtype=float) * 1e-3
-    wanted = job.face()[0]
-    assert places.shape == wanted.shape
-    dish = wanted[:, 2] < job.SHEET - 1e-6
+    expected = job.face()[0]
+    assert places.shape == expected.shape
+    dish = expected[:, 2] < job.SHEET - 1e-6
     inward = job.SPHERE - np.linalg.norm(places[dish] - job.centre_of_sphere(), axis=1)
     assert inward.min() > -1e-5
-    walls = wanted[dish, 2] > job.centre_of_sphere()[2] - job.SPHERE * np.cos(job.LAST)
+    walls = expected[dish, 2] > job.centre_of_sphere()[2] - job.SPHERE * np.cos(job.LAST)
     assert np.quantile(inward[walls], 0.95) < job.SCALLOP
-    rim = np.hypot(wanted[:, 0], wanted[:, 1]) > job.OUTER - 1e-6
-    np.testing.assert_allclose(places[rim], wanted[rim], atol=6e-8)
+    rim = np.hypot(expected[:, 0], expected[:, 1]) > job.OUTER - 1e-6
+    np.testing.assert_allclose(places[rim], expected[rim], atol=6e-8)
 
 
 def test_the_gap_over_time_is_told():

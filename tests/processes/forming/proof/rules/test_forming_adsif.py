@@ -1,5 +1,7 @@
-"""Accumulative forming against the wanted face and the table: planned jobs are proven, and whatever is off
-where the table wants the tools is caught, though both programs agree with each other."""
+"""Accumulative forming against the nominal face and the response table.
+
+Planned jobs are proven. Any deviation from the positions in the table is caught, even if both programs agree.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,7 @@ def cone():
 
 
 def oval():
-    """A steeper and a flatter way round, and turned over: it goes up."""
+    """Return an oval with steeper and flatter walls, upside down: it is formed upwards."""
     part = shapes.cone(28.0, 0.001, 0.013, 90)
     stretched = Mesh(part.vertices * [1.0, 1.25, 1.0], part.faces)
     return small_forming.upside_down(stretched)
@@ -40,12 +42,12 @@ def oval():
 
 def planned(folder, part, **more):
     found = pipeline.load(small_forming.write(folder, small_forming.problem("adsif", **more), part))
-    plan = solve.solve(found, [one.targets() for one in registry.jobs(found)], lambda *_: None)
-    return found, line_ends.bare(write.programs(plan, found))
+    plan = solve.solve(found, [job.targets() for job in registry.jobs(found)], lambda *_: None)
+    return found, line_ends.bare(write.program_files(plan, found))
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def planned_cone(tmp_path_factory):
     found, texts = planned(tmp_path_factory.mktemp("cone"), cone())
     return Prover(found, registry.claims(found)), texts
 
@@ -57,9 +59,9 @@ def rows_of(texts, task):
     )
 
 
-def put(texts, task, rows, places):
+def put(texts, task, rows, positions):
     # no negative zero, which no program may have
-    for k, place in zip(rows.tolist(), (places.round(4) + 0.0).tolist(), strict=True):
+    for k, place in zip(rows.tolist(), (positions.round(4) + 0.0).tolist(), strict=True):
         texts = change(texts, task, k, pos=",".join(f"{x:.4f}" for x in place))
     return texts
 
@@ -76,12 +78,12 @@ def shift(*by):
 
 
 def turned_over(texts):
-    """The same loops the other way round: each place mirrored in y, in which the way begins."""
+    """Reverse the direction of the loops: mirror each position in y, in which the path starts."""
     return both(texts, lambda places: places * [1.0, -1.0, 1.0])
 
 
 def support(function):
-    """Both ends of the support's way from the forming ball's, as ``function`` (across, behind) makes them."""
+    """Change both ends of the support's path relative to the forming ball by ``function`` (across, along)."""
 
     def mutate(texts):
         _, former = rows_of(texts, 1)
@@ -95,17 +97,17 @@ def support(function):
     return mutate
 
 
-def turned(angle):
+def rotate_support(angle):
     c, s = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
     return support(lambda across, behind: (c * across + s * behind, c * behind - s * across))
 
 
-def farther(by):
-    def function(across, behind):
-        far = np.hypot(across, behind)
-        return across * (far + by) / far, behind * (far + by) / far
+def widen_gap(by):
+    def scale(across, along):
+        far = np.hypot(across, along)
+        return across * (far + by) / far, along * (far + by) / far
 
-    return support(function)
+    return support(scale)
 
 
 def swapped(texts):
@@ -119,7 +121,7 @@ def swapped(texts):
 
 
 def without_a_loop(texts):
-    """One loop in the middle is gone from both programs; the way goes straight on behind it."""
+    """Remove one loop in the middle from both programs. The path continues straight after it."""
     _, places = rows_of(texts, 1)
     turn = np.unwrap(np.arctan2(places[:, 1], places[:, 0])) / (2.0 * np.pi)
     gone = np.flatnonzero((np.abs(turn) >= 5.0) & (np.abs(turn) < 6.0))
@@ -131,7 +133,7 @@ def without_a_loop(texts):
 
 
 def in_beside(texts):
-    """The way in goes down into the flat sheet 3 mm beside where the segment begins."""
+    """The approach goes down into the flat sheet 3 mm next to the start of the segment."""
     for task in TASKS:
         (k,) = segment(texts, "form_f1_in", task)
         place = np.array([float(x) for x in field(texts, task, k, "pos").split(",")])
@@ -150,18 +152,18 @@ MUTANTS = {
     "1 mm deeper": shift(0.0, 0.0, -1.0),
     "the other way round": turned_over,
     "swapped tools": swapped,
-    "one degree steeper": turned(1.0),
-    "one degree flatter": turned(-1.0),
-    "the gap too wide": farther(0.05),
-    "the gap too narrow": farther(-0.05),
+    "one degree steeper": rotate_support(1.0),
+    "one degree flatter": rotate_support(-1.0),
+    "the gap too wide": widen_gap(0.05),
+    "the gap too narrow": widen_gap(-0.05),
     "a loop is missing": without_a_loop,
     "the way in beside": in_beside,
     "a tool leans": leaning,
 }
 
 
-def test_a_planned_cone_is_proven(made):
-    own, texts = made
+def test_a_planned_cone_is_proven(planned_cone):
+    own, texts = planned_cone
     proof = own.prove(texts, last="verify.adsif")
     assert broken(proof) == set()
     rule = proof.rule("verify.adsif")
@@ -175,8 +177,8 @@ ALWAYS = ("0.3 mm aside", "a loop is missing", "the way in beside")
 @pytest.mark.parametrize(
     "kind", [kind if kind in ALWAYS else pytest.param(kind, marks=pytest.mark.long) for kind in MUTANTS]
 )
-def test_what_the_table_does_not_want_is_caught(made, kind):
-    own, texts = made
+def test_what_the_table_does_not_want_is_caught(planned_cone, kind):
+    own, texts = planned_cone
     changed = MUTANTS[kind](texts)
     assert len(moves(changed, 1)) == len(moves(texts, 1))
     assert "verify.adsif" in broken(own.prove(changed, last="verify.adsif")), kind
@@ -225,8 +227,8 @@ def test_another_part_is_proven_on_its_other_side(tmp_path):
 
 
 @pytest.mark.long
-def test_claims_that_the_table_does_not_hold_for_are_told(made):
-    own, texts = made
+def test_claims_that_the_table_does_not_hold_for_are_told(planned_cone):
+    own, texts = planned_cone
     for changes in ({"metal": "dc04"}, {"thickness": 2e-3}, {"pitch": 4e-4}, {"projection": 2e-3}):
         other = {
             name: tuple(
@@ -236,7 +238,7 @@ def test_claims_that_the_table_does_not_hold_for_are_told(made):
             for name, group in own.claims.items()
         }
         proof = Prover(own.problem, other).prove(texts, last="verify.adsif")
-        assert any("table holds for" in issue.message for issue in proof.issues), changes
+        assert any("table is valid for" in issue.message for issue in proof.issues), changes
 
 
 @pytest.mark.parametrize(
@@ -251,7 +253,7 @@ def test_claims_that_the_table_does_not_hold_for_are_told(made):
     ],
 )
 def test_the_inverse_of_the_table(wall, prefer, position, gap):
-    table = accumulative.wanted_conditions(BUILT_IN_FILE.read_text(), prefer)
+    table = accumulative.solve_table(BUILT_IN_FILE.read_text(), prefer)
     k = int(np.argmin(np.abs(table.wall - np.deg2rad(wall))))
     assert np.rad2deg(table.position[k]) == pytest.approx(position, abs=0.05)
     assert table.gap[k] == pytest.approx(gap, abs=0.002)
@@ -259,6 +261,6 @@ def test_the_inverse_of_the_table(wall, prefer, position, gap):
 
 def test_a_text_that_is_no_table_is_refused():
     with pytest.raises(ValueError, match="fewer than two"):
-        accumulative.wanted_conditions(
+        accumulative.solve_table(
             "# metal: x\ngap_over_thickness,position_angle_deg,wall_angle_deg\n1,25,unstable\n", "gap"
         )

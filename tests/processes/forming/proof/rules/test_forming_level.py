@@ -1,4 +1,4 @@
-"""verify.level: one level of a dish between two tools, deeper by a file of its own, from file to proof."""
+"""verify.level: one level of a dish between two tools, deepened by its own file, from file to proof."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from planner.pipeline import Outcome
 from planner.processes import registry
 from planner.processes.forming.claims import FormsLevel
 from planner.processes.forming.plan import level as one_level
+from planner.processes.forming.proof.forming_facts import FORMING, FormingFacts
 from planner.processes.forming.proof.rules import level as forming_level
 from planner.processes.forming.proof.rules import tool, two_tools
-from planner.processes.forming.proof.state import FORMING, Forming
 from planner.proof.context import Context
 from tests import small_forming
 from tests.processes.forming.plan import shapes
@@ -75,7 +75,7 @@ def file(folder: Path) -> Iterator[Path]:
 
 def messages(context: Context) -> list[str]:
     context.release(FORMING)  # which has read the files
-    return [issue.message for issue in forming_level.level(context).issues]
+    return [issue.message for issue in forming_level.check_level(context).issues]
 
 
 def test_one_level_is_planned_and_proven_alone(outcome: Outcome) -> None:
@@ -84,23 +84,23 @@ def test_one_level_is_planned_and_proven_alone(outcome: Outcome) -> None:
     assert rules["verify.level"].ran
     assert rules["verify.formed"].worst >= 95.0
     assert rules["verify.gap"].worst <= 0.02
-    (told,) = (issue for issue in outcome.issues if issue.code == "forming.compensated")
-    assert 0.5 < told.value < 0.8
+    (reported,) = (issue for issue in outcome.issues if issue.code == "forming.compensated")
+    assert 0.5 < reported.value < 0.8
     text = "".join(outcome.programs.values())
     assert "Level 1 of the first pass alone" in text
     assert "which stays clamped" in text
 
 
 def test_tools_are_deeper_by_the_file_from_the_way_in_to_the_way_out(context: Context) -> None:
-    (one,) = Forming(context).formed
-    lifted, way = one.track.lifted, one.track
+    (one,) = FormingFacts(context).formed
+    lifted, way = one.track.z_correction, one.track
     assert lifted is not None
-    own = np.flatnonzero(way.own)
+    own = np.flatnonzero(way.is_forming)
     assert lifted[own[0]] == pytest.approx(0.3 * MM, abs=0.05 * MM)
     assert lifted[own[0] - 1] == pytest.approx(0.3 * MM, abs=1e-6)
     assert lifted[own[-1] + 1] > 0.3 * MM
     assert lifted[0] == pytest.approx(0.3 * MM, abs=1e-6)
-    assert one.begun == pytest.approx(2.0 * MM)
+    assert one.formed_depth == pytest.approx(2.0 * MM)
 
 
 def test_a_level_has_to_be_claimed_and_is_no_other_segment(outcome: Outcome, context: Context) -> None:
@@ -109,26 +109,26 @@ def test_a_level_has_to_be_claimed_and_is_no_other_segment(outcome: Outcome, con
         for name, group in context.by_operation.items()
     }
     plain = Context(context.problem, without, context.programs)
-    assert any("of 0 that is claimed" in what for what in messages(plain))
-    assert any("wanted is a level of f9" in what for what in messages(context_of(outcome, pass_name="f9")))
+    assert any("got claims for 0" in what for what in messages(plain))
+    assert any("expected a level of f9" in what for what in messages(context_of(outcome, pass_name="f9")))
 
 
 # ---- faults of programs ----
 
 
 def moved(texts: Mapping[str, str], arms: tuple[str, ...], up: float) -> dict[str, str]:
-    """All targets of the level of some arms moved ``up`` [mm] along the sheet's normal."""
+    """Move all targets of the level of some arms by ``up`` [mm] along the sheet's normal."""
 
-    def of(found: re.Match[str]) -> str:
-        x, y, z = (float(v) for v in found.group(2).split(","))
-        return f"{found.group(1)}{x:.4f},{y:.4f},{z + up:.4f}]"
+    def raise_target(match: re.Match[str]) -> str:
+        x, y, z = (float(v) for v in match.group(2).split(","))
+        return f"{match.group(1)}{x:.4f},{y:.4f},{z + up:.4f}]"
 
     out = dict(texts)
     for name, text in texts.items():
         if any(f"T_{arm}" in name for arm in arms) and PASS in text:
             head, mark, rest = text.partition(PASS)
             body, end, tail = rest.partition("ENDPROC")
-            out[name] = head + mark + re.sub(r"(MoveL \[\[)([^\]]*)\]", of, body) + end + tail
+            out[name] = head + mark + re.sub(r"(MoveL \[\[)([^\]]*)\]", raise_target, body) + end + tail
     assert out != dict(texts)
     return out
 
@@ -140,15 +140,15 @@ def tasks(outcome: Outcome) -> tuple[str, ...]:
 
 def broken(outcome: Outcome, texts: Mapping[str, str]) -> set[str]:
     found = context_of(outcome, texts)
-    rules: tuple[Callable[..., Any], ...] = (forming_level.level, tool.gouge, two_tools.gap)
+    rules: tuple[Callable[..., Any], ...] = (forming_level.check_level, tool.check_gouge, two_tools.check_gap)
     return {issue.code for rule in rules for issue in rule(found).issues}
 
 
-def into_the_middle(texts: Mapping[str, str], task: str, way: str, z: float) -> dict[str, str]:
-    """The last move of the ``way`` of one task goes to the middle of the sheet, at ``z`` [mm]."""
+def into_the_middle(texts: Mapping[str, str], task: str, procedure: str, z: float) -> dict[str, str]:
+    """Move the last target of a ``procedure`` of one task to the middle of the sheet, at ``z`` [mm]."""
     out = dict(texts)
-    (name,) = (key for key, text in texts.items() if f"T_{task}" in key and f"PROC {way}()" in text)
-    head, mark, rest = texts[name].partition(f"PROC {way}()")
+    (name,) = (key for key, text in texts.items() if f"T_{task}" in key and f"PROC {procedure}()" in text)
+    head, mark, rest = texts[name].partition(f"PROC {procedure}()")
     body, end, tail = rest.partition("ENDPROC")
     at = body.rindex("MoveL [[")
     moved_body = body[:at] + re.sub(r"^MoveL \[\[[^\]]*\]", f"MoveL [[0,0,{z:g}]", body[at:])
@@ -159,19 +159,19 @@ def into_the_middle(texts: Mapping[str, str], task: str, way: str, z: float) -> 
 
 @pytest.mark.long
 def test_tools_of_an_honest_plan_are_not_pushed_through_the_sheet(context: Context) -> None:
-    assert tool.sheet(context).issues == ()
+    assert tool.check_sheet_state(context).issues == ()
 
 
 @pytest.mark.sampled(every=3)
 @pytest.mark.parametrize(
-    ("arm", "way", "z"), [(0, "form_f1_in", 1.0), (0, "form_f1_out", 1.0), (1, "form_f1_in", 8.0)]
+    ("arm", "procedure", "z"), [(0, "form_f1_in", 1.0), (0, "form_f1_out", 1.0), (1, "form_f1_in", 8.0)]
 )
 def test_tools_on_their_ways_are_not_pushed_through_the_sheet(
-    outcome: Outcome, arm: int, way: str, z: float
+    outcome: Outcome, arm: int, procedure: str, z: float
 ) -> None:
     """In the middle the sheet is where the level before has left it, whatever it is to become."""
-    bad = context_of(outcome, into_the_middle(outcome.programs, tasks(outcome)[arm], way, z))
-    found = [issue.message for issue in tool.sheet(bad).issues]
+    bad = context_of(outcome, into_the_middle(outcome.programs, tasks(outcome)[arm], procedure, z))
+    found = [issue.message for issue in tool.check_sheet_state(bad).issues]
     assert any("deeper than the sheet is formed by then" in what for what in found), found
 
 
@@ -202,19 +202,19 @@ def test_another_level_than_the_stated_one_is_told_by_its_height(
 
 @pytest.mark.long
 def test_half_a_level_is_not_the_whole(folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    whole = one_level.lay
+    whole = one_level.make_tool_path
 
-    def half(work: Any, one: Any, part: Any) -> Any:
-        def some(contact: Any) -> Any:
+    def half(work: Any, forming_pass: Any, part: Any) -> Any:
+        def first_half(contact: Any) -> Any:
             kept = part(contact)
             count = len(kept.point) // 2
             return type(kept)(
                 **{f.name: getattr(kept, f.name)[:count].copy() for f in dataclasses.fields(kept)}
             )
 
-        return whole(work, one, some)
+        return whole(work, forming_pass, first_half)
 
-    monkeypatch.setattr(one_level, "lay", half)
+    monkeypatch.setattr(one_level, "make_tool_path", half)
     outcome = planner.plan(planner.load(written(tmp_path, {"number": 1})))
     assert "verify.formed" in {rule.code for rule in outcome.proof.rules if not rule.passed}
 
@@ -270,9 +270,9 @@ def test_files_with_a_fault_are_refused_by_proof_and_planner(
 
 def test_a_file_that_is_cut_short_is_not_read(context: Context, file: Path, folder: Path) -> None:
     text = file.read_text()
-    for other, what in ((text[: len(text) // 2], "cut short"), (text.replace("0.3,", "0.31,"), "checksum")):
+    for other, what in ((text[: len(text) // 2], "truncated"), (text.replace("0.3,", "0.31,"), "checksum")):
         file.write_text(other)
-        assert any(what in one for one in messages(context))
+        assert any(what in message for message in messages(context))
         with pytest.raises(TandemError) as error:
             registry.job(planner.load(written(folder, level_files.stated(1))), 0).targets()
         assert error.value.issues[0].code == "forming.compensation"
@@ -281,14 +281,14 @@ def test_a_file_that_is_cut_short_is_not_read(context: Context, file: Path, fold
 def test_limits_of_the_problem_hold_for_its_file(outcome: Outcome) -> None:
     assert any("too large" in what for what in messages(context_of(outcome, most_mm=0.4)))
     assert any("too fast" in what for what in messages(context_of(outcome, slope=0.002)))
-    assert any("comes to the sheet" in what for what in messages(context_of(outcome, before_mm=0.0)))
+    assert any("reaches the sheet" in what for what in messages(context_of(outcome, before_mm=0.0)))
     assert any("levels 0 to 3" in what for what in messages(context_of(outcome, number=9)))
     assert any("level is 1, here 2" in what for what in messages(context_of(outcome, number=2)))
-    assert any("as if one were before it" in what for what in messages(context_of(outcome, number=0)))
+    assert any("has no previous level" in what for what in messages(context_of(outcome, number=0)))
 
 
 def test_a_level_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    for level, what in (({"number": 9}, "has 0 to 3"), ({"number": 0, "pass_name": "f2"}, "passes are: f1")):
+    for level, what in (({"number": 9}, "has 0 to 3"), ({"number": 0, "pass_name": "f2"}, "allowed are: f1")):
         with pytest.raises(TandemError) as error:
             registry.job(planner.load(written(tmp_path, level)), 0).targets()
         assert error.value.issues[0].code == "forming.path_options"
@@ -301,7 +301,7 @@ def test_a_level_that_is_not_there_is_refused(tmp_path: Path) -> None:
         ({"number": 1, "file": "level.json"}, {}, "file and plan"),
         ({"number": 1, "before_mm": 5, "most_mm": 4}, {}, "before_mm"),
         ({"number": 0, "before_mm": 0.3, "file": "level.json", "plan": level_files.PLAN}, {}, "level 0"),
-        ({"number": 1, "before_mm": 0.3}, {}, "give that too"),
+        ({"number": 1, "before_mm": 0.3}, {}, "before_mm needs file"),
         ({"number": 1}, {"scallop_mm": 0.1}, "stepdown_mm"),
         ({"number": 1}, {"springback": {"file": "back.json"}}, "springback"),
         ({"number": 1}, {"mode": "dpif_p"}, "modes"),
@@ -366,18 +366,18 @@ def test_a_level_with_corners_that_no_ball_fits_is_proven(tmp_path: Path) -> Non
 def test_a_level_that_cuts_its_corners_short_is_not_formed(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    whole = one_level.lay
+    whole = one_level.make_tool_path
 
-    def short(work: Any, one: Any, part: Any) -> Any:
-        def some(contact: Any) -> Any:
+    def short(work: Any, forming_pass: Any, part: Any) -> Any:
+        def without_corners(contact: Any) -> Any:
             kept = part(contact)
             x, y = np.abs(kept.point[:, :2]).T
             far = np.minimum(x, y) < np.maximum(x, y).max() - 12.0 * MM
             return type(kept)(**{f.name: getattr(kept, f.name)[far] for f in dataclasses.fields(kept)})
 
-        return whole(work, one, some)
+        return whole(work, forming_pass, without_corners)
 
-    monkeypatch.setattr(one_level, "lay", short)
+    monkeypatch.setattr(one_level, "make_tool_path", short)
     assert "verify.formed" in {rule.code for rule in pit(tmp_path).proof.rules if not rule.passed}
 
 

@@ -1,5 +1,8 @@
-"""What is claimed of a sheet's passes, against the part and the user's numbers: the planner's own claims hold
-for many parts, and each fault that is put into the planner in memory is told by the rule named for it."""
+"""Claims on the passes of a sheet, against the part and the user's numbers.
+
+The planner's own claims hold for many parts. Each fault that is put into the planner in memory is reported by
+its rule.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +18,10 @@ from planner.geometry.mesh import TriangleMesh, face_normals
 from planner.processes import registry
 from planner.processes.forming.claims import FormsPart
 from planner.processes.forming.plan.features import tree
-from planner.processes.forming.proof.rules.claims import forming_claims
-from planner.processes.forming.proof.rules.part import forming_part
-from planner.processes.forming.proof.shapes import Shape
-from planner.processes.forming.proof.state import FORMING, Forming
+from planner.processes.forming.proof.formed_shapes import FormedShape
+from planner.processes.forming.proof.forming_facts import FORMING, FormingFacts
+from planner.processes.forming.proof.rules.claims import check_forming_claims
+from planner.processes.forming.proof.rules.part import check_forming_part
 from planner.proof.context import Context
 from tests import small_forming
 from tests.processes.forming.plan import nests, shapes
@@ -47,16 +50,18 @@ def problem(folder, mode="dsif", part=None, sheet=None, **operation):
     return pipeline.load(small_forming.write(folder, data, part))
 
 
-def told(found, change=None):
+def broken_codes(loaded, change=None):
     """Codes of both rules that the claims of a problem break; ``change`` makes other claims of them."""
-    group = registry.claims(found)
+    group = registry.claims(loaded)
     if change is not None:
         group = {name: change(one) for name, one in group.items()}
-    context = Context(found, group, {})
-    forming = Forming.__new__(Forming)  # of a text there is no need
+    context = Context(loaded, group, {})
+    forming = FormingFacts.__new__(FormingFacts)  # of a text there is no need
     forming.context = context
     context.put(FORMING, forming)
-    return {issue.code for rule in (forming_part, forming_claims) for issue in rule(context).issues}
+    return {
+        issue.code for rule in (check_forming_part, check_forming_claims) for issue in rule(context).issues
+    }
 
 
 PARTS = {
@@ -82,27 +87,27 @@ PARTS = {
 def test_the_claims_of_a_part_hold(tmp_path, name):
     mode, part, sheet, options = PARTS[name]
     options = {key: value for key, value in options.items() if value is not None}
-    assert told(problem(tmp_path, mode, part and part(), sheet, **options)) == set()
+    assert broken_codes(problem(tmp_path, mode, part and part(), sheet, **options)) == set()
 
 
 @pytest.mark.parametrize(("kind", "full"), [("female", True), ("male", False)])
 def test_the_claims_over_a_die_hold(tmp_path, kind, full):
     part = small_forming.dish() if kind == "female" else small_forming.upside_down(small_forming.dish())
     found = problem(tmp_path, "tpif", part, die=small_forming.die(tmp_path, part, kind, full))
-    assert told(found) == set()
+    assert broken_codes(found) == set()
 
 
-def results(function):
-    """Whatever is called gives what ``function`` makes of it."""
+def change_result(function):
+    """Return a patch that applies ``function`` to the result of a callable."""
     return lambda old: lambda *args, **more: function(old(*args, **more))
 
 
-def each(function):
-    return results(lambda found: tuple(function(one) for one in found))
+def change_each(function):
+    return change_result(lambda found: tuple(function(one) for one in found))
 
 
-def moved(by):
-    return each(
+def move_faces(by):
+    return change_each(
         lambda one: dataclasses.replace(
             one,
             vertices=one.vertices + np.array(by),
@@ -113,9 +118,9 @@ def moved(by):
     )
 
 
-def turned(matrix):
-    """All faces by a matrix that mirrors them."""
-    return each(
+def mirror_faces(matrix):
+    """Transform all faces by a mirroring matrix."""
+    return change_each(
         lambda one: dataclasses.replace(
             one,
             vertices=one.vertices @ np.array(matrix, dtype=float).T,
@@ -127,8 +132,8 @@ def turned(matrix):
 
 def gaps(function):
     def patch(old):
-        def by_corner(one, thickness):
-            vertices, faces, thick = old(one, thickness)
+        def by_corner(forming_pass, thickness):
+            vertices, faces, thick = old(forming_pass, thickness)
             return vertices, faces, function(thick, thickness)
 
         return by_corner
@@ -136,24 +141,29 @@ def gaps(function):
     return patch
 
 
-PASSES = "planner.processes.forming.plan.process_plan.passes"
-BY_CORNER = "planner.processes.forming.plan.claims.by_corner"
-VIRGIN = "planner.processes.forming.plan.stages.on_virgin_sheet"
+PASSES = "planner.processes.forming.plan.process_plan.make_passes"
+BY_CORNER = "planner.processes.forming.plan.claims.face_by_corner"
+VIRGIN = "planner.processes.forming.plan.stages.virgin_sheet_order"
 BORDER = "planner.processes.forming.plan.claims.border_curve"
-STATES = "planner.processes.forming.plan.claims.states"
+STATES = "planner.processes.forming.plan.claims.sheet_states"
 FAULTS = {
-    "aside by 0.2 mm": ("virgin", PASSES, moved([2e-4, 0.0, 0.0]), PART),
-    "mirrored": ("virgin", PASSES, turned([[-1, 0, 0], [0, 1, 0], [0, 0, 1]]), PART),
-    "x and y change places": ("virgin", PASSES, turned([[0, 1, 0], [1, 0, 0], [0, 0, 1]]), PART),
-    "1 mm too low": ("dish", PASSES, moved([0.0, 0.0, -1e-3]), PART),
-    "0.2 mm too high": ("in place", PASSES, moved([0.0, 0.0, 2e-4]), PART),
-    "from the other side": ("squeezed", PASSES, each(lambda p: dataclasses.replace(p, side=-p.side)), PART),
-    "the first shape left out": ("steep", PASSES, results(lambda found: found[1:]), PART),
-    "the last shape left out": ("steep", PASSES, results(lambda found: found[:-1]), PART),
-    "a feature left out": ("virgin", PASSES, results(lambda found: found[1:]), PART),
-    "shapes the other way round": ("steep", PASSES, results(lambda found: found[::-1]), PART),
-    "features the other way round": ("virgin", PASSES, results(lambda found: found[::-1]), PART),
-    "outer features first": ("virgin", VIRGIN, lambda _: tree.in_place, PART),
+    "aside by 0.2 mm": ("virgin", PASSES, move_faces([2e-4, 0.0, 0.0]), PART),
+    "mirrored": ("virgin", PASSES, mirror_faces([[-1, 0, 0], [0, 1, 0], [0, 0, 1]]), PART),
+    "x and y change places": ("virgin", PASSES, mirror_faces([[0, 1, 0], [1, 0, 0], [0, 0, 1]]), PART),
+    "1 mm too low": ("dish", PASSES, move_faces([0.0, 0.0, -1e-3]), PART),
+    "0.2 mm too high": ("in place", PASSES, move_faces([0.0, 0.0, 2e-4]), PART),
+    "from the other side": (
+        "squeezed",
+        PASSES,
+        change_each(lambda p: dataclasses.replace(p, side=-p.side)),
+        PART,
+    ),
+    "the first shape left out": ("steep", PASSES, change_result(lambda found: found[1:]), PART),
+    "the last shape left out": ("steep", PASSES, change_result(lambda found: found[:-1]), PART),
+    "a feature left out": ("virgin", PASSES, change_result(lambda found: found[1:]), PART),
+    "shapes the other way round": ("steep", PASSES, change_result(lambda found: found[::-1]), PART),
+    "features the other way round": ("virgin", PASSES, change_result(lambda found: found[::-1]), PART),
+    "outer features first": ("virgin", VIRGIN, lambda _: tree.in_place_order, PART),
     "shapes too far apart": (
         "steep",
         "planner.processes.forming.plan.passes.pass_angles",
@@ -163,31 +173,36 @@ FAULTS = {
     "one repeat too few": (
         "passes of one's own",
         PASSES,
-        results(lambda found: tuple(one for k, one in enumerate(found) if k != 1)),
+        change_result(lambda found: tuple(one for k, one in enumerate(found) if k != 1)),
         PART,
     ),
     "a sine law without the sine": ("squeezed", BY_CORNER, gaps(lambda k, t: np.full_like(k, t)), CLAIMS),
     "squeezed twice": ("squeezed", BY_CORNER, gaps(lambda k, t: 0.9 * k), CLAIMS),
     "a gap on the wrong side": ("squeezed", BY_CORNER, gaps(lambda k, t: -k), CLAIMS),
-    "the border aside": ("border", BORDER, results(lambda ring: ring + np.array([2e-3, 0, 0])), CLAIMS),
-    "the border too low": ("border", BORDER, results(lambda ring: ring - np.array([0, 0, 1e-3])), CLAIMS),
-    "half a border": ("border", BORDER, results(lambda ring: ring[: len(ring) // 2]), CLAIMS),
+    "the border aside": ("border", BORDER, change_result(lambda ring: ring + np.array([2e-3, 0, 0])), CLAIMS),
+    "the border too low": (
+        "border",
+        BORDER,
+        change_result(lambda ring: ring - np.array([0, 0, 1e-3])),
+        CLAIMS,
+    ),
+    "half a border": ("border", BORDER, change_result(lambda ring: ring[: len(ring) // 2]), CLAIMS),
     "ridges twice as high": (
         "dish",
-        "planner.processes.forming.plan.claims.scallop",
-        results(lambda height: 2.0 * height),
+        "planner.processes.forming.plan.claims.scallop_heights",
+        change_result(lambda height: 2.0 * height),
         CLAIMS,
     ),
     "nothing is formed already": (
         "in place",
         STATES,
-        each(lambda state: dataclasses.replace(state, fixed=state.fixed[:1])),
+        change_each(lambda state: dataclasses.replace(state, fixed=state.fixed[:1])),
         CLAIMS,
     ),
     "nothing is carried": (
         "virgin",
         STATES,
-        each(lambda state: dataclasses.replace(state, carried=state.carried[:0])),
+        change_each(lambda state: dataclasses.replace(state, carried=state.carried[:0])),
         CLAIMS,
     ),
 }
@@ -202,7 +217,7 @@ def test_a_fault_of_the_planner_is_told(tmp_path, monkeypatch, name):
     module, function = place.rsplit(".", 1)
     home = importlib.import_module(module)
     monkeypatch.setattr(home, function, patch(getattr(home, function)))
-    assert code in told(found)
+    assert code in broken_codes(found)
 
 
 NUMBERS = {
@@ -228,25 +243,29 @@ def test_numbers_that_are_not_the_user_s_are_told(tmp_path, name):
             dataclasses.replace(claim, **fields) if type(claim).__name__ == kind else claim for claim in group
         )
 
-    assert told(problem(tmp_path), change) == {CLAIMS}
+    assert broken_codes(problem(tmp_path), change) == {CLAIMS}
 
 
 @pytest.mark.parametrize("kind", ["ToolGap", "SheetState", "FormingFeed"])
 def test_a_claim_that_is_left_out_is_told(tmp_path, kind):
     found = problem(tmp_path)
-    assert told(found, lambda group: tuple(c for c in group if type(c).__name__ != kind)) == {CLAIMS}
+    assert broken_codes(found, lambda group: tuple(c for c in group if type(c).__name__ != kind)) == {CLAIMS}
 
 
 def test_passes_of_no_part_and_a_part_without_passes_are_told(tmp_path):
     found = problem(tmp_path)
-    assert PART in told(found, lambda group: tuple(c for c in group if type(c).__name__ != "FormsPart"))
-    assert PART in told(found, lambda group: tuple(c for c in group if type(c).__name__ == "FormsPart"))
+    assert PART in broken_codes(
+        found, lambda group: tuple(c for c in group if type(c).__name__ != "FormsPart")
+    )
+    assert PART in broken_codes(
+        found, lambda group: tuple(c for c in group if type(c).__name__ == "FormsPart")
+    )
 
 
 def test_features_are_numbered_as_users_know_them(tmp_path):
     """By the user's order the dish is 1 and the dome on its floor 2."""
     found = problem(tmp_path, "dsif", lopsided(), WIDE, strategy="virgin", order=[1, 2])
-    assert told(found) == set()
+    assert broken_codes(found) == set()
     one, two = Segment("form", "f1"), Segment("form", "f2")
     names = {one: two, two: one}
 
@@ -260,7 +279,7 @@ def test_features_are_numbered_as_users_know_them(tmp_path):
             out.append(claim)
         return tuple(out)
 
-    assert PART in told(found, change)
+    assert PART in broken_codes(found, change)
 
 
 def test_a_wall_that_turns_back_is_no_single_feature():
@@ -269,21 +288,21 @@ def test_a_wall_that_turns_back_is_no_single_feature():
     claim = next(c for c in forming_job.claims()["dish"] if type(c).__name__ == "FormsSheet")
     low = float(part.vertices[:, 2].min())
     one = dataclasses.replace(claim, vertices=part.vertices, faces=part.faces, start=0.0, end=low)
-    place = Shape((one,), 0.0, low).turns_back(-1.0)
+    place = FormedShape((one,), 0.0, low).turn_back_point(-1.0)
     assert place is not None and np.hypot(place[0], place[1]) < 0.014
     plain = small_forming.dish()
     low = float(plain.vertices[:, 2].min())
     one = dataclasses.replace(claim, vertices=plain.vertices, faces=plain.faces, start=0.0, end=low)
-    assert Shape((one,), 0.0, low).turns_back(-1.0) is None
+    assert FormedShape((one,), 0.0, low).turn_back_point(-1.0) is None
 
 
 def test_the_angle_of_a_cone_is_that_of_its_facets():
     """By the faces' own normals; facets are steeper than the cone, for chords are nearer to the axis."""
     part = shapes.cone(45.0, 0.008, 0.03, 60)
     claim = next(c for c in forming_job.claims()["dish"] if type(c).__name__ == "FormsSheet")
-    shape = Shape((dataclasses.replace(claim, vertices=part.vertices, faces=part.faces),), 0.0, -0.008)
+    shape = FormedShape((dataclasses.replace(claim, vertices=part.vertices, faces=part.faces),), 0.0, -0.008)
     normals = face_normals(TriangleMesh(part.vertices, part.faces))
-    assert shape.steepest(0.995) == pytest.approx(float(np.arccos(np.abs(normals[:, 2]).min())), abs=1e-6)
+    assert shape.wall_angle(0.995) == pytest.approx(float(np.arccos(np.abs(normals[:, 2]).min())), abs=1e-6)
 
 
 def scanned(noise=1e-4, seed=4):
@@ -318,19 +337,19 @@ def of_part(**changed):
 
 
 def of_faces(move):
-    """All faces moved by what ``move`` says of their places."""
+    """Move all faces by the values of ``move`` at their vertices."""
 
-    def one(claim):
+    def move_claim(claim):
         if not hasattr(claim, "vertices") or isinstance(claim, FormsPart):
             return claim
         z = claim.vertices[:, 2] + move(claim.vertices)
         return dataclasses.replace(claim, vertices=np.column_stack([claim.vertices[:, :2], z]))
 
-    return lambda group: tuple(one(claim) for claim in group)
+    return lambda group: tuple(move_claim(claim) for claim in group)
 
 
 def test_the_claims_of_a_part_with_noise_hold(scan):
-    assert told(scan) == set()
+    assert broken_codes(scan) == set()
 
 
 NOISY = {
@@ -349,21 +368,21 @@ def test_a_ridge_that_is_smoothed_away_is_no_noise(scan, deep, seen):
     """2 mm wide and 20 mm long: in no mean of a place, and among no 1 % of the vertices."""
     change = of_faces(lambda p: -deep * ((np.abs(p[:, 1]) < 1e-3) & (np.abs(p[:, 0]) < 0.01)))
     group = {name: change(one) for name, one in registry.claims(scan).items()}
-    forming = Forming.__new__(Forming)
+    forming = FormingFacts.__new__(FormingFacts)
     forming.context = Context(scan, group, {})
     forming.context.put(FORMING, forming)
-    words = " ".join(issue.message for issue in forming_part(forming.context).issues)
-    assert ("beside one another" in words) == seen
+    words = " ".join(issue.message for issue in check_forming_part(forming.context).issues)
+    assert ("adjacent vertices" in words) == seen
 
 
 @pytest.mark.parametrize("name", NOISY)
 def test_what_noise_does_not_explain_is_told(scan, name):
-    assert PART in told(scan, NOISY[name])
+    assert PART in broken_codes(scan, NOISY[name])
 
 
 def test_a_stated_tolerance_is_the_users_and_no_other(tmp_path):
     data = small_forming.problem("dsif")
     data["part"]["sheet_mesh"]["tolerance_mm"] = 0.35
     found = pipeline.load(small_forming.write(tmp_path, data, scanned()))
-    assert told(found) == set()
-    assert PART in told(found, of_part(mesh_tolerance=3e-4))
+    assert broken_codes(found) == set()
+    assert PART in broken_codes(found, of_part(mesh_tolerance=3e-4))

@@ -1,4 +1,4 @@
-"""Every way in which a bent wire cannot do its job gives its code, from bundled problems and small ones."""
+"""Every reason for which a bent wire cannot do its job has its code, in bundled and in small problems."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from pydantic import ValidationError
 from planner.issues import Issue, Severity, TandemError
 from planner.processes.hotwire.plan import wire
 from planner.processes.hotwire.plan.elastic import check, job, path
-from planner.processes.hotwire.plan.elastic import sweep as elastic_sweep
-from planner.processes.hotwire.plan.elastic.check import Figures
+from planner.processes.hotwire.plan.elastic import sweep_screening as elastic_sweep
+from planner.processes.hotwire.plan.elastic.check import TargetFigures
 from tests.processes.hotwire.plan import panels
 
 
@@ -43,29 +43,31 @@ def test_a_wire_too_thick_says_the_thickness_that_would_do() -> None:
 
 def test_what_the_wire_does_in_the_air_and_between_targets_is_checked() -> None:
     op, block, part = panels.operation(), panels.stock(), panels.part()
-    steel = wire.make("spring_steel", diameter_mm=1.5, temperature_c=300)
-    mesh = job._mesh(part.front)
-    cut = job._cut(op, "front", mesh, 90.0, steel.load * block.gravity, block.box)
-    route = path.lay_out([cut.face], block.box, 0.02, 0.001, 0.005, False)
-    figures = check.measure(route, steel, block.box)
-    assert check.check(op, steel, route, [cut], figures, block.box) == []
-    into = dataclasses.replace(route, wires=route.wires.moved(np.array([0.0, 0.03, 0.0])))
-    codes = {i.code for i in check.check(op, steel, into, [cut], figures, block.box)}
+    steel = wire.make_wire("spring_steel", diameter_mm=1.5, temperature_c=300)
+    mesh = job._triangle_mesh(part.front)
+    cut = job._fit_cut(op, "front", mesh, 90.0, steel.load_over_stiffness * block.gravity, block.box)
+    route = path.plan_route([cut.face], block.box, 0.02, 0.001, 0.005, False)
+    figures = check.measure_targets(route, steel, block.box)
+    assert check.check_job(op, steel, route, [cut], figures, block.box) == []
+    into = dataclasses.replace(route, wires=route.wires.shifted(np.array([0.0, 0.03, 0.0])))
+    codes = {i.code for i in check.check_job(op, steel, into, [cut], figures, block.box)}
     assert codes == {"wire.touches"}
     straight = dataclasses.replace(
-        route.wires, bend=np.zeros_like(route.wires.bend), gravity=np.zeros_like(route.wires.gravity)
+        route.wires,
+        curvature_and_force=np.zeros_like(route.wires.curvature_and_force),
+        gravity=np.zeros_like(route.wires.gravity),
     )
-    (taut,) = check._taut(op, dataclasses.replace(route, wires=straight))
+    (taut,) = check._taut_issues(op, dataclasses.replace(route, wires=straight))
     assert taut.code == "wire.end_error"
     off, miss = np.zeros(len(route.wires)), np.zeros(len(route.wires))
-    assert list(job._driven(op, route, off, miss)) == []
+    assert list(job._drive_issues(op, route, off, miss)) == []
     miss[30] = np.inf
-    assert [i.code for i in job._driven(op, route, off, miss)] == ["wire.between_targets"]
+    assert [i.code for i in job._drive_issues(op, route, off, miss)] == ["wire.between_targets"]
 
 
-def figures(in_plane: float, out_of_plane: float) -> Figures:
+def figures(in_plane: float, out_of_plane: float) -> TargetFigures:
     one = np.ones(3)
-    return Figures(one * in_plane, one * out_of_plane, one, one, 0 * one, one, one, np.arange(3))
+    return TargetFigures(one * in_plane, one * out_of_plane, one, one, 0 * one, one, one, np.arange(3))
 
 
 @pytest.mark.parametrize(
@@ -81,21 +83,28 @@ def test_a_shape_near_snapping_is_a_warning_and_one_that_snaps_an_error(
     values: tuple[float, float], want: list[Severity]
 ) -> None:
     op, block, part = panels.operation(), panels.stock(), panels.part()
-    steel = wire.make("spring_steel", diameter_mm=1.5, temperature_c=300)
-    cut = job._cut(op, "front", job._mesh(part.front), 90.0, steel.load * block.gravity, block.box)
-    route = path.lay_out([cut.face], block.box, 0.02, 0.001, 0.005, False)
-    issues = list(check._stability(route, figures(*values)))
+    steel = wire.make_wire("spring_steel", diameter_mm=1.5, temperature_c=300)
+    cut = job._fit_cut(
+        op,
+        "front",
+        job._triangle_mesh(part.front),
+        90.0,
+        steel.load_over_stiffness * block.gravity,
+        block.box,
+    )
+    route = path.plan_route([cut.face], block.box, 0.02, 0.001, 0.005, False)
+    issues = list(check._stability_issues(route, figures(*values)))
     assert [i.code for i in issues] == ["wire.unstable"] * len(want)
     assert [i.severity for i in issues] == want
 
 
 def test_of_sweeps_that_will_do_the_one_with_short_sections_comes_first() -> None:
-    sweep = elastic_sweep.Sweep
+    sweep = elastic_sweep.SweepCandidate
     tried = [sweep(90.0, 1e-4, 1e-5, 0.4), sweep(0.0, 1e-4, 1e-4, 0.3), sweep(45.0, 1e-5, 1e-5, 0.2)]
-    assert elastic_sweep.ranked(tried, 1e-3)[0].degrees == 0.0
-    assert elastic_sweep.ranked(tried, 1e-5)[0].degrees == 45.0
-    never = sweep(90.0, 0.0, 0.0, 0.1, why="it would snap")
-    assert elastic_sweep.ranked([never, *tried], 1e-3)[-1] == never
+    assert elastic_sweep.rank_candidates(tried, 1e-3)[0].degrees == 0.0
+    assert elastic_sweep.rank_candidates(tried, 1e-5)[0].degrees == 45.0
+    never = sweep(90.0, 0.0, 0.0, 0.1, reason="it would snap")
+    assert elastic_sweep.rank_candidates([never, *tried], 1e-3)[-1] == never
 
 
 @pytest.mark.parametrize(

@@ -1,26 +1,31 @@
-"""Sections of a face: where they stand, and what of the face each stands for."""
+"""Sections of a face: their positions, and the strip of the face that each one represents."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.interpolate import BSpline
 
-from planner.processes.hotwire.plan.elastic.family import SectionSet, Spine, direction_of, section_places
+from planner.processes.hotwire.plan.elastic.family import (
+    SectionSet,
+    Spine,
+    section_positions,
+    sweep_direction,
+)
 
 
 def test_the_plane_at_the_place_of_a_point_passes_it() -> None:
     """Upright planes, and planes that lean with the spine's height."""
     height = BSpline(np.r_[[-0.2] * 4, 0.0, [0.2] * 4], np.array([0.0, 0.02, 0.06, 0.05, 0.01]), 3)
     points = np.random.default_rng(7).uniform(-1.0, 1.0, (50, 3)) * [0.3, 0.3, 0.06]
-    upright = Spine(direction_of(30.0), 0.01)
-    for spine in (upright, Spine(direction_of(30.0), 0.01, height, -0.2, 0.2)):
-        frames = spine.frames(spine.places(points))
-        off = np.einsum("vd,vd->v", points - frames[:, :3, 3], frames[:, :3, 2])
-        assert np.abs(off).max() < 1e-6
+    upright = Spine(sweep_direction(30.0), 0.01)
+    for spine in (upright, Spine(sweep_direction(30.0), 0.01, height, -0.2, 0.2)):
+        frames = spine.frames(spine.positions(points))
+        deviation = np.einsum("vd,vd->v", points - frames[:, :3, 3], frames[:, :3, 2])
+        assert np.abs(deviation).max() < 1e-6
 
 
 def test_sections_stand_closer_towards_both_ends_and_nowhere_farther_than_the_step() -> None:
-    p = section_places(-0.25, 0.35, 0.006, 40, 140)
+    p = section_positions(-0.25, 0.35, 0.006, 40, 140)
     gaps = np.diff(p)
     assert -0.25 < p[0] < -0.2496
     assert 0.3496 < p[-1] < 0.35
@@ -35,7 +40,9 @@ def test_what_a_share_of_a_face_is_within_goes_by_its_area() -> None:
     p = np.concatenate([even, np.linspace(0.901, 1.0, 100)])
     off = np.where(p > 0.9, 3e-3, 1e-4)[:, None] * np.ones(41)
     sections = SectionSet(p, np.zeros((191, 41, 2)), np.full(191, 0.2), np.ones(191, dtype=np.int64))
-    assert sections.within(off, 0.89) == 1e-4
-    assert sections.within(off, 0.91) == 3e-3
+    assert sections.distance_at_fraction(off, 0.89) == 1e-4
+    assert sections.distance_at_fraction(off, 0.91) == 3e-3
     short = np.where(p > 0.9, 0.02, 0.2)  # a hundredth of the face
-    assert SectionSet(p, sections.points, short, sections.pieces).within(off, 0.98) == 1e-4
+    assert (
+        SectionSet(p, sections.points, short, sections.polyline_count).distance_at_fraction(off, 0.98) == 1e-4
+    )

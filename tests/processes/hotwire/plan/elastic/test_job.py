@@ -16,7 +16,7 @@ from planner.claims.segments import Segment
 from planner.geometry.arrays import Mesh, interpolate, inverse
 from planner.processes.hotwire.claims import CutsSurface, WireJoins
 from planner.processes.hotwire.plan.elastic import job
-from planner.processes.hotwire.plan.elastic.path import Wires, driven
+from planner.processes.hotwire.plan.elastic.path import WireSet, drive_wires
 from planner.targets import ScrewFreedom, TableFreedom, Targets
 from tests.processes.hotwire.plan import panels
 
@@ -45,7 +45,7 @@ def rows(targets: Targets, segment: str) -> np.ndarray:
 
 
 def swept(targets: Targets, segment: str) -> trimesh.Trimesh:
-    drawn = targets.edge.points[rows(targets, segment)]
+    drawn = targets.flexible_tool.points[rows(targets, segment)]
     # the drawn points are 16 mm apart, too coarse as chords
     points = CubicSpline(np.arange(33), drawn, axis=1)(np.linspace(0, 32, 257))
     n, m = points.shape[:2]
@@ -101,7 +101,7 @@ def test_the_wire_meets_corners_of_a_face_whose_ends_are_slanted(
 
 
 def test_end_frames_follow_the_convention_and_the_wire_has_its_length(arch: Targets) -> None:
-    points = arch.edge.points
+    points = arch.flexible_tool.points
     for arm, tip, inner in (("left", 0, 1), ("right", -1, -2)):
         pose = arch.pose[arm]
         np.testing.assert_allclose(pose[:, :3, 3], points[:, tip], atol=1e-12)
@@ -125,14 +125,16 @@ def test_the_order_of_the_job_its_stops_and_actions(arch: Targets) -> None:
     assert arch.stop[0]
     assert arch.stop[-1]
     block = trimesh.creation.box(bounds=[[-0.08, -0.115, 0.0], [0.08, 0.115, 0.10]])
-    away = -trimesh.proximity.signed_distance(block, arch.edge.points.reshape(-1, 3)).reshape(arch.count, -1)
+    away = -trimesh.proximity.signed_distance(block, arch.flexible_tool.points.reshape(-1, 3)).reshape(
+        arch.count, -1
+    )
     assert (away[arch.stop].min(axis=1) > 0.019).all()  # never a stop in the foam
     air = np.array([s.kind != "cut" for s in arch.segment])
     assert (away[air].min(axis=1) > 0.019).all()
     assert (away[:, [0, -1]] > 0.020).all()  # the clamps stay outside
-    at_mount = [a.kind for a in arch.actions if a.at == 0]
+    at_mount = [a.kind for a in arch.actions if a.target == 0]
     assert at_mount.index("on") < at_mount.index("wait") < len(at_mount) - 1
-    assert [a.kind for a in arch.actions if a.at == arch.count - 1] == ["off", "wait", "confirm"]
+    assert [a.kind for a in arch.actions if a.target == arch.count - 1] == ["off", "wait", "confirm"]
     assert arch.actions[0].text == "Wire: spring_steel 1.5 mm round"
     assert "518.2" in arch.actions[1].text  # 520 mm hot at 300 C, 12.6e-6 / K
 
@@ -140,7 +142,9 @@ def test_the_order_of_the_job_its_stops_and_actions(arch: Targets) -> None:
 def test_feeds_bind_only_where_the_wire_is_in_the_foam(arch: Targets) -> None:
     block = trimesh.creation.box(bounds=[[-0.08, -0.115, 0.0], [0.08, 0.115, 0.10]])
     inside = (
-        trimesh.proximity.signed_distance(block, arch.edge.points.reshape(-1, 3)).reshape(arch.count, -1)
+        trimesh.proximity.signed_distance(block, arch.flexible_tool.points.reshape(-1, 3)).reshape(
+            arch.count, -1
+        )
         > 1e-9
     ).any(axis=1)
     slow = arch.feed_min > 0
@@ -149,7 +153,7 @@ def test_feeds_bind_only_where_the_wire_is_in_the_foam(arch: Targets) -> None:
     assert np.allclose(arch.feed_min[slow], 0.003)
     cut = np.array([s.kind == "cut" for s in arch.segment])
     assert np.allclose(arch.feed[cut], 0.008)
-    moved = np.linalg.norm(np.diff(arch.edge.points, axis=0), axis=2).max(axis=1)
+    moved = np.linalg.norm(np.diff(arch.flexible_tool.points, axis=0), axis=2).max(axis=1)
     assert (arch.travel[1:] <= moved + 1e-12).all()
     assert (arch.travel[1:][cut[1:]] < 0.0051).all()
     assert arch.travel[0] == 0.0
@@ -166,7 +170,7 @@ def test_slack_slides_the_wire_along_its_own_curve(arch: Targets) -> None:
     value[[0, -1]] = 0.0  # on and off as stated in the setup sheet
     assert (slack.upper >= value).all()
     slid = arch.poses(np.stack([value, np.zeros(arch.count)], axis=1))["left"][:, :3, 3]
-    curve = arch.edge.points
+    curve = arch.flexible_tool.points
     want = CubicSpline(np.arange(33), curve, axis=1)(0.013 / 0.520 * 32)
     want[[0, -1]] = curve[[0, -1], 0]
     assert np.linalg.norm(slid - want, axis=1).max() < 1e-6
@@ -176,7 +180,7 @@ def test_a_strip_has_no_spin_and_follows_the_slope_of_the_face(strip: Targets) -
     assert not any(isinstance(f, ScrewFreedom) for f in strip.freedoms)
     cut = rows(strip, "cut/front")[1:-1]
     normal = strip.pose["left"][cut, :3, 2]
-    middle = strip.edge.points[:, 16]
+    middle = strip.flexible_tool.points[:, 16]
     travel = middle[cut + 1] - middle[cut - 1]
     travel /= np.linalg.norm(travel, axis=1, keepdims=True)
     assert np.ptp(np.rad2deg(np.arctan2(normal[:, 2], -normal[:, 1]))) > 20.0
@@ -187,10 +191,10 @@ def test_two_runs_go_over_the_block_without_touching_it() -> None:
     targets = job.ElasticJob(panels.operation(runs="two"), panels.setup(), panels.part()).targets()
     block = trimesh.creation.box(bounds=[[-0.08, -0.115, 0.0], [0.08, 0.115, 0.10]])
     link = rows(targets, "link")
-    away = -trimesh.proximity.signed_distance(block, targets.edge.points[link].reshape(-1, 3))
+    away = -trimesh.proximity.signed_distance(block, targets.flexible_tool.points[link].reshape(-1, 3))
     assert away.min() > 0.0195
     for name in ("front", "back"):
-        y = targets.edge.points[rows(targets, f"cut/{name}"), 16, 1]
+        y = targets.flexible_tool.points[rows(targets, f"cut/{name}"), 16, 1]
         assert (np.diff(y) > 0).all()
     assert len(link) > 20
 
@@ -199,8 +203,8 @@ def test_two_runs_go_over_the_block_without_touching_it() -> None:
 def test_sweep_auto_goes_along_a_cylinder(turn: float, want: float) -> None:
     c, s = np.cos(np.deg2rad(turn)), np.sin(np.deg2rad(turn))
     front = panels.part(back=None).front
-    turned = front.vertices @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
-    part = dataclasses.replace(panels.part(back=None), front=Mesh(turned, front.faces))
+    rotated = front.vertices @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
+    part = dataclasses.replace(panels.part(back=None), front=Mesh(rotated, front.faces))
     block = panels.stock(size=(0.16, 0.23, 0.1) if turn == 0.0 else (0.23, 0.16, 0.1))
     targets = job.ElasticJob(
         panels.operation(sweep="auto", faces=("front",)), panels.setup(block), part
@@ -243,11 +247,11 @@ def test_a_driven_wire_is_what_a_boundary_value_solver_finds() -> None:
     up = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1.0]])
     frame = np.stack([up, up])
     frame[1, :3, 3] = [0.02, 0.0, 0.03]
-    wires = Wires(frame, np.array([[-2.5, -20.0, 1.0], [-3.5, -25.0, 4.0]]), 0.5, gravity)
+    wires = WireSet(frame, np.array([[-2.5, -20.0, 1.0], [-3.5, -25.0, 4.0]]), 0.5, gravity)
     start, end = wires.ends(wires.shapes(3))
-    got, miss, lean = driven(wires[:1], wires[1:], 0.5)
+    got, miss, tilt = drive_wires(wires[:1], wires[1:], 0.5)
     assert miss[0] < 1e-10
-    assert lean[0] < 1e-12
+    assert tilt[0] < 1e-12
     half = np.array([0.5])
     a = (inverse(up) @ interpolate(start[:1], start[1:], half))[0]
     b = (inverse(up) @ interpolate(end[:1], end[1:], half))[0]

@@ -1,4 +1,4 @@
-"""The slot of a bent wire is wider where it moves slower, and the wire keeps half of it off the face."""
+"""The kerf of a bent wire is wider where the wire is slower, and the wire stays half of it off the face."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from planner.issues import TandemError
 from planner.processes.hotwire.claims import CutsSurface, KerfWithin
 from planner.processes.hotwire.plan.elastic import job as elastic_job
 from planner.processes.hotwire.plan.kerf.width import HotWire, curve
-from planner.processes.hotwire.proof.cut_surface import Sweep, distance_to_sweep, sample_face
-from planner.targets import FEED_SHARE
+from planner.processes.hotwire.proof.cut_surface import WireSweep, distance_to_sweep, sample_face
+from planner.targets import FEED_FRACTION
 from tests.processes.hotwire.plan import panels
 
 FOAM = foam("eps_a120")
@@ -50,19 +50,19 @@ def test_the_wire_keeps_half_of_the_local_kerf_off_the_face() -> None:
     known = curve(FOAM, HotWire(0.0008, 0.52), POWER, 0.16, np.array([0.001, 0.05]))
     np.testing.assert_allclose(claim.kerf.at(np.array([0.005])), known.at(np.array([0.005])), atol=2e-6)
     points, normals, _ = sample_face(claim.vertices, claim.faces)
-    rows = targets.edge.points[[str(s) == "cut/front" for s in targets.segment]]
-    away, _ = distance_to_sweep(points, normals, Sweep.steady(rows))
-    lean = np.arctan2(-normals[:, 0], normals[:, 2])
-    rate = np.sqrt(1.0 + (SLOPE * points[:, 0] / 0.070) ** 2 * np.cos(lean) ** 2)
+    rows = targets.flexible_tool.points[[str(s) == "cut/front" for s in targets.segment]]
+    away, _ = distance_to_sweep(points, normals, WireSweep.continuous(rows))
+    tilt = np.arctan2(-normals[:, 0], normals[:, 2])
+    rate = np.sqrt(1.0 + (SLOPE * points[:, 0] / 0.070) ** 2 * np.cos(tilt) ** 2)
     middle = np.abs(points[:, 1]) < 0.08
     # the fastest point in the foam sets the feed: at the ends of the arch or where the wire leaves the block
-    share = rate / rate[middle].max()
-    expected = 0.5 * claim.kerf.at(FEED_SHARE * FEED * share)  # clocks go at that share of a feed
+    fraction = rate / rate[middle].max()
+    expected = 0.5 * claim.kerf.at(FEED_FRACTION * FEED * fraction)  # clocks go at that share of a feed
     assert np.ptp(expected[middle]) > 5e-5  # the kerf does vary
     got = away[middle & np.isfinite(away)]
-    wanted = expected[middle & np.isfinite(away)]
-    assert np.quantile(np.abs(got - wanted), 0.95) < 6e-5
-    assert np.corrcoef(got, wanted)[0, 1] > 0.8
+    expected_value = expected[middle & np.isfinite(away)]
+    assert np.quantile(np.abs(got - expected_value), 0.95) < 6e-5
+    assert np.corrcoef(got, expected_value)[0, 1] > 0.8
 
 
 def test_a_clock_that_is_slower_than_the_feed_is_refused_with_the_feed_that_the_arms_hold() -> None:
@@ -73,18 +73,18 @@ def test_a_clock_that_is_slower_than_the_feed_is_refused_with_the_feed_that_the_
     own = operation(feed_min_mm_s=0.5)
     job = elastic_job.ElasticJob(own, panels.setup(block), panels.part(twisted(), None, block))
     targets = job.targets()
-    even = targets.travel / (FEED_SHARE * targets.feed)
-    assert job.driven(targets, np.cumsum(even)) == ()
-    y = targets.edge.points[:, :, 1].mean(axis=1)
+    even = targets.travel / (FEED_FRACTION * targets.feed)
+    assert job.check_timing(targets, np.cumsum(even)) == ()
+    y = targets.flexible_tool.points[:, :, 1].mean(axis=1)
     cut = np.array([str(s) == "cut/front" for s in targets.segment])
     slow = np.cumsum(np.where(cut & (np.abs(y) < 0.05), 3.0, 1.0) * even)
-    (issue,) = job.driven(targets, slow)
+    (issue,) = job.check_timing(targets, slow)
     assert issue.code == "kerf.too_hot"
     held = float(re.findall(r"feed_mm_s: ([\d.]+),", str(issue.hint))[0])
     assert 0.95 * 4.0 / 3.0 < held < 4.0 / 3.0
     known = curve(FOAM, HotWire(0.0008, 0.52), POWER, 0.16, np.array([0.0005, 0.05]))
     # no point in the foam is faster than the feed
-    assert issue.value >= 1e3 * float(known.at(np.array([FEED_SHARE * FEED / 3.0]))[0]) - 1e-3
+    assert issue.value >= 1e3 * float(known.at(np.array([FEED_FRACTION * FEED / 3.0]))[0]) - 1e-3
     assert "at 33 % of its feed" in issue.message
 
 

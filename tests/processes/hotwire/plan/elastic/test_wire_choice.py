@@ -1,4 +1,4 @@
-"""Which wire and sweep are taken where the problem leaves them open, and that what a refusal names helps."""
+"""Choice of wire and sweep where the problem leaves them open. The remedies of refusals work."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ STEEL = {"material": "spring_steel", "diameter_mm": 1.5, "temperature_c": 300}
 
 
 def wires(*lengths: float, **more: Any) -> tuple[BentWire, ...]:
-    found = materials.wires_at_hand([WiresFile(**(STEEL | more), lengths_mm=lengths)])
-    return tuple(wire.value() for wire in found)
+    found = materials.available_wires([WiresFile(**(STEEL | more), lengths_mm=lengths)])
+    return tuple(wire.to_wire() for wire in found)
 
 
 def setup(at_hand: tuple[BentWire, ...] = (), **block: Any) -> Setup:
@@ -41,16 +41,16 @@ def test_a_wire_at_hand_keeps_the_figures_of_its_file(length: int, thickness: in
     common = {"material": "spring_steel", "length_mm": length / 1e6, "temperature_c": 300}
     strip = WireFile(**common, thickness_mm=thickness / 1e3, width_mm=width / 1e3)
     for wire in (strip, WireFile(**common, diameter_mm=thickness / 1e3)):
-        assert WireFile.of(wire.value()) == wire
+        assert WireFile.from_wire(wire.to_wire()) == wire
 
 
 def open_operation(**more: Any) -> Any:
     return panels.operation(**({"sweep": "auto"} | more)).model_copy(update={"wire": None})
 
 
-def refused(operation: Any, place: Setup, part: Part) -> Issue:
+def refused(operation: Any, job_setup: Setup, part: Part) -> Issue:
     with pytest.raises(TandemError) as caught:
-        ElasticJob(operation, place, part).targets()
+        ElasticJob(operation, job_setup, part).targets()
     return caught.value.issues[0]
 
 
@@ -66,7 +66,7 @@ def surface(x: float, y: float, height: Any, count: int = 31) -> Part:
 
 
 def saddle(x: float, y: float, rise: float) -> Part:
-    """Both ways along its edges are parabolas."""
+    """A saddle whose edges are parabolas in both directions."""
     return surface(x, y, lambda a, b: rise * ((2 * a / x) ** 2 - (2 * b / y) ** 2) + 0.05)
 
 
@@ -80,7 +80,7 @@ def test_of_the_wires_at_hand_one_that_does_is_taken_and_told() -> None:
     job = ElasticJob(open_operation(), place, part)
     targets = job.targets()
     (note,) = (issue for issue in targets.issues if issue.code == "wire.chosen")
-    assert "520 mm is to be mounted, swept along y" in note.message
+    assert "520 mm, swept along y" in note.message
     assert targets.actions[0].text == "Wire: spring_steel 1.5 mm round"
     assert "518.2 mm cold" in targets.actions[1].text  # 12.6e-6 / K
     (choice,) = job.claims()
@@ -96,7 +96,7 @@ def test_where_the_stated_wire_does_not_do_the_one_at_hand_that_does_is_named() 
     place = setup(wires(190, 520))
     issue = refused(panels.operation(dict(STEEL, length_mm=190), sweep="auto"), place, panels.part())
     assert issue.code == "wire.too_short"
-    assert "spring_steel 1.5 mm round of 520 mm, which is at hand, does" in str(issue.hint)
+    assert "spring_steel 1.5 mm round of 520 mm, which is available, works" in str(issue.hint)
 
 
 def named(hint: str) -> dict[str, Any]:
@@ -150,7 +150,7 @@ def test_the_tolerance_that_a_refusal_names_is_kept() -> None:
     part, place = shallow()
     operation = panels.operation(STEEL | {"length_mm": 600}, sweep="auto", faces=("front",))
     hint = str(refused(operation, place, part).hint)
-    found = re.search(r"shape_tol_mm: ([\d.]+) does", hint)
+    found = re.search(r"shape_tol_mm: ([\d.]+) works", hint)
     assert found is not None, hint
     assert ElasticJob(operation.model_copy(update={"shape_tol_mm": float(found[1])}), place, part).targets()
 
@@ -187,7 +187,7 @@ def test_where_nothing_helps_that_is_said() -> None:
     operation = panels.operation(sweep="auto", faces=("front",), kerf_mm=0.5, shape_tol_mm=0.3)
     issue = refused(operation, setup(), face)
     assert issue.code in ("wire.shape", "wire.unstable")
-    assert "no other wire, sweep, cut line or tolerance that was tried does" in str(issue.hint)
+    assert "no wire, sweep, cut line or tolerance that was tried works" in str(issue.hint)
 
 
 @pytest.mark.parametrize(
@@ -202,7 +202,7 @@ def test_where_nothing_helps_that_is_said() -> None:
 )
 def test_lists_of_wires_are_refused_by_field(entries: list[dict[str, Any]], field: str) -> None:
     with pytest.raises(TandemError) as caught:
-        materials.wires_at_hand([WiresFile(**entry) for entry in entries])
+        materials.available_wires([WiresFile(**entry) for entry in entries])
     assert [issue.field for issue in caught.value.issues] == [field]
 
 

@@ -1,4 +1,4 @@
-"""The elastica and its weighted relative against scipy's integrators and classical constants."""
+"""The elastica with and without weight, against scipy's integrators and classical constants."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from planner.processes.hotwire.plan.elastica import heavy
-from planner.processes.hotwire.plan.elastica.equations import flow, interpolate
+from planner.processes.hotwire.plan.elastica.equations import integrate_wire, interpolate
 from tests.processes.hotwire.plan.elastica.weightless import elliptic, evaluate, from_params
 
 angle = st.floats(-3.1, 3.1)
@@ -93,7 +93,7 @@ def test_wire_sags_the_way_its_weight_points_by_the_beam_formula():
 
 def sensitivities(params, length, weight, n):
     """Derivatives (B, n, 4, 6) of x, y, theta, k at n places, even in arc length, by the six parameters."""
-    wire = flow(params, length, weight, anchor=0.0, derivatives=True)
+    wire = integrate_wire(params, length, weight, anchor=0.0, derivatives=True)
     parts = np.concatenate([wire.d_x, wire.d_y, wire.d_theta, wire.d_curvature], axis=-1)
     out = np.zeros((params.shape[0], n, 4, 6))
     out[..., 2:] = interpolate(parts, np.linspace(0.0, 1.0, n)).reshape(-1, n, 4, 4)

@@ -1,4 +1,6 @@
-"""Wires with weight: against scipy's boundary value solver, differences and invariants."""
+"""Wires with weight, against scipy's boundary value solver, finite differences and invariants."""
+
+import dataclasses
 
 import numpy as np
 import pytest
@@ -7,12 +9,14 @@ from shapely import LineString, Point
 
 from planner.issues import TandemError
 from planner.processes.hotwire.plan.elastica import heavy
+from planner.processes.hotwire.plan.elastica.clamped import ClampedWires
 from tests.processes.hotwire.plan.elastica import weightless
 
 LENGTH = np.full(4, 0.56)
 START = np.tile([0.0, 0.0, 0.5], (4, 1))
 END = np.stack([np.linspace(0.36, 0.5, 4), np.full(4, 0.03), np.full(4, -0.4)], axis=1)
 WEIGHT = np.tile([3.0, -12.0], (4, 1))
+WIRES = ClampedWires(length=LENGTH, start=START, end=END, weight=WEIGHT)
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +26,7 @@ def light():
 
 @pytest.fixture(scope="module")
 def shapes(light):
-    return heavy.solve(LENGTH, START, END, WEIGHT, light.params)
+    return heavy.solve(WIRES, light.params)
 
 
 def test_solve_meets_its_clamps_and_scipys_solution(shapes):
@@ -47,21 +51,27 @@ def test_solve_meets_its_clamps_and_scipys_solution(shapes):
 def test_solve_says_where_there_is_no_equilibrium(light):
     end = END.copy()
     end[2, 0] = 0.7
+    wires = dataclasses.replace(WIRES, end=end)
     with pytest.raises(TandemError) as caught:
-        heavy.solve(LENGTH, START, end, WEIGHT, light.params)
+        heavy.solve(wires, light.params)
     assert [(i.code, i.index) for i in caught.value.issues] == [("wire.no_equilibrium", 2)]
-    partial = heavy.solve(LENGTH, START, end, WEIGHT, light.params, strict=False)
+    partial = heavy.solve(wires, light.params, strict=False)
     assert np.isnan(partial.points).any(axis=(1, 2)).tolist() == [False, False, True, False]
     assert partial.stable_in_plane.tolist() == [True, True, False, True]
-    assert partial.stable_out_of_plane(weightless.strip(9.0, 0.3)).tolist() == [True, True, False, True]
+    assert partial.stable_out_of_plane(weightless.strip_section(9.0, 0.3)).tolist() == [
+        True,
+        True,
+        False,
+        True,
+    ]
     assert np.isinf(heavy.end_sensitivity(partial).position).tolist() == [False, False, True, False]
-    sag, _ = heavy.sag_out_of_plane(partial, np.full(4, 2.0), weightless.strip(9.0, 0.3))
+    sag, _ = heavy.sag_out_of_plane(partial, np.full(4, 2.0), weightless.strip_section(9.0, 0.3))
     assert np.isinf(sag).tolist() == [False, False, True, False]
 
 
 def test_weightless_margins_agree_with_the_closed_forms_shape(light):
     plain = heavy.integrate(light.params, LENGTH, np.zeros((4, 2)))
-    section = weightless.strip(5.0, 0.3)
+    section = weightless.strip_section(5.0, 0.3)
     np.testing.assert_allclose(plain.margin_in_plane, light.margin_in_plane, atol=1e-8)
     np.testing.assert_allclose(
         plain.margin_out_of_plane(section), light.margin_out_of_plane(section), atol=1e-8
@@ -110,7 +120,7 @@ def test_margin_in_plane_is_the_second_difference_of_the_energy(shapes):
 
 def test_sliding_keeps_the_curve(shapes):
     slides = np.tile([-0.06, 0.0, 0.06], (4, 1))
-    start, end = heavy.extend(shapes, slides)
+    start, end = heavy.slide_ends(shapes, slides)
     np.testing.assert_allclose(start[:, 1], START, atol=1e-9)
     np.testing.assert_allclose(end[:, 1], END, atol=1e-9)
     moved = heavy.slide(shapes, np.full(4, 0.06))
@@ -119,7 +129,7 @@ def test_sliding_keeps_the_curve(shapes):
     s = np.tile(np.linspace(0.1, 0.4, 5), (4, 1))
     np.testing.assert_allclose(moved.at(s - 0.06)[..., :4], shapes.at(s)[..., :4], atol=1e-8)
     # the slid wire is what its own clamps and weight give
-    again = heavy.solve(LENGTH, moved.start, moved.end, WEIGHT, moved.params)
+    again = heavy.solve(dataclasses.replace(WIRES, start=moved.start, end=moved.end), moved.params)
     np.testing.assert_allclose(again.points, moved.points, atol=1e-8)
 
 
@@ -175,7 +185,8 @@ def test_end_sensitivity_is_the_difference_of_solved_wires(shapes):
             end[:, j - 3] += step
         else:
             length += step
-        gap = heavy.solve(length, start, end, WEIGHT, shapes.params).flow().at(got.sigma) - before
+        wires = ClampedWires(length=length, start=start, end=end, weight=WEIGHT)
+        gap = heavy.solve(wires, shapes.params).flow().at(got.sigma) - before
         across = np.cos(before[..., 2]) * gap[..., 1] - np.sin(before[..., 2]) * gap[..., 0]
         np.testing.assert_allclose(got.profile[..., j], across / step, atol=1e-4)
     assert (got.position >= np.abs(got.profile[..., [0, 1, 3, 4]]).max(axis=(1, 2))).all()
@@ -219,9 +230,11 @@ def test_weight_moves_s_shapes_by_centimetres_and_arcs_hardly():
         chord = np.sinc(turn / 2 / np.pi) * 0.6
         start, end = np.array([[0.0, 0.0, turn / 2]]), np.array([[chord, 0.0, -turn / 2]])
         arc = weightless.solve(length, start, end)
-        assert heavy.weight_deviation(heavy.solve(length, start, end, q, arc.params))[0] < 2.5e-4
+        wires = ClampedWires(length=length, start=start, end=end, weight=q)
+        assert heavy.weight_deviation(heavy.solve(wires, arc.params))[0] < 2.5e-4
     start, end = np.array([[0.0, 0.0, 0.6]]), np.array([[0.57, 0.0, 0.6]])
     s_shape = weightless.solve(length, start, end)
     assert s_shape.inflections[0] == 1
-    moved = heavy.weight_deviation(heavy.solve(length, start, end, q, s_shape.params))[0]
+    wires = ClampedWires(length=length, start=start, end=end, weight=q)
+    moved = heavy.weight_deviation(heavy.solve(wires, s_shape.params))[0]
     assert 5e-3 < moved < 28e-3

@@ -109,7 +109,7 @@ def test_a_round_wire_leaves_the_plane_where_a_strip_holds_it():
     assert shape.inflections == 2
     assert shape.stable_in_plane
     assert not shape.stable_out_of_plane(weightless.round(0.3))
-    assert shape.stable_out_of_plane(weightless.strip(10.0, 0.3))
+    assert shape.stable_out_of_plane(weightless.strip_section(10.0, 0.3))
 
 
 def test_batches_of_any_shape_and_failures_by_item():

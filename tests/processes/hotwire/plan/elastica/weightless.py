@@ -26,16 +26,25 @@ from planner.geometry.arrays import BoolArray, FloatArray
 from planner.issues import Issue, TandemError
 from planner.processes.hotwire.plan.elastica import clamped
 from planner.processes.hotwire.plan.elastica.clamped import (
-    Section,
+    StiffnessRatios,
     middle_state,
-    polish,
+    refine_state,
     round_section,
-    strip,
+    strip_section,
 )
-from planner.processes.hotwire.plan.elastica.equations import flow, nodes
+from planner.processes.hotwire.plan.elastica.equations import gauss_nodes, integrate_wire
 from planner.processes.hotwire.plan.elastica.fit import fit_curves
 
-__all__ = ["Section", "Shape", "fit", "from_params", "round", "round_section", "solve", "strip"]
+__all__ = [
+    "Shape",
+    "StiffnessRatios",
+    "fit",
+    "from_params",
+    "round",
+    "round_section",
+    "solve",
+    "strip_section",
+]
 
 round = round_section  # noqa: A001  the word of the trade: elastica.round(nu) beside elastica.strip(ratio, nu)
 
@@ -70,7 +79,7 @@ def elliptic_modulus(state: FloatArray) -> tuple[FloatArray, FloatArray, FloatAr
 
 
 def elliptic(state: FloatArray, length: FloatArray) -> BoolArray:
-    """Where the closed form is used; elsewhere the initial value problem."""
+    """Return where the closed form is used. Elsewhere the initial value problem is solved."""
     w, m2, _ = elliptic_modulus(state)
     near = (
         (np.abs(m2 - 1.0) < _NEAR_SEPARATRIX) | (m2 > _LARGEST_PARAMETER) | (w * length < 1e-3) | (m2 < 1e-12)
@@ -95,12 +104,12 @@ def evaluate(state: FloatArray, offset: FloatArray, reach: FloatArray) -> FloatA
     other = ~closed
     if other.any():
         span = 2.0 * reach[other]
-        wire = flow(state[other], span, np.zeros((span.size, 2)), anchor=0.5)
+        wire = integrate_wire(state[other], span, np.zeros((span.size, 2)), anchor=0.5)
         out[other] = wire.at(offset[other] / span[:, None] + 0.5)[..., :4]
     return out
 
 
-def _place(
+def _to_world(
     state: FloatArray,
     w: FloatArray,
     psi0: FloatArray,
@@ -127,7 +136,7 @@ def _inflected(
     psi = 2.0 * np.arcsin(np.clip(mc * sn, -1.0, 1.0))
     along = 2.0 / wc * (ellipeinc(am, m2c) - ellipeinc(am0, m2c)) - s
     across = 2.0 * mc / wc * (cn0 - cn)
-    return _place(state, w, psi0, along, across, psi, 2.0 * mc * wc * cn)
+    return _to_world(state, w, psi0, along, across, psi, 2.0 * mc * wc * cn)
 
 
 def _uninflected(
@@ -142,7 +151,7 @@ def _uninflected(
     _, _, dn0, am0 = ellipj(v0, n)
     along = s - 2.0 / (m * wc * n) * (m * wc * s - (ellipeinc(am, n) - ellipeinc(am0, n)))
     across = sign * 2.0 / (m * wc * n) * (dn0 - dn)
-    return _place(state, w, psi0, along, across, 2.0 * sign * am, sign * 2.0 * m * wc * dn)
+    return _to_world(state, w, psi0, along, across, 2.0 * sign * am, sign * 2.0 * m * wc * dn)
 
 
 def minimise(
@@ -152,9 +161,9 @@ def minimise(
     weight: FloatArray,
     amplitude: FloatArray,
     rounds: int = 60,
-    limit: float = clamped._MOST_ROTATION,
+    limit: float = clamped._MAX_ROTATION_STEP_RAD,
     tolerance: float = 1e-11,
-) -> clamped.Clamped:
+) -> clamped.ClampedSolution:
     """Local minima of the energy near the guessed amplitudes (B, j): by Newton with the form of in-plane
     stability made positive, which never comes to rest on a saddle by choice.
 
@@ -164,18 +173,18 @@ def minimise(
     batch, size = a.shape
     force = np.zeros((batch, 2))
     residual = np.full(batch, np.inf)
-    begin = clamped._terms(first, last, weight, a, force).chord
+    begin = clamped._lagrangian_terms(first, last, weight, a, force).chord
     active = np.arange(batch)
     for turn in range(rounds):
         i = active
         t = min(1.0, (turn + 1.0) / _HOMOTOPY_STEPS)
-        wanted = begin[i] + t * (chord[i] - begin[i])
-        terms = clamped._terms(first[i], last[i], weight[i], a[i], force[i])
-        miss = wanted - terms.chord
+        expected = begin[i] + t * (chord[i] - begin[i])
+        terms = clamped._lagrangian_terms(first[i], last[i], weight[i], a[i], force[i])
+        miss = expected - terms.chord
         error = np.maximum(np.abs(terms.gradient).max(axis=1), np.abs(miss).max(axis=1))
         if t == 1.0:
             residual[i] = error
-        projected, basis = clamped.project(terms.form, terms.normal)
+        projected, basis = clamped.project_form(terms.form, terms.normal)
         filled = projected + 2.0 * (np.swapaxes(basis, 1, 2) @ basis)
         lift = np.zeros(i.size)
         far = error > 1e-4  # near a solution its own margin decides, at the end
@@ -183,15 +192,15 @@ def minimise(
         lift[far] = np.where(lowest > 1e-5, 0.0, 0.03 - lowest)
         form = terms.form + lift[:, None, None] * np.eye(size)
         da, df = clamped._saddle_step(form, terms.normal, terms.gradient, miss)
-        moved = np.abs(da @ clamped._base(size).value.T).max(axis=1)
-        share = np.minimum(1.0, limit / np.maximum(moved, 1e-300))
-        a[i] += share[:, None] * da
-        force[i] += share[:, None] * df
+        moved = np.abs(da @ clamped._bump_basis(size).value.T).max(axis=1)
+        fraction = np.minimum(1.0, limit / np.maximum(moved, 1e-300))
+        a[i] += fraction[:, None] * da
+        force[i] += fraction[:, None] * df
         if t == 1.0:
             active = i[(error > tolerance) & np.isfinite(error) & (np.abs(force[i]).max(axis=1) < 1e6)]
             if active.size == 0:
                 break
-    return clamped._judge(first, last, chord, weight, a, force)
+    return clamped._make_solution(first, last, chord, weight, a, force)
 
 
 @dataclass(frozen=True)
@@ -237,14 +246,14 @@ class Shape:
     @property
     def energy(self) -> FloatArray:
         """1/2 int k^2 ds (...,) [1/m], by Gauss quadrature of the closed form."""
-        grid = nodes(_ENERGY_POINTS)
+        grid = gauss_nodes(_ENERGY_POINTS)
         k = self._sample(grid.sigma)[..., 3]
         out: FloatArray = 0.5 * self.length * (k**2 @ grid.weight)
         return out
 
     @property
     def inflections(self) -> FloatArray:
-        """Number of sign changes of the curvature inside the wire (...,), as floats; NaN where not ok."""
+        """Sign changes of the curvature inside the wire (...,), as floats; NaN if the shape is not ok."""
         k = self.curvature(401)
         floor = 1e-9 * np.max(np.abs(k), axis=-1, keepdims=True)
         sign = np.sign(np.where(np.abs(k) <= floor, 0.0, k))
@@ -256,28 +265,35 @@ class Shape:
     @property
     def margin_in_plane(self) -> FloatArray:
         """Stability margin in the plane (...,): 1 without force, 0 at buckling (see `stability`)."""
-        theta, _, force, length = self._quadrature()
-        return np.asarray(clamped.in_plane(theta, force, length).reshape(self.length.shape))
+        return np.asarray(clamped.in_plane_margin(self.quadrature_shape()).reshape(self.length.shape))
 
     @property
     def stable_in_plane(self) -> BoolArray:
         """Whether (...,) wires keep their shape in its plane."""
-        return self.ok & (np.nan_to_num(self.margin_in_plane, nan=-1.0) > clamped.STABLE)
+        return self.ok & (np.nan_to_num(self.margin_in_plane, nan=-1.0) > clamped.MIN_STABLE_MARGIN)
 
-    def margin_out_of_plane(self, section: Section) -> FloatArray:
+    def margin_out_of_plane(self, section: StiffnessRatios) -> FloatArray:
         """Stability margin against leaving the plane (...,) for a cross-section."""
-        theta, k, force, length = self._quadrature()
-        return np.asarray(clamped.out_of_plane(theta, k, force, length, section).reshape(self.length.shape))
+        margin = clamped.out_of_plane_margin(self.quadrature_shape(), section)
+        return np.asarray(margin.reshape(self.length.shape))
 
-    def stable_out_of_plane(self, section: Section) -> BoolArray:
+    def stable_out_of_plane(self, section: StiffnessRatios) -> BoolArray:
         """Whether (...,) wires of a ``section`` stay in their plane."""
-        return self.ok & (np.nan_to_num(self.margin_out_of_plane(section), nan=-1.0) > clamped.STABLE)
+        return self.ok & (
+            np.nan_to_num(self.margin_out_of_plane(section), nan=-1.0) > clamped.MIN_STABLE_MARGIN
+        )
 
-    def _quadrature(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        at = self._sample(clamped.quadrature()).reshape(-1, clamped.quadrature().size, 4)
+    def quadrature_shape(self) -> clamped.QuadratureShape:
+        """The shapes, over one leading axis, at the nodes at which stability is computed."""
+        at = self._sample(clamped.quadrature_nodes()).reshape(-1, clamped.quadrature_nodes().size, 4)
         at = np.nan_to_num(at)
         force = np.nan_to_num(self.middle.reshape(-1, 1, 6)[..., 4:])
-        return at[..., 2], at[..., 3], np.broadcast_to(force, (*at.shape[:2], 2)), self.length.reshape(-1)
+        return clamped.QuadratureShape(
+            theta=at[..., 2],
+            curvature=at[..., 3],
+            force=np.broadcast_to(force, (*at.shape[:2], 2)),
+            length=self.length.reshape(-1),
+        )
 
     def _sample(self, sigma: FloatArray) -> FloatArray:
         """x, y, theta, k (..., m, 4) at sigma (m,)."""
@@ -368,13 +384,12 @@ def _straight(a: FloatArray, b: FloatArray, chord: FloatArray, lengths: FloatArr
 
 
 def _starts(a: FloatArray, b: FloatArray, chord: FloatArray, kinds: int, modes: int) -> FloatArray:
-    """First guesses (B, g, modes): the arc, and arc + bumps of the first kinds with about the wanted
-    chord."""
+    """First guesses (B, g, modes): the arc, and arc + bumps of the first kinds with about that chord."""
     sizes = np.concatenate([np.geomspace(1e-6, 0.1, 11), np.linspace(0.2, 9.0, 36)])
     want = np.hypot(chord[:, 0], chord[:, 1])
     guesses = np.zeros((a.shape[0], 1 + 2 * kinds, modes))
     guesses[:, 0, 1] = 1e-3
-    grid = nodes(32)
+    grid = gauss_nodes(32)
     slot = 1
     for mode in range(kinds):
         for sign in (1.0, -1.0):
@@ -394,7 +409,7 @@ def _least_energy(
     a: FloatArray, b: FloatArray, chord: FloatArray, lengths: FloatArray, fine: bool = False
 ) -> FloatArray:
     """Middle states (B, 6) of the best stable solution of each; NaN rows where there is none."""
-    kinds, modes, rounds, limit = (4, FINE_MODES, 200, 0.2) if fine else (2, clamped.MODES, 60, 0.6)
+    kinds, modes, rounds, limit = (4, FINE_MODES, 200, 0.2) if fine else (2, clamped.CLAMPED_MODES, 60, 0.6)
     guesses = _starts(a, b, chord, kinds, modes)
     count = guesses.shape[1]
     first, last = np.repeat(a[:, 2], count), np.repeat(b[:, 2], count)
@@ -403,7 +418,7 @@ def _least_energy(
     found = minimise(first, last, chords, nothing, guesses.reshape(first.size, -1), rounds, limit)
     energy = 0.5 * np.sum(found.amplitude**2, axis=1)
     taut = np.hypot(found.force[:, 0], found.force[:, 1]) > _TAUTEST**2
-    energy[(found.residual > 1e-6) | (found.margin < clamped.STABLE) | taut] = np.inf
+    energy[(found.residual > 1e-6) | (found.margin < clamped.MIN_STABLE_MARGIN) | taut] = np.inf
     table = energy.reshape(-1, count)
     middle = np.full((a.shape[0], 6), np.nan)
     rows = np.arange(a.shape[0])
@@ -416,7 +431,7 @@ def _least_energy(
         span, zero = lengths[open_rows], np.zeros((open_rows.size, 2))
         from_, to = a[open_rows], b[open_rows]
         state = middle_state(from_, to, span, zero, found.amplitude[which], found.force[which])
-        state, miss = polish(state, from_, to, span, zero)
+        state, miss = refine_state(state, from_, to, span, zero)
         shape = Shape(lengths[open_rows], state, np.ones(open_rows.size, dtype=np.bool_))
         good = (miss < _ACCEPT) & shape.stable_in_plane
         middle[open_rows[good]] = state[good]

@@ -1,4 +1,4 @@
-"""Users' own foams: test cuts read, fitted, written, read back; every fault named."""
+"""User-defined foams: test cuts are read, fitted, written and read back, and every fault is named."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from planner.cli import preparation as kerf_commands
 from planner.issues import TandemError
 from planner.problem import Stock
 from planner.processes.hotwire.plan.kerf import calibration, width
-from planner.processes.hotwire.plan.kerf.test_cuts import Cuts, dissertation_tables
+from planner.processes.hotwire.plan.kerf.cut_measurements import CutMeasurements, dissertation_tables
 from planner.processes.hotwire.plan.kerf.width import TEST_WIRE
 from planner.reading import materials as material_file
 from planner.reading import stock
@@ -27,19 +27,19 @@ CHI, OFFSET = 1.05, 0.45e-3
 HEAT = 22.0 * 1450.0 * 260.0
 
 
-def cuts(noise: float = 0.0, seed: int = 8) -> Cuts:
+def cuts(noise: float = 0.0, seed: int = 8) -> CutMeasurements:
     power, speed = (v.ravel() for v in np.meshgrid([83.0, 97.0, 111.0], np.arange(5.0, 11.0) * 1e-3))
     error = np.random.default_rng(seed).normal(0.0, 1.0, len(power)) * noise
-    return Cuts(power, speed, CHI * power / (HEAT * speed) - OFFSET + error)
+    return CutMeasurements(power, speed, CHI * power / (HEAT * speed) - OFFSET + error)
 
 
-def none(some: Cuts) -> np.ndarray:
-    return np.zeros(len(some), bool)
+def no_faces(measured: CutMeasurements) -> np.ndarray:
+    return np.zeros(len(measured), bool)
 
 
-def fitted(some: Cuts, **faces: np.ndarray) -> calibration.FitReport:
-    masks = {name: faces.get(name, none(some)) for name in ("burnt", "dragging", "good")}
-    return calibration.robust(FOAM, some, masks["burnt"], masks["dragging"], masks["good"], 0.05, 0.0004)
+def fitted(measured: CutMeasurements, **faces: np.ndarray) -> calibration.FitReport:
+    masks = {name: faces.get(name, no_faces(measured)) for name in ("burnt", "dragging", "good")}
+    return calibration.fit_robust(FOAM, calibration.CutFile(measured, 0.05, **masks), 0.0004)
 
 
 def issues_of(text: str, tmp_path: Path, **given: float | None) -> list[tuple[str, int | None, str | None]]:
@@ -52,7 +52,7 @@ def issues_of(text: str, tmp_path: Path, **given: float | None) -> list[tuple[st
 
 
 def test_exact_cuts_give_their_line_back() -> None:
-    report = fitted(cuts(), good=~none(cuts()))
+    report = fitted(cuts(), good=~no_faces(cuts()))
     assert report.fit.chi == pytest.approx(CHI, rel=1e-9)
     assert report.fit.offset == pytest.approx(OFFSET, rel=1e-9)
     assert report.fit.spread < 1e-12
@@ -64,20 +64,20 @@ def test_three_wrong_readings_do_not_turn_the_line() -> None:
     some = cuts(0.05e-3)
     wrong = some.width.copy()
     wrong[[0, 9, 15]] += np.array([3e-3, -0.9e-3, 2e-3])
-    report = fitted(dataclasses.replace(some, width=wrong), good=~none(some))
+    report = fitted(dataclasses.replace(some, width=wrong), good=~no_faces(some))
     right = np.ones(18, bool)
     right[[0, 9, 15]] = False
-    wanted = calibration.least_squares(FOAM, some.only(right), 0.05, 0.0004)
-    assert report.fit.chi == pytest.approx(wanted.chi, rel=0.01)
-    assert report.fit.offset == pytest.approx(wanted.offset, abs=0.01e-3)
-    plain = calibration.least_squares(FOAM, dataclasses.replace(some, width=wrong), 0.05, 0.0004)
+    expected = calibration.fit_least_squares(FOAM, some.select(right), 0.05, 0.0004)
+    assert report.fit.chi == pytest.approx(expected.chi, rel=0.01)
+    assert report.fit.offset == pytest.approx(expected.offset, abs=0.01e-3)
+    plain = calibration.fit_least_squares(FOAM, dataclasses.replace(some, width=wrong), 0.05, 0.0004)
     assert report.fit.spread < 0.1 * plain.spread
 
 
 def test_the_interval_holds_nine_of_ten_new_cuts() -> None:
     inside = []
     for seed in range(60):
-        report = fitted(cuts(0.15e-3, seed), good=~none(cuts()))
+        report = fitted(cuts(0.15e-3, seed), good=~no_faces(cuts()))
         foam = dataclasses.replace(FOAM, kerf=report.fit)
         new = cuts(0.15e-3, seed + 1000)
         got = width.width(foam, TEST_WIRE, new.power_per_length * 0.43, new.speed, 0.05)
@@ -88,7 +88,7 @@ def test_the_interval_holds_nine_of_ten_new_cuts() -> None:
 def test_cuts_that_the_line_calls_too_hot_or_too_cold_are_left_out_unless_their_faces_are_good() -> None:
     power = np.full(10, 97.0)
     speed = np.array([2.0, 2.5, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 14.0, 18.0]) * 1e-3
-    some = Cuts(power, speed, CHI * power / (HEAT * speed) - OFFSET)
+    some = CutMeasurements(power, speed, CHI * power / (HEAT * speed) - OFFSET)
     some.width[:2] += 2e-3  # burnt wide
     some.width[-2:] = 0.6e-3  # dragged
     report = fitted(some)
@@ -96,7 +96,7 @@ def test_cuts_that_the_line_calls_too_hot_or_too_cold_are_left_out_unless_their_
     assert report.cold.tolist() == [False] * 8 + [True] * 2
     assert report.fit.chi == pytest.approx(CHI, rel=1e-6)
     assert report.kept.sum() == report.fit.count == 6
-    kept = fitted(some, good=~none(some))
+    kept = fitted(some, good=~no_faces(some))
     assert kept.fit.count == 10
 
 
@@ -110,11 +110,11 @@ def test_burnt_faces_tell_the_speed_below_which_the_foam_burns() -> None:
 
 
 def test_cuts_that_fit_no_line() -> None:
-    for some in (cuts().only(np.arange(18) < 3), cuts().only(np.arange(18) % 18 < 1)):
+    for some in (cuts().select(np.arange(18) < 3), cuts().select(np.arange(18) % 18 < 1)):
         with pytest.raises(TandemError) as caught:
             fitted(some)
         assert [i.code for i in caught.value.issues] == ["kerf.few_cuts"]
-    same = Cuts(np.full(6, 97.0), np.full(6, 6e-3), np.full(6, 1.6e-3))
+    same = CutMeasurements(np.full(6, 97.0), np.full(6, 6e-3), np.full(6, 1.6e-3))
     with pytest.raises(TandemError) as caught:
         fitted(same)
     assert [i.code for i in caught.value.issues] == ["kerf.few_cuts"]
@@ -225,7 +225,7 @@ def test_a_foam_file_without_cuts_serves_the_general_model(tmp_path: Path) -> No
 )
 def test_faults_of_foam_files(change: tuple[str, str], line: int, field: str, tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
-    report = fitted(cuts(0.1e-3), good=~none(cuts()))
+    report = fitted(cuts(0.1e-3), good=~no_faces(cuts()))
     material_file.write_foam(path, dataclasses.replace(FOAM, kerf=report.fit), "x")
     text = path.read_text()
     assert change[0] in text
@@ -283,19 +283,19 @@ def test_the_command_fits_a_foam_and_answers(tmp_path: Path) -> None:
 
 
 def test_speed_and_power_at_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
-    kerf_commands.run_kerf(kerf_commands.Speed("eps_af", power_w=47.5, kerf_mm=1.5))
+    kerf_commands.run_kerf(kerf_commands.KerfSpeed("eps_af", power_w=47.5, kerf_mm=1.5))
     speed = float(width.speed_for("eps_af", TEST_WIRE, 47.5, 1.5e-3, 0.05)) * 1e3
     assert f"at 47.5 W and {speed:.2f} mm/s" in capsys.readouterr().out
-    kerf_commands.run_kerf(kerf_commands.Power("eps_af", speed_mm_s=4.0, kerf_mm=2.0, thickness_mm=200.0))
+    kerf_commands.run_kerf(kerf_commands.KerfPower("eps_af", speed_mm_s=4.0, kerf_mm=2.0, thickness_mm=200.0))
     shown = capsys.readouterr().out
     assert "kerf 2.00 mm" in shown
-    assert "mind: too hot" in shown
-    assert "mind: the foam is thicker" in shown
+    assert "note: too hot" in shown
+    assert "note: the foam is thicker" in shown
     with pytest.raises(TandemError) as caught:
-        kerf_commands.run_kerf(kerf_commands.Fit(Path("t.csv"), density_kg_m3=-1.0))
+        kerf_commands.run_kerf(kerf_commands.FoamFit(Path("t.csv"), density_kg_m3=-1.0))
     assert caught.value.issues[0].code == "kerf.foam_file"
     with pytest.raises(TandemError) as caught:
-        kerf_commands.run_kerf(kerf_commands.Fit(Path("t.csv"), density_kg_m3=14.0, thickness_mm=0.0))
+        kerf_commands.run_kerf(kerf_commands.FoamFit(Path("t.csv"), density_kg_m3=14.0, thickness_mm=0.0))
     assert caught.value.issues[0].code == "kerf.input"
 
 
@@ -305,7 +305,7 @@ def test_a_block_of_a_foam_of_ones_own(tmp_path: Path) -> None:
 
     def block(name: str) -> Stock:
         spec = stock.StockFile.model_validate({"size_mm": (100, 100, 100), "foam": {"file": name}})
-        return stock.stock(spec, tmp_path)
+        return stock.build_stock(spec, tmp_path)
 
     assert block("mine.yaml").mass == pytest.approx(0.0185)
     for name, code in (("nowhere.yaml", "problem.missing_file"), ("wrong.yaml", "kerf.foam_file")):

@@ -10,12 +10,12 @@ from bench import kerf_bench
 from planner.catalogue import materials
 from planner.issues import TandemError
 from planner.processes.hotwire.plan import wire
-from planner.processes.hotwire.plan.kerf import models, test_cuts
+from planner.processes.hotwire.plan.kerf import cut_measurements, models
 from planner.processes.hotwire.plan.kerf import width as kerf_width
-from planner.processes.hotwire.plan.kerf.models import most_power
+from planner.processes.hotwire.plan.kerf.models import max_power
 from planner.processes.hotwire.plan.kerf.width import TEST_WIRE, HotWire, KerfFlag
 
-TABLES = test_cuts.dissertation_tables()
+TABLES = cut_measurements.dissertation_tables()
 FOAMS = sorted(TABLES)
 MODELS = ["energy", "general", "measured", "dissertation"]
 LINES = ["energy", "general", "dissertation"]
@@ -74,7 +74,7 @@ def test_the_built_in_fits_are_those_of_the_tables(foam: str) -> None:
     leverage = new @ np.linalg.inv(columns.T @ columns) @ new
     spread = np.sqrt(residual @ residual / (len(ideal) - 2))
     half = stats.t.ppf(0.95, len(ideal) - 2) * spread * np.sqrt(1.0 + leverage)
-    assert models.margin(data.kerf, np.array(2e-3)) * 1e3 == pytest.approx(half, rel=1e-3)
+    assert models.interval_half_width(data.kerf, np.array(2e-3)) * 1e3 == pytest.approx(half, rel=1e-3)
 
 
 def test_the_valid_cells_are_86_and_lost_ones_are_never_used() -> None:
@@ -97,7 +97,7 @@ def test_errors_in_cells_that_were_left_out() -> None:
 def test_the_general_constants_are_a_plain_least_squares_fit() -> None:
     rows, widths = [], []
     for name, table in TABLES.items():
-        foam, cuts = materials.foam(name), table.cuts.only(table.valid)
+        foam, cuts = materials.foam(name), table.cuts.select(table.valid)
         per_speed = 1.0 / (foam.density * foam.specific_heat * 260.0 * cuts.speed)
         rows.append(
             np.stack([cuts.power_per_length * per_speed, -foam.conductivity * 260.0 * per_speed], axis=1)
@@ -105,13 +105,13 @@ def test_the_general_constants_are_a_plain_least_squares_fit() -> None:
         widths.append(cuts.width)
     stacked = np.concatenate(rows)
     chi, product = np.linalg.solve(stacked.T @ stacked, stacked.T @ np.concatenate(widths))
-    found = models.constants()
+    found = models.general_constants()
     assert (found.chi, found.chi_lambda) == (pytest.approx(chi), pytest.approx(product))
 
 
 def test_the_measured_model_is_the_energy_balance_with_a_conditioned_residual() -> None:
     table, prior = TABLES["eps_af"], models.prior()
-    cuts = table.cuts.only(table.valid)
+    cuts = table.cuts.select(table.valid)
     law = kerf_width.width("eps_af", TEST_WIRE, table.power[table.valid], cuts.speed, 0.05).width
     old = np.stack([np.log(cuts.power_per_length), np.log(cuts.speed)], axis=1)
     new = np.array([np.log(45.0 / 0.43), np.log(6.3e-3)])
@@ -134,16 +134,16 @@ def test_the_measured_model_is_the_energy_balance_with_a_conditioned_residual() 
 @pytest.mark.parametrize("model", LINES)
 @pytest.mark.parametrize("foam", FOAMS)
 def test_backward_is_the_inverse_of_forward(foam: str, model: kerf_width.Model) -> None:
-    wanted = rng.uniform(0.7e-3, 4e-3, (7, 1))
+    expected = rng.uniform(0.7e-3, 4e-3, (7, 1))
     power, speed = rng.uniform(30.0, 60.0, 5), rng.uniform(2e-3, 12e-3, 5)
-    found = kerf_width.speed_for(foam, TEST_WIRE, power, wanted, 0.05, model)
+    found = kerf_width.speed_for(foam, TEST_WIRE, power, expected, 0.05, model)
     assert found.shape == (7, 5)
     assert kerf_width.width(foam, TEST_WIRE, power, found, 0.05, model).width == pytest.approx(
-        np.broadcast_to(wanted, (7, 5)), rel=1e-9
+        np.broadcast_to(expected, (7, 5)), rel=1e-9
     )
-    needed = kerf_width.power_for(foam, TEST_WIRE, speed, wanted, 0.05, model)
+    needed = kerf_width.power_for(foam, TEST_WIRE, speed, expected, 0.05, model)
     assert kerf_width.width(foam, TEST_WIRE, needed, speed, 0.05, model).width == pytest.approx(
-        np.broadcast_to(wanted, (7, 5)), rel=1e-9
+        np.broadcast_to(expected, (7, 5)), rel=1e-9
     )
 
 
@@ -194,8 +194,8 @@ def test_a_thicker_wire_is_flagged_and_no_kerf_is_below_it() -> None:
     got = kerf_width.width("eps_a120", HotWire(0.001, 0.43), 36.0, 10e-3, 0.05)
     assert int(got.flag) & KerfFlag.OTHER_WIRE
     assert float(got.width) == float(got.low) == 0.001
-    made = wire.make("kanthal_d", diameter_mm=0.4, temperature_c=300.0)
-    assert HotWire.of(made, 0.43) == TEST_WIRE
+    made = wire.make_wire("kanthal_d", diameter_mm=0.4, temperature_c=300.0)
+    assert HotWire.from_wire(made, 0.43) == TEST_WIRE
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -229,14 +229,14 @@ def test_a_curve_of_absurd_power_ends() -> None:
 
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf])
-@pytest.mark.parametrize("place", [0, 1, 2])
-def test_what_is_not_a_positive_number_is_refused(bad: float, place: int) -> None:
+@pytest.mark.parametrize("index", [0, 1, 2])
+def test_what_is_not_a_positive_number_is_refused(bad: float, index: int) -> None:
     given = [45.0, 5e-3, 0.05]
-    given[place] = bad
+    given[index] = bad
     with pytest.raises(TandemError) as caught:
         kerf_width.width("xps_30", TEST_WIRE, *given)
     assert codes(caught) == ["kerf.input"]
-    assert caught.value.issues[0].field == ("power_w", "speed_m_s", "thickness_m")[place]
+    assert caught.value.issues[0].field == ("power_w", "speed_m_s", "thickness_m")[index]
     with pytest.raises(TandemError):
         HotWire(bad, 0.4)
 
@@ -266,9 +266,9 @@ def test_foams_and_models_without_data_are_named() -> None:
 
 
 def test_kerfs_that_cannot_be_are_refused_with_a_remedy() -> None:
-    for wanted in (0.3e-3, [1e-3, 0.4e-3]):
+    for expected in (0.3e-3, [1e-3, 0.4e-3]):
         with pytest.raises(TandemError) as caught:
-            kerf_width.speed_for("xps_30", TEST_WIRE, 45.0, wanted, 0.05)
+            kerf_width.speed_for("xps_30", TEST_WIRE, 45.0, expected, 0.05)
         assert codes(caught) == ["kerf.impossible"]
         assert caught.value.issues[0].hint
     with pytest.raises(TandemError) as caught:  # the foam takes more heat away than 5 W give
@@ -281,8 +281,8 @@ def test_kerfs_that_cannot_be_are_refused_with_a_remedy() -> None:
 
 def test_a_power_that_melts_the_wire_is_refused_with_the_range_of_the_tests() -> None:
     """The limit against the heat balance of a wire in air, solved for its temperature by scipy."""
-    most = most_power(TEST_WIRE)
-    air = float(test_cuts.air_table()["conductivity"].max())
+    most = max_power(TEST_WIRE)
+    air = float(cut_measurements.air_table()["conductivity"].max())
 
     def surplus(hot: float) -> float:
         around = np.pi * TEST_WIRE.diameter * 0.7 * 5.670374419e-8 * (hot**4 - 293.15**4)

@@ -1,4 +1,4 @@
-"""What a straight wire cannot do is named, with the remedy."""
+"""Jobs that a straight wire cannot do are reported with a remedy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import shapely
 from pydantic import ValidationError
 
 from planner.catalogue.materials import foams
-from planner.geometry.arrays import Ruled
+from planner.geometry.arrays import RuledSurface
 from planner.issues import Issue, Severity, TandemError
 from planner.problem import Part, Setup, Stock
 from planner.processes.hotwire.plan.operation import Straight
@@ -181,7 +181,9 @@ def test_power_needs_a_foam() -> None:
 def held(plate: float) -> tuple[Part, Setup]:
     a = np.deg2rad(np.arange(0, 360, 60))
     low = np.column_stack([0.07 * np.cos(a), 0.07 * np.sin(a), np.zeros(6)])
-    part = Part(ruled=(Ruled("sides", low, low + np.array([0, 0, 0.1]), np.ones(6, dtype=np.bool_), True),))
+    part = Part(
+        ruled=(RuledSurface("sides", low, low + np.array([0, 0, 0.1]), np.ones(6, dtype=np.bool_), True),)
+    )
     block: Stock = blocks.stock((0.2, 0.2, 0.1), held_by="right", foam=XPS)
     return part, blocks.setup(block, plate=plate)
 
@@ -209,12 +211,12 @@ def test_a_gripper_beside_the_part_would_let_it_fall() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"kerf_mm": None, "power_w": None}, "give kerf_mm"),
-        ({"power_w": 30}, "one of them"),
+        ({"kerf_mm": None, "power_w": None}, "give either kerf_mm"),
+        ({"power_w": 30}, "either kerf_mm"),
         ({"kerf_range_mm": [3, 1]}, "lower < upper"),
         ({"cuts": [{"trim": ["left"]}, {"trim": ["left"]}]}, "cut once"),
         ({"cuts": [{"trim": ["left", "left"]}]}, "each side is cut once"),
-        ({"cuts": [{"trim": ["left"], "along": "x"}]}, "across the side"),
+        ({"cuts": [{"trim": ["left"], "along": "x"}]}, "normal to the side"),
         ({"feed_mm_s": 2}, "must not exceed"),
         ({"arms": ["left", "left"]}, "two different arms"),
     ],
@@ -226,7 +228,7 @@ def test_contradictions_in_the_file_are_refused(change: dict[str, object], words
 
 
 @pytest.mark.parametrize(
-    ("order", "spacers", "told"),
+    ("order", "spacers", "reported"),
     [
         (["bottom", "left"], False, True),
         (["bottom", "left"], True, False),
@@ -234,12 +236,12 @@ def test_contradictions_in_the_file_are_refused(change: dict[str, object], words
     ],
 )
 def test_a_block_that_drops_by_a_slot_before_it_is_cut_on_is_told(
-    order: list[str], spacers: bool, told: bool
+    order: list[str], spacers: bool, reported: bool
 ) -> None:
     block = blocks.stock((0.2, 0.2, 0.1), oversize=np.array([[0.01, 0.0, 0.01], [0.0, 0.0, 0.0]]))
     found = issues(None, blocks.setup(block), cuts=[{"trim": order}], spacers=spacers)
-    assert ("straight.drop" in found) == told
-    if told:
+    assert ("straight.drop" in found) == reported
+    if reported:
         assert found["straight.drop"].severity is Severity.WARNING
         assert found["straight.drop"].value == pytest.approx(1.5)
         assert "trim_left" in found["straight.drop"].message

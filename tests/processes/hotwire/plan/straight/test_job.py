@@ -11,14 +11,14 @@ from planner.catalogue.materials import foams
 from planner.claims.claim import ContactOnlyIn, FeedWindow, HoldsStock
 from planner.claims.dialogue import OperatorDialogue
 from planner.claims.segments import Segment
-from planner.geometry.arrays import Ruled, Shape, exp_twist, from_rpy, interpolate, inverse, transform
+from planner.geometry.arrays import RuledSurface, Shape, exp_twist, from_rpy, interpolate, inverse, transform
 from planner.issues import Severity
 from planner.problem import Part, Stock
 from planner.processes.hotwire.claims import CutsSurface, FollowsRulings, KerfWithin, StraightWire
 from planner.processes.hotwire.plan.straight import job
 from planner.processes.hotwire.plan.straight.job import StraightJob
 from planner.processes.hotwire.plan.straight.order import distance_to_polyline
-from planner.targets import FEED_SHARE, ScrewFreedom, Targets
+from planner.targets import FEED_FRACTION, ScrewFreedom, Targets
 from tests.processes.hotwire.plan import foam_blocks as blocks
 
 HALF = 0.00075
@@ -27,19 +27,19 @@ WAVE_X = np.linspace(-0.16, 0.16, 161)
 WAVE = blocks.prism("wave", np.column_stack([WAVE_X, 0.05 + 0.02 * np.cos(15 * WAVE_X)]), corner=False)
 
 
-def ring(name: str, radius: float, x: float, z: float, hole: bool = False) -> Ruled:
+def ring(name: str, radius: float, x: float, z: float, hole: bool = False) -> RuledSurface:
     a = np.linspace(0.0, 2.0 * np.pi, 361)[:-1] * (1.0 if hole else -1.0)
     points = np.column_stack([x + radius * np.cos(a), z + radius * np.sin(a)])
     return blocks.prism(name, points, corner=False, closed=True, hole=hole)
 
 
-def square(name: str, x: float, z: float, side: float) -> Ruled:
+def square(name: str, x: float, z: float, side: float) -> RuledSurface:
     h = 0.5 * side
     points = [(x - h, z - h), (x - h, z + h), (x + h, z + h), (x + h, z - h)]
     return blocks.prism(name, points, closed=True)
 
 
-def make(*ruled: Ruled, block: Stock | None = None, **more: object) -> Targets:
+def make(*ruled: RuledSurface, block: Stock | None = None, **more: object) -> Targets:
     return job.StraightJob(blocks.operation(**more), blocks.setup(block), blocks.part(*ruled)).targets()
 
 
@@ -67,8 +67,8 @@ def test_an_open_strip_is_cut_half_a_kerf_outside_from_air_to_air() -> None:
     assert labels == ["approach", "cut/wave_in", "cut/wave", "cut/wave_out", "retreat"]
     pose = targets.pose["left"][rows(targets, "cut/wave")]
     np.testing.assert_allclose(pose[:, :3, 0], np.tile([0.0, 1.0, 0.0], (len(pose), 1)), atol=1e-12)
-    off = distance_to_polyline(pose[:, :3, 3] * [1, 0, 1], WAVE.start * [1, 0, 1])
-    np.testing.assert_allclose(off, HALF, atol=2e-6)
+    deviation = distance_to_polyline(pose[:, :3, 3] * [1, 0, 1], WAVE.start * [1, 0, 1])
+    np.testing.assert_allclose(deviation, HALF, atol=2e-6)
     air = np.flatnonzero([s.kind != "cut" for s in targets.segment])
     assert box_gap(targets, air, blocks.stock().box).min() > 0.0199
     # it stops in the air alone, and keeps to its steps
@@ -79,7 +79,7 @@ def test_an_open_strip_is_cut_half_a_kerf_outside_from_air_to_air() -> None:
 
 
 def test_travel_is_the_way_of_the_fastest_point_in_the_foam() -> None:
-    fan = Ruled(
+    fan = RuledSurface(
         "fan",
         np.column_stack([np.linspace(-0.02, 0.02, 9), np.full(9, -0.1), np.full(9, 0.05)]),
         np.column_stack([np.linspace(-0.06, 0.06, 9), np.full(9, 0.1), np.full(9, 0.05)]),
@@ -89,9 +89,9 @@ def test_travel_is_the_way_of_the_fastest_point_in_the_foam() -> None:
     pose = targets.pose["left"]
     on = rows(targets, "cut/fan")[3:-3]
     wide = pose[:, :3, 3] + ((0.1 - pose[:, 1, 3]) / pose[:, 1, 0])[:, None] * pose[:, :3, 0]
-    way = np.linalg.norm(np.diff(wide, axis=0), axis=1)[on - 1]
-    np.testing.assert_allclose(targets.travel[on], way, rtol=0.06)  # across the wire, which leans
-    assert (targets.travel[on] <= way * 1.01).all()
+    path_length = np.linalg.norm(np.diff(wide, axis=0), axis=1)[on - 1]
+    np.testing.assert_allclose(targets.travel[on], path_length, rtol=0.06)  # across the wire, which leans
+    assert (targets.travel[on] <= path_length * 1.01).all()
 
 
 def test_the_slide_is_what_the_wire_leaves_beyond_foam_and_margins() -> None:
@@ -100,19 +100,19 @@ def test_the_slide_is_what_the_wire_leaves_beyond_foam_and_margins() -> None:
     assert isinstance(spin, ScrewFreedom)
     assert spin.periodic
     np.testing.assert_allclose(slide.upper, 0.5 * (SPAN - 0.2 - 2 * 0.02), atol=1e-12)
-    values = targets.neutral()
+    values = targets.neutral_values()
     values[:, 1] = slide.upper
     ends = wires(targets, targets.poses(values)["left"])
     on = rows(targets, "cut/wave")
     assert ends[0][on, 1].max() == pytest.approx(-0.12)
     values[:, 0] = 1.0
-    turned = wires(targets, targets.poses(values)["left"])
-    np.testing.assert_allclose(turned[1], ends[1], atol=1e-12)
+    rotated = wires(targets, targets.poses(values)["left"])
+    np.testing.assert_allclose(rotated[1], ends[1], atol=1e-12)
 
 
 def test_frames_turn_no_more_than_the_wire_does() -> None:
     y = np.linspace(-0.13, 0.13, 60)
-    twisted = Ruled(
+    twisted = RuledSurface(
         "hypar",
         np.column_stack([y, np.full(60, -0.1), 0.05 - 0.15 * y]),
         np.column_stack([y, np.full(60, 0.1), 0.05 + 0.15 * y]),
@@ -128,7 +128,7 @@ def test_frames_turn_no_more_than_the_wire_does() -> None:
 
 def test_between_targets_the_wire_stays_on_a_hyperbolic_paraboloid() -> None:
     y = np.linspace(-0.13, 0.13, 60)
-    hypar = Ruled(
+    hypar = RuledSurface(
         "hypar",
         np.column_stack([y, np.full(60, -0.1), 0.05 - 0.15 * y]),
         np.column_stack([y, np.full(60, 0.1), 0.05 + 0.15 * y]),
@@ -247,11 +247,11 @@ def test_back_through_the_slot_the_wire_turns_just_outside_and_stops_there() -> 
 def test_spacers_are_asked_for_with_the_power_off_where_the_upper_piece_would_drop() -> None:
     targets = make(WAVE, spacers=True, feed_mm_s=5)
     last = int(rows(targets, "cut/wave_out")[-1])
-    at = [action for action in targets.actions if action.at == last]
+    at = [action for action in targets.actions if action.target == last]
     assert [a.kind for a in at] == ["off", "wait", "message", "confirm", "on", "wait"]
     assert "1.5 mm" in at[2].text
     upright = make(square("sq", 0.0, 0.05, 0.05), spacers=True)
-    assert {a.at for a in upright.actions} == {0, upright.count - 1}
+    assert {a.target for a in upright.actions} == {0, upright.count - 1}
 
 
 def held(grip: np.ndarray, **more: object) -> Targets:
@@ -259,7 +259,7 @@ def held(grip: np.ndarray, **more: object) -> Targets:
     a = np.deg2rad(np.arange(0, 360, 60))
     low = np.column_stack([0.09 * np.cos(a), 0.09 * np.sin(a), np.zeros(6)])
     high = low * 0.9 + [0.0, 0.0, 0.1]
-    part = Part(ruled=(Ruled("sides", low, high, np.ones(6, dtype=np.bool_), True),))
+    part = Part(ruled=(RuledSurface("sides", low, high, np.ones(6, dtype=np.bool_), True),))
     return job.StraightJob(
         blocks.operation(arms=["left", "right"], **more), blocks.setup(block, plate=0.03), part
     ).targets()
@@ -273,7 +273,7 @@ def test_a_held_block_is_moved_about_its_middle_and_the_bow_keeps_to_it() -> Non
     assert names == [
         "spin", "slide", "block_x", "block_y", "block_z", "block_tilt_x", "block_tilt_y", "block_turn",
     ]  # fmt: skip
-    values = targets.neutral()
+    values = targets.neutral_values()
     at_rest = targets.poses(values)["right"]
     np.testing.assert_allclose(at_rest @ grip, np.tile(np.eye(4), (targets.count, 1, 1)), atol=1e-12)
     values[:, 2:] = [0.1, -0.05, 0.02, 0.3, -0.2, 1.0]
@@ -285,16 +285,16 @@ def test_a_held_block_is_moved_about_its_middle_and_the_bow_keeps_to_it() -> Non
         exp_twist(np.array(t)) for t in ([0.3, 0, 0, 0, 0, 0], [0, -0.2, 0, 0, 0, 0], [0, 0, 1.0, 0, 0, 0])
     ]
     np.testing.assert_allclose(block[0, :3, :3], (turns[0] @ turns[1] @ turns[2])[:3, :3], atol=1e-12)
-    np.testing.assert_array_equal(moved["left"], targets.poses(targets.neutral())["left"])
+    np.testing.assert_array_equal(moved["left"], targets.poses(targets.neutral_values())["left"])
     on = rows(targets, "cut/sides")
     in_stock = inverse(grip) @ targets.pose["left"][on]
     # a side's plane is half a kerf nearer to the axis than the wire: 0.9 of the radius at the top
-    lean = np.arctan2(0.1 * 0.09 * np.cos(np.pi / 6), 0.1)
+    tilt = np.arctan2(0.1 * 0.09 * np.cos(np.pi / 6), 0.1)
     foot = in_stock[:, :3, 3]
     sector = np.deg2rad(30 + 60 * np.arange(6))
     planes = foot[:, :1] * np.cos(sector) + foot[:, 1:2] * np.sin(sector)
     apothem = 0.09 * np.cos(np.pi / 6) * (1 - foot[:, 2])
-    gap = (planes.max(axis=1) - apothem) * np.cos(lean)
+    gap = (planes.max(axis=1) - apothem) * np.cos(tilt)
     assert gap.min() > HALF - 1e-6
     assert np.median(gap) == pytest.approx(HALF, abs=1e-6)
 
@@ -302,10 +302,10 @@ def test_a_held_block_is_moved_about_its_middle_and_the_bow_keeps_to_it() -> Non
 def test_a_holder_that_only_turns_does_so_about_its_own_axis() -> None:
     targets = held(from_rpy((0.01, 0.0, 0.0), (0.0, 0.0, 0.0)), holder="turn")
     assert [f.name for f in targets.freedoms] == ["spin", "slide", "block_turn"]
-    values = targets.neutral()
+    values = targets.neutral_values()
     values[:, 2] = 1.0
-    still, turned = targets.poses(targets.neutral())["right"], targets.poses(values)["right"]
-    np.testing.assert_allclose(turned[:, :3, 3], still[:, :3, 3], atol=1e-12)
+    still, rotated = targets.poses(targets.neutral_values())["right"], targets.poses(values)["right"]
+    np.testing.assert_allclose(rotated[:, :3, 3], still[:, :3, 3], atol=1e-12)
 
 
 def test_claims_come_from_the_problem_alone() -> None:
@@ -338,16 +338,16 @@ def test_claims_come_from_the_problem_alone() -> None:
     assert [str(f.segment) for f in feeds] == ["cut/sq", "cut/sq_in", "cut/sq_out"]
     assert holds.mass == pytest.approx(0.004 * 30, rel=0.2)
     np.testing.assert_allclose(holds.cog, [0.0, 0.0, 0.05])
-    made = job.StraightJob(dataclasses.replace(setup, stock=block) and op, setup, part).targets()
-    assert len(made.claims) == len(claims)
+    targets = job.StraightJob(dataclasses.replace(setup, stock=block) and op, setup, part).targets()
+    assert len(targets.claims) == len(claims)
 
 
 def test_the_operator_is_told_of_the_wire_and_its_heat() -> None:
     targets = make(WAVE, wire_material="NiCr")
-    first = [a for a in targets.actions if a.at == 0]
+    first = [a for a in targets.actions if a.target == 0]
     assert [a.kind for a in first] == ["message", "confirm", "on", "wait"]
     assert first[0].text == "Wire 0.4 mm NiCr, heat for a slot of 1.5 mm"
-    last = [a for a in targets.actions if a.at == targets.count - 1]
+    last = [a for a in targets.actions if a.target == targets.count - 1]
     assert [a.kind for a in last] == ["off", "wait", "confirm"]
 
 
@@ -385,7 +385,7 @@ def test_a_cut_may_have_a_feed_of_its_own() -> None:
     kerf = next(c.kerf for c in targets.claims if isinstance(c, CutsSurface))
     first, second = (wires(targets)[0][rows(targets, f"cut/{n}")] for n in ("one", "two"))
     wide = [np.ptp(side[:, 0]) - 0.06 for side in (first, second)]
-    np.testing.assert_allclose(wide, kerf.at(FEED_SHARE * np.array([0.002, 0.006])), atol=2e-5)
+    np.testing.assert_allclose(wide, kerf.at(FEED_FRACTION * np.array([0.002, 0.006])), atol=2e-5)
     with pytest.raises(ValueError, match="feed_min"):
         blocks.operation(cuts=cuts, feed_min_mm_s=3)
 

@@ -1,4 +1,4 @@
-"""Wires beside ruled surfaces, against closed forms: cylinder, cone, hyperboloid, prism, tapered wing."""
+"""Wire offsets of ruled surfaces, against closed forms: cylinder, cone, hyperboloid, prism, tapered wing."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ import pytest
 import shapely
 from scipy.optimize import brentq
 
-from planner.geometry.arrays import Ruled
+from planner.geometry.arrays import RuledSurface
 from planner.geometry.rulings import resample
 from planner.processes.hotwire.claims import KerfCurve
-from planner.processes.hotwire.plan.straight.offset import Beside, beside, end_speeds, make_row
+from planner.processes.hotwire.plan.straight.offset import WireOffset, end_speeds, make_row, wire_offset
 from planner.processes.hotwire.plan.straight.order import (
-    Lines,
-    chord,
+    WireLines,
+    box_chord,
     distance_to_polyline,
-    exit_length,
-    fastest,
-    grown,
-    move_across,
+    enlarged_box,
+    exit_distance,
+    fastest_move,
+    transverse_move,
 )
 from tests.processes.hotwire.plan import foam_blocks as blocks
 
@@ -26,39 +26,41 @@ BOX = np.array([[-0.3, -0.1, -0.3], [0.3, 0.1, 0.3]])
 EVEN = KerfCurve.constant(0.0015)
 SPEEDS = np.linspace(1e-3, 0.02, 2000)
 BALANCE = KerfCurve(SPEEDS, *(1e-5 / SPEEDS,) * 3)
-"""A slot that takes the same heat at every speed: 2 mm at 5 mm/s."""
+"""A kerf with the same heat at every speed: 2 mm at 5 mm/s."""
 FEED = 0.008
 
 
-def turned(r0: float, r1: float, twist: float = 0.0, hole: bool = False, count: int = 720) -> Ruled:
+def surface_of_revolution(
+    r0: float, r1: float, twist: float = 0.0, hole: bool = False, count: int = 720
+) -> RuledSurface:
     """A surface of revolution about y between circles of two radii; ``twist`` [rad] makes a hyperboloid."""
     a = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False) * (1.0 if hole else -1.0)
     start = np.column_stack([r0 * np.cos(a), np.full(count, -0.1), r0 * np.sin(a)])
     end = np.column_stack([r1 * np.cos(a + twist), np.full(count, 0.1), r1 * np.sin(a + twist)])
-    return Ruled("turned", start, end, np.zeros(count, dtype=np.bool_), True, hole)
+    return RuledSurface("turned", start, end, np.zeros(count, dtype=np.bool_), True, hole)
 
 
-def line_distance(lines: Lines, point: np.ndarray) -> np.ndarray:
+def line_distance(lines: WireLines, point: np.ndarray) -> np.ndarray:
     """Distances of lines to one point, with cross products."""
     return np.linalg.norm(np.cross(lines.direction, point - lines.start), axis=1)
 
 
 @pytest.mark.parametrize(("hole", "radius"), [(False, 0.05075), (True, 0.04925)])
 def test_a_cylinder_gets_half_a_kerf_more_and_a_hole_less(hole: bool, radius: float) -> None:
-    made = beside(make_row(turned(0.05, 0.05, hole=hole)), EVEN, FEED, BOX)
+    made = wire_offset(make_row(surface_of_revolution(0.05, 0.05, hole=hole)), EVEN, FEED, BOX)
     for ends in (made.lines.start, made.lines.end):
         np.testing.assert_allclose(np.hypot(ends[:, 0], ends[:, 2]), radius, atol=1e-9)
 
 
 def test_a_cone_has_the_kerf_of_each_ends_own_speed() -> None:
-    made = beside(make_row(turned(0.06, 0.03)), BALANCE, FEED, BOX)
+    made = wire_offset(make_row(surface_of_revolution(0.06, 0.03)), BALANCE, FEED, BOX)
     # meridian section: the wire's line has the slope of the cone plus that of the half kerfs
-    lean = np.arctan2(0.03, 0.2)
+    tilt = np.arctan2(0.03, 0.2)
     wide = 0.5 * BALANCE.at(np.array(FEED))
 
     def narrow(ratio: float) -> float:
         half = 0.5 * BALANCE.at(np.array(FEED * ratio))
-        return (0.03 + half * np.cos(lean)) / (0.06 + wide * np.cos(lean)) - ratio
+        return (0.03 + half * np.cos(tilt)) / (0.06 + wide * np.cos(tilt)) - ratio
 
     ratio = brentq(narrow, 0.3, 0.9)
     np.testing.assert_allclose(made.half[10:-10, 0], wide, rtol=1e-3)
@@ -67,8 +69,8 @@ def test_a_cone_has_the_kerf_of_each_ends_own_speed() -> None:
 
 
 def test_beside_a_hyperboloid_both_ends_are_half_a_kerf_off_its_circles() -> None:
-    ruled = turned(0.05, 0.05, twist=0.8)
-    made = beside(make_row(ruled), EVEN, FEED, BOX)
+    ruled = surface_of_revolution(0.05, 0.05, twist=0.8)
+    made = wire_offset(make_row(ruled), EVEN, FEED, BOX)
     for k in (0, 100, 400):
         for guide in (ruled.start, ruled.end):
             assert line_distance(made.lines[[k]], guide[k])[0] == pytest.approx(0.00075, abs=1e-9)
@@ -82,7 +84,7 @@ def test_beside_a_hyperboloid_both_ends_are_half_a_kerf_off_its_circles() -> Non
 def test_a_convex_corner_is_passed_around_and_an_inner_one_through_the_point_half_a_kerf_off_both() -> None:
     outline = [(0.0, 0.0), (0.0, 0.1), (0.05, 0.1), (0.05, 0.05), (0.1, 0.05), (0.1, 0.0)]
     ruled = resample(blocks.prism("ell", outline, closed=True), 1e-5, 0.004)
-    made = beside(make_row(ruled), EVEN, FEED, BOX)
+    made = wire_offset(make_row(ruled), EVEN, FEED, BOX)
     points = made.lines.start[:, [0, 2]]
     away = shapely.distance(shapely.Polygon(outline), shapely.points(points))
     assert away.min() == pytest.approx(0.00075, abs=1e-12)
@@ -100,11 +102,11 @@ def test_backward_goes_the_same_way_round_the_other_way() -> None:
         blocks.prism("sq", [(0, 0), (0, 0.05), (0.05, 0.05), (0.05, 0)], closed=True), 1e-5, 0.004
     )
     one, two = make_row(ruled, 0, False), make_row(ruled, 0, True)
-    there, back = (beside(row, EVEN, FEED, BOX).lines for row in (one, two))
+    there, back = (wire_offset(row, EVEN, FEED, BOX).lines for row in (one, two))
     np.testing.assert_allclose(there.start, back.start[::-1], atol=1e-12)
 
 
-def wing(root: float, tip: float, count: int = 120) -> Ruled:
+def wing(root: float, tip: float, count: int = 120) -> RuledSurface:
     """A tapered panel over y: the airfoil NACA 0012 of two chords, its sharp edge at x = chord."""
     b = np.linspace(0.0, np.pi, count)
     x = 0.5 * (1.0 + np.cos(b))
@@ -115,11 +117,11 @@ def wing(root: float, tip: float, count: int = 120) -> Ruled:
     end = np.column_stack([shape[:, 0] * tip, np.full(len(shape), 0.1), shape[:, 1] * tip])
     corner = np.zeros(len(shape), dtype=np.bool_)
     corner[0] = True
-    return Ruled("wing", start, end, corner, True)
+    return RuledSurface("wing", start, end, corner, True)
 
 
 def test_a_tapered_wing_has_at_its_tip_the_kerf_of_the_chords_ratio() -> None:
-    made = beside(make_row(resample(wing(0.24, 0.12), 1e-5, 0.004)), BALANCE, FEED, BOX)
+    made = wire_offset(make_row(resample(wing(0.24, 0.12), 1e-5, 0.004)), BALANCE, FEED, BOX)
     k = len(made.half) // 6  # half way along the flat lower side
     assert made.speed[k, 0] == pytest.approx(FEED, rel=1e-3)
     # along flat flanks the way of each end is its chord's share, curvature apart
@@ -129,45 +131,45 @@ def test_a_tapered_wing_has_at_its_tip_the_kerf_of_the_chords_ratio() -> None:
         (made.lines.start, made.row.foot.start, 0),
         (made.lines.end, made.row.foot.end, 1),
     ):
-        off = distance_to_polyline(ends, np.concatenate([guide, guide[:1]]))
-        np.testing.assert_allclose(off[3:-3], made.half[3:-3, e], rtol=2e-3)
+        deviation = distance_to_polyline(ends, np.concatenate([guide, guide[:1]]))
+        np.testing.assert_allclose(deviation[3:-3], made.half[3:-3, e], rtol=2e-3)
 
 
 def test_moves_across_and_chords_and_ways_out_against_plain_geometry() -> None:
     rng = np.random.default_rng(3)
-    lines = Lines(
+    lines = WireLines(
         rng.uniform(-0.05, 0.05, (40, 3)), rng.uniform([-0.05, 0.25, -0.05], [0.05, 0.35, 0.05], (40, 3))
     )
-    first, last = chord(lines, BOX)
+    first, last = box_chord(lines, BOX)
     for length in (first, last):
         on_face = np.abs(np.abs(lines.at(length)) - BOX[1]).min(axis=1)
         np.testing.assert_allclose(on_face, 0.0, atol=1e-12)
     way = np.tile([1.0, 0.0, 0.0], (40, 1))
-    out = exit_length(lines, way, BOX)
+    out = exit_distance(lines, way, BOX)
     for shift, passes in ((out - 1e-6, True), (out + 1e-6, False)):
-        there = lines.moved(shift[:, None] * way)
-        assert (np.isfinite(chord(there, BOX)[0]) == passes).all()
+        there = lines.shifted(shift[:, None] * way)
+        assert (np.isfinite(box_chord(there, BOX)[0]) == passes).all()
     # parallel wires: the way across is that of any point less what is along the wire
     shift = np.array([0.003, 0.5, 0.004])
-    pair = Lines(np.array([[0, 0, 0], shift]), np.array([[0.0, 1.0, 0.0], [0.003, 1.5, 0.004]]))
-    assert move_across(pair, np.zeros((1, 3)))[0] == pytest.approx(0.005)
-    assert fastest(pair, BOX)[1] == pytest.approx(0.005)
+    pair = WireLines(np.array([[0, 0, 0], shift]), np.array([[0.0, 1.0, 0.0], [0.003, 1.5, 0.004]]))
+    assert transverse_move(pair, np.zeros((1, 3)))[0] == pytest.approx(0.005)
+    assert fastest_move(pair, BOX)[1] == pytest.approx(0.005)
     # a fan about a point: the way grows with the distance from it
-    fan = Lines(np.zeros((2, 3)), np.array([[0.0, 1.0, 0.0], [np.sin(0.01), np.cos(0.01), 0.0]]))
-    assert fastest(fan, BOX)[1] == pytest.approx(0.2 * np.tan(0.005), rel=1e-3)
-    assert np.isnan(fastest(pair.moved(np.array([2.0, 0.0, 0.0])), grown(BOX, 0.01))[1])
+    fan = WireLines(np.zeros((2, 3)), np.array([[0.0, 1.0, 0.0], [np.sin(0.01), np.cos(0.01), 0.0]]))
+    assert fastest_move(fan, BOX)[1] == pytest.approx(0.2 * np.tan(0.005), rel=1e-3)
+    assert np.isnan(fastest_move(pair.shifted(np.array([2.0, 0.0, 0.0])), enlarged_box(BOX, 0.01))[1])
 
 
 def test_rulings_are_left_out_where_an_inner_corner_has_cut_them_off() -> None:
     ruled = resample(blocks.prism("notch", [(-0.05, 0.0), (0.0, -0.03), (0.05, 0.0)]), 1e-5, 0.0004)
-    made: Beside = beside(make_row(ruled), EVEN, FEED, BOX)
-    move = np.diff(made.lines.start, axis=0)
-    way = np.diff(made.row.foot.start, axis=0)
+    offset: WireOffset = wire_offset(make_row(ruled), EVEN, FEED, BOX)
+    move = np.diff(offset.lines.start, axis=0)
+    way = np.diff(offset.row.foot.start, axis=0)
     assert (np.sum(move * way, axis=1) > 0.0).all()
-    off = distance_to_polyline(
-        made.lines.start, np.array([[-0.05, -0.1, 0], [0, -0.1, -0.03], [0.05, -0.1, 0]])
+    deviation = distance_to_polyline(
+        offset.lines.start, np.array([[-0.05, -0.1, 0], [0, -0.1, -0.03], [0.05, -0.1, 0]])
     )
-    np.testing.assert_allclose(off, 0.00075, atol=1e-12)
+    np.testing.assert_allclose(deviation, 0.00075, atol=1e-12)
 
 
 def test_speed_and_kerf_settle_also_around_a_blunt_edge_that_is_thinner_than_the_slot() -> None:
@@ -178,12 +180,12 @@ def test_speed_and_kerf_settle_also_around_a_blunt_edge_that_is_thinner_than_the
     )
     loop = np.concatenate([upper, lower[-2::-1]])
     turn = np.deg2rad(4.0)
-    lean = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
-    start, end = 0.24 * loop + [0, -0.1, 0], 0.15 * loop @ lean.T + [0.02, 0.1, 0]
+    tilt = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
+    start, end = 0.24 * loop + [0, -0.1, 0], 0.15 * loop @ tilt.T + [0.02, 0.1, 0]
     corner = np.zeros(len(loop), dtype=np.bool_)
     corner[[0, -1]] = True
-    wing = Ruled("skin", start[::-1], end[::-1], corner[::-1], True)
-    made = beside(make_row(resample(wing, 3e-5, 1.4e-3)), BALANCE, FEED, BOX)
+    wing = RuledSurface("skin", start[::-1], end[::-1], corner[::-1], True)
+    made = wire_offset(make_row(resample(wing, 3e-5, 1.4e-3)), BALANCE, FEED, BOX)
     again = 0.5 * BALANCE.at(end_speeds(made.lines, FEED, BOX))
     assert np.linalg.norm(np.diff(made.lines.start, axis=0), axis=1).min() < 0.5 * made.half.max()
     np.testing.assert_allclose(again, made.half, atol=2e-5)

@@ -1,5 +1,8 @@
-"""Slots that follow from the wire's own speeds, beside wings of all kinds of sections: against scipy's root
-finder, against the closed form of the model, and by following the advice that refusals give."""
+"""Kerfs that follow from the wire's own speeds, at wings with all kinds of sections.
+
+The references are scipy's root finder and the closed form of the model. The remedies of refusals are applied
+too.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +12,17 @@ import numpy as np
 import pytest
 from scipy.optimize import root
 
-from planner.catalogue.materials import ROOM_TEMPERATURE, foams
-from planner.geometry.arrays import Ruled
+from planner.catalogue.materials import ROOM_TEMPERATURE_C, foams
+from planner.geometry.arrays import RuledSurface
 from planner.geometry.matching import Match
 from planner.geometry.rulings import resample
-from planner.geometry.wing import Panel, naca, wing_surface
+from planner.geometry.wing import WingPanel, naca_section, wing_surface
 from planner.issues import Issue, TandemError
 from planner.processes.hotwire.claims import KerfCurve
 from planner.processes.hotwire.plan.kerf import width as kerf_width
 from planner.processes.hotwire.plan.straight import job as straight_job
-from planner.processes.hotwire.plan.straight.offset import beside, end_speeds, make_row
-from planner.targets import FEED_SHARE
+from planner.processes.hotwire.plan.straight.offset import end_speeds, make_row, wire_offset
+from planner.targets import FEED_FRACTION
 from tests.processes.hotwire.plan import foam_blocks as blocks
 
 FOAM = foams()["eps_a120"]
@@ -31,10 +34,10 @@ KINDS = ("blunt", "sharp", "thick", "reflexed", "few")
 def section(kind: str) -> np.ndarray:
     """Points of an airfoil: with a trailing edge of 1 %, with none, 30 % thick, reflexed, of 25 points."""
     if kind == "thick":
-        return naca("0030")
+        return naca_section("0030")
     if kind == "reflexed":
-        return naca("23112")
-    points = naca("2412")
+        return naca_section("23112")
+    points = naca_section("2412")
     if kind == "few":
         return points[np.unique(np.linspace(0, len(points) - 1, 25).round().astype(int))]
     upper = np.where(np.arange(len(points)) <= len(points) // 2, 1.0, -1.0)
@@ -48,12 +51,12 @@ def section(kind: str) -> np.ndarray:
 
 def wing(
     root_kind: str, tip_kind: str, taper: float, match: Match = "arc_length", edge: float = 0.0
-) -> Ruled:
+) -> RuledSurface:
     """A swept, washed out panel of 200 mm chord within the block of ``foam_blocks``, z up from 30 mm."""
-    panel = Panel(section(root_kind), section(tip_kind), 0.2, 0.2 * taper, 0.19, 0.05, 0.02, 0.0, edge)
+    panel = WingPanel(section(root_kind), section(tip_kind), 0.2, 0.2 * taper, 0.19, 0.05, 0.02, 0.0, edge)
     made = wing_surface(panel, match)
     shift = np.array([-0.1, -0.095, 0.045])
-    return Ruled("skin", made.start + shift, made.end + shift, made.corner, True)
+    return RuledSurface("skin", made.start + shift, made.end + shift, made.corner, True)
 
 
 def slot(feed: float, width: float) -> tuple[KerfCurve, float]:
@@ -71,11 +74,11 @@ def test_half_kerfs_of_random_pairs_of_sections_are_those_of_their_own_speeds(se
     curve, power = slot(feed, width)
     box = np.array([[-0.15, -0.1, 0.0], [0.15, 0.1, 0.1]])
     row = make_row(ruled, 0, bool(rng.integers(2)))
-    made = beside(row, curve, feed, box)
-    assert made.settled
+    made = wire_offset(row, curve, feed, box)
+    assert made.converged
     # the closed form of the energy balance, at the speeds that the ends have
     speed = end_speeds(made.lines, feed, box)
-    heat = FOAM.density * FOAM.specific_heat * (FOAM.melt_temperature - ROOM_TEMPERATURE)
+    heat = FOAM.density * FOAM.specific_heat * (FOAM.melt_temperature - ROOM_TEMPERATURE_C)
     balance = FOAM.kerf.chi * power / WIRE.length / (heat * speed) - FOAM.kerf.offset
     inside = (speed > 1e-3) & (speed < 50e-3)
     np.testing.assert_allclose(2.0 * made.half[inside], np.maximum(balance, WIRE.diameter)[inside], atol=2e-6)
@@ -91,7 +94,7 @@ def test_half_kerfs_of_random_pairs_of_sections_are_those_of_their_own_speeds(se
     np.testing.assert_allclose(np.exp(found.x).reshape(-1, 2), made.half, atol=2e-6)
 
 
-def issues(part: Ruled, **more: object) -> dict[str, Issue]:
+def issues(part: RuledSurface, **more: object) -> dict[str, Issue]:
     """Issues by code of a job in a block of ``FOAM``."""
     setup = blocks.setup(blocks.stock(foam=FOAM))
     step = {"step_mm": 8.0, "shape_tol_mm": 0.4, "margin_mm": 10} | more
@@ -102,8 +105,8 @@ def issues(part: Ruled, **more: object) -> dict[str, Issue]:
     return {issue.code: issue for issue in found}
 
 
-def heat_faults(found: dict[str, Issue]) -> set[str]:
-    return set(found) & HOT
+def heat_faults(by_code: dict[str, Issue]) -> set[str]:
+    return set(by_code) & HOT
 
 
 @pytest.mark.parametrize(
@@ -124,7 +127,7 @@ def test_no_power_is_named_where_none_holds_both_ends() -> None:
     """A trailing edge of 2 mm at the root is passed while the tip, which has none, nearly stands."""
     blunt, heat = wing("blunt", "sharp", 0.7), {"feed_mm_s": 6, "feed_min_mm_s": 2}
     hint = next(issue.hint for code, issue in issues(blunt, power_w=30.0, **heat).items() if code in HOT)
-    assert "no power and no feed holds both ends" in hint
+    assert "no power or feed suits both ends" in hint
     assert "trailing_edge_mm" in hint
     for power in (15.0, 21.0, 27.0):  # and indeed none does
         assert heat_faults(issues(blunt, power_w=power, **heat))
@@ -146,5 +149,5 @@ def test_the_slot_is_that_of_the_speed_at_which_clocks_go() -> None:
     setup = blocks.setup(blocks.stock(foam=FOAM))
     job = straight_job.StraightJob(blocks.operation(power_w=30.0, feed_mm_s=6), setup, blocks.part(square))
     shown = job.targets().exhibits["kerf_sq"]["series"][0]["y"]
-    wanted = kerf_width.width(FOAM, WIRE, 30.0, FEED_SHARE * 6e-3, 0.2).width
-    assert np.median(shown) == pytest.approx(float(wanted) * 1e3, abs=2e-3)
+    expected = kerf_width.width(FOAM, WIRE, 30.0, FEED_FRACTION * 6e-3, 0.2).width
+    assert np.median(shown) == pytest.approx(float(expected) * 1e3, abs=2e-3)

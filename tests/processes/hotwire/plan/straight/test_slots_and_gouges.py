@@ -1,4 +1,4 @@
-"""What a straight wire must leave alone: neighbours beside its slot, and the part on its ways in and out."""
+"""Areas that a straight wire must not cut: neighbours of its slot, the part on its lead-in and lead-out."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import pytest
 import shapely
 from pydantic import ValidationError
 
-from planner.geometry.arrays import Ruled
+from planner.geometry.arrays import RuledSurface
 from planner.issues import Issue, Severity, TandemError
 from planner.problem import Part
 from planner.processes.hotwire.plan.straight import job
-from planner.processes.hotwire.plan.straight.order import depths, wanted_surfaces
+from planner.processes.hotwire.plan.straight.order import contour_depths, nominal_surfaces
 from tests.processes.hotwire.plan import foam_blocks as blocks
 
 HALF = 0.00075
@@ -30,14 +30,16 @@ def errors(part: Part, **more: object) -> set[str]:
     return {issue.code for issue in issues(part, **more) if issue.severity is Severity.ERROR}
 
 
-def square(name: str, x: float, half: float, hole: bool = False, z: float = 0.05, wide: float = 0.0) -> Ruled:
+def square(
+    name: str, x: float, half: float, hole: bool = False, z: float = 0.05, wide: float = 0.0
+) -> RuledSurface:
     """A square of half a side about (x, z), with the part inside or, for a hole, around it; ``wide``: how
     much larger it is at the end of its rulings."""
     way = np.array([(-1, -1), (-1, 1), (1, 1), (1, -1)])[:: -1 if hole else 1]
     ruled = blocks.prism(name, way * half + [x, z], closed=True, hole=hole)
     end = ruled.end.copy()
     end[:, [0, 2]] += wide * way
-    return Ruled(name, ruled.start, end, ruled.corner, True, hole)
+    return RuledSurface(name, ruled.start, end, ruled.corner, True, hole)
 
 
 @pytest.mark.parametrize(("gap", "good"), [(0.0005, False), (0.0012, False), (0.0014, True), (0.004, True)])
@@ -70,7 +72,7 @@ def test_surfaces_whose_wires_run_across_one_another_keep_the_slot_too() -> None
     angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
     ring = np.column_stack([np.zeros(48), 0.02 * np.cos(angle), 0.0296 + 0.02 * np.sin(angle)])
     over = np.array([0.15, 0.0, 0.0])
-    rod = Ruled("rod", ring - over, ring + over, np.zeros(48, dtype=bool), True)
+    rod = RuledSurface("rod", ring - over, ring + over, np.zeros(48, dtype=bool), True)
     foam = blocks.prism("roof", [(0.15, 0.05), (-0.15, 0.05)])
     assert "straight.crossing" in errors(blocks.part(rod, foam))
     away = blocks.prism("roof", [(0.15, 0.0515), (-0.15, 0.0515)])
@@ -136,9 +138,9 @@ def test_a_strip_may_cross_what_bounds_the_part_together_with_it() -> None:
 def test_the_inmost_is_cut_first_and_comes_to_be_told_through_which_slit() -> None:
     ring = [square("rim", 0.0, 0.045), square("gap", 0.0, 0.035, hole=True), square("core", 0.0, 0.02)]
     deep = [*ring, square("bore", 0.0, 0.008, hole=True)]
-    assert depths(deep) == [0, 1, 2, 3]
+    assert contour_depths(deep) == [0, 1, 2, 3]
     part = blocks.part(*deep)
-    order = [w.name for w in wanted_surfaces(blocks.operation(cuts="all"), blocks.setup(), part)]
+    order = [w.name for w in nominal_surfaces(blocks.operation(cuts="all"), blocks.setup(), part)]
     assert order == ["bore", "core", "gap", "rim"]
     found = issues(part)
     assert {i.field for i in found if i.code == "straight.slit"} == {"cut/bore", "cut/core", "cut/gap"}

@@ -11,7 +11,7 @@ import yaml
 
 import planner
 from planner.claims.segments import Segment
-from planner.motion.trajectory.joint_path import Dense, guarded
+from planner.motion.trajectory.joint_path import MoveSamples, guarded_lengths
 from tests.processes.hotwire.plan import foam_blocks as blocks
 
 PROBLEM = {
@@ -60,10 +60,10 @@ def test_a_trimmed_block_and_an_outline_are_planned_and_proven(tmp_path: Path) -
     assert problem.operations[0].leaves(problem.stock).oversize.sum() == pytest.approx(0.01)
     (made,) = outcome.plan.operations
     # in cuts the path is measured by the way of the wire, however a move is sampled
-    samples = Dense(
+    samples = MoveSamples(
         np.repeat(np.arange(made.targets.count), 2)[1:], np.tile([1.0, 0.25], made.targets.count)[:-1], {}
     )
-    way = guarded(made.targets, samples)
+    way = guarded_lengths(made.targets, samples)
     cuts = np.array([segment.kind == "cut" for segment in made.targets.segment])
     np.testing.assert_allclose(way[::2] + way[1::2], (made.targets.travel * cuts)[1:])
     np.testing.assert_allclose(way[::2], 0.25 * (made.targets.travel * cuts)[1:])

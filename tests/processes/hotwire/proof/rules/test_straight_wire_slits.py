@@ -1,5 +1,7 @@
-"""Slits and leads of planned programs: what the problem states holds them, not what the planner chose. Each
-fault is put into the planner itself, with its own checks switched off."""
+"""Slits and leads of planned programs: the proof goes by the problem, not by the planner's choice.
+
+Each fault is put into the planner itself, with its own checks switched off.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +22,8 @@ from planner.processes import registry
 from planner.processes.hotwire.claims import CutsSurface
 from planner.processes.hotwire.plan.straight import cut as straight_cut
 from planner.processes.hotwire.plan.straight import job
-from planner.processes.hotwire.plan.straight.cut import Cut
-from planner.processes.hotwire.plan.straight.order import Lines
+from planner.processes.hotwire.plan.straight.cut import StraightCut
+from planner.processes.hotwire.plan.straight.order import WireLines
 from planner.processes.hotwire.proof import walls
 from planner.proof.prove import Prover
 from tests.processes.hotwire.plan import foam_blocks as blocks
@@ -30,13 +32,13 @@ from tests.processes.hotwire.plan.straight.test_trimmed_block import PROBLEM
 RIM = [(-0.08, 0.02), (-0.08, 0.09), (0.08, 0.09), (0.08, 0.02)]
 STRIP = [(-0.08, 0.06), (0.08, 0.06)]
 CHECKS = (
-    *("check_cut", "check_inner", "check_passed", "check_driven"),
+    *("check_cut", "check_inner_corners", "check_path", "check_driven"),
     *("check_drops", "check_model", "check_bow", "check_holder"),
 )
 
 
 def problem(folder: Path, ruled: list[Any], **more: Any) -> Problem:
-    """A plate to be cut from a standing block by the wire that lies along y."""
+    """A plate to be cut from a fixed block by a wire along y."""
     path = folder / "problem.yaml"
     operation = {**PROBLEM["operations"][0], "cuts": "all", **more}  # type: ignore[index]
     stock = {**PROBLEM["stock"], "oversize_mm": [[0, 0], [0, 0], [0, 0]]}  # type: ignore[dict-item]
@@ -62,14 +64,14 @@ def codes(outcome: Outcome) -> set[str]:
 
 @pytest.fixture
 def unchecked(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
-    """The planner without its own checks."""
+    """Switch the planner's own checks off."""
     for name in CHECKS:
         monkeypatch.setattr(job, name, lambda *_: iter(()))
     return monkeypatch
 
 
-def planned(made: Problem) -> Outcome:
-    outcome = planner.plan(made)
+def planned(loaded: Problem) -> Outcome:
+    outcome = planner.plan(loaded)
     assert set(codes(outcome)) <= {"verify.slit", "verify.part"}, outcome.proof.issues
     return outcome
 
@@ -88,11 +90,11 @@ def test_a_slit_as_long_as_it_has_to_be_is_proven(tmp_path: Path) -> None:
 
 def longer(tries: Any) -> int:
     """The slit to the plate's end instead of its top."""
-    return int(np.argmin(np.abs(tries.through - 0.065)))
+    return int(np.argmin(np.abs(tries.length_in_part - 0.065)))
 
 
 def slanted(tries: Any) -> int:
-    return int(np.argmin(np.abs(tries.through - 0.040)))
+    return int(np.argmin(np.abs(tries.length_in_part - 0.040)))
 
 
 @pytest.mark.sampled(every=2)
@@ -100,51 +102,51 @@ def slanted(tries: Any) -> int:
 def test_a_slit_that_is_longer_than_it_has_to_be_is_not(
     tmp_path: Path, unchecked: pytest.MonkeyPatch, pick: Callable[[Any], int]
 ) -> None:
-    choose = straight_cut.choose
+    choose = straight_cut.choose_start
 
-    def other(ruled: Any, contours: Any, cut: Any, box: Any, *sides: Any) -> straight_cut.Start:
+    def other(ruled: Any, contours: Any, cut: Any, box: Any, *sides: Any) -> straight_cut.CutStart:
         found = choose(ruled, contours, cut, box, *sides)
         if not ruled.hole:
             return found
-        tries = straight_cut._tries(ruled, contours, cut, box)
+        tries = straight_cut._start_candidates(ruled, contours, cut, box)
         k = pick(tries)
-        more = float(tries.length[k]), float(tries.through[k])
-        return straight_cut.Start(int(tries.first[k]), found.backward, tries.way[k], *more)
+        more = float(tries.length[k]), float(tries.length_in_part[k])
+        return straight_cut.CutStart(int(tries.first[k]), found.backward, tries.direction[k], *more)
 
-    unchecked.setattr(straight_cut, "choose", other)
+    unchecked.setattr(straight_cut, "choose_start", other)
     assert codes(planned(problem(tmp_path, plate()))) == {"verify.slit"}
 
 
 def test_out_by_another_slit_than_in(tmp_path: Path, unchecked: pytest.MonkeyPatch) -> None:
-    closed = straight_cut._closed
+    closed = straight_cut._closed_cut
 
-    def other(*given: Any) -> Cut:
+    def other(*given: Any) -> StraightCut:
         cut = closed(*given)
-        if not cut.wanted.ruled.hole or cut.start is None:
+        if not cut.nominal.ruled.hole or cut.start is None:
             return cut
         c, s = np.cos(0.25), np.sin(0.25)
-        turned = cut.start.way @ np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
-        leg = straight_cut._straight(cut.on.lines[[-1]], turned, *given[3:])
+        turned = cut.start.direction @ np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
+        leg = straight_cut._straight_lines(cut.on.lines[[-1]], turned, *given[3:])
         return dataclasses.replace(cut, out=leg)
 
-    unchecked.setattr(straight_cut, "_closed", other)
+    unchecked.setattr(straight_cut, "_closed_cut", other)
     assert "verify.slit" in codes(planned(problem(tmp_path, plate())))
 
 
 def test_a_way_in_that_is_no_plane(tmp_path: Path, unchecked: pytest.MonkeyPatch) -> None:
     """Bent by 4 mm in the middle of the plate: its slot is none of a slit."""
-    closed = straight_cut._closed
+    closed = straight_cut._closed_cut
 
-    def other(*given: Any) -> Cut:
+    def other(*given: Any) -> StraightCut:
         cut = closed(*given)
-        if not cut.wanted.ruled.hole:
+        if not cut.nominal.ruled.hole:
             return cut
         bend = np.zeros((len(cut.into), 3))
         middle = 0.5 * (cut.into.start + cut.into.end)
         bend[:, 0] = 0.004 * np.exp(-(((middle[:, 2] - 0.08) / 0.006) ** 2))
-        return dataclasses.replace(cut, into=Lines(cut.into.start + bend, cut.into.end + bend))
+        return dataclasses.replace(cut, into=WireLines(cut.into.start + bend, cut.into.end + bend))
 
-    unchecked.setattr(straight_cut, "_closed", other)
+    unchecked.setattr(straight_cut, "_closed_cut", other)
     assert "verify.part" in codes(planned(problem(tmp_path, plate())))
 
 
@@ -154,19 +156,19 @@ def beside_another(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     hole = np.column_stack([-0.04 + 0.01 * np.cos(angle), 0.055 + 0.01 * np.sin(angle)])
     window = [(0.0, 0.0553), (0.02, 0.0553), (0.02, 0.07), (0.0, 0.07)]
 
-    choose = straight_cut.choose
+    choose = straight_cut.choose_start
 
-    def other(ruled: Any, contours: Any, cut: Any, box: Any, *sides: Any) -> straight_cut.Start:
+    def other(ruled: Any, contours: Any, cut: Any, box: Any, *sides: Any) -> straight_cut.CutStart:
         found = choose(ruled, contours, cut, box, *sides)
         if ruled.name != "hole":
             return found
-        tries = straight_cut._tries(ruled, contours, cut, box)
+        tries = straight_cut._start_candidates(ruled, contours, cut, box)
         height = 0.5 * (ruled.start + ruled.end)[tries.first, 2] - 0.055
-        k = int(np.argmin(np.abs(height) + np.abs(tries.way @ np.array([1.0, 0.0, 0.0]) - 1.0)))
-        more = float(tries.length[k]), float(tries.through[k])
-        return straight_cut.Start(int(tries.first[k]), found.backward, tries.way[k], *more)
+        k = int(np.argmin(np.abs(height) + np.abs(tries.direction @ np.array([1.0, 0.0, 0.0]) - 1.0)))
+        more = float(tries.length[k]), float(tries.length_in_part[k])
+        return straight_cut.CutStart(int(tries.first[k]), found.backward, tries.direction[k], *more)
 
-    monkeypatch.setattr(straight_cut, "choose", other)
+    monkeypatch.setattr(straight_cut, "choose_start", other)
     return [
         blocks.prism("rim", RIM, closed=True),
         blocks.prism("hole", hole, corner=False, closed=True, hole=True),
@@ -181,9 +183,9 @@ ALONG_X: dict[str, Any] = {
 
 def test_a_slit_along_the_border_of_another_hole(tmp_path: Path, unchecked: pytest.MonkeyPatch) -> None:
     outcome = planned(problem(tmp_path, beside_another(unchecked), **ALONG_X))
-    told = [issue for issue in outcome.proof.issues if "beside another contour" in issue.message]
-    assert [issue.code for issue in told] == ["verify.slit"]
-    assert told[0].value == pytest.approx(20.0, abs=1.5)
+    reported = [issue for issue in outcome.proof.issues if "along another contour" in issue.message]
+    assert [issue.code for issue in reported] == ["verify.slit"]
+    assert reported[0].value == pytest.approx(20.0, abs=1.5)
 
 
 def test_the_planner_refuses_such_a_slit_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -214,9 +216,9 @@ def test_a_stated_lead_is_followed(tmp_path: Path, ruled: list[Any], more: dict[
 def test_a_lead_that_the_planner_ignores(
     tmp_path: Path, unchecked: pytest.MonkeyPatch, ruled: list[Any], more: dict[str, Any]
 ) -> None:
-    wanted = job.wanted_surfaces
+    expected = job.nominal_surfaces
     free = [lambda one: dataclasses.replace(one, cut=one.cut.model_copy(update={"lead": "auto"}))]
-    unchecked.setattr(job, "wanted_surfaces", lambda *given: [free[0](one) for one in wanted(*given)])
+    unchecked.setattr(job, "nominal_surfaces", lambda *given: [free[0](one) for one in expected(*given)])
     assert "verify.slit" in codes(planned(problem(tmp_path, ruled, **more)))
 
 
@@ -245,7 +247,7 @@ def test_a_slot_that_is_wider_than_the_gap_to_the_next_surface(
 ) -> None:
     """By hand: half a slot off the one, it reaches beyond the other by the slot less the gap. All of the
     surface is looked at, in however many batches."""
-    unchecked.setattr(walls, "PIECES_AT_ONCE", batch)
+    unchecked.setattr(walls, "PIECE_BATCH_SIZE", batch)
     outcome = planned(problem(tmp_path, facing(0.0004)))
     slot = float(PROBLEM["operations"][0]["kerf_mm"])  # type: ignore[index]
     found = [issue for issue in outcome.proof.issues if issue.code == "verify.part"]

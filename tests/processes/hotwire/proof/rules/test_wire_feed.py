@@ -1,4 +1,4 @@
-"""Feed and length of a job as the proof sees them; feeds against an arc moved and slid in closed form."""
+"""Feed and length of a job as the proof measures them, against a moved and sliding arc in closed form."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from planner.issues import TandemError
-from planner.processes.hotwire.proof.rules.wire import _driven_feed, feed_speed
+from planner.processes.hotwire.proof.rules.wire import _speed_bounds, feed_speed
 from planner.proof.prove import Prover
 from planner.proof.replay import playback
 from tests.proof import small_job
@@ -37,7 +37,7 @@ def test_a_wire_without_a_way_between_stations_has_no_other_driven_feed(count: i
     """As of programs whose synchronised block has no move."""
     nothing: Any = SimpleNamespace()
     speed = np.full(count, np.nan)
-    for bound in _driven_feed(nothing, nothing, speed):
+    for bound in _speed_bounds(nothing, nothing, speed):
         np.testing.assert_array_equal(bound, speed)
 
 
@@ -53,7 +53,7 @@ def test_a_wire_that_only_slides_does_not_cut() -> None:
 
 
 def test_programs_longer_than_what_is_replayed_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(playback, "LONGEST_MOTION", 1.0)
+    monkeypatch.setattr(playback, "MAX_MOTION_TIME_S", 1.0)
     prover = Prover(small_job.problem(), small_job.claims())
     with pytest.raises(TandemError) as caught:
         prover.prove(small_job.programs(12))

@@ -1,4 +1,4 @@
-"""G-code of tests: texts as files, and all that an ordinary file would state."""
+"""G-code files for tests, and the statements that an ordinary problem file makes about them."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ def spec(folder: Path, text: str | bytes, **stated: Any) -> GCodeFile:
     )
 
 
-def read(folder: Path, text: str | bytes, **stated: Any) -> reader.Program:
+def read(folder: Path, text: str | bytes, **stated: Any) -> reader.GCodeProgram:
     """The file as read, with what the problem states."""
-    return reader.read(spec(folder, text, **stated).dialect("operations.0.gcode"))
+    return reader.read_gcode(spec(folder, text, **stated).dialect("operations.0.gcode"))
 
 
 def refused(folder: Path, text: str | bytes, **stated: Any) -> tuple[Issue, ...]:

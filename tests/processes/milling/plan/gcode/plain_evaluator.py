@@ -1,5 +1,7 @@
-"""Straight-line G-code worked out the plain way, a character and a line at a time, to hold the reader
-against. It shares nothing with the reader but the meaning of the words."""
+"""Plain evaluator of straight-line G-code, a character and a line at a time, as a reference.
+
+It shares nothing with the reader but the meaning of the words.
+"""
 
 from __future__ import annotations
 

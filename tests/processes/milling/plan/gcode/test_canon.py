@@ -24,7 +24,7 @@ from planner.processes.milling.plan.tool_path import ToolPath
 from planner.processes.milling.proof import gcode_moves
 from tests.processes.milling.plan.gcode.gcode_programs import read, spec
 
-HERE = Path(__file__).parent
+FOLDER = Path(__file__).parent
 COMMAND = re.compile(r"^\s*\d+\s+N\S*\s+([A-Z_0-9]+)\((.*)\)\s*$")
 STATED = {"tool_axis": "rotary", "convention": "head_ca"}
 
@@ -82,9 +82,9 @@ def first_reader(tmp_path: Path, program: str) -> ToolPath:
 
 
 def second_reader(tmp_path: Path, program: str) -> ToolPath:
-    """The way that the proof's own reader finds, in the form of the first one's."""
+    """Return the path of the proof's own reader, in the form of the first one."""
     stated = program_file(spec(tmp_path, program, **STATED))
-    way = gcode_moves.read(stated, stated.chord_tol_mm * 1e-3)
+    way = gcode_moves.read_path(stated, stated.chord_tol_mm * 1e-3)
     kind = tuple("cut" if cuts else "rapid" for cuts in way.cuts.tolist())
     spindle, tool = way.spindle * np.pi / 30.0, np.zeros_like(way.line)
     return ToolPath(way.tip, way.axis, way.feed, kind, spindle, tool, way.line)
@@ -146,18 +146,18 @@ def rs274(folder: Path, program: str) -> str:
 
 @READERS
 def test_the_program_is_read_as_linuxcnc_did(reader: Reader, tmp_path: Path) -> None:
-    program = (HERE / "canon_program.nc").read_text()
-    assert compare(reader, tmp_path, program, (HERE / "canon_program.txt").read_text(), 6e-5 * 25.4) == 32
+    program = (FOLDER / "canon_program.nc").read_text()
+    assert compare(reader, tmp_path, program, (FOLDER / "canon_program.txt").read_text(), 6e-5 * 25.4) == 32
 
 
 @READERS
 def test_the_program_is_read_as_linuxcnc_does(reader: Reader, tmp_path: Path) -> None:
-    program = (HERE / "canon_program.nc").read_text()
+    program = (FOLDER / "canon_program.nc").read_text()
     assert compare(reader, tmp_path, program, rs274(tmp_path, program), 6e-5 * 25.4) == 32
 
 
 def random_program(seed: int) -> str:
-    """Straight moves and arcs in all planes, both units and both ways of counting."""
+    """Return straight moves and arcs in all planes, in both units and both distance modes."""
     own = random.Random(seed)
     lines = ["G21 G90 G17 G94 G91.1", "S1000 M3", "F600", "G0 X0 Y0 Z0"]
     for _ in range(60):

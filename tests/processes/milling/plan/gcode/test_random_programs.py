@@ -1,5 +1,8 @@
-"""Random programs against a plain evaluator; the same whether lines are read one by one or in stretches, and
-wherever the file is parted. A million lines in bounded memory."""
+"""Random programs against a plain evaluator.
+
+The result does not depend on block size or on the points where the file is split. A million lines take
+bounded memory.
+"""
 
 from __future__ import annotations
 
@@ -50,10 +53,10 @@ def program(seed: int, size: int, regular: float) -> str:
     return "\n".join(lines) + own.choice(["", "\n"])
 
 
-def number(own: random.Random) -> str:
-    """A coordinate in one of the ways of writing."""
-    value = own.uniform(-200, 200)
-    kind = own.randint(0, 5)
+def number(rng: random.Random) -> str:
+    """Return a coordinate in a random notation."""
+    value = rng.uniform(-200, 200)
+    kind = rng.randint(0, 5)
     if kind == 0:
         return f"{int(value)}"
     if kind == 1:
@@ -68,7 +71,7 @@ def number(own: random.Random) -> str:
 def rows(text: str) -> np.ndarray:
     """The program as read, as rows like those of the plain evaluator; rapid feeds are -1."""
     with tempfile.TemporaryDirectory() as folder:
-        path = reader.read(spec(Path(folder), text, tool_axis="ijk").dialect("gcode")).path
+        path = reader.read_gcode(spec(Path(folder), text, tool_axis="ijk").dialect("gcode")).path
     feed = np.where(np.isfinite(path.feed), path.feed * 60e3, -1.0)
     assert [kind == "rapid" for kind in path.kind] == (feed < 0).tolist()
     return np.column_stack([path.tip * 1e3, path.axis, feed, path.line])
@@ -90,14 +93,14 @@ def test_random_programs_are_read_as_by_a_plain_evaluator(seed: int, size: int, 
 def test_it_does_not_matter_where_a_file_is_parted(monkeypatch: pytest.MonkeyPatch, chunk: int) -> None:
     text = START + program(5, 400, 0.95)
     whole = rows(text)
-    monkeypatch.setattr(reader, "BYTES_AT_ONCE", chunk)
+    monkeypatch.setattr(reader, "READ_SIZE", chunk)
     np.testing.assert_array_equal(rows(text), whole)
 
 
 def test_stretches_are_read_as_their_lines_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
     text = START + program(6, 600, 1.0)
     stretched = rows(text)
-    monkeypatch.setattr(reader, "ready", lambda modal, dialect: False)
+    monkeypatch.setattr(reader, "allows_regular", lambda modal, dialect: False)
     np.testing.assert_allclose(rows(text), stretched, atol=1e-9)
 
 
@@ -105,13 +108,13 @@ def test_faults_in_stretches_are_those_of_lines(monkeypatch: pytest.MonkeyPatch,
     text = "G21 G90 G94 G0 X0 Y0 Z0\n" + "G1 X1\nX2\nF0\nX3\n" * 20
 
     def issues() -> list[tuple[str, str | None, int | None, int, str]]:
-        faults = reader.Faults(tmp_path / "job.nc")
+        faults = reader.LineFaults(tmp_path / "job.nc")
         with pytest.raises(reader.TandemError):
-            list(reader.blocks(spec(tmp_path, text).dialect("gcode"), faults))
+            list(reader.read_blocks(spec(tmp_path, text).dialect("gcode"), faults))
         return sorted((i.code, i.field, i.line, i.count, i.message.split(" [")[0]) for i in faults.issues())
 
     stretched = issues()
-    monkeypatch.setattr(reader, "ready", lambda modal, dialect: False)
+    monkeypatch.setattr(reader, "allows_regular", lambda modal, dialect: False)
     one_by_one = issues()
     # of F0 and of a cut without feed, both field F, each way of reading tells the one that it meets first
     assert [i[:2] for i in stretched] == [i[:2] for i in one_by_one]
@@ -125,13 +128,13 @@ from planner.processes.milling.plan.gcode import reader
 from planner.processes.milling.plan.operation import GCodeFile
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 spec = GCodeFile(file=Path(sys.argv[1]), origin={}, tool_axis="ijk")
-count = sum(len(block.path) for block in reader.blocks(spec.dialect("gcode")))
+count = sum(len(block.path) for block in reader.read_blocks(spec.dialect("gcode")))
 print(count, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 """
 
 
 def stream(path: Path, lines: int) -> tuple[int, float]:
-    """Moves read from a file of so many lines, and the memory [MB] that reading took."""
+    """Return the moves read from a file of the given lines, and the memory [MB] that reading took."""
     with path.open("w") as out:
         out.write(START)
         for i in range(lines):

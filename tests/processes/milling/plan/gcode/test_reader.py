@@ -1,4 +1,4 @@
-"""Reading G-code: what lines mean, and every way in which a file can be wrong."""
+"""Reading G-code: the meaning of lines, and every fault that a file can have."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_the_papers_example_line_reads_with_what_the_problem_states(tmp_path: Pa
 def test_without_one_of_them_the_example_line_is_refused(tmp_path: Path, lacking: str) -> None:
     stated = {key: value for key, value in STATED.items() if key != lacking}
     codes = {issue.code for issue in refused(tmp_path, EXAMPLE.replace("\n8F", "8F"), **stated)}
-    wanted = {
+    expected = {
         "unit": "gcode.unit",
         "distance": "gcode.mode",
         "motion": "gcode.mode",
@@ -47,7 +47,7 @@ def test_without_one_of_them_the_example_line_is_refused(tmp_path: Path, lacking
         "spindle_rpm": "gcode.spindle",
         "tool_axis": "gcode.rotary",
     }
-    assert codes == {wanted[lacking]}
+    assert codes == {expected[lacking]}
 
 
 def test_as_printed_the_broken_line_is_refused_by_its_place(tmp_path: Path) -> None:
@@ -107,7 +107,7 @@ def test_spindle_and_what_stops_the_tool(tmp_path: Path) -> None:
     text = "G0 X0Y0Z0\nM4 S3000\nX1\nG4 P250\nM0\nM5\nX2\nS9000 M3\nX3\nM1\n"
     program = read(tmp_path, HEAD + text, dwell="ms")
     np.testing.assert_allclose(program.path.spindle * 60 / (2 * np.pi), [6000, -3000, 0, 9000])
-    assert [(e.at, e.kind, e.line, e.seconds) for e in program.events] == [
+    assert [(e.row, e.kind, e.line, e.seconds) for e in program.events] == [
         (2, "dwell", 7, 0.25),
         (2, "pause", 8, 0.0),
         (4, "pause", 13, 0.0),
@@ -127,7 +127,7 @@ WRONG = [
     # text, what the problem states, code, line, what the message names
     ("G0 X0 Y0 Z0\nG1 X\n", {}, "gcode.syntax", 5, "'X'"),
     ("G0 X0 Y0 Z-\n", {}, "gcode.syntax", 4, "'Z-'"),
-    ("G0 X1e5 Y0 Z0\n", {}, "gcode.word", 4, "E means nothing"),
+    ("G0 X1e5 Y0 Z0\n", {}, "gcode.word", 4, "E has no meaning here"),
     ("G0 X#1 Y0 Z0\n", {}, "gcode.syntax", 4, "parameters"),
     ("#1=5\n", {}, "gcode.syntax", 4, "parameters"),
     ("G0 X[1+2]\n", {}, "gcode.syntax", 4, "expressions"),
@@ -142,43 +142,43 @@ WRONG = [
     ("G91 G28 Z0\n", {}, "gcode.word", 4, "G28"),
     ("G0 G1 X0\n", {}, "gcode.word", 4, "contradict"),
     ("M3 M5\n", {}, "gcode.word", 4, "contradict"),
-    ("G0 X0 Y0 Z0 Q5\n", {}, "gcode.word", 4, "Q means nothing"),
-    ("G0 X0 Y0 Z0 R5\n", {}, "gcode.word", 4, "R means nothing"),
+    ("G0 X0 Y0 Z0 Q5\n", {}, "gcode.word", 4, "Q has no meaning here"),
+    ("G0 X0 Y0 Z0 R5\n", {}, "gcode.word", 4, "R has no meaning here"),
     ("G54 X0 G0\n", {}, "gcode.offset", 4, "G54"),
     ("G0 A10 X0Y0Z0\n", {}, "gcode.rotary", 4, "convention"),
     ("G0 A10 X0Y0Z0\n", {"tool_axis": "rotary", "convention": "head_cb"}, "gcode.rotary", 4, "which has BC"),
     ("G0 X0Y0Z0 K1\n", {}, "gcode.rotary", 4, "tool_axis"),
     ("G0 X0Y0Z0 I0 J0 K0\n", {"tool_axis": "ijk"}, "gcode.axis", 4, "length 0"),
     ("G0 X0Y0Z0 I5 J0 K0\n", {"tool_axis": "ijk"}, "gcode.axis", 4, "length 5"),
-    ("G0 X0Y0Z0 K1\nG1 X1 K-1\n", {"tool_axis": "ijk"}, "gcode.axis", 5, "turns over"),
+    ("G0 X0Y0Z0 K1\nG1 X1 K-1\n", {"tool_axis": "ijk"}, "gcode.axis", 5, "rotates by 180 deg"),
     ("G0 X0Y0Z0\nG2 X10 R4\n", {}, "gcode.arc", 5, "twice R"),
     ("G0 X0Y0Z0\nG2 X10 I3\n", {}, "gcode.arc", 5, "radius is 3.0000 mm at the start and 7.0000"),
-    ("G0 X0Y0Z0\nG2 X10\n", {}, "gcode.arc", 5, "without centre"),
+    ("G0 X0Y0Z0\nG2 X10\n", {}, "gcode.arc", 5, "without a centre"),
     ("G0 X0Y0Z0\nG2 R5\n", {}, "gcode.arc", 5, "full circle"),
     ("G0 X0Y0Z0\nG2 X10 I5 R5\n", {}, "gcode.arc", 5, "both R"),
-    ("G0 X0Y0Z0\nG2 X10 I5 K1\n", {}, "gcode.arc", 5, "no direction of the plane xy"),
+    ("G0 X0Y0Z0\nG2 X10 I5 K1\n", {}, "gcode.arc", 5, "not a direction of the plane xy"),
     ("G0 X0Y0Z0\nG90.1 G2 X10 I5\n", {}, "gcode.arc", 5, "needs both I and J"),
     ("G0 X0Y0Z0\nG2 X10 I0 J0\n", {}, "gcode.arc", 5, "at an end"),
-    ("G1 X0 Y0\n", {}, "gcode.position", 4, "says Z"),
-    ("G3 X0 Y0 Z0 I5\n", {}, "gcode.position", 4, "arc from a place"),
+    ("G1 X0 Y0\n", {}, "gcode.position", 4, "unknown Z"),
+    ("G3 X0 Y0 Z0 I5\n", {}, "gcode.position", 4, "arc from an unknown position"),
     ("G91 G0 X1\n", {}, "gcode.position", 4, "start_mm"),
     ("G0 X200000 Y0 Z0\n", {}, "gcode.position", 4, "100 m"),
     ("G0 X0Y0Z0\nF0\nG1 X1\n", {}, "gcode.feed", 5, "F0"),
     ("G0 X0Y0Z0\nG93 G1 X1\n", {}, "gcode.feed", 5, "G93"),
     ("G0 X0Y0Z0\nG95 G1 X1\n", {}, "gcode.feed", 5, "feed_mm_min"),
-    ("G0 X0Y0Z0 K1\nG93 G1 I0.6 J0 K0.8 F5\n", {"tool_axis": "ijk"}, "gcode.feed", 5, "turn in place"),
-    ("G0 X0Y0Z0\nM5\nG1 X1\n", {}, "gcode.spindle", 6, "spindle stands"),
+    ("G0 X0Y0Z0 K1\nG93 G1 I0.6 J0 K0.8 F5\n", {"tool_axis": "ijk"}, "gcode.feed", 5, "rotation in place"),
+    ("G0 X0Y0Z0\nM5\nG1 X1\n", {}, "gcode.spindle", 6, "spindle is stopped"),
     ("S-5\n", {}, "gcode.spindle", 4, "S-5"),
-    ("S0 M3\n", {}, "gcode.spindle", 4, "no speed"),
+    ("S0 M3\n", {}, "gcode.spindle", 4, "without a speed"),
     ("M6\n", {}, "gcode.tool", 4, "without a T"),
-    ("T1.5\n", {}, "gcode.tool", 4, "whole numbers"),
+    ("T1.5\n", {}, "gcode.tool", 4, "integers"),
     ("T1 M6\nM3\nG0X0Y0Z0\nT2 M6\n", {}, "gcode.tool", 7, "tool 2 after tool 1"),
     ("T1 M6\nM3\nG0X0Y0Z0\n", {"tool": 3}, "gcode.empty", 6, "in the spindle: 1"),
     ("T1 M6\nG0X0Y0Z0\nT2 M6\nM3\nG1 X5\n", {"tool": 2}, "gcode.position", 8, "tool 2 cuts"),
     ("(nothing)\n", {}, "gcode.empty", 4, "no moves"),
     ("G0 X0Y0Z0\nG4 P1\n", {}, "gcode.mode", 5, "dwell"),
     ("G0 X0Y0Z0\nG4\n", {"dwell": "s"}, "gcode.mode", 5, "P"),
-    ("G0 X0Y0Z0\nG4 P1 X1\n", {"dwell": "s"}, "gcode.word", 5, "part them"),
+    ("G0 X0Y0Z0\nG4 P1 X1\n", {"dwell": "s"}, "gcode.word", 5, "separate them"),
     ("G0 X0Y0Z0\n/G1 X1\n", {}, "gcode.mode", 5, "block_delete"),
 ]
 
@@ -238,15 +238,15 @@ def test_a_missing_file_is_named_with_the_problems_field(tmp_path: Path) -> None
     own = spec(tmp_path, "")
     own.file.unlink()
     with pytest.raises(TandemError) as caught:
-        reader.read(own.dialect("operations.0.gcode"))
+        reader.read_gcode(own.dialect("operations.0.gcode"))
     (issue,) = caught.value.issues
     assert (issue.code, issue.field) == ("problem.missing_file", "operations.0.gcode.file")
 
 
 def test_skipped_codes_and_lines_after_the_end_are_told(tmp_path: Path) -> None:
     notes = read(tmp_path, HEAD + "G0X0Y0Z0\nM8\nM9\nM8\nM30\nG0 X1\n", skip=["M8", "M9"]).notes
-    told = {(note.code, note.field, note.count, note.severity) for note in notes}
-    assert told == {
+    reported = {(note.code, note.field, note.count, note.severity) for note in notes}
+    assert reported == {
         ("gcode.skipped", "M8", 2, Severity.NOTE),
         ("gcode.skipped", "M9", 1, Severity.NOTE),
         ("gcode.after_end", None, 1, Severity.WARNING),

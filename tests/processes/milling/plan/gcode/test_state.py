@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from planner.processes.milling.plan.gcode.state import KINEMATICS, convention, pieces
+from planner.processes.milling.plan.gcode.state import KINEMATICS, find_convention, piece_counts
 from tests.processes.milling.plan.gcode.gcode_programs import HEAD, read
 
 Z = np.array([0.0, 0.0, 1.0])
@@ -38,13 +38,13 @@ ANGLE = st.floats(-200, 200)
 @given(angles=st.tuples(ANGLE, ANGLE, ANGLE))
 def test_axes_are_products_of_rotations(name: Any, angles: tuple[float, float, float]) -> None:
     """A capital turns the tool, a small letter the part."""
-    wanted = Z
+    expected = Z
     for letter in reversed(CHAINS[name]):
         i = "ABC".index(letter.upper())
         turn = Rotation.from_euler("xyz"[i], angles[i], degrees=True)
-        wanted = (turn if letter.isupper() else turn.inv()).apply(wanted)
-    got = convention(name, "").axis(np.deg2rad([angles]))
-    np.testing.assert_allclose(got, [wanted], atol=1e-12)
+        expected = (turn if letter.isupper() else turn.inv()).apply(expected)
+    got = find_convention(name, "").axis(np.deg2rad([angles]))
+    np.testing.assert_allclose(got, [expected], atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -86,20 +86,20 @@ def test_between_pieces_the_axis_is_on_the_great_circle(
     start: tuple[float, float, float], change: tuple[float, float, float], tolerance: float, name: Any
 ) -> None:
     """Evenly turning angles against the shortest turn between the ends of each piece, by SciPy."""
-    own = convention(name, "")
+    own = find_convention(name, "")
     used = np.array([letter in own.letters for letter in "ABC"])
     first, turn = np.deg2rad(start), np.where(used, np.deg2rad(change), 0.0)
-    count = int(pieces(turn[None], tolerance)[0])
+    count = int(piece_counts(turn[None], tolerance)[0])
     ends = own.axis(first + np.linspace(0, 1, count + 1)[:, None] * turn)
-    share = np.linspace(0, 1, 9)
+    fraction = np.linspace(0, 1, 9)
     for i in range(0, count, max(count // 5, 1)):
-        really = own.axis(first + ((i + share) / count)[:, None] * turn)
+        really = own.axis(first + ((i + fraction) / count)[:, None] * turn)
         about, size = np.cross(ends[i], ends[i + 1]), 0.0
         size = float(np.arctan2(np.linalg.norm(about), ends[i] @ ends[i + 1]))
         unit = about / max(float(np.linalg.norm(about)), 1e-15)
-        straight = Rotation.from_rotvec(share[:, None] * size * unit).apply(ends[i])
-        off = np.linalg.norm(np.cross(really, straight), axis=1)
-        assert off.max() <= tolerance * 1.01
+        straight = Rotation.from_rotvec(fraction[:, None] * size * unit).apply(ends[i])
+        deviation = np.linalg.norm(np.cross(really, straight), axis=1)
+        assert deviation.max() <= tolerance * 1.01
 
 
 def test_a_turn_goes_along_with_the_way(tmp_path: Path) -> None:
@@ -111,4 +111,4 @@ def test_a_turn_goes_along_with_the_way(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         np.rad2deg(np.arctan2(path.axis[cut, 1], path.axis[cut, 0])) + 90.0, path.tip[cut, 0] * 1e3, atol=1e-6
     )
-    assert [event.at for event in program.events] == [int((path.line < 5).sum()), len(path) - 1]
+    assert [event.row for event in program.events] == [int((path.line < 5).sum()), len(path) - 1]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from planner.claims.segments import Segment
-from planner.processes.milling.proof.tool_motion import signed, solids, sweep
+from planner.processes.milling.proof.tool_motion import signed_distance, solids, track_distance
 from planner.tooling import Cutter
 from tests.processes.milling.plan.small_mill import BALL, PANEL, WALL
 from tests.processes.milling.proof.milling_job import Job, Programs, in_procedure
@@ -94,11 +94,11 @@ def test_a_tip_that_is_too_high_leaves_the_wall(wall: Job) -> None:
     assert "verify.milled" in wall.broken(bad)
 
 
-@pytest.mark.parametrize("way", ["", "_in", "_out"])
-def test_a_tip_that_is_too_deep_where_no_face_says_so(wall: Job, way: str) -> None:
+@pytest.mark.parametrize("suffix", ["", "_in", "_out"])
+def test_a_tip_that_is_too_deep_where_no_face_says_so(wall: Job, suffix: str) -> None:
     """Below the wall and beside it there is no face of the part; what is there is not to be milled."""
     bad = in_procedure(
-        wall.programs, f"mill_wall{way}", lambda text: moved(text, slice(3, None), (0, 0, -2.0))
+        wall.programs, f"mill_wall{suffix}", lambda text: moved(text, slice(3, None), (0, 0, -2.0))
     )
     assert "verify.mill_path" in wall.broken(bad)
 
@@ -153,7 +153,7 @@ def test_a_spindle_that_is_not_up_to_speed_is_caught(wall: Job) -> None:
 
 
 def twice(text: str) -> str:
-    """A procedure whose moves take half their time."""
+    """Halve the time of all moves of a procedure."""
     return re.sub(r"\\T:=([\d.]+)", lambda m: f"\\T:={0.5 * float(m[1]):.5f}", text)
 
 
@@ -267,9 +267,9 @@ def test_distances_from_a_cutter_are_those_of_dense_points_of_its_surface(cutter
     shell = np.concatenate([arc, side, end, top])
     rng = np.random.default_rng(8)
     at = rng.uniform([-0.004, 0.0], [0.02, 0.011], (300, 2))
-    wanted = np.array([np.linalg.norm(shell - one, axis=1).min() for one in at])
-    found = signed(solids(cutter)[0], at[:, 0], at[:, 1])
-    np.testing.assert_allclose(np.abs(found), wanted, atol=1.2e-5)
+    expected = np.array([np.linalg.norm(shell - one, axis=1).min() for one in at])
+    found = signed_distance(solids(cutter)[0], at[:, 0], at[:, 1])
+    np.testing.assert_allclose(np.abs(found), expected, atol=1.2e-5)
     deep = (at[:, 1] < flat) & (at[:, 0] > 0.0) & (at[:, 0] < cutter.flute)
     assert (found[deep] < 0.0).all()
     assert (found[at[:, 1] > cutter.radius + 1e-5] > 0.0).all()
@@ -284,8 +284,8 @@ def test_a_swept_cylinder_leaves_what_a_slot_leaves() -> None:
     points = np.column_stack(
         [rng.uniform(0.02, 0.08, 200), rng.uniform(0.004, 0.008, 200), rng.uniform(0.005, 0.025, 200)]
     )
-    off, place = sweep(points, tip, axis, solids(cutter)[0])
-    wanted = points[:, 1] - cutter.radius
+    deviation, place = track_distance(points, tip, axis, solids(cutter)[0])
+    expected = points[:, 1] - cutter.radius
     # places are 1 mm apart: half of that off, a point 4 mm from the axis is 0.5^2 / 8 mm farther
-    np.testing.assert_allclose(off, wanted, atol=3.2e-5)
+    np.testing.assert_allclose(deviation, expected, atol=3.2e-5)
     assert (np.abs(tip[place, 0] - points[:, 0]) < 1.1e-3).all()

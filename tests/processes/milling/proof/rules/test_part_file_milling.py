@@ -1,5 +1,7 @@
-"""The rule on part files where a cutter makes the part: the programs stay, and what the problem states is
-changed to what a wrong reading would have been."""
+"""The rule on part files for milled parts.
+
+The programs are unchanged. The problem is changed to the result of a wrong reading.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,7 @@ def result(wall, change):
 def test_a_wall_that_both_read_alike_is_proven(wall) -> None:
     rule = result(wall, lambda part: None)
     assert rule.passed
-    assert rule.where == "600 places of the problem's numbers"
+    assert rule.where == "600 points of the problem's numbers"
 
 
 def moved(part):

@@ -1,5 +1,7 @@
-"""Least feeds of given poses: programs that keep them are proven, slowed ones are not; what the planner
-cannot keep it refuses with the cause and the place."""
+"""Minimum feeds of given poses: programs that keep them are proven, slowed programs are not.
+
+If the planner cannot keep a minimum feed, it refuses the job with the cause and the place.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,7 @@ Texts = dict[str, str]
 Mutator = Callable[[np.random.Generator, Texts], Texts]
 T = re.compile(r"\\T:=([\d.]+)")
 MOVE = {"abb": "    MoveL ", "two": "    MoveL ", "kuka": "SLIN "}
-PLACE = {
+X_COORDINATE = {
     "abb": re.compile(r"\[\[([-\d.]+),"),
     "two": re.compile(r"\[\[([-\d.]+),"),
     "kuka": re.compile(r"X ([-\d.]+),"),
@@ -90,12 +92,12 @@ def any_inner(rng: np.random.Generator, job: str) -> tuple[int, int]:
     return stretch, int(rng.integers(1, count(job, stretch) - 1))
 
 
-def one(rng: np.random.Generator, job: str, texts: Texts) -> Texts:
+def one_move(rng: np.random.Generator, job: str, texts: Texts) -> Texts:
     stretch, move = any_inner(rng, job)
     return slowed(job, texts, stretch, [move], rng.uniform(1.12, 4.0))
 
 
-def some(rng: np.random.Generator, job: str, texts: Texts) -> Texts:
+def some_moves(rng: np.random.Generator, job: str, texts: Texts) -> Texts:
     stretch = int(rng.integers(3))
     first = int(rng.integers(1, count(job, stretch) - 3))
     return slowed(job, texts, stretch, [first, first + 1, first + 2], rng.uniform(1.15, 3.0))
@@ -131,13 +133,15 @@ def dwelt(rng: np.random.Generator, job: str, texts: Texts) -> Texts:
 
 
 def unsteady(rng: np.random.Generator, job: str, texts: Texts) -> Texts:
-    """A pose more on the way, to which the tool creeps, and hurries from there in the time that is left."""
+    """Insert a pose, to which the tool creeps. It hurries from there in the remaining time."""
     stretch, move = any_inner(rng, job)
-    share = rng.uniform(0.2, 0.5)
+    fraction = rng.uniform(0.2, 0.5)
 
-    def new(row: str, before: str) -> list[str]:
-        a, b = (float(PLACE[job].search(text)[1]) for text in (before, row))  # type: ignore[index]
-        there = PLACE[job].sub(lambda f: f[0].replace(f[1], f"{a + share * (b - a):.4f}"), row, count=1)
+    def new(row: str, previous: str) -> list[str]:
+        a, b = (float(X_COORDINATE[job].search(text)[1]) for text in (previous, row))  # type: ignore[index]
+        there = X_COORDINATE[job].sub(
+            lambda f: f[0].replace(f[1], f"{a + fraction * (b - a):.4f}"), row, count=1
+        )
         if job == "kuka":
             slow, fast = bead_job.FEED * 4e-4, bead_job.FEED * 2e-3
             return [f"$VEL.CP={slow:.8f}", there, f"$VEL.CP={fast:.8f}", row, "$VEL.CP=0.03879979"]
@@ -154,13 +158,13 @@ def unsteady(rng: np.random.Generator, job: str, texts: Texts) -> Texts:
 
 
 def turning(rng: np.random.Generator, job: str, texts: Texts) -> Texts:
-    """KUKA: the tool may turn slowly only, so the way takes as long as the turn does."""
+    """KUKA: reduce the rotation speed, so that the move takes as long as the rotation."""
     name = files(texts)[0]
     slow = f"{rng.uniform(0.5, 4.0):.5f}"
     return {**texts, name: re.sub(r"(\$VEL.ORI[12])=[\d.]+", rf"\1={slow}", texts[name])}
 
 
-MUTATORS = {f.__name__: f for f in (one, some, every, first_or_last, stopped, dwelt, unsteady)}
+MUTATORS = {f.__name__: f for f in (one_move, some_moves, every, first_or_last, stopped, dwelt, unsteady)}
 CASES = [(job, kind) for job in bead_job.JOBS for kind in MUTATORS] + [("kuka", "turning")]
 
 
@@ -170,7 +174,7 @@ def prover(job: str) -> Prover:
 
 
 def caught(job: str, kind: str, seed: int) -> bool:
-    """Whether the rule that is named for it refuses a mutant."""
+    """Return whether its rule refuses a mutant."""
     rng = np.random.default_rng([seed, len(kind), bead_job.JOBS.index(job)])
     texts = bead_job.programs(job)
     mutant = {**MUTATORS, "turning": turning}[kind](rng, job, texts)
@@ -231,12 +235,12 @@ def test_harmless_changes_end_without_alarm(job: str) -> None:
 
 
 def some_targets(rng: np.random.Generator) -> Targets:
-    made = registry.job(bead_job.problem("abb"), 0).targets()
+    targets = registry.job(bead_job.problem("abb"), 0).targets()
     return dataclasses.replace(
-        made,
-        travel=np.append(0.0, rng.uniform(0.5e-3, 9e-3, made.count - 1)),
-        stop=made.stop | (rng.uniform(size=made.count) < 0.1),
-        feed_min=np.where(rng.uniform(size=made.count) < 0.8, 0.03, 0.0) * (np.arange(made.count) > 0),
+        targets,
+        travel=np.append(0.0, rng.uniform(0.5e-3, 9e-3, targets.count - 1)),
+        stop=targets.stop | (rng.uniform(size=targets.count) < 0.1),
+        feed_min=np.where(rng.uniform(size=targets.count) < 0.8, 0.03, 0.0) * (np.arange(targets.count) > 0),
     )
 
 
@@ -244,10 +248,10 @@ def some_targets(rng: np.random.Generator) -> Targets:
 def test_the_time_allowed_is_that_of_a_point_that_accelerates_evenly(seed: int) -> None:
     """Against the integral of ds / v with v^2 = v0^2 s / run-up from either end of each stretch."""
     targets = some_targets(np.random.default_rng(seed))
-    allowed = planned.allowed(targets)
+    allowed = planned.max_move_times(targets)
     run_up = targets.run_up
     assert run_up is not None
-    for first, last in planned.stretches(targets):
+    for first, last in planned.min_feed_runs(targets):
         way = np.concatenate([[0.0], np.cumsum(targets.travel[first : last + 1])])
         for k, (a, b) in enumerate(itertools.pairwise(way)):
             s = a + (b - a) * (1.0 - np.cos(np.pi * (np.arange(20000) + 0.5) / 20000)) / 2.0
@@ -259,12 +263,12 @@ def test_the_time_allowed_is_that_of_a_point_that_accelerates_evenly(seed: int) 
 @pytest.mark.parametrize("seed", range(6))
 def test_proof_and_planner_allow_the_same(seed: int) -> None:
     targets = some_targets(np.random.default_rng(50 + seed))
-    allowed = planned.allowed(targets)
+    allowed = planned.max_move_times(targets)
     took = np.where(np.isfinite(allowed), allowed, 0.2)
     took[0] = 0.0
 
-    def faults(factor: float) -> list[proven.Slow]:
-        way = proven.Way(
+    def faults(factor: float) -> list[proven.SlowFault]:
+        way = proven.PoseTiming(
             targets.travel[1:],
             targets.feed_min[1:],
             targets.feed[1:],
@@ -274,11 +278,11 @@ def test_proof_and_planner_allow_the_same(seed: int) -> None:
             targets.stop,
             (),
         )
-        halting = dataclasses.replace(way, place=(np.cumsum(targets.travel)[:, None] * [1.0, 0.0, 0.0],))
-        return proven.slow_places(halting, targets.run_up or 0.0)
+        halting = dataclasses.replace(way, positions=(np.cumsum(targets.travel)[:, None] * [1.0, 0.0, 0.0],))
+        return proven.find_slow_motion(halting, targets.run_up or 0.0)
 
     assert [f for f in faults(1.0) if "on the way to pose" in f.message and f.got < 0.999 * f.limit] == []
-    late = {f.pose for f in faults(1.01) if "at least" in f.message and "asked for" in f.message}
+    late = {f.pose for f in faults(1.01) if "at least" in f.message and "required" in f.message}
     assert len(late) >= 15
 
 
@@ -298,14 +302,14 @@ def refused(
 
 
 def test_a_least_feed_beyond_the_accelerations_names_the_run_up(tmp_path: Path) -> None:
-    told = refused(tmp_path, feed_mm_s=240, run_up_mm=0.1, table=lambda t: t.replace(",36,", ",225,"))
-    assert "[motion.feed_min]" in told
-    assert "need a longer run-up than 0.1 mm" in told
+    reported = refused(tmp_path, feed_mm_s=240, run_up_mm=0.1, table=lambda t: t.replace(",36,", ",225,"))
+    assert "[motion.feed_min]" in reported
+    assert "need a longer run-up than 0.1 mm" in reported
 
 
 def test_a_least_feed_beyond_the_tcp_speed_names_the_setting(tmp_path: Path) -> None:
-    told = refused(tmp_path, feed_mm_s=400, run_up_mm=30, table=lambda t: t.replace(",36,", ",300,"))
-    assert "settings.tcp_speed_mm_s is 250 mm/s" in told
+    reported = refused(tmp_path, feed_mm_s=400, run_up_mm=30, table=lambda t: t.replace(",36,", ",300,"))
+    assert "settings.tcp_speed_mm_s is 250 mm/s" in reported
 
 
 def test_a_least_feed_beyond_a_joint_names_the_joint(tmp_path: Path) -> None:
@@ -314,10 +318,10 @@ def test_a_least_feed_beyond_a_joint_names_the_joint(tmp_path: Path) -> None:
     for k in range(20):
         half = np.deg2rad(4.0 * k)
         rows.append(f"{k},0,90,0,{np.cos(half):.9f},{np.sin(half):.9f},0")
-    told = refused(
+    reported = refused(
         tmp_path, free=[], feed_mm_s=100, feed_min_mm_s=90, table=lambda _: "\n".join(rows), run_up_mm=5
     )
-    assert re.search(r"joint 6 of robot would turn at \d+\.\d deg/s, allowed 392\.8", told), told
+    assert re.search(r"joint 6 of robot would turn at \d+\.\d deg/s, allowed 392\.8", reported), reported
 
 
 def test_a_tool_that_turns_faster_than_krl_lets_it_is_named(tmp_path: Path) -> None:
@@ -325,17 +329,18 @@ def test_a_tool_that_turns_faster_than_krl_lets_it_is_named(tmp_path: Path) -> N
     for k in range(24):
         half = np.deg2rad(2.2 * k)
         rows.append(f"{2 * k},0,90,0,{np.cos(half):.9f},{np.sin(half):.9f},0")
-    told = refused(
+    reported = refused(
         tmp_path, job="kuka", feed_mm_s=110, feed_min_mm_s=90, table=lambda _: "\n".join(rows), run_up_mm=30
     )
-    assert re.search(r"the tool of robot turns at 2\d\d.* deg/s; programs in", told), told
+    pattern = r"the tool of robot turns at 2\d\d.* deg/s; KRL programs with a minimum feed"
+    assert re.search(pattern, reported), reported
 
 
 def test_poses_too_near_for_a_controller_are_named(tmp_path: Path) -> None:
     rows = ["robot.x_mm,robot.y_mm,robot.z_mm,robot.qw,robot.qx,robot.qy,robot.qz"]
     rows += [f"{0.2 * k:.1f},0,90,0,1,0,0" for k in range(80)]
-    told = refused(tmp_path, feed_min_mm_s=38, table=lambda _: "\n".join(rows))
-    assert "controllers plan no move in less than 6 ms" in told
+    reported = refused(tmp_path, feed_min_mm_s=38, table=lambda _: "\n".join(rows))
+    assert "controllers plan no move below 6 ms" in reported
 
 
 def test_a_short_turn_before_a_stop_is_proven(tmp_path: Path) -> None:
@@ -361,9 +366,9 @@ def test_a_sharp_corner_is_named_with_its_place(tmp_path: Path) -> None:
         f"{x},{y},90,0,1,0,0,cut/a"
         for x, y in [*((k, 0) for k in range(0, 50, 8)), (44, 8), (40, 16), (36, 24)]
     ]
-    told = refused(tmp_path, feed_mm_s=20, feed_min_mm_s=18, table=lambda _: "\n".join(rows))
-    assert "[motion.feed_min]" in told
-    assert "cut/a/7" in told
+    reported = refused(tmp_path, feed_mm_s=20, feed_min_mm_s=18, table=lambda _: "\n".join(rows))
+    assert "[motion.feed_min]" in reported
+    assert "cut/a/7" in reported
 
 
 def test_two_controllers_that_meet_on_the_way_are_refused(tmp_path: Path) -> None:
@@ -386,7 +391,7 @@ def test_two_controllers_that_meet_on_the_way_are_refused(tmp_path: Path) -> Non
             "feed_min_mm_s of 39 is over 0.95 of the feed",
         ),
         (lambda t: t.replace(",36,cut/back", ",nan,cut/back", 1), "column 'feed_min_mm_s'"),
-        (lambda t: t + t.splitlines()[-1] + "\n", "where the tools stand or only turn"),
+        (lambda t: t + t.splitlines()[-1] + "\n", "where the tools rest or only rotate"),
     ],
 )
 def test_wrong_least_feeds_are_told_by_row(tmp_path: Path, change: Callable[[str], str], words: str) -> None:

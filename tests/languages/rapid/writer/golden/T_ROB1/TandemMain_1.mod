@@ -4,7 +4,7 @@ MODULE TandemMain_1
   ! Problem test, SHA-256 0123456789abcdef0123456789abcdef0123456789abcdef0123456789abcdef.
   ! Proven: least clearance 12.3 mm (left/link_4 to stock).
   ! Error handlers switch doWirePower off first. An emergency stop runs no handler: wire the power so
-  ! that it falls with the motors.
+  ! that it goes off with the motors.
 
   PROC main()
     check_cell;
@@ -38,23 +38,23 @@ MODULE TandemMain_1
     MoveAbsJ j_home\NoEOffs,v_entry,fine,t_Holder;
     MoveAbsJ j_1_entry_1\NoEOffs,v_entry,fine,t_Holder;
     MoveAbsJ j_1_start\NoEOffs,v_entry,fine,t_Holder;
-    ! meet_2: left stands at its first target
+    ! meet_2: left is at its first target
     WaitSyncTask meet_2,all_tasks;
-    ! meet_3: right stands at its first target
+    ! meet_3: right is at its first target
     WaitSyncTask meet_3,all_tasks;
     TPWrite "Mount a wire of 812.5 mm, cold.";
     SetDO doWirePower,1;
     WaitTime 12.5;
     UIMsgBox\Header:="Tandem","Take up the slack at the slide, then press ""OK""."
         \Buttons:=btnOK\Icon:=iconInfo;
-    ! meet_4: what this stop asks for is done
+    ! meet_4: the actions at this stop are done
     WaitSyncTask meet_4,all_tasks;
     SyncMoveOn block_1_on,all_tasks;
     approach;
     cut_front;
     SyncMoveOff block_1_off;
     SetDO doWirePower,0;
-    ! meet_5: what this stop asks for is done
+    ! meet_5: the actions at this stop are done
     WaitSyncTask meet_5,all_tasks;
     SyncMoveOn block_2_on,all_tasks;
     retreat;
@@ -62,7 +62,7 @@ MODULE TandemMain_1
     SyncMoveOff block_2_off;
     UIMsgBox\Header:="Tandem","Take the wire off."
         \Buttons:=btnOK\Icon:=iconInfo;
-    ! meet_6: what this stop asks for is done
+    ! meet_6: the actions at this stop are done
     WaitSyncTask meet_6,all_tasks;
     ! meet_7: right is home again
     WaitSyncTask meet_7,all_tasks;

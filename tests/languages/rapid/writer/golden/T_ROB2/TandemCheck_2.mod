@@ -4,7 +4,7 @@ MODULE TandemCheck_2
   ! Problem test, SHA-256 0123456789abcdef0123456789abcdef0123456789abcdef0123456789abcdef.
   ! Proven: least clearance 12.3 mm (left/link_4 to stock).
   ! Error handlers switch doWirePower off first. An emergency stop runs no handler: wire the power so
-  ! that it falls with the motors.
+  ! that it goes off with the motors.
 
   PROC check_cell()
     VAR pose cfg_base;
@@ -42,7 +42,7 @@ MODULE TandemCheck_2
     SyncMoveUndo;
   ENDPROC
 
-  ! a turn is small here: twice the distance of the quaternions, in degrees
+  ! small rotation angle: twice the distance of the quaternions, in degrees
   PROC check_pose(string what,pose got,pose wanted)
     VAR num off_sign:=1;
     VAR num off_turn;
@@ -53,8 +53,8 @@ MODULE TandemCheck_2
       +Pow(got.rot.q3-off_sign*wanted.rot.q3,2)+Pow(got.rot.q4-off_sign*wanted.rot.q4,2));
     IF Distance(got.trans,wanted.trans)>0.1 OR off_turn>0.02 THEN
       TPWrite what;
-      TPWrite "is off by [mm]"\Num:=Distance(got.trans,wanted.trans);
-      TPWrite "and turned by [degrees]"\Num:=off_turn;
+      TPWrite "deviates by [mm]"\Num:=Distance(got.trans,wanted.trans);
+      TPWrite "and is rotated by [degrees]"\Num:=off_turn;
       check_stop;
     ENDIF
   ENDPROC
@@ -62,14 +62,14 @@ MODULE TandemCheck_2
   PROC check_true(string what,bool same)
     IF NOT same THEN
       TPWrite what;
-      TPWrite "is not as it was planned.";
+      TPWrite "differs from the plan.";
       check_stop;
     ENDIF
   ENDPROC
 
-  ! a start does not lead out of here
+  ! a restart stays in this loop
   PROC check_stop()
-    TPWrite "Nothing moves. Put it right,";
+    TPWrite "No arm moves. Correct the cell,";
     TPWrite "then PP to main in all tasks.";
     WHILE TRUE DO
       Stop\AllMoveTasks;

@@ -4,7 +4,7 @@ MODULE TandemCut1_2
   ! Problem test, SHA-256 0123456789abcdef0123456789abcdef0123456789abcdef0123456789abcdef.
   ! Proven: least clearance 12.3 mm (left/link_4 to stock).
   ! Error handlers switch doWirePower off first. An emergency stop runs no handler: wire the power so
-  ! that it falls with the motors.
+  ! that it goes off with the motors.
 
   PROC approach()
     ! Segment approach: 2 moves, 1 s.

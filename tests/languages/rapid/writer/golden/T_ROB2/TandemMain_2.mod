@@ -4,7 +4,7 @@ MODULE TandemMain_2
   ! Problem test, SHA-256 0123456789abcdef0123456789abcdef0123456789abcdef0123456789abcdef.
   ! Proven: least clearance 12.3 mm (left/link_4 to stock).
   ! Error handlers switch doWirePower off first. An emergency stop runs no handler: wire the power so
-  ! that it falls with the motors.
+  ! that it goes off with the motors.
 
   PROC main()
     check_cell;
@@ -29,26 +29,26 @@ MODULE TandemMain_2
     ! Operation panel.
     ! meet_1: all tasks are ready for operation panel
     WaitSyncTask meet_1,all_tasks;
-    ! meet_2: left stands at its first target
+    ! meet_2: left is at its first target
     WaitSyncTask meet_2,all_tasks;
     MoveAbsJ j_home\NoEOffs,v_entry,fine,t_Holder;
     MoveAbsJ j_1_entry_1\NoEOffs,v_entry,fine,t_Holder;
     MoveAbsJ j_1_start\NoEOffs,v_entry,fine,t_Holder;
-    ! meet_3: right stands at its first target
+    ! meet_3: right is at its first target
     WaitSyncTask meet_3,all_tasks;
-    ! meet_4: what this stop asks for is done
+    ! meet_4: the actions at this stop are done
     WaitSyncTask meet_4,all_tasks;
     SyncMoveOn block_1_on,all_tasks;
     approach;
     cut_front;
     SyncMoveOff block_1_off;
-    ! meet_5: what this stop asks for is done
+    ! meet_5: the actions at this stop are done
     WaitSyncTask meet_5,all_tasks;
     SyncMoveOn block_2_on,all_tasks;
     retreat;
     unmount;
     SyncMoveOff block_2_off;
-    ! meet_6: what this stop asks for is done
+    ! meet_6: the actions at this stop are done
     WaitSyncTask meet_6,all_tasks;
     MoveAbsJ j_1_entry_1\NoEOffs,v_entry,fine,t_Holder;
     MoveAbsJ j_home\NoEOffs,v_entry,fine,t_Holder;

@@ -1,0 +1,128 @@
+"""Comparison of cells for one problem: the problem in each of several cells, ranked.
+
+A cell replaces the problem's own. Operations name arms, so a cell's arms take the names of those of the
+problem's own cell, in order. Other differences (tools, reach, payload, controller) show in the plan and its
+proof.
+"""
+
+import functools
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from planner.batch.job import make_safe_names
+from planner.batch.rows import BatchItem, BatchRow
+from planner.batch.run import YAML_SUFFIXES
+from planner.geometry.units import DEG, MM
+from planner.issues import TandemError, issue_error
+from planner.problem import Problem, Settings
+from planner.reading import strict_yaml
+from planner.reading.problem import resolve_files
+
+OWN_CELL_NAME: Final = "own"
+"""Name of the problem's own cell."""
+AMPLE_MARGIN_FACTOR: Final = 2.0
+"""Factor of the required margin above which larger margins no longer improve the rank of a cell."""
+MARGIN_SETTINGS: Final = {
+    "clearance_mm": ("clearance", MM),
+    "own_clearance_mm": ("self_clearance", MM),
+    "joint_limits_deg": ("joint_margin", DEG),
+    "singularity_deg": ("singularity_margin", DEG),
+}
+"""Figures of a job that are margins: the setting that requires them, and its unit."""
+
+
+def cell_items(problem: Problem, folder: Path) -> list[BatchItem]:
+    """Return the problem in its own cell, and in each cell of a folder.
+
+    Raises:
+        TandemError: batch.field, if the folder contains no cell.
+    """
+    files = sorted(path for path in _files(folder) if "arms" in _cell_data(path))
+    if not files:
+        what = f"{folder}: the folder contains no cell, which is a YAML file with arms"
+        raise issue_error("batch.field", what, field="--cells", hint="give a folder of cell files")
+    names = make_safe_names([OWN_CELL_NAME, *(path.stem for path in files)])
+    read = [functools.partial(_problem_in_cell, problem, path) for path in files]
+    first = BatchItem(names[0], f"the cell of {problem.path}", lambda: problem)
+    return [first, *(BatchItem(n, str(p), r) for n, p, r in zip(names[1:], files, read, strict=True))]
+
+
+def _files(folder: Path) -> list[Path]:
+    return [p for p in folder.iterdir() if p.suffix.lower() in YAML_SUFFIXES] if folder.is_dir() else []
+
+
+def _cell_data(path: Path) -> Mapping[str, Any]:
+    try:
+        return dict(strict_yaml.read(path).data)
+    except TandemError:
+        return {"arms": None}  # its row states the error
+
+
+def _problem_in_cell(problem: Problem, path: Path) -> Problem:
+    """Return the problem in the cell of a file.
+
+    Raises:
+        TandemError: If the file is invalid or has too few arms.
+    """
+    from planner.processes import registry
+    from planner.reading.problem import build_problem
+
+    strict_yaml.read(path)
+    source_with_cell = resolve_files({"cell": path.name}, path.parent)
+    own_arms = [arm.name for arm in problem.cell.arms]
+    cell = source_with_cell["cell"]
+    cell_arms = [arm.get("name") for arm in cell.get("arms") or () if isinstance(arm, dict)]
+    if len(cell_arms) < len(own_arms):
+        what = (
+            f"got a cell of {len(cell_arms)} arm{'s' * (len(cell_arms) != 1)}, {problem.name} uses "
+            f"{len(own_arms)}"
+        )
+        raise issue_error("batch.field", what, file=str(path), hint="use a cell with more arms")
+    names = dict(
+        zip(
+            cell_arms,
+            [*own_arms, *(f"{own_arms[0]}_{k}" for k in range(len(own_arms), len(cell_arms)))],
+            strict=True,
+        )
+    )
+    source = {**problem.source, "cell": _rename_arms(cell, names)}
+    return build_problem(strict_yaml.Document(path, source, None, b"", file=False), registry.readers())
+
+
+def _rename_arms(value: Any, names: Mapping[Any, str]) -> Any:
+    """Return plain data with every string that is an arm's name replaced, all at once."""
+    if isinstance(value, Mapping):
+        return {names.get(k, k): _rename_arms(v, names) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rename_arms(v, names) for v in value]
+    return names.get(value, value) if isinstance(value, str) else value
+
+
+def min_margin(row: BatchRow, settings: Settings) -> float:
+    """Return the smallest of a job's margins over what the problem requires, up to `AMPLE_MARGIN_FACTOR`.
+
+    0 without a plan.
+    """
+    ratios = [
+        row.done.metrics[name] * unit / getattr(settings, setting)
+        for name, (setting, unit) in MARGIN_SETTINGS.items()
+        if name in row.done.metrics and getattr(settings, setting) > 0.0
+    ]
+    return min([AMPLE_MARGIN_FACTOR, *ratios]) if row.done.metrics else 0.0
+
+
+def rank_cells(rows: Sequence[BatchRow], settings: Settings) -> list[BatchRow]:
+    """Return rows from the best cell to the worst.
+
+    Proven cells come first, then by margin up to `AMPLE_MARGIN_FACTOR`, then by time including tracks and
+    turntables. The others keep their order.
+    """
+
+    def sort_key(row: BatchRow) -> tuple[bool, float, float]:
+        is_proven = row.done.state == "verified"
+        margin_value = round(min_margin(row, settings), 2) if is_proven else 0.0
+        times = (row.done.metrics.get(name, 0.0) for name in ("cycle_s", "travel_s"))
+        return not is_proven, -margin_value, sum(times) if is_proven else 0.0
+
+    return sorted(rows, key=sort_key)

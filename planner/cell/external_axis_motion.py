@@ -1,0 +1,648 @@
+"""Clearance while external axes move between stations.
+
+A track or gantry moves a folded arm, one axis after another. A turntable or positioner moves the block.
+
+Carried bodies move at most as far as their farthest point: the path of the carriage, or the arc about the
+axis. A distance changes by no more than that. Samples are therefore as far apart as the clearance allows, and
+a bound holds between two of them.
+"""
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from planner.cell import clearance, distance
+from planner.cell.bodies import Solid, shapes_by_body
+from planner.cell.plant import CellModel
+from planner.cell.support import SupportGround
+from planner.geometry.arrays import BoolArray, FloatArray, Shape, hull_points, transform
+from planner.geometry.units import DEG
+from planner.problem import (
+    END_SUFFIX,
+    MAX_BLIND_SPEED_M_S,
+    STOCK_AXIS,
+    TILT_AXIS,
+    TURNTABLE_BODY,
+    Arm,
+    Cell,
+    LinearAxis,
+    Problem,
+    RotaryAxis,
+    Setup,
+    Turntable,
+    motion_order,
+)
+
+UPRIGHT_TOLERANCE: Final = 1e-12
+"""Axes are upright if the height of their unit vector differs from 1 by less than this."""
+MIN_STEP_M: Final = 1e-3
+"""Minimum distance between samples [m]."""
+MAX_STANDING_GAP_M: Final = 5e-3
+"""Maximum distance [m] between a base and the body that it stands on at the start of its motion.
+
+The same bound holds for shapes in a bearing.
+"""
+MAX_SUPPORT_ABOVE_FOOT_M: Final = 2e-3
+"""Height [m] by which the body that a base stands on may be above its foot.
+
+Bodies of some bases end 1 mm below it.
+"""
+MIN_PLANE_NORMAL: Final = 1e-3
+"""Minimum length of the component of a shape's axis across the motion that defines a separating plane."""
+MIN_UPRIGHT_COMPONENT: Final = 0.5
+"""Minimum length of the component of a base's z axis across its motion.
+
+A base that is tilted farther into its motion stands on nothing that it could leave sliding.
+"""
+MAX_BEARING_DISTANCE_M: Final = 0.15
+"""Maximum distance [m] from the tilt axis of shapes that meet face to face in its bearing."""
+CONTACT_TOLERANCE_M: Final = 1e-6
+"""Distance [m] below which positions coincide."""
+MAX_MEASURED_DISTANCE_M: Final = 0.5
+"""Distance [m] up to which clearances are measured."""
+MAX_ABB_ROTATION_RAD_S: Final = 45.0 * DEG
+"""Maximum rotation speed [rad/s] of joint moves in RAPID programs."""
+TURNTABLE_BODIES: Final = ("stock", "support")
+"""Bodies that a turntable rotates."""
+FLOOR: Final = "the floor"
+"""Name of the floor, which tilted or lowered bodies may approach and which is not a body of the cell."""
+LEVEL_TOLERANCE: Final = 1e-9
+"""Linear axes are level if the height of their unit vector is below this."""
+
+
+class AxisSample(NamedTuple):
+    """Poses of carried bodies at one sample.
+
+    Attributes:
+        value: Value of the axis [m, rad].
+        poses: Poses in the world by body (4, 4).
+    """
+
+    value: float
+    poses: Mapping[str, FloatArray]
+
+
+@dataclasses.dataclass(frozen=True)
+class AxisMotionCheck:
+    """Result of checking a motion of an external axis.
+
+    Attributes:
+        min_distance: Smallest distance, a bound between samples [m].
+        at: Value of the axis there [m, rad].
+        pair: Bodies between which it is.
+        clear: Whether the motion was checked completely and no bodies come closer than required.
+        samples: Samples in order.
+    """
+
+    min_distance: float
+    at: float
+    pair: tuple[str, str]
+    clear: bool = False
+    samples: tuple[AxisSample, ...] = dataclasses.field(default=(), compare=False, repr=False)
+
+
+class AxisTravel(NamedTuple):
+    """A motion of an external axis.
+
+    Attributes:
+        start: First value [m, rad].
+        end: Last value [m, rad].
+        seconds: Duration [s].
+    """
+
+    start: float
+    end: float
+    seconds: float
+
+
+def carried_bodies(cell: Cell, name: str) -> dict[str, tuple[str, ...]]:
+    """Return the bodies that a linear axis carries, by the names of the axes that they are mounted on.
+
+    These axes are the given one and those above it.
+
+    Args:
+        cell: The cell.
+        name: Name of the axis.
+    """
+    arm, _ = cell.linear_axis(name)
+    names = list(arm.axes_by_name)
+    return {axis_name: arm.axes_by_name[axis_name].carries for axis_name in names[names.index(name) :]}
+
+
+def check_linear_motion(
+    model: CellModel,
+    name: str,
+    ends: tuple[float, float],
+    q: Mapping[str, FloatArray],
+    min_clearance: float,
+    ignore: clearance.Pairs = frozenset(),
+) -> AxisMotionCheck:
+    """Check the motion of a linear axis. It stops at a distance below ``min_clearance``.
+
+    The base of the arm moves, and all that this axis and those on it carry. The base is not checked against
+    shapes on which it stands and slides (:func:`_supporting_shapes`), and carried bodies are not checked
+    against shapes that bear them (:func:`_sliding_shapes`). They are checked against other shapes of the same
+    bodies. Bodies that move up or down keep clear of the floor too. A base may stand on it.
+
+    Args:
+        model: Cell with the base and the carried bodies at the start of the motion.
+        name: Name of the axis.
+        ends: First and last value of the axis [m].
+        q: Joints of all arms meanwhile, by arm (6,) [rad].
+        min_clearance: Required distance [m].
+        ignore: Pairs of bodies that are not checked.
+    """
+    arm, axis = model.cell.linear_axis(name)
+    base, foot = model.bases[arm.name], f"{arm.name}/base_link"
+    bodies_by_axis = carried_bodies(model.cell, name)
+    bodies = [body for moving in bodies_by_axis.values() for body in moving]
+    moving = [solid for solid in model.solids if solid.body in (foot, *bodies)]
+    fixed_bodies = [f"{other}/base_link" for other in model.arms if other != arm.name]
+    fixed_bodies += [body.name for body in model.cell.obstacles if body.name not in bodies]
+    fixed_bodies += ["stock", "support"] if model.stock.held_by is None else []
+    fixed = [solid for solid in model.solids if solid.body in fixed_bodies]
+    feet = [solid for solid in moving if solid.body == foot]
+    excluded = np.zeros((len(moving), len(fixed)), bool)
+    excluded[[solid.body == foot for solid in moving]] = _supporting_shapes(
+        model, feet, fixed, base[:3, 2], axis.axis
+    )
+    bearers = _bearing_bodies(model.cell, arm)
+    bears = np.array([solid.body in bearers for solid in fixed], bool)
+    carries = np.array([solid.body != foot for solid in moving], bool)
+    excluded |= _sliding_shapes(model, moving, fixed, axis, ends[0]) & carries[:, None] & bears
+    floor = SupportGround.of(model.cell).floor
+
+    def cell_at(value: float) -> CellModel:
+        displacement = value - ends[0]
+        motion = axis.translate(np.eye(4), displacement)
+        moved = model.with_axis_motions(
+            {
+                axis_name: motion @ model.axis_motion(axis_name)
+                for axis_name, carried in bodies_by_axis.items()
+                if carried
+            }
+        )
+        return moved.with_bases({arm.name: axis.translate(base, displacement)})
+
+    def fixed_distances(placed: CellModel) -> dict[tuple[str, str], float]:
+        out = _body_distances(placed, moving, fixed, excluded)
+        if abs(axis.axis[2]) < LEVEL_TOLERANCE:
+            return out
+        feet = _floor_distances(placed, moving, [foot], floor)  # a base may stand on the floor, but not in it
+        below_floor = {pair: low for pair, low in feet.items() if low < -MAX_SUPPORT_ABOVE_FOOT_M}
+        return out | below_floor | _floor_distances(placed, moving, bodies, floor)
+
+    motion = _SampledMotion(cell_at, fixed_distances, 1.0, ends, (foot, *bodies))
+    return _check_by_samples(motion, q, min_clearance, ignore)
+
+
+def _bearing_bodies(cell: Cell, arm: Arm) -> set[str]:
+    """Return the bodies along which carried bodies of an arm's axes may slide.
+
+    These are bodies of the cell that no axis under another arm carries, but not a block, its support or
+    another arm's base.
+    """
+    carried = {
+        name
+        for other in cell.arms
+        if other.name != arm.name
+        for on in other.linear_axes
+        for name in on.carries
+    }
+    return {body.name for body in cell.obstacles} - carried
+
+
+def _floor_distances(
+    placed: CellModel, carried: Sequence[Solid], bodies: Sequence[str], floor: float
+) -> dict[tuple[str, str], float]:
+    """Return the height [m] above the floor of carried bodies among ``bodies``."""
+    out: dict[tuple[str, str], float] = {}
+    poses = placed.poses({})
+    for solid in (candidate for candidate in carried if candidate.body in bodies):
+        lowest = float(
+            transform(poses[solid.body][0] @ solid.shape.pose, hull_points(solid.shape))[:, 2].min()
+        )
+        pair = (solid.body, FLOOR)
+        out[pair] = min(out.get(pair, np.inf), lowest - floor)
+    return out
+
+
+def check_rotary_motion(
+    model: CellModel,
+    name: str,
+    tilt: float,
+    ends: tuple[float, float],
+    q: Mapping[str, FloatArray],
+    min_clearance: float,
+) -> AxisMotionCheck:
+    """Check the motion of a turntable or of one axis of a positioner.
+
+    It stops at a distance below ``min_clearance``.
+
+    The plate is rotationally symmetric about the turn axis, so its rotation brings nothing closer, and the
+    distance to what it carries is constant. The tilt axis moves plate and bracket. Shapes of these are not
+    checked against fixed shapes that bear them (:func:`_bearing_shapes`), whose distance no tilt reduces.
+    They are checked against all other shapes of the same bodies. Bodies that tilt keep clear of the floor
+    too.
+
+    Args:
+        model: Cell with the block, and what is tilted with it, at the start of the motion.
+        name: Name of the axis.
+        tilt: Value of the tilt axis in ``model`` [rad].
+        ends: First and last value of the axis [rad].
+        q: Joints of all arms meanwhile, by arm (6,) [rad].
+        min_clearance: Required distance [m].
+
+    Raises:
+        ValueError: For a cell without a turntable.
+    """
+    table = model.cell.turntable
+    if table is None:
+        raise ValueError("the cell has no turntable")
+    pivot = table.axis_at_tilt(name, tilt)
+    tilts = name == TILT_AXIS
+    moving_bodies = (*TURNTABLE_BODIES, *table.tilted_bodies) if tilts else TURNTABLE_BODIES
+    moving = [solid for solid in model.solids if solid.body in moving_bodies]
+    fixed_bodies = [f"{arm}/base_link" for arm in model.arms]
+    fixed_bodies += [
+        body.name for body in model.cell.obstacles if body.name not in (*moving_bodies, TURNTABLE_BODY)
+    ]
+    fixed = [solid for solid in model.solids if solid.body in fixed_bodies]
+    floor = SupportGround.of(model.cell).floor
+    is_upright = abs(pivot.axis[2]) > 1.0 - UPRIGHT_TOLERANCE
+
+    def cell_at(value: float) -> CellModel:
+        motion = pivot.rotate(np.eye(4), value - ends[0])
+        moved = model.with_stock(motion @ model.stock_pose)
+        return moved.with_axis_motions({TILT_AXIS: motion @ model.axis_motion(TILT_AXIS)}) if tilts else moved
+
+    bearing = _bearing_shapes(cell_at(0.0), moving, fixed, pivot) if tilts and moving and fixed else None
+
+    def fixed_distances(placed: CellModel) -> dict[tuple[str, str], float]:
+        out = _body_distances(placed, moving, fixed, bearing)
+        # heights above the floor are constant if the axis is upright
+        return out if is_upright else out | _floor_distances(placed, moving, moving_bodies, floor)
+
+    poses = model.poses({})
+    lever = max((max_axis_distance([s.shape], poses[s.body][0], pivot) for s in moving), default=0.0)
+    others = sorted({solid.body for solid in model.solids} - set(moving_bodies))
+    ignored = frozenset(
+        map(frozenset, itertools.combinations(others, 2))
+    )  # the motion does not change their distances
+    with_solids = {solid.body for solid in moving}
+    carried = tuple(name for name in moving_bodies if name in with_solids)
+    return _check_by_samples(
+        _SampledMotion(cell_at, fixed_distances, lever, ends, carried), q, min_clearance, ignored
+    )
+
+
+def model_at_values(model: CellModel, values: Mapping[str, float], current: Mapping[str, float]) -> CellModel:
+    """Return the model with external axes at other values.
+
+    Args:
+        model: Cell with the axes at ``current``.
+        values: New values by axis [m, rad].
+        current: Present values by axis [m, rad]. An axis that is in neither stays.
+    """
+    cell, table = model.cell, model.cell.turntable
+    moved = model.with_axis_motions(
+        {k: goes @ model.axis_motion(k) for k, goes in cell.carried_motions(values, current).items()}
+    )
+    for arm in cell.arms:
+        base = model.bases[arm.name]
+        for name, axis in arm.axes_by_name.items():
+            base = axis.translate(base, values.get(name, 0.0) - current.get(name, 0.0))
+        moved = moved.with_bases({arm.name: base}) if arm.linear_axes else moved
+    return moved if table is None else moved.with_stock(table.move_pose(model.stock_pose, values, current))
+
+
+def max_axis_distance(shapes: Sequence[Shape], pose: FloatArray, axis: RotaryAxis) -> float:
+    """Return the distance [m] of the farthest point of shapes from an axis.
+
+    Args:
+        shapes: The shapes.
+        pose: Pose of their frame (4, 4).
+        axis: The axis.
+    """
+    offsets = [transform(pose @ shape.pose, hull_points(shape)) - axis.centre for shape in shapes]
+    return max((float(np.linalg.norm(np.cross(p, axis.axis), axis=1).max()) for p in offsets), default=0.0)
+
+
+def carried_radius(setup: Setup, pose: FloatArray, table: Turntable, name: str = STOCK_AXIS) -> float:
+    """Return the largest distance [m] from an axis under the block of what it carries in a setup.
+
+    Args:
+        setup: The setup.
+        pose: Pose of the block where the setup's values have it (4, 4).
+        table: Turntable or positioner.
+        name: Name of the axis.
+    """
+    stock = setup.stock
+    block = (*shapes_by_body(setup.cell, stock)["stock"], *stock.support)
+    pivot = table.axis_at_tilt(name, stock.tilt or 0.0)
+    tilted = [body for body in setup.cell.obstacles if name == TILT_AXIS and body.name in table.tilted_bodies]
+    return max(
+        max_axis_distance(block, pose, pivot),
+        *(max_axis_distance(body.shapes, np.eye(4), pivot) for body in tilted),
+        0.0,
+    )
+
+
+def travel_speeds(problem: Problem, poses: Sequence[FloatArray]) -> dict[str, float]:
+    """Return the speeds [m/s, rad/s] of external axes between stations, as programs state them, by axis.
+
+    Carried bodies move at most at :data:`planner.problem.MAX_BLIND_SPEED_M_S`. In KRL speeds are whole
+    percents of the axis' maximum.
+
+    Args:
+        problem: The problem.
+        poses: Pose of the block in each setup (4, 4).
+    """
+    out: dict[str, float] = {}
+    for arm in problem.cell.arms:
+        max_speeds = {name: min(axis.speed, MAX_BLIND_SPEED_M_S) for name, axis in arm.axes_by_name.items()}
+        if arm.data.family == "ABB":  # speeddata has one value for all of them
+            max_speeds = dict.fromkeys(max_speeds, min(max_speeds.values(), default=0.0))
+        out |= {
+            name: _whole_percent_speed(max_speeds[name], axis.speed, arm)
+            for name, axis in arm.axes_by_name.items()
+        }
+    table = problem.cell.turntable
+    if table is not None:
+        mover = problem.cell.arm(table.arm)
+        rows = list(zip(problem.setups, poses, strict=False))
+        if (end := problem.closing_setup) is not None and end.stock.place is not None:
+            rows.append((end, end.stock.place))
+        table_speeds: dict[str, float] = {}
+        for name, axis in table.axes.items():
+            radius = max(carried_radius(setup, np.asarray(pose), table, name) for setup, pose in rows)
+            table_speeds[name] = min(axis.speed, MAX_BLIND_SPEED_M_S / radius)
+        if mover.data.family == "ABB":  # speeddata has one value for all of them
+            table_speeds = dict.fromkeys(table_speeds, min(*table_speeds.values(), MAX_ABB_ROTATION_RAD_S))
+        out |= {
+            name: _whole_percent_speed(table_speeds[name], axis.speed, mover)
+            for name, axis in table.axes.items()
+        }
+    return out
+
+
+def _whole_percent_speed(speed: float, axis_speed: float, mover: Arm) -> float:
+    if mover.data.family != "KUKA":
+        return speed
+    return max(1.0, float(np.floor(100.0 * speed / axis_speed + 1e-9))) / 100.0 * axis_speed
+
+
+def axis_travels(problem: Problem, poses: Sequence[FloatArray]) -> tuple[dict[str, AxisTravel], ...]:
+    """Return the motions of external axes before each operation, and home after the last one.
+
+    They are in the order in which they occur, by axis. Axes that do not move have none. Ramps use the axis'
+    own acceleration, if it is stated.
+
+    Args:
+        problem: The problem.
+        poses: Pose of the block in each setup (4, 4).
+    """
+    if not problem.axis_homes or not problem.operations:
+        return ()
+    speeds, current, out = travel_speeds(problem, poses), problem.axis_homes, list[dict[str, AxisTravel]]()
+    arms, table = problem.cell.arms, problem.cell.turntable
+    ramps = {name: axis.acceleration for arm in arms for name, axis in arm.axes_by_name.items()}
+    ramps |= {} if table is None else {name: axis.acceleration for name, axis in table.axes.items()}
+    for index in range(len(problem.operations) + 1):
+        target = (
+            problem.axis_homes if index == len(problem.operations) else problem.stations.get(index, current)
+        )
+        motions: dict[str, AxisTravel] = {}
+        ends = {name: target.get(name, current[name]) for name in current}
+        order = [name for arm in arms for name in motion_order(arm.axes_by_name, current, ends)]
+        for name in (*order, *(() if table is None else table.axes)):
+            value = ends[name]
+            distance = abs(value - current[name])
+            if distance > 0.0:
+                ramp = ramps[name]
+                top = min(speeds[name], float(np.sqrt(distance * ramp)))
+                motions[name] = AxisTravel(current[name], value, distance / top + top / ramp)
+        out.append(motions)
+        current = {
+            name: target.get(f"{name}{END_SUFFIX}", target.get(name, current[name])) for name in current
+        }
+    return tuple(out)
+
+
+@dataclasses.dataclass(frozen=True)
+class _SampledMotion:
+    """A motion of one axis that is checked by samples.
+
+    Attributes:
+        cell_at: Returns the cell at a value of the axis.
+        fixed_distances: Returns distances [m] of carried bodies to fixed ones, by pairs of bodies without
+            joints.
+        lever: Path of the farthest point for a change of the value by 1 [m, m/rad].
+        ends: First and last value of the axis [m, rad].
+        carried_bodies: Bodies that move.
+    """
+
+    cell_at: Callable[[float], CellModel]
+    fixed_distances: Callable[[CellModel], Mapping[tuple[str, str], float]]
+    lever: float
+    ends: tuple[float, float]
+    carried_bodies: tuple[str, ...]
+
+
+def _check_by_samples(
+    motion: _SampledMotion,
+    q: Mapping[str, FloatArray],
+    min_clearance: float,
+    ignore: clearance.Pairs = frozenset(),
+) -> AxisMotionCheck:
+    """Check a motion by samples.
+
+    Args:
+        motion: The motion.
+        q: Joints of all arms, by arm (6,) [rad].
+        min_clearance: Required distance [m].
+        ignore: Pairs of bodies that are not checked.
+    """
+    (start, end), lever = motion.ends, motion.lever
+    rows = {name: np.asarray(joints)[None] for name, joints in q.items()}
+    sense, length = float(np.sign(end - start)), lever * abs(end - start)
+    worst = AxisMotionCheck(MAX_MEASURED_DISTANCE_M, start, ("", ""))
+    travelled, last_gap, step, samples = 0.0, np.inf, 0.0, list[AxisSample]()
+    while True:
+        value = start + sense * (travelled / lever if lever > 0.0 else 0.0)
+        placed = motion.cell_at(value)
+        result = clearance.min_clearance(placed, rows, MAX_MEASURED_DISTANCE_M, ignore)
+        gap, pair = float(result.distance[0]), result.pair[0]
+        for bodies, other in motion.fixed_distances(placed).items():
+            if other < gap:
+                gap, pair = other, bodies
+        poses = placed.poses({})
+        samples.append(AxisSample(value, {name: poses[name][0] for name in motion.carried_bodies}))
+        # between two samples the distance is at least (d1 + d2 - step) / 2
+        bound = min(gap, 0.5 * (last_gap + gap - step)) if np.isfinite(last_gap) else gap
+        if bound < worst.min_distance:
+            worst = AxisMotionCheck(bound, value, pair)
+        if travelled >= length or gap < min_clearance:
+            return dataclasses.replace(worst, clear=gap >= min_clearance, samples=tuple(samples))
+        step = min(max(gap - min_clearance, MIN_STEP_M), length - travelled)
+        travelled, last_gap = travelled + step, gap
+
+
+def _body_distances(
+    model: CellModel, moving: list[Solid], fixed: list[Solid], excluded: BoolArray | None
+) -> dict[tuple[str, str], float]:
+    """Return the distances [m] between carried and fixed solids by bodies, at most 0 for overlap.
+
+    Pairs (R, F) of ``excluded`` do not count.
+    """
+    out: dict[tuple[str, str], float] = {}
+    if not moving or not fixed:
+        return out
+    gaps = _gaps(model, moving, fixed)
+    for i, j in zip(*np.nonzero(np.ones_like(gaps, bool) if excluded is None else ~excluded), strict=True):
+        pair = (moving[i].body, fixed[j].body)
+        out[pair] = min(out.get(pair, np.inf), float(gaps[i, j]))
+    return out
+
+
+def _solid_poses(model: CellModel, solids: Sequence[Solid]) -> FloatArray:
+    """Return the world poses (S, 4, 4) of solids of bodies without joints."""
+    poses = model.poses({})
+    return np.stack([poses[solid.body][0] @ solid.shape.pose for solid in solids])
+
+
+def _gaps(
+    model: CellModel, moving: list[Solid], fixed: list[Solid], shift: FloatArray | None = None
+) -> FloatArray:
+    """Return the distances (R, F) [m] between solids, at most 0 for overlap.
+
+    Carried solids are shifted by (3,) [m] from where ``model`` has them.
+    """
+    both = [*moving, *fixed]
+    placed = _solid_poses(model, both)
+    if shift is not None:
+        placed[: len(moving), :3, 3] += shift
+    first, second = (v.ravel() for v in np.indices((len(moving), len(fixed))))
+    second = second + len(moving)
+    gaps, _, _ = distance.measure_distances(
+        distance.make_cores(both), first, second, placed[first], placed[second]
+    )
+    return gaps.reshape(len(moving), len(fixed))
+
+
+def _extents(kinds: distance.Cores, placed: FloatArray, direction: FloatArray) -> FloatArray:
+    """Return the lower and upper extent (2, S) [m] of solids at poses (S, 4, 4) along a unit vector (3,)."""
+    indices, ends = np.arange(len(placed)), []
+    for sense in (-1.0, 1.0):
+        ray = np.broadcast_to(sense * direction, (len(placed), 3))
+        local_tips = kinds.support(indices, np.einsum("sc,scd->sd", ray, placed[:, :3, :3]))
+        tips = np.einsum("scd,sd->sc", placed[:, :3, :3], local_tips) + placed[:, :3, 3]
+        ends.append(tips @ direction + sense * kinds.rounding)
+    return np.stack(ends)
+
+
+def _supporting_shapes(
+    model: CellModel, base_solids: list[Solid], fixed: list[Solid], upright: FloatArray, direction: FloatArray
+) -> BoolArray:
+    """Return on which fixed shapes (F,) a base stands and slides, where ``model`` has it.
+
+    These are shapes of obstacles that end below the foot of the base: below a plane along the motion, so that
+    the base comes no closer to them. At least one shape of the obstacle is closer to the base than
+    :data:`MAX_STANDING_GAP_M`. Shapes that are higher by more than :data:`MAX_SUPPORT_ABOVE_FOOT_M` are
+    checked: a box on a rail, and a mesh, whose hull contains both.
+    """
+    up = upright - (upright @ direction) * direction
+    length = float(np.linalg.norm(up))
+    if not base_solids or not fixed or length < MIN_UPRIGHT_COMPONENT:
+        return np.zeros(len(fixed), bool)
+    both = [*base_solids, *fixed]
+    low, high = _extents(distance.make_cores(both), _solid_poses(model, both), up / length)
+    is_below = high[len(base_solids) :] < low[: len(base_solids)].min() + MAX_SUPPORT_ABOVE_FOOT_M
+    is_close = _gaps(model, base_solids, fixed).min(axis=0) < MAX_STANDING_GAP_M
+    bodies = {fixed[j].body for j in np.flatnonzero(is_below & is_close)}
+    bodies &= {body.name for body in model.cell.obstacles}
+    return np.asarray(is_below & np.array([solid.body in bodies for solid in fixed]))
+
+
+def _sliding_shapes(
+    model: CellModel, moving: list[Solid], fixed: list[Solid], axis: LinearAxis, value: float
+) -> BoolArray:
+    """Return along which fixed shapes carried ones slide (R, F), at a value [m] of the axis.
+
+    ``model`` has the carried solids at this value. Such shapes are less than :data:`MAX_STANDING_GAP_M` apart
+    over the whole range of the axis, and a plane along the motion separates them. Both shapes are convex, so
+    what is that close at both ends of the range is so in between. Planes are tried normal to the axes of both
+    shapes, and between the motion and these. Boxes that overlap are checked, as is what obstructs the motion,
+    such as an end stop, and what the axis leaves behind, such as a post next to the path.
+    """
+    out = np.zeros((len(moving), len(fixed)), bool)
+    if not moving or not fixed:
+        return out
+    both, direction = [*moving, *fixed], axis.axis
+    kinds, placed = distance.make_cores(both), _solid_poses(model, both)
+    is_close = np.ones_like(out)
+    for end in (axis.low, axis.high):
+        is_close &= _gaps(model, moving, fixed, (end - value) * direction) < MAX_STANDING_GAP_M
+    for i, j in zip(*np.nonzero(is_close), strict=True):
+        pair = [int(i), len(moving) + int(j)]
+        axes = np.concatenate([placed[k, :3, :3].T for k in pair])
+        for normal in (*(axes - (axes @ direction)[:, None] * direction), *np.cross(direction, axes)):
+            length = float(np.linalg.norm(normal))
+            if length > MIN_PLANE_NORMAL:
+                low, high = _extents(kinds, placed, normal / length)
+                separation = max(low[pair[1]] - high[pair[0]], low[pair[0]] - high[pair[1]])
+                out[i, j] |= separation > -CONTACT_TOLERANCE_M
+    return out
+
+
+def _bearing_shapes(model: CellModel, moving: list[Solid], fixed: list[Solid], axis: RotaryAxis) -> BoolArray:
+    """Return which shapes of plate and bracket are borne by fixed ones (R, F).
+
+    ``model`` has the tilt at 0. Such shapes are less than :data:`MAX_STANDING_GAP_M` apart, and the tilt
+    cannot bring them closer. Either one of them is rotationally symmetric about the tilt axis, such as a
+    shaft or its seat. Or the fixed one starts along the axis where the other ends, their distance is that of
+    these ends, and both come within :data:`MAX_BEARING_DISTANCE_M` of the axis, such as a cradle in front of
+    its posts: the faces slide past each other. All other pairs are checked: a column next to the bracket, a
+    box that a fixed one overlaps, and a bar above the end of a post that the tilt lowers next to it.
+    """
+    both = [*moving, *fixed]
+    kinds, placed = distance.make_cores(both), _solid_poses(model, both)
+    every = np.arange(len(both))
+    low, high = _extents(kinds, placed, axis.axis) - axis.centre @ axis.axis
+    moving_rows, fixed_rows = slice(len(moving)), slice(len(moving), None)
+    separation = np.maximum(
+        low[fixed_rows] - high[moving_rows, None], low[moving_rows, None] - high[fixed_rows]
+    )
+
+    line = np.eye(4)  # the part of the axis along which shapes lie
+    line[:3, 3] = axis.centre + 0.5 * (low.min() + high.max()) * axis.axis
+    line[:3, :3] = np.linalg.svd(axis.axis[None])[2].T[:, [1, 2, 0]]
+    rod = Solid("", Shape("capsule", (CONTACT_TOLERANCE_M, float(high.max() - low.min())), np.eye(4)))
+    rods = np.broadcast_to(line, placed.shape)
+    last = np.full(len(both), len(both))
+    axis_distance = distance.measure_distances(distance.make_cores([*both, rod]), every, last, placed, rods)[
+        0
+    ]
+    is_close = axis_distance < MAX_BEARING_DISTANCE_M
+
+    aside = np.cross(placed[:, :3, 3] - axis.centre, axis.axis)
+    skew = np.linalg.norm(np.cross(placed[:, :3, 2], axis.axis), axis=1)
+    is_sphere = np.array([solid.shape.kind == "sphere" for solid in both])
+    is_rod = np.array([solid.shape.kind in ("cylinder", "capsule") for solid in both])
+    is_symmetric = (is_sphere | is_rod & (skew < CONTACT_TOLERANCE_M)) & (
+        np.linalg.norm(aside, axis=1) < CONTACT_TOLERANCE_M
+    )
+
+    gaps = _gaps(model, moving, fixed)
+    slides = (
+        (separation > -CONTACT_TOLERANCE_M)
+        & (gaps < separation + CONTACT_TOLERANCE_M)
+        & is_close[moving_rows, None]
+        & is_close[fixed_rows]
+    )
+    turns = is_symmetric[moving_rows, None] | is_symmetric[fixed_rows]
+    tilted = np.array([solid.body not in TURNTABLE_BODIES for solid in moving])[:, None]
+    return np.asarray(tilted & (gaps < MAX_STANDING_GAP_M) & (slides | turns))

@@ -1,0 +1,94 @@
+"""Table of all issue codes, used by the code, the tests, ``tandem issues`` and the documentation.
+
+A code has the form ``area.problem`` and is stable once released. Each file holds the rows of some areas.
+Plug-ins add their own rows (:func:`all_codes`).
+"""
+
+from collections.abc import Mapping
+from typing import Final
+
+from planner.issue_codes import (
+    forming,
+    hotwire,
+    milling,
+    parts,
+    problem,
+    programs,
+    proof,
+    results,
+    service,
+    shopfloor,
+    trim,
+)
+from planner.issue_codes.row import IssueCode
+
+__all__ = ["CODES", "IssueCode", "all_codes", "code_owners", "format_message", "lookup_code"]
+
+CODES: Final[dict[str, IssueCode]] = {
+    **problem.CODES,
+    **parts.CODES,
+    **hotwire.CODES,
+    **programs.CODES,
+    **proof.CODES,
+    **forming.CODES,
+    **trim.CODES,
+    **milling.CODES,
+    **shopfloor.CODES,
+    **service.CODES,
+    **results.CODES,
+}
+
+
+def all_codes() -> Mapping[str, IssueCode]:
+    """Return the rows of Tandem and of all installed plug-ins, by code."""
+    out = dict(CODES)
+    for rows in _plugin_codes().values():
+        out |= {code: row for code, row in rows.items() if code not in out}
+    return out
+
+
+def lookup_code(code: str) -> IssueCode:
+    """Return the row of a code.
+
+    Plug-ins are imported only for codes that are not Tandem's.
+
+    Raises:
+        KeyError: If neither Tandem nor a plug-in declares the code.
+    """
+    entry = CODES.get(code) or all_codes().get(code)
+    if entry is None:
+        raise KeyError(f"issue code {code!r} is not in planner/issue_codes; declare it there")
+    return entry
+
+
+def format_message(code: str, /, **values: object) -> str:
+    """Return the message of an issue from the template of its code.
+
+    Args:
+        code: Issue code.
+        values: Values of all named fields of the template.
+
+    Raises:
+        KeyError: If the code is unknown or has no template, or if a field has no value.
+    """
+    template = lookup_code(code).message
+    if template is None:
+        raise KeyError(f"issue code {code!r} has no message template")
+    return template.format_map(values)
+
+
+def code_owners(code: str) -> frozenset[str]:
+    """Return the packages that declare a code: "Tandem", or plug-ins such as "package ring-gauge"."""
+    others = {owner for owner, rows in _plugin_codes().items() if code in rows}
+    return frozenset({"Tandem", *others} if code in CODES else others)
+
+
+def _plugin_codes() -> Mapping[str, Mapping[str, IssueCode]]:
+    """Return rows by owner. The registry of processes refuses plug-ins whose rows cannot be loaded."""
+    from planner.runtime import plugins  # imports importlib.metadata, which `tandem --help` does without
+
+    out: dict[str, dict[str, IssueCode]] = {}
+    for kind in (plugins.Process, plugins.Language):
+        for name, rows in plugins.loadable(kind, "codes", dict).items():
+            out.setdefault(plugins.installed(kind)[name].owner, {}).update(rows)
+    return out

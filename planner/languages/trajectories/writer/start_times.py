@@ -1,0 +1,82 @@
+"""Start times of goals, and times of rest-to-rest moves.
+
+A controller may start a goal from the measured posture instead of the last commanded one. They may differ by
+the tolerance of the check before the move. The first point of each move is therefore the start posture
+itself, at rest, late enough that joints with this deviation reach it within all limits. Nothing that follows
+then depends on where they were.
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import Final
+
+import numpy as np
+
+from planner.catalogue.robots import RobotData
+from planner.cell.kinematics import forward_kinematics, jacobian
+from planner.geometry.arrays import FloatArray
+from planner.languages.trajectories.writer.curves import MIN_INTERVAL_S
+from planner.languages.trajectories.writer.straight_segments import TrajectoryArm
+
+TIME_RESERVE_FACTOR: Final = 1.05
+"""Ratio of the time of a start to its minimum. Chosen: 5 % reserve."""
+
+
+def settling_time(
+    arms: Iterable[TrajectoryArm], posture: FloatArray, tolerance: float, tcp_speed: float
+) -> float:
+    """Return the time [s] in which all joints that deviate from a posture at rest reach it on cubics.
+
+    Joints keep their speeds and accelerations (a cubic over a step d in time T has the speed 1.5 d / T and
+    the acceleration 6 d / T^2), tools their speed.
+
+    Args:
+        arms: The arms.
+        posture: The posture, (D,) [rad].
+        tolerance: Maximum deviation of the joints [rad].
+        tcp_speed: Maximum speed of tools [m/s].
+    """
+    out = MIN_INTERVAL_S
+    for arm in arms:
+        robot = arm.robot
+        out = max(out, float((1.5 * tolerance / robot.velocity).max()))
+        out = max(out, float(np.sqrt(6.0 * tolerance / robot.acceleration).max()))
+        out = max(out, 1.5 * _max_tool_shift(robot, posture[arm.columns], arm.tcp, tolerance) / tcp_speed)
+    return TIME_RESERVE_FACTOR * out
+
+
+def _max_tool_shift(robot: RobotData, q: FloatArray, tcp: FloatArray, tolerance: float) -> float:
+    """Maximum distance [m] of a tool while all joints rotate by ``tolerance`` [rad] to ``q`` (J,)."""
+    slopes = jacobian(robot, q)
+    lever = forward_kinematics(robot, q)[:3, :3] @ tcp[:3, 3]
+    first_order = np.linalg.norm(slopes[3:].T + np.cross(slopes[:3].T, lever), axis=1).sum()
+    max_lever = robot.reach + robot.form.hand + float(np.linalg.norm(tcp[:3, 3]))
+    return float(tolerance * first_order + max_lever * (len(q) * tolerance) ** 2)
+
+
+def rest_to_rest_time(
+    arms: Mapping[str, TrajectoryArm],
+    start: FloatArray,
+    end: FloatArray,
+    fractions: tuple[float, float],
+    tcp_speed: float,
+) -> float:
+    """Return the time [s] of a rest-to-rest move, straight in joint space.
+
+    Args:
+        arms: The arms that move, by name.
+        start: Joints at the start, (D,) [rad].
+        end: Joints at the end, (D,) [rad].
+        fractions: Allowed fractions of the joints' speeds and accelerations.
+        tcp_speed: Maximum speed of tools [m/s].
+    """
+    change = np.abs(end - start)
+    out = MIN_INTERVAL_S
+    x = np.linspace(0.0, 1.0, 401)
+    q = start + (x * x * (3.0 - 2.0 * x))[:, None] * (end - start)
+    for arm in arms.values():
+        arm_change = change[arm.columns]
+        out = max(out, float((1.5 * arm_change / (fractions[0] * arm.robot.velocity)).max()))
+        out = max(out, float(np.sqrt(6.0 * arm_change / (fractions[1] * arm.robot.acceleration)).max()))
+        steps = np.linalg.norm(np.diff(arm.tcp_pose(q)[:, :3, 3], axis=0), axis=1).max()
+        out = max(out, float(steps * (len(x) - 1) / (0.99 * tcp_speed)))
+    return out

@@ -1,0 +1,417 @@
+"""Maps of one freedom over the targets: what each arm can do at each value, and where all arms are free.
+
+A grid point of the map is a target with a value of the freedom. At each grid point the best branch and the
+best of a few samples of the other freedoms are evaluated for every arm: reach, margin to joint limits and
+margin to singularities, with the functions that the path search uses. Where every arm has a state with all
+margins, a few combinations of branches are checked for clearance. All counts are bounded, so a grid point
+that is reported as colliding may still have a free posture between the samples.
+
+The freedoms are those of the targets. A stock that stands in the cell adds three more: translations of its
+position along the axes of the world.
+"""
+
+import dataclasses
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, spread_rows
+from planner.geometry.units import DEG, MM
+from planner.issues import Issue
+from planner.motion.planning_scene import FULL_TURN_RAD, Chain, Scene
+from planner.motion.quick_check import find_posture
+from planner.motion.search.reach import SOFT_LIMIT_RAD, SOFT_SINGULARITY_RAD, is_full_turn
+from planner.motion.search.subsampling import coarse_samples, select_targets
+from planner.targets import Freedom, JointFreedom, TableFreedom, Targets
+
+VALUES_PER_FREEDOM: Final = 25
+"""Number of values of a freedom. A freedom of a full turn has one less, which is a step of 15 degrees."""
+MAX_OTHER_SAMPLES: Final = 36
+"""Maximum number of samples of all other freedoms at each grid point."""
+MAX_BRANCH_CHOICES: Final = 8
+"""Maximum number of branch combinations that are checked for clearance at each grid point, largest margins
+first.
+"""
+MAX_STOCK_SHIFT_M: Final = 0.3
+"""Maximum shift [m] of the stock in both directions along an axis."""
+STOCK_SHIFT_AXES: Final = ("x", "y", "z")
+"""World axes along which the stock is moved."""
+STOCK_SHIFT_PREFIX: Final = "place "
+"""Prefix of the names of the stock's translations. The axis follows it."""
+BRANCH_USE_WEIGHT: Final = 1e3
+"""Weight of the number of grid points that a combination of branches suits. Exceeds any penalty of two arms
+that are within their margins.
+"""
+MAX_CLEARANCE_M: Final = 0.1
+"""Distance [m] up to which clearance is measured."""
+FREE, NO_REACH, JOINT_LIMIT, SINGULAR, COLLISION = range(5)
+"""States of an arm at a grid point: all requirements are met, or the first that fails, in this order."""
+ISSUE_CODES: Final = ("", "motion.no_reach", "motion.joint_limit", "motion.singular", "motion.collision")
+"""Issue codes of the states, in the same order."""
+DISPLAY_UNITS: Final = {"rad": ("deg", DEG), "m": ("mm", MM), "": ("", 1.0)}
+"""Displayed unit of each unit of a freedom, and the size of one displayed unit in the unit of the targets."""
+
+
+@dataclasses.dataclass(frozen=True)
+class GridStates:
+    """States of the arms at K targets with V values each.
+
+    Attributes:
+        state: {arm: (K, V)} :data:`FREE`, or the requirement that fails.
+        limit: {arm: (K, V)} [rad] distance of the best state to joint limits, -inf where no state exists.
+        singular: {arm: (K, V)} [rad] distance of the best state to singularities, -inf where no state exists.
+        q: {arm: (K, V, 6)} [rad] joints of the best combination, free or not. NaN where an arm has no allowed
+            state.
+        pair: (K, V) two bodies that are too close in that state, or two empty names.
+    """
+
+    state: Mapping[str, NDArray[np.int8]]
+    limit: Mapping[str, FloatArray]
+    singular: Mapping[str, FloatArray]
+    q: Mapping[str, FloatArray]
+    pair: NDArray[np.object_]
+
+    @property
+    def free(self) -> BoolArray:
+        """Whether (K, V) every arm meets all requirements."""
+        return np.asarray(np.logical_and.reduce([state == FREE for state in self.state.values()]))
+
+
+@dataclasses.dataclass(frozen=True)
+class ReachableFreedomMap:
+    """Map of one freedom over K targets.
+
+    Attributes:
+        freedom: Name of the freedom.
+        unit: Its unit: "rad", "m" or "".
+        values: (K, V) values of the freedom.
+        grid: States at these values.
+        clearance: (K, V) [m] smallest distance between bodies where all arms are free, at most
+            :data:`MAX_CLEARANCE_M`; NaN elsewhere.
+    """
+
+    freedom: str
+    unit: str
+    values: FloatArray
+    grid: GridStates
+    clearance: FloatArray
+
+
+def freedom_units(targets: Targets, has_stock_pose: bool) -> dict[str, str]:
+    """Return the units of all freedoms that can be mapped, by name.
+
+    Args:
+        targets: Targets with their freedoms. Freedoms with an empty range are left out.
+        has_stock_pose: Whether the stock pose is stated in the problem and can be moved.
+    """
+    out = {f.name: _unit(f) for f in targets.freedoms if float(np.max(f.upper - f.lower)) > 0.0}
+    return out | ({STOCK_SHIFT_PREFIX + axis: "m" for axis in STOCK_SHIFT_AXES} if has_stock_pose else {})
+
+
+def _unit(freedom: Freedom) -> str:
+    if isinstance(freedom, TableFreedom):
+        return ""
+    if isinstance(freedom, JointFreedom):
+        return "rad"
+    return "rad" if any(np.any(axis[:3]) for axis in freedom.axis.values()) else "m"
+
+
+def compute_freedom_map(
+    scene: Scene, targets: Targets, freedom: str, planned: FloatArray | None = None
+) -> ReachableFreedomMap:
+    """Compute the map of one freedom for a few targets.
+
+    The other freedoms take a few samples and, if given, the planned values.
+
+    Args:
+        scene: Cell with the stock in its pose.
+        targets: K targets.
+        freedom: Name of the freedom, one of :func:`freedom_units`.
+        planned: (K, F) values of the freedoms in a plan.
+
+    Raises:
+        KeyError: The freedom does not exist.
+    """
+    if freedom.startswith(STOCK_SHIFT_PREFIX):
+        return _stock_shift_map(
+            scene, targets, STOCK_SHIFT_AXES.index(freedom.removeprefix(STOCK_SHIFT_PREFIX))
+        )
+    names = [f.name for f in targets.freedoms]
+    if freedom not in names:
+        raise KeyError(freedom)
+    column = names.index(freedom)
+    grid_values = _values(targets.freedoms[column])
+    other_samples = _other_samples(targets, column)
+    if planned is not None:
+        other_samples = np.concatenate([planned[:, None], other_samples], axis=1)
+    values = np.repeat(other_samples[:, None], grid_values.shape[1], axis=1)
+    values[..., column] = grid_values[:, :, None]
+    grid = grid_states([scene], targets, values)
+    unit = _unit(targets.freedoms[column])
+    return ReachableFreedomMap(freedom, unit, grid_values, grid, _free_clearance([scene], targets, grid))
+
+
+def _values(freedom: Freedom) -> FloatArray:
+    """Values (N, V) of a freedom at each target, evenly spaced between its bounds."""
+    if is_full_turn(freedom):
+        angles = -np.pi + FULL_TURN_RAD * np.arange(VALUES_PER_FREEDOM - 1) / (VALUES_PER_FREEDOM - 1)
+        return np.repeat(angles[None], len(freedom.lower), axis=0)
+    fraction = np.linspace(0.0, 1.0, VALUES_PER_FREEDOM)
+    return freedom.lower[:, None] + fraction * (freedom.upper - freedom.lower)[:, None]
+
+
+def _other_samples(targets: Targets, column: int | None) -> FloatArray:
+    """Samples (N, S, F) of all freedoms except one, which keeps its neutral value."""
+    ranges = list(targets.freedoms)
+    if column is not None:
+        neutral = targets.neutral_values()[:, column]
+        ranges[column] = dataclasses.replace(ranges[column], lower=neutral, upper=neutral)
+    samples = coarse_samples(dataclasses.replace(targets, freedoms=tuple(ranges)))
+    return samples[:, spread_rows(samples.shape[1], MAX_OTHER_SAMPLES)]
+
+
+def _stock_shift_map(scene: Scene, targets: Targets, axis: int) -> ReachableFreedomMap:
+    shifts = np.linspace(-MAX_STOCK_SHIFT_M, MAX_STOCK_SHIFT_M, VALUES_PER_FREEDOM)
+    scenes = []
+    for shift in shifts:
+        stock = scene.stock.copy()
+        stock[axis, 3] += shift
+        model = None if scene.model is None else scene.model.with_stock(stock)
+        scenes.append(dataclasses.replace(scene, stock=stock, model=model))
+    values = np.repeat(_other_samples(targets, None)[:, None], VALUES_PER_FREEDOM, axis=1)
+    grid = grid_states(scenes, targets, values)
+    values_shown = np.repeat(shifts[None], targets.count, axis=0)
+    name = STOCK_SHIFT_PREFIX + STOCK_SHIFT_AXES[axis]
+    return ReachableFreedomMap(name, "m", values_shown, grid, _free_clearance(scenes, targets, grid))
+
+
+MAX_SEARCHED_TARGETS: Final = 12
+"""Maximum number of targets without a posture among few samples for which the path search is run."""
+
+
+def find_postures(
+    scene: Scene, targets: Targets, rows: IndexArray
+) -> list[dict[str, FloatArray] | list[Issue]]:
+    """Find a posture for each target, or the reasons why there is none, as the quick check does.
+
+    The branch changes as seldom as possible.
+
+    Args:
+        scene: Cell with the stock in its pose.
+        targets: Targets of the operation.
+        rows: (K,) indices of the targets.
+
+    Returns:
+        For each row the joints {arm: (6,)} [rad], or issues.
+    """
+    subset_targets = select_targets(targets, rows)
+    grid = grid_states(
+        [scene], subset_targets, _other_samples(subset_targets, None)[:, None], prefer_common_branches=True
+    )
+    out: list[dict[str, FloatArray] | list[Issue]] = []
+    searched = 0
+    for k, row in enumerate(rows.tolist()):
+        if grid.free[k, 0]:
+            out.append({arm: _with_best_turns(scene.chains[arm], q[k, 0]) for arm, q in grid.q.items()})
+            continue
+        result = find_posture(scene, targets, row, thorough=False)
+        if isinstance(result, list):
+            searched += 1
+            over_budget = searched > MAX_SEARCHED_TARGETS
+            result = (
+                _sampled_issues(targets, grid, k, row) if over_budget else find_posture(scene, targets, row)
+            )
+        if isinstance(result, dict):
+            result = {arm: _with_best_turns(scene.chains[arm], q) for arm, q in result.items()}
+        out.append(result)
+    return out
+
+
+def _with_best_turns(chain: Chain, q: FloatArray) -> FloatArray:
+    """Joints (6,) with the whole turns that leave the largest margin to the limits."""
+    turns = chain.turns
+    margins = [float(margin) for margin in chain.limit_margins(q, turns)]
+    return np.asarray(q + turns[int(np.argmax(margins))])
+
+
+def _sampled_issues(targets: Targets, grid: GridStates, k: int, row: int) -> list[Issue]:
+    """Issues of a target that has no free posture among few samples."""
+    out = []
+    for arm, state in grid.state.items():
+        code = ISSUE_CODES[state[k, 0]]
+        if code:
+            pair = grid.pair[k, 0] if code == ISSUE_CODES[COLLISION] else ("", "")
+            message = f"{arm} at {targets.name(row)}: {CAUSE_TEXTS[code]} in all postures that were tried"
+            out.append(Issue(code, message, arm=arm, target=targets.name(row), index=row, bodies=pair))
+    return out
+
+
+CAUSE_TEXTS: Final = {
+    "motion.no_reach": "out of reach",
+    "motion.joint_limit": "a joint is beyond its limit",
+    "motion.singular": "too close to a singularity",
+    "motion.collision": "bodies are too close to each other",
+}
+"""What fails, in a few words, by issue code."""
+
+
+def grid_states(
+    scenes: Sequence[Scene], targets: Targets, values: FloatArray, prefer_common_branches: bool = False
+) -> GridStates:
+    """Evaluate all arms at K targets with V values and S samples each.
+
+    Args:
+        scenes: One scene for all values, or one for each value.
+        targets: K targets.
+        values: (K, V, S, F) values of the freedoms.
+        prefer_common_branches: Whether branches that suit most grid points are preferred to those with the
+            largest margins.
+    """
+    shape = values.shape[:3]
+    index = np.broadcast_to(np.arange(shape[0])[:, None, None], shape)
+    poses: dict[str, FloatArray] = {arm: np.empty((*shape, 4, 4)) for arm in targets.arms}
+    for number, scene in enumerate(scenes):
+        columns = slice(None) if len(scenes) == 1 else slice(number, number + 1)
+        tcp_poses = scene.tcp_poses(targets, values[:, columns], index[:, columns])
+        for arm, pose in tcp_poses.items():
+            poses[arm][:, columns] = pose
+    first = scenes[0]
+    states, limits, singulars, costs, angles = {}, {}, {}, {}, {}
+    for arm, pose in poses.items():
+        arm_grid = arm_states(first, arm, pose, targets.last_joint_angle(arm, values))
+        states[arm], limits[arm], singulars[arm] = arm_grid.state, arm_grid.limit, arm_grid.singular
+        costs[arm], angles[arm] = arm_grid.cost, arm_grid.q
+    chosen, pair = _choose_free(scenes, targets, costs, angles, states, prefer_common_branches)
+    return GridStates(states, limits, singulars, chosen, pair)
+
+
+@dataclasses.dataclass(frozen=True)
+class ArmStates:
+    """States of one arm at grid points (...) with S poses and B branches each.
+
+    Attributes:
+        state: (...) as in :class:`GridStates`, without collisions.
+        limit: (...) [rad] distance of the best state to joint limits.
+        singular: (...) [rad] distance of the best state to singularities.
+        cost: (..., S, B) penalty of each branch, inf where it is not allowed.
+        q: (..., S, B, 6) [rad] joints of each branch.
+    """
+
+    state: NDArray[np.int8]
+    limit: FloatArray
+    singular: FloatArray
+    cost: FloatArray
+    q: FloatArray
+
+
+def arm_states(scene: Scene, arm: str, pose: FloatArray, last_joint: FloatArray | None = None) -> ArmStates:
+    """Evaluate one arm at given TCP poses.
+
+    Args:
+        scene: Cell; its bodies are not checked.
+        arm: Name of the arm.
+        pose: (..., S, 4, 4) TCP poses in the world.
+        last_joint: (..., S) values of the redundant joint, as in :meth:`Chain.inverse`.
+    """
+    chain = scene.chains[arm]
+    q = chain.inverse(pose, last_joint=last_joint)  # (..., S, B, J)
+    limit, singular = chain.best_limit_margin(q), chain.singularity_margin(q)
+    hard, hard_singular = scene.settings.joint_margin, scene.settings.singularity_margin
+    cost = _margin_penalty(limit, hard, SOFT_LIMIT_RAD) + _margin_penalty(
+        singular, hard_singular, SOFT_SINGULARITY_RAD
+    )
+    flat = (*pose.shape[:-3], -1)
+    best = np.nan_to_num(cost, nan=np.inf, posinf=np.inf).reshape(flat).argmin(axis=-1)[..., None]
+    limits = np.take_along_axis(limit.reshape(flat), best, axis=-1)[..., 0]
+    singulars = np.take_along_axis(singular.reshape(flat), best, axis=-1)[..., 0]
+    tests = (limit > -np.inf, limit >= hard, (limit >= hard) & (singular >= hard_singular))
+    passed = [test.any(axis=(-2, -1)) for test in tests]
+    state = np.select([~ok for ok in passed], [NO_REACH, JOINT_LIMIT, SINGULAR], FREE)
+    return ArmStates(state.astype(np.int8), limits, singulars, np.where(tests[2], cost, np.inf), q)
+
+
+def _margin_penalty(margin: FloatArray, required: float, soft_range: float) -> FloatArray:
+    """Penalty of a margin: 0 where a path needs no more, 1 at the required margin, larger below it."""
+    return np.asarray(np.maximum((required + soft_range - margin) / soft_range, 0.0))
+
+
+def _choose_free(
+    scenes: Sequence[Scene],
+    targets: Targets,
+    costs: Mapping[str, FloatArray],
+    angles: Mapping[str, FloatArray],
+    states: Mapping[str, NDArray[np.int8]],
+    prefer_common_branches: bool,
+) -> tuple[dict[str, FloatArray], NDArray[np.object_]]:
+    """Joints and pairs as in :class:`GridStates`. Marks collisions in ``states``.
+
+    ``costs`` {arm: (K, V, S, B)} is inf where a state is not allowed; ``angles`` {arm: (K, V, S, B, 6)} are
+    its joints.
+    """
+    arms = targets.arms
+    shape = next(iter(states.values())).shape
+    combos = np.array(list(itertools.product(*(range(costs[arm].shape[-1]) for arm in arms))))
+    cost = np.full((*shape, len(combos)), np.inf)
+    sample = np.zeros((*shape, len(combos)), dtype=np.intp)
+    # The total penalty of a combination is the sum over the arms, minimised over the samples.
+    for number, combo in enumerate(combos):
+        total = sum(costs[arm][..., branch] for arm, branch in zip(arms, combo, strict=True))
+        sample[..., number] = np.argmin(total, axis=-1)
+        cost[..., number] = np.min(total, axis=-1)
+    use_counts = np.isfinite(cost).sum(axis=(0, 1)) if prefer_common_branches else np.zeros(len(combos))
+    rank_cost = np.where(np.isfinite(cost), cost - BRANCH_USE_WEIGHT * use_counts, np.inf)
+    order = np.argsort(rank_cost, axis=-1, kind="stable")[..., :MAX_BRANCH_CHOICES]
+    ranked = np.take_along_axis(cost, order, axis=-1)
+    # Check combinations in rank order. A grid point is done with its first free combination.
+    q = {arm: np.full((*shape, angles[arm].shape[-1]), np.nan) for arm in arms}
+    unresolved = np.asarray(np.logical_and.reduce([states[arm] == FREE for arm in arms]))
+    for rank in range(ranked.shape[-1]):
+        k, v = np.nonzero(unresolved & np.isfinite(ranked[..., rank]))
+        if not len(k):
+            break
+        combo = order[k, v, rank]
+        s = sample[k, v, combo]
+        candidate = {arm: angles[arm][k, v, s, combos[combo, column]] for column, arm in enumerate(arms)}
+        free = np.zeros(len(k), dtype=bool)
+        for rows, scene in _rows_by_scene(scenes, v):
+            free[rows] = scene.keeps_clearance(
+                targets, {arm: joints[rows] for arm, joints in candidate.items()}, k[rows]
+            )
+        for arm, joints in candidate.items():
+            chosen = free if rank else np.ones(len(k), dtype=bool)  # rank 0 is kept if none is free
+            q[arm][k[chosen], v[chosen]] = joints[chosen]
+        unresolved[k[free], v[free]] = False
+    # Grid points that are still open collide. Name the closest pair of their best combination.
+    pair = np.full(shape, None, dtype=object)
+    for column in np.ndindex(shape):
+        pair[column] = ("", "")
+    k, v = np.nonzero(unresolved)
+    for arm in arms:
+        states[arm][k, v] = COLLISION
+    for rows, scene in _rows_by_scene(scenes, v):
+        rows_with_joints = rows[np.isfinite(q[arms[0]][k[rows], v[rows], 0])]
+        joints = {arm: q[arm][k[rows_with_joints], v[rows_with_joints]] for arm in arms}
+        clearances = scene.smallest_clearances(targets, joints, k[rows_with_joints], scene.settings.clearance)
+        for row, names in zip(rows_with_joints, clearances.pair, strict=True):
+            pair[k[row], v[row]] = names
+    return q, pair
+
+
+def _rows_by_scene(scenes: Sequence[Scene], value: NDArray[np.intp]) -> list[tuple[NDArray[np.intp], Scene]]:
+    """Rows of grid points of each scene that has any; ``value`` (B,) is the index of their value."""
+    if len(scenes) == 1:
+        return [(np.arange(len(value)), scenes[0])] if len(value) else []
+    parts = [(np.flatnonzero(value == number), scene) for number, scene in enumerate(scenes)]
+    return [(rows, scene) for rows, scene in parts if len(rows)]
+
+
+def _free_clearance(scenes: Sequence[Scene], targets: Targets, grid: GridStates) -> FloatArray:
+    k, v = np.nonzero(grid.free)
+    out = np.full(grid.free.shape, np.nan)
+    for rows, scene in _rows_by_scene(scenes, v):
+        q = {arm: joints[k[rows], v[rows]] for arm, joints in grid.q.items()}
+        out[k[rows], v[rows]] = scene.smallest_clearances(targets, q, k[rows], MAX_CLEARANCE_M).distance
+    return out

@@ -1,0 +1,651 @@
+"""Approach and retreat: motion of arms from home to the first target, and from the last target to home.
+
+If one controller moves all arms, they move simultaneously, straight or bent around obstacles without a
+detour. Otherwise each arm moves alone while the others stand, or all move simultaneously if that is no longer
+and faster. Motions are free at and between all waypoints. The corners of the paths that are found are
+optimised to shorten them.
+"""
+
+import dataclasses
+import functools
+import itertools
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+import numpy as np
+
+from planner.cell import clearance
+from planner.cell.clearance import Pairs
+from planner.geometry.arrays import BoolArray, FloatArray, log_rotation
+from planner.geometry.units import MM, measurement
+from planner.issue_codes import format_message
+from planner.issues import Issue, TandemError, issue_error
+from planner.motion import self_clearance
+from planner.motion.path_shortcutting import (
+    MAX_MOVES,
+    TRAVEL_TOLERANCE_RAD,
+    ClearanceMargins,
+    ShortcutTask,
+    bend_path,
+    path_travel,
+    shorten_path,
+)
+from planner.motion.planning_scene import Scene
+from planner.motion.rrt import ConfigurationSpace, PathSamples, connect_points, find_blocked
+from planner.motion.trajectory.hinge_costs import joint_levers
+from planner.runtime.executor import SERIAL, Executor
+from planner.targets import Targets
+
+POSTURE_STEPS_RAD = np.deg2rad([3.0, 1.0, 0.3])
+"""Distances [rad] between the postures that a search checks. The next one is used if a path is not free in
+between.
+"""
+
+FINAL_CHECK_STEP_M = 1e-3
+"""Maximum displacement [m] of the tool by one joint between two postures of the final check."""
+
+MAX_REPAIR_RATIO: Final = 1.02
+"""Maximum length ratio of a repaired path of a reference plan. If it would be longer, a new, shorter path is
+planned.
+"""
+
+
+@dataclasses.dataclass(frozen=True)
+class HomeMotion:
+    """Approach or retreat of all arms.
+
+    Attributes:
+        paths: {arm: (M, 6)} joint waypoints, including both ends.
+        order: Order in which the arms move.
+        together: Whether the arms move simultaneously, from waypoint to waypoint in one move. They have
+            equally many then.
+        from_reference: Whether the paths are those of a reference plan, except for their ends.
+        shortened: Arms whose individual paths have been shortened.
+    """
+
+    paths: dict[str, FloatArray]
+    order: tuple[str, ...]
+    together: bool = False
+    from_reference: bool = False
+    shortened: frozenset[str] = frozenset()
+
+
+class ApproachAndRetreat:
+    """Plans approach and retreat, in the first order of arms that has both.
+
+    If the arms are synchronised, simultaneous motions are used if there are any. The result depends only on
+    the joints at the first and the last target. Planning is submitted on construction, and the result is read
+    later.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        ends: Mapping[str, FloatArray],
+        synchronised: bool,
+        executor: Executor = SERIAL,
+        reference: tuple[HomeMotion, HomeMotion] | None = None,
+        leaving: Scene | None = None,
+    ) -> None:
+        """Submit the planning.
+
+        Args:
+            scene: Scene at the first target.
+            ends: {arm: (2, 6)} [rad] joints at the first and the last target.
+            synchronised: Whether one controller moves all arms.
+            executor: Runs the planning.
+            reference: Approach and retreat of a reference plan, which are used where they still hold.
+            leaving: Scene at the last target, if bases have moved since the first one.
+        """
+        self.ends, self._synchronised = ends, synchronised
+        self._scenes = scene, scene if leaving is None else leaving
+        self._reference = None if reference is None else (reference[0], _reversed(reference[1]))
+        self._submitted = self._submit(tuple(ends), executor)
+
+    def _submit(
+        self, order: tuple[str, ...], executor: Executor
+    ) -> "list[Iterator[HomeMotion | _BlockedArm]]":
+        """Submit approach and retreat.
+
+        The retreat is submitted first, so that a waiting caller computes the approach while another process
+        computes the retreat.
+        """
+        scenes = [dataclasses.replace(scene) for scene in self._scenes]  # copies without cached properties
+        goals = [{arm: q[row] for arm, q in self.ends.items()} for row in (0, 1)]
+        references = self._reference or (None, None)
+        retreat, approach = (
+            executor.submit(_plan_motion, scenes[row], goals[row], order, self._synchronised, references[row])
+            for row in (1, 0)
+        )
+        return [approach, retreat]
+
+    def result(self, targets: Targets) -> tuple[HomeMotion, HomeMotion]:
+        """Return approach and retreat.
+
+        Raises:
+            TandemError: ``motion.entry`` with the closest bodies if no order has both.
+        """
+        failed: Issue | None = None
+        for order in itertools.permutations(self.ends):
+            calls = self._submitted if order == tuple(self.ends) else self._submit(order, SERIAL)
+            ends = zip(calls, self._scenes, (0, targets.count - 1), strict=True)
+            for call, scene, row in ends:
+                motion = next(call)
+                if isinstance(motion, _BlockedArm):
+                    failed = failed or _entry_issue(scene, targets, motion, row)
+                    break
+            else:
+                approach, retreat = (next(call) for call in calls)
+                if not isinstance(approach, _BlockedArm) and not isinstance(retreat, _BlockedArm):
+                    return approach, _reversed(retreat)
+        raise ValueError("targets without arms have no approach") if failed is None else TandemError(failed)
+
+
+def plan_approach_and_retreat(
+    scene: Scene, targets: Targets, q: Mapping[str, FloatArray], synchronised: bool = False
+) -> tuple[HomeMotion, HomeMotion]:
+    """Plan approach and retreat for paths {arm: (N, 6)} of the targets, as :class:`ApproachAndRetreat`."""
+    ends = {arm: q[arm][[0, -1]] for arm in targets.arms}
+    return ApproachAndRetreat(scene, ends, synchronised).result(targets)
+
+
+@dataclasses.dataclass(frozen=True)
+class _BlockedArm:
+    """The arm that has no path to the joints ``goal`` (6,).
+
+    The others are at the joints ``standing``.
+    """
+
+    arm: str
+    goal: FloatArray
+    standing: Mapping[str, FloatArray]
+
+
+def _plan_motion(
+    scene: Scene,
+    goal: Mapping[str, FloatArray],
+    order: tuple[str, ...],
+    synchronised: bool,
+    reference: HomeMotion | None = None,
+) -> Iterator[HomeMotion | _BlockedArm]:
+    """Yield the first motion from home to the joints {arm: (6,)}, then the improved one."""
+    reused = None if reference is None else _reuse_reference(scene, goal, order, synchronised, reference)
+    if reused is not None:
+        yield reused
+        yield reused
+        return
+    if synchronised and len(order) > 1:
+        straight = _plan_straight(scene, goal, order)
+        if straight is not None:
+            yield straight
+            yield straight
+            return
+    motion = _plan_in_order(scene, goal, order)
+    yield motion
+    if isinstance(motion, HomeMotion):
+        yield _improve(scene, motion, synchronised)
+
+
+def _reuse_reference(
+    scene: Scene,
+    goal: Mapping[str, FloatArray],
+    order: tuple[str, ...],
+    synchronised: bool,
+    reference: HomeMotion,
+) -> HomeMotion | None:
+    """Motion of a reference plan with its ends at the joints {arm: (6,)}.
+
+    None if it is neither free nor can be repaired.
+    """
+    if reference.order != order or (reference.together and not synchronised):
+        return None
+    paths = {arm: _with_new_ends(reference.paths[arm], scene.chains[arm].home, goal[arm]) for arm in order}
+    if reference.together:
+        path = _repair_path(
+            _MovingArms(scene, {}, order), np.concatenate([paths[arm] for arm in order], axis=1)
+        )
+        return (
+            None
+            if path is None
+            else dataclasses.replace(_split_by_arm(scene, path, order), from_reference=True)
+        )
+    standing = {arm: scene.chains[arm].home for arm in order}
+    for arm in order:
+        path = _repair_path(_MovingArms(scene, dict(standing), (arm,)), paths[arm])
+        if path is None:
+            return None
+        paths[arm], standing[arm] = path, goal[arm]
+    return HomeMotion(paths, order, from_reference=True)
+
+
+def _with_new_ends(path: FloatArray, start: FloatArray, goal: FloatArray) -> FloatArray:
+    """Path (M, 6) with other ends. Each waypoint moves by its fraction of the displacement of the ends."""
+    path_length = np.append(0.0, np.cumsum(np.abs(np.diff(path, axis=0)).max(axis=1)))
+    fraction = (path_length / max(float(path_length[-1]), TRAVEL_TOLERANCE_RAD))[:, None]
+    out = path + (1.0 - fraction) * (start - path[0]) + fraction * (goal - path[-1])
+    out[0], out[-1] = start, goal
+    return np.asarray(out)
+
+
+def _repair_path(moving: "_MovingArms", path: FloatArray) -> FloatArray | None:
+    """The path (M, D) if it is free, else a free one nearby that is not much longer.
+
+    None if there is none.
+    """
+    if not len(moving.find_blocked(path, False).move):
+        return path
+    return bend_path(path, moving.task, MAX_REPAIR_RATIO)
+
+
+def _improve(scene: Scene, motion: HomeMotion, synchronised: bool) -> HomeMotion:
+    """Shorten each arm's path; if the arms are synchronised, try to move all of them simultaneously."""
+    standing = {arm: scene.chains[arm].home for arm in motion.order}
+    paths = {}
+    for arm in motion.order:
+        path, moving = motion.paths[arm], _MovingArms(scene, dict(standing), (arm,))
+        paths[arm] = path if arm in motion.shortened else moving.shorten(path)
+        standing[arm] = motion.paths[arm][-1]
+    motion = dataclasses.replace(motion, paths=paths)
+    return _try_simultaneous(scene, motion) if synchronised and len(motion.order) > 1 else motion
+
+
+def _reversed(motion: HomeMotion) -> HomeMotion:
+    """The motion in the reverse direction. The order of the arms is reversed when it is executed."""
+    return dataclasses.replace(motion, paths={arm: path[::-1].copy() for arm, path in motion.paths.items()})
+
+
+def are_ends_free(scene: Scene, q: Mapping[str, FloatArray]) -> BoolArray:
+    """Whether (B,) arms can reach joints one after the other in some order, the rest being at home.
+
+    Args:
+        scene: Cell with a collision model.
+        q: {arm: (B, 6)} [rad] joints.
+    """
+    count = len(next(iter(q.values())))
+    if scene.model is None or len(q) < 2:
+        return np.ones(count, dtype=bool)
+    out = np.zeros(count, dtype=bool)
+    for order in itertools.permutations(q):
+        ok = np.ones(count, dtype=bool)
+        for moved_count in range(1, len(order)):
+            home = {
+                arm: np.broadcast_to(scene.chains[arm].home, (count, len(scene.chains[arm].home)))
+                for arm in order[moved_count:]
+            }
+            joints = {arm: q[arm] for arm in order[:moved_count]} | home
+            ok &= clearance.is_free(scene.model, joints, scene.settings.clearance)
+        out |= ok
+    return out
+
+
+def require_free_home(scene: Scene, targets: Targets) -> None:
+    """Require that the arms keep clearance while all are at home.
+
+    Raises:
+        TandemError: ``motion.home`` with the closest bodies.
+    """
+    if scene.model is None:
+        return
+    q = {arm: scene.chains[arm].home[None] for arm in targets.arms}
+    if clearance.is_free(scene.model, q, scene.settings.clearance).all():
+        return
+    closest = clearance.min_clearance(scene.model, q, 0.2)
+    pair = closest.pair[0]
+    true_distance, required, _ = self_clearance.true_distance(
+        scene.settings, float(closest.distance[0]), pair
+    )
+    distance = true_distance / MM
+    distance_text = f"are {distance:.1f} mm apart" if distance > 0.0 else f"overlap by {-distance:.1f} mm"
+    message = format_message(
+        "motion.home",
+        first_body=pair[0],
+        second_body=pair[1],
+        separation=distance_text,
+        min_distance_mm=required / MM,
+    )
+    hint = "choose another home posture (home_deg), for example with axis 2 back or axis 1 turned away, or "
+    hint += "move the obstacle"
+    raise issue_error(
+        "motion.home", message, bodies=pair, **measurement(distance, required / MM, "mm"), hint=hint
+    )
+
+
+def _plan_in_order(
+    scene: Scene, goal: Mapping[str, FloatArray], order: tuple[str, ...]
+) -> HomeMotion | _BlockedArm:
+    """Paths of arms that move in that order from home to the joints {arm: (6,)}, or the arm that has none."""
+    standing = {arm: scene.chains[arm].home for arm in goal}
+    paths: dict[str, FloatArray] = {}
+    shortened_arms: set[str] = set()
+    for arm in order:
+        path_found = _plan_arm(scene, standing, arm, goal[arm])
+        if path_found is None:
+            return _BlockedArm(arm, goal[arm], standing)
+        paths[arm], standing[arm] = path_found[0], goal[arm]
+        shortened_arms |= {arm} if path_found[1] else set()
+    return HomeMotion(paths, order, shortened=frozenset(shortened_arms))
+
+
+def _plan_arm(
+    scene: Scene, standing: Mapping[str, FloatArray], arm: str, goal: FloatArray
+) -> tuple[FloatArray, bool] | None:
+    """Waypoints (M, 6) of one arm from home to ``goal``, and whether they were shortened.
+
+    The others are at ``standing``. None if there is no path. A path that is not free between the checked
+    postures is repaired, which shortens it. If that fails, which is rare, a finer search follows, which takes
+    several times as long.
+    """
+    chain = scene.chains[arm]
+    joint_margin, robot = scene.settings.joint_margin, chain.robot
+    moving = _MovingArms(scene, standing, (arm,))
+    for step in POSTURE_STEPS_RAD:
+        lower, upper = robot.lower + joint_margin, robot.upper - joint_margin
+        space = ConfigurationSpace(moving.are_free, lower, upper, step)
+        path = connect_points(chain.home, goal, space, scene.settings.seed)
+        if path is None:
+            return None
+        if not len(moving.find_blocked(path, False).move):
+            return path, False
+        shortened = shorten_path(path, moving.task)
+        if shortened is not None:
+            return shortened, True
+    return None
+
+
+def _split_by_arm(scene: Scene, path: FloatArray, order: tuple[str, ...]) -> HomeMotion:
+    """Split a simultaneous path (M, D) of all arms by arm."""
+    parts = {arm: path[:, columns].copy() for arm, columns in scene.columns(order).items()}
+    return HomeMotion(parts, order, together=True)
+
+
+@dataclasses.dataclass(frozen=True)
+class _MovingArms:
+    """Free space of ``arms`` that move simultaneously while the others are at joints ``standing``.
+
+    Points (B, D) are the concatenated joints of the moving arms.
+    """
+
+    scene: Scene
+    standing: Mapping[str, FloatArray]
+    arms: tuple[str, ...]
+
+    def joints(self, points: FloatArray) -> dict[str, FloatArray]:
+        """Joints {arm: (B, 6)} of all arms."""
+        rows = {a: np.broadcast_to(v, (len(points), len(v))) for a, v in self.standing.items()}
+        return rows | {arm: points[:, part] for arm, part in self.columns.items()}
+
+    @functools.cached_property
+    def columns(self) -> dict[str, slice]:
+        """Columns of each arm's joints in a point."""
+        return self.scene.columns(self.arms)
+
+    def are_free(self, points: FloatArray) -> BoolArray:
+        """Whether (B,) joints are within their limits and bodies keep clearance."""
+        scene, ok = self.scene, np.full(len(points), self.others_free)
+        rows = self.joints(points)
+        for arm in self.arms:
+            ok &= scene.chains[arm].limit_margin(rows[arm]) >= min(scene.settings.joint_margin, 0.0)
+        if scene.model is None or not ok.any():
+            return ok
+        return ok & clearance.is_free(scene.model, rows, scene.settings.clearance, self.static_pairs)
+
+    @functools.cached_property
+    def static_pairs(self) -> Pairs:
+        """Pairs of bodies that none of the arms moves."""
+        return (
+            frozenset() if self.scene.model is None else clearance.unmoved_pairs(self.scene.model, self.arms)
+        )
+
+    @functools.cached_property
+    def others_free(self) -> bool:
+        """Whether the other arms keep clearance to each other and to fixed bodies."""
+        model = self.scene.model
+        if model is None:
+            return True
+        moved = frozenset(map(frozenset, itertools.combinations({s.body for s in model.solids}, 2)))
+        joints = {arm: q[None] for arm, q in self.standing.items()}
+        required = self.scene.settings.clearance
+        return bool(clearance.is_free(model, joints, required, moved - self.static_pairs).all())
+
+    def are_surely_free(self, points: FloatArray, half_range: FloatArray) -> BoolArray:
+        """Whether (B,) bodies certainly keep clearance while joints vary around points.
+
+        They vary by up to ``half_range`` (B, D).
+        """
+        model, required = self.scene.model, self.scene.settings.clearance
+        if model is None:  # joint limits that hold at both ends of a line hold on all of it
+            return np.ones(len(points), dtype=bool)
+        if not self.others_free:
+            return np.zeros(len(points), dtype=bool)
+        change = {arm: half_range[:, part] for arm, part in self.columns.items()}
+        rows = self.joints(points)
+        return clearance.stays_free(model, rows, change, required, self.solid_levers, self.static_pairs)
+
+    @functools.cached_property
+    def solid_levers(self) -> FloatArray:
+        """Levers of the model's solids, as by :func:`clearance.solid_levers`."""
+        return np.zeros(0) if self.scene.model is None else clearance.solid_levers(self.scene.model)
+
+    @functools.cached_property
+    def lever(self) -> FloatArray:
+        """Largest displacement (D,) [m/rad] of any point per change of each joint."""
+        model = self.scene.model
+        if model is None:
+            return np.ones(self.columns[self.arms[-1]].stop)
+        return np.concatenate([joint_levers(model, arm) for arm in self.arms])
+
+    def find_blocked(self, path: FloatArray, find_all: bool) -> PathSamples:
+        """Points of a path that are not free at the final check.
+
+        All of them if ``find_all``, else the first ones.
+        """
+        step = (
+            FINAL_CHECK_STEP_M / max(self.scene.chains[arm].robot.reach for arm in self.arms) / len(self.arms)
+        )
+        return find_blocked(path, self.are_free, step, self.are_surely_free, find_all)
+
+    def margins(self, points: FloatArray, distance: float) -> ClearanceMargins:
+        """Margins [m] of bodies beyond their clearance, and of axes of parallel-rod arms.
+
+        Bodies are included if they are closer than ``distance`` beyond their clearance.
+        """
+        model = self.scene.model
+        row, margin_parts, slope = (
+            [np.zeros(0, dtype=np.intp)],
+            [np.zeros(0)],
+            [np.zeros((0, points.shape[1]))],
+        )
+        if model is not None:
+            required = self.scene.settings.clearance
+            columns = np.concatenate([np.arange(model.home.size)[model.columns[arm]] for arm in self.arms])
+            queries = clearance.distance_gradients_at(
+                model, model.stack_rows(self.joints(points)), required + distance, self.static_pairs
+            )
+            row.append(np.repeat(np.arange(len(queries)), [len(query.distance) for query in queries]))
+            margin_parts += [query.distance - required for query in queries]
+            slope += [query.gradient[:, columns] for query in queries]
+        for arm, part in self.columns.items():
+            rod = self.scene.chains[arm].robot.coupling
+            if rod is None:
+                continue
+            margin = max(self.scene.settings.joint_margin, 0.0)
+            joint2, joint3 = part.start + 1, part.start + 2
+            axis3 = points[:, joint2] + points[:, joint3]
+            for sign, limit in ((1.0, rod.axis3_lower), (-1.0, rod.axis3_upper)):
+                row.append(np.arange(len(points)))
+                margin_parts.append(sign * (axis3 - limit) - margin)
+                rod_slope = np.zeros((len(points), points.shape[1]))
+                rod_slope[:, [joint2, joint3]] = sign
+                slope.append(rod_slope)
+        return ClearanceMargins(np.concatenate(row), np.concatenate(margin_parts), np.concatenate(slope))
+
+    def shorten(self, path: FloatArray) -> FloatArray:
+        """A path of less travel that takes no longer.
+
+        The path itself if there is none or if it is as short as a straight line.
+        """
+        direct = path_travel(path[[0, -1]])
+        if len(path) < 3 or path_travel(path) <= direct + TRAVEL_TOLERANCE_RAD:
+            return path
+        shortened_path = shorten_path(path, self.task)
+        return (
+            path if shortened_path is None or not _is_better(self, shortened_path, path) else shortened_path
+        )
+
+    def duration(self, path: FloatArray) -> float:
+        """Nominal duration [s] of a path.
+
+        Each line takes as long as its slowest arm, at :data:`NOMINAL_TCP_SPEED_M_S` and
+        :data:`NOMINAL_ANGULAR_SPEED_RAD_S`.
+        """
+        fraction = np.linspace(0.0, 1.0, DURATION_SAMPLES + 1)[:, None]
+        points = path[:-1, None] + fraction * np.diff(path, axis=0)[:, None]
+        out = np.zeros(len(path) - 1)
+        for arm, part in self.columns.items():
+            pose = self.scene.chains[arm].pose(points[..., part])
+            length = np.linalg.norm(np.diff(pose[..., :3, 3], axis=1), axis=-1).sum(axis=1)
+            rotation = np.swapaxes(pose[:, :-1, :3, :3], -1, -2) @ pose[:, 1:, :3, :3]
+            angle = np.linalg.norm(log_rotation(rotation), axis=-1).sum(axis=1)
+            out = np.maximum(
+                out, np.maximum(length / NOMINAL_TCP_SPEED_M_S, angle / NOMINAL_ANGULAR_SPEED_RAD_S)
+            )
+        return float(out.sum())
+
+    @property
+    def task(self) -> ShortcutTask:
+        """Environment for the shortening of paths of these arms."""
+        joint_margin = self.scene.settings.joint_margin
+        robots = [self.scene.chains[arm].robot for arm in self.arms]
+        lower = np.concatenate([robot.lower + joint_margin for robot in robots])
+        upper = np.concatenate([robot.upper - joint_margin for robot in robots])
+        return ShortcutTask(self.margins, self.find_blocked, lower, upper, self.lever)
+
+
+START_OFFSETS: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Fractions of the previous arm's path after which the next arm starts, tried in this order."""
+SIMULTANEOUS_FINAL_CHECKS: Final = 3
+"""Maximum number of final checks of a simultaneous path. Paths that are found need no more."""
+NOMINAL_TCP_SPEED_M_S: Final = 0.25
+"""TCP speed [m/s] for nominal durations, as in programs on approach and retreat."""
+NOMINAL_ANGULAR_SPEED_RAD_S: Final = float(np.deg2rad(45.0))
+"""Angular speed [rad/s] of the TCP for nominal durations."""
+DURATION_SAMPLES: Final = 32
+"""Number of chords that approximate the TCP path of a joint move."""
+
+
+def _plan_straight(scene: Scene, goal: Mapping[str, FloatArray], order: tuple[str, ...]) -> HomeMotion | None:
+    """Simultaneous motion from home straight to the joints {arm: (6,)}.
+
+    It may be bent around obstacles without extra length. None if it needs a detour or saves no time.
+    """
+    moving = _MovingArms(scene, {}, order)
+    line = np.array(
+        [np.concatenate([scene.chains[a].home for a in order]), np.concatenate([goal[a] for a in order])]
+    )
+    path = line if not len(moving.find_blocked(line, False).move) else bend_path(line, moving.task)
+    if path is None:
+        return None
+    out = _split_by_arm(scene, path, order)
+    return out if moving.duration(path) < _sequential_duration(scene, out) else None
+
+
+def _sequential_duration(scene: Scene, motion: HomeMotion) -> float:
+    """Nominal duration [s] if the arms move one after the other."""
+    return sum(_MovingArms(scene, {}, (arm,)).duration(path) for arm, path in motion.paths.items())
+
+
+def _try_simultaneous(scene: Scene, motion: HomeMotion) -> HomeMotion:
+    """Simultaneous motion between the same ends, with no more travel and in less time.
+
+    It has at most :data:`MAX_MOVES` moves. Returns the given motion if there is none.
+    """
+    moving = _MovingArms(scene, {}, motion.order)
+    travel_before = sum(path_travel(path) for path in motion.paths.values())
+    candidates = (
+        _overlap_paths(motion, later) for later in START_OFFSETS
+    )  # the last one is one arm after the other
+    simultaneous = next((path for path in candidates if not len(moving.find_blocked(path, False).move)), None)
+    if simultaneous is None:
+        return motion
+    if len(simultaneous) > 2:
+        shorter = shorten_path(simultaneous, moving.task, SIMULTANEOUS_FINAL_CHECKS)
+        if shorter is not None and _is_better(moving, shorter, simultaneous):
+            simultaneous = shorter
+    sequential_duration = _sequential_duration(scene, motion)
+    if (
+        len(simultaneous) - 1 > MAX_MOVES
+        or path_travel(simultaneous) > travel_before + TRAVEL_TOLERANCE_RAD
+        or moving.duration(simultaneous) >= sequential_duration
+    ):
+        return motion
+    return _split_by_arm(scene, simultaneous, motion.order)
+
+
+def _is_better(moving: _MovingArms, path: FloatArray, other: FloatArray) -> bool:
+    """Whether a path has no more travel and takes no more time than another one."""
+    return path_travel(path) <= path_travel(other) and moving.duration(path) <= moving.duration(other)
+
+
+def _overlap_paths(motion: HomeMotion, start_offset: float) -> FloatArray:
+    """Simultaneous path (M, D) of arms that start one after the other.
+
+    Each arm starts after the fraction ``start_offset`` of the previous arm's path.
+    """
+    clocks = []
+    start = 0.0
+    for arm in motion.order:
+        length = np.abs(np.diff(motion.paths[arm], axis=0)).max(axis=1)
+        path_length = start + np.append(0.0, np.cumsum(length))
+        clocks.append(path_length)
+        start += start_offset * (path_length[-1] - path_length[0])
+    time = np.unique(np.concatenate(clocks))
+    time = time[np.append(True, np.diff(time) > TRAVEL_TOLERANCE_RAD)]
+    time[-1] = max(clock[-1] for clock in clocks)
+    parts = [
+        np.stack([np.interp(time, clock, joint) for joint in motion.paths[arm].T], axis=1)
+        for arm, clock in zip(motion.order, clocks, strict=True)
+    ]
+    out = np.concatenate(parts, axis=1)
+    out[-1] = np.concatenate([motion.paths[arm][-1] for arm in motion.order])
+    return out
+
+
+def _entry_issue(scene: Scene, targets: Targets, blocked_arm: _BlockedArm, row: int) -> Issue:
+    """``motion.entry`` with the closest bodies.
+
+    They are closest at home, at the target, or on the straight line between them.
+    """
+    arm, goal, standing = blocked_arm.arm, blocked_arm.goal, blocked_arm.standing
+    home, name = scene.chains[arm].home, targets.name(row)
+    line = home + np.linspace(0.0, 1.0, 41)[:, None] * (goal - home)
+    points = np.concatenate([home[None], goal[None], line])
+    rows = {a: np.broadcast_to(v, (len(points), len(v))) for a, v in standing.items()} | {arm: points}
+    if scene.model is None:
+        raise ValueError("without a collision model nothing can collide")
+    closest = clearance.min_clearance(scene.model, rows, 0.2)
+    ends = [k for k in (0, 1) if closest.distance[k] < scene.settings.clearance]
+    worst = ends[0] if ends else closest.worst()
+    position_text = "at home" if worst == 0 else f"at {name}" if worst == 1 else f"between home and {name}"
+    true_distance, required, _ = self_clearance.true_distance(
+        scene.settings, float(closest.distance[worst]), closest.pair[worst]
+    )
+    distance = true_distance / MM
+    return Issue(
+        "motion.entry",
+        format_message(
+            "motion.entry",
+            arm=arm,
+            target=name,
+            first_body=closest.pair[worst][0],
+            second_body=closest.pair[worst][1],
+            distance_mm=distance,
+            position=position_text,
+            min_distance_mm=required / MM,
+        ),
+        arm=arm,
+        index=row,
+        target=name,
+        bodies=closest.pair[worst],
+        **measurement(distance, required / MM, "mm"),
+        hint="choose other home postures (home_deg), such as with axis 1 turned away, or remove the obstacle",
+    )

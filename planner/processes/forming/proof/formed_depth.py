@@ -1,0 +1,188 @@
+"""Depth of forming tools in the sheet beyond what is formed already.
+
+Faces describe the final sheet: a ball that presses into the middle of a dish, where nothing is formed yet,
+cuts into none of them. So the path itself determines what is formed at a time: a point of the wall is formed
+once the ball has come as near to it as the steps of the path leave it, or as near as it ever comes. Loops go
+down by one step from the highest point that is not formed, all around. Off the wall the sheet is as low as
+the tip has been. On approach and retreat tools move straight.
+"""
+
+import itertools
+from typing import Final
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from planner.geometry.arrays import FloatArray, IntArray, lengths
+from planner.processes.forming.claims import FormsSheet
+from planner.processes.forming.proof.forming_facts import FormedPass
+from planner.processes.forming.proof.swept_volume import is_wall
+from planner.processes.forming.proof.tracks import ToolTrack
+from planner.proof.faces import subdivide, triangle_areas
+
+TrackDepths = tuple[FloatArray, IntArray]
+"""Depths [m] of a tool where it is not permitted, and the rows of its track."""
+
+MAX_PLAN_DEVIATION_M: Final = 1e-4
+"""Maximum distance [m] in plan, on approach and retreat in the sheet, from where the segment starts
+or ends.
+"""
+LOOP_FORMS_FRACTION: Final = 0.5
+"""Fraction of a step by which a loop forms the wall below itself."""
+MAX_STEPS_BELOW: Final = 1.5
+"""Steps by which the ball may touch the wall below the highest point that is not formed yet: one, and half of
+one because the points that represent the wall have some spacing.
+"""
+_CHECK_SPACING_M: Final = 0.001
+"""Path length [m] of the ball after which it is checked."""
+_MAX_PIECE_SIZE_M: Final = 0.002
+"""Maximum size [m] of the pieces of the wall that represent points."""
+_POINTS_AT_ONCE: Final = 4096
+"""Number of wall points for which contacts are determined at once, because their lists are long."""
+_MAX_WALL_POINTS: Final = 20_000
+"""Approximate maximum number of points of the wall."""
+_DISTANCE_TOLERANCE_M: Final = 2e-5
+"""Distances [m] that differ by less are equal: balls move along chords."""
+
+
+def approach_retreat_depths(
+    tool_track: ToolTrack, column: int, up: int, level: float, radius: float
+) -> TrackDepths:
+    """Return how deep a tool is beyond a level on its approach and retreat.
+
+    Where it is not straight above the point at which the segment starts or ends, the depth is below the
+    level; there it is the depth below that point.
+
+    Args:
+        tool_track: Track.
+        column: Column of the tool's arm.
+        up: +1 for a tool above the sheet.
+        level: Level z [m].
+        radius: Radius [m] of its ball.
+    """
+    forming_rows = np.flatnonzero(tool_track.is_forming)
+    depths, rows = [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
+    if len(forming_rows):
+        first, last = int(forming_rows[0]), int(forming_rows[-1])
+        for outside, end_row in (
+            (np.arange(first), max(first - 1, 0)),
+            (np.arange(last + 1, len(tool_track.rows)), last),
+        ):
+            position, end_position = (
+                tool_track.centre[outside, column],
+                tool_track.centre[np.array([end_row]), column],
+            )
+            is_beside = lengths((position - end_position)[:, :2]) > MAX_PLAN_DEVIATION_M
+            lowest = np.where(is_beside, level + up * radius, end_position[:, 2])
+            depths.append(up * (lowest - position[:, 2]))
+            rows.append(outside)
+    return np.concatenate(depths), np.concatenate(rows)
+
+
+def largest_step(claim: FormsSheet, steps: tuple[float | None, float | None]) -> float:
+    """Return the largest step [m] down a wall.
+
+    Paths that leave ridges of height h are 2 sqrt(2 R h - h^2) apart along the wall, and down it by the sine
+    of its angle times that.
+
+    Args:
+        claim: Claim on the pass.
+        steps: Step-down and scallop [m], one of them given.
+    """
+    step, scallop = steps
+    if scallop is None:
+        return step or 0.0
+    corners = claim.vertices[claim.faces[is_wall(claim)]]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    sine = np.hypot(cross[:, 0], cross[:, 1]) / np.maximum(lengths(cross), 1e-30)
+    return 2.0 * float(np.sqrt(scallop * (2.0 * claim.radius - scallop)) * sine.max(initial=0.0))
+
+
+def forming_depths(formed: FormedPass, step: float) -> tuple[TrackDepths, TrackDepths]:
+    """Return how deep the forming ball is while it forms.
+
+    Where it touches the wall: how far all that it touches is below the highest point that is formed later,
+    minus `MAX_STEPS_BELOW` steps. Elsewhere: how far its tip is below the lowest level it had where it
+    touched the wall, or will have where it touches it next, within its radius of that point.
+
+    Args:
+        formed: Pass with its track.
+        step: Largest step [m].
+    """
+    claim = formed.claim
+    points, rows = _path_points(formed)
+    if not len(points):
+        return (np.zeros(0), rows), (np.zeros(0), rows)
+    tip = claim.side * points[:, 2] - claim.radius
+    height, formed_at, top = _wall_contacts(formed, points, step)
+    # later[i + 2]: highest point of the wall that is formed after point i of the path
+    later = np.full(len(points) + 2, -np.inf)
+    np.maximum.at(later, formed_at + 1, height)
+    later = np.maximum.accumulate(later[::-1])[::-1]
+    touches = np.isfinite(top)
+    wall = later[2:][touches] - MAX_STEPS_BELOW * step - top[touches]
+    # off the wall: the lowest tip at previous contacts, or that at the next contact within a radius
+    start = claim.side * claim.start - formed.formed_depth
+    level = np.minimum(np.minimum.accumulate(np.where(touches, tip, np.inf)), start)
+    number = np.where(touches, np.arange(len(tip)), len(tip))
+    following = np.minimum.accumulate(number[::-1])[::-1]
+    known = np.minimum(following, len(tip) - 1)
+    is_near = (following < len(tip)) & (lengths((points[known] - points)[:, :2]) <= claim.radius)
+    off_wall = np.where(is_near, np.minimum(level, tip[known]), level) - tip
+    return (wall, rows[touches]), (off_wall[~touches], rows[~touches])
+
+
+def _path_points(formed: FormedPass) -> tuple[FloatArray, IntArray]:
+    """The ball's centres (N, 3) [m] from its first to its last forming move.
+
+    They are at most ``_CHECK_SPACING_M`` apart. Also returns the rows (N,) of the track at or after them.
+    """
+    forming_rows = np.flatnonzero(formed.track.is_forming)
+    if not len(forming_rows):
+        return np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
+    rows = formed.knots[(formed.knots >= forming_rows[0]) & (formed.knots <= forming_rows[-1])]
+    centre = formed.track.centre[rows, 0]
+    move = np.diff(centre, axis=0)
+    count = np.maximum(np.ceil(lengths(move) / _CHECK_SPACING_M).astype(np.int64), 1)
+    which = np.repeat(np.arange(len(count)), count)
+    fraction = (np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)) / count[which]
+    points = np.concatenate([centre[which] + fraction[:, None] * move[which], centre[-1:]])
+    return points, np.append(rows[which + (fraction > 0.0)], rows[-1])
+
+
+def _wall_contacts(
+    formed: FormedPass, points: FloatArray, step: float
+) -> tuple[FloatArray, IntArray, FloatArray]:
+    """Which points of the path form and touch which points of the wall.
+
+    Returns the height (P,) [m] toward the ball of wall points; the point (P,) of the path (``points`` (N, 3))
+    that forms each of them, -1 if it was formed before; and the highest point (N,) that each point of the
+    path touches, minus infinity if none.
+    """
+    claim = formed.claim
+    rows = np.flatnonzero(is_wall(claim))
+    corners = claim.vertices[claim.faces[rows]]
+    parts, owner = subdivide(
+        corners,
+        max(_MAX_PIECE_SIZE_M, 2.0 * float(np.sqrt(triangle_areas(corners).sum() / _MAX_WALL_POINTS))),
+    )
+    wall_points = parts.mean(axis=1)
+    height = claim.side * wall_points[:, 2]
+    tree = cKDTree(points)
+    # a contact half way between two centres c apart is sqrt(R^2 + c^2 / 4) <= R + c^2 / (8 R) away
+    slack = _CHECK_SPACING_M**2 / (8.0 * claim.radius) + _DISTANCE_TOLERANCE_M
+    touched = claim.radius + claim.scallop[rows[owner]] + slack
+    # points that the ball never touches count as formed when it is about as near as it ever comes
+    nearest = np.asarray(tree.query(wall_points)[0])
+    formed_within = np.maximum(touched, nearest + touched - claim.radius)
+    formed_at, top = np.zeros(len(wall_points), dtype=np.int64), np.full(len(points), -np.inf)
+    for chunk in np.array_split(np.arange(len(wall_points)), max(1, len(wall_points) // _POINTS_AT_ONCE)):
+        forming_lists = tree.query_ball_point(wall_points[chunk], formed_within[chunk], return_sorted=True)
+        formed_at[chunk] = [rows[0] for rows in forming_lists]
+        touching = tree.query_ball_point(wall_points[chunk], touched[chunk], return_sorted=False)
+        many = np.array([len(rows) for rows in touching])
+        index = np.fromiter(itertools.chain.from_iterable(touching), np.int64, int(many.sum()))
+        np.maximum.at(top, index, np.repeat(height[chunk], many))
+    if formed.formed_depth > 0.0:
+        formed_at[height >= claim.side * claim.start - formed.formed_depth - LOOP_FORMS_FRACTION * step] = -1
+    return height, formed_at, top

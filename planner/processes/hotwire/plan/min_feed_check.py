@@ -1,0 +1,57 @@
+"""Check that the planned timing moves the wire through foam at its minimum feed.
+
+A slower wire burns the foam.
+"""
+
+import math
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from planner.geometry.arrays import FloatArray
+from planner.geometry.units import MM, measurement
+from planner.issues import Issue
+from planner.processes.hotwire.plan.operation import ElasticWire, Straight
+from planner.targets import Targets
+
+MIN_FEED_FRACTION: Final = 0.97
+"""A whole move reaches at least this fraction of the minimum feed.
+
+Parts of a move, such as corners, are slower.
+"""
+SUGGESTED_FEED_FRACTION: Final = 0.9
+"""Fraction of the slowest move's speed that the hint suggests as a new minimum feed."""
+
+
+def check_min_feed(op: Straight | ElasticWire, targets: Targets, time: FloatArray) -> Iterator[Issue]:
+    """Yield ``motion.feed_min`` for the slowest move if it is below the operation's minimum feed in foam.
+
+    Args:
+        op: Operation with a hot wire.
+        targets: Its N targets.
+        time: Time (N,) [s] at which each target is reached.
+    """
+    speed = targets.travel[1:] / np.maximum(np.diff(time), 1e-9)
+    has_min_feed = targets.feed_min[1:] > 0.0
+    if not has_min_feed.any():
+        return
+    fraction = np.where(has_min_feed, speed / np.where(has_min_feed, targets.feed_min[1:], 1.0), np.inf)
+    k = int(np.argmin(fraction))
+    if fraction[k] >= MIN_FEED_FRACTION:
+        return
+    actual, required = float(speed[k]) / MM, float(targets.feed_min[k + 1]) / MM
+    suggested = math.floor(10.0 * SUGGESTED_FEED_FRACTION * actual) / 10.0
+    count = int(np.count_nonzero(fraction < MIN_FEED_FRACTION))
+    other_moves = f", and on {count - 1} more," if count > 1 else ""
+    yield Issue(
+        "motion.feed_min",
+        f"{op.name}: on the move to {targets.name(k + 1)}{other_moves} the joint limits at corners and "
+        f"rotations hold the wire at {actual:.3g} mm/s, required in foam are at least {required:g} mm/s",
+        field="operations.feed_min_mm_s",
+        index=k + 1,
+        target=targets.name(k + 1),
+        hint=f"set feed_min_mm_s: {suggested:g}, which the arms reach, or a lower feed_mm_s, or round the "
+        "corners more (a larger shape_tol_mm does this too)",
+        **measurement(actual, required, "mm/s"),
+    )

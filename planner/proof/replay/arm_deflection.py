@@ -1,0 +1,391 @@
+"""Poses of arms that deflect under the claimed loads, from the joints of their programs.
+
+The computation is the proof's own: axes from the chain of the robot's URDF, torques of each load about
+them, and joints of the loaded arm by iteration, because the loads act on the deflected arm. The force of
+the work acts in segments that work, as `ArmSags` states it. On a move along which it rises or falls, it
+does so with the path of the tool. If a force turns with the feed, the feed is that of the loaded arm, found
+by iteration from the straight moves of the program.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from planner.claims.claim import FEED_PATH_M, ArmSags
+from planner.geometry.arrays import FloatArray, IntArray, inverse
+from planner.geometry.units import GRAVITY
+from planner.issues import issue_error
+from planner.proof.kinematics.arm_model import RobotMachine
+from planner.proof.kinematics.chain import POSTURES_PER_BATCH
+from planner.proof.replay.motion import IntermediateInstants, Motion, Poses
+
+CONSTANT_FORCE_ITERATIONS: Final = 3
+"""Number of iterations for a constant force. Each leaves some thousandths of the error before."""
+TABLE_FORCE_ITERATIONS: Final = 10
+"""Number of iterations for a force that changes with the height. Each leaves at most a quarter of the error
+before.
+"""
+MAX_FEED_ITERATIONS: Final = 40
+"""Maximum number of iterations for the feed direction. Each leaves at most half of the error before."""
+FEED_TOLERANCE_M: Final = 1e-8
+"""Change of positions [m] below which the iterations for the feed direction end."""
+MIN_PATH_M: Final = 1e-6
+"""Length [m] of a move below which force changes with the time instead of the path."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SaggingArm:
+    """An arm under its loads in one setup.
+
+    Attributes:
+        machine: Kinematics of the arm.
+        claim: Loads and stiffness.
+        base: Base pose (4, 4) in the world.
+        tcp: TCP (4, 4) in the flange.
+        block: Frame (4, 4) of the stock in the world.
+    """
+
+    machine: RobotMachine
+    claim: ArmSags
+    base: FloatArray
+    tcp: FloatArray
+    block: FloatArray
+
+    @property
+    def turns_with_feed(self) -> bool:
+        """Whether the force of the work turns with the feed."""
+        return self.claim.frame == "feed"
+
+    def loaded_joints(
+        self,
+        q: FloatArray,
+        fraction: FloatArray,
+        feed: FloatArray | None = None,
+        height: FloatArray | None = None,
+    ) -> FloatArray:
+        """Return the serial angles (M, 6) [rad] of the loaded arm.
+
+        Fixed point of q_loaded = q + compliance(torque(q_loaded)).
+
+        Args:
+            q: Serial angles (M, 6) [rad] of the drives.
+            fraction: Fraction (M,) of the work's force.
+            feed: Direction (M, 3) of the tool. None if it does not matter.
+            height: Height (M,) [m] in the stock at which the force is taken, NaN for that of the tool.
+        """
+        feed = np.zeros((len(q), 3)) if feed is None else feed
+        height = np.full(len(q), np.nan) if height is None else height
+        out = np.empty_like(q)
+        for first in range(0, len(q), POSTURES_PER_BATCH):
+            batch = slice(first, first + POSTURES_PER_BATCH)
+            drives = q[batch]
+            loaded = drives
+            for _ in range(
+                CONSTANT_FORCE_ITERATIONS if len(self.claim.height) == 1 else TABLE_FORCE_ITERATIONS
+            ):
+                loaded = drives + self._deflections(loaded, fraction[batch], feed[batch], height[batch])
+            out[batch] = loaded
+        return out
+
+    def _deflections(
+        self, q: FloatArray, fraction: FloatArray, feed: FloatArray, height: FloatArray
+    ) -> FloatArray:
+        """Return the deflections (M, 6) [rad] of the joints at angles ``q`` (M, 6)."""
+        chain = self.machine.chain
+        frames = self.base @ chain.frames(q)
+        flange = frames[:, 6]
+        tcp_poses = flange @ self.tcp
+        work = fraction[:, None] * self._work_force(tcp_poses, feed, height)
+        weight = np.array([0.0, 0.0, -self.claim.mass * GRAVITY])
+        centre = flange[:, :3, :3] @ self.claim.cog + flange[:, :3, 3]
+        # Torque about axis i: tau_i = z_i . ((c - p_i) x weight + (tcp - p_i) x work).
+        torque = np.empty_like(q)
+        for i in range(6):
+            local_axis = chain.zero[i, :3, :3].T @ chain.axis[i]
+            axis, origin = frames[:, i, :3, :3] @ local_axis, frames[:, i, :3, 3]
+            moment = np.cross(centre - origin, weight) + np.cross(tcp_poses[:, :3, 3] - origin, work)
+            torque[:, i] = np.einsum("mi,mi->m", axis, moment)
+        if self.machine.data.coupling is None:
+            return np.asarray(torque / self.claim.joints)
+        # Parallel rod: axis 3 of the controller is q2 + q3. So drive 3 moves q3 alone, and drive 2 moves q2
+        # forward and q3 back: tau_2' = tau_2 - tau_3, and the deflection of q3 is d3 - d2.
+        drives = torque.copy()
+        drives[:, 1] -= torque[:, 2]
+        deflection = drives / self.claim.joints
+        deflection[:, 2] -= deflection[:, 1]
+        return deflection
+
+    def _work_force(self, tcp_poses: FloatArray, feed: FloatArray, height: FloatArray) -> FloatArray:
+        """Return the whole force of the work (M, 3) [N] in the world at TCP poses ``tcp_poses`` (M, 4, 4)."""
+        height = np.where(np.isnan(height), self.heights(tcp_poses), height)
+        knots = self.claim.height
+        # Linear interpolation of the force between the table rows below and above the height.
+        above = np.clip(np.searchsorted(knots, height), 1, max(len(knots) - 1, 1))
+        below, above = above - 1, np.minimum(above, len(knots) - 1)
+        span = np.where(above > below, knots[above] - knots[below], np.inf)
+        weight = np.clip((height - knots[below]) / span, 0.0, 1.0)[:, None]
+        force = (1.0 - weight) * self.claim.force[below] + weight * self.claim.force[above]
+        if self.claim.frame == "tool":
+            return np.asarray(np.einsum("mij,mj->mi", tcp_poses[:, :3, :3], force))
+        if self.claim.frame == "stock":
+            return np.asarray(force @ self.block[:3, :3].T)
+        down = tcp_poses[:, :3, 2]
+        feed_direction = feed - np.einsum("mi,mi->m", feed, down)[:, None] * down
+        x, y, z = force.T[:, :, None]
+        return np.asarray(x * feed_direction + y * np.cross(down, feed_direction) + z * down)
+
+    def heights(self, tcp_poses: FloatArray) -> FloatArray:
+        """Return the heights (M,) [m] of TCP poses (M, 4, 4) in the stock's frame."""
+        return np.asarray((inverse(self.block) @ tcp_poses)[:, 2, 3])
+
+    def flange_poses(self, q: FloatArray) -> FloatArray:
+        """Return the flange poses (M, 4, 4) in the world."""
+        return np.asarray(self.base @ self.machine.flange(q))
+
+
+def with_sag(
+    motion: Motion, arms: Sequence[Mapping[str, SaggingArm]], sample_setup: IntArray, node_setup: IntArray
+) -> Motion:
+    """Return the motion with the poses of the deflected arms.
+
+    ``tcp``, ``node_tcp`` and poses between samples are those of the deflected arms, and ``loaded_joints`` has
+    their joints. ``q`` stays what the controllers have.
+
+    Args:
+        motion: The replayed motion.
+        arms: Deflecting arms of each setup.
+        sample_setup: Setup of each sample (S,).
+        node_setup: Setup of each node (K,).
+    """
+    tcp, node_tcp, between = dict(motion.tcp), dict(motion.node_tcp), dict(motion.between.tcp)
+    bends = dict(motion.loaded_joints)
+    for name in dict.fromkeys(name for setup in arms for name in setup):
+        arm_setups = {index: setup[name] for index, setup in enumerate(arms) if name in setup}
+        sagging = _sagging_motion(motion, name, arm_setups, sample_setup, node_setup)
+        tcp[name], node_tcp[name], between[name], bends[name] = sagging
+    return dataclasses.replace(
+        motion,
+        tcp=tcp,
+        node_tcp=node_tcp,
+        loaded_joints=bends,
+        between=IntermediateInstants(
+            motion.between.time, motion.between.sample, motion.between.node, between
+        ),
+    )
+
+
+def _sagging_motion(
+    motion: Motion,
+    name: str,
+    arm_setups: Mapping[int, SaggingArm],
+    sample_setup: IntArray,
+    node_setup: IntArray,
+) -> tuple[Poses, FloatArray, Poses, FloatArray]:
+    """Return TCP poses at samples, at nodes and between samples, and joints at samples, of one arm."""
+    at_node = work_fractions(motion)
+    fraction = _sample_fractions(motion, name, at_node)
+    node_feed, feed = _feed_directions(motion, name, arm_setups, at_node, node_setup)
+    height = _force_heights(motion, name, arm_setups, at_node, node_setup, node_feed)
+    q, links = motion.q[name], np.array(motion.q[name])
+    tcp, between = Poses.empty(len(q)), Poses.empty(len(motion.between.time))
+    node_tcp = np.array(motion.node_tcp[name])
+    instant_samples, after = motion.between.sample, np.minimum(motion.between.sample + 1, len(q) - 1)
+    instant_setup = sample_setup[instant_samples]
+    for index in range(int(sample_setup.max(initial=0)) + 1):
+        rows = np.flatnonzero(sample_setup == index)
+        instants = np.flatnonzero(instant_setup == index)
+        if index not in arm_setups:
+            for batch in _batches(rows):
+                tcp[batch] = motion.tcp[name][batch]
+            between[instants] = motion.between.tcp[name][instants]
+            continue
+        arm = arm_setups[index]
+        for batch in _batches(rows):
+            links[batch] = arm.loaded_joints(q[batch], fraction[batch], feed[batch], height[batch])
+            tcp[batch] = _displacement(arm, q[batch], links[batch]) @ motion.tcp[name][batch]
+        # Between two samples, joints and deflections are interpolated linearly.
+        span = np.maximum(motion.time[after[instants]] - motion.time[instant_samples[instants]], 1e-9)
+        weight = np.clip(
+            (motion.between.time[instants] - motion.time[instant_samples[instants]]) / span, 0.0, 1.0
+        )[:, None]
+        previous_sample, next_sample = (
+            instant_samples[instants],
+            np.where(sample_setup[after[instants]] == index, after[instants], instant_samples[instants]),
+        )
+        drives = q[previous_sample] + weight * (q[next_sample] - q[previous_sample])
+        deflection = (1.0 - weight) * (links[previous_sample] - q[previous_sample]) + weight * (
+            links[next_sample] - q[next_sample]
+        )
+        for batch in _batches(np.arange(len(instants))):
+            displacement = _displacement(arm, drives[batch], drives[batch] + deflection[batch])
+            between[instants[batch]] = displacement @ motion.between.tcp[name][instants[batch]]
+        nodes = np.flatnonzero(node_setup == index)
+        next_sample = q[motion.node_sample[nodes]]
+        for batch in _batches(np.arange(len(nodes))):
+            loaded = arm.loaded_joints(next_sample[batch], at_node[nodes[batch]], node_feed[nodes[batch]])
+            node_tcp[nodes[batch]] = _displacement(arm, next_sample[batch], loaded) @ node_tcp[nodes[batch]]
+    return tcp, node_tcp, between, links
+
+
+def _displacement(arm: SaggingArm, q: FloatArray, links: FloatArray) -> FloatArray:
+    """Return the displacement of the deflected hand from where the drives put it.
+
+    It is given as motions (M, 4, 4) of the world.
+    """
+    return np.asarray(arm.flange_poses(links) @ inverse(arm.flange_poses(q)))
+
+
+def _batches(rows: IntArray) -> list[IntArray]:
+    return [rows[i : i + POSTURES_PER_BATCH] for i in range(0, len(rows), POSTURES_PER_BATCH)]
+
+
+def work_fractions(motion: Motion) -> FloatArray:
+    """Return the fraction (K,) of the work's force that acts at the ends of moves."""
+    works = [segment.works and not segment.phase for segment in motion.node_segment]
+    return np.array(works, dtype=np.float64)
+
+
+def _sample_fractions(motion: Motion, name: str, at_node: FloatArray) -> FloatArray:
+    """Return the fraction (S,) of the work's force that acts at each sample."""
+    node = motion.node
+    previous = np.concatenate([[0.0], at_node[:-1]])
+    out = at_node[node]
+    changing = np.flatnonzero((previous != at_node)[node])
+    if not len(changing):
+        return out
+    moves = node[changing]
+    progress = _move_progress(motion, name, changing)
+    out[changing] = previous[moves] + progress * (at_node[moves] - previous[moves])
+    return out
+
+
+def _force_heights(
+    motion: Motion,
+    name: str,
+    arm_setups: Mapping[int, SaggingArm],
+    at_node: FloatArray,
+    node_setup: IntArray,
+    node_feed: FloatArray,
+) -> FloatArray:
+    """Return the heights (S,) [m] in the stock at which the force is taken while it rises or falls.
+
+    The height is that of the loaded arm at the end of the move at which the force acts in full. Elsewhere it
+    is NaN.
+    """
+    out, works = np.full(len(motion.time), np.nan), np.append(at_node, 0.0) > 0.0
+    for node in np.flatnonzero(works[:-1] != np.append(False, works[:-2])):
+        full_node = node if works[node] else node - 1
+        arm = arm_setups.get(int(node_setup[full_node]))
+        if arm is None or len(arm.claim.height) == 1:
+            continue
+        links = arm.loaded_joints(
+            motion.q[name][[motion.node_sample[full_node]]], np.ones(1), node_feed[[full_node]]
+        )
+        rows = slice(*np.searchsorted(motion.node, [node, node + 1]))
+        out[rows] = arm.heights(arm.flange_poses(links) @ arm.tcp)[0]
+    return out
+
+
+def _move_progress(motion: Motion, name: str, rows: IntArray) -> FloatArray:
+    """Return the fraction (M,) of the current move that the tool has covered at samples ``rows`` (M,)."""
+    moves = np.asarray(motion.node[rows], dtype=np.int64)
+    start, end = _move_ends(motion, name, moves - 1), _move_ends(motion, name, moves)
+    path = end - start
+    length = np.einsum("mi,mi->m", path, path)
+    covered = np.einsum("mi,mi->m", motion.tcp[name].position[rows] - start, path)
+    started = motion.time[np.where(moves > 0, motion.node_sample[moves - 1], 0)]
+    duration = np.maximum(motion.time[motion.node_sample[moves]] - started, 1e-9)
+    progress = np.where(
+        length > MIN_PATH_M**2, covered / np.maximum(length, 1e-30), (motion.time[rows] - started) / duration
+    )
+    return np.clip(progress, 0.0, 1.0)
+
+
+def _feed_directions(
+    motion: Motion, name: str, arm_setups: Mapping[int, SaggingArm], at_node: FloatArray, node_setup: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the mean feed direction of the loaded arm at nodes (K, 3) and at samples (S, 3).
+
+    It is 0 where it is irrelevant.
+    """
+    at_nodes, at_samples = np.zeros((len(at_node), 3)), np.zeros((len(motion.time), 3))
+    works = np.flatnonzero(at_node > 0.0)
+    for run in np.split(works, np.flatnonzero(np.diff(works) != 1) + 1):
+        arm = arm_setups.get(int(node_setup[run[0]])) if len(run) else None
+        if arm is None or not arm.turns_with_feed:
+            continue
+        positions = _loaded_path(motion, name, arm, run)
+        lengths = _path_lengths(positions)
+        at_nodes[run] = _mean_direction(positions, lengths, lengths[1:])
+        # Samples of the run, and of the move after it, along which the last direction is kept.
+        first, last, end = np.searchsorted(motion.node, [run[0], run[-1] + 1, run[-1] + 2])
+        rows = np.arange(first, last)
+        move = motion.node[rows] - run[0]
+        path_lengths = lengths[move] + _move_progress(motion, name, rows) * (
+            lengths[move + 1] - lengths[move]
+        )
+        at_samples[rows] = _mean_direction(positions, lengths, path_lengths)
+        at_samples[last:end] = at_nodes[run[-1]]
+    return at_nodes, at_samples
+
+
+def _loaded_path(motion: Motion, name: str, arm: SaggingArm, run: IntArray) -> FloatArray:
+    """Return the positions (M + 1, 3) of the loaded tool in a run of working moves.
+
+    They are those at the start of the run and at the ends of its moves.
+
+    Raises:
+        TandemError: The iteration does not converge (``verify.sag``).
+    """
+    nodes = np.append(run[0] - 1, run)
+    stated = _move_ends(motion, name, nodes)
+    q = motion.q[name][np.where(nodes >= 0, motion.node_sample[np.maximum(nodes, 0)], 0)]
+    fraction = np.append(0.0, np.ones(len(run)))
+    positions = stated
+    for _ in range(MAX_FEED_ITERATIONS):
+        lengths = _path_lengths(positions)
+        links = arm.loaded_joints(q, fraction, _mean_direction(positions, lengths, lengths))
+        displacement = _displacement(arm, q, links)
+        loaded = np.asarray(np.einsum("mij,mj->mi", displacement[:, :3, :3], stated) + displacement[:, :3, 3])
+        change = float(np.abs(loaded - positions).max())
+        positions = loaded
+        if change < FEED_TOLERANCE_M:
+            return positions
+    what = f"{name} deflects so much under a force that turns with the feed that its path is undetermined: "
+    what += (
+        f"after {MAX_FEED_ITERATIONS} rounds positions still move by {1e3 * change:.3g} mm. Use a stiffer arm"
+    )
+    raise issue_error("verify.sag", what, arm=name)
+
+
+def _path_lengths(positions: FloatArray) -> FloatArray:
+    """Return the length (M,) [m] of the polyline up to each of the positions (M, 3)."""
+    return np.append(0.0, np.cumsum(np.linalg.norm(positions[1:] - positions[:-1], axis=1)))
+
+
+def _mean_direction(positions: FloatArray, lengths: FloatArray, at: FloatArray) -> FloatArray:
+    """Return the mean direction (M, 3) of a path through positions (P, 3) around lengths ``at`` (M,) [m].
+
+    The mean is taken from `FEED_PATH_M` before to `FEED_PATH_M` after, as far as the path goes.
+
+    Args:
+        positions: Positions (P, 3).
+        lengths: Path length (P,) [m] at the positions.
+        at: Path lengths (M,) [m].
+    """
+    early, late = np.maximum(at - FEED_PATH_M, 0.0), np.minimum(at + FEED_PATH_M, lengths[-1])
+    step = np.empty((len(at), 3))
+    for k in range(3):
+        step[:, k] = np.interp(late, lengths, positions[:, k]) - np.interp(early, lengths, positions[:, k])
+    span = late - early
+    return np.asarray(step / np.where(span > 0.0, span, np.inf)[:, None])
+
+
+def _move_ends(motion: Motion, name: str, nodes: IntArray) -> FloatArray:
+    """Return the tool positions (M, 3) at the ends of moves, with -1 for the start of all."""
+    stated = motion.node_tcp[name][np.maximum(nodes, 0), :3, 3]
+    sample = np.where(nodes >= 0, motion.node_sample[np.maximum(nodes, 0)], 0)
+    known = np.isfinite(stated).all(axis=1) & (nodes >= 0)
+    return np.where(known[:, None], stated, motion.tcp[name].position[sample])

@@ -1,0 +1,116 @@
+"""Intervals in which the tools stand still while they work."""
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, inverse
+from planner.programs.stages import TaskText
+from planner.proof.context import Context
+from planner.proof.replay.moves import hermite, trajectory_knots
+from planner.proof.replay.tool_speeds import STANDSTILL_FRACTION, tool_speeds
+
+_PIECES: Final = 8
+"""Number of pieces of the path between two points at which its evenness is checked."""
+STANDSTILL_RAD_S: Final = 1e-4
+"""Speed [rad/s] of its fastest joint below which an arm stands still on all of the path to a point."""
+SAMPLES_PER_BATCH: Final = 16_384
+"""Number of samples per batch."""
+
+
+def standstill_nodes(context: Context) -> BoolArray:
+    """Return the nodes (K,) at which trajectory-driven arms come close to a standstill.
+
+    They include nodes on the path to which this happens. It counts as a standstill, though no velocity of the
+    text is 0. If one arm holds the block, the motion relative to the other one's tool counts, too.
+    """
+    motion = context.motion
+    out = np.zeros(len(motion.node_stop), dtype=np.bool_)
+    fractions = np.linspace(0.0, 1.0, _PIECES + 1)[:, None, None]
+    for number, stage in enumerate(context.job.stages):
+        tasks = [t for t in context.job.tasks if t.text.is_trajectory and stage.moves(t.name)]
+        moves = [stage.moves(task.name) for task in tasks]
+        if not tasks:
+            continue
+        in_stage = motion.node_stage == number
+        nodes = np.flatnonzero(in_stage & (motion.node_line[tasks[0].arm.name] > 0))
+        span = np.array([move.time or 1.0 for move in moves[0]])[:, None]
+        ends, rates = list[FloatArray](), list[FloatArray]()
+        for task, task_moves in zip(tasks, moves, strict=True):
+            data, start_sample = task.arm.data, np.searchsorted(motion.node, nodes[0])
+            q, v = trajectory_knots(data, task_moves, motion.q[task.arm.name][start_sample])
+            ends.append(q / data.velocity)
+            rates.append(v / data.velocity)
+        positions, rate = np.concatenate(ends, axis=1), np.concatenate(rates, axis=1)
+        fastest = np.concatenate([task.arm.data.velocity for task in tasks])
+        mean = np.linalg.norm(np.diff(positions, axis=0) / span, axis=1)
+        slow_ends = np.linalg.norm(rate[1:-1], axis=1) < STANDSTILL_FRACTION * np.minimum(mean[:-1], mean[1:])
+        path = hermite(positions[:-1], positions[1:], rate[:-1], rate[1:], span, fractions)
+        min_speed = np.linalg.norm(np.diff(path, axis=0), axis=2).min(axis=0) * _PIECES / span[:, 0]
+        stationary = np.abs(np.diff(positions, axis=0) * fastest / span).max(axis=1) < STANDSTILL_RAD_S
+        out[nodes] = np.append(slow_ends, False) | (min_speed < STANDSTILL_FRACTION * mean) | stationary
+    for speeds in tool_speeds(context).values():
+        out[speeds.node] |= speeds.is_near_standstill
+    return out
+
+
+def work_nodes(
+    context: Context, task: TaskText
+) -> tuple[BoolArray, FloatArray, FloatArray, NDArray[np.object_]]:
+    """Return the nodes that an arm passes in work.
+
+    Returns:
+        Which nodes (K,) are in work, the tool poses (K, 4, 4) before each and there, and the arm (K,) that
+            holds the
+        block, relative to whose tool the poses are, empty for the world.
+    """
+    motion, arm = context.motion, task.arm.name
+    count = len(motion.node_segment)
+    work, holders = np.zeros(count, dtype=bool), np.full(count, "", dtype=object)
+    for number, stage in enumerate(context.job.stages):
+        moves = stage.moves(task.name)
+        nodes = np.flatnonzero((motion.node_stage == number) & (motion.node_line[arm] > 0))
+        for node, move in zip(nodes, moves, strict=False):
+            work[node] = not move.by_joints
+            holders[node] = "" if move.wobj.fixed else move.wobj.unit
+    first_nodes = np.flatnonzero(np.append(True, motion.node_stage[1:] != motion.node_stage[:-1]))
+    ends = {name: motion.node_tcp[name] for name in motion.node_tcp}
+    start = {}
+    for name, end_poses in ends.items():
+        start[name] = np.empty((count, 4, 4))
+        start[name][1:] = end_poses[:-1]
+        start[name][first_nodes] = motion.tcp[name][np.searchsorted(motion.node, first_nodes)]
+    rows = np.arange(count)
+    start_poses = tool_in_holder_frame(
+        context, arm, holders, rows, lambda name, held_rows: start[name][held_rows]
+    )
+    end_poses = tool_in_holder_frame(
+        context, arm, holders, rows, lambda name, held_rows: ends[name][held_rows]
+    )
+    return work, start_poses, end_poses, holders
+
+
+def tool_in_holder_frame(
+    context: Context,
+    arm: str,
+    holders: NDArray[np.object_],
+    rows: IntArray,
+    poses: Callable[[str, IntArray], FloatArray],
+) -> FloatArray:
+    """Return ``poses`` (K, 4, 4) of an arm's tool relative to the tools of ``holders`` (K,).
+
+    They are those at ``rows`` (K,).
+    """
+    out = poses(arm, rows).copy()
+    for holder in context.motion.tcp:
+        held_rows = np.flatnonzero(holders == holder)
+        if len(held_rows):
+            out[held_rows] = inverse(poses(holder, rows[held_rows])) @ out[held_rows]
+    return out
+
+
+def first_sample_of_each_node(node: IntArray, rows: IntArray) -> IntArray:
+    """Return the first of the ``rows`` of each node; ``node`` gives the nodes of the rows."""
+    return np.asarray(rows[np.unique(node, return_index=True)[1]]) if len(rows) else rows

@@ -1,0 +1,186 @@
+"""Upper bounds of tool speeds on the cubics of trajectories, which hold at every instant.
+
+On a grid with steps h, plus one step of the same cubic beyond either end, the tool path over each step
+gives the speed in its middle within h^2/24 of the third derivative. A straight line between two such speeds
+is within h^2/8 of it. So the speed nowhere exceeds the fastest of all steps, with the mean of two at either
+end, plus h^2/6 times a bound of the third derivative. That bound follows from the chain rule: each rotation
+moves the tool by at most its distance from that axis, and so do several rotations together, by the distance
+from the outermost axis.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from planner.geometry.arrays import FloatArray, inverse
+from planner.proof.kinematics.arm_model import RobotMachine
+from planner.proof.kinematics.chain import SerialChain
+from planner.proof.replay.moves import hermite
+
+_GRID_SIZES: Final = (16, 64, 256, 1024)
+"""Numbers of steps per cubic. Finer grids are used where the bound is not tight."""
+_TIGHTNESS_FRACTION: Final = 0.005
+"""Tightness of the bound as a fraction of the speed, at which no finer grid is needed."""
+_TIGHTNESS_M_S: Final = 1e-4
+"""Tightness of the bound [m/s], at which no finer grid is needed."""
+_POSITIONS_PER_BATCH: Final = 32_768
+"""Number of positions per batch."""
+
+
+def max_axis_distances(chain: SerialChain, tool: FloatArray) -> FloatArray:
+    """Return the maximum distance (J,) [m] of a ``tool`` (4, 4) in the flange from each axis."""
+    lengths = np.append(np.linalg.norm(chain.step[1:, :3, 3], axis=1), np.linalg.norm(tool[:3, 3]))
+    return np.asarray(np.cumsum(lengths[::-1])[::-1][:-1])
+
+
+def axis_distances(chain: SerialChain, q: FloatArray, tool: FloatArray) -> FloatArray:
+    """Return the distance (J,) [m] of a ``tool`` (4, 4) from each axis at joints ``q`` (J,)."""
+    frames = chain.frames(q)
+    count = len(chain.axis)
+    local_axis = np.einsum("iba,ib->ia", chain.zero[:count, :3, :3], chain.axis)
+    axis = np.einsum("iab,ib->ia", frames[:count, :3, :3], local_axis)
+    arm_vectors = (frames[-1] @ tool)[:3, 3] - frames[:count, :3, 3]
+    return np.asarray(np.linalg.norm(np.cross(axis, arm_vectors), axis=1))
+
+
+@dataclasses.dataclass(frozen=True)
+class RelativeTool:
+    """Kinematics of a tool relative to an observer.
+
+    Attributes:
+        poses: Poses (..., 4, 4) of the tool from joints (..., D), a chain of rotations that each carry the
+            next ones.
+        reach: Maximum distance (D,) [m] of the tool from each axis.
+    """
+
+    poses: Callable[[FloatArray], FloatArray]
+    reach: FloatArray
+
+    def positions(self, q: FloatArray) -> FloatArray:
+        """Return the positions (..., 3) [m] at joints (..., D)."""
+        return self.poses(q)[..., :3, 3]
+
+
+def tool_in_base(machine: RobotMachine, tool: FloatArray) -> RelativeTool:
+    """Return the kinematics of a ``tool`` (4, 4) in the flange relative to the base of its arm."""
+    return RelativeTool(
+        lambda q: np.asarray(machine.flange(q) @ tool), max_axis_distances(machine.chain, tool)
+    )
+
+
+ArmWithTool = tuple[RobotMachine, FloatArray, FloatArray]
+"""An arm with its tool (4, 4) in the flange and its base (4, 4) in the world."""
+
+
+def tool_in_holder(arm: ArmWithTool, holder: ArmWithTool) -> RelativeTool:
+    """Return the kinematics of the tool of ``arm`` relative to that of ``holder``.
+
+    The joints (..., D) are those of the holder from its last to its first, then those of the arm.
+    """
+    (machine, tool, base), (other, grip, holder_base) = arm, holder
+    count = len(other.chain.axis)
+
+    def poses(q: FloatArray) -> FloatArray:
+        holder_poses = holder_base @ other.flange(q[..., :count][..., ::-1]) @ grip
+        return np.asarray(inverse(holder_poses) @ base @ machine.flange(q[..., count:]) @ tool)
+
+    links = np.linalg.norm(machine.chain.step[:, :3, 3], axis=1).sum() + np.linalg.norm(tool[:3, 3])
+    holder_reach = np.cumsum(np.linalg.norm(other.chain.step[:-1, :3, 3], axis=1))[::-1]
+    base_distance = np.linalg.norm(base[:3, 3] - holder_base[:3, 3])
+    return RelativeTool(
+        poses, np.append(holder_reach + base_distance + links, max_axis_distances(machine.chain, tool))
+    )
+
+
+CubicEnds = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+"""Joints at the two ends of N cubics and velocities there, each (N, D)."""
+
+
+def peak_speeds(tool: RelativeTool, ends: CubicEnds, span: FloatArray) -> FloatArray:
+    """Return upper bounds (N,) [m/s] of the tool speed on N cubics with durations ``span`` (N,) [s]."""
+    out, remaining = np.zeros(len(span)), np.arange(len(span))
+    for count in _GRID_SIZES:
+        speeds = np.empty(len(remaining))
+        block = max(1, _POSITIONS_PER_BATCH // (count + 3))
+        for first in range(0, len(remaining), block):
+            batch = remaining[first : first + block]
+            batch_ends = (ends[0][batch], ends[1][batch], ends[2][batch], ends[3][batch])
+            speeds[first : first + block] = _grid_speeds(tool, batch_ends, span[batch], count)
+        remaining_ends = (ends[0][remaining], ends[1][remaining], ends[2][remaining], ends[3][remaining])
+        slack = (
+            _third_derivative_bound(tool.reach, remaining_ends, span[remaining], count)
+            * (span[remaining] / count) ** 2
+            / 6.0
+        )
+        out[remaining] = speeds + slack
+        remaining = remaining[slack > np.maximum(_TIGHTNESS_FRACTION * speeds, _TIGHTNESS_M_S)]
+        if not len(remaining):
+            break
+    return out
+
+
+def _grid_speeds(tool: RelativeTool, ends: CubicEnds, span: FloatArray, count: int) -> FloatArray:
+    fractions = ((np.arange(count + 3) - 1.0) / count)[:, None]
+    a, b, va, vb = (values[:, None] for values in ends)
+    positions = tool.positions(hermite(a, b, va, vb, span[:, None, None], fractions))
+    steps = np.diff(positions, axis=1)
+    steps[:, 0] = 0.5 * (steps[:, 0] + steps[:, 1])  # speeds at the ends
+    steps[:, -1] = 0.5 * (steps[:, -2] + steps[:, -1])
+    return np.asarray(np.linalg.norm(steps, axis=2).max(axis=1) * count / span)
+
+
+def _third_derivative_bound(reach: FloatArray, ends: CubicEnds, span: FloatArray, count: int) -> FloatArray:
+    """Bound the third derivative (M,) [m/s^3] of the position, also one step beyond either end."""
+    a, b, va, vb = ends
+    T = span[:, None]
+    mean = (b - a) / T
+    first = (6.0 * mean - 4.0 * va - 2.0 * vb) / T
+    last = (2.0 * va + 4.0 * vb - 6.0 * mean) / T
+    extremum = np.clip(first / np.where(first == last, np.inf, first - last), 0.0, 1.0)
+    middle = va + T * extremum * (first + 0.5 * extremum * (last - first))
+    third = np.abs(last - first) / T
+    second = np.maximum(np.abs(first), np.abs(last)) + third * T / count
+    speed = np.abs(np.stack([va, vb, middle])).max(axis=0) + second * T / count
+    # d3x/dt3 <= sum over axes of reach (q''' + 3 q' q'' + q'^3), products grouped by the outermost axis.
+    parts = third + 3.0 * _sum_by_outermost(speed, second) + _sum_by_outermost(speed, speed, speed)
+    return np.asarray((reach * parts).sum(axis=1))
+
+
+def _sum_by_outermost(*factors: FloatArray) -> FloatArray:
+    """Return sums (M, J) of the products of ``factors`` (M, J), grouped by the outermost joint.
+
+    Each product has one joint of each factor.
+    """
+    whole = np.prod([np.cumsum(factor, axis=1) for factor in factors], axis=0)
+    return np.diff(whole, axis=1, prepend=0.0)
+
+
+def settling_fraction(
+    machine: RobotMachine, tool: FloatArray, q: FloatArray, within: float, time: float, tcp_speed: float
+) -> float:
+    """Return the largest fraction of a limit that an arm needs to settle at joints within a time.
+
+    The arm moves on cubics from rest to rest. The limits are those of joint speeds, joint accelerations and
+    tool speed.
+
+    Args:
+        machine: Kinematics of the arm.
+        tool: TCP (4, 4) in the flange.
+        q: Joints (J,) [rad] at the end.
+        within: Maximum distance [rad] of each joint at the start.
+        time: Duration [s].
+        tcp_speed: Limit of the tool speed [m/s].
+    """
+    reach = max_axis_distances(machine.chain, tool)
+    beyond = np.sum(reach * _sum_by_outermost(np.ones((1, len(q))), np.ones((1, len(q)))))
+    tip = within * axis_distances(machine.chain, q, tool).sum() + within**2 * beyond
+    data = machine.data
+    return float(
+        max(
+            (1.5 * within / time / data.velocity).max(),
+            (6.0 * within / time**2 / data.acceleration).max(),
+            1.5 * tip / time / tcp_speed,
+        )
+    )
